@@ -1,0 +1,45 @@
+"""Twist of one mesh: what the teeth see of the angles, with errors of manufacture.
+
+The errors are arc-minutes: their reaction on the torques (order times amplitude,
+below 2 %) is left out.
+"""
+
+import math
+
+from numba import njit
+
+from rigs.nominal import PINION_SPACING, PINION_TEETH, RING_RATIO
+
+
+@njit(inline="always")
+def wrap(angle):
+    """Into [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@njit(inline="always")
+def twist(p, side, pinion, ring, pinion_speed, ring_speed):
+    """(z [rad], its rate [rad/s]) at the pinion."""
+    z = pinion - RING_RATIO * ring
+    rate = pinion_speed - RING_RATIO * ring_speed
+    if p.runout[side] != 0.0:
+        angle = pinion + p.runout_phase[side]
+        z += p.runout[side] * math.cos(angle)
+        rate -= p.runout[side] * math.sin(angle) * pinion_speed
+    if p.eccentricity != 0.0:
+        angle = ring + side * PINION_SPACING + p.eccentricity_phase
+        z += p.eccentricity * math.cos(angle)
+        rate -= p.eccentricity * math.sin(angle) * ring_speed
+    if p.tooth_error != 0.0:
+        angle = PINION_TEETH * pinion + p.tooth_phase[side]
+        z += p.tooth_error * math.cos(angle)
+        rate -= p.tooth_error * math.sin(angle) * PINION_TEETH * pinion_speed
+    return z, rate
+
+
+@njit(inline="always")
+def half_gap(p, side, ring):
+    gap = p.half_gap[side]
+    if p.gap_variation != 0.0:
+        gap *= 1.0 + p.gap_variation * math.cos(ring + side * PINION_SPACING + p.gap_phase)
+    return gap

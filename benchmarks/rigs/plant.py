@@ -1,0 +1,202 @@
+"""The rig as ordinary differential equations, and one log of it.
+
+Three bodies (physics: Eqs. 15 to 18, 21, 25), five with reducer compliance.
+Classical Runge-Kutta of fourth order with a fixed fine step; sticking bodies
+change their mode only between steps.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from rigs.contact import mesh_torque
+from rigs.drive import amplifier, motor_torque
+from rigs.friction import breakaway, friction
+from rigs.geometry import half_gap, twist
+from rigs.layout import (
+    ANGLE,
+    BRISTLE,
+    CURRENT,
+    GAP,
+    KARNOPP,
+    MEMORY,
+    MOTOR_ANGLE,
+    MOTOR_SPEED,
+    RING,
+    SLOSH_ANGLE,
+    SLOSH_SPEED,
+    SPEED,
+    STATES,
+    TWO_STATE,
+)
+from rigs.nominal import REDUCER_RATIO, RING_RATIO
+from rigs.ring import external_torque, extra_friction, remember
+
+SAMPLE = 1e-3  # s, period of the loop and of the log
+CLIP = 10.0  # V, limit of the controller's output
+_HISTORY = 4096  # fine steps of speed kept for a late gyro
+
+
+@njit(cache=True)
+def derivative(time, y, dy, p, m, volts, mode, decide):
+    """Rates of the state; with `decide`, bodies at rest may break away first."""
+    ring, ring_speed = y[ANGLE + RING], y[SPEED + RING]
+    warmth = math.exp(-time / p.warm_time) if p.warm_time > 0.0 else 0.0
+    load = 0.0
+    for i in range(2):
+        pinion, speed = y[ANGLE + i], y[SPEED + i]
+        z, rate = twist(p, i, pinion, ring, speed, ring_speed)
+        gap = half_gap(p, i, ring)
+        tooth, dy[GAP + i] = mesh_torque(
+            z, rate, y[GAP + i], gap, p.contact, p.stiffness, p.damping, p.gap_damping
+        )
+        if p.slip_torque > 0.0:
+            tooth = p.slip_torque * math.tanh(tooth / p.slip_torque)
+        load += RING_RATIO * tooth
+
+        voltage = volts[i]
+        if p.lag > 0.0:
+            dy[CURRENT + i] = (voltage - y[CURRENT + i]) / p.lag
+            voltage = y[CURRENT + i]
+        inertia = p.pinion_inertia
+        if p.reducer_stiffness > 0.0:
+            motor, motor_speed = y[MOTOR_ANGLE + i], y[MOTOR_SPEED + i]
+            torque = motor_torque(p, i, voltage, REDUCER_RATIO * motor, REDUCER_RATIO * motor_speed)
+            shaft = p.reducer_stiffness * (motor - pinion)
+            shaft += p.reducer_damping * (motor_speed - speed)
+            dy[MOTOR_ANGLE + i] = motor_speed
+            dy[MOTOR_SPEED + i] = (torque - shaft) / p.motor_inertia
+            inertia -= p.motor_inertia
+            net = shaft - tooth
+        else:
+            torque = motor_torque(p, i, voltage, REDUCER_RATIO * pinion, REDUCER_RATIO * speed)
+            net = torque - tooth
+        scale = 1.0 + p.warm_reducer * warmth
+        extra = p.load_friction * abs(tooth)
+        if decide and p.law[i] == KARNOPP and mode[i] == 0.0:
+            mode[i] = breakaway(p, i, net, scale, extra)
+        drag, dy[BRISTLE + i] = friction(
+            p, i, inertia, speed, net, mode[i], y[BRISTLE + i], scale, extra
+        )
+        dy[ANGLE + i] = speed
+        dy[SPEED + i] = (net - drag) / inertia
+
+    mean_voltage = 0.5 * (volts[0] + volts[1])
+    net = load + external_torque(
+        p, m, time, ring, ring_speed, mean_voltage, y[SLOSH_ANGLE], y[SLOSH_SPEED]
+    )
+    scale = 1.0 + p.warm_ring * warmth
+    extra = extra_friction(p, m, ring, ring_speed)
+    if decide and p.law[RING] == KARNOPP and mode[RING] == 0.0:
+        mode[RING] = breakaway(p, RING, net, scale, extra)
+    drag, dy[BRISTLE + RING] = friction(
+        p, RING, p.ring_inertia, ring_speed, net, mode[RING], y[BRISTLE + RING], scale, extra
+    )
+    dy[ANGLE + RING] = ring_speed
+    dy[SPEED + RING] = (net - drag) / p.ring_inertia
+    if p.slosh_inertia != 0.0:
+        spring = p.slosh_rate * p.slosh_rate * (y[SLOSH_ANGLE] - ring)
+        damper = 2.0 * p.slosh_damping * p.slosh_rate * (y[SLOSH_SPEED] - ring_speed)
+        dy[SLOSH_ANGLE] = y[SLOSH_SPEED]
+        dy[SLOSH_SPEED] = -spring - damper
+
+
+@njit(cache=True)
+def advance(time, step, y, p, m, volts, mode, work):
+    """One Runge-Kutta step in place; work is (6, STATES) of scratch."""
+    trial, total, k = work[0], work[1], work[2]
+    derivative(time, y, k, p, m, volts, mode, True)
+    for j in range(STATES):
+        total[j] = k[j]
+        trial[j] = y[j] + 0.5 * step * k[j]
+    derivative(time + 0.5 * step, trial, k, p, m, volts, mode, False)
+    for j in range(STATES):
+        total[j] += 2.0 * k[j]
+        trial[j] = y[j] + 0.5 * step * k[j]
+    derivative(time + 0.5 * step, trial, k, p, m, volts, mode, False)
+    for j in range(STATES):
+        total[j] += 2.0 * k[j]
+        trial[j] = y[j] + step * k[j]
+    derivative(time + step, trial, k, p, m, volts, mode, False)
+    for j in range(STATES):
+        y[j] += step / 6.0 * (total[j] + k[j])
+    for i in range(3):
+        if mode[i] != 0.0 and mode[i] * y[SPEED + i] <= 0.0:
+            y[SPEED + i] = 0.0
+            mode[i] = 0.0
+    if p.contact == TWO_STATE:
+        for i in range(2):
+            gap = half_gap(p, i, y[ANGLE + RING])
+            y[GAP + i] = min(gap, max(-gap, y[GAP + i]))
+
+
+@njit(cache=True)
+def record_log(p, signal, closed, gains, preload, start, noise, substeps):
+    """Run one experiment; columns of the log before quantisation, in SI units.
+
+    Parameters
+    ----------
+    p : record of layout.RECORD
+    signal : (n,) array
+        Voltage common to both motors [V], or setpoint of the speed [deg/s].
+    closed : bool
+        Whether the PI controller turns the setpoint into the voltage.
+    gains : (2,) array
+        k_p [V s/deg], k_i [V/deg].
+    preload : float
+        Voltage added on the left and taken off on the right [V].
+    start : float
+        Angle of the ring gear at rest [rad].
+    noise : (n,) array
+        Of the gyro [rad/s].
+    substeps : int
+        Fine steps per sample.
+
+    Returns
+    -------
+    (6, n) array
+        u_left, u_right [V], ring angle [rad], gyro [rad/s], motor angles [rad].
+    """
+    n = signal.size
+    out = np.empty((6, n))
+    y, m, mode = np.zeros(STATES), np.zeros(MEMORY), np.zeros(3)
+    work, volts = np.empty((3, STATES)), np.zeros(2)
+    work[:] = 0.0
+    y[ANGLE + RING] = y[SLOSH_ANGLE] = start
+    for i in range(2):
+        y[ANGLE + i] = y[MOTOR_ANGLE + i] = RING_RATIO * start
+    history = np.zeros(_HISTORY)
+    step = SAMPLE / substeps
+    late_gyro = min(_HISTORY - 1, int(round(p.gyro_delay / step)))
+    late_drive = int(round(p.delay / step))
+    integral = 0.0
+    fine = 0
+    for k in range(n):
+        gyro = (1.0 + p.gyro_gain_error) * history[(fine - late_gyro) % _HISTORY] + noise[k]
+        command = signal[k]
+        if closed:
+            error = signal[k] - gyro * 180.0 / math.pi
+            integral += SAMPLE * error
+            command = min(CLIP, max(-CLIP, gains[0] * error + gains[1] * integral))
+        out[0, k] = command + preload
+        out[1, k] = command - preload
+        out[2, k] = y[ANGLE + RING]
+        if p.encoder_eccentricity != 0.0:
+            turned = y[ANGLE + RING] + p.encoder_phase
+            out[2, k] += p.encoder_eccentricity * math.cos(turned)
+        out[3, k] = gyro
+        motor = MOTOR_ANGLE if p.reducer_stiffness > 0.0 else ANGLE
+        out[4, k] = REDUCER_RATIO * y[motor]
+        out[5, k] = REDUCER_RATIO * y[motor + 1]
+        for _ in range(substeps):
+            time = fine * step
+            effective = fine - late_drive
+            for i in range(2):
+                u = out[i, effective // substeps] if effective >= 0 else 0.0
+                volts[i] = amplifier(p, m, i, u, time, step)
+            advance(time, step, y, p, m, volts, mode, work)
+            remember(p, m, y[ANGLE + RING], y[SPEED + RING], step)
+            fine += 1
+            history[fine % _HISTORY] = y[SPEED + RING]
+    return out

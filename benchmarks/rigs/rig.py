@@ -1,0 +1,244 @@
+"""Draw a rig, run its experiments, write its logs."""
+
+import gzip
+import json
+import math
+import zlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from rigs import experiments, nominal
+from rigs.catalogue import KNOWN
+from rigs.layout import CONTACT_LAWS, FRICTION_LAWS, RECORD, RING
+from rigs.nominal import DEG
+from rigs.plant import SAMPLE, record_log
+from rigs.unknowns import UNKNOWN
+
+RING_ENCODER = 2 * math.pi / 2**18  # rad per count
+MOTOR_ENCODER = 2 * math.pi / 10_000  # rad per count
+GYRO_NOISE = 0.05 * DEG  # rad/s rms
+FINE_STEP = 25e-6  # s
+
+# Columns as in the logs of a real rig: name -> decimals.
+DECIMALS = {
+    "time_s": 3,
+    "u_left_V": 5,
+    "u_right_V": 5,
+    "theta_L_deg": 5,
+    "omega_L_deg_s": 4,
+    "theta_ml_deg": 3,
+    "theta_mr_deg": 3,
+    "ref_deg_s": 5,
+}
+
+
+@dataclass
+class Rig:
+    """One rig: `label` says what is wrong with it, `logs` and `hidden` are tables."""
+
+    label: dict
+    logs: dict
+    hidden: dict
+    record: np.ndarray = field(repr=False)  # of layout.RECORD, one element
+
+    def save(self, folder):
+        """Write logs, hidden/ logs and label.json; the folder appears when whole."""
+        folder = Path(folder)
+        made = folder.with_name(folder.name + ".part")
+        made.mkdir(parents=True, exist_ok=True)
+        for name, log in self.logs.items():
+            write_log(log, made / f"{name}.csv.gz")
+        if self.hidden:
+            (made / "hidden").mkdir(exist_ok=True)
+            for name, log in self.hidden.items():
+                write_log(log, made / "hidden" / f"{name}.csv.gz")
+        (made / "label.json").write_text(json.dumps(self.label, indent=1) + "\n")
+        made.rename(folder)
+
+
+def make_rig(
+    seed,
+    effects=(),
+    sensors=None,
+    friction=None,
+    contact=None,
+    hidden_logs=0,
+    *,
+    logs="paper",
+    spread=None,
+    step=FINE_STEP,
+):
+    """Draw a rig of the paper's kind and run its experiments.
+
+    Parameters
+    ----------
+    seed : int
+        Fixes everything that is drawn. The plant, the noise and each effect have
+        their own streams: adding an effect changes nothing else.
+    effects : sequence of (name, strength)
+        Names of `KNOWN` or `UNKNOWN`; strength 1 is typical, 0 is off.
+    sensors : {"all", "load"}, optional
+        With or without motor encoders; drawn if left out.
+    friction : {"karnopp", "lugre", "tanh"}, optional
+    contact : {"eq21", "two_state", "kelvin_voigt", "hunt_crossley"}, optional
+        Drawn if left out.
+    hidden_logs : int
+        Further logs at other amplitudes and phases, kept for scoring predictions.
+    logs : {"paper", "other"}
+        The ten usual logs, or ten others.
+    spread : float, optional
+        Half-width of all parameter draws, relative; without it `nominal.SPREAD`.
+    step : float
+        Fine step of the integrator [s]; must divide a sample.
+
+    Returns
+    -------
+    Rig
+    """
+    check(effects, sensors, friction, contact, logs, step)
+    streams = np.random.SeedSequence(seed).spawn(4)
+    plant, starts, noise, later = (np.random.default_rng(s) for s in streams)
+    laws = {
+        "friction": friction or str(plant.choice(list(FRICTION_LAWS))),
+        "contact": contact or str(plant.choice(list(CONTACT_LAWS))),
+    }
+    drawn_sensors = str(plant.choice(["all", "load"]))
+    record = draw_plant(plant, laws, spread)
+    label = {
+        "effects": [title(name) for name, _ in effects],
+        "sensors": sensors or drawn_sensors,
+        "seed": seed,
+        "depends_on": sorted({v for name, _ in effects if name in UNKNOWN for v in UNKNOWN[name][1]}),
+        "strengths": {name: strength for name, strength in effects},
+        "effect_parameters": {},
+        "laws": laws,
+    }
+    label["plant"] = plain({n: record[0][n] for n in RECORD.names if np.any(record[0][n])})
+    p = record.view(np.recarray)[0]
+    for name, strength in effects:
+        rng = np.random.default_rng([zlib.crc32(name.encode()), seed])
+        draw = KNOWN[name] if name in KNOWN else UNKNOWN[name][0]
+        label["effect_parameters"][name] = plain(draw(p, rng, strength))
+
+    ten = experiments.paper(starts) if logs == "paper" else experiments.others(starts, 10)
+    hidden = experiments.others(later, hidden_logs, "hidden")
+    columns = ("sensors", label["sensors"])
+    return Rig(
+        label,
+        {n: run(record, e, noise, columns[1], step) for n, e in ten.items()},
+        {n: run(record, e, later, columns[1], step) for n, e in hidden.items()},
+        record,
+    )
+
+
+def check(effects, sensors, friction, contact, logs, step):
+    for name, strength in effects:
+        if name not in KNOWN and name not in UNKNOWN:
+            raise ValueError(f"effect {name!r} is neither in KNOWN nor in UNKNOWN")
+        if not (math.isfinite(strength) and strength >= 0):
+            raise ValueError(f"strength of {name} is {strength}, it must be finite and >= 0")
+    allowed = {
+        "sensors": (sensors, (None, "all", "load")),
+        "friction": (friction, (None, *FRICTION_LAWS)),
+        "contact": (contact, (None, *CONTACT_LAWS)),
+        "logs": (logs, ("paper", "other")),
+    }
+    for what, (value, choices) in allowed.items():
+        if value not in choices:
+            raise ValueError(f"{what} is {value!r}, it must be one of {choices}")
+    if abs(SAMPLE / step - round(SAMPLE / step)) > 1e-9:
+        raise ValueError(f"step {step} s does not divide a sample of {SAMPLE} s")
+
+
+def title(name):
+    """A catalogue effect by its name; one on no list by its description."""
+    if name in KNOWN:
+        return name
+    return "unknown: " + UNKNOWN[name][0].__doc__.strip().rstrip(".")
+
+
+def draw_plant(rng, laws, spread):
+    """The paper's tables, each value moved inside its range; no effect."""
+    record = np.zeros(1, RECORD)
+    p = record[0]
+
+    def near(value, kind):
+        width = nominal.SPREAD[kind] if spread is None else spread
+        return value * (1.0 + width * rng.uniform(-1, 1, np.shape(value)))
+
+    p["motor_inertia"] = nominal.MOTOR_INERTIA
+    p["pinion_inertia"] = near(nominal.PINION_INERTIA, "inertia")
+    p["ring_inertia"] = near(nominal.RING_INERTIA, "inertia")
+    p["stiffness"] = near(nominal.MESH_STIFFNESS, "stiffness")
+    p["torque_per_volt"] = nominal.TORQUE_PER_VOLT
+    p["damping"] = math.exp(rng.uniform(*np.log(nominal.MESH_DAMPING)))
+    p["gap_damping"] = math.exp(rng.uniform(*np.log(nominal.GAP_DAMPING)))
+    p["half_gap"] = near(np.array(nominal.HALF_GAPS), "gap")
+    for term in ("static", "coulomb", "stribeck", "viscous"):
+        reducer = near(np.array(nominal.REDUCER_FRICTION[term]), "friction")
+        ring = near(np.array(nominal.RING_FRICTION[term]), "friction")
+        p[term] = [reducer, reducer, ring]
+    p["static"] = np.maximum(p["static"], p["coulomb"])
+    p["law"] = FRICTION_LAWS[laws["friction"]]
+    p["contact"] = CONTACT_LAWS[laws["contact"]]
+    # Bristles bend by one or two encoder counts, tanh turns within a fraction of the
+    # Stribeck speed: neither shows as presliding or as viscous friction.
+    bend, turn = rng.uniform(2e-5, 4e-5), rng.uniform(0.02, 0.05) * DEG
+    p["bristle"] = np.array([nominal.RING_RATIO, nominal.RING_RATIO, 1.0]) * bend
+    p["smooth"] = np.array([4.0, 4.0, 1.0]) * turn
+    return record
+
+
+def run(record, experiment, rng, sensors, step):
+    """One log as a table, quantised and rounded like the file."""
+    n = experiment.signal.size
+    noise = GYRO_NOISE * rng.standard_normal(n)
+    raw = record_log(
+        record[0],
+        experiment.signal,
+        experiment.closed,
+        experiments.GAINS,
+        experiment.preload,
+        experiment.start,
+        noise,
+        round(SAMPLE / step),
+    )
+    if not np.isfinite(raw).all():
+        raise FloatingPointError("the rig's simulation left the finite numbers")
+    table = {
+        "time_s": np.arange(n) * SAMPLE,
+        "u_left_V": raw[0],
+        "u_right_V": raw[1],
+        "theta_L_deg": quantise(raw[2], RING_ENCODER) / DEG,
+        "omega_L_deg_s": raw[3] / DEG,
+    }
+    if sensors == "all":
+        table["theta_ml_deg"] = quantise(raw[4], MOTOR_ENCODER) / DEG
+        table["theta_mr_deg"] = quantise(raw[5], MOTOR_ENCODER) / DEG
+    if experiment.closed:
+        table["ref_deg_s"] = experiment.signal
+    return pd.DataFrame({name: np.round(x, DECIMALS[name]) for name, x in table.items()})
+
+
+def quantise(angle, count):
+    return np.round(angle / count) * count
+
+
+def write_log(log, path):
+    """Gzip CSV with the decimals of DECIMALS; the same log gives the same bytes."""
+    row = ",".join(f"%.{DECIMALS[name]}f" for name in log.columns) + "\n"
+    text = "".join(row % values for values in zip(*(log[c] for c in log.columns), strict=True))
+    with open(path, "wb") as raw, gzip.GzipFile(fileobj=raw, mode="wb", mtime=0) as packed:
+        packed.write((",".join(log.columns) + "\n" + text).encode())
+
+
+def plain(value):
+    """Numbers and lists that JSON knows."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value.item() if isinstance(value, np.generic) else value

@@ -1,0 +1,29 @@
+"""Logs that come with the package."""
+
+from importlib.resources import files
+from pathlib import Path
+
+SETS = ("demo_rig", "null_rig")
+
+
+def path(name: str) -> Path:
+    """Folder of a bundled set of logs.
+
+    Parameters
+    ----------
+    name : {"demo_rig", "null_rig"}
+        demo_rig has an effect that the declared model lacks; null_rig has none.
+
+    Returns
+    -------
+    Path
+        Folder with the logs and a README on their source and licence.
+
+    Raises
+    ------
+    ValueError
+        No set of that name.
+    """
+    if name not in SETS:
+        raise ValueError(f"no bundled logs named {name!r}; there are {', '.join(SETS)}")
+    return Path(str(files(__name__).joinpath(name)))

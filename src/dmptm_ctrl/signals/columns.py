@@ -1,0 +1,172 @@
+"""From columns as a file names them to channels in SI."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.units import (
+    CANONICAL,
+    SUFFIXES,
+    Unit,
+    expected_symbol,
+    parse_unit,
+    split_column,
+)
+
+
+class Column(NamedTuple):
+    """Where a column of a file goes: value_SI = scale · factor of the unit · value."""
+
+    channel: str
+    unit: str
+    scale: float = 1.0
+
+
+class Target(NamedTuple):
+    """A column resolved: its channel, the SI symbol and the factor to SI."""
+
+    channel: str
+    symbol: str
+    factor: float
+
+
+class Table(NamedTuple):
+    """What a file holds: columns by their own names, the file's units where it states them."""
+
+    columns: dict[str, Any]
+    units: dict[str, str]
+    meta: dict[str, Any]
+
+
+Mapped = Mapping[str, "Column | tuple | str"]
+
+
+def resolve(
+    names: Sequence[str], mapping: Mapped | None, units: Mapping[str, str], source: str
+) -> tuple[dict[str, Target], list[str]]:
+    """Decide which columns become channels.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Columns of the file.
+    mapping : mapping, optional
+        Column of the file -> NAME_UNIT, or (channel, unit), or (channel, unit, scale);
+        the others go by their own names.
+    units : mapping of str to str
+        Units that the file itself states.
+    source : str
+        Name of the file, for messages.
+
+    Returns
+    -------
+    targets : dict of str to Target
+        By column name, in the file's order.
+    warnings : list of str
+
+    Raises
+    ------
+    LogError
+        A mapped column is not there, a unit is unknown or of the wrong quantity, two columns
+        have one name or go to one channel.
+    """
+    _refuse_duplicates(names, source)
+    mapping = mapping or {}
+    missing = [column for column in mapping if column not in names]
+    if missing:
+        raise LogError(f"{source}: no column {missing[0]!r}; it has {_listed(names)}")
+    targets: dict[str, Target] = {}
+    ignored = []
+    for column in names:
+        if column in mapping:
+            targets[column] = _mapped(column, mapping[column], source)
+        else:
+            target = _by_name(column, units.get(column), source)
+            if target is None:
+                ignored.append(column)
+            else:
+                targets[column] = target
+    _refuse_wrong(targets, source)
+    warnings = []
+    if ignored and not mapping:
+        warnings.append(
+            f"ignored {_listed(ignored)}: no unit in the name, as in theta_L_deg or current_A"
+        )
+    return targets, warnings
+
+
+def _mapped(column: str, target: Any, source: str) -> Target:
+    if isinstance(target, str):
+        split = split_column(target)
+        if split is None:
+            raise LogError(f"{source}: column {column!r} is mapped to {target!r}, not a NAME_UNIT")
+        channel, unit, scale = split[0], split[1], 1.0
+    else:
+        channel, text, *rest = target
+        unit, scale = parse_unit(text), float(rest[0]) if rest else 1.0
+    if not np.isfinite(scale) or scale == 0:
+        raise LogError(f"{source}: column {column!r} has the scale {scale}, not a number but 0")
+    return Target(str(channel), unit.symbol, scale * unit.factor)
+
+
+def _by_name(column: str, stated: str | None, source: str) -> Target | None:
+    if stated and split_column(column) is None:
+        try:
+            unit = parse_unit(stated)
+        except LogError:
+            return None
+        return Target(column, unit.symbol, unit.factor)
+    split = split_column(column)
+    if split is not None:
+        channel, unit = split
+        if channel in CANONICAL or not _is_canonical(column):
+            return Target(channel, unit.symbol, unit.factor)
+    if _is_canonical(column):
+        known = [c for c in CANONICAL if column == c or column.startswith(f"{c}_")]
+        raise LogError(
+            f"{source}: column {column!r} ends in no known unit; write {known[-1]}_UNIT "
+            f"with one of {', '.join(_suffixes_of(known[-1]))}"
+        )
+    return None
+
+
+def _is_canonical(column: str) -> bool:
+    return any(column == c or column.startswith(f"{c}_") for c in CANONICAL)
+
+
+def _suffixes_of(channel: str) -> list[str]:
+    return [suffix for suffix, unit in SUFFIXES.items() if unit.symbol == expected_symbol(channel)]
+
+
+def _refuse_wrong(targets: Mapping[str, Target], source: str) -> None:
+    seen: dict[str, str] = {}
+    for column, target in targets.items():
+        symbol = expected_symbol(target.channel)
+        # ref is a speed on the paper's rig and may be a position elsewhere
+        if symbol is not None and target.channel != "ref" and target.symbol != symbol:
+            raise LogError(
+                f"{source}: column {column!r} is in {target.symbol}, but {target.channel} is in "
+                f"{symbol} or one of {', '.join(_suffixes_of(target.channel))}"
+            )
+        if target.channel in seen:
+            raise LogError(
+                f"{source}: columns {seen[target.channel]!r} and {column!r} are both "
+                f"{target.channel}"
+            )
+        seen[target.channel] = column
+
+
+def _refuse_duplicates(names: Sequence[str], source: str) -> None:
+    twice = sorted({name for name in names if name and list(names).count(name) > 1})
+    if twice:
+        raise LogError(f"{source}: column {twice[0]!r} occurs {list(names).count(twice[0])} times")
+
+
+def _listed(names: Sequence[str], most: int = 12) -> str:
+    shown = ", ".join(repr(name) for name in list(names)[:most])
+    return shown + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+__all__ = ["Column", "Mapped", "Table", "Target", "Unit", "resolve"]

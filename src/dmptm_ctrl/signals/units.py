@@ -1,0 +1,131 @@
+"""Units of logged columns: a column is called NAME_UNIT, everything inside is SI and radians."""
+
+from math import pi
+from typing import NamedTuple
+
+from dmptm_ctrl.signals.errors import LogError
+
+
+class Unit(NamedTuple):
+    """How a logged unit becomes SI: value_SI = factor · value."""
+
+    symbol: str  # SI symbol, "" for a pure number
+    factor: float
+
+
+_DEG = pi / 180
+_REV = 2 * pi
+
+# Column suffix -> SI. Checked against pint in the tests.
+SUFFIXES: dict[str, Unit] = {
+    "s": Unit("s", 1.0),
+    "ms": Unit("s", 1e-3),
+    "us": Unit("s", 1e-6),
+    "min": Unit("s", 60.0),
+    "V": Unit("V", 1.0),
+    "mV": Unit("V", 1e-3),
+    "A": Unit("A", 1.0),
+    "mA": Unit("A", 1e-3),
+    "Nm": Unit("N·m", 1.0),
+    "mNm": Unit("N·m", 1e-3),
+    "N": Unit("N", 1.0),
+    "kN": Unit("N", 1e3),
+    "rad": Unit("rad", 1.0),
+    "mrad": Unit("rad", 1e-3),
+    "deg": Unit("rad", _DEG),
+    "arcmin": Unit("rad", _DEG / 60),
+    "arcsec": Unit("rad", _DEG / 3600),
+    "rev": Unit("rad", _REV),
+    "turn": Unit("rad", _REV),
+    "rad_s": Unit("rad/s", 1.0),
+    "mrad_s": Unit("rad/s", 1e-3),
+    "deg_s": Unit("rad/s", _DEG),
+    "rev_s": Unit("rad/s", _REV),
+    "rpm": Unit("rad/s", _REV / 60),
+    "rad_s2": Unit("rad/s²", 1.0),
+    "deg_s2": Unit("rad/s²", _DEG),
+    "m": Unit("m", 1.0),
+    "mm": Unit("m", 1e-3),
+    "um": Unit("m", 1e-6),
+    "m_s": Unit("m/s", 1.0),
+    "mm_s": Unit("m/s", 1e-3),
+    "m_s2": Unit("m/s²", 1.0),
+    "g": Unit("m/s²", 9.80665),  # standard acceleration of gravity, as accelerometers print it
+    "Hz": Unit("Hz", 1.0),
+    "W": Unit("W", 1.0),
+    "K": Unit("K", 1.0),
+}
+
+CANONICAL = ("time", "u_left", "u_right", "theta_L", "omega_L", "theta_ml", "theta_mr", "ref")
+
+_SYMBOL_OF = {"time": "s", "u_left": "V", "u_right": "V", "ref": "rad/s"}
+_SYMBOL_OF_STEM = {"theta": "rad", "omega": "rad/s"}
+
+
+def expected_symbol(channel: str) -> str | None:
+    """SI symbol that a channel must have by its name; None if the name is free."""
+    return _SYMBOL_OF.get(channel) or _SYMBOL_OF_STEM.get(channel.split("_")[0])
+
+
+def split_column(column: str) -> tuple[str, Unit] | None:
+    """Split NAME_UNIT into the name and its unit, the longest known suffix first.
+
+    ``omega_L_deg_s`` is omega_L in deg/s, not omega_L_deg in seconds. None if the column
+    ends in no known unit.
+    """
+    parts = column.split("_")
+    for length in (2, 1):
+        unit = SUFFIXES.get("_".join(parts[-length:]))
+        if unit is not None and len(parts) > length:
+            return "_".join(parts[:-length]), unit
+    return None
+
+
+def parse_unit(text: str) -> Unit:
+    """Unit from its text: a suffix of the table ("deg_s"), or an expression ("deg/s", "kgf*m").
+
+    Raises
+    ------
+    LogError
+        Not a unit that converts to SI by a factor alone.
+    """
+    plain = text.strip().replace("·", "*").replace("²", "**2").replace("µ", "u")
+    suffix = plain.replace("/", "_").replace("*", "").replace("^", "")
+    if suffix in SUFFIXES:
+        return SUFFIXES[suffix]
+    if plain in ("", "1", "-"):
+        return Unit("", 1.0)
+    return _parse_with_pint(plain)
+
+
+def _parse_with_pint(text: str) -> Unit:
+    import pint
+
+    try:
+        quantity = pint.Quantity(1.0, text)
+        for unit in SUFFIXES.values():
+            base = _pint_text(unit.symbol)
+            root = quantity.to_root_units()
+            if root.units == pint.Quantity(1.0, base).to_root_units().units:
+                return Unit(unit.symbol, float(quantity.to(base).magnitude))
+    except Exception as error:  # pint raises its own, tokenizer's and arithmetic errors
+        raise LogError(f"unknown unit {text!r}; known are {', '.join(SUFFIXES)}") from error
+    raise LogError(f"unit {text!r} is no quantity of a drive; known are {', '.join(SUFFIXES)}")
+
+
+def _pint_text(symbol: str) -> str:
+    return symbol.replace("·", "*").replace("²", "**2")
+
+
+# SI symbol -> (suffix, factor) for people: angles in degrees.
+_DOOR = {"rad": "deg", "rad/s": "deg_s", "rad/s²": "deg_s2"}
+_PLAIN = {unit.symbol: suffix for suffix, unit in reversed(SUFFIXES.items()) if unit.factor == 1.0}
+
+
+def door_column(channel: str, symbol: str, *, degrees: bool = True) -> tuple[str, float]:
+    """Column name for people and the number to divide SI values by."""
+    suffix = _DOOR.get(symbol, "") if degrees else ""
+    suffix = suffix or _PLAIN.get(symbol, "")
+    if not suffix:
+        return channel, 1.0
+    return f"{channel}_{suffix}", SUFFIXES[suffix].factor

@@ -1,0 +1,95 @@
+"""What every effect file must offer. Knows no physics.
+
+A *site* is the place in the drive where an effect acts; it fixes the signature of the
+kernel and how the runners combine several effects. All kernels are pure scalar functions,
+compiled by numba and callable from plain Python, and take their parameters `p` as the
+NamedTuple of the effect. `side` is 0 for the left chain and 1 for the right one, `body` is
+0, 1 for the reducers and 2 for the ring gear. Units are SI and radians.
+
+| site     | kernel                                              | returns                                    |
+|----------|-----------------------------------------------------|--------------------------------------------|
+| drive    | (u, t, side, p)                                     | voltage after the effect [V]               |
+| delay    | (side, p)                                           | dead time of the voltage [s]               |
+| lag      | (u, side, p)                                        | (target [V], time constant [s])            |
+| motor    | (theta_m, omega_m, t, side, p)                      | torque on the motor shaft [N·m]            |
+| shaft    | (inertia, p)                                        | (compliance [rad/(N·m)], damping [N·m·s/rad]) at the pinion |
+| mesh     | (theta_p, omega_p, theta_L, omega_L, side, p)       | (shift of z [rad], its rate, change of half-gap [rad], change of stiffness [N·m/rad]) |
+| friction | (theta, omega, t, mesh_torque, body, p)             | (factor on declared friction, Coulomb torque added [N·m]) |
+| presliding | (body, p)                                         | relaxation distance [rad]                  |
+| load     | (theta_L, omega_L, t, p)                            | torque on the ring gear [N·m]              |
+| sensor   | (theta_L, omega_L, t, p)                            | (angle reading [rad], speed reading [rad/s]) |
+| sensor_delay | (p)                                             | dead time of the speed reading [s]         |
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+SITES = (
+    "drive",
+    "delay",
+    "lag",
+    "motor",
+    "shaft",
+    "mesh",
+    "friction",
+    "presliding",
+    "load",
+    "sensor",
+    "sensor_delay",
+)
+
+
+class Parameter(NamedTuple):
+    """One number of an effect.
+
+    Attributes
+    ----------
+    name, unit : str
+        SI unit, radians.
+    low, high : float
+        Bounds of what is plausible on a drive of this kind.
+    step : float
+        A clearly visible size: the difference step of sensitivities and the
+        scale of searches.
+    bank : tuple of float
+        Values to try for a parameter without meaning at zero effect (order,
+        place, time constant); empty for an amplitude.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    step: float
+    bank: tuple[float, ...] = ()
+
+
+class Effect(NamedTuple):
+    """A physical effect: its kernel, its parameters and what is known of it.
+
+    The effect is absent exactly when all its amplitudes are zero.
+    """
+
+    name: str
+    site: str
+    kernel: Callable[..., Any]
+    parameters: tuple[Parameter, ...]
+    values: type[Any]
+    location: str
+    source: str
+    depends_on: tuple[str, ...]
+    reveals: str
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        """Names of the parameters that are zero when the effect is absent."""
+        return tuple(p.name for p in self.parameters if not p.bank)
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of the parameters that have no meaning at zero effect."""
+        return tuple(p.name for p in self.parameters if p.bank)
+
+    def defaults(self) -> tuple[float, ...]:
+        """Return the parameters of the absent effect: zero amplitudes, mid-bank shapes."""
+        return tuple(p.bank[len(p.bank) // 2] if p.bank else 0.0 for p in self.parameters)

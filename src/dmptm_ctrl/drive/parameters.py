@@ -1,0 +1,179 @@
+"""The paper's drive as data: Tables 1 and 2 with unit, tolerance and source.
+
+Errata of the printed tables are put right by default; ``paper_drive(as_printed=True)``
+gives the printed values. Each correction is named in :data:`ERRATA`.
+
+Source: Zheng et al. 2022, doi:10.21203/rs.3.rs-1546754/v1 ("the paper").
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from math import pi
+from types import MappingProxyType
+
+ARCMIN = pi / (180 * 60)  # rad
+DEG = pi / 180  # rad
+
+ERRATA = {
+    "J3_bar": "below Eq. 16: J̄3 = N1² (Jm + J1) + J2 + J3, J1 turns with the motor",
+    "T3s_plus": "Table 2: T3s+ and T3c+ swapped, static friction is not below Coulomb",
+    "c": "Table 1: c = 1 is a damping ratio of 0.015, outside Eq. 24's 0.03…0.17; "
+    "taken as uncertain, 1…10 N·m·s/rad",
+    "J2": "Table 1: J2 equals N1² Jm exactly; taken as what stays on the pinion side beside it",
+}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A declared number: value, unit, how far the truth may be from it, and who says so.
+
+    Attributes
+    ----------
+    value : float
+        In the SI unit of `unit`.
+    unit : str
+    tolerance : float
+        Relative half-width of the declared range; 0 is exact.
+    source : str
+    low, high : float or None
+        Absolute range, in place of a relative tolerance.
+    """
+
+    value: float
+    unit: str
+    tolerance: float
+    source: str
+    low: float | None = None
+    high: float | None = None
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Declared range (low, high)."""
+        if self.low is not None and self.high is not None:
+            return self.low, self.high
+        half = abs(self.value) * self.tolerance
+        return self.value - half, self.value + half
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the declaration leaves the value open."""
+        low, high = self.range
+        return high > low
+
+
+@dataclass(frozen=True)
+class Drive(Mapping[str, float]):
+    """Declared parameters of a dual-motor drive; a read-only mapping name → value.
+
+    Every quantity of the plant is here; `drive["k"]` is a value, `drive.quantities["k"]`
+    the value with unit, range and source.
+    """
+
+    quantities: Mapping[str, Quantity]
+    name: str = "drive"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "quantities", MappingProxyType(dict(self.quantities)))
+
+    def __getitem__(self, key: str) -> float:
+        try:
+            return self.quantities[key].value
+        except KeyError:
+            known = ", ".join(self.quantities)
+            raise KeyError(f"no parameter {key!r} in {self.name}; it has {known}") from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.quantities)
+
+    def __len__(self) -> int:
+        return len(self.quantities)
+
+    def __hash__(self) -> int:
+        return hash((self.name, tuple(self.values())))
+
+    def __reduce__(self) -> tuple[type, tuple[dict[str, Quantity], str]]:
+        return Drive, (dict(self.quantities), self.name)
+
+    def with_values(self, **values: float) -> "Drive":
+        """Return the same drive with some values replaced; declarations stay.
+
+        Raises
+        ------
+        KeyError
+            A name that the drive does not have.
+        """
+        new = dict(self.quantities)
+        for key, value in values.items():
+            self[key]
+            new[key] = replace(new[key], value=float(value))
+        return Drive(new, self.name)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the parameters whose declaration is a range."""
+        return tuple(k for k, q in self.quantities.items() if q.is_free)
+
+
+_FRICTION_TOL = 0.12  # declared spread of friction and gaps from rig to rig
+_INERTIA_TOL = 0.06
+_STIFFNESS_TOL = 0.10
+
+
+def _friction(
+    body: str, label: str, plus: tuple[float, ...], minus: tuple[float, ...]
+) -> dict[str, Quantity]:
+    """Return one row of Table 2 in SI; magnitudes, the sign is that of the speed."""
+    rows: dict[str, Quantity] = {}
+    for sign, (static, coulomb, stribeck, viscous) in (("plus", plus), ("minus", minus)):
+        source = f"Table 2, {label}"
+        rows[f"T{body}s_{sign}"] = Quantity(static, "N·m", _FRICTION_TOL, source)
+        rows[f"T{body}c_{sign}"] = Quantity(coulomb, "N·m", _FRICTION_TOL, source)
+        rows[f"W{body}_{sign}"] = Quantity(stribeck * DEG, "rad/s", _FRICTION_TOL, source)
+        rows[f"B{body}_{sign}"] = Quantity(viscous / DEG, "N·m·s/rad", _FRICTION_TOL, source)
+    rows[f"delta{body}"] = Quantity(1.0, "", 0.0, f"Table 2, {label}")
+    return rows
+
+
+def paper_drive(*, as_printed: bool = False) -> Drive:
+    """Return the paper's rig.
+
+    Parameters
+    ----------
+    as_printed : bool
+        Give the tables as printed, errata included, without tolerances on c.
+
+    Returns
+    -------
+    Drive
+        SI units. `gap_l`, `gap_r` are half-gaps at the pinion. `T3…` act on the pinion
+        side of both reducers, `TL…` on the ring gear.
+
+    Source
+    ------
+    Tables 1 and 2; corrections in :data:`ERRATA`. `c_f` is "an adjustable parameter"
+    (section 4.2.2) without a printed value: ours, a small fraction of c.
+    """
+    t1 = "Table 1"
+    reducer_plus = (2.5, 2.8, 2.0, 0.01) if as_printed else (2.8, 2.5, 2.0, 0.01)
+    q = {
+        "K_d": Quantity(3.0, "A/V", 0.0, t1),
+        "K_M": Quantity(0.13, "N·m/A", 0.0, t1),
+        "J_m": Quantity(2e-4, "kg·m²", _INERTIA_TOL, t1),
+        "J_2": Quantity(0.125, "kg·m²", _INERTIA_TOL, t1 + ", see ERRATA['J2']"),
+        "J_L": Quantity(2.5, "kg·m²", _INERTIA_TOL, t1),
+        "N_1": Quantity(25.0, "", 0.0, t1),
+        "N_2": Quantity(8.25, "", 0.0, t1),
+        "z_3": Quantity(20.0, "", 0.0, t1),
+        "k_m": Quantity(3.6e4, "N·m/rad", _STIFFNESS_TOL, t1),
+        "k_a": Quantity(0.0, "N·m/rad", 0.0, "not printed"),
+        "phi_r": Quantity(0.0, "rad", 0.0, "below Eq. 23"),
+        "c": Quantity(1.0, "N·m·s/rad", 0.0, t1)
+        if as_printed
+        else Quantity(3.0, "N·m·s/rad", 0.0, ERRATA["c"], low=1.0, high=10.0),
+        "c_f": Quantity(0.05, "N·m·s/rad", 0.0, "ours", low=0.0, high=0.5),
+        "gap_l": Quantity(14 * ARCMIN, "rad", _FRICTION_TOL, t1),
+        "gap_r": Quantity(10 * ARCMIN, "rad", _FRICTION_TOL, t1),
+        **_friction("3", "LSPRs", reducer_plus, (2.0, 1.8, 2.0, 0.008)),
+        **_friction("L", "LRG", (23.0, 20.0, 1.0, 1.2), (20.0, 17.0, 1.0, 1.0)),
+    }
+    return Drive(q, "paper as printed" if as_printed else "paper")

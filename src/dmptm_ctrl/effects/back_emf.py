@@ -1,0 +1,35 @@
+"""Back-EMF: a voltage-driven motor is braked by its own speed.
+
+torque = −K_e ω_m on the motor's shaft
+"""
+
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class BackEmf(NamedTuple):
+    """Parameters."""
+
+    damping: float  # N·m·s/rad, K_e
+
+
+@njit
+def back_emf_torque(theta_m, omega_m, t, side, p):
+    """Torque on the motor's shaft [N·m]."""
+    return -p.damping * omega_m
+
+
+BACK_EMF = Effect(
+    name="back_emf",
+    site="motor",
+    kernel=back_emf_torque,
+    parameters=(Parameter("damping", "N·m·s/rad", 0.0, 0.01, 0.0002),),
+    values=BackEmf,
+    location="motors",
+    source="K_t K_e / R of a voltage-fed motor",
+    depends_on=("omega_m",),
+    reveals="constant speeds over the whole range; it is viscous friction at the motor, told only by a coefficient beyond its declared range",
+)

@@ -1,0 +1,44 @@
+"""Backlash variation: the tooth gap changes around the ring gear.
+
+Δ += C cos(θL + i·120°) + S sin(θL + i·120°), i = 0 left, 1 right
+"""
+
+from math import cos, pi, sin
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+PINION_ANGLE = 2.0 * pi / 3.0  # rad between the pinions on the ring gear
+
+
+class BacklashVariation(NamedTuple):
+    """Parameters."""
+
+    cosine: float  # rad at the pinion
+    sine: float  # rad at the pinion
+
+
+@njit
+def varied_gap(theta_p, omega_p, theta_L, omega_L, side, p):
+    """Shift of z and its rate (none), change of half-gap [rad], of stiffness (none)."""
+    phase = theta_L + side * PINION_ANGLE
+    return 0.0, 0.0, p.cosine * cos(phase) + p.sine * sin(phase), 0.0
+
+
+BACKLASH_VARIATION = Effect(
+    name="backlash_variation",
+    site="mesh",
+    kernel=varied_gap,
+    parameters=(
+        Parameter("cosine", "rad", -5e-3, 5e-3, 1e-4),
+        Parameter("sine", "rad", -5e-3, 5e-3, 1e-4),
+    ),
+    values=BacklashVariation,
+    location="ring gear",
+    source="tooth thickness and centre distance around the rim",
+    depends_on=("theta_L",),
+    reveals="reversals at many ring-gear angles",
+)

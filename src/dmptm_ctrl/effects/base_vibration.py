@@ -1,0 +1,45 @@
+"""Base vibration: the platform's base shakes at a fixed frequency.
+
+    torque = A cos(2π f t) + B sin(2π f t)
+
+on the ring gear, locked to each log's clock.
+"""
+
+from math import cos, pi, sin
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class BaseVibration(NamedTuple):
+    """Parameters."""
+
+    cosine: float  # N·m, A
+    sine: float  # N·m, B
+    frequency: float  # Hz, f
+
+
+@njit
+def vibration_torque(theta_L, omega_L, t, p):
+    """Torque on the ring gear [N·m]."""
+    phase = 2.0 * pi * p.frequency * t
+    return p.cosine * cos(phase) + p.sine * sin(phase)
+
+
+BASE_VIBRATION = Effect(
+    name="base_vibration",
+    site="load",
+    kernel=vibration_torque,
+    parameters=(
+        Parameter("cosine", "N·m", -60.0, 60.0, 2.0),
+        Parameter("sine", "N·m", -60.0, 60.0, 2.0),
+        Parameter("frequency", "Hz", 0.5, 30.0, 0.02, tuple(0.5 + 0.02 * i for i in range(1476))),
+    ),
+    values=BaseVibration,
+    location="base",
+    source="harmonic inertia torque of a shaken base",
+    depends_on=("time",),
+    reveals="the same motion repeated: what stays locked to the clock is not the drive's",
+)

@@ -1,0 +1,51 @@
+"""Cogging: the rotor's magnets pull towards the stator's teeth.
+
+    torque = Σ over sides of C cos(n θm) + S sin(n θm), on each motor's shaft
+
+n is the order per motor turn. Each motor has its own amplitude and phase.
+"""
+
+from math import cos, sin
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class Cogging(NamedTuple):
+    """Parameters."""
+
+    left_cosine: float  # N·m
+    left_sine: float  # N·m
+    right_cosine: float  # N·m
+    right_sine: float  # N·m
+    order: float  # per motor turn, n
+
+
+@njit
+def cogging_torque(theta_m, omega_m, t, side, p):
+    """Torque on the shaft of the motor on `side` [N·m]."""
+    phase = p.order * theta_m
+    if side == 0:
+        return p.left_cosine * cos(phase) + p.left_sine * sin(phase)
+    return p.right_cosine * cos(phase) + p.right_sine * sin(phase)
+
+
+COGGING = Effect(
+    name="cogging",
+    site="motor",
+    kernel=cogging_torque,
+    parameters=(
+        Parameter("left_cosine", "N·m", -0.1, 0.1, 0.005),
+        Parameter("left_sine", "N·m", -0.1, 0.1, 0.005),
+        Parameter("right_cosine", "N·m", -0.1, 0.1, 0.005),
+        Parameter("right_sine", "N·m", -0.1, 0.1, 0.005),
+        Parameter("order", "1/turn", 1.0, 96.0, 1.0, tuple(float(n) for n in range(1, 97))),
+    ),
+    values=Cogging,
+    location="motors",
+    source="first harmonic of the cogging torque, Hanselman 2003, ch. 7",
+    depends_on=("theta_m",),
+    reveals="a slow constant speed, so that order n stays below the mesh resonance",
+)

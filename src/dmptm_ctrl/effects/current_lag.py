@@ -1,0 +1,38 @@
+"""Current lag: the current loop follows its command as a first-order lag.
+
+τ du_e/dt = u − u_e
+"""
+
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class CurrentLag(NamedTuple):
+    """Parameters."""
+
+    time_constant: float  # s, τ
+
+
+@njit
+def lag_target(u, side, p):
+    """Where the effective voltage relaxes to [V], and how fast [s]."""
+    return u, p.time_constant
+
+
+CURRENT_LAG = Effect(
+    name="current_lag",
+    site="lag",
+    kernel=lag_target,
+    parameters=(Parameter("time_constant", "s", 0.0, 0.05, 0.002),),
+    values=CurrentLag,
+    location="drives",
+    source="bandwidth of the current controller",
+    depends_on=(
+        "u",
+        "du_dt",
+    ),
+    reveals="excitation above 1/(2π τ): steps or a multisine to 100 Hz under preload",
+)

@@ -1,0 +1,39 @@
+"""Drive offset: a constant voltage is added to the command.
+
+u_e = u + b
+"""
+
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class DriveOffset(NamedTuple):
+    """Parameters."""
+
+    left: float  # V
+    right: float  # V
+
+
+@njit
+def offset_voltage(u, t, side, p):
+    """Voltage after the offset [V]."""
+    return u + (p.left if side == 0 else p.right)
+
+
+DRIVE_OFFSET = Effect(
+    name="drive_offset",
+    site="drive",
+    kernel=offset_voltage,
+    parameters=(
+        Parameter("left", "V", -0.3, 0.3, 0.01),
+        Parameter("right", "V", -0.3, 0.3, 0.01),
+    ),
+    values=DriveOffset,
+    location="drives",
+    source="analogue command interface",
+    depends_on=("u",),
+    reveals="both directions at the same voltage, and left and right alone",
+)

@@ -1,0 +1,40 @@
+"""Encoder eccentricity: the encoder's disc is off the axis.
+
+reading = θL + C cos θL + S sin θL
+"""
+
+from math import cos, sin
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class EncoderEccentricity(NamedTuple):
+    """Parameters."""
+
+    cosine: float  # rad
+    sine: float  # rad
+
+
+@njit
+def eccentric_reading(theta_L, omega_L, t, p):
+    """Readings of ring-gear angle [rad] and speed [rad/s]."""
+    return theta_L + p.cosine * cos(theta_L) + p.sine * sin(theta_L), omega_L
+
+
+ENCODER_ECCENTRICITY = Effect(
+    name="encoder_eccentricity",
+    site="sensor",
+    kernel=eccentric_reading,
+    parameters=(
+        Parameter("cosine", "rad", -0.02, 0.02, 2e-4),
+        Parameter("sine", "rad", -0.02, 0.02, 2e-4),
+    ),
+    values=EncoderEccentricity,
+    location="ring-gear encoder",
+    source="eccentric disc",
+    depends_on=("theta_L",),
+    reveals="a full turn with a gyro and motor encoders",
+)

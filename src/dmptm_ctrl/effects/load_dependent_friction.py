@@ -1,0 +1,37 @@
+"""Load-dependent friction: what the mesh carries presses on the bearings.
+
+Coulomb friction += μ |T_mesh| on each reducer
+"""
+
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class LoadDependentFriction(NamedTuple):
+    """Parameters."""
+
+    coefficient: float  # relative to the mesh torque, μ
+
+
+@njit
+def load_friction(theta, omega, t, mesh_torque, body, p):
+    """Factor on the declared friction (1) and added Coulomb torque [N·m]."""
+    if body == 2:
+        return 1.0, 0.0
+    return 1.0, p.coefficient * abs(mesh_torque)
+
+
+LOAD_DEPENDENT_FRICTION = Effect(
+    name="load_dependent_friction",
+    site="friction",
+    kernel=load_friction,
+    parameters=(Parameter("coefficient", "", 0.0, 0.6, 0.01),),
+    values=LoadDependentFriction,
+    location="reducers",
+    source="efficiency of gears under load",
+    depends_on=("mesh_torque",),
+    reveals="preload: it adds torque without motion",
+)

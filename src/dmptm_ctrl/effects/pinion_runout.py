@@ -1,0 +1,49 @@
+"""Pinion runout: the pinions' pitch circles are off their axes.
+
+z += C cos θp + S sin θp, each pinion with its own
+"""
+
+from math import cos, sin
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class PinionRunout(NamedTuple):
+    """Parameters."""
+
+    left_cosine: float  # rad
+    left_sine: float  # rad
+    right_cosine: float  # rad
+    right_sine: float  # rad
+
+
+@njit
+def runout_shift(theta_p, omega_p, theta_L, omega_L, side, p):
+    """Shift of z [rad], its rate [rad/s], changes of half-gap and stiffness (none)."""
+    if side == 0:
+        cosine, sine = p.left_cosine, p.left_sine
+    else:
+        cosine, sine = p.right_cosine, p.right_sine
+    c, s = cos(theta_p), sin(theta_p)
+    return cosine * c + sine * s, (sine * c - cosine * s) * omega_p, 0.0, 0.0
+
+
+PINION_RUNOUT = Effect(
+    name="pinion_runout",
+    site="mesh",
+    kernel=runout_shift,
+    parameters=(
+        Parameter("left_cosine", "rad", -5e-3, 5e-3, 1e-4),
+        Parameter("left_sine", "rad", -5e-3, 5e-3, 1e-4),
+        Parameter("right_cosine", "rad", -5e-3, 5e-3, 1e-4),
+        Parameter("right_sine", "rad", -5e-3, 5e-3, 1e-4),
+    ),
+    values=PinionRunout,
+    location="pinions",
+    source="kinematic error of an eccentric pinion",
+    depends_on=("theta_m",),
+    reveals="several turns with motor encoders",
+)

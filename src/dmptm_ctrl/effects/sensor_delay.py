@@ -1,0 +1,35 @@
+"""Sensor delay: the speed sensor reads late.
+
+reading(t) = ω(t − T_d)
+"""
+
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class SensorDelay(NamedTuple):
+    """Parameters."""
+
+    delay: float  # s, T_d
+
+
+@njit
+def reading_delay(p):
+    """Dead time of the speed reading [s]."""
+    return p.delay
+
+
+SENSOR_DELAY = Effect(
+    name="sensor_delay",
+    site="sensor_delay",
+    kernel=reading_delay,
+    parameters=(Parameter("delay", "s", 0.0, 0.03, 0.002),),
+    values=SensorDelay,
+    location="speed sensor",
+    source="digital filter and bus of a gyro",
+    depends_on=("omega_L",),
+    reveals="any reversal: the encoder is the reference",
+)

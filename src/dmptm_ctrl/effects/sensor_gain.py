@@ -1,0 +1,35 @@
+"""Sensor gain: the speed sensor reads too much or too little.
+
+reading = (1 + s) ω
+"""
+
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class SensorGain(NamedTuple):
+    """Parameters."""
+
+    error: float  # relative, s
+
+
+@njit
+def gained_reading(theta_L, omega_L, t, p):
+    """Readings of ring-gear angle [rad] and speed [rad/s]."""
+    return theta_L, (1.0 + p.error) * omega_L
+
+
+SENSOR_GAIN = Effect(
+    name="sensor_gain",
+    site="sensor",
+    kernel=gained_reading,
+    parameters=(Parameter("error", "", -0.3, 0.3, 0.01),),
+    values=SensorGain,
+    location="speed sensor",
+    source="scale factor of a gyro",
+    depends_on=("omega_L",),
+    reveals="any motion: the encoder is the reference",
+)

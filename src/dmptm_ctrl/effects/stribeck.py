@@ -1,0 +1,60 @@
+"""Stribeck friction with real sticking, asymmetric in direction.
+
+    moving:   Tc + (Ts − Tc) exp(−(|ω|/Ω)^δ) + B |ω|, against the motion
+    at rest:  any value in [−Ts⁻, Ts⁺], as much as it takes to stay
+
+Magnitudes are positive, the sign is the speed's.
+Source: paper Eq. 25; at rest the balance is of the net torque on the body, not of the
+motor's (erratum).
+"""
+
+from math import exp
+from typing import NamedTuple
+
+from numba import njit
+
+
+class Stribeck(NamedTuple):
+    """Friction of one body."""
+
+    static_plus: float  # N·m, Ts⁺
+    coulomb_plus: float  # N·m, Tc⁺
+    speed_plus: float  # rad/s, Ω⁺
+    viscous_plus: float  # N·m·s/rad, B⁺
+    static_minus: float
+    coulomb_minus: float
+    speed_minus: float
+    viscous_minus: float
+    exponent: float  # δ
+
+
+@njit
+def breakaway_torque(direction, p):
+    """Largest holding torque [N·m] against motion in `direction` (sign counts)."""
+    return p.static_plus if direction > 0.0 else p.static_minus
+
+
+@njit
+def sliding_torque(omega, direction, p):
+    """Magnitude of friction [N·m] at speed `omega` [rad/s], branch chosen by `direction`."""
+    if direction > 0.0:
+        static, coulomb, scale, viscous = (
+            p.static_plus,
+            p.coulomb_plus,
+            p.speed_plus,
+            p.viscous_plus,
+        )
+    else:
+        static, coulomb, scale, viscous = (
+            p.static_minus,
+            p.coulomb_minus,
+            p.speed_minus,
+            p.viscous_minus,
+        )
+    speed = omega * direction
+    if speed < 0.0:
+        speed = 0.0
+    ratio = speed / scale
+    if p.exponent != 1.0:
+        ratio = ratio**p.exponent
+    return coulomb + (static - coulomb) * exp(-ratio) + viscous * speed

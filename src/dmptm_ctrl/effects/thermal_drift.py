@@ -1,0 +1,42 @@
+"""Thermal drift: friction falls as the lubricant warms.
+
+    declared friction × (1 + α exp(−t/τ))
+
+t is the time since the log began.
+"""
+
+from math import exp
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class ThermalDrift(NamedTuple):
+    """Parameters."""
+
+    rise: float  # relative, α
+    time_constant: float  # s, τ
+
+
+@njit
+def thermal_factor(theta, omega, t, mesh_torque, body, p):
+    """Factor on the declared friction and added Coulomb torque (none)."""
+    return 1.0 + p.rise * exp(-t / p.time_constant), 0.0
+
+
+THERMAL_DRIFT = Effect(
+    name="thermal_drift",
+    site="friction",
+    kernel=thermal_factor,
+    parameters=(
+        Parameter("rise", "", -0.5, 1.5, 0.05),
+        Parameter("time_constant", "s", 0.5, 60.0, 1.0, (0.7, 1.5, 3.0, 6.0, 12.0, 25.0, 50.0)),
+    ),
+    values=ThermalDrift,
+    location="all bearings and reducers",
+    source="exponential warm-up of viscosity",
+    depends_on=("time",),
+    reveals="the same motion early and late in one run",
+)

@@ -1,0 +1,42 @@
+"""Unbalance: the ring gear's centre of mass is off its axis, which is not vertical.
+
+    torque = A cos θL + B sin θL
+
+Even in direction, order 1 of the ring-gear angle.
+"""
+
+from math import cos, sin
+from typing import NamedTuple
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+
+
+class Unbalance(NamedTuple):
+    """Parameters."""
+
+    cosine: float  # N·m, A
+    sine: float  # N·m, B
+
+
+@njit
+def unbalance_torque(theta_L, omega_L, t, p):
+    """Torque on the ring gear [N·m]."""
+    return p.cosine * cos(theta_L) + p.sine * sin(theta_L)
+
+
+UNBALANCE = Effect(
+    name="unbalance",
+    site="load",
+    kernel=unbalance_torque,
+    parameters=(
+        Parameter("cosine", "N·m", -60.0, 60.0, 2.0),
+        Parameter("sine", "N·m", -60.0, 60.0, 2.0),
+    ),
+    values=Unbalance,
+    location="ring gear",
+    source="m g r of an off-axis mass",
+    depends_on=("theta_L",),
+    reveals="one slow turn in each direction",
+)

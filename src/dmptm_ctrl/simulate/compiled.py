@@ -1,0 +1,149 @@
+"""The compiled simulator: the plant sampled at the log's rate, voltage held between samples."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.model import Floats, Model
+
+OUTPUTS = (
+    *("theta_L", "omega_L", "theta_ml", "theta_mr"),
+    *("torque_l", "torque_r", "z_l", "z_r"),
+)
+SUBSTEPS = 8  # steps per sample; at 1 kHz 125 µs resolves the 231 Hz mode with 35 steps
+_NONE = np.zeros((0, 3))
+_OPEN = np.zeros(6)
+
+
+class Loop(NamedTuple):
+    """PI speed loop at the sample rate, common to both motors, with preload."""
+
+    kp: float  # V/(rad/s)
+    ki: float  # V/rad
+    limit: float  # V, clip of the common voltage
+    bias_l: float = 0.0  # V
+    bias_r: float = 0.0  # V
+
+
+def rest(model: Model, theta_L: float, *, motors: Sequence[float] | None = None) -> Floats:
+    """Return the state at rest at ring-gear angle `theta_L` [rad], chains at mid-gap.
+
+    Parameters
+    ----------
+    motors : (left, right) motor angles [rad], optional
+        Where they are known; they place the pinions in their gaps.
+    """
+    n1, n2 = model.drive["N_1"], model.drive["N_2"]
+    pinions = [n2 * theta_L] * 2 if motors is None else [m / n1 for m in motors]
+    return np.array([*pinions, theta_L, 0.0, 0.0, 0.0])
+
+
+def march(
+    arrays: tuple[Floats, NDArray[np.uint8], Floats],
+    u: Floats,
+    x0: Floats,
+    dt: float,
+    *,
+    substeps: int = SUBSTEPS,
+    observer: tuple[float, float] | None = None,
+    measured: Floats | None = None,
+    extra: Floats | None = None,
+) -> Floats:
+    """Run the plant open loop on arrays, as the identification does thousands of times.
+
+    Parameters
+    ----------
+    arrays : from :meth:`Model.arrays`
+    u : (2, n) array [V]
+        Held from each sample to the next.
+    x0 : (6,) array
+        θ3l, θ3r, θL [rad] and their speeds [rad/s].
+    dt : float
+        Sample time [s].
+    observer : (angle gain, speed gain) per sample
+        Feeds the miss of the ring-gear angle back to the rigid mode, see :func:`observer`.
+    measured : (n,) array [rad]
+        The angle that the observer follows.
+    extra : (n, 3) array [N·m]
+        Torques added on the two pinions and the ring gear.
+
+    Returns
+    -------
+    (n, 8) array
+        Columns :data:`OUTPUTS`, SI.
+    """
+    n = u.shape[1]
+    out = np.empty((n, len(OUTPUTS)))
+    base, on, values = arrays
+    engine().march(
+        np.ascontiguousarray(u),
+        _OPEN,
+        np.empty(0),
+        np.array(observer or (0.0, 0.0)),
+        np.empty(0) if measured is None else measured,
+        _NONE if extra is None else extra,
+        x0,
+        dt,
+        substeps,
+        base,
+        on,
+        values,
+        out,
+    )
+    return out
+
+
+def observer_gains(bandwidth_hz: float, dt: float) -> tuple[float, float]:
+    """Return per-sample gains of a critically damped rigid-mode observer."""
+    pole = 2.0 * np.pi * bandwidth_hz * dt
+    return 2.0 * pole, pole**2 / dt
+
+
+def close_loop(
+    model: Model,
+    loop: Loop,
+    reference: ArrayLike,
+    dt: float,
+    *,
+    theta_L: float = 0.0,
+    noise: ArrayLike | None = None,
+    substeps: int = SUBSTEPS,
+) -> tuple[Floats, Floats]:
+    """Run the plant under the sampled PI loop.
+
+    Parameters
+    ----------
+    reference : (n,) array [rad/s]
+    noise : (n,) array [rad/s], optional
+        Added to the speed reading that the controller sees.
+
+    Returns
+    -------
+    u : (2, n) array [V]
+    out : (n, 8) array
+        Columns :data:`OUTPUTS`; the speed without the noise.
+    """
+    target = np.ascontiguousarray(reference, float)
+    seen = np.zeros_like(target) if noise is None else np.ascontiguousarray(noise, float)
+    u = np.zeros((2, target.size))
+    out = np.empty((target.size, len(OUTPUTS)))
+    base, on, values = model.arrays()
+    engine().march(
+        u,
+        np.array([*loop, 1.0]),
+        target,
+        np.zeros(2),
+        seen,
+        _NONE,
+        rest(model, theta_L),
+        dt,
+        substeps,
+        base,
+        on,
+        values,
+        out,
+    )
+    return u, out

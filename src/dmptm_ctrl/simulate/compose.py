@@ -1,0 +1,175 @@
+"""Write the site chains of the catalogue as source text, in front of the time-stepping loop.
+
+numba compiles and caches per file, so the text becomes a file whose name carries the hash
+of everything it is made of: the loop, and each kernel. A changed kernel or a user's new
+effect gives another name, and so one recompile.
+"""
+
+import hashlib
+import importlib.util
+import inspect
+import os
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+from dmptm_ctrl.contract import SITES
+from dmptm_ctrl.effects import CATALOGUE, backlash, stribeck
+
+# per site: name of the chain, its arguments, neutral result, how one effect changes it
+_CHAINS: dict[str, tuple[str, str, str, str]] = {
+    "drive": ("drive_voltage", "u, t, side", "u", "u = {call}"),
+    "delay": ("voltage_delay", "", "0.0", "r += {call}"),
+    "lag": ("lag_relaxation", "u, side", "u, 0.0", "u, r = {call}"),
+    "motor": ("motor_torque", "theta_m, omega_m, t, side", "0.0", "r += {call}"),
+    "shaft": ("shaft_compliance", "inertia", "0.0, 0.0", "r = {call}"),
+    "mesh": (
+        "mesh_shift",
+        "theta_p, omega_p, theta_L, omega_L, side",
+        "0.0, 0.0, 0.0, 0.0",
+        "c = {call}; r = (r[0] + c[0], r[1] + c[1], r[2] + c[2], r[3] + c[3])",
+    ),
+    "friction": (
+        "friction_level",
+        "theta, omega, t, mesh_torque, body",
+        "1.0, 0.0",
+        "c = {call}; r = (r[0] * c[0], r[1] + c[1])",
+    ),
+    "presliding": ("presliding_distance", "body", "0.0", "r += {call}"),
+    "load": ("load_torque", "theta_L, omega_L, t", "0.0", "r += {call}"),
+    "sensor": (
+        "sensor_reading",
+        "theta_L, omega_L, t",
+        "theta_L, omega_L",
+        "theta_L, omega_L = {call}",
+    ),
+    "sensor_delay": ("speed_delay", "", "0.0", "r += {call}"),
+}
+_KERNEL_ARGS = {"delay": "0", "lag": "u, side"}  # a delay is the same on both sides
+
+
+def _slots() -> dict[str, int]:
+    """Position of each effect's first parameter in the flat vector."""
+    position, slots = 0, {}
+    for name, effect in CATALOGUE.items():
+        slots[name] = position
+        position += len(effect.parameters)
+    return slots
+
+
+def _chain(site: str) -> str:
+    name, args, neutral, change = _CHAINS[site]
+    lines = [f"@njit\ndef {name}({args + ', ' if args else ''}on, values):"]
+    in_place = change.startswith(("u = ", "theta_L, "))
+    if site == "lag":
+        lines.append("    r = 0.0")
+    elif not in_place:
+        lines.append(f"    r = {neutral}" if "," not in neutral else f"    r = ({neutral})")
+    slots = _slots()
+    for index, (key, effect) in enumerate(CATALOGUE.items()):
+        if effect.site != site:
+            continue
+        first = slots[key]
+        values = ", ".join(f"values[{first + j}]" for j in range(len(effect.parameters)))
+        passed = _KERNEL_ARGS.get(site, args)
+        call = f"kernel_{index}({passed + ', ' if passed else ''}Values_{index}({values}))"
+        lines.append(f"    if on[{index}]:")
+        lines += [f"        {part}" for part in change.format(call=call).split("; ")]
+    result = {"drive": "u", "lag": "u, r", "sensor": "theta_L, omega_L"}.get(site, "r")
+    lines.append(f"    return {result}")
+    return "\n".join(lines)
+
+
+def _flags() -> str:
+    """Text of the function that tells which of the sites in the inner loop are in use."""
+    keys = list(CATALOGUE)
+    tests = []
+    for site in ("drive", "motor", "mesh", "friction", "load", "sensor"):
+        terms = [f"on[{keys.index(k)}] > 0" for k, e in CATALOGUE.items() if e.site == site]
+        tests.append(" or ".join(terms) or "False")
+    return "@njit\ndef active_sites(on):\n    return (\n" + "".join(
+        f"        {test},\n" for test in tests
+    ) + "    )"
+
+
+def source() -> str:
+    """Return the text of the engine for the catalogue as it is now."""
+    loop = Path(__file__).with_name("core.py").read_text(encoding="utf-8")
+    start = loop.index("from dmptm_ctrl.simulate.sites import")
+    end = loop.index(")\n", start) + 2
+    names = "\n".join(
+        f"kernel_{i} = CATALOGUE[{name!r}].kernel\nValues_{i} = CATALOGUE[{name!r}].values"
+        for i, name in enumerate(CATALOGUE)
+    )
+    chains = "\n\n\n".join([_flags(), *(_chain(site) for site in SITES)])
+    imports = f"from dmptm_ctrl.effects import CATALOGUE\n\n{names}\n\n\n{chains}\n\n\n"
+    options = 'cache=True, error_model="numpy", nogil=True'
+    text = loop[:start] + imports + loop[end:]
+    for helper in ("held_average", "slide_or_stick", "friction_step"):
+        text = text.replace(
+            f"@njit\ndef {helper}(", f"@njit({options}, forceinline=True)\ndef {helper}("
+        )
+    return text.replace("@njit\n", f"@njit({options})\n")
+
+
+def _key(text: str) -> str:
+    parts = [text, inspect.getsource(backlash), inspect.getsource(stribeck)]
+    for effect in CATALOGUE.values():
+        module = sys.modules.get(effect.kernel.__module__)
+        file = getattr(module, "__file__", None)
+        parts.append(Path(file).read_text(encoding="utf-8") if file else _cell(effect.kernel))
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+
+
+def _cell(kernel: object) -> str:
+    """Source of a kernel defined in a notebook, or its bytecode where that is not kept."""
+    function = getattr(kernel, "py_func", kernel)
+    try:
+        return inspect.getsource(function)  # type: ignore[arg-type]
+    except OSError:
+        return repr(function.__code__.co_code)  # type: ignore[attr-defined]
+
+
+def cache_folder() -> Path:
+    """Folder of the compiled engine; a temporary one where nothing can be written."""
+    places = [os.environ.get("DMPTM_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")]
+    candidates = [Path(p) / "dmptm_ctrl" for p in places if p]
+    candidates.append(Path.home() / ".cache" / "dmptm_ctrl")
+    for folder in candidates:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return folder
+        except OSError:
+            continue
+    return Path(tempfile.mkdtemp(prefix="dmptm_ctrl_"))
+
+
+@cache
+def _load(key: str, text: str) -> ModuleType:
+    file = cache_folder() / f"engine_{key}.py"
+    if not file.exists() or file.read_text(encoding="utf-8") != text:
+        fresh = file.with_suffix(f".{os.getpid()}")
+        fresh.write_text(text, encoding="utf-8")
+        os.replace(fresh, file)
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"cannot load the engine from {file.name}")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[file.stem] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def engine() -> ModuleType:
+    """Return the compiled engine module for the catalogue as it is now."""
+    text = source()
+    return _load(_key(text), text)
+
+
+def layout() -> dict[str, tuple[int, int]]:
+    """Return, per effect, its index in `on` and its first slot in `values`."""
+    slots = _slots()
+    return {name: (index, slots[name]) for index, name in enumerate(CATALOGUE)}

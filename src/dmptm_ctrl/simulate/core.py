@@ -1,0 +1,275 @@
+"""The time-stepping loop; no physics of its own.
+
+Every torque comes from a kernel in `effects/`, through the site chains that
+`compiled.py` writes from the catalogue and puts before this text.
+
+Scheme, per step h, second order where the motion is smooth:
+half a step of the angles with the old speed; torques at the midpoint, with the speed
+extrapolated by the last acceleration; speed update with friction as a set-valued law
+(Moreau & Jean: a body whose speed would change sign within the step stops, and stays while
+its breakaway torque holds the net torque); half a step of the angles with the new speed.
+"""
+
+from math import cos, exp, floor
+
+import numpy as np
+from numba import njit
+
+from dmptm_ctrl.effects.backlash import Backlash, mesh_torque
+from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque
+from dmptm_ctrl.simulate.sites import (  # chains
+    active_sites,
+    drive_voltage,
+    friction_level,
+    lag_relaxation,
+    load_torque,
+    mesh_shift,
+    motor_torque,
+    presliding_distance,
+    sensor_reading,
+    shaft_compliance,
+    speed_delay,
+    voltage_delay,
+)
+
+HISTORY = 1024  # steps of ring-gear speed kept for a late sensor
+MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the step and rigid
+
+@njit
+def held_average(u, n, start, end):
+    """Mean of a sample-and-hold signal between two times in samples; zero before the log."""
+    first = floor(start)
+    last = floor(end)
+    if last == first or end == last:
+        return u[min(first, n - 1)] if first >= 0 else 0.0
+    total = 0.0
+    for i in range(first, last + 1):
+        if i >= 0:
+            width = min(end, i + 1.0) - max(start, float(i))
+            total += width * u[min(i, n - 1)]
+    return total / (end - start)
+
+
+@njit
+def slide_or_stick(v, v_mid, force, mobility, law, scale, added):
+    """Speed after one step under `force` and set-valued friction; `mobility` is h/J."""
+    free = v + force * mobility
+    if v > 0.0:
+        direction = 1.0
+    elif v < 0.0:
+        direction = -1.0
+    else:
+        direction = 1.0 if free > 0.0 else -1.0
+        hold = scale * breakaway_torque(direction, law) + added
+        if abs(force) <= max(hold, 0.0):
+            return 0.0
+    friction = max(scale * sliding_torque(v_mid, direction, law) + added, 0.0)
+    new = free - direction * friction * mobility
+    if new * direction >= 0.0:
+        return new
+    # The body comes to rest within the step; does it stay?
+    direction = -direction
+    hold = max(scale * breakaway_torque(direction, law) + added, 0.0)
+    if force * direction <= hold:
+        return 0.0
+    stopped = abs(v) / (abs(v) + abs(new)) if v != 0.0 else 0.0
+    friction = max(scale * sliding_torque(0.0, direction, law) + added, 0.0)
+    return max((1.0 - stopped) * (force * direction - friction) * mobility, 0.0) * direction
+
+
+@njit
+def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on, values, out):
+    """Run the plant over all samples; see `compiled.march` for the meaning.
+
+    u (2, n) is read, or written when the loop is closed; `loop` (kp, ki, limit, bias_l,
+    bias_r, closed); `observer` (angle gain, speed gain); `measured` (n,) is the angle that
+    the observer follows, or the speed noise of the closed loop; `extra` (n, 3) or (0, 3)
+    torques on the pinions and the ring gear; `base` in the order of `compiled.BASE`;
+    `out` (n, 8).
+    """
+    n = u.shape[1]
+    h = dt / substeps
+    gain = base[0] * base[1]
+    j_m, j_2, j_l = base[2], base[3], base[4]
+    n1, n2, z3 = base[5], base[6], base[7]
+    k_m, k_a, phi_r, c, c_f = base[8], base[9], base[10], base[11], base[12]
+    gap = (base[13], base[14])
+    reducer = Stribeck(
+        base[15], base[16], base[17], base[18], base[19], base[20], base[21], base[22], base[23]
+    )
+    bearing = Stribeck(
+        base[24], base[25], base[26], base[27], base[28], base[29], base[30], base[31], base[32]
+    )
+    # Local flags: an absent site costs one well-predicted branch per step.
+    has_drive, has_motor, has_mesh, has_friction, has_load, has_sensor = active_sites(on)
+    dz, dz_rate, dgap, dk = 0.0, 0.0, 0.0, 0.0
+    scale, added = 1.0, 0.0
+    j_motor = n1 * n1 * j_m
+    compliance, shaft_damping = shaft_compliance(j_motor * j_2 / (j_motor + j_2), on, values)
+    elastic = compliance > MIN_COMPLIANCE
+    mobility_3 = h / (j_2 if elastic else j_2 + j_motor)
+    mobility_l = h / j_l
+    rate = 1.0 / h
+    dead_time = voltage_delay(on, values) / dt
+    lag_time = speed_delay(on, values) / h
+    lagging = lag_relaxation(0.0, 0, on, values)[1] > 0.0
+    distance = (
+        presliding_distance(0, on, values),
+        presliding_distance(1, on, values),
+        presliding_distance(2, on, values),
+    )
+
+    q0, q1, q2 = x0[0], x0[1], x0[2]
+    v0, v1, v2 = x0[3], x0[4], x0[5]
+    m0, m1 = q0, q1  # motors, seen at the pinion
+    w0, w1 = v0, v1
+    a0, a1, a2, b0, b1 = 0.0, 0.0, 0.0, 0.0, 0.0
+    e0, e1 = 0.0, 0.0  # lagged voltages
+    f0, f1, f2 = 0.0, 0.0, 0.0  # presliding friction
+    integral = 0.0
+    torque0, torque1 = 0.0, 0.0
+    late = lag_time > 0.0
+    history = np.full(HISTORY, v2)
+    left, right = u[0], u[1]
+    step = 0
+    for i in range(n):
+        t = i * dt
+        seen = v2
+        if late:
+            back = int(lag_time)
+            newer = history[(step - back) % HISTORY]
+            older = history[(step - back - 1) % HISTORY]
+            seen = newer + (lag_time - back) * (older - newer)
+        angle, speed = q2, seen
+        if has_sensor:
+            angle, speed = sensor_reading(q2, seen, t, on, values)
+        out[i, 0], out[i, 1] = angle, speed
+        out[i, 2], out[i, 3] = n1 * m0, n1 * m1
+        out[i, 4], out[i, 5] = torque0, torque1
+        out[i, 6], out[i, 7] = q0 - n2 * q2, q1 - n2 * q2
+        if loop[5] > 0.0:
+            error = target[i] - (speed + measured[i])
+            integral += error * dt
+            common = loop[0] * error + loop[1] * integral
+            if abs(common) > loop[2]:
+                common = loop[2] if common > 0.0 else -loop[2]
+            left[i] = common + loop[3]
+            right[i] = common + loop[4]
+        elif observer[0] > 0.0:
+            miss = measured[i] - angle
+            q2 += observer[0] * miss
+            q0 += observer[0] * miss * n2
+            q1 += observer[0] * miss * n2
+            m0 += observer[0] * miss * n2
+            m1 += observer[0] * miss * n2
+            if v2 != 0.0:
+                v2 += observer[1] * miss
+                if v0 != 0.0:
+                    v0 += observer[1] * miss * n2
+                    w0 += observer[1] * miss * n2
+                if v1 != 0.0:
+                    v1 += observer[1] * miss * n2
+                    w1 += observer[1] * miss * n2
+        push0, push1, push2 = 0.0, 0.0, 0.0
+        if extra.shape[0] > 0:
+            push0, push1, push2 = extra[i, 0], extra[i, 1], extra[i, 2]
+        for k in range(substeps):
+            middle = t + (k + 0.5) * h
+            if dead_time > 0.0:
+                start = i + k / substeps - dead_time
+                u0 = held_average(left, i + 1, start, start + 1.0 / substeps)
+                u1 = held_average(right, i + 1, start, start + 1.0 / substeps)
+            else:
+                u0, u1 = left[i], right[i]
+            if has_drive:
+                u0 = drive_voltage(u0, middle, 0, on, values)
+                u1 = drive_voltage(u1, middle, 1, on, values)
+            if lagging:
+                aim, tau = lag_relaxation(u0, 0, on, values)
+                kept = (e0 - aim) * exp(-h / tau)
+                u0 = aim + (e0 - aim - kept) * tau / h  # mean over the step
+                e0 = aim + kept
+                aim, tau = lag_relaxation(u1, 1, on, values)
+                kept = (e1 - aim) * exp(-h / tau)
+                u1 = aim + (e1 - aim - kept) * tau / h
+                e1 = aim + kept
+            x_0, x_1, x_2 = q0 + 0.5 * h * v0, q1 + 0.5 * h * v1, q2 + 0.5 * h * v2
+            s0, s1, s2 = v0 + 0.5 * h * a0, v1 + 0.5 * h * a1, v2 + 0.5 * h * a2
+            if elastic:
+                y0, y1 = m0 + 0.5 * h * w0, m1 + 0.5 * h * w1
+                r0, r1 = w0 + 0.5 * h * b0, w1 + 0.5 * h * b1
+            else:
+                y0, y1, r0, r1 = x_0, x_1, s0, s1
+
+            if has_mesh:
+                dz, dz_rate, dgap, dk = mesh_shift(x_0, s0, x_2, s2, 0, on, values)
+            stiff = k_m + dk + (k_a * cos(z3 * x_0 + phi_r) if k_a != 0.0 else 0.0)
+            torque0 = mesh_torque(
+                x_0 - n2 * x_2 + dz, s0 - n2 * s2 + dz_rate,
+                Backlash(stiff, c, c_f, max(gap[0] + dgap, 0.0)),
+            )
+            if has_mesh:
+                dz, dz_rate, dgap, dk = mesh_shift(x_1, s1, x_2, s2, 1, on, values)
+            stiff = k_m + dk + (k_a * cos(z3 * x_1 + phi_r) if k_a != 0.0 else 0.0)
+            torque1 = mesh_torque(
+                x_1 - n2 * x_2 + dz, s1 - n2 * s2 + dz_rate,
+                Backlash(stiff, c, c_f, max(gap[1] + dgap, 0.0)),
+            )
+
+            drive0, drive1 = n1 * gain * u0, n1 * gain * u1
+            if has_motor:
+                drive0 += n1 * motor_torque(n1 * y0, n1 * r0, middle, 0, on, values)
+                drive1 += n1 * motor_torque(n1 * y1, n1 * r1, middle, 1, on, values)
+            force0, force1 = drive0, drive1
+            if elastic:
+                force0 = (y0 - x_0) / compliance + shaft_damping * (r0 - s0)
+                force1 = (y1 - x_1) / compliance + shaft_damping * (r1 - s1)
+                b0, b1 = (drive0 - force0) / j_motor, (drive1 - force1) / j_motor
+                w0 += h * b0
+                w1 += h * b1
+                m0 = y0 + 0.5 * h * w0
+                m1 = y1 + 0.5 * h * w1
+            force0 += push0 - torque0
+            force1 += push1 - torque1
+            force2 = n2 * (torque0 + torque1) + push2
+            if has_load:
+                force2 += load_torque(x_2, s2, middle, on, values)
+
+            if has_friction:
+                scale, added = friction_level(x_0, s0, middle, torque0, 0, on, values)
+            new0, f0 = friction_step(
+                v0, s0, force0, mobility_3, h, reducer, scale, added, distance[0], f0
+            )
+            if has_friction:
+                scale, added = friction_level(x_1, s1, middle, torque1, 1, on, values)
+            new1, f1 = friction_step(
+                v1, s1, force1, mobility_3, h, reducer, scale, added, distance[1], f1
+            )
+            if has_friction:
+                scale, added = friction_level(x_2, s2, middle, abs(torque0) + abs(torque1), 2, on, values)
+            new2, f2 = friction_step(
+                v2, s2, force2, mobility_l, h, bearing, scale, added, distance[2], f2
+            )
+            a0, a1, a2 = (new0 - v0) * rate, (new1 - v1) * rate, (new2 - v2) * rate
+            v0, v1, v2 = new0, new1, new2
+            q0, q1, q2 = x_0 + 0.5 * h * v0, x_1 + 0.5 * h * v1, x_2 + 0.5 * h * v2
+            if not elastic:
+                m0, m1, w0, w1 = q0, q1, v0, v1
+            step += 1
+            if late:
+                history[step % HISTORY] = v2
+    return step
+
+
+@njit
+def friction_step(v, v_mid, force, mobility, h, law, scale, added, distance, bristle):
+    """Speed and presliding torque after one step."""
+    if distance <= 0.0:
+        return slide_or_stick(v, v_mid, force, mobility, law, scale, added), 0.0
+    if v_mid == 0.0:
+        return v + (force - bristle) * mobility, bristle
+    direction = 1.0 if v_mid > 0.0 else -1.0
+    level = direction * max(scale * sliding_torque(v_mid, direction, law) + added, 0.0)
+    travel = abs(v_mid) * h / distance
+    middle = level + (bristle - level) * exp(-0.5 * travel)
+    return v + (force - middle) * mobility, level + (bristle - level) * exp(-travel)

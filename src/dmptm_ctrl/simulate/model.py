@@ -1,0 +1,81 @@
+"""A drive with effects added to it: what is simulated, fitted, saved and turned into blocks."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.drive import Drive, paper_drive
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.simulate.compose import layout
+
+Floats = NDArray[np.float64]
+
+BASE = (
+    *("K_d", "K_M", "J_m", "J_2", "J_L", "N_1", "N_2", "z_3", "k_m", "k_a", "phi_r", "c", "c_f"),
+    *("gap_l", "gap_r"),
+    *("T3s_plus", "T3c_plus", "W3_plus", "B3_plus"),
+    *("T3s_minus", "T3c_minus", "W3_minus", "B3_minus", "delta3"),
+    *("TLs_plus", "TLc_plus", "WL_plus", "BL_plus"),
+    *("TLs_minus", "TLc_minus", "WL_minus", "BL_minus", "deltaL"),
+)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A declared drive and the effects added to it.
+
+    Attributes
+    ----------
+    drive : Drive
+    effects : mapping
+        Effect name → {parameter name: value}; parameters left out take the value of the
+        absent effect.
+
+    Raises
+    ------
+    KeyError
+        An effect that is not in the catalogue, or a parameter that it does not have.
+    """
+
+    drive: Drive = field(default_factory=paper_drive)
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, parameters in self.effects.items():
+            if name not in CATALOGUE:
+                known = ", ".join(CATALOGUE)
+                raise KeyError(f"no effect {name!r} in the catalogue; it has {known}")
+            has = [p.name for p in CATALOGUE[name].parameters]
+            for key in parameters:
+                if key not in has:
+                    raise KeyError(f"effect {name!r} has no parameter {key!r}; it has {has}")
+
+    def with_effect(self, name: str, **parameters: float) -> "Model":
+        """Return the model with an effect added or replaced."""
+        return Model(self.drive, {**self.effects, name: parameters})
+
+    def without(self, names: Iterable[str]) -> "Model":
+        """Return the model without the named effects."""
+        gone = set(names)
+        return Model(self.drive, {k: v for k, v in self.effects.items() if k not in gone})
+
+    def with_values(self, **values: float) -> "Model":
+        """Return the model with parameters of the drive replaced."""
+        return Model(self.drive.with_values(**values), self.effects)
+
+    def arrays(self) -> tuple[Floats, NDArray[np.uint8], Floats]:
+        """Return (base, on, values) as the compiled loop takes them."""
+        base = np.array([self.drive[name] for name in BASE])
+        slots = layout()
+        values = np.array([v for e in CATALOGUE.values() for v in e.defaults()])
+        on = np.zeros(len(CATALOGUE), np.uint8)
+        for name, parameters in self.effects.items():
+            index, first = slots[name]
+            effect = CATALOGUE[name]
+            for j, p in enumerate(effect.parameters):
+                if p.name in parameters:
+                    values[first + j] = parameters[p.name]
+            on[index] = any(parameters.get(a, 0.0) != 0.0 for a in effect.amplitudes)
+        return base, on, values

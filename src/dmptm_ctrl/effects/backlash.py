@@ -41,16 +41,51 @@ def gap_position(z, z_rate, p):
 
 
 @njit
-def mesh_torque(z, z_rate, p):
-    """Torque of the mesh [N·m] at relative angle z [rad] and its rate [rad/s]."""
+def mesh_region(z, z_rate, p):
+    """Where Eq. 21 is: 1 in A⁺, −1 in A⁻ (the teeth touch), 0 in A0 (in the gap)."""
     side = 1.0 if z >= 0.0 else -1.0
     depth = side * z - p.half_gap
     closing = side * z_rate
-    contact = p.stiffness * depth + p.damping * closing
-    if contact > 0.0 and (
+    if p.stiffness * depth + p.damping * closing > 0.0 and (
         closing <= 0.0
         or p.stiffness * depth >= p.gap_damping * closing  # the decay term only adds
         or side * gap_position(z, z_rate, p) >= p.half_gap
     ):
-        return side * contact
-    return p.gap_damping * z_rate
+        return side
+    return 0.0
+
+
+@njit
+def region_torque(z, z_rate, region, p):
+    """Torque [N·m] by the branch of Eq. 21 that belongs to `region`."""
+    if region == 0.0:
+        return p.gap_damping * z_rate
+    return p.stiffness * (z - region * p.half_gap) + p.damping * z_rate
+
+
+@njit
+def mesh_torque(z, z_rate, p):
+    """Torque of the mesh [N·m] at relative angle z [rad] and its rate [rad/s]."""
+    return region_torque(z, z_rate, mesh_region(z, z_rate, p), p)
+
+
+@njit
+def gap_rate(position, z, z_rate, p):
+    """Rate of the position in the gap θb [rad/s]: the two-state original of Eq. 21.
+
+    θb is a state, the elastic twist is θs = z − θb, and k θs + c θ̇s = c_f θ̇b holds between
+    the flanks; at a flank θb stays while the teeth push. Needs c + c_f > 0.
+    Source: Kranawetter et al. 2019, from which the paper takes Eq. 21 for constant ż.
+    """
+    rate = (p.stiffness * (z - position) + p.damping * z_rate) / (p.damping + p.gap_damping)
+    if position >= p.half_gap and rate > 0.0:
+        return 0.0
+    if position <= -p.half_gap and rate < 0.0:
+        return 0.0
+    return rate
+
+
+@njit
+def twist_torque(position, z, z_rate, p):
+    """Torque of the mesh [N·m] with the position in the gap as a state, k θs + c θ̇s."""
+    return p.stiffness * (z - position) + p.damping * (z_rate - gap_rate(position, z, z_rate, p))

@@ -64,6 +64,17 @@ def region_torque(z, z_rate, region, p):
 
 
 @njit
+def landing(z, z_rate, p):
+    """How long ago a closing flank was reached [s] at constant rate, and the step of torque.
+
+    From A0 to A⁺ or A⁻ the torque of Eq. 21 jumps by c ż (gap transient died out); the step
+    [N·m] is towards positive z_rate. A time stepper needs both to keep its order there.
+    """
+    depth = abs(z) - p.half_gap
+    return depth / abs(z_rate) - p.gap_damping / p.stiffness, p.damping * z_rate
+
+
+@njit
 def mesh_torque(z, z_rate, p):
     """Torque of the mesh [N·m] at relative angle z [rad] and its rate [rad/s]."""
     return region_torque(z, z_rate, mesh_region(z, z_rate, p), p)

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 
-from dmptm_ctrl.contract import SITES
+from dmptm_ctrl.contract import SITES, Effect
 from dmptm_ctrl.effects import CATALOGUE, backlash, stribeck
 
 # per site: name of the chain, its arguments, neutral result, how one effect changes it
@@ -107,7 +107,7 @@ def source() -> str:
     imports = f"from dmptm_ctrl.effects import CATALOGUE\n\n{names}\n\n\n{chains}\n\n\n"
     options = 'cache=True, error_model="numpy", nogil=True'
     text = loop[:start] + imports + loop[end:]
-    for helper in ("held_average", "slide_or_stick", "friction_step"):
+    for helper in ("held_average", "slide_or_stick", "friction_step", "mesh_step"):
         text = text.replace(
             f"@njit\ndef {helper}(", f"@njit({options}, forceinline=True)\ndef {helper}("
         )
@@ -165,11 +165,21 @@ def _load(key: str, text: str) -> ModuleType:
 
 def engine() -> ModuleType:
     """Return the compiled engine module for the catalogue as it is now."""
+    return _engine(tuple(CATALOGUE.values()))
+
+
+@cache
+def _engine(_: tuple[Effect, ...]) -> ModuleType:
     text = source()
     return _load(_key(text), text)
 
 
 def layout() -> dict[str, tuple[int, int]]:
     """Return, per effect, its index in `on` and its first slot in `values`."""
+    return _layout(tuple(CATALOGUE))
+
+
+@cache
+def _layout(names: tuple[str, ...]) -> dict[str, tuple[int, int]]:
     slots = _slots()
-    return {name: (index, slots[name]) for index, name in enumerate(CATALOGUE)}
+    return {name: (index, slots[name]) for index, name in enumerate(names)}

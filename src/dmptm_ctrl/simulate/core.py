@@ -8,6 +8,8 @@ half a step of the angles with the old speed; torques at the midpoint, with the 
 extrapolated by the last acceleration; speed update with friction as a set-valued law
 (Moreau & Jean: a body whose speed would change sign within the step stops, and stays while
 its breakaway torque holds the net torque); half a step of the angles with the new speed.
+The jump of the mesh torque at a flank is weighted by its share of the step, which keeps the
+order through contacts.
 """
 
 from math import cos, exp, floor
@@ -15,7 +17,13 @@ from math import cos, exp, floor
 import numpy as np
 from numba import njit
 
-from dmptm_ctrl.effects.backlash import Backlash, mesh_torque
+from dmptm_ctrl.effects.backlash import (
+    Backlash,
+    landing,
+    mesh_region,
+    mesh_torque,
+    region_torque,
+)
 from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
@@ -32,7 +40,7 @@ from dmptm_ctrl.simulate.sites import (  # chains
     voltage_delay,
 )
 
-HISTORY = 1024  # steps of ring-gear speed kept for a late sensor
+UNKNOWN = 2.0  # region of a mesh before the first step
 MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the step and rigid
 
 @njit
@@ -75,6 +83,21 @@ def slide_or_stick(v, v_mid, force, mobility, law, scale, added):
     stopped = abs(v) / (abs(v) + abs(new)) if v != 0.0 else 0.0
     friction = max(scale * sliding_torque(0.0, direction, law) + added, 0.0)
     return max((1.0 - stopped) * (force * direction - friction) * mobility, 0.0) * direction
+
+
+@njit
+def mesh_step(z, z_rate, law, before, h):
+    """Mean torque of the mesh [N·m] over one step, and its region of Eq. 21.
+
+    The torque jumps where a flank is reached. Since the midpoint before, the jump has acted
+    for as long as the flank has been reached, the midpoint rule takes half a step.
+    """
+    region = mesh_region(z, z_rate, law)
+    torque = region_torque(z, z_rate, region, law)
+    if (before == 0.0 or before == -region) and region * z_rate > 0.0:
+        age, step = landing(z, z_rate, law)
+        torque += (min(max(age / h, 0.0), 1.0) - 0.5) * step
+    return torque, region
 
 
 @njit
@@ -127,9 +150,9 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
     e0, e1 = 0.0, 0.0  # lagged voltages
     f0, f1, f2 = 0.0, 0.0, 0.0  # presliding friction
     integral = 0.0
-    torque0, torque1 = 0.0, 0.0
+    region0, region1 = UNKNOWN, UNKNOWN  # of each mesh in the step before
     late = lag_time > 0.0
-    history = np.full(HISTORY, v2)
+    history = np.full(int(lag_time) + 2, v2)
     left, right = u[0], u[1]
     step = 0
     for i in range(n):
@@ -137,15 +160,28 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
         seen = v2
         if late:
             back = int(lag_time)
-            newer = history[(step - back) % HISTORY]
-            older = history[(step - back - 1) % HISTORY]
+            newer = history[(step - back) % history.size]
+            older = history[(step - back - 1) % history.size]
             seen = newer + (lag_time - back) * (older - newer)
         angle, speed = q2, seen
         if has_sensor:
             angle, speed = sensor_reading(q2, seen, t, on, values)
         out[i, 0], out[i, 1] = angle, speed
         out[i, 2], out[i, 3] = n1 * m0, n1 * m1
-        out[i, 4], out[i, 5] = torque0, torque1
+        if has_mesh:
+            dz, dz_rate, dgap, dk = mesh_shift(q0, v0, q2, v2, 0, on, values)
+        stiff = k_m + dk + (k_a * cos(z3 * q0 + phi_r) if k_a != 0.0 else 0.0)
+        out[i, 4] = mesh_torque(
+            q0 - n2 * q2 + dz, v0 - n2 * v2 + dz_rate,
+            Backlash(stiff, c, c_f, max(gap[0] + dgap, 0.0)),
+        )
+        if has_mesh:
+            dz, dz_rate, dgap, dk = mesh_shift(q1, v1, q2, v2, 1, on, values)
+        stiff = k_m + dk + (k_a * cos(z3 * q1 + phi_r) if k_a != 0.0 else 0.0)
+        out[i, 5] = mesh_torque(
+            q1 - n2 * q2 + dz, v1 - n2 * v2 + dz_rate,
+            Backlash(stiff, c, c_f, max(gap[1] + dgap, 0.0)),
+        )
         out[i, 6], out[i, 7] = q0 - n2 * q2, q1 - n2 * q2
         if loop[5] > 0.0:
             error = target[i] - (speed + measured[i])
@@ -204,16 +240,16 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
             if has_mesh:
                 dz, dz_rate, dgap, dk = mesh_shift(x_0, s0, x_2, s2, 0, on, values)
             stiff = k_m + dk + (k_a * cos(z3 * x_0 + phi_r) if k_a != 0.0 else 0.0)
-            torque0 = mesh_torque(
+            torque0, region0 = mesh_step(
                 x_0 - n2 * x_2 + dz, s0 - n2 * s2 + dz_rate,
-                Backlash(stiff, c, c_f, max(gap[0] + dgap, 0.0)),
+                Backlash(stiff, c, c_f, max(gap[0] + dgap, 0.0)), region0, h,
             )
             if has_mesh:
                 dz, dz_rate, dgap, dk = mesh_shift(x_1, s1, x_2, s2, 1, on, values)
             stiff = k_m + dk + (k_a * cos(z3 * x_1 + phi_r) if k_a != 0.0 else 0.0)
-            torque1 = mesh_torque(
+            torque1, region1 = mesh_step(
                 x_1 - n2 * x_2 + dz, s1 - n2 * s2 + dz_rate,
-                Backlash(stiff, c, c_f, max(gap[1] + dgap, 0.0)),
+                Backlash(stiff, c, c_f, max(gap[1] + dgap, 0.0)), region1, h,
             )
 
             drive0, drive1 = n1 * gain * u0, n1 * gain * u1
@@ -246,7 +282,8 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
                 v1, s1, force1, mobility_3, h, reducer, scale, added, distance[1], f1
             )
             if has_friction:
-                scale, added = friction_level(x_2, s2, middle, abs(torque0) + abs(torque1), 2, on, values)
+                carried = abs(torque0) + abs(torque1)
+                scale, added = friction_level(x_2, s2, middle, carried, 2, on, values)
             new2, f2 = friction_step(
                 v2, s2, force2, mobility_l, h, bearing, scale, added, distance[2], f2
             )
@@ -257,7 +294,7 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
                 m0, m1, w0, w1 = q0, q1, v0, v1
             step += 1
             if late:
-                history[step % HISTORY] = v2
+                history[step % history.size] = v2
     return step
 
 
@@ -273,3 +310,81 @@ def friction_step(v, v_mid, force, mobility, h, law, scale, added, distance, bri
     travel = abs(v_mid) * h / distance
     middle = level + (bristle - level) * exp(-0.5 * travel)
     return v + (force - middle) * mobility, level + (bristle - level) * exp(-travel)
+
+
+@njit
+def along(u, run, dt, base, on, values, torque, shift):
+    """Disturbance that the effects in use exert along a recorded run.
+
+    `run` (n, 8) as from `march`; writes `torque` (n, 3) on the pinions and the ring gear
+    and `shift` (n, 2) of z. The pinions turn with the ring gear.
+    """
+    n = u.shape[1]
+    gain = base[0] * base[1]
+    n1, n2 = base[5], base[6]
+    reducer = Stribeck(
+        base[15], base[16], base[17], base[18], base[19], base[20], base[21], base[22], base[23]
+    )
+    bearing = Stribeck(
+        base[24], base[25], base[26], base[27], base[28], base[29], base[30], base[31], base[32]
+    )
+    dead_time = voltage_delay(on, values) / dt
+    lagging = lag_relaxation(0.0, 0, on, values)[1] > 0.0
+    lagged = np.zeros(2)
+    for i in range(n):
+        t = (i + 0.5) * dt
+        theta, omega = run[i, 0], run[i, 1]
+        direction = 1.0 if omega > 0.0 else -1.0 if omega < 0.0 else 0.0
+        for side in range(2):
+            v = u[side, i]
+            if dead_time > 0.0:
+                v = held_average(u[side], i + 1, i - dead_time, i + 1 - dead_time)
+            v = drive_voltage(v, t, side, on, values)
+            if lagging:
+                aim, tau = lag_relaxation(v, side, on, values)
+                kept = (lagged[side] - aim) * exp(-dt / tau)
+                v = aim + (lagged[side] - aim - kept) * tau / dt
+                lagged[side] = aim + kept
+            theta_m = run[i, 2 + side]
+            moved = motor_torque(theta_m, n1 * n2 * omega, t, side, on, values)
+            scale, added = friction_level(
+                theta_m / n1, n2 * omega, t, run[i, 4 + side], side, on, values
+            )
+            slide = sliding_torque(n2 * omega, direction, reducer)
+            torque[i, side] = n1 * (gain * (v - u[side, i]) + moved) - direction * (
+                (scale - 1.0) * slide + added
+            )
+            shift[i, side] = mesh_shift(
+                theta_m / n1, n2 * omega, theta, omega, side, on, values
+            )[0]
+        carried = abs(run[i, 4]) + abs(run[i, 5])
+        scale, added = friction_level(theta, omega, t, carried, 2, on, values)
+        slide = sliding_torque(omega, direction, bearing)
+        torque[i, 2] = load_torque(theta, omega, t, on, values) - direction * (
+            (scale - 1.0) * slide + added
+        )
+
+
+@njit
+def respond(torque, shift, run, dt, base, drag, out):
+    """First-order response of the readings to a disturbance along a recorded run.
+
+    Rigid motion while the ring gear moves, nothing while it rests; twist by the share of the
+    torque that the mesh carries. `out` (n, 3): speed, twist left, twist right.
+    """
+    j_3 = base[5] * base[5] * base[2] + base[3]
+    n2, k = base[6], base[8]
+    speed = 0.0
+    for i in range(torque.shape[0]):
+        closed0 = abs(run[i, 6]) > base[13]
+        closed1 = abs(run[i, 7]) > base[14]
+        inertia = base[4] + n2 * n2 * j_3 * (closed0 + closed1)
+        total = torque[i, 2] + n2 * (closed0 * torque[i, 0] + closed1 * torque[i, 1])
+        out[i, 0] = speed
+        rate = (total - drag * speed) / inertia
+        if run[i, 1] == 0.0:
+            speed, rate = 0.0, 0.0
+        else:
+            speed += dt * rate
+        out[i, 1] = closed0 * (torque[i, 0] - j_3 * n2 * rate) / k - shift[i, 0]
+        out[i, 2] = closed1 * (torque[i, 1] - j_3 * n2 * rate) / k - shift[i, 1]

@@ -11,6 +11,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.compose import layout
 
 Floats = NDArray[np.float64]
+Arrays = tuple[Floats, NDArray[np.uint8], Floats]  # base, on, values
 
 BASE = (
     *("K_d", "K_M", "J_m", "J_2", "J_L", "N_1", "N_2", "z_3", "k_m", "k_a", "phi_r", "c", "c_f"),

@@ -1,0 +1,121 @@
+"""Logs prepared for fitting: arrays, masks and the residual of a simulated run."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dmptm_ctrl.drive import Drive
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.compiled import march, observer_gains
+from dmptm_ctrl.simulate.model import Arrays, Floats
+
+BLOCK_SECONDS = 0.010  # residuals are means over blocks: 50 Hz, above the 30 Hz that count
+FLIGHT_MARGIN = 0.02  # s around a gap crossing in which the transmission error is not judged
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One log as the fit needs it. SI units.
+
+    Attributes
+    ----------
+    u : (2, n) array [V]
+    theta, omega : (n,) arrays [rad, rad/s]
+        Ring-gear readings.
+    twist : (n, 2) array [rad] or None
+        Measured z = θm/N1 − N2 θL per chain, where the log has motor encoders.
+    x0 : (6,) array
+        State at rest at the first reading.
+    block : int
+        Samples per block mean.
+    """
+
+    name: str
+    dt: float
+    u: Floats
+    theta: Floats
+    omega: Floats
+    twist: Floats | None
+    x0: Floats
+    block: int
+    time: Floats
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the residual's rows."""
+        return ("speed",) if self.twist is None else ("speed", "twist_l", "twist_r")
+
+
+def record(log: Log, drive: Drive) -> Record:
+    """Prepare a log of the dual-motor rig.
+
+    Raises
+    ------
+    LogError
+        A channel that the fit needs is missing.
+    """
+    dt = log.sample_time
+    theta, omega = log["theta_L"], log["omega_L"]
+    u = np.ascontiguousarray([log["u_left"], log["u_right"]])
+    n1, n2 = drive["N_1"], drive["N_2"]
+    twist = None
+    x0 = np.array([n2 * theta[0], n2 * theta[0], theta[0], 0.0, 0.0, 0.0])
+    if log.has("theta_ml", "theta_mr"):
+        motors = np.column_stack([log["theta_ml"], log["theta_mr"]])
+        twist = motors / n1 - n2 * theta[:, None]
+        x0[:2] = motors[0] / n1
+    block = max(1, round(BLOCK_SECONDS / dt))
+    return Record(log.name, dt, u, theta, omega, twist, x0, block, log.time)
+
+
+def records(logs: Iterable[Log], drive: Drive) -> tuple[Record, ...]:
+    """Prepare several logs."""
+    return tuple(record(log, drive) for log in logs)
+
+
+def block_mean(signal: Floats, block: int) -> Floats:
+    """Means over consecutive blocks along the last axis; what does not fill one is dropped."""
+    n = signal.shape[-1] // block
+    return signal[..., : n * block].reshape(*signal.shape[:-1], n, block).mean(-1)
+
+
+def predict(rec: Record, arrays: Arrays, bandwidth_hz: float = 0.0, **options: Floats) -> Floats:
+    """Run the model on a record; with a bandwidth, led slowly by the measured angle.
+
+    Returns
+    -------
+    (n, 8) array
+        Columns of `compiled.OUTPUTS`.
+    """
+    observer = observer_gains(bandwidth_hz, rec.dt) if bandwidth_hz > 0 else None
+    return march(arrays, rec.u, rec.x0, rec.dt, observer=observer, measured=rec.theta, **options)
+
+
+def difference(rec: Record, out: Floats, n1: float, n2: float) -> Floats:
+    """Return measured minus simulated in blocks, (channels, blocks) [rad/s, rad, rad]."""
+    rows = [rec.omega - out[:, 1]]
+    if rec.twist is not None:
+        rows += [rec.twist[:, s] - (out[:, 2 + s] / n1 - n2 * out[:, 0]) for s in (0, 1)]
+    return block_mean(np.array(rows), rec.block)
+
+
+def settled(rec: Record, out: Floats, half_gaps: Sequence[float]) -> np.ndarray:
+    """Tell, per channel and block, where the model can be judged sample by sample.
+
+    The speed always; the twist only where both the measured and the simulated pinion
+    rest on a flank and have done so for :data:`FLIGHT_MARGIN`.
+    """
+    n = rec.omega.size // rec.block
+    keep = np.ones((len(rec.channels), n), bool)
+    if rec.twist is None:
+        return keep
+    margin = max(1, round(FLIGHT_MARGIN / rec.dt))
+    for s in (0, 1):
+        side = np.sign(out[:, 6 + s]) * (np.abs(out[:, 6 + s]) > half_gaps[s])
+        # a quarter gap of slack: the measured gap is not known before the fit
+        seen = np.sign(rec.twist[:, s]) * (np.abs(rec.twist[:, s]) > 0.75 * half_gaps[s])
+        away = (side == 0) | (side != seen)
+        spread = np.convolve(away, np.ones(2 * margin + 1), "same") > 0.5
+        keep[1 + s] = block_mean(spread.astype(float), rec.block) == 0.0
+    return keep

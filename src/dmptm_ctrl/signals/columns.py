@@ -1,6 +1,6 @@
 """From columns as a file names them to channels in SI."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +9,6 @@ from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.units import (
     CANONICAL,
     SUFFIXES,
-    Unit,
     expected_symbol,
     parse_unit,
     split_column,
@@ -30,6 +29,10 @@ class Target(NamedTuple):
     channel: str
     symbol: str
     factor: float
+
+
+# A reader calls it with the file's columns and stated units; it returns the columns to read.
+Choose = Callable[[list[str], Mapping[str, str]], list[str]]
 
 
 class Table(NamedTuple):
@@ -53,8 +56,9 @@ def resolve(
     names : sequence of str
         Columns of the file.
     mapping : mapping, optional
-        Column of the file -> NAME_UNIT, or (channel, unit), or (channel, unit, scale);
-        the others go by their own names.
+        Column of the file -> NAME_UNIT, or (channel, unit), or (channel, unit, scale). Of the
+        others, those of the paper's rig (time_s, u_left_V, …) go by their own names.
+        Without a mapping all columns called NAME_UNIT do.
     units : mapping of str to str
         Units that the file itself states.
     source : str
@@ -83,8 +87,8 @@ def resolve(
         if column in mapping:
             targets[column] = _mapped(column, mapping[column], source)
         else:
-            target = _by_name(column, units.get(column), source)
-            if target is None:
+            target = _by_name(column, units.get(column), source, strict=not mapping)
+            if target is None or (mapping and target.channel not in CANONICAL):
                 ignored.append(column)
             else:
                 targets[column] = target
@@ -111,7 +115,7 @@ def _mapped(column: str, target: Any, source: str) -> Target:
     return Target(str(channel), unit.symbol, scale * unit.factor)
 
 
-def _by_name(column: str, stated: str | None, source: str) -> Target | None:
+def _by_name(column: str, stated: str | None, source: str, *, strict: bool) -> Target | None:
     if stated and split_column(column) is None:
         try:
             unit = parse_unit(stated)
@@ -123,7 +127,7 @@ def _by_name(column: str, stated: str | None, source: str) -> Target | None:
         channel, unit = split
         if channel in CANONICAL or not _is_canonical(column):
             return Target(channel, unit.symbol, unit.factor)
-    if _is_canonical(column):
+    if strict and _is_canonical(column):
         known = [c for c in CANONICAL if column == c or column.startswith(f"{c}_")]
         raise LogError(
             f"{source}: column {column!r} ends in no known unit; write {known[-1]}_UNIT "
@@ -167,6 +171,3 @@ def _refuse_duplicates(names: Sequence[str], source: str) -> None:
 def _listed(names: Sequence[str], most: int = 12) -> str:
     shown = ", ".join(repr(name) for name in list(names)[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-__all__ = ["Column", "Mapped", "Table", "Target", "Unit", "resolve"]

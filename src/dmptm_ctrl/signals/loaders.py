@@ -1,7 +1,8 @@
 """From files and tables to logs."""
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,9 +11,13 @@ import numpy as np
 
 from dmptm_ctrl.signals import checks
 from dmptm_ctrl.signals.campaign import Campaign
+from dmptm_ctrl.signals.clock import resampled
 from dmptm_ctrl.signals.columns import Mapped, Table, resolve
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.log import Log
+from dmptm_ctrl.signals.matlab import read_matlab
+from dmptm_ctrl.signals.plausible import refuse_inconsistent, suspects, unwrapped
+from dmptm_ctrl.signals.tabular import from_frame, read_mdf, read_parquet
 from dmptm_ctrl.signals.text import read_text
 
 if TYPE_CHECKING:
@@ -21,7 +26,7 @@ if TYPE_CHECKING:
 Source = str | PathLike[str]
 
 TEXT = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv", ".tsv.gz", ".dat")
-EXTENSIONS = (*TEXT,)
+EXTENSIONS = (*TEXT, ".mat", ".parquet", ".mf4")
 
 
 def load_log(
@@ -32,18 +37,19 @@ def load_log(
     required: Sequence[str] = (),
     sample_time: float | None = None,
     resample: bool = False,
+    ratio: float | None = None,
 ) -> Log:
-    """Read one log.
+    """Read one log and check it.
 
     Parameters
     ----------
     source : path or DataFrame
-        .csv, .txt, .tsv (plain or gzip). Columns are called NAME_UNIT: ``theta_L_deg``,
-        ``omega_L_deg_s``, ``u_left_V``.
+        .csv, .txt, .tsv, .dat (plain or gzip), .mat, .parquet, .mf4. Columns are called
+        NAME_UNIT: ``theta_L_deg``, ``omega_L_deg_s``, ``u_left_V``.
     columns : mapping, optional
         For files that name theirs otherwise: column -> ``"theta_L_deg"``, or
         ``("theta_L", "deg")``, or ``("theta_L", "deg", -1.0)`` with a factor, such as a sign.
-        Columns not mentioned go by their own names.
+        Of the columns not mentioned only those of the paper's rig are read.
     name : str, optional
         Name of the log; else the file's, without extension.
     required : sequence of str
@@ -51,7 +57,10 @@ def load_log(
     sample_time : float, optional
         For a file without a time column [s].
     resample : bool
-        Interpolate a jittery clock to even steps and bridge short gaps; else refuse them.
+        Sort shuffled rows, interpolate a jittery clock to even steps and bridge gaps of up to
+        ten samples; else refuse them.
+    ratio : float, optional
+        Motor turns per turn of the ring gear, to check motor angles against theta_L.
 
     Returns
     -------
@@ -62,33 +71,30 @@ def load_log(
     ------
     LogError
         No such file, not readable, a column missing, twice or in an unknown unit, a value that
-        is no finite number, time that does not increase evenly, too few samples.
+        is no finite number, time that does not increase evenly, too few samples, channels that
+        contradict each other (a mistaken unit or sign).
     """
     if isinstance(source, str | PathLike):
         path = Path(source)
-        table, digest = _read(path, columns), _sha256(path)
         title = path.name
+        table, digest = _read(path, columns), _sha256(path)
     else:
-        table, digest, title = _from_frame(source), None, name or "data frame"
-    targets, warnings = resolve(list(table.columns), columns, table.units, title)
-    channels, units = {}, {}
-    for column, target in targets.items():
-        values = _floats(table.columns.pop(column), column, title)
-        checks.finite(title, column, values)
-        channels[target.channel] = values if target.factor == 1.0 else values * target.factor
-        units[target.channel] = target.symbol
+        title = name or "data frame"
+        table, digest = from_frame(source), None
+    channels, units, notes = _channels(table, columns, title)
     _require(required, channels, title)
     time = _time(channels, sample_time, title)
+    if resample:
+        time, channels, done = resampled(title, time, channels)
+        notes += done
     checks.even_time(title, time)
-    return Log(
-        name=name or _stem(title),
-        time=time,
-        channels=channels,
-        sha256=digest,
-        meta=table.meta,
+    notes += _unwrap(channels, units)
+    log = Log(
+        name=name or _stem(title), time=time, channels=channels, sha256=digest, meta=table.meta,
         units=units,
-        warnings=tuple(warnings),
-    )
+    )  # fmt: skip
+    refuse_inconsistent(log, ratio)
+    return replace(log, warnings=(*notes, *suspects(log)))
 
 
 def load_logs(
@@ -164,20 +170,14 @@ def _read(path: Path, columns: Mapped | None) -> Table:
     if not extension:
         raise LogError(f"{path.name}: not a log by its name, which ends in {', '.join(EXTENSIONS)}")
 
-    def wanted(names: list[str]) -> list[str]:
-        return list(resolve(names, columns, {}, path.name)[0])
+    def choose(names: list[str], units: Mapping[str, str]) -> list[str]:
+        return list(resolve(names, columns, units, path.name)[0])
 
-    return read_text(path, wanted)
-
-
-def _from_frame(frame: Any) -> Table:
+    reader = {".mat": read_matlab, ".parquet": read_parquet, ".mf4": read_mdf}
     try:
-        columns = {str(column): frame[column].to_numpy() for column in frame.columns}
-    except AttributeError:
-        raise LogError(f"a log is a path or a DataFrame, not {type(frame).__name__}") from None
-    if len(columns) < len(frame.columns):
-        raise LogError("two columns of the data frame have one name")
-    return Table(columns, {}, {})
+        return reader.get(extension, read_text)(path, choose)
+    except OSError as error:
+        raise LogError(f"{path.name}: {error.strerror or 'not readable'}") from error
 
 
 def _sha256(path: Path) -> str:
@@ -185,11 +185,51 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def _channels(
+    table: Table, columns: Mapped | None, title: str
+) -> tuple[dict[str, Any], dict[str, str], list[str]]:
+    """Channels in SI, their units, and warnings."""
+    targets, notes = resolve(list(table.columns), columns, table.units, title)
+    clock = next((c for c, target in targets.items() if target.channel == "time"), None)
+    rows = len(table.columns[clock]) if clock else None
+    channels, units = {}, {}
+    for column, target in targets.items():
+        values = _floats(table.columns.pop(column), column, title)
+        if rows is None:
+            rows = values.size
+        if values.size != rows:
+            if column in (columns or {}):
+                raise LogError(
+                    f"{title}: column {column!r} has {values.size} values, the others {rows}"
+                )
+            notes.append(f"ignored {column!r}: {values.size} values, the others have {rows}")
+            continue
+        checks.finite(title, column, values)
+        channels[target.channel] = values if target.factor == 1.0 else values * target.factor
+        units[target.channel] = target.symbol
+    units.pop("time", None)
+    return channels, units, notes
+
+
 def _floats(values: Any, column: str, title: str) -> Any:
     try:
-        return np.asarray(values, dtype=np.float64)
+        array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise LogError(f"{title}: column {column!r} does not hold numbers") from error
+    if array.ndim != 1:
+        raise LogError(f"{title}: column {column!r} holds arrays, not numbers")
+    return array
+
+
+def _unwrap(channels: dict[str, Any], units: Mapping[str, str]) -> list[str]:
+    """Undo jumps of whole turns in place; say so."""
+    notes = []
+    for channel in [c for c, symbol in units.items() if symbol == "rad"]:
+        plain = unwrapped(channels[channel])
+        if plain is not None:
+            channels[channel] = plain
+            notes.append(f"{channel} jumped by whole turns and was unwrapped")
+    return notes
 
 
 def _require(required: Sequence[str], channels: Any, title: str) -> None:

@@ -4,13 +4,12 @@ import gzip
 import io
 import warnings
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.signals.columns import Table
+from dmptm_ctrl.signals.columns import Choose, Table
 from dmptm_ctrl.signals.errors import LogError
 
 CHUNK_ROWS = 200_000  # text of one chunk is in memory at once, about 20 MB
@@ -28,7 +27,7 @@ class _Layout(NamedTuple):
     skip: int  # lines before the first row of numbers
 
 
-def read_text(path: Path, wanted: Callable[[list[str]], list[str]]) -> Table:
+def read_text(path: Path, choose: Choose) -> Table:
     """Read columns of numbers from a text file, a chunk at a time.
 
     Parameters
@@ -36,7 +35,7 @@ def read_text(path: Path, wanted: Callable[[list[str]], list[str]]) -> Table:
     path : Path
         Plain or gzip, by content rather than by extension. The first line that is no comment
         names the columns; without one they are called column1, column2, …
-    wanted : callable
+    choose : callable
         Gets the names, returns those to read; what the other columns hold does not matter.
 
     Returns
@@ -53,7 +52,7 @@ def read_text(path: Path, wanted: Callable[[list[str]], list[str]]) -> Table:
     try:
         with _open(path) as stream:
             layout = _layout(stream, path.name)
-        chosen = wanted(layout.names)
+        chosen = choose(layout.names, {})
         with _open(path) as stream:
             return Table(_columns(stream, layout, chosen, path.name), {}, {})
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:

@@ -1,5 +1,6 @@
 """Units of logged columns: a column is called NAME_UNIT, everything inside is SI and radians."""
 
+import re
 from math import pi
 from typing import NamedTuple
 
@@ -42,6 +43,7 @@ SUFFIXES: dict[str, Unit] = {
     "deg_s": Unit("rad/s", _DEG),
     "rev_s": Unit("rad/s", _REV),
     "rpm": Unit("rad/s", _REV / 60),
+    "rev_min": Unit("rad/s", _REV / 60),
     "rad_s2": Unit("rad/s²", 1.0),
     "deg_s2": Unit("rad/s²", _DEG),
     "m": Unit("m", 1.0),
@@ -98,18 +100,30 @@ def parse_unit(text: str) -> Unit:
     return _parse_with_pint(plain)
 
 
+# What pint may see: products and quotients of names with exponents of one digit. Its parser
+# would compute 9**9**9 to the end.
+_EXPRESSION = re.compile(
+    r"(1\s*/\s*)?[^\W\d_]+((\*\*|\^)-?\d)?([\s*/]+[^\W\d_]+((\*\*|\^)-?\d)?){0,5}"
+)
+
+
 def _parse_with_pint(text: str) -> Unit:
     import pint
 
+    plain = text.replace("°", "deg").replace("rev", "turn")
     try:
-        quantity = pint.Quantity(1.0, text)
+        if len(text) > 40 or not _EXPRESSION.fullmatch(plain):
+            raise ValueError(text)
+        quantity = pint.Quantity(1.0, plain)
         for unit in SUFFIXES.values():
             base = _pint_text(unit.symbol)
             root = quantity.to_root_units()
             if root.units == pint.Quantity(1.0, base).to_root_units().units:
+                if pint.Quantity(0.0, plain).to(base).magnitude != 0:
+                    break  # °C and the like have another zero
                 return Unit(unit.symbol, float(quantity.to(base).magnitude))
     except Exception as error:  # pint raises its own, tokenizer's and arithmetic errors
-        raise LogError(f"unknown unit {text!r}; known are {', '.join(SUFFIXES)}") from error
+        raise LogError(f"unknown unit {text[:40]!r}; known are {', '.join(SUFFIXES)}") from error
     raise LogError(f"unit {text!r} is no quantity of a drive; known are {', '.join(SUFFIXES)}")
 
 

@@ -1,0 +1,102 @@
+"""Outputs that are there whole or not at all, whenever the program is stopped."""
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from os import PathLike
+from pathlib import Path
+
+
+def write_atomic(path: str | PathLike[str], content: str | bytes) -> None:
+    r"""Write a file beside its place, then rename it there.
+
+    Parameters
+    ----------
+    path : path
+        Replaced if it exists; its folder must exist.
+    content : str or bytes
+        Text is written as UTF-8 with ``\n`` line ends.
+
+    Raises
+    ------
+    OSError
+        Not writable; what was at ``path`` before is still there.
+    """
+    target = Path(path).resolve()
+    data = content.encode() if isinstance(content, str) else content
+    beside = _beside(target)
+    try:
+        with beside.open("xb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        beside.replace(target)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def output_folder(path: str | PathLike[str]) -> Iterator[Path]:
+    """Folder to write several outputs to; they appear in ``path`` together at the end.
+
+    A new folder appears by one rename. In a folder that exists, files of the same names are
+    removed before the new ones move in one by one, so that old and new never mix; other files
+    stay. Nothing appears, and no folder is left behind, if the body raises.
+
+    Parameters
+    ----------
+    path : path
+        A folder, made with its parents if need be.
+
+    Yields
+    ------
+    Path
+        An empty folder for the body to fill.
+
+    Raises
+    ------
+    OSError
+        ``path`` is a file, or not writable.
+    """
+    target = Path(path).resolve()
+    if target.exists() and not target.is_dir():
+        raise NotADirectoryError(20, "a file is in the place of the output folder", str(path))
+    made = [parent for parent in target.parents if not parent.exists()]
+    beside = _beside(target)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        beside.mkdir()
+        yield beside
+        _move_in(beside, target)
+    except BaseException:
+        shutil.rmtree(beside, ignore_errors=True)
+        for parent in made:
+            with suppress(OSError):  # someone else has put something there
+                parent.rmdir()
+        raise
+
+
+def _move_in(beside: Path, target: Path) -> None:
+    if not target.exists() or not any(target.iterdir()):
+        with suppress(FileNotFoundError):
+            target.rmdir()
+        beside.rename(target)
+        return
+    names = sorted(entry.name for entry in beside.iterdir())
+    for name in names:
+        old = target / name
+        if old.is_dir() and not old.is_symlink():
+            shutil.rmtree(old)
+        else:
+            old.unlink(missing_ok=True)
+    for name in names:
+        (beside / name).rename(target / name)
+    beside.rmdir()
+
+
+def _beside(target: Path) -> Path:
+    """Hidden name in the same folder, hence on the same disk, that nobody else uses."""
+    return target.with_name(f".{target.name[:100]}.{os.getpid()}.{secrets.token_hex(4)}")

@@ -1,7 +1,7 @@
 """The paper's drive as data: Tables 1 and 2 with unit, tolerance and source.
 
 Errata of the printed tables are put right by default; ``paper_drive(as_printed=True)``
-gives the printed values. Each correction is named in :data:`ERRATA`.
+gives the printed values. Each correction is named in :mod:`dmptm_ctrl.drive.errata`.
 
 Source: Zheng et al. 2022, doi:10.21203/rs.3.rs-1546754/v1 ("the paper").
 """
@@ -11,16 +11,10 @@ from dataclasses import dataclass, replace
 from math import pi
 from types import MappingProxyType
 
+from dmptm_ctrl.drive.errata import ERRATA
+
 ARCMIN = pi / (180 * 60)  # rad
 DEG = pi / 180  # rad
-
-ERRATA = {
-    "J3_bar": "below Eq. 16: J̄3 = N1² (Jm + J1) + J2 + J3, J1 turns with the motor",
-    "T3s_plus": "Table 2: T3s+ and T3c+ swapped, static friction is not below Coulomb",
-    "c": "Table 1: c = 1 is a damping ratio of 0.015, outside Eq. 24's 0.03…0.17; "
-    "taken as uncertain, 1…10 N·m·s/rad",
-    "J2": "Table 1: J2 equals N1² Jm exactly; taken as what stays on the pinion side beside it",
-}
 
 
 @dataclass(frozen=True)
@@ -169,7 +163,7 @@ def paper_drive(*, as_printed: bool = False) -> Drive:
         "phi_r": Quantity(0.0, "rad", 0.0, "below Eq. 23"),
         "c": Quantity(1.0, "N·m·s/rad", 0.0, t1)
         if as_printed
-        else Quantity(3.0, "N·m·s/rad", 0.0, ERRATA["c"], low=1.0, high=10.0),
+        else Quantity(3.0, "N·m·s/rad", 0.0, f"{t1}, c: {ERRATA['c'].proof}", low=1.0, high=10.0),
         "c_f": Quantity(0.05, "N·m·s/rad", 0.0, "ours", low=0.0, high=0.5),
         "gap_l": Quantity(14 * ARCMIN, "rad", _FRICTION_TOL, t1),
         "gap_r": Quantity(10 * ARCMIN, "rad", _FRICTION_TOL, t1),
@@ -177,3 +171,16 @@ def paper_drive(*, as_printed: bool = False) -> Drive:
         **_friction("L", "LRG", (23.0, 20.0, 1.0, 1.2), (20.0, 17.0, 1.0, 1.0)),
     }
     return Drive(q, "paper as printed" if as_printed else "paper")
+
+
+def viscous_mean(drive: Drive, body: str) -> float:
+    """Viscous friction [N·m·s/rad] of "3" or "L", mean of both directions of Table 2.
+
+    The slope of Stribeck friction far above its Stribeck speed: the linear model's D3, DL.
+    """
+    return 0.5 * (drive[f"B{body}_plus"] + drive[f"B{body}_minus"])
+
+
+def pinion_inertia(drive: Drive) -> float:
+    """J̄3 [kg·m²] at the pinion: N1² Jm and what Table 1's J2 adds beside it."""
+    return drive["N_1"] ** 2 * drive["J_m"] + drive["J_2"]

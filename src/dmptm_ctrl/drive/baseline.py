@@ -1,0 +1,47 @@
+"""The existing three-inertia model that the paper compares with (its refs 17 to 20).
+
+The same three bodies, but a classical dead zone (no torque in the gap, no gap damping) and
+viscous friction only. It is a drive like any other: linear models, simulator and fit take
+it as they take the proposed one.
+"""
+
+from dataclasses import replace
+
+from dmptm_ctrl.drive.parameters import Drive, Quantity, paper_drive, viscous_mean
+
+# Widest viscous friction a fit may need to stand in for the Coulomb friction it lacks:
+# 28 N·m over 1 deg/s at the ring gear, 2.8 N·m over 2 deg/s at a pinion, rounded up.
+_VISCOUS_HIGH = {"3": 100.0, "L": 2000.0}  # N·m·s/rad
+_DRY = ("T3s_plus", "T3c_plus", "T3s_minus", "T3c_minus")
+_DRY_RING = ("TLs_plus", "TLc_plus", "TLs_minus", "TLc_minus")
+
+
+def baseline_drive(drive: Drive | None = None) -> Drive:
+    """Return the existing three-inertia model of a drive.
+
+    Dry friction, gap damping and stiffness variation are zero and declared exact. Viscous
+    friction is the mean of both directions and declared open, since a fit must let it stand
+    in for the dry friction.
+
+    Parameters
+    ----------
+    drive : Drive, optional
+        Default: the paper's, corrected.
+    """
+    drive = paper_drive() if drive is None else drive
+    q = dict(drive.quantities)
+    for name in (*_DRY, *_DRY_RING, "c_f", "k_a"):
+        q[name] = Quantity(0.0, q[name].unit, 0.0, "absent from the three-inertia model")
+    for body, high in _VISCOUS_HIGH.items():
+        for sign in ("plus", "minus"):
+            name = f"B{body}_{sign}"
+            q[name] = replace(
+                q[name],
+                value=viscous_mean(drive, body),
+                source="Table 2, mean of both directions",
+                low=0.0,
+                high=high,
+            )
+            scale = f"W{body}_{sign}"
+            q[scale] = replace(q[scale], tolerance=0.0)
+    return Drive(q, f"{drive.name}, existing three-inertia model")

@@ -1,0 +1,201 @@
+"""Resonances of the linear drive: frequencies, shapes, kinds, sensitivities.
+
+    K v = ω² M v     generalised symmetric eigenproblem, equal to Eqs. 19 and 20
+
+Undamped 3-DOF modes in closed form: 0; √(k/J̄3), the pinions against each other with the
+ring still; √(k/J̄3 + 2 k N2²/J_L), the pinions together against the ring.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from dmptm_ctrl.drive.nine_dof import nine_dof_parameters, nine_dof_train
+from dmptm_ctrl.drive.parameters import Drive, paper_drive, pinion_inertia
+from dmptm_ctrl.drive.three_dof import three_dof_train
+from dmptm_ctrl.drive.train import GearTrain
+
+Floats = NDArray[np.float64]
+
+RIGID_RATIO = 1e-5  # of the highest frequency; eigh leaves √ε ≈ 1e-8 of it for a rigid mode
+PARITY = 0.99  # |⟨v, swap v⟩| of a mode that is (anti)symmetric in left and right
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Undamped modes of a gear train, lowest first.
+
+    Attributes
+    ----------
+    train : GearTrain
+    omega : (n,) array [rad/s]
+    shapes : (n, n) array [rad]
+        Columns, scaled to vᵀ M v = 1 kg·m².
+    kinds : tuple of str
+        "rigid", "antisymmetric" (left against right, ring still), "symmetric" (left with
+        right), "mixed" where the two chains differ.
+    damping_ratios : (n,) array
+        ζ of the damped modes, nearest in frequency; 0 for the rigid one.
+    """
+
+    train: GearTrain
+    omega: Floats
+    shapes: Floats
+    kinds: tuple[str, ...]
+    damping_ratios: Floats
+
+    @property
+    def hz(self) -> Floats:
+        """Frequencies [Hz]."""
+        return self.omega / (2.0 * pi)
+
+
+def solve_modes(train: GearTrain) -> Modes:
+    """Solve the generalised symmetric eigenproblem of a gear train."""
+    squares, shapes = linalg.eigh(train.stiffness, train.mass)
+    omega = np.sqrt(np.clip(squares, 0.0, None))
+    omega[omega < RIGID_RATIO * omega[-1]] = 0.0
+    turn = np.sign(shapes[np.abs(shapes).argmax(axis=0), range(omega.size)])
+    shapes = shapes * turn
+    kinds = tuple(_kind(train, w, v) for w, v in zip(omega, shapes.T, strict=True))
+    return Modes(train, omega, shapes, kinds, _damping_ratios(train, omega))
+
+
+def _kind(train: GearTrain, omega: float, shape: Floats) -> str:
+    if omega == 0.0:
+        return "rigid"
+    other = {"l": "r", "r": "l"}
+    swap = [train.bodies.index(b[:-1] + other.get(b[-1], b[-1])) for b in train.bodies]
+    other_way = shape[swap]
+    parity = shape @ train.mass @ other_way / sqrt(other_way @ train.mass @ other_way)
+    if parity > PARITY:
+        return "symmetric"
+    return "antisymmetric" if parity < -PARITY else "mixed"
+
+
+def _damping_ratios(train: GearTrain, omega: Floats) -> Floats:
+    poles = linalg.eigvals(train.to_ss(states="twists").A)
+    pairs = poles[poles.imag > 0.0]
+    ratios = np.zeros_like(omega)
+    for i in np.flatnonzero(omega):
+        if pairs.size == 0:  # all overdamped
+            ratios[i] = 1.0
+            continue
+        nearest = np.abs(np.abs(pairs) - omega[i]).argmin()
+        ratios[i] = -pairs[nearest].real / abs(pairs[nearest])
+        pairs = np.delete(pairs, nearest)
+    return ratios
+
+
+def closed_form(drive: Drive) -> Floats:
+    """Undamped 3-DOF frequencies [rad/s] in closed form, (3,)."""
+    pinions = drive["k_m"] / pinion_inertia(drive)
+    ring = 2.0 * drive["k_m"] * drive["N_2"] ** 2 / drive["J_L"]
+    return np.array([0.0, sqrt(pinions), sqrt(pinions + ring)])
+
+
+def determinant(train: GearTrain, omega: float) -> float:
+    """Eq. 20 scaled by det M: det(M⁻¹K − ω² I); zero at each mode."""
+    square = train.stiffness / train.inertia[:, None]
+    return float(linalg.det(square - omega**2 * np.eye(square.shape[0])))
+
+
+def both_readings(drive: Drive | None = None) -> dict[str, Drive]:
+    """Return the drive for both readings of Table 1's J2.
+
+    The table's J2 = 0.125 kg·m² equals N1² Jm exactly. "beside" takes it as what stays on
+    the pinion side beside N1² Jm (the default); "motor" as N1² Jm itself, nothing beside.
+    """
+    drive = paper_drive() if drive is None else drive
+    return {"beside": drive, "motor": drive.with_values(J_2=0.0)}
+
+
+THREE_DOF_PARAMETERS = ("k_m", "J_m", "J_2", "J_L", "N_1", "N_2")
+
+
+def sensitivities(
+    drive: Drive | None = None,
+    *,
+    dof: int = 3,
+    parameters: Sequence[str] | None = None,
+    **overrides: float,
+) -> dict[str, Floats]:
+    """Relative sensitivity (∂f/f)/(∂p/p) of each frequency to each parameter.
+
+    From the modes: ∂(ω²) = vᵀ (∂K − ω² ∂M) v, nothing is solved again. Doubling a frequency
+    by a parameter needs the parameter to grow about 2^(1/s) fold.
+
+    Parameters
+    ----------
+    drive : Drive, optional
+    dof : {3, 9}
+    parameters : sequence of str, optional
+        Default: all that a frequency of this model depends on.
+    **overrides : float
+        9-DOF parameters, see :func:`nine_dof_parameters`.
+
+    Returns
+    -------
+    dict of str to (n,) array
+        Zero for the rigid mode.
+
+    Raises
+    ------
+    ValueError
+        `dof` is neither 3 nor 9, or overrides for the 3-DOF model.
+    KeyError
+        A parameter that the model does not have.
+    """
+    drive = paper_drive() if drive is None else drive
+    build, names = _family(drive, dof, overrides)
+    chosen = names if parameters is None else tuple(parameters)
+    base = solve_modes(build("", 1.0))
+    result = {}
+    for name in chosen:
+        if name not in names:
+            raise KeyError(f"no parameter {name!r} in the {dof}-DOF model; it has {names}")
+        # Mass and stiffness are low-degree polynomials of each parameter: the central
+        # difference of the matrices is exact to rounding at this step.
+        h = 1e-4
+        up, down = build(name, 1.0 + h), build(name, 1.0 - h)
+        d_mass = (up.mass - down.mass) / (2.0 * h)
+        d_stiffness = (up.stiffness - down.stiffness) / (2.0 * h)
+        result[name] = np.array(
+            [
+                0.0 if w == 0.0 else v @ (d_stiffness - w**2 * d_mass) @ v / (2.0 * w**2)
+                for w, v in zip(base.omega, base.shapes.T, strict=True)
+            ]
+        )
+    return result
+
+
+def _family(
+    drive: Drive, dof: int, overrides: dict[str, float]
+) -> tuple[Callable[[str, float], GearTrain], tuple[str, ...]]:
+    """Return a builder with one parameter scaled, and the names it can scale."""
+    if dof == 3:
+        if overrides:
+            raise ValueError(f"the 3-DOF model has no {', '.join(overrides)}")
+
+        def three(name: str, factor: float) -> GearTrain:
+            return three_dof_train(
+                drive.with_values(**{name: factor * drive[name]}) if name else drive
+            )
+
+        return three, THREE_DOF_PARAMETERS
+    if dof != 9:
+        raise ValueError(f"dof is {dof}, it must be 3 or 9")
+    p = nine_dof_parameters(drive, **overrides)
+    own = tuple(k for k in p if not k.startswith("D_"))
+
+    def nine(name: str, factor: float) -> GearTrain:
+        if name in p:
+            return nine_dof_train(drive, **{**p, name: factor * p[name]})
+        scaled = drive.with_values(**{name: factor * drive[name]}) if name else drive
+        return nine_dof_train(scaled, **p)
+
+    return nine, ("J_m", "J_L", *own)

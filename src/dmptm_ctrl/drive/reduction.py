@@ -1,0 +1,111 @@
+"""What the paper's simplification costs: 3-DOF and balanced reduction against the 9-DOF."""
+
+from typing import NamedTuple
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dmptm_ctrl.drive.nine_dof import nine_dof_parameters, nine_dof_train, reduced_pinion_inertia
+from dmptm_ctrl.drive.parameters import Drive, paper_drive
+from dmptm_ctrl.drive.three_dof import three_dof_train
+from dmptm_ctrl.drive.train import GearTrain
+
+# Everything the rig measures: speeds of ring gear and motors.
+OUTPUTS = ("omega_L", "omega_ml", "omega_mr")
+
+
+def rigid_equivalent(drive: Drive, parameters: dict[str, float]) -> Drive:
+    """Return the drive whose 3-DOF model has the corrected J̄3 of 9-DOF parameters."""
+    n1 = drive["N_1"]
+    total = reduced_pinion_inertia(
+        n1, drive["J_m"], parameters["J_1"], parameters["J_2"], parameters["J_3"]
+    )
+    return drive.with_values(J_2=total - n1**2 * drive["J_m"])
+
+
+class SimplificationCost(NamedTuple):
+    """9-DOF model, its two simplifications of one order, and their errors.
+
+    Outputs are scaled to the ring gear's speed: motor speeds are divided by N1 N2.
+    """
+
+    full: ct.StateSpace
+    three_dof: ct.StateSpace
+    balanced: ct.StateSpace
+    hankel: NDArray[np.float64]  # Hankel singular values of the full model
+    h_inf: dict[str, float]  # (rad/s)/V, "full", "three_dof", "balanced": of the error
+    h_2: dict[str, float]
+
+    def error_over(self, omega: ArrayLike) -> dict[str, NDArray[np.float64]]:
+        """Largest singular value of each error over frequency [rad/s], (n,) each."""
+        full = self.full(1j * np.asarray(omega))
+        return {
+            "full": _largest(full),
+            "three_dof": _largest(full - self.three_dof(1j * np.asarray(omega))),
+            "balanced": _largest(full - self.balanced(1j * np.asarray(omega))),
+        }
+
+
+def _largest(response: NDArray[np.complex128]) -> NDArray[np.float64]:
+    values = np.linalg.svd(np.moveaxis(response, -1, 0), compute_uv=False)
+    return np.asarray(values[:, 0], float)
+
+
+def simplification_cost(drive: Drive | None = None, **overrides: float) -> SimplificationCost:
+    """Compare the 3-DOF model with a balanced truncation of the same order.
+
+    Parameters
+    ----------
+    drive : Drive, optional
+    **overrides : float
+        9-DOF parameters. The numbers depend on them, and their defaults are ours.
+
+    Notes
+    -----
+    From both motor voltages to the speeds of ring gear and motors. The rigid angle is left
+    out (2n − 1 states): with viscous friction the speeds are stable and both norms finite.
+    """
+    drive = paper_drive() if drive is None else drive
+    p = nine_dof_parameters(drive, **overrides)
+    scale = np.array([1.0, *[1.0 / (drive["N_1"] * drive["N_2"])] * 2])
+    full = _balanced_units(nine_dof_train(drive, **p), scale)
+    three = _balanced_units(three_dof_train(rigid_equivalent(drive, p)), scale)
+    balanced = ct.balred(full, three.nstates, method="truncate")
+    errors = {"full": full, "three_dof": full - three, "balanced": full - balanced}
+    return SimplificationCost(
+        full,
+        three,
+        balanced,
+        hankel_values(full),
+        {name: float(ct.norm(e, "inf")) for name, e in errors.items()},
+        {name: float(ct.norm(e, 2)) for name, e in errors.items()},
+    )
+
+
+def hankel_values(system: ct.StateSpace) -> NDArray[np.float64]:
+    """Hankel singular values of a stable system, from Cholesky factors of its Gramians.
+
+    The small ones keep their digits, unlike those of the Gramians' product.
+    """
+    upper, lower = ct.gram(system, "cf"), ct.gram(system, "of")
+    return np.linalg.svd(lower @ upper.T, compute_uv=False)
+
+
+def _balanced_units(train: GearTrain, scale: NDArray[np.float64]) -> ct.StateSpace:
+    """Speeds with `scale`d outputs and states in √J, the roots of their energies.
+
+    In radians the Gramians of stiff shafts and soft speeds differ by 1e10, and lose digits.
+    """
+    system = train.to_ss(outputs=OUTPUTS, states="twists")
+    energy = np.sqrt(np.concatenate([[j.stiffness for j in train.joints], train.inertia]))
+    return ct.ss(
+        energy[:, None] * system.A / energy,
+        energy[:, None] * system.B,
+        scale[:, None] * system.C / energy,
+        system.D,
+        states=[f"energy_{name}" for name in system.state_labels],
+        inputs=system.input_labels,
+        outputs=system.output_labels,
+        name=train.name,
+    )

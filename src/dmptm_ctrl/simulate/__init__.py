@@ -1,0 +1,139 @@
+"""Simulation of a drive: compiled for work, in python-control blocks, or by the reference."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    import control
+
+    from dmptm_ctrl.simulate.model import Model
+
+__all__ = ["METHODS", "simulate"]
+
+METHODS = ("compiled", "blocks", "reference")
+EVEN = 1e-6  # relative unevenness of the time steps that is rounding
+
+
+def simulate(
+    model: "Model",
+    timepts: ArrayLike,
+    inputs: ArrayLike,
+    initial_state: ArrayLike | None = None,
+    *,
+    method: str = "compiled",
+    **options: Any,
+) -> "control.TimeResponseData":
+    """Run a drive open loop on sampled voltages, held between samples.
+
+    Parameters
+    ----------
+    model : Model
+    timepts : (n,) array [s]
+        Evenly spaced. Effects that depend on time count it from the first point.
+    inputs : (2, n) array [V]
+        Left and right motor voltage.
+    initial_state : (6,) array, optional
+        θ3l, θ3r, θL [rad] and their speeds [rad/s]; by default at rest at angle 0, the
+        chains at mid-gap.
+    method : {"compiled", "blocks", "reference"}
+        The compiled loop, for work; the blocks of
+        :func:`~dmptm_ctrl.simulate.blocks.to_blocks`; or the slow
+        :mod:`~dmptm_ctrl.simulate.reference` with every switch located.
+    **options
+        `substeps` (int, steps per sample) of "compiled"; `rtol` of "reference";
+        `rtol`, `atol`, `pade_order` of "blocks".
+
+    Returns
+    -------
+    TimeResponseData
+        Outputs :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, readings of the sensors
+        without noise.
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit, uneven or too few time points, values that are not finite,
+        a method that does not exist.
+    TypeError
+        An option that the method does not have.
+    """
+    from control import TimeResponseData
+
+    from dmptm_ctrl.simulate.compiled import OUTPUTS, rest
+
+    if method not in METHODS:
+        raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
+    known = {"compiled": ("substeps",), "reference": ("rtol",)}.get(
+        method, ("rtol", "atol", "pade_order")
+    )
+    for key in options:
+        if key not in known:
+            raise TypeError(f"method {method!r} has no option {key!r}; it has {', '.join(known)}")
+    time = _timepts(timepts)
+    u = _finite("inputs", inputs, (2, time.size), "left and right voltage at each time point")
+    x0 = (
+        rest(model, 0.0)
+        if initial_state is None
+        else _finite("initial_state", initial_state, (6,), "three angles and their speeds")
+    )
+    dt = (time[-1] - time[0]) / (time.size - 1)
+    outputs = _run(method, model, u, x0, dt, options)
+    return TimeResponseData(
+        time,
+        outputs.T,
+        inputs=u,
+        issiso=False,
+        output_labels=list(OUTPUTS),
+        input_labels=["u_left", "u_right"],
+        sysname=model.drive.name,
+        title=f"{model.drive.name} ({method})",
+    )
+
+
+def _run(
+    method: str,
+    model: "Model",
+    u: NDArray[np.float64],
+    x0: NDArray[np.float64],
+    dt: float,
+    options: dict[str, Any],
+) -> NDArray[np.float64]:
+    if method == "compiled":
+        from dmptm_ctrl.simulate.compiled import march
+
+        return march(model.arrays(), u, x0, dt, **options)
+    if method == "reference":
+        from dmptm_ctrl.simulate.reference import simulate as run_reference
+
+        return run_reference(model, u, x0, dt, **options)
+    from dmptm_ctrl.simulate.blocks import run
+
+    return run(model, u, x0, dt, **options)
+
+
+def _timepts(timepts: ArrayLike) -> NDArray[np.float64]:
+    time = np.asarray(timepts, float)
+    if time.ndim != 1 or time.size < 2:
+        raise ValueError(f"timepts has shape {time.shape}; needs (n,) with n ≥ 2")
+    if not np.all(np.isfinite(time)):
+        raise ValueError("timepts holds a value that is not finite")
+    steps = np.diff(time)
+    if steps.min() <= 0.0 or np.ptp(steps) > EVEN * steps.mean() + 8.0 * np.spacing(time[-1]):
+        raise ValueError(
+            f"timepts is uneven: steps from {steps.min():.6g} to {steps.max():.6g} s; "
+            "the voltage is held over equal samples"
+        )
+    return time
+
+
+def _finite(
+    name: str, values: ArrayLike, shape: tuple[int, ...], meaning: str
+) -> NDArray[np.float64]:
+    array = np.array(values, float)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}; needs {shape}: {meaning}")
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} holds a value that is not finite")
+    return array

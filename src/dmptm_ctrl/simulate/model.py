@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,9 @@ from numpy.typing import NDArray
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.compose import layout
+
+if TYPE_CHECKING:
+    import control
 
 Floats = NDArray[np.float64]
 Arrays = tuple[Floats, NDArray[np.uint8], Floats]  # base, on, values
@@ -80,3 +84,9 @@ class Model:
                     values[first + j] = parameters[p.name]
             on[index] = any(parameters.get(a, 0.0) != 0.0 for a in effect.amplitudes)
         return base, on, values
+
+    def to_blocks(self, **options: Any) -> "control.InterconnectedSystem":
+        """Return the model as python-control blocks, see :func:`.blocks.to_blocks`."""
+        from dmptm_ctrl.simulate.blocks import to_blocks
+
+        return to_blocks(self, **options)

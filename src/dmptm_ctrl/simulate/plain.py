@@ -59,9 +59,7 @@ class Sites:
         self.lag = max((k(0.0, 0, p)[1] for k, p in self._chains["lag"]), default=0.0)  # s
         self.compliance, self.shaft_damping = 0.0, 0.0
         reduced = (
-            self.motor_inertia
-            * self.pinion_inertia
-            / (self.motor_inertia + self.pinion_inertia)
+            self.motor_inertia * self.pinion_inertia / (self.motor_inertia + self.pinion_inertia)
         )
         for kernel, p in self._chains["shaft"]:
             self.compliance, self.shaft_damping = kernel(reduced, p)

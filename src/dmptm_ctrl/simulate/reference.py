@@ -90,9 +90,7 @@ class _Hybrid:
             elif motion == 0.0:
                 continue
             else:
-                friction = motion * sites.sliding(
-                    body, motion, y[body], omega, t, carried[body]
-                )
+                friction = motion * sites.sliding(body, motion, y[body], omega, t, carried[body])
             inertia = sites.ring_inertia
             if body != RING:
                 inertia = sites.pinion_inertia + (sites.motor_inertia if rigid else 0.0)
@@ -182,9 +180,7 @@ class _Recorder:
     def _row(self, i: int, y: Floats) -> None:
         sites, theta = self.hybrid.sites, y[RING]
         z = y[0] - sites.n2 * theta, y[1] - sites.n2 * theta
-        torques = [
-            sites.mesh_torque(y[s], y[SPEED + s], theta, y[SPEED + RING], s) for s in (0, 1)
-        ]
+        torques = [sites.mesh_torque(y[s], y[SPEED + s], theta, y[SPEED + RING], s) for s in (0, 1)]
         motors = sites.n1 * y[MOTOR], sites.n1 * y[MOTOR + 1]
         self.out[i] = theta, y[SPEED + RING], *motors, *torques, *z
 

@@ -1,0 +1,362 @@
+"""The drive as python-control blocks, one per component, joined by their signal names.
+
+No physics here: each block calls the kernels of its site. Blocks are pure functions of
+(t, x, u, params), finite at zero, without memory besides their states.
+
+Friction with real sticking inside an ODE (Karnopp, J. Dyn. Sys. 107 (1985) 100): below
+:data:`REST_SPEED` a body counts as resting; its friction then takes the value that balances
+the net torque, as long as the breakaway torque allows, and the body does not move: angle
+and speed keep their values. There is no smoothed sign, so nothing creeps. What the band
+costs is a residual speed below REST_SPEED.
+
+A dead time in an ODE is a Padé approximation (order :data:`PADE_ORDER`); the compiled
+simulator and the reference have it exactly.
+"""
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.integrate import solve_ivp
+
+from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
+from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.plain import RING, Sites
+
+REST_SPEED = 1e-5  # rad/s; a hundredth of the gyro's noise, far above a solver's tolerance
+PADE_ORDER = 4  # phase error below 1° up to ω T_d = 4.5 rad
+MAX_STEP = 0.01  # s; so that no turn of the motion is stepped over
+SIDES = ("l", "r")
+
+
+class _Delay:
+    """A dead time as Padé states; a plain wire without delay."""
+
+    def __init__(self, delay: float, order: int) -> None:
+        self.order = order if delay > 0.0 else 0
+        if self.order:  # realised for unit delay, so that the realisation is well scaled
+            unit = ct.ss(ct.tf(*ct.pade(1.0, order)))
+            self.A, self.B = unit.A / delay, unit.B[:, 0] / delay
+            self.C, self.D = unit.C[0], float(unit.D[0, 0])
+        self.states = [f"delay_{i}" for i in range(self.order)]
+
+    def rate(self, x, u: float) -> Floats:
+        return self.A @ x + self.B * u if self.order else np.zeros(0)
+
+    def output(self, x, u: float) -> float:
+        return float(self.C @ x) + self.D * u if self.order else u
+
+    def settled(self, u: float) -> Floats:
+        """States after `u` was held for long."""
+        return np.linalg.solve(self.A, -self.B * u) if self.order else np.zeros(0)
+
+
+def drive_block(model: Model, side: int, *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
+    """Return the drive of one motor: dead time, static effects, lag.
+
+    Input u_left or u_right [V], output voltage_l or voltage_r [V], what the motor gets.
+    """
+    sites = Sites(model)
+    late, lagged = _Delay(sites.voltage_delay, pade_order), sites.lag > 0.0
+    order = late.order
+
+    def target(t, x, u):
+        return sites.drive_voltage(late.output(x[:order], float(u[0])), t, side)
+
+    def update(t, x, u, params):
+        rate = late.rate(x[:order], u[0])
+        if lagged:
+            rate = np.append(rate, sites.lag_rate(x[order], target(t, x, u), side))
+        return rate
+
+    def output(t, x, u, params):
+        return [x[order] if lagged else target(t, x, u)]
+
+    return ct.NonlinearIOSystem(
+        update,
+        output,
+        inputs=[("u_left", "u_right")[side]],
+        outputs=[f"voltage_{SIDES[side]}"],
+        states=late.states + ["lag"] * lagged,
+        name=f"drive_{SIDES[side]}",
+    )
+
+
+def drive_states(
+    model: Model, side: int, u: float, *, pade_order: int = PADE_ORDER
+) -> dict[str, float]:
+    """Return the states of the drive, by their name in `to_blocks`, once `u` [V] has lasted."""
+    sites, block = Sites(model), f"drive_{SIDES[side]}"
+    late = _Delay(sites.voltage_delay, pade_order)
+    states = dict(zip(late.states, late.settled(u), strict=True))
+    if sites.lag > 0.0:
+        target = sites.drive_voltage(u, 0.0, side)
+        states["lag"] = sites.lag_rate(0.0, target, side) * sites.lag
+    return {f"{block}_{name}": float(x) for name, x in states.items()}
+
+
+def mesh_block(model: Model, side: int) -> ct.NonlinearIOSystem:
+    """Return the mesh of one pinion with the ring gear, without states.
+
+    Inputs theta_3, omega_3 of the pinion and ring_angle, ring_speed; outputs torque
+    [N·m], positive drives the ring gear, and z = θ3 − N2 θL [rad].
+    """
+    sites, s = Sites(model), SIDES[side]
+
+    def output(t, x, u, params):
+        return [sites.mesh_torque(*u.tolist(), side), u[0] - sites.n2 * u[2]]
+
+    return ct.NonlinearIOSystem(
+        None,
+        output,
+        inputs=[f"theta_3{s}", f"omega_3{s}", "ring_angle", "ring_speed"],
+        outputs=[f"torque_{s}", f"z_{s}"],
+        name=f"mesh_{s}",
+    )
+
+
+def body_rates(
+    sites: Sites, body: int, t: float, x, net: float, carried: float, inertia: float
+) -> list[float]:
+    """Rates of (angle, speed[, presliding torque]) of a body under its net torque [N·m].
+
+    Friction by the kernels: sliding, sticking or presliding.
+    """
+    theta, omega = x[0], x[1]
+    distance = sites.distances[body]
+    if distance > 0.0:
+        direction = 1.0 if omega >= 0.0 else -1.0
+        level = direction * sites.sliding(body, direction, theta, omega, t, carried)
+        return [omega, (net - x[2]) / inertia, abs(omega) * (level - x[2]) / distance]
+    if abs(omega) <= REST_SPEED:
+        direction = 1.0 if net > 0.0 else -1.0
+        most = sites.holding(body, direction, theta, omega, t, carried)
+        if most > 0.0 and abs(net) <= most:
+            return [0.0, 0.0]
+        return [omega, (net - direction * most) / inertia]
+    direction = 1.0 if omega > 0.0 else -1.0
+    friction = direction * sites.sliding(body, direction, theta, omega, t, carried)
+    return [omega, (net - friction) / inertia]
+
+
+def chain_block(model: Model, side: int) -> ct.NonlinearIOSystem:
+    """Return motor, reducer and pinion of one side, with the reducer's friction.
+
+    Inputs voltage [V] and torque of the mesh [N·m]; outputs theta_m, omega_m of the motor,
+    theta_3, omega_3 of the pinion [rad, rad/s]. The motor has states of its own where the
+    reducer is compliant.
+    """
+    sites, s = Sites(model), SIDES[side]
+    elastic, presliding = sites.compliance > 0.0, sites.distances[side] > 0.0
+    body = 2 + presliding  # states of the pinion
+    inertia = sites.pinion_inertia + (0.0 if elastic else sites.motor_inertia)
+
+    def motor(x):
+        return x[body : body + 2] if elastic else x[:2]
+
+    def update(t, x, u, params):
+        x, u = x.tolist(), u.tolist()
+        theta, omega = motor(x)
+        drive = sites.motor_torque(u[0], sites.n1 * theta, sites.n1 * omega, t, side)
+        if not elastic:
+            return body_rates(sites, side, t, x, drive - u[1], u[1], inertia)
+        shaft = (theta - x[0]) / sites.compliance + sites.shaft_damping * (omega - x[1])
+        return [
+            *body_rates(sites, side, t, x, shaft - u[1], u[1], inertia),
+            omega,
+            (drive - shaft) / sites.motor_inertia,
+        ]
+
+    def output(t, x, u, params):
+        theta, omega = motor(x)
+        return [sites.n1 * theta, sites.n1 * omega, x[0], x[1]]
+
+    states = ["theta", "omega"] + ["friction"] * presliding
+    return ct.NonlinearIOSystem(
+        update,
+        output,
+        inputs=[f"voltage_{s}", f"torque_{s}"],
+        outputs=[f"theta_m{s}", f"omega_m{s}", f"theta_3{s}", f"omega_3{s}"],
+        states=states + ["theta_motor", "omega_motor"] * elastic,
+        name=f"chain_{s}",
+    )
+
+
+def ring_block(model: Model) -> ct.NonlinearIOSystem:
+    """Return the ring gear with its friction and the load's effects.
+
+    Inputs torque_l, torque_r [N·m] at the pinions; outputs ring_angle [rad], ring_speed
+    [rad/s], the true ones.
+    """
+    sites = Sites(model)
+
+    def update(t, x, u, params):
+        x, u = x.tolist(), u.tolist()
+        net = sites.n2 * (u[0] + u[1]) + sites.load_torque(x[0], x[1], t)
+        carried = abs(u[0]) + abs(u[1])
+        return body_rates(sites, RING, t, x, net, carried, sites.ring_inertia)
+
+    return ct.NonlinearIOSystem(
+        update,
+        lambda t, x, u, params: x[:2],
+        inputs=["torque_l", "torque_r"],
+        outputs=["ring_angle", "ring_speed"],
+        states=["theta", "omega"] + ["friction"] * (sites.distances[RING] > 0.0),
+        name="ring",
+    )
+
+
+def sensor_block(model: Model, *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
+    """Return the sensors: ring_angle, ring_speed in, the readings theta_L, omega_L out."""
+    sites = Sites(model)
+    late = _Delay(sites.speed_delay, pade_order)
+
+    def output(t, x, u, params):
+        return sites.reading(float(u[0]), late.output(x, float(u[1])), t)
+
+    return ct.NonlinearIOSystem(
+        lambda t, x, u, params: late.rate(x, u[1]),
+        output,
+        inputs=["ring_angle", "ring_speed"],
+        outputs=["theta_L", "omega_L"],
+        states=late.states,
+        name="sensor",
+    )
+
+
+def pi_block(loop: Loop) -> ct.NonlinearIOSystem:
+    """Return the PI speed loop in continuous time, G_c = kp + ki/s, with clip and preload.
+
+    Inputs ref, omega_L [rad/s], outputs u_left, u_right [V]; state ∫(ref − omega_L) dt.
+    Source: paper section 4.3; sampled at 1 kHz in the rig, see `compiled.close_loop`.
+    """
+
+    def output(t, x, u, params):
+        common = loop.kp * (u[0] - u[1]) + loop.ki * x[0]
+        common = min(max(common, -loop.limit), loop.limit)
+        return [common + loop.bias_l, common + loop.bias_r]
+
+    return ct.NonlinearIOSystem(
+        lambda t, x, u, params: [u[0] - u[1]],
+        output,
+        inputs=["ref", "omega_L"],
+        outputs=["u_left", "u_right"],
+        states=["integral"],
+        name="pi",
+    )
+
+
+def to_blocks(
+    model: Model, *, loop: Loop | None = None, pade_order: int = PADE_ORDER
+) -> ct.InterconnectedSystem:
+    """Return the drive as python-control blocks joined by name.
+
+    Parameters
+    ----------
+    model : Model
+    loop : Loop, optional
+        Close the speed loop, in continuous time.
+    pade_order : int
+        Order of the Padé approximation of a drive or sensor delay.
+
+    Returns
+    -------
+    InterconnectedSystem
+        Inputs u_left, u_right [V], or ref [rad/s] with a loop; outputs
+        :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, and u_left, u_right with a loop.
+
+    Notes
+    -----
+    :func:`initial_state` gives its state at rest or in motion. With
+    ``control.input_output_response`` set ``solve_ivp_kwargs={"max_step": dt}`` for inputs
+    sampled at dt, or short pulses are stepped over; it draws inputs as straight lines
+    between samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
+    """
+    blocks = [
+        *(drive_block(model, side, pade_order=pade_order) for side in (0, 1)),
+        *(chain_block(model, side) for side in (0, 1)),
+        *(mesh_block(model, side) for side in (0, 1)),
+        ring_block(model),
+        sensor_block(model, pade_order=pade_order),
+    ]
+    inputs, outputs = ["u_left", "u_right"], list(OUTPUTS)
+    if loop is not None:
+        blocks.append(pi_block(loop))
+        inputs, outputs = ["ref"], [*outputs, "u_left", "u_right"]
+    return ct.interconnect(
+        blocks,
+        inputs=inputs,
+        outputs=outputs,
+        name="drive_loop" if loop is not None else "drive",
+        check_unused=False,  # omega_m of the motors is for whoever wants it
+    )
+
+
+def initial_state(model: Model, sys: ct.InterconnectedSystem, x0: ArrayLike) -> Floats:
+    """Return the state of `sys` from :func:`to_blocks` for a state of the three bodies.
+
+    Parameters
+    ----------
+    model : Model
+        Of which `sys` was made.
+    sys : InterconnectedSystem
+    x0 : (6,) array
+        θ3l, θ3r, θL [rad] and their speeds [rad/s]; motors turn with their pinions. No
+        voltage before the start; a late speed sensor has seen this speed for long.
+    """
+    bodies = np.asarray(x0, float)
+    known = {"ring_theta": bodies[2], "ring_omega": bodies[5]}
+    for side, s in enumerate(SIDES):
+        known[f"chain_{s}_theta"] = known[f"chain_{s}_theta_motor"] = bodies[side]
+        known[f"chain_{s}_omega"] = known[f"chain_{s}_omega_motor"] = bodies[3 + side]
+    stored = [label for label in sys.state_labels if label.startswith("sensor_delay")]
+    late = _Delay(Sites(model).speed_delay, len(stored))
+    known.update(zip(stored, late.settled(bodies[5]), strict=True))
+    return np.array([known.get(label, 0.0) for label in sys.state_labels])
+
+
+def run(
+    model: Model,
+    u: Floats,
+    x0: Floats,
+    dt: float,
+    *,
+    rtol: float = 1e-6,
+    atol: float = 1e-9,
+    pade_order: int = PADE_ORDER,
+) -> Floats:
+    """Run :func:`to_blocks` on held voltages, restarted at each of their jumps.
+
+    Parameters and result as of :func:`dmptm_ctrl.simulate.reference.simulate`; `rtol`,
+    `atol` [rad, rad/s] of SciPy's RK45.
+
+    Raises
+    ------
+    RuntimeError
+        The integrator gave up.
+    """
+    sys = to_blocks(model, pade_order=pade_order)
+    state = initial_state(model, sys, x0)
+    n = u.shape[1]
+    out = np.empty((n, len(OUTPUTS)))
+    jumps = np.flatnonzero(np.any(np.diff(u) != 0.0, axis=0)) + 1
+    ends = sorted({*jumps.tolist(), n - 1})
+    first = 0
+    out[0] = sys.output(0.0, state, u[:, 0])
+    for last in ends:
+        held = u[:, first]
+        times = np.arange(first, last + 1) * dt
+        found = solve_ivp(
+            lambda t, x, held=held: sys.dynamics(t, x, held),
+            (times[0], times[-1]),
+            state,
+            t_eval=times[1:],
+            rtol=rtol,
+            atol=atol,
+            max_step=MAX_STEP,
+        )
+        if not found.success:
+            raise RuntimeError(f"the blocks failed at t = {found.t[-1]:.6f} s: {found.message}")
+        for i, x in enumerate(found.y.T, first + 1):
+            out[i] = sys.output(i * dt, x, u[:, i])
+        state, first = found.y[:, -1], last
+    return out

@@ -1,0 +1,174 @@
+"""Linear models of the drive about a steady turn under preload."""
+
+import warnings
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import root
+
+from dmptm_ctrl.simulate.blocks import REST_SPEED, SIDES, drive_states, initial_state, to_blocks
+from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.plain import RING, Sites, mesh_region
+
+TURN = np.deg2rad(10.0)  # rad/s, a speed of the paper's experiments
+PRELOAD = 0.3  # V; holds both meshes closed on opposite flanks at TURN
+BALANCED = 1e-6  # rad/s², what may be left of the accelerations
+TWIST = 1e-3  # rad, size of a half-gap: scale of the search
+BODIES = {"left chain": "chain_l", "right chain": "chain_r", "ring gear": "ring"}
+
+
+def turning(
+    model: Model, *, speed: float = TURN, preload: float = PRELOAD, theta_L: float = 0.0
+) -> tuple[Floats, Floats]:
+    """Return a steady turn: the state, and the voltages that keep it, at time 0.
+
+    Parameters
+    ----------
+    model : Model
+    speed : float
+        Of the ring gear [rad/s]; not 0, where friction leaves the balance open.
+    preload : float
+        Half the difference of the left and right voltage [V].
+    theta_L : float
+        Ring-gear angle [rad].
+
+    Returns
+    -------
+    x0 : (6,) array
+        θ3l, θ3r, θL [rad] and their speeds [rad/s].
+    u0 : (2,) array [V]
+
+    Raises
+    ------
+    ValueError
+        No such turn: speed 0, or a mesh that would have to stay in its gap.
+    """
+    if abs(speed) <= REST_SPEED:
+        raise ValueError("a steady turn needs a speed; at rest friction leaves the balance open")
+    sites = Sites(model)
+    omega, way = sites.n2 * speed, 1.0 if speed > 0.0 else -1.0
+
+    def state(z):
+        return np.array([*(sites.n2 * theta_L + np.asarray(z)), theta_L, omega, omega, speed])
+
+    def friction(body, theta, rate, carried):
+        return way * sites.sliding(body, way, theta, rate, 0.0, carried)
+
+    def drive(side, common, theta):
+        volts = sites.drive_voltage(common + (preload, -preload)[side], 0.0, side)
+        return sites.motor_torque(volts, sites.n1 * theta, sites.n1 * omega, 0.0, side)
+
+    def unbalanced(unknown):
+        common, x0 = unknown[0], state(unknown[1:] * TWIST)
+        torques = [sites.mesh_torque(x0[s], omega, theta_L, speed, s) for s in (0, 1)]
+        net = [
+            drive(s, common, x0[s]) - torques[s] - friction(s, x0[s], omega, torques[s])
+            for s in (0, 1)
+        ]
+        resisting = friction(RING, theta_L, speed, abs(torques[0]) + abs(torques[1]))
+        load = sites.load_torque(theta_L, speed, 0.0)
+        return np.array([*net, sites.n2 * sum(torques) + load - resisting])
+
+    # Guess: what the bodies resist without effects of load, on the flank that carries it.
+    theta = sites.n2 * theta_L
+    resisting = friction(RING, theta_L, speed, 0.0) - sites.load_torque(theta_L, speed, 0.0)
+    own = [drive(s, 0.0, theta) - friction(s, theta, omega, 0.0) for s in (0, 1)]
+    per_volt = sites.n1 * sites.gain
+    common = (resisting / sites.n2 - sum(own)) / (2.0 * per_volt)
+    guess = [common]
+    for s in (0, 1):
+        z, _, law = sites.mesh(theta, omega, theta_L, speed, s)
+        torque = own[s] + per_volt * common
+        flank = np.copysign(law.half_gap, torque) + torque / law.stiffness
+        guess.append((flank - z) / TWIST)
+    found = root(unbalanced, guess, tol=1e-13)
+    x0 = state(found.x[1:] * TWIST)
+    closed = all(mesh_region(*sites.mesh(x0[s], omega, theta_L, speed, s)) for s in (0, 1))
+    if np.max(np.abs(unbalanced(found.x))) > BALANCED or not closed:
+        raise ValueError(
+            f"no steady turn at {speed:.4g} rad/s with a preload of {preload:.4g} V keeps both "
+            "meshes closed; change the preload"
+        )
+    return x0, found.x[0] + np.array([preload, -preload])
+
+
+def linearize(
+    model: Model, x0: ArrayLike | None = None, u0: ArrayLike | None = None
+) -> ct.StateSpace:
+    """Return the linear model of the drive about a state.
+
+    Parameters
+    ----------
+    model : Model
+    x0 : (6,) array, optional
+        θ3l, θ3r, θL [rad] and their speeds [rad/s]; by default :func:`turning`.
+    u0 : (2,) array, optional [V]
+
+    Returns
+    -------
+    StateSpace
+        Signals and states named as in :func:`~dmptm_ctrl.simulate.blocks.to_blocks`. With
+        both meshes closed, everything moving and no further effects it is the 3-DOF model
+        of paper Eq. 17 with the slope of the friction as damping.
+
+    Warns
+    -----
+    UserWarning
+        A mesh is in its gap, where it has no stiffness and the model poles at the origin;
+        or a body is held by friction, where it does not move at all.
+    """
+    if x0 is None:
+        x0, volts = turning(model)
+    else:
+        x0, volts = np.asarray(x0, float), np.zeros(2)
+    if u0 is not None:
+        volts = np.asarray(u0, float)
+    sites = Sites(model)
+    for side, s in enumerate(("left", "right")):
+        z, z_rate, law = sites.mesh(x0[side], x0[3 + side], x0[2], x0[5], side)
+        if mesh_region(z, z_rate, law) == 0.0:
+            warnings.warn(
+                f"the {s} mesh is in its gap (z = {z:.3g} rad, half-gap {law.half_gap:.3g} rad): "
+                "linearised there it has no stiffness, and the model poles at the origin; "
+                "linearise under preload, as `turning` does",
+                UserWarning,
+                stacklevel=2,
+            )
+    sys = to_blocks(model)
+    state = _sustained(model, sites, initial_state(model, sys, x0), sys.state_labels, volts)
+    linear = sys.linearize(state, volts, copy_names=True)
+    for name, block in BODIES.items():
+        row, column = (sys.state_labels.index(f"{block}_{q}") for q in ("theta", "omega"))
+        if linear.A[row, column] == 0.0:
+            warnings.warn(
+                f"the {name} is held by friction: linearised there it does not move; "
+                "linearise about a steady turn, as `turning` gives",
+                UserWarning,
+                stacklevel=2,
+            )
+    return linear
+
+
+def _sustained(model: Model, sites: Sites, state: Floats, labels: list[str], u0: Floats) -> Floats:
+    """Return the state with voltages and presliding torques as if they had lasted for long."""
+    new = dict(zip(labels, state, strict=True))
+    ring = new["ring_theta"], new["ring_omega"]
+    meshes = []
+    for side, s in enumerate(SIDES):
+        new.update(drive_states(model, side, u0[side]))
+        pinion = new[f"chain_{s}_theta"], new[f"chain_{s}_omega"]
+        meshes.append(sites.mesh_torque(*pinion, *ring, side))
+        _preload_bristle(new, sites, f"chain_{s}", side, meshes[side])
+    _preload_bristle(new, sites, "ring", RING, abs(meshes[0]) + abs(meshes[1]))
+    return np.array([new[label] for label in labels])
+
+
+def _preload_bristle(
+    state: dict[str, float], sites: Sites, block: str, body: int, carried: float
+) -> None:
+    if sites.distances[body] > 0.0:
+        theta, omega = state[f"{block}_theta"], state[f"{block}_omega"]
+        way = float(np.sign(omega))
+        friction = way * sites.sliding(body, way, theta, omega, 0.0, carried)
+        state[f"{block}_friction"] = friction

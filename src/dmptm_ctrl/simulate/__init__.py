@@ -71,6 +71,9 @@ def simulate(
     for key in options:
         if key not in known:
             raise TypeError(f"method {method!r} has no option {key!r}; it has {', '.join(known)}")
+    substeps = options.get("substeps", 1)
+    if int(substeps) != substeps or substeps < 1:
+        raise ValueError(f"substeps is {substeps!r}; needs a whole number of at least 1")
     time = _timepts(timepts)
     u = _finite("inputs", inputs, (2, time.size), "left and right voltage at each time point")
     x0 = (

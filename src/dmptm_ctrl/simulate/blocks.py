@@ -103,7 +103,9 @@ def mesh_block(model: Model, side: int) -> ct.NonlinearIOSystem:
     sites, s = Sites(model), SIDES[side]
 
     def output(t, x, u, params):
-        return [sites.mesh_torque(*u.tolist(), side), u[0] - sites.n2 * u[2]]
+        theta, omega, ring_angle, ring_speed = u.tolist()
+        torque = sites.mesh_torque(theta, omega, ring_angle, ring_speed, side)
+        return [torque, theta - sites.n2 * ring_angle]
 
     return ct.NonlinearIOSystem(
         None,

@@ -47,9 +47,10 @@ class _Hybrid:
         return self.sites.mesh(y[side], y[SPEED + side], y[RING], y[SPEED + RING], side)
 
     def mesh_torques(self, y) -> tuple[float, float]:
-        return tuple(  # type: ignore[return-value]
-            region_torque(z, z_rate, self.region[side], law)
-            for side, (z, z_rate, law) in enumerate(self.mesh(y, s) for s in (0, 1))
+        left, right = self.mesh(y, 0), self.mesh(y, 1)
+        return (
+            region_torque(left[0], left[1], self.region[0], left[2]),
+            region_torque(right[0], right[1], self.region[1], right[2]),
         )
 
     def net_torques(self, t: float, y) -> tuple[list[float], list[float], list[float]]:

@@ -1,8 +1,149 @@
-"""The command ``dmptm``."""
+"""The command ``dmptm``: bad input gives one line on stderr and exit code 2."""
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from dmptm_ctrl import __version__
 
+if TYPE_CHECKING:
+    from dmptm_ctrl.signals.info import LogInfo
 
-def main() -> int:
-    print(__version__)
-    return 0
+BAD_INPUT = 2
+INTERRUPTED = 130  # 128 + SIGINT, as shells count
+
+app = typer.Typer(
+    name="dmptm",
+    help="Control-design workbench for geared servo drives.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+log_app = typer.Typer(help="Look at logs.")
+app.add_typer(log_app, name="log")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"dmptm {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _main(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="And exit.")
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@log_app.command("info")
+def log_info(
+    file: Annotated[Path, typer.Argument(help="Log: .csv, .csv.gz, .txt, .mat, .parquet, .mf4")],
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    resample: Annotated[
+        bool, typer.Option("--resample", help="Put an uneven clock on even steps.")
+    ] = False,
+) -> None:
+    """Show what is in a log, and what it can and cannot tell."""
+    from dmptm_ctrl.signals import load_log
+    from dmptm_ctrl.signals.info import describe
+
+    info = describe(load_log(file, resample=resample))
+    if as_json:
+        print(json.dumps(info.to_dict(), indent=2, ensure_ascii=False))
+    else:
+        _show(info)
+
+
+def _show(info: "LogInfo") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False, soft_wrap=True)
+    console.print(
+        f"[bold]{_plain(info.name)}[/bold]: {info.samples} samples, {info.duration:.6g} s "
+        f"at {1 / info.sample_time:.6g} Hz"
+    )
+    table = Table("channel", "min", "max", "rms", "resolution", box=None)
+    for channel in info.channels:
+        numbers = (channel.low, channel.high, channel.rms, channel.resolution)
+        table.add_row(_plain(channel.column), *(f"{number:.5g}" for number in numbers))
+    console.print(table)
+    for warning in info.warnings:
+        console.print(f"warning: {_plain(warning)}")
+    if info.excitation is None:
+        console.print("No input (V, A, N or Nm) with a motion in this log: nothing to diagnose.")
+        return
+    can = [row.effect for row in info.testable if row.testable]
+    console.print(f"\n[bold]Can tell about[/bold] {', '.join(can) or 'nothing'}")
+    console.print("[bold]Cannot tell about[/bold]")
+    lacking = Table("effect", "lacks", box=None)
+    for row in info.testable:
+        if not row.testable:
+            lacking.add_row(row.effect, "; ".join(row.lacks))
+    console.print(lacking)
+
+
+def _plain(text: str) -> str:
+    """Text of a file, shown as it is: no markup, no control characters."""
+    from rich.markup import escape
+
+    return escape("".join(c if c.isprintable() else "?" for c in text))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Instead of the command line's.
+
+    Returns
+    -------
+    int
+        0: done; 2: bad input, one line on stderr; 130: interrupted.
+    """
+    try:
+        result = app(arguments, prog_name="dmptm", standalone_mode=False)
+    except (KeyboardInterrupt, typer.Abort):
+        return _fail("interrupted", INTERRUPTED)
+    except BrokenPipeError:  # the reader of our output has gone, as in `dmptm … | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        return _fail(": ".join(str(p) for p in (error.filename, error.strerror or error) if p))
+    except Exception as error:
+        message = _of_bad_input(error)
+        if message is None:
+            raise
+        return _fail(message)
+    return result if isinstance(result, int) else 0
+
+
+def _of_bad_input(error: Any) -> str | None:
+    """Message of an error that the user can mend; None for one of ours."""
+    from dmptm_ctrl.signals.errors import LogError
+
+    if isinstance(error, LogError):
+        return str(error)
+    if hasattr(error, "format_message"):  # wrong usage, as the command-line library reports it
+        return f"{str(error.format_message()).rstrip('.')}; see 'dmptm --help'."
+    return None
+
+
+def _fail(message: str, code: int = BAD_INPUT) -> int:
+    line = " ".join(message.split())
+    print("dmptm: " + "".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,227 @@
+"""What is in a log, and which effects it can tell anything about."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.signals.log import Log
+from dmptm_ctrl.signals.units import door_column
+
+Array = NDArray[np.float64]
+
+INPUT_UNITS = ("V", "A", "N·m", "N")
+REST_SHARE = 0.02  # of the greatest speed; slower is at rest
+SMOOTH = 0.02  # s, moving average before counting reversals: longer than gyro noise lives
+
+
+@dataclass(frozen=True)
+class ChannelInfo:
+    """One channel in the units people read."""
+
+    column: str
+    low: float
+    high: float
+    rms: float
+    resolution: float  # smallest step that occurs
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """How a log exercises its drive."""
+
+    travel: float  # rad or m, greatest minus least position
+    unit: str
+    top_speed: float  # rad/s or m/s
+    slow_share: float  # of the time between rest and a fifth of the top speed
+    reversals: int
+    both_ways: bool
+    stops: int  # times that it comes to rest
+    bandwidth: float  # Hz, 99 % of the input's power lies below
+    zero_crossings: int  # of the input
+    preload: float  # lasting difference of the two inputs, in their unit
+    both_sides: bool  # motor and load angles are there
+    angle_and_speed: bool  # of the same shaft
+    duration: float  # s
+
+
+@dataclass(frozen=True)
+class Testability:
+    """Whether a log can tell about an effect, and what is lacking if not."""
+
+    effect: str
+    testable: bool
+    lacks: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class LogInfo:
+    """What `describe` finds; `to_dict` for JSON."""
+
+    name: str
+    samples: int
+    duration: float  # s
+    sample_time: float  # s
+    sha256: str | None
+    channels: tuple[ChannelInfo, ...]
+    excitation: Excitation | None  # None without an input or a motion
+    testable: tuple[Testability, ...]
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dicts and lists."""
+        return asdict(self)
+
+
+def describe(log: Log) -> LogInfo:
+    """Say what is in a log and what it can and cannot tell.
+
+    Parameters
+    ----------
+    log : Log
+        Of any drive; channels are told apart by their units.
+
+    Returns
+    -------
+    LogInfo
+        Thresholds are rules of thumb for planning experiments; the diagnosis computes what its
+        logs can tell from the model.
+
+    Raises
+    ------
+    LogError
+        Uneven time.
+    """
+    excitation = _excitation(log)
+    return LogInfo(
+        name=log.name,
+        samples=len(log),
+        duration=log.duration,
+        sample_time=log.sample_time,
+        sha256=log.sha256,
+        channels=tuple(_channel(log, channel) for channel in log),
+        excitation=excitation,
+        testable=_testable(excitation) if excitation else (),
+        warnings=log.warnings,
+    )
+
+
+def _channel(log: Log, channel: str) -> ChannelInfo:
+    column, factor = door_column(channel, log.units[channel])
+    values = log[channel] / factor
+    steps = np.abs(np.diff(values))
+    # Conversion to SI and back leaves steps of 1e-16 of the value between equal readings.
+    real = steps[steps > 1e-12 * max(1.0, float(np.abs(values).max()))]
+    resolution = float(real.min()) if real.size else 0.0
+    rms = float(np.sqrt(np.mean(np.square(values))))
+    return ChannelInfo(column, float(values.min()), float(values.max()), rms, resolution)
+
+
+def _excitation(log: Log) -> Excitation | None:
+    inputs = [c for c in log if log.units[c] in INPUT_UNITS and c != "ref"]
+    positions = [c for c in log if log.units[c] in ("rad", "m")]
+    speeds = [c for c in log if log.units[c] in ("rad/s", "m/s") and c != "ref"]
+    load = [c for c in positions if c == "theta_L"] or positions
+    if not inputs or not (positions or speeds):
+        return None
+    step = log.sample_time
+    position = log[load[0]] if load else step * np.cumsum(log[speeds[0]])
+    raw = log[speeds[0]] if speeds else np.gradient(position, step)
+    width = max(1, round(SMOOTH / step))
+    speed = np.convolve(raw, np.full(width, 1 / width), mode="same")
+    top = float(np.abs(speed).max())
+    moving = np.abs(speed) > REST_SHARE * top
+    signs = np.sign(speed[moving])
+    command = sum((log[c] for c in inputs), np.zeros(len(log)))
+    preload = (
+        float(np.median(log["u_left"] - log["u_right"])) if log.has("u_left", "u_right") else 0
+    )
+    return Excitation(
+        travel=float(np.ptp(position)),
+        unit=log.units[load[0]] if load else "rad",
+        top_speed=top,
+        slow_share=float(np.mean(moving & (np.abs(speed) < 0.2 * top))),
+        reversals=int((np.diff(signs) != 0).sum()),
+        both_ways=bool((signs > 0).any() and (signs < 0).any()),
+        stops=int((np.diff(moving.astype(int)) == -1).sum()),
+        bandwidth=_bandwidth(command, step),
+        zero_crossings=int((np.diff(np.sign(command[command != 0])) != 0).sum()),
+        preload=preload,
+        both_sides=len(positions) > 1,
+        angle_and_speed=bool(positions and speeds),
+        duration=log.duration,
+    )
+
+
+def _bandwidth(values: Array, step: float) -> float:
+    """Frequency below which 99 % of the power lies, the mean left out [Hz]."""
+    power = np.square(np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))))
+    total = np.cumsum(power)
+    if total[-1] <= 0:
+        return 0.0
+    return float(np.searchsorted(total, 0.99 * total[-1])) / (values.size * step)
+
+
+# What an experiment must have, in words for people, and the rule of thumb behind it.
+_Need = tuple[str, Callable[[Excitation], bool]]
+_MOTION: _Need = ("motion", lambda e: e.top_speed > 0)
+_BOTH_WAYS: _Need = ("motion in both directions", lambda e: e.both_ways)
+_REVERSALS: _Need = ("four reversals or more", lambda e: e.reversals >= 4)
+_BOTH_SIDES: _Need = ("angles of motor and load", lambda e: e.both_sides)
+_PAIR: _Need = ("angle and speed of one shaft", lambda e: e.angle_and_speed)
+_FAST_INPUT: _Need = ("input above 20 Hz (multisine, square)", lambda e: e.bandwidth > 20)
+_PRELOAD: _Need = ("a lasting difference of the two inputs (preload)", lambda e: e.preload != 0)
+_STOPS: _Need = ("two stops or more", lambda e: e.stops >= 2)
+_SLOW: _Need = ("time at low speed", lambda e: e.slow_share > 0.02)
+_LONG: _Need = ("20 s or more", lambda e: e.duration >= 20)
+_CROSSINGS: _Need = ("an input that crosses zero", lambda e: e.zero_crossings >= 2)
+
+
+def _turned(degrees: float) -> _Need:
+    def enough(e: Excitation) -> bool:
+        return e.unit != "rad" or e.travel >= np.radians(degrees)
+
+    return f"travel of {degrees:g} degrees or more", enough
+
+
+NEEDS: dict[str, tuple[_Need, ...]] = {
+    "backlash": (_REVERSALS,),
+    "backlash_variation": (_REVERSALS, _turned(90)),
+    "base_vibration": (_MOTION,),
+    "cable_spring": (_turned(30),),
+    "cogging": (_MOTION,),
+    "coulomb_friction": (_BOTH_WAYS,),
+    "current_lag": (_FAST_INPUT,),
+    "drive_dead_band": (_CROSSINGS,),
+    "drive_delay": (_FAST_INPUT,),
+    "drive_offset": (_BOTH_WAYS,),
+    "encoder_eccentricity": (_PAIR, _turned(180)),
+    "friction_asymmetry": (_BOTH_WAYS, _REVERSALS),
+    "load_dependent_friction": (_PRELOAD,),
+    "local_spot": (_turned(30), _BOTH_WAYS),
+    "mesh_error": (_BOTH_SIDES, _turned(10)),
+    "pinion_runout": (_BOTH_SIDES, _turned(45)),
+    "position_dependent_friction": (_BOTH_WAYS, _turned(30)),
+    "presliding": (_STOPS,),
+    "quadratic_drag": (_MOTION, _SLOW),
+    "reducer_compliance": (_BOTH_SIDES, _FAST_INPUT),
+    "ring_gear_eccentricity": (_BOTH_SIDES, _turned(90)),
+    "sensor_delay": (_PAIR,),
+    "sensor_gain": (_PAIR,),
+    "shaft_compliance": (_FAST_INPUT,),
+    "stribeck_friction": (_SLOW, _REVERSALS),
+    "thermal_drift": (_LONG,),
+    "torque_constant_mismatch": (_BOTH_SIDES,),
+    "unbalance": (_turned(30), _BOTH_WAYS),
+    "viscous_friction": (_MOTION, _SLOW),
+}
+
+
+def _testable(excitation: Excitation) -> tuple[Testability, ...]:
+    results = []
+    for effect, needs in NEEDS.items():
+        lacks = tuple(words for words, met in needs if not met(excitation))
+        results.append(Testability(effect, not lacks, lacks))
+    return tuple(results)

@@ -1,0 +1,96 @@
+"""Each effect of the catalogue once by hand, written out with numbers, not with its code."""
+
+from math import cos, e, exp, pi, sin, sqrt
+
+import pytest
+
+from dmptm_ctrl.effects import CATALOGUE
+
+# name, parameters, arguments of the kernel, result
+BY_HAND = [
+    ("drive_delay", (0.004,), (0,), 0.004),
+    ("drive_offset", (0.02, -0.01), (0.5, 1.0, 0), 0.52),
+    ("drive_offset", (0.02, -0.01), (0.5, 1.0, 1), 0.49),
+    ("drive_dead_band", (0.1,), (0.5, 0.0, 0), 0.4),
+    ("drive_dead_band", (0.1,), (-0.5, 0.0, 1), -0.4),
+    ("drive_dead_band", (0.1,), (-0.05, 0.0, 1), 0.0),
+    ("torque_constant_mismatch", (0.1,), (0.5, 0.0, 0), 0.55),
+    ("torque_constant_mismatch", (0.1,), (0.5, 0.0, 1), 0.45),
+    ("drive_saturation", (2.0,), (0.7, 0.0, 0), 0.5),
+    ("drive_saturation", (2.0,), (-0.7, 0.0, 1), -0.5),
+    ("drive_saturation", (2.0,), (0.3, 0.0, 1), 0.3),
+    ("current_lag", (0.003,), (0.7, 0), (0.7, 0.003)),
+    ("cogging", (0.02, 0.01, 0.03, 0.04, 6.0), (pi / 6, 1.0, 0.0, 0), -0.02),
+    ("cogging", (0.02, 0.01, 0.03, 0.04, 6.0), (pi / 12, 1.0, 0.0, 1), 0.04),
+    ("back_emf", (0.002,), (3.0, 20.0, 0.0, 1), -0.04),
+    # two inertias of 0.125 kg·m² reduce to 0.0625; 2 · 0.03 · √(0.0625/1e-4) = 1.5
+    ("reducer_compliance", (1e-4,), (0.0625,), (1e-4, 1.5)),
+    ("pinion_runout", (0.001, 0.002, 0.003, 0.004), (pi / 2, 2.0, 9.0, 9.0, 0),
+     (0.002, -0.002, 0.0, 0.0)),
+    ("pinion_runout", (0.001, 0.002, 0.003, 0.004), (0.0, 2.0, 9.0, 9.0, 1),
+     (0.003, 0.008, 0.0, 0.0)),
+    ("ring_gear_eccentricity", (0.001, 0.002), (9.0, 9.0, pi / 2, 2.0, 0),
+     (0.002, -0.002, 0.0, 0.0)),
+    # the right pinion sits 120° further on: cos 120° = −1/2, sin 120° = √3/2
+    ("ring_gear_eccentricity", (0.002, 0.0), (9.0, 9.0, 0.0, 1.0, 1),
+     (-0.001, -0.001 * sqrt(3.0), 0.0, 0.0)),
+    ("backlash_variation", (0.002, 0.001), (9.0, 9.0, pi / 2, 1.0, 0), (0.0, 0.0, 0.001, 0.0)),
+    ("backlash_variation", (0.002, 0.0), (9.0, 9.0, 0.0, 1.0, 1), (0.0, 0.0, -0.001, 0.0)),
+    # 20 teeth: a quarter of a tooth is 2π/80
+    ("mesh_error", (1e-4, 2e-4), (pi / 40, 3.0, 9.0, 9.0, 0), (2e-4, -6e-3, 0.0, 0.0)),
+    ("load_dependent_friction", (0.1,), (0.0, 1.0, 0.0, -30.0, 0), (1.0, 3.0)),
+    ("load_dependent_friction", (0.1,), (0.0, 1.0, 0.0, 30.0, 2), (1.0, 0.0)),
+    ("position_dependent_friction", (2.0, 1.0), (pi / 2, 1.0, 0.0, 5.0, 2), (1.0, 1.0)),
+    ("position_dependent_friction", (2.0, 1.0), (pi, -1.0, 0.0, 5.0, 2), (1.0, -2.0)),
+    ("position_dependent_friction", (2.0, 1.0), (pi, -1.0, 0.0, 5.0, 0), (1.0, 0.0)),
+    ("local_spot", (10.0, 3.0, 0.1), (3.1, 1.0, 0.0, 5.0, 2), (1.0, 10.0 / sqrt(e))),
+    # across ±π: −3.1 is 2π − 6.1 = 0.183 from 3
+    ("local_spot", (10.0, 3.0, 0.1), (-3.1, 1.0, 0.0, 5.0, 2),
+     (1.0, 10.0 * exp(-0.5 * ((2 * pi - 6.1) / 0.1) ** 2))),
+    ("local_spot", (10.0, 3.0, 0.1), (3.0, 1.0, 0.0, 5.0, 1), (1.0, 0.0)),
+    ("thermal_drift", (0.4, 6.0), (0.0, 1.0, 6.0, 5.0, 1), (1.0 + 0.4 / e, 0.0)),
+    ("presliding", (5e-4, 1e-4), (1,), 5e-4),
+    ("presliding", (5e-4, 1e-4), (2,), 1e-4),
+    ("unbalance", (3.0, 4.0), (pi / 2, 1.0, 0.0), 4.0),
+    ("unbalance", (3.0, 4.0), (pi, -1.0, 0.0), -3.0),
+    ("cable_spring", (5.0, 2.0), (0.5, 1.0, 0.0), -0.5),
+    ("quadratic_drag", (10.0,), (0.0, 0.2, 0.0), -0.4),
+    ("quadratic_drag", (10.0,), (0.0, -0.2, 0.0), 0.4),
+    ("base_vibration", (3.0, 4.0, 5.0), (0.0, 0.0, 0.05), 4.0),  # a quarter period of 5 Hz
+    ("base_vibration", (3.0, 4.0, 5.0), (0.0, 0.0, 0.1), -3.0),
+    ("encoder_eccentricity", (0.001, 0.002), (pi / 2, 1.0, 0.0), (pi / 2 + 0.002, 1.0)),
+    ("encoder_eccentricity", (0.001, 0.002), (1.0, 1.0, 0.0),
+     (1.0 + 0.001 * cos(1.0) + 0.002 * sin(1.0), 1.0)),
+    ("sensor_gain", (0.05,), (2.0, 0.4, 0.0), (2.0, 0.42)),
+    ("sensor_delay", (0.006,), (), 0.006),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "values", "arguments", "expected"), BY_HAND)
+def test_by_hand(name, values, arguments, expected):
+    effect = CATALOGUE[name]
+    result = effect.kernel(*arguments, effect.values(*values))
+    assert result == pytest.approx(expected, rel=1e-12, abs=1e-15)
+
+
+def test_every_effect_of_this_package_is_done_by_hand():
+    own = {n for n, e in CATALOGUE.items() if e.kernel.__module__.startswith("dmptm_ctrl.")}
+    assert {name for name, *_ in BY_HAND} == own
+
+
+SHIFTED = ["pinion_runout", "ring_gear_eccentricity", "mesh_error"]
+
+
+@pytest.mark.parametrize("name", SHIFTED)
+@pytest.mark.parametrize("side", [0, 1])
+def test_rate_of_a_mesh_shift_is_its_derivative(name, side):
+    """Along a motion with pinion at 3 rad/s and ring gear at 0.4 rad/s."""
+    effect = CATALOGUE[name]
+    p = effect.values(*(1e-3 * (i + 1) for i in range(len(effect.parameters))))
+
+    def at(t):
+        return effect.kernel(0.3 + 3.0 * t, 3.0, 0.7 + 0.4 * t, 0.4, side, p)
+
+    h = 1e-5
+    slope = (at(h)[0] - at(-h)[0]) / (2 * h)
+    assert at(0.0)[1] == pytest.approx(slope, rel=1e-6)

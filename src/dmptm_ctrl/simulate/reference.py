@@ -21,7 +21,7 @@ from dmptm_ctrl.simulate.plain import RING, Sites, mesh_region, region_torque
 STATES = 15
 ANGLE, SPEED, MOTOR, MOTOR_SPEED, LAGGED, BRISTLE = 0, 3, 6, 8, 10, 12
 Hold = tuple[float, float, tuple[float, float]]  # start, end [s], voltages [V]
-ATOL = 1e-12  # rad, rad/s: 4e-8 N·m in the mesh
+ATOL = 1e-14  # rad, rad/s: 4e-10 N·m in the mesh
 EVENT_TIME = 1e-12  # s, to which a switch is located
 CHECKS = (0.25, 0.5, 0.75, 1.0)  # of a step, where the mode is checked
 MAX_SWITCHES = 1000  # in one hold of the voltage; beyond, the mode chatters

@@ -1,0 +1,88 @@
+"""The paper's PI loop on the ring-gear speed (Fig. 15), as python-control systems.
+
+u = kp e + ki ∫ e dt,   e = ref − ω_L, the same voltage on both motors
+"""
+
+import control as ct
+import numpy as np
+
+
+def pi_controller(kp: float, ki: float) -> ct.StateSpace:
+    """Return G_c(s) = kp + ki/s from ``error`` [rad/s] to ``u`` [V].
+
+    Parameters
+    ----------
+    kp : float [V/(rad/s)]
+    ki : float [V/rad]
+    """
+    return ct.ss(
+        [[0.0]],
+        [[1.0]],
+        [[ki]],
+        [[kp]],
+        states=["integral"],
+        inputs=["error"],
+        outputs=["u"],
+        name="pi",
+    )
+
+
+def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
+    """Return the plant from one voltage ``u`` on both motors to one output.
+
+    Raises
+    ------
+    ValueError
+        The plant has no such output, or not two inputs.
+    """
+    if plant.ninputs != 2:
+        raise ValueError(f"the plant has {plant.ninputs} inputs, two motors make 2")
+    if output not in plant.output_labels:
+        raise ValueError(f"no output {output!r}; the plant has {', '.join(plant.output_labels)}")
+    row = plant.output_labels.index(output)
+    return ct.ss(
+        plant.A,
+        plant.B.sum(axis=1, keepdims=True),
+        plant.C[[row]],
+        plant.D[[row]].sum(axis=1, keepdims=True),
+        states=plant.state_labels,
+        inputs=["u"],
+        outputs=[output],
+        name=plant.name,
+    )
+
+
+def close_speed_loop(plant: ct.StateSpace, kp: float, ki: float) -> ct.StateSpace:
+    """Close the PI loop of Fig. 15 around a linear drive.
+
+    Parameters
+    ----------
+    plant : StateSpace
+        Two voltages in, output ``omega_L`` among its outputs.
+    kp : float [V/(rad/s)]
+    ki : float [V/rad]
+
+    Returns
+    -------
+    StateSpace
+        From ``ref`` [rad/s] to ``omega_L`` [rad/s] and ``u`` [V].
+    """
+    drive = common_mode(plant)
+    compare = ct.summing_junction(inputs=["ref", "-omega_L"], output="error", name="compare")
+    return ct.interconnect(
+        [drive, pi_controller(kp, ki), compare],
+        inputs=["ref"],
+        outputs=["omega_L", "u"],
+        name=f"{plant.name}_closed",
+    )
+
+
+def loop_response(plant: ct.StateSpace, omega: float, sample_time: float) -> complex:
+    """Response of the plant under a sampled loop at one frequency, without the controller.
+
+    The hold between samples adds half a sample of delay: its factor is
+    (1 − e^{−jωT})/(jωT).
+    """
+    x = omega * sample_time
+    hold = 1.0 if x == 0.0 else (1.0 - np.exp(-1j * x)) / (1j * x)
+    return complex(plant(1j * omega) * hold)

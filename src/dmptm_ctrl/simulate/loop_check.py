@@ -1,0 +1,95 @@
+"""What a PI loop does on the nonlinear drive: overshoot, settling, limit cycle."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import periodogram
+
+from dmptm_ctrl.simulate.compiled import Loop, close_loop
+from dmptm_ctrl.simulate.model import Floats, Model
+
+BAND = 0.05  # of the step; settled is inside, and what stays outside after that oscillates
+QUIET = 0.01  # of the step; amplitude below which an oscillation is called excluded
+LASTING = 0.5  # the second half of the observation keeps this share of the first's amplitude
+
+
+class LoopCheck(NamedTuple):
+    """Step of the setpoint from rest.
+
+    Attributes
+    ----------
+    overshoot : float
+        Largest excess over the step, relative to it.
+    settling_time : float [s]
+        From when the speed, averaged over `window`, stays within 5 % of the step; infinite
+        if it never does.
+    limit_cycle_amplitude : float [rad/s]
+        Of the lasting oscillation, √2 times its standard deviation; 0 where it is excluded.
+    limit_cycle_hz : float
+        Its strongest line; 0 where it is excluded.
+    time, omega_L, ref : (n,) arrays [s, rad/s, rad/s]
+    """
+
+    overshoot: float
+    settling_time: float
+    limit_cycle_amplitude: float
+    limit_cycle_hz: float
+    time: Floats
+    omega_L: Floats
+    ref: Floats
+
+
+def check_loop(
+    model: Model,
+    loop: Loop,
+    speed: float,
+    *,
+    duration: float = 6.0,
+    sample_time: float = 1e-3,
+    window: float = 0.02,
+) -> LoopCheck:
+    """Step the setpoint from rest and judge the ring-gear speed.
+
+    Parameters
+    ----------
+    model : Model
+    loop : Loop
+    speed : float [rad/s]
+        Height of the step, not 0. Try slow ones: sticking shows there.
+    duration : float [s]
+        The last two thirds are watched for a limit cycle.
+    sample_time : float [s]
+    window : float [s]
+        Running mean before judging overshoot and settling: rattle of the pinions above
+        1/window is not the loop's.
+
+    Raises
+    ------
+    ValueError
+        A step of height 0.
+    """
+    if speed == 0.0:
+        raise ValueError("a step of height 0 has no overshoot")
+    n = round(duration / sample_time)
+    time = np.asarray(np.arange(n) * sample_time, float)
+    ref = np.full(n, speed, float)
+    out = close_loop(model, loop, ref, sample_time)[1]
+    omega = out[:, 1]
+    width = max(1, round(window / sample_time))
+    smooth = np.convolve(omega, np.ones(width) / width, "same") / speed
+    smooth = smooth[: n - width]  # the mean is one-sided at the end
+    outside = np.flatnonzero(np.abs(smooth - 1.0) > BAND)
+    last = outside[-1] + 1 if outside.size else 0
+    settling = time[last] if last < smooth.size else np.inf
+    amplitude, hz = _limit_cycle(omega[n // 3 :], sample_time, abs(speed))
+    return LoopCheck(max(float(smooth.max()) - 1.0, 0.0), settling, amplitude, hz, time, omega, ref)
+
+
+def _limit_cycle(omega: Floats, dt: float, scale: float) -> tuple[float, float]:
+    """Amplitude and frequency of an oscillation that does not die out; zeros if there is none."""
+    first, second = np.array_split(omega, 2)
+    early, late = (np.sqrt(2.0) * float(np.std(part)) for part in (first, second))
+    if late < QUIET * scale or late < LASTING * early:
+        return 0.0, 0.0
+    hz, power = periodogram(second, 1.0 / dt, window="hann", detrend="linear")
+    return late, float(hz[power.argmax()])

@@ -13,8 +13,22 @@ Source of the plant: Zheng et al. 2022, Tables 1 and 2, Eqs. 15 to 25, as correc
 `rigs.nominal`.
 """
 
-from rigs.catalogue import KNOWN
-from rigs.rig import Rig, make_rig
-from rigs.unknowns import UNKNOWN
+from pathlib import Path
+
+
+def _forget_stale_machine_code():
+    """Numba's cache of plant.py does not notice changes of the modules it calls."""
+    here = Path(__file__).parent
+    newest = max(path.stat().st_mtime for path in here.glob("*.py"))
+    for index in here.glob("__pycache__/plant.*.nbi"):
+        if index.stat().st_mtime < newest:
+            index.unlink(missing_ok=True)
+
+
+_forget_stale_machine_code()
+
+from rigs.catalogue import KNOWN  # noqa: E402  after the cache is clean
+from rigs.rig import Rig, make_rig  # noqa: E402
+from rigs.unknowns import UNKNOWN  # noqa: E402
 
 __all__ = ["KNOWN", "UNKNOWN", "Rig", "make_rig"]

@@ -12,6 +12,8 @@ from rigs.nominal import REDUCER_RATIO
 @njit(inline="always")
 def amplifier(p, m, side, u, time, step):
     """Voltage that takes effect during one fine step [V]; u is the delayed command."""
+    if p.command_step > 0.0:
+        u = p.command_step * math.floor(u / p.command_step + 0.5)
     if p.slew > 0.0:
         limit = p.slew * step
         u = m[SLEWED + side] + min(limit, max(-limit, u - m[SLEWED + side]))
@@ -22,13 +24,13 @@ def amplifier(p, m, side, u, time, step):
     if p.saturation > 0.0:
         u = min(p.saturation, max(-p.saturation, u))
     if p.sag > 0.0:
-        if abs(u) > p.sag_voltage and time >= m[SAG_UNTIL]:
+        # Up again, the supply holds for as long as it was down.
+        if abs(u) > p.sag_voltage and time >= m[SAG_UNTIL] + p.sag_time:
             m[SAG_UNTIL] = time + p.sag_time
         if time < m[SAG_UNTIL]:
             u *= 1.0 - p.sag
-    if p.cut_length > 0.0 and side == p.cut_motor:
-        if time >= p.cut_start and (time - p.cut_start) % p.cut_period < p.cut_length:
-            u = 0.0
+    if p.cut_length > 0.0 and side == p.cut_motor and time >= p.cut_start:
+        u *= (time - p.cut_start) % p.cut_period >= p.cut_length
     return u
 
 

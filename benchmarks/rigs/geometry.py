@@ -8,6 +8,7 @@ import math
 
 from numba import njit
 
+from rigs.layout import SLIPPED
 from rigs.nominal import PINION_SPACING, PINION_TEETH, RING_RATIO
 
 
@@ -18,10 +19,12 @@ def wrap(angle):
 
 
 @njit(inline="always")
-def twist(p, side, pinion, ring, pinion_speed, ring_speed):
+def twist(p, m, side, pinion, ring, pinion_speed, ring_speed):
     """(z [rad], its rate [rad/s]) at the pinion."""
     z = pinion - RING_RATIO * ring
     rate = pinion_speed - RING_RATIO * ring_speed
+    if p.slip_torque > 0.0:
+        z -= m[SLIPPED + side]
     if p.runout[side] != 0.0:
         angle = pinion + p.runout_phase[side]
         z += p.runout[side] * math.cos(angle)
@@ -43,3 +46,13 @@ def half_gap(p, side, ring):
     if p.gap_variation != 0.0:
         gap *= 1.0 + p.gap_variation * math.cos(ring + side * PINION_SPACING + p.gap_phase)
     return gap
+
+
+@njit(inline="always")
+def soft_flank(p, z, rate, gap):
+    """Twist and rate with a forward flank that hardens: d becomes d^2/(d + softness)."""
+    d = z - gap
+    if p.soft_tooth == 0.0 or d <= 0.0:
+        return z, rate
+    whole = d + p.soft_tooth
+    return gap + d * d / whole, rate * d * (d + 2.0 * p.soft_tooth) / (whole * whole)

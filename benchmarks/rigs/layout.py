@@ -38,7 +38,9 @@ SLEWED = 7  # V, output of the rate limit, left, right
 SAG_UNTIL = 9  # s, the supply stays down until then
 GRABBED = 10  # 1 while the high-speed brake holds
 HOOKED = 11  # 1 while the hook is engaged
-MEMORY = 12
+SLIPPED = 12  # rad that the pinion turned on its hub, left, right
+TOOTH = 14  # N·m, mesh torque at the start of the step, left, right
+MEMORY = 16
 
 DETENTS = 24
 
@@ -74,7 +76,7 @@ FIELDS = [
     ("dwell_rise", "f8"), ("dwell_time", "f8"),
     ("ripple", "f8"), ("ripple_order", "f8"), ("ripple_phase", "f8"),
     ("detent", "f8"), ("detent_width", "f8"), ("detent_place", "f8", DETENTS),
-    ("soft_tooth", "f8"), ("soft_torque", "f8"),
+    ("soft_tooth", "f8"), ("command_step", "f8"),
     ("flash_rise", "f8"), ("flash_heat", "f8"), ("flash_time", "f8"),
     ("sector_brake", "f8"), ("sector_place", "f8"), ("sector_half", "f8"),
     ("slosh_inertia", "f8"), ("slosh_rate", "f8"), ("slosh_damping", "f8"),
@@ -83,8 +85,10 @@ FIELDS = [
     ("sag", "f8"), ("sag_voltage", "f8"), ("sag_time", "f8"),
     ("dead_sector", "f8"), ("dead_sector_place", "f8"), ("dead_sector_half", "f8"),
     ("regeneration", "f8"),
-    ("slip_torque", "f8"),
+    ("slip_torque", "f8"), ("slip_damping", "f8"),
     ("hook", "f8"), ("hook_on", "f8"), ("hook_off", "f8"),
+    ("howl", "f8"), ("howl_order", "f8"), ("howl_phase", "f8"), ("howl_speed", "f8"),
+    ("howl_width", "f8"),
     ("knock", "f8"), ("knock_period", "f8"), ("knock_length", "f8"), ("knock_start", "f8"),
 ]  # fmt: skip
 RECORD = np.dtype(FIELDS)

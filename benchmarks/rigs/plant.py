@@ -13,7 +13,7 @@ from numba import njit
 from rigs.contact import mesh_torque
 from rigs.drive import amplifier, motor_torque
 from rigs.friction import breakaway, friction
-from rigs.geometry import half_gap, twist
+from rigs.geometry import half_gap, soft_flank, twist
 from rigs.layout import (
     ANGLE,
     BRISTLE,
@@ -28,6 +28,7 @@ from rigs.layout import (
     SLOSH_SPEED,
     SPEED,
     STATES,
+    TOOTH,
     TWO_STATE,
 )
 from rigs.nominal import REDUCER_RATIO, RING_RATIO
@@ -46,13 +47,14 @@ def derivative(time, y, dy, p, m, volts, mode, decide):
     load = 0.0
     for i in range(2):
         pinion, speed = y[ANGLE + i], y[SPEED + i]
-        z, rate = twist(p, i, pinion, ring, speed, ring_speed)
+        z, rate = twist(p, m, i, pinion, ring, speed, ring_speed)
         gap = half_gap(p, i, ring)
+        z, rate = soft_flank(p, z, rate, gap)
         tooth, dy[GAP + i] = mesh_torque(
             z, rate, y[GAP + i], gap, p.contact, p.stiffness, p.damping, p.gap_damping
         )
-        if p.slip_torque > 0.0:
-            tooth = p.slip_torque * math.tanh(tooth / p.slip_torque)
+        if decide:
+            m[TOOTH + i] = tooth
         load += RING_RATIO * tooth
 
         voltage = volts[i]
@@ -168,8 +170,8 @@ def record_log(p, signal, closed, gains, preload, start, noise, substeps):
         y[ANGLE + i] = y[MOTOR_ANGLE + i] = RING_RATIO * start
     history = np.zeros(_HISTORY)
     step = SAMPLE / substeps
-    late_gyro = min(_HISTORY - 1, int(round(p.gyro_delay / step)))
-    late_drive = int(round(p.delay / step))
+    late_gyro = min(_HISTORY - 1, round(p.gyro_delay / step))
+    late_drive = round(p.delay / step)
     integral = 0.0
     fine = 0
     for k in range(n):

@@ -3,6 +3,7 @@
 import gzip
 import json
 import math
+import shutil
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ import pandas as pd
 
 from rigs import experiments, nominal
 from rigs.catalogue import KNOWN
-from rigs.layout import CONTACT_LAWS, FRICTION_LAWS, RECORD, RING
+from rigs.layout import CONTACT_LAWS, FRICTION_LAWS, RECORD
 from rigs.nominal import DEG
 from rigs.plant import SAMPLE, record_log
 from rigs.unknowns import UNKNOWN
@@ -45,18 +46,11 @@ class Rig:
     record: np.ndarray = field(repr=False)  # of layout.RECORD, one element
 
     def save(self, folder):
-        """Write logs, hidden/ logs and label.json; the folder appears when whole."""
-        folder = Path(folder)
-        made = folder.with_name(folder.name + ".part")
-        made.mkdir(parents=True, exist_ok=True)
-        for name, log in self.logs.items():
-            write_log(log, made / f"{name}.csv.gz")
+        """Write the logs and label.json into a new folder, hidden logs into hidden/."""
+        folder = write_folder(self.logs, folder)
         if self.hidden:
-            (made / "hidden").mkdir(exist_ok=True)
-            for name, log in self.hidden.items():
-                write_log(log, made / "hidden" / f"{name}.csv.gz")
-        (made / "label.json").write_text(json.dumps(self.label, indent=1) + "\n")
-        made.rename(folder)
+            write_folder(self.hidden, folder / "hidden")
+        (folder / "label.json").write_text(json.dumps(self.label, indent=1) + "\n")
 
 
 def make_rig(
@@ -70,6 +64,7 @@ def make_rig(
     logs="paper",
     spread=None,
     step=FINE_STEP,
+    noise_seed=None,
 ):
     """Draw a rig of the paper's kind and run its experiments.
 
@@ -87,51 +82,60 @@ def make_rig(
         Drawn if left out.
     hidden_logs : int
         Further logs at other amplitudes and phases, kept for scoring predictions.
-    logs : {"paper", "other"}
-        The ten usual logs, or ten others.
+    logs : {"paper", "other"} or collection of str
+        The ten usual logs, ten others, or only these of the usual ones.
     spread : float, optional
         Half-width of all parameter draws, relative; without it `nominal.SPREAD`.
     step : float
         Fine step of the integrator [s]; must divide a sample.
+    noise_seed : int, optional
+        Measures the same rig once more, with other noise.
 
     Returns
     -------
     Rig
     """
     check(effects, sensors, friction, contact, logs, step)
-    streams = np.random.SeedSequence(seed).spawn(4)
-    plant, starts, noise, later = (np.random.default_rng(s) for s in streams)
+    streams = np.random.SeedSequence(seed).spawn(3)
+    plant, starts, later = (np.random.default_rng(s) for s in streams)
     laws = {
         "friction": friction or str(plant.choice(list(FRICTION_LAWS))),
         "contact": contact or str(plant.choice(list(CONTACT_LAWS))),
     }
     drawn_sensors = str(plant.choice(["all", "load"]))
+    sensors = sensors or drawn_sensors
     record = draw_plant(plant, laws, spread)
     label = {
         "effects": [title(name) for name, _ in effects],
-        "sensors": sensors or drawn_sensors,
+        "sensors": sensors,
         "seed": seed,
-        "depends_on": sorted({v for name, _ in effects if name in UNKNOWN for v in UNKNOWN[name][1]}),
-        "strengths": {name: strength for name, strength in effects},
+        "depends_on": depends_on(effects),
+        "strengths": dict(effects),
         "effect_parameters": {},
         "laws": laws,
     }
     label["plant"] = plain({n: record[0][n] for n in RECORD.names if np.any(record[0][n])})
     p = record.view(np.recarray)[0]
     for name, strength in effects:
-        rng = np.random.default_rng([zlib.crc32(name.encode()), seed])
+        rng = stream(name, seed)
         draw = KNOWN[name] if name in KNOWN else UNKNOWN[name][0]
         label["effect_parameters"][name] = plain(draw(p, rng, strength))
 
-    ten = experiments.paper(starts) if logs == "paper" else experiments.others(starts, 10)
+    ten = experiments.others(starts, 10) if logs == "other" else experiments.paper(starts)
+    if logs not in ("paper", "other"):
+        ten = {name: ten[name] for name in logs}
     hidden = experiments.others(later, hidden_logs, "hidden")
-    columns = ("sensors", label["sensors"])
-    return Rig(
-        label,
-        {n: run(record, e, noise, columns[1], step) for n, e in ten.items()},
-        {n: run(record, e, later, columns[1], step) for n, e in hidden.items()},
-        record,
-    )
+
+    def measure(tables):
+        noise = seed if noise_seed is None else noise_seed
+        return {n: run(record, e, stream(n, noise), sensors, step) for n, e in tables.items()}
+
+    return Rig(label, measure(ten), measure(hidden), record)
+
+
+def stream(name, seed):
+    """A generator of its own for each effect and each log."""
+    return np.random.default_rng([zlib.crc32(name.encode()), seed])
 
 
 def check(effects, sensors, friction, contact, logs, step):
@@ -144,13 +148,22 @@ def check(effects, sensors, friction, contact, logs, step):
         "sensors": (sensors, (None, "all", "load")),
         "friction": (friction, (None, *FRICTION_LAWS)),
         "contact": (contact, (None, *CONTACT_LAWS)),
-        "logs": (logs, ("paper", "other")),
     }
     for what, (value, choices) in allowed.items():
         if value not in choices:
             raise ValueError(f"{what} is {value!r}, it must be one of {choices}")
+    known = experiments.paper(np.random.default_rng(0))
+    if logs not in ("paper", "other") and not (
+        not isinstance(logs, str) and logs and set(logs) <= set(known)
+    ):
+        raise ValueError(f"logs is {logs!r}, it must be 'paper', 'other' or some of {[*known]}")
     if abs(SAMPLE / step - round(SAMPLE / step)) > 1e-9:
         raise ValueError(f"step {step} s does not divide a sample of {SAMPLE} s")
+
+
+def depends_on(effects):
+    """Variables of the effects on no list; named effects have none, as in a diagnosis."""
+    return sorted({v for name, _ in effects if name in UNKNOWN for v in UNKNOWN[name][1]})
 
 
 def title(name):
@@ -220,7 +233,7 @@ def run(record, experiment, rng, sensors, step):
         table["theta_mr_deg"] = quantise(raw[5], MOTOR_ENCODER) / DEG
     if experiment.closed:
         table["ref_deg_s"] = experiment.signal
-    return pd.DataFrame({name: np.round(x, DECIMALS[name]) for name, x in table.items()})
+    return pd.DataFrame({name: np.round(x, DECIMALS[name]) + 0.0 for name, x in table.items()})
 
 
 def quantise(angle, count):
@@ -233,6 +246,19 @@ def write_log(log, path):
     text = "".join(row % values for values in zip(*(log[c] for c in log.columns), strict=True))
     with open(path, "wb") as raw, gzip.GzipFile(fileobj=raw, mode="wb", mtime=0) as packed:
         packed.write((",".join(log.columns) + "\n" + text).encode())
+
+
+def write_folder(logs, folder):
+    """Write logs into a folder that appears under its name only when it is whole."""
+    folder = Path(folder)
+    part = folder.with_name(folder.name + ".part")
+    part.mkdir(parents=True, exist_ok=True)
+    for name, log in logs.items():
+        write_log(log, part / f"{name}.csv.gz")
+    if folder.is_dir():
+        shutil.rmtree(folder)
+    part.rename(folder)
+    return folder
 
 
 def plain(value):

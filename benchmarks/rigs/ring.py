@@ -5,10 +5,11 @@ import math
 from numba import njit
 
 from rigs.geometry import wrap
-from rigs.layout import DETENTS, GRABBED, HEAT, HOOKED, REST_TIME, RING, SLIP
+from rigs.layout import DETENTS, GRABBED, HEAT, HOOKED, REST_TIME, RING, SLIP, SLIPPED, TOOTH
 
 # A bearing forgets its rest after this slip at the ring gear [rad].
 _FORGET = 2e-4
+_HOOK_REACH = 0.5  # rad past the release angle where the hook slips off
 
 
 @njit(inline="always")
@@ -38,7 +39,11 @@ def external_torque(p, m, time, angle, speed, voltage, slosh, slosh_rate):
         damper = 2.0 * p.slosh_damping * p.slosh_rate * (slosh_rate - speed)
         torque += p.slosh_inertia * (spring + damper)
     if p.hook != 0.0 and m[HOOKED] == 1.0:
-        torque -= p.hook * (angle - p.hook_off)
+        torque -= p.hook * wrap(angle - p.hook_off)
+    if p.howl != 0.0:
+        x = (abs(speed) - p.howl_speed) / p.howl_width
+        swing = math.cos(p.howl_order * angle + p.howl_phase)
+        torque += p.howl * math.exp(-0.5 * x * x) * swing
     if p.knock != 0.0 and time >= p.knock_start:
         since = (time - p.knock_start) % p.knock_period
         if since < p.knock_length:
@@ -67,7 +72,7 @@ def extra_friction(p, m, angle, speed):
 
 @njit(inline="always")
 def remember(p, m, angle, speed, step):
-    """Advance what the ring gear remembers by one fine step."""
+    """Advance what the mechanics remember by one fine step."""
     if p.dwell_rise != 0.0:
         if abs(speed) < 1e-3:
             if m[SLIP + RING] > 3.0 * _FORGET:
@@ -83,8 +88,14 @@ def remember(p, m, angle, speed, step):
             m[GRABBED] = 1.0
         elif abs(speed) < p.grab_off:
             m[GRABBED] = 0.0
+    if p.slip_torque > 0.0:
+        for i in range(2):
+            over = abs(m[TOOTH + i]) - p.slip_torque
+            if over > 0.0:
+                m[SLIPPED + i] += step * math.copysign(over / p.slip_damping, m[TOOTH + i])
     if p.hook != 0.0:
-        if angle > p.hook_on:
-            m[HOOKED] = 1.0
-        elif angle < p.hook_off:
+        past = wrap(angle - p.hook_off)
+        if past < 0.0 or past > _HOOK_REACH:
             m[HOOKED] = 0.0
+        elif past > p.hook_on:
+            m[HOOKED] = 1.0

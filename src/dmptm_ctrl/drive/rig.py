@@ -1,0 +1,337 @@
+"""A rig as data: bodies, what joins them, what drives them, what is measured.
+
+Made from a file by :func:`dmptm_ctrl.drive.rigfile.load_rig`.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from math import inf, isfinite, nan
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from dmptm_ctrl.drive.parameters import Quantity
+from dmptm_ctrl.signals import Column, Log, LogError, find_logs, load_log
+
+DEFAULT_TOLERANCE = 0.3  # of a declared value that does not state one; documented in rig_toml.md
+
+FRICTION = (  # names per direction; without _plus, _minus the same in both
+    *("static_plus", "coulomb_plus", "stribeck_speed_plus", "viscous_plus"),
+    *("static_minus", "coulomb_minus", "stribeck_speed_minus", "viscous_minus"),
+)
+
+
+def unknown(unit: str) -> Quantity:
+    """A positive quantity of which nothing is declared."""
+    return Quantity(nan, unit, 0.0, "unknown", low=0.0, high=inf)
+
+
+def is_known(quantity: Quantity | None) -> bool:
+    """Whether a value is declared."""
+    return quantity is not None and isfinite(quantity.value)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body with one coordinate, an angle [rad] or a position [m].
+
+    Attributes
+    ----------
+    inertia : Quantity
+        kg·m² for a rotary body, kg for a linear one.
+    friction : mapping
+        Declared friction: static, coulomb, stribeck_speed, viscous, each for both directions
+        or as _plus and _minus, and stribeck_exponent. Magnitudes; what is not there is not
+        declared.
+    """
+
+    name: str
+    inertia: Quantity
+    linear: bool = False
+    friction: Mapping[str, Quantity] = field(default_factory=dict)
+
+    @property
+    def angle_unit(self) -> str:
+        """SI unit of the coordinate."""
+        return "m" if self.linear else "rad"
+
+    @property
+    def force_unit(self) -> str:
+        """SI unit of what accelerates it."""
+        return "N" if self.linear else "N·m"
+
+
+@dataclass(frozen=True)
+class Link:
+    """A shaft or mesh between two bodies: twist z = q_first − ratio · q_second.
+
+    Attributes
+    ----------
+    stiffness : Quantity or None
+        At the first body; None is rigid.
+    half_gap : Quantity or None
+        Half of the backlash, at the first body; None is a shaft without gap.
+    """
+
+    name: str
+    first: str
+    second: str
+    ratio: Quantity
+    stiffness: Quantity | None = None
+    damping: Quantity | None = None
+    half_gap: Quantity | None = None
+    gap_damping: Quantity | None = None
+    mesh: bool = False
+
+    @property
+    def rigid(self) -> bool:
+        """Whether it is declared without compliance."""
+        return self.stiffness is None
+
+
+@dataclass(frozen=True)
+class Input:
+    """A motor or force on one body; torque = gain · signal.
+
+    Attributes
+    ----------
+    column : str
+        In the logs.
+    unit : str
+        Of the column.
+    sign : float
+        Factor on the column, as −1 where it counts the other way.
+    gain : Quantity
+        Torque or force on the body per SI unit of the signal; unknown: the torque is
+        then counted in the signal's unit.
+    back_emf : float
+        N·m·s/rad that a voltage-driven motor adds to viscous friction, k²/R.
+    delay, time_constant : Quantity or None
+        Declared dead time and first-order lag [s].
+    factors : mapping
+        What the gain is the product of (amplifier, torque_constant, …).
+    """
+
+    name: str
+    column: str
+    unit: str
+    body: str
+    gain: Quantity
+    sign: float = 1.0
+    back_emf: float = 0.0
+    delay: Quantity | None = None
+    time_constant: Quantity | None = None
+    limit: Quantity | None = None
+    factors: Mapping[str, Quantity] = field(default_factory=dict)
+
+    @property
+    def channel(self) -> str:
+        """Name of its signal in a loaded log."""
+        return f"in_{self.name}"
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A measured position or speed of one body.
+
+    Attributes
+    ----------
+    measures : {"position", "speed"}
+    resolution, noise : Quantity or None
+        Step of the reading and rms of its noise, SI.
+    absolute : bool
+        The reading's zero is the same in every log; an incremental encoder's is not.
+    """
+
+    name: str
+    column: str
+    unit: str
+    body: str
+    measures: str
+    sign: float = 1.0
+    resolution: Quantity | None = None
+    noise: Quantity | None = None
+    absolute: bool = False
+
+    @property
+    def channel(self) -> str:
+        """Name of its signal in a loaded log."""
+        return f"out_{self.name}"
+
+
+@dataclass(frozen=True)
+class Controller:
+    """The loop that ran while the logs were taken, sampled at the logs' rate.
+
+    Attributes
+    ----------
+    kind : {"pi_speed", "cascade"}
+        pi_speed: u = kp e + ki ∫e of the speed; cascade: u = kp kv (r − q) − kv ω.
+    gains : mapping
+        kp, ki, kv in SI.
+    reference : str
+        Column of the set point.
+    """
+
+    kind: str
+    input: str
+    sensor: str
+    gains: Mapping[str, float]
+    reference: str
+    reference_unit: str
+    limit: float = inf
+
+
+@dataclass(frozen=True)
+class DeclaredEffect:
+    """An effect that the declaration already contains."""
+
+    name: str
+    on: str
+    values: Mapping[str, Quantity]
+
+
+@dataclass(frozen=True)
+class DataSpec:
+    """How logs come in.
+
+    Attributes
+    ----------
+    time : (column, unit) or None
+        None: ``time_s``.
+    sample_time : float or None
+        Of logs without a time column [s].
+    fit, held_out : tuple of str
+        Patterns of log names; empty leaves the choice to the diagnosis.
+    """
+
+    time: tuple[str, str] | None = None
+    sample_time: float | None = None
+    fit: tuple[str, ...] = ()
+    held_out: tuple[str, ...] = ()
+    ignore: tuple[str, ...] = ()
+    start: float | None = None
+    stop: float | None = None
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A declared drive of any shape.
+
+    Attributes
+    ----------
+    bodies, links, inputs, sensors : tuples
+        In the order of the file.
+    """
+
+    name: str
+    bodies: tuple[Body, ...]
+    links: tuple[Link, ...]
+    inputs: tuple[Input, ...]
+    sensors: tuple[Sensor, ...]
+    effects: tuple[DeclaredEffect, ...] = ()
+    controller: Controller | None = None
+    data: DataSpec = field(default_factory=DataSpec)
+    source: str = ""
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def body(self, name: str) -> Body:
+        """Body by name."""
+        return next(b for b in self.bodies if b.name == name)
+
+    def link(self, name: str) -> Link:
+        """Shaft or mesh by name."""
+        return next(link for link in self.links if link.name == name)
+
+    def columns(self) -> dict[str, Column]:
+        """Columns of the logs that the rig needs, as the loaders take them."""
+        mapping: dict[str, Column] = {}
+        if self.data.time is not None:
+            column, unit = self.data.time
+            mapping[column] = Column("time", unit)
+        for item in (*self.inputs, *self.sensors):
+            mapping[item.column] = Column(item.channel, item.unit, item.sign)
+        if self.controller is not None:
+            mapping[self.controller.reference] = Column("reference", self.controller.reference_unit)
+        return mapping
+
+    def read(self, sources: Any) -> tuple[Log, ...]:
+        """Load logs of this rig.
+
+        Parameters
+        ----------
+        sources : path, or several paths, DataFrames or Logs
+            A folder stands for all logs in it, but those under ``[data] ignore``. Logs that
+            have the rig's channels already are taken as they are.
+
+        Returns
+        -------
+        tuple of Log
+            Channels ``in_NAME`` and ``out_NAME`` of the inputs and sensors, SI, in order of
+            the logs' names.
+
+        Raises
+        ------
+        LogError
+            As `load_log`; no log, or two of one name.
+        """
+        single = isinstance(sources, str | PathLike | Log) or hasattr(sources, "columns")
+        logs: list[Log] = []
+        for source in [sources] if single else sources:
+            if isinstance(source, str | PathLike):
+                files = [f for f in find_logs(source) if not self._ignored(f)]
+                logs += [self._load(f) for f in files]
+            elif isinstance(source, Log):
+                logs.append(self._checked(source))
+            else:
+                logs.append(self._load(source, name=f"table{len(logs) + 1}"))
+        if not logs:
+            raise LogError("no logs: every file is under [data] ignore of the rig file")
+        names = [log.name for log in logs]
+        twice = next((n for n in names if names.count(n) > 1), None)
+        if twice is not None:
+            raise LogError(f"two logs are named {twice}; rename one")
+        return tuple(sorted(logs, key=lambda log: log.name))
+
+    def _load(self, source: Any, **options: Any) -> Log:
+        columns = self.columns()
+        need = [c.channel for c in columns.values() if c.channel != "time"]
+        return self._cut(
+            load_log(
+                source,
+                columns,
+                required=need,
+                sample_time=self.data.sample_time,
+                resample=True,
+                **options,
+            )
+        )
+
+    def _checked(self, log: Log) -> Log:
+        need = [c.channel for c in self.columns().values() if c.channel != "time"]
+        missing = [c for c in need if c not in log]
+        if missing:
+            raise LogError(f"{log.name}: no channel {missing[0]!r} of rig {self.name!r}")
+        return self._cut(log)
+
+    def _cut(self, log: Log) -> Log:
+        if self.data.start is None and self.data.stop is None:
+            return log
+        low = float(log.time[0]) + (self.data.start or 0.0)
+        high = float(log.time[-1])
+        if self.data.stop is not None:
+            high = min(high, float(log.time[0]) + self.data.stop)
+        return log.segment(low, high)
+
+    def _ignored(self, path: Path) -> bool:
+        return any(fnmatchcase(path.name, p) for p in self.data.ignore)
+
+    def roles(self, names: Iterable[str]) -> dict[str, str]:
+        """Role that the file declares for logs: "fit", "held-out" or "" (no word)."""
+        found = {}
+        for name in names:
+            fit = any(fnmatchcase(name, p) for p in self.data.fit)
+            held = any(fnmatchcase(name, p) for p in self.data.held_out)
+            found[name] = "held-out" if held else "fit" if fit else ""
+        return found

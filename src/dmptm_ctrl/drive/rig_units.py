@@ -1,0 +1,179 @@
+"""Declared numbers as people write them: "2.1e-4 kg m^2 ± 10 %", or a table with a source."""
+
+import re
+from functools import cache
+from math import inf, isfinite
+from typing import Any
+
+import pint
+
+from dmptm_ctrl.drive.parameters import Quantity
+from dmptm_ctrl.drive.rig import DEFAULT_TOLERANCE, unknown
+
+# what a key stands for -> SI unit as shown and as pint writes it
+INERTIA = "kg·m²"
+MASS = "kg"
+TORQUE = "N·m"
+FORCE = "N"
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_TEXT = re.compile(
+    rf"^\s*(?P<value>{_NUMBER})\s*(?P<unit>[^±]*?)\s*"
+    rf"(?:(?:±|\+/?-)\s*(?P<tol>{_NUMBER})\s*(?P<tol_unit>[^±]*?)\s*)?$"
+)
+_RUN_TOGETHER = (  # written without a space, pint reads them as something else
+    (r"\bmNms\b", "mN*m*s"),
+    (r"\bNms\b", "N*m*s"),
+    (r"\bmNm\b", "mN*m"),
+    (r"\buNm\b", "uN*m"),
+    (r"\bkNm\b", "kN*m"),
+    (r"\bNcm\b", "N*cm"),
+    (r"\bNm\b", "N*m"),
+    (r"\bVs\b", "V*s"),
+    (r"\bkgm", "kg*m"),
+    (r"\bkgcm", "kg*cm"),
+    (r"\bgcm", "g*cm"),
+)
+
+
+# What pint may see: its parser would compute 9**9**9 to the end.
+_EXPRESSION = re.compile(r"(1/)?[^\W\d_]+(\*\*-?\d)?([\s*/]+[^\W\d_]+(\*\*-?\d)?){0,6}")
+
+
+class UnitError(ValueError):
+    """A number or unit that cannot be read; the message says what would be right."""
+
+
+@cache
+def _registry() -> pint.UnitRegistry:
+    return pint.UnitRegistry()
+
+
+def plain(unit: str) -> str:
+    """Unit in the spelling that pint reads: ``kg·m²`` → ``kg*m**2``."""
+    text = unit.strip().replace("·", "*").replace("²", "**2").replace("³", "**3")
+    text = text.replace("µ", "u").replace("μ", "u").replace("°", "deg").replace("^", "**")
+    text = text.replace("Ω", "ohm").replace("⁻¹", "**-1")
+    for pattern, right in _RUN_TOGETHER:
+        text = re.sub(pattern, right, text)
+    text = re.sub(r"(?<=[A-Za-z])([23])(?!\d)", r"**\1", text)
+    return re.sub(r"\s*\*\s*", "*", text)
+
+
+def factor(unit: str, si: str) -> float:
+    """Number that turns a value in `unit` into `si`.
+
+    Raises
+    ------
+    UnitError
+        Not a unit, or of another quantity.
+    """
+    registry = _registry()
+    text = plain(unit)
+    try:
+        if len(text) > 40 or not _EXPRESSION.fullmatch(text):
+            raise ValueError(unit)
+        given = registry.Quantity(1.0, text)
+    except Exception as error:  # pint raises its own, the tokenizer's and arithmetic errors
+        raise UnitError(f"{unit[:40]!r} is no unit; write it as in {si}") from error
+    # An angle is a number here: N·m/rad is as good as N·m.
+    try:
+        return float(given.to(plain(si) or "dimensionless").magnitude)
+    except pint.DimensionalityError:
+        raise UnitError(f"{unit!r} is of another quantity than {si or 'a plain number'}") from None
+
+
+def quantity(raw: Any, si: str, *, exact: bool = False, positive: bool = True) -> Quantity:
+    """Read a declared number.
+
+    Parameters
+    ----------
+    raw : str, number or dict
+        ``"2.1e-4 kg m^2 ± 10 %"``, ``"3 N m/rad"``, ``"unknown"``, a number in SI, or
+        ``{value = 3, unit = "…", tolerance = "10 %", range = [1, 10], source = "…"}``.
+    si : str
+        Unit of the result.
+    exact : bool
+        Tolerance of a value that states none: zero instead of 30 %.
+    positive : bool
+        Refuse negative values.
+
+    Raises
+    ------
+    UnitError
+    """
+    if isinstance(raw, dict):
+        return _from_table(raw, si, exact=exact, positive=positive)
+    if isinstance(raw, bool) or not isinstance(raw, int | float | str):
+        raise UnitError(f"{raw!r} is no number with a unit; write it as in '1.5 {si}'")
+    if isinstance(raw, str):
+        if raw.strip().lower() in ("unknown", "?", "free"):
+            return unknown(si)
+        match = _TEXT.match(raw)
+        if match is None:
+            raise UnitError(f"{raw!r} is no number with a unit; write it as in '1.5 {si}'")
+        scale = factor(match["unit"], si) if match["unit"] else 1.0
+        value = float(match["value"]) * scale
+        tol_unit = match["tol_unit"] or match["unit"] or si  # "95 kg ± 5" means 5 kg
+        tolerance = _tolerance(match["tol"], tol_unit, value, si, exact)
+    else:
+        value, tolerance = float(raw), 0.0 if exact else DEFAULT_TOLERANCE
+    return _checked(Quantity(value, si, tolerance, "rig file"), positive)
+
+
+_TABLE_KEYS = ("value", "unit", "tolerance", "range", "source")
+
+
+def _from_table(raw: dict[str, Any], si: str, *, exact: bool, positive: bool) -> Quantity:
+    wrong = [key for key in raw if key not in _TABLE_KEYS]
+    if wrong:
+        raise UnitError(f"a number has no {wrong[0]!r}; it has {', '.join(_TABLE_KEYS)}")
+    source = str(raw.get("source", "rig file"))
+    if "value" not in raw or str(raw["value"]).strip().lower() == "unknown":
+        return unknown(si)
+    if isinstance(raw["value"], str):
+        text = raw["value"] + (f" {raw['unit']}" if "unit" in raw else "")
+        read = quantity(text, si, exact=exact, positive=positive)
+        value, tolerance, scale = read.value, read.tolerance, 1.0
+    else:
+        scale = factor(str(raw["unit"]), si) if raw.get("unit") else 1.0
+        value, tolerance = float(raw["value"]) * scale, 0.0 if exact else DEFAULT_TOLERANCE
+    if "tolerance" in raw:
+        given = raw["tolerance"]
+        match = re.match(rf"^\s*({_NUMBER})\s*(.*?)\s*$", str(given))
+        if match is None:
+            raise UnitError(f"tolerance {given!r} is no number; write '10 %' or '0.5 {si}'")
+        unit = match[2] or ("" if isinstance(given, int | float) else None)
+        tolerance = _tolerance(match[1], unit, value, si, exact)
+    low = high = None
+    if "range" in raw:
+        ends = raw["range"]
+        if not isinstance(ends, list) or len(ends) != 2:
+            raise UnitError(f"range {ends!r} is not [lowest, highest]")
+        low, high = (
+            float(e) * scale if isinstance(e, int | float) else quantity(e, si).value for e in ends
+        )
+        if not low <= value <= high:
+            raise UnitError(f"value {value:g} {si} is outside its range {low:g} to {high:g}")
+        tolerance = 0.0
+    return _checked(Quantity(value, si, tolerance, source, low, high), positive)
+
+
+def _tolerance(text: str | None, unit: str | None, value: float, si: str, exact: bool) -> float:
+    """Relative tolerance."""
+    if text is None:
+        return 0.0 if exact else DEFAULT_TOLERANCE
+    amount = abs(float(text))
+    if unit is None or unit in ("%", "percent"):
+        return amount / 100
+    if unit == "":
+        return amount
+    return amount * factor(unit, si) / abs(value) if value else inf
+
+
+def _checked(found: Quantity, positive: bool) -> Quantity:
+    if not isfinite(found.value):
+        raise UnitError("the value is not finite; write a number, or 'unknown'")
+    if positive and found.value < 0:
+        raise UnitError(f"{found.value:g} {found.unit} is negative")
+    return found

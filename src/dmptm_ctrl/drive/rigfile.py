@@ -1,0 +1,559 @@
+"""Read and check a rig file; what may stand in it is in docs/rig_toml.md."""
+
+import difflib
+import re
+import tomllib
+from collections.abc import Mapping
+from math import inf, pi
+from pathlib import Path
+from typing import Any, NoReturn
+
+from dmptm_ctrl.drive.parameters import Quantity
+from dmptm_ctrl.drive.rig import (
+    FRICTION,
+    Body,
+    Controller,
+    DataSpec,
+    DeclaredEffect,
+    Input,
+    Link,
+    Rig,
+    Sensor,
+    is_known,
+    unknown,
+)
+from dmptm_ctrl.drive.rig_units import UnitError, factor, quantity
+from dmptm_ctrl.signals.units import split_column
+
+
+class RigError(ValueError):
+    """A rig file cannot be used; the message names the line, the key and what would be right."""
+
+
+_TOP = ("name", "body", "shaft", "mesh", "input", "sensor", "controller", "effect", "data")
+_BODY = (
+    *("inertia", "mass", "viscous", "coulomb", "static", "stribeck_speed", "stribeck_exponent"),
+    *FRICTION,
+)
+_LINK = (
+    *("between", "ratio", "lead", "stiffness", "damping", "half_gap", "backlash", "gap_damping"),
+)
+_INPUT = (
+    *(
+        "column",
+        "unit",
+        "sign",
+        "scale",
+        "body",
+        "gain",
+        "amplifier",
+        "torque_constant",
+        "resistance",
+    ),
+    *("inductance", "back_emf_constant", "delay", "time_constant", "limit"),
+)
+_SENSOR = (
+    *("column", "unit", "sign", "scale", "body", "measures", "resolution", "noise", "absolute"),
+)
+_CONTROLLER = ("kind", "input", "sensor", "kp", "ki", "kv", "reference", "unit", "limit")
+_DATA = ("time", "sample_time", "sample_rate", "fit", "held_out", "ignore", "start", "stop")
+_MEASURES = {
+    "position": "position", "angle": "position", "speed": "speed", "velocity": "speed",
+}  # fmt: skip
+
+
+def load_rig(path: str | Path) -> Rig:
+    """Read a rig file.
+
+    Parameters
+    ----------
+    path : path of a TOML file, see docs/rig_toml.md
+
+    Returns
+    -------
+    Rig
+
+    Raises
+    ------
+    RigError
+        No such file, no TOML, a key that does not exist or is missing, a value that cannot
+        be read; with line, key, and what would be right.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise RigError(f"no such rig file: {path}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise RigError(f"{path.name} cannot be read as UTF-8 text") from error
+    return parse_rig(text, path.name)
+
+
+def parse_rig(text: str, source: str = "rig.toml") -> Rig:
+    """Read a rig from the text of a file; see `load_rig`."""
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RigError(f"{source}: not TOML: {error}") from error
+    return _Reader(text, source).rig(raw)
+
+
+class _Reader:
+    """Knows where in the file it is, for messages."""
+
+    def __init__(self, text: str, source: str) -> None:
+        self._lines = text.splitlines()
+        self._source = source
+
+    def rig(self, raw: dict[str, Any]) -> Rig:
+        self._only("", raw, _TOP)
+        tables = {kind: self._tables(raw, kind) for kind in _TOP if kind in _NAMED}
+        if not tables["body"]:
+            self._fail("", "", "no [body.NAME]: a rig has at least one body")
+        bodies = tuple(self._body(name, t) for name, t in tables["body"].items())
+        by_name = {b.name: b for b in bodies}
+        links = tuple(
+            self._link(kind, name, t, by_name)
+            for kind in ("shaft", "mesh")
+            for name, t in tables[kind].items()
+        )
+        self._tree(bodies, links)
+        if not tables["input"]:
+            self._fail("", "", "no [input.NAME]: without what drives it there is no diagnosis")
+        if not tables["sensor"]:
+            self._fail("", "", "no [sensor.NAME]: without a measurement there is no diagnosis")
+        inputs = tuple(self._input(n, t, by_name) for n, t in tables["input"].items())
+        sensors = tuple(self._sensor(n, t, by_name) for n, t in tables["sensor"].items())
+        used = [item.column for item in (*inputs, *sensors)]
+        twice = next((c for c in used if used.count(c) > 1), None)
+        if twice is not None:
+            self._fail("", "", f"column {twice!r} is used twice; each input and sensor has its own")
+        places = {*by_name, *(link.name for link in links), *(i.name for i in inputs)}
+        effects = tuple(self._effect(n, t, places, bodies) for n, t in tables["effect"].items())
+        name = raw.get("name", "rig")
+        return Rig(
+            str(name) if isinstance(name, str) else self._fail("", "name", "name is no text"),
+            bodies,
+            links,
+            inputs,
+            sensors,
+            effects,
+            self._controller(raw.get("controller"), inputs, sensors),
+            self._data(raw.get("data", {})),
+            self._source,
+        )
+
+    # -- tables ------------------------------------------------------------------------------
+
+    def _body(self, name: str, raw: dict[str, Any]) -> Body:
+        where = f"body.{name}"
+        self._only(where, raw, _BODY)
+        linear = "mass" in raw
+        if linear == ("inertia" in raw):
+            self._fail(
+                where, "", "give either inertia (it turns) or mass (it slides); 'unknown' will do"
+            )
+        key, unit = ("mass", "kg") if linear else ("inertia", "kg·m²")
+        force, speed = ("N", "m/s") if linear else ("N·m", "rad/s")
+        units = {
+            "static": force, "coulomb": force, "stribeck_speed": speed,
+            "viscous": "N·s/m" if linear else "N·m·s/rad",
+        }  # fmt: skip
+        friction: dict[str, Quantity] = {}
+        for kind, si in units.items():
+            both = self._number(where, raw, kind, si)
+            sides = {s: self._number(where, raw, f"{kind}_{s}", si) for s in ("plus", "minus")}
+            given = [s for s, value in sides.items() if value is not None]
+            if both is not None:
+                friction[kind] = both
+                if given:
+                    self._fail(where, f"{kind}_{given[0]}", f"{kind} is given for both directions")
+            elif len(given) == 1:
+                missing = "minus" if given[0] == "plus" else "plus"
+                self._fail(where, f"{kind}_{given[0]}", f"{kind}_{missing} is missing beside it")
+            friction |= {f"{kind}_{s}": v for s, v in sides.items() if v is not None}
+        if "stribeck_exponent" in raw:
+            friction["stribeck_exponent"] = self._need(
+                where, raw, "stribeck_exponent", "", exact=True
+            )
+        for key_ in ("static", "static_plus"):
+            for other in ("stribeck_speed", "coulomb"):
+                if key_ in friction and not {other, f"{other}_plus"} & set(friction):
+                    self._fail(where, key_, f"a static friction needs a {other} beside it")
+        inertia = self._need(where, raw, key, unit)
+        if is_known(inertia) and inertia.value == 0:
+            self._fail(where, key, f"a {key} of 0 cannot be; write 'unknown' if it is not known")
+        return Body(name, inertia, linear, friction)
+
+    def _link(self, kind: str, name: str, raw: dict[str, Any], bodies: Mapping[str, Body]) -> Link:
+        where = f"{kind}.{name}"
+        self._only(where, raw, _LINK)
+        ends = raw.get("between")
+        if not isinstance(ends, list) or len(ends) != 2:
+            self._fail(where, "between", 'between = ["first body", "second body"] is needed')
+        for end in ends:
+            self._known(where, "between", end, bodies, "body")
+        first, second = bodies[ends[0]], bodies[ends[1]]
+        ratio_unit = f"{first.angle_unit}/{second.angle_unit}"
+        if first.angle_unit == second.angle_unit:
+            ratio_unit = ""
+        if "lead" in raw:
+            if first.linear or not second.linear:
+                self._fail(where, "lead", "a lead is from a turning first body to a sliding second")
+            lead = self._need(where, raw, "lead", "m", exact=True)
+            ratio = Quantity(2 * pi / lead.value, "rad/m", lead.tolerance, lead.source)
+        elif "ratio" in raw:
+            ratio = self._need(where, raw, "ratio", ratio_unit, exact=True, positive=False)
+        elif ratio_unit:
+            self._fail(where, "", f"a ratio in {ratio_unit}, or a lead per turn, is needed")
+        else:
+            ratio = Quantity(1.0, "", 0.0, "default")
+        if not is_known(ratio) or ratio.value == 0:
+            self._fail(where, "ratio", "the ratio must be a number other than 0")
+        unit, force = first.angle_unit, first.force_unit
+        gap = self._number(where, raw, "half_gap", unit)
+        if "backlash" in raw:
+            if gap is not None:
+                self._fail(where, "backlash", "give half_gap or backlash, which is twice that")
+            full = self._need(where, raw, "backlash", unit)
+            gap = Quantity(full.value / 2, unit, full.tolerance, full.source)
+        stiff_raw = raw.get("stiffness", "rigid" if kind == "shaft" and gap is None else "unknown")
+        rigid = isinstance(stiff_raw, str) and stiff_raw.strip().lower() == "rigid"
+        stiffness = None if rigid else self._read(where, "stiffness", stiff_raw, f"{force}/{unit}")
+        if rigid and gap is not None:
+            self._fail(where, "stiffness", "a gap needs a stiffness of the teeth; write 'unknown'")
+        per_speed = "N·s/m" if first.linear else "N·m·s/rad"
+        damping = self._number(where, raw, "damping", per_speed)
+        return Link(
+            name,
+            ends[0],
+            ends[1],
+            ratio,
+            stiffness,
+            None if rigid else damping or unknown(per_speed),
+            gap,
+            self._number(where, raw, "gap_damping", per_speed),
+            kind == "mesh",
+        )
+
+    def _input(self, name: str, raw: dict[str, Any], bodies: Mapping[str, Body]) -> Input:
+        where = f"input.{name}"
+        self._only(where, raw, _INPUT)
+        body = bodies[self._one_body(where, raw, bodies)]
+        column = self._text(where, raw, "column")
+        unit, symbol = self._column_unit(where, raw, column, implied=_gain_unit(raw))
+        per = f"{body.force_unit}/{symbol}" if symbol else body.force_unit
+        factors = {}
+        back_emf = 0.0
+        if "resistance" in raw:
+            if symbol != "V":
+                self._fail(where, "resistance", f"the column is in {symbol}; a resistance needs V")
+            constant = self._need(where, raw, "torque_constant", "N·m/A", exact=True)
+            ohms = self._need(where, raw, "resistance", "ohm", exact=True)
+            if ohms.value == 0:
+                self._fail(where, "resistance", "a resistance of 0 cannot be")
+            emf = self._number(where, raw, "back_emf_constant", "V*s/rad") or constant
+            gain = Quantity(constant.value / ohms.value, per, ohms.tolerance, "torque_constant/R")
+            back_emf = constant.value * emf.value / ohms.value
+            factors = {"torque_constant": constant, "resistance": ohms}
+            if "inductance" in raw and "time_constant" not in raw:
+                henry = self._need(where, raw, "inductance", "henry", exact=True)
+                raw = {**raw, "time_constant": henry.value / ohms.value}
+        elif "amplifier" in raw or ("torque_constant" in raw and "gain" not in raw):
+            constant = self._need(where, raw, "torque_constant", f"{body.force_unit}/A", exact=True)
+            factors = {"torque_constant": constant}
+            value, tolerance = constant.value, constant.tolerance
+            if "amplifier" in raw:
+                amp = self._need(where, raw, "amplifier", f"A/{symbol}", exact=True)
+                factors["amplifier"] = amp
+                value, tolerance = value * amp.value, tolerance + amp.tolerance
+            elif symbol != "A":
+                self._fail(
+                    where, "torque_constant",
+                    f"the column is in {symbol}; give an amplifier (A/{symbol}) or a resistance too",
+                )  # fmt: skip
+            gain = Quantity(value, per, tolerance, constant.source)
+        elif "gain" in raw:
+            gain = self._read(where, "gain", raw["gain"], per, exact=True, positive=False)
+        elif symbol == body.force_unit:
+            gain = Quantity(1.0, "", 0.0, "the column is the torque or force itself")
+        else:
+            gain = unknown(per)
+        if is_known(gain) and gain.value == 0:
+            self._fail(where, "gain", "a gain of 0 drives nothing; write 'unknown' if so")
+        return Input(
+            name, column, unit, body.name, gain, self._sign(where, raw), back_emf,
+            self._number(where, raw, "delay", "s"),
+            self._number(where, raw, "time_constant", "s"),
+            self._number(where, raw, "limit", symbol), factors,
+        )  # fmt: skip
+
+    def _sensor(self, name: str, raw: dict[str, Any], bodies: Mapping[str, Body]) -> Sensor:
+        where = f"sensor.{name}"
+        self._only(where, raw, _SENSOR)
+        body = bodies[self._one_body(where, raw, bodies)]
+        column = self._text(where, raw, "column")
+        unit, symbol = self._column_unit(where, raw, column)
+        by_unit = {body.angle_unit: "position", f"{body.angle_unit}/s": "speed"}
+        given = raw.get("measures", by_unit.get(symbol))
+        if given not in _MEASURES:
+            self._fail(where, "measures", 'measures = "position" or "speed"')
+        measures = _MEASURES[given]
+        si = body.angle_unit + ("/s" if measures == "speed" else "")
+        if symbol != si:
+            self._fail(
+                where, "unit", f"column {column!r} is in {symbol or 'no unit'}, "
+                f"but the {measures} of {body.name} is in {si}",
+            )  # fmt: skip
+        absolute = raw.get("absolute", False)
+        if not isinstance(absolute, bool):
+            self._fail(where, "absolute", "absolute is true or false")
+        return Sensor(
+            name, column, unit, body.name, measures, self._sign(where, raw),
+            self._number(where, raw, "resolution", si), self._number(where, raw, "noise", si),
+            absolute,
+        )  # fmt: skip
+
+    def _controller(
+        self, raw: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ...]
+    ) -> Controller | None:
+        if raw is None:
+            return None
+        where = "controller"
+        if not isinstance(raw, dict):
+            self._fail("", where, "[controller] is a table")
+        self._only(where, raw, _CONTROLLER)
+        kind = raw.get("kind")
+        if kind not in ("pi_speed", "cascade"):
+            self._fail(where, "kind", 'kind = "pi_speed" or "cascade"')
+        source = {i.name: i for i in inputs}
+        sensor = {s.name: s for s in sensors}
+        to = raw.get("input", inputs[0].name)
+        of = raw.get("sensor", sensors[0].name)
+        self._known(where, "input", to, source, "input")
+        self._known(where, "sensor", of, sensor, "sensor")
+        gains = {}
+        for key in ("kp", "ki", "kv"):
+            value = raw.get(key)
+            if isinstance(value, str):
+                value = re.split(r"\s", value.strip())[0]
+            try:
+                gains[key] = float(value or 0.0)
+            except (TypeError, ValueError):
+                self._fail(where, key, f"{key} = {value!r} is no number (SI)")
+        reference = self._text(where, raw, "reference")
+        unit, _ = self._column_unit(where, raw, reference, implied=sensor[of].unit)
+        limit = self._number(where, raw, "limit", _symbol(source[to].unit))
+        return Controller(kind, to, of, gains, reference, unit, limit.value if limit else inf)
+
+    def _effect(
+        self, name: str, raw: dict[str, Any], places: set[str], bodies: tuple[Body, ...]
+    ) -> DeclaredEffect:
+        where = f"effect.{name}"
+        on = raw.get("on", bodies[0].name)
+        if on not in places:
+            self._fail(where, "on", f"no {on!r} in the rig; it has {', '.join(sorted(places))}")
+        values = {}
+        for key, value in raw.items():
+            if key == "on":
+                continue
+            if not isinstance(value, int | float) or isinstance(value, bool):
+                self._fail(where, key, f"{key} = {value!r}: parameters of an effect are SI numbers")
+            values[key] = Quantity(float(value), "", 0.0, "rig file")
+        return DeclaredEffect(name, on, values)
+
+    def _data(self, raw: Any) -> DataSpec:
+        where = "data"
+        if not isinstance(raw, dict):
+            self._fail("", where, "[data] is a table")
+        self._only(where, raw, _DATA)
+        time = raw.get("time")
+        if isinstance(time, str):
+            split = split_column(time)
+            time = (time, "s" if split is None else split[1].symbol and _suffix_unit(time))
+        elif isinstance(time, dict):
+            column = self._text(where, time, "column")
+            time = (column, str(time.get("unit", "s")))
+            self._check_unit(where, "time", time[1], "s")
+        elif time is not None:
+            self._fail(where, "time", 'time = "t" or { column = "t", unit = "ms" }')
+        step = self._number(where, raw, "sample_time", "s")
+        rate = self._number(where, raw, "sample_rate", "Hz")
+        if rate is not None and step is None:
+            step = Quantity(1 / rate.value, "s", 0.0, "sample_rate")
+        start = self._number(where, raw, "start", "s")
+        stop = self._number(where, raw, "stop", "s")
+        names = {}
+        for key in ("fit", "held_out", "ignore"):
+            value = raw.get(key, [])
+            value = [value] if isinstance(value, str) else value
+            if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+                self._fail(where, key, f'{key} = ["name", "pattern*"], names of logs')
+            names[key] = tuple(value)
+        return DataSpec(
+            time, step.value if step else None, names["fit"], names["held_out"], names["ignore"],
+            start.value if start else None, stop.value if stop else None,
+        )  # fmt: skip
+
+    # -- parts -------------------------------------------------------------------------------
+
+    def _tables(self, raw: dict[str, Any], kind: str) -> dict[str, dict[str, Any]]:
+        """[kind.NAME] tables, or [[kind]] with a name in each."""
+        found = raw.get(kind, {})
+        if isinstance(found, list):
+            named = {}
+            for table in found:
+                if not isinstance(table, dict) or not isinstance(table.get("name"), str):
+                    self._fail(kind, "name", f"each [[{kind}]] needs a name")
+                named[table["name"]] = {k: v for k, v in table.items() if k != "name"}
+            return named
+        if not isinstance(found, dict) or not all(isinstance(t, dict) for t in found.values()):
+            self._fail(kind, "", f"write [{kind}.NAME] and its keys below, NAME your own")
+        return found
+
+    def _tree(self, bodies: tuple[Body, ...], links: tuple[Link, ...]) -> None:
+        group = {b.name: b.name for b in bodies}
+        for link in links:
+            one, other = group[link.first], group[link.second]
+            kind = "mesh" if link.mesh else "shaft"
+            if one == other:
+                self._fail(
+                    f"{kind}.{link.name}", "between",
+                    "this closes a ring of bodies; chains and branched trains have none",
+                )  # fmt: skip
+            group = {k: one if g == other else g for k, g in group.items()}
+        if len(set(group.values())) > 1:
+            odd = next(b.name for b in bodies if group[b.name] != group[bodies[0].name])
+            self._fail(
+                f"body.{odd}", "", f"nothing joins {odd} to {bodies[0].name}; add a [shaft.NAME]"
+            )
+
+    def _one_body(self, where: str, raw: dict[str, Any], bodies: Mapping[str, Body]) -> str:
+        body = raw.get("body", next(iter(bodies)) if len(bodies) == 1 else None)
+        if body is None:
+            self._fail(where, "", f"body = … is missing; bodies are {', '.join(bodies)}")
+        self._known(where, "body", body, bodies, "body")
+        return str(body)
+
+    def _known(self, where: str, key: str, name: Any, things: Mapping, kind: str) -> None:
+        if name not in things:
+            self._fail(where, key, f"no {kind} {name!r}; there are {', '.join(things)}")
+
+    def _column_unit(
+        self, where: str, raw: dict[str, Any], column: str, implied: str | None = None
+    ) -> tuple[str, str]:
+        """Unit of a column as the loaders take it, and its SI symbol."""
+        unit = raw.get("unit")
+        if unit is None:
+            split = split_column(column)
+            unit = _suffix_unit(column) if split is not None else implied
+        if unit is None:
+            self._fail(
+                where, "unit", f'column {column!r} states no unit; add unit = "rad/s" or its like'
+            )
+        if not isinstance(unit, str):
+            self._fail(where, "unit", f"unit = {unit!r} is no text; write it in quotes")
+        try:
+            return unit, _symbol(unit)
+        except ValueError as error:
+            self._fail(where, "unit", str(error))
+
+    def _check_unit(self, where: str, key: str, unit: str, si: str) -> None:
+        try:
+            factor(unit, si)
+        except UnitError as error:
+            self._fail(where, key, str(error))
+
+    def _sign(self, where: str, raw: dict[str, Any]) -> float:
+        sign = raw.get("sign", 1)
+        if isinstance(sign, bool) or not isinstance(sign, int | float) or sign == 0:
+            self._fail(where, "sign", "sign = 1 or -1")
+        scale = raw.get("scale", 1)
+        if isinstance(scale, bool) or not isinstance(scale, int | float) or scale == 0:
+            self._fail(where, "scale", "scale is a number other than 0")
+        return float(sign) * float(scale)
+
+    def _text(self, where: str, raw: dict[str, Any], key: str) -> str:
+        value = raw.get(key)
+        if not isinstance(value, str) or not value:
+            self._fail(where, key, f'{key} = "name in the log" is needed')
+        return value
+
+    def _need(self, where: str, raw: dict[str, Any], key: str, si: str, **how: Any) -> Quantity:
+        if key not in raw:
+            self._fail(where, key, f"{key} = '… {si}' is needed")
+        return self._read(where, key, raw[key], si, **how)
+
+    def _number(self, where: str, raw: dict[str, Any], key: str, si: str) -> Quantity | None:
+        return self._read(where, key, raw[key], si) if key in raw else None
+
+    def _read(self, where: str, key: str, value: Any, si: str, **how: Any) -> Quantity:
+        try:
+            return quantity(value, si, **how)
+        except UnitError as error:
+            self._fail(where, key, f"{key}: {error}")
+
+    def _only(self, where: str, raw: dict[str, Any], allowed: tuple[str, ...]) -> None:
+        for key in raw:
+            if key not in allowed:
+                near = difflib.get_close_matches(key, allowed, 1)
+                hint = f"did you mean {near[0]!r}? " if near else ""
+                self._fail(where, key, f"no key {key!r} here; {hint}keys are {', '.join(allowed)}")
+
+    def _fail(self, where: str, key: str, message: str) -> NoReturn:
+        line = _line_of(self._lines, where, key)
+        place = f"{self._source}, line {line}" if line else self._source
+        table = f"[{where}] " if where else ""
+        raise RigError(f"{place}: {table}{message}")
+
+
+_NAMED = ("body", "shaft", "mesh", "input", "sensor", "effect")
+
+
+def _suffix_unit(column: str) -> str:
+    """Unit that a column's name ends in, as the loaders spell it: omega_deg_s → deg_s."""
+    split = split_column(column)
+    return column[len(split[0]) + 1 :] if split is not None else ""
+
+
+def _symbol(unit: str) -> str:
+    """SI symbol of a unit."""
+    from dmptm_ctrl.signals.units import parse_unit
+
+    return parse_unit(unit).symbol
+
+
+def _gain_unit(raw: Mapping[str, Any]) -> str | None:
+    """Unit of the signal from what the gain is per: "35 N/V" → V."""
+    if "resistance" in raw:
+        return "V"
+    gain: Any = raw.get("amplifier", raw.get("gain", ""))
+    text = f"{gain.get('value', '')} {gain.get('unit', '')}" if isinstance(gain, dict) else gain
+    match = re.search(r"/\s*(\w+)", text) if isinstance(text, str) else None
+    if match is not None and match[1] not in ("rad", "deg", "s"):
+        return match[1]
+    return "A" if "torque_constant" in raw and "amplifier" not in raw else None
+
+
+_HEADER = re.compile(r"^\s*\[\[?\s*(.+?)\s*\]\]?\s*(?:#.*)?$")
+
+
+def _line_of(lines: list[str], where: str, key: str) -> int:
+    """Line number of a key, else of its table; 0 where neither is found."""
+    here, table_line, name = "", 0, where.rpartition(".")[2]
+    for number, line in enumerate(lines, start=1):
+        header = _HEADER.match(line)
+        if header:
+            here = header[1].replace('"', "").replace("'", "").replace(" ", "")
+            if here == where:
+                table_line = number
+            continue
+        own = re.match(rf"^\s*[\"']?name[\"']?\s*=\s*[\"']{re.escape(name)}[\"']", line)
+        if own and here == where.partition(".")[0] and here:
+            here, table_line = where, number  # [[body]] with its name
+        if here == where and key and re.match(rf"^\s*[\"']?{re.escape(key)}[\"']?\s*[=.]", line):
+            return number
+        dotted = rf"^\s*{re.escape(where)}\.{re.escape(key)}\s*="
+        if where and key and re.match(dotted, line):
+            return number
+    return table_line

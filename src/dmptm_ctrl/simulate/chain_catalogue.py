@@ -1,0 +1,170 @@
+"""Effects that a drive of any shape can have, and how each kernel is placed there.
+
+The kernels are those of `effects/`; this says what they act on (a body, a link, an input, a
+sensor) and which of their parameters a single such place has. A user's own effect registers
+with :func:`register`.
+"""
+
+from typing import NamedTuple
+
+from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.effects import backlash
+from dmptm_ctrl.effects.base_vibration import BASE_VIBRATION
+from dmptm_ctrl.effects.cable_spring import CABLE_SPRING
+from dmptm_ctrl.effects.cogging import COGGING
+from dmptm_ctrl.effects.coulomb_friction import COULOMB_FRICTION
+from dmptm_ctrl.effects.current_lag import CURRENT_LAG
+from dmptm_ctrl.effects.drive_dead_band import DRIVE_DEAD_BAND
+from dmptm_ctrl.effects.drive_delay import DRIVE_DELAY
+from dmptm_ctrl.effects.drive_offset import DRIVE_OFFSET
+from dmptm_ctrl.effects.drive_saturation import DRIVE_SATURATION
+from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
+from dmptm_ctrl.effects.friction_asymmetry import FRICTION_ASYMMETRY
+from dmptm_ctrl.effects.load_dependent_friction import LOAD_DEPENDENT_FRICTION
+from dmptm_ctrl.effects.local_spot import LOCAL_SPOT
+from dmptm_ctrl.effects.position_dependent_friction import POSITION_DEPENDENT_FRICTION
+from dmptm_ctrl.effects.presliding import PRESLIDING
+from dmptm_ctrl.effects.quadratic_drag import QUADRATIC_DRAG
+from dmptm_ctrl.effects.sensor_delay import SENSOR_DELAY
+from dmptm_ctrl.effects.sensor_gain import SENSOR_GAIN
+from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
+from dmptm_ctrl.effects.stribeck_friction import STRIBECK_FRICTION
+from dmptm_ctrl.effects.thermal_drift import THERMAL_DRIFT
+from dmptm_ctrl.effects.unbalance import UNBALANCE
+from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
+
+# site of the contract -> (where it acts, arguments of the generated call)
+SITES = {
+    "drive": ("input", "u, t, 0"),
+    "delay": ("input", "0"),
+    "lag": ("input", "u, 0"),
+    "motor": ("body", "theta, omega, t, 0"),
+    "load": ("body", "theta, omega, t"),
+    "friction": ("body", "theta, omega, t, load, 2"),
+    "presliding": ("body", "2"),
+    "shaft": ("body", "inertia"),
+    "gap": ("link", ""),
+    "sensor": ("sensor", "theta, omega, t"),
+    "sensor_delay": ("sensor", ""),
+}
+
+BACKLASH = Effect(
+    name="backlash",
+    site="gap",
+    kernel=backlash.mesh_torque,
+    parameters=(Parameter("half_gap", "rad", 0.0, 0.1, 1e-3),),
+    values=backlash.Backlash,
+    location="mesh",
+    source="paper Eq. 21",
+    depends_on=("mesh_torque",),
+    reveals="reversals with small torque, with encoders on both sides of the gap",
+)
+
+
+class ChainEffect(NamedTuple):
+    """An effect as one place of a drive has it.
+
+    Attributes
+    ----------
+    effect : Effect
+        Owner of the kernel.
+    keep : tuple of str
+        Parameters that one place has, in its own naming.
+    fields : tuple of int or float
+        For each field of the kernel's parameters: which of `keep`, or a constant.
+    """
+
+    effect: Effect
+    keep: tuple[Parameter, ...]
+    fields: tuple[int | float, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.effect.name
+
+    @property
+    def site(self) -> str:
+        """Site of the effect."""
+        return self.effect.site
+
+    @property
+    def place(self) -> str:
+        """What it acts on: body, link, input or sensor."""
+        return SITES[self.effect.site][0]
+
+    @property
+    def amplitudes(self) -> tuple[str, ...]:
+        """Names of the parameters that are zero when the effect is absent."""
+        return tuple(p.name for p in self.keep if not p.bank)
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of the parameters without meaning at zero effect."""
+        return tuple(p.name for p in self.keep if p.bank)
+
+
+def whole(effect: Effect) -> ChainEffect:
+    """Return an effect whose parameters belong to one place as they are."""
+    return ChainEffect(effect, effect.parameters, tuple(range(len(effect.parameters))))
+
+
+def _one_side(effect: Effect, names: dict[str, str]) -> ChainEffect:
+    """Return an effect with parameters per side, reduced to one side.
+
+    `names` maps the kernel's parameters to the chain's; the others are zero.
+    """
+    keep = [p._replace(name=names[p.name]) for p in effect.parameters if p.name in names]
+    fields: list[int | float] = []
+    for parameter in effect.parameters:
+        fields.append(
+            [k.name for k in keep].index(names[parameter.name]) if parameter.name in names else 0.0
+        )
+    return ChainEffect(effect, tuple(keep), tuple(fields))
+
+
+CHAIN_CATALOGUE: dict[str, ChainEffect] = {
+    chain.name: chain
+    for chain in (
+        whole(VISCOUS_FRICTION),
+        whole(COULOMB_FRICTION),
+        whole(FRICTION_ASYMMETRY),
+        whole(STRIBECK_FRICTION),
+        _one_side(PRESLIDING, {"ring_distance": "distance"}),
+        whole(LOAD_DEPENDENT_FRICTION),
+        whole(POSITION_DEPENDENT_FRICTION),
+        whole(LOCAL_SPOT),
+        whole(THERMAL_DRIFT),
+        whole(QUADRATIC_DRAG),
+        whole(UNBALANCE),
+        whole(CABLE_SPRING),
+        whole(BASE_VIBRATION),
+        _one_side(COGGING, {"left_cosine": "cosine", "left_sine": "sine", "order": "order"}),
+        _one_side(DRIVE_OFFSET, {"left": "offset"}),
+        whole(DRIVE_DEAD_BAND),
+        whole(DRIVE_SATURATION),
+        whole(DRIVE_DELAY),
+        whole(CURRENT_LAG),
+        whole(SHAFT_COMPLIANCE),
+        whole(BACKLASH),
+        whole(SENSOR_DELAY),
+        whole(SENSOR_GAIN),
+        whole(ENCODER_ECCENTRICITY),
+    )
+}
+
+
+def register(chain: ChainEffect) -> ChainEffect:
+    """Add a user's own effect for drives of any shape.
+
+    Raises
+    ------
+    ValueError
+        A name that is taken, or a site that chains do not have.
+    """
+    if chain.name in CHAIN_CATALOGUE:
+        raise ValueError(f"effect {chain.name!r} is in the chain catalogue; choose another name")
+    if chain.site not in SITES:
+        raise ValueError(f"effect {chain.name!r}: chains have no site {chain.site!r}")
+    CHAIN_CATALOGUE[chain.name] = chain
+    return chain

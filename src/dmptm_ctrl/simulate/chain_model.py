@@ -1,0 +1,399 @@
+"""A rig of any shape with effects added to it: what is simulated, fitted and saved."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import isfinite
+from typing import NamedTuple
+
+import numpy as np
+
+from dmptm_ctrl.drive.parameters import Quantity
+from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.effects.shaft_compliance import ShaftCompliance, spring
+from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+from dmptm_ctrl.simulate.chain_compose import kind_of
+from dmptm_ctrl.simulate.chain_plant import PARAMETERS, Floats, Ints, Plant
+
+LARGE_SPEED = 1e12  # rad/s or m/s, Stribeck speed of a law without Stribeck friction
+FAR = "_far"  # suffix of the body behind a compliance that splits a declared one
+
+
+class Placed(NamedTuple):
+    """An effect at a place of a rig.
+
+    Attributes
+    ----------
+    name : str
+        In the chain catalogue.
+    on : str
+        Body, link, input or sensor, by its name in the rig.
+    values : mapping
+        Parameter name → value, SI.
+    far : tuple of str
+        Of a shaft compliance: inputs and sensors that sit behind the spring.
+    """
+
+    name: str
+    on: str
+    values: Mapping[str, float] = {}
+    far: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """Name and place, unique in a model."""
+        return f"{self.name}@{self.on}"
+
+
+class _Joint(NamedTuple):
+    name: str
+    first: str
+    second: str
+    ratio: float
+    row: tuple[float, ...] | None  # stiffness, damping, gap damping, half-gap; None is rigid
+    gap: bool
+
+
+def declared(rig: Rig) -> dict[str, Quantity]:
+    """Return every declared quantity of a rig that a fit may move, by its key.
+
+    Keys are ``body.NAME.inertia``, ``body.NAME.viscous``, ``link.NAME.stiffness``,
+    ``input.NAME.gain`` and so on.
+    """
+    found: dict[str, Quantity] = {}
+    for body in rig.bodies:
+        found[f"body.{body.name}.inertia"] = body.inertia
+        for key, quantity in body.friction.items():
+            found[f"body.{body.name}.{key}"] = quantity
+    for link in rig.links:
+        found[f"link.{link.name}.ratio"] = link.ratio
+        for key in ("stiffness", "damping", "half_gap", "gap_damping"):
+            quantity = getattr(link, key)
+            if quantity is not None:
+                found[f"link.{link.name}.{key}"] = quantity
+    for source in rig.inputs:
+        found[f"input.{source.name}.gain"] = source.gain
+        for key in ("delay", "time_constant", "limit"):
+            quantity = getattr(source, key)
+            if quantity is not None:
+                found[f"input.{source.name}.{key}"] = quantity
+    return found
+
+
+@dataclass(frozen=True)
+class ChainModel:
+    """A rig, values of its declared quantities, and effects added to it.
+
+    Attributes
+    ----------
+    rig : Rig
+    effects : tuple of Placed
+    values : mapping
+        By the keys of `declared`; what is left out has the declared value.
+
+    Raises
+    ------
+    KeyError
+        An effect or parameter that is not in the chain catalogue, or a place that the rig
+        does not have.
+    """
+
+    rig: Rig
+    effects: tuple[Placed, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for effect in self.effects:
+            if effect.name not in CHAIN_CATALOGUE:
+                known = ", ".join(CHAIN_CATALOGUE)
+                raise KeyError(f"no effect {effect.name!r} for chains; there are {known}")
+            has = [p.name for p in CHAIN_CATALOGUE[effect.name].keep]
+            wrong = [key for key in effect.values if key not in has]
+            if wrong:
+                raise KeyError(f"{effect.name} has no parameter {wrong[0]!r}; it has {has}")
+        wrong = [key for key in self.values if key not in self.quantities]
+        if wrong:
+            raise KeyError(f"the rig has no {wrong[0]!r}; it has {', '.join(self.quantities)}")
+
+    @cached_property
+    def quantities(self) -> dict[str, Quantity]:
+        """Declared quantities by key."""
+        return declared(self.rig)
+
+    def value(self, key: str) -> float:
+        """Value of a declared quantity as the model has it.
+
+        Raises
+        ------
+        ValueError
+            Declared as unknown and not yet fitted.
+        """
+        value = self.values.get(key, self.quantities[key].value)
+        if not isfinite(value):
+            raise ValueError(f"{key} is declared unknown; fit the model first, or set a value")
+        return value
+
+    def with_effect(self, effect: Placed) -> "ChainModel":
+        """Return the model with an effect added, or replaced at its place."""
+        others = tuple(e for e in self.effects if e.key != effect.key)
+        return replace(self, effects=(*others, effect))
+
+    def without(self, keys: Iterable[str]) -> "ChainModel":
+        """Return the model without the effects of these keys."""
+        gone = set(keys)
+        return replace(self, effects=tuple(e for e in self.effects if e.key not in gone))
+
+    def with_values(self, values: Mapping[str, float]) -> "ChainModel":
+        """Return the model with values of declared quantities replaced."""
+        return replace(self, values={**self.values, **values})
+
+    @property
+    def layout(self) -> "Layout":
+        """Names of bodies, coordinates, links and inputs in the order of the plant's arrays."""
+        return self._built[1]
+
+    def plant(self) -> Plant:
+        """Return the arrays of the compiled loop."""
+        return self._built[0]
+
+    @cached_property
+    def _built(self) -> tuple[Plant, "Layout"]:
+        return _build(self)
+
+
+class Layout(NamedTuple):
+    """What stands where in the arrays of a plant.
+
+    Attributes
+    ----------
+    bodies, links, inputs : tuple of str
+    coordinate : dict
+        Body → index of its coordinate.
+    ratio : dict
+        Body → its angle over the coordinate.
+    sensor_body, input_body : dict
+        Sensor or input → body, a far one behind a compliance included.
+    """
+
+    bodies: tuple[str, ...]
+    links: tuple[str, ...]
+    inputs: tuple[str, ...]
+    coordinate: dict[str, int]
+    ratio: dict[str, float]
+    sensor_body: dict[str, str]
+    input_body: dict[str, str]
+
+    @property
+    def count(self) -> int:
+        """Number of coordinates."""
+        return len(set(self.coordinate.values()))
+
+
+def _build(model: ChainModel) -> tuple[Plant, Layout]:
+    rig = model.rig
+    inertia = {b.name: model.value(f"body.{b.name}.inertia") for b in rig.bodies}
+    joints = [_joint(model, link.name) for link in rig.links]
+    sensor_body = {s.name: s.body for s in rig.sensors}
+    input_body = {i.name: i.body for i in rig.inputs}
+    for effect in model.effects:
+        if effect.name == "shaft_compliance":
+            joints = _soften(rig, effect, inertia, joints, sensor_body, input_body)
+    for effect in model.effects:
+        if effect.name == "backlash":
+            joints = [_with_gap(j, effect) if j.name == effect.on else j for j in joints]
+    bodies = tuple(inertia)
+    root = input_body[rig.inputs[0].name]
+    coordinate, ratio = _coordinates(bodies, joints, root)
+    soft = [j for j in joints if j.row is not None]
+    layout = Layout(
+        bodies, tuple(j.name for j in soft), tuple(i.name for i in rig.inputs), coordinate, ratio,
+        sensor_body, input_body,
+    )  # fmt: skip
+    count = layout.count
+    masses = np.zeros(count)
+    for name in bodies:
+        masses[coordinate[name]] += ratio[name] ** 2 * inertia[name]
+    if (masses <= 0).any():
+        raise ValueError("a body has no inertia; it must be positive")
+    distance = np.zeros(count)
+    for effect in model.effects:
+        if effect.name == "presliding":
+            group = coordinate[effect.on]
+            distance[group] = effect.values.get("distance", 0.0) / abs(ratio[effect.on])
+    index = {name: k for k, name in enumerate(bodies)}
+    plant = Plant(
+        masses,
+        distance,
+        np.zeros(count, np.int64),
+        np.array([coordinate[b] for b in bodies], np.int64),
+        np.array([ratio[b] for b in bodies]),
+        np.array([_law(model, b) for b in bodies]),
+        np.array([[index[j.first], index[j.second]] for j in soft], np.int64).reshape(-1, 2),
+        np.array([[j.ratio, *(j.row or ())] for j in soft]).reshape(-1, 5),
+        np.array([int(j.gap) for j in soft], np.int64),
+        np.array([index[input_body[i.name]] for i in rig.inputs], np.int64),
+        np.array([_input_row(model, i.name) for i in rig.inputs]),
+        *_placed(model, ("drive",), {n: k for k, n in enumerate(layout.inputs)}),
+        *_placed(model, ("motor", "load"), index),
+        *_placed(model, ("friction",), index),
+    )
+    return plant, layout
+
+
+def _joint(model: ChainModel, name: str) -> _Joint:
+    link = model.rig.link(name)
+    row = None
+    if not link.rigid:
+        row = tuple(
+            model.value(f"link.{name}.{key}") if getattr(link, key) is not None else 0.0
+            for key in ("stiffness", "damping", "gap_damping", "half_gap")
+        )
+    gap = link.half_gap is not None
+    return _Joint(name, link.first, link.second, model.value(f"link.{name}.ratio"), row, gap)
+
+
+def _soften(
+    rig: Rig,
+    effect: Placed,
+    inertia: dict[str, float],
+    joints: list[_Joint],
+    sensor_body: dict[str, str],
+    input_body: dict[str, str],
+) -> list[_Joint]:
+    """Put a spring into a rigid link, or split a body in two."""
+    share = effect.values["share"]
+    shape = effect.values["antiresonance"], effect.values["damping_ratio"]
+    if any(effect.on == j.name for j in joints):
+        soft = next(j for j in joints if j.name == effect.on)
+        rest = [j for j in joints if j.name != effect.on and j.row is None]
+        _, near_ratio = _coordinates(_reached(soft.first, rest), rest, soft.first)
+        _, far_ratio = _coordinates(_reached(soft.second, rest), rest, soft.second)
+        near = sum(r**2 * inertia[b] for b, r in near_ratio.items())
+        far = sum(r**2 * inertia[b] for b, r in far_ratio.items()) / soft.ratio**2
+        compliance, damping = spring(near + far, ShaftCompliance(far / (near + far), *shape))
+        new = soft._replace(row=(1.0 / compliance, damping, 0.0, 0.0))
+        return [new if j.name == effect.on else j for j in joints]
+    whole = inertia[effect.on]
+    compliance, damping = spring(whole, ShaftCompliance(share, *shape))
+    far_body = effect.on + FAR
+    inertia[effect.on] = (1.0 - share) * whole
+    inertia[far_body] = share * whole
+    for places in (sensor_body, input_body):
+        for name in effect.far:
+            if places.get(name) == effect.on:
+                places[name] = far_body
+    row = (1.0 / compliance, damping, 0.0, 0.0)
+    return [*joints, _Joint(effect.key, effect.on, far_body, 1.0, row, False)]
+
+
+def _reached(start: str, joints: list[_Joint]) -> tuple[str, ...]:
+    """Bodies that rigid joints tie to `start`."""
+    found = [start]
+    for body in found:
+        for j in joints:
+            for one, other in ((j.first, j.second), (j.second, j.first)):
+                if one == body and other not in found:
+                    found.append(other)
+    return tuple(found)
+
+
+def _with_gap(joint: _Joint, effect: Placed) -> _Joint:
+    if joint.row is None:
+        raise ValueError(f"backlash on {joint.name}, which is rigid; give it a stiffness")
+    half_gap = joint.row[3] + effect.values.get("half_gap", 0.0)
+    return joint._replace(row=(*joint.row[:3], half_gap), gap=True)
+
+
+def _coordinates(
+    bodies: Iterable[str], joints: list[_Joint], root: str
+) -> tuple[dict[str, int], dict[str, float]]:
+    """Index of each body's coordinate and its ratio; the root's group comes first."""
+    coordinate: dict[str, int] = {}
+    ratio: dict[str, float] = {}
+    count = 0
+    for start in (root, *bodies):
+        if start in coordinate:
+            continue
+        coordinate[start], ratio[start] = count, 1.0
+        waiting = [start]
+        while waiting:
+            here = waiting.pop()
+            for j in joints:
+                if j.row is not None:
+                    continue
+                # rigid: q_first = ratio · q_second
+                step = {j.first: (j.second, 1.0 / j.ratio), j.second: (j.first, j.ratio)}
+                if here in step and step[here][0] not in coordinate:
+                    other, factor = step[here]
+                    coordinate[other], ratio[other] = count, ratio[here] * factor
+                    waiting.append(other)
+        count += 1
+    return coordinate, ratio
+
+
+def _law(model: ChainModel, body: str) -> list[float]:
+    """Fields of Stribeck for a body; back-EMF of its motors included."""
+    if body.endswith(FAR) and all(b.name != body for b in model.rig.bodies):
+        return [0.0, 0.0, LARGE_SPEED, 0.0, 0.0, 0.0, LARGE_SPEED, 0.0, 1.0]
+    friction = model.rig.body(body).friction
+
+    def get(key: str, side: str, default: float) -> float:
+        name = key if key in friction else f"{key}_{side}"
+        return model.value(f"body.{body}.{name}") if name in friction else default
+
+    emf = sum(i.back_emf for i in model.rig.inputs if i.body == body)
+    row: list[float] = []
+    for side in ("plus", "minus"):
+        coulomb = get("coulomb", side, 0.0)
+        row += [
+            get("static", side, coulomb),
+            coulomb,
+            get("stribeck_speed", side, LARGE_SPEED),
+            get("viscous", side, 0.0) + emf,
+        ]
+    exponent = model.value(f"body.{body}.stribeck_exponent") if (
+        "stribeck_exponent" in friction
+    ) else 1.0  # fmt: skip
+    return [*row, exponent]
+
+
+def _input_row(model: ChainModel, name: str) -> list[float]:
+    """Gain, dead time, lag and limit of an input, effects included."""
+    source = next(i for i in model.rig.inputs if i.name == name)
+    gain = model.quantities[f"input.{name}.gain"].value
+    gain = model.values.get(f"input.{name}.gain", gain if isfinite(gain) else 1.0)
+    row = [gain]
+    for key in ("delay", "time_constant", "limit"):
+        row.append(model.value(f"input.{name}.{key}") if getattr(source, key) is not None else 0.0)
+    for effect in model.effects:
+        if effect.on == name and effect.name == "drive_delay":
+            row[1] += effect.values.get("delay", 0.0)
+        if effect.on == name and effect.name == "current_lag":
+            row[2] += effect.values.get("time_constant", 0.0)
+    return row
+
+
+def _placed(
+    model: ChainModel, sites: tuple[str, ...], index: Mapping[str, int]
+) -> tuple[Ints, Floats]:
+    """Kinds and places, and values, of the effects at some sites."""
+    places: list[list[int]] = []
+    rows: list[Floats] = []
+    for effect in model.effects:
+        chain = CHAIN_CATALOGUE[effect.name]
+        if chain.site in sites:
+            places.append([kind_of(effect.name), index[effect.on]])
+            rows.append(value_row(effect))
+    return (
+        np.array(places, np.int64).reshape(-1, 2),
+        np.array(rows).reshape(-1, PARAMETERS),
+    )
+
+
+def value_row(effect: Placed) -> Floats:
+    """Parameters of an effect as the loop takes them; what is left out is absent."""
+    row = np.zeros(PARAMETERS)
+    for k, parameter in enumerate(CHAIN_CATALOGUE[effect.name].keep):
+        default = parameter.bank[len(parameter.bank) // 2] if parameter.bank else 0.0
+        row[k] = effect.values.get(parameter.name, default)
+    return row

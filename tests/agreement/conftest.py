@@ -43,10 +43,8 @@ def lively():
 
 
 def visible_parameters(effect):
-    """Amplitudes at a quarter of their range, shapes in the middle of their bank."""
-    return {
-        p.name: p.bank[len(p.bank) // 2] if p.bank else 0.25 * p.high for p in effect.parameters
-    }
+    """Amplitudes at a tenth of their bound, shapes in the middle of their bank."""
+    return {p.name: p.bank[len(p.bank) // 2] if p.bank else 0.1 * p.high for p in effect.parameters}
 
 
 @pytest.fixture(params=CATALOGUE)
@@ -54,3 +52,8 @@ def visible(request, paper):
     """The paper's drive with one effect of the catalogue, clearly visible."""
     name = request.param
     return paper.with_effect(name, **visible_parameters(CATALOGUE[name]))
+
+
+@pytest.fixture(scope="session")
+def visible_values():
+    return visible_parameters

@@ -87,8 +87,8 @@ def turning(
     closed = all(mesh_region(*sites.mesh(x0[s], omega, theta_L, speed, s)) for s in (0, 1))
     if np.max(np.abs(unbalanced(found.x))) > BALANCED or not closed:
         raise ValueError(
-            f"no steady turn at {speed:.4g} rad/s with a preload of {preload:.4g} V keeps both "
-            "meshes closed; change the preload"
+            f"no steady turn at {speed:.4g} rad/s with a preload of {preload:.4g} V was found "
+            "with both meshes closed; try another preload or speed"
         )
     return x0, found.x[0] + np.array([preload, -preload])
 

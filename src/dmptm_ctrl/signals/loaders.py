@@ -16,8 +16,9 @@ from dmptm_ctrl.signals.columns import Mapped, Table, resolve
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
+from dmptm_ctrl.signals.mdf import read_mdf
 from dmptm_ctrl.signals.plausible import refuse_inconsistent, suspects, unwrapped
-from dmptm_ctrl.signals.tabular import from_frame, read_mdf, read_parquet
+from dmptm_ctrl.signals.tabular import from_frame, read_parquet
 from dmptm_ctrl.signals.text import read_text
 
 if TYPE_CHECKING:
@@ -77,11 +78,12 @@ def load_log(
     if isinstance(source, str | PathLike):
         path = Path(source)
         title = path.name
-        table, digest = _read(path, columns), _sha256(path)
+        (table, ignored), digest = _read(path, columns), _sha256(path)
     else:
         title = name or "data frame"
-        table, digest = from_frame(source), None
+        table, ignored, digest = from_frame(source), [], None
     channels, units, notes = _channels(table, columns, title)
+    notes = [*ignored, *notes]
     _require(required, channels, title)
     time = _time(channels, sample_time, title)
     if resample:
@@ -161,7 +163,8 @@ def _stem(title: str) -> str:
     return title[: -len(extension)] if extension else title
 
 
-def _read(path: Path, columns: Mapped | None) -> Table:
+def _read(path: Path, columns: Mapped | None) -> tuple[Table, list[str]]:
+    """Columns in use, and warnings about those that are not."""
     if not path.exists():
         raise LogError(f"no such file: {path}")
     if path.is_dir():
@@ -170,12 +173,15 @@ def _read(path: Path, columns: Mapped | None) -> Table:
     if not extension:
         raise LogError(f"{path.name}: not a log by its name, which ends in {', '.join(EXTENSIONS)}")
 
+    ignored: list[str] = []
+
     def choose(names: list[str], units: Mapping[str, str]) -> list[str]:
-        return list(resolve(names, columns, units, path.name)[0])
+        targets, ignored[:] = resolve(names, columns, units, path.name)
+        return list(targets)
 
     reader = {".mat": read_matlab, ".parquet": read_parquet, ".mf4": read_mdf}
     try:
-        return reader.get(extension, read_text)(path, choose)
+        return reader.get(extension, read_text)(path, choose), ignored
     except OSError as error:
         raise LogError(f"{path.name}: {error.strerror or 'not readable'}") from error
 
@@ -235,8 +241,9 @@ def _unwrap(channels: dict[str, Any], units: Mapping[str, str]) -> list[str]:
 def _require(required: Sequence[str], channels: Any, title: str) -> None:
     missing = [channel for channel in required if channel not in channels]
     if missing:
+        there = [channel for channel in channels if channel != "time"]
         raise LogError(
-            f"{title}: no column for {', '.join(missing)}; it has {', '.join(channels) or 'none'}"
+            f"{title}: no column for {', '.join(missing)}; it has {', '.join(there) or 'none'}"
         )
 
 

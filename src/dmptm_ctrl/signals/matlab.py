@@ -1,25 +1,17 @@
 """MATLAB files: plain arrays, structures, Simulink logs and dSPACE recordings."""
 
-import struct
-import zlib
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from dmptm_ctrl.signals.apart import Signal, read_apart
 from dmptm_ctrl.signals.columns import Choose, Table
 from dmptm_ctrl.signals.errors import LogError
 
-MAX_VALUES = 1 << 30  # numbers in one file, 8 GB; guards against files that unpack without end
 MAX_WIDTH = 64  # columns of one array that are taken apart
-
-
-class _Found(NamedTuple):
-    path: tuple[str, ...]  # where in the file, outermost first
-    values: Any
-    unit: str | None
-    clock: bool = False  # the time of a structure, in seconds by MATLAB's convention
 
 
 def read_matlab(path: Path, choose: Choose) -> Table:
@@ -44,15 +36,12 @@ def read_matlab(path: Path, choose: Choose) -> Table:
     LogError
         Not readable, or without signals.
     """
-    content = _content(path)
-    meta: dict[str, Any] = {}
-    found = list(_walk((), content, meta))
+    found, meta = read_apart(path)
     if not found:
-        advice = ""
-        if _has_objects(content):
-            advice = "; save objects such as timeseries as structures: s.time_s = ts.Time"
-        raise LogError(f"{path.name}: no signals in the file{advice}")
-    found = _one_clock(found)
+        raise LogError(
+            f"{path.name}: no signals in the file; objects such as timeseries must be saved as "
+            "structures: s.time_s = ts.Time"
+        )
     names = _short_names([signal.path for signal in found])
     units = {n: s.unit for n, s in zip(names, found, strict=True) if s.unit}
     kept = set(choose(names, units))
@@ -60,69 +49,43 @@ def read_matlab(path: Path, choose: Choose) -> Table:
     return Table(columns, units, meta)
 
 
-def _content(path: Path) -> dict[str, Any]:
-    """Variables of the file as nested dicts, lists and arrays."""
-    from scipy.io import loadmat
+def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
+    """Signals, scalars and texts of a .mat file; run it by `read_apart`, it may crash.
 
+    Raises
+    ------
+    ImportError
+        No library for this version.
+    Exception
+        Whatever the libraries raise.
+    """
     with path.open("rb") as stream:
         hdf = stream.read(10) == b"MATLAB 7.3"
-    try:
-        if hdf:
-            return _content_hdf(path)
-        _refuse_huge(path, _unpacked_bytes(path) // 8)
-        content = loadmat(path, simplify_cells=True, appendmat=False)
-    except (LogError, OSError):
-        raise
-    except ImportError as error:
-        raise LogError(
-            f"{path.name}: MATLAB 7.3 files need pymatreader: pip install 'dmptm-ctrl[mat73]'"
-        ) from error
-    except Exception as error:  # SciPy and h5py raise what their parsers stumble on
-        raise LogError(f"{path.name}: not a readable MATLAB file, or damaged") from error
-    return {name: value for name, value in content.items() if not name.startswith("__")}
-
-
-def _content_hdf(path: Path) -> dict[str, Any]:
-    import warnings
-
-    import h5py
-    from pymatreader import read_mat
-
-    sizes: list[int] = []
-    with h5py.File(path, "r") as file:
-        file.visititems(lambda _, item: sizes.append(getattr(item, "size", 0) or 0))
-    _refuse_huge(path, sum(sizes))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of classes that it reads as far as it can
-        content = read_mat(str(path))
-    return {name: content[name] for name in sorted(content) if not name.startswith(("__", "#"))}
+        warnings.simplefilter("ignore")  # of classes that are read as far as they can be
+        content = _read_hdf(path) if hdf else _read_scipy(path)
+    meta: dict[str, Any] = {}
+    plain = {name: content[name] for name in sorted(content) if not name.startswith(("__", "#"))}
+    return _one_clock(list(_walk((), plain, meta))), meta
 
 
-def _unpacked_bytes(path: Path) -> int:
-    """Size that the packed variables of a version 5 to 7 file state; 0 where none is packed.
-
-    Source: MAT-File Format, MathWorks, section 1: a 128-byte header, then elements of type and
-    size (4 bytes each); type 15 is a zlib stream of one element.
-    """
-    total = 0
-    with path.open("rb") as stream:
-        order = {b"IM": "<", b"MI": ">"}.get(stream.read(128)[-2:])
-        while order and len(tag := stream.read(8)) == 8:
-            kind, size = struct.unpack(order + "II", tag)
-            begin = stream.tell()
-            if kind == 15:
-                inner = zlib.decompressobj().decompress(stream.read(min(size, 256)), 8)
-                total += struct.unpack(order + "II", inner)[1]
-            stream.seek(begin + size)
-    return total
+def _read_hdf(path: Path) -> dict[str, Any]:
+    try:
+        from pymatreader import read_mat
+    except ImportError:
+        raise ImportError(
+            "MATLAB 7.3 files need pymatreader: pip install 'dmptm-ctrl[mat73]'"
+        ) from None
+    return read_mat(str(path))
 
 
-def _refuse_huge(path: Path, values: int) -> None:
-    if values > MAX_VALUES:
-        raise LogError(f"{path.name}: {values} values, more than {MAX_VALUES} are not read")
+def _read_scipy(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    return loadmat(path, simplify_cells=True, appendmat=False)
 
 
-def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[_Found]:
+def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[Signal]:
     if isinstance(value, Mapping):
         if {"X", "Y"} <= value.keys():
             yield from _dspace(path, value)
@@ -142,25 +105,25 @@ def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[_
         yield from _array(path, value, None)
 
 
-def _array(path: tuple[str, ...], value: Any, unit: str | None) -> Iterator[_Found]:
+def _array(path: tuple[str, ...], value: Any, unit: str | None) -> Iterator[Signal]:
     array = np.squeeze(np.asarray(value))
     if array.dtype.kind not in "fiub" or array.size < 2 or array.ndim > 2:
         return
     if array.ndim == 1:
-        yield _Found(path, array, unit)
+        yield Signal(path, array, unit)
         return
     if array.shape[1] > array.shape[0]:
         array = array.T
     if array.shape[1] <= MAX_WIDTH:
         for k, column in enumerate(array.T, start=1):
-            yield _Found((*path[:-1], f"{path[-1]}{k}"), np.ascontiguousarray(column), unit)
+            yield Signal((*path[:-1], f"{path[-1]}{k}"), np.ascontiguousarray(column), unit)
 
 
-def _dspace(path: tuple[str, ...], record: Mapping[str, Any]) -> Iterator[_Found]:
+def _dspace(path: tuple[str, ...], record: Mapping[str, Any]) -> Iterator[Signal]:
     """Recording of dSPACE ControlDesk: axes X, signals Y with Name, Data and Unit."""
     for axis in _structs(record["X"]):
         for found in _array((*path, "time_s"), axis.get("Data"), "s"):
-            yield found._replace(clock=True)
+            yield found._replace(is_time=True)
     for signal in _structs(record["Y"]):
         # Names are paths into the model: "Model Root"/"Plant"/"omega_L"
         name = tuple(p.strip().strip('"') for p in str(signal.get("Name", "Y")).split("/"))
@@ -168,20 +131,20 @@ def _dspace(path: tuple[str, ...], record: Mapping[str, Any]) -> Iterator[_Found
         yield from _array((*path, *name), signal.get("Data"), unit if _text(unit) else None)
 
 
-def _simulink(path: tuple[str, ...], log: Mapping[str, Any]) -> Iterator[_Found]:
+def _simulink(path: tuple[str, ...], log: Mapping[str, Any]) -> Iterator[Signal]:
     """Simulink's structure with time: time, signals.values, signals.label."""
     for found in _array((*path, "time_s"), log["time"], "s"):
-        yield found._replace(clock=True)
+        yield found._replace(is_time=True)
     for index, signal in enumerate(_structs(log["signals"]), start=1):
         label = signal.get("label")
         name = str(label) if _text(label) else f"signal{index}"
         yield from _array((*path, name), signal.get("values"), None)
 
 
-def _timeseries(path: tuple[str, ...], series: Mapping[str, Any]) -> Iterator[_Found]:
+def _timeseries(path: tuple[str, ...], series: Mapping[str, Any]) -> Iterator[Signal]:
     """Fields of a timeseries: Time, Data, Name, DataInfo.Units."""
     for found in _array((*path, "time_s"), series["Time"], "s"):
-        yield found._replace(clock=True)
+        yield found._replace(is_time=True)
     info = series.get("DataInfo")
     unit = info.get("Units") if isinstance(info, Mapping) else None
     name = series.get("Name")
@@ -205,12 +168,12 @@ def _structs(value: Any) -> list[Mapping[str, Any]]:
     return []
 
 
-def _one_clock(found: list[_Found]) -> list[_Found]:
+def _one_clock(found: list[Signal]) -> list[Signal]:
     """Drop clocks that tick like one before: each timeseries brings its own."""
-    kept: list[_Found] = []
+    kept: list[Signal] = []
     for signal in found:
-        clocks = [other for other in kept if other.clock]
-        if signal.clock and any(np.array_equal(signal.values, c.values) for c in clocks):
+        clocks = [other for other in kept if other.is_time]
+        if signal.is_time and any(np.array_equal(signal.values, c.values) for c in clocks):
             continue
         kept.append(signal)
     return kept
@@ -227,9 +190,3 @@ def _short_names(paths: list[tuple[str, ...]]) -> list[str]:
                 break
         names.append(".".join(end))
     return names
-
-
-def _has_objects(content: Any) -> bool:
-    if isinstance(content, Mapping):
-        return any(_has_objects(value) for value in content.values())
-    return type(content).__name__ in ("MatlabOpaque", "MatlabObject", "MatlabFunction")

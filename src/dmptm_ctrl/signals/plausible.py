@@ -29,6 +29,7 @@ MISTAKES = {
     60.0: "arc-minutes and degrees, or turns per minute and per second, are mixed up",
     1 / 60.0: "arc-minutes and degrees, or turns per minute and per second, are mixed up",
 }
+NOTICEABLE = np.radians(1.0)  # motion that every speed sensor must see
 SHORTEST = 10  # samples at an extreme that count as clipped
 MOTORS = {"theta_ml": "left", "theta_mr": "right"}
 
@@ -83,8 +84,8 @@ def suspects(log: Log) -> list[str]:
         )
     if log.has("theta_L", "omega_L") and not found:
         travel = _travel(log)
-        both_move = min(np.ptp(log["theta_L"]), np.ptp(travel)) > np.radians(0.5)
-        if both_move and abs(_slope(log["theta_L"], travel)[1]) < SURE:
+        moves = max(np.ptp(log["theta_L"]), np.ptp(travel)) > NOTICEABLE
+        if moves and abs(_ratio(log, log["theta_L"], travel, detrend=True)[1]) < SURE:
             found.append("omega_L does not follow theta_L: a foreign or failing sensor")
     return found
 
@@ -120,6 +121,18 @@ def _slope(y: Array, x: Array) -> tuple[float, float]:
     return xy / xx, xy / np.sqrt(xx * yy)
 
 
+def _ratio(log: Log, y: Array, x: Array, *, detrend: bool) -> tuple[float, float]:
+    """As `_slope`, or without trends where that is surer: a gyro's bias adds up to a ramp."""
+    plain = _slope(y, x)
+    if not detrend:
+        return plain
+    return max(plain, _slope(_detrended(y, log.time), _detrended(x, log.time)), key=_sureness)
+
+
+def _sureness(ratio: tuple[float, float]) -> float:
+    return abs(ratio[1])
+
+
 def _detrended(y: Array, time: Array) -> Array:
     t = time - time.mean()
     return y - y.mean() - t * float(t @ y) / max(float(t @ t), 1e-300)
@@ -129,10 +142,7 @@ def _refuse_factor(
     log: Log, y: Array, x: Array, this: str, expected: str, *, detrend: bool = False
 ) -> None:
     """Refuse y that is not about 1 times x where their correlation tells."""
-    slope, correlation = _slope(y, x)
-    if detrend:  # a gyro's bias adds up to a ramp
-        other = _slope(_detrended(y, log.time), _detrended(x, log.time))
-        slope, correlation = max((slope, correlation), other, key=lambda pair: abs(pair[1]))
+    slope, correlation = _ratio(log, y, x, detrend=detrend)
     if abs(correlation) < SURE:
         return
     if slope < 0:

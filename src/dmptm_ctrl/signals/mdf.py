@@ -1,0 +1,79 @@
+"""MDF 4 files of measurement systems."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+from dmptm_ctrl.signals.apart import Signal, read_apart
+from dmptm_ctrl.signals.columns import Choose, Table
+from dmptm_ctrl.signals.errors import LogError
+
+
+def read_mdf(path: Path, choose: Choose) -> Table:
+    """Read channels of an MDF 4 file (extra ``mf4``).
+
+    Parameters
+    ----------
+    path : Path
+    choose : callable
+        Gets the channels and their units, returns those to keep; they must be on one clock.
+
+    Returns
+    -------
+    Table
+        The time of the clock is the column time_s.
+
+    Raises
+    ------
+    LogError
+        Not readable, asammdf is not installed, channels on several clocks.
+    """
+    found, meta = read_apart(path)
+    times = {signal.clock: signal.values for signal in found if signal.is_time}
+    signals = {signal.path[-1]: signal for signal in found if not signal.is_time}
+    units = {name: signal.unit for name, signal in signals.items() if signal.unit}
+    chosen = [name for name in choose(["time_s", *signals], units) if name in signals]
+    if not chosen:
+        raise LogError(
+            f"{path.name}: none of its channels has a unit; it has {', '.join(signals) or 'none'}"
+        )
+    first = signals[chosen[0]]
+    for name in chosen:
+        if signals[name].clock != first.clock:
+            raise LogError(
+                f"{path.name}: {chosen[0]} and {name} are on different clocks; resample the file "
+                "to one (asammdf: MDF.resample), or map only columns of one clock"
+            )
+    columns = {name: signals[name].values for name in chosen}
+    return Table({"time_s": times[first.clock], **columns}, units, meta)
+
+
+def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
+    """Numeric channels of an MDF file; run it by `read_apart`, it may crash.
+
+    Raises
+    ------
+    ImportError
+        asammdf is not installed.
+    Exception
+        Whatever asammdf raises.
+    """
+    try:
+        from asammdf import MDF
+    except ImportError:
+        raise ImportError("MDF files need asammdf: pip install 'dmptm-ctrl[mf4]'") from None
+    logging.disable()
+    found: list[Signal] = []
+    clocks: dict[bytes, int] = {}  # groups that tick alike are on one clock
+    with MDF(str(path)) as file:
+        for channel in file.iter_channels():
+            if channel.samples.dtype.kind not in "fiub" or channel.samples.ndim != 1:
+                continue
+            ticks = channel.timestamps.tobytes()
+            if ticks not in clocks:
+                clocks[ticks] = len(clocks)
+                time = Signal(("time_s",), channel.timestamps, "s", clocks[ticks], is_time=True)
+                found.append(time)
+            unit = str(channel.unit) if channel.unit else None
+            found.append(Signal((channel.name,), channel.samples, unit, clocks[ticks]))
+    return found, {}

@@ -1,0 +1,84 @@
+"""What a log can tell, on runs made to tell it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from dmptm_ctrl import Log
+from dmptm_ctrl.signals import excitation
+from dmptm_ctrl.signals.info import NEEDS, describe
+
+TIME = np.arange(5000) * 1e-3
+
+
+def tellable(info):
+    return {row.effect for row in info.testable if row.testable}
+
+
+def test_figures_of_a_known_motion():
+    frequency = 0.4  # Hz, two periods
+    rate = 2 * np.pi * frequency
+    log = Log(
+        "sine",
+        TIME,
+        {
+            "u_left": 0.6 * np.cos(rate * TIME) + 0.1,
+            "u_right": 0.6 * np.cos(rate * TIME) - 0.1,
+            "theta_L": 0.3 * np.sin(rate * TIME),
+            "omega_L": 0.3 * rate * np.cos(rate * TIME),
+        },
+    )
+    info = describe(log)
+    e = info.excitation
+    assert e.travel == pytest.approx(0.6, rel=1e-6)
+    assert e.top_speed == pytest.approx(0.3 * rate, rel=1e-3)
+    assert e.reversals == 4
+    assert e.both_ways
+    assert e.preload == pytest.approx(0.2)
+    assert e.bandwidth < 2 * frequency
+    assert e.angle_and_speed
+    assert not e.both_sides
+    assert info.channels[2].column == "theta_L_deg"
+    assert info.channels[2].high == pytest.approx(np.degrees(0.3), rel=1e-6)
+    assert info.channels[0].rms == pytest.approx(np.sqrt(0.6**2 / 2 + 0.1**2), rel=1e-6)
+    assert {"coulomb_friction", "load_dependent_friction", "unbalance"} <= tellable(info)
+    assert not {"current_lag", "ring_gear_eccentricity", "thermal_drift"} & tellable(info)
+
+
+def test_resolution_is_the_encoders():
+    step = 2 * np.pi / 2**12
+    angle = step * np.round(np.sin(TIME) / step)
+    log = Log("run", TIME, {"u": np.cos(TIME), "x": angle}, units={"u": "V", "x": "rad"})
+    assert describe(log).channels[1].resolution == pytest.approx(360 / 2**12, rel=1e-9)
+
+
+@pytest.mark.parametrize(("unit", "channel"), [("m", "q"), ("rad", "shaft"), ("m/s", "v")])
+def test_any_drive(unit, channel):
+    motion = np.sin(TIME)
+    log = Log("run", TIME, {"i": np.cos(TIME), channel: motion}, units={"i": "A", channel: unit})
+    assert describe(log).excitation.both_ways
+
+
+def test_multisine_excites_the_fast_effects():
+    _, u = excitation.multisine(np.arange(1, 60), 0.5, 5.0)
+    log = Log("run", TIME, {"u": u, "x": np.cumsum(u)}, units={"u": "V", "x": "rad"})
+    assert {"current_lag", "drive_delay", "shaft_compliance"} <= tellable(describe(log))
+
+
+def test_no_input_no_advice():
+    log = Log("run", TIME, {"theta_L": np.sin(TIME)})
+    assert describe(log).excitation is None
+    assert describe(log).testable == ()
+
+
+def test_a_drive_at_rest_tells_nothing_about_friction():
+    log = Log("run", TIME, {"u_left": np.zeros(5000), "theta_L": np.zeros(5000)})
+    assert tellable(describe(log)) <= {"thermal_drift"}
+
+
+def test_goes_to_json():
+    log = Log("run", TIME, {"u_left": np.sin(TIME), "theta_L": np.sin(TIME)})
+    again = json.loads(json.dumps(describe(log).to_dict()))
+    assert again["samples"] == 5000
+    assert len(again["testable"]) == len(NEEDS)

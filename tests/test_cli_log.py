@@ -1,0 +1,157 @@
+"""The command line: what is printed where, and the exit code."""
+
+import gzip
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import dmptm_ctrl
+from dmptm_ctrl import data
+from dmptm_ctrl.cli import main
+
+LOG = str(data.path("null_rig") / "open_multisine_preload.csv.gz")
+
+
+def one_line(capsys):
+    """Message on standard error, which must be one line; standard output must be empty."""
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.endswith("\n")
+    assert err.count("\n") == 1
+    assert err.startswith("dmptm: ")
+    return err.removeprefix("dmptm: ").rstrip("\n")
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"dmptm {dmptm_ctrl.__version__}\n"
+
+
+def test_without_a_command_shows_help(capsys):
+    assert main([]) == 0
+    assert "Usage: dmptm" in capsys.readouterr().out
+
+
+def test_log_info(capsys):
+    assert main(["log", "info", LOG]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert "open_multisine_preload: 10000 samples, 9.999 s at 1000 Hz" in out
+    assert "theta_ml_deg" in out
+    told, untold = out.split("Cannot tell about")
+    assert "torque_constant_mismatch" in told
+    assert "thermal_drift" in untold
+
+
+def test_log_info_for_programs(capsys):
+    assert main(["log", "info", LOG, "--json"]) == 0
+    info = json.loads(capsys.readouterr().out)
+    assert info["samples"] == 10000
+    assert info["excitation"]["preload"] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--bogus"], "No such option: --bogus"),
+        (["bogus"], "No such command 'bogus'"),
+        (["log"], "Missing command"),
+        (["log", "info"], "Missing argument"),
+        (["log", "info", "a", "b"], "unexpected extra argument"),
+        (["log", "info", "--json=3", "a"], "--json"),
+    ],
+)
+def test_wrong_usage(capsys, arguments, message):
+    assert main(arguments) == 2
+    line = one_line(capsys)
+    assert message in line
+    assert line.endswith("see 'dmptm --help'.")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("run.csv", b"", "the file is empty"),
+        ("run.csv", b"time_s,theta_L_dge\n0,1\n", "ends in no known unit"),
+        ("run.csv.gz", gzip.compress(b"time_s,x_m\n0,1\n" * 99)[:40], "damaged or cut short"),
+        ("run.csv", b"time_s,x_m\n0,nan\n" + b"".join(b"%d,1\n" % i for i in range(1, 200)), "NaN"),
+        ("run.csv", b"time_s,a\x1b[31mb_m,x\ry\n0,1,2\n", "run.csv"),
+        ("run.xlsx", b"PK", "not a log by its name"),
+        ("run.mat", b"MATLAB 5.0 MAT-file", "not a readable .mat file"),
+    ],
+)
+def test_bad_log(capsys, tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    assert main(["log", "info", str(tmp_path / name)]) == 2
+    line = one_line(capsys)
+    assert message in line
+    assert line.isprintable()
+
+
+def test_no_such_log(capsys, tmp_path):
+    assert main(["log", "info", str(tmp_path / "none.csv")]) == 2
+    assert "no such file" in one_line(capsys)
+    assert main(["log", "info", str(tmp_path)]) == 2
+    assert "is a folder" in one_line(capsys)
+
+
+def test_resample(capsys, tmp_path):
+    time = np.arange(300) * 1e-3 + 2e-4 * np.sin(np.arange(300))
+    rows = "\n".join(f"{t:.6f},{np.sin(t):.6f}" for t in time)
+    (tmp_path / "run.csv").write_text("time_s,x_m\n" + rows)
+    assert main(["log", "info", str(tmp_path / "run.csv")]) == 2
+    assert "uneven sample rate" in one_line(capsys)
+    assert main(["log", "info", "--resample", str(tmp_path / "run.csv")]) == 0
+    assert "warning: resampled to even steps" in capsys.readouterr().out
+
+
+def test_markup_in_a_name_is_only_text(capsys, tmp_path):
+    rows = "\n".join(f"{i},{i}" for i in range(200))
+    (tmp_path / "[red]run.csv").write_text("time_s,[bold]x_m\n" + rows)
+    assert main(["log", "info", str(tmp_path / "[red]run.csv")]) == 0
+    out = capsys.readouterr().out
+    assert "[red]run" in out
+    assert "[bold]x_m" in out
+
+
+@pytest.mark.parametrize("program", [["-m", "dmptm_ctrl"], ["-m", "dmptm_ctrl.cli"]])
+def test_as_a_program(program):
+    done = subprocess.run(
+        [sys.executable, *program, "log", "info", "none.csv"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "dmptm: no such file: none.csv\n"
+
+
+def test_reader_that_goes_away():
+    command = f"'{sys.executable}' -m dmptm_ctrl log info '{LOG}' --json | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+
+
+def test_import_loads_nothing_heavy():
+    """``import dmptm_ctrl`` and ``dmptm --version`` must stay quick."""
+    program = (
+        "import sys, dmptm_ctrl, dmptm_ctrl.cli; "
+        "print([m for m in ('control', 'scipy', 'matplotlib', 'pandas', 'numba', 'pint', 'numpy')"
+        " if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "[]\n"
+
+
+def test_bundled_logs_are_named():
+    with pytest.raises(ValueError, match="no bundled logs named 'x'; there are demo_rig, null_rig"):
+        data.path("x")
+    done = subprocess.run(
+        [sys.executable, "-m", "dmptm_ctrl.data"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == str(data.path("demo_rig"))

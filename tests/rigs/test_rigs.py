@@ -9,6 +9,7 @@ import pytest
 from rigs.experiments import Experiment
 from rigs.nominal import DEG
 from rigs.rig import draw_plant, run, stream, write_log
+from scipy.signal import butter, sosfiltfilt
 
 from rigs import KNOWN, UNKNOWN, campaign, experiments, make_rig
 
@@ -208,3 +209,35 @@ def test_the_paper_s_experiments_are_those_of_the_blind_logs():
             np.testing.assert_allclose(lines[0][5:1000], lines[1][5:1000], atol=1e-4)
         else:
             np.testing.assert_allclose(log["u_left_V"], ran.signal, atol=6e-6)
+
+
+def test_saved_rigs_have_logs_hidden_logs_and_a_label(tmp_path):
+    rig = make_rig(2, [("cogging", 1.0)], logs=("closed_sine_15",), hidden_logs=1)
+    rig.save(tmp_path / "a")
+    rig.save(tmp_path / "b")
+    files = sorted(str(p.relative_to(tmp_path / "a")) for p in (tmp_path / "a").rglob("*.*"))
+    assert files == ["closed_sine_15.csv.gz", "hidden/hidden_1_open_sine.csv.gz", "label.json"]
+    for name in files:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    label = json.loads((tmp_path / "a" / "label.json").read_text())
+    assert label["effects"] == ["cogging"]
+    assert label["effect_parameters"]["cogging"]["amplitude_N_m"] > 0
+
+
+@pytest.mark.skipif(not BLIND.is_dir(), reason="needs the blind logs")
+@pytest.mark.parametrize("law", ["karnopp", "lugre", "tanh"])
+def test_table_values_follow_a_null_rig_of_the_blind_logs(law):
+    """Voltages of d01, open loop: within the declared spread of its parameters.
+
+    Friction 12 % off changes the speed by as much, and little of its shape.
+    """
+    pd = pytest.importorskip("pandas")
+    low_pass = butter(4, 30, fs=1000, output="sos")
+    record = draw_plant(np.random.default_rng(0), LAWS | {"friction": law}, 0.0)
+    for name in ("open_sine_0v75", "open_square_0v75"):
+        log = pd.read_csv(BLIND / "d01" / f"{name}.csv.gz")
+        same = Experiment(False, log["u_left_V"].to_numpy(), log["theta_L_deg"][0] * DEG)
+        ours = run(record, same, stream("noise", 0), "all", STEP)
+        speeds = [sosfiltfilt(low_pass, x["omega_L_deg_s"]) for x in (ours, log)]
+        assert np.corrcoef(speeds)[0, 1] > 0.997
+        assert np.std(speeds[0]) == pytest.approx(np.std(speeds[1]), rel=0.12)

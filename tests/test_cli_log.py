@@ -56,7 +56,7 @@ def test_log_info_for_programs(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--bogus"], "No such option: --bogus"),
+        (["--bogus"], "No such option"),
         (["bogus"], "No such command 'bogus'"),
         (["log"], "Missing command"),
         (["log", "info"], "Missing argument"),
@@ -82,6 +82,7 @@ def test_wrong_usage(capsys, arguments, message):
         ("run.xlsx", b"PK", "not a log by its name"),
         ("run.mat", b"MATLAB 5.0 MAT-file", "not a readable .mat file"),
     ],
+    ids=["empty", "unit", "gzip", "nan", "control characters", "extension", "matlab"],
 )
 def test_bad_log(capsys, tmp_path, name, content, message):
     (tmp_path / name).write_bytes(content)

@@ -39,8 +39,9 @@ def reordered(columns, order):
             "uneven sample rate, steps 0.000985",
         ),
         (lambda c: c | {"time_s": c["time_s"] ** 1.2}, "uneven sample rate"),
+        (lambda c: c | {"time_s": c["time_s"] * 1e-9}, "time steps of 1e-12 s"),
     ],
-    ids=["reversed", "repeated", "shuffled", "gaps", "gap", "jitter", "drifting"],
+    ids=["reversed", "repeated", "shuffled", "gaps", "gap", "jitter", "drifting", "tiny"],
 )
 def test_uneven_time_is_refused(columns, write_csv, spoil, message):
     with pytest.raises(LogError, match=message):

@@ -36,6 +36,8 @@ def test_frame_is_not_changed(columns):
         (pd.DataFrame([[1.0, 2.0]], columns=["x_m", "x_m"]), "'x_m' .* occurs 2 times"),
         (pd.DataFrame({"time_s": ["a", "b"]}), "'time_s' does not hold numbers"),
         (pd.DataFrame({"time_s": [[1], [2, 3]]}), "'time_s' does not hold numbers"),
+        (pd.DataFrame({"time_s": pd.date_range("2020", periods=3)}), "does not hold numbers"),
+        (pd.DataFrame({"time_s": [0, 1, 2], "x_m": 1j}), "'x_m' does not hold numbers"),
         (pd.DataFrame(), "no time column"),
     ],
 )

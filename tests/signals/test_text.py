@@ -36,7 +36,7 @@ def test_reads_si_and_radians(columns, write_csv):
 
 
 def test_numbers_come_in_to_the_last_bit(write_csv):
-    values = np.random.default_rng(1).normal(size=500) * 10.0 ** np.arange(-250, 250)
+    values = np.random.default_rng(1).normal(size=500) * 10.0 ** np.linspace(-250, 28, 500)
     rows = "\n".join(f"{i * 0.5},{v!r}" for i, v in enumerate(values.tolist()))
     log = load_log(write_csv(f"time_s,x_m\n{rows}\n"))
     np.testing.assert_array_equal(log["x"], values)
@@ -106,6 +106,8 @@ def test_sample_time_replaces_a_time_column(write_csv):
     assert load_log(path, sample_time=4e-4).sample_time == 4e-4
     with pytest.raises(LogError, match="no time column; call it time_s"):
         load_log(path)
+    with pytest.raises(LogError, match="sample time 0 s is not positive"):
+        load_log(path, sample_time=0)
 
 
 def test_text_in_a_column_nobody_wants(columns, write_csv):
@@ -132,6 +134,7 @@ def test_many_chunks_are_one_log(columns, write_csv, monkeypatch):
         ("nan", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235$"),
         ("-inf", r"^run.csv: theta_L_deg is infinite in row 1235$"),
         ("1e999", r"^run.csv: theta_L_deg is infinite in row 1235$"),
+        ("1e200", r"^run.csv: theta_L_deg is 1e\+200, no measured value, in row 1235$"),
         ("", r"^run.csv: line 1236 has no value for theta_L_deg$"),
         ("off", r"^run.csv: line 1236: theta_L_deg is 'off', not a number$"),
         ("1,2", r"^run.csv: line 1236 has 8 values, the header names 7 columns$"),

@@ -9,26 +9,30 @@ from dmptm_ctrl.signals.log import EVEN_TOLERANCE
 Array = NDArray[np.float64]
 
 MIN_SAMPLES = 100  # fewer tell nothing about a drive
+HUGE = 1e30
+SHORTEST_STEP = 1e-9  # s, faster than anything that samples a drive
 GAP_STEPS = 1.5  # a step longer than this many usual ones has lost samples
 
 
 def finite(source: str, column: str, values: Array) -> None:
-    """Refuse NaN and infinity.
+    """Refuse NaN, infinity and numbers so large that their squares would overflow.
 
     Raises
     ------
     LogError
         Names the row (first row of numbers = 1), the column and how many there are.
     """
-    bad = ~np.isfinite(values)
-    if bad.any():
-        row, count = int(np.argmax(bad)), int(bad.sum())
+    good = np.abs(values) < HUGE  # False for NaN
+    if not good.all():
+        row, count = int(np.argmin(good)), int((~good).sum())
         more = f" ({count} such values)" if count > 1 else ""
-        kind = "missing (NaN)" if np.isnan(values[row]) else "infinite"
+        value = values[row]
+        kind = "infinite" if np.isinf(value) else f"{value:.3g}, no measured value,"
+        kind = "missing (NaN)" if np.isnan(value) else kind
         raise LogError(f"{source}: {column} is {kind} in row {row + 1}{more}")
 
 
-def even_time(source: str, time: Array, *, resample: bool = False) -> None:
+def even_time(source: str, time: Array) -> None:
     """Refuse a clock that runs backwards, repeats, has gaps or is uneven.
 
     Parameters
@@ -36,12 +40,11 @@ def even_time(source: str, time: Array, *, resample: bool = False) -> None:
     source : str
         Name of the file, for messages.
     time : (n,) array [s]
-    resample : bool
-        Uneven steps will be interpolated: only a clock that does not increase is refused.
 
     Raises
     ------
     LogError
+        With the row (first row of numbers = 1) and the size of what is wrong.
     """
     step = np.diff(time)
     if (step < 0).all():
@@ -53,9 +56,7 @@ def even_time(source: str, time: Array, *, resample: bool = False) -> None:
             f"{source}: time {what} in row {row + 1} "
             f"({time[row - 1]:.6g} s, then {time[row]:.6g} s)"
         )
-    if resample:
-        return
-    usual = float(np.median(step))
+    usual = usual_step(source, step)
     if (step > GAP_STEPS * usual).any():
         row, count = int(np.argmax(step)), int((step > GAP_STEPS * usual).sum())
         lost = round(step[row] / usual) - 1
@@ -70,3 +71,17 @@ def even_time(source: str, time: Array, *, resample: bool = False) -> None:
             f"{source}: uneven sample rate, steps {step.min():.6g} to {step.max():.6g} s; "
             "resample the log to even steps"
         )
+
+
+def usual_step(source: str, step: Array) -> float:
+    """Median time step [s].
+
+    Raises
+    ------
+    LogError
+        Shorter than a nanosecond.
+    """
+    usual = float(np.median(step))
+    if usual < SHORTEST_STEP:
+        raise LogError(f"{source}: time steps of {usual:.3g} s; time must be in seconds")
+    return usual

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.signals.checks import usual_step
 from dmptm_ctrl.signals.errors import LogError
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ def resampled(
         channels = {channel: np.delete(values, again) for channel, values in channels.items()}
         notes.append(f"sorted by time, {again.size} repeated rows dropped")
     step = np.diff(time)
-    usual = float(np.median(step))
+    usual = usual_step(source, step)
     if step.max() > (MAX_BRIDGED + 0.5) * usual:
         row = int(np.argmax(step))
         raise LogError(

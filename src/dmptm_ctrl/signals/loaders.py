@@ -78,7 +78,7 @@ def load_log(
     if isinstance(source, str | PathLike):
         path = Path(source)
         title = path.name
-        (table, ignored), digest = _read(path, columns), _sha256(path)
+        table, ignored, digest = _read(path, columns)
     else:
         title = name or "data frame"
         table, ignored, digest = from_frame(source), [], None
@@ -163,8 +163,8 @@ def _stem(title: str) -> str:
     return title[: -len(extension)] if extension else title
 
 
-def _read(path: Path, columns: Mapped | None) -> tuple[Table, list[str]]:
-    """Columns in use, and warnings about those that are not."""
+def _read(path: Path, columns: Mapped | None) -> tuple[Table, list[str], str]:
+    """Columns in use, warnings about those that are not, and the file's SHA-256."""
     if not path.exists():
         raise LogError(f"no such file: {path}")
     if path.is_dir():
@@ -181,7 +181,7 @@ def _read(path: Path, columns: Mapped | None) -> tuple[Table, list[str]]:
 
     reader = {".mat": read_matlab, ".parquet": read_parquet, ".mf4": read_mdf}
     try:
-        return reader.get(extension, read_text)(path, choose), ignored
+        return reader.get(extension, read_text)(path, choose), ignored, _sha256(path)
     except OSError as error:
         raise LogError(f"{path.name}: {error.strerror or 'not readable'}") from error
 
@@ -219,7 +219,10 @@ def _channels(
 
 def _floats(values: Any, column: str, title: str) -> Any:
     try:
-        array = np.asarray(values, dtype=np.float64)
+        array = np.asarray(values)
+        if array.dtype.kind not in "fiubO":  # text, complex numbers, dates
+            raise TypeError(array.dtype)
+        array = array.astype(np.float64, copy=False)
     except (TypeError, ValueError) as error:
         raise LogError(f"{title}: column {column!r} does not hold numbers") from error
     if array.ndim != 1:
@@ -252,6 +255,8 @@ def _time(channels: dict[str, Any], sample_time: float | None, title: str) -> An
         time = channels.pop("time")
     elif sample_time is None:
         raise LogError(f"{title}: no time column; call it time_s, or give the sample time")
+    elif not sample_time > checks.SHORTEST_STEP:
+        raise LogError(f"{title}: sample time {sample_time} s is not positive")
     elif not channels:
         raise LogError(f"{title}: no columns with a unit in their names")
     else:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from html import escape
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -130,7 +131,7 @@ class Log:
         """Time from the first sample to the last [s]."""
         return float(self.time[-1] - self.time[0])
 
-    @property
+    @cached_property
     def sample_time(self) -> float:
         """Time between samples [s].
 

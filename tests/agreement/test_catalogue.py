@@ -48,6 +48,25 @@ def test_compiled_is_the_reference(visible, paper, lively):
     assert np.max(rms(exact, plain) / scale) > 100 * np.max(error)
 
 
+def test_all_effects_together_are_second_order(paper, lively, visible_values):
+    """Every site at once, in the order in which the runners chain them."""
+    model = paper
+    for name, effect in CATALOGUE.items():
+        model = model.with_effect(name, **visible_values(effect))
+    time, u, x0 = lively
+    exact = simulate(model, time, 2.0 * u, x0, method="reference").outputs
+    scale = np.ptp(exact, axis=1)
+    assert np.all(scale > 1e-4)
+    steps = np.array([8, 32, 128, 512])
+    errors = [
+        rms(simulate(model, time, 2.0 * u, x0, substeps=int(s)).outputs, exact) / scale
+        for s in steps
+    ]
+    orders = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert np.all(orders > 1.7), dict(zip(OUTPUTS, orders, strict=True))
+    assert np.all(errors[-1] < 1e-4)
+
+
 def test_blocks_are_compiled(visible, smooth):
     """Closed meshes, everything sliding, where an ODE solver is at its best.
 

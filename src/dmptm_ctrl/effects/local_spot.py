@@ -35,7 +35,7 @@ LOCAL_SPOT = Effect(
     parameters=(
         Parameter("height", "N·m", 0.0, 60.0, 2.0),
         Parameter("place", "rad", -3.5, 3.5, 0.02, tuple(pi * i / 72 for i in range(-72, 72))),
-        Parameter("width", "rad", 0.005, 0.5, 0.01, (0.012, 0.025, 0.05, 0.1, 0.2)),
+        Parameter("width", "rad", 0.005, 0.5, 0.01, (0.02, 0.06, 0.2)),
     ),
     values=LocalSpot,
     location="ring-gear bearing",

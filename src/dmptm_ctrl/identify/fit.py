@@ -18,10 +18,15 @@ from dmptm_ctrl.simulate.model import Floats, Model
 
 CORRELATION_SECONDS = 0.1  # how long a model error lasts: samples closer than this are not news
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
-PROBE = 0.3  # difference step, in half-ranges: beyond the roughness of contact events
-HUBER = 2.5  # robust standard deviations beyond which a residual counts linearly
+# Difference steps, in half-ranges, taken in turn: beyond the roughness of contact events, and
+# never the same twice, so that no event spoils a column for good.
+PROBES = (0.3, 0.15)
+DAMPINGS = (0.0, 1.0, 5.0, 30.0)  # of a step, relative to the diagonal; all are tried
+PERTURBATION = 0.01  # relative; well inside what is known of stiffness and damping
+BEND = 4.0  # standard deviations beyond which a speed residual counts by its logarithm only
+CAP = 3.0  # standard deviations that a twist residual cannot exceed: on another flank it says no more
 FLOOR = {  # model error that no parameter mends; below it a channel is not judged more finely
-    "speed": np.deg2rad(0.03),  # rad/s in a 10 ms block
+    "speed": np.deg2rad(0.03),  # rad/s in a block
     "twist_l": np.deg2rad(0.15 / 60),  # rad at the pinion
     "twist_r": np.deg2rad(0.15 / 60),
 }
@@ -89,7 +94,9 @@ def place(model: Model, unknowns: Sequence[Unknown], p: Floats) -> Model:
 def position(model: Model, unknowns: Sequence[Unknown]) -> Floats:
     """Return `p` for the values that the model has."""
     values = [
-        model.drive[k.name] if k.effect is None else model.effects.get(k.effect, {}).get(k.name, 0.0)
+        model.drive[k.name]
+        if k.effect is None
+        else model.effects.get(k.effect, {}).get(k.name, 0.0)
         for k in unknowns
     ]
     return np.array([(v - k.centre) / k.scale for v, k in zip(values, unknowns, strict=True)])
@@ -97,10 +104,32 @@ def position(model: Model, unknowns: Sequence[Unknown]) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Per record: 1/σ per channel and block, zero where the model is not judged."""
+    """Per record, what a residual counts.
+
+    Attributes
+    ----------
+    rows : (channels, blocks) arrays
+        1/σ, zero where the model is not judged.
+    slopes : (channels, blocks) arrays
+        Their product with the slope of the robust bend at the model that was weighed.
+    """
 
     rows: tuple[Floats, ...]
-    scales: tuple[Floats, ...]
+    slopes: tuple[Floats, ...]
+
+
+def bend(x: Floats) -> Floats:
+    """Bend large weighted residuals (channels, blocks) over, so that no event rules a fit."""
+    bent = x / np.hypot(1.0, x / CAP)
+    bent[0] = BEND * np.arcsinh(x[0] / BEND)
+    return bent
+
+
+def bend_slope(x: Floats) -> Floats:
+    """Derivative of :func:`bend`."""
+    slope = np.hypot(1.0, x / CAP) ** -3
+    slope[0] = 1.0 / np.hypot(1.0, x[0] / BEND)
+    return slope
 
 
 @dataclass(eq=False)
@@ -134,13 +163,44 @@ class Misfit:
         self.simulations += len(self.records) if runs is None else 0
         return [difference(rec, out, n1, n2) for rec, out in zip(self.records, outs, strict=True)]
 
+    def unpredictable(self, model: Model, outs: Sequence[Floats]) -> list[Floats]:
+        """Return, per record, the standard deviation that rattle gives to each block.
+
+        After a reversal the pinions bounce; parameters changed by less than anyone knows them
+        then give another motion. Its spread is what no fit can explain.
+        """
+        n1, n2 = model.drive["N_1"], model.drive["N_2"]
+        changed = [
+            model.with_values(
+                k_m=model.drive["k_m"] * (1 + PERTURBATION * a),
+                c=model.drive["c"] * (1 + PERTURBATION * b),
+            )
+            for a, b in ((1, 2), (-1, 3), (2, -3), (-2, -2))
+        ]
+
+        def squares(i: int) -> list[Floats]:
+            runs = self.runs(changed[i])
+            return [
+                (difference(rec, run, n1, n2) - difference(rec, out, n1, n2)) ** 2
+                for rec, run, out in zip(self.records, runs, outs, strict=True)
+            ]
+
+        with ThreadPoolExecutor(self.jobs) as pool:
+            done = list(pool.map(squares, range(len(changed))))
+        kernel = np.ones(10) / 10  # the spread of four runs is smoothed over 50 ms
+        return [
+            np.sqrt([np.convolve(row, kernel, "same") for row in np.mean(parts, axis=0)])
+            for parts in zip(*done, strict=True)
+        ]
+
     def weigh(self, model: Model) -> Weights:
         """Robust scales and masks from the residual of `model`; kept for what follows."""
         gaps = (model.drive["gap_l"], model.drive["gap_r"])
-        rows, scales = [], []
+        rows, slopes = [], []
         outs = self.runs(model)
-        for rec, out, diff in zip(
-            self.records, outs, self.differences(model, outs), strict=True
+        rattle = self.unpredictable(model, outs)
+        for rec, out, diff, chaos in zip(
+            self.records, outs, self.differences(model, outs), rattle, strict=True
         ):
             keep = settled(rec, out, gaps)
             floor = np.array([FLOOR[c] for c in rec.channels])
@@ -150,37 +210,49 @@ class Misfit:
                     for d, k in zip(diff, keep, strict=True)
                 ]
             )
-            sigma = np.hypot(floor, spread)
-            size = np.abs(diff) / sigma[:, None]
-            huber = np.sqrt(np.minimum(1.0, HUBER / np.maximum(size, 1e-12)))
-            rows.append(keep * huber / sigma[:, None])
-            scales.append(sigma)
-        self.weights = Weights(tuple(rows), tuple(scales))
+            row = keep / np.hypot(np.hypot(floor, spread)[:, None], chaos)
+            rows.append(row)
+            slopes.append(row * bend_slope(row * diff))
+        self.weights = Weights(tuple(rows), tuple(slopes))
         return self.weights
 
     def vector(self, model: Model) -> Floats:
         """Return the weighted residual of all records in one vector."""
         if self.weights is None:
             self.weigh(model)
-        assert self.weights is not None
-        return self.weighted(self.differences(model))
+        return self.stacked(self.differences(model), bent=True)
 
-    def weighted(self, diffs: Sequence[Floats]) -> Floats:
-        """Weight and stack differences; scaled so that its square counts independent news."""
+    def news(self, rec: Record) -> float:
+        """Share of a block's square that counts as independent."""
+        return min(1.0, rec.block * rec.dt / CORRELATION_SECONDS)
+
+    def stacked(self, diffs: Sequence[Floats], *, bent: bool = False) -> Floats:
+        """Weight and stack per-record arrays (channels, blocks) into one vector.
+
+        `bent` for residuals; without it small changes of the residual, to first order.
+        Scaled so that the square counts independent news.
+        """
+        return np.concatenate([part.ravel() for part in self.parts(diffs, bent=bent)])
+
+    def parts(self, diffs: Sequence[Floats], *, bent: bool = False) -> list[Floats]:
+        """Like :meth:`stacked`, one array per record."""
         assert self.weights is not None
+        table = self.weights.rows if bent else self.weights.slopes
         parts = []
-        for rec, diff, row in zip(self.records, diffs, self.weights.rows, strict=True):
-            news = np.sqrt(min(1.0, rec.block * rec.dt / CORRELATION_SECONDS))
-            parts.append((news * row * diff).ravel())
-        return np.concatenate(parts)
+        for rec, diff, row in zip(self.records, diffs, table, strict=True):
+            weighted = row * diff
+            parts.append(np.sqrt(self.news(rec)) * (bend(weighted) if bent else weighted))
+        return parts
 
-    def columns(self, model: Model, unknowns: Sequence[Unknown], r0: Floats) -> Floats:
+    def columns(
+        self, model: Model, unknowns: Sequence[Unknown], r0: Floats, probe: float = PROBES[0]
+    ) -> Floats:
         """Return d(−r)/dp by differences away from the bounds, (m, len(unknowns))."""
         p0 = position(model, unknowns)
 
         def column(j: int) -> Floats:
             unknown = unknowns[j]
-            step = PROBE if unknown.effect is None else 1.0
+            step = probe if unknown.effect is None else 1.0
             if p0[j] + step > unknown.high:
                 step = -step
             p = p0.copy()
@@ -235,18 +307,21 @@ def prior_cost(unknowns: Sequence[Unknown], p: Floats) -> float:
     return float(np.sum((p / s) ** 2))
 
 
-def gauss_newton_step(r: Floats, jac: Floats, p: Floats, unknowns: Sequence[Unknown]) -> Floats:
-    """Return the bounded step δ of min ‖r − J δ‖² + ‖(p + δ)/s‖²."""
+def bounded_step(
+    r: Floats, jac: Floats, p: Floats, unknowns: Sequence[Unknown], damping: float
+) -> Floats:
+    """Return the bounded step δ of min ‖r − J δ‖² + ‖(p + δ)/s‖² + damping ‖δ‖²_diag(JᵀJ)."""
     s = np.array([k.prior for k in unknowns])
     # A weak pull keeps effects' parameters that the data say nothing about where they are.
     inverse = np.where(np.isfinite(s), 1.0 / s, 1e-3)
     pull = np.where(np.isfinite(s), p / s, 0.0)
-    a = np.vstack([jac, np.diag(inverse)])
-    b = np.concatenate([r, -pull])
-    low = np.array([k.low for k in unknowns]) - p
-    high = np.array([k.high for k in unknowns]) - p
-    solution = lsq_linear(a, b, (np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls")
-    return np.asarray(solution.x)
+    normal = jac.T @ jac + np.diag(inverse**2)
+    normal += damping * np.diag(np.diag(normal))
+    root = np.linalg.cholesky(normal).T
+    target = np.linalg.solve(root.T, jac.T @ r - inverse * pull)
+    low = np.minimum(np.array([k.low for k in unknowns]) - p, -1e-12)
+    high = np.maximum(np.array([k.high for k in unknowns]) - p, 1e-12)
+    return np.asarray(lsq_linear(root, target, (low, high), method="bvls").x)
 
 
 def fit(
@@ -268,7 +343,8 @@ def fit(
     reweigh : bool
         Renew robust scales and masks at each iterate (base fit); otherwise keep them.
     tolerance : float
-        Relative fall of the cost below which the fit ends.
+        Relative fall of the cost below which an iteration counts as stalled; the fit ends
+        when one with each difference step has.
 
     Returns
     -------
@@ -280,7 +356,9 @@ def fit(
     model = place(model, unknowns, p)
     jac = np.empty((0, 0))
     start = None
-    for _ in range(iterations):
+    stalled = 0
+    for turn in range(iterations):
+        probe = PROBES[turn % len(PROBES)]
         if reweigh or misfit.weights is None:
             misfit.weigh(model)
         r = misfit.vector(model)
@@ -288,29 +366,27 @@ def fit(
         start = cost if start is None else start
         if jacobian is not None:
             k = jacobian.shape[1]
-            rest = misfit.columns(model, unknowns[k:], r) if k < len(unknowns) else None
+            rest = misfit.columns(model, unknowns[k:], r, probe) if k < len(unknowns) else None
             jac = jacobian if rest is None else np.hstack([jacobian, rest])
             jacobian = None
         else:
-            jac = misfit.columns(model, unknowns, r)
-        step = gauss_newton_step(r, jac, p, unknowns)
-        size, better = 1.0, False
-        while size > 0.1:
-            trial = np.clip(
-                p + size * step, [k.low for k in unknowns], [k.high for k in unknowns]
-            )
+            jac = misfit.columns(model, unknowns, r, probe)
+        low, high = [k.low for k in unknowns], [k.high for k in unknowns]
+        best: tuple[float, Floats, Model, Floats] | None = None
+        for damping in DAMPINGS:
+            trial = np.clip(p + bounded_step(r, jac, p, unknowns, damping), low, high)
             trial_model = place(model, unknowns, trial)
             trial_r = misfit.vector(trial_model)
             trial_cost = float(trial_r @ trial_r) + prior_cost(unknowns, trial)
-            if trial_cost < cost:
-                better = True
-                break
-            size *= 0.5
-        if not better:
-            break
-        gain = cost - trial_cost
-        p, model, r, cost = trial, trial_model, trial_r, trial_cost
-        if gain < tolerance * cost:
+            if trial_cost < (cost if best is None else best[0]):
+                best = trial_cost, trial, trial_model, trial_r
+        if best is None:
+            stalled += 1
+        else:
+            gain = cost - best[0]
+            cost, p, model, r = best
+            stalled = stalled + 1 if gain < tolerance * cost else 0
+        if stalled == len(PROBES):
             break
     precision = jac.T @ jac + np.diag([1.0 / k.prior**2 + 1e-9 for k in unknowns])
     return Fit(

@@ -10,7 +10,7 @@ from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import march, observer_gains
 from dmptm_ctrl.simulate.model import Arrays, Floats
 
-BLOCK_SECONDS = 0.010  # residuals are means over blocks: 50 Hz, above the 30 Hz that count
+BLOCK_SECONDS = 0.005  # residuals are means over blocks: to 100 Hz, past the 60 Hz mode
 FLIGHT_MARGIN = 0.02  # s around a gap crossing in which the transmission error is not judged
 
 

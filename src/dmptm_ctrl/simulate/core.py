@@ -41,7 +41,9 @@ from dmptm_ctrl.simulate.sites import (  # type: ignore[import-not-found]  # cha
 )
 
 UNKNOWN = 2.0  # region of a mesh before the first step
+RESPONSE_STEPS = 4  # steps per sample of the linear response; 0.25 ms resolves 231 Hz
 MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the step and rigid
+
 
 @njit
 def held_average(u, n, start, end):
@@ -155,6 +157,7 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
     history = np.full(int(lag_time) + 2, v2)
     left, right = u[0], u[1]
     step = 0
+    lead = 0.0
     for i in range(n):
         t = i * dt
         seen = v2
@@ -172,14 +175,16 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
             dz, dz_rate, dgap, dk = mesh_shift(q0, v0, q2, v2, 0, on, values)
         stiff = k_m + dk + (k_a * cos(z3 * q0 + phi_r) if k_a != 0.0 else 0.0)
         out[i, 4] = mesh_torque(
-            q0 - n2 * q2 + dz, v0 - n2 * v2 + dz_rate,
+            q0 - n2 * q2 + dz,
+            v0 - n2 * v2 + dz_rate,
             Backlash(stiff, c, c_f, max(gap[0] + dgap, 0.0)),
         )
         if has_mesh:
             dz, dz_rate, dgap, dk = mesh_shift(q1, v1, q2, v2, 1, on, values)
         stiff = k_m + dk + (k_a * cos(z3 * q1 + phi_r) if k_a != 0.0 else 0.0)
         out[i, 5] = mesh_torque(
-            q1 - n2 * q2 + dz, v1 - n2 * v2 + dz_rate,
+            q1 - n2 * q2 + dz,
+            v1 - n2 * v2 + dz_rate,
             Backlash(stiff, c, c_f, max(gap[1] + dgap, 0.0)),
         )
         out[i, 6], out[i, 7] = q0 - n2 * q2, q1 - n2 * q2
@@ -193,6 +198,8 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
             right[i] = common + loop[4]
         elif observer[0] > 0.0:
             miss = measured[i] - angle
+            # what depends on angle is where the sensor says, not where the run has drifted to
+            lead = (1.0 - observer[0]) * miss
             q2 += observer[0] * miss
             q0 += observer[0] * miss * n2
             q1 += observer[0] * miss * n2
@@ -238,24 +245,34 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
                 y0, y1, r0, r1 = x_0, x_1, s0, s1
 
             if has_mesh:
-                dz, dz_rate, dgap, dk = mesh_shift(x_0, s0, x_2, s2, 0, on, values)
+                dz, dz_rate, dgap, dk = mesh_shift(
+                    x_0 + n2 * lead, s0, x_2 + lead, s2, 0, on, values
+                )
             stiff = k_m + dk + (k_a * cos(z3 * x_0 + phi_r) if k_a != 0.0 else 0.0)
             torque0, region0 = mesh_step(
-                x_0 - n2 * x_2 + dz, s0 - n2 * s2 + dz_rate,
-                Backlash(stiff, c, c_f, max(gap[0] + dgap, 0.0)), region0, h,
+                x_0 - n2 * x_2 + dz,
+                s0 - n2 * s2 + dz_rate,
+                Backlash(stiff, c, c_f, max(gap[0] + dgap, 0.0)),
+                region0,
+                h,
             )
             if has_mesh:
-                dz, dz_rate, dgap, dk = mesh_shift(x_1, s1, x_2, s2, 1, on, values)
+                dz, dz_rate, dgap, dk = mesh_shift(
+                    x_1 + n2 * lead, s1, x_2 + lead, s2, 1, on, values
+                )
             stiff = k_m + dk + (k_a * cos(z3 * x_1 + phi_r) if k_a != 0.0 else 0.0)
             torque1, region1 = mesh_step(
-                x_1 - n2 * x_2 + dz, s1 - n2 * s2 + dz_rate,
-                Backlash(stiff, c, c_f, max(gap[1] + dgap, 0.0)), region1, h,
+                x_1 - n2 * x_2 + dz,
+                s1 - n2 * s2 + dz_rate,
+                Backlash(stiff, c, c_f, max(gap[1] + dgap, 0.0)),
+                region1,
+                h,
             )
 
             drive0, drive1 = n1 * gain * u0, n1 * gain * u1
             if has_motor:
-                drive0 += n1 * motor_torque(n1 * y0, n1 * r0, middle, 0, on, values)
-                drive1 += n1 * motor_torque(n1 * y1, n1 * r1, middle, 1, on, values)
+                drive0 += n1 * motor_torque(n1 * (y0 + n2 * lead), n1 * r0, middle, 0, on, values)
+                drive1 += n1 * motor_torque(n1 * (y1 + n2 * lead), n1 * r1, middle, 1, on, values)
             force0, force1 = drive0, drive1
             if elastic:
                 force0 = (y0 - x_0) / compliance + shaft_damping * (r0 - s0)
@@ -269,21 +286,21 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
             force1 += push1 - torque1
             force2 = n2 * (torque0 + torque1) + push2
             if has_load:
-                force2 += load_torque(x_2, s2, middle, on, values)
+                force2 += load_torque(x_2 + lead, s2, middle, on, values)
 
             if has_friction:
-                scale, added = friction_level(x_0, s0, middle, torque0, 0, on, values)
+                scale, added = friction_level(x_0 + n2 * lead, s0, middle, torque0, 0, on, values)
             new0, f0 = friction_step(
                 v0, s0, force0, mobility_3, h, reducer, scale, added, distance[0], f0
             )
             if has_friction:
-                scale, added = friction_level(x_1, s1, middle, torque1, 1, on, values)
+                scale, added = friction_level(x_1 + n2 * lead, s1, middle, torque1, 1, on, values)
             new1, f1 = friction_step(
                 v1, s1, force1, mobility_3, h, reducer, scale, added, distance[1], f1
             )
             if has_friction:
                 carried = abs(torque0) + abs(torque1)
-                scale, added = friction_level(x_2, s2, middle, carried, 2, on, values)
+                scale, added = friction_level(x_2 + lead, s2, middle, carried, 2, on, values)
             new2, f2 = friction_step(
                 v2, s2, force2, mobility_l, h, bearing, scale, added, distance[2], f2
             )
@@ -354,9 +371,7 @@ def along(u, run, dt, base, on, values, torque, shift):
             torque[i, side] = n1 * (gain * (v - u[side, i]) + moved) - direction * (
                 (scale - 1.0) * slide + added
             )
-            shift[i, side] = mesh_shift(
-                theta_m / n1, n2 * omega, theta, omega, side, on, values
-            )[0]
+            shift[i, side] = mesh_shift(theta_m / n1, n2 * omega, theta, omega, side, on, values)[0]
         carried = abs(run[i, 4]) + abs(run[i, 5])
         scale, added = friction_level(theta, omega, t, carried, 2, on, values)
         slide = sliding_torque(omega, direction, bearing)
@@ -366,25 +381,46 @@ def along(u, run, dt, base, on, values, torque, shift):
 
 
 @njit
-def respond(torque, shift, run, dt, base, drag, out):
-    """First-order response of the readings to a disturbance along a recorded run.
+def respond(torque, shift, run, dt, base, out):
+    """Linear response of the readings to a small disturbance along a recorded run.
 
-    Rigid motion while the ring gear moves, nothing while it rests; twist by the share of the
-    torque that the mesh carries. `out` (n, 3): speed, twist left, twist right.
+    The bodies, and the mesh as a spring and damper while the recorded run rests on a flank;
+    nothing moves while the ring gear rests. Free of the rattle of a second simulation.
+    `out` (n, 3): speed, twist left, twist right.
     """
     j_3 = base[5] * base[5] * base[2] + base[3]
-    n2, k = base[6], base[8]
-    speed = 0.0
+    j_l, n2, k, c = base[4], base[6], base[8], base[11]
+    drag_3 = 0.5 * (base[18] + base[22])
+    drag_l = 0.5 * (base[27] + base[31])
+    h = dt / RESPONSE_STEPS
+    q0, q1, q2, v0, v1, v2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(torque.shape[0]):
         closed0 = abs(run[i, 6]) > base[13]
         closed1 = abs(run[i, 7]) > base[14]
-        inertia = base[4] + n2 * n2 * j_3 * (closed0 + closed1)
-        total = torque[i, 2] + n2 * (closed0 * torque[i, 0] + closed1 * torque[i, 1])
-        out[i, 0] = speed
-        rate = (total - drag * speed) / inertia
+        if not closed0:
+            q0, v0 = n2 * q2, n2 * v2
+        if not closed1:
+            q1, v1 = n2 * q2, n2 * v2
         if run[i, 1] == 0.0:
-            speed, rate = 0.0, 0.0
-        else:
-            speed += dt * rate
-        out[i, 1] = closed0 * (torque[i, 0] - j_3 * n2 * rate) / k - shift[i, 0]
-        out[i, 2] = closed1 * (torque[i, 1] - j_3 * n2 * rate) / k - shift[i, 1]
+            v0, v1, v2 = 0.0, 0.0, 0.0
+        out[i, 0] = v2
+        out[i, 1] = q0 - n2 * q2
+        out[i, 2] = q1 - n2 * q2
+        if run[i, 1] == 0.0:
+            continue
+        for _ in range(RESPONSE_STEPS):
+            mesh0, mesh1 = 0.0, 0.0
+            if closed0:
+                mesh0 = k * (q0 - n2 * q2 + shift[i, 0]) + c * (v0 - n2 * v2)
+                v0 += h / j_3 * (torque[i, 0] - mesh0 - drag_3 * v0)
+                q0 += h * v0
+            if closed1:
+                mesh1 = k * (q1 - n2 * q2 + shift[i, 1]) + c * (v1 - n2 * v2)
+                v1 += h / j_3 * (torque[i, 1] - mesh1 - drag_3 * v1)
+                q1 += h * v1
+            v2 += h / j_l * (torque[i, 2] + n2 * (mesh0 + mesh1) - drag_l * v2)
+            q2 += h * v2
+            if not closed0:
+                q0, v0 = n2 * q2, n2 * v2
+            if not closed1:
+                q1, v1 = n2 * q2, n2 * v2

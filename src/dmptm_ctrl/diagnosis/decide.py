@@ -1,0 +1,195 @@
+"""Which refitted effects are added: thresholds calibrated on rigs without any, pairs, deletion.
+
+The evidence of a trial is the fall of the weighted square on fitted and on held-out logs,
+in units in which one independent sample counts one. It is never judged by a p value: a
+model that is only nearly true reaches any. The thresholds are quantiles of the best
+evidence in the whole catalogue on rigs that lack nothing (`benchmarks/blind.py`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dmptm_ctrl.diagnosis.augment import Trial, refit, refit_all, shortlist, squares
+from dmptm_ctrl.diagnosis.residual import Residual, declared, linearised
+from dmptm_ctrl.diagnosis.trace import Score, confusable, rescore, trace
+from dmptm_ctrl.drive import Drive
+from dmptm_ctrl.identify.fit import Fit, fit
+
+FIRST = 150.0  # evidence of a first effect; above the best of the catalogue on null rigs
+SECOND = 150.0  # of a second one, beside the first
+SHORTLIST = 5  # candidates taken from each of the two starts
+MAX_EFFECTS = 3
+UNSEEN = 0.02  # relative change of the held-out error that says nothing either way
+CORRELATED = 0.75  # canonical correlation of projected columns from which two are one set
+RIVAL = 0.8  # evidence of a rival, as a share of the winner's, from which they are a set
+SLOPE = 4.0  # of the logistic map from log evidence over threshold to probability
+
+
+def evidence(trial: Trial) -> float:
+    """Fall of the weighted square on all logs."""
+    return trial.gain + trial.held_gain
+
+
+@dataclass(eq=False)
+class Found:
+    """An accepted effect with what speaks for it and against it."""
+
+    name: str
+    evidence: float
+    threshold: float
+    trial: Trial
+    probability: float
+    confusable_with: tuple[str, ...]
+
+
+@dataclass(eq=False)
+class Decision:
+    """What was added, and what each candidate reached on the way."""
+
+    before: Fit
+    after: Fit
+    found: list[Found] = field(default_factory=list)
+    scores: list[Score] = field(default_factory=list)
+    trials: dict[str, Trial] = field(default_factory=dict)
+    last: Residual | None = None
+
+
+def convincing(trial: Trial, threshold: float) -> bool:
+    """Whether a trial is accepted: enough evidence, and the held-out logs do not object."""
+    if evidence(trial) < threshold:
+        return False
+    if abs(trial.held_ratio - 1.0) < UNSEEN:  # the effect does not show in the held-out logs
+        return trial.gain > 2.0 * threshold
+    return trial.held_gain > 0.0 and trial.gain > 0.0
+
+
+def challenge(left: Residual, trials: Sequence[Trial]) -> Residual:
+    """Refit the reference from the best trial's parameters without its effect.
+
+    Fits through contact events stop in local minima; a trial must not win by having found
+    a better one.
+    """
+    if not trials:
+        return left
+    best = max(trials, key=lambda t: t.gain)
+    bare = best.fit.model.without([best.name])
+    again = fit(left.misfit, bare, left.base.unknowns, iterations=3)
+    if again.cost >= left.base.cost:
+        return left
+    return linearised(again, left.misfit, left.held)
+
+
+def step(left: Residual, drive: Drive, skip: Sequence[str]) -> tuple[
+    Residual, list[Score], list[Trial]
+]:
+    """Trace and refit once; return the (better) reference, scores and trials."""
+    scores = trace(left, skip=skip)
+    nominal = declared(left, drive)
+    short = shortlist(scores, rescore(scores, nominal), SHORTLIST)
+    trials = refit_all(left, nominal, short)
+    better = challenge(left, trials)
+    if better is not left:
+        before = squares(left, better.base.model)
+        shift = left.base.cost - better.base.cost
+        held_before = squares(left, left.base.model)[1].sum()
+        trials = [
+            Trial(
+                t.name,
+                t.fit,
+                t.gain - shift,
+                t.held_gain - float(held_before - before[1].sum()),
+                t.held_ratio * float(np.sqrt(held_before / before[1].sum())),
+                t.improved,
+            )
+            for t in trials
+        ]
+    return better, scores, trials
+
+
+def decide(left: Residual, drive: Drive, *, skip: Sequence[str] = ()) -> Decision:
+    """Add effects one after another while the logs demand them."""
+    decision = Decision(left.base, left.base)
+    for turn in range(MAX_EFFECTS):
+        left, scores, trials = step(left, drive, skip)
+        if turn == 0:
+            decision.before = left.base
+            decision.scores = scores
+            decision.trials = {t.name: t for t in trials}
+        decision.after, decision.last = left.base, left
+        threshold = FIRST if turn == 0 else SECOND
+        accepted = [t for t in trials if convincing(t, threshold)]
+        if not accepted:
+            break
+        winner = max(accepted, key=evidence)
+        decision.found.append(
+            Found(
+                winner.name,
+                evidence(winner),
+                threshold,
+                winner,
+                _probability(winner, trials, threshold),
+                _confusable(winner, trials, scores),
+            )
+        )
+        # Which weights are right is known better now: the effect no longer inflates them.
+        left.misfit.weigh(winner.fit.model)
+        left.held.weigh(winner.fit.model)
+        unknowns = winner.fit.unknowns
+        again = fit(left.misfit, winner.fit.model, unknowns, iterations=3)
+        left = linearised(again, left.misfit, left.held)
+        decision.after, decision.last = again, left
+    if len(decision.found) > 1:
+        _delete(decision)
+    return decision
+
+
+def _probability(winner: Trial, trials: Sequence[Trial], threshold: float) -> float:
+    """Probability that the winner is right, from its evidence and its lead."""
+    rivals = [evidence(t) for t in trials if t.name != winner.name]
+    lead = evidence(winner) - max([0.0, *rivals])
+    surely = 1.0 / (1.0 + (threshold / evidence(winner)) ** SLOPE)
+    alone = 0.5 + 0.5 * min(1.0, lead / threshold)
+    return float(surely * alone)
+
+
+def _confusable(
+    winner: Trial, trials: Sequence[Trial], scores: Sequence[Score]
+) -> tuple[str, ...]:
+    """Names that these logs cannot tell from the winner."""
+    by_name = {s.name: s for s in scores}
+    names = [
+        t.name
+        for t in trials
+        if t.name != winner.name and evidence(t) > RIVAL * evidence(winner)
+    ]
+    mine = by_name.get(winner.name)
+    if mine is not None:
+        names += [
+            s.name
+            for s in scores
+            if s.name != winner.name
+            and s.survival > 0.0
+            and s.gain > 0.5 * mine.gain
+            and confusable(mine, s) > CORRELATED
+        ]
+    return tuple(dict.fromkeys(names))
+
+
+def _delete(decision: Decision) -> None:
+    """Drop effects without which the others fit as well."""
+    assert decision.last is not None
+    left = decision.last
+    for found in list(decision.found[:-1]):
+        bare = left.base.model.without([found.name])
+        unknowns = tuple(k for k in left.base.unknowns if k.effect != found.name)
+        without = fit(left.misfit, bare, unknowns, iterations=3)
+        lost_held = squares(left, without.model)[1].sum() - squares(left, left.base.model)[1].sum()
+        if without.cost - left.base.cost + lost_held < found.threshold:
+            decision.found.remove(found)
+            left = linearised(without, left.misfit, left.held)
+            decision.after, decision.last = without, left
+
+
+__all__ = ["Decision", "Found", "convincing", "decide", "evidence", "refit"]

@@ -1,0 +1,84 @@
+"""First step of the diagnosis: what was measured, and which logs fit and which judge."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dmptm_ctrl.drive import Drive
+from dmptm_ctrl.identify.records import Record, record
+from dmptm_ctrl.signals import Log, LogError
+
+MIN_SAMPLES = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Logs prepared and split.
+
+    Attributes
+    ----------
+    logs : sequence of Log
+    fit, held : tuples of Record
+        Fitted on, and judged on: other amplitudes of the same kinds of experiment.
+    drive : Drive
+        The declared model.
+    """
+
+    logs: Sequence[Log]
+    fit: tuple[Record, ...]
+    held: tuple[Record, ...]
+    drive: Drive
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def has_motor_encoders(self) -> bool:
+        """Whether every log tells the motor angles."""
+        return all(rec.twist is not None for rec in (*self.fit, *self.held))
+
+
+def split(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Divide experiments into those to fit and those to judge on.
+
+    Logs whose names differ in digits only are one kind of experiment: one of each kind
+    is held out, the last of one kind and the first of the next. What has no twin is
+    fitted. Without any twins every third log is held out.
+    """
+    kinds: dict[str, list[str]] = {}
+    for name in sorted(names):
+        kinds.setdefault(re.sub(r"\d+", "", name), []).append(name)
+    twins = [group for group in kinds.values() if len(group) > 1]
+    held = [group[-1] if i % 2 == 0 else group[0] for i, group in enumerate(twins)]
+    if not held and len(names) >= 2:
+        held = sorted(names)[1::3]
+    return tuple(n for n in names if n not in held), tuple(held)
+
+
+def measure(logs: Sequence[Log], drive: Drive) -> Measured:
+    """Check and split logs.
+
+    Raises
+    ------
+    LogError
+        No logs, a log that is too short, or one without the channels that are needed.
+    """
+    if not logs:
+        raise LogError("no logs to diagnose")
+    for log in logs:
+        for channel in ("u_left", "u_right", "theta_L", "omega_L"):
+            log[channel]
+        if len(log) < MIN_SAMPLES:
+            raise LogError(
+                f"{log.name}: {len(log)} samples; a diagnosis needs at least {MIN_SAMPLES}"
+            )
+    records = {log.name: record(log, drive) for log in logs}
+    fit, held = split(tuple(records))
+    warnings = [f"{log.name}: {text}" for log in logs for text in log.warnings]
+    if not held:
+        warnings.append("one log only: it is fitted and judged on itself, so no error is held out")
+    return Measured(
+        tuple(logs),
+        tuple(records[n] for n in fit),
+        tuple(records[n] for n in (held or fit)),
+        drive,
+        tuple(warnings),
+    )

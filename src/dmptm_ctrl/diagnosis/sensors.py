@@ -1,0 +1,81 @@
+"""Sensors against each other: what needs no dynamics is settled first.
+
+The speed sensor and the ring encoder see one motion, so
+ω(t) = (1 + s) θ̇(t − T) + b and an eccentric disc adds terms of order 1.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from dmptm_ctrl.identify.records import Record, block_mean
+
+WINDOW_SECONDS = 0.05  # span of the derivative filter of the encoder
+BLOCK_SECONDS = 0.05  # blocks whose errors count as independent
+SIGNIFICANT = 6.0  # standard errors
+MATTERS = {"sensor_gain": 0.003, "sensor_delay": 0.0007, "encoder_eccentricity": 5e-5}
+
+
+@dataclass(frozen=True)
+class SensorCheck:
+    """Estimates of the sensor effects, SI, with standard errors."""
+
+    values: dict[str, dict[str, float]]
+    errors: dict[str, dict[str, float]]
+
+    def significant(self, name: str) -> bool:
+        """Whether the disagreement is beyond doubt and beyond what matters."""
+        size = np.hypot.reduce(list(self.values[name].values()))
+        error = max(self.errors[name].values())
+        return bool(size > SIGNIFICANT * error and size > MATTERS[name])
+
+
+def cross_check(records: Sequence[Record]) -> SensorCheck:
+    """Regress the speed reading on the encoder's derivative over all records."""
+    left, right = [], []
+    for rec in records:
+        span = max(5, 2 * round(0.5 * WINDOW_SECONDS / rec.dt) + 1)
+        if rec.theta.size <= 3 * span:
+            continue
+        smooth = {
+            d: savgol_filter(rec.theta, span, 3, deriv=d, delta=rec.dt) for d in (1, 2)
+        }
+        speed = savgol_filter(rec.omega, span, 3)
+        rate, change = smooth[1], smooth[2]
+        rows = np.array(
+            [
+                speed - rate,
+                rate,
+                -change,
+                rate * np.sin(rec.theta),
+                -rate * np.cos(rec.theta),
+                np.ones_like(rate),
+            ]
+        )[:, span:-span]
+        blocks = block_mean(rows, max(1, round(BLOCK_SECONDS / rec.dt)))
+        left.append(blocks[0])
+        right.append(blocks[1:])
+    y, x = np.concatenate(left), np.concatenate(right, axis=1).T
+    # Reversals ring faster than the filter passes: they count less.
+    weight = np.ones_like(y)
+    for _ in range(5):
+        beta, *_ = np.linalg.lstsq(x * weight[:, None], y * weight, rcond=None)
+        miss = y - x @ beta
+        scale = max(1.4826 * float(np.median(np.abs(miss))), 1e-12)
+        weight = np.sqrt(1.0 / (1.0 + (miss / (2.0 * scale)) ** 2))
+    covariance = scale**2 * np.linalg.inv((x * weight[:, None]).T @ (x * weight[:, None]))
+    se = np.sqrt(np.diag(covariance))
+    names = (
+        ("sensor_gain", "error"),
+        ("sensor_delay", "delay"),
+        ("encoder_eccentricity", "cosine"),
+        ("encoder_eccentricity", "sine"),
+    )
+    values: dict[str, dict[str, float]] = {}
+    errors: dict[str, dict[str, float]] = {}
+    for (effect, name), b, e in zip(names, beta, se, strict=False):
+        values.setdefault(effect, {})[name] = float(b)
+        errors.setdefault(effect, {})[name] = float(e)
+    return SensorCheck(values, errors)

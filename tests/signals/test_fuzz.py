@@ -1,8 +1,12 @@
-"""Whatever is in a file: a log or a LogError, never another error."""
+"""Whatever is in a file: a log or a LogError, never another error.
+
+A long campaign: ``DMPTM_FUZZ_EXAMPLES=10000 python -m pytest tests/signals/test_fuzz.py``.
+"""
 
 import contextlib
 import gzip
 import io
+import os
 
 import numpy as np
 import pandas as pd
@@ -14,8 +18,10 @@ from scipy.io import savemat
 from dmptm_ctrl import LogError, load_log
 
 QUIET = settings(
-    max_examples=300,
+    max_examples=int(os.environ.get("DMPTM_FUZZ_EXAMPLES", "300")),
     deadline=None,
+    derandomize="DMPTM_FUZZ_EXAMPLES" not in os.environ,  # a check of a change; else a search
+    database=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
@@ -98,7 +104,7 @@ def test_packed_file_with_wounds(tmp_path, name, content):
     # A .mat file is read in a process of its own, which takes its time to start.
     examples = 8 if name.endswith(".mat") else 200
 
-    @settings(QUIET, max_examples=examples, database=None)
+    @settings(QUIET, max_examples=examples)
     @given(wounds=wounded(content))
     def check(wounds):
         load(tmp_path / name, with_wounds(content, wounds))

@@ -140,8 +140,8 @@ def march(
     signal = np.array(u, float, order="C")
     engine().march(
         plant, signal, dt, substeps or substeps_for(plant, dt), q0, v0, *motion, control_row,
-        zeros if reference is None else np.ascontiguousarray(reference, float),
-        zeros if added is None else np.ascontiguousarray(added, float), out,
+        zeros if reference is None else np.array(reference, float),
+        zeros if added is None else np.array(added, float), out,
     )  # fmt: skip
     return ChainRun(model, dt * np.arange(n), signal, out)
 

@@ -1,0 +1,524 @@
+"""What a drive of any shape may lack: every effect at every place, with starting values."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.diagnosis.ladder_score import Score, Tangent
+from dmptm_ctrl.identify.chain_fit import (
+    HARMONIC,
+    Scales,
+    State,
+    absolute,
+    on_slide,
+    residuals,
+    scales_of,
+)
+from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_motion
+from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE, ChainEffect
+from dmptm_ctrl.simulate.chain_compose import engine, kind_of
+from dmptm_ctrl.simulate.chain_model import FAR, ChainModel, Placed, value_row
+
+Floats = NDArray[np.float64]
+
+MAX_ORDER = 400  # per turn
+SCREENED = 8  # orders and frequencies of the screening that are looked at closely
+MIN_TURNS = 0.9  # of travel before an angle effect of order 1 is told from a slope
+HIDDEN_MODES = 24  # antiresonances tried
+DELAYS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample times
+LONGEST_DELAY = 0.2  # s
+BACKGROUND = {  # no candidates: absorbed by the declared model, or judged sensor against sensor
+    "sensor_gain", "encoder_eccentricity", "sensor_delay", "local_spot",
+}  # fmt: skip
+
+
+class Candidate(NamedTuple):
+    """An effect at a place with starting values, and its score on the current residual.
+
+    Attributes
+    ----------
+    tries : int
+        How many independent starting values were looked at, for the test's level.
+    zero : dict of log to float
+        Shift of the angle in logs after the first.
+    """
+
+    placed: Placed
+    score: Score
+    tries: int
+    zero: dict[str, float] = {}
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.placed.name
+
+
+def candidates(tangent: Tangent) -> list[Candidate]:
+    """Score every effect at every place on what a fit has left.
+
+    Returns
+    -------
+    list of Candidate
+        The best starting values of each effect at each place; largest gain first.
+    """
+    found = []
+    for place in _places(tangent):
+        found += list(place)
+    return sorted(found, key=lambda c: -c.score.gain)
+
+
+def _places(tangent: Tangent) -> Iterator[Iterator[Candidate]]:
+    model = tangent.fit.model
+    scales = scales_of(tangent.balance)
+    present = {(e.name, e.on) for e in model.effects}
+    for source in model.rig.inputs:
+        for name in ("drive_offset", "drive_dead_band", "drive_saturation", "drive_delay",
+                     "current_lag"):  # fmt: skip
+            if (name, source.name) not in present:
+                yield _input_effect(tangent, scales, name, source.name)
+    for body in _distinct_bodies(tangent):
+        for name, chain in CHAIN_CATALOGUE.items():
+            if chain.place != "body" or name in BACKGROUND or name == "shaft_compliance":
+                continue
+            if (name, body) in present and name != "cogging":
+                continue
+            if declared_already(model, name, body):
+                continue
+            yield _body_effect(tangent, scales, chain, body)
+    yield _compliance(tangent, present)
+    yield _backlash(tangent, scales, present)
+
+
+def declared_already(model: ChainModel, name: str, body: str) -> bool:
+    """Whether the rig declares what an effect would add to a body."""
+    if body.endswith(FAR):
+        return False
+    friction = model.rig.body(body).friction
+    keys = {
+        "viscous_friction": ("viscous", "viscous_plus"),
+        "coulomb_friction": ("coulomb", "coulomb_plus"),
+        "stribeck_friction": ("static", "static_plus"),
+        "friction_asymmetry": ("coulomb_plus", "viscous_plus"),
+    }.get(name, ())
+    return any(k in friction for k in keys)
+
+
+def _distinct_bodies(tangent: Tangent) -> list[str]:
+    """One body per measured coordinate; rigidly joined bodies cannot be told apart."""
+    model = tangent.fit.model
+    motion = tangent.balance.motions[0]
+    _, bodies = measured_motion(model, tangent.balance, motion)
+    return list(bodies.values())
+
+
+def _input_effect(
+    tangent: Tangent, scales: Scales, name: str, on: str
+) -> Iterator[Candidate]:
+    size = scales.u[on]
+    dt = scales.dt
+    motions = tangent.balance.motions
+    peak = max(float(np.abs(m.u[on]).max()) for m in motions)
+    if name == "drive_offset":
+        yield _finite(tangent, [Placed(name, on, {"offset": 0.02 * size})])
+    elif name == "drive_dead_band":
+        yield _finite(tangent, [Placed(name, on, {"width": s * size}) for s in (0.01, 0.05, 0.15)])
+    elif name == "drive_saturation":
+        tries = [Placed(name, on, {"inverse_limit": 1.0 / (s * peak)}) for s in (0.95, 0.8, 0.6)]
+        yield _finite(tangent, tries)
+    else:
+        key = "delay" if name == "drive_delay" else "time_constant"
+        values = [d * dt for d in DELAYS if d * dt <= LONGEST_DELAY]
+        yield _finite(tangent, [Placed(name, on, {key: v}) for v in values])
+
+
+def _body_effect(
+    tangent: Tangent, scales: Scales, chain: ChainEffect, body: str
+) -> Iterator[Candidate]:
+    model, balance = tangent.fit.model, tangent.balance
+    name = chain.name
+    slide = on_slide(model, body)
+    if name in ("friction_asymmetry", "thermal_drift"):
+        if not has_friction(model, body):
+            return
+        key = "difference" if name == "friction_asymmetry" else "rise"
+        if name == "thermal_drift":
+            longest = max(float(m.time[-1]) for m in balance.motions)
+            taus = [longest * s for s in (0.1, 0.3, 1.0)]
+            tries = [Placed(name, body, {key: 0.05, "time_constant": t}) for t in taus]
+        else:
+            tries = [Placed(name, body, {key: 0.05})]
+        yield _finite(tangent, tries)
+    elif name == "presliding":
+        if has_friction(model, body):
+            sizes = [s * scales.position for s in (1e-5, 1e-4, 1e-3, 1e-2)]
+            yield _finite(tangent, [Placed(name, body, {"distance": s}) for s in sizes])
+    elif name == "cogging":
+        yield from _cogging(tangent, chain, body, slide)
+    elif name == "unbalance":
+        if not slide and _turns(balance, model, body) >= MIN_TURNS:
+            yield _amplitudes(tangent, chain, body, [{}], per_log=not absolute(model, balance, body))
+    elif name == "position_dependent_friction":
+        if slide:
+            yield _amplitudes(tangent, chain, body, [{}], names=("sine",))
+        elif _turns(balance, model, body) >= MIN_TURNS:
+            yield _amplitudes(tangent, chain, body, [{}], per_log=not absolute(model, balance, body))
+    elif name == "stribeck_friction":
+        fastest = max(float(np.abs(_speed(balance, m, model, body)).max()) for m in balance.motions)
+        yield _amplitudes(
+            tangent, chain, body, [{"speed": s * fastest} for s in (0.01, 0.03, 0.06, 0.12, 0.25)]
+        )
+    elif name == "base_vibration":
+        yield from _vibration(tangent, chain, body)
+    else:
+        yield _amplitudes(tangent, chain, body, [{}])
+
+
+def has_friction(model: ChainModel, body: str) -> bool:
+    """Whether a body has any friction that a factor could change."""
+    names = ("coulomb_friction", "viscous_friction", "stribeck_friction")
+    if any(e.on == body and e.name in names for e in model.effects):
+        return True
+    return not body.endswith(FAR) and bool(model.rig.body(body).friction)
+
+
+def _speed(balance: Balance, motion, model: ChainModel, body: str) -> Floats:
+    measured, _ = measured_motion(model, balance, motion)
+    layout = model.layout
+    return layout.ratio[body] * measured[layout.coordinate[body]][1]
+
+
+def _angle(balance: Balance, motion, model: ChainModel, body: str) -> Floats:
+    measured, _ = measured_motion(model, balance, motion)
+    layout = model.layout
+    return layout.ratio[body] * measured[layout.coordinate[body]][0]
+
+
+def _turns(balance: Balance, model: ChainModel, body: str) -> float:
+    return max(
+        float(np.ptp(_angle(balance, m, model, body))) for m in balance.motions
+    ) / (2 * np.pi)
+
+
+# -- by amplitude: linear ----------------------------------------------------------------------
+
+
+def unit_columns(
+    tangent: Tangent, chain: ChainEffect, body: str, shapes: dict[str, float], names: tuple[str, ...]
+) -> list[Floats]:
+    """Derivative of the residual by each amplitude, per log (equations, rows, p)."""
+    balance, model = tangent.balance, tangent.fit.model
+    loop = engine()
+    reach = kinematic(model)[model.layout.coordinate[body]]
+    r = model.layout.ratio[body]
+    parts = []
+    for motion in balance.motions:
+        key = (motion.name, chain.name, body, tuple(sorted(shapes.items())), names, reach, r)
+        if key not in balance.columns:
+            theta, omega = (f(balance, motion, model, body) for f in (_angle, _speed))
+            columns = []
+            for name in names:
+                row = value_row(Placed(chain.name, body, {**shapes, name: 1.0}))
+                out = np.empty_like(theta)
+                if chain.site == "friction":
+                    factor = np.empty_like(theta)
+                    load = sum(np.abs(u) for u in motion.u.values())
+                    loop.friction_along(
+                        kind_of(chain.name), theta, omega, motion.time, load, row, factor, out
+                    )
+                    out = -np.sign(omega) * out
+                else:
+                    loop.torque_along(kind_of(chain.name), theta, omega, motion.time, row, out)
+                columns.append(motion.reduce(reach * r * out) * motion.moving)
+            balance.columns[key] = np.array(columns).T
+        parts.append(balance.columns[key])
+    return [_in_equations(tangent, body, part, k) for k, part in enumerate(parts)]
+
+
+def _in_equations(tangent: Tangent, body: str, column: Floats, log: int) -> Floats:
+    """A torque on a body appears in the first equation, and in that of its own coordinate."""
+    model, motion = tangent.fit.model, tangent.balance.motions[log]
+    measured, _ = measured_motion(model, tangent.balance, motion)
+    count = tangent.fit.left[log].shape[0]
+    out = np.zeros((count, *column.shape))
+    out[0] = column
+    own = list(measured).index(model.layout.coordinate[body])
+    if 0 < own < count:
+        out[own] = column
+    return out
+
+
+def _amplitudes(
+    tangent: Tangent,
+    chain: ChainEffect,
+    body: str,
+    shapes: list[dict[str, float]],
+    *,
+    names: tuple[str, ...] | None = None,
+    per_log: bool = False,
+    tries: int | None = None,
+) -> Candidate:
+    """Best of several shapes, amplitudes solved for."""
+    names = names or chain.amplitudes
+    best: Candidate | None = None
+    logs = [m.name for m in tangent.balance.motions]
+    for shape in shapes:
+        parts = unit_columns(tangent, chain, body, shape, names)
+        if per_log and len(parts) > 1:
+            wide = []
+            for k, part in enumerate(parts):
+                padded = np.zeros((*part.shape[:2], part.shape[2] * len(parts)))
+                padded[:, :, k * part.shape[2] : (k + 1) * part.shape[2]] = part
+                wide.append(padded)
+            score = tangent.score(tangent.stack(wide))
+        else:
+            score = tangent.score(tangent.stack(parts))
+        pairs = score.amplitudes.reshape(-1, len(names))
+        low = {p.name: p.low for p in chain.keep}
+        if any(low[n] >= 0 and pairs[0][j] < 0 for j, n in enumerate(names)):
+            score = score._replace(gain=0.0)  # friction that drives, a spring that pushes
+        if best is not None and score.gain <= best.score.gain:
+            continue
+        values, zero = dict(shape), {}
+        if per_log and len(parts) > 1 and chain.name in HARMONIC:
+            values_0, zero = _common_phase(pairs, logs, shape.get("order", 1.0))
+            values |= dict(zip(names, values_0, strict=True))
+        else:
+            values |= dict(zip(names, pairs[0], strict=True))
+        best = Candidate(
+            Placed(chain.name, body, {k: float(v) for k, v in values.items()}),
+            score,
+            tries or len(shapes),
+            zero,
+        )
+    assert best is not None
+    return best
+
+
+def _common_phase(
+    pairs: Floats, logs: list[str], order: float
+) -> tuple[Floats, dict[str, float]]:
+    """One amplitude for all logs, and the shift of the angle in each after the first.
+
+    C cos n(θ + z) + S sin n(θ + z) has the complex amplitude (C − iS) e^{inz}.
+    """
+    complex_ = pairs[:, 0] - 1j * pairs[:, 1]
+    size = float(np.sqrt(np.mean(np.abs(complex_) ** 2)))
+    first = complex_[0] / (abs(complex_[0]) or 1.0) * size
+    zero = {
+        log: float(np.angle(c / first) / order) for log, c in zip(logs[1:], complex_[1:], strict=True)
+    }
+    return np.array([first.real, -first.imag]), zero
+
+
+def _cogging(
+    tangent: Tangent, chain: ChainEffect, body: str, slide: bool
+) -> Iterator[Candidate]:
+    model = tangent.fit.model
+    orders, looked_at = _screen_orders(tangent, body, slide)
+    present = [e.values["order"] for e in model.effects if e.name == "cogging" and e.on == body]
+    width = 2 * np.pi / max(_turns(tangent.balance, model, body) * 2 * np.pi, 1e-12)
+    orders = [n for n in orders if all(abs(n - p) > width for p in present)]
+    if present or not orders:
+        return  # one order per place; harmonics follow as further rungs would blur the list
+    yield _amplitudes(
+        tangent,
+        chain,
+        body,
+        [{"order": float(n)} for n in orders],
+        names=("cosine", "sine"),
+        per_log=not absolute(model, tangent.balance, body),
+        tries=looked_at,
+    )
+
+
+def _screen_orders(tangent: Tangent, body: str, slide: bool) -> tuple[list[float], int]:
+    """Orders at which the residual repeats with the angle, by FFT over the angle."""
+    balance, model = tangent.balance, tangent.fit.model
+    power = None
+    orders: Floats = np.zeros(0)
+    spans = [float(np.ptp(_angle(balance, m, model, body))) for m in balance.motions]
+    span = max(spans)
+    if span <= 0:
+        return [], 1
+    for k, motion in enumerate(balance.motions):
+        theta = _angle(balance, motion, model, body)
+        speed = np.abs(_speed(balance, motion, model, body))
+        left = tangent.fit.left[k][0]
+        fine = np.interp(motion.time, motion.rows, left, left=0.0, right=0.0)
+        if slide:
+            bins = 16384
+            place = np.clip((theta - theta.min()) / span * (bins // 2), 0, bins // 2 - 1)
+            orders = 2 * np.pi * np.arange(bins // 2 + 1) * (bins // 2) / (bins * span)
+        else:
+            bins = 8192
+            place = np.mod(theta, 2 * np.pi) / (2 * np.pi) * bins
+            orders = np.arange(bins // 2 + 1).astype(float)
+        sums = np.bincount(place.astype(int) % bins, fine, bins)
+        fastest = 2 * np.pi * motion.bandwidth / np.maximum(orders, 1e-12)
+        seen = np.searchsorted(np.sort(speed), fastest) / speed.size
+        share = np.maximum(seen, 0.05)
+        here = np.abs(np.fft.rfft(sums)) ** 2 / (share * theta.size)
+        power = here if power is None else power + here
+    assert power is not None
+    lowest = 3 * 2 * np.pi / span if slide else 2.0
+    highest = min(MAX_ORDER, orders[-1]) if not slide else orders[-1] / 2
+    slow = min(float(np.median(np.abs(_speed(balance, m, model, body)))) for m in balance.motions)
+    highest = min(highest, 2 * np.pi * balance.bandwidth / max(slow, 1e-9) * 2)
+    allowed = (orders >= lowest) & (orders <= highest)
+    if not allowed.any():
+        return [], 1
+    peak = np.zeros_like(power, dtype=bool)
+    peak[1:-1] = (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
+    usable = np.flatnonzero(allowed & peak)
+    best = usable[np.argsort(-power[usable])][:SCREENED]
+    return [float(orders[i]) for i in best], int(allowed.sum())
+
+
+def _vibration(tangent: Tangent, chain: ChainEffect, body: str) -> Iterator[Candidate]:
+    """Frequencies at which the residual repeats with the clock."""
+    motions = tangent.balance.motions
+    spectra = []
+    grid = np.linspace(0.5, 0.8 * tangent.balance.bandwidth, 2000)
+    for k, motion in enumerate(motions):
+        left = tangent.fit.left[k][0]
+        size = 4 * left.size
+        step = motion.dt * motion.step
+        f = np.fft.rfftfreq(size, step)
+        power = np.abs(np.fft.rfft(left, size)) ** 2
+        spectra.append(np.interp(grid, f, power))
+    total = np.sum(spectra, axis=0)
+    longest = max(float(m.time[-1]) for m in motions)
+    top = np.argsort(-total)[:1]
+    fine = [float(grid[i]) for i in top]
+    # the FFT's own grid, refined
+    fine = [f + d / longest for f in fine for d in (-0.2, 0.0, 0.2)]
+    yield _amplitudes(
+        tangent, chain, body, [{"frequency": f} for f in fine], names=("cosine", "sine"),
+        tries=int(longest * tangent.balance.bandwidth),
+    )  # fmt: skip
+
+
+# -- by size: finite changes -------------------------------------------------------------------
+
+
+def _finite(tangent: Tangent, tries: list[Placed]) -> Candidate:
+    """Best of several finite sizes; the gain is that of the size itself, parameters refitted."""
+    best: Candidate | None = None
+    power = float(tangent.left @ tangent.left)
+    for placed in tries:
+        state = State(tangent.fit.model.with_effect(placed), tangent.fit.state.logs)
+        moved, _ = residuals(state, tangent.balance)
+        change = tangent.stack(moved) - tangent.stack(tangent.fit.left)
+        score = tangent.score(change[:, None])
+        new = tangent.project(tangent.stack(moved))
+        gain = 1.0 - float(new @ new) / power if power > 0 else 0.0
+        if score.amplitudes[0] < 0 and _one_sided(placed):
+            gain = min(gain, 0.0)
+        elif not _one_sided(placed):
+            gain = score.gain
+            values = {
+                k: v * float(score.amplitudes[0]) if k in CHAIN_CATALOGUE[placed.name].amplitudes
+                else v
+                for k, v in placed.values.items()
+            }  # fmt: skip
+            placed = placed._replace(values=values)
+        if best is None or gain > best.score.gain:
+            best = Candidate(placed, score._replace(gain=gain), len(tries))
+    assert best is not None
+    return best
+
+
+def _one_sided(placed: Placed) -> bool:
+    """Whether an effect's size cannot be negative."""
+    chain = CHAIN_CATALOGUE[placed.name]
+    return all(p.low >= 0 for p in chain.keep if p.name in placed.values and not p.bank)
+
+
+def _compliance(
+    tangent: Tangent, present: set[tuple[str, str]]
+) -> Iterator[Candidate]:
+    model, balance = tangent.fit.model, tangent.balance
+    if any(name == "shaft_compliance" for name, _ in present):
+        return
+    top = 1.5 * balance.bandwidth
+    duration = max(float(m.time[-1]) for m in balance.motions)
+    low = max(5.0 / duration, top / 300.0)
+    modes = 2 * np.pi * np.geomspace(low, top, HIDDEN_MODES)
+    sensed = {p.name: p for p in balance.points}
+    places: list[tuple[str, tuple[str, ...]]] = []
+    for link in model.rig.links:
+        if link.rigid:
+            places.append((link.name, ()))
+    if not model.rig.links:
+        for body in model.rig.bodies:
+            own = [p for p in sensed.values() if p.body == body.name]
+            far = tuple(s for p in own[1:] for s in p.sensors)
+            places.append((body.name, far))
+            if len(own) == 1:
+                places.append((body.name, own[0].sensors))  # the sensor is behind the spring
+    for on, far in places:
+        tries = [
+            Placed(
+                "shaft_compliance",
+                on,
+                {"share": share, "antiresonance": float(w), "damping_ratio": zeta},
+                far,
+            )
+            for w in modes
+            for share in ((0.5,) if any(on == k.name for k in model.rig.links) else (0.25, 0.6))
+            for zeta in (0.05,)
+        ]
+        yield _finite_structure(tangent, tries)
+
+
+def _finite_structure(tangent: Tangent, tries: list[Placed]) -> Candidate:
+    """As `_finite`, for changes that add coordinates: the first equation is compared."""
+    best: Candidate | None = None
+    first = Tangent(
+        _first_equation(tangent), tangent.balance
+    )
+    power = float(first.left @ first.left)
+    for placed in tries:
+        state = State(tangent.fit.model.with_effect(placed), tangent.fit.state.logs)
+        try:
+            moved, _ = residuals(state, tangent.balance)
+        except ValueError:
+            continue
+        change = first.stack(moved) - first.stack(first.fit.left)
+        if not np.isfinite(change).all():
+            continue
+        score = first.score(change[:, None])
+        new = first.project(first.stack(moved))
+        gain = 1.0 - float(new @ new) / power if power > 0 else 0.0
+        if best is None or gain > best.score.gain:
+            best = Candidate(placed, score._replace(gain=gain), len(tries))
+    assert best is not None
+    return best
+
+
+def _first_equation(tangent: Tangent):
+    from dataclasses import replace
+
+    fit = tangent.fit
+    return replace(
+        fit,
+        left=tuple(p[:1] for p in fit.left),
+        slopes=tuple(p[:1] for p in fit.slopes),
+        weights=fit.weights[:1],
+    )
+
+
+def _backlash(
+    tangent: Tangent, scales: Scales, present: set[tuple[str, str]]
+) -> Iterator[Candidate]:
+    model = tangent.fit.model
+    for link in model.layout.links:
+        if ("backlash", link) in present:
+            continue
+        if any(k.name == link and k.half_gap is not None for k in model.rig.links):
+            continue
+        sizes = [s * scales.position for s in (1e-5, 1e-4, 1e-3, 1e-2)]
+        yield _finite(tangent, [Placed("backlash", link, {"half_gap": s}) for s in sizes])

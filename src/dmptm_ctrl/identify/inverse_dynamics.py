@@ -1,0 +1,419 @@
+"""Balance of torques: what the drives gave against what the motion must have taken.
+
+For each coordinate whose motion is measured,
+
+    Σ gain · u − (J a + friction + load torques + torques of links) = residual,
+
+all low-passed alike. Coordinates that are not measured are simulated between the measured
+ones, driven by the same signals.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.signal import lfilter
+
+from dmptm_ctrl.drive.rig import Rig, Sensor
+from dmptm_ctrl.identify.chain_motion import (
+    Floats,
+    Motion,
+    Sight,
+    acceleration_bandwidth,
+    derivative,
+    prepare,
+)
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.chain import march
+from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+from dmptm_ctrl.simulate.chain_compose import engine, kind_of
+from dmptm_ctrl.simulate.chain_model import ChainModel, value_row
+
+
+@dataclass(frozen=True)
+class Point:
+    """A place that sensors see: one encoder's position and speed belong together.
+
+    Attributes
+    ----------
+    name : str
+        Of the sensor that gives the acceleration.
+    sensors : tuple of str
+    """
+
+    name: str
+    body: str
+    sight: Sight
+    sensors: tuple[str, ...]
+
+
+def points_of(rig: Rig, logs: Sequence[Log]) -> tuple[Point, ...]:
+    """Group the sensors of a rig into points, those of the driven body first.
+
+    A second position (or speed) sensor on a body is a point of its own: a shaft may lie
+    between the two.
+    """
+    found: list[Point] = []
+    reach = {s.name: acceleration_bandwidth(s, logs) for s in rig.sensors}
+    for body in rig.bodies:
+        groups: list[list[Sensor]] = []
+        for sensor in (s for s in rig.sensors if s.body == body.name):
+            for group in groups:
+                if all(s.measures != sensor.measures for s in group):
+                    group.append(sensor)
+                    break
+            else:
+                groups.append([sensor])
+        for group in groups:
+            best = max(group, key=lambda s: reach[s.name])
+            angle = next((s for s in group if s.measures == "position"), None)
+            sight = Sight(best, angle, reach[best.name])
+            found.append(Point(best.name, body.name, sight, tuple(s.name for s in group)))
+    driven = [i.body for i in rig.inputs]
+    return tuple(sorted(found, key=lambda p: p.body not in driven))
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Logs of a rig, ready to be balanced.
+
+    Attributes
+    ----------
+    rig : Rig
+    points : tuple of Point
+    bandwidth : float
+        Of the balance [Hz].
+    motions : tuple of Motion
+        One per log, keyed by the points' names.
+    """
+
+    rig: Rig
+    points: tuple[Point, ...]
+    bandwidth: float
+    motions: tuple[Motion, ...]
+    columns: dict = field(default_factory=dict)  # what does not depend on the model, reduced
+
+    def only(self, names: Sequence[str]) -> "Balance":
+        """Return the balance of some of the logs."""
+        kept = tuple(m for m in self.motions if m.name in names)
+        return Balance(self.rig, self.points, self.bandwidth, kept, self.columns)
+
+
+def balance_of(
+    rig: Rig,
+    logs: Sequence[Log],
+    *,
+    bandwidth: float | None = None,
+    late: Mapping[str, float] | None = None,
+) -> Balance:
+    """Filter logs into motions, at the bandwidth that the poorest point allows."""
+    points = points_of(rig, logs)
+    if bandwidth is None:
+        bandwidth = min(p.sight.bandwidth for p in points)
+    sights = {p.name: p.sight for p in points}
+    return Balance(
+        rig, points, bandwidth, tuple(prepare(log, rig, sights, bandwidth, late) for log in logs)
+    )
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What belongs to a log and not to the rig.
+
+    Attributes
+    ----------
+    zero : dict of effect key to float
+        Added to the measured angle for an effect that depends on it [rad]: an incremental
+        encoder starts anywhere.
+    twist : dict of link to float
+        Twist that the sensors on both sides show without torque [rad].
+    """
+
+    zero: Mapping[str, float] = field(default_factory=dict)
+    twist: Mapping[str, float] = field(default_factory=dict)
+
+
+NONE = Nuisance()
+
+
+def residual(
+    model: ChainModel, balance: Balance, motion: Motion, nuisance: Nuisance = NONE
+) -> tuple[Floats, Floats]:
+    """Return what the model leaves, and the driving torque.
+
+    Returns
+    -------
+    left : (equations, rows) array
+        First the balance of all measured coordinates together, seen at the driven one; then
+        that of each further measured coordinate alone.
+    drive : (rows,) array
+        Driving torque or force of the first equation.
+    """
+    layout, plant = model.layout, model.plant()
+    measured, _ = measured_motion(model, balance, motion, nuisance)
+    runs = _links(model, motion, measured, nuisance) if layout.links else None
+    load = {b: np.zeros(motion.time.size) for b in layout.bodies}
+    pushes = []
+    for j, name in enumerate(layout.inputs):
+        body = layout.input_body[name]
+        torque = plant.input_values[j, 0] * effective_input(model, motion, name)
+        pushes.append((body, torque))
+        load[body] += np.abs(torque)
+    if runs is not None:
+        for k, name in enumerate(layout.links):
+            first, second = (layout.bodies[i] for i in plant.link_body[k])
+            load[first] += np.abs(runs[name])
+            load[second] += np.abs(plant.link_values[k, 0] * runs[name])
+    reach = kinematic(model)
+    total, push = np.zeros_like(motion.time), np.zeros_like(motion.time)
+    single = []
+    for group, (q, v, a) in measured.items():
+        need = plant.inertia[group] * a + _friction(model, motion, group, q, v, load, nuisance)
+        own = np.zeros_like(need)
+        for body, torque in pushes:
+            if layout.coordinate[body] == group:
+                own = own + layout.ratio[body] * torque
+        for k, name in enumerate(layout.links):
+            assert runs is not None
+            first, second = (layout.bodies[i] for i in plant.link_body[k])
+            if layout.coordinate[first] == group:
+                need = need + layout.ratio[first] * runs[name]
+            if layout.coordinate[second] == group:
+                need = need - layout.ratio[second] * plant.link_values[k, 0] * runs[name]
+        total += reach[group] * need
+        push += reach[group] * own
+        single.append(reach[group] * (own - need))
+    if len(layout.inputs) == 1:
+        total = _ahead(total, motion, *plant.input_values[0, 1:3])
+    logged = sum(
+        reach[layout.coordinate[b]] * layout.ratio[b] * plant.input_values[j, 0] * motion.u[name]
+        for j, (name, b) in enumerate(layout.input_body.items())
+        if layout.coordinate[b] in measured
+    )
+    # A drive that clips or drops part of its signal must not look better for it.
+    size = float(np.linalg.norm(push))
+    fair = float(np.linalg.norm(logged)) / size if size > 0 else 1.0
+    equations = [fair * (push - total), *single[1:]]
+    return np.array([motion.reduce(e) for e in equations]), motion.reduce(fair * push)
+
+
+def _ahead(need: Floats, motion: Motion, dead: float, tau: float) -> Floats:
+    """What the drive must be told for `need`, its dead time and lag undone."""
+    if tau > 0:
+        need = need + tau * derivative(need, motion.dt)
+    if dead > 0:
+        need = np.interp(motion.time + dead, motion.time, need)
+    return need
+
+
+Moves = dict[int, tuple[Floats, Floats, Floats]]  # coordinate -> position, speed, acceleration
+
+
+def measured_motion(
+    model: ChainModel, balance: Balance, motion: Motion, nuisance: Nuisance = NONE
+) -> tuple[Moves, dict[int, str]]:
+    """Return the motion of each measured coordinate, and the body that it was measured at.
+
+    Where the driven coordinate has no sensor and a spring leads to one that has, its motion
+    follows from the torque that the measured one takes.
+    """
+    layout = model.layout
+    found: Moves = {}
+    bodies: dict[int, str] = {}
+    for point in balance.points:
+        body = layout.sensor_body[point.name]
+        group, r = layout.coordinate[body], layout.ratio[body]
+        if group not in found:
+            q, v, a = motion.q[point.name], motion.v[point.name], motion.a[point.name]
+            found[group] = (q, v, a) if r == 1.0 else (q / r, v / r, a / r)
+            bodies[group] = body
+    if 0 not in found:
+        driven = _through_spring(model, motion, found, bodies, nuisance)
+        if driven is not None:
+            at = layout.input_body[layout.inputs[0]]
+            return {0: driven, **found}, {0: at, **bodies}
+    return found, bodies
+
+
+def _through_spring(
+    model: ChainModel,
+    motion: Motion,
+    found: Moves,
+    bodies: Mapping[int, str],
+    nuisance: Nuisance,
+) -> tuple[Floats, Floats, Floats] | None:
+    """Motion of the driven coordinate from that at the other end of its spring."""
+    layout, plant = model.layout, model.plant()
+    for k in range(len(layout.links)):
+        ends = [layout.bodies[i] for i in plant.link_body[k]]
+        groups = [layout.coordinate[b] for b in ends]
+        ratio, stiffness, damping = plant.link_values[k, :3]
+        if plant.link_gap[k] or 0 not in groups or not {*groups} & {*found}:
+            continue
+        other = groups[1] if groups[0] == 0 else groups[0]
+        q, v, a = found[other]
+        nothing = {b: np.zeros_like(q) for b in layout.bodies}
+        need = plant.inertia[other] * a + _friction(
+            model, motion, other, q, v, nothing, nuisance
+        )
+        # lever of each end on the twist z = r1 q1 − ratio r2 q2
+        lever = [layout.ratio[ends[0]], -ratio * layout.ratio[ends[1]]]
+        here, there = (0, 1) if groups[0] == 0 else (1, 0)
+        torque = -need / lever[there]
+        # k z + c ż = torque; c/k is short
+        z = (torque - damping / stiffness * derivative(torque, motion.dt)) / stiffness
+        rate = derivative(z, motion.dt)
+        change = derivative(rate, motion.dt)
+        return tuple(
+            (part - lever[there] * far) / lever[here]
+            for part, far in ((z, q), (rate, v), (change, a))
+        )  # type: ignore[return-value]
+    return None
+
+
+def _links(
+    model: ChainModel,
+    motion: Motion,
+    measured: Moves,
+    nuisance: Nuisance,
+) -> dict[str, Floats]:
+    """Torque of every link along the log; coordinates without sensors are simulated."""
+    layout = model.layout
+    reach = kinematic(model)
+    given, position, speed = {}, {}, {}
+    base_group = next(iter(measured))
+    q0, v0 = measured[base_group][0][0], measured[base_group][1][0]
+    for body in layout.bodies:
+        group, r = layout.coordinate[body], layout.ratio[body]
+        if group in measured:
+            q, v, _ = measured[group]
+            twist = sum(
+                value for link, value in nuisance.twist.items()
+                if link in layout.links and _second(model, link) == body
+            )  # fmt: skip
+            given[body] = r * q + twist, r * v
+        else:
+            # in step with the measured ones at the start
+            position[body] = r * q0 * reach[group] / reach[base_group]
+            speed[body] = r * v0 * reach[group] / reach[base_group]
+    shared = {layout.coordinate[b]: b for b in given}
+    u = np.array([motion.u[name] for name in layout.inputs])
+    everything = len(measured) == layout.count
+    run = march(
+        model,
+        u,
+        motion.dt,
+        position=position,
+        speed=speed,
+        given={b: given[b] for b in shared.values()},
+        substeps=1 if everything else None,
+    )
+    return {name: run.link(name) for name in layout.links}
+
+
+def _second(model: ChainModel, link: str) -> str:
+    plant, layout = model.plant(), model.layout
+    return layout.bodies[plant.link_body[layout.links.index(link), 1]]
+
+
+def kinematic(model: ChainModel) -> dict[int, float]:
+    """Motion of each coordinate per motion of the first, all links untwisted."""
+    plant, layout = model.plant(), model.layout
+    reach = {0: 1.0}
+    for _ in range(layout.count):
+        for k in range(len(layout.links)):
+            first, second = (layout.bodies[i] for i in plant.link_body[k])
+            g1, g2 = layout.coordinate[first], layout.coordinate[second]
+            # 0 = r1 q1 − ratio r2 q2
+            factor = layout.ratio[first] / (plant.link_values[k, 0] * layout.ratio[second])
+            if g1 in reach and g2 not in reach:
+                reach[g2] = reach[g1] * factor
+            elif g2 in reach and g1 not in reach:
+                reach[g1] = reach[g2] / factor
+    return reach
+
+
+def _friction(
+    model: ChainModel,
+    motion: Motion,
+    group: int,
+    q: Floats,
+    v: Floats,
+    load: Mapping[str, Floats],
+    nuisance: Nuisance,
+) -> Floats:
+    """Friction and load torques of a coordinate, signed against the motion (to be overcome)."""
+    layout, plant, loop = model.layout, model.plant(), engine()
+    friction, other = np.zeros_like(v), np.zeros_like(v)
+    for k, body in enumerate(layout.bodies):
+        if layout.coordinate[body] != group:
+            continue
+        r = layout.ratio[body]
+        angle, omega = r * q, r * v
+        level = np.zeros_like(v)
+        if np.any(plant.law[k, [0, 1, 3, 4, 5, 7]]):
+            loop.law_along(omega, plant.law[k], level)
+        sign = np.sign(omega)
+        factor = np.ones_like(v)
+        for effect in model.effects:
+            if effect.on != body:
+                continue
+            chain = CHAIN_CATALOGUE[effect.name]
+            kind, row = kind_of(effect.name), value_row(effect)
+            theta = angle + nuisance.zero.get(effect.key, 0.0)
+            if chain.site == "friction":
+                f, added = np.empty_like(v), np.empty_like(v)
+                loop.friction_along(kind, theta, omega, motion.time, load[body], row, f, added)
+                factor *= f
+                level += sign * added
+            elif chain.site in ("motor", "load"):
+                torque = np.empty_like(v)
+                loop.torque_along(kind, theta, omega, motion.time, row, torque)
+                other -= r * torque
+        friction += r * factor * level
+    if plant.distance[group] > 0.0:
+        built = np.empty_like(v)
+        loop.bristle_along(np.gradient(q), friction, plant.distance[group], built)
+        friction = built
+    return friction + other
+
+
+def effective_input(model: ChainModel, motion: Motion, name: str) -> Floats:
+    """Signal of an input as it acts, at the samples, (n,): effects and limit applied.
+
+    The logged signal is held from each sample to the next, so that at a sample it is the mean
+    of two. Dead time and lag are undone on the other side of the balance where there is one
+    input (`_ahead`), and applied here where there are several.
+    """
+    loop = engine()
+    signal = motion.u[name]
+    for effect in model.effects:
+        if effect.on == name and CHAIN_CATALOGUE[effect.name].site == "drive":
+            out = np.empty_like(signal)
+            loop.drive_along(
+                kind_of(effect.name), signal, motion.time, value_row(effect), out
+            )
+            signal = out
+    j = model.layout.inputs.index(name)
+    _, dead, tau, limit = model.plant().input_values[j]
+    if limit > 0:
+        signal = np.clip(signal, -limit, limit)
+    if len(model.layout.inputs) > 1:
+        signal = _late(signal, motion.dt, dead, tau)
+    before = np.concatenate(([signal[0]], signal[:-1]))
+    return 0.5 * (before + signal)
+
+
+def _late(signal: Floats, dt: float, dead: float, tau: float) -> Floats:
+    """A held signal after dead time and lag, as its mean from each sample to the next."""
+    if dead > 0:
+        edges = np.arange(signal.size + 1) - dead / dt
+        whole = np.concatenate(([0.0], np.cumsum(signal)))
+        passed = np.interp(edges, np.arange(signal.size + 1), whole)
+        passed += np.minimum(edges, 0.0) * signal[0]
+        signal = np.diff(passed)
+    if tau > 0:
+        kept = np.exp(-dt / tau)
+        state = lfilter([0.0, 1.0 - kept], [1.0, -kept], signal, zi=[signal[0]])[0]
+        signal = signal + (state - signal) * (tau / dt) * (1.0 - kept)
+    return signal

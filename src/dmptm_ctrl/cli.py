@@ -43,6 +43,40 @@ def _main(
         print(context.get_help())
 
 
+@app.command()
+def diagnose(
+    logs: Annotated[list[Path], typer.Argument(help="A folder of logs of one rig, or the files.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("diagnosis"),
+    rig: Annotated[
+        Path | None, typer.Option(help="rig.toml: the declared model; else the paper's rig.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
+    seed: Annotated[int, typer.Option(help="Kept in the provenance.")] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No summary.")] = False,
+) -> None:
+    """Name the physical effect that the declared model lacks."""
+    from dmptm_ctrl.diagnosis.run import diagnose_files
+
+    result = diagnose_files(logs, rig=rig, jobs=jobs, seed=seed)
+    result.save(out)
+    if not quiet:
+        print(result.summary())
+        print(f"\nwritten to {out}: report.html, diagnosis.json, model.toml")
+
+
+@app.command()
+def predict(
+    log: Annotated[Path, typer.Argument(help="A log of the rig; only its voltages are used.")],
+    model: Annotated[Path, typer.Option(help="model.toml, as diagnose writes it.")],
+    out: Annotated[Path, typer.Option(help="CSV to write.")] = Path("pred.csv"),
+) -> None:
+    """Run the plant model freely on a log's voltages."""
+    from dmptm_ctrl.diagnosis.run import predict_file
+    from dmptm_ctrl.signals.atomic import write_atomic
+
+    write_atomic(out, predict_file(log, model))
+
+
 @log_app.command("info")
 def log_info(
     file: Annotated[Path, typer.Argument(help="Log: .csv, .csv.gz, .txt, .mat, .parquet, .mf4")],

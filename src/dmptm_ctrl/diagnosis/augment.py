@@ -11,6 +11,9 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit, Unknown, effect_unknowns, fit
 from dmptm_ctrl.simulate.model import Model
 
+FIRST_LOOK = 3  # iterations that show which candidates are worth more
+LAST_LOOK = 6
+FINALISTS = 3
 INTEGER_SHAPES = frozenset({"order"})
 
 
@@ -65,11 +68,18 @@ def refit(
     }
     model = start.base.model.with_effect(score.name, **guess)
     unknowns = (*start.base.unknowns, *unknowns_of(score.name))
-    done = fit(left.misfit, model, unknowns, iterations=3, jacobian=start.jacobian)
+    done = fit(left.misfit, model, unknowns, iterations=FIRST_LOOK, jacobian=start.jacobian)
+    return tried(left, score.name, done, before)
+
+
+def tried(
+    left: Residual, name: str, done: Fit, before: tuple[np.ndarray, np.ndarray]
+) -> Trial:
+    """Compare a fit with the reference, log by log."""
     fitted, held = squares(left, done.model)
     change = np.concatenate([before[0] - fitted, before[1] - held])
     return Trial(
-        score.name,
+        name,
         done,
         left.base.cost - done.cost,
         float(before[1].sum() - held.sum()),
@@ -93,6 +103,10 @@ def refit_all(
             if score is not None
         ]
         trials.append(max(tries, key=lambda t: t.gain))
+    trials.sort(key=lambda t: -t.gain)
+    for i, trial in enumerate(trials[:FINALISTS]):
+        done = fit(left.misfit, trial.fit.model, trial.fit.unknowns, iterations=LAST_LOOK)
+        trials[i] = tried(left, trial.name, done, before)
     return sorted(trials, key=lambda t: -t.gain)
 
 

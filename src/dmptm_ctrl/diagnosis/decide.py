@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import Trial, refit, refit_all, shortlist, squares
-from dmptm_ctrl.diagnosis.residual import Residual, declared, linearised
+from dmptm_ctrl.diagnosis.residual import Residual, linearised, near_declared
 from dmptm_ctrl.diagnosis.trace import Score, confusable, rescore, trace
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.fit import Fit, fit
 
 FIRST = 150.0  # evidence of a first effect; above the best of the catalogue on null rigs
 SECOND = 150.0  # of a second one, beside the first
-SHORTLIST = 5  # candidates taken from each of the two starts
+SHORTLIST = 4  # candidates taken from each of the two starts
 MAX_EFFECTS = 3
 UNSEEN = 0.02  # relative change of the held-out error that says nothing either way
 CORRELATED = 0.75  # canonical correlation of projected columns from which two are one set
@@ -86,7 +86,7 @@ def step(left: Residual, drive: Drive, skip: Sequence[str]) -> tuple[
 ]:
     """Trace and refit once; return the (better) reference, scores and trials."""
     scores = trace(left, skip=skip)
-    nominal = declared(left, drive)
+    nominal = near_declared(left, drive)
     short = shortlist(scores, rescore(scores, nominal), SHORTLIST)
     trials = refit_all(left, nominal, short)
     better = challenge(left, trials)

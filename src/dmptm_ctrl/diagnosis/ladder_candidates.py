@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 MAX_ORDER = 400  # per turn
 SCREENED = 8  # orders and frequencies of the screening that are looked at closely
 MIN_TURNS = 0.9  # of travel before an angle effect of order 1 is told from a slope
-HIDDEN_MODES = 24  # antiresonances tried
+HIDDEN_MODES = 18  # antiresonances tried
 DELAYS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample times
 LONGEST_DELAY = 0.2  # s
 BACKGROUND = {  # no candidates: absorbed by the declared model, or judged sensor against sensor
@@ -460,18 +460,57 @@ def _compliance(
             if len(own) == 1:
                 places.append((body.name, own[0].sensors))  # the sensor is behind the spring
     for on, far in places:
-        tries = [
-            Placed(
-                "shaft_compliance",
-                on,
-                {"share": share, "antiresonance": float(w), "damping_ratio": zeta},
-                far,
-            )
-            for w in modes
-            for share in ((0.5,) if any(on == k.name for k in model.rig.links) else (0.25, 0.6))
-            for zeta in (0.05,)
-        ]
+        if len(far) and len([p for p in sensed.values() if p.body == on]) > 1:
+            tries = [_two_sided_start(tangent, on, far)]
+        else:
+            tries = [
+                Placed(
+                    "shaft_compliance",
+                    on,
+                    {"share": share, "antiresonance": float(w), "damping_ratio": 0.05},
+                    far,
+                )
+                for w in modes
+                for share in ((0.5,) if any(on == k.name for k in model.rig.links) else (0.25, 0.6))
+            ]
         yield _finite_structure(tangent, tries)
+
+
+def _two_sided_start(tangent: Tangent, on: str, far: tuple[str, ...]) -> Placed:
+    """Starting values where both ends of the spring are measured, by two linear regressions.
+
+    a2 = ω_a² z + 2 ζ ω_a ż + const and F = J1 a1 + J2 a2 + B v1 + const.
+    """
+    near_point, far_point = (
+        next(p.name for p in tangent.balance.points if p.body == on and (p.name in far) == side)
+        for side in (False, True)
+    )
+    shaft, target, whole, drive = [], [], [], []
+    for k, m in enumerate(tangent.balance.motions):
+        z = m.q[near_point] - m.q[far_point]
+        rate = m.v[near_point] - m.v[far_point]
+        keep = m.moving
+        own = np.zeros((int(keep.sum()), len(tangent.balance.motions)))
+        own[:, k] = 1.0
+        shaft.append(np.column_stack([m.reduce(z)[keep], m.reduce(rate)[keep], own]))
+        target.append(m.reduce(m.a[far_point])[keep])
+        signals = (m.a[near_point], m.a[far_point], m.v[near_point], np.sign(m.v[near_point]))
+        whole.append(np.column_stack([*(m.reduce(s)[keep] for s in signals), own]))
+        drive.append(tangent.fit.drive[k][keep])
+    square, damping = np.linalg.lstsq(np.concatenate(shaft), np.concatenate(target), rcond=None)[0][:2]
+    near, beyond = np.linalg.lstsq(np.concatenate(whole), np.concatenate(drive), rcond=None)[0][:2]
+    antiresonance = float(np.sqrt(max(square, 1.0)))
+    share = beyond / (near + beyond) if near + beyond > 0 else 0.5
+    return Placed(
+        "shaft_compliance",
+        on,
+        {
+            "share": float(np.clip(share, 0.02, 0.98)),
+            "antiresonance": antiresonance,
+            "damping_ratio": float(np.clip(damping / (2 * antiresonance), 1e-3, 0.5)),
+        },
+        far,
+    )
 
 
 def _finite_structure(tangent: Tangent, tries: list[Placed]) -> Candidate:

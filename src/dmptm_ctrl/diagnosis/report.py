@@ -1,0 +1,234 @@
+"""Fifth step: the verdict as an object, as text, as JSON and as files."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from dmptm_ctrl.diagnosis.decide import Decision, Found, evidence
+from dmptm_ctrl.diagnosis.measure import Measured
+from dmptm_ctrl.diagnosis.trace import MIN_SURVIVAL
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.fit import Fit
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.signals.atomic import output_folder
+from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model_file import to_toml
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, eq=False)
+class NamedEffect:
+    """An effect that was added to the model."""
+
+    name: str
+    location: str
+    probability: float
+    parameters: dict[str, dict[str, Any]]
+    confusable_with: tuple[str, ...]
+    evidence: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of diagnosis.json."""
+        return {
+            "name": self.name,
+            "location": self.location,
+            "probability": self.probability,
+            "parameters": self.parameters,
+            "confusable_with": list(self.confusable_with),
+            "evidence": self.evidence,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What the declared model lacks.
+
+    Attributes
+    ----------
+    verdict : "none", "explained" or "unknown"
+    effects : tuple of NamedEffect
+        In order of probability.
+    ranking : list of dict
+        Every catalogue entry: name, score, status, reveals, and the smallest amplitude
+        that these logs could have shown.
+    depends_on : tuple of str
+    error : dict
+        Held-out speed error below 30 Hz before and after [deg/s].
+    declared, augmented : Model
+        Fitted without and with the effects; `augmented.to_blocks()` gives python-control.
+    measured : Measured
+    decision : Decision
+    provenance : dict
+    """
+
+    verdict: str
+    effects: tuple[NamedEffect, ...]
+    ranking: list[dict[str, Any]]
+    depends_on: tuple[str, ...]
+    error: dict[str, Any]
+    declared: Model
+    augmented: Model
+    measured: Measured
+    decision: Decision
+    provenance: dict[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of diagnosis.json: plain types, no NaN."""
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "effects": [effect.to_dict() for effect in self.effects],
+            "ranking": self.ranking,
+            "depends_on": list(self.depends_on),
+            "error": self.error,
+            "provenance": self.provenance,
+            "warnings": list(self.warnings),
+        }
+
+    def summary(self) -> str:
+        """Return the verdict as a text: sentence, errors, parameters with standard errors."""
+        lines = [self.sentence(), ""]
+        before, after = self.error["before"], self.error["after"]
+        lines.append(
+            f"speed error on {self.error['on']}, below {self.error['bandwidth_hz']} Hz: "
+            f"{before['rmse']:.3f} → {after['rmse']:.3f} deg/s "
+            f"(fit {before['fit_percent']:.1f} → {after['fit_percent']:.1f} %)"
+        )
+        for effect in self.effects:
+            lines += ["", f"{effect.name} ({effect.location}), probability {effect.probability:.2f}"]
+            for name, p in effect.parameters.items():
+                lines.append(f"  {name} = {p['value']:.4g} ± {p['se']:.2g} {p['unit']}".rstrip())
+            lines.append(f"  {effect.evidence}")
+            if effect.confusable_with:
+                lines.append("  not told from: " + ", ".join(effect.confusable_with))
+        bounds = self.decision.after.at_bounds
+        if bounds:
+            lines += ["", "at the edge of the declared range: " + ", ".join(bounds)]
+        lines += [f"warning: {text}" for text in self.warnings]
+        return "\n".join(lines)
+
+    def sentence(self) -> str:
+        """Return the verdict in one sentence."""
+        if self.verdict == "none":
+            return "The declared model explains the logs within its uncertainty; nothing is missing."
+        names = " and ".join(effect.name.replace("_", " ") for effect in self.effects)
+        if self.verdict == "explained":
+            return f"The declared model lacks: {names}."
+        on = ", ".join(self.depends_on) or "nothing that was measured"
+        known = f" besides {names}" if names else ""
+        return f"Something that is on no list is missing{known}; it depends on {on}."
+
+    def plot(self, **options: Any) -> Any:
+        """Draw measured, before and after on each held-out log; see `plots.diagnosis`."""
+        from dmptm_ctrl.plots.diagnosis import plot_diagnosis
+
+        return plot_diagnosis(self, **options)
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<pre>{escape(self.summary())}</pre>"
+
+    def save(self, folder: str | PathLike[str]) -> None:
+        """Write diagnosis.json, model.toml and report.html, together or not at all."""
+        from dmptm_ctrl.diagnosis.html import render
+
+        with output_folder(folder) as out:
+            text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+            (out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
+            (out / "model.toml").write_text(to_toml(self.augmented), encoding="utf-8")
+            (out / "report.html").write_text(render(self), encoding="utf-8")
+
+
+def named(found: Found, after: Fit, errors: dict[str, Any]) -> NamedEffect:
+    """Describe an accepted effect with the values of the final fit."""
+    effect = CATALOGUE[found.name]
+    parameters = {}
+    for p in effect.parameters:
+        try:
+            value, se = after.value(found.name, p.name)
+        except KeyError:  # found by search, not by fit: a whole-numbered order
+            value, se = after.model.effects[found.name][p.name], 0.0
+        parameters[p.name] = {"value": float(value), "se": float(se), "unit": p.unit}
+    trial = found.trial
+    sentence = (
+        f"Adding it lowers the held-out error to {100 * trial.held_ratio:.0f} % and improves "
+        f"{100 * trial.improved:.0f} % of the logs; evidence {found.evidence:.0f} where "
+        f"{found.threshold:.0f} is needed (best of the catalogue on rigs that lack nothing)."
+    )
+    return NamedEffect(
+        found.name,
+        effect.location,
+        found.probability,
+        parameters,
+        found.confusable_with,
+        sentence,
+    )
+
+
+def ranking(decision: Decision, untestable: Sequence[str], sensors: dict[str, dict[str, float]]) -> list[
+    dict[str, Any]
+]:
+    """Status of every catalogue entry, best first."""
+    chosen = {f.name: f for f in decision.found}
+    scores = {s.name: s for s in decision.scores}
+    rows = []
+    for name, effect in CATALOGUE.items():
+        score = scores.get(name)
+        trial = decision.trials.get(name)
+        value = 0.0
+        if name in chosen:
+            value = chosen[name].evidence
+        elif trial is not None:
+            value = evidence(trial)
+        elif score is not None:
+            value = score.gain
+        status = "supported" if name in chosen else "rejected"
+        weak = score is not None and score.survival < MIN_SURVIVAL
+        if status == "rejected" and (name in untestable or weak):
+            status = "not testable with these logs"
+        row: dict[str, Any] = {
+            "name": name,
+            "score": float(np.nan_to_num(value)),
+            "status": status,
+            "reveals": effect.reveals,
+        }
+        if score is not None:
+            row["detectable"] = {
+                p.name: {"value": float(min(score.detectable[p.name], 1e300)), "unit": p.unit}
+                for p in effect.parameters
+                if not p.bank
+            }
+        if name in sensors:
+            row["detectable"] = {
+                key: {"value": 3.0 * se, "unit": next(p.unit for p in effect.parameters if p.name == key)}
+                for key, se in sensors[name].items()
+            }
+        rows.append(row)
+    return sorted(rows, key=lambda row: (row["status"] != "supported", -row["score"]))
+
+
+def provenance(measured: Measured, logs: Sequence[Log], seed: int, seconds: float) -> dict[str, Any]:
+    """Versions, seed, hashes and roles of the logs."""
+    from dmptm_ctrl import __version__
+
+    held = {rec.name for rec in measured.held}
+    return {
+        "version": __version__,
+        "seed": seed,
+        "logs": [
+            {
+                "name": log.name,
+                "sha256": log.sha256 or "",
+                "role": "held-out" if log.name in held else "fit",
+            }
+            for log in logs
+        ],
+        "seconds": round(seconds, 3),
+    }

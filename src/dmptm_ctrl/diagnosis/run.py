@@ -1,0 +1,38 @@
+"""What the command line calls: files in, results out."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from dmptm_ctrl.diagnosis.diagnose import diagnose
+from dmptm_ctrl.diagnosis.predict import predict
+from dmptm_ctrl.signals import LogError, load_log, load_logs
+from dmptm_ctrl.simulate.model_file import read_model
+
+SPEED_FORMAT = "%.7g"  # finer than any sensor here
+
+
+def diagnose_files(
+    paths: Sequence[Path], *, rig: Path | None = None, jobs: int = 2, seed: int = 0
+) -> Any:
+    """Diagnose a folder of logs or log files.
+
+    Raises
+    ------
+    LogError
+        Bad input, in one sentence.
+    """
+    source = paths[0] if len(paths) == 1 else list(paths)
+    if rig is not None:
+        raise LogError(f"{rig.name}: rig files are not read yet; without --rig it is the paper's rig")
+    return diagnose(load_logs(source), jobs=jobs, seed=seed)
+
+
+def predict_file(log: Path, model: Path) -> str:
+    """Predict a log file with a model file; return the CSV text."""
+    return predict(read_model(model), load_log(log)).to_csv(
+        index=False, float_format=SPEED_FORMAT, lineterminator="\n"
+    )
+
+
+

@@ -1,0 +1,103 @@
+"""A model as a file: `model.toml`, written by the diagnosis and read by `dmptm predict`."""
+
+import math
+import tomllib
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from dmptm_ctrl.drive import Drive, paper_drive
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.model import BASE, Model
+
+KIND = "dual-motor"
+SCHEMA = 1
+
+
+def to_toml(model: Model) -> str:
+    """Return the text of a model file: values in SI, the unit beside each."""
+    document = tomlkit.document()
+    document.add(tomlkit.comment("Drive model of dmptm-ctrl. SI units; angles in radians."))
+    document["schema"] = SCHEMA
+    document["kind"] = KIND
+    drive = tomlkit.table()
+    for name in BASE:
+        item = tomlkit.item(float(model.drive[name]))
+        item.comment(model.drive.quantities[name].unit or "1")
+        drive[name] = item
+    document["drive"] = drive
+    effects = tomlkit.table()
+    for name, values in model.effects.items():
+        table = tomlkit.table()
+        for p in CATALOGUE[name].parameters:
+            if p.name in values:
+                item = tomlkit.item(float(values[p.name]))
+                item.comment(p.unit or "1")
+                table[p.name] = item
+        effects[name] = table
+    document["effects"] = effects
+    return tomlkit.dumps(document)
+
+
+def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None) -> Model:
+    """Read the text of a model file.
+
+    Raises
+    ------
+    LogError
+        Not TOML, another kind or schema, an unknown or missing name, a value that is not a
+        finite number.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise LogError(f"{name}: not a TOML file: {error}") from None
+    if data.get("kind") != KIND or data.get("schema") != SCHEMA:
+        raise LogError(f'{name}: needs kind = "{KIND}" and schema = {SCHEMA}, as diagnose writes')
+    declared = drive or paper_drive()
+    values = _numbers(name, "drive", data.get("drive"))
+    unknown = sorted(set(values) - set(BASE))
+    missing = [n for n in BASE if n not in values]
+    if unknown or missing:
+        what = f"unknown {unknown[0]!r}" if unknown else f"no {missing[0]!r}"
+        raise LogError(f"{name}: {what} in [drive]; it needs {', '.join(BASE)}")
+    for key in ("J_m", "J_2", "J_L", "N_1", "N_2", "k_m", "W3_plus", "W3_minus", "WL_plus", "WL_minus"):
+        if values[key] <= 0:
+            raise LogError(f"{name}: {key} is {values[key]} in [drive]; it must be positive")
+    effects = data.get("effects", {})
+    if not isinstance(effects, dict):
+        raise LogError(f"{name}: [effects] must hold one table per effect")
+    tables = {key: _numbers(name, f"effects.{key}", table) for key, table in effects.items()}
+    try:
+        return Model(declared.with_values(**values), tables)
+    except KeyError as error:
+        raise LogError(f"{name}: {error.args[0]}") from None
+
+
+def _numbers(name: str, where: str, table: Any) -> dict[str, float]:
+    if not isinstance(table, dict):
+        raise LogError(f"{name}: no table [{where}]")
+    for key, value in table.items():
+        good = isinstance(value, int | float) and not isinstance(value, bool)
+        if not good or not math.isfinite(value):
+            raise LogError(f"{name}: {key} in [{where}] is {value!r}; it must be a finite number")
+    return {key: float(value) for key, value in table.items()}
+
+
+def read_model(path: str | PathLike[str]) -> Model:
+    """Read a model file.
+
+    Raises
+    ------
+    LogError
+        See :func:`from_toml`; also a file that cannot be read.
+    """
+    file = Path(path)
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        raise LogError(f"{file.name}: no readable model file there") from None
+    return from_toml(text, name=file.name)

@@ -72,9 +72,7 @@ def refit(
     return tried(left, score.name, done, before)
 
 
-def tried(
-    left: Residual, name: str, done: Fit, before: tuple[np.ndarray, np.ndarray]
-) -> Trial:
+def tried(left: Residual, name: str, done: Fit, before: tuple[np.ndarray, np.ndarray]) -> Trial:
     """Compare a fit with the reference, log by log."""
     fitted, held = squares(left, done.model)
     change = np.concatenate([before[0] - fitted, before[1] - held])

@@ -81,9 +81,9 @@ def challenge(left: Residual, trials: Sequence[Trial]) -> Residual:
     return linearised(again, left.misfit, left.held)
 
 
-def step(left: Residual, drive: Drive, skip: Sequence[str]) -> tuple[
-    Residual, list[Score], list[Trial]
-]:
+def step(
+    left: Residual, drive: Drive, skip: Sequence[str]
+) -> tuple[Residual, list[Score], list[Trial]]:
     """Trace and refit once; return the (better) reference, scores and trials."""
     scores = trace(left, skip=skip)
     nominal = near_declared(left, drive)
@@ -154,15 +154,11 @@ def _probability(winner: Trial, trials: Sequence[Trial], threshold: float) -> fl
     return float(surely * alone)
 
 
-def _confusable(
-    winner: Trial, trials: Sequence[Trial], scores: Sequence[Score]
-) -> tuple[str, ...]:
+def _confusable(winner: Trial, trials: Sequence[Trial], scores: Sequence[Score]) -> tuple[str, ...]:
     """Names that these logs cannot tell from the winner."""
     by_name = {s.name: s for s in scores}
     names = [
-        t.name
-        for t in trials
-        if t.name != winner.name and evidence(t) > RIVAL * evidence(winner)
+        t.name for t in trials if t.name != winner.name and evidence(t) > RIVAL * evidence(winner)
     ]
     mine = by_name.get(winner.name)
     if mine is not None:

@@ -107,7 +107,9 @@ def sensor_effect(name: str, sensors: SensorCheck) -> NamedEffect:
         key: {"value": value, "se": sensors.errors[name][key], "unit": units[key]}
         for key, value in sensors.values[name].items()
     }
-    largest = max(abs(v) / max(sensors.errors[name][k], 1e-300) for k, v in sensors.values[name].items())
+    largest = max(
+        abs(v) / max(sensors.errors[name][k], 1e-300) for k, v in sensors.values[name].items()
+    )
     return NamedEffect(
         name,
         effect.location,
@@ -125,4 +127,3 @@ def refined(measured: Measured, decision: Decision, jobs: int) -> Model:
     misfit = Misfit(everything, decision.last.misfit.bandwidth_hz if decision.last else 0.05, jobs)
     misfit.weigh(decision.after.model)
     return fit(misfit, decision.after.model, decision.after.unknowns, iterations=4).model
-

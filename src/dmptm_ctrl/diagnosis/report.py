@@ -101,7 +101,10 @@ class Diagnosis:
             f"(fit {before['fit_percent']:.1f} → {after['fit_percent']:.1f} %)"
         )
         for effect in self.effects:
-            lines += ["", f"{effect.name} ({effect.location}), probability {effect.probability:.2f}"]
+            lines += [
+                "",
+                f"{effect.name} ({effect.location}), probability {effect.probability:.2f}",
+            ]
             for name, p in effect.parameters.items():
                 lines.append(f"  {name} = {p['value']:.4g} ± {p['se']:.2g} {p['unit']}".rstrip())
             lines.append(f"  {effect.evidence}")
@@ -116,7 +119,9 @@ class Diagnosis:
     def sentence(self) -> str:
         """Return the verdict in one sentence."""
         if self.verdict == "none":
-            return "The declared model explains the logs within its uncertainty; nothing is missing."
+            return (
+                "The declared model explains the logs within its uncertainty; nothing is missing."
+            )
         names = " and ".join(effect.name.replace("_", " ") for effect in self.effects)
         if self.verdict == "explained":
             return f"The declared model lacks: {names}."
@@ -172,9 +177,9 @@ def named(found: Found, after: Fit, errors: dict[str, Any]) -> NamedEffect:
     )
 
 
-def ranking(decision: Decision, untestable: Sequence[str], sensors: dict[str, dict[str, float]]) -> list[
-    dict[str, Any]
-]:
+def ranking(
+    decision: Decision, untestable: Sequence[str], sensors: dict[str, dict[str, float]]
+) -> list[dict[str, Any]]:
     """Status of every catalogue entry, best first."""
     chosen = {f.name: f for f in decision.found}
     scores = {s.name: s for s in decision.scores}
@@ -207,14 +212,19 @@ def ranking(decision: Decision, untestable: Sequence[str], sensors: dict[str, di
             }
         if name in sensors:
             row["detectable"] = {
-                key: {"value": 3.0 * se, "unit": next(p.unit for p in effect.parameters if p.name == key)}
+                key: {
+                    "value": 3.0 * se,
+                    "unit": next(p.unit for p in effect.parameters if p.name == key),
+                }
                 for key, se in sensors[name].items()
             }
         rows.append(row)
     return sorted(rows, key=lambda row: (row["status"] != "supported", -row["score"]))
 
 
-def provenance(measured: Measured, logs: Sequence[Log], seed: int, seconds: float) -> dict[str, Any]:
+def provenance(
+    measured: Measured, logs: Sequence[Log], seed: int, seconds: float
+) -> dict[str, Any]:
     """Versions, seed, hashes and roles of the logs."""
     from dmptm_ctrl import __version__
 

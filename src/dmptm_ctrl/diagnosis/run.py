@@ -24,7 +24,9 @@ def diagnose_files(
     """
     source = paths[0] if len(paths) == 1 else list(paths)
     if rig is not None:
-        raise LogError(f"{rig.name}: rig files are not read yet; without --rig it is the paper's rig")
+        raise LogError(
+            f"{rig.name}: rig files are not read yet; without --rig it is the paper's rig"
+        )
     return diagnose(load_logs(source), jobs=jobs, seed=seed)
 
 
@@ -33,6 +35,3 @@ def predict_file(log: Path, model: Path) -> str:
     return predict(read_model(model), load_log(log)).to_csv(
         index=False, float_format=SPEED_FORMAT, lineterminator="\n"
     )
-
-
-

@@ -39,9 +39,7 @@ def cross_check(records: Sequence[Record]) -> SensorCheck:
         span = max(5, 2 * round(0.5 * WINDOW_SECONDS / rec.dt) + 1)
         if rec.theta.size <= 3 * span:
             continue
-        smooth = {
-            d: savgol_filter(rec.theta, span, 3, deriv=d, delta=rec.dt) for d in (1, 2)
-        }
+        smooth = {d: savgol_filter(rec.theta, span, 3, deriv=d, delta=rec.dt) for d in (1, 2)}
         speed = savgol_filter(rec.omega, span, 3)
         rate, change = smooth[1], smooth[2]
         rows = np.array(

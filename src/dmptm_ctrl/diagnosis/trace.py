@@ -275,7 +275,12 @@ def order_search(
             [
                 left.misfit.stacked(
                     [
-                        respond(rec, run, left.base.model, *_motor_wave(aligned(rec, run, left.base.model), wave, n))
+                        respond(
+                            rec,
+                            run,
+                            left.base.model,
+                            *_motor_wave(aligned(rec, run, left.base.model), wave, n),
+                        )
                         for rec, run in zip(left.misfit.records, left.runs, strict=True)
                     ]
                 )
@@ -330,7 +335,12 @@ def place_search(
         columns = [
             left.misfit.stacked(
                 [
-                    respond(rec, run, left.base.model, *_bump(aligned(rec, run, left.base.model), place, width))
+                    respond(
+                        rec,
+                        run,
+                        left.base.model,
+                        *_bump(aligned(rec, run, left.base.model), place, width),
+                    )
                     for rec, run in zip(left.misfit.records, left.runs, strict=True)
                 ]
             )

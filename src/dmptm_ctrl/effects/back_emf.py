@@ -31,5 +31,6 @@ BACK_EMF = Effect(
     location="motors",
     source="K_t K_e / R of a voltage-fed motor",
     depends_on=("omega_m",),
-    reveals="constant speeds over the whole range; it is viscous friction at the motor, told only by a coefficient beyond its declared range",
+    reveals="constant speeds over the whole range; only a coefficient beyond its declared range "
+    "tells it from viscous friction",
 )

@@ -10,7 +10,6 @@ from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
 
-
 TEETH = 20.0  # z3, Table 1
 
 
@@ -39,7 +38,7 @@ MESH_ERROR = Effect(
     ),
     values=MeshError,
     location="pinions",
-    source="first harmonic of the tooth-to-tooth error; phase is the mesh angle (erratum of Eq. 23)",
+    source="first harmonic of the tooth-to-tooth error; phase by mesh angle (Eq. 23, erratum)",
     depends_on=("theta_m",),
     reveals="slow constant speed with motor encoders",
 )

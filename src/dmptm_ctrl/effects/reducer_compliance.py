@@ -12,7 +12,6 @@ from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
 
-
 ZETA = 0.03  # damping ratio of steel gearing, lower end of Eq. 24's range
 
 

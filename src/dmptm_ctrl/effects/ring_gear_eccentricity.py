@@ -12,7 +12,6 @@ from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
 
-
 PINION_ANGLE = 2.0 * pi / 3.0  # rad between the pinions on the ring gear
 
 

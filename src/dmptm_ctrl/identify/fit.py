@@ -5,9 +5,9 @@ the drive, each scaled so that its declared range is [−1, 1], and amplitudes a
 effects, scaled by their `step`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -24,7 +24,9 @@ PROBES = (0.3, 0.15)
 DAMPINGS = (0.0, 1.0, 5.0, 30.0)  # of a step, relative to the diagonal; all are tried
 PERTURBATION = 0.01  # relative; well inside what is known of stiffness and damping
 BEND = 4.0  # standard deviations beyond which a speed residual counts by its logarithm only
-CAP = 3.0  # standard deviations that a twist residual cannot exceed: on another flank it says no more
+CAP = (
+    3.0  # standard deviations that a twist residual cannot exceed: on another flank it says no more
+)
 FLOOR = {  # model error that no parameter mends; below it a channel is not judged more finely
     "speed": np.deg2rad(0.03),  # rad/s in a block
     "twist_l": np.deg2rad(0.15 / 60),  # rad at the pinion
@@ -396,16 +398,6 @@ def fit(
         cost,
         r,
         jac,
-        np.linalg.inv(precision),
+        np.asarray(np.linalg.inv(precision), np.float64),
         cost if start is None else start,
     )
-
-
-def renamed(fitted: Fit, **changes: object) -> Fit:
-    """Return a copy with fields replaced."""
-    return replace(fitted, **changes)  # type: ignore[arg-type]
-
-
-def effect_values(model: Model, name: str) -> Mapping[str, float]:
-    """Return the parameters of an effect in a model."""
-    return model.effects[name]

@@ -80,7 +80,7 @@ def block_mean(signal: Floats, block: int) -> Floats:
     return signal[..., : n * block].reshape(*signal.shape[:-1], n, block).mean(-1)
 
 
-def predict(rec: Record, arrays: Arrays, bandwidth_hz: float = 0.0, **options: Floats) -> Floats:
+def predict(rec: Record, arrays: Arrays, bandwidth_hz: float = 0.0) -> Floats:
     """Run the model on a record; with a bandwidth, led slowly by the measured angle.
 
     Returns
@@ -89,7 +89,7 @@ def predict(rec: Record, arrays: Arrays, bandwidth_hz: float = 0.0, **options: F
         Columns of `compiled.OUTPUTS`.
     """
     observer = observer_gains(bandwidth_hz, rec.dt) if bandwidth_hz > 0 else None
-    return march(arrays, rec.u, rec.x0, rec.dt, observer=observer, measured=rec.theta, **options)
+    return march(arrays, rec.u, rec.x0, rec.dt, observer=observer, measured=rec.theta)
 
 
 def difference(rec: Record, out: Floats, n1: float, n2: float) -> Floats:

@@ -25,7 +25,7 @@ from dmptm_ctrl.effects.backlash import (
     region_torque,
 )
 from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque
-from dmptm_ctrl.simulate.sites import (  # type: ignore[import-not-found]  # chains
+from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
     drive_voltage,
     friction_level,

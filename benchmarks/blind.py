@@ -1,0 +1,245 @@
+"""Diagnose rigs whose lack is known, and score names, probabilities and predictions.
+
+    python benchmarks/blind.py --out DIR --count 20 --only null
+    python benchmarks/blind.py --out DIR --seeds 1 2 3 --effects unbalance cogging --strengths 1 3
+    python benchmarks/blind.py --out DIR --logs FOLDER
+
+The rigs come from `rigs.campaign`, from one effect after another, or from a folder of
+rigs with its labels.json. DIR/results.jsonl gets a line per rig; the same command goes on
+where it stopped. DIR/summary.json and the figures are made from all lines that are there.
+"""
+
+import argparse
+import json
+import os
+import time
+import zlib
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import islice, product
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scoring import figures, report, summarise
+
+HIDDEN = 3  # logs per rig that the diagnosis does not see
+THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Case(NamedTuple):
+    """A rig to diagnose: made from its seed, or read from a folder."""
+
+    id: str
+    kind: str
+    seed: int | None
+    effects: tuple
+    sensors: str | None
+    folder: Path | None = None
+    label: dict | None = None
+
+
+def planned(seeds, count, only):
+    """The first `count` rigs of each campaign, of one kind if `only` says so."""
+    from rigs.campaign import orders
+
+    cases = []
+    for seed in seeds:
+        wanted = (o for o in orders(seed) if only in (None, o.kind))
+        for o in islice(wanted, count):
+            cases.append(Case(f"s{seed}-{o.id}", o.kind, o.seed, o.effects, o.sensors))
+    return cases
+
+
+def one_by_one(seeds, names, strengths):
+    """Rigs with one effect each, in turn with and without motor encoders."""
+    cases = []
+    for seed, strength, name in product(seeds, strengths, names):
+        case = f"{name}-x{strength:g}-s{seed}"
+        sensors = ("all", "load")[seed % 2]
+        effects = ((name, strength),)
+        cases.append(Case(case, "single", zlib.crc32(case.encode()), effects, sensors))
+    return cases
+
+
+def on_disk(folder):
+    """Rigs of a folder with labels.json, and those of their hidden logs that are there."""
+    cases = []
+    for name, label in json.loads((folder / "labels.json").read_text()).items():
+        effects = label["effects"]
+        kind = "null" if not effects else "single" if len(effects) == 1 else "pair"
+        if any(effect.startswith("unknown") for effect in effects):
+            kind = "unknown"
+        strengths = label.get("strengths", {})
+        pairs = tuple((effect, strengths.get(effect)) for effect in effects)
+        sensors = label.get("sensors")
+        seed = label.get("seed")
+        cases.append(Case(name, kind, seed, pairs, sensors, folder / name, label))
+    return cases
+
+
+def given(case):
+    """Logs to diagnose, logs kept back with the error no model gets below, and the label."""
+    from dmptm_ctrl.signals import load_log, load_logs
+
+    if case.folder is not None:
+        kept = case.folder.parent / "hidden" / case.folder.name
+        hidden = list(load_logs(kept)) if kept.is_dir() else []
+        return list(load_logs(case.folder)), hidden, None, case.label
+    from rigs import make_rig
+
+    options = {"sensors": case.sensors, "hidden_logs": HIDDEN}
+    rig = make_rig(case.seed, case.effects, **options)
+    again = make_rig(
+        case.seed, case.effects, logs=("open_sine_0v60",), noise_seed=case.seed + 1, **options
+    )
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    hidden = [load_log(table, name=name) for name, table in rig.hidden.items()]
+    repeat = [load_log(table, name=name) for name, table in again.hidden.items()]
+    return logs, hidden, floor(hidden, repeat), rig.label
+
+
+def floor(logs, repeats):
+    """Speed error below 30 Hz that the rig makes against itself, measured twice [deg/s].
+
+    Only for logs with the same voltages both times, that is not in closed loop.
+    """
+    from dmptm_ctrl.diagnosis.predict import low_pass
+
+    squares = []
+    for log, repeat in zip(logs, repeats, strict=True):
+        if np.array_equal(log["u_left"], repeat["u_left"]):
+            apart = low_pass(log["omega_L"] - repeat["omega_L"], log.sample_time)
+            squares.append(np.mean(apart**2) / 2)  # both times have the error
+    return float(np.rad2deg(np.sqrt(np.mean(squares)))) if squares else None
+
+
+def examine(case):
+    """Diagnose a rig; the line of results.jsonl."""
+    logs, hidden, lowest, label = given(case)
+    line = {
+        "id": case.id,
+        "kind": case.kind,
+        "truth": list(label["effects"]),
+        "strengths": label.get("strengths", {}),
+        "truly_depends_on": label.get("depends_on", []),
+        "true_parameters": label.get("effect_parameters", {}),
+        "sensors": label.get("sensors"),
+        "laws": label.get("laws", {}),
+        "seed": label.get("seed"),
+    }
+    start = time.perf_counter()
+    try:
+        line |= diagnosed(logs, hidden)
+    except Exception as error:  # one bad rig must not end a campaign of hours; it counts as missed
+        line |= {"verdict": "failed", "effects": [], "failure": f"{type(error).__name__}: {error}"}
+    line["seconds"] = round(time.perf_counter() - start, 1)
+    if line.get("hidden"):
+        line["hidden"]["floor"] = lowest
+    return line
+
+
+def diagnosed(logs, hidden):
+    """What the diagnosis says, what it rests on, and how well its models predict."""
+    from dmptm_ctrl import diagnose
+    from dmptm_ctrl.diagnosis.predict import speed_error
+
+    result = diagnose(logs, jobs=1)
+    said = {
+        "verdict": result.verdict,
+        "effects": [effect.to_dict() for effect in result.effects],
+        "depends_on": list(result.depends_on),
+        "before": result.error["before"]["rmse"],
+        "after": result.error["after"]["rmse"],
+        "trials": [
+            {
+                "name": name,
+                "gain": trial.gain,
+                "held_gain": trial.held_gain,
+                "held_ratio": trial.held_ratio,
+                "improved": trial.improved,
+            }
+            for name, trial in result.decision.trials.items()
+        ],
+        "at_bounds": list(result.decision.after.at_bounds),
+    }
+    if hidden:
+        bare = result.declared.without(list(result.declared.effects))
+        said["hidden"] = {
+            "before": speed_error(bare, hidden)["rmse"],
+            "after": speed_error(result.augmented, hidden)["rmse"],
+        }
+    return said
+
+
+def run(cases, folder, jobs, show=print):
+    """Examine what has no line yet; returns all lines, in the order of `cases`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "results.jsonl"
+    lines = read(path)
+    todo = [case for case in cases if case.id not in lines]
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # for the processes to come
+    with (
+        ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool,
+        path.open("a", encoding="utf-8") as out,
+    ):
+        for done in as_completed([pool.submit(examine, case) for case in todo]):
+            line = done.result()
+            out.write(json.dumps(line, allow_nan=False) + "\n")
+            out.flush()
+            lines[line["id"]] = line
+            show(told(line))
+    return [lines[case.id] for case in cases]
+
+
+def read(path):
+    """Lines by rig; what a stop cut off in the middle is made again."""
+    if not path.exists():
+        return {}
+    text = path.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        path.write_text(whole, encoding="utf-8")
+    return {line["id"]: line for line in map(json.loads, whole.splitlines())}
+
+
+def told(line):
+    """One line for the terminal."""
+    named = ", ".join(f"{e['name']} {e['probability']:.2f}" for e in line["effects"])
+    best = max(line.get("trials", []), key=lambda t: t["gain"] + t["held_gain"], default=None)
+    rests = f"{best['name']} {best['gain']:.0f} + {best['held_gain']:.0f}" if best else ""
+    return (
+        f"{line['id']:36s}{line['verdict']:10s}{named or '-':32s}best {rests:36s}"
+        f"{line.get('before', 0):.3f} -> {line.get('after', 0):.3f} deg/s {line['seconds']:6.0f} s"
+        f"{'  ' + line['failure'] if 'failure' in line else ''}"
+    )
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1])
+    parser.add_argument("--count", type=int, default=20, help="rigs per seed")
+    parser.add_argument("--only", choices=("null", "single", "pair", "unknown"))
+    parser.add_argument("--effects", nargs="+", help="these, one per rig, instead of a campaign")
+    parser.add_argument("--strengths", type=float, nargs="+", default=[1.0, 3.0])
+    parser.add_argument("--logs", type=Path, help="a folder of rigs with labels.json")
+    parser.add_argument("--jobs", type=int, default=2, help="processes of one thread each")
+    asked = parser.parse_args()
+    if asked.logs:
+        cases = on_disk(asked.logs)
+    elif asked.effects:
+        cases = one_by_one(asked.seeds, asked.effects, asked.strengths)
+    else:
+        cases = planned(asked.seeds, asked.count, asked.only)
+    run(cases, asked.out, asked.jobs)
+    lines = list(read(asked.out / "results.jsonl").values())
+    summary = summarise(lines)
+    text = json.dumps(summary, indent=1, allow_nan=False) + "\n"
+    (asked.out / "summary.json").write_text(text, encoding="utf-8")
+    figures(lines, summary, asked.out)
+    print("\n" + report(summary))
+
+
+if __name__ == "__main__":
+    main()

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.diagnosis.trace import Score
+from dmptm_ctrl.diagnosis.trace import MIN_SURVIVAL, Score
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit, Unknown, effect_unknowns, fit
 from dmptm_ctrl.simulate.model import Model
@@ -14,7 +14,8 @@ from dmptm_ctrl.simulate.model import Model
 FIRST_LOOK = 3  # iterations that show which candidates are worth more
 LAST_LOOK = 6
 FINALISTS = 3
-INTEGER_SHAPES = frozenset({"order"})
+STRETCH = 2.5  # of the amplitude to start from, where the drive's parameters imitate an effect
+INTEGER_SHAPES = frozenset({"order", "pattern"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,15 +57,26 @@ def squares(left: Residual, model: Model) -> tuple[np.ndarray, np.ndarray]:
 
 
 def refit(
-    left: Residual, start: Residual, score: Score, *, before: tuple[np.ndarray, np.ndarray]
+    left: Residual,
+    start: Residual,
+    score: Score,
+    *,
+    before: tuple[np.ndarray, np.ndarray],
+    stretch: float = 1.0,
 ) -> Trial:
-    """Fit an effect and the drive together, starting at the drive of `start`."""
+    """Fit an effect and the drive together, starting at the drive of `start`.
+
+    `stretch` multiplies the amplitudes that the score estimated.
+    """
     effect = CATALOGUE[score.name]
     low = {p.name: p.low for p in effect.parameters}
     high = {p.name: p.high for p in effect.parameters}
     guess = {
         n: float(np.clip(v, low[n], high[n]))
-        for n, v in {**score.shapes, **score.amplitudes}.items()
+        for n, v in {
+            **score.shapes,
+            **{k: stretch * v for k, v in score.amplitudes.items()},
+        }.items()
     }
     model = start.base.model.with_effect(score.name, **guess)
     unknowns = (*start.base.unknowns, *unknowns_of(score.name))
@@ -100,6 +112,9 @@ def refit_all(
             for start, score in ((left, fitted), (nominal, declared))
             if score is not None
         ]
+        if declared is not None and declared.survival < MIN_SURVIVAL:
+            # Mostly absorbed by the drive's parameters: the estimate to first order is small.
+            tries.append(refit(left, nominal, declared, before=before, stretch=STRETCH))
         trials.append(max(tries, key=lambda t: t.gain))
     trials.sort(key=lambda t: -t.gain)
     for i, trial in enumerate(trials[:FINALISTS]):

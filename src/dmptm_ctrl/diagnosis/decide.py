@@ -13,7 +13,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import Trial, refit, refit_all, shortlist, squares
 from dmptm_ctrl.diagnosis.residual import Residual, linearised, near_declared
-from dmptm_ctrl.diagnosis.trace import Score, confusable, rescore, trace
+from dmptm_ctrl.diagnosis.trace import Score, best_by_name, confusable, rescore, trace
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.fit import Fit, fit
 
@@ -24,6 +24,7 @@ MAX_EFFECTS = 3
 UNSEEN = 0.02  # relative change of the held-out error that says nothing either way
 CORRELATED = 0.75  # canonical correlation of projected columns from which two are one set
 RIVAL = 0.8  # evidence of a rival, as a share of the winner's, from which they are a set
+SETTLE = 12  # iterations that settle an accepted effect under the new weights
 SLOPE = 4.0  # of the logistic map from log evidence over threshold to probability
 
 
@@ -85,9 +86,10 @@ def step(
     left: Residual, drive: Drive, skip: Sequence[str]
 ) -> tuple[Residual, list[Score], list[Trial]]:
     """Trace and refit once; return the (better) reference, scores and trials."""
-    scores = trace(left, skip=skip)
+    shapes = trace(left, skip=skip)
+    scores = best_by_name(shapes)
     nominal = near_declared(left, drive)
-    short = shortlist(scores, rescore(scores, nominal), SHORTLIST)
+    short = shortlist(scores, rescore(shapes, nominal), SHORTLIST)
     trials = refit_all(left, nominal, short)
     better = challenge(left, trials)
     if better is not left:
@@ -137,7 +139,7 @@ def decide(left: Residual, drive: Drive, *, skip: Sequence[str] = ()) -> Decisio
         left.misfit.weigh(winner.fit.model)
         left.held.weigh(winner.fit.model)
         unknowns = winner.fit.unknowns
-        again = fit(left.misfit, winner.fit.model, unknowns, iterations=3)
+        again = fit(left.misfit, winner.fit.model, unknowns, iterations=SETTLE)
         left = linearised(again, left.misfit, left.held)
         decision.after, decision.last = again, left
     if len(decision.found) > 1:

@@ -161,32 +161,39 @@ def rescore(scores: Sequence[Score], other: Residual) -> list[Score]:
     """Score the same columns against the residual at another start, best first."""
     project = Projection.of(other.jacobian, other.prior)
     r = project(other.vector)[:, 0]
-    again = [judge(CATALOGUE[s.name], s.shapes, s.raw, r, project) for s in scores]
-    return sorted(again, key=lambda s: -s.gain)
+    return best_by_name(judge(CATALOGUE[s.name], s.shapes, s.raw, r, project) for s in scores)
+
+
+def best_by_name(scores: Iterable[Score]) -> list[Score]:
+    """Keep the best shape of each effect, best effect first."""
+    best: dict[str, Score] = {}
+    for score in scores:
+        if score.name not in best or score.gain > best[score.name].gain:
+            best[score.name] = score
+    return sorted(best.values(), key=lambda s: -s.gain)
 
 
 def trace(left: Residual, *, skip: Iterable[str] = ()) -> list[Score]:
-    """Score every catalogue effect that the model does not have yet, best first."""
+    """Score every catalogue effect that the model does not have yet, in every shape tried."""
     project = Projection.of(left.jacobian, left.prior)
     r = project(left.vector)[:, 0]
     skipped = {*skip, *left.base.model.effects}
 
-    def score(name: str) -> Score:
+    def score(name: str) -> list[Score]:
         effect = CATALOGUE[name]
         columns = (
             simulated_columns
             if effect.site in SIMULATED or name in SIMULATED_EFFECTS
             else along_columns
         )
-        trials = [
+        return [
             judge(effect, shapes, columns(left, effect, shapes), r, project)
             for shapes in shape_trials(left, effect, r, project)
         ]
-        return max(trials, key=lambda s: s.gain)
 
     with ThreadPoolExecutor(left.misfit.jobs) as pool:
-        scores = list(pool.map(score, [n for n in CATALOGUE if n not in skipped]))
-    return sorted(scores, key=lambda s: -s.gain)
+        parts = list(pool.map(score, [n for n in CATALOGUE if n not in skipped]))
+    return [score for part in parts for score in part]
 
 
 def shape_trials(

@@ -1,6 +1,6 @@
-"""Torque constant mismatch: one motor gives more torque per volt than the other.
+"""Torque constant mismatch: one motor gives more or less torque per volt than the other.
 
-left × (1 + δ), right × (1 − δ)
+u × (1 + δ) on one motor; or left × (1 + δ), right × (1 − δ)
 """
 
 from typing import NamedTuple
@@ -9,27 +9,35 @@ from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
 
+LEFT, RIGHT, OPPOSITE = 0.0, 1.0, 2.0  # which motors are off
+
 
 class TorqueConstantMismatch(NamedTuple):
-    """Parameters."""
+    """Relative error of the torque constant, and whose it is."""
 
-    difference: float  # relative, δ
+    error: float  # relative, δ
+    pattern: float  # LEFT, RIGHT or OPPOSITE
 
 
 @njit
 def mismatched_voltage(u, t, side, p):
     """Voltage that would give the same torque with the declared constant [V]."""
-    return u * (1.0 + p.difference) if side == 0 else u * (1.0 - p.difference)
+    if p.pattern == OPPOSITE:
+        return u * (1.0 + p.error) if side == 0 else u * (1.0 - p.error)
+    return u * (1.0 + p.error) if p.pattern == side else u
 
 
 TORQUE_CONSTANT_MISMATCH = Effect(
     name="torque_constant_mismatch",
     site="drive",
     kernel=mismatched_voltage,
-    parameters=(Parameter("difference", "", -0.5, 0.5, 0.02),),
+    parameters=(
+        Parameter("error", "", -0.5, 0.5, 0.02),
+        Parameter("pattern", "", LEFT, OPPOSITE, 1.0, (LEFT, RIGHT, OPPOSITE)),
+    ),
     values=TorqueConstantMismatch,
     location="motors",
     source="spread of magnets and windings",
     depends_on=("u",),
-    reveals="large voltage of both signs, with motor encoders",
+    reveals="each motor driven alone at the same voltage, with motor encoders",
 )

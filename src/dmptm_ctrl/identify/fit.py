@@ -8,6 +8,7 @@ effects, scaled by their `step`.
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -326,6 +327,38 @@ def bounded_step(
     return np.asarray(lsq_linear(root, target, (low, high), method="bvls").x)
 
 
+class Step(NamedTuple):
+    """An iterate of the fit."""
+
+    cost: float
+    p: Floats
+    model: Model
+    r: Floats
+
+
+def best_step(
+    misfit: Misfit,
+    model: Model,
+    unknowns: Sequence[Unknown],
+    p: Floats,
+    r: Floats,
+    jac: Floats,
+    cost: float,
+) -> Step:
+    """Try steps of all dampings; return the best, or where it is if none is better."""
+    low, high = [k.low for k in unknowns], [k.high for k in unknowns]
+
+    def attempt(damping: float) -> Step:
+        trial = np.clip(p + bounded_step(r, jac, p, unknowns, damping), low, high)
+        moved = place(model, unknowns, trial)
+        miss = misfit.vector(moved)
+        return Step(float(miss @ miss) + prior_cost(unknowns, trial), trial, moved, miss)
+
+    with ThreadPoolExecutor(misfit.jobs) as pool:
+        steps = list(pool.map(attempt, DAMPINGS))
+    return min([Step(cost, p, model, r), *steps], key=lambda s: s.cost)
+
+
 def fit(
     misfit: Misfit,
     model: Model,
@@ -345,8 +378,8 @@ def fit(
     reweigh : bool
         Renew robust scales and masks at each iterate (base fit); otherwise keep them.
     tolerance : float
-        Relative fall of the cost below which an iteration counts as stalled; the fit ends
-        when one with each difference step has.
+        Relative fall of the cost below which an iteration counts as stalled: columns are
+        taken anew, and the fit ends when those of each difference step have stalled.
 
     Returns
     -------
@@ -356,40 +389,40 @@ def fit(
     p = position(model, unknowns)
     p = np.clip(p, [k.low for k in unknowns], [k.high for k in unknowns])
     model = place(model, unknowns, p)
-    jac = np.empty((0, 0))
-    start = None
-    stalled = 0
-    for turn in range(iterations):
-        probe = PROBES[turn % len(PROBES)]
-        if reweigh or misfit.weights is None:
+    if misfit.weights is None:
+        misfit.weigh(model)
+    r = misfit.vector(model)
+    start = cost = float(r @ r) + prior_cost(unknowns, p)
+    jac: Floats | None = None
+    if jacobian is not None:
+        k = jacobian.shape[1]
+        jac = np.hstack([jacobian, misfit.columns(model, unknowns[k:], r)])
+    probe, fresh, stalled = 0, jacobian is not None, 0
+    for _ in range(iterations):
+        if reweigh:
             misfit.weigh(model)
-        r = misfit.vector(model)
-        cost = float(r @ r) + prior_cost(unknowns, p)
-        start = cost if start is None else start
-        if jacobian is not None:
-            k = jacobian.shape[1]
-            rest = misfit.columns(model, unknowns[k:], r, probe) if k < len(unknowns) else None
-            jac = jacobian if rest is None else np.hstack([jacobian, rest])
-            jacobian = None
+            r = misfit.vector(model)
+            cost = float(r @ r) + prior_cost(unknowns, p)
+        if jac is None:
+            jac = misfit.columns(model, unknowns, r, PROBES[probe % len(PROBES)])
+            probe, fresh = probe + 1, True
+        best = best_step(misfit, model, unknowns, p, r, jac, cost)
+        gain = cost - best.cost
+        if gain > 0.0:
+            change = best.p - p
+            update = (r - best.r - jac @ change) / float(change @ change)
+            jac = jac + np.outer(update, change)  # Broyden: columns follow for free
+            p, r, cost, model = best.p, best.r, best.cost, best.model
+        if gain < tolerance * cost:
+            stalled = stalled + 1 if fresh else stalled
+            if stalled == len(PROBES):
+                break
+            jac = None
         else:
-            jac = misfit.columns(model, unknowns, r, probe)
-        low, high = [k.low for k in unknowns], [k.high for k in unknowns]
-        best: tuple[float, Floats, Model, Floats] | None = None
-        for damping in DAMPINGS:
-            trial = np.clip(p + bounded_step(r, jac, p, unknowns, damping), low, high)
-            trial_model = place(model, unknowns, trial)
-            trial_r = misfit.vector(trial_model)
-            trial_cost = float(trial_r @ trial_r) + prior_cost(unknowns, trial)
-            if trial_cost < (cost if best is None else best[0]):
-                best = trial_cost, trial, trial_model, trial_r
-        if best is None:
-            stalled += 1
-        else:
-            gain = cost - best[0]
-            cost, p, model, r = best
-            stalled = stalled + 1 if gain < tolerance * cost else 0
-        if stalled == len(PROBES):
-            break
+            stalled = 0
+        fresh = False
+    if jac is None:
+        jac = misfit.columns(model, unknowns, r)
     precision = jac.T @ jac + np.diag([1.0 / k.prior**2 + 1e-9 for k in unknowns])
     return Fit(
         model,
@@ -399,5 +432,5 @@ def fit(
         r,
         jac,
         np.asarray(np.linalg.inv(precision), np.float64),
-        cost if start is None else start,
+        start,
     )

@@ -1,0 +1,231 @@
+"""The files and exit codes of `dmptm diagnose` and `dmptm predict` that others rely on."""
+
+import json
+import math
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dmptm_ctrl import data, load_log
+from dmptm_ctrl.cli import main
+from dmptm_ctrl.diagnosis import predict
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.simulate.model_file import read_model
+
+DEMO = data.path("demo_rig")  # without motor encoders
+OTHER = data.path("null_rig")  # with
+BLIND = Path(__file__).parents[3] / "shared" / "blind"
+SHORT = ("open_sine_0v60", "open_sine_0v75", "closed_sine_10", "closed_sine_15")
+PREDICTED = ["time_s", "theta_L_deg", "omega_L_deg_s", "theta_ml_deg", "theta_mr_deg"]
+STATUS = {"supported", "rejected", "not testable with these logs"}
+VARIABLES = {
+    "theta_L", "theta_m", "omega_L", "omega_m", "u", "du_dt", "mesh_torque", "time",
+    "time_at_rest",
+}  # fmt: skip
+
+
+def table(rig=DEMO, name="open_sine_0v60"):
+    return pd.read_csv(rig / f"{name}.csv.gz")
+
+
+def campaign(folder, **tables):
+    """A folder of logs: a good one and those given."""
+    folder.mkdir()
+    shutil.copy(DEMO / "closed_sine_10.csv.gz", folder)
+    for name, frame in tables.items():
+        frame.to_csv(folder / f"{name}.csv", index=False)
+    return folder
+
+
+def without_speed(tmp_path):
+    return campaign(tmp_path / "logs", a=table().drop(columns="omega_L_deg_s"))
+
+
+def without_voltage(tmp_path):
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    table().drop(columns="u_left_V").to_csv(folder / "a.csv", index=False)
+    return folder
+
+
+def with_nan(tmp_path):
+    frame = table()
+    frame.loc[1000, "theta_L_deg"] = math.nan
+    return campaign(tmp_path / "logs", a=frame)
+
+
+def unknown_unit(tmp_path):
+    return campaign(tmp_path / "logs", a=table().rename(columns={"theta_L_deg": "theta_L_grade"}))
+
+
+def unit_of_another_quantity(tmp_path):
+    return campaign(tmp_path / "logs", a=table().rename(columns={"theta_L_deg": "theta_L_V"}))
+
+
+def speed_called_radians(tmp_path):
+    """The name says rad/s, the figures are deg/s: speed and angle disagree."""
+    frame = table().rename(columns={"omega_L_deg_s": "omega_L_rad_s"})
+    return campaign(tmp_path / "logs", a=frame)
+
+
+def logs_of_two_rigs(tmp_path):
+    return campaign(tmp_path / "logs", a=table(OTHER))
+
+
+def empty_folder(tmp_path):
+    (tmp_path / "logs").mkdir()
+    return tmp_path / "logs"
+
+
+def no_folder(tmp_path):
+    return tmp_path / "logs"
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        (without_speed, "omega_L"),
+        (without_voltage, "u_left"),
+        (with_nan, "theta_L_deg.*NaN|NaN.*theta_L_deg"),
+        (unknown_unit, "theta_L_grade"),
+        (unit_of_another_quantity, "theta_L_V"),
+        (speed_called_radians, "omega_L"),
+        (logs_of_two_rigs, "different rigs"),
+        (empty_folder, "no log"),
+        (no_folder, "no such"),
+    ],
+    ids=lambda value: getattr(value, "__name__", None),
+)
+def test_bad_input_writes_nothing(tmp_path, capsys, bad, message):
+    logs = bad(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["diagnose", str(logs), "--out", str(tmp_path / "out")]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("dmptm: ")
+    assert err.count("\n") == 1
+    assert err.endswith("\n")
+    assert re.search(message, err)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_predict_without_a_model_writes_nothing(tmp_path, capsys):
+    log, out = str(DEMO / "open_sine_0v60.csv.gz"), tmp_path / "pred.csv"
+    assert main(["predict", log, "--model", str(tmp_path / "no.toml"), "--out", str(out)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """What `dmptm diagnose` writes for four logs of the demo rig, which is out of balance."""
+    folder = tmp_path_factory.mktemp("diagnosis")
+    (folder / "logs").mkdir()
+    for name in SHORT:
+        shutil.copy(DEMO / f"{name}.csv.gz", folder / "logs")
+    arguments = ["diagnose", str(folder / "logs"), "--out", str(folder / "out"), "--quiet"]
+    assert main([*arguments, "--seed", "5"]) == 0
+    return folder
+
+
+def no_constant(text):
+    raise AssertionError(f"{text} in diagnosis.json")
+
+
+def test_diagnosis_json(written):
+    names = {path.name for path in (written / "out").iterdir()}
+    assert {"diagnosis.json", "model.toml", "report.html"} <= names
+    text = (written / "out" / "diagnosis.json").read_text(encoding="utf-8")
+    found = json.loads(text, parse_constant=no_constant)
+    assert found["schema"] == 1
+    assert found["verdict"] == "explained"
+    assert [effect["name"] for effect in found["effects"]] == ["unbalance"]
+    for effect in found["effects"]:
+        assert effect["location"] == CATALOGUE[effect["name"]].location
+        assert 0.0 <= effect["probability"] <= 1.0
+        assert set(effect["confusable_with"]) <= set(CATALOGUE) - {effect["name"]}
+        assert effect["evidence"].strip()
+        declared = {p.name: p.unit for p in CATALOGUE[effect["name"]].parameters}
+        assert {n: p["unit"] for n, p in effect["parameters"].items()} == declared
+        assert all({"value", "se"} <= set(p) for p in effect["parameters"].values())
+    assert {row["name"] for row in found["ranking"]} >= set(CATALOGUE)
+    for row in found["ranking"]:
+        assert row["status"] in STATUS
+        assert row["reveals"].strip()
+        assert isinstance(row["score"], float)
+    supported = {row["name"] for row in found["ranking"] if row["status"] == "supported"}
+    assert supported == {"unbalance"}
+    assert set(found["depends_on"]) <= VARIABLES
+
+
+def test_error_and_provenance(written):
+    found = json.loads((written / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    error = found["error"]
+    assert (error["unit"], error["bandwidth_hz"], error["on"]) == ("deg/s", 30, "held-out logs")
+    for side in ("before", "after"):
+        assert set(error[side]) == {"rmse", "fit_percent", "pearson_r"}
+        assert -1.0 <= error[side]["pearson_r"] <= 1.0
+    assert error["after"]["rmse"] < 0.5 * error["before"]["rmse"]
+    origin = found["provenance"]
+    assert origin["seed"] == 5
+    assert origin["seconds"] > 0
+    logs = {log["name"]: log for log in origin["logs"]}
+    assert set(logs) == set(SHORT)
+    assert {log["role"] for log in logs.values()} == {"fit", "held-out"}
+    for name, log in logs.items():
+        assert log["sha256"] == load_log(DEMO / f"{name}.csv.gz").sha256
+
+
+def run_predict(log, written, out):
+    model = written / "out" / "model.toml"
+    assert main(["predict", str(log), "--model", str(model), "--out", str(out)]) == 0
+    return pd.read_csv(out)
+
+
+def test_predict_is_a_free_run(written, tmp_path):
+    """Only the voltages and the first angle of the log count."""
+    frame = table(name="open_square_0v60")
+    whole = run_predict(DEMO / "open_square_0v60.csv.gz", written, tmp_path / "whole.csv")
+    assert list(whole.columns) == PREDICTED
+    np.testing.assert_allclose(whole["time_s"], frame["time_s"], atol=1e-9)
+    bare = frame[["time_s", "u_left_V", "u_right_V", "theta_L_deg"]].copy()
+    bare["theta_L_deg"] = bare["theta_L_deg"].iloc[0]
+    bare.to_csv(tmp_path / "bare.csv", index=False)
+    alone = run_predict(tmp_path / "bare.csv", written, tmp_path / "alone.csv")
+    pd.testing.assert_frame_equal(alone, whole)
+    assert whole["theta_L_deg"].iloc[0] == pytest.approx(frame["theta_L_deg"].iloc[0], abs=1e-4)
+
+
+def test_predict_from_python_is_the_same(written, tmp_path):
+    log = DEMO / "open_square_0v60.csv.gz"
+    model = read_model(written / "out" / "model.toml")
+    here = predict(model, load_log(log))
+    there = run_predict(log, written, tmp_path / "pred.csv")
+    np.testing.assert_allclose(here, there, rtol=1e-6, atol=1e-9)  # seven digits in the file
+
+
+def test_predict_is_better_on_a_log_never_seen(written, tmp_path):
+    """The effect is in the model: without it the speed of another experiment is further off."""
+    frame = table(name="open_square_0v60")
+    log = load_log(DEMO / "open_square_0v60.csv.gz")
+    model = read_model(written / "out" / "model.toml")
+    seen = frame["omega_L_deg_s"].to_numpy()
+    far = predict(model.without(["unbalance"]), log)["omega_L_deg_s"].to_numpy() - seen
+    near = predict(model, log)["omega_L_deg_s"].to_numpy() - seen
+    assert np.sqrt(np.mean(near**2)) < 0.7 * np.sqrt(np.mean(far**2))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not BLIND.is_dir(), reason="no ../shared/blind")
+@pytest.mark.parametrize(("rig", "names"), [("d01", []), ("d04", ["unbalance"])])
+def test_rigs_of_another_program(rig, names, tmp_path):
+    out = tmp_path / "out"
+    assert main(["diagnose", str(BLIND / rig), "--out", str(out), "--quiet"]) == 0
+    found = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    assert [effect["name"] for effect in found["effects"]] == names
+    if names:
+        assert found["error"]["after"]["rmse"] < 0.5 * found["error"]["before"]["rmse"]

@@ -135,6 +135,24 @@ class Diagnosis:
 
         return plot_diagnosis(self, **options)
 
+    def overlays(self) -> tuple[Any, ...]:
+        """Speeds per held-out log, measured, before and after: `plots.diagnosis.Overlay`."""
+        from dmptm_ctrl.diagnosis.figures import overlays
+
+        return overlays(self)
+
+    def evidence(self) -> Any:
+        """Residual folded over what explains it: `plots.diagnosis.Evidence`."""
+        from dmptm_ctrl.diagnosis.figures import folded
+
+        return folded(self)
+
+    def plot_evidence(self, **options: Any) -> Any:
+        """Draw the residual against what explains it; see `plots.diagnosis`."""
+        from dmptm_ctrl.plots.diagnosis import plot_evidence
+
+        return plot_evidence(self, **options)
+
     def _repr_html_(self) -> str:
         from html import escape
 

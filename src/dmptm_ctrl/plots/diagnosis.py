@@ -1,0 +1,190 @@
+"""Pictures of a diagnosis: measured, before and after; and what speaks for the effect."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from dmptm_ctrl.plots.style import STYLES, axes
+
+Floats = NDArray[np.float64]
+
+MEASURED = {**STYLES["measured"], "linewidth": 2.0}
+BEFORE = {**STYLES["existing"], "linewidth": 1.0}
+AFTER = {**STYLES["proposed"], "linewidth": 1.0}
+DIRECTIONS = {  # filled against hollow: told apart in grey
+    "forward": {"color": "#0b3c6f", "linestyle": "-", "marker": "o", "markersize": 3.5},
+    "backward": {
+        "color": "#c0641a",
+        "linestyle": "--",
+        "marker": "s",
+        "markersize": 4,
+        "markerfacecolor": "white",
+    },
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """Ring-gear speed on one log, (n,) arrays [s, deg/s], all of the same bandwidth."""
+
+    name: str
+    time: Floats
+    measured: Floats
+    before: Floats
+    after: Floats
+
+    def rmse(self, which: str) -> float:
+        """Root-mean-square error of "before" or "after" [deg/s]."""
+        return float(np.sqrt(np.mean((self.measured - getattr(self, which)) ** 2)))
+
+    def fit_percent(self, which: str) -> float:
+        """100 (1 − NRMSE) of "before" or "after"; 0 where the measured speed is constant."""
+        spread = float(np.std(self.measured))
+        return 100.0 * (1.0 - self.rmse(which) / spread) if spread > 0.0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Binned residual, (bins,) arrays: centre of the bin, mean, standard error of the mean."""
+
+    x: Floats
+    mean: Floats
+    se: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A residual against the variable that explains it.
+
+    Attributes
+    ----------
+    variable, quantity : str
+        Labels with units.
+    before, after : mappings
+        Direction of motion ("forward", "backward") → Curve.
+    effect : str
+        Name of the effect in question; empty where there is none.
+    """
+
+    variable: str
+    quantity: str
+    before: Mapping[str, Curve]
+    after: Mapping[str, Curve]
+    effect: str = ""
+
+
+def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) -> np.ndarray:
+    """Draw one log: speed measured, before and after; below it what is left.
+
+    Parameters
+    ----------
+    overlay : Overlay
+    ax : (2,) array of Axes, optional
+    title : str, optional
+        The log's name by default.
+
+    Returns
+    -------
+    (2,) array of Axes
+    """
+    panels = axes(
+        ax, 2, figsize=(7.0, 3.9), sharex=True, gridspec_kw={"height_ratios": [3, 2]}
+    ).ravel()
+    speed, left = panels
+    t = overlay.time
+    speed.plot(t, overlay.measured, label="measured", **MEASURED)
+    left.axhline(0.0, color="0.65", linewidth=0.8)
+    for which, style in (("before", BEFORE), ("after", AFTER)):
+        values = getattr(overlay, which)
+        label = (
+            f"{which}: RMSE {overlay.rmse(which):.3g} deg/s, FIT {overlay.fit_percent(which):.1f} %"
+        )
+        speed.plot(t, values, label=label, **style)
+        left.plot(t, overlay.measured - values, **style)
+    speed.set_title(overlay.name if title is None else title, fontsize=10)
+    speed.set_ylabel("speed [deg/s]")
+    # Above the lines, where it cannot cover them.
+    low, high = speed.get_ylim()
+    speed.set_ylim(low, high + 0.3 * (high - low))
+    speed.legend(fontsize=7.5, ncols=3, loc="upper center", handlelength=1.8, columnspacing=1.2)
+    left.set(xlabel="time [s]", ylabel="measured − model\n[deg/s]", xlim=(t[0], t[-1]))
+    for panel in panels:
+        panel.grid(alpha=0.3)
+    return panels
+
+
+def plot_diagnosis(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
+    """Draw every held-out log of a diagnosis, measured, before and after, below 30 Hz.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis, or sequence of Overlay
+    ax : (2, logs) array of Axes, optional
+        Speed above, residual below.
+
+    Returns
+    -------
+    (2, logs) array of Axes
+    """
+    overlays: Sequence[Overlay]
+    overlays = diagnosis.overlays() if hasattr(diagnosis, "overlays") else tuple(diagnosis)
+    count = len(overlays)
+    panels = axes(
+        ax,
+        2,
+        count,
+        figsize=(6.2 * count, 4.0),
+        sharex="col",
+        gridspec_kw={"height_ratios": [3, 2]},
+    )
+    for i, overlay in enumerate(overlays):
+        plot_overlay(overlay, ax=panels[:, i])
+    return panels
+
+
+def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
+    """Draw the residual before and after against the variable that explains it.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis or Evidence
+    ax : (2,) array of Axes, optional
+        Before, after.
+
+    Returns
+    -------
+    (2,) array of Axes
+        Points are means over bins, by direction of motion; bars are ± 2 standard errors.
+    """
+    evidence: Evidence
+    evidence = diagnosis if isinstance(diagnosis, Evidence) else diagnosis.evidence()
+    panels = axes(ax, 1, 2, figsize=(7.4, 3.2), sharex=True, sharey=True).ravel()
+    titles = ("before: declared model", "after: augmented model")
+    for panel, title, curves in zip(panels, titles, (evidence.before, evidence.after), strict=True):
+        _draw(panel, curves)
+        panel.set_title(title, fontsize=10)
+        panel.set_xlabel(evidence.variable)
+        panel.grid(alpha=0.3)
+    panels[0].set_ylabel(evidence.quantity)
+    if evidence.before or evidence.after:
+        panels[0].legend(fontsize=8)
+    return panels
+
+
+def _draw(panel: Axes, curves: Mapping[str, Curve]) -> None:
+    panel.axhline(0.0, color="0.65", linewidth=0.8)
+    for direction, curve in curves.items():
+        panel.errorbar(
+            curve.x,
+            curve.mean,
+            2.0 * curve.se,
+            label=direction,
+            linewidth=1.0,
+            elinewidth=0.8,
+            capsize=1.5,
+            **DIRECTIONS[direction],
+        )

@@ -1,0 +1,231 @@
+"""The report and the numbers behind its pictures, on a diagnosis whose truth is known."""
+
+import re
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from dmptm_ctrl.diagnosis.decide import Decision
+from dmptm_ctrl.diagnosis.html import number, render
+from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.predict import speed_error
+from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, provenance, ranking
+from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.fit import Fit, drive_unknowns, effect_unknowns, position
+from dmptm_ctrl.plots.diagnosis import plot_diagnosis, plot_evidence
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.compiled import Loop, close_loop
+from dmptm_ctrl.simulate.model import Model
+
+COSINE, SINE = 6.0, -3.0  # N·m
+DEG = np.pi / 180
+DT = 1e-3
+VOID = {"meta", "link", "img", "br", "hr", "input"}
+SPITEFUL = "sine_15 <script>&\"'.csv"
+
+
+def turn(model, name, speed, seconds=6.0):
+    """Forth and back at one speed [deg/s] under a PI loop."""
+    t = np.arange(0.0, seconds, DT)
+    target = DEG * speed * np.where(t < seconds / 2, 1.0, -1.0)
+    u, out = close_loop(model, Loop(0.08 / DEG, 0.4 / DEG, 10.0), target, DT, theta_L=-1.0)
+    channels = {"u_left": u[0], "u_right": u[1], "theta_L": out[:, 0], "omega_L": out[:, 1]}
+    return Log(name, t, channels, sha256="0" * 64)
+
+
+def fitted(model, unknowns):
+    p = position(model, unknowns)
+    empty = np.zeros(0)
+    return Fit(model, unknowns, p, 0.0, empty, empty, 1e-4 * np.eye(p.size), 0.0)
+
+
+@cache
+def made(verdict):
+    drive = paper_drive().with_values(c=5.5, c_f=0.25)
+    bare = Model(drive)
+    full = bare.with_effect("unbalance", cosine=COSINE, sine=SINE)
+    truth = bare if verdict == "none" else full
+    logs = [turn(truth, "sine_10.csv", 10.0), turn(truth, SPITEFUL, 15.0)]
+    measured = measure(logs, drive)
+    before = fitted(bare, drive_unknowns(bare))
+    after = before
+    effects = ()
+    if verdict != "none":
+        after = fitted(full, (*before.unknowns, *effect_unknowns("unbalance")))
+        values = {"cosine": COSINE, "sine": SINE}
+        effects = (
+            NamedEffect(
+                "unbalance",
+                "ring gear",
+                0.93,
+                {k: {"value": v, "se": 0.1, "unit": "N·m"} for k, v in values.items()},
+                ("cable_spring",),
+                "Adding it helps.",
+            ),
+        )
+    decision = Decision(before, after)
+    rows = ranking(decision, ("mesh_error",), {})
+    rows[0]["detectable"] = {
+        p.name: {"value": 1e300, "unit": p.unit} for p in CATALOGUE[rows[0]["name"]].parameters
+    }
+    held = [log for log in logs if log.name in {rec.name for rec in measured.held}]
+    return Diagnosis(
+        verdict,
+        effects,
+        rows,
+        ("theta_L",) if verdict == "unknown" else (),
+        {
+            "unit": "deg/s",
+            "bandwidth_hz": 30,
+            "on": "held-out logs",
+            "before": speed_error(bare, held),
+            "after": speed_error(after.model, held),
+        },
+        bare,
+        after.model,
+        measured,
+        decision,
+        provenance(measured, logs, 3, 1.5),
+        ("clipped <b>here</b>",),
+    )
+
+
+@pytest.fixture(scope="module", params=["explained", "none", "unknown"])
+def diagnosis(request):
+    return made(request.param)
+
+
+@pytest.fixture(scope="module")
+def page(diagnosis):
+    return render(diagnosis)
+
+
+class Balanced(HTMLParser):
+    """Collect ids, links, sources and text; complain where tags do not match."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.ids, self.links, self.sources, self.text = [], [], [], [], []
+        self.headings, self.tags = [], set()
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.tags.add(tag)
+        self.ids += [attrs["id"]] if "id" in attrs else []
+        self.links += [attrs["href"]] if "href" in attrs else []
+        self.sources += [attrs["src"]] if "src" in attrs else []
+        self.headings += [int(tag[1])] if re.fullmatch("h[1-6]", tag) else []
+        if tag == "img":
+            assert attrs["alt"]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] != "style":
+            self.text.append(data)
+
+
+@pytest.fixture(scope="module")
+def parsed(page):
+    parser = Balanced()
+    parser.feed(page)
+    parser.close()
+    return parser
+
+
+def test_tags_match_and_links_work(parsed):
+    assert parsed.open == []
+    assert len(set(parsed.ids)) == len(parsed.ids)
+    assert {"main", "header", "nav", "h1"} <= parsed.tags
+    assert parsed.headings.count(1) == 1
+    assert max(np.diff(parsed.headings)) <= 1  # no level left out
+    assert {link[1:] for link in parsed.links} <= set(parsed.ids)
+
+
+def test_self_contained(page, parsed):
+    assert not re.search(r"https?://|//[a-z]|url\(|@import|file:", page.split("</style>")[0])
+    assert all(source.startswith("data:image/svg+xml;base64,") for source in parsed.sources)
+    assert all(link.startswith("#") for link in parsed.links)
+    assert "script" not in parsed.tags
+    shown = re.sub(r'src="data:[^"]*"', "", page)
+    assert not re.search(r"(?<![\w<])/(home|root|tmp|usr|work)\b|\\\\|[A-Z]:\\", shown)
+
+
+def test_text_from_files_is_escaped(page):
+    assert "sine_15 &lt;script&gt;&amp;" in page
+    assert "clipped &lt;b&gt;here&lt;/b&gt;" in page
+
+
+def test_every_effect_is_named_and_nothing_is_nan(diagnosis, parsed):
+    text = " ".join(parsed.text)
+    for name, effect in CATALOGUE.items():
+        assert name.replace("_", " ") in text
+        assert effect.reveals in text
+    assert not re.search(r"\b(nan|inf|None)\b|1e\+300", text)
+    assert diagnosis.sentence() in text
+    for name in diagnosis.measured.drive.free:
+        assert name in text
+
+
+def test_report_repeats_the_errors(diagnosis, parsed):
+    for which in ("before", "after"):
+        assert number(diagnosis.error[which]["rmse"]) in parsed.text
+
+
+def test_same_bytes_every_time():
+    assert render(made("explained")) == render(made("explained"))
+
+
+def test_overlay_agrees_with_the_verdicts_error(diagnosis):
+    (overlay,) = diagnosis.overlays()
+    for which in ("before", "after"):
+        wanted = diagnosis.error[which]
+        assert overlay.rmse(which) == pytest.approx(wanted["rmse"], rel=1e-9, abs=1e-12)
+        assert overlay.fit_percent(which) == pytest.approx(wanted["fit_percent"], rel=1e-9)
+
+
+def test_evidence_is_the_torque_that_is_missing():
+    """The observer's torque against the closed form of the effect."""
+    evidence = made("explained").evidence()
+    assert set(evidence.before) == set(evidence.after) == {"forward", "backward"}
+    for curve in evidence.before.values():
+        angle = DEG * curve.x
+        wanted = COSINE * np.cos(angle) + SINE * np.sin(angle)
+        np.testing.assert_allclose(curve.mean, wanted, atol=0.3)
+    for curve in evidence.after.values():
+        np.testing.assert_allclose(curve.mean, 0.0, atol=0.2)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_effect_has_evidence_to_draw(name):
+    """Whatever wins, there is a variable, a label with its unit, and curves."""
+    diagnosis = made("explained")
+    effect = replace(diagnosis.effects[0], name=name)
+    evidence = replace(diagnosis, effects=(effect,)).evidence()
+    assert evidence.effect == name
+    assert re.search(r"\[.+\]$", evidence.variable)
+    assert re.search(r"\[.+\]$", evidence.quantity)
+    assert evidence.before
+
+
+def test_plots_use_the_axes_given():
+    diagnosis = made("explained")
+    panels = Figure().subplots(2, 1)
+    drawn = plot_diagnosis(diagnosis, ax=panels)
+    assert list(drawn.ravel()) == list(panels)
+    labels = [line.get_label() for line in panels[0].get_lines()]
+    assert labels[0] == "measured"
+    assert all(re.fullmatch(r".*RMSE \S+ deg/s, FIT \S+ %", label) for label in labels[1:])
+    assert "[deg/s]" in panels[1].get_ylabel()
+    pair = Figure().subplots(1, 2)
+    assert list(plot_evidence(diagnosis, ax=pair)) == list(pair)
+    with pytest.raises(ValueError, match="axes given"):
+        plot_evidence(diagnosis, ax=pair[0])

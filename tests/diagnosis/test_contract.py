@@ -37,7 +37,7 @@ def campaign(folder, **tables):
     folder.mkdir()
     shutil.copy(DEMO / "closed_sine_10.csv.gz", folder)
     for name, frame in tables.items():
-        frame.to_csv(folder / f"{name}.csv", index=False)
+        frame.to_csv(folder / f"{name}.csv", index=False, na_rep="nan")
     return folder
 
 
@@ -90,7 +90,7 @@ def no_folder(tmp_path):
     [
         (without_speed, "omega_L"),
         (without_voltage, "u_left"),
-        (with_nan, "theta_L_deg.*NaN|NaN.*theta_L_deg"),
+        (with_nan, "NaN.*theta_L_deg|theta_L_deg.*NaN"),
         (unknown_unit, "theta_L_grade"),
         (unit_of_another_quantity, "theta_L_V"),
         (speed_called_radians, "omega_L"),

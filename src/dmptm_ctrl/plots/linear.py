@@ -1,0 +1,202 @@
+"""Bode and step comparisons on python-control's own plots, and errors over frequency."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import control as ct
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from numpy.typing import ArrayLike
+
+from dmptm_ctrl.drive.reduction import SimplificationCost
+from dmptm_ctrl.plots.style import SEQUENCE, STYLES, axes
+
+
+def bode_compare(
+    systems: Mapping[str, Any],
+    *,
+    omega_limits: Sequence[float] | None = None,
+    ax: Any = None,
+    Hz: bool = True,
+    dB: bool = True,
+    title: str = "",
+) -> ct.ControlPlot:
+    """Draw SISO systems or frequency responses in one Bode plot.
+
+    Parameters
+    ----------
+    systems : mapping of str to system or FrequencyResponseData
+        By label; one input and one output each.
+    omega_limits : (low, high), optional
+        In Hz, or in rad/s with ``Hz=False``; default 0.1 to 1000.
+    ax : (2,) array of Axes, optional
+        Magnitude and phase.
+    Hz, dB : bool
+        As in ``control.bode_plot``.
+    title : str
+
+    Returns
+    -------
+    ControlPlot
+    """
+    panels = axes(ax, 2, figsize=(6.5, 5.2), sharex=True)
+    low, high = (0.1, 1e3) if omega_limits is None else omega_limits
+    per_unit = 2 * np.pi if Hz else 1.0
+    omega = per_unit * np.geomspace(low, high, 4000)  # a resonance of ζ = 0.003 has ten points
+    plot = None
+    for (label, system), style in zip(systems.items(), _cycle(len(systems)), strict=True):
+        sampled = isinstance(system, ct.FrequencyResponseData)
+        plot = ct.bode_plot(
+            system,
+            None if sampled else omega,
+            ax=panels,
+            Hz=Hz,
+            dB=dB,
+            deg=True,
+            grid=False,
+            label=label,
+            wrap_phase=False,
+            **style,
+        )
+    panels[0, 0].set_title(title)
+    panels[0, 0].set_xlim(low, high)
+    for panel in panels.ravel():
+        panel.grid(alpha=0.3, which="major")
+        panel.minorticks_off()
+    _legend(panels[0, 0], systems)
+    return plot
+
+
+def step_compare(
+    systems: Mapping[str, ct.StateSpace],
+    duration: float,
+    *,
+    height: float = 1.0,
+    ax: Axes | None = None,
+    unit: str = "",
+    scale: float = 1.0,
+    title: str = "",
+) -> Axes:
+    """Draw step responses of SISO systems in one plot.
+
+    Parameters
+    ----------
+    systems : mapping of str to StateSpace
+    duration : float [s]
+    height : float
+        Of the step, in the input's unit.
+    ax : Axes, optional
+    unit : str
+        Of the output after multiplication by `scale`, with its name.
+    """
+    panel = axes(ax, 1, figsize=(6.5, 3.4))[0, 0]
+    time = np.linspace(0.0, duration, 4000)
+    for (label, system), style in zip(systems.items(), _cycle(len(systems)), strict=True):
+        response = ct.step_response(system, time)
+        panel.plot(time, scale * height * response.outputs, label=label, **style)
+    panel.set(xlabel="time [s]", ylabel=unit, title=title, xlim=(0.0, duration))
+    panel.grid(alpha=0.3)
+    panel.legend(fontsize=8)
+    return panel
+
+
+def response_plot(
+    responses: Mapping[str, tuple[ct.FrequencyResponseData, ArrayLike]],
+    *,
+    reference: Mapping[str, Any] | None = None,
+    ax: Any = None,
+    dB: bool = True,
+    title: str = "",
+) -> np.ndarray:
+    """Draw measured responses: magnitude, phase and coherence over frequency in Hz.
+
+    Parameters
+    ----------
+    responses : mapping of str to (FrequencyResponseData, coherence)
+        Such as a ``FrequencyResponse``.
+    reference : mapping of str to system, optional
+        Linear systems to draw beside them, without coherence.
+    ax : (3,) array of Axes, optional
+    dB : bool
+
+    Returns
+    -------
+    (3,) array of Axes
+    """
+    panels = axes(
+        ax, 3, figsize=(6.5, 6.2), sharex=True, gridspec_kw={"height_ratios": [3, 3, 1.4]}
+    )
+    magnitude, phase, coherent = panels.ravel()
+    lines: dict[str, Any] = {**responses, **(reference or {})}
+    reach = np.concatenate([np.asarray(r[0].omega) for r in responses.values()])
+    for (label, item), style in zip(lines.items(), _cycle(len(lines)), strict=True):
+        if label in responses:
+            data, coherence = item
+            omega, values = np.asarray(data.omega), np.asarray(data.frdata[0, 0])
+            style = {**style, "marker": "o", "markersize": 3}
+            coherent.plot(omega / (2 * np.pi), coherence, **style)
+        else:
+            omega = np.geomspace(reach.min(), reach.max(), 1000)
+            values = np.asarray(item(1j * omega)).ravel()
+        moves = np.abs(values) > 0.0  # where friction holds, there is no gain and no phase
+        hz, values = omega[moves] / (2 * np.pi), values[moves]
+        gain = np.abs(values)
+        magnitude.plot(hz, 20 * np.log10(gain) if dB else gain, label=label, **style)
+        phase.plot(hz, np.degrees(np.unwrap(np.angle(values))), **style)
+    magnitude.set(ylabel="magnitude [dB]" if dB else "magnitude", title=title, xscale="log")
+    phase.set(ylabel="phase [deg]", xscale="log")
+    coherent.set(ylabel="coherence", xlabel="frequency [Hz]", ylim=(0.0, 1.05), xscale="log")
+    if not dB:
+        magnitude.set_yscale("log")
+    for panel in panels.ravel():
+        panel.grid(alpha=0.3, which="both")
+    magnitude.legend(fontsize=8)
+    return panels.ravel()
+
+
+def simplification_plot(
+    cost: SimplificationCost, *, ax: Axes | None = None, Hz: bool = True
+) -> Axes:
+    """Draw what the 3-DOF model and a balanced one of the same order leave out.
+
+    Parameters
+    ----------
+    cost : SimplificationCost
+    ax : Axes, optional
+    Hz : bool
+    """
+    panel = axes(ax, 1, figsize=(6.5, 4.0))[0, 0]
+    omega = np.geomspace(1.0, 1e4, 3000)
+    names = {
+        "full": ("9-DOF model", STYLES["measured"]),
+        "three_dof": ("error of the 3-DOF model", STYLES["existing"]),
+        "balanced": ("error of the balanced truncation", STYLES["proposed"]),
+    }
+    order = cost.balanced.nstates
+    for key, values in cost.error_over(omega).items():
+        label, style = names[key]
+        norms = f"H∞ {cost.h_inf[key]:.3g}, H2 {cost.h_2[key]:.3g}"
+        x = omega / (2 * np.pi) if Hz else omega
+        panel.loglog(x, values, label=f"{label} ({norms})", **style)
+    panel.set(
+        xlabel="frequency [Hz]" if Hz else "frequency [rad/s]",
+        ylabel="largest singular value [(rad/s)/V]",
+        title=f"Voltages to speeds at the ring gear, simplified to {order} states",
+        ylim=(1e-6, 10),
+    )
+    panel.grid(alpha=0.3, which="major")
+    panel.legend(fontsize=8)
+    return panel
+
+
+def _cycle(count: int) -> list[dict[str, Any]]:
+    return [SEQUENCE[i % len(SEQUENCE)] for i in range(count)]
+
+
+def _legend(panel: Axes, systems: Mapping[str, Any]) -> None:
+    handles = [
+        Line2D([], [], label=label, **style)
+        for label, style in zip(systems, _cycle(len(systems)), strict=True)
+    ]
+    panel.legend(handles=handles, fontsize=8)

@@ -1,0 +1,83 @@
+"""Pictures of mode shapes."""
+
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from dmptm_ctrl.drive.modes import Modes
+from dmptm_ctrl.plots.style import STYLES, axes
+
+NAMES = {
+    "m": "motor",
+    "1": "wheel 1",
+    "2": "wheel 2",
+    "3": "pinion",
+    "L": "ring gear",
+}
+COLUMNS = 3
+
+
+def mode_plot(modes: Modes, *, ax: Any = None, Hz: bool = True) -> np.ndarray:
+    """Draw each mode: left chain, ring gear, right chain, from outside to the middle.
+
+    Parameters
+    ----------
+    modes : Modes
+    ax : array of Axes, optional
+        One per mode.
+    Hz : bool
+        Frequencies in the titles in Hz, else rad/s.
+
+    Returns
+    -------
+    (n,) array of Axes
+        Amplitudes are angles divided by those of the rigid turn, so that rigid motion is a
+        horizontal line; the largest is 1.
+    """
+    train = modes.train
+    order = _along(train.bodies)
+    rigid = modes.shapes[:, 0]
+    count = modes.omega.size
+    rows = -(-count // COLUMNS)
+    if ax is None:
+        figure = plt.figure(figsize=(3.2 * COLUMNS, 2.5 * rows), layout="constrained")
+        grid = figure.subplots(rows, COLUMNS, squeeze=False, sharex=True, sharey=True).ravel()
+        for spare in grid[count:]:
+            spare.set_visible(False)
+        ax = grid[:count]
+    panels = axes(ax, count, figsize=(4, 3)).ravel()
+    labels = [_label(train.bodies[i], "\n" if len(order) <= 3 else " ") for i in order]
+    x = np.arange(len(order))
+    for panel, omega, shape, kind in zip(
+        panels, modes.omega, modes.shapes.T, modes.kinds, strict=True
+    ):
+        turn = shape / rigid
+        turn = turn / np.abs(turn).max()
+        panel.axhline(0.0, color="0.7", linewidth=0.8)
+        panel.vlines(x, 0.0, turn[order], color="0.6", linewidth=1.0)
+        panel.plot(x, turn[order], marker="o", markersize=4, **STYLES["proposed"])
+        value = f"{omega / (2 * np.pi):.4g} Hz" if Hz else f"{omega:.4g} rad/s"
+        panel.set_title(f"{kind}, {value}", fontsize=9)
+        panel.set_xticks(x, labels, fontsize=7, rotation=90 if len(order) > 3 else 0)
+        panel.set_ylim(-1.15, 1.15)
+        panel.tick_params(labelbottom=True)
+    for i, panel in enumerate(panels):
+        if i % COLUMNS == 0:
+            panel.set_ylabel("angle over that of\nthe rigid turn", fontsize=8)
+    return panels
+
+
+def _along(bodies: tuple[str, ...]) -> list[int]:
+    """Indices of the bodies from the left motor over the ring gear to the right motor."""
+    left = [i for i, b in enumerate(bodies) if b.endswith("l")]
+    right = [i for i, b in enumerate(bodies) if b.endswith("r")]
+    middle = [i for i in range(len(bodies)) if i not in left and i not in right]
+    return left + middle + right[::-1]
+
+
+def _label(body: str, between: str) -> str:
+    if body in NAMES:
+        return NAMES[body].replace(" ", between)
+    side = {"l": "left", "r": "right"}.get(body[-1], "")
+    return f"{side}{between}{NAMES.get(body[:-1], body)}".strip()

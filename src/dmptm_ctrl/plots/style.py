@@ -1,0 +1,35 @@
+"""Colours and lines that stay apart in grey, and axes where none are given."""
+
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+# colour, line style, width: dark against light, so that a grey print tells them apart
+STYLES: dict[str, dict[str, Any]] = {
+    "measured": {"color": "0.65", "linestyle": "-", "linewidth": 2.5},
+    "proposed": {"color": "#0b3c6f", "linestyle": "-", "linewidth": 1.2},
+    "existing": {"color": "#d1495b", "linestyle": "--", "linewidth": 1.2},
+    "other": {"color": "#3a8f5c", "linestyle": "-.", "linewidth": 1.2},
+}
+SEQUENCE = (STYLES["proposed"], STYLES["existing"], STYLES["other"], STYLES["measured"])
+
+
+def axes(
+    ax: Any, rows: int, columns: int = 1, *, figsize: tuple[float, float], **options: Any
+) -> np.ndarray:
+    """Return an array (rows, columns) of axes: those given, or new ones.
+
+    Raises
+    ------
+    ValueError
+        Another number of axes than needed.
+    """
+    if ax is None:
+        figure = plt.figure(figsize=figsize, layout="constrained")
+        return figure.subplots(rows, columns, squeeze=False, **options)
+    given = np.array([ax] if isinstance(ax, Axes) else ax, dtype=object).ravel()
+    if given.size != rows * columns:
+        raise ValueError(f"{given.size} axes given, {rows * columns} are needed")
+    return given.reshape(rows, columns)

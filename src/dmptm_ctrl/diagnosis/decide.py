@@ -11,16 +11,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.augment import Trial, refit, refit_all, shortlist, squares
+from dmptm_ctrl.diagnosis.augment import FIRST_LOOK, Trial, refit_all, shortlist, squares
 from dmptm_ctrl.diagnosis.residual import Residual, linearised, near_declared
-from dmptm_ctrl.diagnosis.trace import Score, best_by_name, confusable, rescore, trace
+from dmptm_ctrl.diagnosis.trace import MIN_SURVIVAL, Score, best_by_name, confusable, rescore, trace
 from dmptm_ctrl.drive import Drive
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit, fit
 
 FIRST = 150.0  # evidence of a first effect; above the best of the catalogue on null rigs
-SECOND = 150.0  # of a second one, beside the first
+SECOND = 250.0  # of a second one, beside the first
 SHORTLIST = 4  # candidates taken from each of the two starts
-MAX_EFFECTS = 3
+# What an imperfectly fitted first effect leaves grows with it: a second one needs this share.
+SECOND_SHARE = 0.3
+MAX_EFFECTS = 2
+VALLEY = (1.5, 2.2)  # multiples of an amplitude to try where the drive's parameters imitate it
 UNSEEN = 0.02  # relative change of the held-out error that says nothing either way
 CORRELATED = 0.75  # canonical correlation of projected columns from which two are one set
 RIVAL = 0.8  # evidence of a rival, as a share of the winner's, from which they are a set
@@ -120,7 +124,9 @@ def decide(left: Residual, drive: Drive, *, skip: Sequence[str] = ()) -> Decisio
             decision.scores = scores
             decision.trials = {t.name: t for t in trials}
         decision.after, decision.last = left.base, left
-        threshold = FIRST if turn == 0 else SECOND
+        threshold = FIRST
+        if decision.found:
+            threshold = max(SECOND, SECOND_SHARE * decision.found[0].evidence)
         accepted = [t for t in trials if convincing(t, threshold)]
         if not accepted:
             break
@@ -138,13 +144,33 @@ def decide(left: Residual, drive: Drive, *, skip: Sequence[str] = ()) -> Decisio
         # Which weights are right is known better now: the effect no longer inflates them.
         left.misfit.weigh(winner.fit.model)
         left.held.weigh(winner.fit.model)
-        unknowns = winner.fit.unknowns
-        again = fit(left.misfit, winner.fit.model, unknowns, iterations=SETTLE)
+        again = settle(left, winner, scores)
         left = linearised(again, left.misfit, left.held)
         decision.after, decision.last = again, left
     if len(decision.found) > 1:
         _delete(decision)
     return decision
+
+
+def settle(left: Residual, winner: Trial, scores: Sequence[Score]) -> Fit:
+    """Fit an accepted effect to the end.
+
+    Where inertia and friction can imitate it, the cost is a long valley along their common
+    scale; starts further along it keep the fit from stopping at the near end.
+    """
+    unknowns = winner.fit.unknowns
+    fits = [fit(left.misfit, winner.fit.model, unknowns, iterations=SETTLE)]
+    survival = {s.name: s.survival for s in scores}.get(winner.name, 1.0)
+    if survival < MIN_SURVIVAL:
+        values = fits[0].model.effects[winner.name]
+        amplitudes = CATALOGUE[winner.name].amplitudes
+        drive = tuple(k for k in unknowns if k.effect != winner.name)
+        for factor in VALLEY:
+            stretched = {k: v * (factor if k in amplitudes else 1.0) for k, v in values.items()}
+            model = winner.fit.model.with_effect(winner.name, **stretched)
+            near = fit(left.misfit, model, drive, iterations=FIRST_LOOK)
+            fits.append(fit(left.misfit, near.model, unknowns, iterations=SETTLE))
+    return min(fits, key=lambda f: f.cost)
 
 
 def _probability(winner: Trial, trials: Sequence[Trial], threshold: float) -> float:
@@ -188,6 +214,3 @@ def _delete(decision: Decision) -> None:
             decision.found.remove(found)
             left = linearised(without, left.misfit, left.held)
             decision.after, decision.last = without, left
-
-
-__all__ = ["Decision", "Found", "convincing", "decide", "evidence", "refit"]

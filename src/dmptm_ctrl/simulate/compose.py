@@ -89,9 +89,11 @@ def _flags() -> str:
     for site in ("drive", "motor", "mesh", "friction", "load", "sensor"):
         terms = [f"on[{keys.index(k)}] > 0" for k, e in CATALOGUE.items() if e.site == site]
         tests.append(" or ".join(terms) or "False")
-    return "@njit\ndef active_sites(on):\n    return (\n" + "".join(
-        f"        {test},\n" for test in tests
-    ) + "    )"
+    return (
+        "@njit\ndef active_sites(on):\n    return (\n"
+        + "".join(f"        {test},\n" for test in tests)
+        + "    )"
+    )
 
 
 def source() -> str:

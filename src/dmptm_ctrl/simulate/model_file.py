@@ -64,7 +64,18 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
     if unknown or missing:
         what = f"unknown {unknown[0]!r}" if unknown else f"no {missing[0]!r}"
         raise LogError(f"{name}: {what} in [drive]; it needs {', '.join(BASE)}")
-    for key in ("J_m", "J_2", "J_L", "N_1", "N_2", "k_m", "W3_plus", "W3_minus", "WL_plus", "WL_minus"):
+    for key in (
+        "J_m",
+        "J_2",
+        "J_L",
+        "N_1",
+        "N_2",
+        "k_m",
+        "W3_plus",
+        "W3_minus",
+        "WL_plus",
+        "WL_minus",
+    ):
         if values[key] <= 0:
             raise LogError(f"{name}: {key} is {values[key]} in [drive]; it must be positive")
     effects = data.get("effects", {})

@@ -199,7 +199,9 @@ def test_evidence_is_the_torque_that_is_missing():
     for curve in evidence.before.values():
         angle = DEG * curve.x
         wanted = COSINE * np.cos(angle) + SINE * np.sin(angle)
-        np.testing.assert_allclose(curve.mean, wanted, atol=0.3)
+        # the bins of start and reversal hold transients, and say so by their errors
+        assert (np.abs(curve.mean - wanted) < 0.15 + 4.0 * curve.se).all()
+        assert np.median(curve.se) < 0.03
     for curve in evidence.after.values():
         np.testing.assert_allclose(curve.mean, 0.0, atol=0.2)
 

@@ -24,7 +24,6 @@ PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its ha
 PROBES = (0.3, 0.15)
 DAMPINGS = (0.0, 1.0, 5.0, 30.0)  # of a step, relative to the diagonal; all are tried
 PERTURBATION = 0.01  # relative; well inside what is known of stiffness and damping
-SPREAD_CAP = 2.0  # robust spread of a residual that still counts as noise, in floors
 BEND = 4.0  # standard deviations beyond which a speed residual counts by its logarithm only
 CAP = (
     3.0  # standard deviations that a twist residual cannot exceed: on another flank it says no more
@@ -214,8 +213,6 @@ class Misfit:
                     for d, k in zip(diff, keep, strict=True)
                 ]
             )
-            # Capped: a misfit must not talk down its own weight.
-            spread = np.minimum(spread, SPREAD_CAP * floor)
             row = keep / np.hypot(np.hypot(floor, spread)[:, None], chaos)
             rows.append(row)
             slopes.append(row * bend_slope(row * diff))
@@ -406,6 +403,7 @@ def fit(
             misfit.weigh(model)
             r = misfit.vector(model)
             cost = float(r @ r) + prior_cost(unknowns, p)
+            jac = None
         if jac is None:
             jac = misfit.columns(model, unknowns, r, PROBES[probe % len(PROBES)])
             probe, fresh = probe + 1, True

@@ -48,7 +48,7 @@ class Candidate(NamedTuple):
     placed: Placed
     score: Score
     tries: int
-    zero: dict[str, float] = {}
+    zero: dict[str, float] = {}  # noqa: RUF012  (a NamedTuple's default is not changed)
 
     @property
     def name(self) -> str:
@@ -56,8 +56,13 @@ class Candidate(NamedTuple):
         return self.placed.name
 
 
-def candidates(tangent: Tangent) -> list[Candidate]:
+def candidates(tangent: Tangent, *, structure: bool = True) -> list[Candidate]:
     """Score every effect at every place on what a fit has left.
+
+    Parameters
+    ----------
+    structure : bool
+        Also those that add a coordinate or a gap, which cost most.
 
     Returns
     -------
@@ -65,12 +70,12 @@ def candidates(tangent: Tangent) -> list[Candidate]:
         The best starting values of each effect at each place; largest gain first.
     """
     found = []
-    for place in _places(tangent):
+    for place in _places(tangent, structure):
         found += list(place)
     return sorted(found, key=lambda c: -c.score.gain)
 
 
-def _places(tangent: Tangent) -> Iterator[Iterator[Candidate]]:
+def _places(tangent: Tangent, structure: bool) -> Iterator[Iterator[Candidate]]:
     model = tangent.fit.model
     scales = scales_of(tangent.balance)
     present = {(e.name, e.on) for e in model.effects}
@@ -88,14 +93,15 @@ def _places(tangent: Tangent) -> Iterator[Iterator[Candidate]]:
             if declared_already(model, name, body):
                 continue
             yield _body_effect(tangent, scales, chain, body)
-    yield _compliance(tangent, present)
-    yield _backlash(tangent, scales, present)
+    if structure:
+        yield _compliance(tangent, present)
+        yield _backlash(tangent, scales, present)
 
 
 def declared_already(model: ChainModel, name: str, body: str) -> bool:
     """Whether the rig declares what an effect would add to a body."""
     if body.endswith(FAR):
-        return False
+        return name == "viscous_friction"  # part of the compliance that made the body
     friction = model.rig.body(body).friction
     keys = {
         "viscous_friction": ("viscous", "viscous_plus"),
@@ -114,9 +120,7 @@ def _distinct_bodies(tangent: Tangent) -> list[str]:
     return list(bodies.values())
 
 
-def _input_effect(
-    tangent: Tangent, scales: Scales, name: str, on: str
-) -> Iterator[Candidate]:
+def _input_effect(tangent: Tangent, scales: Scales, name: str, on: str) -> Iterator[Candidate]:
     size = scales.u[on]
     dt = scales.dt
     motions = tangent.balance.motions
@@ -159,12 +163,16 @@ def _body_effect(
         yield from _cogging(tangent, chain, body, slide)
     elif name == "unbalance":
         if not slide and _turns(balance, model, body) >= MIN_TURNS:
-            yield _amplitudes(tangent, chain, body, [{}], per_log=not absolute(model, balance, body))
+            yield _amplitudes(
+                tangent, chain, body, [{}], per_log=not absolute(model, balance, body)
+            )
     elif name == "position_dependent_friction":
         if slide:
             yield _amplitudes(tangent, chain, body, [{}], names=("sine",))
         elif _turns(balance, model, body) >= MIN_TURNS:
-            yield _amplitudes(tangent, chain, body, [{}], per_log=not absolute(model, balance, body))
+            yield _amplitudes(
+                tangent, chain, body, [{}], per_log=not absolute(model, balance, body)
+            )
     elif name == "stribeck_friction":
         fastest = max(float(np.abs(_speed(balance, m, model, body)).max()) for m in balance.motions)
         yield _amplitudes(
@@ -197,16 +205,20 @@ def _angle(balance: Balance, motion, model: ChainModel, body: str) -> Floats:
 
 
 def _turns(balance: Balance, model: ChainModel, body: str) -> float:
-    return max(
-        float(np.ptp(_angle(balance, m, model, body))) for m in balance.motions
-    ) / (2 * np.pi)
+    return max(float(np.ptp(_angle(balance, m, model, body))) for m in balance.motions) / (
+        2 * np.pi
+    )
 
 
 # -- by amplitude: linear ----------------------------------------------------------------------
 
 
 def unit_columns(
-    tangent: Tangent, chain: ChainEffect, body: str, shapes: dict[str, float], names: tuple[str, ...]
+    tangent: Tangent,
+    chain: ChainEffect,
+    body: str,
+    shapes: dict[str, float],
+    names: tuple[str, ...],
 ) -> list[Floats]:
     """Derivative of the residual by each amplitude, per log (equations, rows, p)."""
     balance, model = tangent.balance, tangent.fit.model
@@ -297,9 +309,7 @@ def _amplitudes(
     return best
 
 
-def _common_phase(
-    pairs: Floats, logs: list[str], order: float
-) -> tuple[Floats, dict[str, float]]:
+def _common_phase(pairs: Floats, logs: list[str], order: float) -> tuple[Floats, dict[str, float]]:
     """One amplitude for all logs, and the shift of the angle in each after the first.
 
     C cos n(θ + z) + S sin n(θ + z) has the complex amplitude (C − iS) e^{inz}.
@@ -308,14 +318,13 @@ def _common_phase(
     size = float(np.sqrt(np.mean(np.abs(complex_) ** 2)))
     first = complex_[0] / (abs(complex_[0]) or 1.0) * size
     zero = {
-        log: float(np.angle(c / first) / order) for log, c in zip(logs[1:], complex_[1:], strict=True)
+        log: float(np.angle(c / first) / order)
+        for log, c in zip(logs[1:], complex_[1:], strict=True)
     }
     return np.array([first.real, -first.imag]), zero
 
 
-def _cogging(
-    tangent: Tangent, chain: ChainEffect, body: str, slide: bool
-) -> Iterator[Candidate]:
+def _cogging(tangent: Tangent, chain: ChainEffect, body: str, slide: bool) -> Iterator[Candidate]:
     model = tangent.fit.model
     orders, looked_at = _screen_orders(tangent, body, slide)
     present = [e.values["order"] for e in model.effects if e.name == "cogging" and e.on == body]
@@ -437,9 +446,7 @@ def _one_sided(placed: Placed) -> bool:
     return all(p.low >= 0 for p in chain.keep if p.name in placed.values and not p.bank)
 
 
-def _compliance(
-    tangent: Tangent, present: set[tuple[str, str]]
-) -> Iterator[Candidate]:
+def _compliance(tangent: Tangent, present: set[tuple[str, str]]) -> Iterator[Candidate]:
     model, balance = tangent.fit.model, tangent.balance
     if any(name == "shaft_compliance" for name, _ in present):
         return
@@ -497,7 +504,9 @@ def _two_sided_start(tangent: Tangent, on: str, far: tuple[str, ...]) -> Placed:
         signals = (m.a[near_point], m.a[far_point], m.v[near_point], np.sign(m.v[near_point]))
         whole.append(np.column_stack([*(m.reduce(s)[keep] for s in signals), own]))
         drive.append(tangent.fit.drive[k][keep])
-    square, damping = np.linalg.lstsq(np.concatenate(shaft), np.concatenate(target), rcond=None)[0][:2]
+    square, damping = np.linalg.lstsq(np.concatenate(shaft), np.concatenate(target), rcond=None)[0][
+        :2
+    ]
     near, beyond = np.linalg.lstsq(np.concatenate(whole), np.concatenate(drive), rcond=None)[0][:2]
     antiresonance = float(np.sqrt(max(square, 1.0)))
     share = beyond / (near + beyond) if near + beyond > 0 else 0.5
@@ -516,9 +525,7 @@ def _two_sided_start(tangent: Tangent, on: str, far: tuple[str, ...]) -> Placed:
 def _finite_structure(tangent: Tangent, tries: list[Placed]) -> Candidate:
     """As `_finite`, for changes that add coordinates: the first equation is compared."""
     best: Candidate | None = None
-    first = Tangent(
-        _first_equation(tangent), tangent.balance
-    )
+    first = Tangent(_first_equation(tangent), tangent.balance)
     power = float(first.left @ first.left)
     for placed in tries:
         state = State(tangent.fit.model.with_effect(placed), tangent.fit.state.logs)

@@ -85,7 +85,7 @@ class Tangent:
         for motion in self.balance.motions:
             rows = motion.rows
             span = float(rows[-1] - rows[0])
-            count = max(int(round(BLOCKS * span / total)), MIN_BLOCKS_PER_LOG)
+            count = max(round(BLOCKS * span / total), MIN_BLOCKS_PER_LOG)
             count = max(min(count, int(span * motion.bandwidth / BLOCK_PERIODS)), 1)
             own = np.minimum((np.arange(rows.size) * count) // rows.size, count - 1) + first
             ids += [own] * min(self.fit.left[0].shape[0], self.fit.weights.size)

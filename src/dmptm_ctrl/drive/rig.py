@@ -234,7 +234,7 @@ class Rig:
     controller: Controller | None = None
     data: DataSpec = field(default_factory=DataSpec)
     source: str = ""
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    text: str = field(default="", repr=False)
 
     def body(self, name: str) -> Body:
         """Body by name."""

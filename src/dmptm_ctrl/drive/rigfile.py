@@ -23,10 +23,11 @@ from dmptm_ctrl.drive.rig import (
     unknown,
 )
 from dmptm_ctrl.drive.rig_units import UnitError, factor, quantity
+from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.units import split_column
 
 
-class RigError(ValueError):
+class RigError(LogError):
     """A rig file cannot be used; the message names the line, the key and what would be right."""
 
 
@@ -141,6 +142,7 @@ class _Reader:
             self._controller(raw.get("controller"), inputs, sensors),
             self._data(raw.get("data", {})),
             self._source,
+            "\n".join(self._lines) + "\n",
         )
 
     # -- tables ------------------------------------------------------------------------------
@@ -270,7 +272,7 @@ class _Reader:
             elif symbol != "A":
                 self._fail(
                     where, "torque_constant",
-                    f"the column is in {symbol}; give an amplifier (A/{symbol}) or a resistance too",
+                    f"the column is in {symbol}; give an amplifier (A/{symbol}) or resistance",
                 )  # fmt: skip
             gain = Quantity(value, per, tolerance, constant.source)
         elif "gain" in raw:

@@ -174,13 +174,19 @@ def _effect_parameters(effect: Placed, model: ChainModel, scales: Scales) -> lis
             if not -1.0 <= low <= high <= 1.0 or parameter.unit:
                 low = -inf if low < 0 else 0.0
                 high = inf
+        if effect.name in ("drive_delay", "current_lag"):
+            high = max(3.0 * value, 2.0 * scales.dt)  # a search far out finds aliases
+        if effect.name == "drive_saturation":
+            high = 2.0 * value
         if effect.name == "drive_offset":
             size = max(abs(value), 0.02 * scales.u[effect.on])
         frees.append(Free("effect", effect.key, parameter.name, low, high, size or 1.0))
+    if effect.name == "cable_spring" and any(e.name == "drive_offset" for e in model.effects):
+        frees = [f for f in frees if f.name != "offset"]  # one constant is enough
     if effect.name == "position_dependent_friction" and linear:
         frees = [f for f in frees if f.name == "sine"]  # a slope along the axis
     if effect.name == "shaft_compliance" and any(k.name == effect.on for k in model.rig.links):
-        frees = [f for f in frees if f.name != "share"]
+        frees = [f for f in frees if f.name not in ("share", "far_viscous")]
     return frees
 
 
@@ -189,9 +195,7 @@ def on_slide(model: ChainModel, body: str) -> bool:
     return any(b.name == body.removesuffix(FAR) and b.linear for b in model.rig.bodies)
 
 
-def log_parameters(
-    model: ChainModel, balance: Balance, log: str, reference: str
-) -> list[Free]:
+def log_parameters(model: ChainModel, balance: Balance, log: str, reference: str) -> list[Free]:
     """Return what belongs to one log; phases are counted from those of the reference log."""
     frees = []
     layout = model.layout
@@ -201,10 +205,16 @@ def log_parameters(
         if all(layout.coordinate[b] in seen for b in ends):
             frees.append(Free("twist", log, link, -inf, inf, 1e-3))
     for effect in model.effects:
-        if effect.name in HARMONIC and log != reference and not absolute(model, balance, effect.on):
+        if log != reference and has_phase(model, balance, effect):
             size = 0.1 / effect.values.get("order", 1.0)
             frees.append(Free("zero", log, effect.key, -inf, inf, size))
     return frees
+
+
+def has_phase(model: ChainModel, balance: Balance, effect: Placed) -> bool:
+    """Whether an effect goes with the angle, of which each log has its own zero."""
+    slope = effect.name == "position_dependent_friction" and on_slide(model, effect.on)
+    return effect.name in HARMONIC and not slope and not absolute(model, balance, effect.on)
 
 
 def absolute(model: ChainModel, balance: Balance, body: str) -> bool:
@@ -431,9 +441,7 @@ def _news(left: Sequence[Floats]) -> float:
     return 1.0 / ROWS_PER_NEWS
 
 
-def _cost(
-    state: State, frees: Sequence[Free], left: Sequence[Floats], weights: Floats
-) -> float:
+def _cost(state: State, frees: Sequence[Free], left: Sequence[Floats], weights: Floats) -> float:
     total = sum(float(np.sum((weights[:, None] * part) ** 2)) for part in left) * _news(left)
     for free in frees:
         if free.prior is not None and free.prior[1] > 0:
@@ -450,9 +458,10 @@ def _step_of(
 ) -> Floats:
     """Bounded least-squares step, in scales."""
     share = np.sqrt(_news(left))
-    rows = np.concatenate(
-        [(weights[:, None, None] * s).reshape(-1, len(frees)) for s in slopes]
-    ) * share
+    rows = (
+        np.concatenate([(weights[:, None, None] * s).reshape(-1, len(frees)) for s in slopes])
+        * share
+    )
     target = np.concatenate([(weights[:, None] * part).ravel() for part in left]) * share
     low = np.array([(f.low - state.get(f)) / f.scale for f in frees])
     high = np.array([(f.high - state.get(f)) / f.scale for f in frees])
@@ -467,6 +476,11 @@ def _step_of(
     size = np.sqrt(np.mean(np.sum(rows**2, axis=0))) if rows.size else 1.0
     rows = np.vstack([rows, *extra_rows, 1e-6 * size * np.eye(len(frees))])
     target = np.concatenate([target, extra_target, np.zeros(len(frees))])
-    q, r = np.linalg.qr(rows)
+    # Normal equations: numbers are scaled, and their condition is well below 1e8.
+    square = rows.T @ rows
+    values, vectors = np.linalg.eigh(square)
+    values = np.maximum(values, 1e-14 * values[-1])
+    root = (vectors * np.sqrt(values)).T
+    against = (vectors / np.sqrt(values)).T @ (rows.T @ target)
     high = np.maximum(high, low + 1e-12)
-    return lsq_linear(r, -q.T @ target, bounds=(low, high)).x
+    return lsq_linear(root, -against, bounds=(low, high)).x

@@ -23,6 +23,8 @@ ROWS_PER_HERTZ = 2.5  # of balance bandwidth, after decimation
 TAPS = 3.0  # half-length of the decimation filter in periods of its cut-off
 REST_SHARE = 2e-3  # of the highest speed; slower is at rest
 REST_TIME = 2.0  # at rest for longer than this many periods of the bandwidth is left out
+STRETCHES = 10  # that a log is cut into where there are few logs
+HELD_STRETCHES = (2, 5, 8)  # of these, not fitted
 FLOOR_BAND = 0.4  # of the sample rate; above it the spectrum of a sensor is its noise
 
 
@@ -73,6 +75,7 @@ class Motion:
     a: dict[str, Floats]
     bandwidth: float
     angles: frozenset[str]  # bodies whose position is measured, not integrated
+    part: str = ""  # "fit" or "held-out" stretches of the log; "" is all of it
 
     @cached_property
     def step(self) -> int:
@@ -119,7 +122,14 @@ class Motion:
             slow |= v == 0
             shares.append(self.reduce(_long_runs(slow, REST_TIME / (self.bandwidth * self.dt))))
         rest = np.max(shares, axis=0)
-        return rest < 0.05
+        return (rest < 0.05) & self._own
+
+    @property
+    def _own(self) -> NDArray[np.bool_]:
+        """Rows of the stretches that this motion is about."""
+        tenth = (np.arange(self.rows.size) * STRETCHES) // max(self.rows.size, 1)
+        held = np.isin(tenth, HELD_STRETCHES)
+        return {"fit": ~held, "held-out": held}.get(self.part, np.ones_like(held))
 
 
 def _long_runs(flag: NDArray[np.bool_], shortest: float) -> Floats:

@@ -81,4 +81,3 @@ def _compare(position: Sensor, speed: Sensor, logs: Sequence[Log]) -> Lateness |
     if abs(mean) < max(SURE * se, LEAST * logs[0].sample_time) or mean <= 0:
         return None
     return Lateness(speed.name, mean, se, before**0.5, after**0.5)
-

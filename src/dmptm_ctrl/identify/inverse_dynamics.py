@@ -9,7 +9,7 @@ ones, driven by the same signals.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -96,7 +96,12 @@ class Balance:
     def only(self, names: Sequence[str]) -> "Balance":
         """Return the balance of some of the logs."""
         kept = tuple(m for m in self.motions if m.name in names)
-        return Balance(self.rig, self.points, self.bandwidth, kept, self.columns)
+        return Balance(self.rig, self.points, self.bandwidth, kept, {})
+
+    def part(self, part: str) -> "Balance":
+        """Return the balance of the "fit" or "held-out" stretches of every log."""
+        cut = tuple(replace(m, part=part) for m in self.motions)
+        return Balance(self.rig, self.points, self.bandwidth, cut, {})
 
 
 def balance_of(
@@ -191,8 +196,8 @@ def residual(
         if layout.coordinate[b] in measured
     )
     # A drive that clips or drops part of its signal must not look better for it.
-    size = float(np.linalg.norm(push))
-    fair = float(np.linalg.norm(logged)) / size if size > 0 else 1.0
+    size = float(np.std(push))
+    fair = float(np.std(logged)) / size if size > 0 else 1.0
     equations = [fair * (push - total), *single[1:]]
     return np.array([motion.reduce(e) for e in equations]), motion.reduce(fair * push)
 
@@ -253,9 +258,7 @@ def _through_spring(
         other = groups[1] if groups[0] == 0 else groups[0]
         q, v, a = found[other]
         nothing = {b: np.zeros_like(q) for b in layout.bodies}
-        need = plant.inertia[other] * a + _friction(
-            model, motion, other, q, v, nothing, nuisance
-        )
+        need = plant.inertia[other] * a + _friction(model, motion, other, q, v, nothing, nuisance)
         # lever of each end on the twist z = r1 q1 − ratio r2 q2
         lever = [layout.ratio[ends[0]], -ratio * layout.ratio[ends[1]]]
         here, there = (0, 1) if groups[0] == 0 else (1, 0)
@@ -390,9 +393,7 @@ def effective_input(model: ChainModel, motion: Motion, name: str) -> Floats:
     for effect in model.effects:
         if effect.on == name and CHAIN_CATALOGUE[effect.name].site == "drive":
             out = np.empty_like(signal)
-            loop.drive_along(
-                kind_of(effect.name), signal, motion.time, value_row(effect), out
-            )
+            loop.drive_along(kind_of(effect.name), signal, motion.time, value_row(effect), out)
             signal = out
     j = model.layout.inputs.index(name)
     _, dead, tau, limit = model.plant().input_values[j]

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 MEASURED = {**STYLES["measured"], "linewidth": 2.0}
 BEFORE = {**STYLES["existing"], "linewidth": 1.0}
 AFTER = {**STYLES["proposed"], "linewidth": 1.0}
-DIRECTIONS = {  # filled against hollow: told apart in grey
+DIRECTIONS: dict[str, dict[str, Any]] = {  # filled against hollow: told apart in grey
     "forward": {"color": "#0b3c6f", "linestyle": "-", "marker": "o", "markersize": 3.5},
     "backward": {
         "color": "#c0641a",

@@ -5,6 +5,7 @@ sensor) and which of their parameters a single such place has. A user's own effe
 with :func:`register`.
 """
 
+from math import inf
 from typing import NamedTuple
 
 from dmptm_ctrl.contract import Effect, Parameter
@@ -145,7 +146,12 @@ CHAIN_CATALOGUE: dict[str, ChainEffect] = {
         whole(DRIVE_SATURATION),
         whole(DRIVE_DELAY),
         whole(CURRENT_LAG),
-        whole(SHAFT_COMPLIANCE),
+        ChainEffect(
+            SHAFT_COMPLIANCE,
+            # friction of the declared body may sit on either side of the spring
+            (*SHAFT_COMPLIANCE.parameters, Parameter("far_viscous", "N·m·s/rad", 0.0, inf, 1.0)),
+            (0, 1, 2),
+        ),
         whole(BACKLASH),
         whole(SENSOR_DELAY),
         whole(SENSOR_GAIN),

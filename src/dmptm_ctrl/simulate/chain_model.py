@@ -334,7 +334,9 @@ def _coordinates(
 def _law(model: ChainModel, body: str) -> list[float]:
     """Fields of Stribeck for a body; back-EMF of its motors included."""
     if body.endswith(FAR) and all(b.name != body for b in model.rig.bodies):
-        return [0.0, 0.0, LARGE_SPEED, 0.0, 0.0, 0.0, LARGE_SPEED, 0.0, 1.0]
+        splits = (e for e in model.effects if e.name == "shaft_compliance" and e.on + FAR == body)
+        viscous = next(splits).values.get("far_viscous", 0.0)
+        return [0.0, 0.0, LARGE_SPEED, viscous, 0.0, 0.0, LARGE_SPEED, viscous, 1.0]
     friction = model.rig.body(body).friction
 
     def get(key: str, side: str, default: float) -> float:

@@ -1,0 +1,413 @@
+"""Find what a declared drive of any shape lacks, one effect after another.
+
+Forward selection with backward deletion. A rung is taken when the logs that were fitted show
+it beyond chance, block by block; when it is worth having; and when it lowers the error on logs,
+or stretches of logs, that were not fitted.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.diagnosis.ladder_candidates import Candidate, candidates
+from dmptm_ctrl.diagnosis.ladder_score import BLOCKS, Score, Tangent, similarity
+from dmptm_ctrl.identify.chain_fit import (
+    ChainFit,
+    Free,
+    State,
+    fit_chain,
+    has_phase,
+    log_parameters,
+    residuals,
+    rough_start,
+)
+from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
+from dmptm_ctrl.simulate.chain_model import ChainModel
+
+Floats = NDArray[np.float64]
+
+MIN_GAIN = 0.03  # share of the residual's square; less is not worth a name
+ALPHA = 0.01  # chance that any rung of a ladder is taken by a drive that lacks nothing
+HELD_SHARE = 0.3  # of the gain on the fitted logs that held-out ones must show
+MAX_RUNGS = 10
+SHORTLIST = 4  # candidates refitted per rung
+ALIKE = 0.7  # cosine between what two candidates explain, from which they compete
+RIVAL = 0.7  # share of an effect's gain from which another is named beside it
+MORE_COMPLEX = 0.2  # prior odds of a rival that is the less simple one
+NEARLY = 0.85  # a simpler effect with this share of the best one's gain is preferred
+STANDS_OUT = 0.3
+EXOTIC_GAIN = 2.0  # times the gain that a plain effect must have, for those from here on in SIMPLE
+FIRST_EXOTIC = "load_dependent_friction"
+SIMPLE = (  # the order in which engineers think of them
+    *("coulomb_friction", "viscous_friction", "drive_offset", "friction_asymmetry"),
+    *("stribeck_friction", "cogging", "unbalance", "shaft_compliance", "backlash"),
+    *("drive_delay", "current_lag", "presliding", "quadratic_drag", "load_dependent_friction"),
+    *("position_dependent_friction", "drive_dead_band", "drive_saturation", "cable_spring"),
+    *("thermal_drift", "base_vibration"),
+)
+
+
+class Errors(NamedTuple):
+    """Error of a balance of torques.
+
+    Attributes
+    ----------
+    rmse : float [N·m or N, or the input's unit where the gain is unknown]
+    percent : float
+        100 · ‖residual‖/‖drive‖.
+    fit_percent, pearson_r : float
+        Of the torque that the model gives against the driving one.
+    """
+
+    rmse: float
+    percent: float
+    fit_percent: float
+    pearson_r: float
+
+
+class Rung(NamedTuple):
+    """One step of the ladder: the errors before and after it."""
+
+    key: str
+    score: Score
+    p_value: float
+    gain: float
+    held_gain: float
+    fit_before: Errors
+    fit_after: Errors
+    held_before: Errors
+    held_after: Errors
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """What was found, and how.
+
+    Attributes
+    ----------
+    base, final : ChainFit
+    rungs : tuple of Rung
+        As taken; those in `deleted` were given up again.
+    scores : list of Candidate
+        Of the last look.
+    best : dict
+        Effect name → largest gain that it showed at any look, with its p-value and survival.
+    """
+
+    base: ChainFit
+    final: ChainFit
+    rungs: tuple[Rung, ...]
+    deleted: tuple[str, ...]
+    scores: list[Candidate]
+    best: dict[str, Candidate]
+    fit_logs: Balance
+    held_logs: Balance
+    held_state: State
+    warnings: tuple[str, ...] = field(default=())
+
+
+def errors_of(left: Sequence[Floats], drive: Sequence[Floats]) -> Errors:
+    """Errors of the first equation over logs together; rows at rest do not count."""
+    e = np.concatenate([part[0] for part in left])
+    f = np.concatenate(list(drive))
+    use = f != 0
+    e, f = e[use], f[use]
+    if e.size == 0:
+        return Errors(0.0, 0.0, 0.0, 0.0)
+    rmse = float(np.sqrt(np.mean(e**2)))
+    size = float(np.sqrt(np.mean(f**2)))
+    spread = float(np.std(f))
+    model = f - e
+    both = spread * float(np.std(model))
+    r = float(np.mean((f - f.mean()) * (model - model.mean())) / both) if both > 0 else 0.0
+    return Errors(
+        rmse,
+        100.0 * rmse / size,
+        100.0 * (1.0 - rmse / spread) if spread > 0 else 0.0,
+        r,
+    )
+
+
+def climb(
+    model: ChainModel,
+    fit_logs: Balance,
+    held_logs: Balance,
+    *,
+    jobs: int = 2,
+    tell: Callable[[str], None] | None = None,
+) -> Ladder:
+    """Find what a model lacks.
+
+    Parameters
+    ----------
+    model : ChainModel
+        As declared.
+    fit_logs, held_logs : Balance
+    jobs : int
+        Threads; the result does not depend on it.
+    tell : callable, optional
+        Gets a line per rung.
+
+    Returns
+    -------
+    Ladder
+    """
+    fit = fit_chain(State(rough_start(model, fit_logs)), fit_logs, jobs=jobs, iterations=10)
+    base = fit
+    rungs: list[Rung] = []
+    best: dict[str, Candidate] = {}
+    scores: list[Candidate] = []
+    while len(rungs) < MAX_RUNGS:
+        # Springs and gaps cost most to try: not while a plain effect stands out.
+        scores = candidates(Tangent(fit, fit_logs), structure=not rungs)
+        if rungs and not any(c.score.gain >= STANDS_OUT for c in scores):
+            scores = candidates(Tangent(fit, fit_logs))
+        for candidate in scores:
+            known = best.get(candidate.name)
+            if known is None or candidate.score.gain > known.score.gain:
+                best[candidate.name] = candidate
+        taken = _next_rung(fit, fit_logs, held_logs, scores, jobs)
+        if taken is None:
+            break
+        rung, fit = taken
+        rungs.append(rung)
+        if tell is not None:
+            tell(f"{rung.key}: {rung.held_before.percent:.2f} → {rung.held_after.percent:.2f} %")
+    fit, deleted = _delete(fit, fit_logs, held_logs, rungs, jobs)
+    return Ladder(
+        base,
+        fit,
+        tuple(rungs),
+        deleted,
+        scores,
+        best,
+        fit_logs,
+        held_logs,
+        held_state(fit.state, held_logs, fit_logs, jobs=jobs),
+    )
+
+
+def _next_rung(
+    fit: ChainFit,
+    fit_logs: Balance,
+    held_logs: Balance,
+    scores: list[Candidate],
+    jobs: int,
+) -> tuple[Rung, ChainFit] | None:
+    """Take the best candidate that passes; None when none does."""
+    level = ALPHA / max(len(scores), 1)
+    worth = [
+        c for c in scores
+        if c.score.gain >= 0.5 * MIN_GAIN and c.score.p_value * c.tries <= level
+    ]  # fmt: skip
+    refits = [(c, refit(fit, c, fit_logs, jobs)) for c in worth[:SHORTLIST]]
+    before = errors_of(fit.left, fit.drive)
+    held = held_errors(fit.state, held_logs, fit_logs, jobs)
+    trials = sorted(
+        ((c, new, 1.0 - (errors_of(new.left, new.drive).percent / before.percent) ** 2)
+         for c, new in refits),
+        key=lambda t: -t[2],
+    )  # fmt: skip
+    trials = _simplest_first([t for t in trials if t[2] >= least_gain(t[0].name)])
+    for candidate, new, gain in trials:
+        after = held_errors(new.state, held_logs, fit_logs, jobs)
+        held_gain = 1.0 - (after.percent / held.percent) ** 2 if held.percent > 0 else 0.0
+        if held_gain < max(HELD_SHARE * gain, 0.5 * least_gain(candidate.name)):
+            continue
+        p_value = min(1.0, candidate.score.p_value * candidate.tries * len(scores))
+        rung = Rung(
+            candidate.placed.key, candidate.score, p_value, gain, held_gain,
+            before, errors_of(new.left, new.drive), held, after,
+        )  # fmt: skip
+        return rung, new
+    return None
+
+
+def least_gain(name: str) -> float:
+    """Share of the residual's square that an effect must explain to be named."""
+    exotic = name not in SIMPLE or SIMPLE.index(name) >= SIMPLE.index(FIRST_EXOTIC)
+    return MIN_GAIN * (EXOTIC_GAIN if exotic else 1.0)
+
+
+def refit(fit: ChainFit, candidate: Candidate, logs: Balance, jobs: int = 2) -> ChainFit:
+    """Fit again with a candidate in the model, from its starting values."""
+    model = fit.model.with_effect(candidate.placed)
+    belongs = {m.name: fit.state.nuisance(m.name) for m in logs.motions}
+    for log, shift in candidate.zero.items():
+        old = belongs.get(log, Nuisance())
+        belongs[log] = Nuisance({**old.zero, candidate.placed.key: shift}, old.twist)
+    return fit_chain(State(model, belongs), logs, jobs=jobs, iterations=10)
+
+
+def _simplest_first(
+    trials: list[tuple[Candidate, ChainFit, float]],
+) -> list[tuple[Candidate, ChainFit, float]]:
+    """Best first, but a simpler effect that explains nearly the same goes before it."""
+    if not trials:
+        return []
+    best, _, top = trials[0]
+    near = [
+        t for t in trials
+        if t[2] >= NEARLY * top and similarity(t[0].score, best.score) >= ALIKE
+    ]  # fmt: skip
+    near.sort(key=lambda t: _rank(t[0].name))
+    return [*near, *(t for t in trials if all(t is not n for n in near))]
+
+
+class Standing(NamedTuple):
+    """How firmly an effect stands in the final model.
+
+    Attributes
+    ----------
+    gain : float
+        Share of the residual's square that returns without it, the rest refitted.
+    rivals : tuple of str
+        Effects that would explain nearly the same in its place.
+    probability : float
+        That it, not a rival and not chance, is there.
+    """
+
+    gain: float
+    rivals: tuple[str, ...]
+    probability: float
+
+
+def standing(ladder: Ladder, jobs: int = 2) -> dict[str, Standing]:
+    """Compare every effect of the final model with what could stand in its place."""
+    found = {}
+    p_values = {r.key: r.p_value for r in ladder.rungs}
+    for effect in ladder.final.model.effects:
+        if _carries_others(ladder.final.model, effect.key) or effect.key not in p_values:
+            continue
+        state = _without_zeros(
+            State(ladder.final.model.without([effect.key]), ladder.final.state.logs), effect.key
+        )
+        without = fit_chain(state, ladder.fit_logs, jobs=jobs)
+        whole = errors_of(without.left, without.drive).percent
+        gain = 1.0 - (errors_of(ladder.final.left, ladder.final.drive).percent / whole) ** 2
+        if effect.name == "shaft_compliance":
+            found[effect.key] = Standing(gain, (), _probability(gain, [], p_values[effect.key]))
+            continue
+        scores = candidates(Tangent(without, ladder.fit_logs), structure=False)
+        own = next((c for c in scores if c.placed.key == effect.key), None)
+        rivals = [
+            c for c in scores
+            if own is not None and c.placed.key != effect.key
+            and c.score.gain >= RIVAL * own.score.gain and similarity(c.score, own.score) >= ALIKE
+        ]  # fmt: skip
+        top = own.score.gain if own is not None else gain
+        odds = [
+            (c.score.gain - top, 1.0 if _rank(c.name) < _rank(effect.name) else MORE_COMPLEX)
+            for c in rivals
+        ]
+        names = tuple(dict.fromkeys(c.name for c in rivals if c.name != effect.name))
+        found[effect.key] = Standing(gain, names, _probability(top, odds, p_values[effect.key]))
+    return found
+
+
+def _rank(name: str) -> int:
+    return SIMPLE.index(name) if name in SIMPLE else len(SIMPLE)
+
+
+def _probability(gain: float, rivals: Sequence[tuple[float, float]], p_value: float) -> float:
+    """Probability that the named effect, not a rival and not chance, explains the residual.
+
+    Likelihoods of rival fits, with one piece of news per block; `rivals` are their gains less
+    `gain`, and their prior odds.
+    """
+    odds = sum(
+        prior * ((1.0 - gain) / max(1.0 - gain - more, 1e-9)) ** (0.5 * BLOCKS)
+        for more, prior in rivals
+    )
+    return float(min(0.99, (1.0 - min(p_value, 1.0)) / (1.0 + odds)))
+
+
+def _delete(
+    fit: ChainFit, fit_logs: Balance, held_logs: Balance, rungs: Sequence[Rung], jobs: int
+) -> tuple[ChainFit, tuple[str, ...]]:
+    """Give up effects that later ones have made superfluous."""
+    deleted: list[str] = []
+    for rung in rungs[:-1]:
+        if rung.key not in {e.key for e in fit.model.effects}:
+            continue
+        if _carries_others(fit.model, rung.key):
+            continue
+        state = State(fit.model.without([rung.key]), fit.state.logs)
+        without = fit_chain(_without_zeros(state, rung.key), fit_logs, jobs=jobs)
+        with_it = errors_of(fit.left, fit.drive).percent
+        lost = 1.0 - (with_it / errors_of(without.left, without.drive).percent) ** 2
+        if lost < least_gain(rung.key.partition("@")[0]):
+            fit = without
+            deleted.append(rung.key)
+    return fit, tuple(deleted)
+
+
+def _carries_others(model: ChainModel, key: str) -> bool:
+    """Whether other effects sit on a body or link that this one makes."""
+    places = {e.on for e in model.effects if e.key != key}
+    own = {b.name for b in model.rig.bodies} | {k.name for k in model.rig.links}
+    made = set(model.layout.bodies) | set(model.layout.links)
+    return key.startswith("shaft_compliance") and bool(places & (made - own))
+
+
+def _without_zeros(state: State, key: str) -> State:
+    logs = {
+        log: Nuisance({k: v for k, v in n.zero.items() if k != key}, n.twist)
+        for log, n in state.logs.items()
+    }
+    return State(state.model, logs)
+
+
+def held_errors(state: State, held: Balance, fitted: Balance, jobs: int = 2) -> Errors:
+    """Errors on held-out logs; what belongs to a log alone is fitted there."""
+    left, drive = residuals(held_state(state, held, fitted, jobs=jobs), held)
+    return errors_of(left, drive)
+
+
+def held_state(state: State, held: Balance, fitted: Balance, *, jobs: int = 2) -> State:
+    """Fit the twists and encoder zeros of logs that were not fitted, and nothing else."""
+    known = {m.name for m in fitted.motions}
+    reference = fitted.motions[0].name
+    frees: list[Free] = []
+    for motion in held.motions:
+        if motion.name not in known:
+            frees += log_parameters(state.model, held, motion.name, reference)
+    if not frees:
+        return state
+    state = _phases(state, held, known)
+    return fit_chain(state, held, frees=frees, jobs=jobs, iterations=4).state
+
+
+def _phases(state: State, held: Balance, known: set[str]) -> State:
+    """Encoder zeros of new logs, by the phase that each harmonic effect has there."""
+    from dmptm_ctrl.diagnosis.ladder_candidates import unit_columns
+    from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+
+    logs = dict(state.logs)
+    for effect in state.model.effects:
+        if not has_phase(state.model, held, effect):
+            continue
+        bare = State(state.model.without([effect.key]), logs)
+        left, drive = residuals(bare, held)
+        shapes = {k: v for k, v in effect.values.items() if k == "order"}
+        order = shapes.get("order", 1.0)
+        view = Tangent(
+            ChainFit(bare, (), left, drive, tuple(p[..., None][..., :0] for p in left),
+                     np.ones(left[0].shape[0]), 0.0),
+            held,
+        )  # fmt: skip
+        chain = CHAIN_CATALOGUE[effect.name]
+        columns = unit_columns(view, chain, effect.on, shapes, ("cosine", "sine"))
+        here = effect.values["cosine"] - 1j * effect.values["sine"]
+        for k, motion in enumerate(held.motions):
+            if motion.name in known:
+                continue
+            found = np.linalg.lstsq(columns[k][0], -left[k][0], rcond=None)[0]
+            there = found[0] - 1j * found[1]
+            old = logs.get(motion.name, Nuisance())
+            shift = float(np.angle(there / here) / order) if here != 0 else 0.0
+            logs[motion.name] = Nuisance({**old.zero, effect.key: shift}, old.twist)
+    return replace(state, logs=logs)

@@ -1,0 +1,185 @@
+"""Diagnose a rig of any shape: from logs and a rig file to the effects that it lacks."""
+
+import time
+from collections.abc import Iterable, Sequence
+from os import PathLike
+
+import numpy as np
+
+from dmptm_ctrl.diagnosis.ladder import Errors, Ladder, climb, errors_of, standing
+from dmptm_ctrl.diagnosis.ladder_report import (
+    ChainDiagnosis,
+    error_dict,
+    late_effect,
+    named_effect,
+    out_of_range,
+    ranking_of,
+    standard_errors,
+    torque_unit,
+)
+from dmptm_ctrl.diagnosis.ladder_unknown import unexplained
+from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.drive.rigfile import load_rig
+from dmptm_ctrl.identify.chain_fit import State, residuals
+from dmptm_ctrl.identify.chain_sensors import late_sensors
+from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
+from dmptm_ctrl.signals import Log, LogError
+from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+
+MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
+HOLD_EVERY = 3
+MIN_ROWS = 60  # of a log's balance; fewer tell nothing
+
+
+def diagnose_chain(
+    logs: str | PathLike[str] | Iterable[str | PathLike[str] | Log],
+    rig: Rig | str | PathLike[str],
+    *,
+    seed: int = 0,
+    jobs: int = 2,
+) -> ChainDiagnosis:
+    """Find what the declared model of a rig lacks.
+
+    Parameters
+    ----------
+    logs : folder, files or Logs of the rig
+    rig : Rig or path of a rig file
+        See docs/rig_toml.md.
+    seed : int
+        Kept in the provenance; nothing is drawn at random.
+    jobs : int
+        Threads. The result does not depend on it.
+
+    Returns
+    -------
+    ChainDiagnosis
+        `.summary()`, `.to_dict()`, `.augmented`, `.plot()`, `.save(folder)`.
+
+    Raises
+    ------
+    LogError
+        Logs or a rig file that cannot be used; the message says why.
+    """
+    started = time.perf_counter()
+    declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
+    loaded = declared.read(logs)
+    for log in loaded:
+        _refuse_still(declared, log)
+    late = late_sensors(declared, loaded)
+    balance = balance_of(declared, loaded, late={k: v.delay for k, v in late.items()})
+    balance = _long_enough(balance)
+    fit_logs, held_logs, roles, on = split(declared, balance)
+    model = ChainModel(declared, tuple(_declared_effects(declared)))
+    ladder = climb(model, fit_logs, held_logs, jobs=jobs)
+    errors = standard_errors(ladder.final, fit_logs)
+    stands = standing(ladder, jobs)
+    declared_keys = {e.key for e in model.effects}
+    effects = [
+        named_effect(e, ladder, stands, errors)
+        for e in ladder.final.model.effects
+        if e.key not in declared_keys
+    ] + [late_effect(item) for item in late.values()]
+    depends_on = unexplained(ladder)
+    verdict = "unknown" if depends_on else "explained" if effects else "none"
+    augmented = ladder.final.model
+    for name, item in late.items():
+        augmented = augmented.with_effect(Placed("sensor_delay", name, {"delay": item.delay}))
+    return ChainDiagnosis(
+        declared,
+        verdict,
+        tuple(sorted(effects, key=lambda e: -e.probability)),
+        ladder,
+        ranking_of(ladder, late),
+        depends_on,
+        error_of(ladder, on),
+        ladder.base.model,
+        augmented,
+        _provenance(loaded, roles, seed, time.perf_counter() - started),
+        (*_notes(loaded), *out_of_range(ladder.final, fit_logs)),
+    )
+
+
+def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, dict[str, str], str]:
+    """Part the logs into fitted and held-out ones.
+
+    As the rig file says; else every third of many logs is held out, or three tenths of each
+    of a few.
+    """
+    names = [m.name for m in balance.motions]
+    roles = rig.roles(names)
+    if any(roles.values()):
+        held = [n for n in names if roles[n] == "held-out"]
+        fit = [n for n in names if n not in held]
+        if not fit:
+            raise LogError("every log is under [data] held_out; leave one to fit")
+        if held:
+            final = {n: "held-out" if n in held else "fit" for n in names}
+            return balance.only(fit), balance.only(held), final, "held-out logs"
+    elif len(names) >= MANY_LOGS:
+        held = names[HOLD_EVERY - 1 :: HOLD_EVERY]
+        fit = [n for n in names if n not in held]
+        final = {n: "held-out" if n in held else "fit" for n in names}
+        return balance.only(fit), balance.only(held), final, "held-out logs"
+    part = "held-out stretches of every log, three tenths of it"
+    return balance.part("fit"), balance.part("held-out"), dict.fromkeys(names, "fit"), part
+
+
+def error_of(ladder: Ladder, on: str) -> dict[str, object]:
+    """Errors of the balance on held-out data, as declared and in the end."""
+    first: Errors | None = ladder.rungs[0].held_before if ladder.rungs else None
+    left, drive = residuals(ladder.held_state, ladder.held_logs)
+    after = errors_of(left, drive)
+    if first is None:
+        base = State(ladder.base.model, ladder.held_state.logs)
+        first = errors_of(*residuals(base, ladder.held_logs))
+    return {
+        "unit": torque_unit(ladder.final.model.rig),
+        "bandwidth_hz": ladder.fit_logs.bandwidth,
+        "on": on,
+        "quantity": "torque or force of the drive against what the motion takes",
+        "before": error_dict(first),
+        "after": error_dict(after),
+    }
+
+
+def _declared_effects(rig: Rig) -> list[Placed]:
+    return [Placed(e.name, e.on, {k: q.value for k, q in e.values.items()}) for e in rig.effects]
+
+
+def _long_enough(balance: Balance) -> Balance:
+    kept = [m.name for m in balance.motions if m.rows.size >= MIN_ROWS]
+    if not kept:
+        longest = max(float(m.time[-1]) for m in balance.motions)
+        raise LogError(
+            f"logs are too short: {longest:.3g} s at most, where {balance.bandwidth:.3g} Hz of "
+            f"bandwidth need {MIN_ROWS / (2 * balance.bandwidth):.3g} s"
+        )
+    return balance if len(kept) == len(balance.motions) else balance.only(kept)
+
+
+def _refuse_still(rig: Rig, log: Log) -> None:
+    for source in rig.inputs:
+        if np.ptp(log[source.channel]) == 0 and len(rig.inputs) == 1:
+            raise LogError(f"{log.name}: {source.column} never changes; nothing to learn from it")
+    if all(np.ptp(log[s.channel]) == 0 for s in rig.sensors):
+        raise LogError(f"{log.name}: no sensor moves; nothing to learn from it")
+
+
+def _notes(logs: Sequence[Log]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(f"{log.name}: {note}" for log in logs for note in log.warnings))
+
+
+def _provenance(
+    logs: Sequence[Log], roles: dict[str, str], seed: int, seconds: float
+) -> dict[str, object]:
+    from dmptm_ctrl import __version__
+
+    return {
+        "version": __version__,
+        "seed": seed,
+        "logs": [
+            {"name": log.name, "sha256": log.sha256 or "", "role": roles.get(log.name, "fit")}
+            for log in logs
+        ],
+        "seconds": round(seconds, 3),
+    }

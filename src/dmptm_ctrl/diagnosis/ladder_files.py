@@ -1,0 +1,130 @@
+"""The model of a rig of any shape as a file: the rig file's text, its fitted values, effects."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+
+KIND = "chain"
+SCHEMA = 1
+
+
+def chain_to_toml(
+    model: ChainModel, rig_text: str, zeros: Mapping[str, Mapping[str, float]] | None = None
+) -> str:
+    """Return the text of a model file.
+
+    Parameters
+    ----------
+    model : ChainModel
+    rig_text : str
+        The rig file that it was declared in; a model file is complete in itself.
+    zeros : mapping of log to mapping of effect to float, optional
+        Shift of the encoder's zero in each log [rad or m].
+    """
+    document = tomlkit.document()
+    document.add(tomlkit.comment("Drive model of dmptm-ctrl. SI units; angles in radians."))
+    document["schema"] = SCHEMA
+    document["kind"] = KIND
+    document["rig"] = tomlkit.string(rig_text, multiline=True)
+    values = tomlkit.table()
+    for key, value in model.values.items():
+        item = tomlkit.item(float(value))
+        item.comment(model.quantities[key].unit or "1")
+        values[key] = item
+    document["values"] = values
+    effects = tomlkit.aot()
+    for effect in model.effects:
+        table = tomlkit.table()
+        table["name"] = effect.name
+        table["on"] = effect.on
+        if effect.far:
+            table["far"] = list(effect.far)
+        units = {p.name: p.unit for p in CHAIN_CATALOGUE[effect.name].keep}
+        for key, value in effect.values.items():
+            item = tomlkit.item(float(value))
+            item.comment(units[key] or "1")
+            table[key] = item
+        effects.append(table)
+    document["effect"] = effects
+    if zeros:
+        logs = tomlkit.table()
+        for log, shifts in zeros.items():
+            if shifts:
+                logs[log] = {key: float(shift) for key, shift in shifts.items()}
+        document["zero"] = logs
+    return tomlkit.dumps(document)
+
+
+def chain_from_toml(
+    text: str, name: str = "model.toml"
+) -> tuple[ChainModel, dict[str, dict[str, float]]]:
+    """Read the text of a model file.
+
+    Returns
+    -------
+    model : ChainModel
+    zeros : dict of log to dict of effect key to float
+
+    Raises
+    ------
+    LogError
+        Not TOML, another kind, a name that does not exist, a value that is no finite number.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise LogError(f"{name}: not a TOML file: {error}") from None
+    if data.get("kind") != KIND or data.get("schema") != SCHEMA:
+        raise LogError(f'{name}: needs kind = "{KIND}" and schema = {SCHEMA}, as diagnose writes')
+    if not isinstance(data.get("rig"), str):
+        raise LogError(f"{name}: no rig in it; the diagnosis writes the rig file's text there")
+    rig = parse_rig(data["rig"], f"rig in {name}")
+    values = _numbers(name, "values", data.get("values", {}))
+    effects = []
+    for table in data.get("effect", []):
+        known = isinstance(table, dict) and isinstance(table.get("name"), str)
+        if not known or not isinstance(table.get("on"), str):
+            raise LogError(f"{name}: each [[effect]] needs a name and what it is on")
+        numbers = {k: v for k, v in table.items() if k not in ("name", "on", "far")}
+        far = tuple(str(f) for f in table.get("far", ()))
+        where = f"effect {table['name']}"
+        effects.append(Placed(table["name"], table["on"], _numbers(name, where, numbers), far))
+    try:
+        model = ChainModel(rig, tuple(effects), values)
+        model.plant()
+    except (KeyError, ValueError) as error:
+        raise LogError(f"{name}: {error.args[0]}") from None
+    zeros = {
+        log: _numbers(name, f"zero.{log}", shifts) for log, shifts in data.get("zero", {}).items()
+    }
+    return model, zeros
+
+
+def read_chain(path: str | PathLike[str]) -> tuple[ChainModel, dict[str, dict[str, float]]]:
+    """Read a model file; see `chain_from_toml`."""
+    file = Path(path)
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        raise LogError(f"{file.name}: no readable model file there") from None
+    return chain_from_toml(text, file.name)
+
+
+def _numbers(name: str, where: str, table: Any) -> dict[str, float]:
+    if not isinstance(table, dict):
+        raise LogError(f"{name}: no table [{where}]")
+    for key, value in table.items():
+        good = isinstance(value, int | float) and not isinstance(value, bool)
+        if not good or not math.isfinite(value):
+            raise LogError(f"{name}: {key} of {where} is {value!r}; it must be a finite number")
+    return {key: float(value) for key, value in table.items()}

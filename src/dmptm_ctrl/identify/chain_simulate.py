@@ -1,0 +1,97 @@
+"""Free run of a chain on a log: what the sensors would have read."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.identify.chain_motion import Floats
+from dmptm_ctrl.identify.inverse_dynamics import kinematic
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.chain import ChainRun, march
+from dmptm_ctrl.simulate.chain_model import ChainModel
+
+START = 12  # samples from which the first position and speed are taken
+MOVING = 0.02  # of the highest speed; slower at the start is at rest
+
+
+def initial(model: ChainModel, log: Log) -> tuple[dict[str, float], dict[str, float]]:
+    """Return position and speed of every body at a log's first sample.
+
+    Bodies without a sensor start in step with those that have one. A log that starts at rest,
+    as most do, has speed 0.
+    """
+    layout, rig = model.layout, model.rig
+    reach = kinematic(model)
+    position: dict[int, float] = {}
+    speed: dict[int, float] = {}
+    for sensor in rig.sensors:
+        body = layout.sensor_body[sensor.name]
+        group, r = layout.coordinate[body], layout.ratio[body]
+        signal = log[sensor.channel]
+        head = signal[: min(START, signal.size)]
+        time = log.time[: head.size] - log.time[0]
+        if sensor.measures == "position":
+            position.setdefault(group, float(head[0]) / r)
+            if group not in speed and head.size > 2:
+                slope = float(np.polyfit(time, head, 1)[0])
+                spread = float(np.ptp(signal)) / max(float(log.time[-1] - log.time[0]), 1e-9)
+                usual = max(float(np.std(np.diff(signal))) / log.sample_time, spread)
+                speed[group] = slope / r if abs(slope) > MOVING * usual * 10 else 0.0
+        else:
+            first = float(np.mean(head[:3]))
+            peak = float(np.abs(signal).max())
+            speed[group] = first / r if abs(first) > MOVING * peak else 0.0
+    known_q = next(iter(position.items()), (0, 0.0))
+    known_v = next(iter(speed.items()), (0, 0.0))
+    q0, v0 = {}, {}
+    for body in layout.bodies:
+        group, r = layout.coordinate[body], layout.ratio[body]
+        q = position.get(group, known_q[1] * reach[group] / reach[known_q[0]])
+        v = speed.get(group, known_v[1] * reach[group] / reach[known_v[0]])
+        q0[body], v0[body] = r * q, r * v
+    return q0, v0
+
+
+def free_run(
+    model: ChainModel,
+    log: Log,
+    *,
+    start: tuple[Mapping[str, float], Mapping[str, float]] | None = None,
+) -> ChainRun:
+    """Run a chain on a log's inputs, from its first sample.
+
+    Angles of bodies on both sides of a spring may have zeros of their own: such a spring
+    starts untwisted.
+    """
+    q0, v0 = start or initial(model, log)
+    u = np.array([log[i.channel] for i in model.rig.inputs])
+    layout = model.layout
+    seen: dict[int, str] = {}
+    for body in layout.bodies:
+        seen.setdefault(layout.coordinate[body], body)
+    # in step with the driven coordinate; readings get their own zero back
+    reach = kinematic(model)
+    base = seen[0]
+    q_base = q0[base] / layout.ratio[base]
+    position = {b: layout.ratio[b] * q_base * reach[g] for g, b in seen.items()}
+    speed = {b: v0[b] for b in seen.values()}
+    return march(model, u, log.sample_time, position=position, speed=speed)
+
+
+def readings(model: ChainModel, log: Log, run: ChainRun) -> dict[str, Floats]:
+    """What each sensor would read on a log, its own zero kept, without noise."""
+    found = {}
+    for sensor in model.rig.sensors:
+        values = run.reading(sensor.name)
+        if sensor.measures == "position":
+            values = values - values[0] + log[sensor.channel][0]
+        found[sensor.name] = values
+    return found
+
+
+def speeds(rig: Rig, log: Log, sensor: str) -> Floats:
+    """Measured speed of a sensor, by difference where it measures position."""
+    item = next(s for s in rig.sensors if s.name == sensor)
+    signal = log[item.channel]
+    return signal if item.measures == "speed" else np.gradient(signal, log.sample_time)

@@ -14,7 +14,7 @@ import numpy as np
 
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.diagnosis.predict import low_pass, speeds
-from dmptm_ctrl.drive import pinion_inertia, viscous_mean
+from dmptm_ctrl.drive import pinion_inertia
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import Record, predict
 from dmptm_ctrl.plots.diagnosis import Curve, Evidence, Overlay
@@ -175,7 +175,11 @@ def left_over(
             "twist of the left chain,\nmeasured − model [arcmin]",
         )
     inertia = model.drive["J_L"] + 2.0 * n2**2 * pinion_inertia(model.drive)
-    viscous = viscous_mean(model.drive, "L") + 2.0 * n2**2 * viscous_mean(model.drive, "3")
+    forward, backward = (
+        model.drive[f"BL_{way}"] + 2.0 * n2**2 * model.drive[f"B3_{way}"]
+        for way in ("plus", "minus")
+    )
+    viscous = np.where(rec.omega > 0.0, forward, backward)
     lag, slower = rec.theta - run[:, 0], low_pass(rec.omega - run[:, 1], rec.dt)
     lacking = inertia * (2.0 * np.pi * OBSERVER_HZ) ** 2 * lag + viscous * slower
     return lacking, everywhere, TORQUE

@@ -6,6 +6,7 @@ errors must not be padded: the misses, in standard errors, have a mean square ne
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.experiments import Estimate, standard_error
@@ -105,8 +106,11 @@ def test_recovered_within_two_standard_errors_in_95_percent(misses):
 
 @pytest.mark.parametrize("name", ["steady", "shaken", "flights"])
 def test_standard_errors_are_neither_short_nor_padded(misses, name):
-    every = np.concatenate(list(misses[name].values()))
-    assert 0.3 < np.mean(every**2) < 1.5
+    families = list(misses[name].values())
+    every = np.concatenate(families)
+    assert np.mean(every**2) > 0.3
+    # parameters of one fit are correlated: count the seeds, not the estimates
+    assert np.mean(every**2) < chi2.ppf(0.999, SEEDS) / SEEDS
 
 
 def test_breakaway_lies_within_its_lateness(misses):

@@ -120,18 +120,34 @@ class GearTrain:
         ValueError
             An input kind, output or state kind that does not exist.
         """
+        a, b, c = self.matrices(inputs=inputs, outputs=outputs, states=states)
+        angles = [f"theta_{body}" for body in self.bodies]
+        twists = [f"twist_{joint.name}" for joint in self.joints]
+        return ct.ss(
+            a,
+            b,
+            c,
+            np.zeros((len(outputs), 2)),
+            states=[
+                *(angles if states == "angles" else twists),
+                *(f"omega_{body}" for body in self.bodies),
+            ],
+            inputs=list(INPUTS[inputs]),
+            outputs=list(outputs),
+            name=self.name,
+        )
+
+    def matrices(
+        self, *, inputs: str = "voltage", outputs: Sequence[str] = ("omega_L",), states: str
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return A, B and C of :meth:`to_ss` as arrays, for work in loops."""
         if inputs not in INPUTS:
             raise ValueError(f"inputs is {inputs!r}, it must be one of {', '.join(INPUTS)}")
         if states not in ("angles", "twists"):
             raise ValueError(f"states is {states!r}, it must be angles or twists")
-        n = len(self.bodies)
         rows = np.array([j.row for j in self.joints])
-        if states == "angles":
-            position, names = np.eye(n), [f"theta_{b}" for b in self.bodies]
-            springs = rows
-        else:
-            position, names = rows, [f"twist_{j.name}" for j in self.joints]
-            springs = np.eye(len(self.joints))
+        position = np.eye(len(self.bodies)) if states == "angles" else rows
+        springs = rows if states == "angles" else np.eye(len(self.joints))
         m = position.shape[0]
         pull = rows.T @ (np.array([j.stiffness for j in self.joints])[:, None] * springs)
         solve = 1.0 / self.inertia[:, None]
@@ -139,16 +155,7 @@ class GearTrain:
         a = np.block([[np.zeros((m, m)), position], [-solve * pull, -solve * self.damping]])
         b = np.vstack([np.zeros((m, 2)), gain * solve * self.drives])
         c = np.array([self._output_row(name, states, springs) for name in outputs])
-        return ct.ss(
-            a,
-            b,
-            c,
-            np.zeros((len(outputs), 2)),
-            states=[*names, *(f"omega_{b}" for b in self.bodies)],
-            inputs=list(INPUTS[inputs]),
-            outputs=list(outputs),
-            name=self.name,
-        )
+        return a, b, c
 
     def _output_row(self, name: str, states: str, springs: Floats) -> Floats:
         zero = np.zeros(springs.shape[1])

@@ -77,6 +77,58 @@ def predict(
     write_atomic(out, predict_file(log, model))
 
 
+@app.command()
+def reproduce(
+    out: Annotated[Path, typer.Option(help="Folder for page, figures, tables.")] = Path(
+        "reproduction"
+    ),
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress bar.")] = False,
+) -> None:
+    """Make every figure and table of the paper, and a page that shows them."""
+    from dmptm_ctrl.reproduce import reproduce as make
+
+    page = make(out, quiet=quiet)
+    if not quiet:
+        print(f"written: {page}")
+
+
+@app.command()
+def resonances(
+    values: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="In SI; repeatable.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for pictures and tables as files.")
+    ] = None,
+) -> None:
+    """Show frequencies, shapes, classes and sensitivities of the drive's modes."""
+    from dmptm_ctrl.reproduce.resonances import overridden, resonance_items, show
+    from dmptm_ctrl.signals.atomic import output_folder
+
+    try:
+        drive, extra = overridden(dict(_assignment(text) for text in values or ()))
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    items = resonance_items(drive, **extra)
+    show(items)
+    if out is not None:
+        from dmptm_ctrl.reproduce.page import save_items
+
+        with output_folder(out) as folder:
+            save_items(folder, items)
+        print(f"written to {out}")
+
+
+def _assignment(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise ValueError(f"{text!r} is not NAME=VALUE")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise ValueError(f"{name.strip()} is {value!r}, it must be a number") from None
+
+
 @log_app.command("info")
 def log_info(
     file: Annotated[Path, typer.Argument(help="Log: .csv, .csv.gz, .txt, .mat, .parquet, .mf4")],

@@ -53,6 +53,16 @@ class Modes:
         """Frequencies [Hz]."""
         return self.omega / (2.0 * pi)
 
+    @property
+    def turns(self) -> Floats:
+        """Shapes over the rigid turn, columns with largest entry 1, (n, n).
+
+        All bodies alike in the rigid mode, whatever the ratios between them.
+        """
+        turns = self.shapes / self.shapes[:, :1]
+        peak = np.abs(turns).argmax(axis=0)
+        return turns / turns[peak, range(turns.shape[1])]
+
 
 def solve_modes(train: GearTrain) -> Modes:
     """Solve the generalised symmetric eigenproblem of a gear train."""

@@ -37,7 +37,6 @@ def mode_plot(modes: Modes, *, ax: Any = None, Hz: bool = True) -> np.ndarray:
     """
     train = modes.train
     order = _along(train.bodies)
-    rigid = modes.shapes[:, 0]
     count = modes.omega.size
     rows = -(-count // COLUMNS)
     if ax is None:
@@ -49,11 +48,9 @@ def mode_plot(modes: Modes, *, ax: Any = None, Hz: bool = True) -> np.ndarray:
     panels = axes(ax, count, figsize=(4, 3)).ravel()
     labels = [_label(train.bodies[i], "\n" if len(order) <= 3 else " ") for i in order]
     x = np.arange(len(order))
-    for panel, omega, shape, kind in zip(
-        panels, modes.omega, modes.shapes.T, modes.kinds, strict=True
+    for panel, omega, turn, kind in zip(
+        panels, modes.omega, modes.turns.T, modes.kinds, strict=True
     ):
-        turn = shape / rigid
-        turn = turn / np.abs(turn).max()
         panel.axhline(0.0, color="0.7", linewidth=0.8)
         panel.vlines(x, 0.0, turn[order], color="0.6", linewidth=1.0)
         panel.plot(x, turn[order], marker="o", markersize=4, **STYLES["proposed"])

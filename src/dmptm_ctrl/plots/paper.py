@@ -1,0 +1,190 @@
+"""Pictures of the paper's experiments and of what its equations leave out."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import ArrayLike, NDArray
+
+from dmptm_ctrl.plots.style import STYLES, axes
+from dmptm_ctrl.simulate.mesh_path import MeshPath
+
+Floats = NDArray[np.float64]
+
+
+def experiment_plot(
+    time: Floats,
+    measured: Floats,
+    speeds: Mapping[str, Floats],
+    *,
+    scores: Mapping[str, tuple[float, float, float]] | None = None,
+    ax: Axes | None = None,
+    title: str = "",
+) -> Axes:
+    """Draw a measured ring-gear speed and what models say, in deg/s.
+
+    Parameters
+    ----------
+    time : (n,) array [s]
+    measured : (n,) array [rad/s]
+    speeds : mapping of str to (n,) array [rad/s]
+        "proposed" and "existing" have their own lines.
+    scores : mapping of str to (r, FIT [%], RMSE [rad/s]), optional
+        For the legend.
+    ax : Axes, optional
+    """
+    panel = axes(ax, 1, figsize=(6.5, 3.0))[0, 0]
+    panel.plot(time, np.degrees(measured), label="measured", **STYLES["measured"])
+    for name, speed in speeds.items():
+        label = name
+        if scores is not None:
+            _, fit, rmse = scores[name]
+            label = f"{name}: FIT {fit:.1f} %, RMSE {np.degrees(rmse):.2f} °/s"
+        panel.plot(time, np.degrees(speed), label=label, **STYLES.get(name, STYLES["other"]))
+    panel.set(xlabel="time [s]", ylabel="speed [deg/s]", title=title)
+    panel.set_xlim(time[0], time[-1])
+    panel.margins(y=0.25)
+    panel.grid(alpha=0.3)
+    panel.legend(fontsize=7, ncols=3, loc="upper center")
+    return panel
+
+
+def mesh_path_plot(
+    paths: Sequence[tuple[str, MeshPath]], half_gap: float, *, ax: Any = None
+) -> np.ndarray:
+    """Draw motions through a gap, one column each: angle, torque of both laws, difference.
+
+    Parameters
+    ----------
+    paths : sequence of (title, MeshPath)
+    half_gap : float [rad]
+    ax : array of Axes, optional
+        Three rows, one column per path.
+    """
+    panels = axes(ax, 3, len(paths), figsize=(4.6 * len(paths), 6.6), sharex="col")
+    for (title, path), (top, middle, bottom) in zip(paths, panels.T, strict=True):
+        ms = 1e3 * path.time
+        top.plot(ms, 1e3 * path.z, label="relative angle z", **STYLES["measured"])
+        top.plot(ms, 1e3 * path.position, label="position in the gap θb", **STYLES["proposed"])
+        low, high = path.z.min(), path.z.max()
+        for flank in (-half_gap, half_gap):
+            if low <= flank <= high:
+                top.axhline(1e3 * flank, color="0.4", linewidth=0.8, linestyle=":")
+        top.set(title=title, ylabel="angle [mrad]")
+        top.margins(y=0.3)
+        middle.plot(ms, path.two_state, label="two-state original", **STYLES["proposed"])
+        middle.plot(ms, path.memoryless, label="Eq. 21, exponent put right", **STYLES["existing"])
+        middle.set(ylabel="mesh torque [N·m]")
+        middle.margins(y=0.3)
+        bottom.plot(ms, path.memoryless - path.two_state, **STYLES["other"])
+        bottom.set(xlabel="time [ms]", ylabel="difference [N·m]")
+        for panel in (top, middle, bottom):
+            panel.grid(alpha=0.3)
+        for panel in (top, middle):
+            panel.legend(fontsize=7, loc="upper center", ncols=2)
+    return panels
+
+
+def friction_plot(
+    speed: Floats,
+    torque: Floats,
+    se: Floats,
+    curve: tuple[Floats, Floats],
+    *,
+    ax: Axes | None = None,
+    title: str = "",
+) -> Axes:
+    """Draw measured friction, signed like its speed, over a fitted curve.
+
+    Parameters
+    ----------
+    speed, torque, se : (n,) arrays [rad/s], [N·m], [N·m]
+        Torque as a magnitude.
+    curve : (speed, torque) arrays
+        Signed.
+    ax : Axes, optional
+    title : str
+    """
+    panel = axes(ax, 1, figsize=(5.5, 3.6))[0, 0]
+    for side in (curve[0] < 0.0, curve[0] > 0.0):
+        label = "Eq. 25 fitted" if side[-1] else None
+        x, y = curve[0][side], curve[1][side]
+        panel.plot(np.degrees(x), y, label=label, **STYLES["proposed"])
+    panel.errorbar(
+        np.degrees(speed),
+        np.sign(speed) * torque,
+        yerr=2.0 * se,
+        fmt="o",
+        color="0.35",
+        markersize=3.5,
+        capsize=2,
+        label="constant-speed runs ± 2 se",
+    )
+    panel.axhline(0.0, color="0.7", linewidth=0.8)
+    panel.set(xlabel="speed [deg/s]", ylabel="friction torque [N·m]", title=title)
+    panel.set_xscale("symlog", linthresh=float(np.degrees(np.abs(speed).min())))
+    panel.grid(alpha=0.3)
+    panel.legend(fontsize=8)
+    return panel
+
+
+def convergence_plot(
+    softness: ArrayLike,
+    errors: Mapping[str, ArrayLike],
+    *,
+    ax: Axes | None = None,
+    title: str = "",
+) -> Axes:
+    """Draw relative errors over the compliance that they come from, with slope 1 beside.
+
+    Parameters
+    ----------
+    softness : (n,) array_like
+        Compliance relative to the default.
+    errors : mapping of str to (n,) array_like
+    """
+    panel = axes(ax, 1, figsize=(5.5, 4.0))[0, 0]
+    x = np.asarray(softness, float)
+    styles = (STYLES["proposed"], STYLES["other"], STYLES["existing"], STYLES["measured"])
+    for (label, values), style in zip(errors.items(), styles, strict=False):
+        panel.loglog(x, values, marker="o", markersize=4, label=label, **style)
+    first = np.asarray(next(iter(errors.values())), float)
+    panel.loglog(x, 0.4 * first[0] * x / x[0], color="0.5", linestyle=":", label="slope 1")
+    panel.set(
+        xlabel="compliance of the reducer, relative to the default",
+        ylabel="relative error of the frequency",
+        title=title,
+    )
+    panel.grid(alpha=0.3)
+    panel.legend(fontsize=8)
+    return panel
+
+
+def sensitivity_plot(
+    values: Mapping[str, ArrayLike], titles: Sequence[str], *, ax: Axes | None = None
+) -> Axes:
+    """Draw relative sensitivities as bars, one group per parameter.
+
+    Parameters
+    ----------
+    values : mapping of str to (n,) array_like
+        Of each frequency to a parameter.
+    titles : sequence of str
+        Of the n frequencies.
+    """
+    panel = axes(ax, 1, figsize=(6.5, 3.4))[0, 0]
+    names = list(values)
+    table = np.array([values[n] for n in names], float)
+    x = np.arange(len(names))
+    width = 0.8 / table.shape[1]
+    tones = ("#0b3c6f", "#d9a0a8", "#3a8f5c", "0.75")
+    for j, title in enumerate(titles):
+        shift = (j - 0.5 * (table.shape[1] - 1)) * width
+        panel.bar(x + shift, table[:, j], width, label=title, color=tones[j % 4], edgecolor="0.2")
+    panel.axhline(0.0, color="0.3", linewidth=0.8)
+    panel.set_xticks(x, names)
+    panel.set(ylabel="relative change of the frequency\nper relative change", xlabel="parameter")
+    panel.grid(alpha=0.3, axis="y")
+    panel.legend(fontsize=8)
+    return panel

@@ -1,0 +1,97 @@
+"""What a reproduction is made of: figures and tables, each beside what the paper prints."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dmptm_ctrl.data import path
+from dmptm_ctrl.drive import Drive, baseline_drive, paper_drive
+from dmptm_ctrl.identify.experiments_validation import Trial, validate
+from dmptm_ctrl.identify.loop_resonance import ResonantGains, resonant_gains
+from dmptm_ctrl.signals import Campaign, load_logs
+from dmptm_ctrl.simulate.compiled import Loop
+from dmptm_ctrl.simulate.model import Model
+
+DEG = np.pi / 180
+RIG_LOOP = Loop(0.08 / DEG, 1.5 / DEG, 10.0)  # of the bundled logs; README of null_rig's source
+PAPER_RESONANCE_HZ = 5.5  # section 4.3.4
+PAPER_AMPLITUDES = (10.0 * DEG, 15.0 * DEG)  # rad/s, Fig. 18 and 19
+PAPER_VOLTS = (0.6, 0.75)  # V, Fig. 16 and 17
+
+
+class Picture(NamedTuple):
+    """A figure, its place in the paper if it has one, and how to read it."""
+
+    name: str
+    title: str
+    figure: Figure
+    caption: str
+    paper: str = ""
+
+
+class Table(NamedTuple):
+    """A table of text, its place in the paper if it has one, and how to read it."""
+
+    name: str
+    title: str
+    header: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    caption: str
+    paper: str = ""
+
+
+Item = Picture | Table
+
+
+def figure_of(panel: Axes) -> Figure:
+    """Return the figure that a panel is in."""
+    figure = panel.get_figure(root=True)
+    if figure is None:
+        raise ValueError("the panel is in no figure")
+    return figure
+
+
+@dataclass
+class Context:
+    """What several items share, computed once.
+
+    Attributes
+    ----------
+    say : function of str
+        Called with what is being done.
+    """
+
+    say: Callable[[str], None] = field(default=lambda text: None)
+
+    @cached_property
+    def drive(self) -> Drive:
+        """The paper's drive, corrected."""
+        return paper_drive()
+
+    @cached_property
+    def campaign(self) -> Campaign:
+        """Logs of an independent rig without undeclared effects."""
+        return load_logs(path("null_rig"))
+
+    @cached_property
+    def validation(self) -> tuple[list[Trial], dict[str, list[Drive]]]:
+        """The eight experiments, with both models fitted on the other half."""
+        drives = {"proposed": self.drive, "existing": baseline_drive(self.drive)}
+        return validate(self.campaign, drives, RIG_LOOP, progress=self.say)
+
+    @cached_property
+    def fitted(self) -> dict[str, Model]:
+        """Both models as fitted on the first half of the experiments."""
+        return {name: Model(drives[0]) for name, drives in self.validation[1].items()}
+
+    @cached_property
+    def resonance(self) -> ResonantGains:
+        """Gains with the paper's closed-loop resonance, kp as on the rig."""
+        return resonant_gains(
+            Model(self.drive), PAPER_RESONANCE_HZ, RIG_LOOP.kp, PAPER_AMPLITUDES[0]
+        )

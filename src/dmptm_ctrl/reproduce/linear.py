@@ -1,0 +1,169 @@
+"""Section 2: linear models, resonances, what the simplification costs; section 3: the tooth."""
+
+import numpy as np
+
+from dmptm_ctrl.control import close_speed_loop, common_mode
+from dmptm_ctrl.drive import (
+    ERRATA,
+    Tooth,
+    iso_single_stiffness,
+    mesh_damping,
+    mesh_damping_ratio,
+    mesh_torsion,
+    nine_dof_parameters,
+    nine_dof_ss,
+    nine_dof_train,
+    pair_stiffness,
+    pinion_inertia,
+    rigid_equivalent,
+    simplification_cost,
+    solve_modes,
+    three_dof_ss,
+    three_dof_train,
+)
+from dmptm_ctrl.plots.linear import bode_compare, simplification_plot, step_compare
+from dmptm_ctrl.plots.paper import convergence_plot
+from dmptm_ctrl.reproduce.items import DEG, RIG_LOOP, Context, Item, Picture, Table, figure_of
+from dmptm_ctrl.reproduce.resonances import OURS, resonance_items
+
+ZETA = (0.03, 0.17)  # below Eq. 24
+
+
+def errata(context: Context) -> list[Item]:
+    """List what the paper misprints."""
+    rows = [(e.where, e.printed, e.corrected, e.proof) for e in ERRATA.values()]
+    caption = "Corrected by default, as printed on request. Proofs: docs/errata.md, tests/drive."
+    return [Table("errata", "Errata", ("where", "printed", "corrected", "why"), rows, caption)]
+
+
+def resonances(context: Context) -> list[Item]:
+    """Eqs. 19 and 20 for both models and both readings of J2."""
+    return resonance_items(context.drive)
+
+
+def convergence(context: Context) -> list[Item]:
+    """The 9-DOF's low modes go to the 3-DOF's, with the corrected J̄3 only."""
+    p = nine_dof_parameters(context.drive, J_1=1e-4)
+    softness = np.geomspace(1.0, 1e-4, 9)
+    right = solve_modes(three_dof_train(rigid_equivalent(context.drive, p))).omega[1:]
+    printed = context.drive.with_values(J_2=p["J_1"] + p["J_2"] + p["J_3"])
+    wrong = solve_modes(three_dof_train(printed)).omega[1:]
+    low = []
+    for soft in softness:
+        stiff = {k: p[k] / soft for k in ("K_01", "K_12", "K_23")}
+        low.append(solve_modes(nine_dof_train(context.drive, **{**p, **stiff})).omega[1:3])
+    found = np.array(low)
+    errors = {
+        "antisymmetric, J̄3 corrected": abs(found[:, 0] / right[0] - 1),
+        "symmetric, J̄3 corrected": abs(found[:, 1] / right[1] - 1),
+        "antisymmetric, J̄3 as printed": abs(found[:, 0] / wrong[0] - 1),
+    }
+    panel = convergence_plot(softness, errors, title="9-DOF against 3-DOF model")
+    caption = (
+        "As K01, K12, K23 grow, the modes meet at first order in compliance. With J̄3 as "
+        "printed below Eq. 16 they never do (drawn with J1 = 1e-4 kg·m², which shows it)."
+    )
+    return [_picture("convergence", "From 9 to 3 degrees of freedom", panel, caption, "Eq. 16")]
+
+
+def simplification(context: Context) -> list[Item]:
+    """H∞ and H2 of the error beside a balanced truncation."""
+    cost = simplification_cost(context.drive)
+    names = {"full": "9-DOF model itself", "three_dof": "3-DOF", "balanced": "balanced truncation"}
+    rows = [(n, f"{cost.h_inf[k]:.4g}", f"{cost.h_2[k]:.4g}") for k, n in names.items()]
+    caption = (
+        "Errors against the 9-DOF model from both voltages to the speeds of ring gear and motors "
+        f"(the latter divided by N1 N2). {OURS}"
+    )
+    return [
+        Table(
+            "simplification",
+            "What the simplification costs",
+            ("model", "H∞ [(rad/s)/V]", "H2 [(rad/s)/V √(rad/s)]"),
+            rows,
+            caption,
+        ),
+        _picture(
+            "simplification_error", "The same over frequency", simplification_plot(cost), OURS
+        ),
+    ]
+
+
+def bode_and_step(context: Context) -> list[Item]:
+    """9-DOF, 3-DOF and existing model, open and closed loop."""
+    existing = context.validation[1]["existing"][0]
+    plants = {
+        "9-DOF": nine_dof_ss(context.drive, states="twists"),
+        "3-DOF": three_dof_ss(context.drive, states="twists"),
+        "existing": three_dof_ss(existing, states="twists"),
+    }
+    opened = {n: common_mode(p) for n, p in plants.items()}
+    closed = {
+        n: close_speed_loop(p, RIG_LOOP.kp, RIG_LOOP.ki)["omega_L", "ref"]
+        for n, p in plants.items()
+    }
+    gains = f"kp = {RIG_LOOP.kp * DEG:g} V s/deg, ki = {RIG_LOOP.ki * DEG:g} V/deg"
+    baseline = (
+        "The existing model is the one fitted for Tables 3 and 4: with Table 2's viscous friction "
+        "alone it would be the 3-DOF model."
+    )
+    bode = bode_compare(opened, title="Common voltage to ring-gear speed [(rad/s)/V]")
+    loop = bode_compare(closed, title=f"Setpoint to speed, {gains}")
+    step = step_compare(
+        opened, 2.0, height=0.6, scale=1 / DEG, unit="speed [deg/s]", title="Step of 0.6 V"
+    )
+    stable = {n: s for n, s in closed.items() if s.poles().real.max() < 1e-6}
+    turn = step_compare(
+        stable, 0.8, height=10.0, unit="speed [deg/s]", title="Setpoint step of 10 deg/s"
+    )
+    lost = [n for n in closed if n not in stable]
+    note = (
+        f"Left out, since unstable with these gains: {', '.join(lost)}. Its reducers' modes "
+        f"reach the loop; the 3-DOF model cannot show that. {OURS}"
+        if lost
+        else OURS
+    )
+    return [
+        _picture("bode_open", "Bode plot, open loop", bode.axes[0, 0], f"{baseline} {OURS}"),
+        _picture("bode_closed", "Bode plot, closed loop", loop.axes[0, 0], OURS),
+        _picture("step_open", "Step response, open loop", step, "Linear models: no dry friction."),
+        _picture("step_closed", "Step response, closed loop", turn, note),
+    ]
+
+
+def tooth(context: Context) -> list[Item]:
+    """Eq. 22 against ISO 6336, Eq. 24 against Table 1."""
+    drive = context.drive
+    width, module = 0.010, 0.002
+    pair = [Tooth(module, drive["z_3"], width), Tooth(module, drive["z_3"] * drive["N_2"], width)]
+    per_width = 1e-9 / width  # N/m to N/(µm·mm)
+    eq22, complete = pair_stiffness(*pair), pair_stiffness(*pair, complete=True)
+    iso = iso_single_stiffness(pair[0].teeth, pair[1].teeth, width)
+    torsion = mesh_torsion(iso, pair[0].pitch_radius)
+    rows = [
+        ("Eq. 22, both teeth [N/(µm·mm)]", f"{eq22 * per_width:.1f}", "not printed"),
+        ("with shear, foundation, contact [N/(µm·mm)]", f"{complete * per_width:.1f}", ""),
+        ("ISO 6336-1, c'th [N/(µm·mm)]", f"{iso * per_width:.1f}", ""),
+        (
+            "face width for k_m, module 2 mm, by c'th [mm]",
+            f"{1e3 * width * drive['k_m'] / torsion:.1f}",
+            "",
+        ),
+    ]
+    args = (drive["k_m"], pinion_inertia(drive), drive["J_L"], drive["N_2"])
+    rows += [
+        (f"Eq. 24 corrected, c at ζ = {z:g} [N·m·s/rad]", f"{mesh_damping(z, *args):.2f}", "1")
+        for z in ZETA
+    ]
+    ratio = mesh_damping_ratio(1.0, *args)
+    rows.append(("ζ of Table 1's c = 1", f"{ratio:.4f}", "0.03 … 0.17"))
+    caption = (
+        "Eq. 22 knows the tooth's bending only and is about five times too stiff. Table 1's c "
+        "lies outside the paper's own range of ζ."
+    )
+    header = ("quantity", "here", "paper")
+    return [Table("tooth", "Tooth stiffness and mesh damping", header, rows, caption, "Eq. 22, 24")]
+
+
+def _picture(name, title, panel, caption, paper=""):  # type: ignore[no-untyped-def]
+    return Picture(name, title, figure_of(panel), caption, paper)

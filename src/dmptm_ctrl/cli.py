@@ -66,11 +66,11 @@ def diagnose(
 
 @app.command()
 def predict(
-    log: Annotated[Path, typer.Argument(help="A log of the rig; only its voltages are used.")],
+    log: Annotated[Path, typer.Argument(help="A log of the rig; of it the inputs are used.")],
     model: Annotated[Path, typer.Option(help="model.toml, as diagnose writes it.")],
     out: Annotated[Path, typer.Option(help="CSV to write.")] = Path("pred.csv"),
 ) -> None:
-    """Run the plant model freely on a log's voltages."""
+    """Run the plant model freely on a log's inputs."""
     from dmptm_ctrl.diagnosis.run import predict_file
     from dmptm_ctrl.signals.atomic import write_atomic
 

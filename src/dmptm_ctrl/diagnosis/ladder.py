@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.ladder_candidates import Candidate, candidates
-from dmptm_ctrl.diagnosis.ladder_score import BLOCKS, Score, Tangent, similarity
+from dmptm_ctrl.diagnosis.ladder_score import NEWS, Score, Tangent, similarity
 from dmptm_ctrl.identify.chain_fit import (
     ChainFit,
     Free,
@@ -32,12 +32,15 @@ Floats = NDArray[np.float64]
 MIN_GAIN = 0.03  # share of the residual's square; less is not worth a name
 ALPHA = 0.01  # chance that any rung of a ladder is taken by a drive that lacks nothing
 HELD_SHARE = 0.3  # of the gain on the fitted logs that held-out ones must show
+MIN_SHARE = 0.3  # % of the driving torque; a smaller effect is of no interest
 MAX_RUNGS = 10
 SHORTLIST = 4  # candidates refitted per rung
 ALIKE = 0.7  # cosine between what two candidates explain, from which they compete
 RIVAL = 0.7  # share of an effect's gain from which another is named beside it
 MORE_COMPLEX = 0.2  # prior odds of a rival that is the less simple one
 NEARLY = 0.85  # a simpler effect with this share of the best one's gain is preferred
+IN_BAND = 0.9  # of the bandwidth; a resonance must lie below
+OVERDAMPED = 0.5  # damping ratio from which there is no resonance to speak of
 STANDS_OUT = 0.3
 EXOTIC_GAIN = 2.0  # times the gain that a plain effect must have, for those from here on in SIMPLE
 FIRST_EXOTIC = "load_dependent_friction"
@@ -211,7 +214,10 @@ def _next_rung(
          for c, new in refits),
         key=lambda t: -t[2],
     )  # fmt: skip
-    trials = _simplest_first([t for t in trials if t[2] >= least_gain(t[0].name)])
+    least = (MIN_SHARE / before.percent) ** 2 if before.percent > 0 else 1.0
+    trials = _simplest_first(
+        [t for t in trials if t[2] >= max(least, least_gain(t[0].name)) and plausible(*t[:2])]
+    )
     for candidate, new, gain in trials:
         after = held_errors(new.state, held_logs, fit_logs, jobs)
         held_gain = 1.0 - (after.percent / held.percent) ** 2 if held.percent > 0 else 0.0
@@ -230,6 +236,23 @@ def least_gain(name: str) -> float:
     """Share of the residual's square that an effect must explain to be named."""
     exotic = name not in SIMPLE or SIMPLE.index(name) >= SIMPLE.index(FIRST_EXOTIC)
     return MIN_GAIN * (EXOTIC_GAIN if exotic else 1.0)
+
+
+def plausible(candidate: Candidate, fit: ChainFit) -> bool:
+    """Whether a refitted effect is what its name says.
+
+    A resonance above the bandwidth is a delay or a filter by another name.
+    """
+    if candidate.name != "shaft_compliance":
+        return True
+    effect = next(e for e in fit.model.effects if e.key == candidate.placed.key)
+    layout, plant = fit.model.layout, fit.model.plant()
+    k = layout.links.index(effect.key if effect.key in layout.links else effect.on)
+    ratio, stiffness = plant.link_values[k, :2]
+    near, far = (plant.inertia[plant.body_coordinate[b]] for b in plant.link_body[k])
+    resonance = np.sqrt(stiffness * (1 / near + ratio**2 / far)) / (2 * np.pi)
+    bandwidth = candidate.bandwidth
+    return bool(resonance < IN_BAND * bandwidth and effect.values["damping_ratio"] < OVERDAMPED)
 
 
 def refit(fit: ChainFit, candidate: Candidate, logs: Balance, jobs: int = 2) -> ChainFit:
@@ -319,7 +342,7 @@ def _probability(gain: float, rivals: Sequence[tuple[float, float]], p_value: fl
     `gain`, and their prior odds.
     """
     odds = sum(
-        prior * ((1.0 - gain) / max(1.0 - gain - more, 1e-9)) ** (0.5 * BLOCKS)
+        prior * ((1.0 - gain) / max(1.0 - gain - more, 1e-9)) ** (0.5 * NEWS)
         for more, prior in rivals
     )
     return float(min(0.99, (1.0 - min(p_value, 1.0)) / (1.0 + odds)))

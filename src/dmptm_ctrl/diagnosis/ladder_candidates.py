@@ -1,6 +1,7 @@
 """What a drive of any shape may lack: every effect at every place, with starting values."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from dmptm_ctrl.diagnosis.ladder_score import Score, Tangent
 from dmptm_ctrl.identify.chain_fit import (
     HARMONIC,
+    ChainFit,
     Scales,
     State,
     absolute,
@@ -16,6 +18,7 @@ from dmptm_ctrl.identify.chain_fit import (
     residuals,
     scales_of,
 )
+from dmptm_ctrl.identify.chain_motion import Motion
 from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_motion
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE, ChainEffect
 from dmptm_ctrl.simulate.chain_compose import engine, kind_of
@@ -49,6 +52,7 @@ class Candidate(NamedTuple):
     score: Score
     tries: int
     zero: dict[str, float] = {}  # noqa: RUF012  (a NamedTuple's default is not changed)
+    bandwidth: float = 0.0  # of the balance [Hz]
 
     @property
     def name(self) -> str:
@@ -192,13 +196,13 @@ def has_friction(model: ChainModel, body: str) -> bool:
     return not body.endswith(FAR) and bool(model.rig.body(body).friction)
 
 
-def _speed(balance: Balance, motion, model: ChainModel, body: str) -> Floats:
+def _speed(balance: Balance, motion: Motion, model: ChainModel, body: str) -> Floats:
     measured, _ = measured_motion(model, balance, motion)
     layout = model.layout
     return layout.ratio[body] * measured[layout.coordinate[body]][1]
 
 
-def _angle(balance: Balance, motion, model: ChainModel, body: str) -> Floats:
+def _angle(balance: Balance, motion: Motion, model: ChainModel, body: str) -> Floats:
     measured, _ = measured_motion(model, balance, motion)
     layout = model.layout
     return layout.ratio[body] * measured[layout.coordinate[body]][0]
@@ -293,7 +297,7 @@ def _amplitudes(
             score = score._replace(gain=0.0)  # friction that drives, a spring that pushes
         if best is not None and score.gain <= best.score.gain:
             continue
-        values, zero = dict(shape), {}
+        values, zero = dict(shape), dict[str, float]()
         if per_log and len(parts) > 1 and chain.name in HARMONIC:
             values_0, zero = _common_phase(pairs, logs, shape.get("order", 1.0))
             values |= dict(zip(names, values_0, strict=True))
@@ -346,8 +350,8 @@ def _cogging(tangent: Tangent, chain: ChainEffect, body: str, slide: bool) -> It
 def _screen_orders(tangent: Tangent, body: str, slide: bool) -> tuple[list[float], int]:
     """Orders at which the residual repeats with the angle, by FFT over the angle."""
     balance, model = tangent.balance, tangent.fit.model
-    power = None
-    orders: Floats = np.zeros(0)
+    power: Floats | None = None
+    orders: NDArray[np.floating] = np.zeros(0)
     spans = [float(np.ptp(_angle(balance, m, model, body))) for m in balance.motions]
     span = max(spans)
     if span <= 0:
@@ -540,14 +544,14 @@ def _finite_structure(tangent: Tangent, tries: list[Placed]) -> Candidate:
         new = first.project(first.stack(moved))
         gain = 1.0 - float(new @ new) / power if power > 0 else 0.0
         if best is None or gain > best.score.gain:
-            best = Candidate(placed, score._replace(gain=gain), len(tries))
+            best = Candidate(
+                placed, score._replace(gain=gain), len(tries), {}, tangent.balance.bandwidth
+            )
     assert best is not None
     return best
 
 
-def _first_equation(tangent: Tangent):
-    from dataclasses import replace
-
+def _first_equation(tangent: Tangent) -> ChainFit:
     fit = tangent.fit
     return replace(
         fit,
@@ -566,5 +570,9 @@ def _backlash(
             continue
         if any(k.name == link and k.half_gap is not None for k in model.rig.links):
             continue
+        seen = {model.layout.coordinate[model.layout.sensor_body[p.name]]
+                for p in tangent.balance.points}  # fmt: skip
+        if 0 not in seen:
+            continue  # through a gap, the driven body's motion does not follow from the other's
         sizes = [s * scales.position for s in (1e-5, 1e-4, 1e-3, 1e-2)]
         yield _finite(tangent, [Placed("backlash", link, {"half_gap": s}) for s in sizes])

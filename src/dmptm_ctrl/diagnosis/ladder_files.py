@@ -120,6 +120,14 @@ def read_chain(path: str | PathLike[str]) -> tuple[ChainModel, dict[str, dict[st
     return chain_from_toml(text, file.name)
 
 
+def is_chain(path: str | PathLike[str]) -> bool:
+    """Whether a model file is of a drive of any shape; False for what cannot be read."""
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8")).get("kind") == KIND
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return False
+
+
 def _numbers(name: str, where: str, table: Any) -> dict[str, float]:
     if not isinstance(table, dict):
         raise LogError(f"{name}: no table [{where}]")

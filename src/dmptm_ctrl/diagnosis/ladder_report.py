@@ -119,8 +119,8 @@ class ChainDiagnosis:
         return "\n".join(lines)
 
     def plot(self, **options: Any) -> Any:
-        """Draw the ladder and the residual before and after; see `ladder_plots`."""
-        from dmptm_ctrl.diagnosis.ladder_plots import plot_ladder
+        """Draw the ladder and the residual before and after; see `ladder_html.plot_ladder`."""
+        from dmptm_ctrl.diagnosis.ladder_html import plot_ladder
 
         return plot_ladder(self, **options)
 
@@ -136,7 +136,7 @@ class ChainDiagnosis:
 
     def save(self, folder: str | PathLike[str]) -> None:
         """Write diagnosis.json, model.toml and report.html, together or not at all."""
-        from dmptm_ctrl.diagnosis.ladder_plots import render_html
+        from dmptm_ctrl.diagnosis.ladder_html import render_html
 
         with output_folder(folder) as out:
             text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)

@@ -13,9 +13,10 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance
 
 Floats = NDArray[np.float64]
 
-BLOCKS = 40  # over all logs; the spread of the score between them is its uncertainty
+BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
 MIN_BLOCKS_PER_LOG = 4
-BLOCK_PERIODS = 20.0  # a block is not shorter than this many periods of the bandwidth
+BLOCK_PERIODS = 10.0  # a block is not shorter than this many periods of the bandwidth
+NEWS = 20.0  # independent pieces of evidence in all blocks, for odds between rival effects
 
 
 class Score(NamedTuple):
@@ -122,25 +123,42 @@ class Tangent:
         statistic, p_value = self._wald(u * self.left[:, None])
         return Score(gain, statistic, p_value, amplitudes, survival, u @ along)
 
+    @cached_property
+    def _sizes(self) -> Floats:
+        """Norm of the residual in each block."""
+        count = int(self.blocks.max()) + 1
+        return np.sqrt(np.bincount(self.blocks, self.left**2, count))
+
     def _wald(self, products: Floats) -> tuple[float, float]:
-        """Wald statistic of block sums against zero, and its p-value."""
+        """Wald statistic of block sums against zero, and its p-value.
+
+        Once with the sums as they are, for what shows in many blocks alike; once relative to
+        the residual in each block, for logs of very different size.
+        """
         count = int(self.blocks.max()) + 1
         sums = np.array(
             [np.bincount(self.blocks, products[:, j], count) for j in range(products.shape[1])]
         ).T
         used = np.bincount(self.blocks, np.abs(products).sum(axis=1), count) > 0
-        sums = sums[used]
-        n, p = sums.shape
-        if n < p + 3:
-            return 0.0, 1.0
-        mean = sums.mean(axis=0)
-        spread = np.atleast_2d(np.cov(sums.T)) / n
-        try:
-            wald = float(mean @ np.linalg.solve(spread, mean))
-        except np.linalg.LinAlgError:
-            return 0.0, 1.0
-        scaled = wald * (n - p) / (p * (n - 1))
-        return wald, float(f_distribution.sf(scaled, p, n - p))
+        plain = _against_zero(sums[used])
+        relative = _against_zero(sums[used] / np.maximum(self._sizes[used, None], 1e-300))
+        best = plain if plain[1] <= relative[1] else relative
+        return best[0], min(1.0, 2.0 * best[1])
+
+
+def _against_zero(sums: Floats) -> tuple[float, float]:
+    """Hotelling's test of the mean of rows against zero."""
+    n, p = sums.shape
+    if n < p + 3:
+        return 0.0, 1.0
+    mean = sums.mean(axis=0)
+    spread = np.atleast_2d(np.cov(sums.T)) / n
+    try:
+        wald = float(mean @ np.linalg.solve(spread, mean))
+    except np.linalg.LinAlgError:
+        return 0.0, 1.0
+    scaled = wald * (n - p) / (p * (n - 1))
+    return wald, float(f_distribution.sf(scaled, p, n - p))
 
 
 def similarity(one: Score, other: Score) -> float:

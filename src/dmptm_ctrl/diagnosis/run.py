@@ -5,8 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.diagnosis.diagnose import diagnose
+from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
+from dmptm_ctrl.diagnosis.ladder_files import is_chain
+from dmptm_ctrl.diagnosis.ladder_predict import predict_chain_file
 from dmptm_ctrl.diagnosis.predict import predict
-from dmptm_ctrl.signals import LogError, load_log, load_logs
+from dmptm_ctrl.signals import load_log, load_logs
 from dmptm_ctrl.simulate.model_file import read_model
 
 SPEED_FORMAT = "%.7g"  # finer than any sensor here
@@ -23,15 +26,15 @@ def diagnose_files(
         Bad input, in one sentence.
     """
     source = paths[0] if len(paths) == 1 else list(paths)
-    if rig is not None:
-        raise LogError(
-            f"{rig.name}: rig files are not read yet; without --rig it is the paper's rig"
-        )
-    return diagnose(load_logs(source), jobs=jobs, seed=seed)
+    if rig is None:
+        return diagnose(load_logs(source), jobs=jobs, seed=seed)
+    return diagnose_chain(source, rig, jobs=jobs, seed=seed)
 
 
 def predict_file(log: Path, model: Path) -> str:
     """Predict a log file with a model file; return the CSV text."""
-    return predict(read_model(model), load_log(log)).to_csv(
-        index=False, float_format=SPEED_FORMAT, lineterminator="\n"
-    )
+    if is_chain(model):
+        table = predict_chain_file(log, model)
+    else:
+        table = predict(read_model(model), load_log(log))
+    return table.to_csv(index=False, float_format=SPEED_FORMAT, lineterminator="\n")

@@ -250,7 +250,8 @@ class Rig:
         if self.data.time is not None:
             column, unit = self.data.time
             mapping[column] = Column("time", unit)
-        for item in (*self.inputs, *self.sensors):
+        items: tuple[Input | Sensor, ...] = (*self.inputs, *self.sensors)
+        for item in items:
             mapping[item.column] = Column(item.channel, item.unit, item.sign)
         if self.controller is not None:
             mapping[self.controller.reference] = Column("reference", self.controller.reference_unit)
@@ -297,16 +298,39 @@ class Rig:
     def _load(self, source: Any, **options: Any) -> Log:
         columns = self.columns()
         need = [c.channel for c in columns.values() if c.channel != "time"]
-        return self._cut(
-            load_log(
-                source,
-                columns,
-                required=need,
-                sample_time=self.data.sample_time,
-                resample=True,
-                **options,
+        options |= {"required": need, "sample_time": self.data.sample_time}
+        try:
+            log = load_log(source, columns, **options)
+        except LogError as first:
+            try:  # a clock that is merely uneven can be mended
+                log = load_log(source, columns, resample=True, **options)
+            except LogError:
+                raise first from None
+        return self._cut(log)
+
+    def read_inputs(self, source: Any) -> Log:
+        """Load one log for a prediction: the sensors' columns may be missing.
+
+        Raises
+        ------
+        LogError
+            As `load_log`.
+        """
+        try:
+            return self._load(source)
+        except LogError:
+            drives = {i.column for i in self.inputs}
+            columns = {
+                k: c for k, c in self.columns().items() if k in drives or c.channel == "time"
+            }
+            return self._cut(
+                load_log(
+                    source,
+                    columns,
+                    required=[i.channel for i in self.inputs],
+                    sample_time=self.data.sample_time,
+                )
             )
-        )
 
     def _checked(self, log: Log) -> Log:
         need = [c.channel for c in self.columns().values() if c.channel != "time"]

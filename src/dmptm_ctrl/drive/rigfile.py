@@ -5,6 +5,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from math import inf, pi
+from os import PathLike
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -63,7 +64,7 @@ _MEASURES = {
 }  # fmt: skip
 
 
-def load_rig(path: str | Path) -> Rig:
+def load_rig(path: str | PathLike[str]) -> Rig:
     """Read a rig file.
 
     Parameters
@@ -125,7 +126,7 @@ class _Reader:
             self._fail("", "", "no [sensor.NAME]: without a measurement there is no diagnosis")
         inputs = tuple(self._input(n, t, by_name) for n, t in tables["input"].items())
         sensors = tuple(self._sensor(n, t, by_name) for n, t in tables["sensor"].items())
-        used = [item.column for item in (*inputs, *sensors)]
+        used = [*(i.column for i in inputs), *(s.column for s in sensors)]
         twice = next((c for c in used if used.count(c) > 1), None)
         if twice is not None:
             self._fail("", "", f"column {twice!r} is used twice; each input and sensor has its own")
@@ -549,6 +550,8 @@ def _line_of(lines: list[str], where: str, key: str) -> int:
             here = header[1].replace('"', "").replace("'", "").replace(" ", "")
             if here == where:
                 table_line = number
+            if not where and key and here.partition(".")[0] == key:
+                return number
             continue
         own = re.match(rf"^\s*[\"']?name[\"']?\s*=\s*[\"']{re.escape(name)}[\"']", line)
         if own and here == where.partition(".")[0] and here:

@@ -92,7 +92,7 @@ def scales_of(balance: Balance) -> Scales:
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) or 1.0
 
     gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in balance.rig.inputs}
-    force = rms([sum(gains[k] * u for k, u in m.u.items()) for m in motions])
+    force = rms([np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in motions])
     return Scales(
         force,
         max(max(float(np.ptp(m.q[point])) for m in motions), 1e-12),

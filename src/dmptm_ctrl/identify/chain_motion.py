@@ -75,6 +75,7 @@ class Motion:
     a: dict[str, Floats]
     bandwidth: float
     angles: frozenset[str]  # bodies whose position is measured, not integrated
+    by_speed: bool = False  # the first point's acceleration is that of a speed sensor
     part: str = ""  # "fit" or "held-out" stretches of the log; "" is all of it
 
     @cached_property
@@ -223,7 +224,7 @@ def prepare(
     dt = log.sample_time
     rate = 1.0 / dt
     cut = min(MOTION_OVER_BALANCE * bandwidth, 0.45 * rate)
-    sos = butter(4, cut, fs=rate, output="sos")
+    sos = butter(6, cut, fs=rate, output="sos")
     q, v, a = {}, {}, {}
     for body, sight in sights.items():
         signal = log[sight.sensor.channel]
@@ -251,6 +252,7 @@ def prepare(
         a,
         bandwidth,
         frozenset(body for body, sight in sights.items() if sight.angle is not None),
+        next(iter(sights.values())).sensor.measures == "speed",
     )
 
 

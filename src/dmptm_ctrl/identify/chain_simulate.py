@@ -25,7 +25,7 @@ def initial(model: ChainModel, log: Log) -> tuple[dict[str, float], dict[str, fl
     reach = kinematic(model)
     position: dict[int, float] = {}
     speed: dict[int, float] = {}
-    for sensor in rig.sensors:
+    for sensor in (s for s in rig.sensors if s.channel in log):
         body = layout.sensor_body[sensor.name]
         group, r = layout.coordinate[body], layout.ratio[body]
         signal = log[sensor.channel]
@@ -84,7 +84,7 @@ def readings(model: ChainModel, log: Log, run: ChainRun) -> dict[str, Floats]:
     found = {}
     for sensor in model.rig.sensors:
         values = run.reading(sensor.name)
-        if sensor.measures == "position":
+        if sensor.measures == "position" and sensor.channel in log:
             values = values - values[0] + log[sensor.channel][0]
         found[sensor.name] = values
     return found

@@ -270,7 +270,7 @@ def _through_spring(
         return tuple(
             (part - lever[there] * far) / lever[here]
             for part, far in ((z, q), (rate, v), (change, a))
-        )  # type: ignore[return-value]
+        )
     return None
 
 
@@ -301,7 +301,7 @@ def _links(
             speed[body] = r * v0 * reach[group] / reach[base_group]
     shared = {layout.coordinate[b]: b for b in given}
     u = np.array([motion.u[name] for name in layout.inputs])
-    everything = len(measured) == layout.count
+    everything = len(measured) == layout.coordinates
     run = march(
         model,
         u,
@@ -323,7 +323,7 @@ def kinematic(model: ChainModel) -> dict[int, float]:
     """Motion of each coordinate per motion of the first, all links untwisted."""
     plant, layout = model.plant(), model.layout
     reach = {0: 1.0}
-    for _ in range(layout.count):
+    for _ in range(layout.coordinates):
         for k in range(len(layout.links)):
             first, second = (layout.bodies[i] for i in plant.link_body[k])
             g1, g2 = layout.coordinate[first], layout.coordinate[second]
@@ -384,9 +384,9 @@ def _friction(
 def effective_input(model: ChainModel, motion: Motion, name: str) -> Floats:
     """Signal of an input as it acts, at the samples, (n,): effects and limit applied.
 
-    The logged signal is held from each sample to the next, so that at a sample it is the mean
-    of two. Dead time and lag are undone on the other side of the balance where there is one
-    input (`_ahead`), and applied here where there are several.
+    The logged signal is held from each sample to the next. Dead time and lag are undone on the
+    other side of the balance where there is one input (`_ahead`), and applied here where there
+    are several.
     """
     loop = engine()
     signal = motion.u[name]
@@ -401,8 +401,21 @@ def effective_input(model: ChainModel, motion: Motion, name: str) -> Floats:
         signal = np.clip(signal, -limit, limit)
     if len(model.layout.inputs) > 1:
         signal = _late(signal, motion.dt, dead, tau)
-    before = np.concatenate(([signal[0]], signal[:-1]))
-    return 0.5 * (before + signal)
+    return _at_samples(signal, HELD_SPEED if motion.by_speed else HELD_POSITION)
+
+
+# A signal held from sample to sample, as the derivative of sampled motion shows it: weights of
+# the two samples around and of the two beyond. A body J gives v(k+1) − v(k) = dt u(k)/J, so that
+# the band-limited derivative of sampled speed is u e^{−jx/2}/sinc(x/2), x = ω dt; of sampled
+# position twice differentiated it is u e^{−jx/2} cos(x/2)/sinc²(x/2). Right to x².
+HELD_SPEED = (7 / 12, -1 / 12)
+HELD_POSITION = (13 / 24, -1 / 24)
+
+
+def _at_samples(signal: Floats, weights: tuple[float, float]) -> Floats:
+    near, far = weights
+    padded = np.concatenate(([signal[0]] * 2, signal, [signal[-1]]))
+    return near * (padded[1:-2] + padded[2:-1]) + far * (padded[:-3] + padded[3:])
 
 
 def _late(signal: Floats, dt: float, dead: float, tau: float) -> Floats:

@@ -32,7 +32,7 @@ class ChainRun:
     def __init__(self, model: ChainModel, time: Floats, u: Floats, out: Floats) -> None:
         self.model, self.time, self.u = model, time, u
         self._out = out
-        self._count = model.layout.count
+        self._count = model.layout.coordinates
 
     def position(self, body: str) -> Floats:
         """Angle [rad] or position [m] of a body, (n,)."""
@@ -119,14 +119,14 @@ def march(
     """
     plant, layout = model.plant(), model.layout
     n = u.shape[1]
-    q0, v0 = np.zeros(layout.count), np.zeros(layout.count)
+    q0, v0 = np.zeros(layout.coordinates), np.zeros(layout.coordinates)
     for start, into in ((position, q0), (speed, v0)):
         for body, value in (start or {}).items():
             into[layout.coordinate[body]] = value / layout.ratio[body]
     motion = _NO_MOTION, _NO_MOTION
     if given:
-        flags = np.zeros(layout.count, np.int64)
-        motion = np.zeros((layout.count, n)), np.zeros((layout.count, n))
+        flags = np.zeros(layout.coordinates, np.int64)
+        motion = np.zeros((layout.coordinates, n)), np.zeros((layout.coordinates, n))
         for body, (q, v) in given.items():
             group = layout.coordinate[body]
             flags[group] = 1
@@ -136,14 +136,15 @@ def march(
     if controller is not None:
         control_row = _control_row(model, controller)
     zeros = np.zeros(n)
-    out = np.empty((n, 2 * layout.count + len(layout.links)))
-    signal = np.array(u, float, order="C")
+    out: Floats = np.empty((n, 2 * layout.coordinates + len(layout.links)))
+    signal = np.array(u, np.float64, order="C")
     engine().march(
         plant, signal, dt, substeps or substeps_for(plant, dt), q0, v0, *motion, control_row,
         zeros if reference is None else np.array(reference, float),
         zeros if added is None else np.array(added, float), out,
     )  # fmt: skip
-    return ChainRun(model, dt * np.arange(n), signal, out)
+    time: Floats = dt * np.arange(n, dtype=np.float64)
+    return ChainRun(model, time, signal, out)
 
 
 def _control_row(model: ChainModel, controller: Controller) -> Floats:
@@ -219,7 +220,7 @@ def linear_chain(model: ChainModel) -> control.StateSpace:
         Inputs: those of the rig. Outputs: its sensors. States: coordinates, speeds, lags.
     """
     plant, layout = model.plant(), model.layout
-    n, inputs = layout.count, len(layout.inputs)
+    n, inputs = layout.coordinates, len(layout.inputs)
     stiffness, damping = _matrices(plant)
     for e in range(plant.friction_place.shape[0]):
         effect = [x for x in model.effects if _site(x.name) == "friction"][e]

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import isfinite
+from math import cos, isfinite, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -147,6 +147,27 @@ class ChainModel:
         """Return the model with values of declared quantities replaced."""
         return replace(self, values={**self.values, **values})
 
+    def shifted(self, zeros: Mapping[str, float]) -> "ChainModel":
+        """Return the model with harmonics of the angle counted from another zero.
+
+        Parameters
+        ----------
+        zeros : mapping of effect key to float
+            Added to the angle [rad or m]; C cos n(θ + z) + S sin n(θ + z).
+        """
+        moved = []
+        for effect in self.effects:
+            angle = effect.values.get("order", 1.0) * zeros.get(effect.key, 0.0)
+            c, s = effect.values.get("cosine", 0.0), effect.values.get("sine", 0.0)
+            if angle and (c or s):
+                turned = {
+                    "cosine": c * cos(angle) + s * sin(angle),
+                    "sine": s * cos(angle) - c * sin(angle),
+                }
+                effect = effect._replace(values={**effect.values, **turned})
+            moved.append(effect)
+        return replace(self, effects=tuple(moved))
+
     @property
     def layout(self) -> "Layout":
         """Names of bodies, coordinates, links and inputs in the order of the plant's arrays."""
@@ -184,7 +205,7 @@ class Layout(NamedTuple):
     input_body: dict[str, str]
 
     @property
-    def count(self) -> int:
+    def coordinates(self) -> int:
         """Number of coordinates."""
         return len(set(self.coordinate.values()))
 
@@ -209,7 +230,7 @@ def _build(model: ChainModel) -> tuple[Plant, Layout]:
         bodies, tuple(j.name for j in soft), tuple(i.name for i in rig.inputs), coordinate, ratio,
         sensor_body, input_body,
     )  # fmt: skip
-    count = layout.count
+    count = layout.coordinates
     masses = np.zeros(count)
     for name in bodies:
         masses[coordinate[name]] += ratio[name] ** 2 * inertia[name]

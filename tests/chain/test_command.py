@@ -1,0 +1,110 @@
+"""`dmptm diagnose --rig` and `dmptm predict` on a small motor bench: files, names, exit codes."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.chain.truth import Bench, Machine
+
+from dmptm_ctrl.cli import main
+
+BENCH = Bench(Machine(fc=0.03, fs=0.03), seconds=5.0)
+
+
+def write(folder, bench=BENCH):
+    logs = folder / "logs"
+    logs.mkdir()
+    for name, columns in bench.logs().items():
+        pd.DataFrame(columns).to_csv(logs / f"{name}.csv", index=False)
+    (folder / "rig.toml").write_text(bench.rig())
+    return logs
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bench")
+    logs = write(folder)
+    code = main(
+        ["diagnose", str(logs), "--rig", str(folder / "rig.toml"), "--out", str(folder / "out")]
+    )
+    assert code == 0
+    return folder
+
+
+def test_diagnosis_names_the_friction(bench):
+    found = json.loads((bench / "out" / "diagnosis.json").read_text())
+    assert found["schema"] == 1
+    assert found["verdict"] == "explained"
+    assert [e["name"] for e in found["effects"]] == ["coulomb_friction"]
+    level = found["effects"][0]["parameters"]["level"]
+    assert level["value"] == pytest.approx(0.03, rel=0.05)
+    assert found["error"]["after"]["rmse"] < 0.5 * found["error"]["before"]["rmse"]
+    step = found["ladder"][0]
+    assert step["held_out"]["after"]["rmse"] < 0.5 * step["held_out"]["before"]["rmse"]
+    assert {row["status"] for row in found["ranking"]} <= {
+        "supported", "rejected", "not testable with these logs",
+    }  # fmt: skip
+    roles = {log["role"] for log in found["provenance"]["logs"]}
+    assert roles == {"fit"}
+    assert "held-out" in found["error"]["on"]
+
+
+def test_report_stands_alone(bench):
+    page = (bench / "out" / "report.html").read_text()
+    assert "coulomb friction" in page
+    assert "<script" not in page
+    assert "http://" not in page
+    assert "https://" not in page
+
+
+def test_prediction_follows_the_log(bench):
+    log = bench / "logs" / "run3_chirp.csv"
+    out = bench / "pred.csv"
+    model = bench / "out" / "model.toml"
+    assert main(["predict", str(log), "--model", str(model), "--out", str(out)]) == 0
+    seen, run = pd.read_csv(log), pd.read_csv(out)
+    assert list(run.columns[:2]) == ["time_s", "w"]
+    assert len(run) == len(seen)
+    error = np.sqrt(np.mean((run.w - seen.w) ** 2))
+    assert error < 0.05 * np.std(seen.w)  # free run, no correction
+
+
+def test_prediction_needs_the_inputs_only(bench):
+    log = bench / "inputs.csv"
+    pd.read_csv(bench / "logs" / "run3_chirp.csv").drop(columns="w").to_csv(log, index=False)
+    out = bench / "bare.csv"
+    assert (
+        main(["predict", str(log), "--model", str(bench / "out/model.toml"), "--out", str(out)])
+        == 0
+    )
+    whole = pd.read_csv(bench / "pred.csv")
+    assert np.abs(pd.read_csv(out).w - whole.w).max() < 0.02 * np.abs(whole.w).max()
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (('column = "w"', 'column = "speed"'), ["'speed'"]),
+        (('unit = "V"', 'unit = "volts per"'), ["rig.toml, line 7", "unit"]),
+        (("[input.drive]", "[inputs.drive]"), ["line 5", "did you mean 'input'"]),
+        (('inertia = "1e-4 kg m^2 ± 40 %"', 'inertia = "1e-4 kg m"'), ["line 3", "kg·m²"]),
+    ],
+)
+def test_bad_rig_file_is_one_line_and_exit_2(bench, tmp_path, capsys, edit, words):
+    text = BENCH.rig()
+    assert edit[0] in text
+    rig = tmp_path / "rig.toml"
+    rig.write_text(text.replace(*edit))
+    out = tmp_path / "out"
+    assert main(["diagnose", str(bench / "logs"), "--rig", str(rig), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    for word in words:
+        assert word in said
+    assert not out.exists()
+
+
+def test_no_rig_file(bench, tmp_path, capsys):
+    assert main(["diagnose", str(bench / "logs"), "--rig", str(tmp_path / "rig.toml")]) == 2
+    assert "no such rig file" in capsys.readouterr().err

@@ -17,6 +17,7 @@ from types import ModuleType
 
 from dmptm_ctrl.contract import SITES, Effect
 from dmptm_ctrl.effects import CATALOGUE, backlash, stribeck
+from dmptm_ctrl.simulate import elementary
 
 # per site: name of the chain, its arguments, neutral result, how one effect changes it
 _CHAINS: dict[str, tuple[str, str, str, str]] = {
@@ -48,6 +49,13 @@ _CHAINS: dict[str, tuple[str, str, str, str]] = {
     "sensor_delay": ("speed_delay", "", "0.0", "r += {call}"),
 }
 _KERNEL_ARGS = {"delay": "0", "lag": "u, side"}  # a delay is the same on both sides
+
+
+# kernels that the loop calls by itself
+_OWN_KERNELS = (
+    *("landing", "mesh_region", "mesh_torque", "region_torque"),
+    *("breakaway_torque", "sliding_torque"),
+)
 
 
 def _slots() -> dict[str, int]:
@@ -102,13 +110,20 @@ def source() -> str:
     start = loop.index("from dmptm_ctrl.simulate.sites import")
     end = loop.index(")\n", start) + 2
     names = "\n".join(
-        f"kernel_{i} = CATALOGUE[{name!r}].kernel\nValues_{i} = CATALOGUE[{name!r}].values"
+        f"kernel_{i} = hosted(CATALOGUE[{name!r}].kernel)\nValues_{i} = CATALOGUE[{name!r}].values"
         for i, name in enumerate(CATALOGUE)
     )
+    own = "\n".join(f"{name} = hosted({name})" for name in _OWN_KERNELS)
     chains = "\n\n\n".join([_flags(), *(_chain(site) for site in SITES)])
-    imports = f"from dmptm_ctrl.effects import CATALOGUE\n\n{names}\n\n\n{chains}\n\n\n"
-    options = 'cache=True, error_model="numpy", nogil=True'
+    imports = (
+        "from dmptm_ctrl.effects import CATALOGUE\n"
+        "from dmptm_ctrl.simulate.elementary import cos, exp, hosted\n\n"
+        f"{own}\n{names}\n\n\n{chains}\n\n\n"
+    )
+    options = 'cache=True, error_model="numpy", nogil=True, fastmath={"contract"}'
     text = loop[:start] + imports + loop[end:]
+    if not elementary.COMPILED:
+        text = text.replace("elementary import cos, exp, hosted", "elementary import hosted")
     for helper in ("held_average", "slide_or_stick", "friction_step", "mesh_step"):
         text = text.replace(
             f"@njit\ndef {helper}(", f"@njit({options}, forceinline=True)\ndef {helper}("
@@ -117,7 +132,7 @@ def source() -> str:
 
 
 def _key(text: str) -> str:
-    parts = [text, inspect.getsource(backlash), inspect.getsource(stribeck)]
+    parts = [text, *(inspect.getsource(m) for m in (backlash, stribeck, elementary))]
     for effect in CATALOGUE.values():
         module = sys.modules.get(effect.kernel.__module__)
         file = getattr(module, "__file__", None)

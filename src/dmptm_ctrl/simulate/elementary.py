@@ -1,0 +1,153 @@
+"""exp, sin and cos as short branch-free code, and kernels that use them.
+
+The library's functions are calls: they stop a loop from being vectorised over lanes and cost
+as much as the rest of a kernel. These are the textbook reductions (Cody & Waite, Software
+Manual for the Elementary Functions, 1980) with Taylor polynomials on the reduced interval;
+a test holds them to a few units in the last place. The physics stays as it is written:
+:func:`hosted` compiles the same kernel with other names for exp, sin and cos.
+"""
+
+import math
+from collections.abc import Callable
+from functools import cache
+from types import FunctionType
+from typing import Any
+
+from numba import njit, types
+from numba.core.dispatcher import Dispatcher
+from numba.extending import intrinsic
+
+OPTIONS: dict[str, Any] = {
+    "error_model": "numpy",
+    "nogil": True,
+    "forceinline": True,
+    "fastmath": {"contract"},  # a·b + c rounded once, where the CPU does that
+}
+
+_ROUND = 1.5 * 2.0**52  # adding it rounds to a whole number, in the low bits of the sum
+_LOG2_E = 1.4426950408889634
+_LN2_HIGH = 0.6931471803691238  # 33 bits of ln 2: its multiples up to 2^20 are exact
+_LN2_LOW = 1.9082149292705877e-10
+_LEAST, _MOST = -708.0, 709.0  # beyond, a double under- or overflows
+_ONE_BITS = 1023 << 52
+
+_TWO_OVER_PI = 0.6366197723675814
+_QUARTER_1 = 1.5707963109016418  # π/2 in parts of 25, 29 and 53 bits
+_QUARTER_2 = 1.5893254712295857e-08
+_QUARTER_3 = 6.123233995736766e-17
+
+
+def _bits(typingctx, x):
+    """Bits of a double as an integer."""
+
+    def codegen(context, builder, signature, args):
+        return builder.bitcast(args[0], context.get_value_type(types.int64))
+
+    return types.int64(types.float64), codegen
+
+
+def _double(typingctx, bits):
+    """Double of the given bits."""
+
+    def codegen(context, builder, signature, args):
+        return builder.bitcast(args[0], context.get_value_type(types.float64))
+
+    return types.float64(types.int64), codegen
+
+
+# numba passes the typing context by itself
+bits: Callable[[float], int] = intrinsic(_bits)  # type: ignore[assignment]
+double: Callable[[int], float] = intrinsic(_double)  # type: ignore[assignment]
+
+
+@njit(**OPTIONS)
+def exp(x):
+    """Exponential; held at its value for −708 and 709 beyond, so never subnormal or infinite."""
+    if x < _LEAST:
+        x = _LEAST
+    if x > _MOST:
+        x = _MOST
+    shifted = x * _LOG2_E + _ROUND
+    whole = shifted - _ROUND
+    r = (x - whole * _LN2_HIGH) - whole * _LN2_LOW
+    r2 = r * r
+    r4 = r2 * r2
+    low = r + r2 * (0.5 + r * (1.0 / 6.0))
+    middle = (1.0 / 24.0 + r * (1.0 / 120.0)) + r2 * (1.0 / 720.0 + r * (1.0 / 5040.0))
+    high = (1.0 / 40320.0 + r * (1.0 / 362880.0)) + r2 * (1.0 / 3628800.0 + r * (1.0 / 39916800.0))
+    beyond_1 = low + r4 * (middle + r4 * (high + r4 * (1.0 / 479001600.0)))
+    power = double((bits(shifted) << 52) + _ONE_BITS)
+    return power + power * beyond_1
+
+
+@njit(**OPTIONS)
+def _quarters(x):
+    """Quarter turns in x, as bits, and what is left of it."""
+    shifted = x * _TWO_OVER_PI + _ROUND
+    whole = shifted - _ROUND
+    r = ((x - whole * _QUARTER_1) - whole * _QUARTER_2) - whole * _QUARTER_3
+    return bits(shifted), r
+
+
+@njit(**OPTIONS)
+def _sine(r):
+    r2 = r * r
+    r4 = r2 * r2
+    low = -1.0 / 6.0 + r2 * (1.0 / 120.0)
+    middle = -1.0 / 5040.0 + r2 * (1.0 / 362880.0)
+    high = -1.0 / 39916800.0 + r2 * (1.0 / 6227020800.0)
+    return r + r * r2 * (low + r4 * (middle + r4 * (high - r4 * (1.0 / 1307674368000.0))))
+
+
+@njit(**OPTIONS)
+def _cosine(r):
+    r2 = r * r
+    r4 = r2 * r2
+    low = -0.5 + r2 * (1.0 / 24.0)
+    middle = -1.0 / 720.0 + r2 * (1.0 / 40320.0)
+    high = -1.0 / 3628800.0 + r2 * (1.0 / 479001600.0)
+    top = -1.0 / 87178291200.0 + r2 * (1.0 / 20922789888000.0)
+    return 1.0 + r2 * (low + r4 * (middle + r4 * (high + r4 * top)))
+
+
+@njit(**OPTIONS)
+def sin(x):
+    """Sine, good to rounding of x up to 10^8 rad."""
+    quarters, r = _quarters(x)
+    value = _cosine(r) if quarters & 1 else _sine(r)
+    return -value if quarters & 2 else value
+
+
+@njit(**OPTIONS)
+def cos(x):
+    """Cosine, good to rounding of x up to 10^8 rad."""
+    quarters, r = _quarters(x)
+    value = _sine(r) if quarters & 1 else _cosine(r)
+    return -value if (quarters + 1) & 2 else value
+
+
+COMPILED = isinstance(exp, Dispatcher)  # false where numba is switched off
+_INSTEAD: dict[Any, Any] = {math.exp: exp, math.sin: sin, math.cos: cos}
+
+
+@cache
+def hosted(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a kernel compiled inline with this module's exp, sin and cos.
+
+    Kernels that it calls are treated alike. A kernel that is not numba's, or numba switched
+    off, gives the kernel itself.
+    """
+    if not isinstance(kernel, Dispatcher):
+        return kernel
+    function = kernel.py_func
+    names = dict(function.__globals__)
+    for name in function.__code__.co_names:
+        found = names.get(name)
+        if isinstance(found, Dispatcher):
+            names[name] = hosted(found)
+        elif callable(found) and found in _INSTEAD:
+            names[name] = _INSTEAD[found]
+    copy = FunctionType(
+        function.__code__, names, function.__name__, function.__defaults__, function.__closure__
+    )
+    return njit(**OPTIONS)(copy)

@@ -21,10 +21,13 @@ from dmptm_ctrl.simulate.model import Floats, Model
 BANDWIDTH_HZ = 30.0
 ORDER = 4
 BLOCK = 10  # samples of 1 ms; the fit sees means over 10 ms
-STEP = 0.05  # of a declared range: beyond the roughness that rattle gives
+STEP = 0.05  # of half a declared range: beyond the roughness that rattle gives
+STEP_OF_VALUE = 0.1  # at most, where the range is wide
 PRIOR = 0.6  # standard deviation of a uniform range, as a share of its half-width
 SPEED_ERROR = np.deg2rad(0.3)  # rad/s of a block: what even the true rig differs by
 ITERATIONS = 12
+STARTS = 2
+INSIDE = 0.999  # of half a range: where a start may lie
 
 # experiment → log, printed name, printed r of existing and proposed model [%]
 EXPERIMENTS: Mapping[str, tuple[str, str, float, float]] = {
@@ -92,23 +95,40 @@ def speed_on(model: Model, log: Log, loop: Loop) -> Floats:
     return march(model.arrays(), u, x0, dt)[:, 1]
 
 
-def fit_to_logs(drive: Drive, logs: Sequence[Log], loop: Loop) -> Drive:
+def misfit(drive: Drive, logs: Sequence[Log], loop: Loop) -> float:
+    """Mean square of the misses of 10 ms means, in :data:`SPEED_ERROR`, every log alike."""
+    model, squares = Model(drive), []
+    for log in logs:
+        miss = _blocks(log["omega_L"]) - _blocks(speed_on(model, log, loop))
+        squares.append(np.mean((miss / SPEED_ERROR) ** 2))
+    return float(np.mean(squares))
+
+
+def fit_to_logs(
+    drive: Drive, logs: Sequence[Log], loop: Loop, *, starts: int = STARTS, seed: int = 0
+) -> Drive:
     """Fit all free parameters of a drive to the speeds of logs, inside their ranges.
 
     The same for every model, so that none is favoured: least squares on 10 ms means, every
-    log with the same weight, a weak pull to the middle of the declared ranges.
+    log with the same weight, a weak pull to the middle of the declared ranges, the best of
+    several starts.
 
     Parameters
     ----------
     drive : Drive
-        Declares which parameters are free and their ranges.
+        Declares which parameters are free and their ranges; its values are the first start.
     logs : sequence of Log
     loop : Loop
         Of the closed-loop logs.
+    starts : int
+        The others are scattered over the ranges.
+    seed : int
+        Of the scatter.
     """
     names = drive.free
-    ranges = np.array([drive.quantities[n].range for n in names])
-    middle, half = ranges.mean(axis=1), 0.5 * np.diff(ranges, axis=1)[:, 0]
+    low, high = np.array([drive.quantities[n].range for n in names]).T
+    declared = np.array([drive[n] for n in names])
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
     measured = [_blocks(log["omega_L"]) for log in logs]
 
     def place(p: Floats) -> Drive:
@@ -122,29 +142,44 @@ def fit_to_logs(drive: Drive, logs: Sequence[Log], loop: Loop) -> Drive:
             parts.append(miss * np.sqrt(100.0 / seen.size))  # a log counts as 100 news
         return np.concatenate(parts)
 
-    start = np.clip(
-        [(drive[n] - m) / h for n, m, h in zip(names, middle, half, strict=True)], -1, 1
-    )
-    return place(_gauss_newton(residual, start))
+    def steps(p: Floats) -> Floats:
+        # Small beside the value too: a range from 0 to 2000 says nothing of the scale.
+        by_value = STEP_OF_VALUE * np.abs(middle + half * p) / half
+        return np.clip(by_value, 1e-3 * STEP, STEP)
+
+    rng = np.random.default_rng(seed)
+    wide = half > np.abs(declared)
+    found = []
+    for i in range(starts):
+        start = declared
+        if i > 0:
+            start = np.where(
+                wide,
+                declared * np.exp(rng.normal(size=low.size)),
+                rng.uniform(low, high),
+            )
+        p = np.clip((start - middle) / half, -INSIDE, INSIDE)
+        found.append(_gauss_newton(residual, p, steps))
+    return place(min(found, key=lambda fit: fit[0])[1])
 
 
-def _gauss_newton(residual: Callable[[Floats], Floats], p: Floats) -> Floats:
-    """Bounded Gauss–Newton with difference steps that rattle does not blur."""
+def _gauss_newton(
+    residual: Callable[[Floats], Floats], p: Floats, steps: Callable[[Floats], Floats]
+) -> tuple[float, Floats]:
+    """Bounded Gauss–Newton with difference steps that rattle does not blur: cost and place."""
 
     def jacobian(p: Floats) -> Floats:
-        here = residual(p)
-        columns = []
-        for j in range(p.size):
+        here, columns = residual(p), []
+        for j, step in enumerate(steps(p)):
             q = p.copy()
-            q[j] += STEP if p[j] < 0.0 else -STEP
+            q[j] += step if p[j] < 0.0 else -step
             columns.append((residual(q) - here) / (q[j] - p[j]))
         return np.array(columns).T
 
-    inside = np.clip(p, -0.999, 0.999)
     fit = least_squares(
-        residual, inside, jac=jacobian, bounds=(-1.0, 1.0), max_nfev=ITERATIONS, ftol=1e-3
+        residual, p, jac=jacobian, bounds=(-1.0, 1.0), max_nfev=ITERATIONS, ftol=1e-3
     )
-    return np.asarray(fit.x)
+    return float(fit.cost), np.asarray(fit.x)
 
 
 def _blocks(signal: Floats) -> Floats:

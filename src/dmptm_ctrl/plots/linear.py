@@ -77,7 +77,7 @@ def step_compare(
     unit: str = "",
     scale: float = 1.0,
     title: str = "",
-) -> Axes:
+) -> ct.ControlPlot:
     """Draw step responses of SISO systems in one plot.
 
     Parameters
@@ -89,22 +89,35 @@ def step_compare(
     ax : Axes, optional
     unit : str
         Of the output after multiplication by `scale`, with its name.
+
+    Returns
+    -------
+    ControlPlot
     """
-    panel = axes(ax, 1, figsize=(6.5, 3.4))[0, 0]
+    panel = axes(ax, 1, figsize=(6.5, 3.4))
     time = np.linspace(0.0, duration, 4000)
+    plot = None
     for (label, system), style in zip(systems.items(), _cycle(len(systems)), strict=True):
         response = ct.step_response(system, time)
-        panel.plot(time, scale * height * response.outputs, label=label, **style)
-    panel.set(xlabel="time [s]", ylabel=unit, title=title, xlim=(0.0, duration))
-    panel.grid(alpha=0.3)
-    panel.legend(fontsize=8)
-    return panel
+        shown = ct.TimeResponseData(
+            time,
+            scale * height * response.outputs,
+            issiso=True,
+            output_labels=[unit],
+            plot_inputs=False,
+        )
+        plot = shown.plot(ax=panel, label=label, title="", **style)
+    panel[0, 0].set(xlabel="time [s]", ylabel=unit, title=title, xlim=(0.0, duration))
+    panel[0, 0].grid(alpha=0.3)
+    _legend(panel[0, 0], systems)
+    return plot
 
 
 def response_plot(
     responses: Mapping[str, tuple[ct.FrequencyResponseData, ArrayLike]],
     *,
     reference: Mapping[str, Any] | None = None,
+    styles: Mapping[str, Mapping[str, Any]] | None = None,
     ax: Any = None,
     dB: bool = True,
     title: str = "",
@@ -117,6 +130,7 @@ def response_plot(
         Such as a ``FrequencyResponse``.
     reference : mapping of str to system, optional
         Linear systems to draw beside them, without coherence.
+    styles : mapping of str to line properties, optional
     ax : (3,) array of Axes, optional
     dB : bool
 
@@ -131,10 +145,11 @@ def response_plot(
     lines: dict[str, Any] = {**responses, **(reference or {})}
     reach = np.concatenate([np.asarray(r[0].omega) for r in responses.values()])
     for (label, item), style in zip(lines.items(), _cycle(len(lines)), strict=True):
+        style = {**style, **(styles or {}).get(label, {})}
         if label in responses:
             data, coherence = item
             omega, values = np.asarray(data.omega), np.asarray(data.frdata[0, 0])
-            style = {**style, "marker": "o", "markersize": 3}
+            style = {"marker": "o", "markersize": 3, **style}
             coherent.plot(omega / (2 * np.pi), coherence, **style)
         else:
             omega = np.geomspace(reach.min(), reach.max(), 1000)
@@ -151,6 +166,7 @@ def response_plot(
         magnitude.set_yscale("log")
     for panel in panels.ravel():
         panel.grid(alpha=0.3, which="both")
+        panel.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     magnitude.legend(fontsize=8)
     return panels.ravel()
 
@@ -199,4 +215,4 @@ def _legend(panel: Axes, systems: Mapping[str, Any]) -> None:
         Line2D([], [], label=label, **style)
         for label, style in zip(systems, _cycle(len(systems)), strict=True)
     ]
-    panel.legend(handles=handles, fontsize=8)
+    panel.legend(handles=handles, fontsize=8, loc="best" if panel.get_xscale() == "linear" else 3)

@@ -11,6 +11,8 @@ from dmptm_ctrl.plots.style import STYLES, axes
 from dmptm_ctrl.simulate.mesh_path import MeshPath
 
 Floats = NDArray[np.float64]
+FLOOR = 1e-5  # N·m, where the axis of a difference begins
+DECADES = (0.1, 1.0, 10.0, 100.0)  # deg/s, ticks of a friction curve
 
 
 def experiment_plot(
@@ -31,7 +33,7 @@ def experiment_plot(
     speeds : mapping of str to (n,) array [rad/s]
         "proposed" and "existing" have their own lines.
     scores : mapping of str to (r, FIT [%], RMSE [rad/s]), optional
-        For the legend.
+        For the legend, which stands beside the plot.
     ax : Axes, optional
     """
     panel = axes(ax, 1, figsize=(6.5, 3.0))[0, 0]
@@ -40,13 +42,12 @@ def experiment_plot(
         label = name
         if scores is not None:
             _, fit, rmse = scores[name]
-            label = f"{name}: FIT {fit:.1f} %, RMSE {np.degrees(rmse):.2f} °/s"
+            label = f"{name}\nFIT {fit:.1f} %\nRMSE {np.degrees(rmse):.2f} °/s"
         panel.plot(time, np.degrees(speed), label=label, **STYLES.get(name, STYLES["other"]))
     panel.set(xlabel="time [s]", ylabel="speed [deg/s]", title=title)
     panel.set_xlim(time[0], time[-1])
-    panel.margins(y=0.25)
     panel.grid(alpha=0.3)
-    panel.legend(fontsize=7, ncols=3, loc="upper center")
+    panel.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     return panel
 
 
@@ -77,8 +78,9 @@ def mesh_path_plot(
         middle.plot(ms, path.memoryless, label="Eq. 21, exponent put right", **STYLES["existing"])
         middle.set(ylabel="mesh torque [N·m]")
         middle.margins(y=0.3)
-        bottom.plot(ms, path.memoryless - path.two_state, **STYLES["other"])
-        bottom.set(xlabel="time [ms]", ylabel="difference [N·m]")
+        gap = np.abs(path.memoryless - path.two_state)
+        bottom.semilogy(ms, np.maximum(gap, FLOOR), **{**STYLES["other"], "linestyle": "-"})
+        bottom.set(xlabel="time [ms]", ylabel="|difference| [N·m]", ylim=(FLOOR, 10.0))
         for panel in (top, middle, bottom):
             panel.grid(alpha=0.3)
         for panel in (top, middle):
@@ -123,7 +125,12 @@ def friction_plot(
     )
     panel.axhline(0.0, color="0.7", linewidth=0.8)
     panel.set(xlabel="speed [deg/s]", ylabel="friction torque [N·m]", title=title)
-    panel.set_xscale("symlog", linthresh=float(np.degrees(np.abs(speed).min())))
+    slowest = float(np.degrees(np.abs(speed).min()))
+    panel.set_xscale("symlog", linthresh=slowest, linscale=0.3)
+    ticks = [x for x in DECADES if slowest <= x <= np.degrees(np.abs(speed).max())]
+    ticks = [-x for x in reversed(ticks)] + [0.0, *ticks]
+    panel.set_xticks(ticks, [f"{x:g}" for x in ticks])
+    panel.minorticks_off()
     panel.grid(alpha=0.3)
     panel.legend(fontsize=8)
     return panel

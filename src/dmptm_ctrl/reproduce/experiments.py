@@ -1,13 +1,21 @@
 """Section 4.3: the eight experiments and the frequency responses, Figs 16 to 19, Tables 3, 4."""
 
+from collections.abc import Mapping
+
 import matplotlib.pyplot as plt
 import numpy as np
 
-from dmptm_ctrl.identify.experiments_validation import EXPERIMENTS, Trial
-from dmptm_ctrl.identify.frequency_response import FrequencyResponse, multisine, stepped_sine
+from dmptm_ctrl.identify.experiments_validation import EXPERIMENTS, Trial, speed_on
+from dmptm_ctrl.identify.frequency_response import (
+    FrequencyResponse,
+    from_log,
+    multisine,
+    stepped_sine,
+)
 from dmptm_ctrl.identify.loop_resonance import resonant_gains
 from dmptm_ctrl.plots.linear import response_plot
 from dmptm_ctrl.plots.paper import experiment_plot
+from dmptm_ctrl.plots.style import STYLES
 from dmptm_ctrl.reproduce.items import (
     DEG,
     PAPER_AMPLITUDES,
@@ -20,11 +28,15 @@ from dmptm_ctrl.reproduce.items import (
     Table,
     figure_of,
 )
+from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import Loop
 from dmptm_ctrl.simulate.model import Model
 
 HZ = np.geomspace(0.5, 15.0, 20)
 CLOSED_HZ = np.geomspace(1.0, 20.0, 22)
+RIG_LINES = (0.7, 1.3, 2.9, 5.3, 8.9, 13.7, 21.1, 37.0, 61.0, 95.0)  # Hz, of its multisine log
+SEGMENT = 10.0 / 3.0  # s
+RIG_STYLES = {"rig": "measured", "proposed": "proposed", "existing": "existing"}
 KP_FAMILY = (0.05, 0.08, 0.12)  # V/(deg/s)
 FRESH = "Models are fitted on the other half of the experiments; speeds below 30 Hz."
 
@@ -76,9 +88,24 @@ def _tables(table: str, loop: str, trials: list[Trial]) -> Table:
         f"({worst.experiment[1]}) the existing model has r = {r:.1f} % while its error is "
         f"{miss:.0f} % of the signal's own variation. {FRESH}"
     )
+    printed = [EXPERIMENTS[t.experiment][2:] for t in trials]
     return Table(
-        f"table_{table}", f"Table {table}, redone", header, rows, caption, f"Table {table}"
+        f"table_{table}",
+        f"Table {table}, redone",
+        header,
+        rows,
+        caption,
+        f"Table {table}",
+        "r " + _span([p[0] for p in printed]) + " → " + _span([p[1] for p in printed]),
+        "r "
+        + _span([100 * t.scores["existing"].pearson_r for t in trials])
+        + " → "
+        + _span([100 * t.scores["proposed"].pearson_r for t in trials]),
     )
+
+
+def _span(values: list[float]) -> str:
+    return f"{min(values):.2f}…{max(values):.2f} %"
 
 
 def open_responses(context: Context) -> list[Item]:
@@ -93,8 +120,16 @@ def open_responses(context: Context) -> list[Item]:
         "amplitude; the existing one has nothing of the kind but its gaps."
     )
     items.append(
-        _response("response_open", "Frequency responses, open loop", lines, caption, "Fig. 17")
+        _response(
+            "response_open",
+            "Frequency responses, open loop",
+            lines,
+            caption,
+            "Fig. 17",
+            styles=_amplitude_styles(list(lines)),
+        )
     )
+    items.append(_from_the_rig(context))
     model = context.fitted["proposed"]
     both = {
         "stepped sine, 0.75 V": stepped_sine(model, HZ, 0.75),
@@ -106,6 +141,27 @@ def open_responses(context: Context) -> list[Item]:
     )
     items.append(_response("response_methods", "Stepped sine and multisine", both, caption))
     return items
+
+
+def _from_the_rig(context: Context) -> Picture:
+    """Frequency response of the independent rig from its log, and of the models on its voltages."""
+    log = context.campaign["open_multisine_preload"]
+    speeds = {"rig": log["omega_L"]}
+    speeds |= {name: speed_on(model, log, RIG_LOOP) for name, model in context.fitted.items()}
+    lines = {}
+    for name, speed in speeds.items():
+        run = Log(name, log.time, {**log.channels, "omega_L": speed})
+        lines[name] = from_log(
+            run, ("u_left", "u_right"), "omega_L", segment=SEGMENT, lines=RIG_LINES
+        )
+    styles = {name: STYLES[look] for name, look in RIG_STYLES.items()}
+    caption = (
+        "Averaged spectra of the rig's multisine log under ±0.15 V preload, and of both models on "
+        "the same voltages, with coherence: what friction and gaps make of the other lines' motion "
+        "lowers it. This log is in both fits."
+    )
+    name, title = "response_log", "Frequency response from a log"
+    return _response(name, title, lines, caption, "Fig. 17", styles=styles)
 
 
 def closed_responses(context: Context) -> list[Item]:
@@ -152,13 +208,45 @@ def closed_responses(context: Context) -> list[Item]:
             rows,
             caption,
             "section 4.3.4",
+            "5.5 Hz",
+            f"{gains.hz:.2f} Hz: kp = {gains.kp * DEG:g} V s/deg, ki = {gains.ki * DEG:.3g} V/deg",
         ),
-        _response("response_closed", "Frequency responses, closed loop", lines, figure, "Fig. 19"),
+        _response(
+            "response_closed",
+            "Frequency responses, closed loop",
+            lines,
+            figure,
+            "Fig. 19",
+            styles=_amplitude_styles(list(lines)),
+        ),
     ]
 
 
+def _amplitude_styles(labels: list[str]) -> dict[str, dict[str, object]]:
+    """One colour per model; the larger amplitude of each has filled marks and a full line."""
+    styles = {}
+    for i, label in enumerate(labels):
+        large = i % 2 == 1
+        colour = STYLES[label.split(",")[0]]["color"]
+        styles[label] = {
+            "color": colour,
+            "linestyle": "-" if large else "--",
+            "linewidth": 1.2,
+            "marker": "o" if label.startswith("proposed") else "s",
+            "markersize": 3.5,
+            "markerfacecolor": colour if large else "white",
+        }
+    return styles
+
+
 def _response(
-    name: str, title: str, lines: dict[str, FrequencyResponse], caption: str, paper: str = ""
+    name: str,
+    title: str,
+    lines: dict[str, FrequencyResponse],
+    caption: str,
+    paper: str = "",
+    styles: Mapping[str, Mapping[str, object]] | None = None,
 ) -> Picture:
-    panels = response_plot({label: (r.response, r.coherence) for label, r in lines.items()})
+    responses = {label: (r.response, r.coherence) for label, r in lines.items()}
+    panels = response_plot(responses, styles=styles)
     return Picture(name, title, figure_of(panels[0]), caption, paper)

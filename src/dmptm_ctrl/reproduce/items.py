@@ -25,17 +25,19 @@ PAPER_VOLTS = (0.6, 0.75)  # V, Fig. 16 and 17
 
 
 class Picture(NamedTuple):
-    """A figure, its place in the paper if it has one, and how to read it."""
+    """A figure, how to read it, and what the paper has in its place."""
 
     name: str
     title: str
     figure: Figure
     caption: str
-    paper: str = ""
+    paper: str = ""  # its item
+    printed: str = ""  # its number, if it prints one
+    here: str = ""  # ours beside it
 
 
 class Table(NamedTuple):
-    """A table of text, its place in the paper if it has one, and how to read it."""
+    """A table of text, how to read it, and what the paper has in its place."""
 
     name: str
     title: str
@@ -43,6 +45,8 @@ class Table(NamedTuple):
     rows: Sequence[tuple[str, ...]]
     caption: str
     paper: str = ""
+    printed: str = ""
+    here: str = ""
 
 
 Item = Picture | Table

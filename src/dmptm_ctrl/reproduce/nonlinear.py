@@ -59,6 +59,8 @@ def two_laws(context: Context) -> list[Item]:
             figure_of(panels[0, 0]),
             caption,
             "Eq. 21",
+            "exponent (z + b)/(ż + k)",
+            f"apart by {worst[0]:.1g} N·m at most with the declared c",
         )
     ]
 
@@ -104,8 +106,18 @@ def parameters(context: Context) -> list[Item]:
         "(tests/identify/test_experiments.py)."
     )
     header = ("experiment", "parameter", "found ± se", "unit", "true")
+    gaps = [steady.estimates[n].value / DEG * 60 for n in ("gap_l", "gap_r")]
     return [
-        Table("parameters", "Parameters from experiments", header, rows, caption, "section 4.2"),
+        Table(
+            "parameters",
+            "Parameters from experiments",
+            header,
+            rows,
+            caption,
+            "section 4.2, Tables 1, 2",
+            "Δ1 = 14′, Δ2 = 10′, …",
+            f"{gaps[0]:.2f}′, {gaps[1]:.2f}′, …: column “true” is the paper's",
+        ),
         *pictures,
     ]
 
@@ -166,13 +178,17 @@ def tuning(context: Context) -> list[Item]:
             )
             if speed == 10.0 and margin == 60.0:
                 runs[f"{hz:g} Hz, {margin:g}°"] = check
-    panel = axes(None, 1, figsize=(6.5, 3.6))[0, 0]
+    panels = axes(None, 2, figsize=(6.5, 5.0), sharex=True)[:, 0]
     for (label, check), style in zip(runs.items(), SEQUENCE, strict=False):
-        panel.plot(check.time, check.omega_L / DEG, label=label, **{**style, "linewidth": 1.0})
-    panel.set(xlabel="time [s]", ylabel="speed [deg/s]", xlim=(0, 1.5), ylim=(-2, 22))
-    panel.set_title("Setpoint step of 10 deg/s on the nonlinear drive")
-    panel.grid(alpha=0.3)
-    panel.legend(fontsize=8)
+        cycles = check.limit_cycle_amplitude > 0.0
+        look = {**style, "linewidth": 0.6 if cycles else 1.2, "linestyle": "-"}
+        panels[int(cycles)].plot(check.time, check.omega_L / DEG, label=label, **look)
+    for panel in panels:
+        panel.set(ylabel="speed [deg/s]", xlim=(0, 1.5))
+        panel.grid(alpha=0.3)
+        panel.legend(fontsize=8, loc="lower right")
+    panels[0].set_title("Setpoint step of 10 deg/s on the nonlinear drive")
+    panels[1].set_xlabel("time [s]")
     header = (
         *("aim", "kp [V s/deg]", "ki [V/deg]", "gain margin [dB]", "step [deg/s]"),
         *("overshoot [%]", "settling [s]", "limit cycle"),
@@ -182,6 +198,6 @@ def tuning(context: Context) -> list[Item]:
         "from flank to flank and never settles."
     )
     return [
-        Table("tuning", "PI tuning", header, rows, caption),
-        Picture("tuning_steps", "The same as steps", figure_of(panel), caption),
+        Table("tuning", "PI tuning", header, rows, caption, here="limit cycle found at 20 Hz, 60°"),
+        Picture("tuning_steps", "The same as steps", figure_of(panels[0]), caption),
     ]

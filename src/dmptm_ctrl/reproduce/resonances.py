@@ -74,10 +74,12 @@ def resonance_items(drive: Drive | None = None, **overrides: float) -> list[Item
             "(the default), or is that itself."
         )
         paper = "Eqs. 19, 20" if reading == "beside" else ""
-        items.append(_modes_table(f"modes_3dof_{reading}", title, modes, caption, paper))
+        table = _modes_table(f"modes_3dof_{reading}", title, modes, caption, paper)
+        items.append(table._replace(here=_frequencies(modes)))
     three = solve_modes(three_dof_train(drive))
     nine = solve_modes(nine_dof_train(drive, **overrides))
-    items.append(_modes_table("modes_9dof", "9-DOF", nine, OURS, ""))
+    table = _modes_table("modes_9dof", "9-DOF", nine, OURS, "")
+    items.append(table._replace(here=_frequencies(nine)))
     every: dict[str, Any] = {"dof": 9, **overrides}
     changes = {3: sensitivities(drive), 9: sensitivities(drive, **every)}
     for dof, modes in ((3, three), (9, nine)):
@@ -103,6 +105,10 @@ def resonance_items(drive: Drive | None = None, **overrides: float) -> list[Item
         ),
     ]
     return items
+
+
+def _frequencies(modes: Modes) -> str:
+    return ", ".join(f"{hz:.1f}" for hz in modes.hz[1:]) + " Hz"
 
 
 def _modes_table(name: str, title: str, modes: Modes, caption: str, paper: str) -> Table:

@@ -30,7 +30,9 @@ SECTIONS: tuple[tuple[str, Callable[[Context], list[Item]]], ...] = (
 )
 
 
-def reproduce(out: str | PathLike[str], *, quiet: bool = False) -> Path:
+def reproduce(
+    out: str | PathLike[str], *, quiet: bool = False, context: Context | None = None
+) -> Path:
     """Write every figure and table to a folder, and ``index.html`` that shows them.
 
     Parameters
@@ -39,6 +41,8 @@ def reproduce(out: str | PathLike[str], *, quiet: bool = False) -> Path:
         Appears whole at the end, or not at all.
     quiet : bool
         No progress bar.
+    context : Context, optional
+        Shared results, to look at afterwards.
 
     Returns
     -------
@@ -60,7 +64,8 @@ def reproduce(out: str | PathLike[str], *, quiet: bool = False) -> Path:
         def say(text: str) -> None:
             progress.update(bar, description=f"{current}: {text}")
 
-        context = Context(say)
+        context = Context() if context is None else context
+        context.say = say
         made: list[tuple[str, list[Item]]] = []
         for current, build in SECTIONS:
             progress.update(bar, description=current)

@@ -78,7 +78,7 @@ def existing(campaign):
 
 
 def test_existing_model_is_at_its_best(existing):
-    """No viscous friction, inertia or gap of the baseline can be moved to fit 4 % better: rattle is that rough."""
+    """No parameter of the baseline can be moved to fit 4 % better; rattle makes it that rough."""
     logs, fitted = existing
     best = misfit(fitted, logs, RIG_LOOP)
     for name in fitted.free:

@@ -1,6 +1,8 @@
 """Each row of ERRATA: what goes wrong with the printed form, and not with the corrected one."""
 
+import re
 from math import exp, pi, sin, sqrt
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,6 +43,20 @@ TESTED = {
 def test_every_erratum_has_its_test():
     assert set(TESTED) == set(ERRATA)
     assert all(name in globals() for name in TESTED.values())
+
+
+def test_page_has_every_row_and_names_tests_that_exist():
+    """docs/errata.md: the rows of ERRATA word for word, each with the file and name of a test."""
+    root = Path(__file__).parents[2]
+    lines = (root / "docs" / "errata.md").read_text(encoding="utf-8").splitlines()
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines if line[:2] == "| "]
+    shown = {tuple(row[:3]): row[4] for row in rows[1:]}
+    assert set(shown) == {(e.where, e.printed, e.corrected) for e in ERRATA.values()}
+    for key, erratum in ERRATA.items():
+        tests = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", shown[erratum[:3]])
+        assert tests[0][1] == TESTED[key]
+        for file, name in tests:
+            assert f"def {name}(" in (root / file).read_text(encoding="utf-8"), (file, name)
 
 
 def test_reduced_inertia():

@@ -7,6 +7,7 @@ import control as ct
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike
 
 from dmptm_ctrl.drive.reduction import SimplificationCost
@@ -167,6 +168,7 @@ def response_plot(
     for panel in panels.ravel():
         panel.grid(alpha=0.3, which="both")
         panel.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+        panel.xaxis.set_minor_formatter(NullFormatter())
     magnitude.legend(fontsize=8)
     return panels.ravel()
 

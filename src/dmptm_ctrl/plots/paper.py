@@ -51,6 +51,26 @@ def experiment_plot(
     return panel
 
 
+def amplitude_styles(labels: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return line properties for labels such as "proposed, 0.6 V", two amplitudes per model.
+
+    One colour and mark per model; the second amplitude has full lines and filled marks.
+    """
+    styles = {}
+    for i, label in enumerate(labels):
+        model, second = label.split(",")[0], i % 2 == 1
+        colour = STYLES[model]["color"]
+        styles[label] = {
+            "color": colour,
+            "linestyle": "-" if second else "--",
+            "linewidth": 1.2,
+            "marker": "o" if model == "proposed" else "s",
+            "markersize": 3.5,
+            "markerfacecolor": colour if second else "white",
+        }
+    return styles
+
+
 def mesh_path_plot(
     paths: Sequence[tuple[str, MeshPath]], half_gap: float, *, ax: Any = None
 ) -> np.ndarray:

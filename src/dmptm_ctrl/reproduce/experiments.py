@@ -14,7 +14,7 @@ from dmptm_ctrl.identify.frequency_response import (
 )
 from dmptm_ctrl.identify.loop_resonance import resonant_gains
 from dmptm_ctrl.plots.linear import response_plot
-from dmptm_ctrl.plots.paper import experiment_plot
+from dmptm_ctrl.plots.paper import amplitude_styles, experiment_plot
 from dmptm_ctrl.plots.style import STYLES
 from dmptm_ctrl.reproduce.items import (
     DEG,
@@ -126,7 +126,7 @@ def open_responses(context: Context) -> list[Item]:
             lines,
             caption,
             "Fig. 17",
-            styles=_amplitude_styles(list(lines)),
+            styles=amplitude_styles(list(lines)),
         )
     )
     items.append(_from_the_rig(context))
@@ -217,26 +217,9 @@ def closed_responses(context: Context) -> list[Item]:
             lines,
             figure,
             "Fig. 19",
-            styles=_amplitude_styles(list(lines)),
+            styles=amplitude_styles(list(lines)),
         ),
     ]
-
-
-def _amplitude_styles(labels: list[str]) -> dict[str, dict[str, object]]:
-    """One colour per model; the larger amplitude of each has filled marks and a full line."""
-    styles = {}
-    for i, label in enumerate(labels):
-        large = i % 2 == 1
-        colour = STYLES[label.split(",")[0]]["color"]
-        styles[label] = {
-            "color": colour,
-            "linestyle": "-" if large else "--",
-            "linewidth": 1.2,
-            "marker": "o" if label.startswith("proposed") else "s",
-            "markersize": 3.5,
-            "markerfacecolor": colour if large else "white",
-        }
-    return styles
 
 
 def _response(

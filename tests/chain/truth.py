@@ -131,7 +131,7 @@ class Machine:
     unb: float = 0.0
     quad: float = 0.0
     pos: float = 0.0
-    bristle: float = 2e-3
+    bristle: float = 1e-4
     dead: float = 0.0
     limit: float = 0.0
 
@@ -216,9 +216,9 @@ class Bench:
     def rig(self):
         """Return a rig file that declares inertia and viscous friction only."""
         text = [
-            'name = "bench"', "[body.motor]", 'inertia = "1e-4 kg m^2 ± 40 %"',
+            'name = "bench"', "[body.motor]", f'inertia = "{self.machine.j1:g} kg m^2 ± 40 %"',
             'viscous = "unknown"', "[input.drive]", 'column = "u"', 'unit = "V"',
-            'body = "motor"', 'gain = "0.05 N m/V"',
+            'body = "motor"', f'gain = "{self.machine.gain:g} N m/V"',
         ]  # fmt: skip
         load = "motor"
         if self.machine.j2 > 0 and not self.extra.get("one_body"):

@@ -11,9 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import csd, welch
 
-from dmptm_ctrl.diagnosis.ladder_candidates import Candidate, candidates
-from dmptm_ctrl.diagnosis.ladder_score import NEWS, Score, Tangent, similarity
+from dmptm_ctrl.diagnosis.ladder_candidates import candidates
+from dmptm_ctrl.diagnosis.ladder_score import Score, Tangent, similarity
+from dmptm_ctrl.diagnosis.ladder_tries import Candidate
 from dmptm_ctrl.identify.chain_fit import (
     ChainFit,
     Free,
@@ -22,28 +24,29 @@ from dmptm_ctrl.identify.chain_fit import (
     has_phase,
     log_parameters,
     residuals,
-    rough_start,
 )
+from dmptm_ctrl.identify.chain_start import rough_start
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
 from dmptm_ctrl.simulate.chain_model import ChainModel
 
 Floats = NDArray[np.float64]
 
-MIN_GAIN = 0.03  # share of the residual's square; less is not worth a name
+MIN_GAIN = 0.05  # share of the residual's square; less is not worth a name
 ALPHA = 0.01  # chance that any rung of a ladder is taken by a drive that lacks nothing
 HELD_SHARE = 0.3  # of the gain on the fitted logs that held-out ones must show
-MIN_SHARE = 0.3  # % of the driving torque; a smaller effect is of no interest
+MIN_SHARE = 0.5  # % of the driving torque; a smaller effect is of no interest
 MAX_RUNGS = 10
 SHORTLIST = 4  # candidates refitted per rung
 ALIKE = 0.7  # cosine between what two candidates explain, from which they compete
-RIVAL = 0.7  # share of an effect's gain from which another is named beside it
-MORE_COMPLEX = 0.2  # prior odds of a rival that is the less simple one
 NEARLY = 0.85  # a simpler effect with this share of the best one's gain is preferred
 IN_BAND = 0.9  # of the bandwidth; a resonance must lie below
 OVERDAMPED = 0.5  # damping ratio from which there is no resonance to speak of
 STANDS_OUT = 0.3
+DRIVEN = 0.5  # of what a spring changes must be coherent with the drive
+SEGMENTS = 8  # of a log, for a coherence
+SHORTEST_SEGMENT = 16  # rows
 EXOTIC_GAIN = 2.0  # times the gain that a plain effect must have, for those from here on in SIMPLE
-FIRST_EXOTIC = "load_dependent_friction"
+FIRST_EXOTIC = "presliding"
 SIMPLE = (  # the order in which engineers think of them
     *("coulomb_friction", "viscous_friction", "drive_offset", "friction_asymmetry"),
     *("stribeck_friction", "cogging", "unbalance", "shaft_compliance", "backlash"),
@@ -216,8 +219,11 @@ def _next_rung(
     )  # fmt: skip
     least = (MIN_SHARE / before.percent) ** 2 if before.percent > 0 else 1.0
     trials = _simplest_first(
-        [t for t in trials if t[2] >= max(least, least_gain(t[0].name)) and plausible(*t[:2])]
-    )
+        [
+            t for t in trials
+            if t[2] >= max(least, least_gain(t[0].name)) and plausible(t[0], fit, t[1], fit_logs)
+        ]
+    )  # fmt: skip
     for candidate, new, gain in trials:
         after = held_errors(new.state, held_logs, fit_logs, jobs)
         held_gain = 1.0 - (after.percent / held.percent) ** 2 if held.percent > 0 else 0.0
@@ -238,10 +244,11 @@ def least_gain(name: str) -> float:
     return MIN_GAIN * (EXOTIC_GAIN if exotic else 1.0)
 
 
-def plausible(candidate: Candidate, fit: ChainFit) -> bool:
+def plausible(candidate: Candidate, before: ChainFit, fit: ChainFit, logs: Balance) -> bool:
     """Whether a refitted effect is what its name says.
 
-    A resonance above the bandwidth is a delay or a filter by another name.
+    A resonance above the bandwidth is a delay or a filter by another name; and what a spring
+    changes must follow from the drive, or it only hides the noise of the acceleration.
     """
     if candidate.name != "shaft_compliance":
         return True
@@ -251,13 +258,30 @@ def plausible(candidate: Candidate, fit: ChainFit) -> bool:
     ratio, stiffness = plant.link_values[k, :2]
     near, far = (plant.inertia[plant.body_coordinate[b]] for b in plant.link_body[k])
     resonance = np.sqrt(stiffness * (1 / near + ratio**2 / far)) / (2 * np.pi)
-    bandwidth = candidate.bandwidth
-    return bool(resonance < IN_BAND * bandwidth and effect.values["damping_ratio"] < OVERDAMPED)
+    if resonance > IN_BAND * logs.bandwidth or effect.values["damping_ratio"] > OVERDAMPED:
+        return False
+    changes = [b[0] - a[0] for b, a in zip(before.left, fit.left, strict=True)]
+    return driven_share(changes, fit.drive) >= DRIVEN
+
+
+def driven_share(changes: Sequence[Floats], drive: Sequence[Floats]) -> float:
+    """Share of the power of signals that is coherent with the drive."""
+    driven = total = 0.0
+    for change, push in zip(changes, drive, strict=True):
+        length = change.size // SEGMENTS
+        if length < SHORTEST_SEGMENT:
+            continue
+        _, cross = csd(push, change, nperseg=length)
+        _, one = welch(push, nperseg=length)
+        _, two = welch(change, nperseg=length)
+        driven += float(np.sum(np.abs(cross) ** 2 / np.maximum(one, 1e-300)))
+        total += float(np.sum(two))
+    return driven / total if total > 0 else 1.0
 
 
 def refit(fit: ChainFit, candidate: Candidate, logs: Balance, jobs: int = 2) -> ChainFit:
     """Fit again with a candidate in the model, from its starting values."""
-    model = fit.model.with_effect(candidate.placed)
+    model = fit.model.with_values(candidate.values).with_effect(candidate.placed)
     belongs = {m.name: fit.state.nuisance(m.name) for m in logs.motions}
     for log, shift in candidate.zero.items():
         old = belongs.get(log, Nuisance())
@@ -276,76 +300,12 @@ def _simplest_first(
         t for t in trials
         if t[2] >= NEARLY * top and similarity(t[0].score, best.score) >= ALIKE
     ]  # fmt: skip
-    near.sort(key=lambda t: _rank(t[0].name))
+    near.sort(key=lambda t: rank(t[0].name))
     return [*near, *(t for t in trials if all(t is not n for n in near))]
 
 
-class Standing(NamedTuple):
-    """How firmly an effect stands in the final model.
-
-    Attributes
-    ----------
-    gain : float
-        Share of the residual's square that returns without it, the rest refitted.
-    rivals : tuple of str
-        Effects that would explain nearly the same in its place.
-    probability : float
-        That it, not a rival and not chance, is there.
-    """
-
-    gain: float
-    rivals: tuple[str, ...]
-    probability: float
-
-
-def standing(ladder: Ladder, jobs: int = 2) -> dict[str, Standing]:
-    """Compare every effect of the final model with what could stand in its place."""
-    found = {}
-    p_values = {r.key: r.p_value for r in ladder.rungs}
-    for effect in ladder.final.model.effects:
-        if _carries_others(ladder.final.model, effect.key) or effect.key not in p_values:
-            continue
-        state = _without_zeros(
-            State(ladder.final.model.without([effect.key]), ladder.final.state.logs), effect.key
-        )
-        without = fit_chain(state, ladder.fit_logs, jobs=jobs)
-        whole = errors_of(without.left, without.drive).percent
-        gain = 1.0 - (errors_of(ladder.final.left, ladder.final.drive).percent / whole) ** 2
-        if effect.name == "shaft_compliance":
-            found[effect.key] = Standing(gain, (), _probability(gain, [], p_values[effect.key]))
-            continue
-        scores = candidates(Tangent(without, ladder.fit_logs), structure=False)
-        own = next((c for c in scores if c.placed.key == effect.key), None)
-        rivals = [
-            c for c in scores
-            if own is not None and c.placed.key != effect.key
-            and c.score.gain >= RIVAL * own.score.gain and similarity(c.score, own.score) >= ALIKE
-        ]  # fmt: skip
-        top = own.score.gain if own is not None else gain
-        odds = [
-            (c.score.gain - top, 1.0 if _rank(c.name) < _rank(effect.name) else MORE_COMPLEX)
-            for c in rivals
-        ]
-        names = tuple(dict.fromkeys(c.name for c in rivals if c.name != effect.name))
-        found[effect.key] = Standing(gain, names, _probability(top, odds, p_values[effect.key]))
-    return found
-
-
-def _rank(name: str) -> int:
+def rank(name: str) -> int:
     return SIMPLE.index(name) if name in SIMPLE else len(SIMPLE)
-
-
-def _probability(gain: float, rivals: Sequence[tuple[float, float]], p_value: float) -> float:
-    """Probability that the named effect, not a rival and not chance, explains the residual.
-
-    Likelihoods of rival fits, with one piece of news per block; `rivals` are their gains less
-    `gain`, and their prior odds.
-    """
-    odds = sum(
-        prior * ((1.0 - gain) / max(1.0 - gain - more, 1e-9)) ** (0.5 * NEWS)
-        for more, prior in rivals
-    )
-    return float(min(0.99, (1.0 - min(p_value, 1.0)) / (1.0 + odds)))
 
 
 def _delete(
@@ -356,10 +316,10 @@ def _delete(
     for rung in rungs[:-1]:
         if rung.key not in {e.key for e in fit.model.effects}:
             continue
-        if _carries_others(fit.model, rung.key):
+        if carries_others(fit.model, rung.key):
             continue
         state = State(fit.model.without([rung.key]), fit.state.logs)
-        without = fit_chain(_without_zeros(state, rung.key), fit_logs, jobs=jobs)
+        without = fit_chain(without_zeros(state, rung.key), fit_logs, jobs=jobs)
         with_it = errors_of(fit.left, fit.drive).percent
         lost = 1.0 - (with_it / errors_of(without.left, without.drive).percent) ** 2
         if lost < least_gain(rung.key.partition("@")[0]):
@@ -368,7 +328,7 @@ def _delete(
     return fit, tuple(deleted)
 
 
-def _carries_others(model: ChainModel, key: str) -> bool:
+def carries_others(model: ChainModel, key: str) -> bool:
     """Whether other effects sit on a body or link that this one makes."""
     places = {e.on for e in model.effects if e.key != key}
     own = {b.name for b in model.rig.bodies} | {k.name for k in model.rig.links}
@@ -376,7 +336,7 @@ def _carries_others(model: ChainModel, key: str) -> bool:
     return key.startswith("shaft_compliance") and bool(places & (made - own))
 
 
-def _without_zeros(state: State, key: str) -> State:
+def without_zeros(state: State, key: str) -> State:
     logs = {
         log: Nuisance({k: v for k, v in n.zero.items() if k != key}, n.twist)
         for log, n in state.logs.items()

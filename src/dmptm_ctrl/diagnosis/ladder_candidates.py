@@ -1,21 +1,17 @@
 """What a drive of any shape may lack: every effect at every place, with starting values."""
 
 from collections.abc import Iterator
-from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.diagnosis.ladder_score import Score, Tangent
+from dmptm_ctrl.diagnosis.ladder_score import Tangent
+from dmptm_ctrl.diagnosis.ladder_tries import Candidate, backlash, compliance, finite
 from dmptm_ctrl.identify.chain_fit import (
     HARMONIC,
-    ChainFit,
     Scales,
-    State,
     absolute,
     on_slide,
-    residuals,
     scales_of,
 )
 from dmptm_ctrl.identify.chain_motion import Motion
@@ -29,35 +25,11 @@ Floats = NDArray[np.float64]
 MAX_ORDER = 400  # per turn
 SCREENED = 8  # orders and frequencies of the screening that are looked at closely
 MIN_TURNS = 0.9  # of travel before an angle effect of order 1 is told from a slope
-HIDDEN_MODES = 18  # antiresonances tried
 DELAYS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample times
 LONGEST_DELAY = 0.2  # s
 BACKGROUND = {  # no candidates: absorbed by the declared model, or judged sensor against sensor
     "sensor_gain", "encoder_eccentricity", "sensor_delay", "local_spot",
 }  # fmt: skip
-
-
-class Candidate(NamedTuple):
-    """An effect at a place with starting values, and its score on the current residual.
-
-    Attributes
-    ----------
-    tries : int
-        How many independent starting values were looked at, for the test's level.
-    zero : dict of log to float
-        Shift of the angle in logs after the first.
-    """
-
-    placed: Placed
-    score: Score
-    tries: int
-    zero: dict[str, float] = {}  # noqa: RUF012  (a NamedTuple's default is not changed)
-    bandwidth: float = 0.0  # of the balance [Hz]
-
-    @property
-    def name(self) -> str:
-        """Name of the effect."""
-        return self.placed.name
 
 
 def candidates(tangent: Tangent, *, structure: bool = True) -> list[Candidate]:
@@ -98,8 +70,8 @@ def _places(tangent: Tangent, structure: bool) -> Iterator[Iterator[Candidate]]:
                 continue
             yield _body_effect(tangent, scales, chain, body)
     if structure:
-        yield _compliance(tangent, present)
-        yield _backlash(tangent, scales, present)
+        yield compliance(tangent, present)
+        yield backlash(tangent, scales, present)
 
 
 def declared_already(model: ChainModel, name: str, body: str) -> bool:
@@ -130,16 +102,16 @@ def _input_effect(tangent: Tangent, scales: Scales, name: str, on: str) -> Itera
     motions = tangent.balance.motions
     peak = max(float(np.abs(m.u[on]).max()) for m in motions)
     if name == "drive_offset":
-        yield _finite(tangent, [Placed(name, on, {"offset": 0.02 * size})])
+        yield finite(tangent, [Placed(name, on, {"offset": 0.02 * size})])
     elif name == "drive_dead_band":
-        yield _finite(tangent, [Placed(name, on, {"width": s * size}) for s in (0.01, 0.05, 0.15)])
+        yield finite(tangent, [Placed(name, on, {"width": s * size}) for s in (0.01, 0.05, 0.15)])
     elif name == "drive_saturation":
         tries = [Placed(name, on, {"inverse_limit": 1.0 / (s * peak)}) for s in (0.95, 0.8, 0.6)]
-        yield _finite(tangent, tries)
+        yield finite(tangent, tries)
     else:
         key = "delay" if name == "drive_delay" else "time_constant"
         values = [d * dt for d in DELAYS if d * dt <= LONGEST_DELAY]
-        yield _finite(tangent, [Placed(name, on, {key: v}) for v in values])
+        yield finite(tangent, [Placed(name, on, {key: v}) for v in values])
 
 
 def _body_effect(
@@ -158,22 +130,22 @@ def _body_effect(
             tries = [Placed(name, body, {key: 0.05, "time_constant": t}) for t in taus]
         else:
             tries = [Placed(name, body, {key: 0.05})]
-        yield _finite(tangent, tries)
+        yield finite(tangent, tries)
     elif name == "presliding":
         if has_friction(model, body):
             sizes = [s * scales.position for s in (1e-5, 1e-4, 1e-3, 1e-2)]
-            yield _finite(tangent, [Placed(name, body, {"distance": s}) for s in sizes])
+            yield finite(tangent, [Placed(name, body, {"distance": s}) for s in sizes])
     elif name == "cogging":
         yield from _cogging(tangent, chain, body, slide)
     elif name == "unbalance":
-        if not slide and _turns(balance, model, body) >= MIN_TURNS:
+        if not slide and turns(balance, model, body) >= MIN_TURNS:
             yield _amplitudes(
                 tangent, chain, body, [{}], per_log=not absolute(model, balance, body)
             )
     elif name == "position_dependent_friction":
         if slide:
             yield _amplitudes(tangent, chain, body, [{}], names=("sine",))
-        elif _turns(balance, model, body) >= MIN_TURNS:
+        elif turns(balance, model, body) >= MIN_TURNS:
             yield _amplitudes(
                 tangent, chain, body, [{}], per_log=not absolute(model, balance, body)
             )
@@ -208,7 +180,7 @@ def _angle(balance: Balance, motion: Motion, model: ChainModel, body: str) -> Fl
     return layout.ratio[body] * measured[layout.coordinate[body]][0]
 
 
-def _turns(balance: Balance, model: ChainModel, body: str) -> float:
+def turns(balance: Balance, model: ChainModel, body: str) -> float:
     return max(float(np.ptp(_angle(balance, m, model, body))) for m in balance.motions) / (
         2 * np.pi
     )
@@ -332,7 +304,7 @@ def _cogging(tangent: Tangent, chain: ChainEffect, body: str, slide: bool) -> It
     model = tangent.fit.model
     orders, looked_at = _screen_orders(tangent, body, slide)
     present = [e.values["order"] for e in model.effects if e.name == "cogging" and e.on == body]
-    width = 2 * np.pi / max(_turns(tangent.balance, model, body) * 2 * np.pi, 1e-12)
+    width = 2 * np.pi / max(turns(tangent.balance, model, body) * 2 * np.pi, 1e-12)
     orders = [n for n in orders if all(abs(n - p) > width for p in present)]
     if present or not orders:
         return  # one order per place; harmonics follow as further rungs would blur the list
@@ -412,167 +384,3 @@ def _vibration(tangent: Tangent, chain: ChainEffect, body: str) -> Iterator[Cand
         tangent, chain, body, [{"frequency": f} for f in fine], names=("cosine", "sine"),
         tries=int(longest * tangent.balance.bandwidth),
     )  # fmt: skip
-
-
-# -- by size: finite changes -------------------------------------------------------------------
-
-
-def _finite(tangent: Tangent, tries: list[Placed]) -> Candidate:
-    """Best of several finite sizes; the gain is that of the size itself, parameters refitted."""
-    best: Candidate | None = None
-    power = float(tangent.left @ tangent.left)
-    for placed in tries:
-        state = State(tangent.fit.model.with_effect(placed), tangent.fit.state.logs)
-        moved, _ = residuals(state, tangent.balance)
-        change = tangent.stack(moved) - tangent.stack(tangent.fit.left)
-        score = tangent.score(change[:, None])
-        new = tangent.project(tangent.stack(moved))
-        gain = 1.0 - float(new @ new) / power if power > 0 else 0.0
-        if score.amplitudes[0] < 0 and _one_sided(placed):
-            gain = min(gain, 0.0)
-        elif not _one_sided(placed):
-            gain = score.gain
-            values = {
-                k: v * float(score.amplitudes[0]) if k in CHAIN_CATALOGUE[placed.name].amplitudes
-                else v
-                for k, v in placed.values.items()
-            }  # fmt: skip
-            placed = placed._replace(values=values)
-        if best is None or gain > best.score.gain:
-            best = Candidate(placed, score._replace(gain=gain), len(tries))
-    assert best is not None
-    return best
-
-
-def _one_sided(placed: Placed) -> bool:
-    """Whether an effect's size cannot be negative."""
-    chain = CHAIN_CATALOGUE[placed.name]
-    return all(p.low >= 0 for p in chain.keep if p.name in placed.values and not p.bank)
-
-
-def _compliance(tangent: Tangent, present: set[tuple[str, str]]) -> Iterator[Candidate]:
-    model, balance = tangent.fit.model, tangent.balance
-    if any(name == "shaft_compliance" for name, _ in present):
-        return
-    top = 1.5 * balance.bandwidth
-    duration = max(float(m.time[-1]) for m in balance.motions)
-    low = max(5.0 / duration, top / 300.0)
-    modes = 2 * np.pi * np.geomspace(low, top, HIDDEN_MODES)
-    sensed = {p.name: p for p in balance.points}
-    places: list[tuple[str, tuple[str, ...]]] = []
-    for link in model.rig.links:
-        if link.rigid:
-            places.append((link.name, ()))
-    if not model.rig.links:
-        for body in model.rig.bodies:
-            own = [p for p in sensed.values() if p.body == body.name]
-            far = tuple(s for p in own[1:] for s in p.sensors)
-            places.append((body.name, far))
-            if len(own) == 1:
-                places.append((body.name, own[0].sensors))  # the sensor is behind the spring
-    for on, far in places:
-        if len(far) and len([p for p in sensed.values() if p.body == on]) > 1:
-            tries = [_two_sided_start(tangent, on, far)]
-        else:
-            tries = [
-                Placed(
-                    "shaft_compliance",
-                    on,
-                    {"share": share, "antiresonance": float(w), "damping_ratio": 0.05},
-                    far,
-                )
-                for w in modes
-                for share in ((0.5,) if any(on == k.name for k in model.rig.links) else (0.25, 0.6))
-            ]
-        yield _finite_structure(tangent, tries)
-
-
-def _two_sided_start(tangent: Tangent, on: str, far: tuple[str, ...]) -> Placed:
-    """Starting values where both ends of the spring are measured, by two linear regressions.
-
-    a2 = ω_a² z + 2 ζ ω_a ż + const and F = J1 a1 + J2 a2 + B v1 + const.
-    """
-    near_point, far_point = (
-        next(p.name for p in tangent.balance.points if p.body == on and (p.name in far) == side)
-        for side in (False, True)
-    )
-    shaft, target, whole, drive = [], [], [], []
-    for k, m in enumerate(tangent.balance.motions):
-        z = m.q[near_point] - m.q[far_point]
-        rate = m.v[near_point] - m.v[far_point]
-        keep = m.moving
-        own = np.zeros((int(keep.sum()), len(tangent.balance.motions)))
-        own[:, k] = 1.0
-        shaft.append(np.column_stack([m.reduce(z)[keep], m.reduce(rate)[keep], own]))
-        target.append(m.reduce(m.a[far_point])[keep])
-        signals = (m.a[near_point], m.a[far_point], m.v[near_point], np.sign(m.v[near_point]))
-        whole.append(np.column_stack([*(m.reduce(s)[keep] for s in signals), own]))
-        drive.append(tangent.fit.drive[k][keep])
-    square, damping = np.linalg.lstsq(np.concatenate(shaft), np.concatenate(target), rcond=None)[0][
-        :2
-    ]
-    near, beyond = np.linalg.lstsq(np.concatenate(whole), np.concatenate(drive), rcond=None)[0][:2]
-    antiresonance = float(np.sqrt(max(square, 1.0)))
-    share = beyond / (near + beyond) if near + beyond > 0 else 0.5
-    return Placed(
-        "shaft_compliance",
-        on,
-        {
-            "share": float(np.clip(share, 0.02, 0.98)),
-            "antiresonance": antiresonance,
-            "damping_ratio": float(np.clip(damping / (2 * antiresonance), 1e-3, 0.5)),
-        },
-        far,
-    )
-
-
-def _finite_structure(tangent: Tangent, tries: list[Placed]) -> Candidate:
-    """As `_finite`, for changes that add coordinates: the first equation is compared."""
-    best: Candidate | None = None
-    first = Tangent(_first_equation(tangent), tangent.balance)
-    power = float(first.left @ first.left)
-    for placed in tries:
-        state = State(tangent.fit.model.with_effect(placed), tangent.fit.state.logs)
-        try:
-            moved, _ = residuals(state, tangent.balance)
-        except ValueError:
-            continue
-        change = first.stack(moved) - first.stack(first.fit.left)
-        if not np.isfinite(change).all():
-            continue
-        score = first.score(change[:, None])
-        new = first.project(first.stack(moved))
-        gain = 1.0 - float(new @ new) / power if power > 0 else 0.0
-        if best is None or gain > best.score.gain:
-            best = Candidate(
-                placed, score._replace(gain=gain), len(tries), {}, tangent.balance.bandwidth
-            )
-    assert best is not None
-    return best
-
-
-def _first_equation(tangent: Tangent) -> ChainFit:
-    fit = tangent.fit
-    return replace(
-        fit,
-        left=tuple(p[:1] for p in fit.left),
-        slopes=tuple(p[:1] for p in fit.slopes),
-        weights=fit.weights[:1],
-    )
-
-
-def _backlash(
-    tangent: Tangent, scales: Scales, present: set[tuple[str, str]]
-) -> Iterator[Candidate]:
-    model = tangent.fit.model
-    for link in model.layout.links:
-        if ("backlash", link) in present:
-            continue
-        if any(k.name == link and k.half_gap is not None for k in model.rig.links):
-            continue
-        seen = {model.layout.coordinate[model.layout.sensor_body[p.name]]
-                for p in tangent.balance.points}  # fmt: skip
-        if 0 not in seen:
-            continue  # through a gap, the driven body's motion does not follow from the other's
-        sizes = [s * scales.position for s in (1e-5, 1e-4, 1e-3, 1e-2)]
-        yield _finite(tangent, [Placed("backlash", link, {"half_gap": s}) for s in sizes])

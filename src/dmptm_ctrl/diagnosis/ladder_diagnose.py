@@ -6,7 +6,7 @@ from os import PathLike
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.ladder import Errors, Ladder, climb, errors_of, standing
+from dmptm_ctrl.diagnosis.ladder import Errors, Ladder, climb, errors_of
 from dmptm_ctrl.diagnosis.ladder_report import (
     ChainDiagnosis,
     error_dict,
@@ -17,6 +17,7 @@ from dmptm_ctrl.diagnosis.ladder_report import (
     standard_errors,
     torque_unit,
 )
+from dmptm_ctrl.diagnosis.ladder_standing import standing
 from dmptm_ctrl.diagnosis.ladder_unknown import unexplained
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.rigfile import load_rig

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.ladder import Errors, Ladder, Rung, Standing
+from dmptm_ctrl.diagnosis.ladder import Errors, Ladder, Rung
 from dmptm_ctrl.diagnosis.ladder_files import chain_to_toml
 from dmptm_ctrl.diagnosis.ladder_score import Tangent
+from dmptm_ctrl.diagnosis.ladder_standing import Standing
 from dmptm_ctrl.diagnosis.report import SCHEMA, NamedEffect
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.chain_fit import ChainFit, on_slide

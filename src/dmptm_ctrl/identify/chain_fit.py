@@ -103,29 +103,6 @@ def scales_of(balance: Balance) -> Scales:
     )
 
 
-def rough_start(model: ChainModel, balance: Balance) -> ChainModel:
-    """Give every unknown quantity a value of the right order."""
-    scales = scales_of(balance)
-    values: dict[str, float] = {}
-    parts = max(len(model.rig.bodies), 1)
-    for key, quantity in model.quantities.items():
-        if isfinite(model.values.get(key, quantity.value)):
-            continue
-        name = key.rpartition(".")[2]
-        size = scales.of(quantity.unit)
-        values[key] = {
-            "inertia": size / parts,
-            "gain": 1.0,
-            "stiffness": 100.0 * scales.force / scales.position,
-            "damping": scales.force / scales.speed,
-            "half_gap": 0.0,
-            "gap_damping": 0.0,
-            "delay": 0.0,
-            "time_constant": 0.0,
-        }.get(name, 0.1 * size)
-    return model.with_values(values)
-
-
 def free_parameters(
     model: ChainModel, balance: Balance, scales: Scales, *, nuisances: bool = True
 ) -> list[Free]:

@@ -24,10 +24,12 @@ from dmptm_ctrl.identify.chain_motion import (
     prepare,
 )
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.chain import march
+from dmptm_ctrl.simulate.chain import march, substeps_for
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 from dmptm_ctrl.simulate.chain_compose import engine, kind_of
 from dmptm_ctrl.simulate.chain_model import ChainModel, value_row
+
+SUBSTEPS = 40  # of hidden coordinates; faster ones are far above the bandwidth
 
 
 @dataclass(frozen=True)
@@ -309,7 +311,7 @@ def _links(
         position=position,
         speed=speed,
         given={b: given[b] for b in shared.values()},
-        substeps=1 if everything else None,
+        substeps=1 if everything else min(substeps_for(model.plant(), motion.dt), SUBSTEPS),
     )
     return {name: run.link(name) for name in layout.links}
 

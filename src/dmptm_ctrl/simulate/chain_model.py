@@ -307,6 +307,17 @@ def _soften(
     return [*joints, _Joint(effect.key, effect.on, far_body, 1.0, row, False)]
 
 
+def link_sides(model: ChainModel, link: str) -> tuple[dict[str, float], dict[str, float]]:
+    """Bodies rigidly tied to each end of a link, with their motion per motion of that end."""
+    rest = [
+        j for j in (_joint(model, k.name) for k in model.rig.links if k.name != link)
+        if j.row is None
+    ]  # fmt: skip
+    own = model.rig.link(link)
+    near, far = (_coordinates(_reached(end, rest), rest, end)[1] for end in (own.first, own.second))
+    return near, far
+
+
 def _reached(start: str, joints: list[_Joint]) -> tuple[str, ...]:
     """Bodies that rigid joints tie to `start`."""
     found = [start]

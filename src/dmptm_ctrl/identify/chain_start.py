@@ -1,0 +1,185 @@
+"""Starting values of quantities that are declared unknown."""
+
+from collections.abc import Mapping
+from math import isfinite
+from typing import NamedTuple
+
+import numpy as np
+
+from dmptm_ctrl.identify.chain_fit import Floats, State, fit_chain, scales_of
+from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.simulate.chain_model import ChainModel, link_sides
+
+STIFF = 6  # antiresonances tried for a spring of which nothing is known
+LOWEST_MODE = 0.03  # of the bandwidth
+HIGHEST_MODE = 1.5
+DAMPING_RATIO = 0.05
+MODEST = 0.02, 0.98  # share of the inertia behind a spring
+
+
+class Spring(NamedTuple):
+    """A spring and what lies on both sides of it, seen from its near side.
+
+    Attributes
+    ----------
+    antiresonance : float [rad/s]
+    damping_ratio : float
+    near, far : float
+        Inertias [kg·m² or kg].
+    """
+
+    antiresonance: float
+    damping_ratio: float
+    near: float
+    far: float
+
+    @property
+    def stiffness(self) -> float:
+        """Stiffness at the near side [N·m/rad or N/m]."""
+        return self.far * self.antiresonance**2
+
+    @property
+    def damping(self) -> float:
+        """Damping at the near side [N·m·s/rad or N·s/m]."""
+        return 2.0 * self.damping_ratio * self.antiresonance * self.far
+
+
+def rough_start(model: ChainModel, balance: Balance) -> ChainModel:
+    """Give every unknown quantity a value of the right order."""
+    scales = scales_of(balance)
+    values: dict[str, float] = {}
+    parts = max(len(model.rig.bodies), 1)
+    for key, quantity in model.quantities.items():
+        if isfinite(model.values.get(key, quantity.value)):
+            continue
+        name = key.rpartition(".")[2]
+        size = scales.of(quantity.unit)
+        values[key] = {
+            "inertia": size / parts,
+            "gain": 1.0,
+            "stiffness": 100.0 * scales.force / scales.position,
+            "damping": 0.1 * scales.force / scales.speed,
+            "half_gap": 0.0,
+            "gap_damping": 0.0,
+            "delay": 0.0,
+            "time_constant": 0.0,
+        }.get(name, 0.1 * size)
+    return _springs(model.with_values(values), balance)
+
+
+def _springs(model: ChainModel, balance: Balance) -> ChainModel:
+    """Start springs of unknown stiffness where the logs put them."""
+    for link in model.rig.links:
+        if link.stiffness is None or isfinite(link.stiffness.value):
+            continue
+        ends = ends_of(model, balance, link.name)
+        if ends is not None:
+            spring = regress(balance, *ends, drive_of(model, balance))
+            inertias = unknown_inertias(model, link.name, spring)
+            model = model.with_values({**inertias, **_spring_values(model, link.name, spring)})
+            continue
+        _, far_ratio = link_sides(model, link.name)
+        far = sum(r**2 * model.value(f"body.{b}.inertia") for b, r in far_ratio.items())
+        far /= model.value(f"link.{link.name}.ratio") ** 2
+        tried = []
+        top = 2 * np.pi * balance.bandwidth
+        for w in np.geomspace(LOWEST_MODE * top, HIGHEST_MODE * top, STIFF):
+            spring = Spring(float(w), DAMPING_RATIO, far, far)
+            start = model.with_values(_spring_values(model, link.name, spring))
+            fit = fit_chain(State(start), balance, iterations=3)
+            tried.append((fit.cost, fit.model))
+        model = min(tried, key=lambda t: t[0])[1]
+    return model
+
+
+def _spring_values(model: ChainModel, link: str, spring: Spring) -> dict[str, float]:
+    values = {f"link.{link}.stiffness": spring.stiffness}
+    damping = model.quantities.get(f"link.{link}.damping")
+    if damping is not None and not isfinite(damping.value):
+        values[f"link.{link}.damping"] = spring.damping
+    return values
+
+
+Ends = tuple[tuple[str, float], tuple[str, float]]  # point and factor of its motion, near and far
+
+
+def ends_of(model: ChainModel, balance: Balance, link: str) -> Ends | None:
+    """Return the points that are measured on both sides of a link; None where one is missing.
+
+    The factors turn a point's motion into that of the link's first body.
+    """
+    near_ratio, far_ratio = link_sides(model, link)
+    ratio = model.value(f"link.{link}.ratio")
+    near = next((p for p in balance.points if p.body in near_ratio), None)
+    far = next((p for p in balance.points if p.body in far_ratio), None)
+    if near is None or far is None:
+        return None
+    return (near.name, 1.0 / near_ratio[near.body]), (far.name, ratio / far_ratio[far.body])
+
+
+def drive_of(model: ChainModel, balance: Balance) -> list[Floats]:
+    """Return the driving torque per log, at the first input's body, unfiltered."""
+    gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in model.rig.inputs}
+    return [np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in balance.motions]
+
+
+def regress(
+    balance: Balance, near: tuple[str, float], far: tuple[str, float], drive: list[Floats]
+) -> Spring:
+    """Find a spring between two measured points by two linear regressions.
+
+    a2 = ω_a² z + 2 ζ ω_a ż + friction + const and F = J1 a1 + J2 a2 + friction + const.
+
+    Parameters
+    ----------
+    near, far : point and factor of its motion
+    drive : (n,) array per log [N·m or N]
+    """
+    shaft, target, whole, push = [], [], [], []
+    one, r1 = near
+    two, r2 = far
+    for k, m in enumerate(balance.motions):
+        keep = m.moving
+        own = np.zeros((int(keep.sum()), len(balance.motions)))
+        own[:, k] = 1.0
+        q1, v1, a1 = (r1 * part[one] for part in (m.q, m.v, m.a))
+        q2, v2, a2 = (r2 * part[two] for part in (m.q, m.v, m.a))
+        behind = (q1 - q2, v1 - v2, v2, np.sign(v2))
+        shaft.append(np.column_stack([*(m.reduce(s)[keep] for s in behind), own]))
+        target.append(m.reduce(a2)[keep])
+        signals = (a1, a2, v1, np.sign(v1))
+        whole.append(np.column_stack([*(m.reduce(s)[keep] for s in signals), own]))
+        push.append(m.reduce(drive[k])[keep])
+    square, damping = _solve(shaft, target)[:2]
+    inertias = _solve(whole, push)[:2]
+    antiresonance = float(np.sqrt(max(square, 1.0)))
+    total = max(float(np.sum(inertias)), 1e-300)
+    share = float(np.clip(inertias[1] / total, *MODEST)) if np.sum(inertias) > 0 else 0.5
+    ratio = float(np.clip(damping / (2 * antiresonance), 1e-3, 0.5))
+    return Spring(antiresonance, ratio, (1 - share) * total, share * total)
+
+
+def _solve(rows: list[Floats], target: list[Floats]) -> Floats:
+    table = np.concatenate(rows)
+    size = np.linalg.norm(table, axis=0)
+    size[size == 0] = 1.0
+    return np.linalg.lstsq(table / size, np.concatenate(target), rcond=None)[0] / size
+
+
+def unknown_inertias(model: ChainModel, link: str, spring: Spring) -> dict[str, float]:
+    """Inertias that are declared unknown, shared out on both sides of a link as a spring says."""
+    ratio = model.value(f"link.{link}.ratio")
+    found: dict[str, float] = {}
+    near, far = link_sides(model, link)
+    for side, whole in ((near, spring.near), (far, spring.far * ratio**2)):
+        found |= _shared(model, side, whole)
+    return found
+
+
+def _shared(model: ChainModel, side: Mapping[str, float], whole: float) -> dict[str, float]:
+    """Give what known inertias leave of a whole to the unknown ones, alike."""
+    keys = {b: f"body.{b}.inertia" for b in side}
+    free = [b for b in side if not isfinite(model.quantities[keys[b]].value)]
+    known = sum(side[b] ** 2 * model.value(keys[b]) for b in side if b not in free)
+    rest = max(whole - known, 0.05 * whole)
+    return {keys[b]: rest / len(free) / side[b] ** 2 for b in free}

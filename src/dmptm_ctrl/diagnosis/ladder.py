@@ -36,6 +36,7 @@ ALPHA = 0.01  # chance that any rung of a ladder is taken by a drive that lacks 
 HELD_SHARE = 0.3  # of the gain on the fitted logs that held-out ones must show
 MIN_SHARE = 0.5  # % of the driving torque; a smaller effect is of no interest
 MAX_RUNGS = 10
+SETTLE = 30  # iterations at most; an unsettled fit would lend its gain to the next effect
 SHORTLIST = 4  # candidates refitted per rung
 ALIKE = 0.7  # cosine between what two candidates explain, from which they compete
 NEARLY = 0.85  # a simpler effect with this share of the best one's gain is preferred
@@ -161,7 +162,7 @@ def climb(
     -------
     Ladder
     """
-    fit = fit_chain(State(rough_start(model, fit_logs)), fit_logs, jobs=jobs, iterations=10)
+    fit = fit_chain(State(rough_start(model, fit_logs)), fit_logs, jobs=jobs, iterations=SETTLE)
     base = fit
     rungs: list[Rung] = []
     best: dict[str, Candidate] = {}
@@ -286,7 +287,7 @@ def refit(fit: ChainFit, candidate: Candidate, logs: Balance, jobs: int = 2) -> 
     for log, shift in candidate.zero.items():
         old = belongs.get(log, Nuisance())
         belongs[log] = Nuisance({**old.zero, candidate.placed.key: shift}, old.twist)
-    return fit_chain(State(model, belongs), logs, jobs=jobs, iterations=10)
+    return fit_chain(State(model, belongs), logs, jobs=jobs, iterations=SETTLE)
 
 
 def _simplest_first(
@@ -305,6 +306,8 @@ def _simplest_first(
 
 
 def rank(name: str) -> int:
+    """Place in the order in which engineers think of effects; dead time and lag alike."""
+    name = "drive_delay" if name == "current_lag" else name
     return SIMPLE.index(name) if name in SIMPLE else len(SIMPLE)
 
 

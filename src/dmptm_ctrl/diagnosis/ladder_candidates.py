@@ -14,7 +14,7 @@ from dmptm_ctrl.identify.chain_fit import (
     on_slide,
     scales_of,
 )
-from dmptm_ctrl.identify.chain_motion import Motion
+from dmptm_ctrl.identify.chain_motion import REST_SHARE, Motion
 from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_motion
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE, ChainEffect
 from dmptm_ctrl.simulate.chain_compose import engine, kind_of
@@ -216,7 +216,8 @@ def unit_columns(
                     loop.friction_along(
                         kind_of(chain.name), theta, omega, motion.time, load, row, factor, out
                     )
-                    out = -np.sign(omega) * out
+                    slow = REST_SHARE * np.abs(omega).max(initial=0.0)
+                    out = -np.sign(omega) * out * (np.abs(omega) > slow)
                 else:
                     loop.torque_along(kind_of(chain.name), theta, omega, motion.time, row, out)
                 columns.append(motion.reduce(reach * r * out) * motion.moving)

@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.chain_motion import (
+    REST_SHARE,
     Floats,
     Motion,
     Sight,
@@ -29,6 +30,7 @@ from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 from dmptm_ctrl.simulate.chain_compose import engine, kind_of
 from dmptm_ctrl.simulate.chain_model import ChainModel, value_row
 
+TINY = 1e-300  # a speed that has a direction and no size
 SUBSTEPS = 40  # of hidden coordinates; faster ones are far above the bandwidth
 
 
@@ -175,7 +177,8 @@ def residual(
     total, push = np.zeros_like(motion.time), np.zeros_like(motion.time)
     single = []
     for group, (q, v, a) in measured.items():
-        need = plant.inertia[group] * a + _friction(model, motion, group, q, v, load, nuisance)
+        friction, other = _friction(model, motion, group, q, v, load, nuisance)
+        need = plant.inertia[group] * a + other
         own = np.zeros_like(need)
         for body, torque in pushes:
             if layout.coordinate[body] == group:
@@ -187,6 +190,7 @@ def residual(
                 need = need + layout.ratio[first] * runs[name]
             if layout.coordinate[second] == group:
                 need = need - layout.ratio[second] * plant.link_values[k, 0] * runs[name]
+        need = need + _at_rest(friction, own - need, v)
         total += reach[group] * need
         push += reach[group] * own
         single.append(reach[group] * (own - need))
@@ -260,7 +264,8 @@ def _through_spring(
         other = groups[1] if groups[0] == 0 else groups[0]
         q, v, a = found[other]
         nothing = {b: np.zeros_like(q) for b in layout.bodies}
-        need = plant.inertia[other] * a + _friction(model, motion, other, q, v, nothing, nuisance)
+        need = plant.inertia[other] * a
+        need = need + sum(_friction(model, motion, other, q, v, nothing, nuisance))
         # lever of each end on the twist z = r1 q1 − ratio r2 q2
         lever = [layout.ratio[ends[0]], -ratio * layout.ratio[ends[1]]]
         here, there = (0, 1) if groups[0] == 0 else (1, 0)
@@ -346,9 +351,10 @@ def _friction(
     v: Floats,
     load: Mapping[str, Floats],
     nuisance: Nuisance,
-) -> Floats:
-    """Friction and load torques of a coordinate, signed against the motion (to be overcome)."""
+) -> tuple[Floats, Floats]:
+    """Friction, and load torques, of a coordinate, signed against the motion (to be overcome)."""
     layout, plant, loop = model.layout, model.plant(), engine()
+    v = np.where(v == 0.0, TINY, v)  # friction at rest has a size, if no direction
     friction, other = np.zeros_like(v), np.zeros_like(v)
     for k, body in enumerate(layout.bodies):
         if layout.coordinate[body] != group:
@@ -380,7 +386,14 @@ def _friction(
         built = np.empty_like(v)
         loop.bristle_along(np.gradient(q), friction, plant.distance[group], built)
         friction = built
-    return friction + other
+    return friction, other
+
+
+def _at_rest(friction: Floats, needed: Floats, v: Floats) -> Floats:
+    """Friction with the set-valued part at rest: whatever holds the body, up to its level."""
+    level = np.abs(friction)
+    rest = np.abs(v) < REST_SHARE * np.abs(v).max(initial=0.0)
+    return np.where(rest, np.clip(needed, -level, level), friction)
 
 
 def effective_input(model: ChainModel, motion: Motion, name: str) -> Floats:

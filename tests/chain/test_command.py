@@ -88,7 +88,7 @@ def test_prediction_needs_the_inputs_only(bench):
         (('column = "w"', 'column = "speed"'), ["'speed'"]),
         (('unit = "V"', 'unit = "volts per"'), ["rig.toml, line 7", "unit"]),
         (("[input.drive]", "[inputs.drive]"), ["line 5", "did you mean 'input'"]),
-        (('inertia = "1e-4 kg m^2 ± 40 %"', 'inertia = "1e-4 kg m"'), ["line 3", "kg·m²"]),
+        (('inertia = "0.0001 kg m^2 ± 40 %"', 'inertia = "1e-4 kg m"'), ["line 3", "kg·m²"]),
     ],
 )
 def test_bad_rig_file_is_one_line_and_exit_2(bench, tmp_path, capsys, edit, words):

@@ -9,7 +9,6 @@ from scipy.io import loadmat
 from scipy.signal import butter, decimate, filtfilt
 
 from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
-from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
 from dmptm_ctrl.simulate.chain import march
 

@@ -6,14 +6,14 @@ errors must not be padded: the misses, in standard errors, have a mean square ne
 
 import numpy as np
 import pytest
+from benchmarks.parameter_experiments import DECLARED, rig, shaken, steady
+from benchmarks.parameter_experiments import misses as campaign
 from scipy.stats import chi2
 
-from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.experiments import Estimate, standard_error
-from dmptm_ctrl.identify.experiments_breakaway import reducer_breakaway, ring_breakaway
+from dmptm_ctrl.identify.experiments_breakaway import reducer_breakaway
 from dmptm_ctrl.identify.experiments_contact import gap_damping
 from dmptm_ctrl.identify.experiments_dynamic import shaken_turns
-from dmptm_ctrl.identify.experiments_rig import ramp, shaken_turn, staircase, taps
 from dmptm_ctrl.identify.experiments_steady import (
     FrictionPoints,
     constant_speed,
@@ -21,82 +21,14 @@ from dmptm_ctrl.identify.experiments_steady import (
     stribeck_fit,
 )
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.model import Model
 
-SEEDS = 12
-DEG = np.pi / 180
-DECLARED = paper_drive()
-SPEEDS = np.array([0.06, 0.12, 0.25, 0.5, 1, 2, 4, 8, 16, 30]) * DEG
-LINES = np.unique(np.round(np.geomspace(2, 260, 24) * 4) / 4)
-
-
-def rig(rng):
-    """A drive with each parameter up to 10 % off; static friction stays above Coulomb."""
-    values = {n: DECLARED[n] * rng.uniform(0.9, 1.1) for n in DECLARED.free if n[0] != "T"}
-    for pair in ("T3{}_plus", "T3{}_minus", "TL{}_plus", "TL{}_minus"):
-        factor = rng.uniform(0.9, 1.1)
-        values |= {pair.format(k): DECLARED[pair.format(k)] * factor for k in "sc"}
-    values |= {"c": rng.uniform(1.5, 6.0), "c_f": rng.uniform(0.05, 0.4), "J_m": DECLARED["J_m"]}
-    return DECLARED.with_values(**values)
-
-
-def steady(truth, rng):
-    logs = [
-        staircase(Model(truth), [*SPEEDS, *-SPEEDS[::-1]], b, rng, seconds=2.0)
-        for b in (0.6, -0.6, 1.2)
-    ]
-    found = constant_speed(logs, DECLARED)
-    return {**found.estimates, **stribeck_fit(found.reducer), **stribeck_fit(found.ring)}
-
-
-def breakaway(truth, rng):
-    def ramps(top, **options):
-        return [
-            ramp(Model(truth), way * rng.uniform(0.01, 0.03), top, rng, **options)
-            for way in (1, 1, -1, -1)
-        ]
-
-    reducers = reducer_breakaway(ramps(0.4), DECLARED)
-    return reducers | ring_breakaway(ramps(0.6, from_flank=True), DECLARED, reducers)
-
-
-def shaken(truth, rng):
-    logs = [
-        shaken_turn(Model(truth), LINES, volts, rng, differential=kind)
-        for kind, volts in ((False, 0.04), (True, 0.005))
-    ]
-    found = shaken_turns(logs, DECLARED, period=4.0, lines=LINES)
-    return {{"B3": "B3_plus", "BL": "BL_plus"}.get(n, n): e for n, e in found.items()}
-
-
-KNOWN_SE = (
-    {"J_2": 0.003, "B3_plus": 0.007, "B3_minus": 0.007}
-    | dict.fromkeys(("T3s_plus", "T3c_plus", "T3s_minus", "T3c_minus"), 0.004)
-    | {"W3_plus": 0.15, "W3_minus": 0.15}
-)
-
-
-def flights(truth, rng):
-    log = taps(Model(truth), (0.45, 0.6, 0.8, 1.0), rng, repeats=3)
-    known = {}
-    for name, share in KNOWN_SE.items():  # as other experiments would know them
-        se = share * truth[name]
-        known[name] = Estimate(truth[name] + se * rng.normal(), se, "")
-    return gap_damping(log, DECLARED, known)
+SEEDS = 12  # the whole campaign: benchmarks/parameter_experiments.py
 
 
 @pytest.fixture(scope="module")
 def misses():
     """Estimate minus truth in standard errors, by experiment and parameter."""
-    result = {}
-    for experiment in (steady, breakaway, shaken, flights):
-        family = result.setdefault(experiment.__name__, {})
-        for seed in range(SEEDS):
-            rng = np.random.default_rng(seed)
-            truth = rig(rng)
-            for name, found in experiment(truth, rng).items():
-                family.setdefault(name, []).append((found.value - truth[name]) / found.se)
-    return result
+    return campaign(range(SEEDS))
 
 
 def test_recovered_within_two_standard_errors_in_95_percent(misses):

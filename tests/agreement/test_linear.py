@@ -66,7 +66,7 @@ def test_is_the_three_dof_model_about_a_turn(paper, preload):
     np.testing.assert_allclose(row["torque_l"], torque, rtol=SAME, atol=SAME)
 
 
-def test_without_friction_has_the_response_of_the_3_dof_state_space(frictionless):
+def test_without_friction_is_the_3_dof_state_space(frictionless):
     """At any state with closed meshes, here at rest; the package's other assembly."""
     drive = frictionless.drive
     per_volt = drive["N_1"] * drive["K_d"] * drive["K_M"]
@@ -74,6 +74,10 @@ def test_without_friction_has_the_response_of_the_3_dof_state_space(frictionless
     x0[0] = drive["gap_l"] + per_volt * 0.5 / drive["k_m"]
     x0[1] = -drive["gap_r"] - per_volt * 0.5 / drive["k_m"]
     linear = linearize(frictionless, x0, [0.5, -0.5])
+    A, B, _ = in_order(linear)
+    system = three_dof_ss(drive)  # its states are in ORDER
+    np.testing.assert_allclose(A, system.A, rtol=SAME, atol=SAME * np.abs(system.A[3:, 3:]).max())
+    np.testing.assert_allclose(B, system.B, rtol=SAME)
     omega = 2 * np.pi * np.geomspace(0.1, 1000.0, 60)
     own = three_dof_ss(drive, outputs=("omega_L",))
     a = linear.frequency_response(omega).complex[linear.output_labels.index("omega_L")]

@@ -34,7 +34,7 @@ def test_printed_numbers(capsys):
     assert [float(x) for x in beside[2][3:]] == pytest.approx([pinion, pinion, 1], abs=1e-3)
     other = cells(out, "J_2 is N1² J_m")
     assert [row[0] for row in other[:3]] == ["0.00", "85.41", "238.64"]
-    nine = cells(out, "9-DOF\n")
+    nine = cells(out, "9-DOF, our defaults\n")
     assert [row[1] for row in nine[:9]].count("antisymmetric") == 4
     change = {row[0]: [float(x) for x in row[1:]] for row in cells(out, "Sensitivities, 3-DOF")[:6]}
     assert change["k_m"] == [0.5, 0.5]

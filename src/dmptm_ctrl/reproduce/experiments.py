@@ -100,8 +100,13 @@ def _tables(table: str, loop: str, trials: list[Trial]) -> Table:
         "r "
         + _span([100 * t.scores["existing"].pearson_r for t in trials])
         + " → "
-        + _span([100 * t.scores["proposed"].pearson_r for t in trials]),
+        + _span([100 * t.scores["proposed"].pearson_r for t in trials])
+        + f"; RMSE smaller in {sum(_wins(t) for t in trials)} of {len(trials)}",
     )
+
+
+def _wins(trial: Trial) -> bool:
+    return trial.scores["proposed"].rmse < trial.scores["existing"].rmse
 
 
 def _span(values: list[float]) -> str:

@@ -221,7 +221,6 @@ def test_predict_is_better_on_a_log_never_seen(written, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not BLIND.is_dir(), reason="no ../shared/blind")
-@pytest.mark.xfail(strict=False, reason="not yet: not repeated since the last change of weights")
 @pytest.mark.parametrize(("rig", "names"), [("d01", []), ("d04", ["unbalance"])])
 def test_rigs_of_another_program(rig, names, tmp_path):
     out = tmp_path / "out"

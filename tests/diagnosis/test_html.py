@@ -90,6 +90,8 @@ def made(verdict):
         after.model,
         measured,
         decision,
+        (before, after),
+        after,
         provenance(measured, logs, 3, 1.5),
         ("clipped <b>here</b>",),
     )

@@ -2,8 +2,10 @@
 
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from os import PathLike
 
+from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import Decision, decide
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
@@ -12,7 +14,7 @@ from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.fit import Misfit, fit
+from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.signals import Log, load_logs
 from dmptm_ctrl.simulate.model import Model
 
@@ -58,19 +60,24 @@ def diagnose(
     measured = measure(tuple(campaign), declared)
     sensors = cross_check((*measured.fit, *measured.held))
     model = with_sensors(Model(declared), sensors)
-    left = residual(measured, jobs=jobs, start=model)
-    decision = decide(left, declared, skip=tuple(sensors.values))
+    left = residual(measured, model, jobs=jobs)
+    decision = decide(left, skip=tuple(sensors.values), jobs=jobs)
+    before = augment(measured.fit, left.base, jobs=jobs)
+    after = before
+    if decision.found:
+        after = augment(measured.fit, decision.after.base, jobs=jobs)
     held = [log for log in measured.logs if log.name in {rec.name for rec in measured.held}]
     error = {
         "unit": "deg/s",
         "bandwidth_hz": 30,
         "on": "held-out logs",
-        "before": speed_error(decision.before.model.without(model.effects), held),
-        "after": speed_error(decision.after.model, held),
+        "before": speed_error(before.model.without(model.effects), held),
+        "after": speed_error(after.model, held),
     }
+    final = refined(measured, decision, jobs)
     effects = tuple(
         sorted(
-            [named(found, decision.after, error) for found in decision.found]
+            [named(found, final) for found in decision.found]
             + [sensor_effect(name, sensors) for name in model.effects],
             key=lambda e: -e.probability,
         )
@@ -82,10 +89,12 @@ def diagnose(
         ranking=ranking(decision, untestable, sensors.errors),
         depends_on=(),
         error=error,
-        declared=decision.before.model,
-        augmented=refined(measured, decision, jobs),
+        declared=before.model,
+        augmented=final.model,
         measured=measured,
         decision=decision,
+        fits=(before, after),
+        fitted=final,
         provenance=provenance(measured, measured.logs, seed, time.perf_counter() - start),
         warnings=(*measured.warnings, *getattr(campaign, "warnings", ())),
     )
@@ -121,9 +130,10 @@ def sensor_effect(name: str, sensors: SensorCheck) -> NamedEffect:
     )
 
 
-def refined(measured: Measured, decision: Decision, jobs: int) -> Model:
+def refined(measured: Measured, decision: Decision, jobs: int) -> Fit:
     """Refit the verdict's model on all logs: the honest error is known, now predict best."""
-    everything = (*measured.fit, *(rec for rec in measured.held if rec not in measured.fit))
-    misfit = Misfit(everything, decision.last.misfit.bandwidth_hz if decision.last else 0.05, jobs)
-    misfit.weigh(decision.after.model)
-    return fit(misfit, decision.after.model, decision.after.unknowns, iterations=4).model
+    held = tuple(rec for rec in measured.held if rec not in measured.fit)
+    everything = replace(measured, fit=(*measured.fit, *held))
+    base = decision.after.base
+    start = residual(everything, base.model, unknowns=base.unknowns, jobs=jobs).base
+    return augment(everything.fit, start, jobs=jobs)

@@ -49,7 +49,8 @@ def overlays(diagnosis: "Diagnosis") -> tuple[Overlay, ...]:
 
 def models(diagnosis: "Diagnosis") -> tuple[Model, Model]:
     """Return the models that `error` judges: neither has seen the held-out logs."""
-    return Model(diagnosis.decision.before.model.drive), diagnosis.decision.after.model
+    before, after = diagnosis.fits
+    return Model(before.model.drive), after.model
 
 
 def folded(diagnosis: "Diagnosis") -> Evidence:

@@ -83,7 +83,7 @@ def render(diagnosis: "Diagnosis") -> str:
         evidence_figure=evidence_figure(evidence),
         read=READ_EVIDENCE if evidence.effect else READ_NOTHING,
         declared=declared_rows(diagnosis),
-        at_bounds=diagnosis.decision.after.at_bounds,
+        at_bounds=diagnosis.fitted.at_bounds,
         catalogue=CATALOGUE,
         detectable=detectable,
         code=CODE,
@@ -140,7 +140,7 @@ def detectable(row: dict[str, Any]) -> str:
 
 def declared_rows(diagnosis: "Diagnosis") -> list[dict[str, Any]]:
     """Return fitted parameters of the drive beside their declared ranges."""
-    after = diagnosis.decision.after
+    after = diagnosis.fitted
     rows = []
     for k, p in zip(after.unknowns, after.p, strict=True):
         if k.effect is None:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.decide import Decision, Found, evidence
+from dmptm_ctrl.diagnosis.decide import Decision, Found
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.trace import MIN_SURVIVAL
+from dmptm_ctrl.diagnosis.trace import Trial
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.signals import Log
@@ -63,6 +63,10 @@ class Diagnosis:
         Fitted without and with the effects; `augmented.to_blocks()` gives python-control.
     measured : Measured
     decision : Decision
+    fits : (Fit, Fit)
+        Before and after, fitted on the fitted logs only: those that `error` is of.
+    fitted : Fit
+        Of `augmented`, on all logs.
     provenance : dict
     """
 
@@ -75,6 +79,8 @@ class Diagnosis:
     augmented: Model
     measured: Measured
     decision: Decision
+    fits: tuple[Fit, Fit]
+    fitted: Fit
     provenance: dict[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
@@ -110,7 +116,7 @@ class Diagnosis:
             lines.append(f"  {effect.evidence}")
             if effect.confusable_with:
                 lines.append("  not told from: " + ", ".join(effect.confusable_with))
-        bounds = self.decision.after.at_bounds
+        bounds = self.fitted.at_bounds
         if bounds:
             lines += ["", "at the edge of the declared range: " + ", ".join(bounds)]
         lines += [f"warning: {text}" for text in self.warnings]
@@ -169,7 +175,7 @@ class Diagnosis:
             (out / "report.html").write_text(render(self), encoding="utf-8")
 
 
-def named(found: Found, after: Fit, errors: dict[str, Any]) -> NamedEffect:
+def named(found: Found, after: Fit) -> NamedEffect:
     """Describe an accepted effect with the values of the final fit."""
     effect = CATALOGUE[found.name]
     parameters = {}
@@ -181,10 +187,14 @@ def named(found: Found, after: Fit, errors: dict[str, Any]) -> NamedEffect:
         parameters[p.name] = {"value": float(value), "se": float(se), "unit": p.unit}
     trial = found.trial
     sentence = (
-        f"Adding it lowers the held-out error to {100 * trial.held_ratio:.0f} % and improves "
-        f"{100 * trial.improved:.0f} % of the logs; evidence {found.evidence:.0f} where "
-        f"{found.threshold:.0f} is needed (best of the catalogue on rigs that lack nothing)."
+        f"It supplies the torque or twist that is missing: log-likelihood ratio {trial.gain:.0f} "
+        f"on the fitted logs and {trial.held_gain:.0f} on the held-out ones, together "
+        f"{found.evidence:.0f} where {found.threshold:.0f} is needed"
     )
+    if found.rivals:
+        second = found.rivals[0]
+        sentence += f"; the next best, {second.name}, reaches {second.evidence:.0f}"
+    sentence += "."
     return NamedEffect(
         found.name,
         effect.location,
@@ -195,26 +205,31 @@ def named(found: Found, after: Fit, errors: dict[str, Any]) -> NamedEffect:
     )
 
 
+def detectable(trial: Trial) -> dict[str, dict[str, Any]]:
+    """Smallest amplitudes that these logs could have shown: three standard errors."""
+    effect = CATALOGUE[trial.name]
+    sizes = {}
+    errors = np.sqrt(np.diag(trial.fit.covariance))
+    for unknown, error in zip(trial.fit.unknowns, errors, strict=True):
+        if unknown.effect == trial.name and unknown.name in effect.amplitudes:
+            unit = next(p.unit for p in effect.parameters if p.name == unknown.name)
+            sizes[unknown.name] = {"value": float(3.0 * unknown.scale * error), "unit": unit}
+    return sizes
+
+
 def ranking(
     decision: Decision, untestable: Sequence[str], sensors: dict[str, dict[str, float]]
 ) -> list[dict[str, Any]]:
     """Status of every catalogue entry, best first."""
     chosen = {f.name: f for f in decision.found}
-    scores = {s.name: s for s in decision.scores}
     rows = []
     for name, effect in CATALOGUE.items():
-        score = scores.get(name)
         trial = decision.trials.get(name)
-        value = 0.0
+        value = trial.evidence if trial is not None else 0.0
         if name in chosen:
             value = chosen[name].evidence
-        elif trial is not None:
-            value = evidence(trial)
-        elif score is not None:
-            value = score.gain
         status = "supported" if name in chosen else "rejected"
-        weak = score is not None and score.survival < MIN_SURVIVAL
-        if status == "rejected" and (name in untestable or weak):
+        if status == "rejected" and (name in untestable or (trial is None and name not in sensors)):
             status = "not testable with these logs"
         row: dict[str, Any] = {
             "name": name,
@@ -222,12 +237,8 @@ def ranking(
             "status": status,
             "reveals": effect.reveals,
         }
-        if score is not None:
-            row["detectable"] = {
-                p.name: {"value": float(min(score.detectable[p.name], 1e300)), "unit": p.unit}
-                for p in effect.parameters
-                if not p.bank
-            }
+        if trial is not None:
+            row["detectable"] = detectable(trial)
         if name in sensors:
             row["detectable"] = {
                 key: {

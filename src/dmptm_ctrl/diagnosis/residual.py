@@ -1,81 +1,82 @@
 """Second step: what the declared model, fitted inside its declared ranges, leaves."""
 
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass, field
 
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.drive import Drive
-from dmptm_ctrl.identify.fit import Fit, Misfit, drive_unknowns, fit, prior_cost
+from dmptm_ctrl.identify.balance import Balance, BalanceFit, fit_balance, loss
+from dmptm_ctrl.identify.fit import Misfit, Unknown, drive_unknowns
+from dmptm_ctrl.identify.motion import motions
+from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
-STIFF = 0.3  # of the prior's width, for the start that stays near the declaration
-LEAD_HZ = 0.05  # slow lead by the measured angle: bounds drift, leaves everything faster
+LEAD_HZ = 0.05  # slow lead of simulated runs by the measured angle: bounds drift only
+ROUNDS = 3  # fits without motor encoders: each tells better who touches, for the next
 
 
 @dataclass(eq=False)
 class Residual:
-    """A fitted model and what it leaves on the logs that it was fitted to.
+    """A model fitted to the balances of the fitted logs, and those of the held-out ones.
 
     Attributes
     ----------
-    base : Fit
-    misfit : Misfit
-        Its weights are those of `base`, and stay for every comparison.
-    held : Misfit
-        The logs that judge, weighted the same way.
-    runs : list of (n, 8) arrays
-    vector : (m,) array
-        Weighted; its square counts independent news.
-    jacobian : (m, k) array
-        What refitted parameters of the drive could explain.
+    measured : Measured
+    balance, held : Balance
+        Missing torques on the logs that fit and on those that judge.
+    base : BalanceFit
+    held_news : (e,) array
+        Independent share of the windows of each held-out equation.
     """
 
-    base: Fit
-    misfit: Misfit
-    held: Misfit
-    runs: list[Floats]
-    vector: Floats
-    jacobian: Floats
+    measured: Measured
+    balance: Balance
+    held: Balance
+    base: BalanceFit
+    held_news: Floats
+    _held: dict[int, float] = field(default_factory=dict)
 
-    @property
-    def prior(self) -> Floats:
-        """Inverse prior standard deviations of the unknowns."""
-        return np.array([1.0 / k.prior for k in self.base.unknowns])
-
-
-def residual(measured: Measured, *, jobs: int = 2, start: Model | None = None) -> Residual:
-    """Fit the declared model and return what is left."""
-    model = start or Model(measured.drive)
-    misfit = Misfit(measured.fit, LEAD_HZ, jobs)
-    unknowns = drive_unknowns(model)
-    # Robust weights follow the iterate until it is near, then stay for the comparisons.
-    base = fit(misfit, model, unknowns, iterations=3, reweigh=True)
-    misfit.weigh(base.model)
-    # Then the reference must be the best of the declared model under those very weights.
-    base = fit(misfit, base.model, unknowns, iterations=12, tolerance=3e-3)
-    held = Misfit(measured.held, LEAD_HZ, jobs)
-    held.weigh(base.model)
-    return linearised(base, misfit, held)
+    def held_loss(self, model: Model) -> float:
+        """Loss on the held-out logs, nothing fitted."""
+        if id(model) not in self._held:
+            kinds = [e.kind for e in self.held.equations]
+            self._held[id(model)] = loss(self.held.missing(model), kinds, self.held_news, (), ())
+            self._alive = [*getattr(self, "_alive", []), model]  # an id must not come again
+        return self._held[id(model)]
 
 
-def linearised(base: Fit, misfit: Misfit, held: Misfit) -> Residual:
-    """Gather residual and sensitivities at a fitted model."""
-    vector = misfit.vector(base.model)
-    cost = float(vector @ vector) + prior_cost(base.unknowns, base.p)
-    base = replace(base, cost=cost, residual=vector)
-    jacobian = misfit.columns(base.model, base.unknowns, vector)
-    return Residual(base, misfit, held, misfit.runs(base.model), vector, jacobian)
+def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: int) -> Balance:
+    """Prepare balances; without motor encoders `model` tells which pinions touch."""
+    runs = None
+    if any(rec.twist is None for rec in records):
+        runs = Misfit(records, LEAD_HZ, jobs).runs(model)
+    return Balance(motions(records, model, runs), declared, jobs)
 
 
-def near_declared(left: Residual, drive: Drive) -> Residual:
-    """Return a second start: the drive held near its declaration, weighted as `left`.
+def residual(
+    measured: Measured,
+    model: Model,
+    *,
+    unknowns: tuple[Unknown, ...] | None = None,
+    jobs: int = 2,
+) -> Residual:
+    """Fit a model to the balances and return what it leaves.
 
-    A fit that bent its parameters to absorb an effect is a trap; this one could not.
+    Parameters
+    ----------
+    model : Model
+        Where the fit starts; its effects stay as they are unless `unknowns` frees them.
+    unknowns : tuple of Unknown, optional
+        By default the parameters of the drive inside their declared ranges.
     """
-    unknowns = left.base.unknowns
-    model = Model(drive, left.base.model.effects)
-    stiff = tuple(replace(k, prior=STIFF * k.prior) for k in unknowns)
-    held_back = fit(left.misfit, model, stiff, iterations=5)
-    start = replace(held_back, unknowns=unknowns)
-    return linearised(start, left.misfit, left.held)
+    declared = Model(measured.drive)
+    free = drive_unknowns(model) if unknowns is None else unknowns
+    balance = balances(measured.fit, model, declared, jobs)
+    base = fit_balance(balance, model, free)
+    for _ in range(ROUNDS - 1):
+        if not balance.simulated:
+            break
+        balance = balances(measured.fit, base.model, declared, jobs)
+        base = fit_balance(balance, base.model, free)
+    # Once more with the independent shares of the end, which hold for every comparison.
+    base = fit_balance(balance, base.model, free, news=base.scatter.news)
+    held = balances(measured.held, base.model, declared, jobs)
+    return Residual(measured, balance, held, base, held.scatter(base.model).news)

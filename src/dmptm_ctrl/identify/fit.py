@@ -304,24 +304,38 @@ class Fit:
         )
 
 
-def prior_cost(unknowns: Sequence[Unknown], p: Floats) -> float:
-    """Return ‖p/s‖²."""
+class Known(NamedTuple):
+    """What is known of the unknowns beforehand: a normal distribution."""
+
+    mean: Floats
+    precision: Floats
+
+    def cost(self, p: Floats) -> float:
+        """Return (p − mean)ᵀ precision (p − mean)."""
+        return float((p - self.mean) @ self.precision @ (p - self.mean))
+
+
+def declared(unknowns: Sequence[Unknown]) -> Known:
+    """Return what the declaration says: independent, about the middle of each range."""
     s = np.array([k.prior for k in unknowns])
-    return float(np.sum((p / s) ** 2))
+    return Known(np.zeros(s.size), np.diag(np.where(np.isfinite(s), 1.0 / s**2, 0.0)))
 
 
 def bounded_step(
-    r: Floats, jac: Floats, p: Floats, unknowns: Sequence[Unknown], damping: float
+    r: Floats,
+    jac: Floats,
+    p: Floats,
+    unknowns: Sequence[Unknown],
+    damping: float,
+    known: Known | None = None,
 ) -> Floats:
-    """Return the bounded step δ of min ‖r − J δ‖² + ‖(p + δ)/s‖² + damping ‖δ‖²_diag(JᵀJ)."""
-    s = np.array([k.prior for k in unknowns])
+    """Return the bounded step δ of min ‖r − J δ‖² + known.cost(p + δ) + damping ‖δ‖²_diag."""
+    mean, precision = known or declared(unknowns)
     # A weak pull keeps effects' parameters that the data say nothing about where they are.
-    inverse = np.where(np.isfinite(s), 1.0 / s, 1e-3)
-    pull = np.where(np.isfinite(s), p / s, 0.0)
-    normal = jac.T @ jac + np.diag(inverse**2)
+    normal = jac.T @ jac + precision + 1e-6 * np.eye(p.size)
     normal += damping * np.diag(np.diag(normal))
     root = np.linalg.cholesky(normal).T
-    target = np.linalg.solve(root.T, jac.T @ r - inverse * pull)
+    target = np.linalg.solve(root.T, jac.T @ r - precision @ (p - mean))
     low = np.minimum(np.array([k.low for k in unknowns]) - p, -1e-12)
     high = np.maximum(np.array([k.high for k in unknowns]) - p, 1e-12)
     return np.asarray(lsq_linear(root, target, (low, high), method="bvls").x)
@@ -344,15 +358,16 @@ def best_step(
     r: Floats,
     jac: Floats,
     cost: float,
+    known: Known,
 ) -> Step:
     """Try steps of all dampings; return the best, or where it is if none is better."""
     low, high = [k.low for k in unknowns], [k.high for k in unknowns]
 
     def attempt(damping: float) -> Step:
-        trial = np.clip(p + bounded_step(r, jac, p, unknowns, damping), low, high)
+        trial = np.clip(p + bounded_step(r, jac, p, unknowns, damping, known), low, high)
         moved = place(model, unknowns, trial)
         miss = misfit.vector(moved)
-        return Step(float(miss @ miss) + prior_cost(unknowns, trial), trial, moved, miss)
+        return Step(float(miss @ miss) + known.cost(trial), trial, moved, miss)
 
     with ThreadPoolExecutor(misfit.jobs) as pool:
         steps = list(pool.map(attempt, DAMPINGS))
@@ -368,6 +383,7 @@ def fit(
     jacobian: Floats | None = None,
     reweigh: bool = False,
     tolerance: float = 1e-3,
+    known: Known | None = None,
 ) -> Fit:
     """Fit unknowns to records, from the values that `model` has.
 
@@ -380,19 +396,22 @@ def fit(
     tolerance : float
         Relative fall of the cost below which an iteration counts as stalled: columns are
         taken anew, and the fit ends when those of each difference step have stalled.
+    known : Known, optional
+        What is known beforehand; by default the declared ranges.
 
     Returns
     -------
     Fit
     """
     unknowns = tuple(unknowns)
+    known = known or declared(unknowns)
     p = position(model, unknowns)
     p = np.clip(p, [k.low for k in unknowns], [k.high for k in unknowns])
     model = place(model, unknowns, p)
     if misfit.weights is None:
         misfit.weigh(model)
     r = misfit.vector(model)
-    start = cost = float(r @ r) + prior_cost(unknowns, p)
+    start = cost = float(r @ r) + known.cost(p)
     jac: Floats | None = None
     if jacobian is not None:
         k = jacobian.shape[1]
@@ -402,12 +421,12 @@ def fit(
         if reweigh:
             misfit.weigh(model)
             r = misfit.vector(model)
-            cost = float(r @ r) + prior_cost(unknowns, p)
+            cost = float(r @ r) + known.cost(p)
             jac = None
         if jac is None:
             jac = misfit.columns(model, unknowns, r, PROBES[probe % len(PROBES)])
             probe, fresh = probe + 1, True
-        best = best_step(misfit, model, unknowns, p, r, jac, cost)
+        best = best_step(misfit, model, unknowns, p, r, jac, cost, known)
         gain = cost - best.cost
         if gain > 0.0:
             change = best.p - p
@@ -424,7 +443,7 @@ def fit(
         fresh = False
     if jac is None:
         jac = misfit.columns(model, unknowns, r)
-    precision = jac.T @ jac + np.diag([1.0 / k.prior**2 + 1e-9 for k in unknowns])
+    precision = jac.T @ jac + known.precision + 1e-9 * np.eye(p.size)
     return Fit(
         model,
         unknowns,

@@ -334,7 +334,7 @@ def along(u, run, dt, base, on, values, torque, shift):
     """Disturbance that the effects in use exert along a recorded run.
 
     `run` (n, 8) as from `march`; writes `torque` (n, 3) on the pinions and the ring gear
-    and `shift` (n, 2) of z. The pinions turn with the ring gear.
+    and `shift` (n, 2) of z at the flank it is nearest to. The pinions turn with the ring gear.
     """
     n = u.shape[1]
     gain = base[0] * base[1]
@@ -371,7 +371,9 @@ def along(u, run, dt, base, on, values, torque, shift):
             torque[i, side] = n1 * (gain * (v - u[side, i]) + moved) - direction * (
                 (scale - 1.0) * slide + added
             )
-            shift[i, side] = mesh_shift(theta_m / n1, n2 * omega, theta, omega, side, on, values)[0]
+            dz, _, dgap, _ = mesh_shift(theta_m / n1, n2 * omega, theta, omega, side, on, values)
+            # on a flank, a wider gap is a shift of z away from it
+            shift[i, side] = dz - (dgap if run[i, 6 + side] > 0.0 else -dgap)
         carried = abs(run[i, 4]) + abs(run[i, 5])
         scale, added = friction_level(theta, omega, t, carried, 2, on, values)
         slide = sliding_torque(omega, direction, bearing)

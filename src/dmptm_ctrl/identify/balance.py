@@ -1,0 +1,416 @@
+"""Newton's law on the measured motion: what torque is missing, window by window.
+
+Summed over all bodies the mesh torques cancel, so that the balance at the ring gear
+
+    J_L α_L + N2 J̄3 (α_3l + α_3r) = N2 (N1 K (u_l + u_r) − F_3l − F_3r) − F_L + effects
+
+holds through gaps and rattle, of which no simulation predicts the course; per chain the
+mesh torque follows from the measured twist while the pinion rests on a flank. Nothing is
+integrated: no drift, no chaos, and nearly linear in everything unknown.
+Source: paper Eqs. 16 to 18, 21, 25.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from math import exp
+
+import numpy as np
+from numba import njit
+
+from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
+from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
+from dmptm_ctrl.identify.motion import Motion
+from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
+
+REDUCER, BEARING = BASE.index("T3s_plus"), BASE.index("TLs_plus")  # in the base array
+INERTIA = (
+    36.5  # kg·m², Table 1: of all bodies at the ring gear; expresses an acceleration as a torque
+)
+STIFFNESS = 3.6e4  # N·m/rad, Table 1: expresses a twist as a torque, whatever k_m is fitted
+FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a window
+MIN_WINDOWS = 8  # of a log and equation; fewer tell nothing about their own scatter
+TAIL = 2.0  # standard deviations beyond which a window counts less (pseudo-Huber)
+FLOOR = {"total": 0.05, "chain": 0.4}  # N·m; friction laws are not known more finely
+PROBES = {"drive": 0.1, "effect": 1.0}  # difference steps, in scales of an unknown
+ITERATIONS = 8
+STALLED = 0.5  # fall of the loss that ends the iterations
+NEWS_LAGS = 12  # windows over which the misfit's correlation is summed
+
+
+@njit(nogil=True)
+def friction_along(speed: Floats, law: Stribeck, out: Floats) -> None:
+    """Sliding friction against a recorded speed, signed like the speed."""
+    for i in range(speed.size):
+        direction = 1.0 if speed[i] > 0.0 else -1.0
+        out[i] = direction * sliding_torque(speed[i], direction, law)
+
+
+@njit(nogil=True)
+def presliding_along(angle: Floats, distance: float, out: Floats) -> None:
+    """Friction of Dahl's equation along a recorded angle, exact for steps of it."""
+    force = 0.0
+    for i in range(1, angle.size):
+        moved = angle[i] - angle[i - 1]
+        if moved != 0.0:
+            direction = 1.0 if moved > 0.0 else -1.0
+            level = direction * out[i] * (1.0 if out[i] * direction > 0.0 else 0.0)
+            force = direction * level + (force - direction * level) * exp(-abs(moved) / distance)
+        out[i] = force
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """One balance on one log: which windows of it count."""
+
+    motion: int
+    kind: str  # total, or the chain: left, right
+    used: np.ndarray
+
+
+@dataclass(eq=False)
+class Balance:
+    """Missing torque [N·m] of a model on measured motions.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+    declared : Model
+        Tells which meshes push firmly; which windows count does not follow a fit.
+    jobs : int
+        Threads; nothing depends on it.
+    """
+
+    motions: Sequence[Motion]
+    declared: Model
+    jobs: int = 1
+
+    @cached_property
+    def equations(self) -> tuple[Equation, ...]:
+        """Equations with enough windows, log by log."""
+        found = []
+        for i, mo in enumerate(self.motions):
+            kinds = [("total", mo.slides)]
+            if mo.rec.twist is not None:
+                firm = pushes(mo, self.volts[i], self.declared)
+                kinds += [
+                    (k, mo.slides & mo.touches[:, s] & firm[:, s]) for s, k in enumerate(SIDES)
+                ]
+            found += [Equation(i, k, used) for k, used in kinds if used.sum() >= MIN_WINDOWS]
+        return tuple(found)
+
+    @cached_property
+    def volts(self) -> list[Floats]:
+        """Window means of both voltages per motion."""
+        return [mo.mean(mo.rec.u) for mo in self.motions]
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a simulation told which pinions touch."""
+        return any(mo.rec.twist is None for mo in self.motions)
+
+    def scatter(self, model: Model) -> "Scatter":
+        """How far the windows scatter about a model."""
+        return scatter(self.missing(model), [e.kind for e in self.equations])
+
+    def missing(self, model: Model) -> list[Floats]:
+        """Missing torque per equation, on the windows that count."""
+        arrays = model.arrays()
+        reduced = reducer_compliance(model)
+        tables = [
+            missing_torques(mo, volts, arrays, reduced)
+            for mo, volts in zip(self.motions, self.volts, strict=True)
+        ]
+        return [tables[e.motion][ROWS[e.kind]][e.used] for e in self.equations]
+
+
+def carried_torques(mo: Motion, volts: Floats, model: Model) -> Floats:
+    """What each chain's motor has left for the mesh, (2, w) [N·m at the pinion]."""
+    base, _, _ = model.arrays()
+    n1 = base[5]
+    law = Stribeck(*base[REDUCER : REDUCER + 9])
+    friction = np.empty((2, mo.run.shape[0]))
+    for s in (0, 1):
+        friction_along(np.ascontiguousarray(mo.pinion_speed[:, s]), law, friction[s])
+    inertia = n1 * n1 * base[2] + base[3]
+    return np.asarray(
+        n1 * base[0] * base[1] * volts - mo.mean(friction) - inertia * mo.pinions.T, np.float64
+    )
+
+
+def pushes(mo: Motion, volts: Floats, model: Model) -> np.ndarray:
+    """Windows in which the mesh pushes so firmly that it does not lift in between, (w, 2)."""
+    z = mo.mean(np.sign(mo.run[:, 6:8].T))
+    return np.asarray((z * carried_torques(mo, volts, model) > FIRM).T)
+
+
+SIDES = ("left", "right")
+ROWS = {"total": 0, "left": 1, "right": 2}
+
+
+def reducer_compliance(model: Model) -> float:
+    """Compliance of the reducers at the pinion [rad/(N·m)], 0 if rigid."""
+    return float(model.effects.get("reducer_compliance", {}).get("compliance", 0.0))
+
+
+def missing_torques(mo: Motion, volts: Floats, arrays: Arrays, compliance: float) -> Floats:
+    """All balances on all windows of a motion, (3, w) [N·m]."""
+    base, on, values = arrays
+    n1, n2 = base[5], base[6]
+    gain = base[0] * base[1]
+    j3, jl = n1 * n1 * base[2] + base[3], base[4]
+    twisted = mo.rec.twist is not None
+    n = mo.run.shape[0]
+    reducer = Stribeck(*base[REDUCER : REDUCER + 9])
+    bearing = Stribeck(*base[BEARING : BEARING + 9])
+    distances = [engine().presliding_distance(body, on, values) for body in range(3)]
+    rows = np.empty((3, n))
+    for s in (0, 1):
+        friction_along(np.ascontiguousarray(mo.pinion_speed[:, s]), reducer, rows[s])
+        if distances[s] > 0.0:
+            angle = mo.run[:, 2 + s] / n1
+            presliding_along(np.ascontiguousarray(angle), distances[s], rows[s])
+    friction_along(np.ascontiguousarray(mo.run[:, 1]), bearing, rows[2])
+    if distances[2] > 0.0:
+        presliding_along(np.ascontiguousarray(mo.run[:, 0]), distances[2], rows[2])
+    rows *= -1.0
+    shift = np.zeros((2, n))
+    if on.any():
+        torque, moved = disturbance(mo, arrays, rows)
+        rows += torque
+        shift += moved
+    force = mo.mean(rows)
+    force[:2] += n1 * gain * volts
+    out = np.empty((3, mo.starts.size))
+    # As an acceleration: the sensors' noise is one, and must not favour a small inertia.
+    out[0] = jl * mo.ring + n2 * j3 * mo.pinions.sum(1) - n2 * force[:2].sum(0) - force[2]
+    out[0] *= INERTIA / (jl + 2.0 * n2 * n2 * j3)
+    if twisted:
+        for s in (0, 1):
+            z = mo.run[:, 6 + s] + shift[s]
+            rate = mo.pinion_speed[:, s] - n2 * mo.run[:, 1]
+            flank = np.where(mo.run[:, 6 + s] > 0.0, base[13 + s], -base[13 + s])
+            twist = mo.mean(z - flank + base[11] / base[8] * rate)
+            carried = force[s] - j3 * mo.pinions[:, s]
+            # In the twist, not in the torque: the twist's noise must not bias the stiffness.
+            # A soft reducer adds its own, for z is seen at the motor.
+            out[1 + s] = STIFFNESS * (twist - (1.0 / base[8] + compliance) * carried)
+    return out
+
+
+def disturbance(mo: Motion, arrays: Arrays, friction: Floats) -> tuple[Floats, Floats]:
+    """Torques (3, n) on pinions and ring gear, and shifts (2, n) of z, of a model's effects."""
+    base, on, values = arrays
+    n = mo.run.shape[0]
+    torque, moved = np.empty((n, 3)), np.empty((n, 2))
+    run = mo.run
+    if mo.rec.twist is not None:  # torque on the mesh, for friction that grows with it
+        run = mo.run.copy()
+        inertia = base[5] * base[5] * base[2] + base[3]
+        gain = base[5] * base[0] * base[1]
+        middle = mo.starts + mo.window.size // 2
+        for s in (0, 1):
+            smooth = mo.mean(gain * mo.rec.u[s] + friction[s]) - inertia * mo.pinions[:, s]
+            run[:, 4 + s] = np.interp(np.arange(n), middle, smooth)
+    engine().along(mo.rec.u, run, mo.rec.dt, base, on, values, torque, moved)
+    return torque.T, moved.T
+
+
+@dataclass(frozen=True, eq=False)
+class Scatter:
+    """How far windows scatter, per equation.
+
+    Attributes
+    ----------
+    sigma : (e,) array [N·m]
+    news : (e,) array
+        Share of the windows that count as independent.
+    """
+
+    sigma: Floats
+    news: Floats
+
+
+def scatter(parts: Sequence[Floats], kinds: Sequence[str]) -> Scatter:
+    """Robust scale of each equation, and the share of independent windows."""
+    sigma, news = [], []
+    for part, kind in zip(parts, kinds, strict=True):
+        floor = FLOOR["total" if kind == "total" else "chain"]
+        sigma.append(float(np.hypot(robust_scale(part), floor)))
+        bent = np.clip(part / sigma[-1], -3.0, 3.0)
+        power = max(float(bent @ bent), 1e-12)
+        lags = [
+            float(bent[k:] @ bent[:-k]) / power for k in range(1, min(NEWS_LAGS, part.size // 3))
+        ]
+        total = 1.0
+        for rho in lags:
+            if rho < 0.1:
+                break
+            total += 2.0 * rho
+        news.append(1.0 / total)
+    return Scatter(np.array(sigma), np.array(news))
+
+
+def robust_scale(e: Floats) -> float:
+    """Scale about zero at which the mean pseudo-Huber square is that of a normal variable."""
+    s = max(1.4826 * float(np.median(np.abs(e))), 1e-9)
+    for _ in range(8):
+        s *= float(np.sqrt(np.mean(huber(e / s)) / NORMAL_HUBER))
+    return s
+
+
+def huber(x: Floats) -> Floats:
+    """Pseudo-Huber square: x² for small x, linear beyond TAIL."""
+    return np.asarray(2.0 * TAIL**2 * (np.hypot(1.0, x / TAIL) - 1.0))
+
+
+_X = np.linspace(-8.0, 8.0, 4001)
+NORMAL_HUBER = float(
+    np.sum(huber(_X) * np.exp(-0.5 * _X**2)) / np.sum(np.exp(-0.5 * _X**2))
+)  # mean of the pseudo-Huber square of a standard normal variable
+
+
+@dataclass(frozen=True, eq=False)
+class BalanceFit:
+    """Parameters that close the balances best.
+
+    Attributes
+    ----------
+    loss : float
+        2 Σ n log σ + ‖p/s‖² over equations, n the independent windows: a difference of
+        two is a log-likelihood ratio.
+    parts : list of arrays
+        Missing torque per equation.
+    scatter : Scatter
+    jacobian : (m, k) array
+        d missing/dp, unweighted.
+    covariance : (k, k) array
+    """
+
+    model: Model
+    unknowns: tuple[Unknown, ...]
+    p: Floats
+    loss: float
+    parts: list[Floats]
+    scatter: Scatter
+    jacobian: Floats
+    covariance: Floats
+
+    @property
+    def missing(self) -> Floats:
+        """All parts in one vector."""
+        return np.concatenate(self.parts)
+
+    @cached_property
+    def weights(self) -> Floats:
+        """Square roots of what each window counts."""
+        return weights(self.parts, self.scatter)
+
+
+def weights(parts: Sequence[Floats], spread: Scatter) -> Floats:
+    """Square roots of what each window counts: its equation's scale, bent, and news."""
+    return np.concatenate(
+        [
+            np.sqrt(news / np.hypot(1.0, part / (TAIL * sigma))) / sigma
+            for part, sigma, news in zip(parts, spread.sigma, spread.news, strict=True)
+        ]
+    )
+
+
+def loss(
+    parts: Sequence[Floats],
+    kinds: Sequence[str],
+    news: Floats,
+    unknowns: Sequence[Unknown],
+    p: Sequence[float] | Floats,
+) -> float:
+    """Scale-free misfit plus the prior's; comparable under the same `news`."""
+    total = sum(
+        2.0 * n * part.size * np.log(np.hypot(robust_scale(part), floor_of(kind)))
+        for part, n, kind in zip(parts, news, kinds, strict=True)
+    )
+    return float(total) + float(sum((x / k.prior) ** 2 for x, k in zip(p, unknowns, strict=True)))
+
+
+def floor_of(kind: str) -> float:
+    """Scale below which an equation is not judged."""
+    return FLOOR["total" if kind == "total" else "chain"]
+
+
+def columns(balance: Balance, model: Model, unknowns: Sequence[Unknown], e0: Floats) -> Floats:
+    """Slopes of the missing torques by differences, (m, k)."""
+    p0 = position(model, unknowns)
+
+    def column(j: int) -> Floats:
+        step = PROBES["drive"] if unknowns[j].effect is None else PROBES["effect"]
+        if p0[j] + step > unknowns[j].high:
+            step = -step
+        p = p0.copy()
+        p[j] += step
+        return (np.concatenate(balance.missing(place(model, unknowns, p))) - e0) / step
+
+    with ThreadPoolExecutor(balance.jobs) as pool:
+        done = list(pool.map(column, range(len(unknowns))))
+    return np.array(done).T if done else np.empty((e0.size, 0))
+
+
+def fit_balance(
+    balance: Balance,
+    model: Model,
+    unknowns: Sequence[Unknown],
+    *,
+    jacobian: Floats | None = None,
+    iterations: int = ITERATIONS,
+    news: Floats | None = None,
+) -> BalanceFit:
+    """Fit unknowns by Gauss–Newton with weights that follow the misfit.
+
+    Parameters
+    ----------
+    jacobian : (m, j) array, optional
+        Of the first j unknowns, kept as it is (the drive's are nearly constant).
+    news : (e,) array, optional
+        Independent shares to be used in the loss, so that two fits compare.
+    """
+    unknowns = tuple(unknowns)
+    low = np.array([k.low for k in unknowns])
+    high = np.array([k.high for k in unknowns])
+    p = np.clip(position(model, unknowns), low, high)
+    model = place(model, unknowns, p)
+    kinds = [e.kind for e in balance.equations]
+    parts = balance.missing(model)
+    spread = scatter(parts, kinds)
+    shares = spread.news if news is None else news
+    value = loss(parts, kinds, shares, unknowns, p)
+    kept = 0 if jacobian is None else jacobian.shape[1]
+    jac = np.empty((sum(map(len, parts)), 0))
+    for k in range(iterations):
+        if news is None:  # the shares follow the misfit as well
+            shares = spread.news
+            value = loss(parts, kinds, shares, unknowns, p)
+        e = np.concatenate(parts)
+        if k == 0 or kept < len(unknowns):
+            fresh = columns(balance, model, unknowns[kept:], e)
+            jac = fresh if jacobian is None else np.hstack([jacobian, fresh])
+        w = weights(parts, Scatter(spread.sigma, shares))
+        step = bounded_step(w * e, -w[:, None] * jac, p, unknowns, 0.0)
+        gain = 0.0
+        for shrink in (1.0, 0.5, 0.2):
+            trial = np.clip(p + shrink * step, low, high)
+            moved = place(model, unknowns, trial)
+            tried = balance.missing(moved)
+            cost = loss(tried, kinds, shares, unknowns, trial)
+            if cost < value:
+                gain = value - cost
+                p, model, parts, value = trial, moved, tried, cost
+                break
+        spread = scatter(parts, kinds)
+        if gain < STALLED:
+            break
+    w = weights(parts, Scatter(spread.sigma, shares))
+    weighted = w[:, None] * jac
+    prior = np.array([1.0 / k.prior**2 + 1e-9 for k in unknowns])
+    covariance = np.asarray(np.linalg.inv(weighted.T @ weighted + np.diag(prior)), np.float64)
+    return BalanceFit(model, unknowns, p, value, parts, spread, jac, covariance)

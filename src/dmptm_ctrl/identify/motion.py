@@ -1,0 +1,182 @@
+"""What the sensors say of the motion: smooth speeds, accelerations in windows, who slides.
+
+Newton's law is tested against a window φ: ∫ φ a dt needs no derivative of a reading, the
+differences fall on φ (weak form; Messenger & Bortz, J. Comput. Phys. 443 (2021) 110525).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.simulate.model import Floats, Model
+
+WINDOW_SECONDS = 0.04  # of φ: averages the 231 Hz mode out, passes 25 Hz
+SMOOTH_SECONDS = 0.012  # of the speeds that friction is evaluated at
+CREEP = np.deg2rad(0.3)  # rad/s of the ring gear; slower, friction is not a function of speed
+QUIET = np.deg2rad(0.4 / 60)  # rad, standard deviation of z in a window: rattling pinions exceed it
+NEAR = 0.4  # of the half-gap; closer to the middle nothing touches
+LANDED_SECONDS = 0.02  # after a simulated landing, when no encoder tells the real one
+GYRO_NOISE = np.deg2rad(0.05)  # rad/s per sample
+RING_COUNT = 2 * np.pi / 2**18  # rad
+
+
+def hann(n: int) -> Floats:
+    """Hann window of unit sum, zero just outside."""
+    k = np.arange(1, n + 1)
+    w = np.sin(np.pi * k / (n + 1)) ** 2
+    return np.asarray(w / w.sum(), np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A record's motion in overlapping windows. SI units.
+
+    Attributes
+    ----------
+    run : (n, 8) array
+        Readings in the columns of `compiled.OUTPUTS`, speeds smoothed.
+    pinion_speed : (n, 2) array
+    window : (m,) array
+        φ, unit sum.
+    starts : (w,) array of int
+        First sample of each window.
+    ring, pinions : (w,), (w, 2) arrays
+        Accelerations.
+    slides : (w,) array of bool
+        All three bodies move one way throughout.
+    touches : (w, 2) array of bool
+        The pinion rests on one flank throughout.
+    """
+
+    rec: Record
+    run: Floats
+    pinion_speed: Floats
+    window: Floats
+    starts: np.ndarray
+    ring: Floats
+    pinions: Floats
+    slides: np.ndarray
+    touches: np.ndarray
+
+    def mean(self, rows: Floats) -> Floats:
+        """Window means of forces held from each sample to the next, (..., n) → (..., w).
+
+        A second difference at sample i weighs the forces before and after it alike.
+        """
+        hop = self.window.size // 2
+        count = self.starts.size + 1
+        used = slice(1, 1 + count * hop), slice(0, count * hop)
+        halves = np.column_stack([self.window[:hop], self.window[hop:]])
+        held = 0.5 * (rows[..., used[0]] + rows[..., used[1]])
+        sums = held.reshape(*rows.shape[:-1], count, hop) @ halves
+        return np.asarray(sums[..., :-1, 0] + sums[..., 1:, 1])
+
+    @property
+    def time(self) -> Floats:
+        """Mid of each window [s] from the start of the log."""
+        middle = self.starts + 0.5 * (self.window.size - 1)
+        return np.asarray(middle * self.rec.dt)
+
+
+def second_difference(angle: Floats, dt: float) -> Floats:
+    """Central second difference, zero at the ends."""
+    out = np.zeros_like(angle)
+    out[1:-1] = (angle[2:] - 2.0 * angle[1:-1] + angle[:-2]) / dt**2
+    return out
+
+
+def first_difference(speed: Floats, dt: float) -> Floats:
+    """Central first difference, zero at the ends."""
+    out = np.zeros_like(speed)
+    out[1:-1] = (speed[2:] - speed[:-2]) / (2.0 * dt)
+    return out
+
+
+def smooth(signal: Floats, n: int) -> Floats:
+    """Zero-phase mean by a Hann window of odd length."""
+    return np.convolve(np.pad(signal, n // 2, mode="edge"), hann(n), "valid")
+
+
+def one_way(speed: Floats, least: float, m: int, starts: np.ndarray) -> np.ndarray:
+    """Windows throughout which the speed keeps its sign and exceeds `least`."""
+    sign = np.where(speed > least, 1, np.where(speed < -least, -1, 0))
+    view = sliding_window_view(sign, m)[starts]
+    return np.asarray((view[:, 0] != 0) & (view == view[:, :1]).all(1))
+
+
+def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion:
+    """Prepare a record; without motor encoders the gaps are those of a simulated run.
+
+    Parameters
+    ----------
+    simulated : (n, 8) array, optional
+        Needed where the record has no twist.
+    """
+    d, dt, n = model.drive, rec.dt, rec.theta.size
+    n1, n2 = d["N_1"], d["N_2"]
+    m = 2 * max(3, round(0.5 * WINDOW_SECONDS / dt))
+    odd = max(3, 2 * round(0.5 * SMOOTH_SECONDS / dt) + 1)
+    window = hann(m)
+    starts = np.arange(1, n - m - 1, m // 2)  # half overlapping, see `Motion.mean`
+    view = sliding_window_view
+
+    # Gyro and encoder both tell the ring gear's acceleration; weigh by their noise.
+    by_gyro = first_difference(rec.omega, dt)
+    by_encoder = second_difference(rec.theta, dt)
+    # standard deviations of ∫φ̇ω and ∫φ̈θ for a Hann window
+    t = m * dt
+    noise_gyro = GYRO_NOISE * 2 * np.pi / t
+    noise_encoder = RING_COUNT / np.sqrt(12.0) * (2 * np.pi / t) ** 2
+    share = noise_encoder**2 / (noise_gyro**2 + noise_encoder**2)
+    ring = view(share * by_gyro + (1.0 - share) * by_encoder, m)[starts] @ window
+
+    omega = smooth(rec.omega, odd)
+    run = np.zeros((n, 8))
+    run[:, 0], run[:, 1] = rec.theta, omega
+    if rec.twist is not None:
+        z = rec.twist
+        pinion = z + n2 * rec.theta[:, None]
+        speed = np.column_stack([smooth(first_difference(pinion[:, s], dt), odd) for s in (0, 1)])
+        acceleration = np.column_stack(
+            [view(second_difference(pinion[:, s], dt), m)[starts] @ window for s in (0, 1)]
+        )
+    else:
+        assert simulated is not None
+        z = simulated[:, 6:8]
+        speed = n2 * np.column_stack([omega, omega])
+        acceleration = n2 * np.column_stack([ring, ring])
+        # From the run, too: the reading's noise would pass for less inertia.
+        run[:, 4:6] = np.column_stack([smooth(simulated[:, 4 + s], odd) for s in (0, 1)])
+    run[:, 2:4] = n1 * (z + n2 * rec.theta[:, None])
+    run[:, 6:8] = z
+
+    gaps = np.array([d["gap_l"], d["gap_r"]])
+    touches = np.empty((starts.size, 2), bool)
+    for s in (0, 1):
+        if rec.twist is not None:
+            away, wait = NEAR * gaps[s], 0
+        else:
+            away, wait = gaps[s], round(LANDED_SECONDS / dt)
+        side = np.where(z[:, s] > away, 1, np.where(z[:, s] < -away, -1, 0))
+        seen = view(np.pad(side, (wait, 0)), m + wait)[starts]
+        touches[:, s] = (seen[:, 0] != 0) & (seen == seen[:, :1]).all(1)
+        if rec.twist is not None:
+            touches[:, s] &= view(z[:, s], m)[starts].std(1) < QUIET
+    slides = one_way(omega, CREEP, m, starts)
+    if rec.twist is not None:
+        slides &= one_way(speed[:, 0], n2 * CREEP, m, starts)
+        slides &= one_way(speed[:, 1], n2 * CREEP, m, starts)
+    else:
+        slides &= touches.all(1)
+    return Motion(rec, run, speed, window, starts, ring, acceleration, slides, touches)
+
+
+def motions(
+    records: Sequence[Record], model: Model, runs: Sequence[Floats] | None = None
+) -> tuple[Motion, ...]:
+    """Prepare several records."""
+    given = [None] * len(records) if runs is None else list(runs)
+    return tuple(motion(rec, model, run) for rec, run in zip(records, given, strict=True))

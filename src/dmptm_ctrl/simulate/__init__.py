@@ -1,5 +1,6 @@
 """Simulation of a drive: compiled for work, in python-control blocks, or by the reference."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,12 +9,35 @@ from numpy.typing import ArrayLike, NDArray
 if TYPE_CHECKING:
     import control
 
+    from dmptm_ctrl.simulate.batch import Batch, simulate_batch
     from dmptm_ctrl.simulate.model import Model
+    from dmptm_ctrl.simulate.sensitivity import Sensitivities, simulate_with_sensitivities
 
-__all__ = ["METHODS", "simulate"]
+# public name -> module that defines it; loaded on first use
+_LAZY = {
+    "Batch": "batch",
+    "simulate_batch": "batch",
+    "Sensitivities": "sensitivity",
+    "simulate_with_sensitivities": "sensitivity",
+}
+
+__all__ = [
+    "METHODS",
+    "Batch",
+    "Sensitivities",
+    "simulate",
+    "simulate_batch",
+    "simulate_with_sensitivities",
+]
 
 METHODS = ("compiled", "blocks", "reference")
 EVEN = 1e-6  # relative unevenness of the time steps that is rounding
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
 
 
 def simulate(

@@ -48,6 +48,26 @@ _CHAINS: dict[str, tuple[str, str, str, str]] = {
     ),
     "sensor_delay": ("speed_delay", "", "0.0", "r += {call}"),
 }
+# per site of the inner loop: the same over lanes, from rows A to rows R of the work array
+_LANE_CHAINS: dict[str, tuple[str, str, str]] = {
+    "drive": ("drive_lanes", "{A0}, t, side", "{A0} = {call}"),
+    "lag": ("lag_lanes", "{R0}, side", "{R0}, {R1} = {call}"),
+    "motor": ("motor_lanes", "{A0}, {A1}, t, side", "{R0} += {call}"),
+    "mesh": (
+        "mesh_lanes",
+        "{A0}, {A1}, {A2}, {A3}, side",
+        "c = {call}; s[result + lane] += c[0]; s[result + LANES + lane] += c[1]; "
+        "s[result + 2 * LANES + lane] += c[2]; s[result + 3 * LANES + lane] += c[3]",
+    ),
+    "friction": (
+        "friction_lanes",
+        "{A0}, {A1}, t, {A2}, side",
+        "c = {call}; {R0} *= c[0]; {R1} += c[1]",
+    ),
+    "load": ("load_lanes", "{A0}, {A1}, t", "{R0} += {call}"),
+    "sensor": ("sensor_lanes", "{A0}, {A1}, t", "{A0}, {A1} = {call}"),
+}
+_ROWS = ("A0", "A1", "A2", "A3", "R0", "R1")
 _KERNEL_ARGS = {"delay": "0", "lag": "u, side"}  # a delay is the same on both sides
 
 
@@ -56,6 +76,30 @@ _OWN_KERNELS = (
     *("landing", "mesh_region", "mesh_torque", "region_torque"),
     *("breakaway_torque", "sliding_torque"),
 )
+
+
+_INLINE = (
+    *("held_average", "slide", "stop", "slide_or_stick", "preslide", "friction_step", "mesh_step"),
+    *("law", "plain_region", "level_stage"),
+)
+_HEAD = """\
+from math import cos, exp, floor
+
+import numpy as np
+from numba import njit
+
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.effects.backlash import (
+    Backlash,
+    landing,
+    mesh_region,
+    mesh_torque,
+    region_torque,
+)
+from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque
+from dmptm_ctrl.simulate.elementary import cos, exp, hosted, wide
+
+"""
 
 
 def _slots() -> dict[str, int]:
@@ -90,6 +134,28 @@ def _chain(site: str) -> str:
     return "\n".join(lines)
 
 
+def _lane_chain(site: str) -> str:
+    """Text of a site's chain over lanes: one loop per effect, skipped where no lane has it."""
+    name, args, change = _LANE_CHAINS[site]
+    rows = {row: f"s[{row} + lane]" for row in _ROWS}
+    result = "result, " if site == "mesh" else ""
+    lines = [f"@njit\ndef {name}(s, width, {result}side, t, on):"]
+    if site == "lag":
+        lines.append("    for lane in range(width):")
+        lines.append("        s[R0 + lane], s[R1 + lane] = s[A0 + lane], 0.0")
+    slots = _slots()
+    for index, (key, effect) in enumerate(CATALOGUE.items()):
+        if effect.site != site:
+            continue
+        values = ", ".join(
+            f"s[VALUES + {slots[key] + j} * LANES + lane]" for j in range(len(effect.parameters))
+        )
+        call = f"kernel_{index}({args.format(**rows)}, Values_{index}({values}))"
+        lines += [f"    if on[{index}]:", "        for lane in range(width):"]
+        lines += [f"            {part}" for part in change.format(call=call, **rows).split("; ")]
+    return "\n".join([*lines, "    return"])
+
+
 def _flags() -> str:
     """Text of the function that tells which of the sites in the inner loop are in use."""
     keys = list(CATALOGUE)
@@ -104,27 +170,34 @@ def _flags() -> str:
     )
 
 
+def _body(name: str) -> str:
+    """Text of a loop module after its last import of neutral chains."""
+    text = Path(__file__).with_name(name).read_text(encoding="utf-8")
+    start = text.rindex("from dmptm_ctrl.simulate.")
+    return text[text.index(")\n", start) + 2 :]
+
+
 def source() -> str:
     """Return the text of the engine for the catalogue as it is now."""
-    loop = Path(__file__).with_name("core.py").read_text(encoding="utf-8")
-    start = loop.index("from dmptm_ctrl.simulate.sites import")
-    end = loop.index(")\n", start) + 2
     names = "\n".join(
         f"kernel_{i} = hosted(CATALOGUE[{name!r}].kernel)\nValues_{i} = CATALOGUE[{name!r}].values"
         for i, name in enumerate(CATALOGUE)
     )
     own = "\n".join(f"{name} = hosted({name})" for name in _OWN_KERNELS)
     chains = "\n\n\n".join([_flags(), *(_chain(site) for site in SITES)])
-    imports = (
-        "from dmptm_ctrl.effects import CATALOGUE\n"
-        "from dmptm_ctrl.simulate.elementary import cos, exp, hosted\n\n"
-        f"{own}\n{names}\n\n\n{chains}\n\n\n"
+    lane_chains = "\n\n\n".join(_lane_chain(site) for site in _LANE_CHAINS)
+    lanes = _body("lane_core.py")
+    cut = lanes.index("\n@njit\n")  # behind the constants that the chains need
+    text = "".join(
+        [
+            f"{_HEAD}{own}\n{names}\n\n\n{chains}\n\n\n{_body('core.py')}\n\n",
+            f"{lanes[:cut]}\n{lane_chains}\n\n{lanes[cut:]}",
+        ]
     )
-    options = 'cache=True, error_model="numpy", nogil=True, fastmath={"contract"}'
-    text = loop[:start] + imports + loop[end:]
     if not elementary.COMPILED:
-        text = text.replace("elementary import cos, exp, hosted", "elementary import hosted")
-    for helper in ("held_average", "slide_or_stick", "friction_step", "mesh_step"):
+        text = text.replace("elementary import cos, exp,", "elementary import")
+    options = 'cache=True, error_model="numpy", nogil=True, fastmath={"contract"}'
+    for helper in _INLINE:
         text = text.replace(
             f"@njit\ndef {helper}(", f"@njit({options}, forceinline=True)\ndef {helper}("
         )

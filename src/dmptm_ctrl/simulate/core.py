@@ -47,38 +47,51 @@ MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the
 
 @njit
 def held_average(u, n, start, end):
-    """Mean of a sample-and-hold signal between two times in samples; zero before the log."""
+    """Mean of a sample-and-hold signal between two times in samples; zero before the log.
+
+    `u` holds the samples up to `n`, or the last of them in a ring.
+    """
     first = floor(start)
     last = floor(end)
     if last == first or end == last:
-        return u[min(first, n - 1)] if first >= 0 else 0.0
+        return u[min(first, n - 1) % u.size] if first >= 0 else 0.0
     total = 0.0
     for i in range(first, last + 1):
         if i >= 0:
             width = min(end, i + 1.0) - max(start, float(i))
-            total += width * u[min(i, n - 1)]
+            total += width * u[min(i, n - 1) % u.size]
     return total / (end - start)
 
 
 @njit
 def slide_or_stick(v, v_mid, force, mobility, law, scale, added):
     """Speed after one step under `force` and set-valued friction; `mobility` is h/J."""
+    new, stops = slide(v, v_mid, force, mobility, law, scale, added)
+    if stops:
+        return stop(v, new, force, mobility, law, scale, added)
+    return new
+
+
+@njit
+def slide(v, v_mid, force, mobility, law, scale, added):
+    """Speed of a body that keeps its direction, or stays at rest; and whether it stops instead."""
     free = v + force * mobility
-    if v > 0.0:
-        direction = 1.0
-    elif v < 0.0:
-        direction = -1.0
+    if v != 0.0:
+        direction = 1.0 if v > 0.0 else -1.0
     else:
         direction = 1.0 if free > 0.0 else -1.0
-        hold = scale * breakaway_torque(direction, law) + added
-        if abs(force) <= max(hold, 0.0):
-            return 0.0
+    hold = max(scale * breakaway_torque(direction, law) + added, 0.0)
+    if v == 0.0 and abs(force) <= hold:
+        return 0.0, False
     friction = max(scale * sliding_torque(v_mid, direction, law) + added, 0.0)
     new = free - direction * friction * mobility
-    if new * direction >= 0.0:
-        return new
-    # The body comes to rest within the step; does it stay?
-    direction = -direction
+    return new, new * direction < 0.0
+
+
+@njit
+def stop(v, new, force, mobility, law, scale, added):
+    """Speed of a body that comes to rest within the step, if it does not stay."""
+    direction = 1.0 if new > 0.0 else -1.0
     hold = max(scale * breakaway_torque(direction, law) + added, 0.0)
     if force * direction <= hold:
         return 0.0
@@ -320,6 +333,12 @@ def friction_step(v, v_mid, force, mobility, h, law, scale, added, distance, bri
     """Speed and presliding torque after one step."""
     if distance <= 0.0:
         return slide_or_stick(v, v_mid, force, mobility, law, scale, added), 0.0
+    return preslide(v, v_mid, force, mobility, h, law, scale, added, distance, bristle)
+
+
+@njit
+def preslide(v, v_mid, force, mobility, h, law, scale, added, distance, bristle):
+    """Speed and friction after one step where friction is a spring before it slides."""
     if v_mid == 0.0:
         return v + (force - bristle) * mobility, bristle
     direction = 1.0 if v_mid > 0.0 else -1.0

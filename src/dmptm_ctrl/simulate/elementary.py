@@ -60,6 +60,20 @@ bits: Callable[[float], int] = intrinsic(_bits)  # type: ignore[assignment]
 double: Callable[[int], float] = intrinsic(_double)  # type: ignore[assignment]
 
 
+def _wide(typingctx):
+    """Nothing but a mark on the function that calls it: prefer 512-bit vectors."""
+
+    def codegen(context, builder, signature, args):
+        # a set of strings; its `add` knows only attributes without a value
+        set.add(builder.function.attributes, '"prefer-vector-width"="512"')
+        return context.get_dummy_value()
+
+    return types.none(), codegen
+
+
+wide: Callable[[], None] = intrinsic(_wide)  # type: ignore[assignment]
+
+
 @njit(**OPTIONS)
 def exp(x):
     """Exponential; held at its value for −708 and 709 beyond, so never subnormal or infinite."""
@@ -127,6 +141,8 @@ def cos(x):
 
 
 COMPILED = isinstance(exp, Dispatcher)  # false where numba is switched off
+if not COMPILED:
+    wide = type(None)  # nothing to mark
 _INSTEAD: dict[Any, Any] = {math.exp: exp, math.sin: sin, math.cos: cos}
 
 

@@ -1,0 +1,279 @@
+"""Many drives at once: eight per vector loop, groups of eight over the cores."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, Loop, rest
+from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.model import Arrays, Floats, Model
+
+BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
+_OPEN = np.zeros(5)
+_NO_ROWS = np.zeros((0, 0))
+_NO_DRIVE = np.zeros((0, 2, 0))
+
+
+class Batch(NamedTuple):
+    """Runs of a batch.
+
+    Attributes
+    ----------
+    time : (m,) array [s]
+        Of the kept samples.
+    outputs : (batch, len(labels), m) array
+        SI, like :data:`BATCH_OUTPUTS`.
+    labels : tuple of str
+        Names of the kept outputs.
+    least, greatest, mean, rms : (batch, 10) arrays
+        Over all samples, of all :data:`BATCH_OUTPUTS`.
+    """
+
+    time: Floats
+    outputs: Floats
+    labels: tuple[str, ...]
+    least: Floats
+    greatest: Floats
+    mean: Floats
+    rms: Floats
+
+
+class Task(NamedTuple):
+    """What is the same for all lanes of a run."""
+
+    dt: float  # s
+    substeps: int
+    samples: int
+    inputs: Floats  # (k, 2, n) [V], or (0, 2, n) under the loop
+    target: Floats  # (k, n) [rad/s]
+    measured: Floats  # (k, n): angle for the observer, or noise of the loop's speed
+    observer: Floats  # (2,) gains per sample
+    extra: Floats  # (n, 3) or (0, 3) [N·m]
+    columns: NDArray[np.int64]
+    every: int
+    statistics: bool
+
+
+def _lanes(
+    task: Task, arrays: Sequence[Arrays], x0: Floats, loops: Floats, index: NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Run up to eight drives; lanes left over repeat the last of them."""
+    loop = engine()
+    lanes, count = loop.LANES, len(arrays)
+    s = np.zeros(loop.VALUES + arrays[0][2].size * lanes)
+    on = np.zeros_like(arrays[0][1])
+    for lane in range(lanes):
+        k = min(lane, count - 1)
+        base, own, values = arrays[k]
+        on |= own
+        loop.fill(s, lane, x0[k], loops[k], task.dt / task.substeps, task.dt, base, own, values)
+    rows = index[np.minimum(np.arange(lanes), count - 1)]
+    pick = np.array(
+        [
+            rows if table.shape[0] > 1 else np.zeros(lanes, np.int64)
+            for table in (task.inputs, task.target, task.measured)
+        ]
+    )
+    kept = -(-task.samples // task.every) if task.columns.size else 0
+    out = np.empty((lanes, kept, task.columns.size))
+    stats = np.zeros((4, loop.COLUMNS, lanes) if task.statistics else (0, 0, 0))
+    stats[:1], stats[1:2] = np.inf, -np.inf
+    loop.march_lanes(
+        *(task.inputs, task.target, task.measured, pick, task.observer, task.extra),
+        *(task.dt, task.substeps, on, s, task.columns, task.every, out, stats),
+    )
+    return out[:count], stats[:, :, :count]
+
+
+def _all(
+    task: Task, arrays: Sequence[Arrays], x0: Floats, loops: Floats, jobs: int
+) -> tuple[Floats, Floats]:
+    """Run any number of drives in groups of lanes, on `jobs` threads or joblib's backend."""
+    size = engine().LANES
+    groups = [slice(k, k + size) for k in range(0, len(arrays), size)]
+    order = np.arange(len(arrays))
+
+    def parts():
+        return ((task, arrays[g], x0[g], loops[g], order[g]) for g in groups)
+
+    if jobs == 1 or len(groups) == 1:
+        done = [_lanes(*part) for part in parts()]
+    else:
+        from joblib import Parallel, delayed
+
+        # threads: the loop does not hold the interpreter's lock
+        done = Parallel(n_jobs=jobs, prefer="threads")(delayed(_lanes)(*p) for p in parts())
+    if len(done) == 1:
+        return done[0]
+    outs, stats = zip(*done, strict=True)
+    return np.concatenate(outs), np.concatenate(stats, axis=2)
+
+
+def march_many(
+    arrays: Sequence[Arrays],
+    u: Floats,
+    x0: Floats,
+    dt: float,
+    *,
+    substeps: int = SUBSTEPS,
+    observer: tuple[float, float] | None = None,
+    measured: Floats | None = None,
+    extra: Floats | None = None,
+    columns: Sequence[int] = range(len(OUTPUTS)),
+    jobs: int = 1,
+) -> Floats:
+    """Run many drives open loop: :func:`~.compiled.march` for each of `arrays`, but faster.
+
+    Parameters
+    ----------
+    arrays : sequence of what :meth:`Model.arrays` gives
+    u : (2, n) or (batch, 2, n) array [V]
+    x0 : (6,) or (batch, 6) array
+    dt, substeps, observer, extra
+        As for :func:`~.compiled.march`, the same for all.
+    measured : (n,) or (batch, n) array [rad]
+    columns : sequence of int
+        Which of :data:`BATCH_OUTPUTS` to keep.
+    jobs : int
+        Threads.
+
+    Returns
+    -------
+    (batch, n, len(columns)) array
+        SI. The same scheme as `march`; rounding differs.
+    """
+    inputs = np.ascontiguousarray(u if u.ndim == 3 else u[None])
+    task = Task(
+        dt=dt,
+        substeps=substeps,
+        samples=inputs.shape[2],
+        inputs=inputs,
+        target=_NO_ROWS,
+        measured=_NO_ROWS if measured is None else np.ascontiguousarray(np.atleast_2d(measured)),
+        observer=np.array(observer or (0.0, 0.0)),
+        extra=np.zeros((0, 3)) if extra is None else extra,
+        columns=np.array(columns, np.int64),
+        every=1,
+        statistics=False,
+    )
+    count = len(arrays)
+    starts = np.broadcast_to(x0, (count, 6))
+    return _all(task, arrays, starts, np.broadcast_to(_OPEN, (count, 5)), jobs)[0]
+
+
+def simulate_batch(
+    models: Sequence[Model],
+    timepts: ArrayLike,
+    inputs: ArrayLike,
+    initial_state: ArrayLike | None = None,
+    *,
+    loop: Loop | Sequence[Loop] | None = None,
+    noise: ArrayLike | None = None,
+    outputs: Sequence[str] = (),
+    every: int = 1,
+    substeps: int = SUBSTEPS,
+    jobs: int = -1,
+) -> Batch:
+    """Run many drives, open loop or each under its speed loop.
+
+    Parameters
+    ----------
+    models : sequence of Model
+    timepts : (n,) array [s]
+        Evenly spaced.
+    inputs : (2, n) or (batch, 2, n) array [V]
+        Left and right motor voltage; with `loop` the reference, (n,) or (batch, n) [rad/s].
+    initial_state : (6,) or (batch, 6) array, optional
+        As for :func:`~dmptm_ctrl.simulate.simulate`.
+    loop : Loop or sequence of Loop, optional
+        One for all, or one for each.
+    noise : (n,) or (batch, n) array [rad/s], optional
+        Added to the speed that the loop sees.
+    outputs : sequence of str
+        Which of :data:`BATCH_OUTPUTS` to keep as signals. Without any the memory does not
+        grow with time: only the statistics are kept.
+    every : int
+        Keep every so many samples.
+    substeps : int
+        Steps per sample.
+    jobs : int
+        Threads, −1 for one per core; joblib's, so ``parallel_config`` can send the groups to
+        another backend.
+
+    Returns
+    -------
+    Batch
+
+    Raises
+    ------
+    ValueError
+        Nothing to run, shapes that do not fit, an output that does not exist.
+    """
+    from dmptm_ctrl.simulate import _timepts
+
+    time = _timepts(timepts)
+    n, count = time.size, len(models)
+    if count == 0:
+        raise ValueError("models is empty; needs at least one model")
+    for name, number in (("every", every), ("substeps", substeps)):
+        if int(number) != number or number < 1:
+            raise ValueError(f"{name} is {number!r}; needs a whole number of at least 1")
+    for name in outputs:
+        if name not in BATCH_OUTPUTS:
+            raise ValueError(f"no output {name!r}; there are {', '.join(BATCH_OUTPUTS)}")
+    if loop is None:
+        drive = _rows("inputs", inputs, count, (2, n))
+        target, measured, loops = _NO_ROWS, _NO_ROWS, np.tile(_OPEN, (count, 1))
+    else:
+        drive = np.zeros((0, 2, n))
+        target = _rows("inputs", inputs, count, (n,))
+        measured = _rows("noise", np.zeros(n) if noise is None else noise, count, (n,))
+        each = [loop] * count if isinstance(loop, Loop) else list(loop)
+        if len(each) != count:
+            raise ValueError(f"loop has {len(each)} entries for {count} models")
+        loops = np.array(each, float)
+    if initial_state is None:
+        starts = np.array([rest(model, 0.0) for model in models])
+    else:
+        starts = np.broadcast_to(_rows("initial_state", initial_state, count, (6,)), (count, 6))
+    task = Task(
+        dt=(time[-1] - time[0]) / (n - 1),
+        substeps=substeps,
+        samples=n,
+        inputs=drive,
+        target=target,
+        measured=measured,
+        observer=np.zeros(2),
+        extra=np.zeros((0, 3)),
+        columns=np.array([BATCH_OUTPUTS.index(name) for name in outputs], np.int64),
+        every=every,
+        statistics=True,
+    )
+    arrays = [model.arrays() for model in models]
+    kept, (least, greatest, total, squares) = _all(task, arrays, starts, loops, jobs)
+    return Batch(
+        time[::every] if outputs else time[:0],
+        kept.transpose(0, 2, 1),
+        tuple(outputs),
+        least.T,
+        greatest.T,
+        total.T / n,
+        np.sqrt(squares.T / n),
+    )
+
+
+def _rows(name: str, values: ArrayLike, count: int, shape: tuple[int, ...]) -> Floats:
+    """Return (1 or batch, *shape), finite."""
+    array = np.array(values, float)
+    if array.shape == shape:
+        array = array[None]
+    if array.shape[1:] != shape or array.shape[0] not in (1, count):
+        raise ValueError(
+            f"{name} has shape {np.shape(values)}; needs {shape}, or {(count, *shape)} for "
+            f"{count} models"
+        )
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} holds a value that is not finite")
+    return array

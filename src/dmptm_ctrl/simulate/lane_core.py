@@ -1,0 +1,667 @@
+"""The time-stepping loop of `core.py` over eight drives at once; no physics of its own.
+
+The same scheme stage by stage, each stage a loop over lanes without branches that depend on
+data, which the compiler turns into vector instructions. All numbers live in one work array
+`s`, in rows of LANES: with one base address and constant distances the compiler sees that
+nothing overlaps. Branches on what acts at all are outside the loops and the same for all lanes;
+lanes without an effect that others have evaluate it at its neutral parameters.
+"""
+
+from math import cos, exp
+
+import numpy as np
+from numba import njit
+
+from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
+from dmptm_ctrl.effects.stribeck import Stribeck
+from dmptm_ctrl.simulate.core import (
+    MIN_COMPLIANCE,
+    UNKNOWN,
+    held_average,
+    mesh_step,
+    preslide,
+    slide,
+    stop,
+)
+from dmptm_ctrl.simulate.elementary import wide
+from dmptm_ctrl.simulate.lane_sites import (  # chains
+    drive_lanes,
+    friction_lanes,
+    lag_lanes,
+    load_lanes,
+    mesh_lanes,
+    motor_lanes,
+    sensor_lanes,
+)
+from dmptm_ctrl.simulate.sites import (  # chains
+    active_sites,
+    lag_relaxation,
+    presliding_distance,
+    shaft_compliance,
+    speed_delay,
+    voltage_delay,
+)
+
+LANES = 8  # doubles in the widest vector register; two of AVX2's
+CALM = 3.0  # instead of a region: nothing to look at again
+COLUMNS = 10  # outputs of a run, and the two voltages
+
+# Rows of the work array; those of several bodies (left, right, ring gear) or meshes (left,
+# right) follow each other, so that one loop runs over all of them.
+# A: arguments of a site chain, R: its results; voltages, lagged voltages.
+A0, A1, A2, A3, R0, R1, U0, U1, E0, E1, SEEN, LEAD = range(0, 12 * LANES, LANES)
+# Angles, speeds, accelerations; the midpoint's angles and speeds.
+Q0, Q1, Q2, V0, V1, V2, C0, C1, C2 = range(12 * LANES, 21 * LANES, LANES)
+X0, X1, X2, S0, S1, S2 = range(21 * LANES, 27 * LANES, LANES)
+# The same of the motors, seen at the pinion; they turn with it unless the reducer is elastic.
+M0, M1, W0, W1, B0, B1, Y0, Y1, MS0, MS1 = range(27 * LANES, 37 * LANES, LANES)
+# Meshes: relative angle and its rate, law, torque, region, whether it is to be looked at.
+Z0, Z1, ZR0, ZR1, K0, K1, D0, D1, DF0, DF1 = range(37 * LANES, 47 * LANES, LANES)
+H0, H1, T0, T1, G0, G1, ODD0, ODD1 = range(47 * LANES, 55 * LANES, LANES)
+# Results of the mesh chain: of z, its rate, half-gap, stiffness; left, then right.
+DZ0, DZ1 = 55 * LANES, 59 * LANES
+# Bodies: net torque, h/J, factor on friction and torque added to it, presliding torque and
+# distance, speed after the step, whether the body stops.
+P0, P1, P2, MOBILITY, SCALE, ADDED = (
+    63 * LANES,
+    64 * LANES,
+    65 * LANES,
+    *range(66 * LANES, 75 * LANES, 3 * LANES),
+)
+BRISTLE, DISTANCE, NEW, STOPS = range(75 * LANES, 87 * LANES, 3 * LANES)
+LAW, DELTA = 87 * LANES, 111 * LANES  # 9 numbers, each of 3 bodies; the last of them
+# Set once per run. NOTHING stays zero.
+GAIN, J_MOTOR, DEAD, LATE, COMPLIANCE, SHAFT = range(114 * LANES, 120 * LANES, LANES)
+KP, KI, LIMIT, BIAS0, BIAS1, INTEGRAL, NOTHING = range(120 * LANES, 127 * LANES, LANES)
+N1, N2, TEETH, K_M, K_A, PHASE, GAP0, GAP1 = range(127 * LANES, 135 * LANES, LANES)
+OUT = 135 * LANES
+VALUES = OUT + COLUMNS * LANES
+
+
+@njit
+def fill(s, lane, x0, loop, h, dt, base, on, values):
+    """Put one drive into a lane: its numbers, its start, what follows from both."""
+    for k in range(values.size):
+        s[VALUES + k * LANES + lane] = values[k]
+    for k in range(5):
+        s[KP + k * LANES + lane] = loop[k]
+    for k in range(6):
+        s[Q0 + k * LANES + lane] = x0[k]
+        s[N1 + k * LANES + lane] = base[5 + k]
+    s[M0 + lane], s[M1 + lane], s[W0 + lane], s[W1 + lane] = x0[0], x0[1], x0[3], x0[4]
+    s[GAIN + lane] = base[5] * (base[0] * base[1])
+    j_motor = base[5] * base[5] * base[2]
+    compliance, damping = shaft_compliance(j_motor * base[3] / (j_motor + base[3]), on, values)
+    elastic = compliance > MIN_COMPLIANCE
+    s[COMPLIANCE + lane], s[SHAFT + lane] = compliance if elastic else 0.0, damping
+    s[J_MOTOR + lane] = j_motor
+    s[DEAD + lane] = voltage_delay(on, values) / dt
+    s[LATE + lane] = speed_delay(on, values) / h
+    s[R1 + lane] = lag_relaxation(0.0, 0, on, values)[1]
+    for side in range(2):
+        row = side * LANES + lane
+        s[G0 + row] = UNKNOWN
+        s[D0 + row], s[DF0 + row] = base[11], base[12]
+        s[GAP0 + row] = base[13 + side]
+        s[K0 + row], s[H0 + row] = base[8], max(base[13 + side], 0.0)
+    for body in range(3):
+        row = body * LANES + lane
+        s[SCALE + row] = 1.0
+        s[DISTANCE + row] = presliding_distance(body, on, values)
+        s[MOBILITY + row] = h / (
+            base[4] if body == 2 else base[3] if elastic else base[3] + j_motor
+        )
+        for k in range(9):
+            s[LAW + 3 * k * LANES + row] = base[(24 if body == 2 else 15) + k]
+
+
+@njit
+def largest(s, width, row):
+    """Largest of a row."""
+    most = s[row]
+    for lane in range(width):
+        most = max(most, s[row + lane])
+    return most
+
+
+@njit
+def law(s, row, exponent):
+    """Friction law in a row of the bodies."""
+    return Stribeck(
+        s[LAW + row],
+        s[LAW + 3 * LANES + row],
+        s[LAW + 6 * LANES + row],
+        s[LAW + 9 * LANES + row],
+        s[LAW + 12 * LANES + row],
+        s[LAW + 15 * LANES + row],
+        s[LAW + 18 * LANES + row],
+        s[LAW + 21 * LANES + row],
+        exponent,
+    )
+
+
+@njit
+def to_middle(s, width, h):
+    """Angles half a step on with the old speeds, speeds extrapolated by the last accelerations."""
+    wide()
+    for row in range(3 * width):
+        s[X0 + row] = s[Q0 + row] + 0.5 * h * s[V0 + row]
+        s[S0 + row] = s[V0 + row] + 0.5 * h * s[C0 + row]
+
+
+@njit
+def twist(s, width, x, v):
+    """Relative angles of the meshes and their rates."""
+    wide()
+    for lane in range(width):
+        turned = s[N2 + lane] * s[x + 2 * LANES + lane]
+        turning = s[N2 + lane] * s[v + 2 * LANES + lane]
+        s[Z0 + lane] = s[x + lane] - turned + s[DZ0 + lane]
+        s[Z1 + lane] = s[x + LANES + lane] - turned + s[DZ1 + lane]
+        s[ZR0 + lane] = s[v + lane] - turning + s[DZ0 + LANES + lane]
+        s[ZR1 + lane] = s[v + LANES + lane] - turning + s[DZ1 + LANES + lane]
+
+
+@njit
+def alter_meshes(s, width, x, varying):
+    """Half-gaps, and stiffnesses of Eq. 23, where they change."""
+    wide()
+    for lane in range(width):
+        s[H0 + lane] = max(s[GAP0 + lane] + s[DZ0 + 2 * LANES + lane], 0.0)
+        s[H1 + lane] = max(s[GAP1 + lane] + s[DZ1 + 2 * LANES + lane], 0.0)
+        s[K0 + lane] = s[K_M + lane] + s[DZ0 + 3 * LANES + lane]
+        s[K1 + lane] = s[K_M + lane] + s[DZ1 + 3 * LANES + lane]
+    if varying:
+        for lane in range(width):
+            s[K0 + lane] += s[K_A + lane] * cos(s[TEETH + lane] * s[x + lane] + s[PHASE + lane])
+        for lane in range(width):
+            phase = s[TEETH + lane] * s[x + LANES + lane] + s[PHASE + lane]
+            s[K1 + lane] += s[K_A + lane] * cos(phase)
+
+
+@njit
+def shift_mesh(s, width, x, v, x_ring, v_ring, lead, result, side, on):
+    """Call the chain of a mesh; `lead` moves what depends on angle to where the sensor is."""
+    for lane in range(width):
+        s[A0 + lane] = s[x + lane] + s[N2 + lane] * s[lead + lane]
+        s[A1 + lane] = s[v + lane]
+        s[A2 + lane] = s[x_ring + lane] + s[lead + lane]
+        s[A3 + lane] = s[v_ring + lane]
+        s[result + lane] = 0.0
+        s[result + LANES + lane] = 0.0
+        s[result + 2 * LANES + lane] = 0.0
+        s[result + 3 * LANES + lane] = 0.0
+    mesh_lanes(s, width, result, side, 0.0, on)
+
+
+@njit
+def plain_region(z, z_rate, p):
+    """Region of a mesh without the decay term of the gap, and whether that is sure."""
+    side = 1.0 if z >= 0.0 else -1.0
+    closing = side * z_rate
+    pressed = p.stiffness * (side * z - p.half_gap)
+    touching = pressed + p.damping * closing > 0.0
+    clear = closing <= 0.0 or pressed >= p.gap_damping * closing
+    return side if touching and clear else 0.0, clear or not touching
+
+
+@njit
+def mesh_stage(s, width):
+    """Torques of the meshes in the middle of the step; how many are to be looked at again."""
+    wide()
+    odd = 0
+    for row in range(2 * width):
+        z, z_rate = s[Z0 + row], s[ZR0 + row]
+        mesh = Backlash(s[K0 + row], s[D0 + row], s[DF0 + row], s[H0 + row])
+        region, sure = plain_region(z, z_rate, mesh)
+        landed = region * z_rate > 0.0 and region != s[G0 + row]
+        look = landed or not sure
+        s[T0 + row] = region_torque(z, z_rate, region, mesh)
+        s[ODD0 + row] = s[G0 + row] if look else CALM
+        s[G0 + row] = region
+        odd += 1 if look else 0
+    return odd
+
+
+@njit
+def odd_meshes(s, width, h):
+    """The few meshes that reach a flank or are about to."""
+    for row in range(2 * width):
+        if s[ODD0 + row] != CALM:
+            mesh = Backlash(s[K0 + row], s[D0 + row], s[DF0 + row], s[H0 + row])
+            s[T0 + row], s[G0 + row] = mesh_step(s[Z0 + row], s[ZR0 + row], mesh, s[ODD0 + row], h)
+
+
+@njit
+def net_torques(s, width, push0, push1, push2):
+    """Net torques on the bodies but for friction and what the chains add."""
+    wide()
+    for lane in range(width):
+        left, right = s[T0 + lane], s[T1 + lane]
+        s[P0 + lane] = s[GAIN + lane] * s[U0 + lane] - left + push0
+        s[P1 + lane] = s[GAIN + lane] * s[U1 + lane] - right + push1
+        s[P2 + lane] = s[N2 + lane] * (left + right) + push2
+
+
+@njit
+def read_meshes(s, width):
+    """Torques of the meshes at the sample."""
+    wide()
+    for row in range(2 * width):
+        mesh = Backlash(s[K0 + row], s[D0 + row], s[DF0 + row], s[H0 + row])
+        region, sure = plain_region(s[Z0 + row], s[ZR0 + row], mesh)
+        s[OUT + 4 * LANES + row] = region_torque(s[Z0 + row], s[ZR0 + row], region, mesh)
+        s[ODD0 + row] = CALM if sure else UNKNOWN
+    for row in range(2 * width):
+        if s[ODD0 + row] != CALM:
+            mesh = Backlash(s[K0 + row], s[D0 + row], s[DF0 + row], s[H0 + row])
+            s[OUT + 4 * LANES + row] = mesh_torque(s[Z0 + row], s[ZR0 + row], mesh)
+
+
+@njit
+def slide_stage(s, width):
+    """Speeds after the step, friction with exponent 1; how many bodies stop instead."""
+    wide()
+    stopping = 0
+    for row in range(3 * width):
+        new, stops = slide(
+            s[V0 + row],
+            s[S0 + row],
+            s[P0 + row],
+            s[MOBILITY + row],
+            law(s, row, 1.0),
+            s[SCALE + row],
+            s[ADDED + row],
+        )
+        s[NEW + row] = new
+        s[STOPS + row] = 1.0 if stops else 0.0
+        stopping += 1 if stops else 0
+    return stopping
+
+
+@njit
+def general_slide_stage(s, width):
+    """The same with any exponent, which takes a power."""
+    stopping = 0
+    for row in range(3 * width):
+        new, stops = slide(
+            s[V0 + row],
+            s[S0 + row],
+            s[P0 + row],
+            s[MOBILITY + row],
+            law(s, row, s[DELTA + row]),
+            s[SCALE + row],
+            s[ADDED + row],
+        )
+        s[NEW + row] = new
+        s[STOPS + row] = 1.0 if stops else 0.0
+        stopping += 1 if stops else 0
+    return stopping
+
+
+@njit
+def stop_stage(s, width):
+    """The few bodies that come to rest within the step."""
+    for row in range(3 * width):
+        if s[STOPS + row] != 0.0:
+            s[NEW + row] = stop(
+                s[V0 + row],
+                s[NEW + row],
+                s[P0 + row],
+                s[MOBILITY + row],
+                law(s, row, s[DELTA + row]),
+                s[SCALE + row],
+                s[ADDED + row],
+            )
+
+
+@njit
+def presliding_stage(s, width, h):
+    """Where friction is a spring before it slides, that instead."""
+    for row in range(3 * width):
+        if s[DISTANCE + row] > 0.0:
+            s[NEW + row], s[BRISTLE + row] = preslide(
+                s[V0 + row],
+                s[S0 + row],
+                s[P0 + row],
+                s[MOBILITY + row],
+                h,
+                law(s, row, s[DELTA + row]),
+                s[SCALE + row],
+                s[ADDED + row],
+                s[DISTANCE + row],
+                s[BRISTLE + row],
+            )
+
+
+@njit
+def level_stage(s, width, body, t, on):
+    """Call the chain of friction with the mesh torque in A2."""
+    at = body * LANES
+    for lane in range(width):
+        s[A0 + lane] = s[X0 + at + lane] + (1.0 if body == 2 else s[N2 + lane]) * s[LEAD + lane]
+        s[A1 + lane] = s[S0 + at + lane]
+        s[R0 + lane] = 1.0
+        s[R1 + lane] = 0.0
+    friction_lanes(s, width, body, t, on)
+    for lane in range(width):
+        s[SCALE + at + lane] = s[R0 + lane]
+        s[ADDED + at + lane] = s[R1 + lane]
+
+
+@njit
+def levels(s, width, t, on):
+    """Factor on friction and friction added, of all bodies."""
+    for lane in range(width):
+        s[A2 + lane] = s[T0 + lane]
+    level_stage(s, width, 0, t, on)
+    for lane in range(width):
+        s[A2 + lane] = s[T1 + lane]
+    level_stage(s, width, 1, t, on)
+    for lane in range(width):
+        s[A2 + lane] = abs(s[T0 + lane]) + abs(s[T1 + lane])
+    level_stage(s, width, 2, t, on)
+
+
+@njit
+def finish(s, width, h):
+    """Accelerations, speeds and angles at the end of the step."""
+    wide()
+    rate = 1.0 / h
+    for row in range(3 * width):
+        s[C0 + row] = (s[NEW + row] - s[V0 + row]) * rate
+        s[V0 + row] = s[NEW + row]
+        s[Q0 + row] = s[X0 + row] + 0.5 * h * s[NEW + row]
+
+
+@njit
+def lag_stage(s, width, u, kept, side, h, on):
+    """Mean voltage over the step behind the lag, in place."""
+    for lane in range(width):
+        s[A0 + lane] = s[u + lane]
+    lag_lanes(s, width, side, 0.0, on)
+    for lane in range(width):
+        aim, tau = s[R0 + lane], s[R1 + lane]
+        left = (s[kept + lane] - aim) * exp(-h / tau) if tau > 0.0 else 0.0
+        s[u + lane] = aim + (s[kept + lane] - aim - left) * tau / h
+        s[kept + lane] = aim + left
+
+
+@njit
+def drive_stage(s, width, side, t, on):
+    """Voltage after the drive's effects, in place."""
+    for lane in range(width):
+        s[A0 + lane] = s[U0 + side * LANES + lane]
+    drive_lanes(s, width, side, t, on)
+    for lane in range(width):
+        s[U0 + side * LANES + lane] = s[A0 + lane]
+
+
+@njit
+def motor_stage(s, width, y, z, force, side, t, on):
+    """Add what the chain of the motor gives, seen at the pinion."""
+    for lane in range(width):
+        s[A0 + lane] = s[N1 + lane] * (s[y + lane] + s[N2 + lane] * s[LEAD + lane])
+        s[A1 + lane] = s[N1 + lane] * s[z + lane]
+        s[R0 + lane] = 0.0
+    motor_lanes(s, width, side, t, on)
+    for lane in range(width):
+        s[force + lane] += s[N1 + lane] * s[R0 + lane]
+
+
+@njit
+def load_stage(s, width, t, on):
+    """Add what the chain of the load gives."""
+    for lane in range(width):
+        s[A0 + lane] = s[X2 + lane] + s[LEAD + lane]
+        s[A1 + lane] = s[S2 + lane]
+        s[R0 + lane] = 0.0
+    load_lanes(s, width, 2, t, on)
+    for lane in range(width):
+        s[P2 + lane] += s[R0 + lane]
+
+
+@njit
+def motors_to_middle(s, width, h):
+    """Like `to_middle`, of the motors behind elastic reducers."""
+    for row in range(2 * width):
+        s[Y0 + row] = s[M0 + row] + 0.5 * h * s[W0 + row]
+        s[MS0 + row] = s[W0 + row] + 0.5 * h * s[B0 + row]
+
+
+@njit
+def shaft_stage(s, width, side, h, push):
+    """Torque of an elastic reducer instead of the motor's; the motor's step."""
+    at = side * LANES
+    for lane in range(width):
+        row = at + lane
+        elastic = s[COMPLIANCE + lane] > 0.0
+        drive = s[P0 + row] + s[T0 + row] - push
+        shaft = (s[Y0 + row] - s[X0 + row]) / (s[COMPLIANCE + lane] if elastic else 1.0)
+        shaft += s[SHAFT + lane] * (s[MS0 + row] - s[S0 + row])
+        s[P0 + row] = (shaft if elastic else drive) - s[T0 + row] + push
+        rate = (drive - shaft) / s[J_MOTOR + lane] if elastic else 0.0
+        s[B0 + row] = rate
+        s[W0 + row] += h * rate
+        s[M0 + row] = s[Y0 + row] + 0.5 * h * s[W0 + row]
+
+
+@njit
+def rigid(s, width, side):
+    """Motors turn with their pinions where the reducer is not elastic."""
+    at = side * LANES
+    for lane in range(width):
+        row = at + lane
+        elastic = s[COMPLIANCE + lane] > 0.0
+        s[M0 + row] = s[M0 + row] if elastic else s[Q0 + row]
+        s[W0 + row] = s[W0 + row] if elastic else s[V0 + row]
+        s[B0 + row] = s[B0 + row] if elastic else s[C0 + row]
+
+
+@njit
+def read(s, width, t, has_sensor, on):
+    """Outputs of the sample into the rows of OUT, but for the meshes' torques."""
+    wide()
+    for lane in range(width):
+        s[A0 + lane] = s[Q2 + lane]
+        s[A1 + lane] = s[SEEN + lane]
+    if has_sensor:
+        sensor_lanes(s, width, 0, t, on)
+    for lane in range(width):
+        s[OUT + lane] = s[A0 + lane]
+        s[OUT + LANES + lane] = s[A1 + lane]
+        s[OUT + 2 * LANES + lane] = s[N1 + lane] * s[M0 + lane]
+        s[OUT + 3 * LANES + lane] = s[N1 + lane] * s[M1 + lane]
+        s[OUT + 6 * LANES + lane] = s[Q0 + lane] - s[N2 + lane] * s[Q2 + lane]
+        s[OUT + 7 * LANES + lane] = s[Q1 + lane] - s[N2 + lane] * s[Q2 + lane]
+
+
+@njit
+def control(s, width, dt):
+    """PI loop at the sample: error in R0, voltages into U0, U1."""
+    for lane in range(width):
+        s[INTEGRAL + lane] += s[R0 + lane] * dt
+        common = s[KP + lane] * s[R0 + lane] + s[KI + lane] * s[INTEGRAL + lane]
+        common = max(min(common, s[LIMIT + lane]), -s[LIMIT + lane])
+        s[U0 + lane] = common + s[BIAS0 + lane]
+        s[U1 + lane] = common + s[BIAS1 + lane]
+
+
+@njit
+def correct(s, width, angle_gain, speed_gain):
+    """Feed the miss in R0 back to the rigid mode; a body at rest keeps its speed."""
+    for lane in range(width):
+        miss = s[R0 + lane]
+        turn = angle_gain * miss
+        s[LEAD + lane] = (1.0 - angle_gain) * miss
+        s[Q2 + lane] += turn
+        turn *= s[N2 + lane]
+        s[Q0 + lane] += turn
+        s[Q1 + lane] += turn
+        s[M0 + lane] += turn
+        s[M1 + lane] += turn
+        push = speed_gain * miss if s[V2 + lane] != 0.0 else 0.0
+        s[V2 + lane] += push
+        push *= s[N2 + lane]
+        push0 = push if s[V0 + lane] != 0.0 else 0.0
+        push1 = push if s[V1 + lane] != 0.0 else 0.0
+        s[V0 + lane] += push0
+        s[W0 + lane] += push0
+        s[V1 + lane] += push1
+        s[W1 + lane] += push1
+
+
+@njit
+def summarise(s, width, stats):
+    """Least, greatest, sum and sum of squares of each output so far."""
+    for k in range(COLUMNS):
+        for lane in range(width):
+            value = s[OUT + k * LANES + lane]
+            stats[0, k, lane] = min(stats[0, k, lane], value)
+            stats[1, k, lane] = max(stats[1, k, lane], value)
+            stats[2, k, lane] += value
+            stats[3, k, lane] += value * value
+
+
+@njit
+def march_lanes(
+    u, target, measured, pick, observer, extra, dt, substeps, on, s, columns, every, out, stats
+):
+    """Run LANES drives over all samples.
+
+    u (k, 2, n), or (0, 2, n) under the loop; target (k, n) or (0, 0); measured (k, n) or (0, 0);
+    pick (3, LANES) the rows of these that each lane takes; observer (angle gain, speed
+    gain); extra (n, 3) or (0, 3); on (effects,), where any lane has it; s as from `fill`;
+    out (LANES, samples kept, columns.size), every `every`-th sample; stats (4, COLUMNS, LANES).
+    """
+    n = u.shape[2]
+    h = dt / substeps
+    width = pick.shape[1] >> 3 << 3  # of the loops; not a constant, or short ones are unrolled
+    closed = u.shape[0] == 0
+    has_drive, has_motor, has_mesh, has_friction, has_load, has_sensor = active_sites(on)
+    lagging = largest(s, width, R1) > 0.0
+    delayed = largest(s, width, DEAD) > 0.0
+    late = largest(s, width, LATE) > 0.0
+    elastic = largest(s, width, COMPLIANCE) > 0.0
+    presliding = largest(s, 3 * width, DISTANCE) > 0.0
+    varying, general = False, False
+    for lane in range(width):
+        varying = varying or s[K_A + lane] != 0.0
+    for row in range(3 * width):
+        general = general or s[DELTA + row] != 1.0
+    past = np.zeros((2, LANES, int(largest(s, width, DEAD)) + 3))  # voltages at the last samples
+    history = np.empty((int(largest(s, width, LATE)) + 2, LANES))  # speeds at the last steps
+    for lane in range(width):
+        history[:, lane] = s[V2 + lane]
+    held = np.empty((2, LANES))
+    step = 0
+    kept = 0
+    for i in range(n):
+        t = i * dt
+        for lane in range(width):
+            s[SEEN + lane] = s[V2 + lane]
+        if late:
+            for lane in range(width):
+                back = int(s[LATE + lane])
+                newer = history[(step - back) % history.shape[0], lane]
+                older = history[(step - back - 1) % history.shape[0], lane]
+                s[SEEN + lane] = newer + (s[LATE + lane] - back) * (older - newer)
+        read(s, width, t, has_sensor, on)
+        if has_mesh:
+            shift_mesh(s, width, Q0, V0, Q2, V2, NOTHING, DZ0, 0, on)
+            shift_mesh(s, width, Q1, V1, Q2, V2, NOTHING, DZ1, 1, on)
+        if has_mesh or varying:
+            alter_meshes(s, width, Q0, varying)
+        twist(s, width, Q0, V0)
+        read_meshes(s, width)
+        if closed:
+            for lane in range(width):
+                seen = s[OUT + LANES + lane] + measured[pick[2, lane], i]
+                s[R0 + lane] = target[pick[1, lane], i] - seen
+            control(s, width, dt)
+        else:
+            for lane in range(width):
+                s[U0 + lane] = u[pick[0, lane], 0, i]
+                s[U1 + lane] = u[pick[0, lane], 1, i]
+            if observer[0] > 0.0:
+                for lane in range(width):
+                    s[R0 + lane] = measured[pick[2, lane], i] - s[OUT + lane]
+                correct(s, width, observer[0], observer[1])
+        for lane in range(width):
+            s[OUT + 8 * LANES + lane] = s[U0 + lane]
+            s[OUT + 9 * LANES + lane] = s[U1 + lane]
+            held[0, lane], held[1, lane] = s[U0 + lane], s[U1 + lane]
+        if delayed:
+            for lane in range(width):
+                past[0, lane, i % past.shape[2]] = s[U0 + lane]
+                past[1, lane, i % past.shape[2]] = s[U1 + lane]
+        if stats.size > 0:
+            summarise(s, width, stats)
+        if columns.size > 0 and i % every == 0:
+            for k in range(columns.size):
+                for lane in range(width):
+                    out[lane, kept, k] = s[OUT + columns[k] * LANES + lane]
+            kept += 1
+        push0, push1, push2 = 0.0, 0.0, 0.0
+        if extra.shape[0] > 0:
+            push0, push1, push2 = extra[i, 0], extra[i, 1], extra[i, 2]
+
+        for k in range(substeps):
+            middle = t + (k + 0.5) * h
+            if delayed or has_drive or lagging:
+                for lane in range(width):
+                    s[U0 + lane], s[U1 + lane] = held[0, lane], held[1, lane]
+            if delayed:
+                for lane in range(width):
+                    start = i + k / substeps - s[DEAD + lane]
+                    end = start + 1.0 / substeps
+                    s[U0 + lane] = held_average(past[0, lane], i + 1, start, end)
+                    s[U1 + lane] = held_average(past[1, lane], i + 1, start, end)
+            if has_drive:
+                drive_stage(s, width, 0, middle, on)
+                drive_stage(s, width, 1, middle, on)
+            if lagging:
+                lag_stage(s, width, U0, E0, 0, h, on)
+                lag_stage(s, width, U1, E1, 1, h, on)
+            to_middle(s, width, h)
+            if has_mesh:
+                shift_mesh(s, width, X0, S0, X2, S2, LEAD, DZ0, 0, on)
+                shift_mesh(s, width, X1, S1, X2, S2, LEAD, DZ1, 1, on)
+            if has_mesh or varying:
+                alter_meshes(s, width, X0, varying)
+            twist(s, width, X0, S0)
+            odd = mesh_stage(s, width)
+            if odd > 0:
+                odd_meshes(s, width, h)
+            net_torques(s, width, push0, push1, push2)
+            if elastic:
+                motors_to_middle(s, width, h)
+                if has_motor:
+                    motor_stage(s, width, Y0, MS0, P0, 0, middle, on)
+                    motor_stage(s, width, Y1, MS1, P1, 1, middle, on)
+                shaft_stage(s, width, 0, h, push0)
+                shaft_stage(s, width, 1, h, push1)
+            elif has_motor:
+                motor_stage(s, width, X0, S0, P0, 0, middle, on)
+                motor_stage(s, width, X1, S1, P1, 1, middle, on)
+            if has_load:
+                load_stage(s, width, middle, on)
+            if has_friction:
+                levels(s, width, middle, on)
+            stopping = general_slide_stage(s, width) if general else slide_stage(s, width)
+            if stopping > 0:
+                stop_stage(s, width)
+            if presliding:
+                presliding_stage(s, width, h)
+            finish(s, width, h)
+            if elastic:
+                rigid(s, width, 0)
+                rigid(s, width, 1)
+            step += 1
+            if late:
+                for lane in range(width):
+                    history[step % history.shape[0], lane] = s[V2 + lane]
+        if not elastic:
+            rigid(s, width, 0)
+            rigid(s, width, 1)
+    return step

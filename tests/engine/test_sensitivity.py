@@ -1,0 +1,113 @@
+"""Derivatives of runs against closed forms, against differences of the reference, and none."""
+
+import numpy as np
+import pytest
+
+from dmptm_ctrl.simulate import simulate, simulate_with_sensitivities
+from dmptm_ctrl.simulate.compiled import OUTPUTS
+from dmptm_ctrl.simulate.model import Model
+
+DT = 1e-3  # s
+MOTOR = OUTPUTS.index("theta_ml")
+
+
+@pytest.fixture(scope="module")
+def coulomb():
+    """Chains alone in gaps that they never cross, with dry and viscous friction."""
+    dry = {f"T3{kind}_{way}": 2.0 for kind in "sc" for way in ("plus", "minus")}
+    viscous = {"B3_plus": 0.5, "B3_minus": 0.5}
+    return Model().with_values(gap_l=100.0, gap_r=100.0, c_f=0.0, **dry, **viscous)
+
+
+def stop_angle(drive, volts, pushed, dry):
+    """Where a chain that was pushed for a while comes to rest, at the pinion [rad]."""
+    gain = drive["N_1"] * drive["K_d"] * drive["K_M"]
+    tau = (drive["J_2"] + drive["N_1"] ** 2 * drive["J_m"]) / 0.5
+    final = (gain * volts - dry) / 0.5
+    peak = final * (1.0 - np.exp(-pushed / tau))
+    reached = final * (pushed - tau * (1.0 - np.exp(-pushed / tau)))
+    running_down = tau * np.log(1.0 + peak * 0.5 / dry)
+    return reached + tau * peak - dry / 0.5 * running_down
+
+
+def test_through_a_stop_by_closed_form(coulomb):
+    """d(angle of rest)/d(dry friction): pushed, let go, at rest for good."""
+    time = DT * np.arange(401)
+    u = np.where(time < 0.1 - DT / 2, 0.5, 0.0) * np.array([[1.0], [-1.0]])
+    # dry friction in this direction is static and Coulomb together
+    found = simulate_with_sensitivities(coulomb, time, u, ["T3s_plus", "T3c_plus"], substeps=64)
+    step = 1e-4
+    angles = [stop_angle(coulomb.drive, 0.5, 0.1, 2.0 + x) for x in (step, -step)]
+    expected = coulomb.drive["N_1"] * (angles[0] - angles[1]) / (2 * step)
+    together = found.derivatives[:, MOTOR, -1].sum()
+    assert together == pytest.approx(expected, rel=1e-3)
+    assert found.exists.all()
+
+
+NAMES = ("c", "T3c_plus", "J_L", "TLs_plus", "unbalance.cosine", "cogging.left_cosine")
+
+
+@pytest.fixture(scope="module")
+def lively_reference():
+    """Differences of the event-located reference, through contacts, stops and starts."""
+    model = Model().with_effect("cogging", left_cosine=0.01)
+    time = DT * np.arange(91)
+    u = 0.85 * np.sin(2 * np.pi * 6.0 * time) + np.array([[0.15], [-0.15]])
+    rows = []
+    for name in NAMES:
+        effect, _, key = name.rpartition(".")
+        step = 1e-5 * (model.drive[key] if not effect else 1.0)
+        value = model.drive[key] if not effect else model.effects.get(effect, {}).get(key, 0.0)
+        runs = []
+        for x in (value + step, value - step):
+            moved = (
+                model.with_effect(effect, **{key: x}) if effect else model.with_values(**{key: x})
+            )
+            runs.append(simulate(moved, time, u, method="reference", rtol=1e-12).outputs)
+        rows.append((runs[0] - runs[1]) / (2 * step))
+    return model, time, u, np.array(rows)
+
+
+def test_converges_to_the_reference(lively_reference):
+    model, time, u, exact = lively_reference
+    scale = np.sqrt(np.mean(exact**2, axis=2))
+    errors = []
+    for substeps in (8, 32, 128):
+        found = simulate_with_sensitivities(model, time, u, NAMES, substeps=substeps)
+        assert found.exists.mean() > 0.99
+        error = np.sqrt(np.mean((found.derivatives - exact) ** 2, axis=2)) / scale
+        errors.append(np.median(error, axis=1))
+    assert np.all(errors[2] < 0.03), dict(zip(NAMES, errors[2], strict=True))
+    assert np.all(errors[2] < 0.25 * errors[0])  # first order gives 1/16
+
+
+def test_flagged_where_a_body_is_just_held(coulomb):
+    """Driven by exactly what friction holds: a little less friction and it turns."""
+    drive = coulomb.drive
+    time = DT * np.arange(51)
+    volts = 2.0 / (drive["N_1"] * drive["K_d"] * drive["K_M"])
+    u = np.full((2, time.size), volts)
+    names = ["T3s_plus", "T3c_plus"]
+    # rounding of the net torque decides on which side the body is: just below is held
+    u[0] = np.nextafter(volts, 0.0)
+    found = simulate_with_sensitivities(coulomb, time, u, names)
+    assert np.ptp(found.outputs[MOTOR]) == 0.0
+    assert not found.exists[MOTOR, 10:].any()
+    assert found.exists[OUTPUTS.index("theta_L")].all()
+    u[:] = 0.99 * volts
+    assert simulate_with_sensitivities(coulomb, time, u, names).exists.all()
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["stiffness"], "the drive has no parameter 'stiffness'"),
+        (["cogging.size"], "no parameter 'cogging.size'"),
+        (["phi_r"], "phi_r is zero: its size is not known"),
+        (["drive_dead_band.width"], "is at its lower bound 0: no derivative from below"),
+        ([], "parameters is empty"),
+    ],
+)
+def test_refuses_what_has_no_derivative(names, message):
+    with pytest.raises(ValueError, match=message):
+        simulate_with_sensitivities(Model(), DT * np.arange(5), np.zeros((2, 5)), names)

@@ -9,8 +9,10 @@ import pytest
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.identify.experiments_validation import EXPERIMENTS
+from dmptm_ctrl.identify.loop_resonance import closed_loop_peak
 from dmptm_ctrl.reproduce import reproduce
-from dmptm_ctrl.reproduce.items import DEG, Context
+from dmptm_ctrl.reproduce.items import RIG_LOOP, Context
+from dmptm_ctrl.simulate.compiled import Loop
 
 
 @pytest.fixture(scope="module")
@@ -110,10 +112,22 @@ def test_errata_are_listed(made):
 
 
 def test_fitted_models_resonate_alike(made):
-    """The gains of the search put the fitted model's resonance near 5.5 Hz too."""
-    gains = made[1].resonance
-    assert gains.hz == pytest.approx(5.5, abs=0.06)
-    assert gains.amplitude == pytest.approx(10.0 * DEG)
+    """The gains of the search put both fitted models' resonances near 5.5 Hz too."""
+    gains, fitted = made[1].resonance, made[1].fitted
+    loop = Loop(gains.kp, gains.ki, RIG_LOOP.limit)
+    for model in fitted.values():
+        hz, peak = closed_loop_peak(model, loop, gains.amplitude, gains.hz)
+        assert hz == pytest.approx(5.5, abs=0.3)
+        assert peak > 1.3
+
+
+def test_declared_parameters_name_what_was_changed(made):
+    rows = {row["symbol"]: row for row in table(made, "declared")}
+    differs = {n for n, r in rows.items() if r["printed"] not in ("–", r["used"])}
+    assert differs == {"c", "T3s_plus", "T3c_plus"}
+    assert rows["gap_l"]["used"] == "14"
+    assert rows["gap_l"]["unit"] == "arcmin"
+    assert rows["c_f"]["printed"] == rows["k_a"]["printed"] == "–"
 
 
 def test_a_file_in_the_way(capsys, tmp_path):

@@ -33,6 +33,7 @@ from dmptm_ctrl.simulate.compiled import Loop
 from dmptm_ctrl.simulate.model import Model
 
 HZ = np.geomspace(0.5, 15.0, 20)
+REALISATIONS = 40
 CLOSED_HZ = np.geomspace(1.0, 20.0, 22)
 RIG_LINES = (0.7, 1.3, 2.9, 5.3, 8.9, 13.7, 21.1, 37.0, 61.0, 95.0)  # Hz, of its multisine log
 SEGMENT = 10.0 / 3.0  # s
@@ -138,7 +139,7 @@ def open_responses(context: Context) -> list[Item]:
     model = context.fitted["proposed"]
     both = {
         "stepped sine, 0.75 V": stepped_sine(model, HZ, 0.75),
-        "multisine, 0.75 V rms": multisine(model, HZ, 0.75),
+        "multisine, 0.75 V rms": multisine(model, HZ, 0.75, realisations=REALISATIONS),
     }
     caption = (
         "The same drive by two methods. The sine sticks at each reversal; the lines of a multisine "

@@ -8,13 +8,14 @@ import matplotlib
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from dmptm_ctrl.reproduce import experiments, linear, nonlinear
+from dmptm_ctrl.reproduce import experiments, linear, nonlinear, parts
 from dmptm_ctrl.reproduce.items import Context, Item
 from dmptm_ctrl.reproduce.page import render, save_items
 from dmptm_ctrl.signals.atomic import output_folder
 
 # in the order of the page
 SECTIONS: tuple[tuple[str, Callable[[Context], list[Item]]], ...] = (
+    ("Parameters", parts.declared),
     ("Resonances", linear.resonances),
     ("From 9 to 3 degrees of freedom", linear.convergence),
     ("What the simplification costs", linear.simplification),
@@ -22,6 +23,8 @@ SECTIONS: tuple[tuple[str, Callable[[Context], list[Item]]], ...] = (
     ("Bode plots and steps", linear.bode_and_step),
     ("Frequency responses, open loop", experiments.open_responses),
     ("Frequency responses, closed loop", experiments.closed_responses),
+    ("Block diagram", parts.blocks),
+    ("Mesh", parts.mesh),
     ("Backlash", nonlinear.two_laws),
     ("Tooth stiffness and mesh damping", linear.tooth),
     ("Parameters from experiments", nonlinear.parameters),

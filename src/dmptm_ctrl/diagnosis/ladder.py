@@ -7,6 +7,7 @@ or stretches of logs, that were not fitted.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -41,8 +42,10 @@ SHORTLIST = 4  # candidates refitted per rung
 ALIKE = 0.7  # cosine between what two candidates explain, from which they compete
 NEARLY = 0.85  # a simpler effect with this share of the best one's gain is preferred
 IN_BAND = 0.9  # of the bandwidth; a resonance must lie below
+CLIPS = 1.05  # largest input over a saturation's limit
 OVERDAMPED = 0.5  # damping ratio from which there is no resonance to speak of
 STANDS_OUT = 0.3
+SHAPES = ("stribeck_friction", "friction_asymmetry", "presliding", "thermal_drift")
 DRIVEN = 0.5  # of what a spring changes must be coherent with the drive
 SEGMENTS = 8  # of a log, for a coherence
 SHORTEST_SEGMENT = 16  # rows
@@ -138,6 +141,28 @@ def errors_of(left: Sequence[Floats], drive: Sequence[Floats]) -> Errors:
     )
 
 
+Outcome = tuple[Sequence[Floats], Sequence[Floats]]  # residual and drive per log
+
+
+def gain_of(before: Outcome, after: Outcome) -> float:
+    """Share of the residual's square that went, relative to the drive.
+
+    Mean over the equations that both have: the first one does not see the torque between two
+    bodies that are both measured.
+    """
+    count = min(before[0][0].shape[0], after[0][0].shape[0])
+    old, new = (np.array([_power(left, drive, e) for e in range(count)])
+                for left, drive in (before, after))  # fmt: skip
+    left = np.divide(new, old, out=np.ones(count), where=old > 0)
+    return 1.0 - float(np.mean(left))
+
+
+def _power(left: Sequence[Floats], drive: Sequence[Floats], equation: int) -> float:
+    total = sum(float(part[equation] @ part[equation]) for part in left)
+    size = sum(float(part @ part) for part in drive)
+    return total / size if size > 0 else inf
+
+
 def climb(
     model: ChainModel,
     fit_logs: Balance,
@@ -204,20 +229,23 @@ def _next_rung(
     scores: list[Candidate],
     jobs: int,
 ) -> tuple[Rung, ChainFit] | None:
-    """Take the best candidate that passes; None when none does."""
+    """Take the best candidate that passes; None when none does.
+
+    One that stands out is tested as if it were the only one: held-out data confirm it.
+    """
     level = ALPHA / max(len(scores), 1)
     worth = [
         c for c in scores
-        if c.score.gain >= 0.5 * MIN_GAIN and c.score.p_value * c.tries <= level
+        if c.score.gain >= 0.5 * MIN_GAIN and c.score.p_value * c.tries
+        <= (ALPHA if c.score.gain >= STANDS_OUT else level)
     ]  # fmt: skip
     refits = [(c, refit(fit, c, fit_logs, jobs)) for c in worth[:SHORTLIST]]
-    before = errors_of(fit.left, fit.drive)
-    held = held_errors(fit.state, held_logs, fit_logs, jobs)
+    old = fit.left, fit.drive
+    before = errors_of(*old)
+    held_old = held_outcome(fit.state, held_logs, fit_logs, jobs)
     trials = sorted(
-        ((c, new, 1.0 - (errors_of(new.left, new.drive).percent / before.percent) ** 2)
-         for c, new in refits),
-        key=lambda t: -t[2],
-    )  # fmt: skip
+        ((c, new, gain_of(old, (new.left, new.drive))) for c, new in refits), key=lambda t: -t[2]
+    )
     least = (MIN_SHARE / before.percent) ** 2 if before.percent > 0 else 1.0
     trials = _simplest_first(
         [
@@ -226,14 +254,14 @@ def _next_rung(
         ]
     )  # fmt: skip
     for candidate, new, gain in trials:
-        after = held_errors(new.state, held_logs, fit_logs, jobs)
-        held_gain = 1.0 - (after.percent / held.percent) ** 2 if held.percent > 0 else 0.0
+        held_new = held_outcome(new.state, held_logs, fit_logs, jobs)
+        held_gain = gain_of(held_old, held_new)
         if held_gain < max(HELD_SHARE * gain, 0.5 * least_gain(candidate.name)):
             continue
         p_value = min(1.0, candidate.score.p_value * candidate.tries * len(scores))
         rung = Rung(
             candidate.placed.key, candidate.score, p_value, gain, held_gain,
-            before, errors_of(new.left, new.drive), held, after,
+            before, errors_of(new.left, new.drive), errors_of(*held_old), errors_of(*held_new),
         )  # fmt: skip
         return rung, new
     return None
@@ -248,12 +276,16 @@ def least_gain(name: str) -> float:
 def plausible(candidate: Candidate, before: ChainFit, fit: ChainFit, logs: Balance) -> bool:
     """Whether a refitted effect is what its name says.
 
-    A resonance above the bandwidth is a delay or a filter by another name; and what a spring
-    changes must follow from the drive, or it only hides the noise of the acceleration.
+    A saturation clips more than the tips of the input. A resonance above the bandwidth is a delay
+    or a filter by another name; and what a spring changes must follow from the drive, or it only
+    hides the noise of the acceleration.
     """
-    if candidate.name != "shaft_compliance":
-        return True
     effect = next(e for e in fit.model.effects if e.key == candidate.placed.key)
+    if effect.name == "drive_saturation":
+        peak = max(float(np.abs(m.u[effect.on]).max()) for m in logs.motions)
+        return effect.values["inverse_limit"] * peak >= CLIPS
+    if effect.name != "shaft_compliance":
+        return True
     layout, plant = fit.model.layout, fit.model.plant()
     k = layout.links.index(effect.key if effect.key in layout.links else effect.on)
     ratio, stiffness = plant.link_values[k, :2]
@@ -287,6 +319,8 @@ def refit(fit: ChainFit, candidate: Candidate, logs: Balance, jobs: int = 2) -> 
     for log, shift in candidate.zero.items():
         old = belongs.get(log, Nuisance())
         belongs[log] = Nuisance({**old.zero, candidate.placed.key: shift}, old.twist)
+    for log, twist in candidate.twist.items():
+        belongs[log] = Nuisance(belongs[log].zero, {**belongs[log].twist, **twist})
     return fit_chain(State(model, belongs), logs, jobs=jobs, iterations=SETTLE)
 
 
@@ -321,18 +355,32 @@ def _delete(
             continue
         if carries_others(fit.model, rung.key):
             continue
-        state = State(fit.model.without([rung.key]), fit.state.logs)
+        state = State(_handed_over(fit.model, rung.key), fit.state.logs)
         without = fit_chain(without_zeros(state, rung.key), fit_logs, jobs=jobs)
-        with_it = errors_of(fit.left, fit.drive).percent
-        lost = 1.0 - (with_it / errors_of(without.left, without.drive).percent) ** 2
+        lost = gain_of((without.left, without.drive), (fit.left, fit.drive))
         if lost < least_gain(rung.key.partition("@")[0]):
             fit = without
             deleted.append(rung.key)
     return fit, tuple(deleted)
 
 
+def _handed_over(model: ChainModel, key: str) -> ChainModel:
+    """Return the model without an effect; a dead time passes to a lag beside it, and back."""
+    gone = next(e for e in model.effects if e.key == key)
+    other = {"drive_delay": "current_lag", "current_lag": "drive_delay"}.get(gone.name)
+    heir = next((e for e in model.effects if e.name == other and e.on == gone.on), None)
+    rest = model.without([key])
+    if heir is None:
+        return rest
+    (late,), (name,) = gone.values.values(), heir.values
+    return rest.with_effect(heir._replace(values={name: heir.values[name] + late}))
+
+
 def carries_others(model: ChainModel, key: str) -> bool:
-    """Whether other effects sit on a body or link that this one makes."""
+    """Whether other effects sit on a body or link that this one makes, or shape its friction."""
+    name, _, on = key.partition("@")
+    if name == "coulomb_friction" and any(e.on == on and e.name in SHAPES for e in model.effects):
+        return True
     places = {e.on for e in model.effects if e.key != key}
     own = {b.name for b in model.rig.bodies} | {k.name for k in model.rig.links}
     made = set(model.layout.bodies) | set(model.layout.links)
@@ -347,10 +395,9 @@ def without_zeros(state: State, key: str) -> State:
     return State(state.model, logs)
 
 
-def held_errors(state: State, held: Balance, fitted: Balance, jobs: int = 2) -> Errors:
-    """Errors on held-out logs; what belongs to a log alone is fitted there."""
-    left, drive = residuals(held_state(state, held, fitted, jobs=jobs), held)
-    return errors_of(left, drive)
+def held_outcome(state: State, held: Balance, fitted: Balance, jobs: int = 2) -> Outcome:
+    """Residual and drive on held-out logs; what belongs to a log alone is fitted there."""
+    return residuals(held_state(state, held, fitted, jobs=jobs), held)
 
 
 def held_state(state: State, held: Balance, fitted: Balance, *, jobs: int = 2) -> State:

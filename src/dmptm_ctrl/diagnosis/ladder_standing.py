@@ -7,7 +7,7 @@ from dmptm_ctrl.diagnosis.ladder import (
     ALIKE,
     Ladder,
     carries_others,
-    errors_of,
+    gain_of,
     rank,
     without_zeros,
 )
@@ -48,8 +48,8 @@ def standing(ladder: Ladder, jobs: int = 2) -> dict[str, Standing]:
             State(ladder.final.model.without([effect.key]), ladder.final.state.logs), effect.key
         )
         without = fit_chain(state, ladder.fit_logs, jobs=jobs)
-        whole = errors_of(without.left, without.drive).percent
-        gain = 1.0 - (errors_of(ladder.final.left, ladder.final.drive).percent / whole) ** 2
+        final = ladder.final.left, ladder.final.drive
+        gain = gain_of((without.left, without.drive), final)
         if effect.name == "shaft_compliance":
             found[effect.key] = Standing(gain, (), _probability(gain, [], p_values[effect.key]))
             continue

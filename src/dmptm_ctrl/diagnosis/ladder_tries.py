@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.ladder_score import Score, Tangent
 from dmptm_ctrl.identify.chain_fit import ChainFit, Scales, State, residuals
-from dmptm_ctrl.identify.chain_start import drive_of, ends_of, regress, unknown_inertias
+from dmptm_ctrl.identify.chain_start import (
+    drive_of,
+    ends_of,
+    regress,
+    regress_gap,
+    spring_values,
+    unknown_inertias,
+)
+from dmptm_ctrl.identify.inverse_dynamics import Nuisance
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 from dmptm_ctrl.simulate.chain_model import Placed
 
@@ -35,6 +43,7 @@ class Candidate(NamedTuple):
     tries: int
     zero: dict[str, float] = {}  # noqa: RUF012  (a NamedTuple's default is not changed)
     values: Mapping[str, float] = {}
+    twist: Mapping[str, Mapping[str, float]] = {}
 
     @property
     def name(self) -> str:
@@ -125,25 +134,35 @@ def _placed(
 
 
 def finite_structure(
-    tangent: Tangent, tries: list[Placed], values: Mapping[str, float] | None = None
+    tangent: Tangent,
+    tries: list[Placed],
+    values: Mapping[str, float] | None = None,
+    twist: Mapping[str, Mapping[str, float]] | None = None,
 ) -> Candidate:
-    """As `finite`, for changes that add coordinates: the first equation is compared.
+    """As `finite`, for changes that may add coordinates: then the first equation is compared.
 
     Parameters
     ----------
-    values : mapping, optional
-        Declared quantities that change with it.
+    values, twist : mappings, optional
+        Declared quantities that change with it, and twists per log.
     """
     best: Candidate | None = None
+    count = tangent.fit.left[0].shape[0]
     first = Tangent(_first_equation(tangent), tangent.balance)
-    power = float(first.left @ first.left)
     for placed in tries:
         model = tangent.fit.model.with_values(values or {}).with_effect(placed)
-        state = State(model, tangent.fit.state.logs)
+        logs = dict(tangent.fit.state.logs)
+        for log, links in (twist or {}).items():
+            old = logs.get(log, Nuisance())
+            logs[log] = Nuisance(old.zero, {**old.twist, **links})
+        state = State(model, logs)
         try:
             moved, _ = residuals(state, tangent.balance)
         except ValueError:
             continue
+        if moved[0].shape[0] == count:
+            first = tangent
+        power = float(first.left @ first.left)
         change = first.stack(moved) - first.stack(first.fit.left)
         if not np.isfinite(change).all():
             continue
@@ -152,7 +171,7 @@ def finite_structure(
         gain = 1.0 - float(new @ new) / power if power > 0 else 0.0
         if best is None or gain > best.score.gain:
             best = Candidate(
-                placed, score._replace(gain=gain), len(tries), {}, values or {},
+                placed, score._replace(gain=gain), len(tries), {}, values or {}, twist or {},
             )  # fmt: skip
     assert best is not None
     return best
@@ -171,15 +190,30 @@ def _first_equation(tangent: Tangent) -> ChainFit:
 def backlash(
     tangent: Tangent, scales: Scales, present: set[tuple[str, str]]
 ) -> Iterator[Candidate]:
-    model = tangent.fit.model
+    """Gaps in links that are not rigid."""
+    model, balance = tangent.fit.model, tangent.balance
     for link in model.layout.links:
         if ("backlash", link) in present:
             continue
         if any(k.name == link and k.half_gap is not None for k in model.rig.links):
             continue
-        seen = {model.layout.coordinate[model.layout.sensor_body[p.name]]
-                for p in tangent.balance.points}  # fmt: skip
+        seen = {model.layout.coordinate[model.layout.sensor_body[p.name]] for p in balance.points}
         if 0 not in seen:
             continue  # through a gap, the driven body's motion does not follow from the other's
-        sizes = [s * scales.position for s in (1e-5, 1e-4, 1e-3, 1e-2)]
-        yield finite(tangent, [Placed("backlash", link, {"half_gap": s}) for s in sizes])
+        ends = None
+        if any(k.name == link for k in model.rig.links):
+            ends = ends_of(model, balance, link)
+        if ends is None:
+            sizes = [s * scales.position for s in (1e-5, 1e-4, 1e-3, 1e-2)]
+            yield finite(tangent, [Placed("backlash", link, {"half_gap": s}) for s in sizes])
+            continue
+        if not all(p in m.angles for m in balance.motions for p, _ in ends):
+            continue  # an integrated speed drifts by more than a gap
+        gap = regress_gap(balance, *ends, drive_of(model, balance))
+        if gap.half_gap > 0:
+            start = Placed("backlash", link, {"half_gap": gap.half_gap})
+            values = {**unknown_inertias(model, link, gap.spring)}
+            values |= spring_values(model, link, gap.spring)
+            ratio = model.value(f"link.{link}.ratio")
+            twist = {log: {link: zero / ratio} for log, zero in gap.zero.items()}
+            yield finite_structure(tangent, [start], values, twist)

@@ -23,6 +23,7 @@ ROWS_PER_NEWS = 8.0  # rows of the balance that carry one independent piece of n
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
 LARGE_STEP = {"drive_delay", "current_lag", "backlash", "drive_dead_band", "drive_saturation"}
 HARMONIC = ("cogging", "unbalance", "position_dependent_friction")  # cosine and sine of the angle
+SHARES = 0.005, 0.99  # of the inertia behind a spring
 NOT_FITTED = ("ratio", "gain", "stribeck_exponent", "gap_damping", "limit")
 
 
@@ -155,6 +156,8 @@ def _effect_parameters(effect: Placed, model: ChainModel, scales: Scales) -> lis
             high = max(3.0 * value, 2.0 * scales.dt)  # a search far out finds aliases
         if effect.name == "drive_saturation":
             high = 2.0 * value
+        if parameter.name == "share":
+            low, high = SHARES
         if effect.name == "drive_offset":
             size = max(abs(value), 0.02 * scales.u[effect.on])
         frees.append(Free("effect", effect.key, parameter.name, low, high, size or 1.0))
@@ -380,7 +383,7 @@ def fit_chain(
             trial = state.moved(frees, values)
             try:
                 new_left, new_drive = residuals(trial, balance)
-            except ValueError:
+            except (ValueError, ArithmeticError):
                 continue
             new_cost = _cost(trial, frees, new_left, weights)
             if isfinite(new_cost) and new_cost < cost:

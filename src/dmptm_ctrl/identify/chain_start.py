@@ -14,6 +14,8 @@ STIFF = 6  # antiresonances tried for a spring of which nothing is known
 LOWEST_MODE = 0.03  # of the bandwidth
 HIGHEST_MODE = 1.5
 DAMPING_RATIO = 0.05
+TAIL = 0.005  # of the twists, beyond the ends of the gap and its wind-up
+GAP_SHARES = tuple(np.linspace(0.05, 0.98, 32))  # of half the range of twists, tried
 MODEST = 0.02, 0.98  # share of the inertia behind a spring
 
 
@@ -76,7 +78,7 @@ def _springs(model: ChainModel, balance: Balance) -> ChainModel:
         if ends is not None:
             spring = regress(balance, *ends, drive_of(model, balance))
             inertias = unknown_inertias(model, link.name, spring)
-            model = model.with_values({**inertias, **_spring_values(model, link.name, spring)})
+            model = model.with_values({**inertias, **spring_values(model, link.name, spring)})
             continue
         _, far_ratio = link_sides(model, link.name)
         far = sum(r**2 * model.value(f"body.{b}.inertia") for b, r in far_ratio.items())
@@ -85,14 +87,18 @@ def _springs(model: ChainModel, balance: Balance) -> ChainModel:
         top = 2 * np.pi * balance.bandwidth
         for w in np.geomspace(LOWEST_MODE * top, HIGHEST_MODE * top, STIFF):
             spring = Spring(float(w), DAMPING_RATIO, far, far)
-            start = model.with_values(_spring_values(model, link.name, spring))
+            start = model.with_values(spring_values(model, link.name, spring))
             fit = fit_chain(State(start), balance, iterations=3)
             tried.append((fit.cost, fit.model))
         model = min(tried, key=lambda t: t[0])[1]
     return model
 
 
-def _spring_values(model: ChainModel, link: str, spring: Spring) -> dict[str, float]:
+def spring_values(model: ChainModel, link: str, spring: Spring) -> dict[str, float]:
+    """Stiffness and damping of a link, where they are declared unknown."""
+    declared = model.quantities.get(f"link.{link}.stiffness")
+    if declared is None or isfinite(declared.value):
+        return {}
     values = {f"link.{link}.stiffness": spring.stiffness}
     damping = model.quantities.get(f"link.{link}.damping")
     if damping is not None and not isfinite(damping.value):
@@ -123,6 +129,44 @@ def drive_of(model: ChainModel, balance: Balance) -> list[Floats]:
     return [np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in balance.motions]
 
 
+class Gap(NamedTuple):
+    """A gap between two measured points, as wide as the logs put it.
+
+    Attributes
+    ----------
+    half_gap : float
+        At the near side [rad or m].
+    spring : Spring
+        Of the teeth in contact.
+    zero : dict of log to float
+        Twist that the sensors show in the middle of the gap [rad or m].
+    """
+
+    half_gap: float
+    spring: Spring
+    zero: dict[str, float]
+
+
+def regress_gap(
+    balance: Balance, near: tuple[str, float], far: tuple[str, float], drive: list[Floats]
+) -> Gap:
+    """Find a gap between two measured points: the half-width whose contact fits best.
+
+    As `regress`, with a2 = ω_a² (z − clip(z, ±Δ)) + 2 ζ ω_a ż in contact + …
+    """
+    twist = {m.name: near[1] * m.q[near[0]] - far[1] * m.q[far[0]] for m in balance.motions}
+    zero, reach = {}, 0.0
+    for log, z in twist.items():
+        low, high = np.quantile(z, [TAIL, 1.0 - TAIL])
+        zero[log], reach = float(0.5 * (low + high)), max(reach, float(0.5 * (high - low)))
+    tried = [
+        (*_regress(balance, near, far, drive, share * reach, zero), share * reach)
+        for share in (0.0, *GAP_SHARES)
+    ]
+    _, spring, half_gap = min(tried, key=lambda t: t[0])
+    return Gap(half_gap, spring, zero)
+
+
 def regress(
     balance: Balance, near: tuple[str, float], far: tuple[str, float], drive: list[Floats]
 ) -> Spring:
@@ -135,6 +179,18 @@ def regress(
     near, far : point and factor of its motion
     drive : (n,) array per log [N·m or N]
     """
+    return _regress(balance, near, far, drive, 0.0, {})[1]
+
+
+def _regress(
+    balance: Balance,
+    near: tuple[str, float],
+    far: tuple[str, float],
+    drive: list[Floats],
+    half_gap: float,
+    zero: Mapping[str, float],
+) -> tuple[float, Spring]:
+    """Return what the regression of the far side leaves, and the spring."""
     shaft, target, whole, push = [], [], [], []
     one, r1 = near
     two, r2 = far
@@ -144,19 +200,23 @@ def regress(
         own[:, k] = 1.0
         q1, v1, a1 = (r1 * part[one] for part in (m.q, m.v, m.a))
         q2, v2, a2 = (r2 * part[two] for part in (m.q, m.v, m.a))
-        behind = (q1 - q2, v1 - v2, v2, np.sign(v2))
+        z = q1 - q2 - zero.get(m.name, 0.0)
+        contact = np.abs(z) >= half_gap
+        behind = (z - np.clip(z, -half_gap, half_gap), (v1 - v2) * contact, v2, np.sign(v2))
         shaft.append(np.column_stack([*(m.reduce(s)[keep] for s in behind), own]))
         target.append(m.reduce(a2)[keep])
         signals = (a1, a2, v1, np.sign(v1))
         whole.append(np.column_stack([*(m.reduce(s)[keep] for s in signals), own]))
         push.append(m.reduce(drive[k])[keep])
-    square, damping = _solve(shaft, target)[:2]
+    found = _solve(shaft, target)
+    left = float(np.linalg.norm(np.concatenate(target) - np.concatenate(shaft) @ found))
+    square, damping = found[:2]
     inertias = _solve(whole, push)[:2]
     antiresonance = float(np.sqrt(max(square, 1.0)))
     total = max(float(np.sum(inertias)), 1e-300)
     share = float(np.clip(inertias[1] / total, *MODEST)) if np.sum(inertias) > 0 else 0.5
     ratio = float(np.clip(damping / (2 * antiresonance), 1e-3, 0.5))
-    return Spring(antiresonance, ratio, (1 - share) * total, share * total)
+    return left, Spring(antiresonance, ratio, (1 - share) * total, share * total)
 
 
 def _solve(rows: list[Floats], target: list[Floats]) -> Floats:

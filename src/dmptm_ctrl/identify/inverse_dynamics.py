@@ -31,6 +31,7 @@ from dmptm_ctrl.simulate.chain_compose import engine, kind_of
 from dmptm_ctrl.simulate.chain_model import ChainModel, value_row
 
 TINY = 1e-300  # a speed that has a direction and no size
+LEAST_DRIVE = 0.05  # of the logged signal gets through to a motor at least
 SUBSTEPS = 40  # of hidden coordinates; faster ones are far above the bandwidth
 
 
@@ -203,7 +204,8 @@ def residual(
     )
     # A drive that clips or drops part of its signal must not look better for it.
     size = float(np.std(push))
-    fair = float(np.std(logged)) / size if size > 0 else 1.0
+    whole = float(np.std(logged))
+    fair = whole / max(size, LEAST_DRIVE * whole) if whole > 0 else 1.0
     equations = [fair * (push - total), *single[1:]]
     return np.array([motion.reduce(e) for e in equations]), motion.reduce(fair * push)
 

@@ -51,13 +51,14 @@ def test_step_draws_the_step_on_the_axes_given():
 
 
 def test_response_leaves_out_where_nothing_moves():
-    """No gain has no phase: the point at 0 is not drawn, its coherence is."""
-    omega = 2 * np.pi * np.array([1.0, 2.0, 4.0])
-    data = ct.frd([[[1j, -0.5, 0.0]]], omega)
-    panels = response_plot({"held": (data, [0.9, 0.8, 0.0])}, reference={"plant": PLANT})
+    """No gain has no phase, rattle none that means a thing: not drawn, their coherence is."""
+    omega = 2 * np.pi * np.array([1.0, 2.0, 4.0, 8.0])
+    data = ct.frd([[[1j, -0.5, 0.0, 1e-4]]], omega)
+    seen = [0.9, 0.8, 0.0, 0.02]
+    panels = response_plot({"held": (data, seen)}, reference={"plant": PLANT})
     np.testing.assert_allclose(panels[0].lines[0].get_ydata(), 20 * np.log10([1.0, 0.5]))
     np.testing.assert_allclose(panels[1].lines[0].get_ydata(), [90.0, 180.0])
-    np.testing.assert_allclose(panels[2].lines[0].get_ydata(), [0.9, 0.8, 0.0])
+    np.testing.assert_allclose(panels[2].lines[0].get_ydata(), seen)
     reference = panels[0].lines[1]
     np.testing.assert_allclose(
         reference.get_ydata(), 20 * np.log10(abs(PLANT(2j * np.pi * reference.get_xdata())))

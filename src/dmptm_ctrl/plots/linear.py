@@ -14,6 +14,9 @@ from dmptm_ctrl.drive.reduction import SimplificationCost
 from dmptm_ctrl.plots.style import SEQUENCE, STYLES, axes
 
 
+LEAST_COHERENCE = 0.1  # below, gain and phase are not drawn
+
+
 def bode_compare(
     systems: Mapping[str, Any],
     *,
@@ -125,6 +128,8 @@ def response_plot(
 ) -> np.ndarray:
     """Draw measured responses: magnitude, phase and coherence over frequency in Hz.
 
+    Gain and phase are left out where the coherence is below 0.1.
+
     Parameters
     ----------
     responses : mapping of str to (FrequencyResponseData, coherence)
@@ -147,15 +152,18 @@ def response_plot(
     reach = np.concatenate([np.asarray(r[0].omega) for r in responses.values()])
     for (label, item), style in zip(lines.items(), _cycle(len(lines)), strict=True):
         style = {**style, **(styles or {}).get(label, {})}
+        seen = 1.0
         if label in responses:
             data, coherence = item
             omega, values = np.asarray(data.omega), np.asarray(data.frdata[0, 0])
             style = {"marker": "o", "markersize": 3, **style}
+            seen = np.asarray(coherence)
             coherent.plot(omega / (2 * np.pi), coherence, **style)
         else:
             omega = np.geomspace(reach.min(), reach.max(), 1000)
             values = np.asarray(item(1j * omega)).ravel()
-        moves = np.abs(values) > 0.0  # where friction holds, there is no gain and no phase
+        # Where friction holds, or all is rattle, there is no gain and no phase to speak of.
+        moves = (np.abs(values) > 0.0) & (seen > LEAST_COHERENCE)
         hz, values = omega[moves] / (2 * np.pi), values[moves]
         gain = np.abs(values)
         magnitude.plot(hz, 20 * np.log10(gain) if dB else gain, label=label, **style)

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from dmptm_ctrl.drive.reduction import SimplificationCost
 from dmptm_ctrl.plots.style import SEQUENCE, STYLES, axes
 
-
 LEAST_COHERENCE = 0.1  # below, gain and phase are not drawn
 
 
@@ -152,7 +151,7 @@ def response_plot(
     reach = np.concatenate([np.asarray(r[0].omega) for r in responses.values()])
     for (label, item), style in zip(lines.items(), _cycle(len(lines)), strict=True):
         style = {**style, **(styles or {}).get(label, {})}
-        seen = 1.0
+        seen: Any = 1.0
         if label in responses:
             data, coherence = item
             omega, values = np.asarray(data.omega), np.asarray(data.frdata[0, 0])

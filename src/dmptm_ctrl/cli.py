@@ -24,6 +24,8 @@ app = typer.Typer(
 )
 log_app = typer.Typer(help="Look at logs.")
 app.add_typer(log_app, name="log")
+rig_app = typer.Typer(help="Describe a drive in a file.")
+app.add_typer(rig_app, name="rig")
 
 
 def _print_version(wanted: bool) -> None:
@@ -146,6 +148,46 @@ def log_info(
         print(json.dumps(info.to_dict(), indent=2, ensure_ascii=False))
     else:
         _show(info)
+
+
+@rig_app.command("check")
+def rig_check(
+    file: Annotated[Path, typer.Argument(help="A rig file; see docs/rig_toml.md.")],
+    figure: Annotated[Path | None, typer.Option(help="Also draw it to this .png or .svg.")] = None,
+) -> None:
+    """Draw a rig file and print its modes; say what is wrong with it."""
+    from dmptm_ctrl.drive.rigfile import load_rig
+    from dmptm_ctrl.plots.rig import plot_rig, rig_text
+    from dmptm_ctrl.simulate.chain import modes_text
+
+    rig = load_rig(file)
+    print(_printable(rig_text(rig)))
+    print(modes_text(rig))
+    if figure is not None:
+        picture = plot_rig(rig).get_figure(root=True)
+        assert picture is not None
+        picture.savefig(figure, dpi=150)
+
+
+@rig_app.command("init")
+def rig_init(
+    file: Annotated[Path, typer.Argument(help="Rig file to write.")] = Path("rig.toml"),
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+) -> None:
+    """Write a commented rig file to start from."""
+    from dmptm_ctrl.data import RIG_TEMPLATE
+    from dmptm_ctrl.signals import LogError
+    from dmptm_ctrl.signals.atomic import write_atomic
+
+    if file.exists() and not force:
+        raise LogError(f"{file} exists; give another name, or --force to replace it")
+    write_atomic(file, RIG_TEMPLATE.read_text(encoding="utf-8"))
+    print(f"written to {file}; edit it, then: dmptm rig check {file}")
+
+
+def _printable(text: str) -> str:
+    """Text of a file without control characters."""
+    return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 
 
 def _show(info: "LogInfo") -> None:

@@ -4,6 +4,8 @@ from importlib.resources import files
 from pathlib import Path
 
 SETS = ("demo_rig", "null_rig")
+RIG_TEMPLATE = Path(str(files(__name__).joinpath("rig_template.toml")))  # commented
+PAPER_RIG = Path(str(files(__name__).joinpath("paper_rig.toml")))  # the built-in model as a file
 
 
 def path(name: str) -> Path:

@@ -25,6 +25,7 @@ from dmptm_ctrl.identify.chain_fit import State, residuals
 from dmptm_ctrl.identify.chain_sensors import late_sensors
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.signals import Log, LogError
+from dmptm_ctrl.simulate.chain import declared_effects
 from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
 
 MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
@@ -70,7 +71,7 @@ def diagnose_chain(
     balance = balance_of(declared, loaded, late={k: v.delay for k, v in late.items()})
     balance = _long_enough(balance)
     fit_logs, held_logs, roles, on = split(declared, balance)
-    model = ChainModel(declared, tuple(_declared_effects(declared)))
+    model = ChainModel(declared, tuple(declared_effects(declared)))
     ladder = climb(model, fit_logs, held_logs, jobs=jobs)
     errors = standard_errors(ladder.final, fit_logs)
     stands = standing(ladder, jobs)
@@ -141,10 +142,6 @@ def error_of(ladder: Ladder, on: str) -> dict[str, object]:
         "before": error_dict(first),
         "after": error_dict(after),
     }
-
-
-def _declared_effects(rig: Rig) -> list[Placed]:
-    return [Placed(e.name, e.on, {k: q.value for k, q in e.values.items()}) for e in rig.effects]
 
 
 def _long_enough(balance: Balance) -> Balance:

@@ -9,6 +9,8 @@ from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
 from dmptm_ctrl.diagnosis.ladder_files import is_chain
 from dmptm_ctrl.diagnosis.ladder_predict import predict_chain_file
 from dmptm_ctrl.diagnosis.predict import predict
+from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
+from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.signals import load_log, load_logs
 from dmptm_ctrl.simulate.model_file import read_model
 
@@ -28,7 +30,12 @@ def diagnose_files(
     source = paths[0] if len(paths) == 1 else list(paths)
     if rig is None:
         return diagnose(load_logs(source), jobs=jobs, seed=seed)
-    return diagnose_chain(source, rig, jobs=jobs, seed=seed)
+    declared = load_rig(rig)
+    drive = dual_motor(declared)
+    if drive is not None:
+        campaign = load_logs(source, dual_columns(declared))
+        return diagnose(campaign, drive, jobs=jobs, seed=seed)
+    return diagnose_chain(source, declared, jobs=jobs, seed=seed)
 
 
 def predict_file(log: Path, model: Path) -> str:

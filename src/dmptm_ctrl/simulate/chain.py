@@ -8,13 +8,16 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dmptm_ctrl.drive.rig import Controller
+from dmptm_ctrl.drive.rig import Controller, Rig
+from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.chain_compose import engine
-from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
 from dmptm_ctrl.simulate.chain_plant import Floats, Plant
 
 STEPS_PER_RADIAN = 8.0  # of the fastest mode, and of the fastest decay
 MAX_SUBSTEPS = 400
+STILL = 1e-6  # of the fastest mode; slower is the rigid one
+CONSERVATIVE = ("inertia", "stiffness", "ratio", "gain", "stribeck_speed", "stribeck_exponent")
 _OPEN = np.zeros(7)
 _NO_MOTION = np.zeros((1, 0))
 
@@ -262,6 +265,26 @@ def _site(name: str) -> str:
     from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 
     return CHAIN_CATALOGUE[name].site
+
+
+def modes_text(rig: Rig) -> str:
+    """Return the modes of a declared rig as a line of text; or what must be known for them."""
+    try:
+        model = ChainModel(rig, tuple(declared_effects(rig)))
+        losses = [k for k in model.quantities if k.rpartition(".")[2] not in CONSERVATIVE]
+        model = model.with_values(dict.fromkeys(losses, 0.0))
+        modes = chain_modes(model)
+    except ValueError as error:
+        return f"modes: not computed; {error.args[0]}"
+    except (KeyError, ZeroDivisionError) as error:
+        raise LogError(f"{rig.source}: {error.args[0]}") from None
+    least = STILL * modes.max(initial=0.0)
+    return "modes: " + ", ".join(f"{f:.4g} Hz" if f > least else "0 (rigid body)" for f in modes)
+
+
+def declared_effects(rig: Rig) -> list[Placed]:
+    """Return the effects that a rig file declares, as models have them."""
+    return [Placed(e.name, e.on, {k: q.value for k, q in e.values.items()}) for e in rig.effects]
 
 
 def chain_modes(model: ChainModel) -> Floats:

@@ -1,0 +1,70 @@
+"""The paper's rig as a file is the built-in model."""
+
+import numpy as np
+import pytest
+
+from dmptm_ctrl import data
+from dmptm_ctrl.drive import paper_drive, three_dof_ss
+from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
+from dmptm_ctrl.drive.rigfile import load_rig, parse_rig
+from dmptm_ctrl.signals import load_logs
+from dmptm_ctrl.simulate.chain import chain_modes, linear_chain, march
+from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.compiled import march as march_built_in
+from dmptm_ctrl.simulate.compiled import rest
+from dmptm_ctrl.simulate.model import Model
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig(data.PAPER_RIG)
+
+
+def test_declared_values_are_the_tables(rig):
+    found, known = dual_motor(rig).quantities, paper_drive().quantities
+    for name, quantity in known.items():
+        assert found[name].value == pytest.approx(quantity.value, rel=1e-12, abs=1e-300), name
+        assert found[name].range == pytest.approx(quantity.range, rel=1e-12, abs=1e-300), name
+        assert found[name].unit == quantity.unit
+
+
+def test_modes(rig):
+    """Physics of three bodies in closed form: 0, 60.4 and 230.9 Hz."""
+    assert chain_modes(ChainModel(rig)) == pytest.approx([0, 60.4, 230.9], abs=0.1)
+
+
+def test_linear_model(rig):
+    """Same response from both voltages to both readings."""
+    chain = linear_chain(ChainModel(rig))
+    built_in = three_dof_ss(outputs=("theta_L", "omega_L"))
+    for hertz in (0.1, 5.0, 60.4, 231.0, 900.0):
+        s = 2j * np.pi * hertz
+        assert chain(s) == pytest.approx(built_in(s), rel=1e-7)  # condition of the states
+
+
+def test_motion_with_gaps_and_friction(rig):
+    """Preloaded reversal, both compiled loops; they differ by their treatment of the gap."""
+    t = 1e-3 * np.arange(2000)
+    push = 0.9 * np.sin(2 * np.pi * 1.5 * t)
+    u = np.array([push + 0.2, push - 0.2])
+    model = Model(paper_drive())
+    one = march_built_in(model.arrays(), u, rest(model, 0.0), 1e-3)
+    other = march(ChainModel(rig), u, 1e-3, substeps=50)
+    size = np.abs(one[:, 1]).max()
+    assert size > 0.05
+    assert np.sqrt(np.mean((other.speed("ring_gear") - one[:, 1]) ** 2)) < 0.05 * size
+
+
+def test_logs_come_in_under_the_built_in_names(rig):
+    one = load_logs(data.path("demo_rig"), dual_columns(rig))[0]
+    other = load_logs(data.path("demo_rig"))[0]
+    for channel in ("u_left", "u_right", "theta_L", "omega_L"):
+        assert np.array_equal(one[channel], other[channel])
+
+
+def test_another_drive_is_not_taken_for_it(rig):
+    text = data.PAPER_RIG.read_text()
+    assert (
+        dual_motor(parse_rig(text.replace('amplifier = "3 A/V"', 'amplifier = "4 A/V"', 1))) is None
+    )
+    assert dual_motor(parse_rig(text.replace("ratio = 25", "ratio = 30", 1))) is None

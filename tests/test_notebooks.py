@@ -14,7 +14,8 @@ TIMEOUT = 300  # s per cell, on a busy machine
 
 
 def test_there_are_notebooks():
-    assert [p.name[:2] for p in NOTEBOOKS] == [f"{i + 1:02d}" for i in range(len(NOTEBOOKS))]
+    numbers = [int(p.name[:2]) for p in NOTEBOOKS]
+    assert len(set(numbers)) == len(numbers)
     assert len(NOTEBOOKS) >= 3
 
 

@@ -3,7 +3,7 @@
 from importlib.resources import files
 from pathlib import Path
 
-SETS = ("demo_rig", "null_rig")
+SETS = ("demo_rig", "null_rig", "axis")
 RIG_TEMPLATE = Path(str(files(__name__).joinpath("rig_template.toml")))  # commented
 PAPER_RIG = Path(str(files(__name__).joinpath("paper_rig.toml")))  # the built-in model as a file
 
@@ -13,8 +13,9 @@ def path(name: str) -> Path:
 
     Parameters
     ----------
-    name : {"demo_rig", "null_rig"}
-        demo_rig has an effect that the declared model lacks; null_rig has none.
+    name : {"demo_rig", "null_rig", "axis"}
+        demo_rig has an effect that the declared model lacks; null_rig has none; axis is a linear
+        axis with its rig file.
 
     Returns
     -------

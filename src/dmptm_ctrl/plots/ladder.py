@@ -75,7 +75,7 @@ def plot_torque(trace: TorqueTrace, *, ax: Any = None) -> np.ndarray:
     panels[0].plot(trace.time, trace.drive - trace.after, label="model", **STYLES["proposed"])
     panels[1].plot(trace.time, trace.before, label="left by the declared", **STYLES["existing"])
     panels[1].plot(trace.time, trace.after, label="left in the end", **STYLES["proposed"])
-    panels[0].set_ylabel(f"torque [{trace.unit}]")
+    panels[0].set_ylabel(f"drive [{trace.unit}]")
     panels[1].set_ylabel(f"residual [{trace.unit}]")
     panels[1].set_xlabel("time [s]")
     for panel in panels:

@@ -77,7 +77,7 @@ def _lanes(
         ]
     )
     kept = -(-task.samples // task.every) if task.columns.size else 0
-    out = np.empty((lanes, kept, task.columns.size))
+    out = np.empty((lanes, task.columns.size, kept))
     stats = np.zeros((4, loop.COLUMNS, lanes) if task.statistics else (0, 0, 0))
     stats[:1], stats[1:2] = np.inf, -np.inf
     loop.march_lanes(
@@ -160,7 +160,8 @@ def march_many(
     )
     count = len(arrays)
     starts = np.broadcast_to(x0, (count, 6))
-    return _all(task, arrays, starts, np.broadcast_to(_OPEN, (count, 5)), jobs)[0]
+    kept, _ = _all(task, arrays, starts, np.broadcast_to(_OPEN, (count, 5)), jobs)
+    return kept.transpose(0, 2, 1)
 
 
 def simulate_batch(
@@ -255,7 +256,7 @@ def simulate_batch(
     kept, (least, greatest, total, squares) = _all(task, arrays, starts, loops, jobs)
     return Batch(
         time[::every] if outputs else time[:0],
-        kept.transpose(0, 2, 1),
+        kept,
         tuple(outputs),
         least.T,
         greatest.T,

@@ -241,6 +241,12 @@ def cache_folder() -> Path:
 def _load(key: str, text: str) -> ModuleType:
     file = cache_folder() / f"engine_{key}.py"
     if not file.exists() or file.read_text(encoding="utf-8") != text:
+        if elementary.COMPILED:
+            sys.stderr.write(
+                f"Compiling the simulator for {len(CATALOGUE)} effects, once for this catalogue; "
+                "about ten seconds.\n"
+            )
+            sys.stderr.flush()
         fresh = file.with_suffix(f".{os.getpid()}")
         fresh.write_text(text, encoding="utf-8")
         os.replace(fresh, file)

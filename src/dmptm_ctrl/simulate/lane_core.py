@@ -532,11 +532,13 @@ def march_lanes(
     u (k, 2, n), or (0, 2, n) under the loop; target (k, n) or (0, 0); measured (k, n) or (0, 0);
     pick (3, LANES) the rows of these that each lane takes; observer (angle gain, speed
     gain); extra (n, 3) or (0, 3); on (effects,), where any lane has it; s as from `fill`;
-    out (LANES, samples kept, columns.size), every `every`-th sample; stats (4, COLUMNS, LANES).
+    out (LANES, columns.size, samples kept), every `every`-th sample; stats (4, COLUMNS, LANES).
     """
     n = u.shape[2]
     h = dt / substeps
-    width = pick.shape[1] >> 3 << 3  # of the loops; not a constant, or short ones are unrolled
+    width = (
+        pick.shape[1] // LANES * LANES
+    )  # of the loops; not a constant, or short ones are unrolled
     closed = u.shape[0] == 0
     has_drive, has_motor, has_mesh, has_friction, has_load, has_sensor = active_sites(on)
     lagging = largest(s, width, R1) > 0.0
@@ -600,7 +602,7 @@ def march_lanes(
         if columns.size > 0 and i % every == 0:
             for k in range(columns.size):
                 for lane in range(width):
-                    out[lane, kept, k] = s[OUT + columns[k] * LANES + lane]
+                    out[lane, k, kept] = s[OUT + columns[k] * LANES + lane]
             kept += 1
         push0, push1, push2 = 0.0, 0.0, 0.0
         if extra.shape[0] > 0:

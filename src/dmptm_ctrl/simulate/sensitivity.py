@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.effects import CATALOGUE
@@ -123,11 +124,26 @@ def simulate_with_sensitivities(
     arrays = [m.arrays() for m in (model, back, *(m for m, _ in moved))]
     dt = (time[-1] - time[0]) / (time.size - 1)
     runs = march_many(arrays, u, x0, dt, substeps=substeps, jobs=jobs).transpose(0, 2, 1)
-    run, reverse = runs[0], runs[1] - runs[0]
-    differences = runs[2:] - run
-    forward = differences.sum(axis=0)
-    size = np.abs(differences).sum(axis=0) + np.abs(reverse)
-    rounding = NOISE * STEP * np.ptp(run, axis=1)[:, None] * len(parameters)
-    exists = np.abs(forward + reverse) <= DIFFERENT * size + rounding
     steps = np.array([step for _, step in moved])
-    return Sensitivities(time, run, tuple(parameters), differences / steps[:, None, None], exists)
+    rounding = NOISE * STEP * np.ptp(runs[0], axis=1) * len(parameters)
+    derivatives, exists = _judge(runs, steps, rounding, DIFFERENT)
+    return Sensitivities(time, runs[0], tuple(parameters), derivatives, exists)
+
+
+@njit(cache=True, nogil=True)
+def _judge(runs, steps, rounding, different):
+    """Derivatives, and where one side says the same as the other; runs 0 as is, 1 back."""
+    p, rows, n = steps.size, runs.shape[1], runs.shape[2]
+    derivatives = np.empty((p, rows, n))
+    exists = np.empty((rows, n), np.bool_)
+    for row in range(rows):
+        together, size = runs[1, row] - runs[0, row], np.abs(runs[1, row] - runs[0, row])
+        for k in range(p):
+            for i in range(n):
+                change = runs[2 + k, row, i] - runs[0, row, i]
+                together[i] += change
+                size[i] += abs(change)
+                derivatives[k, row, i] = change / steps[k]
+        for i in range(n):
+            exists[row, i] = abs(together[i]) <= different * size[i] + rounding[row]
+    return derivatives, exists

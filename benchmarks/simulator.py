@@ -1,0 +1,292 @@
+"""How fast is the simulator, at what accuracy, beside others? One run answers.
+
+    python benchmarks/simulator.py [--out DIR] [--repeats N]
+
+Drive and loop of the paper: three bodies, two meshes with backlash, Stribeck friction, PI at
+1 kHz, 10 s of 10 sin(πt) deg/s. Two cases: preloaded, and without preload, where the flanks
+are hit at each reversal. Without preload the motion after some seconds of impacts depends on
+the last digit of everything, so errors are taken over the first second, against the
+event-located reference whose own error is shown. Contenders take turns; the least time counts.
+Prints a table and, as the last line, one JSON object with the ratios; draws DIR/simulator.png.
+"""
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from datetime import date
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from contenders import (
+    CasADi,
+    ScalarC,
+    located,
+    naive_numba,
+    python_control,
+    sampled_blocks,
+)
+
+from dmptm_ctrl.simulate import simulate_batch, simulate_with_sensitivities
+from dmptm_ctrl.simulate.compiled import Loop, close_loop, march, rest
+from dmptm_ctrl.simulate.model import Model
+
+DT, SECONDS = 1e-3, 10.0  # s
+TIME = DT * np.arange(round(SECONDS / DT) + 1)
+TARGET = np.deg2rad(10.0) * np.sin(np.pi * TIME)  # rad/s
+PER_DEGREE = 180.0 / np.pi
+JUDGED = 1001  # samples, over which errors are taken
+SHORT = 1001  # samples of the slow contenders; their times are scaled to 10 s
+RK4_STEPS = (4, 10, 20, 50)  # per sample; 10 is the 100 µs of the comparison
+OWN_STEPS = (2, 4, 8, 16, 32, 64)
+TOLERANCES = (1e-3, 1e-6)  # of RK45; the first is SciPy's and python-control's own
+PYTHON_CONTROL, BLOCKS = "python-control RK45", "its blocks, sampled"
+BATCH = 1000
+PARAMETERS = ("c", "k_m", "J_L", "T3c_plus", "TLc_plus", "gap_l", "B3_plus", "BL_plus")
+PARAMETERS += ("T3s_plus", "TLs_plus", "gap_r", "J_2", "T3c_minus", "TLc_minus")
+
+CASES = {
+    "preloaded": Loop(0.08 * PER_DEGREE, 1.5 * PER_DEGREE, 10.0, 0.5, -0.5),
+    "no preload": Loop(0.05 * PER_DEGREE, 0.5 * PER_DEGREE, 10.0),
+}
+
+
+class Point(NamedTuple):
+    """One contender at one setting."""
+
+    name: str
+    setting: str
+    run: object  # () -> speed at the samples
+    samples: int
+
+
+def contenders(model, loop, folder):
+    """All points of a case that are run over 10 s."""
+    points = []
+    c = ScalarC(folder) if ScalarC.available() else None
+    for steps in RK4_STEPS:
+        setting = f"{1e6 * DT / steps:g} µs"
+        runs = {"numba RK4": lambda s=steps: naive_numba(model, loop, TARGET, DT, s)}
+        if c is not None:
+            runs["C -O3 RK4"] = lambda s=steps: c(model, loop, TARGET, DT, s)
+        points += [Point(name, setting, run, TIME.size) for name, run in runs.items()]
+    if CasADi.available():
+        for steps in RK4_STEPS[1:2]:
+            machine = CasADi(model, loop, DT, TIME.size, steps)
+            setting = f"{1e6 * DT / steps:g} µs"
+            points.append(Point("CasADi RK4", setting, lambda m=machine: m(TARGET), TIME.size))
+    points += [
+        Point(
+            "dmptm_ctrl",
+            f"{1e6 * DT / steps:g} µs",
+            lambda s=steps: close_loop(model, loop, TARGET, DT, substeps=s)[1][:, 1],
+            TIME.size,
+        )
+        for steps in OWN_STEPS
+    ]
+    return points
+
+
+def slow(model, loop):
+    """Points that are run once, over a shorter time."""
+    whole = Point(
+        PYTHON_CONTROL,
+        "rtol 1e-3",
+        lambda: python_control(model, loop, TARGET[:SHORT], DT),
+        SHORT,
+    )
+    return [whole] + [
+        Point(
+            BLOCKS,
+            f"rtol {tolerance:.0e}",
+            lambda r=tolerance: sampled_blocks(model, loop, TARGET[:SHORT], DT, r),
+            SHORT,
+        )
+        for tolerance in TOLERANCES
+    ]
+
+
+def seconds(function):
+    start = time.perf_counter()
+    function()
+    return time.perf_counter() - start
+
+
+def least(functions, repeats):
+    """Least time of each of several functions that take turns."""
+    for function in functions:
+        function()
+    times = [[seconds(function) for function in functions] for _ in range(repeats)]
+    return np.min(times, axis=0)
+
+
+def error(speed, exact):
+    """RMS over the judged samples, as a share of the reference's."""
+    return float(np.sqrt(np.mean((speed[:JUDGED] - exact) ** 2) / np.mean(exact**2)))
+
+
+def measure(case, loop, model, repeats, folder):
+    """Rows (case, name, setting, seconds for 10 s, error), and the reference's own error."""
+    exact, coarser = (located(model, loop, TARGET[:JUDGED], DT, r) for r in (1e-11, 1e-9))
+    fast, few = contenders(model, loop, folder), slow(model, loop)
+    times = least([p.run for p in fast], repeats)
+    rows = []
+    for point, spent in zip(fast, times, strict=True):
+        rows.append((case, point.name, point.setting, float(spent), error(point.run(), exact)))
+    for point in few:
+        start = time.perf_counter()
+        speed = point.run()
+        spent = (time.perf_counter() - start) * TIME.size / point.samples
+        rows.append((case, point.name, point.setting, spent, error(speed, exact)))
+    return rows, error(coarser, exact)
+
+
+def picked(rows, case, name, setting=None):
+    return [r for r in rows if r[0] == case and r[1] == name and setting in (None, r[2])]
+
+
+def batch_ratios(model, loop, substeps, c, repeats):
+    """Throughput of a batch against C's, per core and over the cores."""
+    rng = np.random.default_rng(1)
+    models = [
+        model.with_values(
+            **{key: model.drive[key] * rng.uniform(0.9, 1.1) for key in ("c", "k_m", "J_L")}
+        )
+        for _ in range(BATCH)
+    ]
+
+    def batch(jobs):
+        return lambda: simulate_batch(models, TIME, TARGET, loop=loop, substeps=substeps, jobs=jobs)
+
+    functions = [batch(1), batch(2)]
+    if c is not None:
+        functions.append(lambda: [c(m, loop, TARGET, DT, 10) for m in models[:20]])
+    times = least(functions, repeats)
+    return times[0], times[1], times[2] / 20 if c is not None else None
+
+
+def sensitivity_costs(model, loop, repeats):
+    """Cost of p sensitivities, in runs."""
+    u, _ = close_loop(model, loop, TARGET, DT)
+    x0, arrays = rest(model, 0.0), model.arrays()
+    counts = [p for p in (1, 2, 3, 4, 6, 8, 12, 14) if p <= len(PARAMETERS)]
+
+    def run(p):
+        return lambda: simulate_with_sensitivities(model, TIME, u, PARAMETERS[:p], x0)
+
+    times = least([lambda: march(arrays, u, x0, DT), *(run(p) for p in counts)], repeats)
+    return {p: float(t / times[0]) for p, t in zip(counts, times[1:], strict=True)}
+
+
+def figure(rows, floors, path):
+    """Work–precision diagram: time against error, all contenders."""
+    styles = {
+        "dmptm_ctrl": ("o", "-", "0.0"),
+        "C -O3 RK4": ("s", "--", "0.35"),
+        "numba RK4": ("^", ":", "0.35"),
+        "CasADi RK4": ("D", "", "0.35"),
+        PYTHON_CONTROL: ("v", "", "0.6"),
+        BLOCKS: ("<", "-.", "0.6"),
+    }
+    fig, axes = plt.subplots(1, len(CASES), figsize=(8.0, 4.4), sharey=True, layout="constrained")
+    for ax, case in zip(axes, CASES, strict=True):
+        for name, (marker, line, colour) in styles.items():
+            points = np.array([r[3:5] for r in picked(rows, case, name)])
+            if points.size:
+                ax.loglog(
+                    points[:, 1],
+                    points[:, 0],
+                    marker=marker,
+                    linestyle=line or "none",
+                    color=colour,
+                    label=name,
+                    markersize=5,
+                )
+        ax.set_title(f"{case} (reference: {floors[case]:.0e})", fontsize="medium")
+        ax.set_xlabel("RMS error of ring-gear speed over 1 s,\nshare of its RMS")
+        ax.grid(which="major", linewidth=0.3)
+    axes[0].set_ylabel("time for 10 s of motion [s]")
+    fig.legend(
+        *axes[0].get_legend_handles_labels(), fontsize="small", loc="outside lower center", ncols=3
+    )
+    fig.savefig(path, dpi=150)
+    plt.close(fig)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("."))
+    parser.add_argument("--repeats", type=int, default=7)
+    asked = parser.parse_args()
+    asked.out.mkdir(parents=True, exist_ok=True)
+    model = Model()
+    rows, floors = [], {}
+    with tempfile.TemporaryDirectory() as folder:
+        for case, loop in CASES.items():
+            found, floors[case] = measure(case, loop, model, asked.repeats, folder)
+            rows += found
+        c = ScalarC(folder) if ScalarC.available() else None
+        ratios = {"date": date.today().isoformat(), "cores": os.cpu_count()}
+        ratios |= summary(rows, floors)
+        steps = round(1e-3 / (1e-6 * float(ratios["setting"].split()[0])))
+        loop = CASES["preloaded"]
+        one, two, each = batch_ratios(model, loop, steps, c, max(2, asked.repeats // 3))
+        costs = sensitivity_costs(model, loop, asked.repeats)
+    print(f"{'case':12s}{'contender':22s}{'step':12s}{'10 s take':>12s}{'error':>12s}")
+    for case, name, setting, spent, wrong in rows:
+        print(f"{case:12s}{name:22s}{setting:12s}{1e3 * spent:9.2f} ms{wrong:12.1e}")
+    print(f"batch of {BATCH}: {one:.3f} s on one core, {two:.3f} s on two")
+    for p, cost in costs.items():
+        print(f"{p:3d} sensitivities cost {cost:.2f} runs (goal {1 + 0.5 * p:.1f})")
+    ratios |= {"batch_seconds": round(one, 3), "two_cores_over_one": round(one / two, 2)}
+    if each is not None:
+        ratios["batch_over_c_per_core"] = round(each * BATCH / one, 1)
+    ratios["sensitivities_in_runs"] = {p: round(cost, 2) for p, cost in costs.items()}
+    figure(rows, floors, asked.out / "simulator.png")
+    print(json.dumps(ratios, allow_nan=False))
+
+
+def summary(rows, floors):
+    """Ratios of single runs, at the coarsest own step that is no less accurate than C in any case.
+
+    Without cc the naive numba RK4 stands for C in the choice of that step.
+    """
+    rival = "C -O3 RK4" if ScalarC.available() else "numba RK4"
+    rivals = {case: picked(rows, case, rival, "100 µs")[0] for case in CASES}
+    for steps in OWN_STEPS:
+        setting = f"{1e6 * DT / steps:g} µs"
+        own = {case: picked(rows, case, "dmptm_ctrl", setting)[0] for case in CASES}
+        if all(own[case][4] <= rivals[case][4] for case in CASES):
+            break
+    slowest = {case: picked(rows, case, PYTHON_CONTROL)[0] for case in CASES}
+    blocks = {case: picked(rows, case, BLOCKS)[0] for case in CASES}
+    default = {case: picked(rows, case, "dmptm_ctrl", "125 µs")[0] for case in CASES}
+
+    def worst(above, below):
+        return round(min(above[case][3] / below[case][3] for case in CASES), 2)
+
+    return {
+        "setting": setting,
+        "rival": rival,
+        "error": {case: own[case][4] for case in CASES},
+        "error_rival": {case: rivals[case][4] for case in CASES},
+        "error_python_control": {case: slowest[case][4] for case in CASES},
+        "error_its_blocks": {case: blocks[case][4] for case in CASES},
+        "error_reference": floors,
+        "ms": {case: round(1e3 * own[case][3], 3) for case in CASES},
+        "over_rival": worst(rivals, own),
+        "over_python_control": worst(slowest, own),
+        "over_its_blocks": worst(blocks, own),
+        "default_over_rival": worst(rivals, default),
+        "default_over_python_control": worst(slowest, default),
+    }
+
+
+if __name__ == "__main__":
+    main()

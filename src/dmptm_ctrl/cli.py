@@ -138,12 +138,19 @@ def log_info(
     resample: Annotated[
         bool, typer.Option("--resample", help="Put an uneven clock on even steps.")
     ] = False,
+    rig: Annotated[
+        Path | None, typer.Option(help="rig.toml: says what the columns are; else their names do.")
+    ] = None,
 ) -> None:
     """Show what is in a log, and what it can and cannot tell."""
+    from dmptm_ctrl.drive.rigfile import load_rig
     from dmptm_ctrl.signals import load_log
     from dmptm_ctrl.signals.info import describe
 
-    info = describe(load_log(file, resample=resample))
+    if rig is not None:
+        info = describe(load_rig(rig).read(file)[0])
+    else:
+        info = describe(load_log(file, resample=resample))
     if as_json:
         print(json.dumps(info.to_dict(), indent=2, ensure_ascii=False))
     else:

@@ -235,7 +235,10 @@ def _in_equations(tangent: Tangent, body: str, column: Floats, log: int) -> Floa
     out[0] = column
     own = list(measured).index(model.layout.coordinate[body])
     if 0 < own < count:
-        out[own] = column
+        reach, plant = kinematic(model), model.plant()
+        group = model.layout.coordinate[body]
+        whole = sum(r**2 * plant.inertia[g] for g, r in reach.items())
+        out[own] = column * whole / (reach[group] ** 2 * plant.inertia[group])
     return out
 
 

@@ -155,7 +155,8 @@ def residual(
     -------
     left : (equations, rows) array
         First the balance of all measured coordinates together, seen at the driven one; then
-        that of each further measured coordinate alone.
+        that of each further measured coordinate alone, as the torque that would take the same
+        acceleration of the whole drive.
     drive : (rows,) array
         Driving torque or force of the first equation.
     """
@@ -175,6 +176,7 @@ def residual(
             load[first] += np.abs(runs[name])
             load[second] += np.abs(plant.link_values[k, 0] * runs[name])
     reach = kinematic(model)
+    whole = sum(r**2 * plant.inertia[group] for group, r in reach.items())
     total, push = np.zeros_like(motion.time), np.zeros_like(motion.time)
     single = []
     for group, (q, v, a) in measured.items():
@@ -194,7 +196,8 @@ def residual(
         need = need + _at_rest(friction, own - need, v)
         total += reach[group] * need
         push += reach[group] * own
-        single.append(reach[group] * (own - need))
+        # as acceleration: as a torque, no inertia and no spring would leave nothing
+        single.append((own - need) * whole / (reach[group] * plant.inertia[group]))
     if len(layout.inputs) == 1:
         total = _ahead(total, motion, *plant.input_values[0, 1:3])
     logged = sum(
@@ -204,8 +207,8 @@ def residual(
     )
     # A drive that clips or drops part of its signal must not look better for it.
     size = float(np.std(push))
-    whole = float(np.std(logged))
-    fair = whole / max(size, LEAST_DRIVE * whole) if whole > 0 else 1.0
+    sent = float(np.std(logged))
+    fair = sent / max(size, LEAST_DRIVE * sent) if sent > 0 else 1.0
     equations = [fair * (push - total), *single[1:]]
     return np.array([motion.reduce(e) for e in equations]), motion.reduce(fair * push)
 

@@ -148,7 +148,9 @@ def _effect_parameters(effect: Placed, model: ChainModel, scales: Scales) -> lis
                 low, high = -inf, inf
             size = 0.3 * abs(value)
         else:
-            size = max(size, 0.05 * scales.of(parameter.unit))
+            # a gap and a bristle are tiny beside the travel
+            if not (size and parameter.name in ("half_gap", "distance")):
+                size = max(size, 0.05 * scales.of(parameter.unit))
             if not -1.0 <= low <= high <= 1.0 or parameter.unit:
                 low = -inf if low < 0 else 0.0
                 high = inf

@@ -227,7 +227,7 @@ def _solve(rows: list[Floats], target: list[Floats]) -> Floats:
 
 
 def unknown_inertias(model: ChainModel, link: str, spring: Spring) -> dict[str, float]:
-    """Inertias that are declared unknown, shared out on both sides of a link as a spring says."""
+    """Inertias on both sides of a link: as declared; the unknown ones as a spring says."""
     ratio = model.value(f"link.{link}.ratio")
     found: dict[str, float] = {}
     near, far = link_sides(model, link)
@@ -240,6 +240,8 @@ def _shared(model: ChainModel, side: Mapping[str, float], whole: float) -> dict[
     """Give what known inertias leave of a whole to the unknown ones, alike."""
     keys = {b: f"body.{b}.inertia" for b in side}
     free = [b for b in side if not isfinite(model.quantities[keys[b]].value)]
-    known = sum(side[b] ** 2 * model.value(keys[b]) for b in side if b not in free)
+    declared = {b: model.quantities[keys[b]].value for b in side if b not in free}
+    known = sum(side[b] ** 2 * value for b, value in declared.items())
     rest = max(whole - known, 0.05 * whole)
-    return {keys[b]: rest / len(free) / side[b] ** 2 for b in free}
+    found = {keys[b]: rest / len(free) / side[b] ** 2 for b in free}
+    return found | {keys[b]: value for b, value in declared.items()}

@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 EDITABLE ?= -e
-PYTEST_ARGS ?= -n 2
+PYTEST_ARGS ?= -n 2 --dist loadgroup
 BIN := $(VENV)/bin
 
 .PHONY: demo test clean

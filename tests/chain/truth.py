@@ -215,17 +215,21 @@ class Bench:
 
     def rig(self):
         """Return a rig file that declares inertia and viscous friction only."""
+        machine = self.machine
+        inertia = machine.j1
+        if self.extra.get("one_body"):
+            inertia += machine.j2 / machine.ratio**2
         text = [
-            'name = "bench"', "[body.motor]", f'inertia = "{self.machine.j1:g} kg m^2 ± 40 %"',
+            'name = "bench"', "[body.motor]", f'inertia = "{inertia:g} kg m^2 ± 40 %"',
             'viscous = "unknown"', "[input.drive]", 'column = "u"', 'unit = "V"',
-            'body = "motor"', f'gain = "{self.machine.gain:g} N m/V"',
+            'body = "motor"', f'gain = "{machine.gain:g} N m/V"',
         ]  # fmt: skip
         load = "motor"
-        if self.machine.j2 > 0 and not self.extra.get("one_body"):
+        if machine.j2 > 0 and not self.extra.get("one_body"):
             load = "load"
             text += [
                 "[body.load]", 'inertia = "unknown"', 'viscous = "unknown"', "[shaft.coupling]",
-                'between = ["motor", "load"]', f"ratio = {self.machine.ratio}",
+                'between = ["motor", "load"]', f"ratio = {machine.ratio}",
                 self.extra.get("shaft", 'stiffness = "unknown"'),
             ]  # fmt: skip
         units = {"w": "rad/s", "q": "rad", "w2": "rad/s", "q2": "rad"}

@@ -47,6 +47,14 @@ def test_proposed_beats_existing_in_all_eight(made):
         assert ours.rmse == pytest.approx(again)
 
 
+def test_existing_loses_even_where_it_was_fitted(made):
+    """No unlucky fit: on the very log it was fitted to it is worse than ours fitted elsewhere."""
+    for trial in made[1].validation[0]:
+        favoured = made[1].favoured[trial.experiment]
+        assert favoured.rmse < 1.02 * trial.scores["existing"].rmse  # the favour is one
+        assert trial.scores["proposed"].rmse < 0.7 * favoured.rmse, trial.experiment
+
+
 def test_r_flatters_the_existing_model(made):
     """By r it looks as good as the paper says, with an error of a third and more of the signal."""
     flattered = [t.scores["existing"] for t in made[1].validation[0]]

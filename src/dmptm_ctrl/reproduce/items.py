@@ -11,7 +11,16 @@ from matplotlib.figure import Figure
 
 from dmptm_ctrl.data import path
 from dmptm_ctrl.drive import Drive, baseline_drive, paper_drive
-from dmptm_ctrl.identify.experiments_validation import Trial, validate
+from dmptm_ctrl.identify.experiments_validation import (
+    EXPERIMENTS,
+    Score,
+    Trial,
+    below,
+    fit_to_logs,
+    score,
+    speed_on,
+    validate,
+)
 from dmptm_ctrl.identify.loop_resonance import ResonantGains, resonant_gains
 from dmptm_ctrl.signals import Campaign, load_logs
 from dmptm_ctrl.simulate.compiled import Loop
@@ -87,6 +96,18 @@ class Context:
         """The eight experiments, with both models fitted on the other half."""
         drives = {"proposed": self.drive, "existing": baseline_drive(self.drive)}
         return validate(self.campaign, drives, RIG_LOOP, progress=self.say)
+
+    @cached_property
+    def favoured(self) -> dict[str, Score]:
+        """The existing model fitted to each experiment that it is then judged on."""
+        result = {}
+        for experiment, (name, *_) in EXPERIMENTS.items():
+            self.say(f"existing model, fitted on {experiment} itself")
+            log = self.campaign[name]
+            model = Model(fit_to_logs(baseline_drive(self.drive), [log], RIG_LOOP))
+            speeds = (log["omega_L"], speed_on(model, log, RIG_LOOP))
+            result[experiment] = score(*(below(x, log.sample_time) for x in speeds))
+        return result
 
     @cached_property
     def fitted(self) -> dict[str, Model]:

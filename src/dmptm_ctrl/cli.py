@@ -87,8 +87,11 @@ def reproduce(
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress bar.")] = False,
 ) -> None:
     """Make every figure and table of the paper, and a page that shows them."""
+    import matplotlib
+
     from dmptm_ctrl.reproduce import reproduce as make
 
+    matplotlib.use("Agg")  # no windows
     page = make(out, quiet=quiet)
     if not quiet:
         print(f"written: {page}")
@@ -104,9 +107,12 @@ def resonances(
     ] = None,
 ) -> None:
     """Show frequencies, shapes, classes and sensitivities of the drive's modes."""
+    import matplotlib
+
     from dmptm_ctrl.reproduce.resonances import overridden, resonance_items, show
     from dmptm_ctrl.signals.atomic import output_folder
 
+    matplotlib.use("Agg")  # no windows
     try:
         drive, extra = overridden(dict(_assignment(text) for text in values or ()))
     except ValueError as error:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
-import matplotlib
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -52,7 +51,6 @@ def reproduce(
     Path
         Of ``index.html``.
     """
-    matplotlib.use("Agg")
     columns = (
         TextColumn("{task.description:<48}"),
         BarColumn(),

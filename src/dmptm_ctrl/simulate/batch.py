@@ -1,4 +1,4 @@
-"""Many drives at once: eight per vector loop, groups of eight over the cores."""
+"""Many drives at once: 8 or 16 per vector loop, such groups over the cores."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, Loop, rest
-from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.compose import NARROW, WIDE, engine
 from dmptm_ctrl.simulate.model import Arrays, Floats, Model
 
 BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
@@ -57,11 +57,16 @@ class Task(NamedTuple):
 
 
 def _lanes(
-    task: Task, arrays: Sequence[Arrays], x0: Floats, loops: Floats, index: NDArray[np.int64]
+    lanes: int,
+    task: Task,
+    arrays: Sequence[Arrays],
+    x0: Floats,
+    loops: Floats,
+    index: NDArray[np.int64],
 ) -> tuple[Floats, Floats]:
-    """Run up to eight drives; lanes left over repeat the last of them."""
-    loop = engine()
-    lanes, count = loop.LANES, len(arrays)
+    """Run up to as many drives as lanes; those left over repeat the last of them."""
+    loop = engine(lanes)
+    count = len(arrays)
     s = np.zeros(loop.VALUES + arrays[0][2].size * lanes)
     on = np.zeros_like(arrays[0][1])
     for lane in range(lanes):
@@ -91,12 +96,12 @@ def _all(
     task: Task, arrays: Sequence[Arrays], x0: Floats, loops: Floats, jobs: int
 ) -> tuple[Floats, Floats]:
     """Run any number of drives in groups of lanes, on `jobs` threads or joblib's backend."""
-    size = engine().LANES
+    size = NARROW if len(arrays) <= NARROW else WIDE
     groups = [slice(k, k + size) for k in range(0, len(arrays), size)]
     order = np.arange(len(arrays))
 
     def parts():
-        return ((task, arrays[g], x0[g], loops[g], order[g]) for g in groups)
+        return ((size, task, arrays[g], x0[g], loops[g], order[g]) for g in groups)
 
     if jobs == 1 or len(groups) == 1:
         done = [_lanes(*part) for part in parts()]

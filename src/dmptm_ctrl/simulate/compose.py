@@ -19,6 +19,8 @@ from dmptm_ctrl.contract import SITES, Effect
 from dmptm_ctrl.effects import CATALOGUE, backlash, stribeck
 from dmptm_ctrl.simulate import elementary
 
+NARROW, WIDE = 8, 16  # lanes
+
 # per site: name of the chain, its arguments, neutral result, how one effect changes it
 _CHAINS: dict[str, tuple[str, str, str, str]] = {
     "drive": ("drive_voltage", "u, t, side", "u", "u = {call}"),
@@ -243,8 +245,8 @@ def _load(key: str, text: str) -> ModuleType:
     if not file.exists() or file.read_text(encoding="utf-8") != text:
         if elementary.COMPILED:
             sys.stderr.write(
-                f"Compiling the simulator for {len(CATALOGUE)} effects, once for this catalogue; "
-                "about ten seconds.\n"
+                f"Compiling the simulator for {len(CATALOGUE)} effects, once for this catalogue "
+                "and kind of run; about ten seconds.\n"
             )
             sys.stderr.flush()
         fresh = file.with_suffix(f".{os.getpid()}")
@@ -259,14 +261,18 @@ def _load(key: str, text: str) -> ModuleType:
     return module
 
 
-def engine() -> ModuleType:
-    """Return the compiled engine module for the catalogue as it is now."""
-    return _engine(tuple(CATALOGUE.values()))
+def engine(lanes: int = NARROW) -> ModuleType:
+    """Return the compiled engine module for the catalogue as it is now.
+
+    `lanes` is the number of drives in its vector loop: :data:`NARROW` for few, :data:`WIDE`
+    for many, where one drive's arithmetic fills the waits of another's.
+    """
+    return _engine(tuple(CATALOGUE.values()), lanes)
 
 
 @cache
-def _engine(_: tuple[Effect, ...]) -> ModuleType:
-    text = source()
+def _engine(_: tuple[Effect, ...], lanes: int) -> ModuleType:
+    text = source().replace(f"\nLANES = {NARROW} ", f"\nLANES = {lanes} ")
     return _load(_key(text), text)
 
 

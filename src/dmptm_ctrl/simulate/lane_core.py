@@ -1,4 +1,4 @@
-"""The time-stepping loop of `core.py` over eight drives at once; no physics of its own.
+"""The time-stepping loop of `core.py` over several drives at once; no physics of its own.
 
 The same scheme stage by stage, each stage a loop over lanes without branches that depend on
 data, which the compiler turns into vector instructions. All numbers live in one work array
@@ -42,7 +42,7 @@ from dmptm_ctrl.simulate.sites import (  # chains
     voltage_delay,
 )
 
-LANES = 8  # doubles in the widest vector register; two of AVX2's
+LANES = 8  # one vector register of doubles with AVX-512, two with AVX2; or 16, see `compose.py`
 CALM = 3.0  # instead of a region: nothing to look at again
 COLUMNS = 10  # outputs of a run, and the two voltages
 

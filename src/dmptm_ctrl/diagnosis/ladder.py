@@ -277,7 +277,7 @@ def plausible(candidate: Candidate, before: ChainFit, fit: ChainFit, logs: Balan
     """Whether a refitted effect is what its name says.
 
     A saturation clips more than the tips of the input. A resonance above the bandwidth is a delay
-    or a filter by another name; and what a spring changes must follow from the drive, or it only
+    or a filter by another name; what a spring changes must follow from the drive, or it only
     hides the noise of the acceleration.
     """
     effect = next(e for e in fit.model.effects if e.key == candidate.placed.key)
@@ -290,8 +290,11 @@ def plausible(candidate: Candidate, before: ChainFit, fit: ChainFit, logs: Balan
     k = layout.links.index(effect.key if effect.key in layout.links else effect.on)
     ratio, stiffness = plant.link_values[k, :2]
     near, far = (plant.inertia[plant.body_coordinate[b]] for b in plant.link_body[k])
-    resonance = np.sqrt(stiffness * (1 / near + ratio**2 / far)) / (2 * np.pi)
-    if resonance > IN_BAND * logs.bandwidth or effect.values["damping_ratio"] > OVERDAMPED:
+    # a sensor on the driven side sees the antiresonance first
+    square = stiffness * (ratio**2 / far + (1 / near if effect.far else 0.0))
+    if square > (2 * np.pi * IN_BAND * logs.bandwidth) ** 2:
+        return False
+    if effect.values["damping_ratio"] > OVERDAMPED:
         return False
     changes = [b[0] - a[0] for b, a in zip(before.left, fit.left, strict=True)]
     return driven_share(changes, fit.drive) >= DRIVEN

@@ -201,7 +201,7 @@ def parameters_of(fit: ChainFit, logs: Balance) -> dict[str, dict[str, Any]]:
         entry: dict[str, Any] = {
             "value": fit.model.value(free.owner),
             "se": errors.get(free.label, 0.0),
-            "unit": quantity.unit,
+            "unit": counted_unit(fit.model.rig, quantity.unit),
         }
         if isfinite(quantity.value) and isfinite(high - low):
             entry["declared"] = [low, high]
@@ -270,6 +270,7 @@ def effect_parameters(
         if effect.name == "drive_offset":
             unit = input_symbol(model.rig, effect.on)
         error = se.get(p.name, 0.0)
+        unit = counted_unit(model.rig, unit)
         found[p.name] = {"value": value * scale, "se": error * scale, "unit": unit}
     if "cosine" in found and "sine" in found:
         c, s = found["cosine"], found["sine"]
@@ -300,14 +301,14 @@ def _spring(
     else:
         far /= plant.link_values[k, 0] ** 2
         resonance, error = w * sqrt(1 + far / near), dw * sqrt(1 + far / near)
-    unit = "N/m" if slide else "N·m/rad"
+    unit = counted_unit(model.rig, "N/m" if slide else "N·m/rad")
     return {
         "antiresonance_hz": {"value": w / (2 * pi), "se": dw / (2 * pi), "unit": "Hz"},
         "resonance_hz": {"value": resonance / (2 * pi), "se": error / (2 * pi), "unit": "Hz"},
         "stiffness": {"value": stiffness, "se": 2 * stiffness * dw / w, "unit": unit},
         "far_inertia": {
             "value": far, "se": 0.0 if share == 0 else far * se.get("share", 0.0) / share,
-            "unit": "kg" if slide else "kg·m²",
+            "unit": counted_unit(model.rig, "kg" if slide else "kg·m²"),
         },
     }  # fmt: skip
 
@@ -330,6 +331,17 @@ def input_symbol(rig: Rig, name: str) -> str:
     from dmptm_ctrl.signals.units import parse_unit
 
     return parse_unit(next(i for i in rig.inputs if i.name == name).unit).symbol
+
+
+def counted_unit(rig: Rig, unit: str) -> str:
+    """Unit of a torque, friction or inertia; counted in the input's where its gain is unknown."""
+    source = rig.inputs[0]
+    if isfinite(source.gain.value):
+        return unit
+    symbol = input_symbol(rig, source.name)
+    if unit in ("kg·m²", "kg"):
+        return f"{symbol}·s²/{'rad' if unit == 'kg·m²' else 'm'}"
+    return unit.replace("N·m", symbol) if "N·m" in unit else unit.replace("N", symbol)
 
 
 def torque_unit(rig: Rig) -> str:

@@ -23,6 +23,7 @@ ROWS_PER_NEWS = 8.0  # rows of the balance that carry one independent piece of n
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
 LARGE_STEP = {"drive_delay", "current_lag", "backlash", "drive_dead_band", "drive_saturation"}
 HARMONIC = ("cogging", "unbalance", "position_dependent_friction")  # cosine and sine of the angle
+LEAST_SCALE = 0.01  # of the typical size of a quantity
 SHARES = 0.005, 0.99  # of the inertia behind a spring
 NOT_FITTED = ("ratio", "gain", "stribeck_exponent", "gap_damping", "limit")
 
@@ -40,6 +41,8 @@ class Free:
     scale : float
         A clearly visible size.
     prior : (centre, sigma) or None
+    least : float
+        Of the scale: a number that was driven to zero must find its way back.
     """
 
     kind: str
@@ -49,6 +52,7 @@ class Free:
     high: float
     scale: float
     prior: tuple[float, float] | None = None
+    least: float = 0.0
 
     @property
     def label(self) -> str:
@@ -119,8 +123,9 @@ def free_parameters(
         if known:
             half = 0.5 * (high - low) if isfinite(high - low) else inf
             prior = (quantity.value, PRIOR_SHARE * half)
-        size = abs(model.value(key)) or scales.of(quantity.unit)
-        frees.append(Free("value", key, name, 0.0, inf, size, prior))
+        least = LEAST_SCALE * scales.of(quantity.unit)
+        size = max(abs(model.value(key)), least)
+        frees.append(Free("value", key, name, 0.0, inf, size, prior, least))
     for effect in model.effects:
         frees += _effect_parameters(effect, model, scales)
     if not nuisances:
@@ -404,9 +409,9 @@ def fit_chain(
 
 def _rescaled(free: Free, state: State) -> Free:
     """Keep the difference step in proportion to the value."""
-    if free.kind != "value" or state.get(free) == 0:
+    if free.kind != "value":
         return free
-    return replace(free, scale=abs(state.get(free)))
+    return replace(free, scale=max(abs(state.get(free)), free.least) or free.scale)
 
 
 def _weights(left: Sequence[Floats]) -> Floats:

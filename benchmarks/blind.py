@@ -156,12 +156,11 @@ def diagnosed(logs, hidden):
                 "name": name,
                 "gain": trial.gain,
                 "held_gain": trial.held_gain,
-                "held_ratio": trial.held_ratio,
-                "improved": trial.improved,
             }
             for name, trial in result.decision.trials.items()
         ],
-        "at_bounds": list(result.decision.after.at_bounds),
+        "rest": [[t.name, t.gain, t.held_gain] for t in result.decision.rest[:3]],
+        "at_bounds": list(result.fitted.at_bounds),
     }
     if hidden:
         bare = result.declared.without(list(result.declared.effects))

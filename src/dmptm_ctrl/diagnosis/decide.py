@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, residual
 from dmptm_ctrl.diagnosis.trace import Trial, trace, unknowns_of
+from dmptm_ctrl.diagnosis.unknown import Unexplained, unexplained
 from dmptm_ctrl.identify.fit import drive_unknowns
 from dmptm_ctrl.simulate.model import Model
 
@@ -65,6 +66,7 @@ class Decision:
     found: list[Found] = field(default_factory=list)
     trials: dict[str, Trial] = field(default_factory=dict)
     rest: list[Trial] = field(default_factory=list)
+    unexplained: Unexplained | None = None
 
 
 def convincing(trial: Trial, threshold: float) -> bool:
@@ -102,6 +104,10 @@ def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decisi
         threshold = max(SECOND, SECOND_SHARE * decision.found[0].evidence)
     if len(decision.found) == 2:
         reconsider(decision, skip, jobs)
+    explained = sum(found.evidence for found in decision.found)
+    decision.unexplained = unexplained(decision.before, decision.after, explained)
+    if decision.unexplained is not None and decision.unexplained.beyond_names:
+        decision.found, decision.after = [], decision.before
     return decision
 
 

@@ -82,12 +82,15 @@ def diagnose(
             key=lambda e: -e.probability,
         )
     )
+    verdict = "explained" if effects else "none"
+    if decision.unexplained is not None:
+        verdict = "unknown"
     untestable = () if measured.has_motor_encoders else NEEDS_MOTOR_ENCODERS
     return Diagnosis(
-        verdict="explained" if effects else "none",
+        verdict=verdict,
         effects=effects,
         ranking=ranking(decision, untestable, sensors.errors),
-        depends_on=(),
+        depends_on=decision.unexplained.variables if decision.unexplained else (),
         error=error,
         declared=before.model,
         augmented=final.model,

@@ -28,6 +28,7 @@ SIZES = {  # effects without a slope at zero, or far from linear: multiples of `
 }
 SATURATED = (0.5, 0.7, 0.85, 0.95)  # of the largest voltage, where a limit is looked for
 STARTS = 2  # best shapes that are fitted
+FINALISTS = 3  # fitted to the end before they are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,10 +87,6 @@ class Trace:
         g = self.project(columns)
         coefficients, *_ = np.linalg.lstsq(g, self.target, rcond=1e-9)
         return float(coefficients @ (g.T @ self.target))
-
-    def amplitudes(self, columns: Floats) -> Floats:
-        """Return the coefficients of columns (m, k)."""
-        return np.asarray(np.linalg.lstsq(self.project(columns), self.target, rcond=1e-9)[0])
 
 
 def effect_columns(trace: Trace, effect: Effect, shapes: Mapping[str, float]) -> Floats:
@@ -223,19 +220,11 @@ def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
         shapes = [{shape.name: value} for value in shape.bank]
     else:
         shapes = [{}]
-    found = []
-    for values in shapes:
-        columns = effect_columns(trace, effect, values)
-        found.append((trace.gain(columns), values, trace.amplitudes(columns)))
-    found.sort(key=lambda f: -f[0])
-    result = []
-    for _, values, amplitudes in found[:STARTS]:
-        guess = dict(values)
-        sized = [p for p in effect.parameters if not p.bank]
-        for p, a in zip(sized, amplitudes, strict=True):
-            guess[p.name] = float(np.clip(a * p.step, p.low, p.high))
-        result.append(guess)
-    return result
+    if len(shapes) > STARTS:
+        gains = [trace.gain(effect_columns(trace, effect, values)) for values in shapes]
+        shapes = [shapes[i] for i in best(np.array(gains), STARTS, 1)]
+    # From no effect at all, so that the first step moves the drive and the effect together.
+    return [{**values, **dict.fromkeys(effect.amplitudes, 0.0)} for values in shapes]
 
 
 def unknowns_of(name: str) -> tuple[Unknown, ...]:
@@ -262,9 +251,21 @@ def try_effect(trace: Trace, name: str) -> Trial:
                 news=trace.base.scatter.news,
             )
         )
-    done = min(fits, key=lambda f: f.loss)
+    return tried(trace, name, min(fits, key=lambda f: f.loss))
+
+
+def tried(trace: Trace, name: str, done: BalanceFit) -> Trial:
+    """Compare a fit with the base."""
     held = trace.left.held_loss(trace.base.model) - trace.left.held_loss(done.model)
     return Trial(name, trace.base.loss - done.loss, held, done)
+
+
+def settled(trace: Trace, trial: Trial) -> Trial:
+    """Fit a trial to the end, with the drive's columns taken where it is."""
+    again = fit_balance(
+        trace.balance, trial.fit.model, trial.fit.unknowns, news=trace.base.scatter.news
+    )
+    return tried(trace, trial.name, again) if again.loss < trial.fit.loss else trial
 
 
 def candidates(trace: Trace, skip: Iterable[str]) -> list[str]:
@@ -282,4 +283,6 @@ def trace(left: Residual, skip: Iterable[str] = ()) -> list[Trial]:
     names = candidates(trace, skip)
     with ThreadPoolExecutor(trace.balance.jobs) as pool:
         done = list(pool.map(lambda name: try_effect(trace, name), names))
+    done.sort(key=lambda t: -t.evidence)
+    done[:FINALISTS] = [settled(trace, t) for t in done[:FINALISTS]]
     return sorted(done, key=lambda t: -t.evidence)

@@ -15,14 +15,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from math import exp
+from typing import Any
 
 import numpy as np
 from numba import njit
 
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
-from dmptm_ctrl.identify.motion import Motion
-from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.identify.motion import Motion, second_difference, smooth
+from dmptm_ctrl.simulate.compose import engine, layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 
 REDUCER, BEARING = BASE.index("T3s_plus"), BASE.index("TLs_plus")  # in the base array
@@ -30,11 +32,15 @@ INERTIA = (
     36.5  # kg·m², Table 1: of all bodies at the ring gear; expresses an acceleration as a torque
 )
 STIFFNESS = 3.6e4  # N·m/rad, Table 1: expresses a twist as a torque, whatever k_m is fitted
+SEEN_SECONDS = 0.01  # passes what the multisine excites, keeps the encoders' noise small
+CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed
 FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a window
 MIN_WINDOWS = 8  # of a log and equation; fewer tell nothing about their own scatter
-TAIL = 2.0  # standard deviations beyond which a window counts less (pseudo-Huber)
-FLOOR = {"total": 0.05, "chain": 0.4}  # N·m; friction laws are not known more finely
-PROBES = {"drive": 0.1, "effect": 1.0}  # difference steps, in scales of an unknown
+FREEDOM = 4.0  # of Student's t: how a window may scatter, bursts and rattle included
+SCALE_STEPS = 12
+FLOOR = {"total": 0.1, "chain": 0.4}  # N·m; friction laws are not known more finely
+# Difference steps, in scales of an unknown; small for what enters a phase or an exponent.
+PROBES = {"drive": 0.1, "amplitude": 1.0, "shape": 0.02}
 ITERATIONS = 8
 STALLED = 0.5  # fall of the loss that ends the iterations
 NEWS_LAGS = 12  # windows over which the misfit's correlation is summed
@@ -155,6 +161,17 @@ def reducer_compliance(model: Model) -> float:
     return float(model.effects.get("reducer_compliance", {}).get("compliance", 0.0))
 
 
+def frictions(mo: Motion, base: Floats) -> Floats:
+    """Friction on pinions and ring gear along a motion, (3, n) [N·m], negative when forward."""
+    rows = np.empty((3, mo.run.shape[0]))
+    reducer = Stribeck(*base[REDUCER : REDUCER + 9])
+    for s in (0, 1):
+        friction_along(np.ascontiguousarray(mo.pinion_speed[:, s]), reducer, rows[s])
+    bearing = Stribeck(*base[BEARING : BEARING + 9])
+    friction_along(np.ascontiguousarray(mo.run[:, 1]), bearing, rows[2])
+    return -rows
+
+
 def missing_torques(mo: Motion, volts: Floats, arrays: Arrays, compliance: float) -> Floats:
     """All balances on all windows of a motion, (3, w) [N·m]."""
     base, on, values = arrays
@@ -163,19 +180,14 @@ def missing_torques(mo: Motion, volts: Floats, arrays: Arrays, compliance: float
     j3, jl = n1 * n1 * base[2] + base[3], base[4]
     twisted = mo.rec.twist is not None
     n = mo.run.shape[0]
-    reducer = Stribeck(*base[REDUCER : REDUCER + 9])
-    bearing = Stribeck(*base[BEARING : BEARING + 9])
+    rows = frictions(mo, base)
     distances = [engine().presliding_distance(body, on, values) for body in range(3)]
-    rows = np.empty((3, n))
-    for s in (0, 1):
-        friction_along(np.ascontiguousarray(mo.pinion_speed[:, s]), reducer, rows[s])
-        if distances[s] > 0.0:
-            angle = mo.run[:, 2 + s] / n1
-            presliding_along(np.ascontiguousarray(angle), distances[s], rows[s])
-    friction_along(np.ascontiguousarray(mo.run[:, 1]), bearing, rows[2])
-    if distances[2] > 0.0:
-        presliding_along(np.ascontiguousarray(mo.run[:, 0]), distances[2], rows[2])
-    rows *= -1.0
+    for body, distance in enumerate(distances):
+        if distance > 0.0:
+            angle = mo.run[:, 0] if body == 2 else mo.run[:, 2 + body] / n1
+            rows[body] *= -1.0
+            presliding_along(np.ascontiguousarray(angle), distance, rows[body])
+            rows[body] *= -1.0
     shift = np.zeros((2, n))
     if on.any():
         torque, moved = disturbance(mo, arrays, rows)
@@ -200,21 +212,50 @@ def missing_torques(mo: Motion, volts: Floats, arrays: Arrays, compliance: float
     return out
 
 
+def carried(mo: Motion, base: Floats, friction: Floats) -> Floats:
+    """Torque that each mesh carries [N·m], (2, n), by what drives and brakes; smoothed.
+
+    From the voltages, not from the measured acceleration: without motor encoders its noise
+    would pass for friction that grows with the load.
+    """
+    n2 = base[5 + 1]
+    j3 = base[5] * base[5] * base[2] + base[3]
+    drive = base[5] * base[0] * base[1] * mo.rec.u + friction[:2]
+    force = n2 * drive.sum(0) + friction[2]
+    rest = drive - j3 * n2 * force / (base[4] + 2.0 * n2 * n2 * j3)
+    odd = max(3, 2 * round(0.5 * CARRIED_SECONDS / mo.rec.dt) + 1)
+    return np.array([smooth(row, odd) for row in rest])
+
+
+def seen(mo: Motion, base: Floats, friction: Floats) -> Floats:
+    """Torque that each mesh carries [N·m], (2, n), with the motors' measured acceleration."""
+    gain, j3 = base[5] * base[0] * base[1], base[5] * base[5] * base[2] + base[3]
+    odd = max(3, 2 * round(0.5 * SEEN_SECONDS / mo.rec.dt) + 1)
+    rows = gain * mo.rec.u + friction[:2]
+    for s in (0, 1):
+        rows[s] -= j3 * second_difference(mo.run[:, 2 + s] / base[5], mo.rec.dt)
+    return np.array([smooth(row, odd) for row in rows])
+
+
+def loads(on: Any) -> bool:
+    """Whether an effect in use depends on the torque of the meshes."""
+    return any(
+        on[layout()[name][0]] and e.site == "friction" and "mesh_torque" in e.depends_on
+        for name, e in CATALOGUE.items()
+    )
+
+
 def disturbance(mo: Motion, arrays: Arrays, friction: Floats) -> tuple[Floats, Floats]:
     """Torques (3, n) on pinions and ring gear, and shifts (2, n) of z, of a model's effects."""
     base, on, values = arrays
     n = mo.run.shape[0]
     torque, moved = np.empty((n, 3)), np.empty((n, 2))
-    run = mo.run
-    if mo.rec.twist is not None:  # torque on the mesh, for friction that grows with it
-        run = mo.run.copy()
-        inertia = base[5] * base[5] * base[2] + base[3]
-        gain = base[5] * base[0] * base[1]
-        middle = mo.starts + mo.window.size // 2
-        for s in (0, 1):
-            smooth = mo.mean(gain * mo.rec.u[s] + friction[s]) - inertia * mo.pinions[:, s]
-            run[:, 4 + s] = np.interp(np.arange(n), middle, smooth)
-    engine().along(mo.rec.u, run, mo.rec.dt, base, on, values, torque, moved)
+    run = mo.run.copy()  # with the mesh torques, for friction that grows with them
+    run[:, 4:6] = (carried if mo.rec.twist is None else seen)(mo, base, friction).T
+    for _ in range(2 if loads(on) else 1):
+        engine().along(mo.rec.u, run, mo.rec.dt, base, on, values, torque, moved)
+        # The mesh carries what friction leaves, which depends on what it carries.
+        run[:, 4:6] += torque[:, :2]
     return torque.T, moved.T
 
 
@@ -254,22 +295,18 @@ def scatter(parts: Sequence[Floats], kinds: Sequence[str]) -> Scatter:
 
 
 def robust_scale(e: Floats) -> float:
-    """Scale about zero at which the mean pseudo-Huber square is that of a normal variable."""
+    """Most likely scale about zero of Student's t with :data:`FREEDOM` degrees."""
     s = max(1.4826 * float(np.median(np.abs(e))), 1e-9)
-    for _ in range(8):
-        s *= float(np.sqrt(np.mean(huber(e / s)) / NORMAL_HUBER))
+    for _ in range(SCALE_STEPS):  # expectation–maximisation
+        weight = (FREEDOM + 1.0) / (FREEDOM + (e / s) ** 2)
+        s = max(float(np.sqrt(np.mean(weight * e**2))), 1e-9)
     return s
 
 
-def huber(x: Floats) -> Floats:
-    """Pseudo-Huber square: x² for small x, linear beyond TAIL."""
-    return np.asarray(2.0 * TAIL**2 * (np.hypot(1.0, x / TAIL) - 1.0))
-
-
-_X = np.linspace(-8.0, 8.0, 4001)
-NORMAL_HUBER = float(
-    np.sum(huber(_X) * np.exp(-0.5 * _X**2)) / np.sum(np.exp(-0.5 * _X**2))
-)  # mean of the pseudo-Huber square of a standard normal variable
+def surprise(e: Floats, floor: float) -> float:
+    """Twice the mean negative log-likelihood of Student's t, at its most likely scale."""
+    s = float(np.hypot(robust_scale(e), floor))
+    return float(2.0 * np.log(s) + (FREEDOM + 1.0) * np.mean(np.log1p((e / s) ** 2 / FREEDOM)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,8 +316,7 @@ class BalanceFit:
     Attributes
     ----------
     loss : float
-        2 Σ n log σ + ‖p/s‖² over equations, n the independent windows: a difference of
-        two is a log-likelihood ratio.
+        Twice the negative log-likelihood of the independent windows, plus ‖p/s‖².
     parts : list of arrays
         Missing torque per equation.
     scatter : Scatter
@@ -313,7 +349,7 @@ def weights(parts: Sequence[Floats], spread: Scatter) -> Floats:
     """Square roots of what each window counts: its equation's scale, bent, and news."""
     return np.concatenate(
         [
-            np.sqrt(news / np.hypot(1.0, part / (TAIL * sigma))) / sigma
+            np.sqrt(news * (FREEDOM + 1.0) / (FREEDOM + (part / sigma) ** 2)) / sigma
             for part, sigma, news in zip(parts, spread.sigma, spread.news, strict=True)
         ]
     )
@@ -328,7 +364,7 @@ def loss(
 ) -> float:
     """Scale-free misfit plus the prior's; comparable under the same `news`."""
     total = sum(
-        2.0 * n * part.size * np.log(np.hypot(robust_scale(part), floor_of(kind)))
+        n * part.size * surprise(part, floor_of(kind))
         for part, n, kind in zip(parts, news, kinds, strict=True)
     )
     return float(total) + float(sum((x / k.prior) ** 2 for x, k in zip(p, unknowns, strict=True)))
@@ -339,12 +375,19 @@ def floor_of(kind: str) -> float:
     return FLOOR["total" if kind == "total" else "chain"]
 
 
+def role(unknown: Unknown) -> str:
+    """Tell the drive's parameters, an effect's amplitudes and its shapes apart."""
+    if unknown.effect is None:
+        return "drive"
+    return "shape" if unknown.name in CATALOGUE[unknown.effect].shapes else "amplitude"
+
+
 def columns(balance: Balance, model: Model, unknowns: Sequence[Unknown], e0: Floats) -> Floats:
     """Slopes of the missing torques by differences, (m, k)."""
     p0 = position(model, unknowns)
 
     def column(j: int) -> Floats:
-        step = PROBES["drive"] if unknowns[j].effect is None else PROBES["effect"]
+        step = PROBES[role(unknowns[j])]
         if p0[j] + step > unknowns[j].high:
             step = -step
         p = p0.copy()

@@ -5,12 +5,15 @@ differences fall on φ (weak form; Messenger & Bortz, J. Comput. Phys. 443 (2021
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
 
 from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.simulate.compose import engine
 from dmptm_ctrl.simulate.model import Floats, Model
 
 WINDOW_SECONDS = 0.04  # of φ: averages the 231 Hz mode out, passes 25 Hz
@@ -36,6 +39,8 @@ class Motion:
 
     Attributes
     ----------
+    declared : Model
+        That the motion was prepared with.
     run : (n, 8) array
         Readings in the columns of `compiled.OUTPUTS`, speeds smoothed.
     pinion_speed : (n, 2) array
@@ -52,6 +57,7 @@ class Motion:
     """
 
     rec: Record
+    declared: Model
     run: Floats
     pinion_speed: Floats
     window: Floats
@@ -107,6 +113,38 @@ def one_way(speed: Floats, least: float, m: int, starts: np.ndarray) -> np.ndarr
     return np.asarray((view[:, 0] != 0) & (view == view[:, :1]).all(1))
 
 
+def corrected(rec: Record, model: Model) -> Record:
+    """Take the model's sensor effects off the readings, to first order."""
+    _, on, values = model.arrays()
+    late = engine().speed_delay(on, values)
+    theta, omega = np.empty_like(rec.theta), np.empty_like(rec.omega)
+    readings(engine().sensor_reading, rec.theta, rec.omega, rec.dt, on, values, theta, omega)
+    theta, omega = 2.0 * rec.theta - theta, 2.0 * rec.omega - omega
+    if late > 0.0:
+        t = rec.dt * np.arange(omega.size)
+        omega = np.interp(t + late, t, omega)
+    twist = rec.twist
+    if twist is not None:
+        twist = twist + model.drive["N_2"] * (rec.theta - theta)[:, None]
+    return replace(rec, theta=theta, omega=omega, twist=twist)
+
+
+@njit(nogil=True)
+def readings(
+    sensor: Any,
+    angle: Floats,
+    speed: Floats,
+    dt: float,
+    on: Any,
+    values: Floats,
+    theta: Floats,
+    omega: Floats,
+) -> None:
+    """Pass a motion through a sensor chain."""
+    for i in range(angle.size):
+        theta[i], omega[i] = sensor(angle[i], speed[i], i * dt, on, values)
+
+
 def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion:
     """Prepare a record; without motor encoders the gaps are those of a simulated run.
 
@@ -115,6 +153,7 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
     simulated : (n, 8) array, optional
         Needed where the record has no twist.
     """
+    rec = corrected(rec, model)
     d, dt, n = model.drive, rec.dt, rec.theta.size
     n1, n2 = d["N_1"], d["N_2"]
     m = 2 * max(3, round(0.5 * WINDOW_SECONDS / dt))
@@ -148,8 +187,6 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
         z = simulated[:, 6:8]
         speed = n2 * np.column_stack([omega, omega])
         acceleration = n2 * np.column_stack([ring, ring])
-        # From the run, too: the reading's noise would pass for less inertia.
-        run[:, 4:6] = np.column_stack([smooth(simulated[:, 4 + s], odd) for s in (0, 1)])
     run[:, 2:4] = n1 * (z + n2 * rec.theta[:, None])
     run[:, 6:8] = z
 
@@ -171,7 +208,7 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
         slides &= one_way(speed[:, 1], n2 * CREEP, m, starts)
     else:
         slides &= touches.all(1)
-    return Motion(rec, run, speed, window, starts, ring, acceleration, slides, touches)
+    return Motion(rec, model, run, speed, window, starts, ring, acceleration, slides, touches)
 
 
 def motions(

@@ -1,0 +1,389 @@
+"""What no catalogue effect explains: which variable the missing torque depends on.
+
+Curves without a name, of the ring-gear angle, the speed, the voltage, the time …, are fitted
+to what is left of the balances; a variable whose curve predicts the held-out logs is one that
+the missing effect depends on. Bursts too short and too large for the robust loss are looked
+at for themselves: when, where and at which voltage they come.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.diagnosis.residual import Residual
+from dmptm_ctrl.identify.balance import STIFFNESS, Balance, carried, columns, frictions, loss
+from dmptm_ctrl.identify.motion import Motion, first_difference, smooth
+from dmptm_ctrl.simulate.model import Floats
+
+RING_RATIO = 8.25  # N2, Table 1
+KNOT = 1e-3  # rad, unit of a knot of a curve of the twist
+RIDGE = 10.0  # N·m, what a knot of a curve may be before the data speak
+CURVE = 150.0  # evidence of a curve; well above the best of all curves on rigs without any
+HELD = 20.0  # of it on the held-out logs: a curve has many knots
+# What a named effect leaves because its form is only nearly right is small beside it.
+CURVE_SHARE = 0.35
+BURST = 12.0  # standard deviations of a window that no curve has to explain
+BURSTS = 0.004  # share of windows that are bursts; rattle alone gives less
+MEMORIES = (0.3, 1.0, 3.0)  # s, of what the last seconds of motion leave behind
+LAGS = (0.04, 0.08, 0.12, 0.18, 0.26, 0.36, 0.5, 0.7, 0.95, 1.25)  # s, of a loose mass
+PERIODS = np.geomspace(0.25, 5.0, 1500)  # s, tried for bursts at fixed intervals
+RAYLEIGH = 12.0  # n R² of burst onsets folded on a period: p below 1e-5 per period tried
+ONSET_GAP = 0.1  # s between bursts that count as two
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A curve without a name.
+
+    Attributes
+    ----------
+    variables : tuple of str
+        What it depends on.
+    evidence : float
+        Fall of the loss on fitted and held-out logs, less twice the curve's parameters.
+    """
+
+    variables: tuple[str, ...]
+    evidence: float
+    held_gain: float
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Ranges of the campaign, so that knots lie where there is motion."""
+
+    omega: float
+    volts: float
+    slew: float
+    torque: float
+    time: float
+
+
+def scale_of(motions: Sequence[Motion]) -> Scale:
+    """Ranges over all logs."""
+    return Scale(
+        omega=max(float(np.quantile(np.abs(mo.run[:, 1]), 0.999)) for mo in motions),
+        volts=max(float(np.abs(mo.rec.u).max()) for mo in motions),
+        slew=max(float(np.quantile(np.abs(slew(mo)), 0.99)) for mo in motions),
+        torque=max(float(np.quantile(np.abs(load_of(mo)), 0.99)) for mo in motions),
+        time=max(mo.rec.theta.size * mo.rec.dt for mo in motions),
+    )
+
+
+def slew(mo: Motion) -> Floats:
+    """Rate of each voltage [V/s], smoothed over a few samples, (2, n)."""
+    return np.array([smooth(first_difference(u, mo.rec.dt), 5) for u in mo.rec.u])
+
+
+def load_of(mo: Motion) -> Floats:
+    """Mesh torque of each chain [N·m], (2, n), of the model that the motion was prepared with."""
+    base, _, _ = mo.declared.arrays()
+    return carried(mo, base, frictions(mo, base))
+
+
+def hats(x: Floats, knots: NDArray[np.floating[Any]]) -> Floats:
+    """Linear B-splines, constant beyond the ends, (k, n)."""
+    table = np.eye(knots.size)
+    return np.array([np.interp(x, knots, row) for row in table])
+
+
+def round_hats(angle: Floats, count: int) -> Floats:
+    """Periodic linear B-splines over a turn, (count, n)."""
+    place = np.mod(angle, 2 * np.pi) / (2 * np.pi) * count
+    away = (place - np.arange(count)[:, None] + count / 2) % count - count / 2
+    return np.asarray(np.maximum(0.0, 1.0 - np.abs(away)))
+
+
+def direction(mo: Motion) -> Floats:
+    """Sign of the ring gear's speed."""
+    return np.asarray(np.sign(mo.run[:, 1]))
+
+
+def signed(rows: Floats, mo: Motion) -> Floats:
+    """Rows as they are, and times the direction of motion."""
+    return np.vstack([rows, rows * direction(mo)])
+
+
+def faded(signal: Floats, tau: float, dt: float) -> Floats:
+    """First-order memory of a signal."""
+    from scipy.signal import lfilter
+
+    a = np.exp(-dt / tau)
+    return np.asarray(lfilter([1.0 - a], [1.0, -a], signal))
+
+
+def delayed(signal: Floats, n: int) -> Floats:
+    """Signal n samples ago; zero before the log."""
+    return np.concatenate([np.zeros(n), signal[: signal.size - n]])
+
+
+def bases(mo: Motion, s: Scale) -> Iterator[tuple[tuple[str, ...], Floats, Floats, Floats]]:
+    """Curves to try: (variables, torques per pinion (2, k, n), on the ring (k, n), shifts).
+
+    Rows that do not act are of zero size.
+    """
+    theta, omega, u, dt = mo.run[:, 0], mo.run[:, 1], mo.rec.u, mo.rec.dt
+    n = theta.size
+    none = np.empty((0, n))
+    none2 = np.empty((2, 0, n))
+    t = np.asarray(np.arange(n) * dt, np.float64)
+    mean = u.mean(0)
+
+    def ring(rows: Floats) -> tuple[Floats, Floats, Floats]:
+        return none2, rows, none2
+
+    def pinions(left: Floats, right: Floats) -> tuple[Floats, Floats, Floats]:
+        return np.array([left, right]), none, none2
+
+    def shifts(left: Floats, right: Floats) -> tuple[Floats, Floats, Floats]:
+        return none2, none, np.array([left, right])
+
+    yield ("theta_L",), *ring(signed(round_hats(theta, 36), mo))
+    yield ("theta_L",), *ring(round_hats(theta, 180))
+    yield ("theta_L", "u"), *ring(round_hats(theta, 24) * np.abs(mean))
+    yield ("theta_L", "omega_L"), *ring(round_hats(theta, 24) * omega)
+    knots = s.omega * np.linspace(-1.0, 1.0, 13)
+    yield ("omega_L",), *ring(hats(omega, knots))
+    knots = s.volts * np.linspace(-1.0, 1.0, 13)
+    yield ("u",), *pinions(hats(u[0], knots), hats(u[1], knots))
+    knots = s.volts * np.linspace(-1.0, 1.0, 81)
+    yield ("u",), *ring(hats(u[0], knots) + hats(u[1], knots))
+    rate = slew(mo)
+    knots = s.slew * np.array([-1.0, -0.5, -0.2, -0.05, 0.05, 0.2, 0.5, 1.0])
+    yield ("du_dt", "u"), *pinions(hats(rate[0], knots), hats(rate[1], knots))
+    turn = mo.run[:, 2:4].T
+    waves = [
+        np.array([f(k * a) * v for k in range(1, 7) for f in (np.cos, np.sin) for v in (1.0, w)])
+        for a, w in zip(turn, u, strict=True)
+    ]
+    yield ("theta_m", "u"), *pinions(*waves)
+    braking = [np.vstack([v * (v * omega < 0.0), v * np.abs(omega)]) for v in u]
+    yield ("omega_m", "u"), *pinions(*braking)
+    load = load_of(mo)
+    knots = s.torque * np.linspace(-1.0, 1.0, 9)
+    yield ("mesh_torque",), *pinions(*(hats(x, knots) for x in load))
+    yield ("time",), *ring(signed(hats(t, np.linspace(0.0, s.time, 20)), mo))
+    heat = np.array([faded(np.abs(omega), tau, dt) for tau in MEMORIES])
+    yield ("omega_L", "time"), *ring(signed(heat, mo)[3:])
+    past = np.array([delayed(omega, round(lag / dt)) - omega for lag in LAGS])
+    yield ("omega_L",), *ring(past)
+    if mo.rec.twist is not None:
+        yield ("mesh_torque",), *shifts(*(hats(x, knots) for x in load))
+        yield ("theta_L",), *shifts(round_hats(theta, 24), round_hats(theta, 24))
+
+
+def group_parts(balance: Balance, scale: Scale) -> list[tuple[tuple[str, ...], list[Floats]]]:
+    """Columns (w, k) per equation of every curve."""
+    made: list[list[tuple[tuple[str, ...], list[Floats]]]] = []
+    for mo in balance.motions:
+        made.append(
+            [
+                (variables, [mo.mean(x) for x in (*pinion, ring, *shift)])
+                for variables, pinion, ring, shift in bases(mo, scale)
+            ]
+        )
+    return [
+        (made[0][g][0], [signs(e.kind, made[e.motion][g][1], e.used) for e in balance.equations])
+        for g in range(len(made[0]))
+    ]
+
+
+def signs(kind: str, rows: Sequence[Floats], used: np.ndarray) -> Floats:
+    """Columns (w, k) of one equation from window means of torques and shifts."""
+    left, right, ring, one, two = (x[:, used] for x in rows)
+    if kind == "total":
+        turned = [-RING_RATIO * left, -RING_RATIO * right, -ring, 0.0 * one, 0.0 * two]
+    elif kind == "left":
+        turned = [-left, 0.0 * right, 0.0 * ring, STIFFNESS * KNOT * one, 0.0 * two]
+    else:
+        turned = [0.0 * left, -right, 0.0 * ring, 0.0 * one, STIFFNESS * KNOT * two]
+    return np.vstack(turned).T
+
+
+def curves(left: Residual) -> list[Curve]:
+    """Evidence of every curve beside the model of `left`, best first."""
+    scale = scale_of(left.balance.motions)
+    fitted = group_parts(left.balance, scale)
+    judged = group_parts(left.held, scale)
+    base = left.base
+    w = base.weights
+    known = np.concatenate(left.held.missing(base.model))
+    held_kinds = [e.kind for e in left.held.equations]
+    kinds = [e.kind for e in left.balance.equations]
+    held_jac = columns(left.held, base.model, base.unknowns, known)
+    prior = np.array([1.0 / k.prior**2 if np.isfinite(k.prior) else 1e-6 for k in base.unknowns])
+    held_parts = left.held.missing(base.model)
+    held_base = loss(held_parts, held_kinds, left.held_news, (), ())
+    found = []
+    for (variables, parts), (_, held) in zip(fitted, judged, strict=True):
+        g = np.concatenate(parts)
+        both = np.hstack([base.jacobian, g])
+        weighted = w[:, None] * both
+        ridge = np.concatenate([prior, np.full(g.shape[1], RIDGE**-2)])
+        pull = np.concatenate([prior * base.p, np.zeros(g.shape[1])])
+        normal = weighted.T @ weighted
+        step = np.linalg.solve(normal + np.diag(ridge), -(weighted.T @ (w * base.missing)) - pull)
+        freedom = float(np.trace(np.linalg.solve(normal + np.diag(ridge), normal)))
+        freedom -= float(
+            np.trace(
+                np.linalg.solve(
+                    normal[: prior.size, : prior.size] + np.diag(prior),
+                    normal[: prior.size, : prior.size],
+                )
+            )
+        )
+        moved = split(base.missing + both @ step, base.parts)
+        after = loss(moved, kinds, base.scatter.news, base.unknowns, base.p + step[: prior.size])
+        there = known + np.hstack([held_jac, np.concatenate(held)]) @ step
+        held_after = loss(split(there, held_parts), held_kinds, left.held_news, (), ())
+        gain = base.loss - after
+        held_gain = held_base - held_after
+        found.append(Curve(variables, gain + held_gain - 2.0 * freedom, held_gain))
+    return sorted(found, key=lambda c: -c.evidence)
+
+
+def split(vector: Floats, like: Sequence[Floats]) -> list[Floats]:
+    """Cut a vector into parts of the sizes of `like`."""
+    return np.split(vector, np.cumsum([x.size for x in like])[:-1])
+
+
+@dataclass(frozen=True)
+class Bursts:
+    """Windows far outside of what the model leaves elsewhere.
+
+    Attributes
+    ----------
+    share : float
+        Of all windows of the total balance.
+    variables : tuple of str
+        What their coming depends on, most telling first.
+    """
+
+    share: float
+    variables: tuple[str, ...]
+
+
+def bursts(left: Residual) -> Bursts:
+    """Look for windows of the total balance that stand far out."""
+    flags, times, values = [], [], []
+    for balance in (left.balance, left.held):
+        parts = balance.missing(left.base.model)
+        spread = balance.scatter(left.base.model)
+        for e, part, sigma in zip(balance.equations, parts, spread.sigma, strict=True):
+            if e.kind != "total":
+                continue
+            mo = balance.motions[e.motion]
+            out = np.abs(part) > BURST * sigma
+            flags.append(out)
+            times.append(onsets(mo.time[e.used][out]))
+            middle = mo.starts[e.used] + mo.window.size // 2
+            values.append(
+                np.array(
+                    [
+                        np.mod(mo.run[middle, 0], 2 * np.pi),
+                        mo.run[middle, 1],
+                        np.abs(mo.rec.u).mean(0)[middle],
+                        np.abs(slew(mo)).max(0)[middle],
+                        np.mod(mo.run[middle, 2], 2 * np.pi),
+                    ]
+                )
+            )
+    flag = np.concatenate(flags) if flags else np.zeros(0, bool)
+    share = float(flag.mean()) if flag.size else 0.0
+    if share < BURSTS:
+        return Bursts(share, ())
+    variables = ["time"] if clocked(times) else []
+    table = np.concatenate(values, axis=1)
+    names = ("theta_L", "omega_L", "u", "du_dt", "theta_m")
+    told = [information(x, flag) for x in table]
+    variables += [names[i] for i in np.argsort(told)[::-1][:1]]
+    return Bursts(share, tuple(dict.fromkeys(variables)))
+
+
+def onsets(times: Floats) -> Floats:
+    """First times of groups of bursts."""
+    if times.size == 0:
+        return times
+    return np.asarray(times[np.concatenate([[True], np.diff(times) > ONSET_GAP])])
+
+
+def clocked(times: Sequence[Floats]) -> bool:
+    """Whether bursts come at fixed intervals from the start of each log."""
+    all_times = np.concatenate(list(times))
+    if all_times.size < 6:
+        return False
+    turns = np.exp(2j * np.pi * all_times[None, :] / PERIODS[:, None])
+    strength = np.abs(turns.mean(1)) ** 2 * all_times.size
+    return bool(strength.max() > RAYLEIGH and np.abs(turns.mean(1)).max() > 0.6)
+
+
+def information(x: Floats, flag: np.ndarray, bins: int = 12) -> float:
+    """Mutual information [nat] of a variable in bins and the flag, less its bias."""
+    edges = np.quantile(x, np.linspace(0.0, 1.0, bins + 1)[1:-1])
+    place = np.searchsorted(edges, x)
+    rate = flag.mean()
+    total = 0.0
+    for b in range(bins):
+        inside = flag[place == b]
+        if inside.size == 0:
+            continue
+        for q, p in ((inside.mean(), rate), (1.0 - inside.mean(), 1.0 - rate)):
+            if q > 0.0:
+                total += inside.size / flag.size * q * np.log(q / p)
+    return float(total) - (bins - 1) / (2.0 * flag.size)
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """What no name stands for.
+
+    Attributes
+    ----------
+    variables : tuple of str
+        That it depends on.
+    curve : Curve or None
+        The best of those that count.
+    bursts : Bursts
+    beyond_names : bool
+        A curve explains more than the named effects do: they only stand in for it.
+    """
+
+    variables: tuple[str, ...]
+    curve: Curve | None
+    bursts: Bursts
+    beyond_names: bool
+
+
+def unexplained(before: Residual, after: Residual, named: float) -> Unexplained | None:
+    """Tell whether something is left that no name stands for.
+
+    Parameters
+    ----------
+    before, after : Residual
+        Without and with the named effects; the same where none was found.
+    named : float
+        Evidence of the named effects together.
+    """
+    left = significant(curves(after), max(CURVE, CURVE_SHARE * named))
+    shots = bursts(after)
+    if left is None and shots.share < BURSTS:
+        return None
+    beyond = False
+    best = left
+    if after is not before:
+        bare = significant(curves(before), CURVE)
+        if bare is not None and bare.evidence > named:
+            best, beyond = bare, True
+        shots = bursts(before) if beyond else shots
+    variables = best.variables if best is not None else ()
+    if shots.share >= BURSTS and (best is None or "time" in shots.variables[:1]):
+        variables = (*variables, *shots.variables)
+    return Unexplained(tuple(dict.fromkeys(variables)), best, shots, beyond)
+
+
+def significant(found: Sequence[Curve], least: float) -> Curve | None:
+    """Return the best curve with enough evidence, on the held-out logs too."""
+    return next((c for c in found if c.evidence > least and c.held_gain > HELD), None)

@@ -80,11 +80,10 @@ def slide(v, v_mid, force, mobility, law, scale, added):
         direction = 1.0 if v > 0.0 else -1.0
     else:
         direction = 1.0 if free > 0.0 else -1.0
-    hold = max(scale * breakaway_torque(direction, law) + added, 0.0)
-    if v == 0.0 and abs(force) <= hold:
+    if v == 0.0 and abs(force) <= max(scale * breakaway_torque(direction, law) + added, 0.0):
         return 0.0, False
     friction = max(scale * sliding_torque(v_mid, direction, law) + added, 0.0)
-    new = free - direction * friction * mobility
+    new = free - friction * (direction * mobility)
     return new, new * direction < 0.0
 
 
@@ -147,7 +146,6 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
     elastic = compliance > MIN_COMPLIANCE
     mobility_3 = h / (j_2 if elastic else j_2 + j_motor)
     mobility_l = h / j_l
-    rate = 1.0 / h
     dead_time = voltage_delay(on, values) / dt
     lag_time = speed_delay(on, values) / h
     lagging = lag_relaxation(0.0, 0, on, values)[1] > 0.0
@@ -161,7 +159,8 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
     v0, v1, v2 = x0[3], x0[4], x0[5]
     m0, m1 = q0, q1  # motors, seen at the pinion
     w0, w1 = v0, v1
-    a0, a1, a2, b0, b1 = 0.0, 0.0, 0.0, 0.0, 0.0
+    d0, d1, d2 = 0.0, 0.0, 0.0  # last changes of the speeds
+    b0, b1 = 0.0, 0.0
     e0, e1 = 0.0, 0.0  # lagged voltages
     f0, f1, f2 = 0.0, 0.0, 0.0  # presliding friction
     integral = 0.0
@@ -250,7 +249,7 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
                 u1 = aim + (e1 - aim - kept) * tau / h
                 e1 = aim + kept
             x_0, x_1, x_2 = q0 + 0.5 * h * v0, q1 + 0.5 * h * v1, q2 + 0.5 * h * v2
-            s0, s1, s2 = v0 + 0.5 * h * a0, v1 + 0.5 * h * a1, v2 + 0.5 * h * a2
+            s0, s1, s2 = v0 + 0.5 * d0, v1 + 0.5 * d1, v2 + 0.5 * d2
             if elastic:
                 y0, y1 = m0 + 0.5 * h * w0, m1 + 0.5 * h * w1
                 r0, r1 = w0 + 0.5 * h * b0, w1 + 0.5 * h * b1
@@ -317,7 +316,7 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
             new2, f2 = friction_step(
                 v2, s2, force2, mobility_l, h, bearing, scale, added, distance[2], f2
             )
-            a0, a1, a2 = (new0 - v0) * rate, (new1 - v1) * rate, (new2 - v2) * rate
+            d0, d1, d2 = new0 - v0, new1 - v1, new2 - v2
             v0, v1, v2 = new0, new1, new2
             q0, q1, q2 = x_0 + 0.5 * h * v0, x_1 + 0.5 * h * v1, x_2 + 0.5 * h * v2
             if not elastic:

@@ -29,6 +29,7 @@ _LOG2_E = 1.4426950408889634
 _LN2_HIGH = 0.6931471803691238  # 33 bits of ln 2: its multiples up to 2^20 are exact
 _LN2_LOW = 1.9082149292705877e-10
 _LEAST, _MOST = -708.0, 709.0  # beyond, a double under- or overflows
+_EXP_LEAST, _EXP_MOST = math.exp(_LEAST), math.exp(_MOST)
 _ONE_BITS = 1023 << 52
 
 _TWO_OVER_PI = 0.6366197723675814
@@ -77,10 +78,6 @@ wide: Callable[[], None] = intrinsic(_wide)  # type: ignore[assignment]
 @njit(**OPTIONS)
 def exp(x):
     """Exponential; held at its value for −708 and 709 beyond, so never subnormal or infinite."""
-    if x < _LEAST:
-        x = _LEAST
-    if x > _MOST:
-        x = _MOST
     shifted = x * _LOG2_E + _ROUND
     whole = shifted - _ROUND
     r = (x - whole * _LN2_HIGH) - whole * _LN2_LOW
@@ -89,9 +86,14 @@ def exp(x):
     low = r + r2 * (0.5 + r * (1.0 / 6.0))
     middle = (1.0 / 24.0 + r * (1.0 / 120.0)) + r2 * (1.0 / 720.0 + r * (1.0 / 5040.0))
     high = (1.0 / 40320.0 + r * (1.0 / 362880.0)) + r2 * (1.0 / 3628800.0 + r * (1.0 / 39916800.0))
-    beyond_1 = low + r4 * (middle + r4 * (high + r4 * (1.0 / 479001600.0)))
+    beyond_1 = (low + r4 * middle) + (r4 * r4) * (high + r4 * (1.0 / 479001600.0))
     power = double((bits(shifted) << 52) + _ONE_BITS)
-    return power + power * beyond_1
+    value = power + power * beyond_1
+    if x < _LEAST:
+        value = _EXP_LEAST
+    if x > _MOST:
+        value = _EXP_MOST
+    return value
 
 
 @njit(**OPTIONS)

@@ -50,7 +50,7 @@ COLUMNS = 10  # outputs of a run, and the two voltages
 # right) follow each other, so that one loop runs over all of them.
 # A: arguments of a site chain, R: its results; voltages, lagged voltages.
 A0, A1, A2, A3, R0, R1, U0, U1, E0, E1, SEEN, LEAD = range(0, 12 * LANES, LANES)
-# Angles, speeds, accelerations; the midpoint's angles and speeds.
+# Angles, speeds, last changes of the speeds; the midpoint's angles and speeds.
 Q0, Q1, Q2, V0, V1, V2, C0, C1, C2 = range(12 * LANES, 21 * LANES, LANES)
 X0, X1, X2, S0, S1, S2 = range(21 * LANES, 27 * LANES, LANES)
 # The same of the motors, seen at the pinion; they turn with it unless the reducer is elastic.
@@ -146,7 +146,7 @@ def to_middle(s, width, h):
     wide()
     for row in range(3 * width):
         s[X0 + row] = s[Q0 + row] + 0.5 * h * s[V0 + row]
-        s[S0 + row] = s[V0 + row] + 0.5 * h * s[C0 + row]
+        s[S0 + row] = s[V0 + row] + 0.5 * s[C0 + row]
 
 
 @njit
@@ -365,11 +365,10 @@ def levels(s, width, t, on):
 
 @njit
 def finish(s, width, h):
-    """Accelerations, speeds and angles at the end of the step."""
+    """Changes of the speeds, speeds and angles at the end of the step."""
     wide()
-    rate = 1.0 / h
     for row in range(3 * width):
-        s[C0 + row] = (s[NEW + row] - s[V0 + row]) * rate
+        s[C0 + row] = s[NEW + row] - s[V0 + row]
         s[V0 + row] = s[NEW + row]
         s[Q0 + row] = s[X0 + row] + 0.5 * h * s[NEW + row]
 
@@ -426,7 +425,7 @@ def motors_to_middle(s, width, h):
     """Like `to_middle`, of the motors behind elastic reducers."""
     for row in range(2 * width):
         s[Y0 + row] = s[M0 + row] + 0.5 * h * s[W0 + row]
-        s[MS0 + row] = s[W0 + row] + 0.5 * h * s[B0 + row]
+        s[MS0 + row] = s[W0 + row] + 0.5 * s[B0 + row]
 
 
 @njit
@@ -440,9 +439,8 @@ def shaft_stage(s, width, side, h, push):
         shaft = (s[Y0 + row] - s[X0 + row]) / (s[COMPLIANCE + lane] if elastic else 1.0)
         shaft += s[SHAFT + lane] * (s[MS0 + row] - s[S0 + row])
         s[P0 + row] = (shaft if elastic else drive) - s[T0 + row] + push
-        rate = (drive - shaft) / s[J_MOTOR + lane] if elastic else 0.0
-        s[B0 + row] = rate
-        s[W0 + row] += h * rate
+        s[B0 + row] = h * (drive - shaft) / s[J_MOTOR + lane] if elastic else 0.0
+        s[W0 + row] += s[B0 + row]
         s[M0 + row] = s[Y0 + row] + 0.5 * h * s[W0 + row]
 
 

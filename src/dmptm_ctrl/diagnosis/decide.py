@@ -16,8 +16,8 @@ from dmptm_ctrl.diagnosis.unknown import Unexplained, unexplained
 from dmptm_ctrl.identify.fit import drive_unknowns
 from dmptm_ctrl.simulate.model import Model
 
-FIRST = 60.0  # evidence of a first effect
-SECOND = 80.0  # of a second one, beside the first
+FIRST = 50.0  # evidence of a first effect
+SECOND = 60.0  # of a second one, beside the first
 # What an imperfectly fitted first effect leaves grows with it: a second one needs this share.
 SECOND_SHARE = 0.02
 MAX_EFFECTS = 2
@@ -43,7 +43,7 @@ class Found:
     @property
     def probability(self) -> float:
         """Probability that the name is right, from its evidence and its lead."""
-        share = max([0.0, *(t.evidence for t in self.rivals)]) / self.evidence
+        share = min(1.0, max([0.0, *(t.evidence for t in self.rivals)]) / self.evidence)
         surely = self.evidence / (self.evidence + 0.1 * self.threshold)
         return float(min(0.995, surely * (1.0 - 0.5 * share**4)))
 

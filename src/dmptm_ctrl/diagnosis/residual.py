@@ -4,12 +4,13 @@ from dataclasses import dataclass, field
 
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.identify.balance import Balance, BalanceFit, fit_balance, loss
-from dmptm_ctrl.identify.fit import Misfit, Unknown, drive_unknowns
+from dmptm_ctrl.identify.fit import Misfit, Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.motion import motions
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
 LEAD_HZ = 0.05  # slow lead of simulated runs by the measured angle: bounds drift only
+ECCENTRIC = "encoder_eccentricity"
 ROUNDS = 3  # fits without motor encoders: each tells better who touches, for the next
 
 
@@ -68,7 +69,11 @@ def residual(
         By default the parameters of the drive inside their declared ranges.
     """
     declared = Model(measured.drive)
-    free = drive_unknowns(model) if unknowns is None else unknowns
+    free = unknowns
+    if free is None:
+        free = drive_unknowns(model)
+        if ECCENTRIC in model.effects and all(rec.twist is not None for rec in measured.fit):
+            free += effect_unknowns(ECCENTRIC)  # the twist tells it more finely than the gyro
     balance = balances(measured.fit, model, declared, jobs)
     base = fit_balance(balance, model, free)
     for _ in range(ROUNDS - 1):

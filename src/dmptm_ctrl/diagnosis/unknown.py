@@ -21,10 +21,10 @@ from dmptm_ctrl.simulate.model import Floats
 RING_RATIO = 8.25  # N2, Table 1
 KNOT = 1e-3  # rad, unit of a knot of a curve of the twist
 RIDGE = 10.0  # N·m, what a knot of a curve may be before the data speak
-CURVE = 150.0  # evidence of a curve; well above the best of all curves on rigs without any
-HELD = 20.0  # of it on the held-out logs: a curve has many knots
+CURVE = 60.0  # evidence of a curve; well above the best of all curves on rigs without any
+HELD = 8.0  # of it on the held-out logs: a curve has many knots
 # What a named effect leaves because its form is only nearly right is small beside it.
-CURVE_SHARE = 0.35
+CURVE_SHARE = 0.1
 BURST = 12.0  # standard deviations of a window that no curve has to explain
 BURSTS = 0.004  # share of windows that are bursts; rattle alone gives less
 MEMORIES = (0.3, 1.0, 3.0)  # s, of what the last seconds of motion leave behind

@@ -1,6 +1,6 @@
 """Thermal drift: friction falls as the lubricant warms.
 
-    declared friction × (1 + α exp(−t/τ))
+    declared friction × (1 + α exp(−t/τ)), of the ring gear × (1 + (α + β) exp(−t/τ))
 
 t is the time since the log began.
 """
@@ -17,13 +17,15 @@ class ThermalDrift(NamedTuple):
     """Parameters."""
 
     rise: float  # relative, α
+    ring_extra: float  # relative, β: lubricants differ
     time_constant: float  # s, τ
 
 
 @njit
 def thermal_factor(theta, omega, t, mesh_torque, body, p):
     """Factor on the declared friction and added Coulomb torque (none)."""
-    return 1.0 + p.rise * exp(-t / p.time_constant), 0.0
+    rise = p.rise + p.ring_extra if body == 2 else p.rise
+    return 1.0 + rise * exp(-t / p.time_constant), 0.0
 
 
 THERMAL_DRIFT = Effect(
@@ -32,6 +34,7 @@ THERMAL_DRIFT = Effect(
     kernel=thermal_factor,
     parameters=(
         Parameter("rise", "", -0.5, 1.5, 0.05),
+        Parameter("ring_extra", "", -1.5, 1.5, 0.05),
         Parameter("time_constant", "s", 0.5, 60.0, 1.0, (0.7, 1.5, 3.0, 6.0, 12.0, 25.0, 50.0)),
     ),
     values=ThermalDrift,

@@ -23,7 +23,7 @@ from numba import njit
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
-from dmptm_ctrl.identify.motion import Motion, second_difference, smooth
+from dmptm_ctrl.identify.motion import Motion, readings, second_difference, smooth
 from dmptm_ctrl.simulate.compose import engine, layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 
@@ -34,6 +34,7 @@ INERTIA = (
 STIFFNESS = 3.6e4  # N·m/rad, Table 1: expresses a twist as a torque, whatever k_m is fitted
 SEEN_SECONDS = 0.01  # passes what the multisine excites, keeps the encoders' noise small
 CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed
+ENCODER_UNIT = 1e-4  # rad, at which the encoder's error is read off its kernel
 FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a window
 MIN_WINDOWS = 8  # of a log and equation; fewer tell nothing about their own scatter
 FREEDOM = 4.0  # of Student's t: how a window may scatter, bursts and rattle included
@@ -43,7 +44,9 @@ FLOOR = {"total": 0.1, "chain": 0.4}  # N·m; friction laws are not known more f
 PROBES = {"drive": 0.1, "amplitude": 1.0, "shape": 0.02}
 ITERATIONS = 8
 STALLED = 0.5  # fall of the loss that ends the iterations
-NEWS_LAGS = 12  # windows over which the misfit's correlation is summed
+# Share of the windows that are independent: they overlap by half, and the wobble of a pinion
+# on its flank lasts for several. Not read off the misfit, which a missing effect correlates.
+NEWS = {"total": 0.6, "chain": 0.25}
 
 
 @njit(nogil=True)
@@ -161,6 +164,27 @@ def reducer_compliance(model: Model) -> float:
     return float(model.effects.get("reducer_compliance", {}).get("compliance", 0.0))
 
 
+def encoder_error(mo: Motion, on: Any, values: Floats) -> Floats:
+    """Error of the ring encoder [rad], (n,), beyond what was taken off the readings."""
+    _, on_before, before = mo.declared.arrays()
+    index, first = layout()["encoder_eccentricity"]
+    now = values[first : first + 2] * on[index]
+    then = before[first : first + 2] * on_before[index]
+    if np.array_equal(now, then):
+        return np.zeros(1)
+    waves = []
+    for k in (0, 1):
+        unit = np.zeros_like(values)
+        unit[first + k] = ENCODER_UNIT
+        flags = np.zeros_like(on)
+        flags[index] = 1
+        read, speed = np.empty(mo.run.shape[0]), np.empty(mo.run.shape[0])
+        sensor = engine().sensor_reading
+        readings(sensor, mo.run[:, 0], mo.run[:, 1], mo.rec.dt, flags, unit, read, speed)
+        waves.append((read - mo.run[:, 0]) / ENCODER_UNIT)
+    return np.asarray((now - then) @ np.array(waves))
+
+
 def frictions(mo: Motion, base: Floats) -> Floats:
     """Friction on pinions and ring gear along a motion, (3, n) [N·m], negative when forward."""
     rows = np.empty((3, mo.run.shape[0]))
@@ -188,7 +212,7 @@ def missing_torques(mo: Motion, volts: Floats, arrays: Arrays, compliance: float
             rows[body] *= -1.0
             presliding_along(np.ascontiguousarray(angle), distance, rows[body])
             rows[body] *= -1.0
-    shift = np.zeros((2, n))
+    shift = np.zeros((2, n)) + n2 * encoder_error(mo, on, values)
     if on.any():
         torque, moved = disturbance(mo, arrays, rows)
         rows += torque
@@ -276,22 +300,11 @@ class Scatter:
 
 def scatter(parts: Sequence[Floats], kinds: Sequence[str]) -> Scatter:
     """Robust scale of each equation, and the share of independent windows."""
-    sigma, news = [], []
-    for part, kind in zip(parts, kinds, strict=True):
-        floor = FLOOR["total" if kind == "total" else "chain"]
-        sigma.append(float(np.hypot(robust_scale(part), floor)))
-        bent = np.clip(part / sigma[-1], -3.0, 3.0)
-        power = max(float(bent @ bent), 1e-12)
-        lags = [
-            float(bent[k:] @ bent[:-k]) / power for k in range(1, min(NEWS_LAGS, part.size // 3))
-        ]
-        total = 1.0
-        for rho in lags:
-            if rho < 0.1:
-                break
-            total += 2.0 * rho
-        news.append(1.0 / total)
-    return Scatter(np.array(sigma), np.array(news))
+    sigma = [
+        float(np.hypot(robust_scale(part), floor_of(kind)))
+        for part, kind in zip(parts, kinds, strict=True)
+    ]
+    return Scatter(np.array(sigma), np.array([NEWS[role_of(kind)] for kind in kinds]))
 
 
 def robust_scale(e: Floats) -> float:
@@ -372,7 +385,12 @@ def loss(
 
 def floor_of(kind: str) -> float:
     """Scale below which an equation is not judged."""
-    return FLOOR["total" if kind == "total" else "chain"]
+    return FLOOR[role_of(kind)]
+
+
+def role_of(kind: str) -> str:
+    """Tell the balance of the whole from that of a chain."""
+    return "total" if kind == "total" else "chain"
 
 
 def role(unknown: Unknown) -> str:

@@ -118,7 +118,8 @@ def corrected(rec: Record, model: Model) -> Record:
     _, on, values = model.arrays()
     late = engine().speed_delay(on, values)
     theta, omega = np.empty_like(rec.theta), np.empty_like(rec.omega)
-    readings(engine().sensor_reading, rec.theta, rec.omega, rec.dt, on, values, theta, omega)
+    sensor = engine().sensor_reading
+    readings(sensor, rec.theta, rec.omega, rec.dt, on, values, theta, omega)
     theta, omega = 2.0 * rec.theta - theta, 2.0 * rec.omega - omega
     if late > 0.0:
         t = rec.dt * np.arange(omega.size)

@@ -45,9 +45,9 @@ PER_DEGREE = 180.0 / np.pi
 JUDGED = 1001  # samples, over which errors are taken
 SHORT = 1001  # samples of the slow contenders; their times are scaled to 10 s
 RK4_STEPS = (4, 10, 20, 50)  # per sample; 10 is the 100 µs of the comparison
-OWN_STEPS = (2, 4, 8, 16, 32, 64)
+OWN_STEPS = (2, 3, 4, 8, 16, 32, 64)
 TOLERANCES = (1e-3, 1e-6)  # of RK45; the first is SciPy's and python-control's own
-PYTHON_CONTROL, BLOCKS = "python-control RK45", "its blocks, sampled"
+OWN, PYTHON_CONTROL, BLOCKS = "dmptm_ctrl", "python-control RK45", "its blocks, sampled"
 BATCH = 1000
 PARAMETERS = ("c", "k_m", "J_L", "T3c_plus", "TLc_plus", "gap_l", "B3_plus", "BL_plus")
 PARAMETERS += ("T3s_plus", "TLs_plus", "gap_r", "J_2", "T3c_minus", "TLc_minus")
@@ -72,7 +72,7 @@ def contenders(model, loop, folder):
     points = []
     c = ScalarC(folder) if ScalarC.available() else None
     for steps in RK4_STEPS:
-        setting = f"{1e6 * DT / steps:g} µs"
+        setting = f"{1e6 * DT / steps:.4g} µs"
         runs = {"numba RK4": lambda s=steps: naive_numba(model, loop, TARGET, DT, s)}
         if c is not None:
             runs["C -O3 RK4"] = lambda s=steps: c(model, loop, TARGET, DT, s)
@@ -80,12 +80,12 @@ def contenders(model, loop, folder):
     if CasADi.available():
         for steps in RK4_STEPS[1:2]:
             machine = CasADi(model, loop, DT, TIME.size, steps)
-            setting = f"{1e6 * DT / steps:g} µs"
+            setting = f"{1e6 * DT / steps:.4g} µs"
             points.append(Point("CasADi RK4", setting, lambda m=machine: m(TARGET), TIME.size))
     points += [
         Point(
-            "dmptm_ctrl",
-            f"{1e6 * DT / steps:g} µs",
+            OWN,
+            f"{1e6 * DT / steps:.4g} µs",
             lambda s=steps: close_loop(model, loop, TARGET, DT, substeps=s)[1][:, 1],
             TIME.size,
         )
@@ -199,7 +199,7 @@ def sensitivity_costs(model, loop, repeats):
 def figure(rows, floors, path):
     """Work–precision diagram: time against error, all contenders."""
     styles = {
-        "dmptm_ctrl": ("o", "-", "0.0"),
+        OWN: ("o", "-", "0.0"),
         "C -O3 RK4": ("s", "--", "0.35"),
         "numba RK4": ("^", ":", "0.35"),
         "CasADi RK4": ("D", "", "0.35"),
@@ -246,9 +246,8 @@ def main():
         c = ScalarC(folder) if ScalarC.available() else None
         ratios = {"date": date.today().isoformat(), "cores": os.cpu_count()}
         ratios |= summary(rows, floors)
-        steps = round(1e-3 / (1e-6 * float(ratios["setting"].split()[0])))
         loop = CASES["preloaded"]
-        batch = batch_ratios(model, loop, steps, c, max(2, asked.repeats // 3))
+        batch = batch_ratios(model, loop, ratios["steps"], c, max(2, asked.repeats // 3))
         costs = sensitivity_costs(model, loop, asked.repeats)
     print(f"{'case':12s}{'contender':22s}{'step':12s}{'10 s take':>12s}{'error':>12s}")
     for case, name, setting, spent, wrong in rows:
@@ -263,40 +262,34 @@ def main():
     print(json.dumps(ratios, allow_nan=False))
 
 
-def summary(rows, floors):
-    """Ratios of single runs, at the coarsest own step that is no less accurate than C in any case.
-
-    Without cc the naive numba RK4 stands for C in the choice of that step.
-    """
-    rival = "C -O3 RK4" if ScalarC.available() else "numba RK4"
-    rivals = {case: picked(rows, case, rival, "100 µs")[0] for case in CASES}
+def as_good(rows, rivals):
+    """Own rows per case at the coarsest step that is as accurate as the rival in every case."""
     for steps in OWN_STEPS:
-        setting = f"{1e6 * DT / steps:g} µs"
-        own = {case: picked(rows, case, "dmptm_ctrl", setting)[0] for case in CASES}
+        own = {case: picked(rows, case, OWN, f"{1e6 * DT / steps:.4g} µs")[0] for case in CASES}
         if all(own[case][4] <= rivals[case][4] for case in CASES):
             break
-    slowest = {case: picked(rows, case, PYTHON_CONTROL)[0] for case in CASES}
-    blocks = {case: picked(rows, case, BLOCKS)[0] for case in CASES}
-    default = {case: picked(rows, case, "dmptm_ctrl", "125 µs")[0] for case in CASES}
+    return own
 
-    def worst(above, below):
-        return round(min(above[case][3] / below[case][3] for case in CASES), 2)
 
-    return {
-        "setting": setting,
-        "rival": rival,
-        "error": {case: own[case][4] for case in CASES},
-        "error_rival": {case: rivals[case][4] for case in CASES},
-        "error_python_control": {case: slowest[case][4] for case in CASES},
-        "error_its_blocks": {case: blocks[case][4] for case in CASES},
-        "error_reference": floors,
-        "ms": {case: round(1e3 * own[case][3], 3) for case in CASES},
-        "over_rival": worst(rivals, own),
-        "over_python_control": worst(slowest, own),
-        "over_its_blocks": worst(blocks, own),
-        "default_over_rival": worst(rivals, default),
-        "default_over_python_control": worst(slowest, default),
-    }
+def summary(rows, floors):
+    """Ratios of single runs, each at the coarsest own step that is as good as the rival.
+
+    Without cc the naive numba RK4 stands for C.
+    """
+    rival = "C -O3 RK4" if ScalarC.available() else "numba RK4"
+    settings = {rival: "100 µs", PYTHON_CONTROL: None, BLOCKS: None}
+    found = {"error_reference": floors, "rival": rival}
+    for name, setting in settings.items():
+        rows_of = {case: picked(rows, case, name, setting)[0] for case in CASES}
+        own = as_good(rows, rows_of)
+        key = {rival: "rival", PYTHON_CONTROL: "python_control", BLOCKS: "its_blocks"}[name]
+        found[f"over_{key}"] = {c: round(rows_of[c][3] / own[c][3], 2) for c in CASES}
+        found[f"step_{key}"] = own["preloaded"][2]
+        found[f"error_{key}"] = {c: [own[c][4], rows_of[c][4]] for c in CASES}
+        if key == "rival":
+            found["ms"] = {c: round(1e3 * own[c][3], 3) for c in CASES}
+            found["steps"] = round(DT / (1e-6 * float(own["preloaded"][2].split()[0])))
+    return found
 
 
 if __name__ == "__main__":

@@ -250,7 +250,8 @@ def _next_rung(
     trials = _simplest_first(
         [
             t for t in trials
-            if t[2] >= max(least, least_gain(t[0].name)) and plausible(t[0], fit, t[1], fit_logs)
+            if worthwhile(t[0].name, t[2], old, (t[1].left, t[1].drive), least)
+            and plausible(t[0], fit, t[1], fit_logs)
         ]
     )  # fmt: skip
     for candidate, new, gain in trials:
@@ -269,8 +270,25 @@ def _next_rung(
 
 def least_gain(name: str) -> float:
     """Share of the residual's square that an effect must explain to be named."""
-    exotic = name not in SIMPLE or SIMPLE.index(name) >= SIMPLE.index(FIRST_EXOTIC)
-    return MIN_GAIN * (EXOTIC_GAIN if exotic else 1.0)
+    return MIN_GAIN * (EXOTIC_GAIN if exotic(name) else 1.0)
+
+
+def exotic(name: str) -> bool:
+    """Whether an effect is a rare one."""
+    return name not in SIMPLE or SIMPLE.index(name) >= SIMPLE.index(FIRST_EXOTIC)
+
+
+def worthwhile(name: str, gain: float, before: Outcome, after: Outcome, least: float) -> bool:
+    """Whether an effect explains enough, and of the whole balance as well.
+
+    A gap acts between two bodies alone; that balance does not see it.
+    """
+    if gain < max(least, least_gain(name)):
+        return False
+    if name == "backlash":
+        return True
+    first = [([part[:1] for part in left], drive) for left, drive in (before, after)]
+    return gain_of(*first) >= least_gain(name)
 
 
 def plausible(candidate: Candidate, before: ChainFit, fit: ChainFit, logs: Balance) -> bool:

@@ -34,15 +34,18 @@ BY_HAND = [
     # the right pinion sits 120° further on: cos 120° = −1/2, sin 120° = √3/2
     ("ring_gear_eccentricity", (0.002, 0.0), (9.0, 9.0, 0.0, 1.0, 1),
      (-0.001, -0.001 * sqrt(3.0), 0.0, 0.0)),
-    ("backlash_variation", (0.002, 0.001), (9.0, 9.0, pi / 2, 1.0, 0), (0.0, 0.0, 0.001, 0.0)),
-    ("backlash_variation", (0.002, 0.0), (9.0, 9.0, 0.0, 1.0, 1), (0.0, 0.0, -0.001, 0.0)),
+    ("backlash_variation", (0.002, 0.001, 0.0, 0.0), (9.0, 9.0, pi / 2, 1.0, 0),
+     (0.0, 0.0, 0.001, 0.0)),
+    ("backlash_variation", (0.0, 0.0, 0.002, 0.0), (9.0, 9.0, 0.0, 1.0, 1),
+     (0.0, 0.0, -0.001, 0.0)),
     # 20 teeth: a quarter of a tooth is 2π/80
     ("mesh_error", (1e-4, 2e-4), (pi / 40, 3.0, 9.0, 9.0, 0), (2e-4, -6e-3, 0.0, 0.0)),
     ("load_dependent_friction", (0.1,), (0.0, 1.0, 0.0, -30.0, 0), (1.0, 3.0)),
     ("load_dependent_friction", (0.1,), (0.0, 1.0, 0.0, 30.0, 2), (1.0, 0.0)),
-    ("position_dependent_friction", (2.0, 1.0), (pi / 2, 1.0, 0.0, 5.0, 2), (1.0, 1.0)),
-    ("position_dependent_friction", (2.0, 1.0), (pi, -1.0, 0.0, 5.0, 2), (1.0, -2.0)),
-    ("position_dependent_friction", (2.0, 1.0), (pi, -1.0, 0.0, 5.0, 0), (1.0, 0.0)),
+    ("position_dependent_friction", (2.0, 1.0, 1.0), (pi / 2, 1.0, 0.0, 5.0, 2), (1.0, 1.0)),
+    ("position_dependent_friction", (2.0, 1.0, 1.0), (pi, -1.0, 0.0, 5.0, 2), (1.0, -2.0)),
+    ("position_dependent_friction", (2.0, 1.0, 1.0), (pi, -1.0, 0.0, 5.0, 0), (1.0, 0.0)),
+    ("position_dependent_friction", (2.0, 1.0, 3.0), (pi / 2, 1.0, 0.0, 5.0, 2), (1.0, -1.0)),
     ("local_spot", (10.0, 3.0, 0.1), (3.1, 1.0, 0.0, 5.0, 2), (1.0, 10.0 / sqrt(e))),
     # across ±π: −3.1 is 2π − 6.1 = 0.183 from 3
     ("local_spot", (10.0, 3.0, 0.1), (-3.1, 1.0, 0.0, 5.0, 2),

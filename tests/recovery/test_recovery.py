@@ -6,10 +6,16 @@ logs and one more keep this in the time of a check; whole rigs and more of them 
 `benchmarks/blind.py`.
 """
 
+import sys
+
 import pytest
 
 from dmptm_ctrl import diagnose, load_log
-from dmptm_ctrl.diagnosis.decide import FIRST, SECOND
+from dmptm_ctrl.diagnosis.decide import FIRST, SECOND, decide
+from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
 PAIRS = ("open_sine_0v60", "open_sine_0v75", "closed_sine_10", "closed_sine_15")
@@ -59,3 +65,27 @@ def test_nothing_lacks(seed, friction, sensors, more):
     assert found.effects == ()
     assert found.error["after"] == found.error["before"]
     assert max(row["score"] for row in found.ranking) < 0.8 * min(FIRST, SECOND)
+
+
+NULL_SEEDS = range(4000, 4020)
+NULL_LOGS = ("open_sine_0v60", "open_sine_0v75", "closed_square_10", "closed_square_15", TURN)
+
+
+def test_no_false_alarm_on_any_of_twenty_nulls(capsys):
+    """Laws of friction and contact, sensors and parameters are drawn by the seed."""
+    best = {}
+    for seed in NULL_SEEDS:
+        rig = make_rig(seed, (), logs=NULL_LOGS)
+        logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+        logs = [log.segment(0.0, TURN_ENDS) if log.name == TURN else log for log in logs]
+        drive = paper_drive()
+        found = decide(residual(measure(logs, drive), Model(drive)))
+        assert not found.found, (seed, rig.label["laws"], found.found[0].name)
+        assert found.unexplained is None, (seed, found.unexplained)
+        best[seed] = max(trial.evidence for trial in found.trials.values())
+    with capsys.disabled():  # a figure to be read in the run's output
+        sys.stdout.write(
+            f"\nfalse alarms: 0 of {len(best)} nulls; best evidence {max(best.values()):.0f} "
+            f"where {FIRST:.0f} is needed\n"
+        )
+    assert max(best.values()) < 0.8 * FIRST

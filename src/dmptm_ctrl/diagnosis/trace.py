@@ -19,7 +19,11 @@ from dmptm_ctrl.simulate.model import Floats
 
 NEEDS_TWIST = ("pinion_runout", "ring_gear_eccentricity", "mesh_error", "backlash_variation")
 BY_SENSORS = ("sensor_gain", "sensor_delay", "encoder_eccentricity")
-FIXED_SHAPES = {"cogging": ("order",), "torque_constant_mismatch": ("pattern",)}  # whole numbers
+FIXED_SHAPES = {  # whole numbers
+    "cogging": ("order",),
+    "position_dependent_friction": ("order",),
+    "torque_constant_mismatch": ("pattern",),
+}
 SIZES = {  # effects without a slope at zero, or far from linear: multiples of `step` to start at
     "current_lag": (1.0, 3.0),
     "drive_delay": (1.0, 3.0),

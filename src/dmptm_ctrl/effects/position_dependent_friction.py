@@ -1,6 +1,6 @@
 """Position-dependent friction: the ring gear's bearing is tighter on one side.
 
-Coulomb friction of the ring gear += C cos θL + S sin θL
+Coulomb friction of the ring gear += C cos(n θL) + S sin(n θL), n a whole number
 """
 
 from math import cos, sin
@@ -16,6 +16,7 @@ class PositionDependentFriction(NamedTuple):
 
     cosine: float  # N·m
     sine: float  # N·m
+    order: float  # per turn, n
 
 
 @njit
@@ -23,7 +24,8 @@ def position_friction(theta, omega, t, mesh_torque, body, p):
     """Factor on the declared friction (1) and added Coulomb torque [N·m]."""
     if body != 2:
         return 1.0, 0.0
-    return 1.0, p.cosine * cos(theta) + p.sine * sin(theta)
+    phase = p.order * theta
+    return 1.0, p.cosine * cos(phase) + p.sine * sin(phase)
 
 
 POSITION_DEPENDENT_FRICTION = Effect(
@@ -33,10 +35,12 @@ POSITION_DEPENDENT_FRICTION = Effect(
     parameters=(
         Parameter("cosine", "N·m", -30.0, 30.0, 1.0),
         Parameter("sine", "N·m", -30.0, 30.0, 1.0),
+        # the middle of a bank is the default
+        Parameter("order", "1/turn", 1.0, 4.0, 1.0, (4.0, 2.0, 1.0, 3.0)),
     ),
     values=PositionDependentFriction,
     location="ring-gear bearing",
-    source="out-of-round raceway",
+    source="out-of-round raceway; higher orders by its bolts",
     depends_on=("theta_L",),
     reveals="a full turn in each direction",
 )

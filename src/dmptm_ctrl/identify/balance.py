@@ -145,7 +145,8 @@ def carried_torques(mo: Motion, volts: Floats, model: Model) -> Floats:
         friction_along(np.ascontiguousarray(mo.pinion_speed[:, s]), law, friction[s])
     inertia = n1 * n1 * base[2] + base[3]
     return np.asarray(
-        n1 * base[0] * base[1] * volts - mo.mean(friction) - inertia * mo.pinions.T, np.float64
+        n1 * base[0] * base[1] * volts - mo.mean(friction, held=False) - inertia * mo.pinions.T,
+        np.float64,
     )
 
 
@@ -212,12 +213,12 @@ def missing_torques(mo: Motion, volts: Floats, arrays: Arrays, compliance: float
             rows[body] *= -1.0
             presliding_along(np.ascontiguousarray(angle), distance, rows[body])
             rows[body] *= -1.0
+    force = mo.mean(rows, held=False)
     shift = np.zeros((2, n)) + n2 * encoder_error(mo, on, values)
     if on.any():
         torque, moved = disturbance(mo, arrays, rows)
-        rows += torque
+        force += mo.mean(torque)
         shift += moved
-    force = mo.mean(rows)
     force[:2] += n1 * gain * volts
     out = np.empty((3, mo.starts.size))
     # As an acceleration: the sensors' noise is one, and must not favour a small inertia.
@@ -228,7 +229,7 @@ def missing_torques(mo: Motion, volts: Floats, arrays: Arrays, compliance: float
             z = mo.run[:, 6 + s] + shift[s]
             rate = mo.pinion_speed[:, s] - n2 * mo.run[:, 1]
             flank = np.where(mo.run[:, 6 + s] > 0.0, base[13 + s], -base[13 + s])
-            twist = mo.mean(z - flank + base[11] / base[8] * rate)
+            twist = mo.mean(z - flank + base[11] / base[8] * rate, held=False)
             carried = force[s] - j3 * mo.pinions[:, s]
             # In the twist, not in the torque: the twist's noise must not bias the stiffness.
             # A soft reducer adds its own, for z is seen at the motor.

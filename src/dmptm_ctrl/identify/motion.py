@@ -67,17 +67,21 @@ class Motion:
     slides: np.ndarray
     touches: np.ndarray
 
-    def mean(self, rows: Floats) -> Floats:
-        """Window means of forces held from each sample to the next, (..., n) → (..., w).
+    def mean(self, rows: Floats, *, held: bool = True) -> Floats:
+        """Window means, (..., n) → (..., w).
 
-        A second difference at sample i weighs the forces before and after it alike.
+        A second difference at sample i weighs the forces before and after it alike: those
+        held from each sample to the next, as a voltage is. What is known at the instants,
+        as an angle or a speed is, counts as it is (`held` false).
         """
         hop = self.window.size // 2
         count = self.starts.size + 1
         used = slice(1, 1 + count * hop), slice(0, count * hop)
         halves = np.column_stack([self.window[:hop], self.window[hop:]])
-        held = 0.5 * (rows[..., used[0]] + rows[..., used[1]])
-        sums = held.reshape(*rows.shape[:-1], count, hop) @ halves
+        now = rows[..., used[0]]
+        if held:
+            now = 0.5 * (now + rows[..., used[1]])
+        sums = now.reshape(*rows.shape[:-1], count, hop) @ halves
         return np.asarray(sums[..., :-1, 0] + sums[..., 1:, 1])
 
     @property

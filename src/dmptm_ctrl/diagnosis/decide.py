@@ -16,8 +16,8 @@ from dmptm_ctrl.diagnosis.unknown import Unexplained, unexplained
 from dmptm_ctrl.identify.fit import drive_unknowns
 from dmptm_ctrl.simulate.model import Model
 
-FIRST = 50.0  # evidence of a first effect
-SECOND = 60.0  # of a second one, beside the first
+FIRST = 70.0  # evidence of a first effect
+SECOND = 90.0  # of a second one, beside the first
 # What an imperfectly fitted first effect leaves grows with it: a second one needs this share.
 SECOND_SHARE = 0.02
 MAX_EFFECTS = 2

@@ -40,8 +40,7 @@ def turn(model, name, speed, seconds=6.0):
 
 def fitted(model, unknowns):
     p = position(model, unknowns)
-    empty = np.zeros(0)
-    return Fit(model, unknowns, p, 0.0, empty, empty, 1e-4 * np.eye(p.size), 0.0)
+    return Fit(model, unknowns, p, 0.0, 1e-4 * np.eye(p.size))
 
 
 @cache

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Iterable
-from dataclasses import replace
 from os import PathLike
 
 from dmptm_ctrl.diagnosis.augment import augment
@@ -10,7 +9,7 @@ from dmptm_ctrl.diagnosis.decide import Decision, decide
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, named, provenance, ranking
-from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.diagnosis.residual import closed, residual
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
@@ -135,8 +134,8 @@ def sensor_effect(name: str, sensors: SensorCheck) -> NamedEffect:
 
 def refined(measured: Measured, decision: Decision, jobs: int) -> Fit:
     """Refit the verdict's model on all logs: the honest error is known, now predict best."""
-    held = tuple(rec for rec in measured.held if rec not in measured.fit)
-    everything = replace(measured, fit=(*measured.fit, *held))
+    everything = (*measured.fit, *(rec for rec in measured.held if rec not in measured.fit))
     base = decision.after.base
-    start = residual(everything, base.model, unknowns=base.unknowns, jobs=jobs).base
-    return augment(everything.fit, start, jobs=jobs)
+    declared = Model(measured.drive)
+    _, start = closed(everything, base.model, declared, base.unknowns, jobs)
+    return augment(everything, start, jobs=jobs)

@@ -1,13 +1,14 @@
 """Second step: what the declared model, fitted inside its declared ranges, leaves."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.identify.balance import Balance, BalanceFit, fit_balance, loss
+from dmptm_ctrl.identify.balance import Balance, BalanceFit, fit_balance, surprise
 from dmptm_ctrl.identify.fit import Misfit, Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.motion import motions
 from dmptm_ctrl.identify.records import Record
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.model import Model
 
 LEAD_HZ = 0.05  # slow lead of simulated runs by the measured angle: bounds drift only
 ECCENTRIC = "encoder_eccentricity"
@@ -24,24 +25,21 @@ class Residual:
     balance, held : Balance
         Missing torques on the logs that fit and on those that judge.
     base : BalanceFit
-    held_news : (e,) array
-        Independent share of the windows of each held-out equation.
     """
 
     measured: Measured
     balance: Balance
     held: Balance
     base: BalanceFit
-    held_news: Floats
-    _held: dict[int, float] = field(default_factory=dict)
 
     def held_loss(self, model: Model) -> float:
         """Loss on the held-out logs, nothing fitted."""
-        if id(model) not in self._held:
-            kinds = [e.kind for e in self.held.equations]
-            self._held[id(model)] = loss(self.held.missing(model), kinds, self.held_news, (), ())
-            self._alive = [*getattr(self, "_alive", []), model]  # an id must not come again
-        return self._held[id(model)]
+        return surprise(self.held.missing(model), self.held.kinds)
+
+    @cached_property
+    def held_base(self) -> float:
+        """Loss of the fitted model on the held-out logs."""
+        return self.held_loss(self.base.model)
 
 
 def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: int) -> Balance:
@@ -68,20 +66,30 @@ def residual(
     unknowns : tuple of Unknown, optional
         By default the parameters of the drive inside their declared ranges.
     """
-    declared = Model(measured.drive)
     free = unknowns
     if free is None:
         free = drive_unknowns(model)
         if ECCENTRIC in model.effects and all(rec.twist is not None for rec in measured.fit):
             free += effect_unknowns(ECCENTRIC)  # the twist tells it more finely than the gyro
-    balance = balances(measured.fit, model, declared, jobs)
-    base = fit_balance(balance, model, free)
+    declared = Model(measured.drive)
+    balance, base = closed(measured.fit, model, declared, free, jobs)
+    held = balances(measured.held, base.model, declared, jobs)
+    return Residual(measured, balance, held, base)
+
+
+def closed(
+    records: tuple[Record, ...],
+    model: Model,
+    declared: Model,
+    unknowns: tuple[Unknown, ...],
+    jobs: int,
+) -> tuple[Balance, BalanceFit]:
+    """Prepare balances of records and fit a model to them."""
+    balance = balances(records, model, declared, jobs)
+    base = fit_balance(balance, model, unknowns)
     for _ in range(ROUNDS - 1):
         if not balance.simulated:
             break
-        balance = balances(measured.fit, base.model, declared, jobs)
-        base = fit_balance(balance, base.model, free)
-    # Once more with the independent shares of the end, which hold for every comparison.
-    base = fit_balance(balance, base.model, free, news=base.scatter.news)
-    held = balances(measured.held, base.model, declared, jobs)
-    return Residual(measured, balance, held, base, held.scatter(base.model).news)
+        balance = balances(records, base.model, declared, jobs)
+        base = fit_balance(balance, base.model, unknowns)
+    return balance, base

@@ -14,7 +14,7 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import Balance, BalanceFit, fit_balance
-from dmptm_ctrl.identify.fit import Unknown
+from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
 from dmptm_ctrl.simulate.model import Floats
 
 NEEDS_TWIST = ("pinion_runout", "ring_gear_eccentricity", "mesh_error", "backlash_variation")
@@ -233,11 +233,8 @@ def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
 
 def unknowns_of(name: str) -> tuple[Unknown, ...]:
     """Parameters of an effect that are fitted; whole numbers stay as they were found."""
-    return tuple(
-        Unknown(name, p.name, 0.0, p.step, p.low / p.step, p.high / p.step, np.inf)
-        for p in CATALOGUE[name].parameters
-        if p.name not in FIXED_SHAPES.get(name, ())
-    )
+    fixed = FIXED_SHAPES.get(name, ())
+    return tuple(k for k in effect_unknowns(name) if k.name not in fixed)
 
 
 def try_effect(trace: Trace, name: str) -> Trial:
@@ -252,7 +249,6 @@ def try_effect(trace: Trace, name: str) -> Trial:
                 model,
                 (*trace.base.unknowns, *unknowns_of(name)),
                 jacobian=trace.base.jacobian,
-                news=trace.base.scatter.news,
             )
         )
     return tried(trace, name, min(fits, key=lambda f: f.loss))
@@ -260,15 +256,13 @@ def try_effect(trace: Trace, name: str) -> Trial:
 
 def tried(trace: Trace, name: str, done: BalanceFit) -> Trial:
     """Compare a fit with the base."""
-    held = trace.left.held_loss(trace.base.model) - trace.left.held_loss(done.model)
+    held = trace.left.held_base - trace.left.held_loss(done.model)
     return Trial(name, trace.base.loss - done.loss, held, done)
 
 
 def settled(trace: Trace, trial: Trial) -> Trial:
     """Fit a trial to the end, with the drive's columns taken where it is."""
-    again = fit_balance(
-        trace.balance, trial.fit.model, trial.fit.unknowns, news=trace.base.scatter.news
-    )
+    again = fit_balance(trace.balance, trial.fit.model, trial.fit.unknowns)
     return tried(trace, trial.name, again) if again.loss < trial.fit.loss else trial
 
 

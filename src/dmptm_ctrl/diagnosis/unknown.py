@@ -12,9 +12,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.identify.balance import STIFFNESS, Balance, carried, columns, frictions, loss
+from dmptm_ctrl.identify.balance import (
+    STIFFNESS,
+    Balance,
+    carried,
+    columns,
+    frictions,
+    loss,
+    scatter,
+    surprise,
+)
 from dmptm_ctrl.identify.motion import Motion, first_difference, smooth
 from dmptm_ctrl.simulate.model import Floats
 
@@ -109,8 +119,6 @@ def signed(rows: Floats, mo: Motion) -> Floats:
 
 def faded(signal: Floats, tau: float, dt: float) -> Floats:
     """First-order memory of a signal."""
-    from scipy.signal import lfilter
-
     a = np.exp(-dt / tau)
     return np.asarray(lfilter([1.0 - a], [1.0, -a], signal))
 
@@ -210,13 +218,12 @@ def curves(left: Residual) -> list[Curve]:
     judged = group_parts(left.held, scale)
     base = left.base
     w = base.weights
-    known = np.concatenate(left.held.missing(base.model))
-    held_kinds = [e.kind for e in left.held.equations]
-    kinds = [e.kind for e in left.balance.equations]
+    held_parts = left.held.missing(base.model)
+    known = np.concatenate(held_parts)
     held_jac = columns(left.held, base.model, base.unknowns, known)
     prior = np.array([1.0 / k.prior**2 if np.isfinite(k.prior) else 1e-6 for k in base.unknowns])
-    held_parts = left.held.missing(base.model)
-    held_base = loss(held_parts, held_kinds, left.held_news, (), ())
+    own = w[:, None] * base.jacobian
+    used = freedom(own.T @ own, prior)
     found = []
     for (variables, parts), (_, held) in zip(fitted, judged, strict=True):
         g = np.concatenate(parts)
@@ -226,23 +233,18 @@ def curves(left: Residual) -> list[Curve]:
         pull = np.concatenate([prior * base.p, np.zeros(g.shape[1])])
         normal = weighted.T @ weighted
         step = np.linalg.solve(normal + np.diag(ridge), -(weighted.T @ (w * base.missing)) - pull)
-        freedom = float(np.trace(np.linalg.solve(normal + np.diag(ridge), normal)))
-        freedom -= float(
-            np.trace(
-                np.linalg.solve(
-                    normal[: prior.size, : prior.size] + np.diag(prior),
-                    normal[: prior.size, : prior.size],
-                )
-            )
-        )
         moved = split(base.missing + both @ step, base.parts)
-        after = loss(moved, kinds, base.scatter.news, base.unknowns, base.p + step[: prior.size])
+        after = loss(moved, base.kinds, base.unknowns, base.p + step[: prior.size])
         there = known + np.hstack([held_jac, np.concatenate(held)]) @ step
-        held_after = loss(split(there, held_parts), held_kinds, left.held_news, (), ())
-        gain = base.loss - after
-        held_gain = held_base - held_after
-        found.append(Curve(variables, gain + held_gain - 2.0 * freedom, held_gain))
+        held_gain = left.held_base - surprise(split(there, held_parts), left.held.kinds)
+        price = 2.0 * (freedom(normal, ridge) - used)
+        found.append(Curve(variables, base.loss - after + held_gain - price, held_gain))
     return sorted(found, key=lambda c: -c.evidence)
+
+
+def freedom(normal: Floats, ridge: Floats) -> float:
+    """Effective number of parameters of a ridge regression."""
+    return float(np.trace(np.linalg.solve(normal + np.diag(ridge), normal)))
 
 
 def split(vector: Floats, like: Sequence[Floats]) -> list[Floats]:
@@ -271,8 +273,8 @@ def bursts(left: Residual) -> Bursts:
     flags, times, values = [], [], []
     for balance in (left.balance, left.held):
         parts = balance.missing(left.base.model)
-        spread = balance.scatter(left.base.model)
-        for e, part, sigma in zip(balance.equations, parts, spread.sigma, strict=True):
+        spread = scatter(parts, balance.kinds)
+        for e, part, sigma in zip(balance.equations, parts, spread, strict=True):
             if e.kind != "total":
                 continue
             mo = balance.motions[e.motion]

@@ -23,7 +23,7 @@ from numba import njit
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
-from dmptm_ctrl.identify.motion import Motion, readings, second_difference, smooth
+from dmptm_ctrl.identify.motion import Motion, odd_span, readings, second_difference, smooth
 from dmptm_ctrl.simulate.compose import engine, layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 
@@ -51,22 +51,22 @@ NEWS = {"total": 0.6, "chain": 0.25}
 
 @njit(nogil=True)
 def friction_along(speed: Floats, law: Stribeck, out: Floats) -> None:
-    """Sliding friction against a recorded speed, signed like the speed."""
+    """Sliding friction along a recorded speed, negative when forward."""
     for i in range(speed.size):
         direction = 1.0 if speed[i] > 0.0 else -1.0
-        out[i] = direction * sliding_torque(speed[i], direction, law)
+        out[i] = -direction * sliding_torque(speed[i], direction, law)
 
 
 @njit(nogil=True)
 def presliding_along(angle: Floats, distance: float, out: Floats) -> None:
-    """Friction of Dahl's equation along a recorded angle, exact for steps of it."""
+    """Turn sliding friction into that of Dahl's equation along an angle, exact for its steps."""
     force = 0.0
     for i in range(1, angle.size):
         moved = angle[i] - angle[i - 1]
         if moved != 0.0:
-            direction = 1.0 if moved > 0.0 else -1.0
-            level = direction * out[i] * (1.0 if out[i] * direction > 0.0 else 0.0)
-            force = direction * level + (force - direction * level) * exp(-abs(moved) / distance)
+            # where the speed has the other sign, there is nothing to slide against yet
+            goal = out[i] if out[i] * moved < 0.0 else 0.0
+            force = goal + (force - goal) * exp(-abs(moved) / distance)
         out[i] = force
 
 
@@ -120,9 +120,10 @@ class Balance:
         """Whether a simulation told which pinions touch."""
         return any(mo.rec.twist is None for mo in self.motions)
 
-    def scatter(self, model: Model) -> "Scatter":
-        """How far the windows scatter about a model."""
-        return scatter(self.missing(model), [e.kind for e in self.equations])
+    @cached_property
+    def kinds(self) -> list[str]:
+        """Kind of each equation."""
+        return [e.kind for e in self.equations]
 
     def missing(self, model: Model) -> list[Floats]:
         """Missing torque per equation, on the windows that count."""
@@ -135,25 +136,14 @@ class Balance:
         return [tables[e.motion][ROWS[e.kind]][e.used] for e in self.equations]
 
 
-def carried_torques(mo: Motion, volts: Floats, model: Model) -> Floats:
-    """What each chain's motor has left for the mesh, (2, w) [N·m at the pinion]."""
-    base, _, _ = model.arrays()
-    n1 = base[5]
-    law = Stribeck(*base[REDUCER : REDUCER + 9])
-    friction = np.empty((2, mo.run.shape[0]))
-    for s in (0, 1):
-        friction_along(np.ascontiguousarray(mo.pinion_speed[:, s]), law, friction[s])
-    inertia = n1 * n1 * base[2] + base[3]
-    return np.asarray(
-        n1 * base[0] * base[1] * volts - mo.mean(friction, held=False) - inertia * mo.pinions.T,
-        np.float64,
-    )
-
-
 def pushes(mo: Motion, volts: Floats, model: Model) -> np.ndarray:
     """Windows in which the mesh pushes so firmly that it does not lift in between, (w, 2)."""
-    z = mo.mean(np.sign(mo.run[:, 6:8].T))
-    return np.asarray((z * carried_torques(mo, volts, model) > FIRM).T)
+    base, _, _ = model.arrays()
+    n1 = base[5]
+    friction = mo.mean(frictions(mo, base)[:2], held=False)
+    inertia = n1 * n1 * base[2] + base[3]
+    left = n1 * base[0] * base[1] * volts + friction - inertia * mo.pinions.T
+    return np.asarray((mo.mean(np.sign(mo.run[:, 6:8].T)) * left > FIRM).T)
 
 
 SIDES = ("left", "right")
@@ -194,7 +184,7 @@ def frictions(mo: Motion, base: Floats) -> Floats:
         friction_along(np.ascontiguousarray(mo.pinion_speed[:, s]), reducer, rows[s])
     bearing = Stribeck(*base[BEARING : BEARING + 9])
     friction_along(np.ascontiguousarray(mo.run[:, 1]), bearing, rows[2])
-    return -rows
+    return rows
 
 
 def missing_torques(mo: Motion, volts: Floats, arrays: Arrays, compliance: float) -> Floats:
@@ -210,9 +200,7 @@ def missing_torques(mo: Motion, volts: Floats, arrays: Arrays, compliance: float
     for body, distance in enumerate(distances):
         if distance > 0.0:
             angle = mo.run[:, 0] if body == 2 else mo.run[:, 2 + body] / n1
-            rows[body] *= -1.0
             presliding_along(np.ascontiguousarray(angle), distance, rows[body])
-            rows[body] *= -1.0
     force = mo.mean(rows, held=False)
     shift = np.zeros((2, n)) + n2 * encoder_error(mo, on, values)
     if on.any():
@@ -243,23 +231,21 @@ def carried(mo: Motion, base: Floats, friction: Floats) -> Floats:
     From the voltages, not from the measured acceleration: without motor encoders its noise
     would pass for friction that grows with the load.
     """
-    n2 = base[5 + 1]
+    n2 = base[6]
     j3 = base[5] * base[5] * base[2] + base[3]
     drive = base[5] * base[0] * base[1] * mo.rec.u + friction[:2]
     force = n2 * drive.sum(0) + friction[2]
     rest = drive - j3 * n2 * force / (base[4] + 2.0 * n2 * n2 * j3)
-    odd = max(3, 2 * round(0.5 * CARRIED_SECONDS / mo.rec.dt) + 1)
-    return np.array([smooth(row, odd) for row in rest])
+    return np.array([smooth(row, odd_span(CARRIED_SECONDS, mo.rec.dt)) for row in rest])
 
 
 def seen(mo: Motion, base: Floats, friction: Floats) -> Floats:
     """Torque that each mesh carries [N·m], (2, n), with the motors' measured acceleration."""
     gain, j3 = base[5] * base[0] * base[1], base[5] * base[5] * base[2] + base[3]
-    odd = max(3, 2 * round(0.5 * SEEN_SECONDS / mo.rec.dt) + 1)
     rows = gain * mo.rec.u + friction[:2]
     for s in (0, 1):
         rows[s] -= j3 * second_difference(mo.run[:, 2 + s] / base[5], mo.rec.dt)
-    return np.array([smooth(row, odd) for row in rows])
+    return np.array([smooth(row, odd_span(SEEN_SECONDS, mo.rec.dt)) for row in rows])
 
 
 def loads(on: Any) -> bool:
@@ -284,28 +270,12 @@ def disturbance(mo: Motion, arrays: Arrays, friction: Floats) -> tuple[Floats, F
     return torque.T, moved.T
 
 
-@dataclass(frozen=True, eq=False)
-class Scatter:
-    """How far windows scatter, per equation.
-
-    Attributes
-    ----------
-    sigma : (e,) array [N·m]
-    news : (e,) array
-        Share of the windows that count as independent.
-    """
-
-    sigma: Floats
-    news: Floats
-
-
-def scatter(parts: Sequence[Floats], kinds: Sequence[str]) -> Scatter:
-    """Robust scale of each equation, and the share of independent windows."""
-    sigma = [
-        float(np.hypot(robust_scale(part), floor_of(kind)))
+def scatter(parts: Sequence[Floats], kinds: Sequence[str]) -> list[float]:
+    """How far the windows of each equation scatter [N·m]."""
+    return [
+        float(np.hypot(robust_scale(part), FLOOR[role_of(kind)]))
         for part, kind in zip(parts, kinds, strict=True)
     ]
-    return Scatter(np.array(sigma), np.array([NEWS[role_of(kind)] for kind in kinds]))
 
 
 def robust_scale(e: Floats) -> float:
@@ -315,12 +285,6 @@ def robust_scale(e: Floats) -> float:
         weight = (FREEDOM + 1.0) / (FREEDOM + (e / s) ** 2)
         s = max(float(np.sqrt(np.mean(weight * e**2))), 1e-9)
     return s
-
-
-def surprise(e: Floats, floor: float) -> float:
-    """Twice the mean negative log-likelihood of Student's t, at its most likely scale."""
-    s = float(np.hypot(robust_scale(e), floor))
-    return float(2.0 * np.log(s) + (FREEDOM + 1.0) * np.mean(np.log1p((e / s) ** 2 / FREEDOM)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,7 +297,8 @@ class BalanceFit:
         Twice the negative log-likelihood of the independent windows, plus ‖p/s‖².
     parts : list of arrays
         Missing torque per equation.
-    scatter : Scatter
+    kinds : list of str
+        Of each part.
     jacobian : (m, k) array
         d missing/dp, unweighted.
     covariance : (k, k) array
@@ -344,7 +309,7 @@ class BalanceFit:
     p: Floats
     loss: float
     parts: list[Floats]
-    scatter: Scatter
+    kinds: list[str]
     jacobian: Floats
     covariance: Floats
 
@@ -356,37 +321,34 @@ class BalanceFit:
     @cached_property
     def weights(self) -> Floats:
         """Square roots of what each window counts."""
-        return weights(self.parts, self.scatter)
+        return weights(self.parts, self.kinds)
 
 
-def weights(parts: Sequence[Floats], spread: Scatter) -> Floats:
+def weights(parts: Sequence[Floats], kinds: Sequence[str]) -> Floats:
     """Square roots of what each window counts: its equation's scale, bent, and news."""
     return np.concatenate(
         [
-            np.sqrt(news * (FREEDOM + 1.0) / (FREEDOM + (part / sigma) ** 2)) / sigma
-            for part, sigma, news in zip(parts, spread.sigma, spread.news, strict=True)
+            np.sqrt(NEWS[role_of(kind)] * (FREEDOM + 1.0) / (FREEDOM + (part / sigma) ** 2)) / sigma
+            for part, kind, sigma in zip(parts, kinds, scatter(parts, kinds), strict=True)
         ]
     )
 
 
+def surprise(parts: Sequence[Floats], kinds: Sequence[str]) -> float:
+    """Twice the negative log-likelihood of Student's t, each equation at its own scale."""
+    total = 0.0
+    for part, kind, s in zip(parts, kinds, scatter(parts, kinds), strict=True):
+        tail = (FREEDOM + 1.0) * np.mean(np.log1p((part / s) ** 2 / FREEDOM))
+        total += NEWS[role_of(kind)] * part.size * float(2.0 * np.log(s) + tail)
+    return total
+
+
 def loss(
-    parts: Sequence[Floats],
-    kinds: Sequence[str],
-    news: Floats,
-    unknowns: Sequence[Unknown],
-    p: Sequence[float] | Floats,
+    parts: Sequence[Floats], kinds: Sequence[str], unknowns: Sequence[Unknown], p: Floats
 ) -> float:
-    """Scale-free misfit plus the prior's; comparable under the same `news`."""
-    total = sum(
-        n * part.size * surprise(part, floor_of(kind))
-        for part, n, kind in zip(parts, news, kinds, strict=True)
-    )
-    return float(total) + float(sum((x / k.prior) ** 2 for x, k in zip(p, unknowns, strict=True)))
-
-
-def floor_of(kind: str) -> float:
-    """Scale below which an equation is not judged."""
-    return FLOOR[role_of(kind)]
+    """Scale-free misfit plus the prior's."""
+    prior = sum((x / k.prior) ** 2 for x, k in zip(p, unknowns, strict=True))
+    return surprise(parts, kinds) + float(prior)
 
 
 def role_of(kind: str) -> str:
@@ -424,8 +386,6 @@ def fit_balance(
     unknowns: Sequence[Unknown],
     *,
     jacobian: Floats | None = None,
-    iterations: int = ITERATIONS,
-    news: Floats | None = None,
 ) -> BalanceFit:
     """Fit unknowns by Gauss–Newton with weights that follow the misfit.
 
@@ -433,46 +393,37 @@ def fit_balance(
     ----------
     jacobian : (m, j) array, optional
         Of the first j unknowns, kept as it is (the drive's are nearly constant).
-    news : (e,) array, optional
-        Independent shares to be used in the loss, so that two fits compare.
     """
     unknowns = tuple(unknowns)
     low = np.array([k.low for k in unknowns])
     high = np.array([k.high for k in unknowns])
     p = np.clip(position(model, unknowns), low, high)
     model = place(model, unknowns, p)
-    kinds = [e.kind for e in balance.equations]
+    kinds = balance.kinds
     parts = balance.missing(model)
-    spread = scatter(parts, kinds)
-    shares = spread.news if news is None else news
-    value = loss(parts, kinds, shares, unknowns, p)
+    value = loss(parts, kinds, unknowns, p)
     kept = 0 if jacobian is None else jacobian.shape[1]
     jac = np.empty((sum(map(len, parts)), 0))
-    for k in range(iterations):
-        if news is None:  # the shares follow the misfit as well
-            shares = spread.news
-            value = loss(parts, kinds, shares, unknowns, p)
+    for k in range(ITERATIONS):
         e = np.concatenate(parts)
         if k == 0 or kept < len(unknowns):
             fresh = columns(balance, model, unknowns[kept:], e)
             jac = fresh if jacobian is None else np.hstack([jacobian, fresh])
-        w = weights(parts, Scatter(spread.sigma, shares))
+        w = weights(parts, kinds)
         step = bounded_step(w * e, -w[:, None] * jac, p, unknowns, 0.0)
         gain = 0.0
         for shrink in (1.0, 0.5, 0.2):
             trial = np.clip(p + shrink * step, low, high)
             moved = place(model, unknowns, trial)
             tried = balance.missing(moved)
-            cost = loss(tried, kinds, shares, unknowns, trial)
+            cost = loss(tried, kinds, unknowns, trial)
             if cost < value:
                 gain = value - cost
                 p, model, parts, value = trial, moved, tried, cost
                 break
-        spread = scatter(parts, kinds)
         if gain < STALLED:
             break
-    w = weights(parts, Scatter(spread.sigma, shares))
-    weighted = w[:, None] * jac
+    weighted = weights(parts, kinds)[:, None] * jac
     prior = np.array([1.0 / k.prior**2 + 1e-9 for k in unknowns])
     covariance = np.asarray(np.linalg.inv(weighted.T @ weighted + np.diag(prior)), np.float64)
-    return BalanceFit(model, unknowns, p, value, parts, spread, jac, covariance)
+    return BalanceFit(model, unknowns, p, value, parts, kinds, jac, covariance)

@@ -7,7 +7,7 @@ effects, scaled by their `step`.
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -72,12 +72,11 @@ def drive_unknowns(model: Model) -> tuple[Unknown, ...]:
     return tuple(unknowns)
 
 
-def effect_unknowns(name: str, *, shapes: bool = True) -> tuple[Unknown, ...]:
-    """Return the parameters of an effect; `shapes` includes order, place, time constant."""
+def effect_unknowns(name: str) -> tuple[Unknown, ...]:
+    """Return the parameters of an effect."""
     return tuple(
         Unknown(name, p.name, 0.0, p.step, p.low / p.step, p.high / p.step, np.inf)
         for p in CATALOGUE[name].parameters
-        if shapes or not p.bank
     )
 
 
@@ -105,34 +104,11 @@ def position(model: Model, unknowns: Sequence[Unknown]) -> Floats:
     return np.array([(v - k.centre) / k.scale for v, k in zip(values, unknowns, strict=True)])
 
 
-@dataclass(frozen=True, eq=False)
-class Weights:
-    """Per record, what a residual counts.
-
-    Attributes
-    ----------
-    rows : (channels, blocks) arrays
-        1/σ, zero where the model is not judged.
-    slopes : (channels, blocks) arrays
-        Their product with the slope of the robust bend at the model that was weighed.
-    """
-
-    rows: tuple[Floats, ...]
-    slopes: tuple[Floats, ...]
-
-
 def bend(x: Floats) -> Floats:
     """Bend large weighted residuals (channels, blocks) over, so that no event rules a fit."""
     bent = x / np.hypot(1.0, x / CAP)
     bent[0] = BEND * np.arcsinh(x[0] / BEND)
     return bent
-
-
-def bend_slope(x: Floats) -> Floats:
-    """Derivative of :func:`bend`."""
-    slope = np.hypot(1.0, x / CAP) ** -3
-    slope[0] = 1.0 / np.hypot(1.0, x[0] / BEND)
-    return slope
 
 
 @dataclass(eq=False)
@@ -146,13 +122,14 @@ class Misfit:
         Of the slow lead by the measured angle; 0 is a free run.
     jobs : int
         Threads; the compiled loop does not hold the interpreter lock.
+    weights : tuple of (channels, blocks) arrays, optional
+        1/σ per record, zero where the model is not judged; see :meth:`weigh`.
     """
 
     records: Sequence[Record]
     bandwidth_hz: float = 0.05
     jobs: int = 2
-    weights: Weights | None = None
-    simulations: int = field(default=0)
+    weights: tuple[Floats, ...] | None = None
 
     def runs(self, model: Model) -> list[Floats]:
         """Simulate every record."""
@@ -163,7 +140,6 @@ class Misfit:
         """Return measured minus simulated per record, (channels, blocks)."""
         n1, n2 = model.drive["N_1"], model.drive["N_2"]
         outs = self.runs(model) if runs is None else runs
-        self.simulations += len(self.records) if runs is None else 0
         return [difference(rec, out, n1, n2) for rec, out in zip(self.records, outs, strict=True)]
 
     def unpredictable(self, model: Model, outs: Sequence[Floats]) -> list[Floats]:
@@ -196,10 +172,10 @@ class Misfit:
             for parts in zip(*done, strict=True)
         ]
 
-    def weigh(self, model: Model) -> Weights:
+    def weigh(self, model: Model) -> None:
         """Robust scales and masks from the residual of `model`; kept for what follows."""
         gaps = (model.drive["gap_l"], model.drive["gap_r"])
-        rows, slopes = [], []
+        rows = []
         outs = self.runs(model)
         rattle = self.unpredictable(model, outs)
         for rec, out, diff, chaos in zip(
@@ -213,39 +189,29 @@ class Misfit:
                     for d, k in zip(diff, keep, strict=True)
                 ]
             )
-            row = keep / np.hypot(np.hypot(floor, spread)[:, None], chaos)
-            rows.append(row)
-            slopes.append(row * bend_slope(row * diff))
-        self.weights = Weights(tuple(rows), tuple(slopes))
-        return self.weights
+            rows.append(keep / np.hypot(np.hypot(floor, spread)[:, None], chaos))
+        self.weights = tuple(rows)
 
     def vector(self, model: Model) -> Floats:
-        """Return the weighted residual of all records in one vector."""
+        """Return the weighted residual of all records in one vector.
+
+        Scaled so that the square counts independent news.
+        """
         if self.weights is None:
             self.weigh(model)
-        return self.stacked(self.differences(model), bent=True)
+        assert self.weights is not None
+        return np.concatenate(
+            [
+                (np.sqrt(self.news(rec)) * bend(row * diff)).ravel()
+                for rec, diff, row in zip(
+                    self.records, self.differences(model), self.weights, strict=True
+                )
+            ]
+        )
 
     def news(self, rec: Record) -> float:
         """Share of a block's square that counts as independent."""
         return min(1.0, rec.block * rec.dt / CORRELATION_SECONDS)
-
-    def stacked(self, diffs: Sequence[Floats], *, bent: bool = False) -> Floats:
-        """Weight and stack per-record arrays (channels, blocks) into one vector.
-
-        `bent` for residuals; without it small changes of the residual, to first order.
-        Scaled so that the square counts independent news.
-        """
-        return np.concatenate([part.ravel() for part in self.parts(diffs, bent=bent)])
-
-    def parts(self, diffs: Sequence[Floats], *, bent: bool = False) -> list[Floats]:
-        """Like :meth:`stacked`, one array per record."""
-        assert self.weights is not None
-        table = self.weights.rows if bent else self.weights.slopes
-        parts = []
-        for rec, diff, row in zip(self.records, diffs, table, strict=True):
-            weighted = row * diff
-            parts.append(np.sqrt(self.news(rec)) * (bend(weighted) if bent else weighted))
-        return parts
 
     def columns(
         self, model: Model, unknowns: Sequence[Unknown], r0: Floats, probe: float = PROBES[0]
@@ -279,10 +245,7 @@ class Fit:
     unknowns: tuple[Unknown, ...]
     p: Floats
     cost: float
-    residual: Floats
-    jacobian: Floats
     covariance: Floats
-    start_cost: float
 
     def value(self, effect: str | None, name: str) -> tuple[float, float]:
         """Return value and standard error of one unknown, in its own unit."""
@@ -380,8 +343,6 @@ def fit(
     unknowns: Sequence[Unknown],
     *,
     iterations: int = 4,
-    jacobian: Floats | None = None,
-    reweigh: bool = False,
     tolerance: float = 1e-3,
     known: Known | None = None,
 ) -> Fit:
@@ -389,10 +350,6 @@ def fit(
 
     Parameters
     ----------
-    jacobian : (m, k) array, optional
-        Columns of the first k unknowns at `model`, to be used in the first step.
-    reweigh : bool
-        Renew robust scales and masks at each iterate (base fit); otherwise keep them.
     tolerance : float
         Relative fall of the cost below which an iteration counts as stalled: columns are
         taken anew, and the fit ends when those of each difference step have stalled.
@@ -411,18 +368,10 @@ def fit(
     if misfit.weights is None:
         misfit.weigh(model)
     r = misfit.vector(model)
-    start = cost = float(r @ r) + known.cost(p)
+    cost = float(r @ r) + known.cost(p)
     jac: Floats | None = None
-    if jacobian is not None:
-        k = jacobian.shape[1]
-        jac = np.hstack([jacobian, misfit.columns(model, unknowns[k:], r)])
-    probe, fresh, stalled = 0, jacobian is not None, 0
+    probe, fresh, stalled = 0, False, 0
     for _ in range(iterations):
-        if reweigh:
-            misfit.weigh(model)
-            r = misfit.vector(model)
-            cost = float(r @ r) + known.cost(p)
-            jac = None
         if jac is None:
             jac = misfit.columns(model, unknowns, r, PROBES[probe % len(PROBES)])
             probe, fresh = probe + 1, True
@@ -444,13 +393,4 @@ def fit(
     if jac is None:
         jac = misfit.columns(model, unknowns, r)
     precision = jac.T @ jac + known.precision + 1e-9 * np.eye(p.size)
-    return Fit(
-        model,
-        unknowns,
-        p,
-        cost,
-        r,
-        jac,
-        np.asarray(np.linalg.inv(precision), np.float64),
-        start,
-    )
+    return Fit(model, unknowns, p, cost, np.asarray(np.linalg.inv(precision), np.float64))

@@ -105,6 +105,11 @@ def first_difference(speed: Floats, dt: float) -> Floats:
     return out
 
 
+def odd_span(seconds: float, dt: float) -> int:
+    """Odd number of samples nearest to a span, at least 3."""
+    return max(3, 2 * round(0.5 * seconds / dt) + 1)
+
+
 def smooth(signal: Floats, n: int) -> Floats:
     """Zero-phase mean by a Hann window of odd length."""
     return np.convolve(np.pad(signal, n // 2, mode="edge"), hann(n), "valid")
@@ -162,7 +167,7 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
     d, dt, n = model.drive, rec.dt, rec.theta.size
     n1, n2 = d["N_1"], d["N_2"]
     m = 2 * max(3, round(0.5 * WINDOW_SECONDS / dt))
-    odd = max(3, 2 * round(0.5 * SMOOTH_SECONDS / dt) + 1)
+    odd = odd_span(SMOOTH_SECONDS, dt)
     window = hann(m)
     starts = np.arange(1, n - m - 1, m // 2)  # half overlapping, see `Motion.mean`
     view = sliding_window_view

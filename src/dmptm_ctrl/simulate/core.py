@@ -41,7 +41,6 @@ from dmptm_ctrl.simulate.sites import (  # chains
 )
 
 UNKNOWN = 2.0  # region of a mesh before the first step
-RESPONSE_STEPS = 4  # steps per sample of the linear response; 0.25 ms resolves 231 Hz
 MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the step and rigid
 
 
@@ -398,49 +397,3 @@ def along(u, run, dt, base, on, values, torque, shift):
         torque[i, 2] = load_torque(theta, omega, t, on, values) - direction * (
             (scale - 1.0) * slide + added
         )
-
-
-@njit
-def respond(torque, shift, run, dt, base, out):
-    """Linear response of the readings to a small disturbance along a recorded run.
-
-    The bodies, and the mesh as a spring and damper while the recorded run rests on a flank;
-    nothing moves while the ring gear rests. Free of the rattle of a second simulation.
-    `out` (n, 3): speed, twist left, twist right.
-    """
-    j_3 = base[5] * base[5] * base[2] + base[3]
-    j_l, n2, k, c = base[4], base[6], base[8], base[11]
-    drag_3 = 0.5 * (base[18] + base[22])
-    drag_l = 0.5 * (base[27] + base[31])
-    h = dt / RESPONSE_STEPS
-    q0, q1, q2, v0, v1, v2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(torque.shape[0]):
-        closed0 = abs(run[i, 6]) > base[13]
-        closed1 = abs(run[i, 7]) > base[14]
-        if not closed0:
-            q0, v0 = n2 * q2, n2 * v2
-        if not closed1:
-            q1, v1 = n2 * q2, n2 * v2
-        if run[i, 1] == 0.0:
-            v0, v1, v2 = 0.0, 0.0, 0.0
-        out[i, 0] = v2
-        out[i, 1] = q0 - n2 * q2
-        out[i, 2] = q1 - n2 * q2
-        if run[i, 1] == 0.0:
-            continue
-        for _ in range(RESPONSE_STEPS):
-            mesh0, mesh1 = 0.0, 0.0
-            if closed0:
-                mesh0 = k * (q0 - n2 * q2 + shift[i, 0]) + c * (v0 - n2 * v2)
-                v0 += h / j_3 * (torque[i, 0] - mesh0 - drag_3 * v0)
-                q0 += h * v0
-            if closed1:
-                mesh1 = k * (q1 - n2 * q2 + shift[i, 1]) + c * (v1 - n2 * v2)
-                v1 += h / j_3 * (torque[i, 1] - mesh1 - drag_3 * v1)
-                q1 += h * v1
-            v2 += h / j_l * (torque[i, 2] + n2 * (mesh0 + mesh1) - drag_l * v2)
-            q2 += h * v2
-            if not closed0:
-                q0, v0 = n2 * q2, n2 * v2
-            if not closed1:
-                q1, v1 = n2 * q2, n2 * v2

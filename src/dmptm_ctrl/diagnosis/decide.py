@@ -22,6 +22,7 @@ SECOND = 90.0  # of a second one, beside the first
 SECOND_SHARE = 0.02
 MAX_EFFECTS = 2
 SLACK = 10.0  # by which an effect may miss on the held-out logs, which need not show it
+HOPE = 0.2  # share of the first effect's evidence from which it may lose its place to another
 RIVAL = 0.4  # share of the winner's evidence from which a candidate is named with it
 
 
@@ -120,7 +121,8 @@ def reconsider(decision: Decision, skip: Sequence[str], jobs: int) -> None:
     model = Model(drive, {**decision.before.base.model.effects, second.name: values})
     unknowns = (*drive_unknowns(model), *unknowns_of(second.name))
     alone = residual(measured, model, unknowns=unknowns, jobs=jobs)
-    trials = trace(alone, skip)
+    hopeful = [t.name for t in decision.trials.values() if t.evidence > HOPE * first.evidence]
+    trials = trace(alone, skip, hopeful)
     winner = winner_of(trials, first.threshold)
     own = decision.trials[second.name]
     second = Found(second.name, second.evidence, second.threshold, own, second.rivals)

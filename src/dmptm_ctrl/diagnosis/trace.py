@@ -13,7 +13,7 @@ import numpy as np
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.balance import Balance, BalanceFit, fit_balance
+from dmptm_ctrl.identify.balance import Balance, BalanceFit, columns, fit_balance
 from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
 from dmptm_ctrl.simulate.model import Floats
 
@@ -262,12 +262,14 @@ def tried(trace: Trace, name: str, done: BalanceFit) -> Trial:
 
 def settled(trace: Trace, trial: Trial) -> Trial:
     """Fit a trial to the end, with the drive's columns taken where it is."""
-    again = fit_balance(trace.balance, trial.fit.model, trial.fit.unknowns)
+    own = trace.base.unknowns
+    there = columns(trace.balance, trial.fit.model, own, trial.fit.missing)
+    again = fit_balance(trace.balance, trial.fit.model, trial.fit.unknowns, jacobian=there)
     return tried(trace, trial.name, again) if again.loss < trial.fit.loss else trial
 
 
 def candidates(trace: Trace, skip: Iterable[str]) -> list[str]:
-    """Effects that the balances can show."""
+    """Effects that the balances can show; `skip` are left out."""
     twisted = any(mo.rec.twist is not None for mo in trace.balance.motions)
     out = {*skip, *trace.base.model.effects, *BY_SENSORS}
     if not twisted:
@@ -275,10 +277,14 @@ def candidates(trace: Trace, skip: Iterable[str]) -> list[str]:
     return [name for name in CATALOGUE if name not in out]
 
 
-def trace(left: Residual, skip: Iterable[str] = ()) -> list[Trial]:
-    """Fit every testable effect beside the model of `left`; most evidence first."""
+def trace(
+    left: Residual, skip: Iterable[str] = (), only: Sequence[str] | None = None
+) -> list[Trial]:
+    """Fit testable effects, all or some, beside the model of `left`; most evidence first."""
     trace = Trace(left)
     names = candidates(trace, skip)
+    if only is not None:
+        names = [name for name in names if name in only]
     with ThreadPoolExecutor(trace.balance.jobs) as pool:
         done = list(pool.map(lambda name: try_effect(trace, name), names))
     done.sort(key=lambda t: -t.evidence)

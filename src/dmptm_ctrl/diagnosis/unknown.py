@@ -15,17 +15,9 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.identify.balance import (
-    STIFFNESS,
-    Balance,
-    carried,
-    columns,
-    frictions,
-    loss,
-    scatter,
-    surprise,
-)
+from dmptm_ctrl.identify.balance import Balance, columns, loss, scatter, surprise
 from dmptm_ctrl.identify.motion import Motion, first_difference, smooth
+from dmptm_ctrl.identify.windows import STIFFNESS, carried, frictions
 from dmptm_ctrl.simulate.model import Floats
 
 RING_RATIO = 8.25  # N2, Table 1
@@ -91,7 +83,7 @@ def slew(mo: Motion) -> Floats:
 def load_of(mo: Motion) -> Floats:
     """Mesh torque of each chain [N·m], (2, n), of the model that the motion was prepared with."""
     base, _, _ = mo.declared.arrays()
-    return carried(mo, base, frictions(mo, base))
+    return carried(mo, base, list(frictions(mo, base)))
 
 
 def hats(x: Floats, knots: NDArray[np.floating[Any]]) -> Floats:

@@ -14,27 +14,15 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from math import exp
-from typing import Any
 
 import numpy as np
-from numba import njit
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
-from dmptm_ctrl.identify.motion import Motion, odd_span, readings, second_difference, smooth
-from dmptm_ctrl.simulate.compose import engine, layout
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
+from dmptm_ctrl.identify.motion import Motion
+from dmptm_ctrl.identify.windows import Windowed, frictions
+from dmptm_ctrl.simulate.model import Floats, Model
 
-REDUCER, BEARING = BASE.index("T3s_plus"), BASE.index("TLs_plus")  # in the base array
-INERTIA = (
-    36.5  # kg·m², Table 1: of all bodies at the ring gear; expresses an acceleration as a torque
-)
-STIFFNESS = 3.6e4  # N·m/rad, Table 1: expresses a twist as a torque, whatever k_m is fitted
-SEEN_SECONDS = 0.01  # passes what the multisine excites, keeps the encoders' noise small
-CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed
-ENCODER_UNIT = 1e-4  # rad, at which the encoder's error is read off its kernel
 FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a window
 MIN_WINDOWS = 8  # of a log and equation; fewer tell nothing about their own scatter
 FREEDOM = 4.0  # of Student's t: how a window may scatter, bursts and rattle included
@@ -47,27 +35,6 @@ STALLED = 0.5  # fall of the loss that ends the iterations
 # Share of the windows that are independent: they overlap by half, and the wobble of a pinion
 # on its flank lasts for several. Not read off the misfit, which a missing effect correlates.
 NEWS = {"total": 0.6, "chain": 0.25}
-
-
-@njit(nogil=True)
-def friction_along(speed: Floats, law: Stribeck, out: Floats) -> None:
-    """Sliding friction along a recorded speed, negative when forward."""
-    for i in range(speed.size):
-        direction = 1.0 if speed[i] > 0.0 else -1.0
-        out[i] = -direction * sliding_torque(speed[i], direction, law)
-
-
-@njit(nogil=True)
-def presliding_along(angle: Floats, distance: float, out: Floats) -> None:
-    """Turn sliding friction into that of Dahl's equation along an angle, exact for its steps."""
-    force = 0.0
-    for i in range(1, angle.size):
-        moved = angle[i] - angle[i - 1]
-        if moved != 0.0:
-            # where the speed has the other sign, there is nothing to slide against yet
-            goal = out[i] if out[i] * moved < 0.0 else 0.0
-            force = goal + (force - goal) * exp(-abs(moved) / distance)
-        out[i] = force
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +70,7 @@ class Balance:
         for i, mo in enumerate(self.motions):
             kinds = [("total", mo.slides)]
             if mo.rec.twist is not None:
-                firm = pushes(mo, self.volts[i], self.declared)
+                firm = pushes(self.windowed[i], self.declared)
                 kinds += [
                     (k, mo.slides & mo.touches[:, s] & firm[:, s]) for s, k in enumerate(SIDES)
                 ]
@@ -111,9 +78,9 @@ class Balance:
         return tuple(found)
 
     @cached_property
-    def volts(self) -> list[Floats]:
-        """Window means of both voltages per motion."""
-        return [mo.mean(mo.rec.u) for mo in self.motions]
+    def windowed(self) -> list[Windowed]:
+        """What each motion gives the balances."""
+        return [Windowed(mo) for mo in self.motions]
 
     @property
     def simulated(self) -> bool:
@@ -129,20 +96,17 @@ class Balance:
         """Missing torque per equation, on the windows that count."""
         arrays = model.arrays()
         reduced = reducer_compliance(model)
-        tables = [
-            missing_torques(mo, volts, arrays, reduced)
-            for mo, volts in zip(self.motions, self.volts, strict=True)
-        ]
+        tables = [windowed.missing(arrays, reduced) for windowed in self.windowed]
         return [tables[e.motion][ROWS[e.kind]][e.used] for e in self.equations]
 
 
-def pushes(mo: Motion, volts: Floats, model: Model) -> np.ndarray:
+def pushes(windowed: Windowed, model: Model) -> np.ndarray:
     """Windows in which the mesh pushes so firmly that it does not lift in between, (w, 2)."""
     base, _, _ = model.arrays()
-    n1 = base[5]
+    n1, mo = base[5], windowed.motion
     friction = mo.mean(frictions(mo, base)[:2], held=False)
     inertia = n1 * n1 * base[2] + base[3]
-    left = n1 * base[0] * base[1] * volts + friction - inertia * mo.pinions.T
+    left = n1 * base[0] * base[1] * windowed.volts + friction - inertia * mo.pinions.T
     return np.asarray((mo.mean(np.sign(mo.run[:, 6:8].T)) * left > FIRM).T)
 
 
@@ -153,121 +117,6 @@ ROWS = {"total": 0, "left": 1, "right": 2}
 def reducer_compliance(model: Model) -> float:
     """Compliance of the reducers at the pinion [rad/(N·m)], 0 if rigid."""
     return float(model.effects.get("reducer_compliance", {}).get("compliance", 0.0))
-
-
-def encoder_error(mo: Motion, on: Any, values: Floats) -> Floats:
-    """Error of the ring encoder [rad], (n,), beyond what was taken off the readings."""
-    _, on_before, before = mo.declared.arrays()
-    index, first = layout()["encoder_eccentricity"]
-    now = values[first : first + 2] * on[index]
-    then = before[first : first + 2] * on_before[index]
-    if np.array_equal(now, then):
-        return np.zeros(1)
-    waves = []
-    for k in (0, 1):
-        unit = np.zeros_like(values)
-        unit[first + k] = ENCODER_UNIT
-        flags = np.zeros_like(on)
-        flags[index] = 1
-        read, speed = np.empty(mo.run.shape[0]), np.empty(mo.run.shape[0])
-        sensor = engine().sensor_reading
-        readings(sensor, mo.run[:, 0], mo.run[:, 1], mo.rec.dt, flags, unit, read, speed)
-        waves.append((read - mo.run[:, 0]) / ENCODER_UNIT)
-    return np.asarray((now - then) @ np.array(waves))
-
-
-def frictions(mo: Motion, base: Floats) -> Floats:
-    """Friction on pinions and ring gear along a motion, (3, n) [N·m], negative when forward."""
-    rows = np.empty((3, mo.run.shape[0]))
-    reducer = Stribeck(*base[REDUCER : REDUCER + 9])
-    for s in (0, 1):
-        friction_along(np.ascontiguousarray(mo.pinion_speed[:, s]), reducer, rows[s])
-    bearing = Stribeck(*base[BEARING : BEARING + 9])
-    friction_along(np.ascontiguousarray(mo.run[:, 1]), bearing, rows[2])
-    return rows
-
-
-def missing_torques(mo: Motion, volts: Floats, arrays: Arrays, compliance: float) -> Floats:
-    """All balances on all windows of a motion, (3, w) [N·m]."""
-    base, on, values = arrays
-    n1, n2 = base[5], base[6]
-    gain = base[0] * base[1]
-    j3, jl = n1 * n1 * base[2] + base[3], base[4]
-    twisted = mo.rec.twist is not None
-    n = mo.run.shape[0]
-    rows = frictions(mo, base)
-    distances = [engine().presliding_distance(body, on, values) for body in range(3)]
-    for body, distance in enumerate(distances):
-        if distance > 0.0:
-            angle = mo.run[:, 0] if body == 2 else mo.run[:, 2 + body] / n1
-            presliding_along(np.ascontiguousarray(angle), distance, rows[body])
-    force = mo.mean(rows, held=False)
-    shift = np.zeros((2, n)) + n2 * encoder_error(mo, on, values)
-    if on.any():
-        torque, moved = disturbance(mo, arrays, rows)
-        force += mo.mean(torque)
-        shift += moved
-    force[:2] += n1 * gain * volts
-    out = np.empty((3, mo.starts.size))
-    # As an acceleration: the sensors' noise is one, and must not favour a small inertia.
-    out[0] = jl * mo.ring + n2 * j3 * mo.pinions.sum(1) - n2 * force[:2].sum(0) - force[2]
-    out[0] *= INERTIA / (jl + 2.0 * n2 * n2 * j3)
-    if twisted:
-        for s in (0, 1):
-            z = mo.run[:, 6 + s] + shift[s]
-            rate = mo.pinion_speed[:, s] - n2 * mo.run[:, 1]
-            flank = np.where(mo.run[:, 6 + s] > 0.0, base[13 + s], -base[13 + s])
-            twist = mo.mean(z - flank + base[11] / base[8] * rate, held=False)
-            carried = force[s] - j3 * mo.pinions[:, s]
-            # In the twist, not in the torque: the twist's noise must not bias the stiffness.
-            # A soft reducer adds its own, for z is seen at the motor.
-            out[1 + s] = STIFFNESS * (twist - (1.0 / base[8] + compliance) * carried)
-    return out
-
-
-def carried(mo: Motion, base: Floats, friction: Floats) -> Floats:
-    """Torque that each mesh carries [N·m], (2, n), by what drives and brakes; smoothed.
-
-    From the voltages, not from the measured acceleration: without motor encoders its noise
-    would pass for friction that grows with the load.
-    """
-    n2 = base[6]
-    j3 = base[5] * base[5] * base[2] + base[3]
-    drive = base[5] * base[0] * base[1] * mo.rec.u + friction[:2]
-    force = n2 * drive.sum(0) + friction[2]
-    rest = drive - j3 * n2 * force / (base[4] + 2.0 * n2 * n2 * j3)
-    return np.array([smooth(row, odd_span(CARRIED_SECONDS, mo.rec.dt)) for row in rest])
-
-
-def seen(mo: Motion, base: Floats, friction: Floats) -> Floats:
-    """Torque that each mesh carries [N·m], (2, n), with the motors' measured acceleration."""
-    gain, j3 = base[5] * base[0] * base[1], base[5] * base[5] * base[2] + base[3]
-    rows = gain * mo.rec.u + friction[:2]
-    for s in (0, 1):
-        rows[s] -= j3 * second_difference(mo.run[:, 2 + s] / base[5], mo.rec.dt)
-    return np.array([smooth(row, odd_span(SEEN_SECONDS, mo.rec.dt)) for row in rows])
-
-
-def loads(on: Any) -> bool:
-    """Whether an effect in use depends on the torque of the meshes."""
-    return any(
-        on[layout()[name][0]] and e.site == "friction" and "mesh_torque" in e.depends_on
-        for name, e in CATALOGUE.items()
-    )
-
-
-def disturbance(mo: Motion, arrays: Arrays, friction: Floats) -> tuple[Floats, Floats]:
-    """Torques (3, n) on pinions and ring gear, and shifts (2, n) of z, of a model's effects."""
-    base, on, values = arrays
-    n = mo.run.shape[0]
-    torque, moved = np.empty((n, 3)), np.empty((n, 2))
-    run = mo.run.copy()  # with the mesh torques, for friction that grows with them
-    run[:, 4:6] = (carried if mo.rec.twist is None else seen)(mo, base, friction).T
-    for _ in range(2 if loads(on) else 1):
-        engine().along(mo.rec.u, run, mo.rec.dt, base, on, values, torque, moved)
-        # The mesh carries what friction leaves, which depends on what it carries.
-        run[:, 4:6] += torque[:, :2]
-    return torque.T, moved.T
 
 
 def scatter(parts: Sequence[Floats], kinds: Sequence[str]) -> list[float]:

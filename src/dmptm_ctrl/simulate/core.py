@@ -365,6 +365,7 @@ def along(u, run, dt, base, on, values, torque, shift):
     dead_time = voltage_delay(on, values) / dt
     lagging = lag_relaxation(0.0, 0, on, values)[1] > 0.0
     lagged = np.zeros(2)
+    has_drive, has_motor, has_mesh, has_friction, has_load, _ = active_sites(on)
     for i in range(n):
         t = (i + 0.5) * dt
         theta, omega = run[i, 0], run[i, 1]
@@ -373,27 +374,37 @@ def along(u, run, dt, base, on, values, torque, shift):
             v = u[side, i]
             if dead_time > 0.0:
                 v = held_average(u[side], i + 1, i - dead_time, i + 1 - dead_time)
-            v = drive_voltage(v, t, side, on, values)
+            if has_drive:
+                v = drive_voltage(v, t, side, on, values)
             if lagging:
                 aim, tau = lag_relaxation(v, side, on, values)
                 kept = (lagged[side] - aim) * exp(-dt / tau)
                 v = aim + (lagged[side] - aim - kept) * tau / dt
                 lagged[side] = aim + kept
             theta_m = run[i, 2 + side]
-            moved = motor_torque(theta_m, n1 * n2 * omega, t, side, on, values)
-            scale, added = friction_level(
-                theta_m / n1, n2 * omega, t, run[i, 4 + side], side, on, values
-            )
-            slide = sliding_torque(n2 * omega, direction, reducer)
-            torque[i, side] = n1 * (gain * (v - u[side, i]) + moved) - direction * (
-                (scale - 1.0) * slide + added
-            )
-            dz, _, dgap, _ = mesh_shift(theta_m / n1, n2 * omega, theta, omega, side, on, values)
-            # on a flank, a wider gap is a shift of z away from it
-            shift[i, side] = dz - (dgap if run[i, 6 + side] > 0.0 else -dgap)
-        carried = abs(run[i, 4]) + abs(run[i, 5])
-        scale, added = friction_level(theta, omega, t, carried, 2, on, values)
-        slide = sliding_torque(omega, direction, bearing)
-        torque[i, 2] = load_torque(theta, omega, t, on, values) - direction * (
-            (scale - 1.0) * slide + added
-        )
+            pull = gain * (v - u[side, i])
+            if has_motor:
+                pull += motor_torque(theta_m, n1 * n2 * omega, t, side, on, values)
+            brake = 0.0
+            if has_friction:
+                scale, brake = friction_level(
+                    theta_m / n1, n2 * omega, t, run[i, 4 + side], side, on, values
+                )
+                if scale != 1.0:
+                    brake += (scale - 1.0) * sliding_torque(n2 * omega, direction, reducer)
+            torque[i, side] = n1 * pull - direction * brake
+            shift[i, side] = 0.0
+            if has_mesh:
+                p = theta_m / n1
+                dz, _, dgap, _ = mesh_shift(p, n2 * omega, theta, omega, side, on, values)
+                # on a flank, a wider gap is a shift of z away from it
+                shift[i, side] = dz - (dgap if run[i, 6 + side] > 0.0 else -dgap)
+        brake = 0.0
+        if has_friction:
+            carried = abs(run[i, 4]) + abs(run[i, 5])
+            scale, brake = friction_level(theta, omega, t, carried, 2, on, values)
+            if scale != 1.0:
+                brake += (scale - 1.0) * sliding_torque(omega, direction, bearing)
+        torque[i, 2] = -direction * brake
+        if has_load:
+            torque[i, 2] += load_torque(theta, omega, t, on, values)

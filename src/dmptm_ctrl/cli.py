@@ -80,6 +80,30 @@ def predict(
 
 
 @app.command()
+def tune(
+    model: Annotated[Path, typer.Argument(help="model.toml, as diagnose writes it.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("tuning"),
+    uncertainty: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of the declared ranges still open.")
+    ] = 0.25,
+    plants: Annotated[int, typer.Option(min=16, help="Plants drawn to judge it.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Of the draws.")] = 0,
+    jobs: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No summary.")] = False,
+) -> None:
+    """Design a speed controller on a model and its uncertainty."""
+    import matplotlib
+
+    from dmptm_ctrl.design.run import tune_file
+
+    matplotlib.use("Agg")  # no windows
+    tuned = tune_file(model, out, uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs)
+    if not quiet:
+        print(tuned.summary())
+        print(f"\nwritten to {out}: controller.toml, tuning.json, tuning.png")
+
+
+@app.command()
 def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for page, figures, tables.")] = Path(
         "reproduction"

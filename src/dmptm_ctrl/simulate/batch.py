@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, Loop, rest
 from dmptm_ctrl.simulate.compose import NARROW, WIDE, engine
+from dmptm_ctrl.simulate.law import NO_LAWS, Law
 from dmptm_ctrl.simulate.model import Arrays, Floats, Model
 
 BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
@@ -54,6 +55,7 @@ class Task(NamedTuple):
     columns: NDArray[np.int64]
     every: int
     statistics: bool
+    design: Arrays | None = None  # of the controllers' model
 
 
 def _lanes(
@@ -69,6 +71,9 @@ def _lanes(
     count = len(arrays)
     s = np.zeros(loop.VALUES + arrays[0][2].size * lanes)
     on = np.zeros_like(arrays[0][1])
+    laws = NO_LAWS
+    if task.design is not None:
+        laws = np.ascontiguousarray(loops[np.minimum(np.arange(lanes), count - 1)])
     for lane in range(lanes):
         k = min(lane, count - 1)
         base, own, values = arrays[k]
@@ -86,7 +91,8 @@ def _lanes(
     stats = np.zeros((4, loop.COLUMNS, lanes) if task.statistics else (0, 0, 0))
     stats[:1], stats[1:2] = np.inf, -np.inf
     loop.march_lanes(
-        *(task.inputs, task.target, task.measured, pick, task.observer, task.extra),
+        *(task.inputs, task.target, task.measured, pick),
+        *(laws, task.design or arrays[0], task.observer, task.extra),
         *(task.dt, task.substeps, on, s, task.columns, task.every, out, stats),
     )
     return out[:count], stats[:, :, :count]
@@ -175,7 +181,7 @@ def simulate_batch(
     inputs: ArrayLike,
     initial_state: ArrayLike | None = None,
     *,
-    loop: Loop | Sequence[Loop] | None = None,
+    loop: Loop | Law | Sequence[Loop] | Sequence[Law] | None = None,
     noise: ArrayLike | None = None,
     outputs: Sequence[str] = (),
     every: int = 1,
@@ -193,8 +199,8 @@ def simulate_batch(
         Left and right motor voltage; with `loop` the reference, (n,) or (batch, n) [rad/s].
     initial_state : (6,) or (batch, 6) array, optional
         As for :func:`~dmptm_ctrl.simulate.simulate`.
-    loop : Loop or sequence of Loop, optional
-        One for all, or one for each.
+    loop : Loop, Law or sequence of either, optional
+        One for all, or one for each; Laws of one design model.
     noise : (n,) or (batch, n) array [rad/s], optional
         Added to the speed that the loop sees.
     outputs : sequence of str
@@ -229,6 +235,7 @@ def simulate_batch(
     for name in outputs:
         if name not in BATCH_OUTPUTS:
             raise ValueError(f"no output {name!r}; there are {', '.join(BATCH_OUTPUTS)}")
+    design = None
     if loop is None:
         drive = _rows("inputs", inputs, count, (2, n))
         target, measured, loops = _NO_ROWS, _NO_ROWS, np.tile(_OPEN, (count, 1))
@@ -236,10 +243,10 @@ def simulate_batch(
         drive = np.zeros((0, 2, n))
         target = _rows("inputs", inputs, count, (n,))
         measured = _rows("noise", np.zeros(n) if noise is None else noise, count, (n,))
-        each = [loop] * count if isinstance(loop, Loop) else list(loop)
+        each: list[Loop | Law] = [loop] * count if isinstance(loop, Loop | Law) else list(loop)
         if len(each) != count:
             raise ValueError(f"loop has {len(each)} entries for {count} models")
-        loops = np.array(each, float)
+        loops, design = _loops(each)
     if initial_state is None:
         starts = np.array([rest(model, 0.0) for model in models])
     else:
@@ -256,6 +263,7 @@ def simulate_batch(
         columns=np.array([BATCH_OUTPUTS.index(name) for name in outputs], np.int64),
         every=every,
         statistics=True,
+        design=design,
     )
     arrays = [model.arrays() for model in models]
     kept, (least, greatest, total, squares) = _all(task, arrays, starts, loops, jobs)
@@ -268,6 +276,18 @@ def simulate_batch(
         total.T / n,
         np.sqrt(squares.T / n),
     )
+
+
+def _loops(each: Sequence[Loop | Law]) -> tuple[Floats, Arrays | None]:
+    """Numbers of each loop, and the arrays of the model that all controllers share."""
+    laws = [loop for loop in each if isinstance(loop, Law)]
+    if not laws:
+        return np.array(each, float), None
+    if len(laws) < len(each):
+        raise ValueError("loop mixes Loop and Law; give one kind")
+    if any(law.model is not laws[0].model for law in laws):
+        raise ValueError("loop holds Laws of different design models; run one batch for each")
+    return np.array([law.numbers() for law in laws]), laws[0].model.arrays()
 
 
 def _rows(name: str, values: ArrayLike, count: int, shape: tuple[int, ...]) -> Floats:

@@ -1,13 +1,16 @@
 """The compiled simulator: the plant sampled at the log's rate, voltage held between samples."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.simulate.compose import engine
 from dmptm_ctrl.simulate.model import Floats, Model
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.simulate.law import Law
 
 OUTPUTS = (
     *("theta_L", "omega_L", "theta_ml", "theta_mr"),
@@ -81,6 +84,7 @@ def march(
     engine().march(
         np.ascontiguousarray(u),
         _OPEN,
+        arrays,  # of no controller's model
         np.empty(0),
         np.array(observer or (0.0, 0.0)),
         np.empty(0) if measured is None else measured,
@@ -104,7 +108,7 @@ def observer_gains(bandwidth_hz: float, dt: float) -> tuple[float, float]:
 
 def close_loop(
     model: Model,
-    loop: Loop,
+    loop: "Loop | Law",
     reference: ArrayLike,
     dt: float,
     *,
@@ -112,10 +116,12 @@ def close_loop(
     noise: ArrayLike | None = None,
     substeps: int = SUBSTEPS,
 ) -> tuple[Floats, Floats]:
-    """Run the plant under the sampled PI loop.
+    """Run the plant under a sampled speed loop.
 
     Parameters
     ----------
+    loop : Loop or Law
+        Plain PI, or with sections, feed-forward and compensation from its own model.
     reference : (n,) array [rad/s]
     noise : (n,) array [rad/s], optional
         Added to the speed reading that the controller sees.
@@ -130,10 +136,11 @@ def close_loop(
     seen = np.zeros_like(target) if noise is None else np.ascontiguousarray(noise, float)
     u = np.zeros((2, target.size))
     out = np.empty((target.size, len(OUTPUTS)))
-    base, on, values = model.arrays()
+    base, on, values = arrays = model.arrays()
     engine().march(
         u,
-        np.array([*loop, 1.0]),
+        np.array([*loop, 1.0]) if isinstance(loop, Loop) else loop.numbers(),
+        arrays if isinstance(loop, Loop) else loop.model.arrays(),
         target,
         np.zeros(2),
         seen,

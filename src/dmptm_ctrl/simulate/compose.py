@@ -192,7 +192,8 @@ def source() -> str:
     cut = lanes.index("\n@njit\n")  # behind the constants that the chains need
     text = "".join(
         [
-            f"{_HEAD}{own}\n{names}\n\n\n{chains}\n\n\n{_body('core.py')}\n\n",
+            f"{_HEAD}{own}\n{names}\n\n\n{chains}\n\n\n",
+            f"{_body('control_core.py')}\n\n{_body('core.py')}\n\n",
             f"{lanes[:cut]}\n{lane_chains}\n\n{lanes[cut:]}",
         ]
     )

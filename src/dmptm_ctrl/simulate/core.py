@@ -25,6 +25,7 @@ from dmptm_ctrl.effects.backlash import (
     region_torque,
 )
 from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque
+from dmptm_ctrl.simulate.control_core import L_CLOSED, M_LEFT, M_RIGHT, MEMORY, command
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
     drive_voltage,
@@ -114,11 +115,14 @@ def mesh_step(z, z_rate, law, before, h):
 
 
 @njit
-def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on, values, out):
+def march(
+    u, loop, design, target, observer, measured, extra, x0, dt, substeps, base, on, values, out
+):
     """Run the plant over all samples; see `compiled.march` for the meaning.
 
     u (2, n) is read, or written when the loop is closed; `loop` (kp, ki, limit, bias_l,
-    bias_r, closed); `observer` (angle gain, speed gain); `measured` (n,) is the angle that
+    bias_r, closed) and, where closed is 2, what else `control_core` takes, with the arrays of
+    its model in `design`; `observer` (angle gain, speed gain); `measured` (n,) is the angle that
     the observer follows, or the speed noise of the closed loop; `extra` (n, 3) or (0, 3)
     torques on the pinions and the ring gear; `base` in the order of `compiled.BASE`;
     `out` (n, 8).
@@ -167,6 +171,7 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
     late = lag_time > 0.0
     history = np.full(int(lag_time) + 2, v2)
     left, right = u[0], u[1]
+    memory = np.zeros(MEMORY)
     step = 0
     lead = 0.0
     for i in range(n):
@@ -199,7 +204,11 @@ def march(u, loop, target, observer, measured, extra, x0, dt, substeps, base, on
             Backlash(stiff, c, c_f, max(gap[1] + dgap, 0.0)),
         )
         out[i, 6], out[i, 7] = q0 - n2 * q2, q1 - n2 * q2
-        if loop[5] > 0.0:
+        if loop[L_CLOSED] > 1.0:
+            seen = speed + measured[i]
+            command(target[i], angle, seen, n1 * m0, n1 * m1, t, dt, loop, memory, design)
+            left[i], right[i] = memory[M_LEFT], memory[M_RIGHT]
+        elif loop[L_CLOSED] > 0.0:
             error = target[i] - (speed + measured[i])
             integral += error * dt
             common = loop[0] * error + loop[1] * integral

@@ -14,6 +14,12 @@ from numba import njit
 
 from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
 from dmptm_ctrl.effects.stribeck import Stribeck
+from dmptm_ctrl.simulate.control_core import (
+    M_LEFT,
+    M_RIGHT,
+    MEMORY,
+    command,
+)
 from dmptm_ctrl.simulate.core import (
     MIN_COMPLIANCE,
     UNKNOWN,
@@ -523,14 +529,17 @@ def summarise(s, width, stats):
 
 @njit
 def march_lanes(
-    u, target, measured, pick, observer, extra, dt, substeps, on, s, columns, every, out, stats
-):
+    u, target, measured, pick, laws, design, observer, extra, dt, substeps, on, s, columns, every,
+    out, stats
+):  # fmt: skip
     """Run LANES drives over all samples.
 
     u (k, 2, n), or (0, 2, n) under the loop; target (k, n) or (0, 0); measured (k, n) or (0, 0);
-    pick (3, LANES) the rows of these that each lane takes; observer (angle gain, speed
-    gain); extra (n, 3) or (0, 3); on (effects,), where any lane has it; s as from `fill`;
-    out (LANES, columns.size, samples kept), every `every`-th sample; stats (4, COLUMNS, LANES).
+    pick (3, LANES) the rows of these that each lane takes; laws (LANES, SIZE) or (0, 0) the
+    controllers of `control_core` with the arrays of their model in design; observer (angle
+    gain, speed gain); extra (n, 3) or (0, 3); on (effects,), where any lane has it; s as from
+    `fill`; out (LANES, columns.size, samples kept), every `every`-th sample; stats
+    (4, COLUMNS, LANES).
     """
     n = u.shape[2]
     h = dt / substeps
@@ -554,6 +563,7 @@ def march_lanes(
     for lane in range(width):
         history[:, lane] = s[V2 + lane]
     held = np.empty((2, LANES))
+    memory = np.zeros((LANES, MEMORY))
     step = 0
     kept = 0
     for i in range(n):
@@ -574,7 +584,16 @@ def march_lanes(
             alter_meshes(s, width, Q0, varying)
         twist(s, width, Q0, V0)
         read_meshes(s, width)
-        if closed:
+        if laws.shape[0] > 0:
+            for lane in range(width):
+                speed = s[OUT + LANES + lane] + measured[pick[2, lane], i]
+                command(
+                    *(target[pick[1, lane], i], s[OUT + lane], speed),
+                    *(s[OUT + 2 * LANES + lane], s[OUT + 3 * LANES + lane]),
+                    *(t, dt, laws[lane], memory[lane], design),
+                )
+                s[U0 + lane], s[U1 + lane] = memory[lane, M_LEFT], memory[lane, M_RIGHT]
+        elif closed:
             for lane in range(width):
                 seen = s[OUT + LANES + lane] + measured[pick[2, lane], i]
                 s[R0 + lane] = target[pick[1, lane], i] - seen

@@ -1,0 +1,58 @@
+"""Second-order sections of a controller: notch and lead, continuous and sampled."""
+
+from math import pi, tan
+
+import control as ct
+
+Section = tuple[float, float, float, float, float]
+
+
+def notch(hz: float, depth: float, width: float) -> ct.TransferFunction:
+    """Return (s² + 2 d w ω s + ω²)/(s² + 2 w ω s + ω²).
+
+    Parameters
+    ----------
+    hz : float
+        Its centre.
+    depth : float
+        Gain at the centre; above 1 it is a peak, which rejects a disturbance of that frequency.
+    width : float
+        Damping ratio w of the denominator.
+
+    Raises
+    ------
+    ValueError
+        A number that is not positive.
+    """
+    if min(hz, depth, width) <= 0.0:
+        raise ValueError(f"notch at {hz:g} Hz, depth {depth:g}, width {width:g}: all must be > 0")
+    omega = 2.0 * pi * hz
+    return ct.tf(
+        [1.0, 2.0 * depth * width * omega, omega**2],
+        [1.0, 2.0 * width * omega, omega**2],
+        name=f"notch_{hz:.4g}_Hz",
+    )
+
+
+def sampled_notch(hz: float, depth: float, width: float, sample_time: float) -> Section:
+    """Return the notch as a difference equation (b0, b1, b2, a1, a2), y = b0 x + … − a1 y₋₁ − ….
+
+    Tustin's rule with the centre held (pre-warped).
+
+    Raises
+    ------
+    ValueError
+        A centre that is not below half the sample rate.
+    """
+    if not 0.0 < hz < 0.5 / sample_time:
+        raise ValueError(f"notch at {hz:g} Hz is not below half the sample rate")
+    g = tan(pi * hz * sample_time)
+    scale = 1.0 + 2.0 * width * g + g * g
+    even = 2.0 * (g * g - 1.0) / scale
+    return (
+        (1.0 + 2.0 * depth * width * g + g * g) / scale,
+        even,
+        (1.0 - 2.0 * depth * width * g + g * g) / scale,
+        even,
+        (1.0 - 2.0 * width * g + g * g) / scale,
+    )

@@ -1,0 +1,199 @@
+"""Linear design to stated margins: the fastest PI that keeps them, and what no PI can beat."""
+
+import warnings
+from typing import NamedTuple
+
+import control as ct
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import matrix_balance, solve_continuous_lyapunov
+
+from dmptm_ctrl.control.pi import common_mode, pi_controller
+from dmptm_ctrl.control.tuning import GRID, SAMPLE_TIME, PiTuning, assess_pi, gains_at
+
+SLOWEST_HZ = 0.3  # below, a loop is not worth closing
+STEPS = 400  # of the search for the crossover; 1.3 % each
+RIGID = 1e-11  # singular value of a rigid angle over the largest: rounding
+NEGLIGIBLE = 1e-5
+MOST_STATES = 6  # of a plant for synthesis, whose equations are worse conditioned with each state
+CLEAR = 3.0  # crossovers up, from where on no resonance may come near gain 1, whatever its phase
+WEIGHT_FLOOR = 1e-3  # mixsyn wants weights without poles on the axis: the integrator's leak
+
+
+class SampledPlant:
+    """Frequency response of a drive under a sampled loop, computed once.
+
+    Parameters
+    ----------
+    plant : StateSpace
+        As for :func:`~dmptm_ctrl.control.tune_pi`.
+    sample_time : float [s]
+    """
+
+    def __init__(self, plant: ct.StateSpace, sample_time: float = SAMPLE_TIME) -> None:
+        drive = common_mode(plant)
+        held = ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), sample_time, "zoh")
+        self.sample_time = sample_time
+        self.omega = np.geomspace(2.0 * np.pi * SLOWEST_HZ, 0.999 * np.pi / sample_time, GRID)
+        self.shift = np.exp(1j * self.omega * sample_time)
+        self.response = held(self.shift)
+
+    def gains(self, crossover_hz: float, phase_margin_deg: float) -> tuple[float, float]:
+        """Return (kp, ki) of the sampled PI that crosses 1 there with the margin."""
+        omega = 2.0 * np.pi * crossover_hz
+        at = np.interp(np.log(omega), np.log(self.omega), self.response)
+        # ki dt z/(z − 1) = ki dt/2 + ki dt/(2j tan(ω dt/2)): the half joins kp, the rest is ki/jω.
+        warp = 0.5 * omega * self.sample_time / np.tan(0.5 * omega * self.sample_time)
+        kp, ki = gains_at(complex(at), omega, phase_margin_deg)
+        return kp - 0.5 * ki / warp * self.sample_time, ki / warp
+
+    def loop(self, kp: float, ki: float) -> NDArray[np.complex128]:
+        """Return the open loop on the grid."""
+        return (kp + ki * self.sample_time * self.shift / (self.shift - 1.0)) * self.response
+
+    def gain_margin_db(self, kp: float, ki: float, crossover_hz: float) -> float:
+        """Return how far the loop stays below 1 where its phase is −180°, and in any resonance.
+
+        A resonance above 1 can be stable by its phase; the phase of the next drive differs.
+        So from :data:`CLEAR` crossovers on the phase does not count.
+        """
+        loop = self.loop(kp, ki)
+        turned = np.abs(np.diff(np.unwrap(np.angle(loop)) // np.pi)) > 0
+        crossing = np.append(turned, False) & (loop.real < 0.0)
+        crossing |= self.omega > CLEAR * 2.0 * np.pi * crossover_hz
+        worst = np.abs(loop[crossing]).max(initial=1e-12)
+        return float(-20.0 * np.log10(worst))
+
+
+def fastest_pi(
+    plant: ct.StateSpace,
+    phase_margin_deg: float = 60.0,
+    gain_margin_db: float = 8.0,
+    *,
+    highest_hz: float = 60.0,
+    sample_time: float = SAMPLE_TIME,
+) -> PiTuning:
+    """Return the PI with the highest crossover that keeps both margins.
+
+    The gain margin also holds for resonances beyond the crossover, whatever their phase.
+
+    Parameters
+    ----------
+    plant : StateSpace
+        As for :func:`~dmptm_ctrl.control.tune_pi`.
+    phase_margin_deg, gain_margin_db : float
+    highest_hz : float
+        Crossover not to exceed.
+    sample_time : float [s]
+
+    Raises
+    ------
+    ValueError
+        Not even :data:`SLOWEST_HZ` keeps them.
+    """
+    sampled = SampledPlant(plant, sample_time)
+    for hz in np.geomspace(highest_hz, SLOWEST_HZ, STEPS):
+        kp, ki = sampled.gains(hz, phase_margin_deg)
+        if kp > 0.0 and ki > 0.0 and sampled.gain_margin_db(kp, ki, hz) >= gain_margin_db:
+            try:
+                return assess_pi(plant, kp, ki, sample_time=sample_time)
+            except ValueError:  # unstable by what the margins do not show
+                continue
+    raise ValueError(
+        f"no PI keeps {phase_margin_deg:g}° and {gain_margin_db:g} dB on this plant, "
+        f"not even at {SLOWEST_HZ:g} Hz"
+    )
+
+
+class LinearReference(NamedTuple):
+    """How far a PI is from the best linear controller for the same weights.
+
+    Attributes
+    ----------
+    controller : StateSpace
+        Of `mixsyn`, from error to voltage.
+    optimal, reached : float
+        Largest singular value over frequency of the weighted S, K S and T with it, and with
+        the PI.
+    """
+
+    controller: ct.StateSpace
+    optimal: float
+    reached: float
+
+
+def linear_reference(
+    plant: ct.StateSpace, gains: PiTuning, *, volts_per_error: float = 10.0
+) -> LinearReference:
+    """Synthesise the H∞-optimal controller for the loop that a PI was tuned for.
+
+    Weights: S as small below the PI's crossover as an integrator makes it and at most 2,
+    K S at most `volts_per_error` times the PI's proportional gain, T at most 1.5 and small
+    ten crossovers up.
+
+    Parameters
+    ----------
+    plant : StateSpace
+        Two voltages in, ``omega_L`` among its outputs.
+    gains : PiTuning
+    volts_per_error : float
+        Allowed controller gain over the PI's proportional gain.
+    """
+    drive = essential(without_rigid_angle(common_mode(plant)))
+    crossover = 2.0 * np.pi * gains.crossover_hz
+    w1 = ct.ss(ct.tf([0.5, crossover], [1.0, WEIGHT_FLOOR * crossover]))
+    w2 = ct.ss(ct.tf([1.0 / (volts_per_error * gains.kp)], [1.0]))
+    w3 = ct.ss(ct.tf([1.0, 0.66 * 10 * crossover], [WEIGHT_FLOOR, 10 * crossover]))
+    with warnings.catch_warnings():  # python-control's own use of what it deprecates
+        warnings.simplefilter("ignore", FutureWarning)
+        best, _, info = ct.mixsyn(drive, w1, w2, w3)
+    pi = pi_controller(gains.kp, gains.ki)
+    pi = ct.ss(pi.A, pi.B, pi.C, pi.D)
+    return LinearReference(best, float(info[0]), _weighted_peak(drive, pi, (w1, w2, w3)))
+
+
+def without_rigid_angle(sys: ct.StateSpace) -> ct.StateSpace:
+    """Return a system without the angle of the whole drive, where no output and no rate sees it.
+
+    Such an angle v has A v = 0 and C v = 0; what is orthogonal to it is a system by itself.
+    """
+    size = np.abs(sys.A).max(axis=0) + np.abs(sys.C).max(axis=0)
+    size[size == 0.0] = 1.0
+    a, b, c = sys.A / size * size[:, None], sys.B * size[:, None], sys.C / size
+    _, values, vectors = np.linalg.svd(np.vstack([a, c]))
+    keep = vectors[values > RIGID * values[0]].T
+    return ct.ss(keep.T @ a @ keep, keep.T @ b, c @ keep, sys.D)
+
+
+def essential(sys: ct.StateSpace) -> ct.StateSpace:
+    """Return a system without the states that the input hardly moves or the output hardly sees.
+
+    By balanced truncation, to :data:`NEGLIGIBLE` of the largest Hankel singular value: what
+    the two sides of a drive do against each other, mainly.
+    """
+    if sys.poles().real.max() >= 0.0:
+        return sys
+    a, scale = matrix_balance(sys.A, permute=False)
+    b, c = np.linalg.solve(scale, sys.B), sys.C @ scale
+    reach = _half(solve_continuous_lyapunov(a, -b @ b.T))
+    see = _half(solve_continuous_lyapunov(a.T, -c.T @ c))
+    left, values, right = np.linalg.svd(see.T @ reach)
+    keep = (values > NEGLIGIBLE * values[0]) & (np.arange(values.size) < MOST_STATES)
+    root = np.sqrt(values[keep])
+    into, out = (see @ left[:, keep] / root).T, reach @ right[keep].T / root
+    return ct.ss(into @ a @ out, into @ b, c @ out, sys.D)
+
+
+def _half(gramian: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Factor H of a Gramian H Hᵀ; rounding below zero is zero."""
+    values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def _weighted_peak(plant: ct.StateSpace, controller: ct.StateSpace, weights: tuple) -> float:
+    """Largest gain of the stacked weighted closed loop, over frequency."""
+    omega = np.geomspace(1e-3, 1e5, 4000)
+    g, k = plant(1j * omega), controller(1j * omega)
+    s = 1.0 / (1.0 + g * k)
+    rows = [w(1j * omega) * part for w, part in zip(weights, (s, k * s, g * k * s), strict=True)]
+    return float(np.sqrt(np.sum(np.abs(rows) ** 2, axis=0)).max())

@@ -1,0 +1,240 @@
+"""A designed controller: as gains, python-control systems, difference equations and a file."""
+
+import math
+import tomllib
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import control as ct
+import tomlkit
+
+from dmptm_ctrl.control import pi_controller
+from dmptm_ctrl.control.sections import notch, sampled_notch
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.atomic import write_atomic
+from dmptm_ctrl.simulate.law import FAR, Law
+from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model_file import from_toml, to_toml
+
+KIND = "dual-motor speed controller"
+SCHEMA = 1
+# number of a controller -> unit, as in its file
+UNITS = {
+    "kp": "V/(rad/s)",
+    "ki": "V/rad",
+    "limit": "V",
+    "preload": "V, added on the left motor and taken off on the right",
+    "sample_time": "s",
+    "tracking": "1/s",
+    "inertia": "1",
+    "friction": "1",
+    "effects": "1",
+    "lead": "s",
+    "late": "s",
+    "acceleration": "rad/s^2",
+    "softness": "rad/s",
+}
+
+
+@dataclass(frozen=True)
+class Notch:
+    """A second-order section; see :func:`~dmptm_ctrl.control.sections.notch`."""
+
+    hz: float
+    depth: float
+    width: float
+
+
+@dataclass(frozen=True)
+class Controller:
+    """PI on the ring-gear speed with what a model lets one add.
+
+    Attributes
+    ----------
+    kp : float [V/(rad/s)]
+    ki : float [V/rad]
+    limit : float [V]
+        Of each motor.
+    preload : float [V]
+        Added on the left motor, taken off on the right.
+    sample_time : float [s]
+    tracking : float [1/s]
+        Anti-windup by back-calculation; 0 is none.
+    notches : tuple of Notch
+        Up to two.
+    inertia, friction, effects : float
+        Shares fed forward along the setpoint from `model`: inertia; friction of all three
+        bodies with the effects on it; torques of motor and load effects.
+    lead : float [s]
+        How far ahead the feed-forward looks: dead times and lags of the drive.
+    late : float [s]
+        How late the speed reading is: the error is taken against the setpoint back then.
+    acceleration : float [rad/s²]
+        Largest acceleration of the setpoint that is fed forward; steps are clipped to it.
+    softness : float [rad/s]
+        Below this setpoint speed the friction fed forward fades to 0.
+    invert : bool
+        Undo offset, dead band and gain errors of the drives.
+    model : Model
+        What is fed forward and undone.
+    """
+
+    kp: float
+    ki: float
+    limit: float = 10.0
+    preload: float = 0.0
+    sample_time: float = 1e-3
+    tracking: float = 10.0
+    notches: tuple[Notch, ...] = ()
+    inertia: float = 0.0
+    friction: float = 0.0
+    effects: float = 0.0
+    lead: float = 0.0
+    late: float = 0.0
+    acceleration: float = FAR
+    softness: float = 0.0
+    invert: bool = False
+    model: Model = field(default_factory=Model)
+
+    def law(self) -> Law:
+        """Return it as the compiled simulator takes it."""
+        return Law(
+            kp=self.kp,
+            ki=self.ki,
+            limit=self.limit,
+            bias_l=self.preload,
+            bias_r=-self.preload,
+            tracking=self.tracking,
+            sections=[
+                sampled_notch(n.hz, n.depth, n.width, self.sample_time) for n in self.notches
+            ],
+            inertia=self.inertia,
+            friction=self.friction,
+            effects=self.effects,
+            lead=self.lead,
+            late=self.late,
+            acceleration=self.acceleration,
+            softness=self.softness,
+            invert=self.invert,
+            model=self.model,
+        )
+
+    def to_ss(self) -> ct.StateSpace:
+        """Return the feedback part, continuous: from ``error`` [rad/s] to ``u`` [V]."""
+        sys = pi_controller(self.kp, self.ki)
+        for part in self.notches:
+            sys = ct.ss(notch(part.hz, part.depth, part.width)) * sys
+        return ct.ss(sys.A, sys.B, sys.C, sys.D, inputs=["error"], outputs=["u"], name="feedback")
+
+    def to_discrete(self) -> ct.TransferFunction:
+        """Return the feedback part as it runs: a transfer function in z at the sample time."""
+        dt = self.sample_time
+        sys = ct.tf([self.kp + self.ki * dt, -self.kp], [1.0, -1.0], dt)
+        for part in self.notches:
+            b0, b1, b2, a1, a2 = sampled_notch(part.hz, part.depth, part.width, dt)
+            sys = ct.tf([b0, b1, b2], [1.0, a1, a2], dt) * sys
+        return ct.tf(sys, inputs=["error"], outputs=["u"], name="feedback")
+
+    def equations(self) -> str:
+        """Return the difference equations of one sample k as text, with their numbers."""
+        dt = self.sample_time
+        lines = [
+            f"every {dt:g} s:",
+            f"a[k] = clip((ref[k] − ref[k−1])/{dt:g}, ±{self.acceleration:.6g})",
+            f"e[k] = ref[k] − {self.late:.6g} a[k] − omega_L[k]",
+            f"I[k] = I[k−1] + {dt:g} e[k]",
+            f"v[k] = {self.kp:.6g} e[k] + {self.ki:.6g} I[k]",
+        ]
+        for part in self.notches:
+            b0, b1, b2, a1, a2 = sampled_notch(part.hz, part.depth, part.width, dt)
+            lines.append(
+                f"v[k] ← w[k] = {b0:.9g} v[k] {b1:+.9g} v[k−1] {b2:+.9g} v[k−2] "
+                f"{-a1:+.9g} w[k−1] {-a2:+.9g} w[k−2]"
+            )
+        forward = (
+            f"f_s[k] = volts of the model at omega = ref[k] + {self.lead:.6g} a[k]: "
+            f"{self.inertia:g} × inertia + {self.friction:g} × friction "
+            f"− {self.effects:g} × torques of motor and load effects"
+        )
+        lines += [
+            forward,
+            f"wanted_left = v[k] {self.preload:+.6g} + f_left[k], "
+            f"wanted_right = v[k] {-self.preload:+.6g} + f_right[k]",
+            f"u_s[k] = clip({'inverse of the drive of ' * self.invert}wanted_s, ±{self.limit:g})",
+        ]
+        if self.tracking > 0.0 and self.ki > 0.0:
+            back = self.tracking * dt / self.ki
+            lines.append(f"I[k] ← I[k] + {back:.6g} × mean over the motors of (u_s − wanted_s)")
+        return "\n".join(lines)
+
+    def to_toml(self) -> str:
+        """Return the text of a controller file: numbers, notches, difference equation, model."""
+        document = tomlkit.document()
+        document.add(
+            tomlkit.comment("Speed controller of dmptm-ctrl. SI units; angles in radians.")
+        )
+        document["schema"] = SCHEMA
+        document["kind"] = KIND
+        for line in self.equations().splitlines():
+            document.add(tomlkit.comment(line))
+        table = tomlkit.table()
+        for name, unit in UNITS.items():
+            item = tomlkit.item(float(getattr(self, name)))
+            item.comment(unit)
+            table[name] = item
+        table["invert"] = self.invert
+        document["controller"] = table
+        notches = tomlkit.aot()
+        for part in self.notches:
+            row = tomlkit.table()
+            b0, b1, b2, a1, a2 = sampled_notch(part.hz, part.depth, part.width, self.sample_time)
+            row.update({"hz": part.hz, "depth": part.depth, "width": part.width})
+            row.update({"b": [b0, b1, b2], "a": [1.0, a1, a2]})
+            notches.append(row)
+        if self.notches:
+            document["notch"] = notches
+        document["model"] = tomlkit.string(to_toml(self.model), multiline=True)
+        return tomlkit.dumps(document)
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write the controller file, whole or not at all."""
+        write_atomic(Path(file), self.to_toml())
+
+
+def read_controller(file: str | PathLike[str]) -> Controller:
+    """Read a controller file.
+
+    Raises
+    ------
+    LogError
+        No such file, not TOML, another kind, a number that is missing or not finite.
+    """
+    path = Path(file)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        raise LogError(f"{path.name}: no readable controller file there") from None
+    except tomllib.TOMLDecodeError as error:
+        raise LogError(f"{path.name}: not a TOML file: {error}") from None
+    if data.get("kind") != KIND or data.get("schema") != SCHEMA:
+        raise LogError(f'{path.name}: needs kind = "{KIND}" and schema = {SCHEMA}')
+    table = data.get("controller", {})
+    numbers = {name: _number(path.name, table, name) for name in UNITS}
+    notches = tuple(
+        Notch(*(_number(path.name, row, key) for key in ("hz", "depth", "width")))
+        for row in data.get("notch", [])
+    )
+    model = from_toml(str(data.get("model", "")), name=f"{path.name}, [model]")
+    return Controller(
+        **numbers, notches=notches, invert=bool(table.get("invert", False)), model=model
+    )
+
+
+def _number(file: str, table: dict[str, Any], name: str) -> float:
+    value = table.get(name)
+    good = isinstance(value, int | float) and not isinstance(value, bool)
+    if not good or not math.isfinite(value):  # type: ignore[arg-type]
+        raise LogError(f"{file}: {name} is {value!r}; it must be a finite number")
+    return float(value)  # type: ignore[arg-type]

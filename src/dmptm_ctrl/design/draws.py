@@ -1,0 +1,74 @@
+"""Plants that a model may stand for: its numbers drawn within their uncertainty."""
+
+import numpy as np
+
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.simulate.model import BASE, Model
+
+DECLARED = 1.0  # share of the declared ranges: nothing but the declaration is known
+FITTED = 0.25  # what a fit to a rig's logs usually leaves of them
+AMPLITUDES = 0.4  # relative half-width of an effect's amplitudes at share 1
+_PAIRED = tuple(  # breakaway and sliding friction
+    (f"T{body}s_{way}", f"T{body}c_{way}") for body in "3L" for way in ("plus", "minus")
+)
+
+
+def draw_plants(
+    model: Model, count: int, *, uncertainty: float = DECLARED, seed: int = 0
+) -> list[Model]:
+    """Draw plants around a model.
+
+    Parameters
+    ----------
+    model : Model
+    count : int
+    uncertainty : float
+        Share of the declared ranges, which are taken around the model's values; amplitudes of
+        effects move by :data:`AMPLITUDES` times it, angles and orders of effects stay.
+    seed : int
+        Plant k is the same for every `count`.
+
+    Returns
+    -------
+    list of Model
+
+    Raises
+    ------
+    ValueError
+        A negative count or uncertainty.
+    """
+    if count < 0 or uncertainty < 0.0:
+        raise ValueError(f"count {count} and uncertainty {uncertainty:g} must not be negative")
+    return [one_plant(model, uncertainty, seed, k) for k in range(count)]
+
+
+def one_plant(model: Model, uncertainty: float, seed: int, index: int) -> Model:
+    """Draw plant `index` of the series `seed`."""
+    rng = np.random.default_rng([seed, index])
+    values = {}
+    for name in BASE:
+        quantity = model.drive.quantities[name]
+        u = rng.uniform(-1.0, 1.0)
+        if quantity.is_free:
+            values[name] = _moved(model.drive[name], quantity.range, uncertainty * u)
+    for static, coulomb in _PAIRED:  # breakaway is not below sliding
+        if static in values and coulomb in values:
+            values[static] = max(values[static], values[coulomb])
+    effects = {}
+    for name, parameters in model.effects.items():
+        amplitudes = CATALOGUE[name].amplitudes
+        moved = 1.0 + AMPLITUDES * uncertainty * rng.uniform(-1.0, 1.0)
+        effects[name] = {
+            key: value * moved if key in amplitudes else value for key, value in parameters.items()
+        }
+    return Model(model.drive.with_values(**values), effects)
+
+
+def _moved(value: float, declared: tuple[float, float], u: float) -> float:
+    """Value moved by the share u of its range; on a log scale where the range is wide."""
+    low, high = declared
+    if low > 0.0 and high > 4.0 * low:
+        moved = value * np.exp(u * 0.5 * np.log(high / low))
+    else:
+        moved = value + u * 0.5 * (high - low)
+    return float(np.clip(moved, min(low, value), max(high, value)))

@@ -1,0 +1,66 @@
+"""Setpoints that a controller is tuned for and judged on."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dmptm_ctrl.simulate.model import Floats
+
+DEG = np.pi / 180.0
+
+
+class Duty(NamedTuple):
+    """A setpoint of the ring-gear speed over time.
+
+    Attributes
+    ----------
+    reference : (n,) array [rad/s]
+    sample_time : float [s]
+    """
+
+    reference: Floats
+    sample_time: float = 1e-3
+
+    @property
+    def time(self) -> Floats:
+        """Sample times [s]."""
+        return np.asarray(np.arange(self.reference.size) * self.sample_time, float)
+
+    @property
+    def acceleration(self) -> Floats:
+        """Of the setpoint, backwards [rad/s²]."""
+        change = np.diff(self.reference, prepend=self.reference[0])
+        return np.asarray(change / self.sample_time, float)
+
+
+def sine(amplitude: float, hz: float, periods: float, sample_time: float = 1e-3) -> Floats:
+    """Return a sine [rad/s] from 0 on."""
+    n = round(periods / hz / sample_time)
+    return np.asarray(amplitude * np.sin(2.0 * np.pi * hz * np.arange(n) * sample_time), float)
+
+
+def there_and_back(
+    speed: float, acceleration: float, hold: float, sample_time: float = 1e-3
+) -> Floats:
+    """Return a trapezoid forth, one back, at `speed` [rad/s] for `hold` [s] each."""
+    ramp = speed / acceleration
+    corners = np.cumsum([0.0, ramp, hold, 2.0 * ramp, hold, ramp])
+    time = np.arange(round(corners[-1] / sample_time)) * sample_time
+    levels = speed * np.array([0.0, 1.0, 1.0, -1.0, -1.0, 0.0])
+    return np.asarray(np.interp(time, corners, levels), float)
+
+
+def usual_duty(sample_time: float = 1e-3) -> Duty:
+    """Return what controllers are tuned for by default, 8.4 s.
+
+    The paper's closed-loop sines (10 deg/s at 0.5 Hz, 15 deg/s at 1 Hz), a slow trapezoid and
+    a rest.
+    """
+    parts = (
+        sine(10 * DEG, 0.5, 1.5, sample_time),
+        sine(15 * DEG, 1.0, 2.0, sample_time),
+        there_and_back(6 * DEG, 30 * DEG, 0.6, sample_time),
+        np.zeros(round(0.5 / sample_time)),
+        sine(2 * DEG, 1.0, 0.9, sample_time)[: round(0.5 / sample_time)],
+    )
+    return Duty(np.concatenate(parts), sample_time)

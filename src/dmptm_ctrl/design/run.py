@@ -1,0 +1,36 @@
+"""What the command line calls: a model file in, a controller and how good it is out."""
+
+import json
+from pathlib import Path
+
+from dmptm_ctrl.design.tune import Aims, Tuned, tune_controller
+from dmptm_ctrl.plots.control import plot_tuning
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.atomic import output_folder
+from dmptm_ctrl.simulate.model_file import read_model
+
+
+def tune_file(
+    model: Path, out: Path, *, uncertainty: float, plants: int, seed: int, jobs: int
+) -> Tuned:
+    """Tune on a model file; write controller.toml, tuning.json and tuning.png.
+
+    Raises
+    ------
+    LogError
+        No model file, or a model on which no PI keeps the margins; nothing is written.
+    """
+    try:
+        tuned = tune_controller(
+            read_model(model), Aims(), uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs
+        )
+    except ValueError as error:
+        raise LogError(f"{model.name}: {error}") from None
+    with output_folder(out) as folder:
+        tuned.controller.save(folder / "controller.toml")
+        text = json.dumps(tuned.to_dict(), indent=2, allow_nan=False)
+        (folder / "tuning.json").write_text(text + "\n", encoding="utf-8")
+        figure = plot_tuning(tuned).get_figure(root=True)
+        assert figure is not None
+        figure.savefig(folder / "tuning.png", dpi=150)
+    return tuned

@@ -1,0 +1,329 @@
+"""From a model to a controller: linear start, then the nonlinear drive over its uncertainty."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from dmptm_ctrl.control.shaping import (
+    LinearReference,
+    SampledPlant,
+    fastest_pi,
+    linear_reference,
+)
+from dmptm_ctrl.control.tuning import PiTuning
+from dmptm_ctrl.design.controller import Controller
+from dmptm_ctrl.design.draws import DECLARED, draw_plants
+from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
+from dmptm_ctrl.design.preload import smallest_preload
+from dmptm_ctrl.simulate.batch import simulate_batch
+from dmptm_ctrl.simulate.compiled import rest
+from dmptm_ctrl.simulate.linear import linearize, turning
+from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.plain import Sites
+
+SEARCHED = 16  # plants in the search; the result is judged on many more
+QUANTILE = 0.9
+LOST = 1e3  # deg/s, error of a run that left the finite numbers
+GYRO = 0.05 * DEG  # rad/s rms, noise of the speed reading the loop is tuned with
+HIGHEST_HZ = 60.0
+_STEPS = (0.15, 0.1, 0.3, 0.5e-3)  # first moves of the search, in its own units
+_EVALUATIONS = 45
+
+
+@dataclass(frozen=True)
+class Aims:
+    """What the loop is to do.
+
+    Attributes
+    ----------
+    phase_margin_deg, gain_margin_db : float
+        Of the linear loop about a turn under preload, with all delays.
+    highest_hz : float
+        Bandwidth not to exceed.
+    limit : float [V]
+        Of each motor.
+    acceleration : float [rad/s²]
+        Largest that a setpoint asks for; steps are fed forward with this.
+    duty : Duty
+    noise : float [rad/s]
+        Standard deviation of the speed reading.
+    """
+
+    phase_margin_deg: float = 55.0
+    gain_margin_db: float = 9.0
+    highest_hz: float = HIGHEST_HZ
+    limit: float = 10.0
+    acceleration: float = 20.0
+    duty: Duty = field(default_factory=usual_duty)
+    noise: float = GYRO
+
+
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """A controller and how it was found.
+
+    Attributes
+    ----------
+    controller : Controller
+    linear : PiTuning
+        The start.
+    reference : LinearReference or None
+        What no linear controller beats; None where the synthesis has no answer, as with a load
+        that springs back.
+    stages : list of dict
+        Error over the drawn plants after each stage: stage, rmse_median, rmse_quantile,
+        rmse_worst [deg/s], voltage_max [V], controller, errors.
+    errors : (plants,) array [deg/s]
+        RMS tracking error of the controller on every plant drawn.
+    aims : Aims
+    """
+
+    controller: Controller
+    linear: PiTuning
+    reference: LinearReference | None
+    stages: list[dict[str, Any]]
+    errors: Floats
+    aims: Aims
+
+    def summary(self) -> str:
+        """Return the stages as a text."""
+        lines = [f"{'':28s}{'median':>9s}{'90 %':>9s}{'worst':>9s}{'volts':>8s}   rms error, deg/s"]
+        for row in self.stages:
+            lines.append(
+                f"{row['stage']:28s}{row['rmse_median']:9.4f}{row['rmse_quantile']:9.4f}"
+                f"{row['rmse_worst']:9.4f}{row['voltage_max']:8.2f}"
+            )
+        g = self.controller
+        lines += [
+            "",
+            f"kp {g.kp:.4g} V/(rad/s), ki {g.ki:.4g} V/rad, preload {g.preload:.3g} V, "
+            f"friction share {g.friction:.2f}, lead {1e3 * g.lead:.2f} ms",
+            f"linear start: bandwidth {self.linear.bandwidth_hz:.1f} Hz, "
+            f"{self.linear.phase_margin_deg:.0f}°, {self.linear.gain_margin_db:.1f} dB",
+        ]
+        if self.reference is not None:
+            lines.append(
+                f"weighted peak of its loop {self.reference.reached:.2f}, of the best linear "
+                f"one (mixsyn) {self.reference.optimal:.2f}"
+            )
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of tuning.json: plain types."""
+        return {
+            "schema": 1,
+            "stages": [
+                {k: v for k, v in row.items() if k not in ("controller", "errors")}
+                for row in self.stages
+            ],
+            "plants": int(self.errors.size),
+            "quantile": QUANTILE,
+            "unit": "deg/s",
+            "linear": {
+                "bandwidth_hz": self.linear.bandwidth_hz,
+                "phase_margin_deg": self.linear.phase_margin_deg,
+                "gain_margin_db": self.linear.gain_margin_db,
+                "weighted_peak": None if self.reference is None else self.reference.reached,
+                "mixsyn_peak": None if self.reference is None else self.reference.optimal,
+            },
+        }
+
+
+def tune_controller(
+    model: Model,
+    aims: Aims | None = None,
+    *,
+    uncertainty: float = DECLARED,
+    plants: int = 1000,
+    seed: int = 0,
+    jobs: int = -1,
+) -> Tuned:
+    """Design a speed controller on a model and its uncertainty.
+
+    The start is the fastest PI that keeps the margins on the linearised model; then
+    bandwidth, share of friction, preload and lead are searched on the nonlinear model, for
+    the 0.9 quantile of the tracking error over drawn plants; no step of the search leaves
+    the margins.
+
+    Parameters
+    ----------
+    model : Model
+        Declared, or augmented by a diagnosis.
+    aims : Aims, optional
+    uncertainty : float
+        See :func:`~dmptm_ctrl.design.draws.draw_plants`: 1 for a declared model,
+        :data:`~dmptm_ctrl.design.draws.FITTED` for one fitted to logs.
+    plants : int
+        Drawn to judge the result.
+    seed : int
+    jobs : int
+        Threads; any joblib backend.
+
+    Raises
+    ------
+    ValueError
+        Aims that no PI keeps on this model.
+    """
+    aims = aims or Aims()
+    plant = linear_plant(model)
+    start = fastest_pi(
+        plant,
+        aims.phase_margin_deg,
+        aims.gain_margin_db,
+        highest_hz=aims.highest_hz,
+        sample_time=aims.duty.sample_time,
+    )
+    search = _Search(model, aims, plant, start, uncertainty, seed, jobs)
+    judged = draw_plants(model, plants, uncertainty=uncertainty, seed=seed + 1)
+    stages: list[dict[str, Any]] = []
+    errors = np.empty(0)
+    for name, controller in search.stages():
+        errors, volts = tracking(controller, judged, aims, seed=seed + 2, jobs=jobs)
+        stages.append(
+            {
+                "stage": name,
+                "rmse_median": float(np.median(errors)),
+                "rmse_quantile": float(np.quantile(errors, QUANTILE)),
+                "rmse_worst": float(errors.max()),
+                "voltage_max": float(volts.max()),
+                "controller": controller,
+                "errors": errors,
+            }
+        )
+    try:
+        reference = linear_reference(plant, start)
+    except ArithmeticError:
+        reference = None
+    return Tuned(stages[-1]["controller"], start, reference, stages, errors, aims)
+
+
+def linear_plant(model: Model) -> Any:
+    """Linearise a model about the slowest usual turn under the least preload that allows it."""
+    problem: ValueError | None = None
+    for preload in (0.3, 0.5, 0.8, 1.2):
+        try:
+            return linearize(model, *turning(model, preload=preload))
+        except ValueError as error:
+            problem = error
+    raise problem or ValueError("no steady turn")
+
+
+def feed_forward_start(model: Model, gains: PiTuning, aims: Aims) -> Controller:
+    """Everything the model offers, at its natural values."""
+    sites = Sites(model)
+    dt = aims.duty.sample_time
+    return Controller(
+        kp=gains.kp,
+        ki=gains.ki,
+        limit=aims.limit,
+        preload=smallest_preload(model, aims.duty),
+        sample_time=dt,
+        inertia=1.0,
+        friction=1.0,
+        effects=1.0,
+        lead=sites.voltage_delay + sites.lag + 0.5 * dt,
+        late=sites.speed_delay,
+        acceleration=aims.acceleration,
+        invert=sites.has("drive"),
+        model=repeatable(model),
+    )
+
+
+def repeatable(model: Model) -> Model:
+    """The model without what depends on when a run started: no controller can know that."""
+    return model.without(["base_vibration"])
+
+
+@dataclass
+class _Search:
+    model: Model
+    aims: Aims
+    plant: Any
+    start: PiTuning
+    uncertainty: float
+    seed: int
+    jobs: int
+
+    def stages(self) -> list[tuple[str, Controller]]:
+        dt = self.aims.duty.sample_time
+        plain = Controller(self.start.kp, self.start.ki, limit=self.aims.limit, sample_time=dt)
+        forward = feed_forward_start(self.model, self.start, self.aims)
+        return [
+            ("PI, linear design", plain),
+            ("PI with preload", replace(plain, preload=forward.preload)),
+            ("PI with feed-forward", replace(forward, preload=0.0)),
+            ("both", forward),
+            ("optimised", self.optimised(forward)),
+        ]
+
+    def optimised(self, begin: Controller) -> Controller:
+        """Search bandwidth, friction share, preload and lead."""
+        sampled = SampledPlant(self.plant, begin.sample_time)
+        drawn = draw_plants(self.model, SEARCHED, uncertainty=self.uncertainty, seed=self.seed)
+
+        def controller(x: Floats) -> Controller:
+            slower = float(np.exp(-max(x[0], 0.0)))
+            kp, ki = sampled.gains(self.start.crossover_hz * slower, self.start.phase_margin_deg)
+            return replace(
+                begin,
+                kp=kp,
+                ki=ki,
+                friction=begin.friction * float(np.clip(1.0 + x[1], 0.0, 1.5)),
+                preload=begin.preload * float(np.clip(1.0 + x[2], 0.0, 4.0)),
+                lead=max(begin.lead + x[3], 0.0),
+            )
+
+        def cost(x: Floats) -> float:
+            errors, _ = tracking(controller(x), drawn, self.aims, seed=self.seed, jobs=self.jobs)
+            return float(np.quantile(errors, QUANTILE))
+
+        corners = np.vstack([np.zeros(4), np.diag(_STEPS)])
+        found = minimize(
+            cost,
+            corners[0],
+            method="Nelder-Mead",
+            options={"initial_simplex": corners, "maxfev": _EVALUATIONS, "xatol": 1e-4},
+        )
+        return controller(found.x)
+
+
+def tracking(
+    controller: Controller,
+    plants: Sequence[Model],
+    aims: Aims,
+    *,
+    seed: int = 0,
+    jobs: int = -1,
+    every: int = 4,
+) -> tuple[Floats, Floats]:
+    """Run a controller over the duty on many plants.
+
+    Returns
+    -------
+    errors : (plants,) array [deg/s]
+        RMS of setpoint minus true speed.
+    volts : (plants,) array [V]
+        Largest voltage of either motor.
+    """
+    duty = aims.duty
+    rng = np.random.default_rng(seed)
+    noise = aims.noise * rng.standard_normal(duty.reference.size)
+    starts = np.array([rest(plant, 0.0) for plant in plants])
+    runs = simulate_batch(
+        plants,
+        duty.time,
+        duty.reference,
+        starts,
+        loop=controller.law(),
+        noise=noise,
+        outputs=["omega_L"],
+        every=every,
+        jobs=jobs,
+    )
+    miss = (runs.outputs[:, 0] - duty.reference[::every]) / DEG
+    errors = np.sqrt(np.mean(miss**2, axis=1))
+    volts = np.maximum(-runs.least, runs.greatest)[:, -2:].max(axis=1)
+    return np.where(np.isfinite(errors), np.minimum(errors, LOST), LOST), volts

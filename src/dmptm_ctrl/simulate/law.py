@@ -1,0 +1,110 @@
+"""What a controller is to the simulator: its numbers, and the model it feeds forward from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dmptm_ctrl.simulate import control_core as core
+from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.model import Arrays, Floats, Model
+
+PASS = (1.0, 0.0, 0.0, 0.0, 0.0)  # a section that changes nothing
+FAR = 1e9  # rad/s², no limit
+SECTIONS = 2
+NO_LAWS = np.zeros((0, 0))
+
+
+@dataclass(frozen=True)
+class Law:
+    """A sampled speed controller with its design model.
+
+    Attributes
+    ----------
+    kp : float [V/(rad/s)]
+    ki : float [V/rad]
+    limit : float [V]
+        Of each motor's voltage.
+    bias_l, bias_r : float [V]
+        Preload.
+    tracking : float [1/s]
+        Anti-windup: rate at which the integral gives back what the limit cuts off.
+    sections : sequence of (b0, b1, b2, a1, a2)
+        Up to two second-order difference equations behind the PI.
+    inertia, friction, effects : float
+        Shares of the design model's inertia, friction, and motor and load effects that are
+        fed forward along the setpoint; 0 is off.
+    lead, late : float [s]
+        How far ahead of the setpoint the feed-forward looks, and how late the speed reading
+        is expected.
+    acceleration : float [rad/s²]
+        Largest acceleration of the setpoint that is believed.
+    softness : float [rad/s]
+        Below this speed of the setpoint its friction fades to zero.
+    invert : bool
+        Undo the design model's static drive effects.
+    model : Model
+        The design model.
+    """
+
+    kp: float
+    ki: float
+    limit: float
+    bias_l: float = 0.0
+    bias_r: float = 0.0
+    tracking: float = 0.0
+    sections: Sequence[tuple[float, ...]] = ()
+    inertia: float = 0.0
+    friction: float = 0.0
+    effects: float = 0.0
+    lead: float = 0.0
+    late: float = 0.0
+    acceleration: float = FAR
+    softness: float = 0.0
+    invert: bool = False
+    model: Model = field(default_factory=Model)
+
+    def __post_init__(self) -> None:
+        if len(self.sections) > SECTIONS:
+            raise ValueError(f"{len(self.sections)} sections, the loop has room for {SECTIONS}")
+
+    def numbers(self) -> Floats:
+        """Return the (SIZE,) vector of `control_core`."""
+        filled = [*self.sections, *[PASS] * (SECTIONS - len(self.sections))]
+        return np.array(
+            [
+                *(self.kp, self.ki, self.limit, self.bias_l, self.bias_r, 2.0, self.tracking),
+                *(float(x) for part in filled for x in part),
+                *(self.inertia, self.friction, self.effects, self.lead, self.late),
+                *(self.acceleration, self.softness, float(self.invert)),
+            ]
+        )
+
+    def stepper(self, sample_time: float) -> "Stepper":
+        """Return the controller as a difference equation to be advanced sample by sample."""
+        return Stepper(self, sample_time)
+
+
+class Stepper:
+    """A running controller.
+
+    ``stepper(ref, theta_L, omega_L, theta_ml, theta_mr)`` takes SI readings of one sample
+    and returns the voltages (left, right). It is the code that the simulated loop runs.
+    """
+
+    def __init__(self, law: Law, sample_time: float) -> None:
+        self._law, self._dt = law.numbers(), sample_time
+        self._design: Arrays = law.model.arrays()
+        self._command = engine().command
+        self._memory = np.zeros(core.MEMORY)
+        self._samples = 0
+
+    def __call__(
+        self, ref: float, theta_L: float, omega_L: float, theta_ml: float, theta_mr: float
+    ) -> tuple[float, float]:
+        self._command(
+            *(ref, theta_L, omega_L, theta_ml, theta_mr, self._samples * self._dt, self._dt),
+            *(self._law, self._memory, self._design),
+        )
+        self._samples += 1
+        return float(self._memory[core.M_LEFT]), float(self._memory[core.M_RIGHT])

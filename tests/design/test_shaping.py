@@ -1,0 +1,75 @@
+"""Linear design: margins kept, and no controller beats mixsyn."""
+
+import control as ct
+import numpy as np
+import pytest
+
+from dmptm_ctrl.control import assess_pi, common_mode
+from dmptm_ctrl.control.sections import notch, sampled_notch
+from dmptm_ctrl.control.shaping import (
+    SampledPlant,
+    essential,
+    fastest_pi,
+    linear_reference,
+    without_rigid_angle,
+)
+from dmptm_ctrl.drive import three_dof_ss
+
+PLANT = three_dof_ss(states="twists")
+DT = 1e-3
+
+
+def test_sampled_notch_is_tustin_with_prewarping():
+    hz, depth, width = 60.0, 0.1, 0.4
+    expected = ct.c2d(notch(hz, depth, width), DT, "bilinear", prewarp_frequency=2 * np.pi * hz)
+    b0, b1, b2, a1, a2 = sampled_notch(hz, depth, width, DT)
+    found = ct.tf([b0, b1, b2], [1.0, a1, a2], DT)
+    z = np.exp(1j * np.geomspace(1.0, 3000.0, 50) * DT)
+    np.testing.assert_allclose(found(z), expected(z), rtol=1e-9)
+    assert abs(found(np.exp(2j * np.pi * hz * DT))) == pytest.approx(depth)
+
+
+@pytest.mark.parametrize(("phase", "gain"), [(45.0, 6.0), (60.0, 10.0)])
+def test_fastest_pi_keeps_its_margins_and_a_faster_one_does_not(phase, gain):
+    found = fastest_pi(PLANT, phase, gain)
+    assert found.phase_margin_deg == pytest.approx(phase, abs=0.3)
+    assert found.gain_margin_db >= gain
+    sampled = SampledPlant(PLANT)
+    hz = 1.05 * found.crossover_hz
+    assert sampled.gain_margin_db(*sampled.gains(hz, phase), hz) < gain
+
+
+def test_gains_are_of_the_sampled_loop():
+    kp, ki = SampledPlant(PLANT).gains(8.0, 50.0)
+    found = assess_pi(PLANT, kp, ki)
+    assert found.phase_margin_deg == pytest.approx(50.0, abs=0.1)
+    assert found.crossover_hz == pytest.approx(8.0, rel=1e-3)
+
+
+def test_no_linear_controller_beats_mixsyn():
+    gains = fastest_pi(PLANT, 55.0, 9.0)
+    found = linear_reference(PLANT, gains)
+    assert 0.1 < found.optimal < found.reached
+    drive = essential(without_rigid_angle(common_mode(PLANT)))
+    poles = ct.feedback(drive * found.controller, 1).poles()
+    assert poles.real.max() < 0.0
+
+
+def test_smaller_systems_answer_alike():
+    drive = common_mode(three_dof_ss(states="angles"))
+    small = without_rigid_angle(drive)
+    assert small.nstates == drive.nstates - 1
+    s = 1j * np.geomspace(0.1, 3e3, 60)
+    np.testing.assert_allclose(small(s), drive(s), rtol=1e-6)
+    smaller = essential(small)  # the pinions against each other: not moved by a common voltage
+    assert smaller.nstates == 3
+    np.testing.assert_allclose(smaller(s), drive(s), rtol=1e-4)
+
+
+def test_refusals():
+    with pytest.raises(ValueError, match="must be > 0"):
+        notch(60.0, -0.1, 0.5)
+    with pytest.raises(ValueError, match="half the sample rate"):
+        sampled_notch(600.0, 0.1, 0.5, DT)
+    with pytest.raises(ValueError, match="no PI keeps"):
+        fastest_pi(PLANT, 60.0, 200.0)

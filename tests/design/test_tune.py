@@ -1,0 +1,113 @@
+"""Tuning on the nonlinear drive, the controller's file, the command."""
+
+import json
+
+import control as ct
+import numpy as np
+import pytest
+
+from dmptm_ctrl.cli import main
+from dmptm_ctrl.design.controller import Controller, Notch, read_controller
+from dmptm_ctrl.design.draws import draw_plants
+from dmptm_ctrl.design.duty import DEG, usual_duty
+from dmptm_ctrl.design.preload import load_torque_along, smallest_preload
+from dmptm_ctrl.design.tune import Aims, tracking, tune_controller
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.linear import turning
+from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model_file import to_toml
+
+MODEL = Model().with_effect("drive_offset", left=0.05, right=-0.02)
+BOTH = Controller(
+    12.0, 300.0, 8.0, 0.2, notches=(Notch(60.0, 0.2, 0.4),), friction=0.9, invert=True, model=MODEL
+)
+
+
+@pytest.fixture(scope="module")
+def tuned():
+    return tune_controller(MODEL, uncertainty=0.5, plants=48, jobs=1)
+
+
+def test_tuning_is_better_over_the_plants_and_stays_in_the_margins(tuned):
+    errors = {row["stage"]: row["rmse_quantile"] for row in tuned.stages}
+    assert errors["optimised"] < 0.3 * errors["PI, linear design"]
+    assert errors["optimised"] <= 1.02 * errors["both"]
+    assert tuned.linear.phase_margin_deg > 54
+    assert tuned.controller.kp <= 1.05 * tuned.linear.kp
+    # judged anew: other noise, other plants
+    again, volts = tracking(tuned.controller, draw_plants(MODEL, 24, seed=99), Aims(), seed=5)
+    assert np.median(again) < 2 * np.median(tuned.errors) + 0.1
+    assert volts.max() < Aims().limit
+
+
+def test_feedback_as_python_control():
+    """Continuous and discrete agree far below the sample rate; both are the PI and the notch."""
+    for hz in (0.1, 1.0, 10.0):
+        s = 2j * np.pi * hz
+        expected = (12.0 + 300.0 / s) * ct.tf(*_notch(60.0, 0.2, 0.4))(s)
+        assert BOTH.to_ss()(s) == pytest.approx(expected, rel=1e-9)
+        assert BOTH.to_discrete()(np.exp(s * 1e-3)) == pytest.approx(expected, rel=0.02)
+
+
+def _notch(hz, depth, width):
+    w = 2 * np.pi * hz
+    return [1, 2 * depth * width * w, w**2], [1, 2 * width * w, w**2]
+
+
+def test_file_keeps_everything(tmp_path):
+    BOTH.save(tmp_path / "controller.toml")
+    again = read_controller(tmp_path / "controller.toml")
+    np.testing.assert_array_equal(again.law().numbers(), BOTH.law().numbers())
+    for one, other in zip(again.model.arrays(), MODEL.arrays(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert "w[k] = " in BOTH.equations()
+
+
+@pytest.mark.parametrize("text", ["", "x = [", 'kind = "dual-motor speed controller"\nschema = 1'])
+def test_bad_files(tmp_path, text):
+    file = tmp_path / "c.toml"
+    file.write_text(text)
+    with pytest.raises(LogError, match=r"c\.toml"):
+        read_controller(file)
+
+
+def test_draws_are_inside_the_ranges_and_the_same_for_every_count():
+    few, many = draw_plants(MODEL, 3), draw_plants(MODEL, 40)
+    for one, other in zip(few, many, strict=False):
+        np.testing.assert_array_equal(one.arrays()[0], other.arrays()[0])
+    for name, quantity in MODEL.drive.quantities.items():
+        low, high = quantity.range
+        values = [plant.drive[name] for plant in many]
+        assert min(values) >= low - 1e-12 * abs(low)
+        if not name.startswith("T"):  # breakaway may be lifted to sliding
+            assert max(values) <= high + 1e-12 * abs(high)
+        if quantity.is_free:
+            assert np.ptp(values) > 0.7 * (high - low) * (1.0 if name not in ("c", "c_f") else 0.3)
+    assert draw_plants(MODEL, 1, uncertainty=0.0)[0].drive["J_L"] == MODEL.drive["J_L"]
+
+
+def test_preload_against_the_balance_of_a_turn():
+    """A steady turn: the preload at which the root search loses a mesh."""
+    speed = 15 * DEG
+    duty = usual_duty()._replace(reference=np.full(100, speed))
+    least = smallest_preload(Model(), duty)
+    z, _ = turning(Model(), speed=speed, preload=1.15 * least)
+    n2 = Model().drive["N_2"]
+    assert z[0] - n2 * z[2] > 0 > z[1] - n2 * z[2]  # on opposite flanks: both closed
+    z, _ = turning(Model(), speed=speed, preload=0.85 * least)
+    assert np.sign(z[0] - n2 * z[2]) == np.sign(z[1] - n2 * z[2])  # both push the same way
+    drive = Model().drive
+    by_hand = drive["TLc_plus"] + drive["BL_plus"] * speed
+    assert load_torque_along(Model(), duty)[-1] == pytest.approx(by_hand, rel=1e-4)
+
+
+def test_command(tmp_path, capsys):
+    (tmp_path / "model.toml").write_text(to_toml(MODEL))
+    out = tmp_path / "tuning"
+    assert main(["tune", str(tmp_path / "model.toml"), "--out", str(out), "--plants", "16"]) == 0
+    assert "optimised" in capsys.readouterr().out
+    assert json.loads((out / "tuning.json").read_text())["plants"] == 16
+    assert read_controller(out / "controller.toml").friction > 0.5
+    assert (out / "tuning.png").stat().st_size > 10_000
+    assert main(["tune", str(tmp_path / "none.toml"), "--out", str(tmp_path / "no")]) == 2
+    assert not (tmp_path / "no").exists()

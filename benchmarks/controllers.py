@@ -78,11 +78,12 @@ def run_on_rig(record, controller, reference, start, rng):
 
 
 def judged_duty():
-    """Setpoints that no controller was tuned for, 9 s."""
-    from dmptm_ctrl.design.duty import sine, there_and_back
+    """Setpoints that no controller was tuned for, after a rest for the preload: 10 s."""
+    from dmptm_ctrl.design.duty import SETTLING, sine, there_and_back
 
     return np.concatenate(
         [
+            np.zeros(round(SETTLING / SAMPLE)),
             sine(12 * DEG, 0.7, 2),
             sine(4 * DEG, 0.4, 1),
             there_and_back(18 * DEG, 60 * DEG, 0.4),
@@ -93,11 +94,14 @@ def judged_duty():
 
 def rmse(record, controller, seed):
     """RMS tracking error on the rig [deg/s], over all starts; and the largest voltage."""
+    from dmptm_ctrl.design.duty import SETTLING
+
     reference, square, volts = judged_duty(), 0.0, 0.0
     for i, start in enumerate(STARTS):
         rng = np.random.default_rng([seed, i])
         speed, u = run_on_rig(record, controller, reference, start, rng)
-        square += float(np.mean(((speed - reference) / DEG) ** 2)) / len(STARTS)
+        miss = (speed - reference)[round(SETTLING / SAMPLE) :] / DEG
+        square += float(np.mean(miss**2)) / len(STARTS)
         volts = max(volts, float(np.abs(u).max()))
     return float(np.sqrt(square)), volts
 
@@ -136,6 +140,8 @@ def one_rig(name, seed, folder, plants, nominal):
             key = f"{label}: {stage['stage']}"
             if stage["stage"] in ("PI, linear design", "optimised"):
                 row[key], row[key + " V"] = rmse(rig.record, stage["controller"], seed)
+                tuned_to = stage["controller"]
+                row[key + " gains"] = [tuned_to.kp, tuned_to.ki, tuned_to.preload, tuned_to.lead]
     row["gain_percent"] = 100.0 * (1.0 - row["augmented: optimised"] / row["nominal: optimised"])
     return row
 

@@ -7,6 +7,8 @@ from dmptm_ctrl.simulate.model import BASE, Model
 
 DECLARED = 1.0  # share of the declared ranges: nothing but the declaration is known
 FITTED = 0.25  # what a fit to a rig's logs usually leaves of them
+# Of the flanks' damping no log tells much, and pinions that hammer depend on it.
+CONTACT, CONTACT_SHARE = ("c", "c_f"), 1.0
 AMPLITUDES = 0.4  # relative half-width of an effect's amplitudes at share 1
 _PAIRED = tuple(  # breakaway and sliding friction
     (f"T{body}s_{way}", f"T{body}c_{way}") for body in "3L" for way in ("plus", "minus")
@@ -24,7 +26,8 @@ def draw_plants(
     count : int
     uncertainty : float
         Share of the declared ranges, which are taken around the model's values; amplitudes of
-        effects move by :data:`AMPLITUDES` times it, angles and orders of effects stay.
+        effects move by :data:`AMPLITUDES` times it, angles and orders of effects stay. The
+        damping of the flanks always takes its whole range, unless nothing is uncertain.
     seed : int
         Plant k is the same for every `count`.
 
@@ -50,11 +53,12 @@ def one_plant(model: Model, uncertainty: float, seed: int, index: int) -> Model:
         quantity = model.drive.quantities[name]
         u = rng.uniform(-1.0, 1.0)
         if quantity.is_free:
-            values[name] = _moved(model.drive[name], quantity.range, uncertainty * u)
+            share = CONTACT_SHARE if name in CONTACT and uncertainty > 0.0 else uncertainty
+            values[name] = _moved(model.drive[name], quantity.range, share * u)
     for static, coulomb in _PAIRED:  # breakaway is not below sliding
         if static in values and coulomb in values:
             values[static] = max(values[static], values[coulomb])
-    effects = {}
+    effects: dict[str, dict[str, float]] = {}
     for name, parameters in model.effects.items():
         amplitudes = CATALOGUE[name].amplitudes
         moved = 1.0 + AMPLITUDES * uncertainty * rng.uniform(-1.0, 1.0)

@@ -7,6 +7,7 @@ import numpy as np
 from dmptm_ctrl.simulate.model import Floats
 
 DEG = np.pi / 180.0
+SETTLING = 0.4  # s, until the pinions have bounced onto their flanks
 
 
 class Duty(NamedTuple):
@@ -16,10 +17,13 @@ class Duty(NamedTuple):
     ----------
     reference : (n,) array [rad/s]
     sample_time : float [s]
+    settling : float [s]
+        At the start, not judged: the preload closes the gaps after power-on.
     """
 
     reference: Floats
     sample_time: float = 1e-3
+    settling: float = 0.0
 
     @property
     def time(self) -> Floats:
@@ -51,16 +55,17 @@ def there_and_back(
 
 
 def usual_duty(sample_time: float = 1e-3) -> Duty:
-    """Return what controllers are tuned for by default, 8.4 s.
+    """Return what controllers are tuned for by default, 9 s.
 
-    The paper's closed-loop sines (10 deg/s at 0.5 Hz, 15 deg/s at 1 Hz), a slow trapezoid and
-    a rest.
+    A rest that is not judged, the paper's closed-loop sines (10 deg/s at 0.5 Hz, 15 deg/s at
+    1 Hz), a slow trapezoid, a rest and a start of a slow sine.
     """
     parts = (
+        np.zeros(round(SETTLING / sample_time)),
         sine(10 * DEG, 0.5, 1.5, sample_time),
         sine(15 * DEG, 1.0, 2.0, sample_time),
         there_and_back(6 * DEG, 30 * DEG, 0.6, sample_time),
         np.zeros(round(0.5 / sample_time)),
         sine(2 * DEG, 1.0, 0.9, sample_time)[: round(0.5 / sample_time)],
     )
-    return Duty(np.concatenate(parts), sample_time)
+    return Duty(np.concatenate(parts), sample_time, SETTLING)

@@ -26,11 +26,15 @@ from dmptm_ctrl.simulate.plain import Sites
 
 SEARCHED = 16  # plants in the search; the result is judged on many more
 QUANTILE = 0.9
+RESERVE = 1.6  # gain up to which no drawn plant may start to hammer: 4 dB on the nonlinear drive
+TOLERATED = 1.5  # error at that gain, over the error at the gain itself
 LOST = 1e3  # deg/s, error of a run that left the finite numbers
 GYRO = 0.05 * DEG  # rad/s rms, noise of the speed reading the loop is tuned with
 HIGHEST_HZ = 60.0
-_STEPS = (0.15, 0.1, 0.3, 0.5e-3)  # first moves of the search, in its own units
-_EVALUATIONS = 45
+SLOWER = (1.0, 0.8, 0.63, 0.5, 0.4, 0.32)  # crossovers tried, of the linear design's
+MORE_PRELOAD = (1.0, 1.4, 2.0)  # preloads tried, of the least that keeps the meshes closed
+_STEPS = (0.05, 0.2, 0.4e-3)  # first moves of the search: friction share, preload, lead [s]
+_EVALUATIONS = 25
 
 
 @dataclass(frozen=True)
@@ -145,8 +149,9 @@ def tune_controller(
 
     The start is the fastest PI that keeps the margins on the linearised model; then
     bandwidth, share of friction, preload and lead are searched on the nonlinear model, for
-    the 0.9 quantile of the tracking error over drawn plants; no step of the search leaves
-    the margins.
+    the 0.9 quantile of the tracking error over drawn plants, on condition that at
+    :data:`RESERVE` times the gain the worst of them is not much worse. No step of the search
+    leaves the margins.
 
     Parameters
     ----------
@@ -260,34 +265,47 @@ class _Search:
         ]
 
     def optimised(self, begin: Controller) -> Controller:
-        """Search bandwidth, friction share, preload and lead."""
+        """Search bandwidth and preload on a grid, then friction share, preload and lead.
+
+        Hammering begins at once, so the cost has cliffs; a grid steps over them.
+        """
         sampled = SampledPlant(self.plant, begin.sample_time)
         drawn = draw_plants(self.model, SEARCHED, uncertainty=self.uncertainty, seed=self.seed)
+        slow = [
+            sampled.gains(self.start.crossover_hz * s, self.start.phase_margin_deg) for s in SLOWER
+        ]
+        grid = [
+            replace(begin, kp=kp, ki=ki, preload=more * begin.preload)
+            for kp, ki in slow
+            for more in MORE_PRELOAD
+        ]
+        costs = [self.cost(tried, drawn) for tried in grid]
+        best = grid[int(np.argmin(costs))]
 
-        def controller(x: Floats) -> Controller:
-            slower = float(np.exp(-max(x[0], 0.0)))
-            kp, ki = sampled.gains(self.start.crossover_hz * slower, self.start.phase_margin_deg)
+        def near(x: Floats) -> Controller:
             return replace(
-                begin,
-                kp=kp,
-                ki=ki,
-                friction=begin.friction * float(np.clip(1.0 + x[1], 0.0, 1.5)),
-                preload=begin.preload * float(np.clip(1.0 + x[2], 0.0, 4.0)),
-                lead=max(begin.lead + x[3], 0.0),
+                best,
+                friction=float(np.clip(best.friction + x[0], 0.0, 1.5)),
+                preload=best.preload * float(np.clip(1.0 + x[1], 0.7, 1.4)),
+                lead=max(best.lead + x[2], 0.0),
             )
 
-        def cost(x: Floats) -> float:
-            errors, _ = tracking(controller(x), drawn, self.aims, seed=self.seed, jobs=self.jobs)
-            return float(np.quantile(errors, QUANTILE))
-
-        corners = np.vstack([np.zeros(4), np.diag(_STEPS)])
+        corners = np.vstack([np.zeros(3), np.diag(_STEPS)])
         found = minimize(
-            cost,
+            lambda x: self.cost(near(x), drawn),
             corners[0],
             method="Nelder-Mead",
             options={"initial_simplex": corners, "maxfev": _EVALUATIONS, "xatol": 1e-4},
         )
-        return controller(found.x)
+        return near(found.x) if found.fun < min(costs) else best
+
+    def cost(self, tried: Controller, drawn: Sequence[Model]) -> float:
+        """Return the error that most drawn plants stay below, and a price of hammering [deg/s]."""
+        errors, _ = tracking(tried, drawn, self.aims, seed=self.seed, jobs=self.jobs)
+        usual = float(np.quantile(errors, QUANTILE))
+        faster = replace(tried, kp=RESERVE * tried.kp, ki=RESERVE * tried.ki)
+        errors, _ = tracking(faster, drawn, self.aims, seed=self.seed, jobs=self.jobs)
+        return usual + max(float(errors.max()) - TOLERATED * usual, 0.0)
 
 
 def tracking(
@@ -304,7 +322,7 @@ def tracking(
     Returns
     -------
     errors : (plants,) array [deg/s]
-        RMS of setpoint minus true speed.
+        RMS of setpoint minus true speed, after the settling.
     volts : (plants,) array [V]
         Largest voltage of either motor.
     """
@@ -324,6 +342,7 @@ def tracking(
         jobs=jobs,
     )
     miss = (runs.outputs[:, 0] - duty.reference[::every]) / DEG
-    errors = np.sqrt(np.mean(miss**2, axis=1))
+    first = round(duty.settling / duty.sample_time / every)
+    errors = np.sqrt(np.mean(miss[:, first:] ** 2, axis=1))
     volts = np.maximum(-runs.least, runs.greatest)[:, -2:].max(axis=1)
     return np.where(np.isfinite(errors), np.minimum(errors, LOST), LOST), volts

@@ -33,6 +33,11 @@ _RUN_TOGETHER = (  # written without a space, pint reads them as something else
     (r"\bkgm", "kg*m"),
     (r"\bkgcm", "kg*cm"),
     (r"\bgcm", "g*cm"),
+    (r"\brevs?\b|\brevolutions?\b", "turn"),
+)
+COUNTS = ("count", "counts", "tick", "ticks", "inc", "increments", "pulses", "steps")
+_PER_TURN = re.compile(
+    rf"^\s*(\d+\.?\d*(?:[eE]\d+)?)\s*(?:{'|'.join(COUNTS)})\s*(?:/|per)\s*(\w+)\s*$"
 )
 
 
@@ -119,6 +124,22 @@ def quantity(raw: Any, si: str, *, exact: bool = False, positive: bool = True) -
     else:
         value, tolerance = float(raw), 0.0 if exact else DEFAULT_TOLERANCE
     return _checked(Quantity(value, si, tolerance, "rig file"), positive)
+
+
+def counts(raw: Any, si: str) -> float | None:
+    """Size of one count [rad or m] from "8192 counts/rev" or "50 counts/mm"; else None.
+
+    Raises
+    ------
+    UnitError
+        Counts per something else than an angle or a length.
+    """
+    match = _PER_TURN.match(raw) if isinstance(raw, str) else None
+    if match is None:
+        return None
+    if float(match[1]) == 0:
+        raise UnitError(f"{raw!r}: no counts at all; write '8192 counts/rev'")
+    return factor(match[2], si) / float(match[1])
 
 
 _TABLE_KEYS = ("value", "unit", "tolerance", "range", "source")

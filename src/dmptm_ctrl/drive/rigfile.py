@@ -1,6 +1,5 @@
 """Read and check a rig file; what may stand in it is in docs/rig_toml.md."""
 
-import difflib
 import re
 import tomllib
 from collections.abc import Mapping
@@ -23,15 +22,11 @@ from dmptm_ctrl.drive.rig import (
     is_known,
     unknown,
 )
-from dmptm_ctrl.drive.rig_units import UnitError, factor, quantity
-from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.drive.rig_tables import RigError, TableReader, si_symbol, suffix_unit
+from dmptm_ctrl.drive.rig_units import COUNTS, UnitError, counts
 from dmptm_ctrl.signals.units import split_column
 
-
-class RigError(LogError):
-    """A rig file cannot be used; the message names the line, the key and what would be right."""
-
-
+_NAMED = ("body", "shaft", "mesh", "input", "sensor", "effect")
 _TOP = ("name", "body", "shaft", "mesh", "input", "sensor", "controller", "effect", "data")
 _BODY = (
     *("inertia", "mass", "viscous", "coulomb", "static", "stribeck_speed", "stribeck_exponent"),
@@ -55,7 +50,8 @@ _INPUT = (
     *("inductance", "back_emf_constant", "delay", "time_constant", "limit"),
 )
 _SENSOR = (
-    *("column", "unit", "sign", "scale", "body", "measures", "resolution", "noise", "absolute"),
+    *("column", "unit", "sign", "scale", "body", "measures", "resolution", "counts_per_rev"),
+    *("noise", "absolute"),
 )
 _CONTROLLER = ("kind", "input", "sensor", "kp", "ki", "kv", "reference", "unit", "limit")
 _DATA = ("time", "sample_time", "sample_rate", "fit", "held_out", "ignore", "start", "stop")
@@ -100,12 +96,8 @@ def parse_rig(text: str, source: str = "rig.toml") -> Rig:
     return _Reader(text, source).rig(raw)
 
 
-class _Reader:
-    """Knows where in the file it is, for messages."""
-
-    def __init__(self, text: str, source: str) -> None:
-        self._lines = text.splitlines()
-        self._source = source
+class _Reader(TableReader):
+    """What each table of a rig stands for."""
 
     def rig(self, raw: dict[str, Any]) -> Rig:
         self._only("", raw, _TOP)
@@ -296,25 +288,68 @@ class _Reader:
         self._only(where, raw, _SENSOR)
         body = bodies[self._one_body(where, raw, bodies)]
         column = self._text(where, raw, "column")
-        unit, symbol = self._column_unit(where, raw, column)
-        by_unit = {body.angle_unit: "position", f"{body.angle_unit}/s": "speed"}
-        given = raw.get("measures", by_unit.get(symbol))
-        if given not in _MEASURES:
+        given = raw.get("measures")
+        if given is not None and given not in _MEASURES:
             self._fail(where, "measures", 'measures = "position" or "speed"')
-        measures = _MEASURES[given]
+        step = self._count(where, raw, body)
+        if step is not None and str(raw.get("unit", "")).lower() in COUNTS:
+            unit, symbol, scale = body.angle_unit, body.angle_unit, step
+        else:
+            unit, symbol = self._column_unit(where, raw, column)
+            scale = 1.0
+        by_unit = {body.angle_unit: "position", f"{body.angle_unit}/s": "speed"}
+        measures = _MEASURES.get(str(given)) or by_unit.get(symbol)
         si = body.angle_unit + ("/s" if measures == "speed" else "")
-        if symbol != si:
-            self._fail(
-                where, "unit", f"column {column!r} is in {symbol or 'no unit'}, "
-                f"but the {measures} of {body.name} is in {si}",
-            )  # fmt: skip
+        if symbol != si or measures is None:
+            if symbol in by_unit:
+                self._fail(where, "measures", f"column {column!r} is in {symbol}, no {measures}")
+            self._wrong_unit(where, raw, column, symbol, body)
         absolute = raw.get("absolute", False)
         if not isinstance(absolute, bool):
             self._fail(where, "absolute", "absolute is true or false")
+        resolution = None
+        if step is not None and measures == "position":
+            resolution = Quantity(step, si, 0.0, "counts")
+        elif step is None:
+            resolution = self._number(where, raw, "resolution", si)
         return Sensor(
-            name, column, unit, body.name, measures, self._sign(where, raw),
-            self._number(where, raw, "resolution", si), self._number(where, raw, "noise", si),
-            absolute,
+            name, column, unit, body.name, measures, scale * self._sign(where, raw),
+            resolution, self._number(where, raw, "noise", si), absolute,
+        )  # fmt: skip
+
+    def _count(self, where: str, raw: dict[str, Any], body: Body) -> float | None:
+        """Size of one count of an encoder [rad or m]; None where the file does not say."""
+        turn = f"counts/{'m' if body.linear else 'rev'}"
+        given = raw.get("counts_per_rev")
+        if isinstance(given, int | float) and not isinstance(given, bool):
+            given = f"{given:g} counts/rev"
+        try:
+            step = counts(given if given is not None else raw.get("resolution"), body.angle_unit)
+        except UnitError as error:
+            key = "resolution" if given is None else "counts_per_rev"
+            self._fail(where, key, f"{error}; write '8192 {turn}'")
+        if step is None and given is not None:
+            self._fail(where, "counts_per_rev", "counts_per_rev is a number, such as 8192")
+        if step is None and str(raw.get("unit", "")).lower() in COUNTS:
+            self._fail(
+                where, "unit", f"counts of what size? Add resolution = '8192 {turn}' (a quadrature "
+                "encoder counts four times its lines)",
+            )  # fmt: skip
+        return step
+
+    def _wrong_unit(
+        self, where: str, raw: dict[str, Any], column: str, symbol: str, body: Body
+    ) -> NoReturn:
+        how = f"{'slides' if body.linear else 'turns'}: {body.angle_unit} or {body.angle_unit}/s"
+        if "unit" in raw:
+            self._fail(
+                where, "unit",
+                f"column {column!r} is in {symbol or 'no unit'}, but {body.name} {how}",
+            )  # fmt: skip
+        self._fail(
+            where, "column", f"column {column!r} has no unit of its own (its ending "
+            f"{suffix_unit(column)!r} would be in {symbol}), and {body.name} {how}; add unit = "
+            f'"{body.angle_unit}" or its like',
         )  # fmt: skip
 
     def _controller(
@@ -346,7 +381,7 @@ class _Reader:
                 self._fail(where, key, f"{key} = {value!r} is no number (SI)")
         reference = self._text(where, raw, "reference")
         unit, _ = self._column_unit(where, raw, reference, implied=sensor[of].unit)
-        limit = self._number(where, raw, "limit", _symbol(source[to].unit))
+        limit = self._number(where, raw, "limit", si_symbol(source[to].unit))
         return Controller(kind, to, of, gains, reference, unit, limit.value if limit else inf)
 
     def _effect(
@@ -373,7 +408,7 @@ class _Reader:
         time = raw.get("time")
         if isinstance(time, str):
             split = split_column(time)
-            time = (time, "s" if split is None else split[1].symbol and _suffix_unit(time))
+            time = (time, "s" if split is None else split[1].symbol and suffix_unit(time))
         elif isinstance(time, dict):
             column = self._text(where, time, "column")
             time = (column, str(time.get("unit", "s")))
@@ -400,20 +435,6 @@ class _Reader:
 
     # -- parts -------------------------------------------------------------------------------
 
-    def _tables(self, raw: dict[str, Any], kind: str) -> dict[str, dict[str, Any]]:
-        """[kind.NAME] tables, or [[kind]] with a name in each."""
-        found = raw.get(kind, {})
-        if isinstance(found, list):
-            named = {}
-            for table in found:
-                if not isinstance(table, dict) or not isinstance(table.get("name"), str):
-                    self._fail(kind, "name", f"each [[{kind}]] needs a name")
-                named[table["name"]] = {k: v for k, v in table.items() if k != "name"}
-            return named
-        if not isinstance(found, dict) or not all(isinstance(t, dict) for t in found.values()):
-            self._fail(kind, "", f"write [{kind}.NAME] and its keys below, NAME your own")
-        return found
-
     def _tree(self, bodies: tuple[Body, ...], links: tuple[Link, ...]) -> None:
         group = {b.name: b.name for b in bodies}
         for link in links:
@@ -422,7 +443,9 @@ class _Reader:
             if one == other:
                 self._fail(
                     f"{kind}.{link.name}", "between",
-                    "this closes a ring of bodies; chains and branched trains have none",
+                    f"this closes a ring of bodies: {link.first} and {link.second} are joined "
+                    "already. For a shaft and a gear one after the other write one [mesh], with "
+                    "the shaft's stiffness in it, or a body between them",
                 )  # fmt: skip
             group = {k: one if g == other else g for k, g in group.items()}
         if len(set(group.values())) > 1:
@@ -438,93 +461,6 @@ class _Reader:
         self._known(where, "body", body, bodies, "body")
         return str(body)
 
-    def _known(self, where: str, key: str, name: Any, things: Mapping, kind: str) -> None:
-        if name not in things:
-            self._fail(where, key, f"no {kind} {name!r}; there are {', '.join(things)}")
-
-    def _column_unit(
-        self, where: str, raw: dict[str, Any], column: str, implied: str | None = None
-    ) -> tuple[str, str]:
-        """Unit of a column as the loaders take it, and its SI symbol."""
-        unit = raw.get("unit")
-        if unit is None:
-            split = split_column(column)
-            unit = _suffix_unit(column) if split is not None else implied
-        if unit is None:
-            self._fail(
-                where, "unit", f'column {column!r} states no unit; add unit = "rad/s" or its like'
-            )
-        if not isinstance(unit, str):
-            self._fail(where, "unit", f"unit = {unit!r} is no text; write it in quotes")
-        try:
-            return unit, _symbol(unit)
-        except ValueError as error:
-            self._fail(where, "unit", str(error))
-
-    def _check_unit(self, where: str, key: str, unit: str, si: str) -> None:
-        try:
-            factor(unit, si)
-        except UnitError as error:
-            self._fail(where, key, str(error))
-
-    def _sign(self, where: str, raw: dict[str, Any]) -> float:
-        sign = raw.get("sign", 1)
-        if isinstance(sign, bool) or not isinstance(sign, int | float) or sign == 0:
-            self._fail(where, "sign", "sign = 1 or -1")
-        scale = raw.get("scale", 1)
-        if isinstance(scale, bool) or not isinstance(scale, int | float) or scale == 0:
-            self._fail(where, "scale", "scale is a number other than 0")
-        return float(sign) * float(scale)
-
-    def _text(self, where: str, raw: dict[str, Any], key: str) -> str:
-        value = raw.get(key)
-        if not isinstance(value, str) or not value:
-            self._fail(where, key, f'{key} = "name in the log" is needed')
-        return value
-
-    def _need(self, where: str, raw: dict[str, Any], key: str, si: str, **how: Any) -> Quantity:
-        if key not in raw:
-            self._fail(where, key, f"{key} = '… {si}' is needed")
-        return self._read(where, key, raw[key], si, **how)
-
-    def _number(self, where: str, raw: dict[str, Any], key: str, si: str) -> Quantity | None:
-        return self._read(where, key, raw[key], si) if key in raw else None
-
-    def _read(self, where: str, key: str, value: Any, si: str, **how: Any) -> Quantity:
-        try:
-            return quantity(value, si, **how)
-        except UnitError as error:
-            self._fail(where, key, f"{key}: {error}")
-
-    def _only(self, where: str, raw: dict[str, Any], allowed: tuple[str, ...]) -> None:
-        for key in raw:
-            if key not in allowed:
-                near = difflib.get_close_matches(key, allowed, 1)
-                hint = f"did you mean {near[0]!r}? " if near else ""
-                self._fail(where, key, f"no key {key!r} here; {hint}keys are {', '.join(allowed)}")
-
-    def _fail(self, where: str, key: str, message: str) -> NoReturn:
-        line = _line_of(self._lines, where, key)
-        place = f"{self._source}, line {line}" if line else self._source
-        table = f"[{where}] " if where else ""
-        raise RigError(f"{place}: {table}{message}")
-
-
-_NAMED = ("body", "shaft", "mesh", "input", "sensor", "effect")
-
-
-def _suffix_unit(column: str) -> str:
-    """Unit that a column's name ends in, as the loaders spell it: omega_deg_s → deg_s."""
-    split = split_column(column)
-    return column[len(split[0]) + 1 :] if split is not None else ""
-
-
-def _symbol(unit: str) -> str:
-    """SI symbol of a unit."""
-    from dmptm_ctrl.signals.units import parse_unit
-
-    return parse_unit(unit).symbol
-
 
 def _gain_unit(raw: Mapping[str, Any]) -> str | None:
     """Unit of the signal from what the gain is per: "35 N/V" → V."""
@@ -536,29 +472,3 @@ def _gain_unit(raw: Mapping[str, Any]) -> str | None:
     if match is not None and match[1] not in ("rad", "deg", "s"):
         return match[1]
     return "A" if "torque_constant" in raw and "amplifier" not in raw else None
-
-
-_HEADER = re.compile(r"^\s*\[\[?\s*(.+?)\s*\]\]?\s*(?:#.*)?$")
-
-
-def _line_of(lines: list[str], where: str, key: str) -> int:
-    """Line number of a key, else of its table; 0 where neither is found."""
-    here, table_line, name = "", 0, where.rpartition(".")[2]
-    for number, line in enumerate(lines, start=1):
-        header = _HEADER.match(line)
-        if header:
-            here = header[1].replace('"', "").replace("'", "").replace(" ", "")
-            if here == where:
-                table_line = number
-            if not where and key and here.partition(".")[0] == key:
-                return number
-            continue
-        own = re.match(rf"^\s*[\"']?name[\"']?\s*=\s*[\"']{re.escape(name)}[\"']", line)
-        if own and here == where.partition(".")[0] and here:
-            here, table_line = where, number  # [[body]] with its name
-        if here == where and key and re.match(rf"^\s*[\"']?{re.escape(key)}[\"']?\s*[=.]", line):
-            return number
-        dotted = rf"^\s*{re.escape(where)}\.{re.escape(key)}\s*="
-        if where and key and re.match(dotted, line):
-            return number
-    return table_line

@@ -1,0 +1,147 @@
+"""Tables of a rig file: keys, numbers with units, and messages that name the line."""
+
+import difflib
+import re
+from collections.abc import Mapping
+from typing import Any, NoReturn
+
+from dmptm_ctrl.drive.parameters import Quantity
+from dmptm_ctrl.drive.rig_units import UnitError, factor, quantity
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.units import split_column
+
+
+class RigError(LogError):
+    """A rig file cannot be used; the message names the line, the key and what would be right."""
+
+
+class TableReader:
+    """Reads keys of tables; knows where in the file it is, for messages."""
+
+    def __init__(self, text: str, source: str) -> None:
+        self._lines = text.splitlines()
+        self._source = source
+
+    def _tables(self, raw: dict[str, Any], kind: str) -> dict[str, dict[str, Any]]:
+        """[kind.NAME] tables, or [[kind]] with a name in each."""
+        found = raw.get(kind, {})
+        if isinstance(found, list):
+            named = {}
+            for table in found:
+                if not isinstance(table, dict) or not isinstance(table.get("name"), str):
+                    self._fail(kind, "name", f"each [[{kind}]] needs a name")
+                named[table["name"]] = {k: v for k, v in table.items() if k != "name"}
+            return named
+        if not isinstance(found, dict) or not all(isinstance(t, dict) for t in found.values()):
+            self._fail(kind, "", f"write [{kind}.NAME] and its keys below, NAME your own")
+        return found
+
+    def _known(self, where: str, key: str, name: Any, things: Mapping, kind: str) -> None:
+        if name not in things:
+            self._fail(where, key, f"no {kind} {name!r}; there are {', '.join(things)}")
+
+    def _column_unit(
+        self, where: str, raw: dict[str, Any], column: str, implied: str | None = None
+    ) -> tuple[str, str]:
+        """Unit of a column as the loaders take it, and its SI symbol."""
+        unit = raw.get("unit")
+        if unit is None:
+            split = split_column(column)
+            unit = suffix_unit(column) if split is not None else implied
+        if unit is None:
+            self._fail(
+                where, "unit", f'column {column!r} states no unit; add unit = "rad/s" or its like'
+            )
+        if not isinstance(unit, str):
+            self._fail(where, "unit", f"unit = {unit!r} is no text; write it in quotes")
+        try:
+            return unit, si_symbol(unit)
+        except ValueError as error:
+            self._fail(where, "unit", str(error))
+
+    def _check_unit(self, where: str, key: str, unit: str, si: str) -> None:
+        try:
+            factor(unit, si)
+        except UnitError as error:
+            self._fail(where, key, str(error))
+
+    def _sign(self, where: str, raw: dict[str, Any]) -> float:
+        sign = raw.get("sign", 1)
+        if isinstance(sign, bool) or not isinstance(sign, int | float) or sign == 0:
+            self._fail(where, "sign", "sign = 1 or -1")
+        scale = raw.get("scale", 1)
+        if isinstance(scale, bool) or not isinstance(scale, int | float) or scale == 0:
+            self._fail(where, "scale", "scale is a number other than 0")
+        return float(sign) * float(scale)
+
+    def _text(self, where: str, raw: dict[str, Any], key: str) -> str:
+        value = raw.get(key)
+        if not isinstance(value, str) or not value:
+            self._fail(where, key, f'{key} = "name in the log" is needed')
+        return value
+
+    def _need(self, where: str, raw: dict[str, Any], key: str, si: str, **how: Any) -> Quantity:
+        if key not in raw:
+            self._fail(where, key, f"{key} = '… {si}' is needed")
+        return self._read(where, key, raw[key], si, **how)
+
+    def _number(self, where: str, raw: dict[str, Any], key: str, si: str) -> Quantity | None:
+        return self._read(where, key, raw[key], si) if key in raw else None
+
+    def _read(self, where: str, key: str, value: Any, si: str, **how: Any) -> Quantity:
+        try:
+            return quantity(value, si, **how)
+        except UnitError as error:
+            self._fail(where, key, f"{key}: {error}")
+
+    def _only(self, where: str, raw: dict[str, Any], allowed: tuple[str, ...]) -> None:
+        for key in raw:
+            if key not in allowed:
+                near = difflib.get_close_matches(key, allowed, 1)
+                hint = f"did you mean {near[0]!r}? " if near else ""
+                self._fail(where, key, f"no key {key!r} here; {hint}keys are {', '.join(allowed)}")
+
+    def _fail(self, where: str, key: str, message: str) -> NoReturn:
+        line = _line_of(self._lines, where, key)
+        place = f"{self._source}, line {line}" if line else self._source
+        table = f"[{where}] " if where else ""
+        raise RigError(f"{place}: {table}{message}")
+
+
+def suffix_unit(column: str) -> str:
+    """Unit that a column's name ends in, as the loaders spell it: omega_deg_s → deg_s."""
+    split = split_column(column)
+    return column[len(split[0]) + 1 :] if split is not None else ""
+
+
+def si_symbol(unit: str) -> str:
+    """SI symbol of a unit."""
+    from dmptm_ctrl.signals.units import parse_unit
+
+    return parse_unit(unit).symbol
+
+
+_HEADER = re.compile(r"^\s*\[\[?\s*(.+?)\s*\]\]?\s*(?:#.*)?$")
+
+
+def _line_of(lines: list[str], where: str, key: str) -> int:
+    """Line number of a key, else of its table; 0 where neither is found."""
+    here, table_line, name = "", 0, where.rpartition(".")[2]
+    for number, line in enumerate(lines, start=1):
+        header = _HEADER.match(line)
+        if header:
+            here = header[1].replace('"', "").replace("'", "").replace(" ", "")
+            if here == where:
+                table_line = number
+            if not where and key and here.partition(".")[0] == key:
+                return number
+            continue
+        own = re.match(rf"^\s*[\"']?name[\"']?\s*=\s*[\"']{re.escape(name)}[\"']", line)
+        if own and here == where.partition(".")[0] and here:
+            here, table_line = where, number  # [[body]] with its name
+        if here == where and key and re.match(rf"^\s*[\"']?{re.escape(key)}[\"']?\s*[=.]", line):
+            return number
+        dotted = rf"^\s*{re.escape(where)}\.{re.escape(key)}\s*="
+        if where and key and re.match(dotted, line):
+            return number
+    return table_line

@@ -1,0 +1,84 @@
+"""Units as people write them in a rig file, and what a wrong one is answered with."""
+
+from math import pi
+
+import pytest
+
+from dmptm_ctrl.drive.rigfile import RigError, parse_rig
+
+RIG = """
+[body.motor]
+inertia = "unknown"
+[input.u]
+column = "u"
+unit = "V"
+[sensor.encoder]
+column = "{column}"
+{rest}
+"""
+
+
+def sensor(rest, column="phi"):
+    return parse_rig(RIG.format(column=column, rest=rest)).sensors[0]
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        'unit = "counts"\nresolution = "8192 counts/rev"',
+        'unit = "counts"\ncounts_per_rev = 8192',
+        'unit = "ticks"\nresolution = "8192 ticks per turn"',
+    ],
+)
+def test_counts_of_an_encoder(rest):
+    found = sensor(rest)
+    assert found.measures == "position"
+    assert found.sign == pytest.approx(2 * pi / 8192)  # rad per count
+    assert found.resolution.value == pytest.approx(2 * pi / 8192)
+
+
+def test_resolution_alone_leaves_the_column_as_it_is():
+    found = sensor('unit = "deg"\nresolution = "20000 counts/rev"')
+    assert found.sign == 1
+    assert found.resolution.value == pytest.approx(2 * pi / 20000)
+
+
+def test_revolutions():
+    assert sensor('unit = "rev"\nresolution = "0.001 rev"').resolution.value == pytest.approx(
+        2e-3 * pi
+    )
+    assert sensor('unit = "rev/s"').measures == "speed"
+
+
+@pytest.mark.parametrize(
+    ("column", "rest", "line", "words"),
+    [
+        ("phi_m", "", 8, "'phi_m' has no unit of its own"),
+        ("phi", "", 7, "states no unit"),
+        ("phi", 'unit = "m"', 9, "is in m, but motor turns: rad or rad/s"),
+        ("phi", 'unit = "counts"', 9, "resolution = '8192 counts/rev'"),
+        ("phi", 'unit = "counts"\nresolution = "50 counts/mm"', 10, "another quantity than rad"),
+        ("phi", 'unit = "rad"\nmeasures = "speed"', 10, "is in rad, no speed"),
+        ("phi", 'unit = "rad"\ncounts_per_rev = "many"', 10, "such as 8192"),
+    ],
+)
+def test_a_wrong_unit_is_answered_with_the_right_one(column, rest, line, words):
+    with pytest.raises(RigError) as caught:
+        sensor(rest, column)
+    assert f"line {line}:" in str(caught.value)
+    assert words in str(caught.value)
+
+
+def test_a_shaft_and_a_gear_between_the_same_bodies_are_one_mesh():
+    text = RIG.format(column="phi", rest='unit = "rad"\nbody = "motor"')
+    text = text.replace('unit = "V"', 'unit = "V"\nbody = "motor"')
+    text += """
+[body.load]
+inertia = "unknown"
+[shaft.coupling]
+between = ["motor", "load"]
+[mesh.gear]
+between = ["motor", "load"]
+"""
+    with pytest.raises(RigError, match=r"write one \[mesh\], with the shaft's stiffness in it"):
+        parse_rig(text)

@@ -6,76 +6,46 @@ or stretches of logs, that were not fitted.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from math import inf
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.signal import csd, welch
 
-from dmptm_ctrl.diagnosis.ladder_candidates import candidates
-from dmptm_ctrl.diagnosis.ladder_score import Score, Tangent, similarity
-from dmptm_ctrl.diagnosis.ladder_tries import Candidate
-from dmptm_ctrl.identify.chain_fit import (
-    ChainFit,
-    Free,
-    State,
-    fit_chain,
-    has_phase,
-    log_parameters,
-    residuals,
+from dmptm_ctrl.diagnosis.ladder_candidates import candidates, structures
+from dmptm_ctrl.diagnosis.ladder_held import held_outcome, held_state
+from dmptm_ctrl.diagnosis.ladder_judge import (
+    MIN_GAIN,
+    MIN_SHARE,
+    Errors,
+    errors_of,
+    gain_of,
+    least_gain,
+    plausible,
+    rank,
+    worthwhile,
 )
+from dmptm_ctrl.diagnosis.ladder_score import Score, Tangent, similarity
+from dmptm_ctrl.diagnosis.ladder_tries import Candidate, joint
+from dmptm_ctrl.identify.chain_fit import ChainFit, State, fit_chain
 from dmptm_ctrl.identify.chain_start import rough_start
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
 from dmptm_ctrl.simulate.chain_model import ChainModel
 
-Floats = NDArray[np.float64]
-
-MIN_GAIN = 0.05  # share of the residual's square; less is not worth a name
 ALPHA = 0.01  # chance that any rung of a ladder is taken by a drive that lacks nothing
 HELD_SHARE = 0.3  # of the gain on the fitted logs that held-out ones must show
-MIN_SHARE = 0.5  # % of the driving torque; a smaller effect is of no interest
 MAX_RUNGS = 10
 SETTLE = 30  # iterations at most; an unsettled fit would lend its gain to the next effect
 SHORTLIST = 4  # candidates refitted per rung
 ALIKE = 0.7  # cosine between what two candidates explain, from which they compete
 NEARLY = 0.85  # a simpler effect with this share of the best one's gain is preferred
-IN_BAND = 0.9  # of the bandwidth; a resonance must lie below
-CLIPS = 1.05  # largest input over a saturation's limit
-OVERDAMPED = 0.5  # damping ratio from which there is no resonance to speak of
 STANDS_OUT = 0.3
+ON_PROBATION = 0.2  # chance level at which an effect that stands out is tried
+PAIRED = 6  # candidates that are tried in pairs
+STRUCTURE = "shaft_compliance", "backlash"
+CANDIDATES = 20  # about as many are looked at
+PAIR = "drive_offset", "friction_asymmetry"  # may cancel over most of a log, and hide each other
+PAIR_GAIN = 2.0  # times what either explains alone
 SHAPES = ("stribeck_friction", "friction_asymmetry", "presliding", "thermal_drift")
-DRIVEN = 0.5  # of what a spring changes must be coherent with the drive
-SEGMENTS = 8  # of a log, for a coherence
-SHORTEST_SEGMENT = 16  # rows
-EXOTIC_GAIN = 2.0  # times the gain that a plain effect must have, for those from here on in SIMPLE
-FIRST_EXOTIC = "presliding"
-SIMPLE = (  # the order in which engineers think of them
-    *("coulomb_friction", "viscous_friction", "drive_offset", "friction_asymmetry"),
-    *("stribeck_friction", "cogging", "unbalance", "shaft_compliance", "backlash"),
-    *("drive_delay", "current_lag", "presliding", "quadratic_drag", "load_dependent_friction"),
-    *("position_dependent_friction", "drive_dead_band", "drive_saturation", "cable_spring"),
-    *("thermal_drift", "base_vibration"),
-)
-
-
-class Errors(NamedTuple):
-    """Error of a balance of torques.
-
-    Attributes
-    ----------
-    rmse : float [N·m or N, or the input's unit where the gain is unknown]
-    percent : float
-        100 · ‖residual‖/‖drive‖.
-    fit_percent, pearson_r : float
-        Of the torque that the model gives against the driving one.
-    """
-
-    rmse: float
-    percent: float
-    fit_percent: float
-    pearson_r: float
 
 
 class Rung(NamedTuple):
@@ -90,6 +60,9 @@ class Rung(NamedTuple):
     fit_after: Errors
     held_before: Errors
     held_after: Errors
+
+
+Steps = list[tuple[Rung, ChainFit]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,50 +90,6 @@ class Ladder:
     held_logs: Balance
     held_state: State
     warnings: tuple[str, ...] = field(default=())
-
-
-def errors_of(left: Sequence[Floats], drive: Sequence[Floats]) -> Errors:
-    """Errors of the first equation over logs together; rows at rest do not count."""
-    e = np.concatenate([part[0] for part in left])
-    f = np.concatenate(list(drive))
-    use = f != 0
-    e, f = e[use], f[use]
-    if e.size == 0:
-        return Errors(0.0, 0.0, 0.0, 0.0)
-    rmse = float(np.sqrt(np.mean(e**2)))
-    size = float(np.sqrt(np.mean(f**2)))
-    spread = float(np.std(f))
-    model = f - e
-    both = spread * float(np.std(model))
-    r = float(np.mean((f - f.mean()) * (model - model.mean())) / both) if both > 0 else 0.0
-    return Errors(
-        rmse,
-        100.0 * rmse / size,
-        100.0 * (1.0 - rmse / spread) if spread > 0 else 0.0,
-        r,
-    )
-
-
-Outcome = tuple[Sequence[Floats], Sequence[Floats]]  # residual and drive per log
-
-
-def gain_of(before: Outcome, after: Outcome) -> float:
-    """Share of the residual's square that went, relative to the drive.
-
-    Mean over the equations that both have: the first one does not see the torque between two
-    bodies that are both measured.
-    """
-    count = min(before[0][0].shape[0], after[0][0].shape[0])
-    old, new = (np.array([_power(left, drive, e) for e in range(count)])
-                for left, drive in (before, after))  # fmt: skip
-    left = np.divide(new, old, out=np.ones(count), where=old > 0)
-    return 1.0 - float(np.mean(left))
-
-
-def _power(left: Sequence[Floats], drive: Sequence[Floats], equation: int) -> float:
-    total = sum(float(part[equation] @ part[equation]) for part in left)
-    size = sum(float(part @ part) for part in drive)
-    return total / size if size > 0 else inf
 
 
 def climb(
@@ -194,20 +123,28 @@ def climb(
     scores: list[Candidate] = []
     while len(rungs) < MAX_RUNGS:
         # Springs and gaps cost most to try: not while a plain effect stands out.
-        scores = candidates(Tangent(fit, fit_logs), structure=not rungs)
-        if rungs and not any(c.score.gain >= STANDS_OUT for c in scores):
-            scores = candidates(Tangent(fit, fit_logs))
+        tangent = Tangent(fit, fit_logs)
+        scores = candidates(tangent, structure=False)
+        if not rungs or not any(c.score.gain >= STANDS_OUT for c in scores):
+            scores = sorted([*scores, *structures(tangent)], key=lambda c: -c.score.gain)
         for candidate in scores:
             known = best.get(candidate.name)
             if known is None or candidate.score.gain > known.score.gain:
                 best[candidate.name] = candidate
-        taken = _next_rung(fit, fit_logs, held_logs, scores, jobs)
+        taken = _pair(tangent, held_logs, scores, jobs)
+        if taken is None:
+            taken = _next_rung(fit, fit_logs, held_logs, scores, jobs)
+        if taken is None:
+            taken = _any_pair(tangent, held_logs, scores, jobs)
         if taken is None:
             break
-        rung, fit = taken
-        rungs.append(rung)
-        if tell is not None:
-            tell(f"{rung.key}: {rung.held_before.percent:.2f} → {rung.held_after.percent:.2f} %")
+        fit = taken[-1][1]
+        for rung, _ in taken:
+            rungs.append(rung)
+            if tell is not None:
+                tell(
+                    f"{rung.key}: {rung.held_before.percent:.2f} → {rung.held_after.percent:.2f} %"
+                )
     fit, deleted = _delete(fit, fit_logs, held_logs, rungs, jobs)
     return Ladder(
         base,
@@ -228,16 +165,19 @@ def _next_rung(
     held_logs: Balance,
     scores: list[Candidate],
     jobs: int,
-) -> tuple[Rung, ChainFit] | None:
+) -> Steps | None:
     """Take the best candidate that passes; None when none does.
 
-    One that stands out is tested as if it were the only one: held-out data confirm it.
+    One that stands out may still be uncertain while much else is missing: it is taken on
+    probation, and judged in the end.
     """
     level = ALPHA / max(len(scores), 1)
     worth = [
         c for c in scores
-        if c.score.gain >= 0.5 * MIN_GAIN and c.score.p_value * c.tries
-        <= (ALPHA if c.score.gain >= STANDS_OUT else level)
+        if c.score.gain >= 0.5 * MIN_GAIN and (
+            c.score.p_value * c.tries <= level
+            or (c.score.gain >= STANDS_OUT and c.score.p_value <= ON_PROBATION)
+        )
     ]  # fmt: skip
     refits = [(c, refit(fit, c, fit_logs, jobs)) for c in worth[:SHORTLIST]]
     old = fit.left, fit.drive
@@ -264,73 +204,80 @@ def _next_rung(
             candidate.placed.key, candidate.score, p_value, gain, held_gain,
             before, errors_of(new.left, new.drive), errors_of(*held_old), errors_of(*held_new),
         )  # fmt: skip
-        return rung, new
+        return [(rung, new)]
     return None
 
 
-def least_gain(name: str) -> float:
-    """Share of the residual's square that an effect must explain to be named."""
-    return MIN_GAIN * (EXOTIC_GAIN if exotic(name) else 1.0)
+def _pair(tangent: Tangent, held_logs: Balance, scores: list[Candidate], jobs: int) -> Steps | None:
+    """Take two effects together that hide each other; None where they do not."""
+    found = [next((c for c in scores if c.name == name), None) for name in PAIR]
+    one, other = found
+    if one is None or other is None:
+        return None
+    score, both = joint(tangent, one.placed, other.placed)
+    alone = max(one.score.gain, other.score.gain)
+    best = max(c.score.gain for c in scores)
+    p_value = min(1.0, score.p_value * len(scores))
+    if score.gain < max(PAIR_GAIN * alone, 2 * MIN_GAIN, best) or p_value > ALPHA:
+        return None
+    both_sized = [c._replace(placed=p) for c, p in zip((one, other), both, strict=True)]
+    return _both(tangent, held_logs, both_sized, score, p_value, jobs)
 
 
-def exotic(name: str) -> bool:
-    """Whether an effect is a rare one."""
-    return name not in SIMPLE or SIMPLE.index(name) >= SIMPLE.index(FIRST_EXOTIC)
+def _any_pair(
+    tangent: Tangent, held_logs: Balance, scores: list[Candidate], jobs: int
+) -> Steps | None:
+    """Take two effects together that are each uncertain while the other is missing."""
+    kept = [c for c in scores if c.name not in STRUCTURE and c.score.gain >= MIN_GAIN][:PAIRED]
+    tried: list[tuple[float, int, Score, list[Candidate]]] = []
+    for k, one in enumerate(kept):
+        for other in kept[:k]:
+            score = tangent.score(np.column_stack([one.score.direction, other.score.direction]))
+            chance = score.p_value * one.tries * other.tries * len(scores) ** 2
+            if score.gain >= STANDS_OUT and chance <= ALPHA:
+                order = rank(one.name) + rank(other.name)
+                tried.append((score.gain, order, score._replace(p_value=chance), [other, one]))
+    if not tried:
+        return None
+    top = max(t[0] for t in tried)
+    tried = sorted((t for t in tried if t[0] >= NEARLY * top), key=lambda t: t[1])
+    for _, _, score, both in tried[:2]:
+        steps = _both(tangent, held_logs, both, score, score.p_value, jobs)
+        if steps is not None:
+            return steps
+    return None
 
 
-def worthwhile(name: str, gain: float, before: Outcome, after: Outcome, least: float) -> bool:
-    """Whether an effect explains enough, and of the whole balance as well.
-
-    A gap acts between two bodies alone; that balance does not see it.
-    """
-    if gain < max(least, least_gain(name)):
-        return False
-    if name == "backlash":
-        return True
-    first = [([part[:1] for part in left], drive) for left, drive in (before, after)]
-    return gain_of(*first) >= least_gain(name)
-
-
-def plausible(candidate: Candidate, before: ChainFit, fit: ChainFit, logs: Balance) -> bool:
-    """Whether a refitted effect is what its name says.
-
-    A saturation clips more than the tips of the input. A resonance above the bandwidth is a delay
-    or a filter by another name; what a spring changes must follow from the drive, or it only
-    hides the noise of the acceleration.
-    """
-    effect = next(e for e in fit.model.effects if e.key == candidate.placed.key)
-    if effect.name == "drive_saturation":
-        peak = max(float(np.abs(m.u[effect.on]).max()) for m in logs.motions)
-        return effect.values["inverse_limit"] * peak >= CLIPS
-    if effect.name != "shaft_compliance":
-        return True
-    layout, plant = fit.model.layout, fit.model.plant()
-    k = layout.links.index(effect.key if effect.key in layout.links else effect.on)
-    ratio, stiffness = plant.link_values[k, :2]
-    near, far = (plant.inertia[plant.body_coordinate[b]] for b in plant.link_body[k])
-    # a sensor on the driven side sees the antiresonance first
-    square = stiffness * (ratio**2 / far + (1 / near if effect.far else 0.0))
-    if square > (2 * np.pi * IN_BAND * logs.bandwidth) ** 2:
-        return False
-    if effect.values["damping_ratio"] > OVERDAMPED:
-        return False
-    changes = [b[0] - a[0] for b, a in zip(before.left, fit.left, strict=True)]
-    return driven_share(changes, fit.drive) >= DRIVEN
-
-
-def driven_share(changes: Sequence[Floats], drive: Sequence[Floats]) -> float:
-    """Share of the power of signals that is coherent with the drive."""
-    driven = total = 0.0
-    for change, push in zip(changes, drive, strict=True):
-        length = change.size // SEGMENTS
-        if length < SHORTEST_SEGMENT:
-            continue
-        _, cross = csd(push, change, nperseg=length)
-        _, one = welch(push, nperseg=length)
-        _, two = welch(change, nperseg=length)
-        driven += float(np.sum(np.abs(cross) ** 2 / np.maximum(one, 1e-300)))
-        total += float(np.sum(two))
-    return driven / total if total > 0 else 1.0
+def _both(
+    tangent: Tangent,
+    held_logs: Balance,
+    both: list[Candidate],
+    score: Score,
+    p_value: float,
+    jobs: int,
+) -> Steps | None:
+    """Add two effects, if together they are worth it on held-out data as well."""
+    fit, logs = tangent.fit, tangent.balance
+    steps: Steps = []
+    first = held_outcome(fit.state, held_logs, logs, jobs)
+    held_old = first
+    for candidate in both:
+        new = refit(fit, candidate, logs, jobs)
+        if not plausible(candidate, fit, new, logs):
+            return None
+        held_new = held_outcome(new.state, held_logs, logs, jobs)
+        rung = Rung(
+            candidate.placed.key, score, p_value,
+            gain_of((fit.left, fit.drive), (new.left, new.drive)),
+            gain_of(held_old, held_new), errors_of(fit.left, fit.drive),
+            errors_of(new.left, new.drive), errors_of(*held_old), errors_of(*held_new),
+        )  # fmt: skip
+        steps.append((rung, new))
+        fit, held_old = new, held_new
+    gain = gain_of((tangent.fit.left, tangent.fit.drive), (fit.left, fit.drive))
+    if gain < 2 * MIN_GAIN or gain_of(first, held_old) < HELD_SHARE * gain:
+        return None
+    return steps
 
 
 def refit(fit: ChainFit, candidate: Candidate, logs: Balance, jobs: int = 2) -> ChainFit:
@@ -360,18 +307,15 @@ def _simplest_first(
     return [*near, *(t for t in trials if all(t is not n for n in near))]
 
 
-def rank(name: str) -> int:
-    """Place in the order in which engineers think of effects; dead time and lag alike."""
-    name = "drive_delay" if name == "current_lag" else name
-    return SIMPLE.index(name) if name in SIMPLE else len(SIMPLE)
-
-
 def _delete(
     fit: ChainFit, fit_logs: Balance, held_logs: Balance, rungs: Sequence[Rung], jobs: int
 ) -> tuple[ChainFit, tuple[str, ...]]:
     """Give up effects that later ones have made superfluous."""
     deleted: list[str] = []
-    for rung in rungs[:-1]:
+    for number, rung in enumerate(rungs):
+        uncertain = rung.p_value > ALPHA
+        if number == len(rungs) - 1 and not uncertain:
+            continue
         if rung.key not in {e.key for e in fit.model.effects}:
             continue
         if carries_others(fit.model, rung.key):
@@ -379,10 +323,23 @@ def _delete(
         state = State(_handed_over(fit.model, rung.key), fit.state.logs)
         without = fit_chain(without_zeros(state, rung.key), fit_logs, jobs=jobs)
         lost = gain_of((without.left, without.drive), (fit.left, fit.drive))
-        if lost < least_gain(rung.key.partition("@")[0]):
+        chance = _chance(without, fit, fit_logs) if uncertain else 0.0
+        if lost < least_gain(rung.key.partition("@")[0]) or chance > ALPHA / CANDIDATES:
             fit = without
             deleted.append(rung.key)
     return fit, tuple(deleted)
+
+
+def _chance(without: ChainFit, fit: ChainFit, logs: Balance) -> float:
+    """How often chance explains as much as the effect does that one of two fits lacks."""
+    tangent = Tangent(fit, logs)
+    rest = tangent.stack(fit.left)
+    before = tangent.stack([p[: fit.left[0].shape[0]] for p in without.left])
+    if before.size != rest.size:
+        return 0.0  # a coordinate more or less: its gain is beyond doubt, or the rung was not taken
+    lost = float(before @ before) - float(rest @ rest)
+    count = max(len(fit.frees) - len(without.frees), 1)
+    return tangent.chance(lost, rest, count, len(without.frees))
 
 
 def _handed_over(model: ChainModel, key: str) -> ChainModel:
@@ -414,54 +371,3 @@ def without_zeros(state: State, key: str) -> State:
         for log, n in state.logs.items()
     }
     return State(state.model, logs)
-
-
-def held_outcome(state: State, held: Balance, fitted: Balance, jobs: int = 2) -> Outcome:
-    """Residual and drive on held-out logs; what belongs to a log alone is fitted there."""
-    return residuals(held_state(state, held, fitted, jobs=jobs), held)
-
-
-def held_state(state: State, held: Balance, fitted: Balance, *, jobs: int = 2) -> State:
-    """Fit the twists and encoder zeros of logs that were not fitted, and nothing else."""
-    known = {m.name for m in fitted.motions}
-    reference = fitted.motions[0].name
-    frees: list[Free] = []
-    for motion in held.motions:
-        if motion.name not in known:
-            frees += log_parameters(state.model, held, motion.name, reference)
-    if not frees:
-        return state
-    state = _phases(state, held, known)
-    return fit_chain(state, held, frees=frees, jobs=jobs, iterations=4).state
-
-
-def _phases(state: State, held: Balance, known: set[str]) -> State:
-    """Encoder zeros of new logs, by the phase that each harmonic effect has there."""
-    from dmptm_ctrl.diagnosis.ladder_candidates import unit_columns
-    from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-
-    logs = dict(state.logs)
-    for effect in state.model.effects:
-        if not has_phase(state.model, held, effect):
-            continue
-        bare = State(state.model.without([effect.key]), logs)
-        left, drive = residuals(bare, held)
-        shapes = {k: v for k, v in effect.values.items() if k == "order"}
-        order = shapes.get("order", 1.0)
-        view = Tangent(
-            ChainFit(bare, (), left, drive, tuple(p[..., None][..., :0] for p in left),
-                     np.ones(left[0].shape[0]), 0.0),
-            held,
-        )  # fmt: skip
-        chain = CHAIN_CATALOGUE[effect.name]
-        columns = unit_columns(view, chain, effect.on, shapes, ("cosine", "sine"))
-        here = effect.values["cosine"] - 1j * effect.values["sine"]
-        for k, motion in enumerate(held.motions):
-            if motion.name in known:
-                continue
-            found = np.linalg.lstsq(columns[k][0], -left[k][0], rcond=None)[0]
-            there = found[0] - 1j * found[1]
-            old = logs.get(motion.name, Nuisance())
-            shift = float(np.angle(there / here) / order) if here != 0 else 0.0
-            logs[motion.name] = Nuisance({**old.zero, effect.key: shift}, old.twist)
-    return replace(state, logs=logs)

@@ -14,7 +14,7 @@ from dmptm_ctrl.identify.chain_fit import (
     on_slide,
     scales_of,
 )
-from dmptm_ctrl.identify.chain_motion import REST_SHARE, Motion
+from dmptm_ctrl.identify.chain_motion import Motion
 from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_motion
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE, ChainEffect
 from dmptm_ctrl.simulate.chain_compose import engine, kind_of
@@ -24,6 +24,7 @@ Floats = NDArray[np.float64]
 
 MAX_ORDER = 400  # per turn
 SCREENED = 8  # orders and frequencies of the screening that are looked at closely
+LEAST_PERIODS = 3.0  # in the travel, or a spring or a slope would do as well
 MIN_TURNS = 0.9  # of travel before an angle effect of order 1 is told from a slope
 DELAYS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample times
 LONGEST_DELAY = 0.2  # s
@@ -46,12 +47,21 @@ def candidates(tangent: Tangent, *, structure: bool = True) -> list[Candidate]:
         The best starting values of each effect at each place; largest gain first.
     """
     found = []
-    for place in _places(tangent, structure):
+    for place in _places(tangent):
         found += list(place)
+    if structure:
+        found += structures(tangent)
     return sorted(found, key=lambda c: -c.score.gain)
 
 
-def _places(tangent: Tangent, structure: bool) -> Iterator[Iterator[Candidate]]:
+def structures(tangent: Tangent) -> list[Candidate]:
+    """Score springs and gaps, which change how many coordinates there are or cost most."""
+    present = {(e.name, e.on) for e in tangent.fit.model.effects}
+    scales = scales_of(tangent.balance)
+    return [*compliance(tangent, present), *backlash(tangent, scales, present)]
+
+
+def _places(tangent: Tangent) -> Iterator[Iterator[Candidate]]:
     model = tangent.fit.model
     scales = scales_of(tangent.balance)
     present = {(e.name, e.on) for e in model.effects}
@@ -69,9 +79,6 @@ def _places(tangent: Tangent, structure: bool) -> Iterator[Iterator[Candidate]]:
             if declared_already(model, name, body):
                 continue
             yield _body_effect(tangent, scales, chain, body)
-    if structure:
-        yield compliance(tangent, present)
-        yield backlash(tangent, scales, present)
 
 
 def declared_already(model: ChainModel, name: str, body: str) -> bool:
@@ -216,7 +223,7 @@ def unit_columns(
                     loop.friction_along(
                         kind_of(chain.name), theta, omega, motion.time, load, row, factor, out
                     )
-                    slow = REST_SHARE * np.abs(omega).max(initial=0.0)
+                    slow = motion.rest_share * np.abs(omega).max(initial=0.0)
                     out = -np.sign(omega) * out * (np.abs(omega) > slow)
                 else:
                     loop.torque_along(kind_of(chain.name), theta, omega, motion.time, row, out)
@@ -352,7 +359,9 @@ def _screen_orders(tangent: Tangent, body: str, slide: bool) -> tuple[list[float
         here = np.abs(np.fft.rfft(sums)) ** 2 / (share * theta.size)
         power = here if power is None else power + here
     assert power is not None
-    lowest = 3 * 2 * np.pi / span if slide else 2.0
+    lowest = LEAST_PERIODS * 2 * np.pi / span
+    if not slide:
+        lowest = max(lowest, 2.0)
     highest = min(MAX_ORDER, orders[-1]) if not slide else orders[-1] / 2
     slow = min(float(np.median(np.abs(_speed(balance, m, model, body)))) for m in balance.motions)
     highest = min(highest, 2 * np.pi * balance.bandwidth / max(slow, 1e-9) * 2)

@@ -6,7 +6,8 @@ from os import PathLike
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.ladder import Errors, Ladder, climb, errors_of
+from dmptm_ctrl.diagnosis.ladder import Ladder, climb
+from dmptm_ctrl.diagnosis.ladder_judge import Errors, errors_of
 from dmptm_ctrl.diagnosis.ladder_report import (
     ChainDiagnosis,
     error_dict,

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.ladder import Errors, Ladder, Rung
+from dmptm_ctrl.diagnosis.ladder import Ladder, Rung
 from dmptm_ctrl.diagnosis.ladder_files import chain_to_toml
+from dmptm_ctrl.diagnosis.ladder_judge import Errors
 from dmptm_ctrl.diagnosis.ladder_score import Tangent
 from dmptm_ctrl.diagnosis.ladder_standing import Standing
 from dmptm_ctrl.diagnosis.report import SCHEMA, NamedEffect

@@ -16,6 +16,7 @@ Floats = NDArray[np.float64]
 BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
 MIN_BLOCKS_PER_LOG = 4
 BLOCK_PERIODS = 10.0  # a block is not shorter than this many periods of the bandwidth
+FEW_BLOCKS = 20  # fewer are too few for their spread to tell
 NEWS = 20.0  # independent pieces of evidence in all blocks, for odds between rival effects
 
 
@@ -121,7 +122,44 @@ class Tangent:
         power = float(self.left @ self.left)
         gain = float(along @ along) / power if power > 0 else 0.0
         statistic, p_value = self._wald(u * self.left[:, None])
+        if int(self.blocks.max()) + 1 < FEW_BLOCKS:
+            p_value = min(p_value, self._f_test(u @ along, u.shape[1]))
         return Score(gain, statistic, p_value, amplitudes, survival, u @ along)
+
+    def _f_test(self, explained: Floats, count: int) -> float:
+        """How often chance explains as much, where blocks are too few to tell."""
+        rest = self.left - explained
+        lost = float(explained @ explained)
+        return self.chance(lost, rest, count, self.basis.shape[1])
+
+    def chance(self, lost: float, rest: Floats, count: int, fitted: int) -> float:
+        """F-test, with as many independent rows as the rest's correlation leaves.
+
+        Parameters
+        ----------
+        lost : float
+            Square that `count` numbers explain.
+        rest : (rows,) array
+            What they leave, as from `stack`.
+        fitted : int
+            Numbers fitted besides.
+        """
+        power = float(rest @ rest)
+        if power == 0.0 or lost <= 0.0:
+            return 1.0
+        news, start = 0.0, 0
+        for part in self.fit.left:
+            equations = min(part.shape[0], self.fit.weights.size)
+            for _ in range(equations):
+                one = rest[start : start + part.shape[1]]
+                start += part.shape[1]
+                used = one[one != 0]
+                if used.size:
+                    news += used.size / equations / _correlation_length(used)
+        free = news - count - fitted
+        if free < 1:
+            return 1.0
+        return float(f_distribution.sf((lost / count) / (power / free), count, free))
 
     @cached_property
     def _sizes(self) -> Floats:
@@ -144,6 +182,15 @@ class Tangent:
         relative = _against_zero(sums[used] / np.maximum(self._sizes[used, None], 1e-300))
         best = plain if plain[1] <= relative[1] else relative
         return best[0], min(1.0, 2.0 * best[1])
+
+
+def _correlation_length(x: Floats) -> float:
+    """Rows that count as one: 1 + 2 Σ ρ, up to the first that is not positive."""
+    spectrum = np.fft.rfft(x, 2 * x.size)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[: x.size]
+    rho = covariance / covariance[0] if covariance[0] > 0 else covariance
+    ends = np.flatnonzero(rho <= 0)
+    return 1.0 + 2.0 * float(np.sum(rho[1 : ends[0] if ends.size else rho.size]))
 
 
 def _against_zero(sums: Floats) -> tuple[float, float]:

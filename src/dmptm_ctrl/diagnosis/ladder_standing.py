@@ -3,15 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from dmptm_ctrl.diagnosis.ladder import (
-    ALIKE,
-    Ladder,
-    carries_others,
-    gain_of,
-    rank,
-    without_zeros,
-)
+from dmptm_ctrl.diagnosis.ladder import ALIKE, Ladder, carries_others, without_zeros
 from dmptm_ctrl.diagnosis.ladder_candidates import candidates
+from dmptm_ctrl.diagnosis.ladder_judge import gain_of, rank
 from dmptm_ctrl.diagnosis.ladder_score import NEWS, Tangent, similarity
 from dmptm_ctrl.identify.chain_fit import State, fit_chain
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.ladder_score import Score, Tangent
-from dmptm_ctrl.identify.chain_fit import ChainFit, Scales, State, residuals
+from dmptm_ctrl.identify.chain_fit import ChainFit, Scales, State, jacobian, residuals
+from dmptm_ctrl.identify.chain_motion import Motion
 from dmptm_ctrl.identify.chain_start import (
     drive_of,
     ends_of,
@@ -25,6 +26,10 @@ Floats = NDArray[np.float64]
 
 HIDDEN_MODES = 18  # antiresonances tried
 SHARES = (0.25, 0.6)  # of the inertia behind a spring, tried
+EXCERPT = 40_000  # samples on which many tries are compared
+EXCERPT_ROWS = 400  # of the balance in them, at least
+EXCERPT_LOGS = 3
+FINALISTS = 3  # tries that are looked at on all logs
 
 
 class Candidate(NamedTuple):
@@ -76,6 +81,21 @@ def finite(tangent: Tangent, tries: list[Placed]) -> Candidate:
             best = Candidate(placed, score._replace(gain=gain), len(tries))
     assert best is not None
     return best
+
+
+def joint(tangent: Tangent, one: Placed, other: Placed) -> tuple[Score, tuple[Placed, Placed]]:
+    """Score two effects together, and give both their sizes."""
+    columns = []
+    for placed in (one, other):
+        state = State(tangent.fit.model.with_effect(placed), tangent.fit.state.logs)
+        moved, _ = residuals(state, tangent.balance)
+        columns.append(tangent.stack(moved) - tangent.stack(tangent.fit.left))
+    score = tangent.score(np.column_stack(columns))
+
+    def sized(placed: Placed, by: float) -> Placed:
+        return placed._replace(values={k: v * by for k, v in placed.values.items()})
+
+    return score, (sized(one, score.amplitudes[0]), sized(other, score.amplitudes[1]))
 
 
 def _one_sided(placed: Placed) -> bool:
@@ -146,6 +166,53 @@ def finite_structure(
     values, twist : mappings, optional
         Declared quantities that change with it, and twists per log.
     """
+    if len(tries) > FINALISTS:
+        part = excerpt(tangent)
+        if part is not tangent:
+            scored = [(_structure(part, [t], values, twist).score.gain, t) for t in tries]
+            scored.sort(key=lambda s: -s[0])
+            best = _structure(tangent, [t for _, t in scored[:FINALISTS]], values, twist)
+            return best._replace(tries=len(tries))
+    return _structure(tangent, tries, values, twist)
+
+
+def excerpt(tangent: Tangent) -> Tangent:
+    """Return the stretches of the logs in which most is left; the same if that is all of them."""
+    fit, balance = tangent.fit, tangent.balance
+    total = sum(m.time.size for m in balance.motions)
+    size = max(EXCERPT, EXCERPT_ROWS * max(m.step for m in balance.motions))
+    if total <= 1.5 * size:
+        return tangent
+    power = [float(np.sum(part**2)) for part in fit.left]
+    largest = sorted(range(len(power)), key=lambda k: -power[k])[:EXCERPT_LOGS]
+    cut = [
+        balance.motions[k].stretch(*_richest(balance.motions[k], fit.left[k], size // len(largest)))
+        for k in largest
+    ]
+    few = replace(balance, motions=tuple(cut), columns={})
+    left, drive = residuals(fit.state, few)
+    frees = tuple(f for f in fit.frees if f.kind in ("value", "effect"))
+    slopes = jacobian(fit.state, few, frees, left, jobs=1)
+    return Tangent(replace(fit, frees=frees, left=left, drive=drive, slopes=slopes), few)
+
+
+def _richest(motion: Motion, left: Floats, size: int) -> tuple[int, int]:
+    """First and last sample of the stretch of a length in which most is left."""
+    if motion.time.size <= size:
+        return 0, motion.time.size
+    power = np.concatenate(([0.0], np.cumsum(np.sum(left**2, axis=0))))
+    rows = max(min(size // motion.step, power.size - 1), 1)
+    start = int(np.argmax(power[rows:] - power[:-rows])) * motion.step
+    start = min(start, motion.time.size - size)
+    return start, start + size
+
+
+def _structure(
+    tangent: Tangent,
+    tries: list[Placed],
+    values: Mapping[str, float] | None,
+    twist: Mapping[str, Mapping[str, float]] | None,
+) -> Candidate:
     best: Candidate | None = None
     count = tangent.fit.left[0].shape[0]
     first = Tangent(_first_equation(tangent), tangent.balance)
@@ -173,7 +240,9 @@ def finite_structure(
             best = Candidate(
                 placed, score._replace(gain=gain), len(tries), {}, values or {}, twist or {},
             )  # fmt: skip
-    assert best is not None
+    if best is None:  # no start could be simulated
+        nothing = tangent.score(np.zeros((tangent.left.size, 1)))
+        return Candidate(tries[0], nothing, len(tries))
     return best
 
 

@@ -21,8 +21,12 @@ Floats = NDArray[np.float64]
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
 ROWS_PER_NEWS = 8.0  # rows of the balance that carry one independent piece of news
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
-LARGE_STEP = {"drive_delay", "current_lag", "backlash", "drive_dead_band", "drive_saturation"}
+KINKS = {  # step of the finite differences, in scales: wide enough to pass a few kinks
+    "drive_delay": 0.05, "current_lag": 0.05, "drive_dead_band": 0.05, "drive_saturation": 0.05,
+    "backlash": 0.005,
+}  # fmt: skip
 HARMONIC = ("cogging", "unbalance", "position_dependent_friction")  # cosine and sine of the angle
+STEADY = 0.05  # change of an equation's weight at which a fit has settled
 LEAST_SCALE = 0.01  # of the typical size of a quantity
 SHARES = 0.005, 0.99  # of the inertia behind a spring
 NOT_FITTED = ("ratio", "gain", "stribeck_exponent", "gap_damping", "limit")
@@ -288,6 +292,11 @@ class ChainFit:
         return self.state.model
 
     @property
+    def misfit(self) -> float:
+        """Sum of the logarithms of each equation's residual, for fits of equal equations."""
+        return -float(np.sum(np.log(_weights(self.left))))
+
+    @property
     def values(self) -> dict[str, float]:
         """Fitted numbers by label."""
         return {f.label: self.state.get(f) for f in self.frees}
@@ -337,8 +346,8 @@ def jacobian(
 
 
 def _step(free: Free) -> float:
-    if free.kind == "effect" and free.owner.partition("@")[0] in LARGE_STEP:
-        return 0.05 * free.scale
+    if _has_kinks(free):
+        return KINKS[free.owner.partition("@")[0]] * free.scale
     return DIFFERENCE * free.scale
 
 
@@ -380,31 +389,60 @@ def fit_chain(
     for _ in range(iterations):
         if not frees:
             break
-        step = _step_of(state, frees, left, slopes, weights)
-        improved = False
+        better = _better(state, balance, frees, left, slopes, weights, cost)
+        gain = 0.0
+        if better is not None:
+            gain = 1.0 - better[3] / cost
+            state, left, drive, cost = better
+            frees = tuple(_rescaled(f, state) for f in frees)
+            slopes = jacobian(state, balance, frees, left, jobs=jobs)
+        if gain < tolerance:
+            # equations count by what is left of each, which has changed on the way
+            old, weights = weights, _weights(left)
+            share, share_old = weights / weights.sum(), old / old.sum()
+            if np.all(np.abs(share - share_old) <= STEADY * share_old):
+                break
+            cost = _cost(state, frees, left, weights)
+    return ChainFit(state, frees, left, drive, slopes, weights, cost)
+
+
+def _better(
+    state: State,
+    balance: Balance,
+    frees: Sequence[Free],
+    left: Sequence[Floats],
+    slopes: Sequence[Floats],
+    weights: Floats,
+    cost: float,
+) -> tuple[State, tuple[Floats, ...], tuple[Floats, ...], float] | None:
+    """Return state, residual, drive and cost after a step that lowers the cost; else None.
+
+    Where a whole step fails, numbers with kinks (a gap, a dead time) are left out of it.
+    """
+    smooth = [not _has_kinks(f) for f in frees]
+    for used in ([True] * len(frees), smooth):
+        if used is smooth and (all(smooth) or not any(smooth)):
+            continue
+        own = [f for f, u in zip(frees, used, strict=True) if u]
+        step = _step_of(state, own, left, [p[..., used] for p in slopes], weights)
         for shrink in (1.0, 0.3, 0.1, 0.03):
             values = [
                 float(np.clip(state.get(f) + shrink * f.scale * d, f.low, f.high))
-                for f, d in zip(frees, step, strict=True)
+                for f, d in zip(own, step, strict=True)
             ]
-            trial = state.moved(frees, values)
+            trial = state.moved(own, values)
             try:
                 new_left, new_drive = residuals(trial, balance)
             except (ValueError, ArithmeticError):
                 continue
             new_cost = _cost(trial, frees, new_left, weights)
             if isfinite(new_cost) and new_cost < cost:
-                improved = True
-                break
-        if not improved:
-            break
-        gain = 1.0 - new_cost / cost
-        state, left, drive, cost = trial, new_left, new_drive, new_cost
-        frees = tuple(_rescaled(f, state) for f in frees)
-        slopes = jacobian(state, balance, frees, left, jobs=jobs)
-        if gain < tolerance:
-            break
-    return ChainFit(state, frees, left, drive, slopes, weights, cost)
+                return trial, new_left, new_drive, new_cost
+    return None
+
+
+def _has_kinks(free: Free) -> bool:
+    return free.kind == "effect" and free.owner.partition("@")[0] in KINKS
 
 
 def _rescaled(free: Free, state: State) -> Free:

@@ -1,8 +1,9 @@
 """Position, speed and acceleration of measured bodies from a log, at the bandwidth it allows."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,12 @@ MOTION_OVER_BALANCE = 2.0  # bandwidth of the motion over that of the balance
 HIGHEST = 0.1  # of the sample rate: derivatives by differences stay within 1 % below it
 LOWEST = 0.002
 ROWS_PER_HERTZ = 2.5  # of balance bandwidth, after decimation
+BOXES_PER_ROW = 8.0  # at least; sums so short pass the bandwidth whole (0.4 % less at its edge)
 TAPS = 3.0  # half-length of the decimation filter in periods of its cut-off
 REST_SHARE = 5e-3  # of the highest speed; slower is at rest
+REST_NOISE = 3.0  # standard deviations of a sensor's noise; slower is at rest
+NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
+MOST_REST = 0.05  # of the highest speed
 REST_TIME = 2.0  # at rest for longer than this many periods of the bandwidth is left out
 STRETCHES = 10  # that a log is cut into where there are few logs
 HELD_STRETCHES = (2, 5, 8)  # of these, not fitted
@@ -76,30 +81,44 @@ class Motion:
     bandwidth: float
     angles: frozenset[str]  # bodies whose position is measured, not integrated
     by_speed: bool = False  # the first point's acceleration is that of a speed sensor
+    rest_share: float = REST_SHARE  # of the highest speed; slower is at rest, or noise
     part: str = ""  # "fit" or "held-out" stretches of the log; "" is all of it
+
+    @cached_property
+    def box(self) -> int:
+        """Samples that are summed before the filter, an odd number, few beside a row."""
+        row = 1.0 / (self.dt * ROWS_PER_HERTZ * self.bandwidth)
+        return 2 * int(row / (2 * BOXES_PER_ROW)) + 1
 
     @cached_property
     def step(self) -> int:
         """Samples per row of the balance."""
-        return max(int(1.0 / (self.dt * ROWS_PER_HERTZ * self.bandwidth)), 1)
+        row = 1.0 / (self.dt * ROWS_PER_HERTZ * self.bandwidth)
+        return max(int(row / self.box), 1) * self.box
 
     @cached_property
     def taps(self) -> Floats:
-        """Low-pass filter of the balance."""
-        half = max(int(TAPS / (self.bandwidth * self.dt)), 1)
+        """Low-pass filter of the balance, an odd number of weights of sums over `box`."""
         if self.step == 1:
             return np.ones(1)
-        return firwin(2 * half + 1, self.bandwidth, fs=1.0 / self.dt, window="hann")
+        boxes = self.step // self.box
+        half = boxes * ceil(TAPS / (self.bandwidth * self.dt * self.step))
+        rate = 1.0 / (self.dt * self.box)
+        return firwin(2 * half + 1, self.bandwidth, fs=rate, window="hann") / self.box
 
     def reduce(self, signal: Floats) -> Floats:
         """Low-pass a signal and keep one row in `step`, (rows,); the edges are left out."""
-        half = self.taps.size // 2
-        if signal.size <= 4 * half:
-            return signal[:0]
-        full = upfirdn(self.taps, signal, down=1)[2 * half : signal.size]
-        return full[self._inset :: self.step] if self._inset == 0 else (
-            full[self._inset : -self._inset : self.step]
-        )  # fmt: skip
+        count = self.rows.size
+        boxes = signal.size - 2 * self._inset
+        if self.box == 1:
+            sums = signal[self._inset : self._inset + boxes]
+        else:
+            boxes //= self.box
+            kept = signal[self._inset : self._inset + boxes * self.box]
+            sums = kept.reshape(boxes, self.box).sum(axis=1)
+        down = self.step // self.box
+        first = (self.taps.size - 1) // down
+        return upfirdn(self.taps, sums, down=down)[first : first + count]
 
     @property
     def _inset(self) -> int:
@@ -109,21 +128,33 @@ class Motion:
     @cached_property
     def rows(self) -> Floats:
         """Times of the rows [s]."""
-        half = self.taps.size // 2
-        full = self.time[half : self.time.size - half]
-        inset = self._inset
-        return full[inset : full.size - inset or None : self.step] if inset else full[:: self.step]
+        boxes = (self.time.size - 2 * self._inset) // self.box
+        left = boxes - self.taps.size
+        if left < 0:
+            return self.time[:0]
+        first = self._inset + (self.box * self.taps.size) // 2
+        count = left // (self.step // self.box) + 1
+        return self.time[first :: self.step][:count]
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
         """Rows at which the bodies move, or rest only in passing, (rows,)."""
         shares = []
         for v in self.v.values():
-            slow = np.abs(v) < REST_SHARE * np.abs(v).max(initial=0.0)
+            slow = np.abs(v) < self.rest_share * np.abs(v).max(initial=0.0)
             slow |= v == 0
             shares.append(self.reduce(_long_runs(slow, REST_TIME / (self.bandwidth * self.dt))))
         rest = np.max(shares, axis=0)
         return (rest < 0.05) & self._own
+
+    def stretch(self, start: int, stop: int) -> "Motion":
+        """Return the samples from `start` up to `stop` as a motion of its own."""
+        cut = slice(start, stop)
+        parts = {
+            name: {k: x[cut] for k, x in getattr(self, name).items()}
+            for name in ("u", "q", "v", "a")
+        }
+        return replace(self, time=self.time[cut], part="", **parts)
 
     @property
     def _own(self) -> NDArray[np.bool_]:
@@ -195,14 +226,17 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> float:
 def _declared_variance(sensor: Sensor, y: Floats) -> float:
     """Variance of noise and rounding; the step of the readings where none is declared."""
     noise = sensor.noise.value if sensor.noise is not None else 0.0
+    return noise**2 + _step(sensor, y) ** 2 / 12
+
+
+def _step(sensor: Sensor, y: Floats) -> float:
+    """Step of the readings: as declared, or as they are; 0 where they hardly repeat."""
     if sensor.resolution is not None:
-        step = sensor.resolution.value
-    else:
-        different = np.abs(np.diff(np.unique(y)))
-        step = float(np.median(different)) if different.size else 0.0
-        if different.size > 0.2 * y.size:
-            step = 0.0  # values hardly repeat: not quantised to a grid that matters
-    return noise**2 + step**2 / 12
+        return sensor.resolution.value
+    different = np.abs(np.diff(np.unique(y)))
+    if different.size == 0 or different.size > 0.2 * y.size:
+        return 0.0
+    return float(np.median(different))
 
 
 def prepare(
@@ -226,11 +260,12 @@ def prepare(
     cut = min(MOTION_OVER_BALANCE * bandwidth, 0.45 * rate)
     sos = butter(6, cut, fs=rate, output="sos")
     q, v, a = {}, {}, {}
+    rest = REST_SHARE
     for body, sight in sights.items():
-        signal = log[sight.sensor.channel]
+        raw = log[sight.sensor.channel]
         if late and late.get(sight.sensor.name):
-            signal = on_time(signal, dt, late[sight.sensor.name])
-        signal = sosfiltfilt(sos, signal, padlen=_padding(log, cut))
+            raw = on_time(raw, dt, late[sight.sensor.name])
+        signal = sosfiltfilt(sos, raw, padlen=_padding(log, cut))
         if sight.sensor.measures == "position":
             q[body] = signal
             v[body] = derivative(signal, dt)
@@ -242,6 +277,10 @@ def prepare(
                 else sosfiltfilt(sos, log[sight.angle.channel], padlen=_padding(log, cut))
             )
         a[body] = derivative(v[body], dt)
+        fastest = float(np.abs(v[body]).max())
+        if fastest > 0:
+            slow = _unclear_speed(sight.sensor, raw, signal, cut, rate)
+            rest = max(rest, min(slow / fastest, MOST_REST))
     return Motion(
         log.name,
         dt,
@@ -253,7 +292,17 @@ def prepare(
         bandwidth,
         frozenset(body for body, sight in sights.items() if sight.angle is not None),
         next(iter(sights.values())).sensor.measures == "speed",
+        rest,
     )
+
+
+def _unclear_speed(sensor: Sensor, raw: Floats, filtered: Floats, cut: float, rate: float) -> float:
+    """Speed below which a sensor does not tell motion from rest."""
+    if sensor.measures == "position":
+        return 2.0 * cut * _step(sensor, raw)  # peak of one count through the filter
+    # white noise: what the filter took out is that above the cut
+    noise = float(np.median(np.abs(raw - filtered))) / NORMAL_MEDIAN
+    return REST_NOISE * noise * float(np.sqrt(cut / max(0.5 * rate - cut, 0.05 * rate)))
 
 
 def _padding(log: Log, cut: float) -> int:

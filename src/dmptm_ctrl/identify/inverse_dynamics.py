@@ -16,7 +16,6 @@ from scipy.signal import lfilter
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.chain_motion import (
-    REST_SHARE,
     Floats,
     Motion,
     Sight,
@@ -193,7 +192,7 @@ def residual(
                 need = need + layout.ratio[first] * runs[name]
             if layout.coordinate[second] == group:
                 need = need - layout.ratio[second] * plant.link_values[k, 0] * runs[name]
-        need = need + _at_rest(friction, own - need, v)
+        need = need + _at_rest(friction, own - need, v, motion.rest_share)
         total += reach[group] * need
         push += reach[group] * own
         # as acceleration: as a torque, no inertia and no spring would leave nothing
@@ -394,10 +393,10 @@ def _friction(
     return friction, other
 
 
-def _at_rest(friction: Floats, needed: Floats, v: Floats) -> Floats:
+def _at_rest(friction: Floats, needed: Floats, v: Floats, share: float) -> Floats:
     """Friction with the set-valued part at rest: whatever holds the body, up to its level."""
     level = np.abs(friction)
-    rest = np.abs(v) < REST_SHARE * np.abs(v).max(initial=0.0)
+    rest = np.abs(v) < share * np.abs(v).max(initial=0.0)
     return np.where(rest, np.clip(needed, -level, level), friction)
 
 

@@ -101,12 +101,21 @@ def test_preload_against_the_balance_of_a_turn():
     assert load_torque_along(Model(), duty)[-1] == pytest.approx(by_hand, rel=1e-4)
 
 
-def test_command(tmp_path, capsys):
+def test_command(tmp_path, capsys, monkeypatch, tuned):
+    asked = {}
+
+    def remembered(model, aims, **options):
+        asked.update(options, model=model)
+        return tuned
+
+    monkeypatch.setattr("dmptm_ctrl.design.run.tune_controller", remembered)
     (tmp_path / "model.toml").write_text(to_toml(MODEL))
     out = tmp_path / "tuning"
     assert main(["tune", str(tmp_path / "model.toml"), "--out", str(out), "--plants", "16"]) == 0
     assert "optimised" in capsys.readouterr().out
-    assert json.loads((out / "tuning.json").read_text())["plants"] == 16
+    assert asked["plants"] == 16
+    assert asked["model"].effects == MODEL.effects
+    assert json.loads((out / "tuning.json").read_text())["plants"] == tuned.errors.size
     assert read_controller(out / "controller.toml").friction > 0.5
     assert (out / "tuning.png").stat().st_size > 10_000
     assert main(["tune", str(tmp_path / "none.toml"), "--out", str(tmp_path / "no")]) == 2

@@ -12,6 +12,7 @@ import tomlkit
 
 from dmptm_ctrl.control import pi_controller
 from dmptm_ctrl.control.sections import notch, sampled_notch
+from dmptm_ctrl.design.draws import slow_friction
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import write_atomic
 from dmptm_ctrl.simulate.law import FAR, Law
@@ -35,6 +36,9 @@ UNITS = {
     "late": "s",
     "acceleration": "rad/s^2",
     "softness": "rad/s",
+    "distance": "rad",
+    "relief_from": "V",
+    "relief_to": "V",
 }
 
 
@@ -75,6 +79,12 @@ class Controller:
         Largest acceleration of the setpoint that is fed forward; steps are clipped to it.
     softness : float [rad/s]
         Below this setpoint speed the friction fed forward fades to 0.
+    distance : float [rad]
+        Over which the friction fed forward builds up, at the ring gear, where `model` does not
+        say it.
+    relief_from, relief_to : float [V]
+        Common voltages between which the preload fades to nothing, as in torque-bias profiles
+        of antennas (Gawronski et al. 2000, ref. 15 of the paper); equal ones keep it constant.
     invert : bool
         Undo offset, dead band and gain errors of the drives.
     model : Model
@@ -95,11 +105,17 @@ class Controller:
     late: float = 0.0
     acceleration: float = FAR
     softness: float = 0.0
+    distance: float = 0.0
+    relief_from: float = 0.0
+    relief_to: float = 0.0
     invert: bool = False
     model: Model = field(default_factory=Model)
 
     def law(self) -> Law:
         """Return it as the compiled simulator takes it."""
+        model = self.model
+        if self.distance > 0.0 and "presliding" not in model.effects:
+            model = model.with_effect("presliding", **slow_friction(model, self.distance))
         return Law(
             kp=self.kp,
             ki=self.ki,
@@ -117,8 +133,9 @@ class Controller:
             late=self.late,
             acceleration=self.acceleration,
             softness=self.softness,
+            relief=(self.relief_from, self.relief_to),
             invert=self.invert,
-            model=self.model,
+            model=model,
         )
 
     def to_ss(self) -> ct.StateSpace:

@@ -9,6 +9,9 @@ DECLARED = 1.0  # share of the declared ranges: nothing but the declaration is k
 FITTED = 0.25  # what a fit to a rig's logs usually leaves of them
 # Of the flanks' damping no log tells much, and pinions that hammer depend on it.
 CONTACT, CONTACT_SHARE = ("c", "c_f"), 1.0
+# Friction builds up over some distance on every machine. Below one and a half counts of an
+# 18-bit ring encoder no log shows it, and at each reversal it is what a controller feels.
+HIDDEN_DISTANCE = 3.6e-5  # rad at the ring gear
 AMPLITUDES = 0.4  # relative half-width of an effect's amplitudes at share 1
 _PAIRED = tuple(  # breakaway and sliding friction
     (f"T{body}s_{way}", f"T{body}c_{way}") for body in "3L" for way in ("plus", "minus")
@@ -27,7 +30,8 @@ def draw_plants(
     uncertainty : float
         Share of the declared ranges, which are taken around the model's values; amplitudes of
         effects move by :data:`AMPLITUDES` times it, angles and orders of effects stay. The
-        damping of the flanks always takes its whole range, unless nothing is uncertain.
+        damping of the flanks always takes its whole range, unless nothing is uncertain, and
+        friction builds up over a distance of up to :data:`HIDDEN_DISTANCE`.
     seed : int
         Plant k is the same for every `count`.
 
@@ -65,7 +69,15 @@ def one_plant(model: Model, uncertainty: float, seed: int, index: int) -> Model:
         effects[name] = {
             key: value * moved if key in amplitudes else value for key, value in parameters.items()
         }
+    distance = HIDDEN_DISTANCE * rng.uniform(-0.5, 1.0)  # none on a third of the plants
+    if "presliding" not in effects and uncertainty > 0.0 and distance > 0.0:
+        effects["presliding"] = slow_friction(model, distance)
     return Model(model.drive.with_values(**values), effects)
+
+
+def slow_friction(model: Model, distance: float) -> dict[str, float]:
+    """Return parameters of presliding that is alike in all bodies, seen at the ring gear [rad]."""
+    return {"reducer_distance": model.drive["N_2"] * distance, "ring_distance": distance}
 
 
 def _moved(value: float, declared: tuple[float, float], u: float) -> float:

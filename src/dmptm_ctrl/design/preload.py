@@ -1,8 +1,14 @@
 """Preload: how much keeps both meshes closed, and what it costs."""
 
-import numpy as np
+from dataclasses import replace
+from typing import NamedTuple
 
-from dmptm_ctrl.design.duty import Duty
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dmptm_ctrl.design.controller import Controller
+from dmptm_ctrl.design.duty import Duty, sine
+from dmptm_ctrl.simulate.compiled import close_loop
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites
 
@@ -33,3 +39,76 @@ def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
     sites = Sites(model)
     worst = float(np.abs(load_torque_along(model, duty, theta_L)).max())
     return worst / (2.0 * sites.n2 * sites.n1 * sites.gain)
+
+
+class Preload(NamedTuple):
+    """A duty under one preload.
+
+    Attributes
+    ----------
+    open_share : float
+        Share of the judged time in which at least one mesh carries nothing or its teeth have
+        left their side.
+    error : float [deg/s]
+        RMS tracking error.
+    torque : float [N·m]
+        RMS torque of a motor.
+    friction : float [N·m]
+        Mean friction that the preload adds in both reducers, seen at the pinions.
+    """
+
+    open_share: float
+    error: float
+    torque: float
+    friction: float
+
+
+def assess_preload(model: Model, controller: Controller, duty: Duty) -> Preload:
+    """Run a duty and tell whether the preload kept both meshes closed, and what it cost."""
+    law = controller.law()
+    u, out = close_loop(model, law, duty.reference, duty.sample_time)
+    judged = slice(round(duty.settling / duty.sample_time), None)
+    left, right = out[judged, 4], out[judged, 5]
+    way = 1.0 if controller.preload >= 0.0 else -1.0
+    opened = (way * left <= 0.0) | (way * right >= 0.0)
+    miss = np.rad2deg(out[judged, 1] - duty.reference[judged])
+    sites = Sites(model)
+    friction = 0.0
+    for side, mesh in ((0, left), (1, right)):
+        mean = float(np.abs(mesh).mean())
+        friction += sites.sliding(side, 1.0, 0.0, 0.0, 0.0, mean)
+        friction -= sites.sliding(side, 1.0, 0.0, 0.0, 0.0, 0.0)
+    return Preload(
+        float(opened.mean()),
+        float(np.sqrt(np.mean(miss**2))),
+        float(sites.gain * np.sqrt(np.mean(u[:, judged] ** 2))),
+        float(friction),
+    )
+
+
+def boundary(
+    model: Model, controller: Controller, accelerations: ArrayLike, *, hz: float = 1.0
+) -> tuple[Floats, Floats]:
+    """Return the least preload [V] for sines of these peak accelerations [rad/s²].
+
+    Two answers: by the balance (:func:`smallest_preload`) and by bisection on the simulated
+    loop, where a mesh must not open at any sample of the second period.
+    """
+    closed_form, simulated = [], []
+    for peak in np.asarray(accelerations, float):
+        speed = peak / (2.0 * np.pi * hz)
+        dt = controller.sample_time
+        reference = sine(speed, hz, 2.0, dt)
+        duty = Duty(reference, dt, settling=1.0 / hz)
+        least = smallest_preload(model, duty)
+        low, high = 0.0, 6.0 * least
+        while high - low > 0.01 * least:
+            middle = 0.5 * (low + high)
+            tried = replace(controller, preload=middle)
+            if assess_preload(model, tried, duty).open_share > 0.0:
+                low = middle
+            else:
+                high = middle
+        closed_form.append(least)
+        simulated.append(high)
+    return np.array(closed_form), np.array(simulated)

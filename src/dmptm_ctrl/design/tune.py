@@ -28,13 +28,15 @@ SEARCHED = 16  # plants in the search; the result is judged on many more
 QUANTILE = 0.9
 RESERVE = 1.6  # gain up to which no drawn plant may start to hammer: 4 dB on the nonlinear drive
 TOLERATED = 1.5  # error at that gain, over the error at the gain itself
+START_DISTANCE = 1e-5  # rad, over which friction is thought to build up at first
 LOST = 1e3  # deg/s, error of a run that left the finite numbers
 GYRO = 0.05 * DEG  # rad/s rms, noise of the speed reading the loop is tuned with
 HIGHEST_HZ = 60.0
 SLOWER = (1.0, 0.8, 0.63, 0.5, 0.4, 0.32)  # crossovers tried, of the linear design's
 MORE_PRELOAD = (1.0, 1.4, 2.0)  # preloads tried, of the least that keeps the meshes closed
-_STEPS = (0.05, 0.2, 0.4e-3)  # first moves of the search: friction share, preload, lead [s]
-_EVALUATIONS = 25
+# first moves of the search: friction share, preload, lead [s], distance [rad]
+_STEPS = (0.05, 0.2, 0.4e-3, 0.5e-5)
+_EVALUATIONS = 32
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,8 @@ class Tuned:
         lines += [
             "",
             f"kp {g.kp:.4g} V/(rad/s), ki {g.ki:.4g} V/rad, preload {g.preload:.3g} V, "
-            f"friction share {g.friction:.2f}, lead {1e3 * g.lead:.2f} ms",
+            f"friction share {g.friction:.2f} over {1e6 * g.distance:.0f} µrad, "
+            f"lead {1e3 * g.lead:.2f} ms",
             f"linear start: bandwidth {self.linear.bandwidth_hz:.1f} Hz, "
             f"{self.linear.phase_margin_deg:.0f}°, {self.linear.gain_margin_db:.1f} dB",
         ]
@@ -232,6 +235,7 @@ def feed_forward_start(model: Model, gains: PiTuning, aims: Aims) -> Controller:
         lead=sites.voltage_delay + sites.lag + 0.5 * dt,
         late=sites.speed_delay,
         acceleration=aims.acceleration,
+        distance=START_DISTANCE,
         invert=sites.has("drive"),
         model=repeatable(model),
     )
@@ -288,9 +292,10 @@ class _Search:
                 friction=float(np.clip(best.friction + x[0], 0.0, 1.5)),
                 preload=best.preload * float(np.clip(1.0 + x[1], 0.7, 1.4)),
                 lead=max(best.lead + x[2], 0.0),
+                distance=max(best.distance + x[3], 0.0),
             )
 
-        corners = np.vstack([np.zeros(3), np.diag(_STEPS)])
+        corners = np.vstack([np.zeros(len(_STEPS)), np.diag(_STEPS)])
         found = minimize(
             lambda x: self.cost(near(x), drawn),
             corners[0],

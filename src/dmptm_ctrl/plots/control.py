@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import ArrayLike
 
 from dmptm_ctrl.plots.style import axes
 
@@ -13,6 +14,10 @@ _LINES = (
     {"color": "#3a8f5c", "linestyle": "-.", "linewidth": 1.4},
     {"color": "#d1495b", "linestyle": "--", "linewidth": 1.4},
     {"color": "#0b3c6f", "linestyle": "-", "linewidth": 1.8},
+)
+_PAIR = (
+    {"color": "#0b3c6f", "linestyle": "-", "linewidth": 1.4},
+    {"color": "#d1495b", "linestyle": "--", "linewidth": 1.2},
 )
 
 
@@ -38,4 +43,69 @@ def plot_tuning(tuned: Any, *, ax: Axes | None = None) -> Axes:
     )
     panel.grid(alpha=0.3, which="both")
     panel.legend(loc="lower right", fontsize=9)
+    return panel
+
+
+def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
+    """Draw speeds along the duty, tracking errors, and closed-loop gains of both drives.
+
+    Parameters
+    ----------
+    found : Impact
+        Of :func:`~dmptm_ctrl.design.impact.impact`.
+    ax : three Axes, optional
+    """
+    panels = axes(ax, 3, figsize=(8.0, 8.5)).ravel()
+    time, ref = found.duty.time, found.duty.reference
+    panels[0].plot(time, np.rad2deg(ref), color="0.65", linewidth=2.5, label="setpoint")
+    for (name, speed), style in zip(found.speeds.items(), _PAIR, strict=True):
+        panels[0].plot(time, np.rad2deg(speed), label=name, **style)
+        panels[1].plot(time, np.rad2deg(speed - ref), label=name, **style)
+    judged = time >= found.duty.settling
+    worst = max(np.abs(np.rad2deg(v - ref)[judged]).max() for v in found.speeds.values())
+    panels[1].set(ylim=(-1.15 * worst, 1.15 * worst))
+    for (name, rows), style in zip(found.gains.items(), _PAIR, strict=True):
+        for row, marker, size in zip(rows, ("o", "s"), ("small", "large"), strict=True):
+            decibels = 20.0 * np.log10(row)
+            options = {**style, "marker": marker, "markersize": 3.5, "label": f"{name}, {size}"}
+            panels[2].semilogx(found.sweep_hz, decibels, **options)
+    panels[2].axhline(-3.01, color="0.4", linewidth=0.8, linestyle=":")
+    panels[0].set(ylabel="ring-gear speed [deg/s]", title=", ".join(found.effects))
+    panels[1].set(ylabel="speed − setpoint [deg/s]", xlabel="time [s]")
+    panels[2].set(ylabel="closed-loop gain [dB]", xlabel="frequency [Hz]")
+    for panel in panels:
+        panel.grid(alpha=0.3, which="both")
+        panel.legend(fontsize=8, loc="upper left" if panel is panels[2] else "upper right", ncols=2)
+    return panels
+
+
+def plot_preload(
+    accelerations: ArrayLike,
+    balance: ArrayLike,
+    simulated: ArrayLike,
+    *,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the least preload that keeps both meshes closed over the peak acceleration.
+
+    Parameters
+    ----------
+    accelerations : (n,) array [rad/s²]
+    balance, simulated : (n,) arrays [V]
+        As :func:`~dmptm_ctrl.design.preload.boundary` gives them.
+    ax : Axes, optional
+    """
+    panel = axes(ax, 1, figsize=(6.4, 4.0))[0, 0]
+    peak = np.asarray(accelerations, float)
+    panel.plot(peak, simulated, marker="o", label="simulated loop", **_PAIR[0])
+    panel.plot(peak, balance, marker="s", label="balance of torques", **_PAIR[1])
+    panel.fill_between(peak, simulated, 0.0, color="0.9")
+    panel.annotate("a mesh opens", (0.6, 0.15), xycoords="axes fraction", color="0.3")
+    panel.set(
+        xlabel="peak acceleration of the setpoint [rad/s²]",
+        ylabel="preload ±u_b [V]",
+        ylim=(0.0, None),
+    )
+    panel.grid(alpha=0.3)
+    panel.legend(loc="upper left")
     return panel

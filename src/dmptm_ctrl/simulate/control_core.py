@@ -6,6 +6,8 @@ it is the plain PI loop. `law` (L_SIZE,) holds its numbers in the order below, `
 (MEMORY,) what it remembers from sample to sample; both of `law.py`.
 """
 
+from math import exp
+
 from numba import njit
 
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
@@ -14,14 +16,16 @@ from dmptm_ctrl.simulate.sites import (  # chains
     friction_level,
     load_torque,
     motor_torque,
+    presliding_distance,
     sensor_reading,
 )
 
 L_KP, L_KI, L_LIMIT, L_BIAS_L, L_BIAS_R, L_CLOSED, L_TRACKING = 0, 1, 2, 3, 4, 5, 6
 L_SECTIONS = 7  # two of (b0, b1, b2, a1, a2)
 L_INERTIA, L_FRICTION, L_EFFECTS, L_LEAD, L_LATE, L_ACCELERATION = 17, 18, 19, 20, 21, 22
-L_SOFTNESS, L_INVERT, L_SIZE = 23, 24, 25
-M_INTEGRAL, M_DELAYS, M_LAST, M_STARTED, M_LEFT, M_RIGHT, MEMORY = 0, 1, 5, 6, 7, 8, 9
+L_SOFTNESS, L_INVERT, L_RELIEF_FROM, L_RELIEF_TO, L_SIZE = 23, 24, 25, 26, 27
+M_INTEGRAL, M_DELAYS, M_LAST, M_STARTED, M_LEFT, M_RIGHT = 0, 1, 5, 6, 7, 8
+M_BRISTLES, MEMORY = 9, 12  # friction so far of the three bodies, where it takes a distance
 INVERSIONS = 8  # of the drive's chain; each leaves a share of what the chain changes
 READINGS = 3  # the same for the sensors
 
@@ -54,7 +58,18 @@ def friction_along(omega, way, theta, t, mesh, body, law, on, values):
 
 
 @njit
-def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, law, memory, base, on, values):
+def built_up(level, omega, dt, body, memory, on, values):
+    """Friction that takes a distance to build up [N·m]; memory holds it per body."""
+    distance = presliding_distance(body, on, values)
+    if distance <= 0.0:
+        return level
+    kept = (memory[M_BRISTLES + body] - level) * exp(-abs(omega) * dt / distance)
+    memory[M_BRISTLES + body] = level + kept
+    return memory[M_BRISTLES + body]
+
+
+@njit
+def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, dt, law, memory, base, on, values):
     """Write the voltages that the design model needs to follow the setpoint.
 
     `speed` is the setpoint's at the time when they will act; the angles get there, too.
@@ -71,6 +86,7 @@ def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, law, memory, base, o
     way = direction_of(speed, law[L_SOFTNESS])
     press = 0.5 * gain * (law[L_BIAS_L] - law[L_BIAS_R])  # preload in each mesh, N·m
     held = friction_along(speed, way, angle, t, 2.0 * abs(press), 2, bearing, on, values)
+    held = built_up(held, speed, dt, 2, memory, on, values)
     load = law[L_INERTIA] * base[4] * rate + law[L_FRICTION] * held
     load -= law[L_EFFECTS] * load_torque(angle, speed, t, on, values)
     share = load / (2.0 * n2)  # of the load in each mesh
@@ -79,6 +95,7 @@ def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, law, memory, base, o
         motor = (theta_ml if side == 0 else theta_mr) + law[L_LEAD] * n1 * n2 * speed
         mesh = share + (press if side == 0 else -press)
         rub = friction_along(n2 * speed, way, motor / n1, t, mesh, side, reducer, on, values)
+        rub = built_up(rub, n2 * speed, dt, side, memory, on, values)
         own = n1 * motor_torque(motor, n1 * n2 * speed, t, side, on, values)
         torque = share + swing + law[L_FRICTION] * rub - law[L_EFFECTS] * own
         memory[M_LEFT + side] = torque / gain
@@ -111,12 +128,17 @@ def command(ref, angle, speed, theta_ml, theta_mr, t, dt, law, memory, design):
     common = section(common, L_SECTIONS, M_DELAYS, law, memory)
     common = section(common, L_SECTIONS + 5, M_DELAYS + 2, law, memory)
     feed_forward(
-        *(ref + law[L_LEAD] * rate, rate, true_angle, theta_ml, theta_mr, t),
+        *(ref + law[L_LEAD] * rate, rate, true_angle, theta_ml, theta_mr, t, dt),
         *(law, memory, base, on, values),
     )
+    drive = abs(common + 0.5 * (memory[M_LEFT] + memory[M_RIGHT]))
+    press = 1.0
+    if law[L_RELIEF_TO] > law[L_RELIEF_FROM]:
+        press = (law[L_RELIEF_TO] - drive) / (law[L_RELIEF_TO] - law[L_RELIEF_FROM])
+        press = max(min(press, 1.0), 0.0)
     lost = 0.0
     for side in range(2):
-        wanted = common + law[L_BIAS_L + side] + memory[M_LEFT + side]
+        wanted = common + press * law[L_BIAS_L + side] + memory[M_LEFT + side]
         u = undone(wanted, t, side, on, values) if law[L_INVERT] > 0.0 else wanted
         u = max(min(u, law[L_LIMIT]), -law[L_LIMIT])
         memory[M_LEFT + side] = u

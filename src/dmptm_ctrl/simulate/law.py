@@ -41,6 +41,8 @@ class Law:
         Largest acceleration of the setpoint that is believed.
     softness : float [rad/s]
         Below this speed of the setpoint its friction fades to zero.
+    relief : (from, to) [V]
+        The preload fades between these common voltages; (0, 0) keeps it.
     invert : bool
         Undo the design model's static drive effects.
     model : Model
@@ -61,6 +63,7 @@ class Law:
     late: float = 0.0
     acceleration: float = FAR
     softness: float = 0.0
+    relief: tuple[float, float] = (0.0, 0.0)
     invert: bool = False
     model: Model = field(default_factory=Model)
 
@@ -77,6 +80,7 @@ class Law:
                 *(float(x) for part in filled for x in part),
                 *(self.inertia, self.friction, self.effects, self.lead, self.late),
                 *(self.acceleration, self.softness, float(self.invert)),
+                *self.relief,
             ]
         )
 

@@ -1,0 +1,175 @@
+"""Monte-Carlo over plants: shares and quantiles with confidence bounds, resumable."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.stats import beta, binom
+
+from dmptm_ctrl.design.controller import Controller
+from dmptm_ctrl.design.draws import DECLARED, one_plant
+from dmptm_ctrl.design.tune import Aims, tracking
+from dmptm_ctrl.simulate.model import Floats, Model
+
+CHUNK = 64  # plants per task: enough for the lanes, small enough to lose
+CONFIDENCE = 0.95
+
+
+class MonteCarlo(NamedTuple):
+    """Tracking errors of a controller over drawn plants.
+
+    Attributes
+    ----------
+    errors : (count,) array [deg/s]
+    volts : (count,) array [V]
+    """
+
+    errors: Floats
+    volts: Floats
+
+    def quantile(self, q: float, confidence: float = CONFIDENCE) -> tuple[float, float, float]:
+        """Return (estimate, low, high) of a quantile [deg/s], bounds free of a distribution.
+
+        Order statistics: the number of draws below the true quantile is binomial.
+        """
+        ordered = np.sort(self.errors)
+        n = ordered.size
+        tail = 0.5 * (1.0 - confidence)
+        low, high = int(binom.ppf(tail, n, q)) - 1, int(binom.ppf(1.0 - tail, n, q))
+        return (
+            float(np.quantile(ordered, q)),
+            float(ordered[low]) if low >= 0 else 0.0,
+            float(ordered[high]) if high < n else np.inf,
+        )
+
+    def share_above(
+        self, limit: float, confidence: float = CONFIDENCE
+    ) -> tuple[float, float, float]:
+        """Return (share, low, high) of plants with an error above `limit` [deg/s].
+
+        Bounds of Clopper and Pearson, Biometrika 26 (1934) 404.
+        """
+        n, hits = self.errors.size, int(np.sum(self.errors > limit))
+        tail = 0.5 * (1.0 - confidence)
+        low = float(beta.ppf(tail, hits, n - hits + 1)) if hits else 0.0
+        high = float(beta.ppf(1.0 - tail, hits + 1, n - hits)) if hits < n else 1.0
+        return hits / n, low, high
+
+
+def monte_carlo(
+    controller: Controller,
+    model: Model,
+    count: int,
+    *,
+    uncertainty: float = DECLARED,
+    effects: Sequence[Model] = (),
+    aims: Aims | None = None,
+    seed: int = 0,
+    n_jobs: int = 1,
+    folder: str | PathLike[str] | None = None,
+) -> MonteCarlo:
+    """Run a controller on many drawn plants.
+
+    Parameters
+    ----------
+    controller : Controller
+    model : Model
+    count : int
+    uncertainty : float
+        See :func:`~dmptm_ctrl.design.draws.draw_plants`.
+    effects : sequence of Model
+        Further models to draw around, in turn: the drive with one effect each, say.
+    aims : Aims, optional
+        Duty and noise.
+    seed : int
+        Plant k is the same whatever `count`, `n_jobs` or the backend.
+    n_jobs : int
+        joblib's; under ``joblib.parallel_config(backend="dask")`` the same call runs on a
+        cluster.
+    folder : path, optional
+        Keeps each finished chunk; the same call goes on where it stopped.
+
+    Raises
+    ------
+    ValueError
+        No plants asked for, or a folder that holds another run.
+    """
+    from joblib import Parallel, delayed
+
+    if count < 1:
+        raise ValueError(f"count is {count}; needs at least one plant")
+    aims = aims or Aims()
+    models = [model, *effects]
+    tasks = [range(k, min(k + CHUNK, count)) for k in range(0, count, CHUNK)]
+    kept = _Kept(folder, _key(controller, models, aims, uncertainty, seed))
+    done = {task: part for task in tasks if (part := kept.read(task)) is not None}
+    missing = [task for task in tasks if task not in done]
+    parallel = Parallel(n_jobs=n_jobs, return_as="generator")
+    work = (delayed(_chunk)(controller, models, task, uncertainty, aims, seed) for task in missing)
+    for task, result in zip(missing, parallel(work), strict=True):
+        done[task] = result
+        kept.write(task, result)
+    errors, volts = (np.concatenate([done[task][i] for task in tasks]) for i in (0, 1))
+    return MonteCarlo(errors, volts)
+
+
+def _chunk(
+    controller: Controller,
+    models: list[Model],
+    task: range,
+    uncertainty: float,
+    aims: Aims,
+    seed: int,
+) -> tuple[Floats, Floats]:
+    plants = [one_plant(models[k % len(models)], uncertainty, seed, k) for k in task]
+    return tracking(controller, plants, aims, seed=seed, jobs=1)
+
+
+def _key(controller: Controller, models: list[Model], aims: Aims, *numbers: float) -> str:
+    """Fingerprint of all that the result depends on."""
+    parts: list[Any] = [controller.to_toml(), *numbers, aims.duty.reference.tobytes(), aims.noise]
+    parts += [aims.duty.sample_time, aims.duty.settling]
+    for model in models:
+        parts += [array.tobytes() for array in model.arrays()]
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(part if isinstance(part, bytes) else repr(part).encode())
+    return digest.hexdigest()
+
+
+class _Kept:
+    """Finished chunks in a folder, or nowhere."""
+
+    def __init__(self, folder: str | PathLike[str] | None, key: str) -> None:
+        self._folder = None if folder is None else Path(folder)
+        if self._folder is None:
+            return
+        self._folder.mkdir(parents=True, exist_ok=True)
+        mark = self._folder / "run.json"
+        if mark.exists() and json.loads(mark.read_text(encoding="utf-8"))["key"] != key:
+            raise ValueError(f"{self._folder.name} holds another run; give a new folder")
+        mark.write_text(json.dumps({"key": key}) + "\n", encoding="utf-8")
+
+    def _file(self, task: range) -> Path | None:
+        if self._folder is None:
+            return None
+        return self._folder / f"{task.start:06d}-{task.stop:06d}.npy"
+
+    def read(self, task: range) -> tuple[Floats, Floats] | None:
+        file = self._file(task)
+        if file is None or not file.exists():
+            return None
+        errors, volts = np.load(file)
+        return errors, volts
+
+    def write(self, task: range, result: tuple[Floats, Floats]) -> None:
+        file = self._file(task)
+        if file is None:
+            return
+        part = file.with_suffix(".part.npy")
+        np.save(part, np.array(result))
+        part.replace(file)

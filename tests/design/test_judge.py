@@ -1,0 +1,130 @@
+"""Impact, preload and Monte-Carlo of a controller, against what is known another way."""
+
+from dataclasses import replace
+
+import control as ct
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from dmptm_ctrl.control import common_mode
+from dmptm_ctrl.control.tuning import assess_pi
+from dmptm_ctrl.design.controller import Controller
+from dmptm_ctrl.design.duty import DEG, Duty, sine
+from dmptm_ctrl.design.impact import SWEEP_HZ, impact, margins, swept_gains
+from dmptm_ctrl.design.montecarlo import CHUNK, MonteCarlo, monte_carlo
+from dmptm_ctrl.design.preload import assess_preload, boundary
+from dmptm_ctrl.design.tune import Aims, linear_plant
+from dmptm_ctrl.plots.control import plot_preload
+from dmptm_ctrl.simulate.model import Model
+
+DRIVE = Model()
+LOOP = Controller(10.0, 400.0, preload=0.5, inertia=1.0, friction=1.0, effects=1.0, lead=5e-4)
+LATE = DRIVE.with_effect("drive_delay", delay=3e-3)
+SHORT = Duty(np.concatenate([np.zeros(300), sine(8 * DEG, 1.0, 1.0)]), settling=0.3)
+
+
+def test_a_delay_costs_the_phase_that_it_must():
+    """ω_c T_d, at the crossover of either drive, which the delay hardly moves."""
+    found = impact(LATE, LOOP, duty=SHORT)
+    rows = found.table
+    lost = rows.loc["phase margin at 15 deg/s, deg"]
+    crossover = rows.loc["crossover at 15 deg/s, Hz", "augmented"]
+    assert lost["nominal"] - lost["augmented"] == pytest.approx(360 * crossover * 3e-3, rel=0.06)
+    error = rows.loc["tracking error rms, deg/s"]
+    assert error["augmented"] > 1.2 * error["nominal"]
+    panels = found.plot()
+    assert len(panels) == 3
+    plt.close(panels[0].figure)
+
+
+def test_margins_are_those_of_the_linear_loop():
+    plain = Controller(LOOP.kp, LOOP.ki)
+    phase, gain, crossover = margins(DRIVE, plain, 10 * DEG)
+    expected = assess_pi(linear_plant(DRIVE), plain.kp, plain.ki)
+    assert phase == pytest.approx(expected.phase_margin_deg, abs=0.1)
+    assert gain == pytest.approx(expected.gain_margin_db, abs=0.2)
+    assert crossover == pytest.approx(expected.crossover_hz, rel=1e-3)
+
+
+def test_swept_gains_of_a_linear_drive_against_python_control():
+    """No gap, no dry friction: amplitude does not matter and the loop is known."""
+    names = [n for n in DRIVE.drive if n[:2] in ("T3", "TL")]
+    linear = DRIVE.with_values(gap_l=0.0, gap_r=0.0, **dict.fromkeys(names, 0.0))
+    plain = Controller(LOOP.kp, LOOP.ki)
+    drive = common_mode(linear_plant(linear))
+    held = ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), 1e-3, "zoh")
+    loop = held(np.exp(2j * np.pi * SWEEP_HZ * 1e-3)) * plain.to_discrete()(
+        np.exp(2j * np.pi * SWEEP_HZ * 1e-3)
+    )
+    expected = np.abs(loop / (1 + loop))
+    for row in swept_gains(linear, plain):
+        np.testing.assert_allclose(row, expected, rtol=0.02)
+
+
+def test_preload_boundary():
+    """At large accelerations the balance decides; below the boundary a mesh opens."""
+    closed_form, simulated = boundary(DRIVE, LOOP, [3.0, 6.0])
+    np.testing.assert_allclose(simulated, closed_form, rtol=0.06)
+    speed = 6.0 / (2 * np.pi)
+    duty = Duty(sine(speed, 1.0, 2.0), settling=1.0)
+    tried = [assess_preload(DRIVE, replace(LOOP, preload=b), duty) for b in (0.2, 1.2)]
+    assert tried[0].open_share > 0.1
+    assert tried[1].open_share == 0.0
+    assert tried[1].torque > tried[0].torque
+    rubbing = DRIVE.with_effect("load_dependent_friction", coefficient=0.1)
+    cost = assess_preload(rubbing, replace(LOOP, preload=1.2), duty).friction
+    press = 1.2 * 25 * 0.39  # N·m in each mesh, N1 K_d K_M; the load adds to one what it takes
+    assert cost == pytest.approx(2 * 0.1 * press, rel=0.15)
+    panel = plot_preload([3.0, 6.0], closed_form, simulated)
+    assert len(panel.lines) == 2
+    plt.close(panel.figure)
+
+
+def test_preload_that_gives_way_to_load():
+    """A torque-bias profile: full at rest, none where the drive works hard."""
+    duty = Duty(sine(0.5, 1.0, 2.0), settling=1.0)
+    constant = assess_preload(DRIVE, replace(LOOP, preload=0.8), duty)
+    profile = replace(LOOP, preload=0.8, relief_from=0.4, relief_to=0.9)
+    giving = assess_preload(DRIVE, profile, duty)
+    assert giving.torque < constant.torque
+    assert giving.open_share > constant.open_share
+
+
+def test_bounds_hold_as_often_as_they_say():
+    """Known distribution: |normal|; the bounds cover the truth at their confidence."""
+    rng = np.random.default_rng(4)
+    inside = np.zeros(2)
+    runs = 400
+    for _ in range(runs):
+        found = MonteCarlo(np.abs(rng.standard_normal(200)), np.zeros(200))
+        _, low, high = found.quantile(0.9)
+        inside[0] += low <= norm.ppf(0.95) <= high
+        _, low, high = found.share_above(2.0)
+        inside[1] += low <= 2 * norm.sf(2.0) <= high
+    assert np.all(inside / runs > 0.93)
+    assert inside[0] / runs < 0.995
+
+
+def test_monte_carlo_resumes_and_does_not_depend_on_jobs(tmp_path):
+    aims = Aims(duty=SHORT)
+    others = [LATE]
+    count = CHUNK + 10
+    whole = monte_carlo(LOOP, DRIVE, count, effects=others, aims=aims)
+    monte_carlo(LOOP, DRIVE, CHUNK, effects=others, aims=aims, folder=tmp_path)
+    first = tmp_path / f"{0:06d}-{CHUNK:06d}.npy"
+    stamp = first.stat().st_mtime_ns
+    again = monte_carlo(LOOP, DRIVE, count, effects=others, aims=aims, n_jobs=2, folder=tmp_path)
+    assert first.stat().st_mtime_ns == stamp
+    np.testing.assert_array_equal(again.errors, whole.errors)
+    assert np.median(whole.errors[1::2]) > np.median(whole.errors[::2])  # the late ones
+    with pytest.raises(ValueError, match="another run"):
+        monte_carlo(LOOP, DRIVE, count, aims=aims, folder=tmp_path)
+
+
+def test_refusals():
+    with pytest.raises(ValueError, match="no effects"):
+        impact(DRIVE, LOOP)
+    with pytest.raises(ValueError, match="at least one plant"):
+        monte_carlo(LOOP, DRIVE, 0)

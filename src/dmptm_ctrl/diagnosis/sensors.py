@@ -11,10 +11,18 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from dmptm_ctrl.identify.records import Record, block_mean
+from dmptm_ctrl.simulate.model import Floats
 
 WINDOW_SECONDS = 0.05  # span of the derivative filter of the encoder
 BLOCK_SECONDS = 0.05  # blocks whose errors count as independent
 SIGNIFICANT = 6.0  # standard errors
+ROUNDS = 3  # of the regression: a delay is found to 1 % in the first
+NAMES = (
+    ("sensor_gain", "error"),
+    ("sensor_delay", "delay"),
+    ("encoder_eccentricity", "cosine"),
+    ("encoder_eccentricity", "sine"),
+)
 MATTERS = {"sensor_gain": 0.003, "sensor_delay": 0.0007, "encoder_eccentricity": 5e-5}
 
 
@@ -33,14 +41,34 @@ class SensorCheck:
 
 
 def cross_check(records: Sequence[Record]) -> SensorCheck:
-    """Regress the speed reading on the encoder's derivative over all records."""
+    """Regress the speed reading on the encoder's derivative over all records.
+
+    A delay is linear only while it is short: the reading is moved by what was found, and
+    regressed again.
+    """
+    late = 0.0
+    for _ in range(ROUNDS):
+        beta, se = regressed(records, late)
+        late += beta[1]
+    beta[1] = late
+    values: dict[str, dict[str, float]] = {}
+    errors: dict[str, dict[str, float]] = {}
+    for (effect, name), b, e in zip(NAMES, beta, se, strict=True):
+        values.setdefault(effect, {})[name] = float(b)
+        errors.setdefault(effect, {})[name] = float(e)
+    return SensorCheck(values, errors)
+
+
+def regressed(records: Sequence[Record], late: float) -> tuple[Floats, Floats]:
+    """Estimates of :data:`NAMES` and their standard errors, the delay beyond `late` [s]."""
     left, right = [], []
     for rec in records:
         span = max(5, 2 * round(0.5 * WINDOW_SECONDS / rec.dt) + 1)
         if rec.theta.size <= 3 * span:
             continue
         smooth = {d: savgol_filter(rec.theta, span, 3, deriv=d, delta=rec.dt) for d in (1, 2)}
-        speed = savgol_filter(rec.omega, span, 3)
+        time = rec.dt * np.arange(rec.omega.size)
+        speed = savgol_filter(np.interp(time + late, time, rec.omega), span, 3)
         rate, change = smooth[1], smooth[2]
         rows = np.array(
             [
@@ -64,16 +92,4 @@ def cross_check(records: Sequence[Record]) -> SensorCheck:
         scale = max(1.4826 * float(np.median(np.abs(miss))), 1e-12)
         weight = np.sqrt(1.0 / (1.0 + (miss / (2.0 * scale)) ** 2))
     covariance = scale**2 * np.linalg.inv((x * weight[:, None]).T @ (x * weight[:, None]))
-    se = np.sqrt(np.diag(covariance))
-    names = (
-        ("sensor_gain", "error"),
-        ("sensor_delay", "delay"),
-        ("encoder_eccentricity", "cosine"),
-        ("encoder_eccentricity", "sine"),
-    )
-    values: dict[str, dict[str, float]] = {}
-    errors: dict[str, dict[str, float]] = {}
-    for (effect, name), b, e in zip(names, beta, se, strict=False):
-        values.setdefault(effect, {})[name] = float(b)
-        errors.setdefault(effect, {})[name] = float(e)
-    return SensorCheck(values, errors)
+    return beta[: len(NAMES)], np.sqrt(np.diag(covariance))[: len(NAMES)]

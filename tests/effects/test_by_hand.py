@@ -6,6 +6,8 @@ import pytest
 
 from dmptm_ctrl.effects import CATALOGUE
 
+RAMP = [2.0 * i for i in range(32)]  # knots of a table
+
 # name, parameters, arguments of the kernel, result
 BY_HAND = [
     ("drive_delay", (0.004,), (0,), 0.004),
@@ -66,6 +68,14 @@ BY_HAND = [
      (1.0 + 0.001 * cos(1.0) + 0.002 * sin(1.0), 1.0)),
     ("sensor_gain", (0.05,), (2.0, 0.4, 0.0), (2.0, 0.42)),
     ("sensor_delay", (0.006,), (), 0.006),
+    # 32 knots from 0 to 31, each worth twice its place: the table doubles, and ends flat
+    ("unknown_torque", (1.0, 0.0, 31.0, *RAMP), (9.0, 3.25, 9.0), 6.5),
+    ("unknown_torque", (0.0, 0.0, 31.0, *RAMP), (40.0, 3.25, 9.0), 62.0),
+    ("unknown_friction", (2.0, 0.0, 31.0, *RAMP), (9.0, 1.0, 0.5, 5.0, 2), (1.0, 1.0)),
+    ("unknown_friction", (3.0, 0.0, 31.0, *RAMP), (9.0, 1.0, 0.5, 5.0, 2), (1.0, 10.0)),
+    ("unknown_friction", (3.0, 0.0, 31.0, *RAMP), (9.0, 1.0, 0.5, 5.0, 1), (1.0, 0.0)),
+    ("unknown_voltage", (4.0, -31.0, 31.0, *RAMP), (-1.0, 9.0, 1), 29.0),
+    ("unknown_voltage", (2.0, 0.0, 31.0, *RAMP), (-1.0, 2.5, 0), 4.0),
 ]  # fmt: skip
 
 

@@ -6,19 +6,40 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.fit import Fit, Known, Misfit, fit
+from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit
 from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.simulate.model import Floats
 
 ITERATIONS = 5  # from the balance's values, which are near
 
 
-def augment(records: Sequence[Record], start: BalanceFit, *, jobs: int = 2) -> Fit:
+def augment(
+    records: Sequence[Record],
+    start: BalanceFit,
+    *,
+    beside: Sequence[Unknown] = (),
+    jobs: int = 2,
+) -> Fit:
     """Refit a model inside the simulator, from what the balances know.
 
     The balances know nothing of what happens inside a gap or at rest; the simulation does,
     and from values this near it does not lose its way among the rattle.
+
+    Parameters
+    ----------
+    beside : sequence of Unknown
+        Also fitted, and not known by the balances.
     """
     misfit = Misfit(records, LEAD_HZ, jobs)
     misfit.weigh(start.model)
-    known = Known(start.p, np.asarray(np.linalg.inv(start.covariance), np.float64))
-    return fit(misfit, start.model, start.unknowns, iterations=ITERATIONS, known=known)
+    known = widened(start.p, start.covariance, len(beside))
+    unknowns = (*start.unknowns, *beside)
+    return fit(misfit, start.model, unknowns, iterations=ITERATIONS, known=known)
+
+
+def widened(p: Floats, covariance: Floats, more: int) -> Known:
+    """Return what is known of some unknowns, and of `more` behind them nothing."""
+    n = p.size
+    precision = np.zeros((n + more, n + more))
+    precision[:n, :n] = np.linalg.inv(covariance)
+    return Known(np.concatenate([p, np.zeros(more)]), precision)

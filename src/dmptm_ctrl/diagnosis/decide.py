@@ -9,8 +9,10 @@ beside the first effect on rigs that lack one (`benchmarks/blind.py`).
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from dmptm_ctrl.diagnosis.at_rest import AtRest
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, residual
+from dmptm_ctrl.diagnosis.tables import Tables, tabulate
 from dmptm_ctrl.diagnosis.trace import Trial, trace, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import Unexplained, unexplained
 from dmptm_ctrl.identify.fit import drive_unknowns
@@ -68,6 +70,8 @@ class Decision:
     trials: dict[str, Trial] = field(default_factory=dict)
     rest: list[Trial] = field(default_factory=list)
     unexplained: Unexplained | None = None
+    tables: Tables | None = None
+    at_rest: AtRest | None = None
 
 
 def convincing(trial: Trial, threshold: float) -> bool:
@@ -109,7 +113,26 @@ def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decisi
     decision.unexplained = unexplained(decision.before, decision.after, explained)
     if decision.unexplained is not None and decision.unexplained.beyond_names:
         decision.found, decision.after = [], decision.before
+    if decision.unexplained is not None and decision.unexplained.curve is not None:
+        variables = decision.unexplained.curve.variables
+        decision.tables = tabulate(decision.after, variables, jobs)
+        if decision.tables is not None:
+            decision.after = decision.tables.left
     return decision
+
+
+def withdraw(decision: Decision, jobs: int) -> None:
+    """Take back the effect with the least evidence."""
+    weakest = min(decision.found, key=lambda found: found.evidence)
+    decision.found = [found for found in decision.found if found is not weakest]
+    model, unknowns = decision.before.base.model, decision.before.base.unknowns
+    for found in decision.found:
+        values = decision.after.base.model.effects[found.name]
+        model = model.with_effect(found.name, **values)
+        unknowns = (*unknowns, *unknowns_of(found.name))
+    decision.after = decision.before
+    if decision.found:
+        decision.after = residual(decision.before.measured, model, unknowns=unknowns, jobs=jobs)
 
 
 def reconsider(decision: Decision, skip: Sequence[str], jobs: int) -> None:

@@ -4,21 +4,28 @@ import time
 from collections.abc import Iterable
 from os import PathLike
 
+from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.augment import augment
-from dmptm_ctrl.diagnosis.decide import Decision, decide
+from dmptm_ctrl.diagnosis.decide import MAX_EFFECTS, Decision, Found, decide, withdraw
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, named, provenance, ranking
+from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, named, provenance, ranking, unnamed
 from dmptm_ctrl.diagnosis.residual import closed, residual
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
+from dmptm_ctrl.diagnosis.trace import Trial
+from dmptm_ctrl.diagnosis.unknown import unexplained
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.fit import Fit
+from dmptm_ctrl.identify.fit import Fit, effect_unknowns
 from dmptm_ctrl.signals import Log, load_logs
 from dmptm_ctrl.simulate.model import Model
 
 # The two sensors settle it without a model; what is left is that both are wrong alike.
 SENSOR_PROBABILITY = 0.99
+# A free run may be a little worse beside an effect of the twist; more is another sign.
+WORSE = 1.2
+LEAVE = 2.0  # of what counts as unexplained, beside pre-sliding
+LITTLE = 0.01  # deg/s
 NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity", "mesh_error")
 
 
@@ -63,20 +70,24 @@ def diagnose(
     decision = decide(left, skip=tuple(sensors.values), jobs=jobs)
     before = augment(measured.fit, left.base, jobs=jobs)
     after = before
-    if decision.found:
+    if decision.after is not left:
         after = augment(measured.fit, decision.after.base, jobs=jobs)
     held = [log for log in measured.logs if log.name in {rec.name for rec in measured.held}]
+    without = speed_error(before.model.without(model.effects), held)
+    after = sobered(decision, without["rmse"], after, held, jobs)
+    after = rested(decision, after, jobs)
     error = {
         "unit": "deg/s",
         "bandwidth_hz": 30,
         "on": "held-out logs",
-        "before": speed_error(before.model.without(model.effects), held),
+        "before": without,
         "after": speed_error(after.model, held),
     }
     final = refined(measured, decision, jobs)
     effects = tuple(
         sorted(
             [named(found, final) for found in decision.found]
+            + [unnamed(tables) for tables in (decision.tables,) if tables is not None]
             + [sensor_effect(name, sensors) for name in model.effects],
             key=lambda e: -e.probability,
         )
@@ -100,6 +111,40 @@ def diagnose(
         provenance=provenance(measured, measured.logs, seed, time.perf_counter() - start),
         warnings=(*measured.warnings, *getattr(campaign, "warnings", ())),
     )
+
+
+def sobered(decision: Decision, without: float, after: Fit, held: list[Log], jobs: int) -> Fit:
+    """Withdraw what makes the free run of the held-out logs go astray."""
+    tables = decision.tables
+    if tables is not None and speed_error(after.model, held)["rmse"] > without:
+        decision.tables, decision.after = None, tables.beside
+        after = augment(decision.before.measured.fit, decision.after.base, jobs=jobs)
+    while decision.found and speed_error(after.model, held)["rmse"] > WORSE * without + LITTLE:
+        withdraw(decision, jobs)
+        after = augment(decision.before.measured.fit, decision.after.base, jobs=jobs)
+    return after
+
+
+def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
+    """Add pre-sliding, which only the simulator can tell, if it leaves nothing unexplained."""
+    if decision.tables is not None or len(decision.found) == MAX_EFFECTS:
+        return after
+    measured = decision.before.measured
+    shown = at_rest.presliding(measured, after, jobs)
+    decision.at_rest = shown
+    if not shown.convincing:
+        return after
+    unknowns = decision.after.base.unknowns
+    moved = residual(measured, shown.fit.model, unknowns=unknowns, jobs=jobs)
+    if decision.unexplained is not None:
+        named = shown.evidence + sum(found.evidence for found in decision.found)
+        if unexplained(decision.before, moved, named, leave=LEAVE) is not None:
+            return after
+        decision.unexplained = None
+    decision.after = moved
+    trial = Trial(at_rest.NAME, shown.gain, shown.held_gain, moved.base)
+    decision.found.append(Found(at_rest.NAME, shown.evidence, at_rest.LEAST, trial, ()))
+    return shown.fit
 
 
 def with_sensors(model: Model, sensors: SensorCheck) -> Model:
@@ -138,4 +183,5 @@ def refined(measured: Measured, decision: Decision, jobs: int) -> Fit:
     base = decision.after.base
     declared = Model(measured.drive)
     _, start = closed(everything, base.model, declared, base.unknowns, jobs)
-    return augment(everything, start, jobs=jobs)
+    beside = effect_unknowns(at_rest.NAME) if at_rest.NAME in base.model.effects else ()
+    return augment(everything, start, beside=beside, jobs=jobs)

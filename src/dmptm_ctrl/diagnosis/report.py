@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.decide import Decision, Found
 from dmptm_ctrl.diagnosis.measure import Measured
+from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.trace import Trial
-from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.atomic import output_folder
@@ -19,6 +21,7 @@ from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
 
 SCHEMA = 1
+UNNAMED = "unknown"  # name of what lookup tables stand for, in the contract of diagnosis.json
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +114,10 @@ class Diagnosis:
                 "",
                 f"{effect.name} ({effect.location}), probability {effect.probability:.2f}",
             ]
-            for name, p in effect.parameters.items():
-                lines.append(f"  {name} = {p['value']:.4g} ± {p['se']:.2g} {p['unit']}".rstrip())
+            if effect.name != UNNAMED:  # a table is to be drawn, not read
+                for name, p in effect.parameters.items():
+                    line = f"  {name} = {p['value']:.4g} ± {p['se']:.2g} {p['unit']}"
+                    lines.append(line.rstrip())
             lines.append(f"  {effect.evidence}")
             if effect.confusable_with:
                 lines.append("  not told from: " + ", ".join(effect.confusable_with))
@@ -128,7 +133,9 @@ class Diagnosis:
             return (
                 "The declared model explains the logs within its uncertainty; nothing is missing."
             )
-        names = " and ".join(effect.name.replace("_", " ") for effect in self.effects)
+        names = " and ".join(
+            effect.name.replace("_", " ") for effect in self.effects if effect.name != UNNAMED
+        )
         if self.verdict == "explained":
             return f"The declared model lacks: {names}."
         on = ", ".join(self.depends_on) or "nothing that was measured"
@@ -205,6 +212,28 @@ def named(found: Found, after: Fit) -> NamedEffect:
     )
 
 
+def unnamed(tables: Tables) -> NamedEffect:
+    """Describe the lookup tables of an effect that is on no list."""
+    parameters = {}
+    for name in tables.names:
+        kind = name.removeprefix("unknown_")
+        values = tables.left.base.model.effects[name]
+        for p in CATALOGUE[name].parameters:
+            se = tables.errors.get((name, p.name), 0.0)
+            parameters[f"{kind}_{p.name}"] = {"value": values[p.name], "se": se, "unit": p.unit}
+    sides = {CATALOGUE[name].location for name in tables.names}
+    evidence = tables.gain + tables.held_gain
+    return NamedEffect(
+        UNNAMED,
+        ", ".join(sorted(sides)),
+        float(min(0.99, evidence / (evidence + 10.0 * len(tables.errors) ** 0.5))),
+        parameters,
+        (),
+        f"A lookup table over {', '.join(tables.variables)}: log-likelihood ratio "
+        f"{tables.gain:.0f} on the fitted logs and {tables.held_gain:.0f} on the held-out ones.",
+    )
+
+
 def detectable(trial: Trial) -> dict[str, dict[str, Any]]:
     """Smallest amplitudes that these logs could have shown: three standard errors."""
     effect = CATALOGUE[trial.name]
@@ -224,12 +253,18 @@ def ranking(
     chosen = {f.name: f for f in decision.found}
     rows = []
     for name, effect in CATALOGUE.items():
+        if name in TABLES:
+            continue
         trial = decision.trials.get(name)
         value = trial.evidence if trial is not None else 0.0
+        if decision.at_rest is not None and name == at_rest.NAME:
+            value = decision.at_rest.evidence
         if name in chosen:
             value = chosen[name].evidence
         status = "supported" if name in chosen else "rejected"
-        if status == "rejected" and (name in untestable or (trial is None and name not in sensors)):
+        simulated = decision.at_rest is not None and name == at_rest.NAME
+        tried = trial is not None or name in sensors or simulated
+        if status == "rejected" and (name in untestable or not tried):
             status = "not testable with these logs"
         row: dict[str, Any] = {
             "name": name,
@@ -239,6 +274,8 @@ def ranking(
         }
         if trial is not None:
             row["detectable"] = detectable(trial)
+        if simulated:
+            row["detectable"] = {"ring_distance": {"value": at_rest.MATTERS, "unit": "rad"}}
         if name in sensors:
             row["detectable"] = {
                 key: {

@@ -12,12 +12,13 @@ import numpy as np
 
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import Balance, BalanceFit, columns, fit_balance
 from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
 from dmptm_ctrl.simulate.model import Floats
 
 NEEDS_TWIST = ("pinion_runout", "ring_gear_eccentricity", "mesh_error", "backlash_variation")
+BY_SIMULATOR = ("presliding",)  # it acts near rest, where the balances do not look
 BY_SENSORS = ("sensor_gain", "sensor_delay", "encoder_eccentricity")
 FIXED_SHAPES = {  # whole numbers
     "cogging": ("order",),
@@ -28,7 +29,6 @@ SIZES = {  # effects without a slope at zero, or far from linear: multiples of `
     "current_lag": (1.0, 3.0),
     "drive_delay": (1.0, 3.0),
     "drive_dead_band": (1.0, 5.0),
-    "presliding": (0.5, 2.0),
 }
 SATURATED = (0.5, 0.7, 0.85, 0.95)  # of the largest voltage, where a limit is looked for
 STARTS = 2  # best shapes that are fitted
@@ -271,7 +271,7 @@ def settled(trace: Trace, trial: Trial) -> Trial:
 def candidates(trace: Trace, skip: Iterable[str]) -> list[str]:
     """Effects that the balances can show; `skip` are left out."""
     twisted = any(mo.rec.twist is not None for mo in trace.balance.motions)
-    out = {*skip, *trace.base.model.effects, *BY_SENSORS}
+    out = {*skip, *trace.base.model.effects, *BY_SENSORS, *BY_SIMULATOR, *TABLES}
     if not twisted:
         out |= {*NEEDS_TWIST, "reducer_compliance"}
     return [name for name in CATALOGUE if name not in out]

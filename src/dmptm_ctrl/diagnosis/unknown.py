@@ -27,6 +27,7 @@ CURVE = 60.0  # evidence of a curve; well above the best of all curves on rigs w
 HELD = 8.0  # of it on the held-out logs: a curve has many knots
 # What a named effect leaves because its form is only nearly right is small beside it.
 CURVE_SHARE = 0.1
+ALIKE = 0.7  # share of the best curve's evidence from which another is named with it
 BURST = 12.0  # standard deviations of a window that no curve has to explain
 BURSTS = 0.004  # share of windows that are bursts; rattle alone gives less
 MEMORIES = (0.3, 1.0, 3.0)  # s, of what the last seconds of motion leave behind
@@ -351,7 +352,9 @@ class Unexplained:
     beyond_names: bool
 
 
-def unexplained(before: Residual, after: Residual, named: float) -> Unexplained | None:
+def unexplained(
+    before: Residual, after: Residual, named: float, *, leave: float = 1.0
+) -> Unexplained | None:
     """Tell whether something is left that no name stands for.
 
     Parameters
@@ -360,22 +363,34 @@ def unexplained(before: Residual, after: Residual, named: float) -> Unexplained 
         Without and with the named effects; the same where none was found.
     named : float
         Evidence of the named effects together.
+    leave : float
+        Factor on what may be left: more, where a named effect acts near rest, which the
+        balances do not follow.
     """
-    left = significant(curves(after), max(CURVE, CURVE_SHARE * named))
+    told = curves(after)
+    left = significant(told, max(leave * CURVE, CURVE_SHARE * named))
     shots = bursts(after)
-    if left is None and shots.share < BURSTS:
+    if left is None and shots.share < leave * BURSTS:
         return None
     beyond = False
     best = left
     if after is not before:
-        bare = significant(curves(before), CURVE)
-        if bare is not None and bare.evidence > named:
-            best, beyond = bare, True
+        bare = curves(before)
+        top = significant(bare, CURVE)
+        if top is not None and top.evidence > named:
+            best, beyond, told = top, True, bare
         shots = bursts(before) if beyond else shots
-    variables = best.variables if best is not None else ()
+    variables = alike(told, best) if best is not None else ()
     if shots.share >= BURSTS and (best is None or "time" in shots.variables[:1]):
         variables = (*variables, *shots.variables)
     return Unexplained(tuple(dict.fromkeys(variables)), best, shots, beyond)
+
+
+def alike(found: Sequence[Curve], best: Curve) -> tuple[str, ...]:
+    """Variables of the best curve, then of those that the logs hardly tell from it."""
+    near = [c for c in found if c.evidence > ALIKE * best.evidence and c.held_gain > HELD]
+    names = [name for c in (best, *near) for name in c.variables]
+    return tuple(dict.fromkeys(names))
 
 
 def significant(found: Sequence[Curve], least: float) -> Curve | None:

@@ -30,6 +30,9 @@ from dmptm_ctrl.effects.sensor_gain import SENSOR_GAIN
 from dmptm_ctrl.effects.thermal_drift import THERMAL_DRIFT
 from dmptm_ctrl.effects.torque_constant_mismatch import TORQUE_CONSTANT_MISMATCH
 from dmptm_ctrl.effects.unbalance import UNBALANCE
+from dmptm_ctrl.effects.unknown_friction import UNKNOWN_FRICTION
+from dmptm_ctrl.effects.unknown_torque import UNKNOWN_TORQUE
+from dmptm_ctrl.effects.unknown_voltage import UNKNOWN_VOLTAGE
 
 CATALOGUE: dict[str, Effect] = {
     effect.name: effect
@@ -59,6 +62,9 @@ CATALOGUE: dict[str, Effect] = {
         ENCODER_ECCENTRICITY,
         SENSOR_GAIN,
         SENSOR_DELAY,
+        UNKNOWN_VOLTAGE,
+        UNKNOWN_FRICTION,
+        UNKNOWN_TORQUE,
     )
 }
 
@@ -83,4 +89,8 @@ def register(effect: Effect) -> Effect:
     return effect
 
 
-__all__ = ["CATALOGUE", "register"]
+# Tables that stand in for what has no name: fitted when nothing else explains the logs,
+# never candidates among the others.
+TABLES = (UNKNOWN_VOLTAGE.name, UNKNOWN_FRICTION.name, UNKNOWN_TORQUE.name)
+
+__all__ = ["CATALOGUE", "TABLES", "register"]

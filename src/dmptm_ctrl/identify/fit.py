@@ -19,6 +19,9 @@ from dmptm_ctrl.simulate.model import Floats, Model
 
 CORRELATION_SECONDS = 0.1  # how long a model error lasts: samples closer than this are not news
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
+# Standard deviation of an amplitude, as a share of its bound: where logs tell only the sum of
+# two (both motors' cogging without motor encoders), neither runs away.
+AMPLITUDE_SHARE = 0.3
 # Difference steps, in half-ranges, taken in turn: beyond the roughness of contact events, and
 # never the same twice, so that no event spoils a column for good.
 PROBES = (0.3, 0.15)
@@ -73,9 +76,17 @@ def drive_unknowns(model: Model) -> tuple[Unknown, ...]:
 
 
 def effect_unknowns(name: str) -> tuple[Unknown, ...]:
-    """Return the parameters of an effect."""
+    """Return the parameters of an effect; amplitudes are not expected beyond their bounds."""
     return tuple(
-        Unknown(name, p.name, 0.0, p.step, p.low / p.step, p.high / p.step, np.inf)
+        Unknown(
+            name,
+            p.name,
+            0.0,
+            p.step,
+            p.low / p.step,
+            p.high / p.step,
+            np.inf if p.bank else AMPLITUDE_SHARE * p.high / p.step,
+        )
         for p in CATALOGUE[name].parameters
     )
 

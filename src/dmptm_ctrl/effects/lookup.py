@@ -1,0 +1,54 @@
+"""A curve as a table: what an effect on nobody's list is known by.
+
+Linear between evenly spaced knots, constant beyond the ends. The table is over one of the
+variables of its site, chosen by a number.
+"""
+
+from collections import namedtuple
+from typing import Any
+
+from numba import njit
+
+from dmptm_ctrl.contract import Parameter
+
+KNOTS = 32
+FIRST = 3  # position of the first knot among the parameters
+ANGLE, SPEED, TIME, LOAD, VOLTAGE = 0.0, 1.0, 2.0, 3.0, 4.0  # values of `variable`
+WIDEST = 60.0  # rad, rad/s, s, N·m or V: no log goes further
+
+
+def table_type(name: str) -> type[Any]:
+    """Return the NamedTuple of a table's parameters."""
+    return namedtuple(name, ["variable", "low", "high", *(f"k{i}" for i in range(KNOTS))])
+
+
+def table_parameters(
+    unit: str,
+    largest: float,
+    step: float,
+    variables: tuple[float, ...],
+    ends: tuple[float, float],
+) -> tuple[Parameter, ...]:
+    """Parameters of a table with knots up to `largest`.
+
+    The middle one of `variables` is the default, and `ends` of its table.
+    """
+    low, high = ends
+    return (
+        Parameter("variable", "", ANGLE, VOLTAGE, 1.0, variables),
+        Parameter("low", "SI", -WIDEST, WIDEST, 0.02, (low,)),
+        Parameter("high", "SI", -WIDEST, WIDEST, 0.02, (high,)),
+        *(Parameter(f"k{i}", unit, -largest, largest, step) for i in range(KNOTS)),
+    )
+
+
+@njit
+def looked_up(x, p):
+    """Value of the table at x; that of the first knot if the ends are the wrong way round."""
+    if not p.high > p.low:
+        return p[FIRST]
+    place = (x - p.low) / (p.high - p.low) * (KNOTS - 1)
+    place = min(max(place, 0.0), KNOTS - 1.0)
+    i = max(0, min(int(place), KNOTS - 2))
+    share = place - i
+    return (1.0 - share) * p[FIRST + i] + share * p[FIRST + 1 + i]

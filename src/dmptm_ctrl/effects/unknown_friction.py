@@ -1,0 +1,44 @@
+"""Unknown friction: Coulomb friction of the ring gear that a curve describes, without a name.
+
+Coulomb friction of the ring gear += T(x),  x one of θL, ωL, t, mesh torque
+"""
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect
+from dmptm_ctrl.effects.lookup import (
+    ANGLE,
+    SPEED,
+    TIME,
+    looked_up,
+    table_parameters,
+    table_type,
+)
+
+
+@njit
+def table_friction(theta, omega, t, mesh_torque, body, p):
+    """Factor on the declared friction (1) and added Coulomb torque [N·m]."""
+    if body != 2:
+        return 1.0, 0.0
+    x = theta
+    if p.variable > 0.5:
+        x = omega
+    if p.variable > 1.5:
+        x = t
+    if p.variable > 2.5:
+        x = mesh_torque
+    return 1.0, looked_up(x, p)
+
+
+UNKNOWN_FRICTION = Effect(
+    name="unknown_friction",
+    site="friction",
+    kernel=table_friction,
+    parameters=table_parameters("N·m", 60.0, 2.0, (ANGLE, TIME, SPEED), (0.0, 0.02)),
+    values=table_type("UnknownFriction"),
+    location="ring-gear bearing",
+    source="lookup table, fitted",
+    depends_on=("theta_L", "omega_L", "time", "mesh_torque"),
+    reveals="the range of the variable, slowly, in both directions",
+)

@@ -4,7 +4,9 @@ from math import pi
 
 import pytest
 
+from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
 from dmptm_ctrl.drive.rigfile import RigError, parse_rig
+from dmptm_ctrl.signals import LogError
 
 RIG = """
 [body.motor]
@@ -82,3 +84,31 @@ between = ["motor", "load"]
 """
     with pytest.raises(RigError, match=r"write one \[mesh\], with the shaft's stiffness in it"):
         parse_rig(text)
+
+
+def test_a_body_that_nothing_tells_is_refused():
+    """Unknown inertia between two springs, without a sensor."""
+    text = """
+[body.motor]
+inertia = "2e-4 kg m^2"
+[body.hub]
+inertia = "unknown"
+[body.load]
+inertia = "unknown"
+[shaft.coupling]
+between = ["motor", "hub"]
+stiffness = "unknown"
+[mesh.gear]
+between = ["hub", "load"]
+[input.u]
+column = "u_V"
+body = "motor"
+[sensor.motor_encoder]
+column = "a_rad"
+body = "motor"
+[sensor.load_encoder]
+column = "b_rad"
+body = "load"
+"""
+    with pytest.raises(LogError, match="unknown inertia between coupling and gear, and no sensor"):
+        diagnose_chain([], parse_rig(text))

@@ -110,12 +110,14 @@ def climb(
     jobs : int
         Threads; the result does not depend on it.
     tell : callable, optional
-        Gets a line per rung.
+        Gets a line of text per step.
 
     Returns
     -------
     Ladder
     """
+    say = tell or (lambda text: None)
+    say("fitting the declared model")
     fit = fit_chain(State(rough_start(model, fit_logs)), fit_logs, jobs=jobs, iterations=SETTLE)
     base = fit
     rungs: list[Rung] = []
@@ -123,6 +125,7 @@ def climb(
     scores: list[Candidate] = []
     while len(rungs) < MAX_RUNGS:
         # Springs and gaps cost most to try: not while a plain effect stands out.
+        say(f"{errors_of(fit.left, fit.drive).percent:.2f} % left; looking for what is missing")
         tangent = Tangent(fit, fit_logs)
         scores = candidates(tangent, structure=False)
         if not rungs or not any(c.score.gain >= STANDS_OUT for c in scores):
@@ -141,10 +144,8 @@ def climb(
         fit = taken[-1][1]
         for rung, _ in taken:
             rungs.append(rung)
-            if tell is not None:
-                tell(
-                    f"{rung.key}: {rung.held_before.percent:.2f} → {rung.held_after.percent:.2f} %"
-                )
+            say(f"{rung.key}: {rung.held_before.percent:.2f} → {rung.held_after.percent:.2f} %")
+    say("judging what was found")
     fit, deleted = _delete(fit, fit_logs, held_logs, rungs, jobs)
     return Ladder(
         base,

@@ -1,7 +1,7 @@
 """Diagnose a rig of any shape: from logs and a rig file to the effects that it lacks."""
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from os import PathLike
 
 import numpy as np
@@ -20,7 +20,7 @@ from dmptm_ctrl.diagnosis.ladder_report import (
 )
 from dmptm_ctrl.diagnosis.ladder_standing import standing
 from dmptm_ctrl.diagnosis.ladder_unknown import unexplained
-from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.chain_fit import State, residuals
 from dmptm_ctrl.identify.chain_sensors import late_sensors
@@ -40,6 +40,7 @@ def diagnose_chain(
     *,
     seed: int = 0,
     jobs: int = 2,
+    tell: Callable[[str], None] | None = None,
 ) -> ChainDiagnosis:
     """Find what the declared model of a rig lacks.
 
@@ -52,6 +53,8 @@ def diagnose_chain(
         Kept in the provenance; nothing is drawn at random.
     jobs : int
         Threads. The result does not depend on it.
+    tell : callable, optional
+        Gets a line of text as the work goes on.
 
     Returns
     -------
@@ -65,6 +68,7 @@ def diagnose_chain(
     """
     started = time.perf_counter()
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
+    _refuse_floating(declared)
     loaded = declared.read(logs)
     for log in loaded:
         _refuse_still(declared, log)
@@ -73,7 +77,7 @@ def diagnose_chain(
     balance = _long_enough(balance)
     fit_logs, held_logs, roles, on = split(declared, balance)
     model = ChainModel(declared, tuple(declared_effects(declared)))
-    ladder = climb(model, fit_logs, held_logs, jobs=jobs)
+    ladder = climb(model, fit_logs, held_logs, jobs=jobs, tell=tell)
     errors = standard_errors(ladder.final, fit_logs)
     stands = standing(ladder, jobs)
     declared_keys = {e.key for e in model.effects}
@@ -162,6 +166,24 @@ def _refuse_still(rig: Rig, log: Log) -> None:
             raise LogError(f"{log.name}: {source.column} never changes; nothing to learn from it")
     if all(np.ptp(log[s.channel]) == 0 for s in rig.sensors):
         raise LogError(f"{log.name}: no sensor moves; nothing to learn from it")
+
+
+def _refuse_floating(rig: Rig) -> None:
+    """Refuse a body of unknown inertia between springs that nothing measures or drives."""
+    seen = {s.body for s in rig.sensors} | {i.body for i in rig.inputs}
+    rigid = [{k.first, k.second} for k in rig.links if k.rigid]
+    for body in rig.bodies:
+        group = {body.name}
+        for _ in rigid:
+            group |= set().union(*(pair for pair in rigid if pair & group))
+        soft = [k.name for k in rig.links if not k.rigid and len({k.first, k.second} & group) == 1]
+        if len(soft) > 1 and not group & seen and not is_known(body.inertia):
+            key = "mass" if body.linear else "inertia"
+            raise LogError(
+                f"body {body.name} has an unknown {key} between {' and '.join(soft)}, and no "
+                f"sensor: logs cannot tell it. Give its {key}, or leave it out and write one link "
+                "with both stiffnesses in it"
+            )
 
 
 def _notes(logs: Sequence[Log]) -> tuple[str, ...]:

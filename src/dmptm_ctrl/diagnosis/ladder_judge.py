@@ -11,13 +11,18 @@ from scipy.signal import csd, welch
 from dmptm_ctrl.diagnosis.ladder_tries import Candidate
 from dmptm_ctrl.identify.chain_fit import ChainFit
 from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.simulate.chain_model import Placed
 
 Floats = NDArray[np.float64]
 
 MIN_GAIN = 0.05  # share of the residual's square; less is not worth a name
 MIN_SHARE = 0.5  # % of the driving torque; a smaller effect is of no interest
 IN_BAND = 0.9  # of the bandwidth; a resonance must lie below
-CLIPS = 1.05  # largest input over a saturation's limit
+CLIPS = 1.05  # input over a saturation's limit that counts
+CLIPPED = 0.02  # of the samples must be beyond the limit, and as many well inside
+LOWEST_LEVEL = 0.2  # of the limit; smaller inputs say nothing about it
+CLEAR = 2.0  # times the speed that a sensor does not tell from rest
+CLEAR_DROP = 5.0  # of friction that falls towards rest: bodies that stick look so
 OVERDAMPED = 0.5  # damping ratio from which there is no resonance to speak of
 DRIVEN = 0.5  # of what a spring changes must be coherent with the drive
 SEGMENTS = 8  # of a log, for a coherence
@@ -127,8 +132,9 @@ def plausible(candidate: Candidate, before: ChainFit, fit: ChainFit, logs: Balan
     """
     effect = next(e for e in fit.model.effects if e.key == candidate.placed.key)
     if effect.name == "drive_saturation":
-        peak = max(float(np.abs(m.u[effect.on]).max()) for m in logs.motions)
-        return effect.values["inverse_limit"] * peak >= CLIPS
+        return _clips(logs, effect.on, 1.0 / max(effect.values["inverse_limit"], 1e-300))
+    if effect.name in ("presliding", "stribeck_friction"):
+        return _seen_slow(effect, fit, logs)
     if effect.name != "shaft_compliance":
         return True
     layout, plant = fit.model.layout, fit.model.plant()
@@ -143,6 +149,31 @@ def plausible(candidate: Candidate, before: ChainFit, fit: ChainFit, logs: Balan
         return False
     changes = [b[0] - a[0] for b, a in zip(before.left, fit.left, strict=True)]
     return driven_share(changes, fit.drive) >= DRIVEN
+
+
+def _clips(logs: Balance, source: str, limit: float) -> bool:
+    """Whether a limit is passed for a while, and not always: then it would be a gain."""
+    size = np.concatenate([np.abs(m.u[source]) for m in logs.motions])
+    beyond = float(np.mean(size > CLIPS * limit))
+    inside = float(np.mean((size > LOWEST_LEVEL * limit) & (size < limit / CLIPS)))
+    return beyond >= CLIPPED and inside >= CLIPPED
+
+
+def _seen_slow(effect: Placed, fit: ChainFit, logs: Balance) -> bool:
+    """Whether what friction does at low speed is more than a sensor that cannot see it."""
+    layout = fit.model.layout
+    group, r = layout.coordinate[effect.on], abs(layout.ratio[effect.on])
+    speeds = [
+        r * m.unclear.get(p.name, 0.0) / abs(layout.ratio[layout.sensor_body[p.name]])
+        for p in logs.points
+        if layout.coordinate[layout.sensor_body[p.name]] == group
+        for m in logs.motions
+    ]
+    unclear = float(np.median(speeds)) if speeds else 0.0
+    if effect.name == "presliding":
+        return effect.values["distance"] >= CLEAR * unclear / (2 * np.pi * logs.bandwidth)
+    clear = CLEAR if effect.values["excess"] > 0 else CLEAR_DROP
+    return effect.values["speed"] >= clear * unclear
 
 
 def driven_share(changes: Sequence[Floats], drive: Sequence[Floats]) -> float:

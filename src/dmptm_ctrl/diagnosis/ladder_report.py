@@ -371,7 +371,7 @@ def ranking_of(ladder: Ladder, late: Mapping[str, Lateness]) -> list[dict[str, A
                 "name": name,
                 "score": max(score, 0.0) if isfinite(score) else 0.0,
                 "status": status,
-                "reveals": chain.effect.reveals,
+                "reveals": chain.reveals,
             }
         )
     return sorted(rows, key=lambda row: (row["status"] != "supported", -row["score"]))

@@ -35,7 +35,10 @@ def diagnose_files(
     if drive is not None:
         campaign = load_logs(source, dual_columns(declared))
         return diagnose(campaign, drive, jobs=jobs, seed=seed)
-    return diagnose_chain(source, declared, jobs=jobs, seed=seed)
+    from rich.console import Console
+
+    with Console(stderr=True).status("reading logs") as status:  # nothing where no one watches
+        return diagnose_chain(source, declared, jobs=jobs, seed=seed, tell=status.update)
 
 
 def predict_file(log: Path, model: Path) -> str:

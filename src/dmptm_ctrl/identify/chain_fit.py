@@ -467,7 +467,8 @@ def _news(left: Sequence[Floats]) -> float:
 
 
 def _cost(state: State, frees: Sequence[Free], left: Sequence[Floats], weights: Floats) -> float:
-    total = sum(float(np.sum((weights[:, None] * part) ** 2)) for part in left) * _news(left)
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable trial is a costly one
+        total = sum(float(np.sum((weights[:, None] * part) ** 2)) for part in left) * _news(left)
     for free in frees:
         if free.prior is not None and free.prior[1] > 0:
             total += ((state.get(free) - free.prior[0]) / free.prior[1]) ** 2

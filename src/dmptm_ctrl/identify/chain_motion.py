@@ -1,7 +1,7 @@
 """Position, speed and acceleration of measured bodies from a log, at the bandwidth it allows."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
 
@@ -82,6 +82,7 @@ class Motion:
     angles: frozenset[str]  # bodies whose position is measured, not integrated
     by_speed: bool = False  # the first point's acceleration is that of a speed sensor
     rest_share: float = REST_SHARE  # of the highest speed; slower is at rest, or noise
+    unclear: Mapping[str, float] = field(default_factory=dict)  # speed that is not told from rest
     part: str = ""  # "fit" or "held-out" stretches of the log; "" is all of it
 
     @cached_property
@@ -150,11 +151,10 @@ class Motion:
     def stretch(self, start: int, stop: int) -> "Motion":
         """Return the samples from `start` up to `stop` as a motion of its own."""
         cut = slice(start, stop)
-        parts = {
-            name: {k: x[cut] for k, x in getattr(self, name).items()}
-            for name in ("u", "q", "v", "a")
-        }
-        return replace(self, time=self.time[cut], part="", **parts)
+        u, q, v, a = (
+            {k: x[cut] for k, x in signals.items()} for signals in (self.u, self.q, self.v, self.a)
+        )
+        return replace(self, time=self.time[cut], part="", u=u, q=q, v=v, a=a)
 
     @property
     def _own(self) -> NDArray[np.bool_]:
@@ -260,7 +260,7 @@ def prepare(
     cut = min(MOTION_OVER_BALANCE * bandwidth, 0.45 * rate)
     sos = butter(6, cut, fs=rate, output="sos")
     q, v, a = {}, {}, {}
-    rest = REST_SHARE
+    rest, unclear = REST_SHARE, {}
     for body, sight in sights.items():
         raw = log[sight.sensor.channel]
         if late and late.get(sight.sensor.name):
@@ -278,9 +278,9 @@ def prepare(
             )
         a[body] = derivative(v[body], dt)
         fastest = float(np.abs(v[body]).max())
+        unclear[body] = _unclear_speed(sight.sensor, raw, signal, cut, rate)
         if fastest > 0:
-            slow = _unclear_speed(sight.sensor, raw, signal, cut, rate)
-            rest = max(rest, min(slow / fastest, MOST_REST))
+            rest = max(rest, min(unclear[body] / fastest, MOST_REST))
     return Motion(
         log.name,
         dt,
@@ -293,6 +293,7 @@ def prepare(
         frozenset(body for body, sight in sights.items() if sight.angle is not None),
         next(iter(sights.values())).sensor.measures == "speed",
         rest,
+        unclear,
     )
 
 

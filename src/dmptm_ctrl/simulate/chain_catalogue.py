@@ -62,6 +62,37 @@ BACKLASH = Effect(
 )
 
 
+# What would show an effect on a drive of any shape.
+REVEALS = {
+    "viscous_friction": "steady motion at several speeds",
+    "coulomb_friction": "motion in both directions at several speeds",
+    "friction_asymmetry": "motion in both directions at several speeds; only these tell it from "
+    "an offset of the drive",
+    "stribeck_friction": "slow reversals, and steady motion from very slow to fast",
+    "presliding": "torque below breakaway, with an encoder that resolves the creep",
+    "load_dependent_friction": "the same motion under different loads or preloads",
+    "position_dependent_friction": "slow motion over the whole travel, both ways",
+    "local_spot": "slow motion over the whole travel, both ways, several times",
+    "thermal_drift": "the same motion early and late in a long log from cold",
+    "quadratic_drag": "steady motion from slow to the highest speed",
+    "unbalance": "slow motion over a whole turn, both ways",
+    "cable_spring": "slow motion over the whole travel, both ways, with stops",
+    "base_vibration": "a log at rest, and motion at several speeds",
+    "cogging": "slow steady motion over several periods of it, at two speeds",
+    "drive_offset": "motion in both directions at several speeds",
+    "drive_dead_band": "small slow signals around zero, besides large ones",
+    "drive_saturation": "signals well below and well above the limit",
+    "drive_delay": "fast changes of the signal (multisine, chirp, square)",
+    "current_lag": "fast changes of the signal (multisine, chirp)",
+    "shaft_compliance": "a chirp or multisine past the resonance, at best with sensors on both "
+    "sides",
+    "backlash": "reversals with small torque, at best with encoders on both sides of the gap",
+    "sensor_delay": "position and speed of the same body, with fast changes",
+    "sensor_gain": "position and speed of the same body",
+    "encoder_eccentricity": "position and speed of the same body over whole turns",
+}
+
+
 class ChainEffect(NamedTuple):
     """An effect as one place of a drive has it.
 
@@ -88,6 +119,11 @@ class ChainEffect(NamedTuple):
     def site(self) -> str:
         """Site of the effect."""
         return self.effect.site
+
+    @property
+    def reveals(self) -> str:
+        """Experiment that would show it."""
+        return REVEALS.get(self.name, self.effect.reveals)
 
     @property
     def place(self) -> str:

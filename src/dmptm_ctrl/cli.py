@@ -178,7 +178,15 @@ def log_info(
     from dmptm_ctrl.signals.info import describe
 
     if rig is not None:
-        info = describe(load_rig(rig).read(file)[0])
+        from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+
+        drive = load_rig(rig)
+        info = describe(
+            drive.read(file)[0],
+            labels=drive.labels(),
+            declared=drive.declared_names(),
+            effects=CHAIN_CATALOGUE,
+        )
     else:
         info = describe(load_log(file, resample=resample))
     if as_json:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.ladder_score import Tangent
 from dmptm_ctrl.diagnosis.ladder_tries import Candidate, backlash, compliance, finite
+from dmptm_ctrl.drive.rig import DECLARES
 from dmptm_ctrl.identify.chain_fit import (
     HARMONIC,
     Scales,
@@ -86,12 +87,7 @@ def declared_already(model: ChainModel, name: str, body: str) -> bool:
     if body.endswith(FAR):
         return name == "viscous_friction"  # part of the compliance that made the body
     friction = model.rig.body(body).friction
-    keys = {
-        "viscous_friction": ("viscous", "viscous_plus"),
-        "coulomb_friction": ("coulomb", "coulomb_plus"),
-        "stribeck_friction": ("static", "static_plus"),
-        "friction_asymmetry": ("coulomb_plus", "viscous_plus"),
-    }.get(name, ())
+    keys = DECLARES.get(name, ())
     return any(k in friction for k in keys)
 
 

@@ -1,16 +1,15 @@
 """The model of a rig of any shape as a file: the rig file's text, its fitted values, effects."""
 
-import math
 import tomllib
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import tomlkit
 
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
 
@@ -89,7 +88,7 @@ def chain_from_toml(
     if not isinstance(data.get("rig"), str):
         raise LogError(f"{name}: no rig in it; the diagnosis writes the rig file's text there")
     rig = parse_rig(data["rig"], f"rig in {name}")
-    values = _numbers(name, "values", data.get("values", {}))
+    values = finite_numbers(name, "values", data.get("values", {}))
     effects = []
     for table in data.get("effect", []):
         known = isinstance(table, dict) and isinstance(table.get("name"), str)
@@ -98,14 +97,17 @@ def chain_from_toml(
         numbers = {k: v for k, v in table.items() if k not in ("name", "on", "far")}
         far = tuple(str(f) for f in table.get("far", ()))
         where = f"effect {table['name']}"
-        effects.append(Placed(table["name"], table["on"], _numbers(name, where, numbers), far))
+        effects.append(
+            Placed(table["name"], table["on"], finite_numbers(name, where, numbers), far)
+        )
     try:
         model = ChainModel(rig, tuple(effects), values)
         model.plant()
     except (KeyError, ValueError) as error:
         raise LogError(f"{name}: {error.args[0]}") from None
     zeros = {
-        log: _numbers(name, f"zero.{log}", shifts) for log, shifts in data.get("zero", {}).items()
+        log: finite_numbers(name, f"zero.{log}", shifts)
+        for log, shifts in data.get("zero", {}).items()
     }
     return model, zeros
 
@@ -126,13 +128,3 @@ def is_chain(path: str | PathLike[str]) -> bool:
         return tomllib.loads(Path(path).read_text(encoding="utf-8")).get("kind") == KIND
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
         return False
-
-
-def _numbers(name: str, where: str, table: Any) -> dict[str, float]:
-    if not isinstance(table, dict):
-        raise LogError(f"{name}: no table [{where}]")
-    for key, value in table.items():
-        good = isinstance(value, int | float) and not isinstance(value, bool)
-        if not good or not math.isfinite(value):
-            raise LogError(f"{name}: {key} of {where} is {value!r}; it must be a finite number")
-    return {key: float(value) for key, value in table.items()}

@@ -14,7 +14,8 @@ from dmptm_ctrl.diagnosis.ladder_files import chain_to_toml
 from dmptm_ctrl.diagnosis.ladder_judge import Errors
 from dmptm_ctrl.diagnosis.ladder_score import Tangent
 from dmptm_ctrl.diagnosis.ladder_standing import Standing
-from dmptm_ctrl.diagnosis.report import SCHEMA, NamedEffect
+from dmptm_ctrl.diagnosis.report import NamedEffect
+from dmptm_ctrl.diagnosis.verdict import verdict_dict
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.chain_fit import ChainFit, on_slide
 from dmptm_ctrl.identify.chain_sensors import Lateness
@@ -60,19 +61,18 @@ class ChainDiagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of diagnosis.json: plain types, no NaN."""
-        return {
-            "schema": SCHEMA,
-            "verdict": self.verdict,
-            "effects": [effect.to_dict() for effect in self.effects],
-            "ranking": self.ranking,
-            "depends_on": list(self.depends_on),
-            "error": self.error,
-            "ladder": [rung_dict(r, self.ladder.deleted) for r in self.ladder.rungs],
-            "declared_parameters": parameters_of(self.ladder.base, self.ladder.fit_logs),
-            "parameters": parameters_of(self.ladder.final, self.ladder.fit_logs),
-            "provenance": self.provenance,
-            "warnings": list(self.warnings),
-        }
+        return verdict_dict(
+            self.verdict,
+            self.effects,
+            ranking=self.ranking,
+            depends_on=self.depends_on,
+            error=self.error,
+            ladder=[rung_dict(r, self.ladder.deleted) for r in self.ladder.rungs],
+            declared_parameters=parameters_of(self.ladder.base, self.ladder.fit_logs),
+            parameters=parameters_of(self.ladder.final, self.ladder.fit_logs),
+            provenance=self.provenance,
+            warnings=self.warnings,
+        )
 
     def sentence(self) -> str:
         """Return the verdict in one sentence."""

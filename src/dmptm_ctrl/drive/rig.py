@@ -32,6 +32,14 @@ def is_known(quantity: Quantity | None) -> bool:
     return quantity is not None and isfinite(quantity.value)
 
 
+DECLARES = {  # effect: keys of a body's friction, any of which declares it
+    "viscous_friction": ("viscous", "viscous_plus"),
+    "coulomb_friction": ("coulomb", "coulomb_plus"),
+    "stribeck_friction": ("static", "static_plus"),
+    "friction_asymmetry": ("coulomb_plus", "viscous_plus"),
+}
+
+
 @dataclass(frozen=True)
 class Body:
     """A rigid body with one coordinate, an angle [rad] or a position [m].
@@ -256,6 +264,22 @@ class Rig:
         if self.controller is not None:
             mapping[self.controller.reference] = Column("reference", self.controller.reference_unit)
         return mapping
+
+    def labels(self) -> dict[str, str]:
+        """Column of each channel, by the channel's name."""
+        return {c.channel: name for name, c in self.columns().items()}
+
+    def declared_names(self) -> set[str]:
+        """Names of effects that every body or link of the rig declares already."""
+        names = {e.name for e in self.effects}
+        for effect, keys in DECLARES.items():
+            if all(any(k in b.friction for k in keys) for b in self.bodies):
+                names.add(effect)
+        if self.links and all(not k.rigid for k in self.links):
+            names.add("shaft_compliance")
+        if self.links and all(k.half_gap is not None for k in self.links):
+            names.add("backlash")
+        return names
 
     def read(self, sources: Any) -> tuple[Log, ...]:
         """Load logs of this rig.

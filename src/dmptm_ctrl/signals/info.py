@@ -1,6 +1,6 @@
 """What is in a log, and which effects it can tell anything about."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from dmptm_ctrl.signals.units import door_column
 Array = NDArray[np.float64]
 
 INPUT_UNITS = ("V", "A", "N·m", "N")
+DECLARED = "nothing: the rig file declares it"
 REST_SHARE = 0.02  # of the greatest speed; slower is at rest
 SMOOTH = 0.02  # s, moving average before counting reversals: longer than gyro noise lives
 
@@ -75,13 +76,25 @@ class LogInfo:
         return asdict(self)
 
 
-def describe(log: Log) -> LogInfo:
+def describe(
+    log: Log,
+    *,
+    labels: Mapping[str, str] | None = None,
+    declared: Collection[str] = (),
+    effects: Collection[str] | None = None,
+) -> LogInfo:
     """Say what is in a log and what it can and cannot tell.
 
     Parameters
     ----------
     log : Log
         Of any drive; channels are told apart by their units.
+    labels : mapping of channel to column, optional
+        What the file calls them.
+    declared : collection of str
+        Effects that the drive's model has already: of no interest.
+    effects : collection of str, optional
+        Those that the drive can have; by default all that are known.
 
     Returns
     -------
@@ -101,15 +114,18 @@ def describe(log: Log) -> LogInfo:
         duration=log.duration,
         sample_time=log.sample_time,
         sha256=log.sha256,
-        channels=tuple(_channel(log, channel) for channel in log),
+        channels=tuple(_channel(log, channel, labels or {}) for channel in log),
         excitation=excitation,
-        testable=_testable(excitation) if excitation else (),
+        testable=_testable(excitation, declared, effects) if excitation else (),
         warnings=log.warnings,
     )
 
 
-def _channel(log: Log, channel: str) -> ChannelInfo:
+def _channel(log: Log, channel: str, labels: Mapping[str, str]) -> ChannelInfo:
     column, factor = door_column(channel, log.units[channel])
+    if channel in labels:
+        unit = column.removeprefix(channel).strip("_")
+        column = f"{labels[channel]} [{unit}]" if unit else labels[channel]
     values = log[channel] / factor
     steps = np.abs(np.diff(values))
     # Conversion to SI and back leaves steps of 1e-16 of the value between equal readings.
@@ -219,9 +235,16 @@ NEEDS: dict[str, tuple[_Need, ...]] = {
 }
 
 
-def _testable(excitation: Excitation) -> tuple[Testability, ...]:
+def _testable(
+    excitation: Excitation, declared: Collection[str], effects: Collection[str] | None
+) -> tuple[Testability, ...]:
     results = []
     for effect, needs in NEEDS.items():
+        if effects is not None and effect not in effects:
+            continue
+        if effect in declared:
+            results.append(Testability(effect, False, (DECLARED,)))
+            continue
         lacks = tuple(words for words, met in needs if not met(excitation))
         results.append(Testability(effect, not lacks, lacks))
     return tuple(results)

@@ -1,16 +1,15 @@
 """A model as a file: `model.toml`, written by the diagnosis and read by `dmptm predict`."""
 
-import math
 import tomllib
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import tomlkit
 
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.simulate.model import BASE, Model
 
 KIND = "dual-motor"
@@ -58,7 +57,7 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
     if data.get("kind") != KIND or data.get("schema") != SCHEMA:
         raise LogError(f'{name}: needs kind = "{KIND}" and schema = {SCHEMA}, as diagnose writes')
     declared = drive or paper_drive()
-    values = _numbers(name, "drive", data.get("drive"))
+    values = finite_numbers(name, "drive", data.get("drive"))
     unknown = sorted(set(values) - set(BASE))
     missing = [n for n in BASE if n not in values]
     if unknown or missing:
@@ -81,21 +80,11 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
     effects = data.get("effects", {})
     if not isinstance(effects, dict):
         raise LogError(f"{name}: [effects] must hold one table per effect")
-    tables = {key: _numbers(name, f"effects.{key}", table) for key, table in effects.items()}
+    tables = {key: finite_numbers(name, f"effects.{key}", table) for key, table in effects.items()}
     try:
         return Model(declared.with_values(**values), tables)
     except KeyError as error:
         raise LogError(f"{name}: {error.args[0]}") from None
-
-
-def _numbers(name: str, where: str, table: Any) -> dict[str, float]:
-    if not isinstance(table, dict):
-        raise LogError(f"{name}: no table [{where}]")
-    for key, value in table.items():
-        good = isinstance(value, int | float) and not isinstance(value, bool)
-        if not good or not math.isfinite(value):
-            raise LogError(f"{name}: {key} in [{where}] is {value!r}; it must be a finite number")
-    return {key: float(value) for key, value in table.items()}
 
 
 def read_model(path: str | PathLike[str]) -> Model:

@@ -1,0 +1,28 @@
+"""Tables of numbers in a file that people may have edited."""
+
+import math
+from typing import Any
+
+from dmptm_ctrl.signals.errors import LogError
+
+
+def finite_numbers(name: str, where: str, table: Any) -> dict[str, float]:
+    """Return a table of a file as numbers.
+
+    Parameters
+    ----------
+    name, where : str
+        File and table, for messages.
+
+    Raises
+    ------
+    LogError
+        No table, or a value that is no finite number.
+    """
+    if not isinstance(table, dict):
+        raise LogError(f"{name}: no table [{where}]")
+    for key, value in table.items():
+        good = isinstance(value, int | float) and not isinstance(value, bool)
+        if not good or not math.isfinite(value):
+            raise LogError(f"{name}: {key} in [{where}] is {value!r}; it must be a finite number")
+    return {key: float(value) for key, value in table.items()}

@@ -12,6 +12,27 @@ from scipy.stats import beta
 CONFIDENCE = 0.95
 BINS = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0])  # of stated probability
 TWINS = {"current_lag": "drive_delay", "drive_delay": "current_lag"}  # one lag, two shapes
+NINETY = 1.645  # standard errors of a two-sided interval of 90 %
+DEG = np.pi / 180
+# effect → name in the label: name in the product, and factor between their units
+SAME = {
+    "current_lag": {"time_constant_s": ("time_constant", 1.0)},
+    "drive_delay": {"delay_s": ("delay", 1.0)},
+    "sensor_delay": {"delay_s": ("delay", 1.0)},
+    "sensor_gain": {"share": ("error", 1.0)},
+    "drive_dead_band": {"half_width_V": ("width", 1.0)},
+    "quadratic_drag": {"coefficient_N_m_s2_rad2": ("coefficient", 1.0)},
+    "cable_spring": {"stiffness_N_m_rad": ("stiffness", 1.0)},
+    "unbalance": {"cos_N_m": ("cosine", 1.0), "sin_N_m": ("sine", 1.0)},
+    "load_dependent_friction": {"coefficient": ("coefficient", 1.0)},
+    "base_vibration": {"frequency_Hz": ("frequency", 1.0)},
+    "thermal_drift": {"time_constant_s": ("time_constant", 1.0)},
+    "local_spot": {
+        "height_N_m": ("height", 1.0),
+        "place_deg": ("place", DEG),
+        "sigma_deg": ("width", DEG),
+    },
+}
 GREY = "0.45"
 BLUE = "#0b3c6f"
 
@@ -72,6 +93,19 @@ def error_left(line):
     return (hidden["after"] - hidden["floor"]) / (hidden["before"] - hidden["floor"])
 
 
+def covered(line):
+    """Whether each interval that claims 90 % holds the truth, where label and effect agree."""
+    flags = []
+    for effect in line["effects"]:
+        truth = line.get("true_parameters", {}).get(effect["name"], {})
+        for theirs, (ours, factor) in SAME.get(effect["name"], {}).items():
+            if theirs in truth and ours in effect["parameters"]:
+                found = effect["parameters"][ours]
+                off = abs(found["value"] - factor * truth[theirs])
+                flags.append(off <= NINETY * found["se"])
+    return flags
+
+
 def best_trial(line):
     """Strongest candidate of the first round."""
     return max(line.get("trials", []), key=lambda t: t["gain"] + t["held_gain"], default=None)
@@ -121,6 +155,7 @@ def summarise(lines):
             sensors: proportion(right(x) for x in kinds["single"] if x["sensors"] == sensors)
             for sensors in ("all", "load")
         },
+        "covered": proportion(flag for x in lines for flag in covered(x)),
         "brier": float(np.mean([(p - h) ** 2 for p, h in stated])) if stated else None,
         "held_out_ratio": spread(
             x["after"] / x["before"] for x in lines if x["kind"] != "null" and x["effects"]
@@ -171,6 +206,9 @@ def report(summary):
         rows.append(
             f"best evidence on nulls: median {evidence['median']:.1f}, max {evidence['max']:.1f}"
         )
+    within = summary["covered"]
+    if within["of"]:
+        rows.append(f"intervals of 90 % that hold the truth: {within['hits']} of {within['of']}")
     if summary["brier"] is not None:
         rows.append(f"Brier score {summary['brier']:.3f}")
     if summary["hidden_error_left"]:

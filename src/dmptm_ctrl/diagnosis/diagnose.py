@@ -7,6 +7,7 @@ from os import PathLike
 from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import MAX_EFFECTS, Decision, Found, decide, withdraw
+from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, named, provenance, ranking, unnamed
@@ -110,6 +111,7 @@ def diagnose(
         fitted=final,
         provenance=provenance(measured, measured.logs, seed, time.perf_counter() - start),
         warnings=(*measured.warnings, *getattr(campaign, "warnings", ())),
+        experiment=next_experiment(decision, measured.has_motor_encoders),
     )
 
 

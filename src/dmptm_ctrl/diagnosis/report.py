@@ -10,6 +10,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.decide import Decision, Found
+from dmptm_ctrl.diagnosis.experiment import EXPERIMENT_FILE, Experiment
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.trace import Trial
@@ -21,6 +22,7 @@ from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
 
 SCHEMA = 1
+CLOCK = 1e-5  # s: a time is not known more finely than a hundredth of a usual sample
 UNNAMED = "unknown"  # name of what lookup tables stand for, in the contract of diagnosis.json
 
 
@@ -71,6 +73,8 @@ class Diagnosis:
     fitted : Fit
         Of `augmented`, on all logs.
     provenance : dict
+    experiment : Experiment or None
+        That would tell an effect from what it may be confused with.
     """
 
     verdict: str
@@ -86,6 +90,7 @@ class Diagnosis:
     fitted: Fit
     provenance: dict[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    experiment: Experiment | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of diagnosis.json: plain types, no NaN."""
@@ -96,6 +101,7 @@ class Diagnosis:
             "ranking": self.ranking,
             "depends_on": list(self.depends_on),
             "error": self.error,
+            "next_experiment": self.experiment.to_dict() if self.experiment else None,
             "provenance": self.provenance,
             "warnings": list(self.warnings),
         }
@@ -121,6 +127,12 @@ class Diagnosis:
             lines.append(f"  {effect.evidence}")
             if effect.confusable_with:
                 lines.append("  not told from: " + ", ".join(effect.confusable_with))
+        if self.experiment is not None:
+            lines += [
+                "",
+                f"to tell {' from '.join(self.experiment.against[:2])}: "
+                f"{self.experiment.description}, {EXPERIMENT_FILE}",
+            ]
         bounds = self.fitted.at_bounds
         if bounds:
             lines += ["", "at the edge of the declared range: " + ", ".join(bounds)]
@@ -179,6 +191,9 @@ class Diagnosis:
             text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
             (out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
             (out / "model.toml").write_text(to_toml(self.augmented), encoding="utf-8")
+            if self.experiment is not None:
+                table = self.experiment.table()
+                table.to_csv(out / EXPERIMENT_FILE, index=False, float_format="%.6g")
             (out / "report.html").write_text(render(self), encoding="utf-8")
 
 
@@ -191,6 +206,8 @@ def named(found: Found, after: Fit) -> NamedEffect:
             value, se = after.value(found.name, p.name)
         except KeyError:  # found by search, not by fit: a whole-numbered order
             value, se = after.model.effects[found.name][p.name], 0.0
+        if p.unit == "s":
+            se = float(np.hypot(se, CLOCK))
         parameters[p.name] = {"value": float(value), "se": float(se), "unit": p.unit}
     trial = found.trial
     sentence = (

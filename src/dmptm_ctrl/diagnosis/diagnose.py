@@ -4,13 +4,23 @@ import time
 from collections.abc import Iterable
 from os import PathLike
 
+import numpy as np
+
 from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import MAX_EFFECTS, Decision, Found, decide, withdraw
 from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, named, provenance, ranking, unnamed
+from dmptm_ctrl.diagnosis.report import (
+    CLOCK,
+    Diagnosis,
+    NamedEffect,
+    named,
+    provenance,
+    ranking,
+    unnamed,
+)
 from dmptm_ctrl.diagnosis.residual import closed, residual
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.diagnosis.trace import Trial
@@ -162,7 +172,11 @@ def sensor_effect(name: str, sensors: SensorCheck) -> NamedEffect:
     effect = CATALOGUE[name]
     units = {p.name: p.unit for p in effect.parameters}
     parameters = {
-        key: {"value": value, "se": sensors.errors[name][key], "unit": units[key]}
+        key: {
+            "value": value,
+            "se": float(np.hypot(sensors.errors[name][key], CLOCK if units[key] == "s" else 0.0)),
+            "unit": units[key],
+        }
         for key, value in sensors.values[name].items()
     }
     largest = max(

@@ -1,6 +1,5 @@
 """The model of a rig of any shape as a file: the rig file's text, its fitted values, effects."""
 
-import tomllib
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -10,6 +9,7 @@ import tomlkit
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.numbers import finite_numbers
+from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
 
@@ -79,36 +79,33 @@ def chain_from_toml(
     LogError
         Not TOML, another kind, a name that does not exist, a value that is no finite number.
     """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise LogError(f"{name}: not a TOML file: {error}") from None
+    data = parse_toml(text, name)
     if data.get("kind") != KIND or data.get("schema") != SCHEMA:
         raise LogError(f'{name}: needs kind = "{KIND}" and schema = {SCHEMA}, as diagnose writes')
     if not isinstance(data.get("rig"), str):
         raise LogError(f"{name}: no rig in it; the diagnosis writes the rig file's text there")
     rig = parse_rig(data["rig"], f"rig in {name}")
     values = finite_numbers(name, "values", data.get("values", {}))
+    listed, shifted = data.get("effect", []), data.get("zero", {})
+    if not isinstance(listed, list) or not isinstance(shifted, dict):
+        raise LogError(f"{name}: effects are tables [[effect]], zeros are under [zero]")
     effects = []
-    for table in data.get("effect", []):
+    for table in listed:
         known = isinstance(table, dict) and isinstance(table.get("name"), str)
         if not known or not isinstance(table.get("on"), str):
             raise LogError(f"{name}: each [[effect]] needs a name and what it is on")
         numbers = {k: v for k, v in table.items() if k not in ("name", "on", "far")}
-        far = tuple(str(f) for f in table.get("far", ()))
-        where = f"effect {table['name']}"
-        effects.append(
-            Placed(table["name"], table["on"], finite_numbers(name, where, numbers), far)
-        )
+        far = table.get("far", [])
+        if not isinstance(far, list):
+            raise LogError(f"{name}: far of an effect is a list of names")
+        values_of = finite_numbers(name, f"effect {table['name']}", numbers)
+        effects.append(Placed(table["name"], table["on"], values_of, tuple(map(str, far))))
     try:
         model = ChainModel(rig, tuple(effects), values)
         model.plant()
     except (KeyError, ValueError) as error:
         raise LogError(f"{name}: {error.args[0]}") from None
-    zeros = {
-        log: finite_numbers(name, f"zero.{log}", shifts)
-        for log, shifts in data.get("zero", {}).items()
-    }
+    zeros = {log: finite_numbers(name, f"zero.{log}", shifts) for log, shifts in shifted.items()}
     return model, zeros
 
 
@@ -125,6 +122,6 @@ def read_chain(path: str | PathLike[str]) -> tuple[ChainModel, dict[str, dict[st
 def is_chain(path: str | PathLike[str]) -> bool:
     """Whether a model file is of a drive of any shape; False for what cannot be read."""
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8")).get("kind") == KIND
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return parse_toml(Path(path).read_text(encoding="utf-8"), "").get("kind") == KIND
+    except (OSError, UnicodeDecodeError, LogError):
         return False

@@ -8,6 +8,7 @@ from dmptm_ctrl.identify.balance import Balance, BalanceFit, fit_balance, surpri
 from dmptm_ctrl.identify.fit import Misfit, Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.motion import motions
 from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.model import Model
 
 LEAD_HZ = 0.05  # slow lead of simulated runs by the measured angle: bounds drift only
@@ -47,7 +48,14 @@ def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: i
     runs = None
     if any(rec.twist is None for rec in records):
         runs = Misfit(records, LEAD_HZ, jobs).runs(model)
-    return Balance(motions(records, model, runs), declared, jobs)
+    balance = Balance(motions(records, model, runs), declared, jobs)
+    if not any(equation.used.any() for equation in balance.equations):
+        names = ", ".join(rec.name for rec in records)
+        raise LogError(
+            f"nothing to diagnose in {names}: at no time does the drive move one way with both "
+            "meshes closed; record longer or stronger motions"
+        )
+    return balance
 
 
 def residual(

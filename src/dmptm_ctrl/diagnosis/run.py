@@ -1,26 +1,38 @@
 """What the command line calls: files in, results out."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+import pandas as pd
 
 from dmptm_ctrl.diagnosis.diagnose import diagnose
 from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
 from dmptm_ctrl.diagnosis.ladder_files import is_chain
 from dmptm_ctrl.diagnosis.ladder_predict import predict_chain_file
 from dmptm_ctrl.diagnosis.predict import predict
+from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
+from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
-from dmptm_ctrl.signals import load_log, load_logs
+from dmptm_ctrl.signals import Campaign, LogError, load_log, load_logs
 from dmptm_ctrl.simulate.model_file import read_model
 
 SPEED_FORMAT = "%.7g"  # finer than any sensor here
+CHUNK_ROWS = 100_000  # text of so many is in memory at once
 
 
 def diagnose_files(
-    paths: Sequence[Path], *, rig: Path | None = None, jobs: int = 2, seed: int = 0
+    paths: Sequence[Path],
+    *,
+    rig: Path | None = None,
+    jobs: int = 2,
+    seed: int = 0,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Any:
-    """Diagnose a folder of logs or log files.
+    """Diagnose a folder of logs or log files; `tell` hears what is being done.
 
     Raises
     ------
@@ -29,22 +41,44 @@ def diagnose_files(
     """
     source = paths[0] if len(paths) == 1 else list(paths)
     if rig is None:
-        return diagnose(load_logs(source), jobs=jobs, seed=seed)
+        return _screened(load_logs(source, max_rows=READ_ROWS), paper_drive(), jobs, seed)
     declared = load_rig(rig)
     drive = dual_motor(declared)
     if drive is not None:
-        campaign = load_logs(source, dual_columns(declared))
-        return diagnose(campaign, drive, jobs=jobs, seed=seed)
-    from rich.console import Console
-
-    with Console(stderr=True).status("reading logs") as status:  # nothing where no one watches
-        return diagnose_chain(source, declared, jobs=jobs, seed=seed, tell=status.update)
+        campaign = load_logs(source, dual_columns(declared), max_rows=READ_ROWS)
+        return _screened(campaign, drive, jobs, seed)
+    return diagnose_chain(source, declared, jobs=jobs, seed=seed, tell=tell)
 
 
-def predict_file(log: Path, model: Path) -> str:
-    """Predict a log file with a model file; return the CSV text."""
+def _screened(logs: Campaign, drive: Drive, jobs: int, seed: int) -> Any:
+    campaign, notes = screen(logs, drive)
+    result = diagnose(campaign, drive, jobs=jobs, seed=seed)
+    return replace(result, warnings=tuple(dict.fromkeys((*notes, *result.warnings))))
+
+
+def predict_file(log: Path, model: Path) -> Iterator[str]:
+    """Predict a log file with a model file; return the CSV text in parts."""
     if is_chain(model):
         table = predict_chain_file(log, model)
     else:
         table = predict(read_model(model), load_log(log))
-    return table.to_csv(index=False, float_format=SPEED_FORMAT, lineterminator="\n")
+    _refuse_runaway(table, model.name)
+    return _csv(table)
+
+
+def _csv(table: pd.DataFrame) -> Iterator[str]:
+    for start in range(0, len(table), CHUNK_ROWS):
+        part = table.iloc[start : start + CHUNK_ROWS]
+        yield part.to_csv(
+            index=False, header=start == 0, float_format=SPEED_FORMAT, lineterminator="\n"
+        )
+
+
+def _refuse_runaway(table: pd.DataFrame, model: str) -> None:
+    good = np.isfinite(table.to_numpy(float)).all(axis=1)
+    if not good.all():
+        at = float(table["time_s"].iloc[int(np.argmin(good))])
+        raise LogError(
+            f"{model}: the run leaves all finite numbers at {at:.6g} s; a value in the model, or "
+            "in the log's inputs, is far from any drive"
+        )

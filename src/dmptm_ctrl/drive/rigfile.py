@@ -1,7 +1,6 @@
 """Read and check a rig file; what may stand in it is in docs/rig_toml.md."""
 
 import re
-import tomllib
 from collections.abc import Mapping
 from math import inf, pi
 from os import PathLike
@@ -24,6 +23,8 @@ from dmptm_ctrl.drive.rig import (
 )
 from dmptm_ctrl.drive.rig_tables import RigError, TableReader, si_symbol, suffix_unit
 from dmptm_ctrl.drive.rig_units import COUNTS, UnitError, counts
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.signals.units import split_column
 
 _NAMED = ("body", "shaft", "mesh", "input", "sensor", "effect")
@@ -90,9 +91,9 @@ def load_rig(path: str | PathLike[str]) -> Rig:
 def parse_rig(text: str, source: str = "rig.toml") -> Rig:
     """Read a rig from the text of a file; see `load_rig`."""
     try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RigError(f"{source}: not TOML: {error}") from error
+        raw = parse_toml(text, source)
+    except LogError as error:
+        raise RigError(str(error)) from None
     return _Reader(text, source).rig(raw)
 
 

@@ -3,21 +3,21 @@
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from os import PathLike
 from pathlib import Path
 
 
-def write_atomic(path: str | PathLike[str], content: str | bytes) -> None:
+def write_atomic(path: str | PathLike[str], content: str | bytes | Iterable[str]) -> None:
     r"""Write a file beside its place, then rename it there.
 
     Parameters
     ----------
     path : path
         Replaced if it exists; its folder must exist.
-    content : str or bytes
-        Text is written as UTF-8 with ``\n`` line ends.
+    content : str, bytes or iterable of str
+        Text is written as UTF-8 with ``\n`` line ends, an iterable part by part.
 
     Raises
     ------
@@ -25,11 +25,12 @@ def write_atomic(path: str | PathLike[str], content: str | bytes) -> None:
         Not writable; what was at ``path`` before is still there.
     """
     target = Path(path).resolve()
-    data = content.encode() if isinstance(content, str) else content
+    parts: Iterable[str | bytes] = [content] if isinstance(content, str | bytes) else content
     beside = _beside(target)
     try:
         with beside.open("xb") as stream:
-            stream.write(data)
+            for part in parts:
+                stream.write(part.encode() if isinstance(part, str) else part)
             stream.flush()
             os.fsync(stream.fileno())
         beside.replace(target)

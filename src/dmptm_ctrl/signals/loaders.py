@@ -39,6 +39,7 @@ def load_log(
     sample_time: float | None = None,
     resample: bool = False,
     ratio: float | None = None,
+    max_rows: int | None = None,
 ) -> Log:
     """Read one log and check it.
 
@@ -62,6 +63,8 @@ def load_log(
         ten samples; else refuse them.
     ratio : float, optional
         Motor turns per turn of the ring gear, to check motor angles against theta_L.
+    max_rows : int, optional
+        Rows after this many are not read, with a warning: bounds the memory.
 
     Returns
     -------
@@ -78,10 +81,12 @@ def load_log(
     if isinstance(source, str | PathLike):
         path = Path(source)
         title = path.name
-        table, ignored, digest = _read(path, columns)
+        table, ignored, digest = _read(path, columns, max_rows)
     else:
         title = name or "data frame"
         table, ignored, digest = from_frame(source), [], None
+    if max_rows is not None:
+        ignored += _cut(table, max_rows)
     channels, units, notes = _channels(table, columns, title)
     notes = [*ignored, *notes]
     _require(required, channels, title)
@@ -163,7 +168,17 @@ def _stem(title: str) -> str:
     return title[: -len(extension)] if extension else title
 
 
-def _read(path: Path, columns: Mapped | None) -> tuple[Table, list[str], str]:
+def _cut(table: Table, max_rows: int) -> list[str]:
+    """Drop rows in place; say so."""
+    longest = max((len(values) for values in table.columns.values()), default=0)
+    if longest <= max_rows:
+        return []
+    for column, values in table.columns.items():
+        table.columns[column] = values[:max_rows].copy()
+    return [f"the first {max_rows} rows are read; there are more"]
+
+
+def _read(path: Path, columns: Mapped | None, max_rows: int | None) -> tuple[Table, list[str], str]:
     """Columns in use, warnings about those that are not, and the file's SHA-256."""
     if not path.exists():
         raise LogError(f"no such file: {path}")
@@ -179,9 +194,14 @@ def _read(path: Path, columns: Mapped | None) -> tuple[Table, list[str], str]:
         targets, ignored[:] = resolve(names, columns, units, path.name)
         return list(targets)
 
-    reader = {".mat": read_matlab, ".parquet": read_parquet, ".mf4": read_mdf}
+    reader = {".mat": read_matlab, ".mf4": read_mdf}
     try:
-        return reader.get(extension, read_text)(path, choose), ignored, _sha256(path)
+        if extension in reader:
+            return reader[extension](path, choose), ignored, _sha256(path)
+        stream = read_parquet if extension == ".parquet" else read_text
+        # one row more, so that the cut is noticed
+        most = None if max_rows is None else max_rows + 1
+        return stream(path, choose, most), ignored, _sha256(path)
     except OSError as error:
         raise LogError(f"{path.name}: {error.strerror or 'not readable'}") from error
 

@@ -31,7 +31,7 @@ def from_frame(frame: Any) -> Table:
     return Table(columns, {}, {})
 
 
-def read_parquet(path: Path, choose: Choose) -> Table:
+def read_parquet(path: Path, choose: Choose, max_rows: int | None = None) -> Table:
     """Read columns of a Parquet file (extra ``parquet``).
 
     Raises
@@ -49,10 +49,26 @@ def read_parquet(path: Path, choose: Choose) -> Table:
         with pq.ParquetFile(path) as file:
             names = list(file.schema_arrow.names)
             chosen = choose(names, {})
-            table = file.read(columns=chosen)
+            table = _rows(file, chosen, max_rows)
         columns = {name: table.column(name).to_numpy() for name in chosen}
     except (LogError, FileNotFoundError, PermissionError):
         raise
     except Exception as error:  # pyarrow has its own family of errors
         raise LogError(f"{path.name}: not a readable Parquet file, or damaged") from error
     return Table(columns, {}, {})
+
+
+def _rows(file: Any, columns: list[str], rows: int | None) -> Any:
+    """All rows of a Parquet file, or the first ones, a batch at a time."""
+    if rows is None:
+        return file.read(columns=columns)
+    import pyarrow as pa
+
+    batches, left = [], rows
+    for batch in file.iter_batches(columns=columns):
+        batches.append(batch.slice(0, left))
+        left -= len(batches[-1])
+        if left <= 0:
+            break
+    schema = pa.schema([file.schema_arrow.field(name) for name in columns])
+    return pa.Table.from_batches(batches, schema)

@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import sys
 import warnings
 import zlib
 from pathlib import Path
@@ -27,7 +28,7 @@ class _Layout(NamedTuple):
     skip: int  # lines before the first row of numbers
 
 
-def read_text(path: Path, choose: Choose) -> Table:
+def read_text(path: Path, choose: Choose, max_rows: int | None = None) -> Table:
     """Read columns of numbers from a text file, a chunk at a time.
 
     Parameters
@@ -37,6 +38,8 @@ def read_text(path: Path, choose: Choose) -> Table:
         names the columns; without one they are called column1, column2, …
     choose : callable
         Gets the names, returns those to read; what the other columns hold does not matter.
+    max_rows : int, optional
+        Rows after this many are not read.
 
     Returns
     -------
@@ -54,7 +57,7 @@ def read_text(path: Path, choose: Choose) -> Table:
             layout = _layout(stream, path.name)
         chosen = choose(layout.names, {})
         with _open(path) as stream:
-            return Table(_columns(stream, layout, chosen, path.name), {}, {})
+            return Table(_columns(stream, layout, chosen, path.name, max_rows), {}, {})
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise LogError(f"{path.name}: the gzip archive is damaged or cut short") from error
     except OSError as error:
@@ -164,19 +167,24 @@ def _number(field: str) -> bool:
 
 
 def _columns(
-    stream: io.BufferedReader, layout: _Layout, chosen: list[str], source: str
+    stream: io.BufferedReader,
+    layout: _Layout,
+    chosen: list[str],
+    source: str,
+    max_rows: int | None,
 ) -> dict[str, Any]:
     lines = _Lines(stream, layout)
     # One letter for what nobody wants: its text is cut, its place is counted.
     kinds = [(f"f{i}", "f8" if n in chosen else "S1") for i, n in enumerate(layout.names)]
     place = {name: f"f{layout.names.index(name)}" for name in chosen}
     parts: dict[str, list[Any]] = {name: [] for name in chosen}
-    rows = CHUNK_ROWS
-    while rows == CHUNK_ROWS:
-        chunk = _chunk(lines, kinds, layout, source)
-        rows = chunk.size
+    left = sys.maxsize if max_rows is None else max_rows
+    while left > 0:
+        wanted = min(CHUNK_ROWS, left)
+        chunk = _chunk(lines, kinds, layout, source, wanted)
         for name in chosen:
             parts[name].append(chunk[place[name]].copy())
+        left -= chunk.size if chunk.size == wanted else left
     columns = {}
     for name in chosen:
         columns[name] = np.concatenate(parts.pop(name))
@@ -203,7 +211,9 @@ class _Lines:
         return self.line.replace(",", ".") if self._comma else self.line
 
 
-def _chunk(lines: _Lines, kinds: list[tuple[str, str]], layout: _Layout, source: str) -> Any:
+def _chunk(
+    lines: _Lines, kinds: list[tuple[str, str]], layout: _Layout, source: str, rows: int
+) -> Any:
     separator = None if layout.separator == r"\s+" else layout.separator
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # "input contained no data" at the end
@@ -215,7 +225,7 @@ def _chunk(lines: _Lines, kinds: list[tuple[str, str]], layout: _Layout, source:
                 comments=None,
                 quotechar='"',
                 ndmin=1,
-                max_rows=CHUNK_ROWS,
+                max_rows=rows,
             )
         except (ValueError, OverflowError) as error:
             raise LogError(f"{source}: {_trouble(lines, kinds, layout)}") from error

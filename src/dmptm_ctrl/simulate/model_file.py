@@ -1,6 +1,5 @@
 """A model as a file: `model.toml`, written by the diagnosis and read by `dmptm predict`."""
 
-import tomllib
 from os import PathLike
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.numbers import finite_numbers
+from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.simulate.model import BASE, Model
 
 KIND = "dual-motor"
@@ -50,10 +50,7 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
         Not TOML, another kind or schema, an unknown or missing name, a value that is not a
         finite number.
     """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise LogError(f"{name}: not a TOML file: {error}") from None
+    data = parse_toml(text, name)
     if data.get("kind") != KIND or data.get("schema") != SCHEMA:
         raise LogError(f'{name}: needs kind = "{KIND}" and schema = {SCHEMA}, as diagnose writes')
     declared = drive or paper_drive()

@@ -3,12 +3,12 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from dmptm_ctrl.diagnosis.html import VERDICTS, data_uri, number, words
+from dmptm_ctrl.diagnosis.html import VERDICTS
 from dmptm_ctrl.identify.chain_fit import State, residuals
 from dmptm_ctrl.plots.ladder import TorqueTrace, plot_rungs, plot_torque
+from dmptm_ctrl.plots.page import data_uri, environment, words
 
 if TYPE_CHECKING:
     from dmptm_ctrl.diagnosis.ladder_report import ChainDiagnosis
@@ -50,25 +50,22 @@ def torque_traces(diagnosis: "ChainDiagnosis") -> list[TorqueTrace]:
 
 def render_html(diagnosis: "ChainDiagnosis") -> str:
     """Return the report of a diagnosis as a whole HTML document."""
-    environment = Environment(
-        loader=PackageLoader("dmptm_ctrl.diagnosis"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"number": number, "words": words}
     content = diagnosis.to_dict()
     figure = Figure(figsize=(7.6, 0.9 + 0.5 * (1 + len(content["ladder"]))), layout="constrained")
     plot_ladder(diagnosis, ax=figure.subplots())
-    return environment.get_template("ladder.html.j2").render(
-        d=content,
-        title=VERDICTS[diagnosis.verdict],
-        sentence=diagnosis.sentence(),
-        ladder_figure=data_uri(figure),
-        traces=[(t.name, _trace_figure(t)) for t in torque_traces(diagnosis)],
-        rig=diagnosis.rig.name,
-        rig_text=diagnosis.rig.text,
+    return (
+        environment("dmptm_ctrl.diagnosis")
+        .get_template("ladder.html.j2")
+        .render(
+            d=content,
+            tone=diagnosis.verdict,
+            title=VERDICTS[diagnosis.verdict],
+            sentence=diagnosis.sentence(),
+            ladder_figure=data_uri(figure),
+            traces=[(t.name, _trace_figure(t)) for t in torque_traces(diagnosis)],
+            rig=diagnosis.rig.name,
+            rig_text=diagnosis.rig.text,
+        )
     )
 
 

@@ -175,13 +175,24 @@ def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     return panels
 
 
+def apart(curve: Curve) -> tuple[Floats, Floats, Floats]:
+    """Points of a curve with NaN where bins between two of them are empty: no line is drawn."""
+    steps = np.diff(curve.x)
+    if steps.size == 0:
+        return curve.x, curve.mean, curve.se
+    empty = np.flatnonzero(steps > 1.5 * steps.min()) + 1
+    x, mean, se = (np.insert(values, empty, np.nan) for values in (curve.x, curve.mean, curve.se))
+    return x, mean, se
+
+
 def _draw(panel: Axes, curves: Mapping[str, Curve]) -> None:
     panel.axhline(0.0, color="0.65", linewidth=0.8)
     for direction, curve in curves.items():
+        x, mean, se = apart(curve)
         panel.errorbar(
-            curve.x,
-            curve.mean,
-            2.0 * curve.se,
+            x,
+            mean,
+            2.0 * se,
             label=direction,
             linewidth=1.0,
             elinewidth=0.8,

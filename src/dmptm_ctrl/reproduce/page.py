@@ -5,9 +5,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from dmptm_ctrl import __version__
+from dmptm_ctrl.plots.page import environment
 from dmptm_ctrl.reproduce.items import Item, Picture
 
 DPI = 110
@@ -26,13 +26,7 @@ def save_items(folder: Path, items: Iterable[Item]) -> None:
 
 def render(sections: Sequence[tuple[str, list[Item]]]) -> str:
     """Return the page as HTML; pictures are expected beside it."""
-    environment = Environment(
-        loader=PackageLoader("dmptm_ctrl.reproduce"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.tests["picture"] = lambda item: isinstance(item, Picture)
-    page = environment.get_template("page.html")
+    pages = environment("dmptm_ctrl.reproduce")
+    pages.tests["picture"] = lambda item: isinstance(item, Picture)
+    page = pages.get_template("page.html")
     return page.render(sections=sections, version=__version__)

@@ -1,0 +1,178 @@
+"""A picture that moves: the two pinions in their tooth gaps along a log."""
+
+import base64
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+SIDES = ("left", "right")
+PUSHES = {1: "#0b3c6f", 0: "#e0a030", -1: "#b3262e"}  # dark, light, middle: also in grey
+NAMES = {1: "pushes forward", 0: "in flight", -1: "pushes backward"}
+REACH = 1.6  # half-gaps that are drawn
+FRAMES = 36
+PER_SECOND = 8
+
+
+@dataclass(frozen=True, eq=False)
+class GapMotion:
+    """Where each pinion is in its gap along a log.
+
+    Attributes
+    ----------
+    name : str
+    time : (n,) array [s]
+    place : (2, n) array
+        Pinion against ring gear, left and right, in half-gaps: ±1 at the flanks, beyond them
+        where the teeth bend.
+    speed : (n,) array [deg/s]
+        Of the ring gear.
+    source : str
+        "measured" or "simulated".
+    """
+
+    name: str
+    time: Floats
+    place: Floats
+    speed: Floats
+    source: str
+
+    @property
+    def contact(self) -> NDArray[np.int64]:
+        """1 where a tooth pushes forward, −1 backward, 0 in flight, (2, n)."""
+        return (np.sign(self.place) * (np.abs(self.place) >= 1.0)).astype(np.int64)
+
+
+def busiest(motion: GapMotion, seconds: float = 1.5) -> GapMotion:
+    """Return the part of a motion in which the pinions change flank most often."""
+    dt = float(np.median(np.diff(motion.time)))
+    count = min(round(seconds / dt), motion.time.size)
+    changes = np.abs(np.diff(motion.contact, axis=1)).sum(0).astype(float)
+    sums = np.convolve(changes, np.ones(max(count - 1, 1)), "valid")
+    start = int(np.argmax(sums)) if sums.size else 0
+    part = slice(start, start + count)
+    return GapMotion(
+        motion.name, motion.time[part], motion.place[:, part], motion.speed[part], motion.source
+    )
+
+
+def animate_gaps(motion: GapMotion, *, frames: int = FRAMES) -> FuncAnimation:
+    """Draw the pinions in their gaps, frame by frame.
+
+    Parameters
+    ----------
+    motion : GapMotion
+    frames : int
+
+    Returns
+    -------
+    matplotlib.animation.FuncAnimation
+        ``.to_jshtml()`` shows it in a notebook.
+    """
+    figure = Figure(figsize=(7.2, 3.0), dpi=100)
+    panels = figure.subplots(1, 2, gridspec_kw={"width_ratios": [2, 3]})
+    figure.subplots_adjust(left=0.02, right=0.985, bottom=0.17, top=0.86, wspace=0.3)
+    moving = _teeth(panels[0])
+    cursor = _traces(panels[1], motion)
+    title = figure.suptitle("", fontsize=10)
+    shown = np.linspace(0, motion.time.size - 1, frames).round().astype(int)
+
+    def draw(frame: int) -> list[Any]:
+        i = shown[frame]
+        for side, tooth in enumerate(moving):
+            place = float(np.clip(motion.place[side, i], -REACH, REACH))
+            tooth.set_x(place - 0.5)
+            tooth.set_facecolor(PUSHES[int(motion.contact[side, i])])
+        cursor.set_xdata([motion.time[i]] * 2)
+        title.set_text(
+            f"{motion.name}, {motion.source}: t = {motion.time[i]:6.3f} s, ring gear "
+            f"{motion.speed[i]:+6.2f} deg/s"
+        )
+        return [*moving, cursor, title]
+
+    draw(0)
+    return FuncAnimation(figure, draw, frames=frames, interval=1000 / PER_SECOND, blit=False)
+
+
+def animated_uri(motion: GapMotion, *, frames: int = FRAMES) -> str:
+    """Return the animation as an animated image to put into a page without scripts."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "gaps.gif"
+        animate_gaps(motion, frames=frames).save(str(file), writer=PillowWriter(fps=PER_SECOND))
+        data = file.read_bytes()
+    return "data:image/gif;base64," + base64.b64encode(data).decode("ascii")
+
+
+def _teeth(panel: Any) -> list[Rectangle]:
+    """Gaps between two teeth of the ring gear, and a tooth of each pinion that moves in them."""
+    moving = []
+    for side, name in enumerate(SIDES):
+        base = 1.4 * (1 - side)
+        for edge in (-REACH - 1.0, 1.5):
+            panel.add_patch(
+                Rectangle((edge, base), REACH - 0.5, 0.8, facecolor="0.82", edgecolor="0.4")
+            )
+        tooth = Rectangle((-0.5, base + 0.1), 1.0, 0.6, edgecolor="0.2")
+        panel.add_patch(tooth)
+        moving.append(tooth)
+        panel.text(-REACH - 0.95, base + 0.86, f"{name} pinion in its gap", fontsize=8)
+    panel.set(xlim=(-REACH - 1.0, REACH + 1.0), ylim=(-0.1, 2.6))
+    panel.set_axis_off()
+    return moving
+
+
+def _traces(panel: Any, motion: GapMotion) -> Any:
+    """Places over time, coloured by contact, and a cursor."""
+    panel.axhspan(-1.0, 1.0, color="0.93")
+    for side, line in enumerate(("-", "--")):
+        panel.plot(motion.time, motion.place[side], line, color="0.45", linewidth=0.9,
+                   label=SIDES[side])  # fmt: skip
+        for sign, colour in PUSHES.items():
+            here = np.where(motion.contact[side] == sign, motion.place[side], np.nan)
+            label = NAMES[sign] if side == 0 else None
+            panel.plot(motion.time, here, line, color=colour, linewidth=1.8, label=label)
+    panel.set(
+        xlabel="time [s]",
+        ylabel="place in the gap [half-gaps]",
+        xlim=(motion.time[0], motion.time[-1]),
+        ylim=(-REACH - 0.1, REACH + 1.0),
+    )
+    panel.legend(fontsize=6.5, ncols=3, loc="upper center")
+    return panel.axvline(motion.time[0], color="k", linewidth=1.0)
+
+
+def gap_motion(log: Any, model: Any) -> GapMotion:
+    """Where the pinions are: measured where the log has motor encoders, else simulated.
+
+    Parameters
+    ----------
+    log : Log
+    model : Model
+        Its gaps scale the picture; without motor encoders it is run on the log's voltages.
+
+    Returns
+    -------
+    GapMotion
+    """
+    from dmptm_ctrl.simulate.compiled import march, rest
+
+    drive = model.drive
+    gaps = np.array([drive["gap_l"], drive["gap_r"]])
+    if log.has("theta_ml", "theta_mr"):
+        motors = np.array([log["theta_ml"], log["theta_mr"]])
+        place = motors / drive["N_1"] - drive["N_2"] * log["theta_L"]
+        source = "measured"
+    else:
+        voltage = np.array([log["u_left"], log["u_right"]])
+        start = rest(model, float(log["theta_L"][0]))
+        place = march(model.arrays(), voltage, start, log.sample_time)[:, 6:8].T
+        source = "simulated"
+    return GapMotion(log.name, log.time, place / gaps[:, None], np.rad2deg(log["omega_L"]), source)

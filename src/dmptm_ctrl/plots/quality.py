@@ -1,0 +1,105 @@
+"""Pictures of what a model leaves: correlations with bands, orders per turn."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.plots.style import STYLES, axes
+
+Floats = NDArray[np.float64]
+ROOM = 0.45  # above a correlation of 1, for the legend
+DECADES = 3.5  # of amplitude that are drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """Correlation over lags, (n,) arrays: lag [s], value, half-width of the 99 % band."""
+
+    lag: Floats
+    value: Floats
+    band: Floats
+
+    @property
+    def outside_percent(self) -> float:
+        """Share of lags outside the band [%]; about 1 for noise."""
+        return 100.0 * float(np.mean(np.abs(self.value) > self.band))
+
+    @property
+    def largest(self) -> float:
+        """Largest correlation over its band; up to about 1 for noise."""
+        return float(np.max(np.abs(self.value) / self.band))
+
+
+@dataclass(frozen=True, eq=False)
+class Orders:
+    """Amplitudes per order of the motor's turn, (k,) arrays, and named orders."""
+
+    order: Floats
+    before: Floats
+    after: Floats
+    quantity: str
+    marks: Mapping[str, float]
+
+
+def plot_correlation(
+    before: Correlation, after: Correlation, *, ax: Any = None, title: str = ""
+) -> Any:
+    """Draw a correlation before and after over its 99 % band.
+
+    Returns
+    -------
+    Axes
+    """
+    panel = axes(ax, 1, figsize=(4.6, 3.0))[0, 0]
+    panel.fill_between(after.lag, -after.band, after.band, color="0.85", label="99 % band")
+    for found, label, style in (
+        (before, "before", STYLES["existing"]),
+        (after, "after", STYLES["proposed"]),
+    ):
+        text = f"{label}: {found.outside_percent:.0f} % outside"
+        panel.plot(found.lag, found.value, label=text, **style)
+    panel.axhline(0.0, color="0.5", linewidth=0.8)
+    panel.set(xlabel="lag [s]", ylabel="correlation [1]", xlim=(after.lag[0], after.lag[-1]))
+    panel.set_title(title, fontsize=10)
+    panel.set_ylim(-1.0, 1.0 + ROOM)
+    panel.legend(fontsize=7.5, loc="upper right", ncols=3, handlelength=1.4, columnspacing=1.0)
+    panel.grid(alpha=0.3)
+    return panel
+
+
+def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
+    """Draw amplitudes per order before and after, with the orders that a drive makes.
+
+    Returns
+    -------
+    Axes
+    """
+    panel = axes(ax, 1, figsize=(7.4, 3.0))[0, 0]
+    top = 2.0 * max(float(orders.before.max()), float(orders.after.max()), 1e-12)
+    least = top * 10.0**-DECADES
+    for values, label, style in (
+        (orders.before, "before", STYLES["existing"]),
+        (orders.after, "after", STYLES["proposed"]),
+    ):
+        panel.plot(orders.order, np.maximum(values, 0.5 * least), label=label, **style)
+    for name, order in orders.marks.items():
+        if order <= orders.order[-1]:
+            panel.axvline(order, color="0.5", linewidth=0.8, linestyle=":")
+            panel.text(
+                order, 0.97, name, transform=panel.get_xaxis_transform(), ha="right", va="top",
+                rotation=90, fontsize=7.5,
+            )  # fmt: skip
+    panel.set_yscale("log")
+    panel.set(
+        xlabel="order per motor turn [1]",
+        ylabel=f"amplitude of the\n{orders.quantity}",
+        xlim=(0.0, float(orders.order[-1])),
+        ylim=(least, top),
+    )
+    panel.set_title(title, fontsize=10)
+    panel.legend(fontsize=8, loc="upper right")
+    panel.grid(alpha=0.3)
+    return panel

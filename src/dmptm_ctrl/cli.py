@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from dmptm_ctrl.signals.info import LogInfo
 
 BAD_INPUT = 2
+OUR_FAULT = 70  # EX_SOFTWARE of sysexits.h
+LONGEST = 600  # characters of a message
 INTERRUPTED = 130  # 128 + SIGINT, as shells count
 
 app = typer.Typer(
@@ -54,15 +56,28 @@ def diagnose(
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
     seed: Annotated[int, typer.Option(help="Kept in the provenance.")] = 0,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No summary.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No summary, no progress.")] = False,
+    log_json: Annotated[
+        bool, typer.Option("--log-json", help="Progress and warnings as JSON lines on stderr.")
+    ] = False,
 ) -> None:
     """Name the physical effect that the declared model lacks."""
-    from dmptm_ctrl.diagnosis.run import diagnose_files
+    from dmptm_ctrl.progress import Progress
 
-    result = diagnose_files(logs, rig=rig, jobs=jobs, seed=seed)
-    result.save(out)
+    with Progress(quiet=quiet, as_json=log_json) as progress:
+        progress.stage("loading the program")
+        from dmptm_ctrl.diagnosis.run import diagnose_files
+
+        progress.stage("reading and diagnosing the logs")
+        result = diagnose_files(logs, rig=rig, jobs=jobs, seed=seed)
+        progress.stage("writing the report")
+        result.save(out)
+        for warning in result.warnings:
+            progress.warn(_printable(warning))
+        progress.done(verdict=result.verdict, effects=[effect.name for effect in result.effects])
     if not quiet:
-        print(result.summary())
+        lines = result.summary().splitlines()
+        print("\n".join(line for line in lines if not line.startswith("warning: ")))
         print(f"\nwritten to {out}: report.html, diagnosis.json, model.toml")
 
 
@@ -282,7 +297,8 @@ def main(arguments: list[str] | None = None) -> int:
     Returns
     -------
     int
-        0: done; 2: bad input, one line on stderr; 130: interrupted.
+        0: done; 2: bad input, one line on stderr; 70: an error of the program itself;
+        130: interrupted.
     """
     try:
         result = app(arguments, prog_name="dmptm", standalone_mode=False)
@@ -295,9 +311,15 @@ def main(arguments: list[str] | None = None) -> int:
         return _fail(": ".join(str(p) for p in (error.filename, error.strerror or error) if p))
     except Exception as error:
         message = _of_bad_input(error)
-        if message is None:
+        if message is not None:
+            return _fail(message)
+        if os.environ.get("DMPTM_DEBUG"):
             raise
-        return _fail(message)
+        return _fail(
+            f"an error of the program itself, {type(error).__name__}: {error}; please report it, "
+            "with the traceback that DMPTM_DEBUG=1 shows",
+            OUR_FAULT,
+        )
     return result if isinstance(result, int) else 0
 
 
@@ -313,7 +335,9 @@ def _of_bad_input(error: Any) -> str | None:
 
 
 def _fail(message: str, code: int = BAD_INPUT) -> int:
-    line = " ".join(message.split())
+    line = " ".join(message[: 2 * LONGEST].split())
+    if len(line) > LONGEST:  # it quotes a file, which need not be shown whole
+        line = line[:LONGEST] + " …"
     print("dmptm: " + "".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
     return code
 

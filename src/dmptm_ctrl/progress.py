@@ -1,0 +1,75 @@
+"""What a long command says meanwhile: a line that moves, or JSON lines for programs."""
+
+import json
+import sys
+import time
+from types import TracebackType
+from typing import Any, Self
+
+
+class Progress:
+    """Stages of a command, on standard error.
+
+    Parameters
+    ----------
+    quiet : bool
+        No progress; warnings are still told.
+    as_json : bool
+        A JSON object per line: ``event`` ("stage", "warning", "done"), ``seconds`` since the
+        start, and what belongs to the event. Without it, a line with a clock where standard
+        error is a terminal.
+    """
+
+    def __init__(self, *, quiet: bool = False, as_json: bool = False) -> None:
+        self._start = time.perf_counter()
+        self._json = as_json
+        self._moving = sys.stderr.isatty() and not quiet and not as_json
+        self._bar: Any = None
+        self._task: Any = None
+
+    def __enter__(self) -> Self:
+        if self._moving:
+            from rich import progress
+            from rich.console import Console
+
+            columns = progress.SpinnerColumn(), "{task.description}", progress.TimeElapsedColumn()
+            self._bar = progress.Progress(
+                *columns, console=Console(stderr=True), transient=True, refresh_per_second=4
+            )
+            self._task = self._bar.add_task("", total=None)
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def stage(self, text: str) -> None:
+        """Say what is being done now."""
+        if self._bar is not None:
+            self._bar.update(self._task, description=text)
+        self._line("stage", text=text)
+
+    def warn(self, text: str) -> None:
+        """Tell a warning, also when quiet."""
+        if self._json:
+            self._line("warning", text=text)
+        elif self._bar is not None:
+            self._bar.console.print(f"warning: {text}", markup=False, highlight=False)
+        else:
+            print(f"warning: {text}", file=sys.stderr)  # noqa: T201
+
+    def done(self, **result: Any) -> None:
+        """Say that all is written, and what came out."""
+        self._line("done", **result)
+
+    def _line(self, event: str, **what: Any) -> None:
+        if self._json:
+            seconds = round(time.perf_counter() - self._start, 3)
+            line = json.dumps({"event": event, "seconds": seconds, **what}, ensure_ascii=False)
+            print(line, file=sys.stderr, flush=True)  # noqa: T201

@@ -69,7 +69,7 @@ def diagnose(
         from dmptm_ctrl.diagnosis.run import diagnose_files
 
         progress.stage("reading and diagnosing the logs")
-        result = diagnose_files(logs, rig=rig, jobs=jobs, seed=seed)
+        result = diagnose_files(logs, rig=rig, jobs=jobs, seed=seed, tell=progress.stage)
         progress.stage("writing the report")
         result.save(out)
         for warning in result.warnings:

@@ -83,6 +83,7 @@ _OWN_KERNELS = (
 _INLINE = (
     *("held_average", "slide", "stop", "slide_or_stick", "preslide", "friction_step", "mesh_step"),
     *("law", "plain_region", "level_stage"),
+    *("section", "direction_of", "friction_along", "built_up", "feed_forward", "undone"),
 )
 _HEAD = """\
 from math import cos, exp, floor

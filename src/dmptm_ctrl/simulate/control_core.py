@@ -12,6 +12,7 @@ from numba import njit
 
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
 from dmptm_ctrl.simulate.sites import (  # chains
+    active_sites,
     drive_voltage,
     friction_level,
     load_torque,
@@ -48,11 +49,13 @@ def direction_of(speed, softness):
 
 
 @njit
-def friction_along(omega, way, theta, t, mesh, body, law, on, values):
+def friction_along(omega, way, theta, t, mesh, body, law, active, on, values):
     """Friction of a body that moves at `omega` [N·m], with its sign."""
     if way == 0.0:
         return 0.0
-    scale, added = friction_level(theta, omega, t, mesh, body, on, values)
+    scale, added = 1.0, 0.0
+    if active:
+        scale, added = friction_level(theta, omega, t, mesh, body, on, values)
     sign = 1.0 if way > 0.0 else -1.0
     return way * max(scale * sliding_torque(omega, sign, law) + added, 0.0)
 
@@ -76,6 +79,7 @@ def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, dt, law, memory, bas
     """
     gain = base[5] * (base[0] * base[1])  # N·m/V at the pinion
     n1, n2 = base[5], base[6]
+    _, pulls, _, rubs, loads, _ = active_sites(on)
     angle += law[L_LEAD] * speed
     reducer = Stribeck(
         base[15], base[16], base[17], base[18], base[19], base[20], base[21], base[22], base[23]
@@ -85,18 +89,19 @@ def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, dt, law, memory, bas
     )
     way = direction_of(speed, law[L_SOFTNESS])
     press = 0.5 * gain * (law[L_BIAS_L] - law[L_BIAS_R])  # preload in each mesh, N·m
-    held = friction_along(speed, way, angle, t, 2.0 * abs(press), 2, bearing, on, values)
+    held = friction_along(speed, way, angle, t, 2.0 * abs(press), 2, bearing, rubs, on, values)
     held = built_up(held, speed, dt, 2, memory, on, values)
     load = law[L_INERTIA] * base[4] * rate + law[L_FRICTION] * held
-    load -= law[L_EFFECTS] * load_torque(angle, speed, t, on, values)
+    if loads:
+        load -= law[L_EFFECTS] * load_torque(angle, speed, t, on, values)
     share = load / (2.0 * n2)  # of the load in each mesh
     swing = law[L_INERTIA] * (n1 * n1 * base[2] + base[3]) * n2 * rate
     for side in range(2):
         motor = (theta_ml if side == 0 else theta_mr) + law[L_LEAD] * n1 * n2 * speed
         mesh = share + (press if side == 0 else -press)
-        rub = friction_along(n2 * speed, way, motor / n1, t, mesh, side, reducer, on, values)
+        rub = friction_along(n2 * speed, way, motor / n1, t, mesh, side, reducer, rubs, on, values)
         rub = built_up(rub, n2 * speed, dt, side, memory, on, values)
-        own = n1 * motor_torque(motor, n1 * n2 * speed, t, side, on, values)
+        own = n1 * motor_torque(motor, n1 * n2 * speed, t, side, on, values) if pulls else 0.0
         torque = share + swing + law[L_FRICTION] * rub - law[L_EFFECTS] * own
         memory[M_LEFT + side] = torque / gain
 
@@ -127,10 +132,12 @@ def command(ref, angle, speed, theta_ml, theta_mr, t, dt, law, memory, design):
     common = law[L_KP] * error + law[L_KI] * memory[M_INTEGRAL]
     common = section(common, L_SECTIONS, M_DELAYS, law, memory)
     common = section(common, L_SECTIONS + 5, M_DELAYS + 2, law, memory)
-    feed_forward(
-        *(ref + law[L_LEAD] * rate, rate, true_angle, theta_ml, theta_mr, t, dt),
-        *(law, memory, base, on, values),
-    )
+    memory[M_LEFT], memory[M_RIGHT] = 0.0, 0.0
+    if law[L_INERTIA] != 0.0 or law[L_FRICTION] != 0.0 or law[L_EFFECTS] != 0.0:
+        feed_forward(
+            *(ref + law[L_LEAD] * rate, rate, true_angle, theta_ml, theta_mr, t, dt),
+            *(law, memory, base, on, values),
+        )
     drive = abs(common + 0.5 * (memory[M_LEFT] + memory[M_RIGHT]))
     press = 1.0
     if law[L_RELIEF_TO] > law[L_RELIEF_FROM]:

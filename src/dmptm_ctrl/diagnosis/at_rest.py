@@ -17,6 +17,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit, Misfit, effect_unknowns, fit
 from dmptm_ctrl.identify.motion import RING_COUNT
 from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.simulate.model import Model
 
 NAME = "presliding"
 STARTS = (0.2, 1.0)  # of each distance, in its step
@@ -63,10 +64,10 @@ def presliding(measured: Measured, before: Fit, jobs: int) -> AtRest:
     """Add pre-sliding to a fitted model."""
     misfit = weighed(measured.fit, before, jobs)
     held = weighed(measured.held, before, jobs)
-    cost, held_cost = square(misfit, before), square(held, before)
-    fits = [started(misfit, before, size) for size in STARTS]
-    best = min(fits, key=lambda f: f.cost)
-    gain, held_gain = cost - square(misfit, best), held_cost - square(held, best)
+    cost, held_cost = square(misfit, before.model), square(held, before.model)
+    size = min(STARTS, key=lambda s: square(misfit, sized(before.model, s)))
+    best = started(misfit, before, size)
+    gain, held_gain = cost - square(misfit, best.model), held_cost - square(held, best.model)
     return AtRest(gain, held_gain, (gain / cost, held_gain / held_cost), best)
 
 
@@ -83,16 +84,20 @@ def weighed(records: Sequence[Record], before: Fit, jobs: int) -> Misfit:
     return misfit
 
 
-def square(misfit: Misfit, of: Fit) -> float:
-    """Squared misfit of a fitted model."""
-    return float(np.sum(misfit.vector(of.model) ** 2))
+def square(misfit: Misfit, model: Model) -> float:
+    """Squared misfit of a model."""
+    return float(np.sum(misfit.vector(model) ** 2))
+
+
+def sized(model: Model, size: float) -> Model:
+    """Return the model with pre-sliding of a size."""
+    return model.with_effect(NAME, **{p.name: size * p.step for p in CATALOGUE[NAME].parameters})
 
 
 def started(misfit: Misfit, before: Fit, size: float) -> Fit:
     """Fit pre-sliding from a size of its distances, and the rest from what is known."""
-    values = {p.name: size * p.step for p in CATALOGUE[NAME].parameters}
     own = effect_unknowns(NAME)
     known = widened(before.p, before.covariance, len(own))
-    model = before.model.with_effect(NAME, **values)
+    model = sized(before.model, size)
     unknowns = (*before.unknowns, *own)
     return fit(misfit, model, unknowns, iterations=ITERATIONS, known=known)

@@ -11,9 +11,8 @@ from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats
 
-# Factor on the variance: balances and simulator see the same logs (2), and what a friction law
-# has wrong is wrong alike in neighbouring windows (2).
-NOT_NEWS = 4.0
+# Factor on the variance: what a friction law has wrong is wrong alike in neighbouring windows.
+NOT_NEWS = 2.0
 ITERATIONS = 5  # from the balance's values, which are near
 
 
@@ -39,7 +38,21 @@ def augment(
     known = widened(start.p, start.covariance, len(beside))
     unknowns = (*start.unknowns, *beside)
     done = fit(misfit, start.model, unknowns, iterations=ITERATIONS, known=known)
-    return replace(done, covariance=NOT_NEWS * done.covariance)
+    return replace(done, covariance=honest(done, start))
+
+
+def honest(done: Fit, start: BalanceFit) -> Floats:
+    """Covariance of a refit, from the balances, and from how far the simulator moved it.
+
+    The simulator sees the same logs once more, and times of landing and breaking away pin
+    parameters far more firmly than its friction law is true: its own covariance is too small.
+    """
+    n = start.p.size
+    covariance = NOT_NEWS * done.covariance
+    covariance[:n, :n] = NOT_NEWS * start.covariance
+    covariance[:n, n:] = covariance[n:, :n] = 0.0
+    moved = np.concatenate([done.p[:n] - start.p, np.zeros(done.p.size - n)])
+    return np.asarray(covariance + np.diag(moved**2))
 
 
 def widened(p: Floats, covariance: Floats, more: int) -> Known:

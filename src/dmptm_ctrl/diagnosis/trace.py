@@ -30,6 +30,8 @@ SIZES = {  # effects without a slope at zero, or far from linear: multiples of `
     "drive_delay": (1.0, 3.0),
     "drive_dead_band": (1.0, 5.0),
 }
+ESSENTIAL = {"cable_spring": "stiffness"}  # without it, a constant torque
+DIFFERENT = 5.0  # standard errors
 SATURATED = (0.5, 0.7, 0.85, 0.95)  # of the largest voltage, where a limit is looked for
 STARTS = 2  # best shapes that are fitted
 FINALISTS = 3  # fitted to the end before they are compared
@@ -254,8 +256,18 @@ def try_effect(trace: Trace, name: str) -> Trial:
     return tried(trace, name, min(fits, key=lambda f: f.loss))
 
 
+def present(name: str, done: BalanceFit) -> bool:
+    """Whether the amplitude without which an effect is another one differs from zero."""
+    if name not in ESSENTIAL:
+        return True
+    (j,) = (j for j, k in enumerate(done.unknowns) if (k.effect, k.name) == (name, ESSENTIAL[name]))
+    return bool(abs(done.p[j]) > DIFFERENT * np.sqrt(done.covariance[j, j]))
+
+
 def tried(trace: Trace, name: str, done: BalanceFit) -> Trial:
     """Compare a fit with the base."""
+    if not present(name, done):
+        return Trial(name, 0.0, 0.0, done)
     held = trace.left.held_base - trace.left.held_loss(done.model)
     return Trial(name, trace.base.loss - done.loss, held, done)
 

@@ -22,6 +22,7 @@ from dmptm_ctrl.diagnosis.report import (
     unnamed,
 )
 from dmptm_ctrl.diagnosis.residual import closed, residual
+from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.diagnosis.trace import Trial
 from dmptm_ctrl.diagnosis.unknown import unexplained
@@ -73,7 +74,9 @@ def diagnose(
     """
     start = time.perf_counter()
     declared = drive or paper_drive()
-    campaign = load_logs(logs) if isinstance(logs, str | PathLike) else tuple(logs)
+    if isinstance(logs, str | PathLike):
+        logs = load_logs(logs, max_rows=READ_ROWS)
+    campaign, notes = screen(logs, declared)
     measured = measure(tuple(campaign), declared)
     sensors = cross_check((*measured.fit, *measured.held))
     model = with_sensors(Model(declared), sensors)
@@ -120,7 +123,7 @@ def diagnose(
         fits=(before, after),
         fitted=final,
         provenance=provenance(measured, measured.logs, seed, time.perf_counter() - start),
-        warnings=(*measured.warnings, *getattr(campaign, "warnings", ())),
+        warnings=tuple(dict.fromkeys((*notes, *measured.warnings))),
         experiment=next_experiment(decision, measured.has_motor_encoders),
     )
 

@@ -12,6 +12,7 @@ from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.decide import Decision, Found
 from dmptm_ctrl.diagnosis.experiment import EXPERIMENT_FILE, Experiment
 from dmptm_ctrl.diagnosis.measure import Measured
+from dmptm_ctrl.diagnosis.summary import correlated, correlation_lines, parameter_lines, versions
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.trace import Trial
 from dmptm_ctrl.effects import CATALOGUE, TABLES
@@ -133,6 +134,8 @@ class Diagnosis:
                 f"to tell {' from '.join(self.experiment.against[:2])}: "
                 f"{self.experiment.description}, {EXPERIMENT_FILE}",
             ]
+        lines += ["", *parameter_lines(self.fitted, self.measured.drive)]
+        lines += correlation_lines(correlated(self.fitted))
         bounds = self.fitted.at_bounds
         if bounds:
             lines += ["", "at the edge of the declared range: " + ", ".join(bounds)]
@@ -324,4 +327,5 @@ def provenance(
             for log in logs
         ],
         "seconds": round(seconds, 3),
+        "versions": versions(),
     }

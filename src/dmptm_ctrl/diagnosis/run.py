@@ -1,7 +1,6 @@
 """What the command line calls: files in, results out."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,10 @@ from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
 from dmptm_ctrl.diagnosis.ladder_files import is_chain
 from dmptm_ctrl.diagnosis.ladder_predict import predict_chain_file
 from dmptm_ctrl.diagnosis.predict import predict
-from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
-from dmptm_ctrl.drive import Drive, paper_drive
+from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
-from dmptm_ctrl.signals import Campaign, LogError, load_log, load_logs
+from dmptm_ctrl.signals import LogError, load_log, load_logs
 from dmptm_ctrl.simulate.model_file import read_model
 
 SPEED_FORMAT = "%.7g"  # finer than any sensor here
@@ -41,19 +39,13 @@ def diagnose_files(
     """
     source = paths[0] if len(paths) == 1 else list(paths)
     if rig is None:
-        return _screened(load_logs(source, max_rows=READ_ROWS), paper_drive(), jobs, seed)
+        return diagnose(load_logs(source, max_rows=READ_ROWS), jobs=jobs, seed=seed)
     declared = load_rig(rig)
     drive = dual_motor(declared)
     if drive is not None:
         campaign = load_logs(source, dual_columns(declared), max_rows=READ_ROWS)
-        return _screened(campaign, drive, jobs, seed)
+        return diagnose(campaign, drive, jobs=jobs, seed=seed)
     return diagnose_chain(source, declared, jobs=jobs, seed=seed, tell=tell)
-
-
-def _screened(logs: Campaign, drive: Drive, jobs: int, seed: int) -> Any:
-    campaign, notes = screen(logs, drive)
-    result = diagnose(campaign, drive, jobs=jobs, seed=seed)
-    return replace(result, warnings=tuple(dict.fromkeys((*notes, *result.warnings))))
 
 
 def predict_file(log: Path, model: Path) -> Iterator[str]:

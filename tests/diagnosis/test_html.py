@@ -1,16 +1,21 @@
 """The report and the numbers behind its pictures, on a diagnosis whose truth is known."""
 
 import re
+import subprocess
+import sys
+import tempfile
 from dataclasses import replace
 from functools import cache
+from html import unescape
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from dmptm_ctrl.diagnosis.decide import Decision
-from dmptm_ctrl.diagnosis.html import number, render
+from dmptm_ctrl.diagnosis.html import render
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, provenance, ranking
@@ -18,8 +23,10 @@ from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.fit import Fit, drive_unknowns, effect_unknowns, position
 from dmptm_ctrl.plots.diagnosis import plot_diagnosis, plot_evidence
+from dmptm_ctrl.plots.gaps import animate_gaps, busiest, gap_motion
+from dmptm_ctrl.plots.page import number
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.compiled import Loop, close_loop
+from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop, close_loop, march, rest
 from dmptm_ctrl.simulate.model import Model
 
 COSINE, SINE = 6.0, -3.0  # N·m
@@ -101,9 +108,14 @@ def diagnosis(request):
     return made(request.param)
 
 
+@cache
+def rendered(verdict):
+    return render(made(verdict))
+
+
 @pytest.fixture(scope="module")
 def page(diagnosis):
-    return render(diagnosis)
+    return rendered(diagnosis.verdict)
 
 
 class Balanced(HTMLParser):
@@ -153,11 +165,25 @@ def test_tags_match_and_links_work(parsed):
 
 def test_self_contained(page, parsed):
     assert not re.search(r"https?://|//[a-z]|url\(|@import|file:", page.split("</style>")[0])
-    assert all(source.startswith("data:image/svg+xml;base64,") for source in parsed.sources)
+    assert all(
+        source.startswith(("data:image/svg+xml;base64,", "data:image/gif;base64,"))
+        for source in parsed.sources
+    )
     assert all(link.startswith("#") for link in parsed.links)
     assert "script" not in parsed.tags
     shown = re.sub(r'src="data:[^"]*"', "", page)
     assert not re.search(r"(?<![\w<])/(home|root|tmp|usr|work)\b|\\\\|[A-Z]:\\", shown)
+
+
+def test_no_place_of_this_machine_is_told(page):
+    shown = re.sub(r'src="data:[^"]*"', "", page)
+    for place in (
+        Path.home(),
+        Path.cwd(),
+        Path(sys.executable).parent,
+        Path(tempfile.gettempdir()),
+    ):
+        assert str(place) not in shown
 
 
 def test_text_from_files_is_escaped(page):
@@ -184,7 +210,45 @@ def test_report_repeats_the_errors(diagnosis, parsed):
 
 
 def test_same_bytes_every_time():
-    assert render(made("explained")) == render(made("explained"))
+    assert render(made("explained")) == rendered("explained")
+
+
+def test_the_code_rebuilds_the_model(tmp_path):
+    """Another process runs it and gets the same numbers, plant and motion."""
+    diagnosis = made("explained")
+    shown = re.search(r"<code>(&#34;&#34;&#34;The drive as.*?)</code>", rendered("explained"), re.S)
+    code = unescape(shown[1])
+    (tmp_path / "rebuild.py").write_text(code, encoding="utf-8")
+    program = (
+        "import runpy, sys, numpy as np\n"
+        "made = runpy.run_path('rebuild.py')\n"
+        "base, on, values = made['model'].arrays()\n"
+        "np.savez('made.npz', base=base, on=on, values=values, states=made['plant'].nstates,\n"
+        "         outputs=made['response'].outputs)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
+    found = np.load(tmp_path / "made.npz")
+    for got, wanted in zip(("base", "on", "values"), diagnosis.augmented.arrays(), strict=True):
+        np.testing.assert_array_equal(found[got], wanted)
+    u = np.full((2, found["outputs"].shape[1]), 0.6)
+    model = diagnosis.augmented
+    compiled = march(model.arrays(), u, rest(model, 0.0), 1e-3)
+    speed = list(OUTPUTS).index("omega_L")
+    assert found["outputs"][speed, -1] == pytest.approx(compiled[-1, speed], rel=0.02)
+
+
+def test_gaps_are_in_contact_where_the_motor_pushes():
+    """Before the reversal the pinions push forward, after it backward."""
+    diagnosis = made("explained")
+    motion = gap_motion(diagnosis.measured.logs[0], diagnosis.augmented)
+    for side in (0, 1):
+        assert motion.contact[side, 2500] == 1
+        assert motion.contact[side, 5500] == -1
+    part = busiest(motion, 1.0)
+    assert part.time[0] < 3.0 < part.time[-1] or part.time[0] < 0.5
+    assert set(np.unique(part.contact)) == {-1, 0, 1} or part.time[0] < 0.5
+    pages = animate_gaps(part, frames=2).to_jshtml(default_mode="once")
+    assert pages.count("data:image/png") == 2
 
 
 def test_overlay_agrees_with_the_verdicts_error(diagnosis):

@@ -97,7 +97,7 @@ def render(diagnosis: "Diagnosis") -> str:
             orders=along,
             orders_figure=orders_figure(along),
             read_orders=READ_ORDERS,
-            gaps_figure="",
+            gaps_figure=gaps_figure(diagnosis),
             pairs=correlated(diagnosis.fitted, CORRELATED),
             code=rebuilding_code(diagnosis.augmented),
         )

@@ -18,6 +18,7 @@ from dmptm_ctrl.diagnosis.ladder_judge import (
     MIN_SHARE,
     Errors,
     errors_of,
+    exotic,
     gain_of,
     least_gain,
     plausible,
@@ -229,13 +230,15 @@ def _any_pair(
     tangent: Tangent, held_logs: Balance, scores: list[Candidate], jobs: int
 ) -> Steps | None:
     """Take two effects together that are each uncertain while the other is missing."""
-    kept = [c for c in scores if c.name not in STRUCTURE and c.score.gain >= MIN_GAIN][:PAIRED]
+    plain = [c for c in scores if not exotic(c.name) or c.name == "cable_spring"]
+    kept = [c for c in plain if c.name not in STRUCTURE and c.score.gain >= MIN_GAIN][:PAIRED]
     tried: list[tuple[float, int, Score, list[Candidate]]] = []
     for k, one in enumerate(kept):
         for other in kept[:k]:
             score = tangent.score(np.column_stack([one.score.direction, other.score.direction]))
             chance = score.p_value * one.tries * other.tries * len(scores) ** 2
-            if score.gain >= STANDS_OUT and chance <= ALPHA:
+            more = score.gain - max(one.score.gain, other.score.gain)
+            if score.gain >= STANDS_OUT and more >= MIN_GAIN and chance <= ALPHA:
                 order = rank(one.name) + rank(other.name)
                 tried.append((score.gain, order, score._replace(p_value=chance), [other, one]))
     if not tried:
@@ -275,10 +278,11 @@ def _both(
         )  # fmt: skip
         steps.append((rung, new))
         fit, held_old = new, held_new
-    gain = gain_of((tangent.fit.left, tangent.fit.drive), (fit.left, fit.drive))
-    if gain < 2 * MIN_GAIN or gain_of(first, held_old) < HELD_SHARE * gain:
+    old, last = (tangent.fit.left, tangent.fit.drive), (fit.left, fit.drive)
+    gain = gain_of(old, last)
+    if gain_of(first, held_old) < HELD_SHARE * gain or steps[1][0].gain < MIN_GAIN:
         return None
-    return steps
+    return steps if worthwhile(both[1].name, gain, old, last, 2 * MIN_GAIN) else None
 
 
 def refit(fit: ChainFit, candidate: Candidate, logs: Balance, jobs: int = 2) -> ChainFit:

@@ -52,16 +52,7 @@ class LimitCycle(NamedTuple):
 
 
 @njit
-def _torques(
-    z: Floats,
-    z_rate: Floats,
-    ring: Floats,
-    pinion: Floats,
-    mesh: Backlash,
-    bearing: Stribeck,
-    reducer: Stribeck,
-    out: Floats,
-) -> None:
+def _torques(z, z_rate, ring, pinion, mesh, bearing, reducer, out):  # type: ignore[no-untyped-def]
     """Torques of mesh, ring and pinion along a period, rows of `out` (3, n)."""
     for i in range(z.size):
         out[0, i] = mesh_torque(z[i], z_rate[i], mesh)
@@ -72,7 +63,7 @@ def _torques(
 
 
 @njit
-def _along(z: Floats, z_rate: Floats, law: Backlash) -> Floats:
+def _along(z, z_rate, law):  # type: ignore[no-untyped-def]
     """Torque of a mesh along a motion."""
     torque = np.empty_like(z)
     for i in range(z.size):

@@ -1,0 +1,82 @@
+"""Where in the plane of the gains a loop hammers, and where a linear model would say so."""
+
+from typing import NamedTuple
+
+import control as ct
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dmptm_ctrl.control import common_mode
+from dmptm_ctrl.design.duty import DEG
+from dmptm_ctrl.design.tune import linear_plant
+from dmptm_ctrl.simulate.batch import simulate_batch
+from dmptm_ctrl.simulate.compiled import Loop
+from dmptm_ctrl.simulate.model import Floats, Model
+
+SECONDS = 5.0
+WATCHED = 0.4  # of the run, at its end
+LIMIT = 10.0  # V
+OUTSIDE = 1.0 + 1e-6  # a rigid angle that nothing reads stays at z = 1
+
+
+class StabilityMap(NamedTuple):
+    """Oscillation of the loop over its gains.
+
+    Attributes
+    ----------
+    kp : (m,) array [V/(rad/s)]
+    ki : (n,) array [V/rad]
+    amplitude : (m, n) array [rad/s]
+        √2 times the standard deviation of the ring-gear speed while it should be steady.
+    linear : (m, n) array of bool
+        Whether the linearised, sampled loop is stable.
+    """
+
+    kp: Floats
+    ki: Floats
+    amplitude: Floats
+    linear: Floats
+
+
+def stability_map(
+    model: Model,
+    kp: ArrayLike,
+    ki: ArrayLike,
+    *,
+    speed: float = 10.0 * DEG,
+    preload: float = 0.0,
+    sample_time: float = 1e-3,
+    jobs: int = -1,
+) -> StabilityMap:
+    """Step the setpoint of the PI loop for every pair of gains, and see what lasts.
+
+    Parameters
+    ----------
+    model : Model
+    kp : (m,) array [V/(rad/s)]
+    ki : (n,) array [V/rad]
+    speed : float [rad/s]
+    preload : float [V]
+    sample_time : float [s]
+    jobs : int
+    """
+    kps, kis = np.asarray(kp, float), np.asarray(ki, float)
+    time = np.arange(round(SECONDS / sample_time)) * sample_time
+    target = np.full(time.size, speed)  # a step: what can hammer is set off
+    loops = [Loop(p, i, LIMIT, preload, -preload) for p in kps for i in kis]
+    runs = simulate_batch(
+        [model] * len(loops), time, target, loop=loops, outputs=["omega_L"], jobs=jobs
+    )
+    end = runs.outputs[:, 0, round((1.0 - WATCHED) * time.size) :]
+    drive = common_mode(linear_plant(model))
+    held = ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), sample_time, "zoh")
+    stable = [_is_stable(held, loop, sample_time) for loop in loops]
+    shape = kps.size, kis.size
+    return StabilityMap(
+        kps, kis, np.sqrt(2.0) * end.std(axis=1).reshape(shape), np.array(stable).reshape(shape)
+    )
+
+
+def _is_stable(held: ct.StateSpace, loop: Loop, dt: float) -> bool:
+    pi = ct.ss(ct.tf([loop.kp + loop.ki * dt, -loop.kp], [1.0, -1.0], dt))
+    return bool(np.abs(ct.feedback(held * pi, 1).poles()).max() < OUTSIDE)

@@ -43,9 +43,9 @@ def lively():
 
 
 def visible_parameters(effect):
-    """Amplitudes at about a tenth of their bound, no two alike; shapes mid-bank."""
+    """Amplitudes at about a tenth of their bound, those of a table a slope; shapes mid-bank."""
     return {
-        p.name: p.bank[len(p.bank) // 2] if p.bank else (0.1 - 0.002 * j) * p.high
+        p.name: p.bank[len(p.bank) // 2] if p.bank else (0.1 - 0.002 * max(0, j - 4)) * p.high
         for j, p in enumerate(effect.parameters)
     }
 

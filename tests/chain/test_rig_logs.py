@@ -134,5 +134,5 @@ def test_log_info_by_a_rig(tmp_path, capsys):
     file = str(tmp_path / "run.csv")
     assert main(["log", "info", file, "--rig", str(tmp_path / "rig.toml")]) == 0
     said = capsys.readouterr().out
-    assert "in_drive_V" in said
+    assert "cmd [V]" in said  # the column as the file names it
     assert "coulomb_friction" in said

@@ -239,8 +239,6 @@ def named_effect(
         f"when it was added ({rung.fit_before.percent:.2f} → {rung.fit_after.percent:.2f} % "
         f"fitted); without it {100 * stand.gain:.0f} % of the final residual's square returns"
     )
-    if effect.name == "stribeck_friction" and effect.values["excess"] < 0:
-        sentence += "; friction falls towards standstill instead of rising"
     if effect.name == "drive_offset":
         sentence += "; an offset and a difference of Coulomb friction by direction are one constant"
     return NamedEffect(

@@ -32,7 +32,7 @@ STRIBECK_FRICTION = Effect(
     site="friction",
     kernel=stribeck_excess,
     parameters=(
-        Parameter("excess", "N·m", -float("inf"), float("inf"), 1.0),
+        Parameter("excess", "N·m", 0.0, float("inf"), 1.0),
         Parameter(
             "speed", "rad/s", 1e-3, 0.5, 0.01, (0.003, 0.01, 0.03, 0.06, 0.12, 0.25)
         ),  # shares of the highest speed in the logs

@@ -15,7 +15,7 @@ from dmptm_ctrl.simulate.model import Floats
 
 WINDOW_SECONDS = 0.05  # span of the derivative filter of the encoder
 BLOCK_SECONDS = 0.05  # blocks whose errors count as independent
-SIGNIFICANT = 6.0  # standard errors
+SIGNIFICANT = 4.5  # standard errors
 ROUNDS = 3  # of the regression: a delay is found to 1 % in the first
 NAMES = (
     ("sensor_gain", "error"),

@@ -15,6 +15,7 @@ from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.summary import correlated, correlation_lines, parameter_lines, versions
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.trace import Trial
+from dmptm_ctrl.diagnosis.verdict import verdict_dict
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.signals import Log
@@ -22,7 +23,6 @@ from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
 
-SCHEMA = 1
 CLOCK = 1e-5  # s: a time is not known more finely than a hundredth of a usual sample
 UNNAMED = "unknown"  # name of what lookup tables stand for, in the contract of diagnosis.json
 
@@ -95,17 +95,16 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of diagnosis.json: plain types, no NaN."""
-        return {
-            "schema": SCHEMA,
-            "verdict": self.verdict,
-            "effects": [effect.to_dict() for effect in self.effects],
-            "ranking": self.ranking,
-            "depends_on": list(self.depends_on),
-            "error": self.error,
-            "next_experiment": self.experiment.to_dict() if self.experiment else None,
-            "provenance": self.provenance,
-            "warnings": list(self.warnings),
-        }
+        return verdict_dict(
+            self.verdict,
+            self.effects,
+            ranking=self.ranking,
+            depends_on=self.depends_on,
+            error=self.error,
+            provenance=self.provenance,
+            warnings=self.warnings,
+            next_experiment=self.experiment.to_dict() if self.experiment else None,
+        )
 
     def summary(self) -> str:
         """Return the verdict as a text: sentence, errors, parameters with standard errors."""

@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from dmptm_ctrl.diagnosis.predict import speeds
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.identify.balance import Balance, columns, loss, scatter, surprise
 from dmptm_ctrl.identify.motion import Motion, first_difference, smooth
 from dmptm_ctrl.identify.windows import STIFFNESS, carried, frictions
-from dmptm_ctrl.simulate.model import Floats
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.model import Floats, Model
 
 RING_RATIO = 8.25  # N2, Table 1
 KNOT = 1e-3  # rad, unit of a knot of a curve of the twist
@@ -34,6 +36,7 @@ MEMORIES = (0.3, 1.0, 3.0)  # s, of what the last seconds of motion leave behind
 LAGS = (0.04, 0.08, 0.12, 0.18, 0.26, 0.36, 0.5, 0.7, 0.95, 1.25)  # s, of a loose mass
 PERIODS = np.geomspace(0.25, 5.0, 1500)  # s, tried for bursts at fixed intervals
 RAYLEIGH = 12.0  # n R² of burst onsets folded on a period: p below 1e-5 per period tried
+FAR = 0.1  # share of the samples of free runs that count as far off
 ONSET_GAP = 0.1  # s between bursts that count as two
 
 
@@ -329,6 +332,23 @@ def information(x: Floats, flag: np.ndarray, bins: int = 12) -> float:
             if q > 0.0:
                 total += inside.size / flag.size * q * np.log(q / p)
     return float(total) - (bins - 1) / (2.0 * flag.size)
+
+
+def astray(model: Model, logs: Sequence[Log]) -> tuple[str, ...]:
+    """Return what the largest errors of free runs depend on, the two most telling variables."""
+    errors, values = [], []
+    for log in logs:
+        seen, run = speeds(model, log)
+        errors.append(np.abs(seen - run))
+        u = np.array([log["u_left"], log["u_right"]])
+        rate = np.abs(np.gradient(u, log.sample_time, axis=1)).max(0)
+        turn = np.mod(log["theta_L"], 2 * np.pi)
+        values.append(np.array([turn, log["omega_L"], np.abs(u).mean(0), rate]))
+    error, table = np.concatenate(errors), np.concatenate(values, axis=1)
+    flag = error > np.quantile(error, 1.0 - FAR)
+    told = [information(x, flag) for x in table]
+    names = ("theta_L", "omega_L", "u", "du_dt")
+    return tuple(names[i] for i in np.argsort(told)[::-1][:2])
 
 
 @dataclass(frozen=True)

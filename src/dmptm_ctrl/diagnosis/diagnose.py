@@ -1,10 +1,8 @@
 """The sentence: measure → residual → trace → augment → report."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from os import PathLike
-
-import numpy as np
 
 from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.augment import augment
@@ -13,9 +11,9 @@ from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.report import (
-    CLOCK,
     Diagnosis,
     NamedEffect,
+    estimate,
     named,
     provenance,
     ranking,
@@ -89,7 +87,7 @@ def diagnose(
     after = before
     if decision.after is not left:
         after = augment(measured.fit, decision.after.base, jobs=jobs)
-    held = [log for log in measured.logs if log.name in {rec.name for rec in measured.held}]
+    held = measured.held_logs
     without = speed_error(before.model.without(model.effects), held)
     after = sobered(decision, without["rmse"], after, held, jobs)
     after = rested(decision, after, jobs)
@@ -135,7 +133,7 @@ def diagnose(
     )
 
 
-def sobered(decision: Decision, without: float, after: Fit, held: list[Log], jobs: int) -> Fit:
+def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log], jobs: int) -> Fit:
     """Withdraw what makes the free run of the held-out logs go astray."""
     tables = decision.tables
     if tables is not None and speed_error(after.model, held)["rmse"] > without:
@@ -182,11 +180,7 @@ def sensor_effect(name: str, sensors: SensorCheck) -> NamedEffect:
     effect = CATALOGUE[name]
     units = {p.name: p.unit for p in effect.parameters}
     parameters = {
-        key: {
-            "value": value,
-            "se": float(np.hypot(sensors.errors[name][key], CLOCK if units[key] == "s" else 0.0)),
-            "unit": units[key],
-        }
+        key: estimate(value, sensors.errors[name][key], units[key])
         for key, value in sensors.values[name].items()
     }
     largest = max(

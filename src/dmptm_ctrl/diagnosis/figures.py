@@ -34,16 +34,12 @@ TORQUE = "torque the model lacks,\nat the ring gear [N·m]"
 
 def overlays(diagnosis: "Diagnosis") -> tuple[Overlay, ...]:
     """Speeds on each held-out log below 30 Hz [deg/s], before and after."""
-    held = {rec.name for rec in diagnosis.measured.held}
     before, after = models(diagnosis)
     done = []
-    for log in diagnosis.measured.logs:
-        if log.name in held:
-            seen, old = speeds(before, log)
-            new = speeds(after, log)[1]
-            done.append(
-                Overlay(log.name, log.time, np.rad2deg(seen), np.rad2deg(old), np.rad2deg(new))
-            )
+    for log in diagnosis.measured.held_logs:
+        seen, old = speeds(before, log)
+        new = speeds(after, log)[1]
+        done.append(Overlay(log.name, log.time, np.rad2deg(seen), np.rad2deg(old), np.rad2deg(new)))
     return tuple(done)
 
 

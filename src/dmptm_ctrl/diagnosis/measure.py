@@ -31,6 +31,12 @@ class Measured:
     warnings: tuple[str, ...] = ()
 
     @property
+    def held_logs(self) -> tuple[Log, ...]:
+        """Logs that judge and are never fitted."""
+        names = {rec.name for rec in self.held}
+        return tuple(log for log in self.logs if log.name in names)
+
+    @property
     def has_motor_encoders(self) -> bool:
         """Whether every log tells the motor angles."""
         return all(rec.twist is not None for rec in (*self.fit, *self.held))

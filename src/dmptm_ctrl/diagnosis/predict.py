@@ -1,5 +1,7 @@
 """Free run of a model on a log's voltages, and the error of it in the band that counts."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 from scipy.signal import butter, sosfiltfilt
@@ -51,7 +53,7 @@ def speeds(model: Model, log: Log) -> tuple[Floats, Floats]:
     return low_pass(log["omega_L"], dt), low_pass(free_run(model, log)[:, 1], dt)
 
 
-def speed_error(model: Model, logs: list[Log]) -> dict[str, float]:
+def speed_error(model: Model, logs: Sequence[Log]) -> dict[str, float]:
     """Error of the predicted speed over all logs together, below 30 Hz.
 
     Returns

@@ -37,17 +37,15 @@ def correlations(diagnosis: "Diagnosis", which: str) -> tuple[Correlation, Corre
         Auto, and with the mean voltage: positive lags are residuals after the input.
     """
     model = models(diagnosis)[which == "after"]
-    held = {rec.name for rec in diagnosis.measured.held}
     left, inputs, step = [], [], 1.0
-    for log in diagnosis.measured.logs:
-        if log.name in held:
-            seen, run = speeds(model, log)
-            # Below 30 Hz two samples 1/60 s apart are the closest that can be independent.
-            every = max(1, round(1.0 / (2.0 * BANDWIDTH_HZ * log.sample_time)))
-            step = every * log.sample_time
-            voltage = low_pass(0.5 * (log["u_left"] + log["u_right"]), log.sample_time)
-            left.append((seen - run)[::every])
-            inputs.append(voltage[::every])
+    for log in diagnosis.measured.held_logs:
+        seen, run = speeds(model, log)
+        # Below 30 Hz two samples 1/60 s apart are the closest that can be independent.
+        every = max(1, round(1.0 / (2.0 * BANDWIDTH_HZ * log.sample_time)))
+        step = every * log.sample_time
+        voltage = low_pass(0.5 * (log["u_left"] + log["u_right"]), log.sample_time)
+        left.append((seen - run)[::every])
+        inputs.append(voltage[::every])
     lags = round(LAG_SECONDS / step)
     return autocorrelation(left, lags, step), cross_correlation(left, inputs, lags, step)
 

@@ -199,6 +199,12 @@ class Diagnosis:
             (out / "report.html").write_text(render(self), encoding="utf-8")
 
 
+def estimate(value: float, se: float, unit: str) -> dict[str, Any]:
+    """Return a parameter as in diagnosis.json; a time is not known to less than :data:`CLOCK`."""
+    floor = CLOCK if unit == "s" else 0.0
+    return {"value": float(value), "se": float(np.hypot(se, floor)), "unit": unit}
+
+
 def named(found: Found, after: Fit) -> NamedEffect:
     """Describe an accepted effect with the values of the final fit."""
     effect = CATALOGUE[found.name]
@@ -208,9 +214,7 @@ def named(found: Found, after: Fit) -> NamedEffect:
             value, se = after.value(found.name, p.name)
         except KeyError:  # found by search, not by fit: a whole-numbered order
             value, se = after.model.effects[found.name][p.name], 0.0
-        if p.unit == "s":
-            se = float(np.hypot(se, CLOCK))
-        parameters[p.name] = {"value": float(value), "se": float(se), "unit": p.unit}
+        parameters[p.name] = estimate(value, se, p.unit)
     trial = found.trial
     sentence = (
         f"It supplies the torque or twist that is missing: log-likelihood ratio {trial.gain:.0f} "

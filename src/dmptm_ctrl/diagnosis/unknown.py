@@ -296,8 +296,7 @@ def bursts(left: Residual) -> Bursts:
     variables = ["time"] if clocked(times) else []
     table = np.concatenate(values, axis=1)
     names = ("theta_L", "omega_L", "u", "du_dt", "theta_m")
-    told = [information(x, flag) for x in table]
-    variables += [names[i] for i in np.argsort(told)[::-1][:1]]
+    variables += telling(names, table, flag, 1)
     return Bursts(share, tuple(dict.fromkeys(variables)))
 
 
@@ -316,6 +315,12 @@ def clocked(times: Sequence[Floats]) -> bool:
     turns = np.exp(2j * np.pi * all_times[None, :] / PERIODS[:, None])
     strength = np.abs(turns.mean(1)) ** 2 * all_times.size
     return bool(strength.max() > RAYLEIGH and np.abs(turns.mean(1)).max() > 0.6)
+
+
+def telling(names: Sequence[str], table: Floats, flag: np.ndarray, most: int) -> list[str]:
+    """Names of the rows of a table that tell most of a flag, the best first."""
+    told = [information(x, flag) for x in table]
+    return [names[i] for i in np.argsort(told)[::-1][:most]]
 
 
 def information(x: Floats, flag: np.ndarray, bins: int = 12) -> float:
@@ -346,9 +351,7 @@ def astray(model: Model, logs: Sequence[Log]) -> tuple[str, ...]:
         values.append(np.array([turn, log["omega_L"], np.abs(u).mean(0), rate]))
     error, table = np.concatenate(errors), np.concatenate(values, axis=1)
     flag = error > np.quantile(error, 1.0 - FAR)
-    told = [information(x, flag) for x in table]
-    names = ("theta_L", "omega_L", "u", "du_dt")
-    return tuple(names[i] for i in np.argsort(told)[::-1][:2])
+    return tuple(telling(("theta_L", "omega_L", "u", "du_dt"), table, flag, 2))
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from benchmarks import cluster
 from numba import njit
 
 TANH, LUGRE, KARNOPP = 0, 1, 2
@@ -466,10 +467,11 @@ def bench(case_name, seed):
     return style, drawn, frames, rig_of(rng, style, drawn[0], drawn[1], case)
 
 
-def try_one(case_name, seed, jobs=1):
+def try_one(case_name, seed):
     """Diagnose a bench; return the row of the table."""
     from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
 
+    warnings.simplefilter("ignore")
     style, drawn, frames, rig = bench(case_name, seed)
     row = {
         "case": case_name, "seed": seed, "names": CASES[case_name]["names"],
@@ -482,7 +484,7 @@ def try_one(case_name, seed, jobs=1):
         (Path(folder) / "rig.toml").write_text(rig, encoding="utf-8")
         logs = sorted(Path(folder).glob("*.parquet"))
         try:
-            found = diagnose_chain(logs, Path(folder) / "rig.toml", jobs=jobs)
+            found = diagnose_chain(logs, Path(folder) / "rig.toml", jobs=1)
         except Exception as error:  # a crash is a row of the table too
             return {**row, "error": f"{type(error).__name__}: {error}", "found": [], "seconds": 0.0}
     names = sorted({e.name for e in found.effects})
@@ -537,19 +539,21 @@ def main():
     parser.add_argument("--cases", nargs="+", default=["all"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--out", type=Path)
-    parser.add_argument("--jobs", type=int, default=1)
+    cluster.add_arguments(parser, jobs=1)
     options = parser.parse_args()
-    warnings.simplefilter("ignore")
+    from dmptm_ctrl.parallel import each
+
     cases = list(CASES) if options.cases == ["all"] else options.cases
     rows = []
-    for seed in options.seeds:
-        for case in cases:
-            row = try_one(case, seed, options.jobs)
+    tasks = [(case, seed) for seed in options.seeds for case in cases]
+    with cluster.where(options.scheduler):
+        for row in each(try_one, tasks, options.jobs):
             rows.append(row)
             print(
-                f"{case:18s} {seed:3d} {row['seconds']:5.1f} s {row.get('before', 0):7.2f} → "
-                f"{row.get('after', 0):6.2f} %  missed {row.get('missed')} false {row.get('false')}"
-                f" minor {row.get('minor')} {row.get('depends_on')} {row.get('error', '')}",
+                f"{row['case']:18s} {row['seed']:3d} {row['seconds']:5.1f} s "
+                f"{row.get('before', 0):7.2f} → {row.get('after', 0):6.2f} %  "
+                f"missed {row.get('missed')} false {row.get('false')} minor {row.get('minor')} "
+                f"{row.get('depends_on')} {row.get('error', '')}",
                 flush=True,
             )
             if options.out:

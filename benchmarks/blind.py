@@ -14,12 +14,11 @@ import json
 import os
 import time
 import zlib
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from itertools import islice, product
-from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
+import cluster
 import numpy as np
 from scoring import figures, report, summarise
 
@@ -171,19 +170,17 @@ def diagnosed(logs, hidden):
     return said
 
 
-def run(cases, folder, jobs, show=print):
+def run(cases, folder, jobs, scheduler=None, show=print):
     """Examine what has no line yet; returns all lines, in the order of `cases`."""
+    from dmptm_ctrl.parallel import each
+
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "results.jsonl"
     lines = read(path)
     todo = [case for case in cases if case.id not in lines]
     os.environ.update(dict.fromkeys(THREADS, "1"))  # for the processes to come
-    with (
-        ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool,
-        path.open("a", encoding="utf-8") as out,
-    ):
-        for done in as_completed([pool.submit(examine, case) for case in todo]):
-            line = done.result()
+    with cluster.where(scheduler), path.open("a", encoding="utf-8") as out:
+        for line in each(examine, ((case,) for case in todo), jobs, in_order=False):
             out.write(json.dumps(line, allow_nan=False) + "\n")
             out.flush()
             lines[line["id"]] = line
@@ -223,7 +220,7 @@ def main():
     parser.add_argument("--effects", nargs="+", help="these, one per rig, instead of a campaign")
     parser.add_argument("--strengths", type=float, nargs="+", default=[1.0, 3.0])
     parser.add_argument("--logs", type=Path, help="a folder of rigs with labels.json")
-    parser.add_argument("--jobs", type=int, default=2, help="processes of one thread each")
+    cluster.add_arguments(parser, jobs=2)
     asked = parser.parse_args()
     if asked.logs:
         cases = on_disk(asked.logs)
@@ -231,7 +228,7 @@ def main():
         cases = one_by_one(asked.seeds, asked.effects, asked.strengths)
     else:
         cases = planned(asked.seeds, asked.count, asked.only)
-    run(cases, asked.out, asked.jobs)
+    run(cases, asked.out, asked.jobs, asked.scheduler)
     lines = list(read(asked.out / "results.jsonl").values())
     summary = summarise(lines)
     text = json.dumps(summary, indent=1, allow_nan=False) + "\n"

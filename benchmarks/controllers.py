@@ -132,7 +132,7 @@ def one_rig(name, seed, folder, plants, nominal):
     rig = make_rig(seed, effects=[(name, 1.0)], sensors="all")
     model, named = diagnosed(rig, folder)
     start = time.process_time()
-    fitted = tune_controller(model, uncertainty=FITTED, plants=plants, jobs=1)
+    fitted = tune_controller(model, uncertainty=FITTED, plants=plants, n_jobs=1)
     seconds = time.process_time() - start
     row = {"rig": folder.name, "named": named, **rig.label["laws"], "tune_seconds": seconds}
     for label, tuned in (("nominal", nominal), ("augmented", fitted)):
@@ -162,7 +162,7 @@ def main():
     rows = (
         [json.loads(line) for line in results.read_text().splitlines()] if results.exists() else []
     )
-    nominal = tune_controller(Model(), plants=asked.plants, jobs=1)
+    nominal = tune_controller(Model(), plants=asked.plants, n_jobs=1)
     print(nominal.summary(), flush=True)
     for i, name in enumerate(map(str, names)):
         folder = asked.out / f"{i:02d}-{name}"

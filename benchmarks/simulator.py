@@ -167,7 +167,8 @@ def batch_ratios(model, loop, substeps, c, repeats):
     ]
 
     def batch(jobs):
-        return lambda: simulate_batch(models, TIME, TARGET, loop=loop, substeps=substeps, jobs=jobs)
+        options = {"loop": loop, "substeps": substeps, "n_jobs": jobs}
+        return lambda: simulate_batch(models, TIME, TARGET, **options)
 
     functions = [batch(1), batch(2)]
     if c is not None:

@@ -15,12 +15,12 @@ KP, KI = np.array([4.6, 20.0, 200.0]), np.array([86.0, 1300.0])
 
 
 def test_gaps_shrink_what_a_linear_model_calls_stable():
-    found = stability_map(Model(), KP, KI, jobs=1)
+    found = stability_map(Model(), KP, KI, n_jobs=1)
     quiet = found.amplitude < 0.05 * DEG
     assert quiet[0, 0]
     assert found.linear[1, 1]
     assert found.amplitude[1, 1] > 1 * DEG  # the premise of the preload: linear says stable
-    preloaded = stability_map(Model(), np.array([4.6, 10.0]), KI, preload=0.5, jobs=1)
+    preloaded = stability_map(Model(), np.array([4.6, 10.0]), KI, preload=0.5, n_jobs=1)
     assert np.all(preloaded.amplitude < 0.05 * DEG)
     plant = linear_plant(Model())
     for i, kp in enumerate(KP):

@@ -25,7 +25,7 @@ BOTH = Controller(
 
 @pytest.fixture(scope="module")
 def tuned():
-    return tune_controller(MODEL, uncertainty=0.5, plants=48, jobs=1)
+    return tune_controller(MODEL, uncertainty=0.5, plants=48, n_jobs=1)
 
 
 def test_tuning_is_better_over_the_plants_and_stays_in_the_margins(tuned):

@@ -170,7 +170,7 @@ def swept_gains(model: Model, controller: Controller) -> Floats:
     waves = np.exp(2j * np.pi * SWEEP_HZ[:, None] * time)
     targets = np.concatenate([a * waves.imag for a in AMPLITUDES])
     runs = simulate_batch(
-        [model] * len(targets), time, targets, loop=controller.law(), outputs=["omega_L"], jobs=1
+        [model] * len(targets), time, targets, loop=controller.law(), outputs=["omega_L"], n_jobs=1
     )
     gains = []
     for k, (target, speed) in enumerate(zip(targets, runs.outputs[:, 0], strict=True)):

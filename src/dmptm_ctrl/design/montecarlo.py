@@ -13,6 +13,7 @@ from scipy.stats import beta, binom
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.draws import DECLARED, one_plant
 from dmptm_ctrl.design.tune import Aims, tracking
+from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.model import Floats, Model
 
 CHUNK = 64  # plants per task: enough for the lanes, small enough to lose
@@ -69,7 +70,7 @@ def monte_carlo(
     effects: Sequence[Model] = (),
     aims: Aims | None = None,
     seed: int = 0,
-    n_jobs: int = 1,
+    n_jobs: int | None = None,
     folder: str | PathLike[str] | None = None,
 ) -> MonteCarlo:
     """Run a controller on many drawn plants.
@@ -87,9 +88,9 @@ def monte_carlo(
         Duty and noise.
     seed : int
         Plant k is the same whatever `count`, `n_jobs` or the backend.
-    n_jobs : int
-        joblib's; under ``joblib.parallel_config(backend="dask")`` the same call runs on a
-        cluster.
+    n_jobs : int, optional
+        joblib's, by default 1; under ``joblib.parallel_config(backend="dask")`` the same call
+        runs on a cluster, and a worker that dies costs only the time of its chunks.
     folder : path, optional
         Keeps each finished chunk; the same call goes on where it stopped.
 
@@ -98,8 +99,6 @@ def monte_carlo(
     ValueError
         No plants asked for, or a folder that holds another run.
     """
-    from joblib import Parallel, delayed
-
     if count < 1:
         raise ValueError(f"count is {count}; needs at least one plant")
     aims = aims or Aims()
@@ -108,9 +107,8 @@ def monte_carlo(
     kept = _Kept(folder, _key(controller, models, aims, uncertainty, seed))
     done = {task: part for task in tasks if (part := kept.read(task)) is not None}
     missing = [task for task in tasks if task not in done]
-    parallel = Parallel(n_jobs=n_jobs, return_as="generator")
-    work = (delayed(_chunk)(controller, models, task, uncertainty, aims, seed) for task in missing)
-    for task, result in zip(missing, parallel(work), strict=True):
+    work = ((controller, models, task, uncertainty, aims, seed) for task in missing)
+    for task, result in zip(missing, each(_chunk, work, n_jobs), strict=True):
         done[task] = result
         kept.write(task, result)
     errors, volts = (np.concatenate([done[task][i] for task in tasks]) for i in (0, 1))

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import Duty, sine
+from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.compiled import close_loop
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites
@@ -87,28 +88,49 @@ def assess_preload(model: Model, controller: Controller, duty: Duty) -> Preload:
 
 
 def boundary(
-    model: Model, controller: Controller, accelerations: ArrayLike, *, hz: float = 1.0
+    model: Model,
+    controller: Controller,
+    accelerations: ArrayLike,
+    *,
+    hz: float = 1.0,
+    n_jobs: int | None = None,
 ) -> tuple[Floats, Floats]:
     """Return the least preload [V] for sines of these peak accelerations [rad/s²].
 
     Two answers: by the balance (:func:`smallest_preload`) and by bisection on the simulated
     loop, where a mesh must not open at any sample of the second period.
+
+    Parameters
+    ----------
+    model : Model
+    controller : Controller
+    accelerations : (n,) array [rad/s²]
+    hz : float
+        Of the sines.
+    n_jobs : int, optional
+        joblib's, by default 1.
+
+    Returns
+    -------
+    closed_form, simulated : (n,) arrays [V]
     """
-    closed_form, simulated = [], []
-    for peak in np.asarray(accelerations, float):
-        speed = peak / (2.0 * np.pi * hz)
-        dt = controller.sample_time
-        reference = sine(speed, hz, 2.0, dt)
-        duty = Duty(reference, dt, settling=1.0 / hz)
-        least = smallest_preload(model, duty)
-        low, high = 0.0, 6.0 * least
-        while high - low > 0.01 * least:
-            middle = 0.5 * (low + high)
-            tried = replace(controller, preload=middle)
-            if assess_preload(model, tried, duty).open_share > 0.0:
-                low = middle
-            else:
-                high = middle
-        closed_form.append(least)
-        simulated.append(high)
-    return np.array(closed_form), np.array(simulated)
+    peaks = np.asarray(accelerations, float)
+    tasks = ((model, controller, float(peak), hz) for peak in peaks)
+    found = np.array(list(each(_least, tasks, n_jobs))).reshape(-1, 2)
+    return found[:, 0], found[:, 1]
+
+
+def _least(model: Model, controller: Controller, peak: float, hz: float) -> tuple[float, float]:
+    """Least preload for one sine, by the balance and by bisection."""
+    dt = controller.sample_time
+    duty = Duty(sine(peak / (2.0 * np.pi * hz), hz, 2.0, dt), dt, settling=1.0 / hz)
+    least = smallest_preload(model, duty)
+    low, high = 0.0, 6.0 * least
+    while high - low > 0.01 * least:
+        middle = 0.5 * (low + high)
+        tried = replace(controller, preload=middle)
+        if assess_preload(model, tried, duty).open_share > 0.0:
+            low = middle
+        else:
+            high = middle
+    return least, high

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from dmptm_ctrl.design.tune import Aims, Tuned, tune_controller
+from dmptm_ctrl.design.tune import Tuned, tune_controller
 from dmptm_ctrl.plots.control import plot_tuning
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import output_folder
@@ -21,8 +21,9 @@ def tune_file(
         No model file, or a model on which no PI keeps the margins; nothing is written.
     """
     try:
+        drive = read_model(model)
         tuned = tune_controller(
-            read_model(model), Aims(), uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs
+            drive, uncertainty=uncertainty, plants=plants, seed=seed, n_jobs=jobs
         )
     except ValueError as error:
         raise LogError(f"{model.name}: {error}") from None

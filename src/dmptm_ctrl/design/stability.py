@@ -46,7 +46,7 @@ def stability_map(
     speed: float = 10.0 * DEG,
     preload: float = 0.0,
     sample_time: float = 1e-3,
-    jobs: int = -1,
+    n_jobs: int = -1,
 ) -> StabilityMap:
     """Step the setpoint of the PI loop for every pair of gains, and see what lasts.
 
@@ -58,14 +58,15 @@ def stability_map(
     speed : float [rad/s]
     preload : float [V]
     sample_time : float [s]
-    jobs : int
+    n_jobs : int
+        As for :func:`~dmptm_ctrl.simulate.batch.simulate_batch`.
     """
     kps, kis = np.asarray(kp, float), np.asarray(ki, float)
     time = np.arange(round(SECONDS / sample_time)) * sample_time
     target = np.full(time.size, speed)  # a step: what can hammer is set off
     loops = [Loop(p, i, LIMIT, preload, -preload) for p in kps for i in kis]
     runs = simulate_batch(
-        [model] * len(loops), time, target, loop=loops, outputs=["omega_L"], jobs=jobs
+        [model] * len(loops), time, target, loop=loops, outputs=["omega_L"], n_jobs=n_jobs
     )
     end = runs.outputs[:, 0, round((1.0 - WATCHED) * time.size) :]
     drive = common_mode(linear_plant(model))

@@ -146,7 +146,7 @@ def tune_controller(
     uncertainty: float = DECLARED,
     plants: int = 1000,
     seed: int = 0,
-    jobs: int = -1,
+    n_jobs: int = -1,
 ) -> Tuned:
     """Design a speed controller on a model and its uncertainty.
 
@@ -167,8 +167,8 @@ def tune_controller(
     plants : int
         Drawn to judge the result.
     seed : int
-    jobs : int
-        Threads; any joblib backend.
+    n_jobs : int
+        Threads, or tasks on any joblib backend.
 
     Raises
     ------
@@ -184,12 +184,12 @@ def tune_controller(
         highest_hz=aims.highest_hz,
         sample_time=aims.duty.sample_time,
     )
-    search = _Search(model, aims, plant, start, uncertainty, seed, jobs)
+    search = _Search(model, aims, plant, start, uncertainty, seed, n_jobs)
     judged = draw_plants(model, plants, uncertainty=uncertainty, seed=seed + 1)
     stages: list[dict[str, Any]] = []
     errors = np.empty(0)
     for name, controller in search.stages():
-        errors, volts = tracking(controller, judged, aims, seed=seed + 2, jobs=jobs)
+        errors, volts = tracking(controller, judged, aims, seed=seed + 2, jobs=n_jobs)
         stages.append(
             {
                 "stage": name,
@@ -344,7 +344,7 @@ def tracking(
         noise=noise,
         outputs=["omega_L"],
         every=every,
-        jobs=jobs,
+        n_jobs=jobs,
     )
     miss = (runs.outputs[:, 0] - duty.reference[::every]) / DEG
     first = round(duty.settling / duty.sample_time / every)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, Loop, rest
 from dmptm_ctrl.simulate.compose import NARROW, WIDE, engine
 from dmptm_ctrl.simulate.law import NO_LAWS, Law
@@ -57,6 +58,11 @@ class Task(NamedTuple):
     statistics: bool
     design: Arrays | None = None  # of the controllers' model
 
+    def rows(self, group: slice) -> "Task":
+        """What a group of the drives needs of it."""
+        tables = {name: getattr(self, name) for name in ("inputs", "target", "measured")}
+        return self._replace(**{n: t[group] for n, t in tables.items() if t.shape[0] > 1})
+
 
 def _lanes(
     lanes: int,
@@ -64,7 +70,6 @@ def _lanes(
     arrays: Sequence[Arrays],
     x0: Floats,
     loops: Floats,
-    index: NDArray[np.int64],
 ) -> tuple[Floats, Floats]:
     """Run up to as many drives as lanes; those left over repeat the last of them."""
     loop = engine(lanes)
@@ -79,7 +84,7 @@ def _lanes(
         base, own, values = arrays[k]
         on |= own
         loop.fill(s, lane, x0[k], loops[k], task.dt / task.substeps, task.dt, base, own, values)
-    rows = index[np.minimum(np.arange(lanes), count - 1)]
+    rows = np.minimum(np.arange(lanes), count - 1)
     pick = np.array(
         [
             rows if table.shape[0] > 1 else np.zeros(lanes, np.int64)
@@ -99,23 +104,17 @@ def _lanes(
 
 
 def _all(
-    task: Task, arrays: Sequence[Arrays], x0: Floats, loops: Floats, jobs: int
+    task: Task, arrays: Sequence[Arrays], x0: Floats, loops: Floats, n_jobs: int
 ) -> tuple[Floats, Floats]:
-    """Run any number of drives in groups of lanes, on `jobs` threads or joblib's backend."""
+    """Run any number of drives in groups of lanes, on threads or joblib's backend."""
     size = NARROW if len(arrays) <= NARROW else WIDE
     groups = [slice(k, k + size) for k in range(0, len(arrays), size)]
-    order = np.arange(len(arrays))
-
-    def parts():
-        return ((size, task, arrays[g], x0[g], loops[g], order[g]) for g in groups)
-
-    if jobs == 1 or len(groups) == 1:
-        done = [_lanes(*part) for part in parts()]
+    parts = ((size, task.rows(g), arrays[g], x0[g], loops[g]) for g in groups)
+    if n_jobs == 1 or len(groups) == 1:
+        done = [_lanes(*part) for part in parts]
     else:
-        from joblib import Parallel, delayed
-
         # threads: the loop does not hold the interpreter's lock
-        done = Parallel(n_jobs=jobs, prefer="threads")(delayed(_lanes)(*p) for p in parts())
+        done = list(each(_lanes, parts, n_jobs, prefer="threads"))
     if len(done) == 1:
         return done[0]
     outs, stats = zip(*done, strict=True)
@@ -186,7 +185,7 @@ def simulate_batch(
     outputs: Sequence[str] = (),
     every: int = 1,
     substeps: int = SUBSTEPS,
-    jobs: int = -1,
+    n_jobs: int = -1,
 ) -> Batch:
     """Run many drives, open loop or each under its speed loop.
 
@@ -210,9 +209,9 @@ def simulate_batch(
         Keep every so many samples.
     substeps : int
         Steps per sample.
-    jobs : int
-        Threads, −1 for one per core; joblib's, so ``parallel_config`` can send the groups to
-        another backend.
+    n_jobs : int
+        Threads, −1 for one per core, 1 for none; else joblib's, so ``parallel_config`` can send
+        the groups to another backend.
 
     Returns
     -------
@@ -266,7 +265,7 @@ def simulate_batch(
         design=design,
     )
     arrays = [model.arrays() for model in models]
-    kept, (least, greatest, total, squares) = _all(task, arrays, starts, loops, jobs)
+    kept, (least, greatest, total, squares) = _all(task, arrays, starts, loops, n_jobs)
     return Batch(
         time[::every] if outputs else time[:0],
         kept,

@@ -34,6 +34,25 @@ def client():
         yield client
 
 
+def transitions(client):
+    """Steps of tasks that the scheduler has seen."""
+    return client.run_on_scheduler(lambda dask_scheduler: dask_scheduler.transition_counter)
+
+
+def test_a_batch_on_the_cluster(client):
+    """Each group of lanes gets its own rows of the inputs, wherever it runs."""
+    models = [Model().with_values(J_L=20.0 + k) for k in range(40)]
+    time = np.arange(100) * 1e-3
+    volts = np.random.default_rng(3).uniform(-4.0, 4.0, (40, 2, 100))
+    here = simulate_batch(models, time, volts, outputs=["omega_L"], n_jobs=1)
+    before = transitions(client)
+    with parallel_config(backend="dask"):
+        there = simulate_batch(models, time, volts, outputs=["omega_L"], n_jobs=-1)
+    assert transitions(client) > before
+    np.testing.assert_array_equal(there.outputs, here.outputs)
+    np.testing.assert_array_equal(there.rms, here.rms)
+
+
 def kill_one_at_work(client, folder, told):
     """Once the first chunk is kept, kill a worker that has others in hand."""
     pids = client.run(os.getpid)
@@ -59,22 +78,3 @@ def test_a_worker_is_killed_in_the_middle(client, tmp_path):
     assert told["pid"] not in client.run(os.getpid).values()
     np.testing.assert_array_equal(there.errors, here.errors)
     np.testing.assert_array_equal(there.volts, here.volts)
-
-
-def transitions(client):
-    """Steps of tasks that the scheduler has seen."""
-    return client.run_on_scheduler(lambda dask_scheduler: dask_scheduler.transition_counter)
-
-
-def test_a_batch_on_the_cluster(client):
-    """Each group of lanes gets its own rows of the inputs, wherever it runs."""
-    models = [Model().with_values(J_L=20.0 + k) for k in range(40)]
-    time = np.arange(100) * 1e-3
-    volts = np.random.default_rng(3).uniform(-4.0, 4.0, (40, 2, 100))
-    here = simulate_batch(models, time, volts, outputs=["omega_L"], n_jobs=1)
-    before = transitions(client)
-    with parallel_config(backend="dask"):
-        there = simulate_batch(models, time, volts, outputs=["omega_L"], n_jobs=-1)
-    assert transitions(client) > before
-    np.testing.assert_array_equal(there.outputs, here.outputs)
-    np.testing.assert_array_equal(there.rms, here.rms)

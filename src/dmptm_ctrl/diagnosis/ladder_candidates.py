@@ -8,13 +8,7 @@ from numpy.typing import NDArray
 from dmptm_ctrl.diagnosis.ladder_score import Tangent
 from dmptm_ctrl.diagnosis.ladder_tries import Candidate, backlash, compliance, finite
 from dmptm_ctrl.drive.rig import DECLARES
-from dmptm_ctrl.identify.chain_fit import (
-    HARMONIC,
-    Scales,
-    absolute,
-    on_slide,
-    scales_of,
-)
+from dmptm_ctrl.identify.chain_free import HARMONIC, Scales, absolute, on_slide, scales_of
 from dmptm_ctrl.identify.chain_motion import Motion
 from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_motion
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE, ChainEffect

@@ -4,8 +4,6 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from os import PathLike
 
-import numpy as np
-
 from dmptm_ctrl.diagnosis.ladder import Ladder, climb
 from dmptm_ctrl.diagnosis.ladder_judge import Errors, errors_of
 from dmptm_ctrl.diagnosis.ladder_report import (
@@ -18,8 +16,10 @@ from dmptm_ctrl.diagnosis.ladder_report import (
     standard_errors,
     torque_unit,
 )
+from dmptm_ctrl.diagnosis.ladder_screen import other_scale, screen_chain
 from dmptm_ctrl.diagnosis.ladder_standing import standing
 from dmptm_ctrl.diagnosis.ladder_unknown import unexplained
+from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.chain_fit import State, residuals
@@ -69,12 +69,15 @@ def diagnose_chain(
     started = time.perf_counter()
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
     _refuse_floating(declared)
-    loaded = declared.read(logs)
-    for log in loaded:
-        _refuse_still(declared, log)
+    loaded, warnings = screen_chain(declared, declared.read(logs, max_rows=READ_ROWS))
     late = late_sensors(declared, loaded)
     balance = balance_of(declared, loaded, late={k: v.delay for k, v in late.items()})
-    balance = _long_enough(balance)
+    balance, short = _long_enough(balance)
+    warnings = (*warnings, *short)
+    if strange := other_scale(declared, balance):
+        if all(link.rigid for link in declared.links):
+            raise LogError(strange)
+        warnings = (*warnings, strange)  # a resonance may look like that
     fit_logs, held_logs, roles, on = split(declared, balance)
     model = ChainModel(declared, tuple(declared_effects(declared)))
     ladder = climb(model, fit_logs, held_logs, jobs=jobs, tell=tell)
@@ -102,7 +105,7 @@ def diagnose_chain(
         ladder.base.model,
         augmented,
         _provenance(loaded, roles, seed, time.perf_counter() - started),
-        (*_notes(loaded), *out_of_range(ladder.final, fit_logs)),
+        (*_notes(loaded), *warnings, *out_of_range(ladder.final, fit_logs)),
     )
 
 
@@ -149,7 +152,8 @@ def error_of(ladder: Ladder, on: str) -> dict[str, object]:
     }
 
 
-def _long_enough(balance: Balance) -> Balance:
+def _long_enough(balance: Balance) -> tuple[Balance, tuple[str, ...]]:
+    """Leave out logs without rows enough; say so."""
     kept = [m.name for m in balance.motions if m.rows.size >= MIN_ROWS]
     if not kept:
         longest = max(float(m.time[-1]) for m in balance.motions)
@@ -157,15 +161,14 @@ def _long_enough(balance: Balance) -> Balance:
             f"logs are too short: {longest:.3g} s at most, where {balance.bandwidth:.3g} Hz of "
             f"bandwidth need {MIN_ROWS / (2 * balance.bandwidth):.3g} s"
         )
-    return balance if len(kept) == len(balance.motions) else balance.only(kept)
-
-
-def _refuse_still(rig: Rig, log: Log) -> None:
-    for source in rig.inputs:
-        if np.ptp(log[source.channel]) == 0 and len(rig.inputs) == 1:
-            raise LogError(f"{log.name}: {source.column} never changes; nothing to learn from it")
-    if all(np.ptp(log[s.channel]) == 0 for s in rig.sensors):
-        raise LogError(f"{log.name}: no sensor moves; nothing to learn from it")
+    short = [m for m in balance.motions if m.name not in kept]
+    if not short:
+        return balance, ()
+    return balance.only(kept), tuple(
+        f"left out: {m.name} is too short: {float(m.time[-1]):.3g} s, where "
+        f"{balance.bandwidth:.3g} Hz of bandwidth need {MIN_ROWS / (2 * balance.bandwidth):.3g} s"
+        for m in short
+    )
 
 
 def _refuse_floating(rig: Rig) -> None:

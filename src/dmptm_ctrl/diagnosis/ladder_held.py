@@ -7,15 +7,8 @@ import numpy as np
 from dmptm_ctrl.diagnosis.ladder_candidates import unit_columns
 from dmptm_ctrl.diagnosis.ladder_judge import Outcome
 from dmptm_ctrl.diagnosis.ladder_score import Tangent
-from dmptm_ctrl.identify.chain_fit import (
-    ChainFit,
-    Free,
-    State,
-    fit_chain,
-    has_phase,
-    log_parameters,
-    residuals,
-)
+from dmptm_ctrl.identify.chain_fit import ChainFit, State, fit_chain, residuals
+from dmptm_ctrl.identify.chain_free import Free, has_phase, log_parameters
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 

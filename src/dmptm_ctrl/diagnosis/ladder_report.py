@@ -17,7 +17,8 @@ from dmptm_ctrl.diagnosis.ladder_standing import Standing
 from dmptm_ctrl.diagnosis.report import NamedEffect
 from dmptm_ctrl.diagnosis.verdict import verdict_dict
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.identify.chain_fit import ChainFit, on_slide
+from dmptm_ctrl.identify.chain_fit import ChainFit
+from dmptm_ctrl.identify.chain_free import on_slide
 from dmptm_ctrl.identify.chain_sensors import Lateness
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.signals.atomic import output_folder

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.ladder_score import Score, Tangent
-from dmptm_ctrl.identify.chain_fit import ChainFit, Scales, State, jacobian, residuals
+from dmptm_ctrl.identify.chain_fit import ChainFit, State, jacobian, residuals
+from dmptm_ctrl.identify.chain_free import Scales
 from dmptm_ctrl.identify.chain_motion import Motion
 from dmptm_ctrl.identify.chain_start import (
     drive_of,

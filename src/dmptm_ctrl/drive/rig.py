@@ -281,7 +281,7 @@ class Rig:
             names.add("backlash")
         return names
 
-    def read(self, sources: Any) -> tuple[Log, ...]:
+    def read(self, sources: Any, *, max_rows: int | None = None) -> tuple[Log, ...]:
         """Load logs of this rig.
 
         Parameters
@@ -289,6 +289,8 @@ class Rig:
         sources : path, or several paths, DataFrames or Logs
             A folder stands for all logs in it, but those under ``[data] ignore``. Logs that
             have the rig's channels already are taken as they are.
+        max_rows : int, optional
+            Rows of a file after this many are not read, with a warning.
 
         Returns
         -------
@@ -306,7 +308,7 @@ class Rig:
         for source in [sources] if single else sources:
             if isinstance(source, str | PathLike):
                 files = [f for f in find_logs(source) if not self._ignored(f)]
-                logs += [self._load(f) for f in files]
+                logs += [self._load(f, max_rows=max_rows) for f in files]
             elif isinstance(source, Log):
                 logs.append(self._checked(source))
             else:

@@ -6,215 +6,22 @@ J = Σ (w · residual)² + Σ ((p − p0)/σ)², the second sum over declared ra
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from math import inf, isfinite
+from math import isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from dmptm_ctrl.identify.chain_free import Floats, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_model import FAR, ChainModel, Placed
+from dmptm_ctrl.simulate.chain_model import ChainModel
 
-Floats = NDArray[np.float64]
-
-PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
 ROWS_PER_NEWS = 8.0  # rows of the balance that carry one independent piece of news
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
 KINKS = {  # step of the finite differences, in scales: wide enough to pass a few kinks
     "drive_delay": 0.05, "current_lag": 0.05, "drive_dead_band": 0.05, "drive_saturation": 0.05,
     "backlash": 0.005,
 }  # fmt: skip
-HARMONIC = ("cogging", "unbalance", "position_dependent_friction")  # cosine and sine of the angle
 STEADY = 0.05  # change of an equation's weight at which a fit has settled
-LEAST_SCALE = 0.01  # of the typical size of a quantity
-SHARES = 0.005, 0.99  # of the inertia behind a spring
-NOT_FITTED = ("ratio", "gain", "stribeck_exponent", "gap_damping", "limit")
-
-
-@dataclass(frozen=True)
-class Free:
-    """One number to fit.
-
-    Attributes
-    ----------
-    kind : {"value", "effect", "zero", "twist"}
-    owner, name : str
-        Key of the declared quantity; or key and parameter of an effect; or log and effect; or
-        log and link.
-    scale : float
-        A clearly visible size.
-    prior : (centre, sigma) or None
-    least : float
-        Of the scale: a number that was driven to zero must find its way back.
-    """
-
-    kind: str
-    owner: str
-    name: str
-    low: float
-    high: float
-    scale: float
-    prior: tuple[float, float] | None = None
-    least: float = 0.0
-
-    @property
-    def label(self) -> str:
-        """Key of the number."""
-        return self.owner if self.kind == "value" else f"{self.owner}.{self.name}"
-
-
-@dataclass(frozen=True)
-class Scales:
-    """Typical sizes in the logs, from which those of parameters follow."""
-
-    force: float
-    position: float
-    speed: float
-    acceleration: float
-    dt: float
-    u: Mapping[str, float]
-
-    def of(self, unit: str) -> float:
-        """Size of a quantity by its unit, angles and lengths alike."""
-        plain = unit.replace("N·m", "N").replace("rad", "m").replace("/(", "/")
-        return {
-            "N": self.force,
-            "N·s/m": self.force / self.speed,
-            "N·s²/m²": self.force / self.speed**2,
-            "N/m": self.force / self.position,
-            "kg·m²": self.force / self.acceleration,
-            "kg": self.force / self.acceleration,
-            "m": self.position,
-            "m/s": self.speed,
-            "s": self.dt,
-            "": 1.0,
-        }.get(plain.replace("N·m·s", "N·s"), 1.0)
-
-
-def scales_of(balance: Balance) -> Scales:
-    """Return typical sizes, over all logs."""
-    motions = balance.motions
-    point = balance.points[0].name
-
-    def rms(parts: Sequence[Floats]) -> float:
-        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) or 1.0
-
-    gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in balance.rig.inputs}
-    force = rms([np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in motions])
-    return Scales(
-        force,
-        max(max(float(np.ptp(m.q[point])) for m in motions), 1e-12),
-        rms([m.v[point] for m in motions]),
-        rms([m.a[point] for m in motions]),
-        motions[0].dt,
-        {k: rms([m.u[k] for m in motions]) for k in gains},
-    )
-
-
-def free_parameters(
-    model: ChainModel, balance: Balance, scales: Scales, *, nuisances: bool = True
-) -> list[Free]:
-    """Return what a fit may move: unknown and uncertain quantities, effects, and per-log terms."""
-    frees = []
-    for key, quantity in model.quantities.items():
-        name = key.rpartition(".")[2]
-        if name in NOT_FITTED or not quantity.is_free:
-            continue
-        low, high = quantity.range
-        known = isfinite(quantity.value)
-        prior = None
-        if known:
-            half = 0.5 * (high - low) if isfinite(high - low) else inf
-            prior = (quantity.value, PRIOR_SHARE * half)
-        least = LEAST_SCALE * scales.of(quantity.unit)
-        size = max(abs(model.value(key)), least)
-        frees.append(Free("value", key, name, 0.0, inf, size, prior, least))
-    for effect in model.effects:
-        frees += _effect_parameters(effect, model, scales)
-    if not nuisances:
-        return frees
-    for motion in balance.motions:
-        frees += log_parameters(model, balance, motion.name, balance.motions[0].name)
-    return frees
-
-
-def _effect_parameters(effect: Placed, model: ChainModel, scales: Scales) -> list[Free]:
-    frees = []
-    linear = on_slide(model, effect.on)
-    for parameter in CHAIN_CATALOGUE[effect.name].keep:
-        value = effect.values.get(parameter.name, 0.0)
-        low, high, size = parameter.low, parameter.high, abs(value)
-        if parameter.name == "order":
-            if not linear:
-                continue  # whole number per turn
-            low, high = 0.98 * value, 1.02 * value
-            size = 0.002 * value
-        elif parameter.bank:
-            # a shape stays near the member of the bank that it was found at
-            low, high = value / 4, value * 4
-            if parameter.name == "place":
-                low, high = -inf, inf
-            size = 0.3 * abs(value)
-        else:
-            # a gap and a bristle are tiny beside the travel
-            if not (size and parameter.name in ("half_gap", "distance")):
-                size = max(size, 0.05 * scales.of(parameter.unit))
-            if not -1.0 <= low <= high <= 1.0 or parameter.unit:
-                low = -inf if low < 0 else 0.0
-                high = inf
-        if effect.name in ("drive_delay", "current_lag"):
-            high = max(3.0 * value, 2.0 * scales.dt)  # a search far out finds aliases
-        if effect.name == "drive_saturation":
-            high = 2.0 * value
-        if parameter.name == "share":
-            low, high = SHARES
-        if effect.name == "drive_offset":
-            size = max(abs(value), 0.02 * scales.u[effect.on])
-        frees.append(Free("effect", effect.key, parameter.name, low, high, size or 1.0))
-    if effect.name == "cable_spring" and any(e.name == "drive_offset" for e in model.effects):
-        frees = [f for f in frees if f.name != "offset"]  # one constant is enough
-    if effect.name == "position_dependent_friction" and linear:
-        frees = [f for f in frees if f.name == "sine"]  # a slope along the axis
-    if effect.name == "shaft_compliance" and any(k.name == effect.on for k in model.rig.links):
-        frees = [f for f in frees if f.name not in ("share", "far_viscous")]
-    return frees
-
-
-def on_slide(model: ChainModel, body: str) -> bool:
-    """Whether a body slides instead of turning."""
-    return any(b.name == body.removesuffix(FAR) and b.linear for b in model.rig.bodies)
-
-
-def log_parameters(model: ChainModel, balance: Balance, log: str, reference: str) -> list[Free]:
-    """Return what belongs to one log; phases are counted from those of the reference log."""
-    frees = []
-    layout = model.layout
-    seen = {layout.coordinate[layout.sensor_body[p.name]] for p in balance.points}
-    for k, link in enumerate(layout.links):
-        ends = [layout.bodies[i] for i in model.plant().link_body[k]]
-        if all(layout.coordinate[b] in seen for b in ends):
-            frees.append(Free("twist", log, link, -inf, inf, 1e-3))
-    for effect in model.effects:
-        if log != reference and has_phase(model, balance, effect):
-            size = 0.1 / effect.values.get("order", 1.0)
-            frees.append(Free("zero", log, effect.key, -inf, inf, size))
-    return frees
-
-
-def has_phase(model: ChainModel, balance: Balance, effect: Placed) -> bool:
-    """Whether an effect goes with the angle, of which each log has its own zero."""
-    slope = effect.name == "position_dependent_friction" and on_slide(model, effect.on)
-    return effect.name in HARMONIC and not slope and not absolute(model, balance, effect.on)
-
-
-def absolute(model: ChainModel, balance: Balance, body: str) -> bool:
-    """Whether the angle of a body has the same zero in every log."""
-    group = model.layout.coordinate[body]
-    return any(
-        s.absolute and model.layout.coordinate[model.layout.sensor_body[s.name]] == group
-        for s in balance.rig.sensors
-    )
 
 
 @dataclass(frozen=True, eq=False)

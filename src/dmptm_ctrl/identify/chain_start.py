@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.identify.chain_fit import Floats, State, fit_chain, scales_of
+from dmptm_ctrl.identify.chain_fit import State, fit_chain
+from dmptm_ctrl.identify.chain_free import Floats, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.simulate.chain_model import ChainModel, link_sides
 

@@ -36,7 +36,7 @@ class Campaign(Sequence[Log]):
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        logs, warnings = _without_duplicates(tuple(self.logs))
+        logs, warnings = without_duplicates(tuple(self.logs))
         if not logs:
             raise LogError("no logs")
         first = logs[0]
@@ -93,7 +93,8 @@ class Campaign(Sequence[Log]):
         return f"<table><tr><th>log</th><th>samples</th><th>seconds</th></tr>{rows}</table>"
 
 
-def _without_duplicates(logs: tuple[Log, ...]) -> tuple[tuple[Log, ...], list[str]]:
+def without_duplicates(logs: tuple[Log, ...]) -> tuple[tuple[Log, ...], list[str]]:
+    """Leave out logs that hold the samples of another one; return why, too."""
     kept: list[Log] = []
     warnings = []
     for log in logs:

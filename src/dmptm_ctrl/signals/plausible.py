@@ -51,18 +51,18 @@ def refuse_inconsistent(log: Log, ratio: float | None = None) -> None:
         A mistaken unit or sign; the message names the channels and the likely mistake.
     """
     if log.has("theta_L", "omega_L"):
-        travel = _travel(log)
-        _refuse_factor(
+        travel = travelled(log)
+        refuse_factor(
             log, log["theta_L"], travel, "theta_L changes", "omega_L adds up to", detrend=True
         )
     if log.has(*MOTORS):
-        _refuse_factor(log, log["theta_ml"], log["theta_mr"], "theta_ml changes", "theta_mr does")
+        refuse_factor(log, log["theta_ml"], log["theta_mr"], "theta_ml changes", "theta_mr does")
     if ratio is not None and log.has("theta_L"):
         for motor in MOTORS:
             if log.has(motor):
                 turned = ratio * log["theta_L"]
                 expected = f"{ratio:g} times theta_L does"
-                _refuse_factor(log, log[motor], turned, f"{motor} changes", expected)
+                refuse_factor(log, log[motor], turned, f"{motor} changes", expected)
     if log.has("u_left", "u_right", "omega_L"):
         _refuse_generator(log)
 
@@ -83,7 +83,7 @@ def suspects(log: Log) -> list[str]:
             "left and right may be swapped: the motor with the higher voltage lags behind the other"
         )
     if log.has("theta_L", "omega_L") and not found:
-        travel = _travel(log)
+        travel = travelled(log)
         moves = max(np.ptp(log["theta_L"]), np.ptp(travel)) > NOTICEABLE
         if moves and abs(_ratio(log, log["theta_L"], travel, detrend=True)[1]) < SURE:
             found.append("omega_L does not follow theta_L: a foreign or failing sensor")
@@ -105,7 +105,7 @@ def unwrapped(angle: Array) -> Array | None:
     return angle - 2 * np.pi * np.concatenate([[0.0], np.cumsum(np.where(jumps, turns, 0.0))])
 
 
-def _travel(log: Log, channel: str = "omega_L") -> Array:
+def travelled(log: Log, channel: str = "omega_L") -> Array:
     """Angle that a speed adds up to [rad], trapezoidal."""
     speed = log[channel]
     steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(log.time)
@@ -138,7 +138,7 @@ def _detrended(y: Array, time: Array) -> Array:
     return y - y.mean() - t * float(t @ y) / max(float(t @ t), 1e-300)
 
 
-def _refuse_factor(
+def refuse_factor(
     log: Log, y: Array, x: Array, this: str, expected: str, *, detrend: bool = False
 ) -> None:
     """Refuse y that is not about 1 times x where their correlation tells."""
@@ -197,7 +197,7 @@ def _clipped(log: Log, channel: str) -> float | None:
         if begins.size == 0:
             continue
         if log.units[channel] == "rad":
-            travel = _travel(log, speed)
+            travel = travelled(log, speed)
             moved = np.abs(travel[ends - 1] - travel[begins]).max()
             clipped = bool(moved > 10 * step[step > 0].min())  # encoder steps
         else:

@@ -46,6 +46,7 @@ READ_CORRELATION = (
     "lags) lacks a path from the voltage. At negative lags only a closed loop's feedback shows."
 )
 NORMAL_95 = 1.96  # standard errors on either side that hold 95 %
+TOLD = 3  # values of an effect that the verdict's sentence tells
 CORRELATED = 0.9  # from here on two parameters are told apart badly
 
 
@@ -118,11 +119,17 @@ def action(diagnosis: "Diagnosis") -> str:
     if diagnosis.verdict == "unknown":
         first = f"Use model.toml for prediction ({fall}), but look for the cause on the rig."
     else:
-        where = " and ".join(dict.fromkeys(effect.location for effect in diagnosis.effects))
+        where = " and ".join(f"{e.location} ({sizes(e.parameters)})" for e in diagnosis.effects)
         first = f"Look at: {where}. Use model.toml for control design: {fall}."
     if rivals:
         first += f" Before a repair, rule out {', '.join(map(words, dict.fromkeys(rivals)))}."
     return first
+
+
+def sizes(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the first values of an effect, with their units."""
+    told = [f"{words(k)} {number(p['value'])} {p['unit']}".rstrip() for k, p in parameters.items()]
+    return ", ".join(told[:TOLD]) + (", …" if len(told) > TOLD else "")
 
 
 def detectable(row: dict[str, Any]) -> str:
@@ -148,7 +155,9 @@ def declared_rows(diagnosis: "Diagnosis") -> list[dict[str, Any]]:
                 {
                     "name": k.name,
                     "value": value,
-                    "interval": (value - NORMAL_95 * se, value + NORMAL_95 * se),
+                    "interval": np.clip(
+                        (value - NORMAL_95 * se, value + NORMAL_95 * se), low, high
+                    ),
                     "declared": quantity.value,
                     "low": low,
                     "high": high,
@@ -185,7 +194,7 @@ def quality_figure(tests: Mapping[str, tuple[Correlation, Correlation]]) -> str:
     """Return the picture of the correlations as a data URI."""
     figure = Figure(figsize=(8.6, 3.1), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
-    titles = ("with itself", "with the input, mean voltage")
+    titles = ("residual with itself", "residual with the input, mean voltage")
     for k, (panel, title) in enumerate(zip(panels, titles, strict=True)):
         plot_correlation(tests["before"][k], tests["after"][k], ax=panel, title=title)
     panels[1].set_ylabel("")

@@ -14,13 +14,13 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.optimize import least_squares
 
 from dmptm_ctrl.drive import Drive, pinion_inertia
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
 from dmptm_ctrl.identify.experiments import Estimate, twists
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats
 
 FREE = 0.85  # of the half-gap; farther out a rounded reading may hide contact
@@ -135,7 +135,7 @@ def _miss(flight: _Flight, drive: Drive, dt: float) -> Floats:
     return np.asarray(left - basis @ best)
 
 
-@njit(cache=True)
+@cached()
 def _fly(
     n: int, torque: float, speed: float, law: Stribeck, inertia: float, c_f: float, dt: float
 ) -> Floats:

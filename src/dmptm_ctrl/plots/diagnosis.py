@@ -12,7 +12,7 @@ from dmptm_ctrl.plots.style import STYLES, axes
 
 Floats = NDArray[np.float64]
 
-MEASURED = {**STYLES["measured"], "linewidth": 2.0}
+MEASURED = {**STYLES["measured"], "linewidth": 3.5}  # shows beside what covers it
 BEFORE = {**STYLES["existing"], "linewidth": 1.0}
 AFTER = {**STYLES["proposed"], "linewidth": 1.0}
 DIRECTIONS: dict[str, dict[str, Any]] = {  # filled against hollow: told apart in grey

@@ -85,13 +85,13 @@ def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
         (orders.after, "after", STYLES["proposed"]),
     ):
         panel.plot(orders.order, np.maximum(values, 0.5 * least), label=label, **style)
-    for name, order in orders.marks.items():
-        if order <= orders.order[-1]:
-            panel.axvline(order, color="0.5", linewidth=0.8, linestyle=":")
-            panel.text(
-                order, 0.97, name, transform=panel.get_xaxis_transform(), ha="right", va="top",
-                rotation=90, fontsize=7.5,
-            )  # fmt: skip
+    seen = sorted((o, name) for name, o in orders.marks.items() if o <= orders.order[-1])
+    for k, (order, name) in enumerate(seen):
+        panel.axvline(order, color="0.5", linewidth=0.8, linestyle=":")
+        panel.text(  # above the panel, where no line crosses
+            order, 1.01, name, transform=panel.get_xaxis_transform(),
+            ha="left" if k else "right", va="bottom", fontsize=7.5,
+        )  # fmt: skip
     panel.set_yscale("log")
     panel.set(
         xlabel="order per motor turn [1]",

@@ -24,6 +24,25 @@ OPTIONS: dict[str, Any] = {
     "fastmath": {"contract"},  # a·b + c rounded once, where the CPU does that
 }
 
+
+def cached(**options: Any) -> Callable[[Callable], Any]:
+    """Compile with numba and keep the result on disk, where there is a place to write.
+
+    Parameters
+    ----------
+    **options
+        Of ``numba.njit``.
+    """
+
+    def compiled(function: Callable) -> Any:
+        try:
+            return njit(cache=True, **options)(function)
+        except RuntimeError:  # installed read-only, no home: compiled anew in each process
+            return njit(**options)(function)
+
+    return compiled
+
+
 _ROUND = 1.5 * 2.0**52  # adding it rounds to a whole number, in the low bits of the sum
 _LOG2_E = 1.4426950408889634
 _LN2_HIGH = 0.6931471803691238  # 33 bits of ln 2: its multiples up to 2^20 are exact

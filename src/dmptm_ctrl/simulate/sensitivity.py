@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import SUBSTEPS, rest
+from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats, Model
 
 # Share of a parameter's size: truncation and rounding, grown by the run, are both far below 1 %
@@ -130,7 +130,7 @@ def simulate_with_sensitivities(
     return Sensitivities(time, runs[0], tuple(parameters), derivatives, exists)
 
 
-@njit(cache=True, nogil=True)
+@cached(nogil=True)
 def _judge(runs, steps, rounding, different):
     """Derivatives, and where one side says the same as the other; runs 0 as is, 1 back."""
     p, rows, n = steps.size, runs.shape[1], runs.shape[2]

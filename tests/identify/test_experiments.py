@@ -22,7 +22,6 @@ from dmptm_ctrl.identify.experiments_steady import (
 )
 from dmptm_ctrl.signals import Log
 
-pytestmark = pytest.mark.xdist_group("experiments")  # one slow fixture for all
 SEEDS = 12  # the whole campaign: benchmarks/parameter_experiments.py
 
 

@@ -14,8 +14,6 @@ from dmptm_ctrl.reproduce import reproduce
 from dmptm_ctrl.reproduce.items import RIG_LOOP, Context
 from dmptm_ctrl.simulate.compiled import Loop
 
-pytestmark = pytest.mark.xdist_group("reproduce")  # one slow fixture for all
-
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):

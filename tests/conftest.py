@@ -1,0 +1,54 @@
+"""Which tests go to one worker under `pytest -n 2 --dist loadgroup`, and in which order.
+
+Tests of one file stay together, and files that compile the same kernels: a slow fixture is
+built, and a kernel compiled, once and not in each worker. The first two groups compile
+different kernels; later ones find these in numba's cache. What takes long comes early, so that
+both workers end together. xdist's own mark for this, `xdist_group`, does nothing under
+pytest 9.2: there an item's id cannot be changed any more.
+"""
+
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).parent
+TOGETHER = {  # folder -> group
+    "rigs": "rigs",
+    "agreement": "loop",
+    "engine": "lanes",
+    "design": "lanes",
+    "chain": "chain",
+    "bad_days": "chain",
+    "diagnosis": "diagnosis",
+}
+APART = ("recovery/test_recovery.py", "test_notebooks.py")  # each test is long by itself
+ORDER = (
+    *("rigs", "agreement", "engine", "design", "chain", "bad_days", "paper", "identify"),
+    *("diagnosis", "recovery", "test_notebooks.py"),
+)
+
+
+def scope(nodeid):
+    """Name of the group in which a test goes to a worker; `nodeid` as pytest writes it."""
+    file = nodeid.split("::")[0].removeprefix(f"{TESTS.name}/")
+    return nodeid if file in APART else TOGETHER.get(file.split("/")[0], file)
+
+
+@pytest.hookimpl(optionalhook=True)  # of xdist
+def pytest_xdist_make_scheduler(config, log):
+    if config.getoption("dist") != "loadgroup":
+        return None
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Together(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            return scope(nodeid)
+
+    config.option.loadscopereorder = False  # the order is that of the tests
+    return Together(config, log)
+
+
+def pytest_collection_modifyitems(config, items):
+    if hasattr(config, "workerinput"):  # of xdist
+        first = {name: rank for rank, name in enumerate(ORDER)}
+        items.sort(key=lambda i: first.get(i.path.relative_to(TESTS).parts[0], len(first)))

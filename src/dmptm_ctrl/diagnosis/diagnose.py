@@ -83,10 +83,10 @@ def diagnose(
     model = with_sensors(Model(declared), sensors)
     left = residual(measured, model, jobs=jobs)
     decision = decide(left, skip=tuple(sensors.values), jobs=jobs)
-    before = augment(measured.fit, left.base, jobs=jobs)
+    before = augment(measured.fit, left.base, declared, jobs=jobs)
     after = before
     if decision.after is not left:
-        after = augment(measured.fit, decision.after.base, jobs=jobs)
+        after = augment(measured.fit, decision.after.base, declared, jobs=jobs)
     held = measured.held_logs
     without = speed_error(before.model.without(model.effects), held)
     after = sobered(decision, without["rmse"], after, held, jobs)
@@ -135,13 +135,13 @@ def diagnose(
 
 def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log], jobs: int) -> Fit:
     """Withdraw what makes the free run of the held-out logs go astray."""
-    tables = decision.tables
+    tables, measured = decision.tables, decision.before.measured
     if tables is not None and speed_error(after.model, held)["rmse"] > without:
         decision.tables, decision.after = None, tables.beside
-        after = augment(decision.before.measured.fit, decision.after.base, jobs=jobs)
+        after = augment(measured.fit, decision.after.base, measured.drive, jobs=jobs)
     while decision.found and speed_error(after.model, held)["rmse"] > WORSE * without + LITTLE:
         withdraw(decision, jobs)
-        after = augment(decision.before.measured.fit, decision.after.base, jobs=jobs)
+        after = augment(measured.fit, decision.after.base, measured.drive, jobs=jobs)
     return after
 
 
@@ -204,4 +204,4 @@ def refined(measured: Measured, decision: Decision, jobs: int) -> Fit:
     declared = Model(measured.drive)
     _, start = closed(everything, base.model, declared, base.unknowns, jobs)
     beside = effect_unknowns(at_rest.NAME) if at_rest.NAME in base.model.effects else ()
-    return augment(everything, start, beside=beside, jobs=jobs)
+    return augment(everything, start, measured.drive, beside=beside, jobs=jobs)

@@ -1,0 +1,52 @@
+"""The meshes' damping of rigs of another program is told by how their pinions land."""
+
+import numpy as np
+import pytest
+
+from dmptm_ctrl import load_log
+from dmptm_ctrl.diagnosis.landing import landed
+from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.predict import speed_error
+from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.simulate.model import Model
+from rigs import make_rig
+
+LOGS = ("open_sine_0v60", "open_sine_0v75", "closed_square_10", "closed_square_15")
+
+
+@pytest.mark.parametrize(("seed", "friction"), [(904, "karnopp"), (910, "tanh")])
+def test_damping_from_landings(seed, friction):
+    """Twice the declared 3 N·m·s/rad and more; all else is fitted too."""
+    rig = make_rig(seed, friction=friction, contact="two_state", sensors="all", logs=LOGS)
+    true = rig.label["plant"]["damping"]
+    drive = paper_drive()
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    measured = measure(logs, drive)
+    start = residual(measured, Model(drive)).base
+    values, spread = start.p.copy(), start.covariance.copy()
+    done = landed(measured.fit, start, drive, 2)
+    np.testing.assert_array_equal(start.p, values)  # it is left as it was
+    np.testing.assert_array_equal(start.covariance, spread)
+    found = done.model.drive["c"]
+    (j,) = (j for j, k in enumerate(done.unknowns) if k.name == "c")
+    error = done.unknowns[j].scale * np.sqrt(done.covariance[j, j])
+    assert abs(found - true) < 2.0 * error
+    assert abs(np.log(found / true)) < 0.6 * abs(np.log(drive["c"] / true))
+    held = measured.held_logs
+    as_declared = done.model.with_values(c=drive["c"])
+    assert speed_error(done.model, held)["rmse"] < speed_error(as_declared, held)["rmse"]
+
+
+def test_known_damping_is_left_alone():
+    rig = make_rig(901, friction="karnopp", contact="two_state", sensors="all", logs=LOGS)
+    drive = paper_drive().with_values(c=2.0)
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    measured = measure(logs, drive)
+    start = residual(measured, Model(drive)).base
+    fixed = tuple(k for k in start.unknowns if k.name not in ("c", "c_f"))
+    known = residual(measured, Model(drive), unknowns=fixed).base
+    done = landed(measured.fit, known, drive, 2)
+    assert done.model.drive["c"] == 2.0
+    np.testing.assert_allclose(done.p, known.p, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(done.covariance, known.covariance)

@@ -41,6 +41,7 @@ class AtRest:
     shares : (float, float)
         The same, of the whole misfit.
     fit : Fit
+        Without pre-sliding where any amount of it only harms.
     """
 
     gain: float
@@ -67,14 +68,18 @@ def presliding(measured: Measured, before: Fit, jobs: int) -> AtRest:
     misfit = weighed(measured.fit, before, jobs)
     held = weighed(measured.held, before, jobs)
     cost, held_cost = square(misfit, before.model), square(held, before.model)
-    size = min(STARTS, key=lambda s: square(misfit, sized(before.model, s)))
-    best = started(misfit, before, size)
+    starts = [square(misfit, sized(before.model, size)) for size in STARTS]
+    if min(starts) > cost:  # any amount only harms: there is nothing to fit
+        return AtRest(0.0, 0.0, (0.0, 0.0), before)
+    best = started(misfit, before, STARTS[int(np.argmin(starts))])
     gain, held_gain = cost - square(misfit, best.model), held_cost - square(held, best.model)
     return AtRest(gain, held_gain, (gain / cost, held_gain / held_cost), best)
 
 
 def travel(of: Fit) -> float:
     """Larger one of the distances, at the ring gear [rad]."""
+    if NAME not in of.model.effects:
+        return 0.0
     values = of.model.effects[NAME]
     return max(values["ring_distance"], values["reducer_distance"] / of.model.drive["N_2"])
 

@@ -13,8 +13,8 @@ from dmptm_ctrl.contract import Parameter
 
 KNOTS = 32
 FIRST = 3  # position of the first knot among the parameters
-ANGLE, SPEED, TIME, LOAD, VOLTAGE = 0.0, 1.0, 2.0, 3.0, 4.0  # values of `variable`
-WIDEST = 60.0  # rad, rad/s, s, N·m or V: no log goes further
+ANGLE, SPEED, TIME, VOLTAGE = 0.0, 1.0, 2.0, 3.0  # values of `variable`
+WIDEST = 60.0  # rad, rad/s, s or V: no log goes further
 
 
 def table_type(name: str) -> type[Any]:
@@ -40,6 +40,14 @@ def table_parameters(
         Parameter("high", "SI", -WIDEST, WIDEST, 0.02, (high,)),
         *(Parameter(f"k{i}", unit, -largest, largest, step) for i in range(KNOTS)),
     )
+
+
+@njit
+def motion_of_ring(theta, omega, t, p):
+    """Variable that a table of the ring gear is over: angle, speed or time."""
+    if p.variable < 0.5:
+        return theta
+    return omega if p.variable < 1.5 else t
 
 
 @njit

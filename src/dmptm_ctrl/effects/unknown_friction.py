@@ -1,6 +1,6 @@
 """Unknown friction: Coulomb friction of the ring gear that a curve describes, without a name.
 
-Coulomb friction of the ring gear += T(x),  x one of θL, ωL, t, mesh torque
+Coulomb friction of the ring gear += T(x),  x one of θL, ωL, t
 """
 
 from numba import njit
@@ -11,6 +11,7 @@ from dmptm_ctrl.effects.lookup import (
     SPEED,
     TIME,
     looked_up,
+    motion_of_ring,
     table_parameters,
     table_type,
 )
@@ -21,14 +22,7 @@ def table_friction(theta, omega, t, mesh_torque, body, p):
     """Factor on the declared friction (1) and added Coulomb torque [N·m]."""
     if body != 2:
         return 1.0, 0.0
-    x = theta
-    if p.variable > 0.5:
-        x = omega
-    if p.variable > 1.5:
-        x = t
-    if p.variable > 2.5:
-        x = mesh_torque
-    return 1.0, looked_up(x, p)
+    return 1.0, looked_up(motion_of_ring(theta, omega, t, p), p)
 
 
 UNKNOWN_FRICTION = Effect(
@@ -39,6 +33,6 @@ UNKNOWN_FRICTION = Effect(
     values=table_type("UnknownFriction"),
     location="ring-gear bearing",
     source="lookup table, fitted",
-    depends_on=("theta_L", "omega_L", "time", "mesh_torque"),
+    depends_on=("theta_L", "omega_L", "time"),
     reveals="the range of the variable, slowly, in both directions",
 )

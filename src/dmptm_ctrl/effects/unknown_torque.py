@@ -6,18 +6,21 @@
 from numba import njit
 
 from dmptm_ctrl.contract import Effect
-from dmptm_ctrl.effects.lookup import ANGLE, SPEED, TIME, looked_up, table_parameters, table_type
+from dmptm_ctrl.effects.lookup import (
+    ANGLE,
+    SPEED,
+    TIME,
+    looked_up,
+    motion_of_ring,
+    table_parameters,
+    table_type,
+)
 
 
 @njit
 def table_torque(theta_L, omega_L, t, p):
     """Torque on the ring gear [N·m]."""
-    x = theta_L
-    if p.variable > 0.5:
-        x = omega_L
-    if p.variable > 1.5:
-        x = t
-    return looked_up(x, p)
+    return looked_up(motion_of_ring(theta_L, omega_L, t, p), p)
 
 
 UNKNOWN_TORQUE = Effect(

@@ -64,7 +64,12 @@ def names(line):
 
 
 def hit(line, effect):
-    """Whether an entry of a verdict names what is there, or its twin with it in the set."""
+    """Whether an entry of a verdict names what is there, or its twin with it in the set.
+
+    The lookup table of an unknown is right where what is there is on no list.
+    """
+    if effect["name"] == "unknown":
+        return line["kind"] == "unknown"
     if effect["name"] in line["truth"]:
         return True
     twin = TWINS.get(effect["name"])

@@ -105,7 +105,10 @@ def diagnose(
     final = refined(measured, decision, jobs)
     effects = tuple(
         sorted(
-            [named(found, final) for found in decision.found]
+            [
+                named(found, final, all_explained=decision.unexplained is None)
+                for found in decision.found
+            ]
             + [unnamed(tables) for tables in (decision.tables,) if tables is not None]
             + [sensor_effect(name, sensors) for name in model.effects],
             key=lambda e: -e.probability,

@@ -63,6 +63,9 @@ def diagnose(
 ) -> None:
     """Name the physical effect that the declared model lacks."""
     from dmptm_ctrl.progress import Progress
+    from dmptm_ctrl.signals.atomic import check_folder
+
+    check_folder(out)  # not after a minute of work
 
     with Progress(quiet=quiet, as_json=log_json) as progress:
         progress.stage("loading the program")
@@ -110,8 +113,10 @@ def tune(
     import matplotlib
 
     from dmptm_ctrl.design.run import tune_file
+    from dmptm_ctrl.signals.atomic import check_folder
 
     matplotlib.use("Agg")  # no windows
+    check_folder(out)
     tuned = tune_file(model, out, uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs)
     if not quiet:
         print(tuned.summary())
@@ -226,22 +231,29 @@ def rig_check(
     if figure is not None:
         picture = plot_rig(rig).get_figure(root=True)
         assert picture is not None
-        picture.savefig(figure, dpi=150)
+        try:
+            picture.savefig(figure, dpi=150)
+        except ValueError:  # matplotlib's word for an ending that it does not know
+            raise typer.BadParameter(f"{figure.name}: call the figure .png, .svg or .pdf") from None
 
 
 @rig_app.command("init")
 def rig_init(
     file: Annotated[Path, typer.Argument(help="Rig file to write.")] = Path("rig.toml"),
     force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+    dual: Annotated[
+        bool, typer.Option("--dual", help="Two motors on a ring gear, with the paper's values.")
+    ] = False,
 ) -> None:
     """Write a commented rig file to start from."""
-    from dmptm_ctrl.data import RIG_TEMPLATE
+    from dmptm_ctrl.data import PAPER_RIG, RIG_TEMPLATE
     from dmptm_ctrl.signals import LogError
     from dmptm_ctrl.signals.atomic import write_atomic
 
     if file.exists() and not force:
         raise LogError(f"{file} exists; give another name, or --force to replace it")
-    write_atomic(file, RIG_TEMPLATE.read_text(encoding="utf-8"))
+    template = PAPER_RIG if dual else RIG_TEMPLATE
+    write_atomic(file, template.read_text(encoding="utf-8"))
     print(f"written to {file}; edit it, then: dmptm rig check {file}")
 
 
@@ -330,7 +342,7 @@ def _of_bad_input(error: Any) -> str | None:
     if isinstance(error, LogError):
         return str(error)
     if hasattr(error, "format_message"):  # wrong usage, as the command-line library reports it
-        return f"{str(error.format_message()).rstrip('.')}; see 'dmptm --help'."
+        return f"{str(error.format_message()).rstrip('.?')}; see 'dmptm --help'."
     return None
 
 

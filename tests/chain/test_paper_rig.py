@@ -1,13 +1,15 @@
 """The paper's rig as a file is the built-in model."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from dmptm_ctrl import data
+from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive import paper_drive, three_dof_ss
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig, parse_rig
-from dmptm_ctrl.signals import load_logs
+from dmptm_ctrl.signals import load_log, load_logs
 from dmptm_ctrl.simulate.chain import chain_modes, linear_chain, march
 from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.compiled import march as march_built_in
@@ -68,3 +70,39 @@ def test_another_drive_is_not_taken_for_it(rig):
         dual_motor(parse_rig(text.replace('amplifier = "3 A/V"', 'amplifier = "4 A/V"', 1))) is None
     )
     assert dual_motor(parse_rig(text.replace("ratio = 25", "ratio = 30", 1))) is None
+
+
+def test_own_names_units_and_motor_encoders(tmp_path):
+    """The file that `dmptm rig init --dual` writes, with the columns of another recorder."""
+    file = tmp_path / "rig.toml"
+    assert main(["rig", "init", "--dual", str(file)]) == 0
+    text = file.read_text()
+    for old, new in (
+        ('column = "u_left_V"', 'column = "U1"\nunit = "mV"'),
+        ('column = "omega_L_deg_s"', 'column = "gyro"\nunit = "rpm"\nsign = -1'),
+        *((f"# {line}", line) for line in (
+            "[sensor.motor_left]", "[sensor.motor_right]", 'body = "motor_left"',
+            'body = "motor_right"', 'column = "theta_ml_deg"',
+        )),
+        ('# column = "theta_mr_deg"', 'column = "enc2"\nunit = "turn"'),
+    ):  # fmt: skip
+        assert old in text
+        text = text.replace(old, new)
+    rig = parse_rig(text + '\n[data]\ntime = { column = "t", unit = "ms" }\n')
+    assert dual_motor(rig) is not None
+    source = data.path("null_rig") / "open_sine_0v60.csv.gz"
+    table = pd.read_csv(source)
+    mine = pd.DataFrame(
+        {
+            "t": 1e3 * table.time_s, "U1": 1e3 * table.u_left_V, "u_right_V": table.u_right_V,
+            "theta_L_deg": table.theta_L_deg, "gyro": -table.omega_L_deg_s / 6,
+            "theta_ml_deg": table.theta_ml_deg, "enc2": table.theta_mr_deg / 360,
+        }
+    )  # fmt: skip
+    one, other = load_log(mine, dual_columns(rig)), load_log(source)
+    assert set(one) == set(other)
+    for channel in one:
+        np.testing.assert_allclose(one[channel], other[channel], rtol=1e-9, atol=1e-9)
+    alone = text.replace('column = "theta_ml_deg"\nbody = "motor_left"', "", 1)
+    alone = alone.replace("[sensor.motor_left]", "", 1)
+    assert dual_motor(parse_rig(alone)) is None

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from dmptm_ctrl.signals.atomic import output_folder, write_atomic
+from dmptm_ctrl.signals.atomic import check_folder, output_folder, write_atomic
 
 
 def test_writes_text_and_bytes(tmp_path):
@@ -76,6 +76,16 @@ def test_a_file_in_the_way(tmp_path):
     with pytest.raises(NotADirectoryError), output_folder(tmp_path / "out"):
         pass
     assert (tmp_path / "out").read_text() == "x"
+
+
+def test_a_file_in_the_way_is_seen_before_the_work(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(NotADirectoryError, match="in the place of the output folder"):
+        check_folder(tmp_path / "file")
+    with pytest.raises(NotADirectoryError, match="of file, above the output folder"):
+        check_folder(tmp_path / "file" / "below" / "out")
+    assert check_folder(tmp_path / "new" / "out") == (tmp_path / "new" / "out").resolve()
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")

@@ -25,6 +25,8 @@ def tune_file(
         tuned = tune_controller(
             drive, uncertainty=uncertainty, plants=plants, seed=seed, n_jobs=jobs
         )
+    except LogError:
+        raise  # names the file already
     except ValueError as error:
         raise LogError(f"{model.name}: {error}") from None
     with output_folder(out) as folder:

@@ -43,7 +43,8 @@ def diagnose_files(
     declared = load_rig(rig)
     drive = dual_motor(declared)
     if drive is not None:
-        campaign = load_logs(source, dual_columns(declared), max_rows=READ_ROWS)
+        options = {"max_rows": READ_ROWS, "sample_time": declared.data.sample_time}
+        campaign = load_logs(source, dual_columns(declared), **options)
         return diagnose(campaign, drive, jobs=jobs, seed=seed)
     return diagnose_chain(source, declared, jobs=jobs, seed=seed, tell=tell)
 

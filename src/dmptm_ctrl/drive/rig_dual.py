@@ -6,6 +6,7 @@ from dmptm_ctrl.drive.parameters import Drive, Quantity, paper_drive
 from dmptm_ctrl.drive.rig import Body, Input, Link, Rig
 from dmptm_ctrl.signals.columns import Column
 
+MOTOR_ANGLES = ("theta_ml", "theta_mr")
 _FRICTION = {"static": "T{}s", "coulomb": "T{}c", "stribeck_speed": "W{}", "viscous": "B{}"}
 
 
@@ -14,7 +15,7 @@ def dual_motor(rig: Rig) -> Drive | None:
 
     Two motors, each by a rigid reducer on a pinion, both pinions by a mesh with a gap on one
     ring gear; both sides alike but for the half-gaps; position and speed of the ring gear
-    measured; no effect declared.
+    measured, besides the position of both motors or of none; no effect declared.
 
     Parameters
     ----------
@@ -70,8 +71,10 @@ def dual_columns(rig: Rig) -> dict[str, Column]:
     if rig.data.time is not None:
         column, unit = rig.data.time
         found[column] = Column("time", unit)
+    motors = {side[1].name: name for side, name in zip(sides, MOTOR_ANGLES, strict=True)}
     for sensor in rig.sensors:
-        name = "theta_L" if sensor.measures == "position" else "omega_L"
+        on_ring = "theta_L" if sensor.measures == "position" else "omega_L"
+        name = motors.get(sensor.body, on_ring)
         found[sensor.column] = Column(name, sensor.unit, sensor.sign)
     return found
 
@@ -92,9 +95,11 @@ def _sides(rig: Rig) -> tuple[_Side, _Side] | None:
             return None
         found.append((source, rig.body(source.body), reducer, rig.body(reducer.second), mesh))
     left, right = found
-    measured = sorted(s.measures for s in rig.sensors)
-    on_ring = all(s.body == left[4].second for s in rig.sensors)
-    if left[4].second != right[4].second or measured != ["position", "speed"] or not on_ring:
+    ring = left[4].second
+    motors = [(left[1].name, "position"), (right[1].name, "position")]
+    needed = sorted([(ring, "position"), (ring, "speed")])
+    measured = sorted((s.body, s.measures) for s in rig.sensors)
+    if ring != right[4].second or measured not in (needed, sorted(needed + motors)):
         return None
     return left, right
 

@@ -83,6 +83,8 @@ def load_rig(path: str | PathLike[str]) -> Rig:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise RigError(f"no such rig file: {path}") from None
+    except IsADirectoryError:
+        raise RigError(f"{path.name} is a folder, not a rig file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise RigError(f"{path.name} cannot be read as UTF-8 text") from error
     return parse_rig(text, path.name)

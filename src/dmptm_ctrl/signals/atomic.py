@@ -39,6 +39,24 @@ def write_atomic(path: str | PathLike[str], content: str | bytes | Iterable[str]
         raise
 
 
+def check_folder(path: str | PathLike[str]) -> Path:
+    """Return where a folder of results would be, before the work that fills it.
+
+    Raises
+    ------
+    OSError
+        A file is in its place, or in the place of a folder above it.
+    """
+    target = Path(path).resolve()
+    for place in (target, *target.parents):
+        if place.exists() and not place.is_dir():
+            what = "of" if place == target else f"of {place.name}, above"
+            raise NotADirectoryError(
+                20, f"a file is in the place {what} the output folder", str(path)
+            )
+    return target
+
+
 @contextmanager
 def output_folder(path: str | PathLike[str]) -> Iterator[Path]:
     """Folder to write several outputs to; they appear in ``path`` together at the end.
@@ -62,9 +80,7 @@ def output_folder(path: str | PathLike[str]) -> Iterator[Path]:
     OSError
         ``path`` is a file, or not writable.
     """
-    target = Path(path).resolve()
-    if target.exists() and not target.is_dir():
-        raise NotADirectoryError(20, "a file is in the place of the output folder", str(path))
+    target = check_folder(path)
     made = [parent for parent in target.parents if not parent.exists()]
     beside = _beside(target)
     try:

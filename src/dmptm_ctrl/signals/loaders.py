@@ -274,7 +274,10 @@ def _time(channels: dict[str, Any], sample_time: float | None, title: str) -> An
     if "time" in channels:
         time = channels.pop("time")
     elif sample_time is None:
-        raise LogError(f"{title}: no time column; call it time_s, or give the sample time")
+        raise LogError(
+            f"{title}: no time column; call it time_s, give the sample time, or say in a rig.toml "
+            "what each column is (dmptm rig init makes one)"
+        )
     elif not sample_time > checks.SHORTEST_STEP:
         raise LogError(f"{title}: sample time {sample_time} s is not positive")
     elif not channels:

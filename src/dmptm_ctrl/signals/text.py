@@ -241,5 +241,6 @@ def _trouble(lines: _Lines, kinds: list[tuple[str, str]], layout: _Layout) -> st
         if kind == "f8" and not field:
             return f"{where} has no value for {name}"
         if kind == "f8" and not _number(field.replace(layout.decimal, ".")):
-            return f"{where}: {name} is {field[:40]!r}, not a number"
+            second = "; a second line of headers is to be deleted" if lines.number == 2 else ""
+            return f"{where}: {name} is {field[:40]!r}, not a number{second}"
     return f"{where} is no row of numbers"

@@ -30,6 +30,12 @@ def pi_controller(kp: float, ki: float) -> ct.StateSpace:
 def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
     """Return the plant from one voltage ``u`` on both motors to one output.
 
+    Parameters
+    ----------
+    plant : StateSpace
+        Two voltages in.
+    output : str
+
     Raises
     ------
     ValueError

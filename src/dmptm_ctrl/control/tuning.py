@@ -118,6 +118,14 @@ def assess_pi(
 ) -> PiTuning:
     """Return what the linear sampled loop does with given gains.
 
+    Parameters
+    ----------
+    plant : StateSpace
+        Voltage to speed [V, rad/s].
+    kp : float [V/(rad/s)]
+    ki : float [V/rad]
+    sample_time : float [s]
+
     Raises
     ------
     ValueError

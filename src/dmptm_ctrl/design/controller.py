@@ -223,6 +223,14 @@ class Controller:
 def read_controller(file: str | PathLike[str]) -> Controller:
     """Read a controller file.
 
+    Parameters
+    ----------
+    file : path
+
+    Returns
+    -------
+    Controller
+
     Raises
     ------
     LogError

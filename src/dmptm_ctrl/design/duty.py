@@ -59,6 +59,14 @@ def usual_duty(sample_time: float = 1e-3) -> Duty:
 
     A rest that is not judged, the paper's closed-loop sines (10 deg/s at 0.5 Hz, 15 deg/s at
     1 Hz), a slow trapezoid, a rest and a start of a slow sine.
+
+    Parameters
+    ----------
+    sample_time : float [s]
+
+    Returns
+    -------
+    Duty
     """
     parts = (
         np.zeros(round(SETTLING / sample_time)),

@@ -94,6 +94,11 @@ def monte_carlo(
     folder : path, optional
         Keeps each finished chunk; the same call goes on where it stopped.
 
+    Returns
+    -------
+    MonteCarlo
+        ``errors`` [deg/s] and ``volts`` [V], (count,).
+
     Raises
     ------
     ValueError

@@ -36,6 +36,17 @@ def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
 
     Each mesh carries half of the load's torque; the preload has to outweigh that half in
     the mesh that would open:  u_b > max |T_load| / (2 N2 N1 K_d K_M).
+
+    Parameters
+    ----------
+    model : Model
+    duty : Duty
+    theta_L : float [rad]
+        Where it starts.
+
+    Returns
+    -------
+    float [V]
     """
     sites = Sites(model)
     worst = float(np.abs(load_torque_along(model, duty, theta_L)).max())

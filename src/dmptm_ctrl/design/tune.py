@@ -170,6 +170,11 @@ def tune_controller(
     n_jobs : int
         Threads, or tasks on any joblib backend.
 
+    Returns
+    -------
+    Tuned
+        The controller, the linear start, and each stage with its errors [deg/s].
+
     Raises
     ------
     ValueError

@@ -27,7 +27,19 @@ def free_run(model: Model, log: Log) -> Floats:
 
 
 def predict(model: Model, log: Log) -> pd.DataFrame:
-    """Predict a log: columns of contract `dmptm predict`, one row per row of the log."""
+    """Predict a log: columns of contract `dmptm predict`, one row per row of the log.
+
+    Parameters
+    ----------
+    model : Model
+    log : Log
+        Its voltages and its first angle are used.
+
+    Returns
+    -------
+    DataFrame
+        ``time_s``, angles [deg] and speeds [deg/s] of a free run.
+    """
     out = free_run(model, log)
     return pd.DataFrame(
         {

@@ -119,6 +119,21 @@ def gap_exponent(
     """What Eq. 21 multiplies by −k/(c + c_f) in A⁺: the time since contact was left [s].
 
     Printed (z + b)/(ż + k) adds rad/s to N·m/rad; its value depends on the unit of torque.
+
+    Parameters
+    ----------
+    z : float [rad]
+        Twist.
+    rate : float [rad/s]
+        Its rate.
+    half_gap : float [rad]
+    stiffness : float [N·m/rad]
+    damping : float [N·m·s/rad]
+    as_printed : bool
+
+    Returns
+    -------
+    float [s]
     """
     if as_printed:
         return (z + half_gap) / (rate + stiffness)
@@ -146,6 +161,10 @@ def mesh_stiffness(
         Pinion angle and φ_r.
     as_printed : (time [s], pinion speed [rad/s]), optional
         Use ω_z t with ω_z = z3 θ̇3 in place of the mesh angle.
+
+    Returns
+    -------
+    float [N·m/rad]
     """
     angle = teeth * theta_3 if as_printed is None else teeth * as_printed[1] * as_printed[0]
     return mean + amplitude * cos(angle + phase)
@@ -169,6 +188,12 @@ def friction_at_rest(
         On the body from everything but its friction.
     motor_torque : float [N·m]
         What Eq. 25 prints in its place.
+    as_printed : bool
+        As Eq. 25 prints it.
+
+    Returns
+    -------
+    float [N·m]
     """
     torque = motor_torque if as_printed else net_torque
     return min(max(torque, static_minus), static_plus)

@@ -65,7 +65,17 @@ class Modes:
 
 
 def solve_modes(train: GearTrain) -> Modes:
-    """Solve the generalised symmetric eigenproblem of a gear train."""
+    """Solve the generalised symmetric eigenproblem of a gear train.
+
+    Parameters
+    ----------
+    train : GearTrain
+
+    Returns
+    -------
+    Modes
+        Frequencies [Hz], shapes, damping ratios and classes.
+    """
     squares, shapes = linalg.eigh(train.stiffness, train.mass)
     omega = np.sqrt(np.clip(squares, 0.0, None))
     omega[omega < RIGID_RATIO * omega[-1]] = 0.0
@@ -102,14 +112,35 @@ def _damping_ratios(train: GearTrain, omega: Floats) -> Floats:
 
 
 def closed_form(drive: Drive) -> Floats:
-    """Undamped 3-DOF frequencies [rad/s] in closed form, (3,)."""
+    """Undamped 3-DOF frequencies [rad/s] in closed form, (3,).
+
+    Parameters
+    ----------
+    drive : Drive
+
+    Returns
+    -------
+    (3,) array [rad/s]
+        Ascending; the first is the rigid body's 0.
+    """
     pinions = drive["k_m"] / pinion_inertia(drive)
     ring = 2.0 * drive["k_m"] * drive["N_2"] ** 2 / drive["J_L"]
     return np.array([0.0, sqrt(pinions), sqrt(pinions + ring)])
 
 
 def determinant(train: GearTrain, omega: float) -> float:
-    """Eq. 20 scaled by det M: det(M⁻¹K − ω² I); zero at each mode."""
+    """Eq. 20 scaled by det M: det(M⁻¹K − ω² I); zero at each mode.
+
+    Parameters
+    ----------
+    train : GearTrain
+    omega : float [rad/s]
+
+    Returns
+    -------
+    float
+        [rad²/s²] to the number of coordinates.
+    """
     square = train.stiffness / train.inertia[:, None]
     return float(linalg.det(square - omega**2 * np.eye(square.shape[0])))
 
@@ -119,6 +150,11 @@ def both_readings(drive: Drive | None = None) -> dict[str, Drive]:
 
     The table's J2 = 0.125 kg·m² equals N1² Jm exactly. "beside" takes it as what stays on
     the pinion side beside N1² Jm (the default); "motor" as N1² Jm itself, nothing beside.
+
+    Parameters
+    ----------
+    drive : Drive, optional
+        The paper's by default.
     """
     drive = paper_drive() if drive is None else drive
     return {"beside": drive, "motor": drive.with_values(J_2=0.0)}

@@ -105,7 +105,15 @@ def nine_dof_parameters(drive: Drive | None = None, **overrides: float) -> dict[
 
 
 def nine_dof_train(drive: Drive | None = None, **overrides: float) -> GearTrain:
-    """Return the 9-DOF model of a drive in contact; see :func:`nine_dof_parameters`."""
+    """Return the 9-DOF model of a drive in contact; see :func:`nine_dof_parameters`.
+
+    Parameters
+    ----------
+    drive : Drive, optional
+        The paper's by default.
+    **overrides : float
+        9-DOF parameters in SI.
+    """
     drive = paper_drive() if drive is None else drive
     p = nine_dof_parameters(drive, **overrides)
     bodies = (*("ml", "1l", "2l", "3l"), *("mr", "1r", "2r", "3r"), "L")
@@ -177,6 +185,18 @@ def reduced_pinion_inertia(
     """J̄3 [kg·m²]: what a rigid reducer and motor weigh at the pinion.
 
     J1 turns with the motor, so it counts N1² fold; as printed below Eq. 16 it does not.
+
+    Parameters
+    ----------
+    n1 : float
+        Ratio of the reducer.
+    j_m, j_1, j_2, j_3 : float [kg·m²]
+        Motor, first and second reducer stage, pinion.
+    as_printed : bool
+
+    Returns
+    -------
+    float [kg·m²]
     """
     if as_printed:
         return n1**2 * j_m + j_1 + j_2 + j_3

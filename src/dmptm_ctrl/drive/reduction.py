@@ -16,7 +16,14 @@ OUTPUTS = ("omega_L", "omega_ml", "omega_mr")
 
 
 def rigid_equivalent(drive: Drive, parameters: dict[str, float]) -> Drive:
-    """Return the drive whose 3-DOF model has the corrected J̄3 of 9-DOF parameters."""
+    """Return the drive whose 3-DOF model has the corrected J̄3 of 9-DOF parameters.
+
+    Parameters
+    ----------
+    drive : Drive
+    parameters : dict of str to float
+        Of the 9-DOF model, SI.
+    """
     n1 = drive["N_1"]
     total = reduced_pinion_inertia(
         n1, drive["J_m"], parameters["J_1"], parameters["J_2"], parameters["J_3"]
@@ -60,6 +67,10 @@ def simplification_cost(drive: Drive | None = None, **overrides: float) -> Simpl
     drive : Drive, optional
     **overrides : float
         9-DOF parameters. The numbers depend on them, and their defaults are ours.
+
+    Returns
+    -------
+    SimplificationCost
 
     Notes
     -----

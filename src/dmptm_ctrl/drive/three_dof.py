@@ -15,7 +15,13 @@ from dmptm_ctrl.drive.train import GearTrain, Joint
 
 
 def three_dof_train(drive: Drive | None = None) -> GearTrain:
-    """Return the 3-DOF model of a drive in contact, see :class:`GearTrain`."""
+    """Return the 3-DOF model of a drive in contact, see :class:`GearTrain`.
+
+    Parameters
+    ----------
+    drive : Drive, optional
+        The paper's by default.
+    """
     drive = paper_drive() if drive is None else drive
     n1, n2 = drive["N_1"], drive["N_2"]
     j3, d3 = pinion_inertia(drive), viscous_mean(drive, "3")

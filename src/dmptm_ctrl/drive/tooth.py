@@ -73,6 +73,10 @@ def cantilever_stiffness(
     young : float [Pa]
     as_printed : bool
         x from the base and the polar moment, as Eq. 22 prints it.
+
+    Returns
+    -------
+    float [N/m]
     """
 
     def corrected(x: float) -> float:
@@ -86,7 +90,18 @@ def cantilever_stiffness(
 
 
 def tooth_stiffness(tooth: Tooth, *, as_printed: bool = False) -> float:
-    """Stiffness of one tooth by Eq. 22 [N/m], force and deflection circumferential."""
+    """Stiffness of one tooth by Eq. 22 [N/m], force and deflection circumferential.
+
+    Parameters
+    ----------
+    tooth : Tooth
+    as_printed : bool
+        See :func:`cantilever_stiffness`.
+
+    Returns
+    -------
+    float [N/m]
+    """
     top = tooth.section(tooth.pitch_radius)[0]
     root = tooth.section(tooth.root_radius)[0]
 
@@ -115,6 +130,10 @@ def pair_stiffness(one: Tooth, other: Tooth, *, complete: bool = False) -> float
     complete : bool
         False: Eq. 22 for both teeth in series, circumferential. True: along the line of
         action, with shear, compression, foundation and contact.
+
+    Returns
+    -------
+    float [N/m]
 
     Raises
     ------
@@ -166,6 +185,16 @@ def _compliance(t: Tooth) -> float:
 def iso_single_stiffness(teeth_1: float, teeth_2: float, face_width: float) -> float:
     """Theoretical single stiffness c'th b [N/m] of steel spur teeth without profile shift.
 
+    Parameters
+    ----------
+    teeth_1, teeth_2 : float
+        z1 and z2.
+    face_width : float [m]
+
+    Returns
+    -------
+    float [N/m]
+
     Source
     ------
     ISO 6336-1, method B: q' = 0.04723 + 0.15551/z1 + 0.25791/z2 [mm·µm/N]; the standard
@@ -176,7 +205,18 @@ def iso_single_stiffness(teeth_1: float, teeth_2: float, face_width: float) -> f
 
 
 def mesh_torsion(stiffness: float, pitch_radius: float) -> float:
-    """Torsional stiffness [N·m/rad] at a pinion from the circumferential one [N/m]."""
+    """Torsional stiffness [N·m/rad] at a pinion from the circumferential one [N/m].
+
+    Parameters
+    ----------
+    stiffness : float [N/m]
+    pitch_radius : float [m]
+        Of the pinion.
+
+    Returns
+    -------
+    float [N·m/rad]
+    """
     return stiffness * pitch_radius**2
 
 
@@ -197,6 +237,10 @@ def mesh_damping(ratio: float, stiffness: float, pinion: float, ring: float, n2:
         J̄3 and J_L.
     n2 : float
         z_L/z_3.
+
+    Returns
+    -------
+    float [N·m·s/rad]
     """
     return 2.0 * ratio * sqrt(stiffness * damping_inertia(pinion, ring, n2))
 
@@ -204,13 +248,42 @@ def mesh_damping(ratio: float, stiffness: float, pinion: float, ring: float, n2:
 def mesh_damping_ratio(
     damping: float, stiffness: float, pinion: float, ring: float, n2: float
 ) -> float:
-    """Damping ratio ζ of a mesh damping c, the inverse of :func:`mesh_damping`."""
+    """Damping ratio ζ of a mesh damping c, the inverse of :func:`mesh_damping`.
+
+    Parameters
+    ----------
+    damping : float [N·m·s/rad]
+    stiffness : float [N·m/rad]
+    pinion, ring : float [kg·m²]
+        J̄3 and J_L.
+    n2 : float
+        z_L/z_3.
+
+    Returns
+    -------
+    float
+    """
     return damping / mesh_damping(1.0, stiffness, pinion, ring, n2)
 
 
 def mesh_damping_as_printed(
     ratio: float, stiffness: float, pinion: float, ring: float, r3: float, r_ring: float
 ) -> float:
-    """Eq. 24 as printed; with k in N·m/rad its unit is N·m²·s/rad, so it changes with R's unit."""
+    """Eq. 24 as printed; with k in N·m/rad its unit is N·m²·s/rad, so it changes with R's unit.
+
+    Parameters
+    ----------
+    ratio : float
+        ζ.
+    stiffness : float [N·m/rad]
+    pinion, ring : float [kg·m²]
+        J̄3 and J_L.
+    r3, r_ring : float [m]
+        Pitch radii.
+
+    Returns
+    -------
+    float [N·m²·s/rad]
+    """
     reduced = r3**2 * r_ring**2 * pinion * ring / (r3**2 * pinion + r_ring**2 * ring)
     return 2.0 * ratio * sqrt(stiffness * reduced)

@@ -74,6 +74,15 @@ def register(effect: Effect) -> Effect:
 
     Costs one recompile of the simulator, at its next use.
 
+    Parameters
+    ----------
+    effect : Effect
+
+    Returns
+    -------
+    Effect
+        The same.
+
     Raises
     ------
     ValueError

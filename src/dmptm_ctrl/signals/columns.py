@@ -16,7 +16,16 @@ from dmptm_ctrl.signals.units import (
 
 
 class Column(NamedTuple):
-    """Where a column of a file goes: value_SI = scale · factor of the unit · value."""
+    """Where a column of a file goes: value_SI = scale · factor of the unit · value.
+
+    Parameters
+    ----------
+    channel : str
+    unit : str
+        Of the column.
+    scale : float
+        Factor, such as a sign.
+    """
 
     channel: str
     unit: str

@@ -143,6 +143,16 @@ def load_logs(
 def find_logs(source: Source) -> list[Path]:
     """Files of a folder that are logs by their extension; a file stands for itself.
 
+    Parameters
+    ----------
+    source : path
+        A folder or a file.
+
+    Returns
+    -------
+    list of Path
+        In order of their names.
+
     Raises
     ------
     LogError

@@ -62,8 +62,8 @@ def test_lanes_are_the_plain_loop(data, names, amplitude, frequency, bias):
     """Drawn drives side by side, each with another effect of the catalogue or none."""
     arrays = [drawn(data, name).arrays() for name in names]
     u = voltages(amplitude, frequency, bias)
-    expected = np.array([march(a, u, STATE, DT) for a in arrays])
-    assert_same(march_many(arrays, u, STATE, DT), expected)
+    found = march_many(arrays, u, STATE, DT)
+    assert_same(found, np.array([march(a, u, STATE, DT) for a in arrays]))
 
 
 def test_every_effect_and_all_together():

@@ -14,6 +14,7 @@ from dmptm_ctrl.simulate.model import Arrays, Floats, Model
 
 BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
 _OPEN = np.zeros(5)
+LINE = 8  # doubles in a cache line
 _NO_ROWS = np.zeros((0, 0))
 _NO_DRIVE = np.zeros((0, 2, 0))
 
@@ -64,6 +65,13 @@ class Task(NamedTuple):
         return self._replace(**{n: t[group] for n, t in tables.items() if t.shape[0] > 1})
 
 
+def _aligned(size: int) -> Floats:
+    """Zeros that begin where a cache line does: no vector register's row lies in two of them."""
+    room = np.zeros(size + LINE - 1)
+    first = -(room.ctypes.data // room.itemsize) % LINE
+    return room[first : first + size]
+
+
 def _lanes(
     lanes: int,
     task: Task,
@@ -74,7 +82,7 @@ def _lanes(
     """Run up to as many drives as lanes; those left over repeat the last of them."""
     loop = engine(lanes)
     count = len(arrays)
-    s = np.zeros(loop.VALUES + arrays[0][2].size * lanes)
+    s = _aligned(loop.VALUES + arrays[0][2].size * lanes)
     on = np.zeros_like(arrays[0][1])
     laws = NO_LAWS
     if task.design is not None:
@@ -169,8 +177,8 @@ def march_many(
         statistics=False,
     )
     count = len(arrays)
-    starts = np.broadcast_to(x0, (count, 6))
-    kept, _ = _all(task, arrays, starts, np.broadcast_to(_OPEN, (count, 5)), jobs)
+    starts = np.array(np.broadcast_to(x0, (count, 6)), float)
+    kept, _ = _all(task, arrays, starts, np.tile(_OPEN, (count, 1)), jobs)
     return kept.transpose(0, 2, 1)
 
 
@@ -249,7 +257,9 @@ def simulate_batch(
     if initial_state is None:
         starts = np.array([rest(model, 0.0) for model in models])
     else:
-        starts = np.broadcast_to(_rows("initial_state", initial_state, count, (6,)), (count, 6))
+        starts = np.array(
+            np.broadcast_to(_rows("initial_state", initial_state, count, (6,)), (count, 6))
+        )
     task = Task(
         dt=(time[-1] - time[0]) / (n - 1),
         substeps=substeps,

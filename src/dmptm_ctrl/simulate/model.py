@@ -2,11 +2,13 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.compose import layout
@@ -25,6 +27,12 @@ BASE = (
     *("TLs_plus", "TLc_plus", "WL_plus", "BL_plus"),
     *("TLs_minus", "TLc_minus", "WL_minus", "BL_minus", "deltaL"),
 )
+
+
+@cache
+def _neutral(effects: tuple[Effect, ...]) -> Floats:
+    """Parameters of all effects at which they are absent."""
+    return np.array([v for effect in effects for v in effect.defaults()])
 
 
 @dataclass(frozen=True)
@@ -74,7 +82,7 @@ class Model:
         """Return (base, on, values) as the compiled loop takes them."""
         base = np.array([self.drive[name] for name in BASE])
         slots = layout()
-        values = np.array([v for e in CATALOGUE.values() for v in e.defaults()])
+        values = _neutral(tuple(CATALOGUE.values())).copy()
         on = np.zeros(len(CATALOGUE), np.uint8)
         for name, parameters in self.effects.items():
             index, first = slots[name]

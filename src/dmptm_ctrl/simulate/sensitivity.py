@@ -126,15 +126,14 @@ def simulate_with_sensitivities(
     runs = march_many(arrays, u, x0, dt, substeps=substeps, jobs=jobs).transpose(0, 2, 1)
     steps = np.array([step for _, step in moved])
     rounding = NOISE * STEP * np.ptp(runs[0], axis=1) * len(parameters)
-    derivatives, exists = _judge(runs, steps, rounding, DIFFERENT)
-    return Sensitivities(time, runs[0], tuple(parameters), derivatives, exists)
+    exists = _judge(runs, steps, rounding, DIFFERENT)
+    return Sensitivities(time, runs[0], tuple(parameters), runs[2:], exists)
 
 
 @cached(nogil=True)
 def _judge(runs, steps, rounding, different):
-    """Derivatives, and where one side says the same as the other; runs 0 as is, 1 back."""
+    """Where one side says the same as the other; runs 0 as is, 1 back, others to derivatives."""
     p, rows, n = steps.size, runs.shape[1], runs.shape[2]
-    derivatives = np.empty((p, rows, n))
     exists = np.empty((rows, n), np.bool_)
     for row in range(rows):
         together, size = runs[1, row] - runs[0, row], np.abs(runs[1, row] - runs[0, row])
@@ -143,7 +142,7 @@ def _judge(runs, steps, rounding, different):
                 change = runs[2 + k, row, i] - runs[0, row, i]
                 together[i] += change
                 size[i] += abs(change)
-                derivatives[k, row, i] = change / steps[k]
+                runs[2 + k, row, i] = change / steps[k]
         for i in range(n):
             exists[row, i] = abs(together[i]) <= different * size[i] + rounding[row]
-    return derivatives, exists
+    return exists

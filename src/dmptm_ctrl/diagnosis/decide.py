@@ -21,7 +21,7 @@ from dmptm_ctrl.simulate.model import Model
 FIRST = 70.0  # evidence of a first effect
 SECOND = 90.0  # of a second one, beside the first
 # What an imperfectly fitted first effect leaves grows with it: a second one needs this share.
-SECOND_SHARE = 0.02
+SECOND_SHARE = 0.01
 MAX_EFFECTS = 2
 SLACK = 10.0  # by which an effect may miss on the held-out logs, which need not show it
 HOPE = 0.2  # share of the first effect's evidence from which it may lose its place to another

@@ -4,6 +4,7 @@ import control as ct
 import numpy as np
 import pytest
 
+from dmptm_ctrl.design.harmonic_balance import Balance
 from dmptm_ctrl.design.limit_cycle import limit_cycles, mesh_describing_function
 from dmptm_ctrl.effects.backlash import Backlash
 from dmptm_ctrl.simulate.compiled import Loop, close_loop
@@ -11,11 +12,14 @@ from dmptm_ctrl.simulate.model import Model
 
 GAP = 4e-3  # rad
 DT = 1e-3
-EQUAL = Model().with_values(gap_l=GAP, gap_r=GAP)
+FINE = 32  # steps per sample
 
 
-def without(*kinds):
-    return EQUAL.with_values(**{n: 0.0 for n in EQUAL.drive if n[:2] in kinds})
+def drive(gap, dry, viscous=1.0):
+    """Equal half-gaps; dry and viscous friction as shares of Table 2."""
+    shares = {"T3": dry, "TL": dry, "B3": viscous, "BL": viscous}
+    values = {n: shares[n[:2]] * v for n, v in Model().drive.items() if n[:2] in shares}
+    return Model().with_values(gap_l=gap, gap_r=gap, **values)
 
 
 @pytest.mark.parametrize("depth", [1.1, 2.0, 10.0])
@@ -34,11 +38,28 @@ def test_damping_leads():
     assert mesh_describing_function(closed, 1.0, 30.0).imag == pytest.approx(0.03, rel=0.01)
 
 
+def test_derivatives_against_differences():
+    """Two chains that differ, all unknowns, the frequency among them."""
+    balance = Balance(drive(GAP, 0.3).with_values(gap_r=3e-3), 8.0, 1500.0, DT, preload=0.1)
+    n, rng = 4, np.random.default_rng(0)
+    x = 0.5 * rng.standard_normal(2 * (2 * n + 1) + 2 * n + 2)
+    x[-1] = np.log(100.0)
+    setpoint = 0.1 * rng.standard_normal(2 * n + 1)
+
+    def left(y):
+        return balance.equations(y, n, None, setpoint)[0]
+
+    step = 1e-7
+    expected = np.array([(left(x + e) - left(x - e)) / (2 * step) for e in step * np.eye(x.size)]).T
+    found = balance.equations(x, n, None, setpoint)[1]
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
 def simulated(model, kp, ki):
     """Frequency by zero crossings, √2 rms, half peak-to-peak of z, once it has settled."""
-    ref = np.zeros(8000)
+    ref = np.zeros(7000)
     ref[:300] = np.deg2rad(15.0)
-    _, out = close_loop(model, Loop(kp, ki, 1e3), ref, DT, substeps=16)
+    _, out = close_loop(model, Loop(kp, ki, 1e3), ref, DT, substeps=FINE)
     speed, z = out[-3000:, 1], out[-3000:, 6]
     up = np.flatnonzero((speed[:-1] < 0) & (speed[1:] >= 0))
     when = up - speed[up] / (speed[up + 1] - speed[up])
@@ -47,28 +68,33 @@ def simulated(model, kp, ki):
 
 
 @pytest.mark.parametrize(
-    ("model", "kp", "ki"),
+    ("gap", "dry", "kp", "ki"),
     [
-        (without("T3", "TL", "B3", "BL"), 18.7, 1281.0),
-        (without("T3", "TL", "B3", "BL"), 8.0, 1500.0),
-        (without("T3", "TL"), 18.7, 1281.0),
-        (without("T3", "TL"), 8.0, 1500.0),
+        (GAP, 0.0, 8.0, 300.0),  # just outside the gap: pulses, which take many harmonics
+        (GAP, 0.1, 8.0, 1500.0),
+        (GAP, 0.3, 8.0, 1500.0),  # the ring sticks for a tenth of the time
+        (GAP, 0.3, 18.7, 300.0),
+        (GAP / 2, 0.3, 8.0, 3000.0),
+        (GAP, 1.0, 18.7, 3000.0),  # for a sixth
+        (GAP, 1.0, 8.0, 6000.0),
     ],
 )
-def test_predicted_cycle_is_the_simulated_one(model, kp, ki):
+def test_predicted_cycle_is_the_simulated_one(gap, dry, kp, ki):
+    model = drive(gap, dry)
     hz, amplitude, twist = simulated(model, kp, ki)
-    found = limit_cycles(model, kp, ki)[0]
+    cycles = limit_cycles(model, kp, ki)
+    found = min(cycles, key=lambda c: abs(c.hz - hz))  # others exist that do not attract
     assert found.hz == pytest.approx(hz, rel=0.03)
     assert found.amplitude == pytest.approx(amplitude, rel=0.03)
     assert found.twist == pytest.approx(twist, rel=0.03)
-    assert abs(found.start_hz / hz - 1) > 0.05  # one harmonic is not enough
 
 
 def test_sticking_friction_ends_it():
-    assert limit_cycles(EQUAL, 8.0, 300.0) == []
-    assert simulated(EQUAL, 8.0, 300.0)[1] == 0.0
+    model = drive(GAP, 1.0)
+    assert limit_cycles(model, 8.0, 300.0) == []
+    assert simulated(model, 8.0, 300.0)[1] == 0.0
 
 
-def test_unequal_gaps_are_refused():
-    with pytest.raises(ValueError, match="half-gaps differ"):
-        limit_cycles(Model(), 8.0, 300.0)
+def test_effects_that_depend_on_angle_are_refused():
+    with pytest.raises(ValueError, match="effects on load"):
+        limit_cycles(Model().with_effect("unbalance", cosine=4.0, sine=0.0), 8.0, 300.0)

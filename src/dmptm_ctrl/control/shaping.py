@@ -1,6 +1,7 @@
 """Linear design to stated margins: the fastest PI that keeps them, and what no PI can beat."""
 
 import warnings
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import control as ct
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import matrix_balance, solve_continuous_lyapunov
 
 from dmptm_ctrl.control.pi import common_mode, pi_controller
+from dmptm_ctrl.control.sections import Section, sampled_notch
 from dmptm_ctrl.control.tuning import GRID, SAMPLE_TIME, PiTuning, assess_pi, gains_at
 
 SLOWEST_HZ = 0.3  # below, a loop is not worth closing
@@ -17,6 +19,10 @@ RIGID = 1e-11  # singular value of a rigid angle over the largest: rounding
 NEGLIGIBLE = 1e-5
 MOST_STATES = 6  # of a plant for synthesis, whose equations are worse conditioned with each state
 CLEAR = 3.0  # crossovers up, from where on no resonance may come near gain 1, whatever its phase
+NOTCHES = ((0.1, 0.3), (0.1, 0.7), (0.3, 0.3), (0.3, 0.7))  # depth, width
+FASTER = 1.1  # crossover over that of the PI alone, at which the resonance in its way shows
+WORTH = 1.15  # gain in crossover below which a notch is not worth its numbers
+HIGHEST_NOTCH = 0.45  # of the sample rate
 WEIGHT_FLOOR = 1e-3  # mixsyn wants weights without poles on the axis: the integrator's leak
 
 
@@ -28,15 +34,26 @@ class SampledPlant:
     plant : StateSpace
         As for :func:`~dmptm_ctrl.control.tune_pi`.
     sample_time : float [s]
+    sections : sequence of (b0, b1, b2, a1, a2)
+        Second-order difference equations behind the PI.
     """
 
-    def __init__(self, plant: ct.StateSpace, sample_time: float = SAMPLE_TIME) -> None:
+    def __init__(
+        self,
+        plant: ct.StateSpace,
+        sample_time: float = SAMPLE_TIME,
+        sections: Sequence[Section] = (),
+    ) -> None:
         drive = common_mode(plant)
         held = ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), sample_time, "zoh")
         self.sample_time = sample_time
         self.omega = np.geomspace(2.0 * np.pi * SLOWEST_HZ, 0.999 * np.pi / sample_time, GRID)
         self.shift = np.exp(1j * self.omega * sample_time)
         self.response = held(self.shift)
+        late = 1.0 / self.shift
+        for b0, b1, b2, a1, a2 in sections:
+            above, below = b0 + (b1 + b2 * late) * late, 1.0 + (a1 + a2 * late) * late
+            self.response = self.response * above / below
 
     def gains(self, crossover_hz: float, phase_margin_deg: float) -> tuple[float, float]:
         """Return (kp, ki) of the sampled PI that crosses 1 there with the margin."""
@@ -57,12 +74,17 @@ class SampledPlant:
         A resonance above 1 can be stable by its phase; the phase of the next drive differs.
         So from :data:`CLEAR` crossovers on the phase does not count.
         """
+        return self.tightest(kp, ki, crossover_hz)[0]
+
+    def tightest(self, kp: float, ki: float, crossover_hz: float) -> tuple[float, float]:
+        """Return the gain margin [dB] and where it is met [Hz]."""
         loop = self.loop(kp, ki)
         turned = np.abs(np.diff(np.unwrap(np.angle(loop)) // np.pi)) > 0
         crossing = np.append(turned, False) & (loop.real < 0.0)
         crossing |= self.omega > CLEAR * 2.0 * np.pi * crossover_hz
-        worst = np.abs(loop[crossing]).max(initial=1e-12)
-        return float(-20.0 * np.log10(worst))
+        size = np.where(crossing, np.abs(loop), 1e-12)
+        worst = int(size.argmax())
+        return float(-20.0 * np.log10(size[worst])), float(self.omega[worst] / (2.0 * np.pi))
 
 
 def fastest_pi(
@@ -72,6 +94,7 @@ def fastest_pi(
     *,
     highest_hz: float = 60.0,
     sample_time: float = SAMPLE_TIME,
+    sections: Sequence[Section] = (),
 ) -> PiTuning:
     """Return the PI with the highest crossover that keeps both margins.
 
@@ -85,24 +108,89 @@ def fastest_pi(
     highest_hz : float
         Crossover not to exceed.
     sample_time : float [s]
+    sections : sequence of (b0, b1, b2, a1, a2)
+        Notches behind the PI, see :func:`~dmptm_ctrl.control.sections.sampled_notch`.
 
     Raises
     ------
     ValueError
         Not even :data:`SLOWEST_HZ` keeps them.
     """
-    sampled = SampledPlant(plant, sample_time)
+    sampled = SampledPlant(plant, sample_time, sections)
     for hz in np.geomspace(highest_hz, SLOWEST_HZ, STEPS):
         kp, ki = sampled.gains(hz, phase_margin_deg)
         if kp > 0.0 and ki > 0.0 and sampled.gain_margin_db(kp, ki, hz) >= gain_margin_db:
             try:
-                return assess_pi(plant, kp, ki, sample_time=sample_time)
+                return assess_pi(plant, kp, ki, sample_time=sample_time, sections=sections)
             except ValueError:  # unstable by what the margins do not show
                 continue
     raise ValueError(
         f"no PI keeps {phase_margin_deg:g}° and {gain_margin_db:g} dB on this plant, "
         f"not even at {SLOWEST_HZ:g} Hz"
     )
+
+
+class Notched(NamedTuple):
+    """A PI with a notch at the resonance that limits the PI alone.
+
+    Attributes
+    ----------
+    gains : PiTuning
+    hz, depth, width : float
+        See :func:`~dmptm_ctrl.control.sections.notch`.
+    """
+
+    gains: PiTuning
+    hz: float
+    depth: float
+    width: float
+
+
+def notched_pi(
+    plant: ct.StateSpace,
+    alone: PiTuning,
+    phase_margin_deg: float = 60.0,
+    gain_margin_db: float = 8.0,
+    *,
+    highest_hz: float = 60.0,
+    sample_time: float = SAMPLE_TIME,
+) -> Notched | None:
+    """Return the fastest PI with a notch where the gain margin of the PI alone is met.
+
+    None where no notch gains :data:`WORTH` in crossover.
+
+    Parameters
+    ----------
+    plant : StateSpace
+        As for :func:`~dmptm_ctrl.control.tune_pi`.
+    alone : PiTuning
+        Of :func:`fastest_pi` for the same margins.
+    phase_margin_deg, gain_margin_db, highest_hz, sample_time : float
+    """
+    faster = SampledPlant(plant, sample_time)
+    gains = faster.gains(FASTER * alone.crossover_hz, phase_margin_deg)
+    _, hz = faster.tightest(*gains, FASTER * alone.crossover_hz)
+    best: Notched | None = None
+    for depth, width in NOTCHES:
+        if hz >= HIGHEST_NOTCH / sample_time:
+            return None
+        section = sampled_notch(hz, depth, width, sample_time)
+        try:
+            found = fastest_pi(
+                plant,
+                phase_margin_deg,
+                gain_margin_db,
+                highest_hz=highest_hz,
+                sample_time=sample_time,
+                sections=[section],
+            )
+        except ValueError:
+            continue
+        if found.crossover_hz > (best.gains if best else alone).crossover_hz * (
+            1.0 if best else WORTH
+        ):
+            best = Notched(found, hz, depth, width)
+    return best
 
 
 class LinearReference(NamedTuple):

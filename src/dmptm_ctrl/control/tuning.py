@@ -4,6 +4,7 @@ At a crossover ω_c the controller must have gain 1/|G| and phase −180° + φ_
 follow in closed form, and ω_c is searched until the closed loop has the bandwidth.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, cos, log10, pi, radians, sin
 
@@ -12,6 +13,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from dmptm_ctrl.control.pi import common_mode, loop_response
+from dmptm_ctrl.control.sections import Section
 
 SAMPLE_TIME = 1e-3  # s; the rig's loop, physics section 5
 MARGIN_SLACK_DEG = 5.0  # between the sum of a sampled integrator and an integral
@@ -114,9 +116,14 @@ def tune_pi(
 
 
 def assess_pi(
-    plant: ct.StateSpace, kp: float, ki: float, *, sample_time: float = SAMPLE_TIME
+    plant: ct.StateSpace,
+    kp: float,
+    ki: float,
+    *,
+    sample_time: float = SAMPLE_TIME,
+    sections: Sequence[Section] = (),
 ) -> PiTuning:
-    """Return what the linear sampled loop does with given gains.
+    """Return what the linear sampled loop does with given gains, and sections behind the PI.
 
     Parameters
     ----------
@@ -135,6 +142,8 @@ def assess_pi(
     # The sampled loop exactly: held voltage, error summed after it is read.
     held = ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), sample_time, "zoh")
     controller = ct.tf([kp + ki * sample_time, -kp], [1.0, -1.0], sample_time)
+    for b0, b1, b2, a1, a2 in sections:
+        controller = ct.tf([b0, b1, b2], [1.0, a1, a2], sample_time) * controller
     open_loop = held * ct.ss(controller)
     poles = ct.feedback(open_loop, 1).poles()
     # A rigid angle that nothing reads stays at z = 1.

@@ -1,8 +1,7 @@
 """A designed controller: as gains, python-control systems, difference equations and a file."""
 
 import math
-import tomllib
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,8 @@ from dmptm_ctrl.control.sections import notch, sampled_notch
 from dmptm_ctrl.design.draws import slow_friction
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import write_atomic
-from dmptm_ctrl.simulate.law import FAR, Law
-from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.simulate.law import Design, Law
 from dmptm_ctrl.simulate.model_file import from_toml, to_toml
 
 KIND = "dual-motor speed controller"
@@ -52,90 +51,44 @@ class Notch:
 
 
 @dataclass(frozen=True)
-class Controller:
+class Controller(Design):
     """PI on the ring-gear speed with what a model lets one add.
 
     Attributes
     ----------
-    kp : float [V/(rad/s)]
-    ki : float [V/rad]
-    limit : float [V]
-        Of each motor.
     preload : float [V]
         Added on the left motor, taken off on the right.
     sample_time : float [s]
-    tracking : float [1/s]
-        Anti-windup by back-calculation; 0 is none.
     notches : tuple of Notch
         Up to two.
-    inertia, friction, effects : float
-        Shares fed forward along the setpoint from `model`: inertia; friction of all three
-        bodies with the effects on it; torques of motor and load effects.
-    lead : float [s]
-        How far ahead the feed-forward looks: dead times and lags of the drive.
-    late : float [s]
-        How late the speed reading is: the error is taken against the setpoint back then.
-    acceleration : float [rad/s²]
-        Largest acceleration of the setpoint that is fed forward; steps are clipped to it.
-    softness : float [rad/s]
-        Below this setpoint speed the friction fed forward fades to 0.
     distance : float [rad]
         Over which the friction fed forward builds up, at the ring gear, where `model` does not
         say it.
     relief_from, relief_to : float [V]
         Common voltages between which the preload fades to nothing, as in torque-bias profiles
         of antennas (Gawronski et al. 2000, ref. 15 of the paper); equal ones keep it constant.
-    invert : bool
-        Undo offset, dead band and gain errors of the drives.
-    model : Model
-        What is fed forward and undone.
     """
 
-    kp: float
-    ki: float
-    limit: float = 10.0
     preload: float = 0.0
     sample_time: float = 1e-3
+    _: KW_ONLY
     tracking: float = 10.0
     notches: tuple[Notch, ...] = ()
-    inertia: float = 0.0
-    friction: float = 0.0
-    effects: float = 0.0
-    lead: float = 0.0
-    late: float = 0.0
-    acceleration: float = FAR
-    softness: float = 0.0
     distance: float = 0.0
     relief_from: float = 0.0
     relief_to: float = 0.0
-    invert: bool = False
-    model: Model = field(default_factory=Model)
 
     def law(self) -> Law:
         """Return it as the compiled simulator takes it."""
-        model = self.model
+        model, dt = self.model, self.sample_time
         if self.distance > 0.0 and "presliding" not in model.effects:
             model = model.with_effect("presliding", **slow_friction(model, self.distance))
         return Law(
-            kp=self.kp,
-            ki=self.ki,
-            limit=self.limit,
+            **{**self.shared(), "model": model},
             bias_l=self.preload,
             bias_r=-self.preload,
-            tracking=self.tracking,
-            sections=[
-                sampled_notch(n.hz, n.depth, n.width, self.sample_time) for n in self.notches
-            ],
-            inertia=self.inertia,
-            friction=self.friction,
-            effects=self.effects,
-            lead=self.lead,
-            late=self.late,
-            acceleration=self.acceleration,
-            softness=self.softness,
+            sections=[sampled_notch(n.hz, n.depth, n.width, dt) for n in self.notches],
             relief=(self.relief_from, self.relief_to),
-            invert=self.invert,
-            model=model,
         )
 
     def to_ss(self) -> ct.StateSpace:
@@ -238,11 +191,10 @@ def read_controller(file: str | PathLike[str]) -> Controller:
     """
     path = Path(file)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         raise LogError(f"{path.name}: no readable controller file there") from None
-    except tomllib.TOMLDecodeError as error:
-        raise LogError(f"{path.name}: not a TOML file: {error}") from None
+    data = parse_toml(text, path.name)
     if data.get("kind") != KIND or data.get("schema") != SCHEMA:
         raise LogError(f'{path.name}: needs kind = "{KIND}" and schema = {SCHEMA}')
     table = data.get("controller", {})

@@ -9,12 +9,15 @@ from scipy.optimize import minimize
 
 from dmptm_ctrl.control.shaping import (
     LinearReference,
+    Notched,
     SampledPlant,
     fastest_pi,
     linear_reference,
+    notched_pi,
 )
 from dmptm_ctrl.control.tuning import PiTuning
-from dmptm_ctrl.design.controller import Controller
+from dmptm_ctrl.control.sections import sampled_notch
+from dmptm_ctrl.design.controller import Controller, Notch
 from dmptm_ctrl.design.draws import DECLARED, draw_plants
 from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
 from dmptm_ctrl.design.preload import smallest_preload
@@ -29,6 +32,7 @@ QUANTILE = 0.9
 RESERVE = 1.6  # gain up to which no drawn plant may start to hammer: 4 dB on the nonlinear drive
 TOLERATED = 1.5  # error at that gain, over the error at the gain itself
 START_DISTANCE = 1e-5  # rad, over which friction is thought to build up at first
+DISTANCES = (0.5e-5, 1.5e-5, 2e-5, 2.5e-5)  # rad, tried besides
 LOST = 1e3  # deg/s, error of a run that left the finite numbers
 GYRO = 0.05 * DEG  # rad/s rms, noise of the speed reading the loop is tuned with
 HIGHEST_HZ = 60.0
@@ -108,6 +112,7 @@ class Tuned:
             f"kp {g.kp:.4g} V/(rad/s), ki {g.ki:.4g} V/rad, preload {g.preload:.3g} V, "
             f"friction share {g.friction:.2f} over {1e6 * g.distance:.0f} µrad, "
             f"lead {1e3 * g.lead:.2f} ms",
+            *(f"notch at {n.hz:.1f} Hz, depth {n.depth:g}, width {n.width:g}" for n in g.notches),
             f"linear start: bandwidth {self.linear.bandwidth_hz:.1f} Hz, "
             f"{self.linear.phase_margin_deg:.0f}°, {self.linear.gain_margin_db:.1f} dB",
         ]
@@ -274,7 +279,7 @@ class _Search:
         ]
 
     def optimised(self, begin: Controller) -> Controller:
-        """Search bandwidth and preload on a grid, then friction share, preload and lead.
+        """Search bandwidth and preload on a grid, a notch, a distance; then by simplex.
 
         Hammering begins at once, so the cost has cliffs; a grid steps over them.
         """
@@ -290,6 +295,12 @@ class _Search:
         ]
         costs = [self.cost(tried, drawn) for tried in grid]
         best = grid[int(np.argmin(costs))]
+        grid = self.notched(best)
+        costs = [min(costs), *(self.cost(tried, drawn) for tried in grid)]
+        best = [best, *grid][int(np.argmin(costs))]
+        grid = [replace(best, distance=d) for d in DISTANCES]
+        costs = [min(costs), *(self.cost(tried, drawn) for tried in grid)]
+        best = [best, *grid][int(np.argmin(costs))]
 
         def near(x: Floats) -> Controller:
             return replace(
@@ -308,6 +319,28 @@ class _Search:
             options={"initial_simplex": corners, "maxfev": _EVALUATIONS, "xatol": 1e-4},
         )
         return near(found.x) if found.fun < min(costs) else best
+
+    def notched(self, begin: Controller) -> list[Controller]:
+        """Controllers with a notch, if one lets the linear loop be faster."""
+        aims, dt = self.aims, begin.sample_time
+        found: Notched | None = notched_pi(
+            self.plant,
+            self.start,
+            aims.phase_margin_deg,
+            aims.gain_margin_db,
+            highest_hz=aims.highest_hz,
+            sample_time=dt,
+        )
+        if found is None:
+            return []
+        part = Notch(found.hz, found.depth, found.width)
+        section = sampled_notch(part.hz, part.depth, part.width, dt)
+        sampled = SampledPlant(self.plant, dt, [section])
+        slow = [
+            sampled.gains(found.gains.crossover_hz * s, found.gains.phase_margin_deg)
+            for s in SLOWER
+        ]
+        return [replace(begin, kp=kp, ki=ki, notches=(part,)) for kp, ki in slow]
 
     def cost(self, tried: Controller, drawn: Sequence[Model]) -> float:
         """Return the error that most drawn plants stay below, and a price of hammering [deg/s]."""

@@ -1,7 +1,8 @@
 """What a controller is to the simulator: its numbers, and the model it feeds forward from."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,8 @@ NO_LAWS = np.zeros((0, 0))
 
 
 @dataclass(frozen=True)
-class Law:
-    """A sampled speed controller with its design model.
+class Design:
+    """What a designed controller and the law that the simulator runs have in common.
 
     Attributes
     ----------
@@ -25,37 +26,31 @@ class Law:
     ki : float [V/rad]
     limit : float [V]
         Of each motor's voltage.
-    bias_l, bias_r : float [V]
-        Preload.
     tracking : float [1/s]
-        Anti-windup: rate at which the integral gives back what the limit cuts off.
-    sections : sequence of (b0, b1, b2, a1, a2)
-        Up to two second-order difference equations behind the PI.
+        Anti-windup by back-calculation: rate at which the integral gives back what the limit
+        cuts off; 0 is none.
     inertia, friction, effects : float
-        Shares of the design model's inertia, friction, and motor and load effects that are
-        fed forward along the setpoint; 0 is off.
-    lead, late : float [s]
-        How far ahead of the setpoint the feed-forward looks, and how late the speed reading
-        is expected.
+        Shares fed forward along the setpoint from `model`: inertia; friction of all three
+        bodies with the effects on it; torques of motor and load effects. 0 is off.
+    lead : float [s]
+        How far ahead the feed-forward looks: dead times and lags of the drive.
+    late : float [s]
+        How late the speed reading is: the error is taken against the setpoint back then.
     acceleration : float [rad/s²]
-        Largest acceleration of the setpoint that is believed.
+        Largest acceleration of the setpoint that is fed forward; steps are clipped to it.
     softness : float [rad/s]
-        Below this speed of the setpoint its friction fades to zero.
-    relief : (from, to) [V]
-        The preload fades between these common voltages; (0, 0) keeps it.
+        Below this setpoint speed the friction fed forward fades to 0.
     invert : bool
-        Undo the design model's static drive effects.
+        Undo offset, dead band and gain errors of the drives.
     model : Model
-        The design model.
+        What is fed forward and undone.
     """
 
     kp: float
     ki: float
-    limit: float
-    bias_l: float = 0.0
-    bias_r: float = 0.0
+    limit: float = 10.0
+    _: KW_ONLY
     tracking: float = 0.0
-    sections: Sequence[tuple[float, ...]] = ()
     inertia: float = 0.0
     friction: float = 0.0
     effects: float = 0.0
@@ -63,9 +58,32 @@ class Law:
     late: float = 0.0
     acceleration: float = FAR
     softness: float = 0.0
-    relief: tuple[float, float] = (0.0, 0.0)
     invert: bool = False
     model: Model = field(default_factory=Model)
+
+    def shared(self) -> dict[str, Any]:
+        """Return the fields above, as keywords of another of its kind."""
+        return {part.name: getattr(self, part.name) for part in fields(Design)}
+
+
+@dataclass(frozen=True)
+class Law(Design):
+    """A sampled speed controller with its design model, as the simulator takes it.
+
+    Attributes
+    ----------
+    bias_l, bias_r : float [V]
+        Preload.
+    sections : sequence of (b0, b1, b2, a1, a2)
+        Up to two second-order difference equations behind the PI.
+    relief : (from, to) [V]
+        The preload fades between these common voltages; (0, 0) keeps it.
+    """
+
+    bias_l: float = 0.0
+    bias_r: float = 0.0
+    sections: Sequence[tuple[float, ...]] = ()
+    relief: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if len(self.sections) > SECTIONS:

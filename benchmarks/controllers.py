@@ -109,6 +109,7 @@ def rmse(record, controller, seed):
 def diagnosed(rig, folder):
     """Model that the diagnosis of the rig's logs gives, kept in the folder."""
     import dmptm_ctrl
+    from dmptm_ctrl.identify.build_up import with_build_up
     from dmptm_ctrl.simulate.model_file import read_model, to_toml
 
     kept = folder / "diagnosis"
@@ -120,7 +121,7 @@ def diagnosed(rig, folder):
         kept.mkdir(exist_ok=True)
         (kept / "diagnosis.json").write_text(json.dumps(found.to_dict()))
         (kept / "declared.toml").write_text(to_toml(found.declared))
-        (kept / "model.toml").write_text(to_toml(found.augmented))
+        (kept / "model.toml").write_text(to_toml(with_build_up(found.augmented, logs)))
     named = [e["name"] for e in json.loads((kept / "diagnosis.json").read_text())["effects"]]
     return read_model(kept / "model.toml"), named
 

@@ -14,9 +14,9 @@ from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
 from dmptm_ctrl.design.impact import SWEEP_HZ, impact, margins, swept_gains
 from dmptm_ctrl.design.montecarlo import CHUNK, MonteCarlo, monte_carlo
-from dmptm_ctrl.design.preload import assess_preload, boundary
+from dmptm_ctrl.design.preload import assess_preload, boundary, schedules
 from dmptm_ctrl.design.tune import Aims, linear_plant
-from dmptm_ctrl.plots.control import plot_preload
+from dmptm_ctrl.plots.control import plot_preload, plot_schedules
 from dmptm_ctrl.simulate.model import Model
 
 DRIVE = Model()
@@ -83,13 +83,16 @@ def test_preload_boundary():
 
 
 def test_preload_that_gives_way_to_load():
-    """A torque-bias profile: full at rest, none where the drive works hard."""
+    """Torque-bias profiles: the earlier they fade, the less torque and the more open meshes."""
     duty = Duty(sine(0.5, 1.0, 2.0), settling=1.0)
-    constant = assess_preload(DRIVE, replace(LOOP, preload=0.8), duty)
-    profile = replace(LOOP, preload=0.8, relief_from=0.4, relief_to=0.9)
-    giving = assess_preload(DRIVE, profile, duty)
-    assert giving.torque < constant.torque
-    assert giving.open_share > constant.open_share
+    found = schedules(DRIVE, LOOP, duty, [0.8])
+    constant, late, early = (found[name][0] for name in ("constant", "fades late", "fades early"))
+    assert early.torque < late.torque < constant.torque
+    assert early.open_share > constant.open_share
+    assert constant.reversal_error > constant.error  # where friction turns round
+    panels = plot_schedules([0.8], found)
+    assert len(panels[0].lines) == 3
+    plt.close(panels[0].figure)
 
 
 def test_bounds_hold_as_often_as_they_say():

@@ -114,8 +114,8 @@ def test_lanes_are_the_scalar_loop():
     plants = [Model().with_values(J_L=2.5 * f) for f in (0.9, 1.0, 1.1)]
     noise = 9e-4 * np.random.default_rng(1).standard_normal(SINE.size)
     laws = [
-        Law(f * KP, KI, 2.0, 0.2, -0.2, tracking=5.0, inertia=1.0, friction=0.9, effects=1.0, lead=1e-3,
-            model=STEER)
+        Law(f * KP, KI, 2.0, 0.2, -0.2, tracking=5.0, inertia=1.0, friction=0.9, effects=1.0,
+            lead=1e-3, model=STEER)
         for f in (1.0, 1.5, 0.7)
     ]  # fmt: skip
     runs = simulate_batch(plants, TIME, SINE, loop=laws, noise=noise, outputs=["omega_L", "u_left"])

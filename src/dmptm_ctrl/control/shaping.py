@@ -226,6 +226,11 @@ def linear_reference(
     gains : PiTuning
     volts_per_error : float
         Allowed controller gain over the PI's proportional gain.
+
+    Raises
+    ------
+    ArithmeticError
+        The synthesis fails, or ends above what the PI reaches.
     """
     drive = essential(without_rigid_angle(common_mode(plant)))
     crossover = 2.0 * np.pi * gains.crossover_hz
@@ -237,7 +242,10 @@ def linear_reference(
         best, _, info = ct.mixsyn(drive, w1, w2, w3)
     pi = pi_controller(gains.kp, gains.ki)
     pi = ct.ss(pi.A, pi.B, pi.C, pi.D)
-    return LinearReference(best, float(info[0]), _weighted_peak(drive, pi, (w1, w2, w3)))
+    optimal, reached = float(info[0]), _weighted_peak(drive, pi, (w1, w2, w3))
+    if optimal > reached:
+        raise ArithmeticError("the synthesis has no answer: its equations are ill-conditioned here")
+    return LinearReference(best, optimal, reached)
 
 
 def without_rigid_angle(sys: ct.StateSpace) -> ct.StateSpace:

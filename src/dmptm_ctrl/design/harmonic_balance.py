@@ -17,6 +17,7 @@ for any r > 0; p is taken from the balance itself (dynamic Lagrangian frequency-
 Nacivet et al., J. Sound Vib. 265 (2003) 201).
 """
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -219,9 +220,7 @@ class Balance:
             force = volts.times(self._volt) - mesh - rate_of(speed).times(self._pinion)
             force.value[0] += self._volt * self._bias[i]
             left.append(_less_friction(force, speed, self._pinion, self._reducer, n))
-        left.append(
-            _less_friction(load, ring, self._ring, self._bearing, n).times(1.0 / self._n2)
-        )
+        left.append(_less_friction(load, ring, self._ring, self._bearing, n).times(1.0 / self._n2))
         out = np.concatenate([part.value for part in left]) / self._torque
         slopes = np.vstack([part.slope for part in left]) / self._torque
         if omega is None:
@@ -247,7 +246,10 @@ class Balance:
         volts.value[:] += up @ setpoint
         if free:
             more = w * (1.0 + STEP)
-            d_up, d_down = self._forward(more, n) - up, self._forward(more, n, self._delays[1]) - down
+            d_up, d_down = (
+                self._forward(more, n) - up,
+                self._forward(more, n, self._delays[1]) - down,
+            )
             volts.slope[:, -1] += (d_up @ setpoint - d_down @ ring.value) / STEP
         return volts
 
@@ -313,8 +315,6 @@ def _less_friction(force: _Dual, speed: _Dual, inertia: float, law: Stribeck, n:
 class Basis:
     """Packed harmonics to samples of one period and back."""
 
-    _kept: dict[int, "Basis"] = {}
-
     def __init__(self, n: int) -> None:
         self.n = n
         k = np.arange(1, n + 1)
@@ -326,12 +326,11 @@ class Basis:
         self._join = np.linalg.inv(self._split)
         self._order = np.subtract.outer(np.arange(2 * n + 1), np.arange(2 * n + 1))
 
-    @classmethod
-    def of(cls, n: int) -> "Basis":
+    @staticmethod
+    @cache
+    def of(n: int) -> "Basis":
         """Return it, made once per number of harmonics."""
-        if n not in cls._kept:
-            cls._kept[n] = cls(n)
-        return cls._kept[n]
+        return Basis(n)
 
     def wave(self, packed: Floats) -> Floats:
         """Return the samples of a period."""
@@ -343,7 +342,9 @@ class Basis:
     def analyse(self, wave: Floats) -> Floats:
         """Return the packed harmonics of samples."""
         spectrum = np.fft.rfft(wave)[: self.n + 1] / POINTS
-        return np.concatenate([[spectrum[0].real], 2.0 * spectrum[1:].real, 2.0 * spectrum[1:].imag])
+        return np.concatenate(
+            [[spectrum[0].real], 2.0 * spectrum[1:].real, 2.0 * spectrum[1:].imag]
+        )
 
     def through(self, slope: Floats) -> Floats:
         """Matrix from packed input to packed output of a slope that varies along the period."""

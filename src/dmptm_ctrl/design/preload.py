@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import Duty, sine
@@ -12,6 +12,10 @@ from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.compiled import close_loop
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites
+
+NEAR_REVERSAL = 0.05  # s
+# schedule → common voltages, over the bias, between which it fades; equal ones keep it
+SCHEDULES = {"constant": (0.0, 0.0), "fades late": (1.0, 2.5), "fades early": (0.3, 1.0)}
 
 
 def load_torque_along(model: Model, duty: Duty, theta_L: float = 0.0) -> Floats:
@@ -67,12 +71,15 @@ class Preload(NamedTuple):
         RMS torque of a motor.
     friction : float [N·m]
         Mean friction that the preload adds in both reducers, seen at the pinions.
+    reversal_error : float [deg/s]
+        RMS tracking error within :data:`NEAR_REVERSAL` of a reversal of the setpoint.
     """
 
     open_share: float
     error: float
     torque: float
     friction: float
+    reversal_error: float
 
 
 def assess_preload(model: Model, controller: Controller, duty: Duty) -> Preload:
@@ -95,7 +102,55 @@ def assess_preload(model: Model, controller: Controller, duty: Duty) -> Preload:
         float(np.sqrt(np.mean(miss**2))),
         float(sites.gain * np.sqrt(np.mean(u[:, judged] ** 2))),
         float(friction),
+        float(np.sqrt(np.mean(miss[_reversing(duty)[judged]] ** 2))),
     )
+
+
+def _reversing(duty: Duty) -> NDArray[np.bool_]:
+    """Samples near a change of the setpoint's sign; all of them where there is none."""
+    sign = np.sign(duty.reference)
+    at = np.flatnonzero(sign[:-1] * sign[1:] < 0.0)
+    at = np.append(at, np.flatnonzero((sign[1:-1] == 0.0) & (sign[:-2] * sign[2:] < 0.0)))
+    if at.size == 0:
+        return np.ones(sign.size, bool)
+    gap = np.abs(np.arange(sign.size)[:, None] - at).min(axis=1)
+    return np.asarray(gap * duty.sample_time <= NEAR_REVERSAL, bool)
+
+
+def schedules(
+    model: Model, controller: Controller, duty: Duty, preloads: ArrayLike
+) -> dict[str, list[Preload]]:
+    """Compare preloads that stay with preloads that fade where the drive works hard.
+
+    Torque-bias profiles of dual drives give full bias near rest and reversals and let it fade
+    with the torque that is asked for (ref. 15 of the paper, Gawronski et al. 2000). Measured in
+    the common voltage of the motors: "constant"; "fades late", between 1.0 and 2.5 times the
+    bias; "fades early", between 0.3 and 1.0 times: tension at reversals only.
+
+    Parameters
+    ----------
+    model : Model
+    controller : Controller
+        Its own preload and relief are replaced.
+    duty : Duty
+    preloads : (n,) array [V]
+
+    Returns
+    -------
+    dict
+        Name of the schedule → a :class:`Preload` per preload.
+    """
+    found: dict[str, list[Preload]] = {}
+    for name, (begin, end) in SCHEDULES.items():
+        found[name] = [
+            assess_preload(
+                model,
+                replace(controller, preload=b, relief_from=begin * b, relief_to=end * b),
+                duty,
+            )
+            for b in map(float, np.asarray(preloads, float))
+        ]
+    return found
 
 
 def boundary(

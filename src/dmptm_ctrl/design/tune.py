@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from dmptm_ctrl.control.sections import sampled_notch
 from dmptm_ctrl.control.shaping import (
     LinearReference,
     Notched,
@@ -16,7 +17,6 @@ from dmptm_ctrl.control.shaping import (
     notched_pi,
 )
 from dmptm_ctrl.control.tuning import PiTuning
-from dmptm_ctrl.control.sections import sampled_notch
 from dmptm_ctrl.design.controller import Controller, Notch
 from dmptm_ctrl.design.draws import DECLARED, draw_plants
 from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
@@ -298,7 +298,8 @@ class _Search:
         grid = self.notched(best)
         costs = [min(costs), *(self.cost(tried, drawn) for tried in grid)]
         best = [best, *grid][int(np.argmin(costs))]
-        grid = [replace(best, distance=d) for d in DISTANCES]
+        known = "presliding" in begin.model.effects
+        grid = [] if known else [replace(best, distance=d) for d in DISTANCES]
         costs = [min(costs), *(self.cost(tried, drawn) for tried in grid)]
         best = [best, *grid][int(np.argmin(costs))]
 

@@ -1,5 +1,6 @@
 """Pictures of controllers: what tuning gained, what an effect costs."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -108,6 +109,50 @@ def plot_preload(
     )
     panel.grid(alpha=0.3)
     panel.legend(loc="upper left")
+    return panel
+
+
+def plot_schedules(preloads: ArrayLike, found: Any, *, ax: Any = None) -> np.ndarray:
+    """Draw error at reversals and torque over the preload, a line per schedule.
+
+    Parameters
+    ----------
+    preloads : (n,) array [V]
+    found : dict
+        Of :func:`~dmptm_ctrl.design.preload.schedules`.
+    ax : two Axes, optional
+    """
+    panels = axes(ax, 2, figsize=(6.8, 6.2)).ravel()
+    volts = np.asarray(preloads, float)
+    markers = ("o", "s", "^")
+    for (name, rows), marker, style in zip(found.items(), markers, _LINES[2:][::-1], strict=True):
+        options = {**style, "marker": marker, "label": name}
+        panels[0].plot(volts, [row.reversal_error for row in rows], **options)
+        panels[1].plot(volts, [row.torque for row in rows], **options)
+    panels[0].set(ylabel="rms error at reversals [deg/s]", yscale="log")
+    panels[1].set(ylabel="rms torque of a motor [N·m]", xlabel="preload at rest ±u_b [V]")
+    for panel in panels:
+        panel.grid(alpha=0.3, which="both")
+        panel.legend(fontsize=9)
+    return panels
+
+
+def plot_gains(hz: ArrayLike, gains: Mapping[str, ArrayLike], *, ax: Axes | None = None) -> Axes:
+    """Draw closed-loop gains of variants of a drive, a line each.
+
+    Parameters
+    ----------
+    hz : (n,) array
+    gains : mapping
+        Name of the variant → (n,) array.
+    ax : Axes, optional
+    """
+    panel = axes(ax, 1, figsize=(6.4, 4.0))[0, 0]
+    for (name, gain), style in zip(gains.items(), _LINES, strict=False):
+        panel.plot(hz, gain, label=name, **style)
+    panel.set(xscale="log", xlabel="frequency [Hz]", ylabel="closed-loop gain, speed / setpoint")
+    panel.grid(alpha=0.3, which="both")
+    panel.legend()
     return panel
 
 

@@ -60,6 +60,8 @@ class Aims:
     duty : Duty
     noise : float [rad/s]
         Standard deviation of the speed reading.
+    notch : bool
+        Whether the search may add a notch; it then also tries more distances.
     """
 
     phase_margin_deg: float = 55.0
@@ -69,6 +71,7 @@ class Aims:
     acceleration: float = 20.0
     duty: Duty = field(default_factory=usual_duty)
     noise: float = GYRO
+    notch: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,11 +298,12 @@ class _Search:
         ]
         costs = [self.cost(tried, drawn) for tried in grid]
         best = grid[int(np.argmin(costs))]
-        grid = self.notched(best)
+        grid = self.notched(best) if self.aims.notch else []
         costs = [min(costs), *(self.cost(tried, drawn) for tried in grid)]
         best = [best, *grid][int(np.argmin(costs))]
         known = "presliding" in begin.model.effects
-        grid = [] if known else [replace(best, distance=d) for d in DISTANCES]
+        more = self.aims.notch and not known
+        grid = [replace(best, distance=d) for d in DISTANCES] if more else []
         costs = [min(costs), *(self.cost(tried, drawn) for tried in grid)]
         best = [best, *grid][int(np.argmin(costs))]
 

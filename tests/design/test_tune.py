@@ -104,7 +104,7 @@ def test_preload_against_the_balance_of_a_turn():
 def test_command(tmp_path, capsys, monkeypatch, tuned):
     asked = {}
 
-    def remembered(model, aims, **options):
+    def remembered(model, aims=None, **options):
         asked.update(options, model=model)
         return tuned
 

@@ -17,7 +17,7 @@ from dmptm_ctrl.simulate.compose import cache_folder
 from dmptm_ctrl.simulate.sensitivity import _judge
 
 code = main(["log", "info", sys.argv[1]])
-_, exists = _judge(np.zeros((3, 1, 2)), np.ones(1), np.zeros(1), 0.1)  # a compiled call
+exists = _judge(np.zeros((3, 1, 2)), np.ones(1), np.zeros(1), 0.1)  # a compiled call
 with open(cache_folder() / "probe", "x"):
     pass
 print("code", code, "exists", exists.all())

@@ -151,6 +151,8 @@ def plot_gains(hz: ArrayLike, gains: Mapping[str, ArrayLike], *, ax: Axes | None
     for (name, gain), style in zip(gains.items(), _LINES, strict=False):
         panel.plot(hz, gain, label=name, **style)
     panel.set(xscale="log", xlabel="frequency [Hz]", ylabel="closed-loop gain, speed / setpoint")
+    for axis in (panel.xaxis.set_major_formatter, panel.xaxis.set_minor_formatter):
+        axis("{x:g}")  # within a decade powers of ten say nothing
     panel.grid(alpha=0.3, which="both")
     panel.legend()
     return panel

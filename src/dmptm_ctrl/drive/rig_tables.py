@@ -50,7 +50,9 @@ class TableReader:
             unit = suffix_unit(column) if split is not None else implied
         if unit is None:
             self._fail(
-                where, "unit", f'column {column!r} states no unit; add unit = "rad/s" or its like'
+                where,
+                "unit",
+                f'column {column!r} states no unit; add one: "V", "deg" of angles, "deg/s" of speeds',
             )
         if not isinstance(unit, str):
             self._fail(where, "unit", f"unit = {unit!r} is no text; write it in quotes")

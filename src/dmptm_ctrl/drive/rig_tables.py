@@ -52,7 +52,7 @@ class TableReader:
             self._fail(
                 where,
                 "unit",
-                f'column {column!r} states no unit; add one: "V", "deg" of angles, "deg/s" of speeds',
+                f'column {column!r} states no unit; add one: "V", "deg" of angle, "deg/s" of speed',
             )
         if not isinstance(unit, str):
             self._fail(where, "unit", f"unit = {unit!r} is no text; write it in quotes")

@@ -71,12 +71,16 @@ def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
             options = {**style, "marker": marker, "markersize": 3.5, "label": f"{name}, {size}"}
             panels[2].semilogx(found.sweep_hz, decibels, **options)
     panels[2].axhline(-3.01, color="0.4", linewidth=0.8, linestyle=":")
-    panels[0].set(ylabel="ring-gear speed [deg/s]", title=", ".join(found.effects))
+    panels[0].set(ylabel="ring-gear speed [deg/s]")
+    panels[0].set_title(", ".join(found.effects), loc="left")
     panels[1].set(ylabel="speed − setpoint [deg/s]", xlabel="time [s]")
     panels[2].set(ylabel="closed-loop gain [dB]", xlabel="frequency [Hz]")
     for panel in panels:
         panel.grid(alpha=0.3, which="both")
-        panel.legend(fontsize=8, loc="upper left" if panel is panels[2] else "upper right", ncols=2)
+    above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
+    for panel in panels[:2]:  # a sine fills them
+        panel.legend(fontsize=8, ncols=3, borderaxespad=0.2, **above)
+    panels[2].legend(fontsize=8, loc="upper left", ncols=2)
     return panels
 
 

@@ -1,9 +1,11 @@
 """help() on a public function tells what goes in, what comes out and what is refused."""
 
+import ast
 import importlib
 import inspect
 import pkgutil
 import re
+from pathlib import Path
 
 import pytest
 
@@ -40,3 +42,44 @@ def test_docstring_says_what_goes_in_and_out(function):
         assert RETURNS.search(text), "no word on what is returned"
     if re.search(r"^\s+raise ", inspect.getsource(function), re.MULTILINE):
         assert "\nRaises\n---" in text
+
+
+def unknown_keywords():
+    """Calls of what takes keywords by `**`, with one that nothing is called."""
+    from dmptm_ctrl import drive, load_log
+    from dmptm_ctrl.data import path
+    from dmptm_ctrl.simulate import simulate
+    from dmptm_ctrl.simulate.model import Model
+
+    declared, model = drive.paper_drive(), Model()
+    log = path("demo_rig") / "open_sine_0v60.csv.gz"
+    return {
+        "Drive.with_values": lambda: declared.with_values(nonsense=1.0),
+        "Model.with_values": lambda: model.with_values(nonsense=1.0),
+        "Model.with_effect": lambda: model.with_effect("cogging", nonsense=1.0),
+        "Model.to_blocks": lambda: model.to_blocks(nonsense=1.0),
+        "nine_dof_ss": lambda: drive.nine_dof_ss(nonsense=1.0),
+        "nine_dof_parameters": lambda: drive.nine_dof_parameters(nonsense=1.0),
+        "simplification_cost": lambda: drive.simplification_cost(nonsense=1.0),
+        "load_log": lambda: load_log(log, nonsense=1.0),
+        "simulate": lambda: simulate(model, [0.0, 0.001], [[0.0, 0.0]] * 2, nonsense=1.0),
+    }
+
+
+@pytest.mark.parametrize("name", list(unknown_keywords()))
+def test_unknown_keywords_are_refused(name):
+    with pytest.raises((TypeError, KeyError, ValueError), match="nonsense"):
+        unknown_keywords()[name]()
+
+
+def test_only_the_command_prints():
+    root = Path(dmptm_ctrl.__file__).parent
+    calls = {
+        file.relative_to(root).as_posix()
+        for file in root.rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id == "print"
+    }
+    assert calls == {"cli.py", "progress.py"}  # what the command tells goes through both

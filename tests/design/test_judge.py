@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 
-import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from dmptm_ctrl.control import common_mode
+from dmptm_ctrl.control.pi import sampled_drive
 from dmptm_ctrl.control.tuning import assess_pi
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
@@ -53,8 +52,7 @@ def test_swept_gains_of_a_linear_drive_against_python_control():
     names = [n for n in DRIVE.drive if n[:2] in ("T3", "TL")]
     linear = DRIVE.with_values(gap_l=0.0, gap_r=0.0, **dict.fromkeys(names, 0.0))
     plain = Controller(LOOP.kp, LOOP.ki)
-    drive = common_mode(linear_plant(linear))
-    held = ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), 1e-3, "zoh")
+    held = sampled_drive(linear_plant(linear), 1e-3)
     loop = held(np.exp(2j * np.pi * SWEEP_HZ * 1e-3)) * plain.to_discrete()(
         np.exp(2j * np.pi * SWEEP_HZ * 1e-3)
     )

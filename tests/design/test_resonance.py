@@ -1,10 +1,9 @@
 """Where the paper's 5.5 Hz comes from (section 4.3.4): not a mode, not the gap."""
 
-import control as ct
 import numpy as np
 import pytest
 
-from dmptm_ctrl.control import common_mode
+from dmptm_ctrl.control.pi import sampled_drive
 from dmptm_ctrl.design.closed_loop import closed_loop_gain
 from dmptm_ctrl.drive import three_dof_ss
 from dmptm_ctrl.simulate.model import Model
@@ -42,8 +41,7 @@ def test_no_mode_is_near():
 def test_without_gap_and_dry_friction_it_is_the_linear_loop():
     """The integral's torque on the whole inertia: amplitude is immaterial."""
     linear = Model().with_values(**DRY, **CLOSED)
-    drive = common_mode(three_dof_ss(linear.drive, states="twists"))
-    held = ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), DT, "zoh")
+    held = sampled_drive(three_dof_ss(linear.drive, states="twists"), DT)
     z = np.exp(2j * np.pi * HZ * DT)
     loop = held(z) * (KP + KI * DT * z / (z - 1))
     for amplitude in (5 * DEG, 15 * DEG):

@@ -5,6 +5,9 @@ u = kp e + ki ∫ e dt,   e = ref − ω_L, the same voltage on both motors
 
 import control as ct
 import numpy as np
+from numpy.typing import NDArray
+
+OUTSIDE = 1.0 + 1e-6  # a rigid angle that nothing reads stays at z = 1
 
 
 def pi_controller(kp: float, ki: float) -> ct.StateSpace:
@@ -81,6 +84,37 @@ def close_speed_loop(plant: ct.StateSpace, kp: float, ki: float) -> ct.StateSpac
         outputs=["omega_L", "u"],
         name=f"{plant.name}_closed",
     )
+
+
+def sampled_drive(plant: ct.StateSpace, sample_time: float) -> ct.StateSpace:
+    """Return the drive from one held voltage to ``omega_L`` as a sampled loop sees it, in z.
+
+    Parameters
+    ----------
+    plant : StateSpace
+        As for :func:`common_mode`.
+    sample_time : float [s]
+    """
+    drive = common_mode(plant)
+    return ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), sample_time, "zoh")
+
+
+def sampled_pi(kp: float, ki: float, sample_time: float) -> ct.TransferFunction:
+    """Return the PI as it runs, in z: the error is summed after it is read.
+
+    Parameters
+    ----------
+    kp : float [V/(rad/s)]
+    ki : float [V/rad]
+    sample_time : float [s]
+    """
+    return ct.tf([kp + ki * sample_time, -kp], [1.0, -1.0], sample_time)
+
+
+def outside_poles(open_loop: ct.StateSpace) -> NDArray[np.complex128]:
+    """Return the poles in z with which a sampled loop is unstable once it is closed."""
+    poles = ct.feedback(open_loop, 1).poles()
+    return np.asarray(poles[np.abs(poles) > OUTSIDE], complex)
 
 
 def loop_response(plant: ct.StateSpace, omega: float, sample_time: float) -> complex:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance, solve_continuous_lyapunov
 
-from dmptm_ctrl.control.pi import common_mode, pi_controller
+from dmptm_ctrl.control.pi import common_mode, pi_controller, sampled_drive
 from dmptm_ctrl.control.sections import Section, sampled_notch
 from dmptm_ctrl.control.tuning import GRID, SAMPLE_TIME, PiTuning, assess_pi, gains_at
 
@@ -44,8 +44,7 @@ class SampledPlant:
         sample_time: float = SAMPLE_TIME,
         sections: Sequence[Section] = (),
     ) -> None:
-        drive = common_mode(plant)
-        held = ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), sample_time, "zoh")
+        held = sampled_drive(plant, sample_time)
         self.sample_time = sample_time
         self.omega = np.geomspace(2.0 * np.pi * SLOWEST_HZ, 0.999 * np.pi / sample_time, GRID)
         self.shift = np.exp(1j * self.omega * sample_time)

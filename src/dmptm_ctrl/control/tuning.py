@@ -12,7 +12,13 @@ import control as ct
 import numpy as np
 from scipy.optimize import brentq
 
-from dmptm_ctrl.control.pi import common_mode, loop_response
+from dmptm_ctrl.control.pi import (
+    common_mode,
+    loop_response,
+    outside_poles,
+    sampled_drive,
+    sampled_pi,
+)
 from dmptm_ctrl.control.sections import Section
 
 SAMPLE_TIME = 1e-3  # s; the rig's loop, physics section 5
@@ -138,16 +144,11 @@ def assess_pi(
     ValueError
         The loop is unstable.
     """
-    drive = common_mode(plant)
-    # The sampled loop exactly: held voltage, error summed after it is read.
-    held = ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), sample_time, "zoh")
-    controller = ct.tf([kp + ki * sample_time, -kp], [1.0, -1.0], sample_time)
+    held = sampled_drive(plant, sample_time)
+    controller = sampled_pi(kp, ki, sample_time)
     for b0, b1, b2, a1, a2 in sections:
         controller = ct.tf([b0, b1, b2], [1.0, a1, a2], sample_time) * controller
-    open_loop = held * ct.ss(controller)
-    poles = ct.feedback(open_loop, 1).poles()
-    # A rigid angle that nothing reads stays at z = 1.
-    unstable = poles[np.abs(poles) > 1.0 + 1e-6]
+    unstable = outside_poles(held * ct.ss(controller))
     if unstable.size:
         hz = np.abs(np.angle(unstable)) / (2.0 * pi * sample_time)
         raise ValueError(

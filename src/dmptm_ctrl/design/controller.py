@@ -9,7 +9,7 @@ from typing import Any
 import control as ct
 import tomlkit
 
-from dmptm_ctrl.control import pi_controller
+from dmptm_ctrl.control.pi import pi_controller, sampled_pi
 from dmptm_ctrl.control.sections import notch, sampled_notch
 from dmptm_ctrl.design.draws import slow_friction
 from dmptm_ctrl.signals import LogError
@@ -101,7 +101,7 @@ class Controller(Design):
     def to_discrete(self) -> ct.TransferFunction:
         """Return the feedback part as it runs: a transfer function in z at the sample time."""
         dt = self.sample_time
-        sys = ct.tf([self.kp + self.ki * dt, -self.kp], [1.0, -1.0], dt)
+        sys = sampled_pi(self.kp, self.ki, dt)
         for part in self.notches:
             b0, b1, b2, a1, a2 = sampled_notch(part.hz, part.depth, part.width, dt)
             sys = ct.tf([b0, b1, b2], [1.0, a1, a2], dt) * sys

@@ -6,7 +6,7 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dmptm_ctrl.control import common_mode
+from dmptm_ctrl.control.pi import outside_poles, sampled_drive, sampled_pi
 from dmptm_ctrl.design.duty import DEG
 from dmptm_ctrl.design.tune import linear_plant
 from dmptm_ctrl.simulate.batch import simulate_batch
@@ -16,7 +16,6 @@ from dmptm_ctrl.simulate.model import Floats, Model
 SECONDS = 5.0
 WATCHED = 0.4  # of the run, at its end
 LIMIT = 10.0  # V
-OUTSIDE = 1.0 + 1e-6  # a rigid angle that nothing reads stays at z = 1
 
 
 class StabilityMap(NamedTuple):
@@ -69,15 +68,12 @@ def stability_map(
         [model] * len(loops), time, target, loop=loops, outputs=["omega_L"], n_jobs=n_jobs
     )
     end = runs.outputs[:, 0, round((1.0 - WATCHED) * time.size) :]
-    drive = common_mode(linear_plant(model))
-    held = ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), sample_time, "zoh")
-    stable = [_is_stable(held, loop, sample_time) for loop in loops]
+    held = sampled_drive(linear_plant(model), sample_time)
+    stable = [
+        outside_poles(held * ct.ss(sampled_pi(loop.kp, loop.ki, sample_time))).size == 0
+        for loop in loops
+    ]
     shape = kps.size, kis.size
     return StabilityMap(
         kps, kis, np.sqrt(2.0) * end.std(axis=1).reshape(shape), np.array(stable).reshape(shape)
     )
-
-
-def _is_stable(held: ct.StateSpace, loop: Loop, dt: float) -> bool:
-    pi = ct.ss(ct.tf([loop.kp + loop.ki * dt, -loop.kp], [1.0, -1.0], dt))
-    return bool(np.abs(ct.feedback(held * pi, 1).poles()).max() < OUTSIDE)

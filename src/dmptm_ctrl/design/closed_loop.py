@@ -12,7 +12,7 @@ from dmptm_ctrl.simulate.model import Floats, Model
 HARMONICS = 1  # describing functions; more do not settle where pinions rattle at each reversal
 BALANCED = 1e-6  # of the mesh torque, what may be left
 DEPTH = 1.1  # z tried first, in half-gaps
-PHASES = ((1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 0.0))  # its cosine and minus-sine part
+PHASES = (1.0, 1j, -1j, -1.0)  # its cosine and minus-sine part
 
 
 def closed_loop_gain(
@@ -46,16 +46,12 @@ def closed_loop_gain(
     """
     balance = Balance(model, kp, ki, sample_time, preload)
     setpoint = np.array([0.0, amplitude, 0.0])
-    chains = len(balance.meshes)
     gains = []
     last: Cycle | None = None
     for frequency in np.asarray(hz, float):
         omega = 2.0 * np.pi * frequency
         starts = [last._replace(omega=omega)] if last is not None else []
-        for phase in PHASES:
-            z = np.zeros((chains, 3))
-            z[:, 1:] = DEPTH * balance.length * np.array(phase)
-            starts.append(Cycle(omega, z, setpoint, 0.0, 1.0))
+        starts += [balance.guess(DEPTH * balance.length * p, omega, setpoint) for p in PHASES]
         best: Cycle | None = None
         for start in starts:
             found = balance.solve(start, harmonics, free=False, setpoint=setpoint)

@@ -229,6 +229,19 @@ class Balance:
             out, slopes = np.append(out, x[n + 1]), np.vstack([slopes, phase])
         return out, slopes
 
+    def guess(self, z: complex, omega: float, ring: Floats) -> Cycle:
+        """Return a start: each z at its first harmonic, no mean.
+
+        Parameters
+        ----------
+        z : complex [rad]
+            Cosine and minus-sine part.
+        omega : float [rad/s]
+        ring : (3,) array [rad/s]
+            Speed of the ring gear, packed.
+        """
+        return Cycle(omega, np.tile(_packed(z), (len(self.meshes), 1)), ring, 0.0, 1.0)
+
     def free_ring(self, amplitude: float, omega: float) -> Floats:
         """Return the ring's speed, packed, for z = amplitude · cos ωt and no dry friction."""
         kernel, rate = np.empty((3, POINTS)), 1j * omega * amplitude

@@ -115,9 +115,8 @@ def _starts(balance: Balance) -> list[Cycle]:
     for depth in DEPTHS:
         for hz in HZ:
             omega = 2.0 * np.pi * hz
-            z = np.zeros((len(balance.meshes), 3))
-            z[:, 1] = depth * balance.length
-            guess = Cycle(omega, z, balance.free_ring(depth * balance.length, omega), 0.0, 1.0)
+            z = depth * balance.length
+            guess = balance.guess(z, omega, balance.free_ring(z, omega))
             for n in FEW:
                 cycle = balance.solve(guess, n, free=True)
                 known = any(

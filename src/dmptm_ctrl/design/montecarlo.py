@@ -129,7 +129,7 @@ def _chunk(
     seed: int,
 ) -> tuple[Floats, Floats]:
     plants = [one_plant(models[k % len(models)], uncertainty, seed, k) for k in task]
-    return tracking(controller, plants, aims, seed=seed, jobs=1)
+    return tracking(controller, plants, aims, seed=seed, n_jobs=1)
 
 
 def _key(controller: Controller, models: list[Model], aims: Aims, *numbers: float) -> str:

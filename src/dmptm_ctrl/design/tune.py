@@ -202,7 +202,7 @@ def tune_controller(
     stages: list[dict[str, Any]] = []
     errors = np.empty(0)
     for name, controller in search.stages():
-        errors, volts = tracking(controller, judged, aims, seed=seed + 2, jobs=n_jobs)
+        errors, volts = tracking(controller, judged, aims, seed=seed + 2, n_jobs=n_jobs)
         stages.append(
             {
                 "stage": name,
@@ -267,7 +267,7 @@ class _Search:
     start: PiTuning
     uncertainty: float
     seed: int
-    jobs: int
+    n_jobs: int
 
     def stages(self) -> list[tuple[str, Controller]]:
         dt = self.aims.duty.sample_time
@@ -296,16 +296,12 @@ class _Search:
             for kp, ki in slow
             for more in MORE_PRELOAD
         ]
-        costs = [self.cost(tried, drawn) for tried in grid]
-        best = grid[int(np.argmin(costs))]
-        grid = self.notched(best) if self.aims.notch else []
-        costs = [min(costs), *(self.cost(tried, drawn) for tried in grid)]
-        best = [best, *grid][int(np.argmin(costs))]
-        known = "presliding" in begin.model.effects
-        more = self.aims.notch and not known
-        grid = [replace(best, distance=d) for d in DISTANCES] if more else []
-        costs = [min(costs), *(self.cost(tried, drawn) for tried in grid)]
-        best = [best, *grid][int(np.argmin(costs))]
+        best, least = self.cheapest(grid, drawn)
+        if self.aims.notch:
+            best, least = self.cheapest(self.notched(best), drawn, best, least)
+            if "presliding" not in begin.model.effects:
+                grid = [replace(best, distance=d) for d in DISTANCES]
+                best, least = self.cheapest(grid, drawn, best, least)
 
         def near(x: Floats) -> Controller:
             return replace(
@@ -323,7 +319,22 @@ class _Search:
             method="Nelder-Mead",
             options={"initial_simplex": corners, "maxfev": _EVALUATIONS, "xatol": 1e-4},
         )
-        return near(found.x) if found.fun < min(costs) else best
+        return near(found.x) if found.fun < least else best
+
+    def cheapest(
+        self,
+        grid: Sequence[Controller],
+        drawn: Sequence[Model],
+        best: Controller | None = None,
+        least: float = np.inf,
+    ) -> tuple[Controller, float]:
+        """Return the controller with the least cost, and that; the one known so far is one."""
+        for tried in grid:
+            cost = self.cost(tried, drawn)
+            if best is None or cost < least:
+                best, least = tried, cost
+        assert best is not None
+        return best, least
 
     def notched(self, begin: Controller) -> list[Controller]:
         """Controllers with a notch, if one lets the linear loop be faster."""
@@ -349,10 +360,10 @@ class _Search:
 
     def cost(self, tried: Controller, drawn: Sequence[Model]) -> float:
         """Return the error that most drawn plants stay below, and a price of hammering [deg/s]."""
-        errors, _ = tracking(tried, drawn, self.aims, seed=self.seed, jobs=self.jobs)
+        errors, _ = tracking(tried, drawn, self.aims, seed=self.seed, n_jobs=self.n_jobs)
         usual = float(np.quantile(errors, QUANTILE))
         faster = replace(tried, kp=RESERVE * tried.kp, ki=RESERVE * tried.ki)
-        errors, _ = tracking(faster, drawn, self.aims, seed=self.seed, jobs=self.jobs)
+        errors, _ = tracking(faster, drawn, self.aims, seed=self.seed, n_jobs=self.n_jobs)
         return usual + max(float(errors.max()) - TOLERATED * usual, 0.0)
 
 
@@ -362,7 +373,7 @@ def tracking(
     aims: Aims,
     *,
     seed: int = 0,
-    jobs: int = -1,
+    n_jobs: int = -1,
     every: int = 4,
 ) -> tuple[Floats, Floats]:
     """Run a controller over the duty on many plants.
@@ -387,7 +398,7 @@ def tracking(
         noise=noise,
         outputs=["omega_L"],
         every=every,
-        n_jobs=jobs,
+        n_jobs=n_jobs,
     )
     miss = (runs.outputs[:, 0] - duty.reference[::every]) / DEG
     first = round(duty.settling / duty.sample_time / every)

@@ -17,7 +17,6 @@ from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Model
 
 DISTANCES = np.arange(0.0, 65e-6, 8e-6)  # rad at the ring gear
-OBSERVER_HZ = 0.05  # of the slow observer that keeps free runs from drifting
 
 
 def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> float:
@@ -42,7 +41,7 @@ def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> 
     """
     if "presliding" in model.effects:
         raise ValueError("the model has presliding; its distances are known")
-    misfit = Misfit(records(logs, model.drive), OBSERVER_HZ, n_jobs)
+    misfit = Misfit(records(logs, model.drive), jobs=n_jobs)
     misfit.weigh(model)
     costs = [
         float(np.sum(misfit.vector(_built_up(model, d) if d > 0.0 else model) ** 2))

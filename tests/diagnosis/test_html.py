@@ -47,7 +47,7 @@ def turn(model, name, speed, seconds=6.0):
 
 def fitted(model, unknowns):
     p = position(model, unknowns)
-    return Fit(model, unknowns, p, 0.0, 1e-4 * np.eye(p.size))
+    return Fit(model, unknowns, p, 1e-4 * np.eye(p.size))
 
 
 @cache

@@ -69,7 +69,7 @@ def test_orders_are_amplitudes_whatever_the_speed():
 def test_correlated_parameters_are_named():
     unknowns = tuple(Unknown(None, n, 0.0, 1.0, -1.0, 1.0, 1.0) for n in ("J_m", "J_2", "c"))
     covariance = np.array([[4.0, -5.7, 0.1], [-5.7, 9.0, 0.0], [0.1, 0.0, 1.0]])
-    fit = Fit(Model(), unknowns, np.zeros(3), 0.0, covariance)
+    fit = Fit(Model(), unknowns, np.zeros(3), covariance)
     assert correlated(fit) == [("J_2", "J_m", pytest.approx(-0.95))]
 
 

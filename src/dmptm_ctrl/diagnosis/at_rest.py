@@ -15,8 +15,7 @@ from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit, Misfit, effect_unknowns, fit
-from dmptm_ctrl.identify.motion import RING_COUNT
-from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.simulate.model import Model
 
 NAME = "presliding"

@@ -5,17 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.landing import landed
+from dmptm_ctrl.diagnosis.predict import low_pass
+from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit
+from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit, jogged
+from dmptm_ctrl.identify.lock import Locked, lock
 from dmptm_ctrl.identify.records import Record
-from dmptm_ctrl.simulate.model import Floats
+from dmptm_ctrl.simulate.model import Floats, Model
 
 # Factor on the variance: what a friction law has wrong is wrong alike in neighbouring windows.
 NOT_NEWS = 2.0
-ITERATIONS = 2  # from the values of balances and landings; more moved nothing on held-out logs
+LOOSE = 4.0  # factor on the variance of what the balances know, before a lock sharpens it
+FIRM_SECONDS = 0.2  # a lock that holds for so long needs no other fit beside it
+NOISE = np.deg2rad(0.01)  # rad/s, of a gyro below 30 Hz
+ITERATIONS = 2  # from the values of balances and the rattle; more moved nothing on held-out logs
 
 
 def augment(
@@ -38,13 +43,36 @@ def augment(
     beside : sequence of Unknown
         Also fitted, and not known by the balances.
     """
-    start = landed(records, start, declared, jobs)
-    misfit = Misfit(records, LEAD_HZ, jobs)
-    misfit.weigh(start.model)
-    known = widened(start.p, start.covariance, len(beside))
+    start = rattled(records, start, declared, jobs)
     unknowns = (*start.unknowns, *beside)
-    done = fit(misfit, start.model, unknowns, iterations=ITERATIONS, known=known)
+    more = len(beside)
+    loosely = widened(start.p, LOOSE * start.covariance, more)
+    best: Locked | Fit
+    best = locked = lock(records, start.model, unknowns, loosely, jobs=jobs)
+    if locked.horizon < FIRM_SECONDS:
+        misfit = Misfit(records, LEAD_HZ, jobs)
+        misfit.weigh(start.model)
+        known = widened(start.p, start.covariance, more)
+        other = fit(misfit, start.model, unknowns, iterations=ITERATIONS, known=known)
+        if locked.horizon == 0.0 or missed(other.model, records) < missed(best.model, records):
+            best = other
+    done = Fit(best.model, unknowns, best.p, best.covariance)
     return replace(done, covariance=honest(done, start))
+
+
+def missed(model: Model, records: Sequence[Record]) -> float:
+    """How badly free runs predict the speed below 30 Hz: the sum of the logs' logarithms.
+
+    Of the mean square over several runs, since what one run does after many bounces is chance.
+    """
+    squares = [
+        [
+            np.mean(low_pass(rec.omega - run[:, 1], rec.dt) ** 2)
+            for rec, run in zip(records, Misfit(records, 0.0).runs(one), strict=True)
+        ]
+        for one in (model, *jogged(model))
+    ]
+    return float(np.sum(np.log(np.mean(squares, axis=0) + NOISE**2)))
 
 
 def honest(done: Fit, start: BalanceFit) -> Floats:

@@ -115,6 +115,17 @@ def position(model: Model, unknowns: Sequence[Unknown]) -> Floats:
     return np.array([(v - k.centre) / k.scale for v, k in zip(values, unknowns, strict=True)])
 
 
+def jogged(model: Model) -> list[Model]:
+    """Return the model with meshes changed by less than anyone knows them, four times."""
+    return [
+        model.with_values(
+            k_m=model.drive["k_m"] * (1 + PERTURBATION * a),
+            c=model.drive["c"] * (1 + PERTURBATION * b),
+        )
+        for a, b in ((1, 2), (-1, 3), (2, -3), (-2, -2))
+    ]
+
+
 def bend(x: Floats) -> Floats:
     """Bend large weighted residuals (channels, blocks) over, so that no event rules a fit."""
     bent = x / np.hypot(1.0, x / CAP)
@@ -160,13 +171,7 @@ class Misfit:
         then give another motion. Its spread is what no fit can explain.
         """
         n1, n2 = model.drive["N_1"], model.drive["N_2"]
-        changed = [
-            model.with_values(
-                k_m=model.drive["k_m"] * (1 + PERTURBATION * a),
-                c=model.drive["c"] * (1 + PERTURBATION * b),
-            )
-            for a, b in ((1, 2), (-1, 3), (2, -3), (-2, -2))
-        ]
+        changed = jogged(model)
 
         def squares(i: int) -> list[Floats]:
             runs = self.runs(changed[i])
@@ -255,7 +260,6 @@ class Fit:
     model: Model
     unknowns: tuple[Unknown, ...]
     p: Floats
-    cost: float
     covariance: Floats
 
     def value(self, effect: str | None, name: str) -> tuple[float, float]:
@@ -404,4 +408,4 @@ def fit(
     if jac is None:
         jac = misfit.columns(model, unknowns, r)
     precision = jac.T @ jac + known.precision + 1e-9 * np.eye(p.size)
-    return Fit(model, unknowns, p, cost, np.asarray(np.linalg.inv(precision), np.float64))
+    return Fit(model, unknowns, p, np.asarray(np.linalg.inv(precision), np.float64))

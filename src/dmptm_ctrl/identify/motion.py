@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
 
-from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.simulate.compose import engine
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -23,7 +23,6 @@ QUIET = np.deg2rad(0.4 / 60)  # rad, standard deviation of z in a window: rattli
 NEAR = 0.4  # of the half-gap; closer to the middle nothing touches
 LANDED_SECONDS = 0.02  # after a simulated landing, when no encoder tells the real one
 GYRO_NOISE = np.deg2rad(0.05)  # rad/s per sample
-RING_COUNT = 2 * np.pi / 2**18  # rad
 
 
 def hann(n: int) -> Floats:

@@ -89,12 +89,19 @@ def predict(
     log: Annotated[Path, typer.Argument(help="A log of the rig; of it the inputs are used.")],
     model: Annotated[Path, typer.Option(help="model.toml, as diagnose writes it.")],
     out: Annotated[Path, typer.Option(help="CSV to write.")] = Path("pred.csv"),
+    single: Annotated[
+        bool,
+        typer.Option(
+            "--single",
+            help="One run with its rattle, not the mean of runs with nearly equal meshes.",
+        ),
+    ] = False,
 ) -> None:
     """Run the plant model freely on a log's inputs."""
     from dmptm_ctrl.diagnosis.run import predict_file
     from dmptm_ctrl.signals.atomic import write_atomic
 
-    write_atomic(out, predict_file(log, model))
+    write_atomic(out, predict_file(log, model, single=single))
 
 
 @app.command()

@@ -11,7 +11,7 @@ from dmptm_ctrl.diagnosis.diagnose import diagnose
 from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
 from dmptm_ctrl.diagnosis.ladder_files import is_chain
 from dmptm_ctrl.diagnosis.ladder_predict import predict_chain_file
-from dmptm_ctrl.diagnosis.predict import predict
+from dmptm_ctrl.diagnosis.predict import RUNS, predict
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
@@ -49,12 +49,18 @@ def diagnose_files(
     return diagnose_chain(source, declared, jobs=jobs, seed=seed, tell=tell)
 
 
-def predict_file(log: Path, model: Path) -> Iterator[str]:
-    """Predict a log file with a model file; return the CSV text in parts."""
+def predict_file(log: Path, model: Path, *, single: bool = False) -> Iterator[str]:
+    """Predict a log file with a model file; return the CSV text in parts.
+
+    Parameters
+    ----------
+    single : bool
+        One run instead of the mean of several; that of a drive by rig.toml is one always.
+    """
     if is_chain(model):
         table = predict_chain_file(log, model)
     else:
-        table = predict(read_model(model), load_log(log))
+        table = predict(read_model(model), load_log(log), runs=1 if single else RUNS)
     _refuse_runaway(table, model.name)
     return _csv(table)
 

@@ -192,7 +192,7 @@ def refuse_other_drive(logs: list[Log], drive: Drive) -> None:
     seen = run = 0.0
     for log in logs:
         part = first_seconds(log)
-        simulated = free_run(model, part)[:, 1]
+        simulated = free_run(model, part, runs=1)[:, 1]
         seen += float(np.mean(part["omega_L"] ** 2))
         run += float(np.mean(simulated**2))
     ratio = np.sqrt(seen / run) if run > 0 else np.inf

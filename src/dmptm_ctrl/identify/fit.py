@@ -115,17 +115,6 @@ def position(model: Model, unknowns: Sequence[Unknown]) -> Floats:
     return np.array([(v - k.centre) / k.scale for v, k in zip(values, unknowns, strict=True)])
 
 
-def jogged(model: Model) -> list[Model]:
-    """Return the model with meshes changed by less than anyone knows them, four times."""
-    return [
-        model.with_values(
-            k_m=model.drive["k_m"] * (1 + PERTURBATION * a),
-            c=model.drive["c"] * (1 + PERTURBATION * b),
-        )
-        for a, b in ((1, 2), (-1, 3), (2, -3), (-2, -2))
-    ]
-
-
 def bend(x: Floats) -> Floats:
     """Bend large weighted residuals (channels, blocks) over, so that no event rules a fit."""
     bent = x / np.hypot(1.0, x / CAP)
@@ -171,7 +160,13 @@ class Misfit:
         then give another motion. Its spread is what no fit can explain.
         """
         n1, n2 = model.drive["N_1"], model.drive["N_2"]
-        changed = jogged(model)
+        changed = [
+            model.with_values(
+                k_m=model.drive["k_m"] * (1 + PERTURBATION * a),
+                c=model.drive["c"] * (1 + PERTURBATION * b),
+            )
+            for a, b in ((1, 2), (-1, 3), (2, -3), (-2, -2))
+        ]
 
         def squares(i: int) -> list[Floats]:
             runs = self.runs(changed[i])

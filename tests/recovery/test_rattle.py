@@ -1,10 +1,10 @@
-"""The meshes' damping of rigs of another program is told by how their pinions land."""
+"""The meshes' damping of rigs of another program is told by how strongly they rattle."""
 
 import numpy as np
 import pytest
 
 from dmptm_ctrl import load_log
-from dmptm_ctrl.diagnosis.landing import landed
+from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.residual import residual
@@ -16,7 +16,7 @@ LOGS = ("open_sine_0v60", "open_sine_0v75", "closed_square_10", "closed_square_1
 
 
 @pytest.mark.parametrize(("seed", "friction"), [(904, "karnopp"), (910, "tanh")])
-def test_damping_from_landings(seed, friction):
+def test_damping_from_rattle(seed, friction):
     """Twice the declared 3 N·m·s/rad and more; all else is fitted too."""
     rig = make_rig(seed, friction=friction, contact="two_state", sensors="all", logs=LOGS)
     true = rig.label["plant"]["damping"]
@@ -25,7 +25,7 @@ def test_damping_from_landings(seed, friction):
     measured = measure(logs, drive)
     start = residual(measured, Model(drive)).base
     values, spread = start.p.copy(), start.covariance.copy()
-    done = landed(measured.fit, start, drive, 2)
+    done = rattled(measured.fit, start, drive, 2)
     np.testing.assert_array_equal(start.p, values)  # it is left as it was
     np.testing.assert_array_equal(start.covariance, spread)
     found = done.model.drive["c"]
@@ -46,7 +46,7 @@ def test_known_damping_is_left_alone():
     start = residual(measured, Model(drive)).base
     fixed = tuple(k for k in start.unknowns if k.name not in ("c", "c_f"))
     known = residual(measured, Model(drive), unknowns=fixed).base
-    done = landed(measured.fit, known, drive, 2)
+    done = rattled(measured.fit, known, drive, 2)
     assert done.model.drive["c"] == 2.0
     np.testing.assert_allclose(done.p, known.p, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(done.covariance, known.covariance)

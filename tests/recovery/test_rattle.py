@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl import load_log
-from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
+from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.simulate.model import Model

@@ -11,15 +11,18 @@ import inspect
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any, TypeVar
 
 from dmptm_ctrl.contract import SITES, Effect
 from dmptm_ctrl.effects import CATALOGUE, backlash, stribeck
 from dmptm_ctrl.simulate import elementary
 
 NARROW, WIDE = 8, 16  # lanes
+_T = TypeVar("_T")
 
 # per site: name of the chain, its arguments, neutral result, how one effect changes it
 _CHAINS: dict[str, tuple[str, str, str, str]] = {
@@ -263,15 +266,34 @@ def _load(key: str, text: str) -> ModuleType:
     return module
 
 
+def per_catalogue(function: Callable[..., _T]) -> Callable[..., _T]:
+    """Keep what a function returns for as long as the catalogue has the same effects.
+
+    A fit asks hundred thousands of times. The effects are told apart by identity, for to compare
+    all their numbers takes longer than what is asked for.
+    """
+    known: dict[tuple[Any, ...], tuple[tuple[Effect, ...], _T]] = {}
+
+    def found(*args: int) -> _T:
+        key = (*map(id, CATALOGUE.values()), *args)
+        if key not in known:
+            effects = tuple(CATALOGUE.values())  # kept too, or another may get an identity
+            known[key] = effects, function(effects, *args)
+        return known[key][1]
+
+    return found
+
+
 def engine(lanes: int = NARROW) -> ModuleType:
     """Return the compiled engine module for the catalogue as it is now.
 
     `lanes` is the number of drives in its vector loop: :data:`NARROW` for few, :data:`WIDE`
     for many, where one drive's arithmetic fills the waits of another's.
     """
-    return _engine(tuple(CATALOGUE.values()), lanes)
+    return _engine(lanes)
 
 
+@per_catalogue
 @cache
 def _engine(_: tuple[Effect, ...], lanes: int) -> ModuleType:
     text = source().replace(f"\nLANES = {NARROW} ", f"\nLANES = {lanes} ")

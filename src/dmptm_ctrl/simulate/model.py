@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.compose import layout
+from dmptm_ctrl.simulate.compose import layout, per_catalogue
 
 if TYPE_CHECKING:
     import control
@@ -29,7 +28,7 @@ BASE = (
 )
 
 
-@cache
+@per_catalogue
 def _neutral(effects: tuple[Effect, ...]) -> Floats:
     """Parameters of all effects at which they are absent."""
     return np.array([v for effect in effects for v in effect.defaults()])
@@ -80,10 +79,12 @@ class Model:
 
     def arrays(self) -> tuple[Floats, NDArray[np.uint8], Floats]:
         """Return (base, on, values) as the compiled loop takes them."""
-        base = np.array([self.drive[name] for name in BASE])
-        slots = layout()
-        values = _neutral(tuple(CATALOGUE.values())).copy()
+        quantities = self.drive.quantities
+        base = np.array([quantities[name].value for name in BASE])
+        values = _neutral().copy()
         on = np.zeros(len(CATALOGUE), np.uint8)
+        if self.effects:
+            slots = layout()
         for name, parameters in self.effects.items():
             index, first = slots[name]
             effect = CATALOGUE[name]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dmptm_ctrl.simulate import simulate, simulate_with_sensitivities
+from dmptm_ctrl.simulate import sensitivity, simulate, simulate_with_sensitivities
 from dmptm_ctrl.simulate.compiled import OUTPUTS
 from dmptm_ctrl.simulate.model import Model
 
@@ -79,6 +79,28 @@ def test_converges_to_the_reference(lively_reference):
         errors.append(np.median(error, axis=1))
     assert np.all(errors[2] < 0.03), dict(zip(NAMES, errors[2], strict=True))
     assert np.all(errors[2] < 0.25 * errors[0])  # first order gives 1/16
+
+
+MIXED = ("c", "T3s_plus", "gap_l", "J_L", "K_d", "k_m", "W3_minus", "TLc_minus", "c_f", "J_m")
+
+
+@pytest.mark.parametrize("names", [MIXED[:3], MIXED])
+def test_slopes_agree_with_whole_runs_side_by_side(names, monkeypatch):
+    """Two ways to the same: along the run by slopes, and by lanes that share nothing of it."""
+    time = DT * np.arange(401)
+    u = 0.9 * np.sin(2 * np.pi * 4.0 * time) + np.array([[0.05], [-0.05]])
+    found = simulate_with_sensitivities(Model(), time, u, names)
+    monkeypatch.setattr(sensitivity, "_plain", lambda arrays: False)
+    other = simulate_with_sensitivities(Model(), time, u, names)
+    z = found.outputs[OUTPUTS.index("z_l")]
+    assert np.ptp(np.sign(z)) == 2.0  # both flanks
+    assert np.sum(found.outputs[1] == 0.0) > 10  # and the ring gear at rest in between
+    assert np.array_equal(found.exists, other.exists)
+    scale = np.ptp(found.outputs, axis=1)[:, None]
+    np.testing.assert_allclose(found.outputs / scale, other.outputs / scale, atol=1e-9)
+    size = np.sqrt(np.mean(other.derivatives**2, axis=2))
+    apart = np.sqrt(np.mean((found.derivatives - other.derivatives) ** 2, axis=2))
+    assert np.all(apart < 2e-3 * size), apart / size
 
 
 def test_flagged_where_a_body_is_just_held(coulomb):

@@ -87,6 +87,8 @@ _INLINE = (
     *("held_average", "slide", "stop", "slide_or_stick", "preslide", "friction_step", "mesh_step"),
     *("law", "plain_region", "level_stage"),
     *("section", "direction_of", "friction_along", "built_up", "feed_forward", "undone"),
+    *("stays", "mesh_slopes", "one_way_law", "smooth_body", "mesh_change", "mesh_own", "law_own"),
+    "change_along",
 )
 _HEAD = """\
 from math import cos, exp, floor
@@ -198,6 +200,7 @@ def source() -> str:
         [
             f"{_HEAD}{own}\n{names}\n\n\n{chains}\n\n\n",
             f"{_body('control_core.py')}\n\n{_body('core.py')}\n\n",
+            f"{_body('tangent_core.py')}\n\n",
             f"{lanes[:cut]}\n{lane_chains}\n\n{lanes[cut:]}",
         ]
     )

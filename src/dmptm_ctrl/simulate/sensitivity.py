@@ -1,12 +1,13 @@
-"""How a run changes with parameters: differences of runs side by side in vector lanes.
+"""How a run changes with parameters, through contacts, stops and starts.
 
-The lanes share the steps, so a difference is the derivative of the scheme itself, through
-contacts, stops and starts: the perturbation is so small that an event stays in its step
-unless it is at its edge. One lane more has all parameters moved the other way: where the
-run is differentiable its difference is minus the sum of the others', and where that is not so
-the derivative from one side is not that from the other and does not exist. A derivative
-converges with the first order of the step where events lie before it, the run itself with
-the second.
+A small change of each parameter goes along with the run, so that its share is the derivative of
+the scheme itself: to first order by the slopes of the step (`tangent_core`), and with branches
+of its own where the run reaches or leaves a flank, stops or starts. With effects, whose slopes
+nobody has written down, each change is a run of its own beside the others in vector lanes.
+All parameters moved the other way together go along too: where the run is differentiable they
+change minus the sum of the others, and where that is not so the derivative from one side is not
+that from the other and does not exist. A derivative converges with the first order of the step
+where events lie before it, the run itself with the second.
 """
 
 from collections.abc import Sequence
@@ -16,14 +17,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.batch import march_many
-from dmptm_ctrl.simulate.compiled import SUBSTEPS, rest
+from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
+from dmptm_ctrl.simulate.compose import engine
 from dmptm_ctrl.simulate.elementary import cached
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 
 # Share of a parameter's size: truncation and rounding, grown by the run, are both far below 1 %
 STEP = 1e-7
 DIFFERENT = 0.02  # derivatives from both sides that differ by more are not the same
+FEW = 3  # parameters that each go alone beside a run
+GROUP = 15  # parameters that go along with one run
+# What no slope is known of may not move, and acts as here: no stiffness that varies with the
+# teeth, friction falling exponentially
+NEUTRAL = [BASE.index(name) for name in ("k_a", "delta3", "deltaL")]
+LEFT_ALONE = NEUTRAL + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "phi_r")]
 NOISE = 1e-4  # of an output's range per parameter's size, below which a difference is rounding
 
 
@@ -95,7 +104,7 @@ def simulate_with_sensitivities(
     parameters : sequence of str
         Names of the drive's parameters, or "effect.parameter".
     jobs : int
-        Threads, for more than six parameters.
+        Threads, for more than fifteen parameters, or six with effects.
 
     Returns
     -------
@@ -118,31 +127,86 @@ def simulate_with_sensitivities(
     if len(parameters) == 0:
         raise ValueError("parameters is empty; name at least one")
     moved = [_moved(model, name, STEP) for name in parameters]
-    back = model
-    for name in parameters:
-        back, _ = _moved(back, name, -STEP)
-    arrays = [m.arrays() for m in (model, back, *(m for m, _ in moved))]
-    dt = (time[-1] - time[0]) / (time.size - 1)
-    runs = march_many(arrays, u, x0, dt, substeps=substeps, jobs=jobs).transpose(0, 2, 1)
+    arrays = [m.arrays() for m in (model, *(m for m, _ in moved))]
     steps = np.array([step for _, step in moved])
-    rounding = NOISE * STEP * np.ptp(runs[0], axis=1) * len(parameters)
-    exists = _judge(runs, steps, rounding, DIFFERENT)
-    return Sensitivities(time, runs[0], tuple(parameters), runs[2:], exists)
+    dt = (time[-1] - time[0]) / (time.size - 1)
+    if _plain(arrays):
+        groups = [range(k, min(k + GROUP, steps.size)) for k in range(0, steps.size, GROUP)]
+        tasks = [
+            (
+                [arrays[0], *(arrays[1 + k] for k in group), _back(model, parameters, group)],
+                *(u, x0, dt, substeps, steps[group.start : group.stop]),
+            )
+            for group in groups
+        ]
+        if len(tasks) == 1:
+            parts = [_along(*tasks[0])]
+        else:
+            parts = list(each(_along, tasks, jobs, prefer="threads"))
+        outputs, derivatives, exists = parts[0]
+        if len(parts) > 1:
+            derivatives = np.concatenate([part[1] for part in parts])
+            exists = np.logical_and.reduce([part[2] for part in parts])
+        return Sensitivities(time, outputs, tuple(parameters), derivatives, exists)
+    arrays.append(_back(model, parameters, range(steps.size)))
+    runs = march_many(arrays, u, x0, dt, substeps=substeps, jobs=jobs).transpose(0, 2, 1)
+    outputs, changes = runs[0], runs[1:] - runs[0]
+    derivatives = changes[:-1] / steps[:, None, None]
+    exists = _existing(outputs, derivatives, changes[-1], steps, 0)
+    return Sensitivities(time, outputs, tuple(parameters), derivatives, exists)
+
+
+def _back(model: Model, parameters: Sequence[str], group: range) -> Arrays:
+    """Numbers of the model with some of the parameters moved the other way."""
+    for k in group:
+        model, _ = _moved(model, parameters[k], -STEP)
+    return model.arrays()
+
+
+def _plain(arrays: Sequence[Arrays]) -> bool:
+    """Whether no effect acts and nothing moves but what `tangent_core` knows the slopes of."""
+    base = arrays[0][0]
+    return all(
+        not on.any() and np.array_equal(moved[LEFT_ALONE], base[LEFT_ALONE])
+        for moved, on, _ in arrays
+    ) and np.array_equal(base[NEUTRAL], (0.0, 1.0, 1.0))
+
+
+def _along(
+    arrays: Sequence[Arrays], u: Floats, x0: Floats, dt: float, substeps: int, steps: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Outputs of a run, its derivatives and where they exist, by `tangent_core`."""
+    n = u.shape[1]
+    outputs, back = np.empty((len(OUTPUTS), n)), np.empty((len(OUTPUTS), n))
+    derivatives = np.empty((steps.size, len(OUTPUTS), n))
+    bases = np.array([base for base, _, _ in arrays])
+    many = None if steps.size <= FEW else True  # two loops, compiled as they are needed
+    split = engine().march_tangents(
+        u, x0, dt, substeps, bases, steps, outputs, derivatives, back, many
+    )
+    return outputs, derivatives, _existing(outputs, derivatives, back, steps, split)
+
+
+def _existing(
+    outputs: Floats, derivatives: Floats, back: Floats, steps: Floats, split: int
+) -> NDArray[np.bool_]:
+    """Where derivatives exist; `back` is what changes from sample `split` on the other way."""
+    exists = np.ones(outputs.shape, np.bool_)
+    if split < outputs.shape[1]:
+        rounding = NOISE * STEP * np.ptp(outputs, axis=1) * steps.size
+        _judge(derivatives, back, steps, rounding, DIFFERENT, split, exists)
+    return exists
 
 
 @cached(nogil=True)
-def _judge(runs, steps, rounding, different):
-    """Where one side says the same as the other; runs 0 as is, 1 back, others to derivatives."""
-    p, rows, n = steps.size, runs.shape[1], runs.shape[2]
-    exists = np.empty((rows, n), np.bool_)
+def _judge(derivatives, back, steps, rounding, different, split, exists):
+    """From sample `split` on, where one side says the same as the other."""
+    p, rows, n = derivatives.shape
     for row in range(rows):
-        together, size = runs[1, row] - runs[0, row], np.abs(runs[1, row] - runs[0, row])
-        for k in range(p):
-            for i in range(n):
-                change = runs[2 + k, row, i] - runs[0, row, i]
-                together[i] += change
-                size[i] += abs(change)
-                runs[2 + k, row, i] = change / steps[k]
-        for i in range(n):
-            exists[row, i] = abs(together[i]) <= different * size[i] + rounding[row]
-    return exists
+        for i in range(split, n):
+            together, size = back[row, i], abs(back[row, i])
+            for k in range(p):
+                change = derivatives[k, row, i] * steps[k]
+                together += change
+                size += abs(change)
+            exists[row, i] = abs(together) <= different * size + rounding[row]

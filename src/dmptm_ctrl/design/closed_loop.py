@@ -6,7 +6,8 @@ What it is for: switch a mechanism off (gap, dry friction) and see what it does 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dmptm_ctrl.design.harmonic_balance import Balance, Cycle
+from dmptm_ctrl.design.harmonic_balance import Balance
+from dmptm_ctrl.design.harmonics import Cycle
 from dmptm_ctrl.simulate.model import Floats, Model
 
 HARMONICS = 1  # describing functions; more do not settle where pinions rattle at each reversal

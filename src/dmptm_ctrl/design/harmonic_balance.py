@@ -17,7 +17,6 @@ for any r > 0; p is taken from the balance itself (dynamic Lagrangian frequency-
 Nacivet et al., J. Sound Vib. 265 (2003) 201).
 """
 
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,31 +24,56 @@ from numba import njit
 from scipy.optimize import least_squares
 
 from dmptm_ctrl.contract import SITES
-from dmptm_ctrl.effects.backlash import Backlash, mesh_region, region_torque
+from dmptm_ctrl.design.harmonics import (
+    Basis,
+    Cycle,
+    block,
+    packed_first,
+    rate_at_begin,
+    widened,
+)
+from dmptm_ctrl.effects.backlash import Backlash, landing, mesh_region, region_torque
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites
 
-POINTS = 4096  # of a period
 SAME_GAP = 1e-9  # rad
-PRESS = 100.0  # 1/s, r above over the body's inertia; any positive number has the same solutions
+PRESS = 1e3  # 1/s, r above over the body's inertia; any positive number has the same solutions
 TINY = 1e-9  # rad/s, for the slope of friction
 STEP = 1e-6  # of the frequency, for the derivative of the controller
 LOWEST_HZ = 0.5  # of a search, which would else wander to rest
 SHORTEST = 1e-4  # rad, scale of z where there is no gap
-EVALUATIONS = 80
+EVALUATIONS = 60
+MANY = 20  # harmonics, beyond which only half as many are worth their time
 # Delays and lags join the controller; what else an effect does depends on angle or time.
 LINEAR_SITES = ("delay", "lag", "sensor_delay")
 
 
 @njit
-def mesh_along(z, z_rate, law, out):  # type: ignore[no-untyped-def]
-    """Torque of a mesh along a motion and its derivatives by z and ż, rows of `out` (3, n)."""
+def mesh_along(z, z_rate, law, step, out):  # type: ignore[no-untyped-def]
+    """Torque of a mesh along a period, its derivatives by z, ż and log ω, rows of `out` (4, n).
+
+    Points are means over `step` seconds: where a flank is reached between two of them the jump
+    counts for as long as it has acted. So the torque moves with the landing, not in steps of
+    a point, and its derivatives know that a landing moves.
+    """
+    before = mesh_region(z[-1], z_rate[-1], law)
     for i in range(z.size):
         region = mesh_region(z[i], z_rate[i], law)
         out[0, i] = region_torque(z[i], z_rate[i], region, law)
         out[1, i] = 0.0 if region == 0.0 else law.stiffness
         out[2, i] = law.gap_damping if region == 0.0 else law.damping
+        out[3, i] = 0.0
+        if region != before and region * z_rate[i] > 0.0:
+            age, jump = landing(z[i], z_rate[i], law)
+            share = age / step
+            if 0.0 <= share <= 1.0:
+                flight = region * z[i] - law.half_gap
+                out[0, i] += (share - 0.5) * jump
+                out[1, i] += law.damping / step
+                out[2, i] += law.damping * (share - 0.5 - flight / (abs(z_rate[i]) * step))
+                out[3, i] = share * jump
+        before = region
 
 
 @njit
@@ -64,38 +88,6 @@ def friction_along(asked, speed, press, law, out):  # type: ignore[no-untyped-de
         else:
             change = sliding_torque(speed[i] + TINY, way, law) - level
             out[0, i], out[1, i], out[2, i] = way * level, 0.0, way * change / TINY
-
-
-class Cycle(NamedTuple):
-    """A periodic motion in packed harmonics: mean, cosine and minus-sine coefficients.
-
-    Attributes
-    ----------
-    omega : float [rad/s]
-    z : (m, 2n + 1) array [rad]
-    ring : (2n + 1,) array [rad/s]
-    volts : float [V]
-        Mean of the controller's output.
-    left : float
-        Largest torque left over, over the largest torque of a mesh.
-    """
-
-    omega: float
-    z: Floats
-    ring: Floats
-    volts: float
-    left: float
-
-    @property
-    def speed(self) -> Floats:
-        """Ring-gear speed along a period [rad/s]."""
-        return Basis.of(self.ring.size // 2).wave(self.ring)
-
-    @property
-    def twist(self) -> float:
-        """Half the peak-to-peak of z, the largest of the chains [rad]."""
-        waves = [Basis.of(part.size // 2).wave(part) for part in self.z]
-        return float(max(0.5 * np.ptp(wave) for wave in waves))
 
 
 class _Dual(NamedTuple):
@@ -153,25 +145,31 @@ class Balance:
         self._n2, self._volt = sites.n2, sites.n1 * sites.gain
         self._pinion = sites.pinion_inertia + sites.motor_inertia
         self._ring = sites.ring_inertia
-        self._kp, self._ki, self._dt = kp, ki, sample_time
+        self.model, self.kp, self.ki, self.preload = model, kp, ki, preload
+        self.sample_time = sample_time
         self._delays = sites.voltage_delay, sites.speed_delay
         self._lag = sites.lag
         self.length = max(max(law.half_gap for law in self.meshes), SHORTEST)  # scale of z
         self._torque = self.meshes[0].stiffness * self.length  # N·m, scale of what is left over
 
+    @property
+    def chains(self) -> int:
+        """Chains that differ, 1 or 2."""
+        return len(self.meshes)
+
     def _frequency(self, log_omega: float) -> float:
         """Frequency [rad/s] inside what the sampled loop can tell apart."""
-        low, high = np.log(2.0 * np.pi * LOWEST_HZ), np.log(np.pi / self._dt)
+        low, high = np.log(2.0 * np.pi * LOWEST_HZ), np.log(np.pi / self.sample_time)
         return float(np.exp(min(max(log_omega, low), high)))
 
     def _forward(self, omega: float, n: int, delay: float = 0.0) -> Floats:
         """Matrix from packed error to packed voltage, all but the mean; with the hold."""
         s = 1j * omega * np.arange(1, n + 1)
-        shift = np.exp(s * self._dt)
-        hold = (1.0 - 1.0 / shift) / (s * self._dt)
-        pi = self._kp + self._ki * self._dt * shift / (shift - 1.0)
+        shift = np.exp(s * self.sample_time)
+        hold = (1.0 - 1.0 / shift) / (s * self.sample_time)
+        pi = self.kp + self.ki * self.sample_time * shift / (shift - 1.0)
         late = np.exp(-s * (self._delays[0] + delay)) / (1.0 + s * self._lag)
-        return _block(np.append(0.0, pi * hold * late))
+        return block(np.append(0.0, pi * hold * late))
 
     def equations(
         self, x: Floats, n: int, omega: float | None, setpoint: Floats
@@ -188,9 +186,9 @@ class Balance:
         omega : float or None [rad/s]
         setpoint : (2n + 1,) array [rad/s]
         """
-        size, chains = 2 * n + 1, len(self.meshes)
+        size, chains = 2 * n + 1, self.chains
         w = self._frequency(x[-1]) if omega is None else omega
-        rates = _block(1j * w * np.arange(n + 1))
+        rates = block(1j * w * np.arange(n + 1))
 
         def unknown(first: int, count: int, scale: float, skip: int) -> _Dual:
             value, slope = np.zeros(size), np.zeros((size, x.size))
@@ -214,7 +212,7 @@ class Balance:
         for i, law in enumerate(self.meshes):
             z = unknown(i * size, size, self.length, 0)
             rate = rate_of(z)
-            mesh = _mesh(z, rate, law, n)
+            mesh = _mesh(z, rate, law, w, n, free=omega is None)
             load = load + mesh.times(self._share * self._n2)
             speed = rate + ring.times(self._n2)
             force = volts.times(self._volt) - mesh - rate_of(speed).times(self._pinion)
@@ -240,17 +238,18 @@ class Balance:
         ring : (3,) array [rad/s]
             Speed of the ring gear, packed.
         """
-        return Cycle(omega, np.tile(_packed(z), (len(self.meshes), 1)), ring, 0.0, 1.0)
+        return Cycle(omega, np.tile(packed_first(z), (self.chains, 1)), ring, 0.0, 1.0)
 
     def free_ring(self, amplitude: float, omega: float) -> Floats:
         """Return the ring's speed, packed, for z = amplitude · cos ωt and no dry friction."""
-        kernel, rate = np.empty((3, POINTS)), 1j * omega * amplitude
-        wave = (Basis.of(1).wave(_packed(part)) for part in (amplitude, rate))
-        mesh_along(*wave, self.meshes[0], kernel)
-        _, cosine, sine = Basis.of(1).analyse(kernel[0])
+        basis, rate = Basis.of(1), 1j * omega * amplitude
+        kernel = np.empty((4, basis.points))
+        wave = (basis.wave(packed_first(part)) for part in (amplitude, rate))
+        mesh_along(*wave, self.meshes[0], basis.step(omega), kernel)
+        _, cosine, sine = basis.analyse(kernel[0])
         viscous = 0.5 * (self._bearing.viscous_plus + self._bearing.viscous_minus)
         push = 2.0 * self._n2 * (cosine + 1j * sine)
-        return _packed(push / (viscous + 1j * omega * self._ring))
+        return packed_first(push / (viscous + 1j * omega * self._ring))
 
     def _volts(self, ring: _Dual, setpoint: Floats, w: float, n: int, *, free: bool) -> _Dual:
         """Voltage but for its mean."""
@@ -265,6 +264,26 @@ class Balance:
             )
             volts.slope[:, -1] += (d_up @ setpoint - d_down @ ring.value) / STEP
         return volts
+
+    def state(self, cycle: Cycle) -> tuple[Floats, float]:
+        """Return where a motion is at the begin of its period, for the simulator.
+
+        Returns
+        -------
+        state : (6,) array
+            Angles [rad] and speeds [rad/s] of pinions and ring gear, whose angle is 0.
+        volts : float [V]
+            What the integral holds before the first sample; no dead time or lag remembered.
+        """
+        n, dt = cycle.ring.size // 2, self.sample_time
+        z = np.broadcast_to(cycle.z[:, : n + 1].sum(axis=1), 2)
+        rates = np.broadcast_to([rate_at_begin(part, cycle.omega) for part in cycle.z], 2)
+        speed = cycle.ring[: n + 1].sum()
+        shift = np.exp(1j * cycle.omega * dt * np.arange(1, n + 1))
+        harmonics = cycle.ring[1 : n + 1] + 1j * cycle.ring[n + 1 :]
+        summed = float(-dt * (harmonics / (shift - 1.0)).real.sum())  # of the errors before
+        state = np.array([*z, 0.0, *(rates + self._n2 * speed), speed])
+        return state, float(cycle.volts + self.ki * summed)
 
     def solve(self, start: Cycle, n: int, *, free: bool, setpoint: Floats | None = None) -> Cycle:
         """Solve with n harmonics from a start, which may have fewer.
@@ -289,105 +308,55 @@ class Balance:
             x,
             jac=lambda y: self.equations(y, n, omega, given)[1],
             method="lm",
-            max_nfev=EVALUATIONS,
+            max_nfev=EVALUATIONS if n <= MANY else EVALUATIONS // 2,
         )
-        size, m = 2 * n + 1, len(self.meshes)
+        size, m = 2 * n + 1, self.chains
         z = found.x[: m * size].reshape(m, size) * self.length
         ring = np.append(given[0], found.x[m * size : m * size + 2 * n])
         w = self._frequency(found.x[-1]) if free else start.omega
         left = float(np.abs(found.fun).max()) * self._torque / self._largest(z, w, n)
-        return Cycle(w, z, ring, float(found.x[m * size + 2 * n]), left)
+        moved = _newton(found.jac, found.fun)
+        there = slice(m * size, m * size + 2 * n)
+        size_there = max(float(np.linalg.norm(found.x[there])), TINY)
+        doubt = float(np.linalg.norm(moved[there])) / size_there
+        if free:
+            doubt = max(doubt, abs(float(moved[-1])))
+        return Cycle(w, z, ring, float(found.x[m * size + 2 * n]), left, doubt)
 
     def _largest(self, z: Floats, w: float, n: int) -> float:
         """Largest torque of a mesh [N·m]."""
-        basis, rates = Basis.of(n), _block(1j * w * np.arange(n + 1))
-        kernel, largest = np.empty((3, POINTS)), 1e-12
+        basis, rates = Basis.of(n), block(1j * w * np.arange(n + 1))
+        kernel, largest = np.empty((4, basis.points)), 1e-12
         for part, law in zip(z, self.meshes, strict=True):
-            mesh_along(basis.wave(part), basis.wave(rates @ part), law, kernel)
+            mesh_along(basis.wave(part), basis.wave(rates @ part), law, basis.step(w), kernel)
             largest = max(largest, float(np.abs(kernel[0]).max()))
         return largest
 
 
-def _mesh(z: _Dual, rate: _Dual, law: Backlash, n: int) -> _Dual:
+def _mesh(z: _Dual, rate: _Dual, law: Backlash, w: float, n: int, *, free: bool) -> _Dual:
     """Torque of a mesh."""
-    basis, kernel = Basis.of(n), np.empty((3, POINTS))
-    mesh_along(basis.wave(z.value), basis.wave(rate.value), law, kernel)
+    basis = Basis.of(n)
+    kernel = np.empty((4, basis.points))
+    mesh_along(basis.wave(z.value), basis.wave(rate.value), law, basis.step(w), kernel)
     slope = basis.through(kernel[1]) @ z.slope + basis.through(kernel[2]) @ rate.slope
+    if free:
+        slope[:, -1] += basis.analyse(kernel[3])
     return _Dual(basis.analyse(kernel[0]), slope)
 
 
 def _less_friction(force: _Dual, speed: _Dual, inertia: float, law: Stribeck, n: int) -> _Dual:
     """Force on a body less its friction."""
-    basis, kernel = Basis.of(n), np.empty((3, POINTS))
+    basis = Basis.of(n)
+    kernel = np.empty((3, basis.points))
     wave = basis.wave(force.value), basis.wave(speed.value)
     friction_along(*wave, PRESS * inertia, law, kernel)
     slope = basis.through(kernel[1]) @ force.slope + basis.through(kernel[2]) @ speed.slope
     return force - _Dual(basis.analyse(kernel[0]), slope)
 
 
-class Basis:
-    """Packed harmonics to samples of one period and back."""
-
-    def __init__(self, n: int) -> None:
-        self.n = n
-        k = np.arange(1, n + 1)
-        # from packed to two-sided complex coefficients −n … n, and back
-        self._split = np.zeros((2 * n + 1, 2 * n + 1), complex)
-        self._split[n, 0] = 1.0
-        self._split[n + k, k], self._split[n + k, n + k] = 0.5, 0.5j
-        self._split[n - k, k], self._split[n - k, n + k] = 0.5, -0.5j
-        self._join = np.linalg.inv(self._split)
-        self._order = np.subtract.outer(np.arange(2 * n + 1), np.arange(2 * n + 1))
-
-    @staticmethod
-    @cache
-    def of(n: int) -> "Basis":
-        """Return it, made once per number of harmonics."""
-        return Basis(n)
-
-    def wave(self, packed: Floats) -> Floats:
-        """Return the samples of a period."""
-        n, spectrum = self.n, np.zeros(POINTS // 2 + 1, complex)
-        spectrum[0] = packed[0]
-        spectrum[1 : n + 1] = 0.5 * (packed[1 : n + 1] + 1j * packed[n + 1 :])
-        return np.asarray(np.fft.irfft(spectrum * POINTS, POINTS), float)
-
-    def analyse(self, wave: Floats) -> Floats:
-        """Return the packed harmonics of samples."""
-        spectrum = np.fft.rfft(wave)[: self.n + 1] / POINTS
-        return np.concatenate(
-            [[spectrum[0].real], 2.0 * spectrum[1:].real, 2.0 * spectrum[1:].imag]
-        )
-
-    def through(self, slope: Floats) -> Floats:
-        """Matrix from packed input to packed output of a slope that varies along the period."""
-        spectrum = np.fft.fft(slope) / POINTS
-        product = spectrum[self._order]  # convolution; negative orders wrap around
-        return np.asarray((self._join @ product @ self._split).real, float)
-
-
-def _block(factors: Any) -> Floats:
-    """Multiplication of packed harmonics by a complex number each (of the mean its real part)."""
-    factors = np.asarray(factors, complex)
-    n = factors.size - 1
-    real, imag = np.diag(factors.real[1:]), np.diag(factors.imag[1:])
-    out = np.zeros((2 * n + 1, 2 * n + 1))
-    out[0, 0] = factors[0].real
-    out[1 : n + 1, 1 : n + 1], out[1 : n + 1, n + 1 :] = real, -imag
-    out[n + 1 :, 1 : n + 1], out[n + 1 :, n + 1 :] = imag, real
-    return out
-
-
-def _packed(first: complex) -> Floats:
-    """Packed first harmonic."""
-    return np.array([0.0, complex(first).real, complex(first).imag])
-
-
-def widened(packed: Floats, n: int) -> Floats:
-    """Packed harmonics with zeros for the missing ones, or without those beyond n."""
-    old = (packed.size - 1) // 2
-    kept = min(old, n)
-    out = np.zeros(2 * n + 1)
-    out[: kept + 1] = packed[: kept + 1]
-    out[n + 1 : n + 1 + kept] = packed[old + 1 : old + 1 + kept]
-    return out
+def _newton(slopes: Floats, left: Floats) -> Floats:
+    """Step that would take away what is left; infinite where the equations have none."""
+    try:
+        return np.asarray(np.linalg.solve(slopes, left), float)
+    except np.linalg.LinAlgError:
+        return np.full(left.size, np.inf)

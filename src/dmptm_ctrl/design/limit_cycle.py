@@ -1,52 +1,88 @@
-"""Limit cycles of the speed loop, by :mod:`~dmptm_ctrl.design.harmonic_balance`."""
+"""Limit cycles of the speed loop, by :mod:`~dmptm_ctrl.design.harmonic_balance`.
 
+The balance predicts; the simulator, started in the predicted state and by pulses, says what is
+there (:mod:`~dmptm_ctrl.design.cycle_run`). Both numbers are returned side by side.
+"""
+
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.design.harmonic_balance import POINTS, Balance, Cycle, mesh_along
+from dmptm_ctrl.design.cycle_run import STILL, Run, Simulated, run_cycles, wave_of
+from dmptm_ctrl.design.harmonic_balance import Balance, mesh_along
+from dmptm_ctrl.design.harmonics import Basis, Cycle
 from dmptm_ctrl.effects.backlash import Backlash
 from dmptm_ctrl.simulate.model import Model
 
-HARMONICS = 31  # pinions touch for 2 ms of a period of 40 ms: the pulse needs twenty at least
+# Pinions touch for 2 ms, half a period of the mesh: up to three times its frequency counts.
+RESOLVED_HZ = 700.0
+FEWEST, MOST = 15, 64  # harmonics
 # Harmonics are added in steps; a step that loses the cycle may be taken in another way.
-LADDERS = ((3, 7, 15, 31, 61), (3, 5, 7, 11, 15, 21, 31, 45, 61))
+LADDERS = ((3, 7, 15, 31), (3, 5, 7, 11, 15, 21, 31, 45))
+OTHERWISE = (1.0, 0.8, 1.2, 0.7, 0.6)  # of the harmonics needed; where one grazes, another may not
 FEW = (1, 3)  # harmonics of the first search
 DEPTHS = (1.05, 1.3, 2.0, 4.0)  # amplitudes of z tried first, in half-gaps
 HZ = (8.0, 14.0, 25.0, 45.0, 80.0, 140.0)  # frequencies tried first
 SLOWEST_HZ = 3.0
-SAME = 0.03  # relative difference in frequency below which two answers are one
-BALANCED = 5e-3  # of the mesh torque, what may be left; landings fall between the points
-ROUGHLY = 5e-2  # the same on the way there
-STILL = 1e-4  # rad/s, an oscillation below is rest
+ALIKE = 0.03  # relative difference in frequency below which two starts are one
+SAME = 0.01  # relative difference below which two answers are one
+CONFIRMED = 0.05  # relative difference of prediction and simulation that confirms
+BALANCED = 1e-3  # of the mesh torque, what may be left
+CERTAIN = 5e-3  # what frequency and speed may still move by
+ROUGHLY = 5e-2  # of the mesh torque, what may be left on the way there
 
 
 class LimitCycle(NamedTuple):
-    """A periodic solution; whether it attracts, a simulation tells.
+    """A periodic solution of the balance, and what the simulator does there.
 
     Attributes
     ----------
     hz : float
+        Predicted, of the strongest harmonic of z. NaN, as what follows, where the simulator
+        oscillates but no periodic motion balances.
     amplitude : float [rad/s]
-        Of the ring-gear speed, √2 times its rms.
+        Predicted; of the ring-gear speed, √2 times its rms.
     twist : float [rad]
-        Half the peak-to-peak of z, of the chain that moves most.
+        Predicted; half the peak-to-peak of z, of the chain that moves most.
     first_hz : float
         What one harmonic says: describing functions of mesh and friction. NaN where they say
-        nothing.
+        nothing, or the cycle was not found from them.
+    simulated : Simulated or None
+        The same numbers of the simulator where it ends: of the lasting oscillation that is
+        nearest, or of a run from the predicted state. None where nothing was simulated.
+    seeded : bool
+        Whether the balance was started from a simulated wave; its own starts had not found it.
     """
 
     hz: float
     amplitude: float
     twist: float
     first_hz: float
+    simulated: Simulated | None = None
+    seeded: bool = False
+
+    @property
+    def miss(self) -> float:
+        """Largest relative difference between prediction and simulation; NaN without one."""
+        if self.simulated is None or np.isnan(self.simulated.hz):
+            return np.nan
+        predicted = np.array([self.hz, self.amplitude, self.twist])
+        return float(np.abs(predicted / np.array(self.simulated) - 1.0).max())
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the simulator shows it, within 5 % in frequency, amplitude and twist."""
+        return self.miss <= CONFIRMED
 
 
 def mesh_describing_function(law: Backlash, amplitude: float, omega: float) -> complex:
     """First harmonic of the mesh torque over z = amplitude · sin ωt [N·m/rad]."""
-    angle = 2.0 * np.pi * (np.arange(POINTS) + 0.5) / POINTS
-    torque = np.empty((3, POINTS))
-    mesh_along(amplitude * np.sin(angle), amplitude * omega * np.cos(angle), law, torque)
+    points = Basis.of(1).points
+    angle = 2.0 * np.pi * (np.arange(points) + 0.5) / points
+    torque = np.empty((4, points))
+    step = Basis.of(1).step(omega)
+    mesh_along(amplitude * np.sin(angle), amplitude * omega * np.cos(angle), law, step, torque)
     return complex(2j * np.mean(torque[0] * np.exp(-1j * angle)) / amplitude)
 
 
@@ -57,9 +93,15 @@ def limit_cycles(
     *,
     preload: float = 0.0,
     sample_time: float = 1e-3,
-    harmonics: int = HARMONICS,
+    harmonics: int | None = None,
+    check: bool = True,
 ) -> list[LimitCycle]:
-    """Return the limit cycles about rest that harmonic balance finds, largest first.
+    """Return the limit cycles about rest, largest first: predicted, and as simulated.
+
+    Harmonic balance predicts from starts of its own. With `check` the loop is simulated from
+    each predicted state and after pulses; a lasting oscillation that is not predicted becomes
+    a start of the balance. Several cycles may coexist, and some repel: those the simulator
+    leaves, and they are not confirmed.
 
     Parameters
     ----------
@@ -69,7 +111,10 @@ def limit_cycles(
     ki : float [V/rad]
     preload : float [V]
     sample_time : float [s]
-    harmonics : int
+    harmonics : int, optional
+        By default as many as the touch of a pinion needs at the frequency found.
+    check : bool
+        Whether to simulate.
 
     Raises
     ------
@@ -77,33 +122,98 @@ def limit_cycles(
         An effect that depends on angle or time.
     """
     balance = Balance(model, kp, ki, sample_time, preload)
-    found: list[LimitCycle] = []
+    cycles: list[Cycle] = []
+    first: list[float] = []
     for start in _starts(balance):
         cycle = _refined(balance, start, harmonics)
-        if cycle is None:
-            continue
-        hz = cycle.omega / (2.0 * np.pi)
-        if any(abs(hz / c.hz - 1.0) < SAME for c in found):
+        if cycle is None or _known(cycle, cycles):
             continue
         alone = balance.solve(start, 1, free=True)
-        first = alone.omega / (2.0 * np.pi) if alone.left < BALANCED else np.nan
-        amplitude = float(np.sqrt(2.0) * cycle.speed.std())
-        found.append(LimitCycle(float(hz), amplitude, cycle.twist, float(first)))
-    return sorted(found, key=lambda c: -c.amplitude)
+        cycles.append(cycle)
+        first.append(alone.omega / (2.0 * np.pi) if _balanced(alone) else np.nan)
+    found = [LimitCycle(*_numbers(c), hz) for c, hz in zip(cycles, first, strict=True)]
+    if check:
+        found = _checked(balance, cycles, found, harmonics)
+    return sorted(found, key=lambda c: -c.amplitude if np.isfinite(c.amplitude) else np.inf)
 
 
-def _refined(balance: Balance, start: Cycle, harmonics: int) -> Cycle | None:
+def _checked(
+    balance: Balance, cycles: list[Cycle], found: list[LimitCycle], harmonics: int | None
+) -> list[LimitCycle]:
+    """Set the simulator beside the predictions; add what it has besides."""
+    runs = run_cycles(balance, cycles)
+    lasting = [run.numbers for run in runs if run.lasts]
+    checked = []
+    for cycle, run in zip(found, runs, strict=False):
+        tried = [cycle._replace(simulated=end) for end in (run.numbers, *lasting)]
+        shown = [c for c in tried if c.confirmed]
+        checked.append(min(shown, key=lambda c: c.miss) if shown else tried[0])
+    for run in runs:
+        if not run.lasts or any(_near(run.numbers, c.simulated) for c in checked if c.confirmed):
+            continue
+        seeded = _from_wave(balance, run, harmonics)
+        checked = [c for c in checked if not (np.isnan(c.hz) and _near(run.numbers, c.simulated))]
+        checked.append(seeded)
+    return checked
+
+
+def _from_wave(balance: Balance, run: Run, harmonics: int | None) -> LimitCycle:
+    """Balance a simulated wave; its numbers alone where that has no answer near."""
+    nothing = LimitCycle(np.nan, np.nan, np.nan, np.nan, run.numbers, seeded=True)
+    start = wave_of(run, balance.sample_time)
+    best = nothing
+    if start is None:
+        return nothing
+    for share in OTHERWISE:
+        most = harmonics or round(share * _enough(start))
+        cycle = balance.solve(start, most, free=True)
+        if not _balanced(cycle) or not _moves(cycle):
+            continue
+        tried = LimitCycle(*_numbers(cycle), np.nan, run.numbers, seeded=True)
+        if np.isnan(best.hz) or tried.miss < best.miss:
+            best = tried
+        if best.confirmed:
+            break
+    return best
+
+
+def _near(one: Simulated, other: Simulated | None) -> bool:
+    return other is not None and bool(np.allclose(one, other, rtol=CONFIRMED))
+
+
+def _numbers(cycle: Cycle) -> tuple[float, float, float]:
+    """Frequency of the strongest harmonic, amplitude and twist."""
+    hz = (1 + _strongest(cycle)) * cycle.omega / (2.0 * np.pi)
+    return float(hz), float(np.sqrt(2.0) * cycle.speed.std()), cycle.twist
+
+
+def _known(cycle: Cycle, others: Iterable[Cycle]) -> bool:
+    numbers = _numbers(cycle)
+    return any(np.allclose(numbers, _numbers(c), rtol=SAME) for c in others)
+
+
+def _refined(balance: Balance, start: Cycle, harmonics: int | None) -> Cycle | None:
     """Add harmonics to a solution; None where it gets lost on every way."""
     for ladder in LADDERS:
         cycle = start
-        for n in (*(k for k in ladder if k < harmonics), harmonics):
+        for n in ladder:
+            if n >= (harmonics or _enough(cycle)):
+                break
             cycle = balance.solve(cycle, n, free=True)
             if cycle.left > ROUGHLY or not _moves(cycle):
                 break
-        else:
-            if cycle.left < BALANCED:
-                return cycle
+        if cycle.left > ROUGHLY or not _moves(cycle):
+            continue
+        for share in OTHERWISE[:2]:
+            last = balance.solve(cycle, harmonics or round(share * _enough(cycle)), free=True)
+            if _balanced(last) and _moves(last):
+                return last
     return None
+
+
+def _enough(cycle: Cycle) -> int:
+    """Harmonics that resolve the touch of a pinion at the frequency of a motion."""
+    return int(np.clip(np.ceil(2.0 * np.pi * RESOLVED_HZ / cycle.omega), FEWEST, MOST))
 
 
 def _starts(balance: Balance) -> list[Cycle]:
@@ -120,7 +230,7 @@ def _starts(balance: Balance) -> list[Cycle]:
             for n in FEW:
                 cycle = balance.solve(guess, n, free=True)
                 known = any(
-                    abs(cycle.omega / c.omega - 1.0) < SAME and c.ring.size == cycle.ring.size
+                    abs(cycle.omega / c.omega - 1.0) < ALIKE and c.ring.size == cycle.ring.size
                     for c in found
                 )
                 if cycle.left < ROUGHLY and _moves(cycle) and not known:
@@ -128,9 +238,16 @@ def _starts(balance: Balance) -> list[Cycle]:
     return found
 
 
-def _moves(cycle: Cycle) -> bool:
-    """Whether it is more than rest, and goes round once in its period."""
+def _strongest(cycle: Cycle) -> int:
+    """Which harmonic of z is the largest, from 0."""
     n = cycle.ring.size // 2
-    size = np.hypot(cycle.z[:, 1 : n + 1], cycle.z[:, n + 1 :]).max(axis=0)
-    moves = float(cycle.speed.std()) > STILL and cycle.omega > 2.0 * np.pi * SLOWEST_HZ
-    return moves and int(size.argmax()) == 0
+    return int(np.hypot(cycle.z[:, 1 : n + 1], cycle.z[:, n + 1 :]).max(axis=0).argmax())
+
+
+def _balanced(cycle: Cycle) -> bool:
+    return cycle.left < BALANCED and cycle.doubt < CERTAIN
+
+
+def _moves(cycle: Cycle) -> bool:
+    """Whether it is more than rest."""
+    return float(cycle.speed.std()) > STILL and cycle.omega > 2.0 * np.pi * SLOWEST_HZ

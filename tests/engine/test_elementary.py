@@ -63,5 +63,10 @@ def test_hosted_kernel_uses_them_and_is_the_same_kernel():
     assert inner.py_func.__code__ is gap_position.py_func.__code__
     assert inner.py_func.__globals__["exp"] is elementary.exp
     mesh = Backlash(3.6e4, 3.0, 0.05, 4e-3)
-    for z in np.linspace(-6e-3, 6e-3, 101):
-        assert hosted(z, 0.2, mesh) == mesh_region(z, 0.2, mesh)
+
+    @njit
+    def regions(z, mesh):  # compiled code alone can call a hosted kernel
+        return np.array([hosted(value, 0.2, mesh) for value in z])
+
+    z = np.linspace(-6e-3, 6e-3, 101)
+    np.testing.assert_array_equal(regions(z, mesh), [mesh_region(v, 0.2, mesh) for v in z])

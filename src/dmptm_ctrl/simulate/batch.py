@@ -100,7 +100,7 @@ def _lanes(
         ]
     )
     kept = -(-task.samples // task.every) if task.columns.size else 0
-    out = np.empty((lanes, task.columns.size, kept))
+    out = np.empty((count, task.columns.size, kept))
     stats = np.zeros((4, loop.COLUMNS, lanes) if task.statistics else (0, 0, 0))
     stats[:1], stats[1:2] = np.inf, -np.inf
     loop.march_lanes(
@@ -108,7 +108,7 @@ def _lanes(
         *(laws, task.design or arrays[0], task.observer, task.extra),
         *(task.dt, task.substeps, on, s, task.columns, task.every, out, stats),
     )
-    return out[:count], stats[:, :, :count]
+    return out, stats[:, :, :count]
 
 
 def _all(

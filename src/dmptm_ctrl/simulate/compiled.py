@@ -44,6 +44,11 @@ def rest(model: Model, theta_L: float, *, motors: Sequence[float] | None = None)
     return np.array([*pinions, theta_L, 0.0, 0.0, 0.0])
 
 
+def _own(values: Floats) -> Floats:
+    """Array in one piece that may be written to: of another kind the engine compiles anew."""
+    return np.require(values, np.float64, ["C", "W"])
+
+
 def march(
     arrays: tuple[Floats, NDArray[np.uint8], Floats],
     u: Floats,
@@ -82,14 +87,14 @@ def march(
     out = np.empty((n, len(OUTPUTS)))
     base, on, values = arrays
     engine().march(
-        np.ascontiguousarray(u),
+        _own(u),
         _OPEN,
         arrays,  # of no controller's model
         np.empty(0),
         np.array(observer or (0.0, 0.0)),
-        np.empty(0) if measured is None else measured,
-        _NONE if extra is None else extra,
-        x0,
+        np.empty(0) if measured is None else _own(measured),
+        _NONE if extra is None else _own(extra),
+        _own(x0),
         dt,
         substeps,
         base,
@@ -132,8 +137,8 @@ def close_loop(
     out : (n, 8) array
         Columns :data:`OUTPUTS`; the speed without the noise.
     """
-    target = np.ascontiguousarray(reference, float)
-    seen = np.zeros_like(target) if noise is None else np.ascontiguousarray(noise, float)
+    target = _own(np.asarray(reference, float))
+    seen = np.zeros_like(target) if noise is None else _own(np.asarray(noise, float))
     u = np.zeros((2, target.size))
     out = np.empty((target.size, len(OUTPUTS)))
     base, on, values = arrays = model.arrays()

@@ -90,6 +90,12 @@ _INLINE = (
     *("stays", "mesh_slopes", "one_way_law", "smooth_body", "mesh_change", "mesh_own", "law_own"),
     "change_along",
 )
+# What Python calls; the rest is called by these alone and has no wrapper for Python, which
+# would be more text for the compiler than the function itself.
+_ENTRIES = (
+    *("march", "along", "fill", "march_lanes", "march_tangents", "command"),
+    *("sensor_reading", "presliding_distance", "speed_delay"),
+)
 _HEAD = """\
 from math import cos, exp, floor
 
@@ -156,7 +162,7 @@ def _lane_chain(site: str) -> str:
         if effect.site != site:
             continue
         values = ", ".join(
-            f"s[VALUES + {slots[key] + j} * LANES + lane]" for j in range(len(effect.parameters))
+            f"s[VALUE_{slots[key] + j} + lane]" for j in range(len(effect.parameters))
         )
         call = f"kernel_{index}({args.format(**rows)}, Values_{index}({values}))"
         lines += [f"    if on[{index}]:", "        for lane in range(width):"]
@@ -196,17 +202,24 @@ def source() -> str:
     lane_chains = "\n\n\n".join(_lane_chain(site) for site in _LANE_CHAINS)
     lanes = _body("lane_core.py")
     cut = lanes.index("\n@njit\n")  # behind the constants that the chains need
+    places = "".join(
+        f"VALUE_{k} = VALUES + {k} * LANES\n"  # a constant each: less arithmetic to compile
+        for k in range(sum(len(effect.parameters) for effect in CATALOGUE.values()))
+    )
     text = "".join(
         [
             f"{_HEAD}{own}\n{names}\n\n\n{chains}\n\n\n",
             f"{_body('control_core.py')}\n\n{_body('core.py')}\n\n",
             f"{_body('tangent_core.py')}\n\n",
-            f"{lanes[:cut]}\n{lane_chains}\n\n{lanes[cut:]}",
+            f"{lanes[:cut]}\n{places}\n\n{lane_chains}\n\n{lanes[cut:]}",
         ]
     )
     if not elementary.COMPILED:
         text = text.replace("elementary import cos, exp,", "elementary import")
     options = 'cache=True, error_model="numpy", nogil=True, fastmath={"contract"}'
+    for entry in _ENTRIES:
+        text = text.replace(f"@njit\ndef {entry}(", f"@njit({options})\ndef {entry}(")
+    options += "".join(f", {key}={value}" for key, value in elementary.INNER.items())
     for helper in _INLINE:
         text = text.replace(
             f"@njit\ndef {helper}(", f"@njit({options}, forceinline=True)\ndef {helper}("

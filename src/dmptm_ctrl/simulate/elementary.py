@@ -23,6 +23,8 @@ OPTIONS: dict[str, Any] = {
     "forceinline": True,
     "fastmath": {"contract"},  # a·b + c rounded once, where the CPU does that
 }
+# of what compiled code alone calls: a wrapper for Python is more to compile than a kernel
+INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def cached(**options: Any) -> Callable[[Callable], Any]:
@@ -171,8 +173,8 @@ _INSTEAD: dict[Any, Any] = {math.exp: exp, math.sin: sin, math.cos: cos}
 def hosted(kernel: Callable[..., Any]) -> Callable[..., Any]:
     """Return a kernel compiled inline with this module's exp, sin and cos.
 
-    Kernels that it calls are treated alike. A kernel that is not numba's, or numba switched
-    off, gives the kernel itself.
+    Kernels that it calls are treated alike. It can be called from compiled code only. A kernel
+    that is not numba's, or numba switched off, gives the kernel itself.
     """
     if not isinstance(kernel, Dispatcher):
         return kernel
@@ -187,4 +189,4 @@ def hosted(kernel: Callable[..., Any]) -> Callable[..., Any]:
     copy = FunctionType(
         function.__code__, names, function.__name__, function.__defaults__, function.__closure__
     )
-    return njit(**OPTIONS)(copy)
+    return njit(**OPTIONS, **INNER)(copy)

@@ -538,7 +538,7 @@ def march_lanes(
     pick (3, LANES) the rows of these that each lane takes; laws (LANES, SIZE) or (0, 0) the
     controllers of `control_core` with the arrays of their model in design; observer (angle
     gain, speed gain); extra (n, 3) or (0, 3); on (effects,), where any lane has it; s as from
-    `fill`; out (LANES, columns.size, samples kept), every `every`-th sample; stats
+    `fill`; out (up to LANES, columns.size, samples kept), every `every`-th sample; stats
     (4, COLUMNS, LANES).
     """
     n = u.shape[2]
@@ -618,7 +618,7 @@ def march_lanes(
             summarise(s, width, stats)
         if columns.size > 0 and i % every == 0:
             for k in range(columns.size):
-                for lane in range(width):
+                for lane in range(out.shape[0]):  # lanes that only fill up have no row
                     out[lane, k, kept] = s[OUT + columns[k] * LANES + lane]
             kept += 1
         push0, push1, push2 = 0.0, 0.0, 0.0

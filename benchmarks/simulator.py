@@ -8,7 +8,8 @@ are hit at each reversal. Without preload the motion after some seconds of impac
 the last digit of everything, so errors are taken over the first second, against the
 event-located reference whose own error is shown. Contenders take turns; the least
 processor time counts.
-Prints a table and, as the last line, one JSON object with the ratios; draws DIR/simulator.png.
+Costs of growth, of derivatives and of a first result are measured too. Prints a table and, as
+the last line, one JSON object with the ratios; draws DIR/simulator.png.
 """
 
 import argparse
@@ -34,6 +35,11 @@ from contenders import (
     sampled_blocks,
 )
 from numba import njit
+from scaling import SECONDS as LENGTHS
+from scaling import SIZES, exponent, peak
+from scaling import batch as small_batch
+from scaling import run as open_loop
+from starts import starts
 
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate import simulate_batch, simulate_with_sensitivities
@@ -202,17 +208,36 @@ def batch_ratios(model, loop, substeps, c, repeats):
     }
 
 
-def sensitivity_costs(model, loop, repeats):
-    """Cost of p sensitivities, in runs."""
+def sensitivity_costs(model, loop, repeats, *, existing=False):
+    """Cost of p sensitivities, in runs; over 10 s, or as long as all derivatives exist."""
     u, _ = close_loop(model, loop, TARGET, DT)
-    x0, arrays = rest(model, 0.0), model.arrays()
+    x0, arrays, times = rest(model, 0.0), model.arrays(), TIME
+    if existing:
+        exists = simulate_with_sensitivities(model, times, u, PARAMETERS, x0).exists.all(axis=0)
+        n = times.size if exists.all() else int(np.argmin(exists))
+        u, times = np.ascontiguousarray(u[:, :n]), times[:n]
     counts = [p for p in (1, 2, 3, 4, 6, 7, 8, 10, 14) if p <= len(PARAMETERS)]
 
     def run(p):
-        return lambda: simulate_with_sensitivities(model, TIME, u, PARAMETERS[:p], x0)
+        return lambda: simulate_with_sensitivities(model, times, u, PARAMETERS[:p], x0)
 
-    times = least([lambda: march(arrays, u, x0, DT), *(run(p) for p in counts)], repeats)
-    return {p: float(t / times[0]) for p, t in zip(counts, times[1:], strict=True)}
+    spent = least([lambda: march(arrays, u, x0, DT), *(run(p) for p in counts)], repeats)
+    costs = {p: round(float(t / spent[0]), 2) for p, t in zip(counts, spent[1:], strict=True)}
+    return {"seconds": round(float(times[-1]), 2), **costs}
+
+
+def growth(model, repeats):
+    """Exponents of cost over time and batch, 1 if linear; memory [MB] of statistics only."""
+    lengths = least([open_loop(model, seconds) for seconds in LENGTHS], repeats)
+    sizes = least([small_batch(count) for count in SIZES], repeats)
+    # the voltages come from the caller, and are copied once
+    memory = {s: peak(small_batch(64, s)) - 2 * 8 * (s / DT + 1) / 1e6 for s in (1.0, 10.0)}
+    return {
+        "time_exponent": exponent(LENGTHS, lengths),
+        "batch_exponent": exponent(SIZES, sizes),
+        "mb_of_statistics_1_s": round(memory[1.0], 3),
+        "mb_of_statistics_10_s": round(memory[10.0], 3),
+    }
 
 
 def figure(rows, floors, path):
@@ -267,7 +292,14 @@ def main():
         ratios |= summary(rows, floors)
         loop = CASES["preloaded"]
         batch = batch_ratios(model, loop, ratios["steps"], c, max(2, asked.repeats // 3))
-        costs = sensitivity_costs(model, loop, asked.repeats)
+        costs = {
+            "sensitivities_in_runs": sensitivity_costs(model, loop, asked.repeats),
+            "sensitivities_in_runs_no_preload": sensitivity_costs(
+                model, CASES["no preload"], asked.repeats, existing=True
+            ),
+        }
+        ratios |= growth(model, asked.repeats)
+        first = starts(str(Path(folder) / "start"))
     print(f"{'case':12s}{'contender':22s}{'step':12s}{'10 s take':>12s}{'error':>12s}")
     for case, name, setting, spent, wrong in rows:
         print(f"{case:12s}{name:22s}{setting:12s}{1e3 * spent:9.2f} ms{wrong:12.1e}")
@@ -277,10 +309,13 @@ def main():
         f"{batch['two_cores_over_one']:.2f} times as fast; the machine's own two cores are "
         f"{batch['two_cores_over_one_of_the_machine']:.2f} times as fast as one at spinning"
     )
-    for p, cost in costs.items():
-        print(f"{p:3d} sensitivities cost {cost:.2f} runs (goal {1 + 0.5 * p:.1f})")
-    ratios |= batch
-    ratios["sensitivities_in_runs"] = {p: round(cost, 2) for p, cost in costs.items()}
+    for name, found in costs.items():
+        print(f"{name.replace('_', ' ')}, over {found['seconds']:.4g} s:")
+        for p, cost in list(found.items())[1:]:
+            print(f"{p:3d} sensitivities cost {cost:.2f} runs (goal {1 + 0.5 * p:.1f})")
+    for name, spent in first.items():
+        print(f"{name.replace('_', ' '):28s}{spent['seconds']:8.2f} s")
+    ratios |= batch | costs | {"first_result": first}
     figure(rows, floors, asked.out / "simulator.png")
     print(json.dumps(ratios, allow_nan=False))
 

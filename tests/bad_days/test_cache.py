@@ -17,7 +17,9 @@ from dmptm_ctrl.simulate.compose import cache_folder
 from dmptm_ctrl.simulate.sensitivity import _judge
 
 code = main(["log", "info", sys.argv[1]])
-exists = _judge(np.zeros((3, 1, 2)), np.ones(1), np.zeros(1), 0.1)  # a compiled call
+exists = np.zeros((1, 2), bool)
+one = np.ones(1)
+_judge(np.ones((1, 1, 2)), -np.ones((1, 2)), one, 0.0 * one, 0.1, 0, exists)  # a compiled call
 with open(cache_folder() / "probe", "x"):
     pass
 print("code", code, "exists", exists.all())

@@ -248,10 +248,15 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
         z, z_rate = q0 - n2 * q2, v0 - n2 * v2
         y, y_rate = q1 - n2 * q2, v1 - n2 * v2
         out[0, i], out[1, i], out[2, i], out[3, i] = q2, v2, n1 * q0, n1 * q1
-        out[4, i], out[5, i] = mesh_torque(z, z_rate, mesh0), mesh_torque(y, y_rate, mesh1)
         out[6, i], out[7, i] = z, y
         anew0 = apart or not stays(z, z_rate, region0, mesh0, margin)
         anew1 = apart or not stays(y, y_rate, region1, mesh1, margin)
+        out[4, i] = region_torque(z, z_rate, region0, mesh0)
+        if anew0:
+            out[4, i] = mesh_torque(z, z_rate, mesh0)
+        out[5, i] = region_torque(y, y_rate, region1, mesh1)
+        if anew1:
+            out[5, i] = mesh_torque(y, y_rate, mesh1)
         m0 = mesh_slopes(z, z_rate, region0, mesh0)
         m1 = mesh_slopes(y, y_rate, region1, mesh1)
         for j in range(width):

@@ -168,7 +168,7 @@ def picked(rows, case, name, setting=None):
 @njit(nogil=True)
 def spin(count):
     """Multiply and add in registers: what the second core adds to this is the most it can."""
-    x = 1.0
+    x = float(count)  # not 1, which stays as it is: nothing would be left to do
     for _ in range(count):
         x = x * 0.999999 + 1e-6
     return x

@@ -38,7 +38,7 @@ STARTS = {  # what a fresh process does; the first without anything compiled
 
 def starts(folder, repeats=3):
     """Seconds from a fresh process's first line to a result, as an installed package has them."""
-    kept = {"DMPTM_CACHE_DIR": folder, "NUMBA_CACHE_DIR": folder, "PYTHONPYCACHEPREFIX": folder}
+    kept = {"DMPTM_CACHE_DIR": folder, "NUMBA_CACHE_DIR": folder}
     mine = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"} | kept
     found = {}
     for name, text in STARTS.items():

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from dmptm_ctrl.diagnosis.predict import expected, low_pass
+from dmptm_ctrl.diagnosis.race import LOOSE
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
@@ -17,7 +18,6 @@ from dmptm_ctrl.simulate.model import Floats, Model
 
 # Factor on the variance: what a friction law has wrong is wrong alike in neighbouring windows.
 NOT_NEWS = 2.0
-LOOSE = 4.0  # factor on the variance of what the balances know, before a lock sharpens it
 FIRM_SECONDS = 0.2  # a lock that holds for so long needs no other fit beside it
 NOISE = np.deg2rad(0.01)  # rad/s, of a gyro below 30 Hz
 ITERATIONS = 2  # from the values of balances and the rattle; more moved nothing on held-out logs
@@ -29,6 +29,7 @@ def augment(
     declared: Drive,
     *,
     beside: Sequence[Unknown] = (),
+    near: Model | None = None,
     jobs: int = 2,
 ) -> Fit:
     """Refit a model inside the simulator, from what the balances know.
@@ -42,13 +43,15 @@ def augment(
         As it was before any fit.
     beside : sequence of Unknown
         Also fitted, and not known by the balances.
+    near : Model, optional
+        That keeps step already; the bounces are met from its values on.
     """
     start = rattled(records, start, declared, jobs)
     unknowns = (*start.unknowns, *beside)
     more = len(beside)
     loosely = widened(start.p, LOOSE * start.covariance, more)
     best: Locked | Fit
-    best = locked = lock(records, start.model, unknowns, loosely, jobs=jobs)
+    best = locked = lock(records, near or start.model, unknowns, loosely, jobs=jobs)
     if locked.horizon < FIRM_SECONDS:
         misfit = Misfit(records, LEAD_HZ, jobs)
         misfit.weigh(start.model)
@@ -56,7 +59,7 @@ def augment(
         other = fit(misfit, start.model, unknowns, iterations=ITERATIONS, known=known)
         if locked.horizon == 0.0 or missed(other.model, records) < missed(best.model, records):
             best = other
-    done = Fit(best.model, unknowns, best.p, best.covariance)
+    done = Fit(best.model, unknowns, best.p, best.covariance, locked.horizon)
     return replace(done, covariance=honest(done, start))
 
 

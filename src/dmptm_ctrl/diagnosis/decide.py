@@ -30,13 +30,20 @@ RIVAL = 0.4  # share of the winner's evidence from which a candidate is named wi
 
 @dataclass(eq=False)
 class Found:
-    """An accepted effect with what speaks for it and against it."""
+    """An accepted effect with what speaks for it and against it.
+
+    Attributes
+    ----------
+    in_step : float
+        Seconds over which it alone meets every bounce, where this and not the balances told it.
+    """
 
     name: str
     evidence: float
     threshold: float
     trial: Trial
     rivals: tuple[Trial, ...]
+    in_step: float = 0.0
 
     @property
     def confusable_with(self) -> tuple[str, ...]:
@@ -62,6 +69,8 @@ class Decision:
     found : list of Found
     trials : mapping
         Name → its trial beside the declared model alone.
+    rest : list of Trial
+        Beside what was found.
     """
 
     before: Residual

@@ -10,6 +10,8 @@ from dmptm_ctrl.diagnosis.decide import MAX_EFFECTS, Decision, Found, decide, wi
 from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
+from dmptm_ctrl.diagnosis.race import KEEPS_SECONDS, LEAST, race
+from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import (
     Diagnosis,
     NamedEffect,
@@ -22,11 +24,11 @@ from dmptm_ctrl.diagnosis.report import (
 from dmptm_ctrl.diagnosis.residual import closed, residual
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
-from dmptm_ctrl.diagnosis.trace import Trial
+from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import Bursts, Unexplained, astray, unexplained
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.fit import Fit, effect_unknowns
+from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.signals import Log, load_logs
 from dmptm_ctrl.simulate.model import Model
 
@@ -61,7 +63,7 @@ def diagnose(
     jobs : int
         Threads. The result does not depend on it.
     seed : int
-        Kept in the provenance; nothing is drawn at random.
+        Of the starts that are tried where the model loses step; kept in the provenance.
 
     Returns
     -------
@@ -90,6 +92,7 @@ def diagnose(
     held = measured.held_logs
     without = speed_error(before.model.without(model.effects), held)
     after = sobered(decision, without["rmse"], after, held, jobs)
+    after = in_step(decision, after, jobs, seed)
     after = rested(decision, after, jobs)
     nothing = not decision.found and not model.effects and decision.unexplained is None
     if nothing and without["rmse"] > ASTRAY:
@@ -102,7 +105,7 @@ def diagnose(
         "before": without,
         "after": speed_error(after.model, held),
     }
-    final = refined(measured, decision, jobs)
+    final = refined(measured, decision, after, jobs)
     effects = tuple(
         sorted(
             [
@@ -146,6 +149,26 @@ def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log],
         withdraw(decision, jobs)
         after = augment(measured.fit, decision.after.base, measured.drive, jobs=jobs)
     return after
+
+
+def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
+    """Add an effect that the balances do not see, but without which no bounce is met."""
+    full = len(decision.found) == MAX_EFFECTS
+    if after.horizon >= KEEPS_SECONDS or full or decision.unexplained is not None:
+        return after
+    measured, base = decision.before.measured, decision.after.base
+    start = rattled(measured.fit, base, measured.drive, jobs)
+    shown = race(measured.fit, measured.held, start, decision.rest, jobs=jobs, seed=seed)
+    if shown is None:
+        return after
+    unknowns = (*base.unknowns, *unknowns_of(shown.name))
+    decision.after = residual(measured, shown.model, unknowns=unknowns, jobs=jobs)
+    trial = Trial(shown.name, shown.evidence - shown.held_gain, shown.held_gain, base)
+    rivals = tuple(Trial(name, gain, 0.0, base) for name, gain in shown.rivals.items())
+    found = Found(shown.name, shown.evidence, LEAST, trial, rivals, shown.seconds)
+    decision.found.append(found)
+    own = decision.after.base
+    return augment(measured.fit, own, measured.drive, near=shown.model, jobs=jobs)
 
 
 def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
@@ -200,11 +223,12 @@ def sensor_effect(name: str, sensors: SensorCheck) -> NamedEffect:
     )
 
 
-def refined(measured: Measured, decision: Decision, jobs: int) -> Fit:
+def refined(measured: Measured, decision: Decision, after: Fit, jobs: int) -> Fit:
     """Refit the verdict's model on all logs: the honest error is known, now predict best."""
     everything = (*measured.fit, *(rec for rec in measured.held if rec not in measured.fit))
     base = decision.after.base
     declared = Model(measured.drive)
     _, start = closed(everything, base.model, declared, base.unknowns, jobs)
-    beside = effect_unknowns(at_rest.NAME) if at_rest.NAME in base.model.effects else ()
-    return augment(everything, start, measured.drive, beside=beside, jobs=jobs)
+    beside = unknowns_of(at_rest.NAME) if at_rest.NAME in base.model.effects else ()
+    drive, near = measured.drive, after.model
+    return augment(everything, start, drive, beside=beside, near=near, jobs=jobs)

@@ -221,8 +221,14 @@ def named(found: Found, after: Fit, *, all_explained: bool) -> NamedEffect:
             value, se = after.model.effects[found.name][p.name], 0.0
         parameters[p.name] = estimate(value, se, p.unit)
     trial = found.trial
+    how = "It supplies the torque or twist that is missing"
+    if found.in_step > 0.0:
+        how = (
+            f"With it the model meets every bounce of the first {found.in_step:g} s of each log, "
+            "without it it loses step"
+        )
     sentence = (
-        f"It supplies the torque or twist that is missing: log-likelihood ratio {trial.gain:.0f} "
+        f"{how}: log-likelihood ratio {trial.gain:.0f} "
         f"on the fitted logs and {trial.held_gain:.0f} on the held-out ones, together "
         f"{found.evidence:.0f} where {found.threshold:.0f} is needed"
     )

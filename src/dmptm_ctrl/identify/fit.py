@@ -250,12 +250,19 @@ class Misfit:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted model with what is needed to judge it."""
+    """A fitted model with what is needed to judge it.
+
+    Attributes
+    ----------
+    horizon : float
+        Seconds over which it keeps step with the logs bounce by bounce; 0 if none, or not tried.
+    """
 
     model: Model
     unknowns: tuple[Unknown, ...]
     p: Floats
     covariance: Floats
+    horizon: float = 0.0
 
     def value(self, effect: str | None, name: str) -> tuple[float, float]:
         """Return value and standard error of one unknown, in its own unit."""

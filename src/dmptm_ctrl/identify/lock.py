@@ -130,11 +130,15 @@ class Steps:
         self.low = np.array([k.low for k in self.unknowns])
         self.high = np.array([k.high for k in self.unknowns])
 
+    def placed(self, p: Floats) -> Model:
+        """Return the model with values."""
+        return place(self.model, self.unknowns, p)
+
     def residuals(self, several: Sequence[Floats]) -> Floats:
         """Measured minus simulated, in units, (len(several), m)."""
 
         def one(p: Floats) -> Floats:
-            moved = place(self.model, self.unknowns, p)
+            moved = self.placed(p)
             arrays, n1, n2 = moved.arrays(), moved.drive["N_1"], moved.drive["N_2"]
             parts = []
             for rec in self.records:
@@ -158,15 +162,18 @@ class Steps:
         told = [self.known.cost(p) for p in several]
         return np.asarray(NEWS * loss(residuals).sum(1) + told)
 
+    def slopes(self, p: Floats, probe: float = PROBE) -> tuple[Floats, Floats]:
+        """Slopes of the residuals by differences, (len(p), m), and the residuals."""
+        step = np.where(p + probe < self.high, probe, -probe)
+        runs = self.residuals([p, *(p + np.diag(step))])
+        return (runs[1:] - runs[0]) / step[:, None], runs[0]
+
     def descend(self, p: Floats) -> Floats:
         """Go down from `p` for as long as it pays."""
         probe = PROBE
         for _ in range(ITERATIONS):
-            step = np.where(p + probe < self.high, probe, -probe)
-            probes = [p, *(p + np.diag(step))]
-            runs = self.residuals(probes)
-            r, slopes = runs[0], (runs[1:] - runs[0]) / step[:, None]
-            cost = self.costs(runs[:1], [p])[0]
+            slopes, r = self.slopes(p, probe)
+            cost = self.costs(r[None], [p])[0]
             w = NEWS / (1.0 + r**2 / FREEDOM)
             normal = (slopes * w) @ slopes.T + self.known.precision + TINY * np.eye(p.size)
             self.covariance = np.asarray(np.linalg.inv(normal), np.float64)

@@ -1,0 +1,329 @@
+"""Which effect lets the model keep step: for what is too little for the balances to see.
+
+A model that obeys the machine's laws meets the first bounces one by one, see
+:mod:`dmptm_ctrl.identify.lock`. Where the fitted model loses step within the first tenths of a
+second, each catalogue effect runs beside it over the same growing horizon; those that miss more
+than the best drop out. An effect that keeps step alone, for long, is there, however small its
+torque. On a machine with other laws of friction or contact none does.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, uncouple
+from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.balance import BalanceFit
+from dmptm_ctrl.identify.fit import Known, Unknown, position
+from dmptm_ctrl.identify.lock import FREEDOM, LOST, NEWS, TINY, Steps, cut, loss
+from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.simulate.model import Floats, Model
+
+KEEPS_SECONDS = 0.3  # a model that keeps step for so long lacks nothing that is told here
+HORIZONS = (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6)  # s
+WINS_SECONDS = 0.15  # for which a winner keeps step
+MARGIN = 40.0  # cost beyond the best one's at which a candidate drops out
+LEAST = 100.0  # evidence of a winner
+# Times the winner's loss per sample: so far out of step is the model as it is. Where friction is
+# only a little other than the model's, an effect that mends it in part leaves more of it.
+OUT = 2.0
+HELD_SHARE = 0.1  # of the evidence that the held-out logs confirm at least
+UNEASY = 0.45  # mean loss per sample above which other starts are tried; noise gives 0.25
+TRIED = 4  # best candidates for which they are
+DRAWS, SIZES = 32, (0.3, 1.0)  # and how many, in standard deviations of what is known
+ORDER, SCAN_SECONDS, SCANNED = "order", 0.1, 2  # orders are tried on so much of each log
+PURSUED = 2  # of the draws that are fitted
+LOOSE = 4.0  # factor on the variance of what balances know, before bounces sharpen it
+SHAPE_WIDTH = 10.0  # steps of a shape, about the value that the balances like best
+
+
+@dataclass(eq=False)
+class Runner:
+    """A candidate, or the model as it is, on its way.
+
+    Attributes
+    ----------
+    name : str or None
+        None for the model as it is.
+    places : list of arrays
+        Values from which the next horizon starts, the best first.
+    cost : float
+        Of the best, with what is known beforehand.
+    level : float
+        Mean loss per sample.
+    """
+
+    name: str | None
+    model: Model
+    unknowns: tuple[Unknown, ...]
+    known: Known
+    places: list[Floats]
+    covariance: Floats
+    cost: float = np.inf
+    level: float = np.inf
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+    def go(self, records: Sequence[Record], jobs: int) -> None:
+        """Fit to records of one horizon."""
+        self.steps = Steps(records, self.model, self.unknowns, self.known, jobs)
+        self.found: list[tuple[float, Floats, Floats]] = []
+        for start in self.places:
+            self.pursue(start)
+
+    def pursue(self, start: Floats) -> None:
+        """Go down from a start; keep the best two places."""
+        p = self.steps.descend(start)
+        cost = float(self.steps.costs(self.steps.residuals([p]), [p])[0])
+        self.found = sorted(
+            [*self.found, (cost, p, self.steps.covariance)], key=lambda found: found[0]
+        )
+        self.cost = self.found[0][0]
+        self.places = [found[1] for found in self.found[:2]]
+        self.level = float(self.steps.levels(self.places[:1])[0])
+
+    def search(self) -> None:
+        """Try other starts, drawn from what the last horizon left open."""
+        rng = self.rng
+        spread = np.linalg.cholesky(self.covariance)
+        best = self.places[0]
+        drawn = [
+            np.clip(
+                best + SIZES[i % len(SIZES)] * spread @ rng.standard_normal(best.size),
+                self.steps.low,
+                self.steps.high,
+            )
+            for i in range(DRAWS)
+        ]
+        costs = self.steps.costs(self.steps.residuals(drawn), drawn)
+        for i in np.argsort(costs)[:PURSUED]:
+            self.pursue(drawn[i])
+
+    def settle(self) -> None:
+        """Take what was learnt to the next horizon."""
+        self.covariance = self.found[0][2]
+
+    def place(self) -> "Place":
+        """Return where it is."""
+        return Place(self.name, self.steps, self.places[0], self.cost, self.level)
+
+
+@dataclass(frozen=True, eq=False)
+class Raced:
+    """The winner.
+
+    Attributes
+    ----------
+    name : str
+    model : Model
+        With the effect, at its values.
+    seconds : float
+        For which it keeps step.
+    evidence : float
+        By how much the model as it is misses more, on fitted and held-out logs.
+    held_gain : float
+        The held-out logs' share of it.
+    rivals : mapping
+        Name → evidence of others that kept step as well.
+    """
+
+    name: str
+    model: Model
+    seconds: float
+    evidence: float
+    held_gain: float
+    rivals: dict[str, float]
+
+
+def race(
+    fitted: Sequence[Record],
+    held: Sequence[Record],
+    start: BalanceFit,
+    trials: Sequence[Trial],
+    *,
+    jobs: int = 2,
+    seed: int = 0,
+) -> Raced | None:
+    """Let effects run against the model as it is.
+
+    Parameters
+    ----------
+    start : BalanceFit
+        Of the model as it is, with the damping that its rattle tells.
+    trials : sequence of Trial
+        The effects, with the shapes that the balances like best.
+    """
+    known = loosely(start)
+    bare = entrant(None, start.model, start.unknowns, known, ())
+    runners = [bare]
+    for trial in trials:
+        values = trial.fit.model.effects[trial.name]
+        others = orders(trial, bare, fitted, jobs)
+        runners += [with_effect(trial, v, start, known) for v in (values, *others)]
+    for i, runner in enumerate(runners):
+        runner.rng = np.random.default_rng([seed, i])
+    last = None
+    for horizon in HORIZONS:
+        records = [cut(rec, horizon) for rec in fitted]
+        for runner in with_(bare, runners):
+            runner.go(records, jobs)
+        runners.sort(key=lambda runner: runner.cost)
+        for runner in with_(bare, runners[:TRIED]):
+            if runner.level > UNEASY:
+                runner.search()
+        runners.sort(key=lambda runner: runner.cost)
+        if runners[0].level > LOST or (bare.level < UNEASY and horizon >= KEEPS_SECONDS):
+            break
+        runners = [runner for runner in runners if runner.cost <= runners[0].cost + MARGIN]
+        for runner in with_(bare, runners):
+            runner.settle()
+        last = Lap(horizon, bare.place(), tuple(runner.place() for runner in runners))
+    return None if last is None else judged(last, held, jobs)
+
+
+def with_(bare: Runner, field: Sequence[Runner]) -> list[Runner]:
+    """Return the field, and the model as it is beside it."""
+    return [*field, *([] if bare in field else [bare])]
+
+
+class Place(NamedTuple):
+    """Where a runner is after a lap."""
+
+    name: str | None
+    steps: Steps
+    p: Floats
+    cost: float
+    level: float
+
+    def missed(self, records: Sequence[Record], jobs: int) -> float:
+        """Loss on records that it was not fitted to."""
+        steps = replace(self.steps, records=records, jobs=jobs)
+        return float(NEWS * loss(steps.residuals([self.p])).sum())
+
+
+class Lap(NamedTuple):
+    """The model as it is and those in the field, the best first, after a horizon."""
+
+    seconds: float
+    bare: Place
+    field: tuple[Place, ...]
+
+
+def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
+    """Return the winner, if the model as it is has lost step and the held-out logs agree."""
+    winner, bare = lap.field[0], lap.bare
+    if lap.seconds < WINS_SECONDS or winner.name is None:
+        return None
+    if bare.level < max(LOST, OUT * winner.level):
+        return None
+    records = [cut(rec, lap.seconds) for rec in held]
+    held_gain = bare.missed(records, jobs) - winner.missed(records, jobs)
+    total = bare.cost - winner.cost + held_gain
+    if total < LEAST or held_gain < HELD_SHARE * total:
+        return None
+    rivals = {
+        place.name: bare.cost - place.cost
+        for place in reversed(lap.field)
+        if place.name not in (None, winner.name)
+    }
+    model = winner.steps.placed(winner.p)
+    return Raced(winner.name, model, lap.seconds, total, held_gain, rivals)
+
+
+def with_effect(
+    trial: Trial, values: Mapping[str, float], start: BalanceFit, known: Known
+) -> Runner:
+    """Enter an effect of some shape, from nothing and from what the balances make of it.
+
+    What they know of the drive they know beside the effect: without it they have taken up a
+    part of it elsewhere.
+    """
+    name, own = trial.name, unknowns_of(trial.name)
+    bare = dict.fromkeys(CATALOGUE[name].amplitudes, 0.0)
+    model = start.model.with_effect(name, **{**values, **bare})
+    unknowns = (*start.unknowns, *own)
+    if values != trial.fit.model.effects[name]:
+        return entrant(name, model, unknowns, beside(known, model, own), ())
+    known = loosely(meshes_from(start, trial.fit))
+    return entrant(name, model, unknowns, known, (known.mean,))
+
+
+def loosely(fit: BalanceFit) -> Known:
+    """What balances know, before bounces sharpen it."""
+    precision = np.linalg.inv(LOOSE * fit.covariance)
+    return Known(fit.p, np.asarray(precision, np.float64))
+
+
+def meshes_from(start: BalanceFit, fit: BalanceFit) -> BalanceFit:
+    """Take the damping of meshes and gaps, which balances do not tell, from another fit."""
+    p, covariance = fit.p.copy(), fit.covariance.copy()
+    for j, unknown in enumerate(start.unknowns):
+        if unknown.effect is None and unknown.name in (DAMPING, GAP_DAMPING):
+            uncouple(covariance, j)
+            p[j], covariance[j, j] = start.p[j], start.covariance[j, j]
+    return replace(fit, p=p, covariance=covariance)
+
+
+def beside(known: Known, model: Model, own: Sequence[Unknown]) -> Known:
+    """Add an effect's unknowns, of which only the likely size is known."""
+    width = np.array([k.prior if np.isfinite(k.prior) else SHAPE_WIDTH for k in own])
+    centre = np.where([np.isfinite(k.prior) for k in own], 0.0, position(model, own))
+    n = known.mean.size
+    precision = np.zeros((n + len(own),) * 2)
+    precision[:n, :n] = known.precision
+    precision[n:, n:] = np.diag(width**-2.0)
+    return Known(np.concatenate([known.mean, centre]), precision)
+
+
+def orders(
+    trial: Trial, bare: Runner, records: Sequence[Record], jobs: int
+) -> list[Mapping[str, float]]:
+    """Whole-numbered orders that would mend most of the first bounces, to first order.
+
+    The balances see none beyond 25 Hz.
+    """
+    effect = CATALOGUE[trial.name]
+    whole = [p for p in effect.parameters if p.name == ORDER and p.bank]
+    if not whole:
+        return []
+    parts = [cut(rec, SCAN_SECONDS) for rec in records]
+    steps = Steps(parts, bare.model, bare.unknowns, bare.known, jobs)
+    p = steps.descend(bare.places[0])
+    slopes, r = steps.slopes(p)
+    root = np.sqrt(NEWS / (1.0 + r**2 / FREEDOM))
+    basis, _ = np.linalg.qr((slopes * root).T)
+    target = root * r - basis @ (basis.T @ (root * r))
+    model, gains = steps.placed(p), []
+    for order in whole[0].bank:
+        own = tuple(k for k in unknowns_of(trial.name) if k.name in effect.amplitudes)
+        values = {**dict.fromkeys(effect.amplitudes, 0.0), ORDER: order}
+        small = Steps(parts, model.with_effect(trial.name, **values), own, none_known(own), jobs)
+        columns = (small.slopes(np.zeros(len(own)))[0] * root).T
+        columns -= basis @ (basis.T @ columns)
+        x, *_ = np.linalg.lstsq(columns, target, rcond=1e-6)
+        gains.append(float(x @ (columns.T @ target)))
+    best = np.argsort(gains)[::-1][:SCANNED]
+    told = trial.fit.model.effects[trial.name]
+    return [{**told, ORDER: whole[0].bank[i]} for i in best if whole[0].bank[i] != told[ORDER]]
+
+
+def none_known(unknowns: Sequence[Unknown]) -> Known:
+    """Nothing known of unknowns."""
+    return Known(np.zeros(len(unknowns)), np.zeros((len(unknowns), len(unknowns))))
+
+
+def entrant(
+    name: str | None,
+    model: Model,
+    unknowns: Sequence[Unknown],
+    known: Known,
+    others: Sequence[Floats],
+) -> Runner:
+    """Enter a model that starts from its own values and from others."""
+    low, high = ([getattr(k, end) for k in unknowns] for end in ("low", "high"))
+    starts = [np.clip(p, low, high) for p in (position(model, unknowns), *others)]
+    precision = known.precision + TINY * np.eye(len(unknowns))
+    covariance = np.asarray(np.linalg.inv(precision), np.float64)
+    return Runner(name, model, tuple(unknowns), Known(known.mean, precision), starts, covariance)

@@ -13,9 +13,16 @@ from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
 from dmptm_ctrl.design.impact import SWEEP_HZ, impact, margins, swept_gains
 from dmptm_ctrl.design.montecarlo import CHUNK, MonteCarlo, monte_carlo
-from dmptm_ctrl.design.preload import assess_preload, boundary, schedules
+from dmptm_ctrl.design.preload import (
+    SCHEDULES,
+    assess_preload,
+    boundary,
+    common_volts_along,
+    schedules,
+)
 from dmptm_ctrl.design.tune import Aims, linear_plant
 from dmptm_ctrl.plots.control import plot_preload, plot_schedules
+from dmptm_ctrl.simulate.compiled import close_loop
 from dmptm_ctrl.simulate.model import Model
 
 DRIVE = Model()
@@ -81,16 +88,47 @@ def test_preload_boundary():
 
 
 def test_preload_that_gives_way_to_load():
-    """Torque-bias profiles: the earlier they fade, the less torque and the more open meshes."""
+    """The earlier a bias fades, the less torque and the more open meshes."""
     duty = Duty(sine(0.5, 1.0, 2.0), settling=1.0)
     found = schedules(DRIVE, LOOP, duty, [0.8])
-    constant, late, early = (found[name][0] for name in ("constant", "fades late", "fades early"))
-    assert early.torque < late.torque < constant.torque
-    assert early.open_share > constant.open_share
-    assert constant.reversal_error > constant.error  # where friction turns round
+    rows = {name: row for name, (row,) in found.items()}
+    assert rows["fades early"].torque < rows["fades late"].torque < rows["constant"].torque
+    assert rows["fades early"].open_share > rows["constant"].open_share
+    assert rows["at reversals"].torque < rows["smooth"].torque < rows["constant"].torque
+    assert rows["constant"].reversal_error > rows["constant"].error  # where friction turns round
+    preloaded = assess_preload(DRIVE, replace(LOOP, preload=0.8), duty)
+    np.testing.assert_allclose(rows["constant"], preloaded, rtol=1e-6)
     panels = plot_schedules([0.8], found)
-    assert len(panels[0].lines) == 3
+    assert len(panels[0].lines) == len(SCHEDULES)
     plt.close(panels[0].figure)
+    with pytest.raises(ValueError, match="above 0 V"):
+        schedules(DRIVE, LOOP, duty, [0.0])
+
+
+def test_schedules_are_their_formulas():
+    volts, still = np.array([0.0, 0.5, -0.7, 3.0]), np.zeros(4)
+    expected = {
+        "constant": [1, 1, 1, 1],
+        "fades late": [1, 1, 1, 0],
+        "fades early": [1, 0.5 / 0.7, 0.3 / 0.7, 0],
+        "switched": [1, 1, 1, 0],
+    }
+    for name, values in expected.items():
+        np.testing.assert_allclose(SCHEDULES[name].bias(1.0, volts, still), values, atol=1e-12)
+    smooth = SCHEDULES["smooth"].bias(2.0, np.array([3.0, 3.3]), still[:2])
+    np.testing.assert_allclose(smooth, [1.0, 2.0 / (1.0 + np.e)])
+    falling = SCHEDULES["at reversals"].bias(2.0, volts[:2], np.array([0.0, -5 * DEG]))
+    np.testing.assert_allclose(falling, [2.0, 2.0 / np.e])
+
+
+def test_common_voltage_is_what_the_loop_gives():
+    """Along a smooth duty the closed loop settles on the model's own voltage."""
+    duty = Duty(sine(0.3, 0.5, 2.0), settling=2.0)
+    u, _ = close_loop(DRIVE, LOOP.law(), duty.reference, duty.sample_time)
+    moving = np.abs(duty.reference) > 0.1
+    moving[:2000] = False
+    miss = u.mean(axis=0)[moving] - common_volts_along(DRIVE, duty)[moving]
+    assert np.sqrt(np.mean(miss**2)) < 0.02 * np.abs(u).max()
 
 
 def test_bounds_hold_as_often_as_they_say():

@@ -1,21 +1,24 @@
 """Preload: how much keeps both meshes closed, and what it costs."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
 
 from dmptm_ctrl.design.controller import Controller
-from dmptm_ctrl.design.duty import Duty, sine
+from dmptm_ctrl.design.duty import DEG, Duty, sine
 from dmptm_ctrl.parallel import each
-from dmptm_ctrl.simulate.compiled import close_loop
+from dmptm_ctrl.simulate.compiled import SUBSTEPS, close_loop, rest
+from dmptm_ctrl.simulate.compose import engine
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites
 
 NEAR_REVERSAL = 0.05  # s
-# schedule → common voltages, over the bias, between which it fades; equal ones keep it
-SCHEDULES = {"constant": (0.0, 0.0), "fades late": (1.0, 2.5), "fades early": (0.3, 1.0)}
+SMOOTH = (1.5, 0.15)  # common voltage over the bias at half the bias, and width of the transition
+COASTING = 5.0 * DEG  # rad/s of the setpoint, over which a bias fades that is for reversals only
 
 
 def load_torque_along(model: Model, duty: Duty, theta_L: float = 0.0) -> Floats:
@@ -33,6 +36,26 @@ def load_torque_along(model: Model, duty: Duty, theta_L: float = 0.0) -> Floats:
         held = way * sites.sliding(RING, way, theta, omega, t, 0.0) if way else 0.0
         torque[i] = sites.ring_inertia * rate[i] + held - sites.load_torque(theta, omega, t)
     return torque
+
+
+def common_volts_along(model: Model, duty: Duty) -> Floats:
+    """Return the voltage that both motors share along a duty [V], (n,): half of the load each.
+
+    Parameters
+    ----------
+    model : Model
+    duty : Duty
+    """
+    sites = Sites(model)
+    way = np.sign(duty.reference)
+    speeds = sites.n2 * duty.reference
+    rubs = [
+        w and w * sites.sliding(0, float(w), 0.0, float(v), 0.0, 0.0)
+        for w, v in zip(way, speeds, strict=True)
+    ]
+    swing = (sites.pinion_inertia + sites.motor_inertia) * sites.n2 * duty.acceleration
+    share = load_torque_along(model, duty) / (2.0 * sites.n2)
+    return np.asarray((share + swing + np.array(rubs)) / (sites.n1 * sites.gain), float)
 
 
 def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
@@ -84,11 +107,40 @@ class Preload(NamedTuple):
 
 def assess_preload(model: Model, controller: Controller, duty: Duty) -> Preload:
     """Run a duty and tell whether the preload kept both meshes closed, and what it cost."""
-    law = controller.law()
-    u, out = close_loop(model, law, duty.reference, duty.sample_time)
+    u, out = close_loop(model, controller.law(), duty.reference, duty.sample_time)
+    return _assessed(model, duty, u, out, 1.0 if controller.preload >= 0.0 else -1.0)
+
+
+def assess_bias(model: Model, controller: Controller, duty: Duty, bias: ArrayLike) -> Preload:
+    """Run a duty under a bias that is a function of time, instead of the controller's preload.
+
+    Parameters
+    ----------
+    model : Model
+    controller : Controller
+    duty : Duty
+    bias : (n,) array [V]
+        Added left, taken off right, at every sample; not part of the voltage limit.
+    """
+    volts = np.asarray(bias, float)
+    sites = Sites(model)
+    push = np.zeros((volts.size, 3))
+    push[:, 0] = sites.n1 * sites.gain * volts  # at the pinions, where the motors' torque acts
+    push[:, 1] = -push[:, 0]
+    law = replace(controller, preload=0.0).law()
+    u, out = np.zeros((2, volts.size)), np.empty((volts.size, 8))
+    base, on, values = model.arrays()
+    reference = np.ascontiguousarray(duty.reference, float)
+    engine().march(
+        *(u, law.numbers(), law.model.arrays(), reference, np.zeros(2), np.zeros(volts.size)),
+        *(push, rest(model, 0.0), duty.sample_time, SUBSTEPS, base, on, values, out),
+    )
+    return _assessed(model, duty, u + np.array([volts, -volts]), out, 1.0)
+
+
+def _assessed(model: Model, duty: Duty, u: Floats, out: Floats, way: float) -> Preload:
     judged = slice(round(duty.settling / duty.sample_time), None)
     left, right = out[judged, 4], out[judged, 5]
-    way = 1.0 if controller.preload >= 0.0 else -1.0
     opened = (way * left <= 0.0) | (way * right >= 0.0)
     miss = np.rad2deg(out[judged, 1] - duty.reference[judged])
     sites = Sites(model)
@@ -117,15 +169,65 @@ def _reversing(duty: Duty) -> NDArray[np.bool_]:
     return np.asarray(gap * duty.sample_time <= NEAR_REVERSAL, bool)
 
 
+class Schedule(NamedTuple):
+    """How a bias b [V] follows the common voltage u [V] and the setpoint speed ω [rad/s].
+
+    Attributes
+    ----------
+    formula : str
+    source : str
+    bias : callable
+        (b, u, ω) → volts, for arrays u and ω of a duty.
+    """
+
+    formula: str
+    source: str
+    bias: Callable[[float, Floats, Floats], Floats]
+
+
+def _fading(start: float, end: float) -> Callable[[float, Floats, Floats], Floats]:
+    def bias(b: float, u: Floats, omega: Floats) -> Floats:
+        return b * np.clip((end * b - np.abs(u)) / ((end - start) * b), 0.0, 1.0)
+
+    return bias
+
+
+PROFILE = "torque-bias profile of antennas, a function of the load (ref. 15, Gawronski et al. 2000)"
+SCHEDULES = {
+    "constant": Schedule(
+        "b",
+        "equal and opposite bias torques, as the paper says of refs 13 to 16",
+        lambda b, u, omega: np.full(u.size, b),
+    ),
+    "fades late": Schedule("b from |u| = b on down to 0 at 2.5 b", PROFILE, _fading(1.0, 2.5)),
+    "fades early": Schedule("b from |u| = 0.3 b on down to 0 at b", PROFILE, _fading(0.3, 1.0)),
+    "switched": Schedule(
+        "b where |u| < b, else 0: both motors drive",
+        "two-motor rack drive (JSME Mechatronics 2018, B22, abstract)",
+        lambda b, u, omega: np.where(np.abs(u) < b, b, 0.0),
+    ),
+    "smooth": Schedule(
+        "b / (1 + exp((|u|/b − 1.5)/0.15))",
+        "time-varying bias that saves energy, of the authors of ref. 16 (Zhao, Ren 2017, "
+        "abstract); the sigmoid is ours",
+        lambda b, u, omega: b * expit((SMOOTH[0] - np.abs(u) / b) / SMOOTH[1]),
+    ),
+    "at reversals": Schedule(
+        "b exp(−|ω| / 5 deg/s)",
+        "bias only where teeth would change flanks; ours",
+        lambda b, u, omega: b * np.exp(-np.abs(omega) / COASTING),
+    ),
+}
+
+
 def schedules(
     model: Model, controller: Controller, duty: Duty, preloads: ArrayLike
 ) -> dict[str, list[Preload]]:
-    """Compare preloads that stay with preloads that fade where the drive works hard.
+    """Compare preloads that stay with such that give way, each as a function of time on a duty.
 
-    Torque-bias profiles of dual drives give full bias near rest and reversals and let it fade
-    with the torque that is asked for (ref. 15 of the paper, Gawronski et al. 2000). Measured in
-    the common voltage of the motors: "constant"; "fades late", between 1.0 and 2.5 times the
-    bias; "fades early", between 0.3 and 1.0 times: tension at reversals only.
+    The bias of every one of :data:`SCHEDULES` follows from the voltage that the model needs
+    along the duty and from the setpoint, so that all are compared alike. What a controller
+    does by itself (`relief_from`, `relief_to`) is a profile of the measured command.
 
     Parameters
     ----------
@@ -134,23 +236,30 @@ def schedules(
         Its own preload and relief are replaced.
     duty : Duty
     preloads : (n,) array [V]
+        Bias at rest, above 0.
 
     Returns
     -------
     dict
         Name of the schedule → a :class:`Preload` per preload.
+
+    Raises
+    ------
+    ValueError
+        A preload that is not above 0.
     """
-    found: dict[str, list[Preload]] = {}
-    for name, (begin, end) in SCHEDULES.items():
-        found[name] = [
-            assess_preload(
-                model,
-                replace(controller, preload=b, relief_from=begin * b, relief_to=end * b),
-                duty,
-            )
-            for b in map(float, np.asarray(preloads, float))
+    tried = np.asarray(preloads, float)
+    if not np.all(tried > 0.0):
+        raise ValueError(f"preloads {tried}: each must be above 0 V")
+    volts = common_volts_along(model, duty)
+    plain = replace(controller, relief_from=0.0, relief_to=0.0)
+    return {
+        name: [
+            assess_bias(model, plain, duty, schedule.bias(b, volts, duty.reference))
+            for b in map(float, tried)
         ]
-    return found
+        for name, schedule in SCHEDULES.items()
+    }
 
 
 def boundary(

@@ -16,6 +16,7 @@ _LINES = (
     {"color": "#d1495b", "linestyle": "--", "linewidth": 1.4},
     {"color": "#0b3c6f", "linestyle": "-", "linewidth": 1.8},
 )
+_MARKERS = ("o", "s", "^", "v", "D", "x")
 _PAIR = (
     {"color": "#0b3c6f", "linestyle": "-", "linewidth": 1.4},
     {"color": "#d1495b", "linestyle": "--", "linewidth": 1.2},
@@ -128,16 +129,16 @@ def plot_schedules(preloads: ArrayLike, found: Any, *, ax: Any = None) -> np.nda
     """
     panels = axes(ax, 2, figsize=(6.8, 6.2)).ravel()
     volts = np.asarray(preloads, float)
-    markers = ("o", "s", "^")
-    for (name, rows), marker, style in zip(found.items(), markers, _LINES[2:][::-1], strict=True):
-        options = {**style, "marker": marker, "label": name}
+    for i, (name, rows) in enumerate(found.items()):
+        style = _LINES[::-1][i % len(_LINES)]
+        options = {**style, "marker": _MARKERS[i % len(_MARKERS)], "label": name}
         panels[0].plot(volts, [row.reversal_error for row in rows], **options)
         panels[1].plot(volts, [row.torque for row in rows], **options)
     panels[0].set(ylabel="rms error at reversals [deg/s]", yscale="log")
     panels[1].set(ylabel="rms torque of a motor [N·m]", xlabel="preload at rest ±u_b [V]")
     for panel in panels:
         panel.grid(alpha=0.3, which="both")
-        panel.legend(fontsize=9)
+    panels[1].legend(fontsize=9, ncols=2)
     return panels
 
 

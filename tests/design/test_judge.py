@@ -12,6 +12,7 @@ from dmptm_ctrl.control.tuning import assess_pi
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
 from dmptm_ctrl.design.impact import SWEEP_HZ, impact, margins, swept_gains
+from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.design.montecarlo import CHUNK, MonteCarlo, monte_carlo
 from dmptm_ctrl.design.preload import (
     SCHEDULES,
@@ -20,7 +21,7 @@ from dmptm_ctrl.design.preload import (
     common_volts_along,
     schedules,
 )
-from dmptm_ctrl.design.tune import Aims, linear_plant
+from dmptm_ctrl.design.tune import Aims
 from dmptm_ctrl.plots.control import plot_preload, plot_schedules
 from dmptm_ctrl.simulate.compiled import close_loop
 from dmptm_ctrl.simulate.model import Model

@@ -13,7 +13,9 @@ from dmptm_ctrl.control.shaping import (
     linear_reference,
     without_rigid_angle,
 )
+from dmptm_ctrl.design.linear import level, linear_plant
 from dmptm_ctrl.drive import three_dof_ss
+from dmptm_ctrl.simulate.model import Model
 
 PLANT = three_dof_ss(states="twists")
 DT = 1e-3
@@ -53,6 +55,25 @@ def test_no_linear_controller_beats_mixsyn():
     drive = essential(without_rigid_angle(common_mode(PLANT)))
     poles = ct.feedback(drive * found.controller, 1).poles()
     assert poles.real.max() < 0.0
+
+
+@pytest.mark.parametrize(
+    ("effect", "numbers"),
+    [
+        ("unbalance", {"cosine": -8.6, "sine": 2.7}),  # linearised it pushes away
+        ("cable_spring", {"stiffness": 7.4, "offset": 1.3}),  # linearised no speed lasts
+    ],
+)
+def test_torques_by_angle_leave_the_reference_an_answer(effect, numbers):
+    """The synthesis has none with them; without them it is that of the drive alone."""
+    model = Model().with_effect(effect, **numbers)
+    gains = fastest_pi(linear_plant(model), 55.0, 9.0)
+    with pytest.raises(ArithmeticError):
+        linear_reference(linear_plant(model), gains)
+    found = linear_reference(linear_plant(level(model)), gains)
+    expected = linear_reference(linear_plant(Model()), gains)
+    assert found.optimal == pytest.approx(expected.optimal)
+    assert 0.1 < found.optimal < found.reached
 
 
 def test_smaller_systems_answer_alike():

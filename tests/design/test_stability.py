@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.control import assess_pi
+from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.design.stability import stability_map
-from dmptm_ctrl.design.tune import linear_plant
 from dmptm_ctrl.plots.control import plot_stability
 from dmptm_ctrl.simulate.model import Model
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from dmptm_ctrl.control.pi import outside_poles, sampled_drive, sampled_pi
 from dmptm_ctrl.design.duty import DEG
-from dmptm_ctrl.design.tune import linear_plant
+from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import Loop
 from dmptm_ctrl.simulate.model import Floats, Model

@@ -20,10 +20,10 @@ from dmptm_ctrl.control.tuning import PiTuning
 from dmptm_ctrl.design.controller import Controller, Notch
 from dmptm_ctrl.design.draws import DECLARED, draw_plants
 from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
+from dmptm_ctrl.design.linear import level, linear_plant
 from dmptm_ctrl.design.preload import smallest_preload
 from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import rest
-from dmptm_ctrl.simulate.linear import linearize, turning
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import Sites
 
@@ -84,8 +84,8 @@ class Tuned:
     linear : PiTuning
         The start.
     reference : LinearReference or None
-        What no linear controller beats; None where the synthesis has no answer, as with a load
-        that springs back.
+        What no linear controller beats on the drive without torques that depend on an angle;
+        None where the synthesis has no answer.
     stages : list of dict
         Error over the drawn plants after each stage: stage, rmse_median, rmse_quantile,
         rmse_worst [deg/s], voltage_max [V], controller, errors.
@@ -215,21 +215,10 @@ def tune_controller(
             }
         )
     try:
-        reference = linear_reference(plant, start)
+        reference = linear_reference(linear_plant(level(model)), start)
     except ArithmeticError:
         reference = None
     return Tuned(stages[-1]["controller"], start, reference, stages, errors, aims)
-
-
-def linear_plant(model: Model) -> Any:
-    """Linearise a model about the slowest usual turn under the least preload that allows it."""
-    problem: ValueError | None = None
-    for preload in (0.3, 0.5, 0.8, 1.2):
-        try:
-            return linearize(model, *turning(model, preload=preload))
-        except ValueError as error:
-            problem = error
-    raise problem or ValueError("no steady turn")
 
 
 def feed_forward_start(model: Model, gains: PiTuning, aims: Aims) -> Controller:

@@ -20,7 +20,7 @@ from dmptm_ctrl.identify.fit import Known, Unknown, place, position
 from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean, predict
 from dmptm_ctrl.simulate.model import Floats, Model
 
-HORIZONS = (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2)  # s
+HORIZONS = (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.9)  # s
 BLOCK_SECONDS = 0.002
 # One unit of a residual: twice what a gyro of 0.05 deg/s leaves in a block of two samples, and
 # one and a half times the rounding of the ring encoder, seen at the pinion.

@@ -19,6 +19,7 @@ from dmptm_ctrl.simulate.model import Floats, Model
 # Factor on the variance: what a friction law has wrong is wrong alike in neighbouring windows.
 NOT_NEWS = 2.0
 FIRM_SECONDS = 0.2  # a lock that holds for so long needs no other fit beside it
+AGAIN = 0.5  # share of a horizon that was reached, from which other logs begin
 NOISE = np.deg2rad(0.01)  # rad/s, of a gyro below 30 Hz
 ITERATIONS = 2  # from the values of balances and the rattle; more moved nothing on held-out logs
 
@@ -29,7 +30,7 @@ def augment(
     declared: Drive,
     *,
     beside: Sequence[Unknown] = (),
-    near: Model | None = None,
+    near: Fit | None = None,
     jobs: int = 2,
 ) -> Fit:
     """Refit a model inside the simulator, from what the balances know.
@@ -43,7 +44,7 @@ def augment(
         As it was before any fit.
     beside : sequence of Unknown
         Also fitted, and not known by the balances.
-    near : Model, optional
+    near : Fit, optional
         That keeps step already; the bounces are met from its values on.
     """
     start = rattled(records, start, declared, jobs)
@@ -51,7 +52,9 @@ def augment(
     more = len(beside)
     loosely = widened(start.p, LOOSE * start.covariance, more)
     best: Locked | Fit
-    best = locked = lock(records, near or start.model, unknowns, loosely, jobs=jobs)
+    first = start.model if near is None else near.model
+    reached = 0.0 if near is None else AGAIN * near.horizon
+    best = locked = lock(records, first, unknowns, loosely, reached=reached, jobs=jobs)
     if locked.horizon < FIRM_SECONDS:
         misfit = Misfit(records, LEAD_HZ, jobs)
         misfit.weigh(start.model)

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from os import PathLike
 
 from dmptm_ctrl.diagnosis import at_rest
@@ -167,8 +168,8 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     rivals = tuple(Trial(name, gain, 0.0, base) for name, gain in shown.rivals.items())
     found = Found(shown.name, shown.evidence, LEAST, trial, rivals, shown.seconds)
     decision.found.append(found)
-    own = decision.after.base
-    return augment(measured.fit, own, measured.drive, near=shown.model, jobs=jobs)
+    near = replace(after, model=shown.model, horizon=shown.seconds)
+    return augment(measured.fit, decision.after.base, measured.drive, near=near, jobs=jobs)
 
 
 def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
@@ -230,5 +231,5 @@ def refined(measured: Measured, decision: Decision, after: Fit, jobs: int) -> Fi
     declared = Model(measured.drive)
     _, start = closed(everything, base.model, declared, base.unknowns, jobs)
     beside = unknowns_of(at_rest.NAME) if at_rest.NAME in base.model.effects else ()
-    drive, near = measured.drive, after.model
-    return augment(everything, start, drive, beside=beside, near=near, jobs=jobs)
+    drive = measured.drive
+    return augment(everything, start, drive, beside=beside, near=after, jobs=jobs)

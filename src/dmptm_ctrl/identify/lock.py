@@ -63,6 +63,7 @@ def lock(
     unknowns: Sequence[Unknown],
     known: Known,
     *,
+    reached: float = 0.0,
     jobs: int = 2,
 ) -> Locked:
     """Fit unknowns to the starts of logs, sample by sample, over a growing horizon.
@@ -73,6 +74,8 @@ def lock(
         Each from rest.
     known : Known
         What is known of the unknowns beforehand.
+    reached : float
+        Seconds for which the model keeps step already: shorter horizons are left out.
     jobs : int
         Threads.
 
@@ -86,6 +89,8 @@ def lock(
     best = Locked(model, position(model, unknowns), 0.0, np.inf, prior)
     longest = max(rec.dt * rec.omega.size for rec in records)
     for horizon in HORIZONS:
+        if horizon < reached:
+            continue
         if horizon > longest:
             break
         steps = Steps([cut(rec, horizon) for rec in records], model, tuple(unknowns), known, jobs)

@@ -18,7 +18,7 @@ SIDES = ("left", "right")
 PUSHES = {1: "#0b3c6f", 0: "#e0a030", -1: "#b3262e"}  # dark, light, middle: also in grey
 NAMES = {1: "pushes forward", 0: "in flight", -1: "pushes backward"}
 REACH = 1.6  # half-gaps that are drawn
-FRAMES = 36
+FRAMES = 24
 PER_SECOND = 8
 
 

@@ -99,8 +99,13 @@ def hats(x: Floats, knots: NDArray[np.floating[Any]]) -> Floats:
 def round_hats(angle: Floats, count: int) -> Floats:
     """Periodic linear B-splines over a turn, (count, n)."""
     place = np.mod(angle, 2 * np.pi) / (2 * np.pi) * count
-    away = (place - np.arange(count)[:, None] + count / 2) % count - count / 2
-    return np.asarray(np.maximum(0.0, 1.0 - np.abs(away)))
+    before = np.floor(place)
+    past = place - before
+    rows, samples = np.zeros((count, angle.size)), np.arange(angle.size)
+    first = before.astype(int) % count
+    rows[first, samples] = 1.0 - past
+    rows[(first + 1) % count, samples] = past
+    return rows
 
 
 def direction(mo: Motion) -> Floats:

@@ -13,7 +13,8 @@ Source: paper Eqs. 16 to 18, 21, 25.
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from math import sqrt
 
 import numpy as np
 
@@ -27,6 +28,7 @@ FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a
 MIN_WINDOWS = 8  # of a log and equation; fewer tell nothing about their own scatter
 FREEDOM = 4.0  # of Student's t: how a window may scatter, bursts and rattle included
 SCALE_STEPS = 12
+RECENT = 256  # scales kept: of all equations of a few fits at a time
 FLOOR = {"total": 0.1, "chain": 0.4}  # N·m; friction laws are not known more finely
 # Difference steps, in scales of an unknown; small for what enters a phase or an exponent.
 PROBES = {"drive": 0.1, "amplitude": 1.0, "shape": 0.02}
@@ -129,11 +131,33 @@ def scatter(parts: Sequence[Floats], kinds: Sequence[str]) -> list[float]:
 
 def robust_scale(e: Floats) -> float:
     """Most likely scale about zero of Student's t with :data:`FREEDOM` degrees."""
-    s = max(1.4826 * float(np.median(np.abs(e))), 1e-9)
+    return _robust_scale(e.tobytes())
+
+
+@lru_cache(RECENT)
+def _robust_scale(windows: bytes) -> float:
+    """The same; weights and loss ask for that of the same windows in turn."""
+    e = np.frombuffer(windows)
+    s = max(1.4826 * _median(np.abs(e)), 1e-9)
+    square, ratio = e**2, np.empty_like(e)
     for _ in range(SCALE_STEPS):  # expectation–maximisation
-        weight = (FREEDOM + 1.0) / (FREEDOM + (e / s) ** 2)
-        s = max(float(np.sqrt(np.mean(weight * e**2))), 1e-9)
+        np.divide(e, s, out=ratio)
+        np.square(ratio, out=ratio)
+        np.add(ratio, FREEDOM, out=ratio)
+        np.divide(FREEDOM + 1.0, ratio, out=ratio)
+        np.multiply(ratio, square, out=ratio)
+        s = max(sqrt(np.add.reduce(ratio) / e.size), 1e-9)
     return s
+
+
+def _median(x: Floats) -> float:
+    """Median; NumPy's own takes longer to begin than to find it. Reorders x."""
+    middle = x.size // 2
+    if x.size % 2:
+        x.partition(middle)
+        return float(x[middle])
+    x.partition((middle - 1, middle))
+    return float(0.5 * (x[middle - 1] + x[middle]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ another parameter; what was computed lately is kept.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from math import exp
 from typing import Any
 
@@ -140,8 +140,9 @@ class Windowed:
 
     def frictions(self, base: Floats, on: Any, values: Floats) -> tuple[list[Floats], Floats]:
         """Friction on pinions and ring gear, three of (n,) and window means (3, w) [N·m]."""
+        distance = engine().presliding_distance
         found = [
-            self.friction(body, law, engine().presliding_distance(body, on, values))
+            self.friction(body, law, distance(body, on, values))
             for body, law in enumerate(laws(base))
         ]
         return [row for row, _ in found], np.array([mean for _, mean in found])
@@ -188,24 +189,28 @@ def laws(base: Floats) -> tuple[bytes, bytes, bytes]:
 
 def unneeded(on: Any) -> list[int]:
     """Places in the base array that the disturbance by effects in use does not depend on."""
-    if loads(on):
+    return _unneeded(tuple(CATALOGUE), on.tobytes())
+
+
+@cache
+def _unneeded(names: tuple[str, ...], on: bytes) -> list[int]:
+    if _loads(names, on):
         return []
     gain, ratios = [0, 1], [5, 6]
-    friction = list(range(REDUCER, BEARING + LAW)) if acts(on, "friction") else []
+    acts = any(used and CATALOGUE[n].site == "friction" for n, used in zip(names, on, strict=True))
+    friction = list(range(REDUCER, BEARING + LAW)) if acts else []
     return [i for i in range(len(BASE)) if i not in {*gain, *ratios, *friction}]
-
-
-def acts(on: Any, site: str) -> bool:
-    """Whether an effect in use acts at a site."""
-    return any(on[layout()[name][0]] and e.site == site for name, e in CATALOGUE.items())
 
 
 def loads(on: Any) -> bool:
     """Whether an effect in use depends on the torque of the meshes."""
-    return any(
-        on[layout()[name][0]] and e.site == "friction" and "mesh_torque" in e.depends_on
-        for name, e in CATALOGUE.items()
-    )
+    return _loads(tuple(CATALOGUE), on.tobytes())
+
+
+@cache
+def _loads(names: tuple[str, ...], on: bytes) -> bool:
+    effects = [CATALOGUE[name] for name, used in zip(names, on, strict=True) if used]
+    return any(e.site == "friction" and "mesh_torque" in e.depends_on for e in effects)
 
 
 def frictions(mo: Motion, base: Floats) -> Floats:

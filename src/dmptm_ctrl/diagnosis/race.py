@@ -26,11 +26,11 @@ KEEPS_SECONDS = 0.15  # a model that keeps step for so long lacks nothing that i
 HORIZONS = (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4)  # s
 WINS_SECONDS = 0.15  # for which a winner keeps step
 MARGIN = 40.0  # cost beyond the best one's at which a candidate drops out
-LEAST = 100.0  # evidence of a winner
+LEAST = 150.0  # evidence of a winner
 # Times the winner's loss per sample: so far out of step is the model as it is. Where friction is
 # only a little other than the model's, an effect that mends it in part leaves more of it.
 OUT = 2.7
-HELD_SHARE = 0.1  # of the evidence that the held-out logs confirm at least
+HELD_SHARE = 0.3  # of a fitted log's evidence, that a held-out log gives at least
 # Mean loss per sample above which other starts are tried; noise gives 0.25. A winner stays below.
 UNEASY = 0.45
 TRIED = 4  # best candidates for which they are
@@ -126,8 +126,6 @@ class Raced:
         By how much the model as it is misses more, on fitted and held-out logs.
     held_gain : float
         The held-out logs' share of it.
-    rivals : mapping
-        Name → evidence of others that kept step as well.
     """
 
     name: str
@@ -135,7 +133,6 @@ class Raced:
     seconds: float
     evidence: float
     held_gain: float
-    rivals: dict[str, float]
 
 
 def race(
@@ -221,16 +218,14 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
         return None
     records = [cut(rec, lap.seconds) for rec in held]
     held_gain = bare.missed(records, jobs) - winner.missed(records, jobs)
-    total = bare.cost - winner.cost + held_gain
-    if total < LEAST or held_gain < HELD_SHARE * total:
+    gain = bare.cost - winner.cost
+    per_log = gain / len(winner.steps.records)
+    if gain + held_gain < LEAST or held_gain < HELD_SHARE * per_log * len(records):
         return None
-    rivals = {
-        place.name: bare.cost - place.cost
-        for place in reversed(lap.field)
-        if place.name not in (None, winner.name)
-    }
+    if any(place.name != winner.name for place in lap.field):
+        return None  # several mend a law that is not quite the model's
     model = winner.steps.placed(winner.p)
-    return Raced(winner.name, model, lap.seconds, total, held_gain, rivals)
+    return Raced(winner.name, model, lap.seconds, gain + held_gain, held_gain)
 
 
 def with_effect(

@@ -11,8 +11,7 @@ from scipy.special import expit
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
 from dmptm_ctrl.parallel import each
-from dmptm_ctrl.simulate.compiled import SUBSTEPS, close_loop, rest
-from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.compiled import close_loop
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites
 
@@ -128,13 +127,7 @@ def assess_bias(model: Model, controller: Controller, duty: Duty, bias: ArrayLik
     push[:, 0] = sites.n1 * sites.gain * volts  # at the pinions, where the motors' torque acts
     push[:, 1] = -push[:, 0]
     law = replace(controller, preload=0.0).law()
-    u, out = np.zeros((2, volts.size)), np.empty((volts.size, 8))
-    base, on, values = model.arrays()
-    reference = np.ascontiguousarray(duty.reference, float)
-    engine().march(
-        *(u, law.numbers(), law.model.arrays(), reference, np.zeros(2), np.zeros(volts.size)),
-        *(push, rest(model, 0.0), duty.sample_time, SUBSTEPS, base, on, values, out),
-    )
+    u, out = close_loop(model, law, duty.reference, duty.sample_time, extra=push)
     return _assessed(model, duty, u + np.array([volts, -volts]), out, 1.0)
 
 

@@ -119,6 +119,7 @@ def close_loop(
     *,
     theta_L: float = 0.0,
     noise: ArrayLike | None = None,
+    extra: Floats | None = None,
     substeps: int = SUBSTEPS,
 ) -> tuple[Floats, Floats]:
     """Run the plant under a sampled speed loop.
@@ -130,6 +131,8 @@ def close_loop(
     reference : (n,) array [rad/s]
     noise : (n,) array [rad/s], optional
         Added to the speed reading that the controller sees.
+    extra : (n, 3) array [N·m], optional
+        Torques added on the two pinions and the ring gear.
 
     Returns
     -------
@@ -149,7 +152,7 @@ def close_loop(
         target,
         np.zeros(2),
         seen,
-        _NONE,
+        _NONE if extra is None else _own(extra),
         rest(model, theta_L),
         dt,
         substeps,

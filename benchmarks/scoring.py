@@ -166,6 +166,10 @@ def summarise(lines):
             x["after"] / x["before"] for x in lines if x["kind"] != "null" and x["effects"]
         ),
         "hidden_error_left": spread(error_left(x) for x in lines),
+        "hidden_error_left_by_friction": {
+            law: spread(error_left(x) for x in lines if x["laws"].get("friction") == law)
+            for law in sorted({x["laws"]["friction"] for x in lines if x.get("laws")})
+        },
         "seconds": spread(x["seconds"] for x in lines),
         "missed": [missed(x) for x in lines if not right(x)],
     }
@@ -220,6 +224,9 @@ def report(summary):
         rows.append(
             f"error left on hidden logs, median {summary['hidden_error_left']['median']:.3f}"
         )
+        for law, left in summary["hidden_error_left_by_friction"].items():
+            if left:
+                rows.append(f"  friction {law:12s} {left['median']:.3f} of {left['of']}")
     if summary["seconds"]:
         rows.append(f"seconds per rig, median {summary['seconds']['median']:.0f}")
     rows += [f"missed {m['id']}: {m['verdict']} {' '.join(m['named'])}" for m in summary["missed"]]

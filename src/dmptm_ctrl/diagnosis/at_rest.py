@@ -66,12 +66,12 @@ def presliding(measured: Measured, before: Fit, jobs: int) -> AtRest:
     """Add pre-sliding to a fitted model."""
     misfit = weighed(measured.fit, before, jobs)
     held = weighed(measured.held, before, jobs)
-    cost, held_cost = square(misfit, before.model), square(held, before.model)
-    starts = [square(misfit, sized(before.model, size)) for size in STARTS]
+    cost, held_cost = misfit.square(before.model), held.square(before.model)
+    starts = [misfit.square(sized(before.model, size)) for size in STARTS]
     if min(starts) > cost:  # any amount only harms: there is nothing to fit
         return AtRest(0.0, 0.0, (0.0, 0.0), before)
     best = started(misfit, before, STARTS[int(np.argmin(starts))])
-    gain, held_gain = cost - square(misfit, best.model), held_cost - square(held, best.model)
+    gain, held_gain = cost - misfit.square(best.model), held_cost - held.square(best.model)
     return AtRest(gain, held_gain, (gain / cost, held_gain / held_cost), best)
 
 
@@ -88,11 +88,6 @@ def weighed(records: Sequence[Record], before: Fit, jobs: int) -> Misfit:
     misfit = Misfit(records, LEAD_HZ, jobs)
     misfit.weigh(before.model)
     return misfit
-
-
-def square(misfit: Misfit, model: Model) -> float:
-    """Squared misfit of a model."""
-    return float(np.sum(misfit.vector(model) ** 2))
 
 
 def sized(model: Model, size: float) -> Model:

@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from dmptm_ctrl.diagnosis.predict import expected, low_pass
-from dmptm_ctrl.diagnosis.race import LOOSE
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit
-from dmptm_ctrl.identify.lock import Locked, lock
+from dmptm_ctrl.identify.lock import LOOSE, Locked, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 

@@ -13,12 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dmptm_ctrl.diagnosis.augment import widened
 from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, uncouple
 from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Known, Unknown, position
-from dmptm_ctrl.identify.lock import FREEDOM, LOST, NEWS, TINY, Steps, cut, loss
+from dmptm_ctrl.identify.lock import FREEDOM, LOOSE, LOST, NEWS, TINY, Steps, cut, loss
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -37,7 +38,6 @@ TRIED = 4  # best candidates for which they are
 DRAWS, SIZES = 32, (0.3, 1.0)  # and how many, in standard deviations of what is known
 ORDER, SCAN_SECONDS, SCANNED = "order", 0.1, 2  # orders are tried on so much of each log
 PURSUED = 2  # of the draws that are fitted
-LOOSE = 4.0  # factor on the variance of what balances know, before bounces sharpen it
 SHAPE_WIDTH = 10.0  # steps of a shape, about the value that the balances like best
 
 
@@ -70,20 +70,19 @@ class Runner:
     def go(self, records: Sequence[Record], jobs: int) -> None:
         """Fit to records of one horizon."""
         self.steps = Steps(records, self.model, self.unknowns, self.known, jobs)
-        self.found: list[tuple[float, Floats, Floats]] = []
+        self.found: list[tuple[float, Floats, Floats, float]] = []
         for start in self.places:
             self.pursue(start)
 
     def pursue(self, start: Floats) -> None:
         """Go down from a start; keep the best two places."""
         p = self.steps.descend(start)
-        cost = float(self.steps.costs(self.steps.residuals([p]), [p])[0])
-        self.found = sorted(
-            [*self.found, (cost, p, self.steps.covariance)], key=lambda found: found[0]
-        )
-        self.cost = self.found[0][0]
+        missed = self.steps.residuals([p])
+        cost, level = float(self.steps.costs(missed, [p])[0]), float(loss(missed).mean())
+        self.found.append((cost, p, self.steps.covariance, level))
+        self.found.sort(key=lambda found: found[0])
+        self.cost, _, _, self.level = self.found[0]
         self.places = [found[1] for found in self.found[:2]]
-        self.level = float(self.steps.levels(self.places[:1])[0])
 
     def search(self) -> None:
         """Try other starts, drawn from what the last horizon left open."""
@@ -248,8 +247,7 @@ def with_effect(
 
 def loosely(fit: BalanceFit) -> Known:
     """What balances know, before bounces sharpen it."""
-    precision = np.linalg.inv(LOOSE * fit.covariance)
-    return Known(fit.p, np.asarray(precision, np.float64))
+    return widened(fit.p, LOOSE * fit.covariance, 0)
 
 
 def meshes_from(start: BalanceFit, fit: BalanceFit) -> BalanceFit:

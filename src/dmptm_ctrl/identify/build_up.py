@@ -43,10 +43,7 @@ def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> 
         raise ValueError("the model has presliding; its distances are known")
     misfit = Misfit(records(logs, model.drive), jobs=n_jobs)
     misfit.weigh(model)
-    costs = [
-        float(np.sum(misfit.vector(_built_up(model, d) if d > 0.0 else model) ** 2))
-        for d in DISTANCES
-    ]
+    costs = [misfit.square(_built_up(model, d) if d > 0.0 else model) for d in DISTANCES]
     k = int(np.argmin(costs))
     if k in (0, DISTANCES.size - 1):
         return float(DISTANCES[k])

@@ -220,6 +220,10 @@ class Misfit:
             ]
         )
 
+    def square(self, model: Model) -> float:
+        """Squared misfit of a model."""
+        return float(np.sum(self.vector(model) ** 2))
+
     def news(self, rec: Record) -> float:
         """Share of a block's square that counts as independent."""
         return min(1.0, rec.block * rec.dt / CORRELATION_SECONDS)

@@ -33,6 +33,7 @@ PROBE = 1e-3  # difference step, in half-ranges: small against the distance to a
 PROBE_SHRINKS = 0.3
 DAMPINGS = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)  # of a step; all are tried
 ITERATIONS = 8  # per horizon
+LOOSE = 4.0  # factor on the variance of what balances know, before bounces sharpen it
 TINY = 1e-9  # precision of what nothing is known about
 STALLED = 5e-3  # relative fall of the cost that ends them
 

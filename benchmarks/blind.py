@@ -160,6 +160,7 @@ def diagnosed(logs, hidden):
         ],
         "rest": [[t.name, t.gain, t.held_gain] for t in result.decision.rest[:3]],
         "at_bounds": list(result.fitted.at_bounds),
+        "keeps_step": [fit.horizon for fit in result.fits],
     }
     if hidden:
         bare = result.declared.without(list(result.declared.effects))

@@ -36,6 +36,8 @@ class Found:
     ----------
     in_step : float
         Seconds over which it alone meets every bounce, where this and not the balances told it.
+    out_of_step : tuple of str
+        Rivals that lose step where it does not.
     """
 
     name: str
@@ -44,16 +46,22 @@ class Found:
     trial: Trial
     rivals: tuple[Trial, ...]
     in_step: float = 0.0
+    out_of_step: tuple[str, ...] = ()
+
+    @property
+    def left(self) -> tuple[Trial, ...]:
+        """Rivals that nothing has told from it."""
+        return tuple(t for t in self.rivals if t.name not in self.out_of_step)
 
     @property
     def confusable_with(self) -> tuple[str, ...]:
         """Names that explain much of the same."""
-        return tuple(t.name for t in self.rivals if t.evidence > RIVAL * self.evidence)
+        return tuple(t.name for t in self.left if t.evidence > RIVAL * self.evidence)
 
     @property
     def probability(self) -> float:
         """Probability that the name is right, from its evidence and its lead."""
-        share = min(1.0, max([0.0, *(t.evidence for t in self.rivals)]) / self.evidence)
+        share = min(1.0, max([0.0, *(t.evidence for t in self.left)]) / self.evidence)
         surely = self.evidence / (self.evidence + 0.1 * self.threshold)
         return float(min(0.995, surely * (1.0 - 0.5 * share**4)))
 

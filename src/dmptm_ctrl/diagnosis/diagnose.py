@@ -23,6 +23,7 @@ from dmptm_ctrl.diagnosis.report import (
     unnamed,
 )
 from dmptm_ctrl.diagnosis.residual import closed, residual
+from dmptm_ctrl.diagnosis.runoff import run_off
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
@@ -92,6 +93,7 @@ def diagnose(
         after = augment(measured.fit, decision.after.base, declared, jobs=jobs)
     held = measured.held_logs
     without = speed_error(before.model.without(model.effects), held)
+    after = told_apart(decision, after, jobs)
     after = sobered(decision, without["rmse"], after, held, jobs)
     after = in_step(decision, after, jobs, seed)
     after = rested(decision, after, jobs)
@@ -138,6 +140,27 @@ def diagnose(
         warnings=tuple(dict.fromkeys((*notes, *measured.warnings))),
         experiment=next_experiment(decision, measured.has_motor_encoders),
     )
+
+
+def told_apart(decision: Decision, after: Fit, jobs: int) -> Fit:
+    """Keep, of names that the balances take for one another, the one that keeps step."""
+    measured = decision.before.measured
+    if decision.tables is not None:
+        return after
+    for i, found in enumerate(decision.found):
+        told = run_off(measured.fit, measured.held, found.trial, after, found.rivals, jobs)
+        if told is None:
+            continue
+        if told.better is not None:
+            trial, rivals = told.better, (found.trial, *found.rivals)
+            rivals = tuple(t for t in rivals if t is not trial)
+            found = Found(trial.name, trial.evidence, found.threshold, trial, rivals)
+            unknowns = trial.fit.unknowns
+            decision.after = residual(measured, told.model, unknowns=unknowns, jobs=jobs)
+            near = replace(after, model=told.model, horizon=told.horizon)
+            after = augment(measured.fit, decision.after.base, measured.drive, near=near, jobs=jobs)
+        decision.found[i] = replace(found, out_of_step=told.out)
+    return after
 
 
 def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log], jobs: int) -> Fit:

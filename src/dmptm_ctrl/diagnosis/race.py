@@ -18,7 +18,7 @@ from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, uncouple
 from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.fit import Known, Unknown, position
+from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
 from dmptm_ctrl.identify.lock import FREEDOM, LOOSE, LOST, NEWS, TINY, Steps, cut, loss
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -250,7 +250,7 @@ def loosely(fit: BalanceFit) -> Known:
     return widened(fit.p, LOOSE * fit.covariance, 0)
 
 
-def meshes_from(start: BalanceFit, fit: BalanceFit) -> BalanceFit:
+def meshes_from(start: BalanceFit | Fit, fit: BalanceFit) -> BalanceFit:
     """Take the damping of meshes and gaps, which balances do not tell, from another fit."""
     p, covariance = fit.p.copy(), fit.covariance.copy()
     for j, unknown in enumerate(start.unknowns):

@@ -235,6 +235,9 @@ def named(found: Found, after: Fit, *, all_explained: bool) -> NamedEffect:
     if found.rivals:
         second = found.rivals[0]
         sentence += f"; the next best, {second.name}, reaches {second.evidence:.0f}"
+    if found.out_of_step:
+        several = ", ".join(found.out_of_step)
+        sentence += f"; simulated in its place from the start of each log, {several} lost step"
     sentence += "."
     return NamedEffect(
         found.name,

@@ -36,6 +36,7 @@ class Case(NamedTuple):
     sensors: str | None
     folder: Path | None = None
     label: dict | None = None
+    friction: str | None = None
 
 
 def planned(seeds, count, only):
@@ -88,6 +89,8 @@ def given(case):
     from rigs import make_rig
 
     options = {"sensors": case.sensors, "hidden_logs": HIDDEN}
+    if case.friction is not None:
+        options["friction"] = case.friction
     rig = make_rig(case.seed, case.effects, **options)
     again = make_rig(
         case.seed, case.effects, logs=("open_sine_0v60",), noise_seed=case.seed + 1, **options
@@ -220,6 +223,7 @@ def main():
     parser.add_argument("--only", choices=("null", "single", "pair", "unknown"))
     parser.add_argument("--effects", nargs="+", help="these, one per rig, instead of a campaign")
     parser.add_argument("--strengths", type=float, nargs="+", default=[1.0, 3.0])
+    parser.add_argument("--friction", choices=("karnopp", "lugre", "tanh"), help="of all rigs")
     parser.add_argument("--logs", type=Path, help="a folder of rigs with labels.json")
     cluster.add_arguments(parser, jobs=2)
     asked = parser.parse_args()
@@ -229,6 +233,8 @@ def main():
         cases = one_by_one(asked.seeds, asked.effects, asked.strengths)
     else:
         cases = planned(asked.seeds, asked.count, asked.only)
+    if asked.friction:
+        cases = [c._replace(id=f"{c.id}-{asked.friction}", friction=asked.friction) for c in cases]
     run(cases, asked.out, asked.jobs, asked.scheduler)
     lines = list(read(asked.out / "results.jsonl").values())
     summary = summarise(lines)

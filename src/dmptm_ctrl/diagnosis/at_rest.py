@@ -1,25 +1,32 @@
 """What acts near rest, where the balances do not look: tried in the simulator.
 
 Balances count windows in which everything slides; pre-sliding shows as bodies come to rest
-and break away. A free run of the held-out logs tells it from a friction law that is only a
-little softer than the declared one.
+and break away. On a machine that obeys the model's laws otherwise, it alone lets the model keep
+step with the first tenths of a second of each log. Elsewhere a free run of the held-out logs
+tells it from a friction law that is only a little softer than the declared one.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import widened
 from dmptm_ctrl.diagnosis.measure import Measured
+from dmptm_ctrl.diagnosis.race import UNEASY
+from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
+from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, SECONDS, SHORT_SECONDS, horizons, run
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.fit import Fit, Misfit, effect_unknowns, fit
+from dmptm_ctrl.identify.balance import BalanceFit
+from dmptm_ctrl.identify.fit import Fit, Misfit, Unknown, effect_unknowns, fit
+from dmptm_ctrl.identify.lock import LOOSE, Locked, cut, lock
 from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.simulate.model import Model
 
 NAME = "presliding"
 STARTS = (0.2, 1.0)  # of each distance, in its step
+STRIDES = (0.2, 1.0, 4.0)  # the same, from which it tries to keep step
 ITERATIONS = 6
 # Any real contact pre-slides a little: a common friction law with bristles lets that take off
 # up to half of the misfit, by distances of one or two counts of the ring encoder. An effect
@@ -41,18 +48,23 @@ class AtRest:
         The same, of the whole misfit.
     fit : Fit
         Without pre-sliding where any amount of it only harms.
+    in_step : float
+        Seconds for which it keeps step where the model without it does not; 0 if neither does.
     """
 
     gain: float
     held_gain: float
     shares: tuple[float, float]
     fit: Fit
+    in_step: float = 0.0
 
     @property
     def evidence(self) -> float:
         """Fall of the misfit on all logs beyond what a softer friction law would give."""
         if travel(self.fit) < MATTERS:
             return 0.0
+        if self.in_step > 0.0:
+            return self.gain + self.held_gain
         parts = zip((self.gain, self.held_gain), self.shares, strict=True)
         return max(0.0, sum(gain * (1.0 - SHARE / share) for gain, share in parts if share > 0.0))
 
@@ -62,8 +74,67 @@ class AtRest:
         return min(self.shares) > SHARE and self.evidence > LEAST
 
 
-def presliding(measured: Measured, before: Fit, jobs: int) -> AtRest:
-    """Add pre-sliding to a fitted model."""
+def presliding(measured: Measured, before: Fit, start: BalanceFit, jobs: int) -> AtRest:
+    """Add pre-sliding to a fitted model.
+
+    Parameters
+    ----------
+    before : Fit
+        Inside the simulator.
+    start : BalanceFit
+        Of the same model, by the balances.
+    """
+    if before.horizon >= KEEPS_SECONDS:  # nothing is missing near rest
+        return AtRest(0.0, 0.0, (0.0, 0.0), before)
+    kept = keeping_step(measured, before, start, jobs)
+    return kept or by_misfit(measured, before, jobs)
+
+
+def keeping_step(measured: Measured, before: Fit, start: BalanceFit, jobs: int) -> AtRest | None:
+    """Add pre-sliding if the model keeps step with it, and not without."""
+    parts = [[cut(rec, SECONDS) for rec in records] for records in (measured.fit, measured.held)]
+    strides = [
+        (locked, unknowns)
+        for size in STRIDES
+        for locked, unknowns in [stride(measured, start, sized(start.model, size), parts[0], jobs)]
+    ]
+    best, unknowns = max(strides, key=lambda s: (s[0].horizon, -s[0].level))
+    # the rattle told the meshes' damping with friction of another size; now once more
+    again, _ = stride(measured, start, best.model, parts[0], jobs)
+    if (again.horizon, -again.level) > (best.horizon, -best.level):
+        best = again
+    for seconds in reversed(horizons(SHORT_SECONDS, best.horizon)):
+        parts = [[cut(rec, seconds) for rec in records] for records in parts]
+        bare, with_it = run(parts, before.model, jobs), run(parts, best.model, jobs)
+        if with_it.level < UNEASY:
+            break
+    else:
+        return None
+    if not bare.loses_to(with_it):
+        return None
+    gains = bare.fitted - with_it.fitted, bare.held - with_it.held
+    shares = gains[0] / bare.fitted, gains[1] / bare.held
+    done = Fit(best.model, unknowns, best.p, best.covariance, best.horizon)
+    return AtRest(*gains, shares, done, best.horizon)
+
+
+def stride(
+    measured: Measured,
+    start: BalanceFit,
+    model: Model,
+    records: Sequence[Record],
+    jobs: int,
+) -> tuple[Locked, tuple[Unknown, ...]]:
+    """Keep step with pre-sliding from a size on, with the damping that the rattle then tells."""
+    fit = rattled(measured.fit, replace(start, model=model), measured.drive, jobs)
+    own = effect_unknowns(NAME)
+    unknowns = (*start.unknowns, *own)
+    known = widened(fit.p, LOOSE * fit.covariance, len(own))
+    return lock(records, fit.model, unknowns, known, jobs=jobs), unknowns
+
+
+def by_misfit(measured: Measured, before: Fit, jobs: int) -> AtRest:
+    """Add pre-sliding by the misfit of whole free runs."""
     misfit = weighed(measured.fit, before, jobs)
     held = weighed(measured.held, before, jobs)
     cost, held_cost = misfit.square(before.model), held.square(before.model)

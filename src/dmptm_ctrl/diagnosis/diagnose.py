@@ -95,8 +95,8 @@ def diagnose(
     without = speed_error(before.model.without(model.effects), held)
     after = told_apart(decision, after, jobs)
     after = sobered(decision, without["rmse"], after, held, jobs)
-    after = in_step(decision, after, jobs, seed)
     after = rested(decision, after, jobs)
+    after = in_step(decision, after, jobs, seed)
     nothing = not decision.found and not model.effects and decision.unexplained is None
     if nothing and without["rmse"] > ASTRAY:
         variables = astray(before.model, held)
@@ -199,7 +199,7 @@ def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
     if decision.tables is not None or len(decision.found) == MAX_EFFECTS:
         return after
     measured = decision.before.measured
-    shown = at_rest.presliding(measured, after, jobs)
+    shown = at_rest.presliding(measured, after, decision.after.base, jobs)
     decision.at_rest = shown
     if not shown.convincing:
         return after
@@ -212,8 +212,12 @@ def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
         decision.unexplained = None
     decision.after = moved
     trial = Trial(at_rest.NAME, shown.gain, shown.held_gain, moved.base)
-    decision.found.append(Found(at_rest.NAME, shown.evidence, at_rest.LEAST, trial, ()))
-    return shown.fit
+    found = Found(at_rest.NAME, shown.evidence, at_rest.LEAST, trial, (), shown.in_step)
+    decision.found.append(found)
+    if not shown.in_step:
+        return shown.fit
+    own = unknowns_of(at_rest.NAME)
+    return augment(measured.fit, moved.base, measured.drive, beside=own, near=shown.fit, jobs=jobs)
 
 
 def with_sensors(model: Model, sensors: SensorCheck) -> Model:

@@ -12,17 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.race import LEAST, OUT, UNEASY, loosely, meshes_from
+from dmptm_ctrl.diagnosis.race import LEAST, MARGIN, OUT, UNEASY, loosely, meshes_from
 from dmptm_ctrl.diagnosis.trace import Trial
 from dmptm_ctrl.identify.fit import Fit, Known, place
-from dmptm_ctrl.identify.lock import LOST, NEWS, Locked, Steps, cut, lock, loss
+from dmptm_ctrl.identify.lock import HORIZONS, LOST, NEWS, Locked, Steps, cut, lock, loss
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
 ALIKE = 0.2  # share of a winner's evidence from which a rival runs beside it
 MOST = 6  # rivals
 SECONDS = 0.4  # of each log; later what is left of a wrong parameter grows into the bounces
-KEEPS_SECONDS = 0.3  # for which one of them keeps step, or nothing is told
+SHORT_SECONDS = 0.15  # for which one of them keeps step at least, or nothing is told
+KEEPS_SECONDS = 0.3  # the same, for one to take another's place
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +64,15 @@ class Run:
     fitted: float
     held: float
 
-    def loses_to(self, other: "Run") -> bool:
-        """Whether it loses step where the other keeps it, on the held-out logs too."""
+    def beyond(self, other: "Run") -> float:
+        """Evidence for the other one, which keeps step; 0 unless the held-out logs agree."""
         fitted, held = self.fitted - other.fitted, self.held - other.held
-        far = self.level > max(LOST, OUT * other.level)
-        return far and other.level < UNEASY and held > 0.0 and fitted + held > LEAST
+        agree = other.level < UNEASY and min(fitted, held) > 0.0
+        return fitted + held if agree else 0.0
+
+    def loses_to(self, other: "Run") -> bool:
+        """Whether it loses step altogether where the other keeps it."""
+        return self.level > max(LOST, OUT * other.level) and self.beyond(other) > LEAST
 
 
 def run_off(
@@ -95,21 +100,36 @@ def run_off(
         None if no one keeps step, or there is no rival.
     """
     close = [trial for trial in rivals if trial.evidence > ALIKE * winner.evidence][:MOST]
-    parts = [[cut(rec, SECONDS) for rec in records] for records in (fitted, held)]
-    locks = [rival_lock(parts[0], after, trial, jobs) for trial in close]
-    seconds = max([after.horizon, *(found.horizon for found in locks)])
-    if not close or seconds < KEEPS_SECONDS:
+    if not close:
         return None
-    runs = {t.name: run(parts, found.model, jobs) for t, found in zip(close, locks, strict=True)}
-    runs[winner.name] = own = run(parts, after.model, jobs)
-    best = min(runs.values(), key=lambda r: r.fitted + r.held)
-    if not own.loses_to(best):
-        best = own
-    out = tuple(name for name, r in runs.items() if r.loses_to(best))
+    starts = [cut(rec, SECONDS) for rec in fitted]
+    locks = [rival_lock(starts, after, trial, jobs) for trial in close]
+    models = [after.model, *(found.model for found in locks)]
+    for seconds in reversed(horizons(SHORT_SECONDS, SECONDS)):
+        parts = [[cut(rec, seconds) for rec in records] for records in (fitted, held)]
+        own, *runs = (run(parts, model, jobs) for model in models)
+        if min(r.level for r in (own, *runs)) < UNEASY:
+            break
+    else:
+        return None
+    best, keeps = winner, own
+    if seconds >= KEEPS_SECONDS:
+        for trial, r in zip(close, runs, strict=True):
+            # balances and runs have their say together
+            told = keeps.beyond(r)
+            if told > MARGIN and told > best.evidence - trial.evidence:
+                best, keeps = trial, r
+    everyone = zip((winner, *close), (own, *runs), strict=True)
+    out = tuple(trial.name for trial, r in everyone if r.beyond(keeps) > MARGIN)
     for trial, found in zip(close, locks, strict=True):
-        if best is runs[trial.name]:
+        if trial is best:
             return Told(out, trial, found.model, found.horizon)
     return Told(out, None, after.model, after.horizon)
+
+
+def horizons(first: float, last: float) -> list[float]:
+    """Return the horizons of a lock from one to another."""
+    return [h for h in HORIZONS if first <= h <= last]
 
 
 def rival_lock(records: Sequence[Record], after: Fit, trial: Trial, jobs: int) -> Locked:

@@ -26,9 +26,10 @@ def told(friction, winner):
     measured = measure(logs, drive)
     trials = {t.name: t for t in trace(residual(measured, Model(drive)), only=(TRUE, RIVAL))}
     assert min(t.evidence for t in trials.values()) > 0.0
-    after = augment(measured.fit, adopt(measured, trials[winner], 2).base, drive)
+    base = adopt(measured, trials[winner], 2).base
+    after = augment(measured.fit, base, drive)
     rivals = tuple(t for t in trials.values() if t.name != winner)
-    return run_off(measured.fit, measured.held, trials[winner], after, rivals)
+    return run_off(measured.fit, measured.held, trials[winner], base, after, rivals)
 
 
 @pytest.mark.parametrize("winner", [TRUE, RIVAL])

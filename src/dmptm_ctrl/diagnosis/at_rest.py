@@ -13,14 +13,13 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import widened
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.race import UNEASY
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, SECONDS, SHORT_SECONDS, horizons, run
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Misfit, Unknown, effect_unknowns, fit
-from dmptm_ctrl.identify.lock import LOOSE, Locked, cut, lock
+from dmptm_ctrl.identify.lock import LOOSE, UNEASY, Locked, cut, lock
 from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.simulate.model import Model
 

@@ -93,7 +93,7 @@ def diagnose(
         after = augment(measured.fit, decision.after.base, declared, jobs=jobs)
     held = measured.held_logs
     without = speed_error(before.model.without(model.effects), held)
-    after = told_apart(decision, after, jobs)
+    after = told_apart(decision, after, jobs, seed)
     after = sobered(decision, without["rmse"], after, held, jobs)
     after = rested(decision, after, jobs)
     after = in_step(decision, after, jobs, seed)
@@ -142,13 +142,14 @@ def diagnose(
     )
 
 
-def told_apart(decision: Decision, after: Fit, jobs: int) -> Fit:
+def told_apart(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     """Keep, of names that the balances take for one another, the one that keeps step."""
     measured = decision.before.measured
     if decision.tables is not None:
         return after
     for i, found in enumerate(decision.found):
-        told = run_off(measured.fit, measured.held, found.trial, after, found.rivals, jobs)
+        base, logs = decision.after.base, (measured.fit, measured.held)
+        told = run_off(*logs, found.trial, base, after, found.rivals, jobs=jobs, seed=seed)
         if told is None:
             continue
         if told.better is not None:
@@ -157,7 +158,8 @@ def told_apart(decision: Decision, after: Fit, jobs: int) -> Fit:
             found = Found(trial.name, trial.evidence, found.threshold, trial, rivals)
             unknowns = trial.fit.unknowns
             decision.after = residual(measured, told.model, unknowns=unknowns, jobs=jobs)
-            near = replace(after, model=told.model, horizon=told.horizon)
+        if told.better is not None or told.seconds > after.horizon:
+            near = replace(after, model=told.model, horizon=told.seconds)
             after = augment(measured.fit, decision.after.base, measured.drive, near=near, jobs=jobs)
         decision.found[i] = replace(found, out_of_step=told.out)
     return after

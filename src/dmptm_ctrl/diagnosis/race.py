@@ -8,7 +8,7 @@ torque. On a machine with other laws of friction or contact none does.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,18 @@ from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
-from dmptm_ctrl.identify.lock import FREEDOM, LOOSE, LOST, NEWS, TINY, Steps, cut, loss
+from dmptm_ctrl.identify.lock import (
+    FREEDOM,
+    LOOSE,
+    LOST,
+    NEWS,
+    TINY,
+    UNEASY,
+    Seeker,
+    Steps,
+    cut,
+    loss,
+)
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -32,78 +43,22 @@ LEAST = 150.0  # evidence of a winner
 # only a little other than the model's, an effect that mends it in part leaves more of it.
 OUT = 2.7
 HELD_SHARE = 0.3  # of a fitted log's evidence, that a held-out log gives at least
-# Mean loss per sample above which other starts are tried; noise gives 0.25. A winner stays below.
-UNEASY = 0.45
-TRIED = 4  # best candidates for which they are
-DRAWS, SIZES = 32, (0.3, 1.0)  # and how many, in standard deviations of what is known
+TRIED = 4  # best candidates, for which other starts are tried
 ORDER, SCAN_SECONDS, SCANNED = "order", 0.1, 2  # orders are tried on so much of each log
-PURSUED = 2  # of the draws that are fitted
 SHAPE_WIDTH = 10.0  # steps of a shape, about the value that the balances like best
 
 
 @dataclass(eq=False)
-class Runner:
+class Runner(Seeker):
     """A candidate, or the model as it is, on its way.
 
     Attributes
     ----------
     name : str or None
         None for the model as it is.
-    places : list of arrays
-        Values from which the next horizon starts, the best first.
-    cost : float
-        Of the best, with what is known beforehand.
-    level : float
-        Mean loss per sample.
     """
 
-    name: str | None
-    model: Model
-    unknowns: tuple[Unknown, ...]
-    known: Known
-    places: list[Floats]
-    covariance: Floats
-    cost: float = np.inf
-    level: float = np.inf
-    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-
-    def go(self, records: Sequence[Record], jobs: int) -> None:
-        """Fit to records of one horizon."""
-        self.steps = Steps(records, self.model, self.unknowns, self.known, jobs)
-        self.found: list[tuple[float, Floats, Floats, float]] = []
-        for start in self.places:
-            self.pursue(start)
-
-    def pursue(self, start: Floats) -> None:
-        """Go down from a start; keep the best two places."""
-        p = self.steps.descend(start)
-        missed = self.steps.residuals([p])
-        cost, level = float(self.steps.costs(missed, [p])[0]), float(loss(missed).mean())
-        self.found.append((cost, p, self.steps.covariance, level))
-        self.found.sort(key=lambda found: found[0])
-        self.cost, _, _, self.level = self.found[0]
-        self.places = [found[1] for found in self.found[:2]]
-
-    def search(self) -> None:
-        """Try other starts, drawn from what the last horizon left open."""
-        rng = self.rng
-        spread = np.linalg.cholesky(self.covariance)
-        best = self.places[0]
-        drawn = [
-            np.clip(
-                best + SIZES[i % len(SIZES)] * spread @ rng.standard_normal(best.size),
-                self.steps.low,
-                self.steps.high,
-            )
-            for i in range(DRAWS)
-        ]
-        costs = self.steps.costs(self.steps.residuals(drawn), drawn)
-        for i in np.argsort(costs)[:PURSUED]:
-            self.pursue(drawn[i])
-
-    def settle(self) -> None:
-        """Take what was learnt to the next horizon."""
-        self.covariance = self.found[0][2]
+    name: str | None = None
 
     def place(self) -> "Place":
         """Return where it is."""
@@ -320,4 +275,5 @@ def entrant(
     starts = [np.clip(p, low, high) for p in (position(model, unknowns), *others)]
     precision = known.precision + TINY * np.eye(len(unknowns))
     covariance = np.asarray(np.linalg.inv(precision), np.float64)
-    return Runner(name, model, tuple(unknowns), Known(known.mean, precision), starts, covariance)
+    known = Known(known.mean, precision)
+    return Runner(model, tuple(unknowns), known, starts, covariance, name=name)

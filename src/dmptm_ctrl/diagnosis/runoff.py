@@ -12,15 +12,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.race import LEAST, MARGIN, OUT, UNEASY, loosely, meshes_from
+from dmptm_ctrl.diagnosis.race import (
+    LEAST,
+    MARGIN,
+    OUT,
+    Runner,
+    entrant,
+    loosely,
+    meshes_from,
+)
 from dmptm_ctrl.diagnosis.trace import Trial
+from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Known, place
-from dmptm_ctrl.identify.lock import HORIZONS, LOST, NEWS, Locked, Steps, cut, lock, loss
+from dmptm_ctrl.identify.lock import HORIZONS, LOST, NEWS, UNEASY, Steps, cut, loss
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
 ALIKE = 0.2  # share of a winner's evidence from which a rival runs beside it
 MOST = 6  # rivals
+FAR = 3.0 * MARGIN  # behind the best one, from where no other start would bring it back
 SECONDS = 0.4  # of each log; later what is left of a wrong parameter grows into the bounces
 SHORT_SECONDS = 0.15  # for which one of them keeps step at least, or nothing is told
 KEEPS_SECONDS = 0.3  # the same, for one to take another's place
@@ -38,14 +48,14 @@ class Told:
         The rival that keeps step where the winner of the balances does not.
     model : Model
         Of the one that keeps step.
-    horizon : float
-        Seconds for which it does.
+    seconds : float
+        For which it does.
     """
 
     out: tuple[str, ...]
     better: Trial | None
     model: Model
-    horizon: float
+    seconds: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +89,12 @@ def run_off(
     fitted: Sequence[Record],
     held: Sequence[Record],
     winner: Trial,
+    base: BalanceFit,
     after: Fit,
     rivals: Sequence[Trial],
+    *,
     jobs: int = 2,
+    seed: int = 0,
 ) -> Told | None:
     """Let the rivals of a name run beside it.
 
@@ -89,8 +102,10 @@ def run_off(
     ----------
     winner : Trial
         Of the name.
+    base : BalanceFit
+        Of the model with the name.
     after : Fit
-        Refitted inside the simulator, with the name.
+        The same, refitted inside the simulator.
     rivals : sequence of Trial
         Beside the same other effects; the best first.
 
@@ -102,42 +117,62 @@ def run_off(
     close = [trial for trial in rivals if trial.evidence > ALIKE * winner.evidence][:MOST]
     if not close:
         return None
-    starts = [cut(rec, SECONDS) for rec in fitted]
-    locks = [rival_lock(starts, after, trial, jobs) for trial in close]
-    models = [after.model, *(found.model for found in locks)]
-    for seconds in reversed(horizons(SHORT_SECONDS, SECONDS)):
-        parts = [[cut(rec, seconds) for rec in records] for records in (fitted, held)]
-        own, *runs = (run(parts, model, jobs) for model in models)
-        if min(r.level for r in (own, *runs)) < UNEASY:
-            break
-    else:
+    trials = [winner, *close]
+    runners = [runner(after, base, seed, 0), *(runner(after, t.fit, seed, 1) for t in close)]
+    field, seconds = dict(enumerate(runners)), 0.0
+    runs: dict[int, Run] = {}
+    for horizon in horizons(0.0, SECONDS):
+        parts = [[cut(rec, horizon) for rec in records] for records in (fitted, held)]
+        lap(list(field.values()), parts[0], jobs)
+        here = {i: run(parts, one.there, jobs) for i, one in field.items()}
+        ahead = min(here.values(), key=lambda r: r.fitted)
+        if ahead.level > UNEASY:
+            if horizon >= SHORT_SECONDS or ahead.level > LOST:
+                break
+            continue
+        seconds, runs = horizon, runs | here
+        field = {i: one for i, one in field.items() if i == 0 or here[i].beyond(ahead) < MARGIN}
+    if seconds < SHORT_SECONDS:
         return None
-    best, keeps = winner, own
+    first = 0
     if seconds >= KEEPS_SECONDS:
-        for trial, r in zip(close, runs, strict=True):
-            # balances and runs have their say together
-            told = keeps.beyond(r)
-            if told > MARGIN and told > best.evidence - trial.evidence:
-                best, keeps = trial, r
-    everyone = zip((winner, *close), (own, *runs), strict=True)
-    out = tuple(trial.name for trial, r in everyone if r.beyond(keeps) > MARGIN)
-    for trial, found in zip(close, locks, strict=True):
-        if trial is best:
-            return Told(out, trial, found.model, found.horizon)
-    return Told(out, None, after.model, after.horizon)
+        for i in field:  # balances and runs have their say together
+            told = runs[first].beyond(runs[i])
+            if told > max(MARGIN, trials[first].evidence - trials[i].evidence):
+                first = i
+    behind = {i for i in field if runs[i].beyond(runs[first]) > MARGIN}
+    out = tuple(trials[i].name for i in runs if i in behind or i not in field)
+    better = trials[first] if first else None
+    return Told(out, better, runners[first].there, seconds)
+
+
+def lap(field: Sequence[Runner], records: Sequence[Record], jobs: int) -> None:
+    """Fit everyone to one horizon; who is behind looks for other starts before it counts."""
+    for one in field:
+        one.go(records, jobs)
+    least = min(one.cost for one in field)
+    for one in field:
+        behind = one.cost - least
+        if behind < FAR and (one.level > UNEASY or behind > MARGIN):
+            one.search()
+        one.settle()
+
+
+def runner(after: Fit, fit: BalanceFit, *seed: int) -> Runner:
+    """Enter a model from what balances make of it, and with a drive that keeps step already."""
+    fit = meshes_from(after, fit)
+    kept = {(k.effect, k.name): x for k, x in zip(after.unknowns, after.p, strict=True)}
+    at = (kept.get((k.effect, k.name), x) for k, x in zip(fit.unknowns, fit.p, strict=True))
+    low, high = ([getattr(k, end) for k in fit.unknowns] for end in ("low", "high"))
+    model = place(fit.model, fit.unknowns, np.clip(fit.p, low, high))
+    entered = entrant(None, model, fit.unknowns, loosely(fit), (np.array([*at]),))
+    entered.rng = np.random.default_rng(seed)
+    return entered
 
 
 def horizons(first: float, last: float) -> list[float]:
     """Return the horizons of a lock from one to another."""
     return [h for h in HORIZONS if first <= h <= last]
-
-
-def rival_lock(records: Sequence[Record], after: Fit, trial: Trial, jobs: int) -> Locked:
-    """Let a rival keep step for as long as it can, with the meshes of the winner."""
-    fit = meshes_from(after, trial.fit)
-    low, high = ([getattr(k, end) for k in fit.unknowns] for end in ("low", "high"))
-    model = place(fit.model, fit.unknowns, np.clip(fit.p, low, high))
-    return lock(records, model, fit.unknowns, loosely(fit), jobs=jobs)
 
 
 def run(parts: Sequence[Sequence[Record]], model: Model, jobs: int) -> Run:

@@ -13,7 +13,7 @@ import numpy as np
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.effects import CATALOGUE, TABLES
-from dmptm_ctrl.identify.balance import Balance, BalanceFit, columns, fit_balance
+from dmptm_ctrl.identify.balance import STALLED, Balance, BalanceFit, columns, fit_balance
 from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
 from dmptm_ctrl.simulate.model import Floats
 
@@ -34,6 +34,9 @@ ESSENTIAL = {"cable_spring": "stiffness"}  # without it, a constant torque
 DIFFERENT = 5.0  # standard errors
 SATURATED = (0.5, 0.7, 0.85, 0.95)  # of the largest voltage, where a limit is looked for
 STARTS = 2  # best shapes that are fitted
+# Evidence of a first step from nothing, nearly all that there is, below which no more are taken;
+# a second effect of a tenth of what it needs has that much.
+WORTH = 8.0
 FINALISTS = 3  # fitted to the end before they are compared
 
 
@@ -233,6 +236,11 @@ def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     return [{**values, **dict.fromkeys(effect.amplitudes, 0.0)} for values in shapes]
 
 
+def bent(name: str) -> bool:
+    """Whether the first step tells little about the rest of the way."""
+    return name in SIZES or name == "drive_saturation"
+
+
 def unknowns_of(name: str) -> tuple[Unknown, ...]:
     """Parameters of an effect that are fitted; whole numbers stay as they were found."""
     fixed = FIXED_SHAPES.get(name, ())
@@ -251,6 +259,7 @@ def try_effect(trace: Trace, name: str) -> Trial:
                 model,
                 (*trace.base.unknowns, *unknowns_of(name)),
                 jacobian=trace.base.jacobian,
+                worth=STALLED if bent(name) else WORTH,
             )
         )
     return tried(trace, name, min(fits, key=lambda f: f.loss))
@@ -300,5 +309,5 @@ def trace(
     with ThreadPoolExecutor(trace.balance.jobs) as pool:
         done = list(pool.map(lambda name: try_effect(trace, name), names))
     done.sort(key=lambda t: -t.evidence)
-    done[:FINALISTS] = [settled(trace, t) for t in done[:FINALISTS]]
+    done[:FINALISTS] = [settled(trace, t) if t.gain > WORTH else t for t in done[:FINALISTS]]
     return sorted(done, key=lambda t: -t.evidence)

@@ -259,6 +259,7 @@ def fit_balance(
     unknowns: Sequence[Unknown],
     *,
     jacobian: Floats | None = None,
+    worth: float = STALLED,
 ) -> BalanceFit:
     """Fit unknowns by Gauss–Newton with weights that follow the misfit.
 
@@ -266,6 +267,8 @@ def fit_balance(
     ----------
     jacobian : (m, j) array, optional
         Of the first j unknowns, kept as it is (the drive's are nearly constant).
+    worth : float
+        Fall of the loss by the first step, below which there is no second.
     """
     unknowns = tuple(unknowns)
     low = np.array([k.low for k in unknowns])
@@ -294,7 +297,7 @@ def fit_balance(
                 gain = value - cost
                 p, model, parts, value = trial, moved, tried, cost
                 break
-        if gain < STALLED:
+        if gain < (worth if k == 0 else STALLED):
             break
     weighted = weights(parts, kinds)[:, None] * jac
     prior = np.array([1.0 / k.prior**2 + 1e-9 for k in unknowns])

@@ -12,7 +12,7 @@ Source: the growing horizon is the usual way to fit chaotic motion, Baake et al.
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,6 +36,9 @@ ITERATIONS = 8  # per horizon
 LOOSE = 4.0  # factor on the variance of what balances know, before bounces sharpen it
 TINY = 1e-9  # precision of what nothing is known about
 STALLED = 5e-3  # relative fall of the cost that ends them
+UNEASY = 0.45  # mean loss per sample above which other starts are tried; noise gives 0.25
+DRAWS, SIZES = 32, (0.3, 1.0)  # and how many, in standard deviations of what is known
+PURSUED = 2  # of the draws that are fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,7 @@ def lock(
     *,
     reached: float = 0.0,
     jobs: int = 2,
+    seed: int = 0,
 ) -> Locked:
     """Fit unknowns to the starts of logs, sample by sample, over a growing horizon.
 
@@ -79,6 +83,8 @@ def lock(
         Seconds for which the model keeps step already: shorter horizons are left out.
     jobs : int
         Threads.
+    seed : int
+        Of the starts that are tried where the model is about to lose step.
 
     Returns
     -------
@@ -88,18 +94,25 @@ def lock(
     p = np.clip(position(model, unknowns), [k.low for k in unknowns], [k.high for k in unknowns])
     prior = np.asarray(np.linalg.inv(known.precision + TINY * np.eye(p.size)), np.float64)
     best = Locked(model, position(model, unknowns), 0.0, np.inf, prior)
+    one = Seeker(model, tuple(unknowns), known, [p], prior)
+    one.rng = np.random.default_rng(seed)
     longest = max(rec.dt * rec.omega.size for rec in records)
     for horizon in HORIZONS:
         if horizon < reached:
             continue
         if horizon > longest:
             break
-        steps = Steps([cut(rec, horizon) for rec in records], model, tuple(unknowns), known, jobs)
-        p = steps.descend(p)
-        (level,) = steps.levels([p])
-        if level > LOST:
+        one.go([cut(rec, horizon) for rec in records], jobs)
+        if best.horizon == 0.0:  # what is known may leave some values open altogether
+            one.settle()
+        if one.level > UNEASY:
+            one.search()
+        if one.level > LOST:
             break
-        best = Locked(place(model, unknowns, p), p, horizon, float(level), steps.covariance)
+        one.settle()
+        if one.level < UNEASY:
+            one.places = one.places[:1]
+        best = Locked(one.there, one.places[0], horizon, one.level, one.covariance)
     return best
 
 
@@ -201,6 +214,73 @@ class Steps:
                     break
                 probe *= PROBE_SHRINKS
         return p
+
+
+@dataclass(eq=False)
+class Seeker:
+    """A model on its way through the horizons, with the places where it may go on.
+
+    Attributes
+    ----------
+    places : list of arrays
+        Values from which the next horizon starts, the best first.
+    cost : float
+        Of the best, with what is known beforehand.
+    level : float
+        Mean loss per sample.
+    """
+
+    model: Model
+    unknowns: tuple[Unknown, ...]
+    known: Known
+    places: list[Floats]
+    covariance: Floats
+    cost: float = np.inf
+    level: float = np.inf
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+    def go(self, records: Sequence[Record], jobs: int) -> None:
+        """Fit to records of one horizon."""
+        self.steps = Steps(records, self.model, self.unknowns, self.known, jobs)
+        self.found: list[tuple[float, Floats, Floats, float]] = []
+        for start in self.places:
+            self.pursue(start)
+
+    def pursue(self, start: Floats) -> None:
+        """Go down from a start; keep the best two places."""
+        p = self.steps.descend(start)
+        missed = self.steps.residuals([p])
+        cost, level = float(self.steps.costs(missed, [p])[0]), float(loss(missed).mean())
+        self.found.append((cost, p, self.steps.covariance, level))
+        self.found.sort(key=lambda found: found[0])
+        self.cost, _, _, self.level = self.found[0]
+        self.places = [found[1] for found in self.found[:2]]
+
+    def search(self) -> None:
+        """Try other starts, drawn from what the last horizon left open."""
+        rng = self.rng
+        spread = np.linalg.cholesky(self.covariance)
+        best = self.places[0]
+        drawn = [
+            np.clip(
+                best + SIZES[i % len(SIZES)] * spread @ rng.standard_normal(best.size),
+                self.steps.low,
+                self.steps.high,
+            )
+            for i in range(DRAWS)
+        ]
+        costs = self.steps.costs(self.steps.residuals(drawn), drawn)
+        for i in np.argsort(costs)[:PURSUED]:
+            self.pursue(drawn[i])
+
+    def settle(self) -> None:
+        """Take what was learnt to the next horizon."""
+        self.covariance = self.found[0][2]
+
+    @property
+    def there(self) -> Model:
+        """The model at its best place."""
+        return self.steps.placed(self.places[0])
 
 
 def loss(residuals: Floats) -> Floats:

@@ -7,25 +7,27 @@ tells it from a friction law that is only a little softer than the declared one.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import widened
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.rattle import rattled
-from dmptm_ctrl.diagnosis.residual import LEAD_HZ
-from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, SECONDS, SHORT_SECONDS, horizons, run
+from dmptm_ctrl.diagnosis.residual import LEAD_HZ, Residual
+from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, SECONDS, horizons, run
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.balance import BalanceFit
+from dmptm_ctrl.identify.balance import fit_balance
 from dmptm_ctrl.identify.fit import Fit, Misfit, Unknown, effect_unknowns, fit
-from dmptm_ctrl.identify.lock import LOOSE, UNEASY, Locked, cut, lock
+from dmptm_ctrl.identify.lock import LOOSE, Locked, cut, lock
 from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.simulate.model import Model
 
 NAME = "presliding"
 STARTS = (0.2, 1.0)  # of each distance, in its step
-STRIDES = (0.2, 1.0, 4.0)  # the same, from which it tries to keep step
+STRIDES = (0.5, 2.0, 8.0)  # the same, from which it tries to keep step
+FIRST_SECONDS = 0.1  # of each log, on which the best of them is found
+FAINT_SECONDS = 0.05  # for which it does at least before the meshes' damping is told anew
 ITERATIONS = 6
 # Any real contact pre-slides a little: a common friction law with bristles lets that take off
 # up to half of the misfit, by distances of one or two counts of the ring encoder. An effect
@@ -73,43 +75,40 @@ class AtRest:
         return min(self.shares) > SHARE and self.evidence > LEAST
 
 
-def presliding(measured: Measured, before: Fit, start: BalanceFit, jobs: int) -> AtRest:
+def presliding(left: Residual, before: Fit, jobs: int) -> AtRest:
     """Add pre-sliding to a fitted model.
 
     Parameters
     ----------
+    left : Residual
+        What the model without it leaves.
     before : Fit
-        Inside the simulator.
-    start : BalanceFit
-        Of the same model, by the balances.
+        That model, refitted inside the simulator.
     """
     if before.horizon >= KEEPS_SECONDS:  # nothing is missing near rest
         return AtRest(0.0, 0.0, (0.0, 0.0), before)
-    kept = keeping_step(measured, before, start, jobs)
-    return kept or by_misfit(measured, before, jobs)
+    kept = keeping_step(left, before, jobs)
+    return kept or by_misfit(left.measured, before, jobs)
 
 
-def keeping_step(measured: Measured, before: Fit, start: BalanceFit, jobs: int) -> AtRest | None:
+def keeping_step(left: Residual, before: Fit, jobs: int) -> AtRest | None:
     """Add pre-sliding if the model keeps step with it, and not without."""
-    parts = [[cut(rec, SECONDS) for rec in records] for records in (measured.fit, measured.held)]
-    strides = [
-        (locked, unknowns)
-        for size in STRIDES
-        for locked, unknowns in [stride(measured, start, sized(start.model, size), parts[0], jobs)]
-    ]
+    whole = left.measured.fit, left.measured.held
+    starts, first = ([cut(rec, h) for rec in whole[0]] for h in (SECONDS, FIRST_SECONDS))
+    strides = [stride(left, sized(left.base.model, size), first, jobs) for size in STRIDES]
     best, unknowns = max(strides, key=lambda s: (s[0].horizon, -s[0].level))
+    if best.horizon < FAINT_SECONDS:
+        return None
     # the rattle told the meshes' damping with friction of another size; now once more
-    again, _ = stride(measured, start, best.model, parts[0], jobs)
+    again, _ = stride(left, best.model, starts, jobs)
     if (again.horizon, -again.level) > (best.horizon, -best.level):
         best = again
-    for seconds in reversed(horizons(SHORT_SECONDS, best.horizon)):
-        parts = [[cut(rec, seconds) for rec in records] for records in parts]
+    for seconds in reversed(horizons(FAINT_SECONDS, best.horizon)):
+        parts = [[cut(rec, seconds) for rec in records] for records in whole]
         bare, with_it = run(parts, before.model, jobs), run(parts, best.model, jobs)
-        if with_it.level < UNEASY:
+        if bare.loses_to(with_it):
             break
     else:
-        return None
-    if not bare.loses_to(with_it):
         return None
     gains = bare.fitted - with_it.fitted, bare.held - with_it.held
     shares = gains[0] / bare.fitted, gains[1] / bare.held
@@ -118,17 +117,17 @@ def keeping_step(measured: Measured, before: Fit, start: BalanceFit, jobs: int) 
 
 
 def stride(
-    measured: Measured,
-    start: BalanceFit,
-    model: Model,
-    records: Sequence[Record],
-    jobs: int,
+    left: Residual, model: Model, records: Sequence[Record], jobs: int
 ) -> tuple[Locked, tuple[Unknown, ...]]:
-    """Keep step with pre-sliding from a size on, with the damping that the rattle then tells."""
-    fit = rattled(measured.fit, replace(start, model=model), measured.drive, jobs)
-    own = effect_unknowns(NAME)
-    unknowns = (*start.unknowns, *own)
+    """Keep step with pre-sliding from a size on.
+
+    What the balances know of friction, and the rattle of the meshes' damping, they know beside it.
+    """
+    measured, own = left.measured, effect_unknowns(NAME)
+    start = fit_balance(left.balance, model, left.base.unknowns)
+    fit = rattled(measured.fit, start, measured.drive, jobs)
     known = widened(fit.p, LOOSE * fit.covariance, len(own))
+    unknowns = (*fit.unknowns, *own)
     return lock(records, fit.model, unknowns, known, jobs=jobs), unknowns
 
 

@@ -30,7 +30,8 @@ from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import Bursts, Unexplained, astray, unexplained
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.fit import Fit
+from dmptm_ctrl.identify.balance import BalanceFit
+from dmptm_ctrl.identify.fit import Fit, Unknown
 from dmptm_ctrl.signals import Log, load_logs
 from dmptm_ctrl.simulate.model import Model
 
@@ -160,7 +161,7 @@ def told_apart(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
             decision.after = residual(measured, told.model, unknowns=unknowns, jobs=jobs)
         if told.better is not None or told.seconds > after.horizon:
             near = replace(after, model=told.model, horizon=told.seconds)
-            after = augment(measured.fit, decision.after.base, measured.drive, near=near, jobs=jobs)
+            after = augment_near(decision, near, jobs)
         decision.found[i] = replace(found, out_of_step=told.out)
     return after
 
@@ -184,7 +185,8 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
         return after
     measured, base = decision.before.measured, decision.after.base
     start = rattled(measured.fit, base, measured.drive, jobs)
-    shown = race(measured.fit, measured.held, start, decision.rest, jobs=jobs, seed=seed)
+    logs = measured.fit, measured.held
+    shown = race(*logs, start, decision.rest, jobs=jobs, seed=seed)
     if shown is None:
         return after
     unknowns = (*base.unknowns, *unknowns_of(shown.name))
@@ -193,17 +195,32 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     found = Found(shown.name, shown.evidence, LEAST, trial, (), shown.seconds)
     decision.found.append(found)
     near = replace(after, model=shown.model, horizon=shown.seconds)
-    return augment(measured.fit, decision.after.base, measured.drive, near=near, jobs=jobs)
+    return augment_near(decision, near, jobs)
+
+
+def augment_near(decision: Decision, near: Fit, jobs: int) -> Fit:
+    """Refit what was found from where a model keeps step already."""
+    measured, base = decision.before.measured, decision.after.base
+    beside = beside_balances(base)
+    return augment(measured.fit, base, measured.drive, beside=beside, near=near, jobs=jobs)
+
+
+def beside_balances(base: BalanceFit) -> tuple[Unknown, ...]:
+    """Unknowns in use that the balances do not tell."""
+    return unknowns_of(at_rest.NAME) if at_rest.NAME in base.model.effects else ()
 
 
 def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
-    """Add pre-sliding, which only the simulator can tell, if it leaves nothing unexplained."""
+    """Add pre-sliding, which only the simulator can tell, if it leaves nothing unexplained.
+
+    Less of it than an effect, with which the model keeps step, is in it without being named.
+    """
     if decision.tables is not None or len(decision.found) == MAX_EFFECTS:
         return after
     measured = decision.before.measured
-    shown = at_rest.presliding(measured, after, decision.after.base, jobs)
+    shown = at_rest.presliding(decision.after, after, jobs)
     decision.at_rest = shown
-    if not shown.convincing:
+    if not shown.convincing and not shown.in_step:
         return after
     unknowns = decision.after.base.unknowns
     moved = residual(measured, shown.fit.model, unknowns=unknowns, jobs=jobs)
@@ -212,14 +229,18 @@ def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
         if unexplained(decision.before, moved, named, leave=LEAVE) is not None:
             return after
         decision.unexplained = None
+    without, fit = decision.after, shown.fit
     decision.after = moved
-    trial = Trial(at_rest.NAME, shown.gain, shown.held_gain, moved.base)
-    found = Found(at_rest.NAME, shown.evidence, at_rest.LEAST, trial, (), shown.in_step)
-    decision.found.append(found)
-    if not shown.in_step:
-        return shown.fit
-    own = unknowns_of(at_rest.NAME)
-    return augment(measured.fit, moved.base, measured.drive, beside=own, near=shown.fit, jobs=jobs)
+    if shown.in_step:
+        fit = augment_near(decision, fit, jobs)
+    if not shown.convincing and fit.horizon < KEEPS_SECONDS:
+        decision.after = without
+        return after
+    if shown.convincing:
+        trial = Trial(at_rest.NAME, shown.gain, shown.held_gain, moved.base)
+        found = Found(at_rest.NAME, shown.evidence, at_rest.LEAST, trial, (), shown.in_step)
+        decision.found.append(found)
+    return fit
 
 
 def with_sensors(model: Model, sensors: SensorCheck) -> Model:
@@ -258,6 +279,5 @@ def refined(measured: Measured, decision: Decision, after: Fit, jobs: int) -> Fi
     base = decision.after.base
     declared = Model(measured.drive)
     _, start = closed(everything, base.model, declared, base.unknowns, jobs)
-    beside = unknowns_of(at_rest.NAME) if at_rest.NAME in base.model.effects else ()
-    drive = measured.drive
+    beside, drive = beside_balances(base), measured.drive
     return augment(everything, start, drive, beside=beside, near=after, jobs=jobs)

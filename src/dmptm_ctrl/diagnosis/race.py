@@ -24,6 +24,7 @@ from dmptm_ctrl.identify.lock import (
     LOOSE,
     LOST,
     NEWS,
+    ROUGH,
     TINY,
     UNEASY,
     Seeker,
@@ -276,4 +277,4 @@ def entrant(
     precision = known.precision + TINY * np.eye(len(unknowns))
     covariance = np.asarray(np.linalg.inv(precision), np.float64)
     known = Known(known.mean, precision)
-    return Runner(model, tuple(unknowns), known, starts, covariance, name=name)
+    return Runner(model, tuple(unknowns), known, starts, covariance, stalled=ROUGH, name=name)

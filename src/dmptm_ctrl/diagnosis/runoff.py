@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from dmptm_ctrl.diagnosis.race import (
-    LEAST,
     MARGIN,
     OUT,
     Runner,
@@ -81,8 +80,10 @@ class Run:
         return fitted + held if agree else 0.0
 
     def loses_to(self, other: "Run") -> bool:
-        """Whether it loses step altogether where the other keeps it."""
-        return self.level > max(LOST, OUT * other.level) and self.beyond(other) > LEAST
+        """Whether it loses step altogether where the other keeps it, or nearly does."""
+        ratio = self.level / other.level
+        keeps = ratio > OUT if other.level < UNEASY else ratio > 2.0 * OUT and other.level < LOST
+        return keeps and self.level > LOST and self.fitted > other.fitted and self.held > other.held
 
 
 def run_off(

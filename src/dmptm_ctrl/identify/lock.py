@@ -36,6 +36,7 @@ ITERATIONS = 8  # per horizon
 LOOSE = 4.0  # factor on the variance of what balances know, before bounces sharpen it
 TINY = 1e-9  # precision of what nothing is known about
 STALLED = 5e-3  # relative fall of the cost that ends them
+ROUGH = 0.02  # the same where names are compared, which differ by far more
 UNEASY = 0.45  # mean loss per sample above which other starts are tried; noise gives 0.25
 DRAWS, SIZES = 32, (0.3, 1.0)  # and how many, in standard deviations of what is known
 PURSUED = 2  # of the draws that are fitted
@@ -110,8 +111,6 @@ def lock(
         if one.level > LOST:
             break
         one.settle()
-        if one.level < UNEASY:
-            one.places = one.places[:1]
         best = Locked(one.there, one.places[0], horizon, one.level, one.covariance)
     return best
 
@@ -143,6 +142,7 @@ class Steps:
     unknowns: tuple[Unknown, ...]
     known: Known
     jobs: int
+    stalled: float = STALLED
 
     def __post_init__(self) -> None:
         self.covariance: Floats = np.zeros(0)  # of the last step
@@ -209,7 +209,7 @@ class Steps:
             gain = cost - costs.min()
             if gain > 0.0:
                 p = tried[int(np.argmin(costs))]
-            if gain < STALLED * cost:
+            if gain < self.stalled * cost:
                 if gain > 0.0 or probe < PROBE:
                     break
                 probe *= PROBE_SHRINKS
@@ -238,10 +238,11 @@ class Seeker:
     cost: float = np.inf
     level: float = np.inf
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    stalled: float = STALLED
 
     def go(self, records: Sequence[Record], jobs: int) -> None:
         """Fit to records of one horizon."""
-        self.steps = Steps(records, self.model, self.unknowns, self.known, jobs)
+        self.steps = Steps(records, self.model, self.unknowns, self.known, jobs, self.stalled)
         self.found: list[tuple[float, Floats, Floats, float]] = []
         for start in self.places:
             self.pursue(start)
@@ -274,8 +275,10 @@ class Seeker:
             self.pursue(drawn[i])
 
     def settle(self) -> None:
-        """Take what was learnt to the next horizon."""
+        """Take what was learnt to the next horizon: one place, if all is well there."""
         self.covariance = self.found[0][2]
+        if self.level < UNEASY:
+            self.places = self.places[:1]
 
     @property
     def there(self) -> Model:

@@ -161,7 +161,8 @@ class Windowed:
             torque, moved = self.disturbed((needed.tobytes(), on.tobytes(), values.tobytes()))
             force += torque
             shift = shift + moved
-        force[:2] += n1 * base[0] * base[1] * self.volts
+        drive = n1 * base[0] * base[1] * self.volts
+        force[:2] += drive
         out = np.empty((3, mo.starts.size))
         # As an acceleration: the sensors' noise is one, and must not favour a small inertia.
         out[0] = jl * mo.ring + n2 * j3 * mo.pinions.sum(1) - n2 * force[:2].sum(0) - force[2]
@@ -171,8 +172,10 @@ class Windowed:
             twist = self.twist + shift - gaps * self.flank + base[11] / base[8] * self.rate(n2)
             carried = force[:2] - j3 * mo.pinions.T
             # In the twist, not in the torque: the twist's noise must not bias the stiffness.
-            # A soft reducer adds its own, for z is seen at the motor.
-            out[1:] = STIFFNESS * (twist - (1.0 / base[8] + compliance) * carried)
+            # A soft reducer adds its own, for z is seen at the motor; it carries what the motor
+            # gives, before the friction on the pinion.
+            shaft = drive - n1 * n1 * base[2] * mo.pinions.T
+            out[1:] = STIFFNESS * (twist - carried / base[8] - compliance * shaft)
         return out
 
 

@@ -25,6 +25,8 @@ SECOND_SHARE = 0.01
 MAX_EFFECTS = 2
 SLACK = 10.0  # by which an effect may miss on the held-out logs, which need not show it
 HOPE = 0.2  # share of the first effect's evidence from which it may lose its place to another
+# A soft reducer rings after each impact, faster than the windows follow: factor on what is left.
+RINGS = 3.0
 RIVAL = 0.4  # share of the winner's evidence from which a candidate is named with it
 
 
@@ -90,6 +92,10 @@ class Decision:
     tables: Tables | None = None
     at_rest: AtRest | None = None
 
+    def is_found(self, name: str) -> bool:
+        """Whether an effect was accepted."""
+        return any(found.name == name for found in self.found)
+
 
 def convincing(trial: Trial, threshold: float) -> bool:
     """Whether there is enough evidence, and the held-out logs do not object."""
@@ -127,7 +133,8 @@ def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decisi
     if len(decision.found) == 2:
         reconsider(decision, skip, jobs)
     explained = sum(found.evidence for found in decision.found)
-    decision.unexplained = unexplained(decision.before, decision.after, explained)
+    leave = RINGS if decision.is_found("reducer_compliance") else 1.0
+    decision.unexplained = unexplained(decision.before, decision.after, explained, leave=leave)
     if decision.unexplained is not None and decision.unexplained.beyond_names:
         decision.found, decision.after = [], decision.before
     if decision.unexplained is not None and decision.unexplained.curve is not None:

@@ -1,0 +1,36 @@
+"""A soft reducer in the balances: it carries what the motor gives, before the pinion's friction."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from dmptm_ctrl import load_log
+from dmptm_ctrl.diagnosis.decide import RINGS, adopt
+from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.diagnosis.trace import trace
+from dmptm_ctrl.diagnosis.unknown import unexplained
+from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.simulate.model import Model
+from rigs import make_rig
+
+LOGS = ("open_sine_0v60", "open_square_0v75", "closed_sine_10", "open_multisine_preload")
+
+
+@pytest.mark.parametrize("strength", [0.5, 1.0])
+def test_stiffness_of_another_programs_rig(strength):
+    laws = {"friction": "karnopp", "contact": "kelvin_voigt"}
+    effects = (("reducer_compliance", strength),)
+    rig = make_rig(9400001, effects, sensors="all", logs=LOGS, **laws)
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    measured = measure(logs, paper_drive())
+    left = residual(measured, Model(paper_drive()))
+    (trial,) = trace(left, only=("reducer_compliance",))
+    after = adopt(measured, trial, 2)
+    stiffness = 1.0 / after.base.model.effects["reducer_compliance"]["compliance"]
+    true = rig.label["effect_parameters"]["reducer_compliance"]["stiffness_N_m_rad"]
+    assert stiffness == pytest.approx(true, rel=0.2)
+    assert unexplained(left, after, trial.evidence, leave=RINGS) is None

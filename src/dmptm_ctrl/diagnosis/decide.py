@@ -80,7 +80,7 @@ class Decision:
     trials : mapping
         Name → its trial beside the declared model alone.
     rest : list of Trial
-        Beside what was found.
+        Beside what was found; of two effects, beside the first.
     """
 
     before: Residual
@@ -127,6 +127,8 @@ def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decisi
         rivals = tuple(t for t in trials if t is not winner and t.evidence > 0.0)
         decision.found.append(Found(winner.name, winner.evidence, threshold, winner, rivals))
         decision.after = adopt(measured, winner, jobs)
+        if len(decision.found) == MAX_EFFECTS:
+            break
         trials = trace(decision.after, skip)
         decision.rest = trials
         threshold = max(SECOND, SECOND_SHARE * decision.found[0].evidence)
@@ -181,5 +183,4 @@ def reconsider(decision: Decision, skip: Sequence[str], jobs: int) -> None:
     anew = Found(winner.name, winner.evidence, first.threshold, winner, rivals)
     if winner.name != first.name:
         decision.after = adopt(measured, winner, jobs)
-        decision.rest = trace(decision.after, skip)
     decision.found = [anew, second]

@@ -38,6 +38,7 @@ TINY = 1e-9  # precision of what nothing is known about
 STALLED = 5e-3  # relative fall of the cost that ends them
 ROUGH = 0.02  # the same where names are compared, which differ by far more
 UNEASY = 0.45  # mean loss per sample above which other starts are tried; noise gives 0.25
+SEARCHED_SECONDS = 0.4  # later no start that is drawn comes near
 DRAWS, SIZES = 32, (0.3, 1.0)  # and how many, in standard deviations of what is known
 PURSUED = 2  # of the draws that are fitted
 
@@ -106,11 +107,12 @@ def lock(
         one.go([cut(rec, horizon) for rec in records], jobs)
         if best.horizon == 0.0:  # what is known may leave some values open altogether
             one.settle()
-        if one.level > UNEASY:
+        if one.level > LOST and horizon <= SEARCHED_SECONDS:
             one.search()
         if one.level > LOST:
             break
         one.settle()
+        one.places = one.places[:1]
         best = Locked(one.there, one.places[0], horizon, one.level, one.covariance)
     return best
 

@@ -222,7 +222,7 @@ def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
     measured = decision.before.measured
     shown = at_rest.presliding(decision.after, after, jobs)
     decision.at_rest = shown
-    if not shown.convincing and not shown.in_step:
+    if not shown.convincing and (not shown.in_step or decision.unexplained is not None):
         return after
     unknowns = decision.after.base.unknowns
     moved = residual(measured, shown.fit.model, unknowns=unknowns, jobs=jobs)

@@ -96,13 +96,12 @@ def keeping_step(left: Residual, before: Fit, jobs: int) -> AtRest | None:
     whole = left.measured.fit, left.measured.held
     starts, first = ([cut(rec, h) for rec in whole[0]] for h in (SECONDS, FIRST_SECONDS))
     strides = [stride(left, sized(left.base.model, size), first, jobs) for size in STRIDES]
-    best, unknowns = max(strides, key=lambda s: (s[0].horizon, -s[0].level))
+    best, unknowns = max(strides, key=lambda found: found[0].lasts())
     if best.horizon < FAINT_SECONDS:
         return None
     # the rattle told the meshes' damping with friction of another size; now once more
     again, _ = stride(left, best.model, starts, jobs)
-    if (again.horizon, -again.level) > (best.horizon, -best.level):
-        best = again
+    best = max(best, again, key=Locked.lasts)
     for seconds in reversed(horizons(FAINT_SECONDS, best.horizon)):
         parts = [[cut(rec, seconds) for rec in records] for records in whole]
         bare, with_it = run(parts, before.model, jobs), run(parts, best.model, jobs)

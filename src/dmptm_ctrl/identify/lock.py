@@ -37,9 +37,9 @@ LOOSE = 4.0  # factor on the variance of what balances know, before bounces shar
 TINY = 1e-9  # precision of what nothing is known about
 STALLED = 5e-3  # relative fall of the cost that ends them
 ROUGH = 0.02  # the same where names are compared, which differ by far more
-UNEASY = 0.45  # mean loss per sample above which other starts are tried; noise gives 0.25
-SEARCHED_SECONDS = 0.4  # later no start that is drawn comes near
-DRAWS, SIZES = 32, (0.3, 1.0)  # and how many, in standard deviations of what is known
+UNEASY = 0.45  # mean loss per sample above which all is not well; noise gives 0.25
+SEARCHED_SECONDS = 0.4  # up to which other starts are tried; later none that is drawn comes near
+DRAWS, SIZES = 32, (0.3, 1.0)  # how many, and how far in standard deviations of what is known
 PURSUED = 2  # of the draws that are fitted
 
 
@@ -61,6 +61,10 @@ class Locked:
     horizon: float
     level: float
     covariance: Floats
+
+    def lasts(self) -> tuple[float, float]:
+        """How well it keeps step: the longer the better, then the nearer."""
+        return self.horizon, -self.level
 
 
 def lock(
@@ -96,8 +100,8 @@ def lock(
     p = np.clip(position(model, unknowns), [k.low for k in unknowns], [k.high for k in unknowns])
     prior = np.asarray(np.linalg.inv(known.precision + TINY * np.eye(p.size)), np.float64)
     best = Locked(model, position(model, unknowns), 0.0, np.inf, prior)
-    one = Seeker(model, tuple(unknowns), known, [p], prior)
-    one.rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
+    one = Seeker(model, tuple(unknowns), known, [p], prior, rng=rng)
     longest = max(rec.dt * rec.omega.size for rec in records)
     for horizon in HORIZONS:
         if horizon < reached:

@@ -4,7 +4,8 @@ A *site* is the place in the drive where an effect acts; it fixes the signature 
 kernel and how the runners combine several effects. All kernels are pure scalar functions,
 compiled by numba and callable from plain Python, and take their parameters `p` as the
 NamedTuple of the effect. `side` is 0 for the left chain and 1 for the right one, `body` is
-0, 1 for the reducers and 2 for the ring gear. Units are SI and radians.
+0, 1 for the reducers and 2 for the ring gear. Units are SI and radians. The `age` of a body's
+contact grows with time and falls with its slip; the runners keep it.
 
 | site     | kernel                                              | returns                                    |
 |----------|-----------------------------------------------------|--------------------------------------------|
@@ -16,6 +17,7 @@ NamedTuple of the effect. `side` is 0 for the left chain and 1 for the right one
 | mesh     | (theta_p, omega_p, theta_L, omega_L, side, p)       | (shift of z [rad], its rate, change of half-gap [rad], change of stiffness [N·m/rad]) |
 | friction | (theta, omega, t, mesh_torque, body, p)             | (factor on declared friction, Coulomb torque added [N·m]) |
 | presliding | (body, p)                                         | relaxation distance [rad]                  |
+| ageing   | (age, body, p)                                      | (Coulomb torque added [N·m], slip that makes the contact new [rad]) |
 | load     | (theta_L, omega_L, t, p)                            | torque on the ring gear [N·m]              |
 | sensor   | (theta_L, omega_L, t, p)                            | (angle reading [rad], speed reading [rad/s]) |
 | sensor_delay | (p)                                             | dead time of the speed reading [s]         |
@@ -33,6 +35,7 @@ SITES = (
     "mesh",
     "friction",
     "presliding",
+    "ageing",
     "load",
     "sensor",
     "sensor_delay",

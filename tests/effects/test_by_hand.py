@@ -1,6 +1,6 @@
 """Each effect of the catalogue once by hand, written out with numbers, not with its code."""
 
-from math import cos, e, exp, pi, sin, sqrt
+from math import cos, e, exp, log, pi, sin, sqrt
 
 import pytest
 
@@ -56,6 +56,9 @@ BY_HAND = [
     ("thermal_drift", (0.4, 0.2, 6.0), (0.0, 1.0, 6.0, 5.0, 1), (1.0 + 0.4 / e, 0.0)),
     ("presliding", (5e-4, 1e-4), (1,), 5e-4),
     ("presliding", (5e-4, 1e-4), (2,), 1e-4),
+    ("unknown_breakaway", (5.0, 0.01, 2e-4), (0.09, 2), (5.0 * log(10.0), 2e-4)),
+    ("unknown_breakaway", (5.0, 0.01, 2e-4), (0.09, 1), (0.0, 0.0)),
+    ("unknown_breakaway", (0.0, 0.01, 2e-4), (0.09, 2), (0.0, 0.0)),
     ("unbalance", (3.0, 4.0), (pi / 2, 1.0, 0.0), 4.0),
     ("unbalance", (3.0, 4.0), (pi, -1.0, 0.0), -3.0),
     ("cable_spring", (5.0, 2.0), (0.5, 1.0, 0.0), -0.5),

@@ -17,6 +17,7 @@ ARGUMENTS = {
     "mesh": ("theta_p", "omega_p", "theta_L", "omega_L", "side"),
     "friction": ("theta", "omega", "t", "mesh_torque", "body"),
     "presliding": ("body",),
+    "ageing": ("age", "body"),
     "load": ("theta_L", "omega_L", "t"),
     "sensor": ("theta_L", "omega_L", "t"),
     "sensor_delay": (),

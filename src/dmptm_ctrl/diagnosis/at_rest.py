@@ -24,10 +24,13 @@ from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.simulate.model import Model
 
 NAME = "presliding"
+AGEING = "unknown_breakaway"
+SIMULATED = (NAME, AGEING)  # what the balances tell nothing of
 STARTS = (0.2, 1.0)  # of each distance, in its step
 STRIDES = (0.5, 2.0, 8.0)  # the same, from which it tries to keep step
 FIRST_SECONDS = 0.1  # of each log, on which the best of them is found
 FAINT_SECONDS = 0.05  # for which it does at least before the meshes' damping is told anew
+AGEING_SECONDS = 0.1  # for which it keeps step at least; the first breaking away is before
 ITERATIONS = 6
 # Any real contact pre-slides a little: a common friction law with bristles lets that take off
 # up to half of the misfit, by distances of one or two counts of the ring encoder. An effect
@@ -87,42 +90,53 @@ def presliding(left: Residual, before: Fit, jobs: int) -> AtRest:
     """
     if before.horizon >= KEEPS_SECONDS:  # nothing is missing near rest
         return AtRest(0.0, 0.0, (0.0, 0.0), before)
-    kept = keeping_step(left, before, jobs)
+    kept = keeping_step(NAME, left, before, jobs)
     return kept or by_misfit(left.measured, before, jobs)
 
 
-def keeping_step(left: Residual, before: Fit, jobs: int) -> AtRest | None:
-    """Add pre-sliding if the model keeps step with it, and not without."""
+def ageing(left: Residual, before: Fit, jobs: int) -> AtRest | None:
+    """Add friction that grows with the time at rest, if the model keeps step with it alone."""
+    if before.horizon >= KEEPS_SECONDS:
+        return None
+    shown = keeping_step(AGEING, left, before, jobs)
+    if shown is None or shown.in_step < AGEING_SECONDS:
+        return None
+    return shown if shown.gain + shown.held_gain > LEAST else None
+
+
+def keeping_step(name: str, left: Residual, before: Fit, jobs: int) -> AtRest | None:
+    """Add what acts near rest if the model keeps step with it, and not without."""
     whole = left.measured.fit, left.measured.held
     starts, first = ([cut(rec, h) for rec in whole[0]] for h in (SECONDS, FIRST_SECONDS))
-    strides = [stride(left, sized(left.base.model, size), first, jobs) for size in STRIDES]
+    bare = left.base.model
+    strides = [stride(name, left, sized(name, bare, size), first, jobs) for size in STRIDES]
     best, unknowns = max(strides, key=lambda found: found[0].lasts())
     if best.horizon < FAINT_SECONDS:
         return None
     # the rattle told the meshes' damping with friction of another size; now once more
-    again, _ = stride(left, best.model, starts, jobs)
+    again, _ = stride(name, left, best.model, starts, jobs)
     best = max(best, again, key=Locked.lasts)
     for seconds in reversed(horizons(FAINT_SECONDS, best.horizon)):
         parts = [[cut(rec, seconds) for rec in records] for records in whole]
-        bare, with_it = run(parts, before.model, jobs), run(parts, best.model, jobs)
-        if bare.loses_to(with_it):
+        without, with_it = run(parts, before.model, jobs), run(parts, best.model, jobs)
+        if without.loses_to(with_it):
             break
     else:
         return None
-    gains = bare.fitted - with_it.fitted, bare.held - with_it.held
-    shares = gains[0] / bare.fitted, gains[1] / bare.held
+    gains = without.fitted - with_it.fitted, without.held - with_it.held
+    shares = gains[0] / without.fitted, gains[1] / without.held
     done = Fit(best.model, unknowns, best.p, best.covariance, best.horizon)
     return AtRest(*gains, shares, done, best.horizon)
 
 
 def stride(
-    left: Residual, model: Model, records: Sequence[Record], jobs: int
+    name: str, left: Residual, model: Model, records: Sequence[Record], jobs: int
 ) -> tuple[Locked, tuple[Unknown, ...]]:
-    """Keep step with pre-sliding from a size on.
+    """Keep step with an effect from a size on.
 
     What the balances know of friction, and the rattle of the meshes' damping, they know beside it.
     """
-    measured, own = left.measured, effect_unknowns(NAME)
+    measured, own = left.measured, effect_unknowns(name)
     start = fit_balance(left.balance, model, left.base.unknowns)
     fit = rattled(measured.fit, start, measured.drive, jobs)
     known = widened(fit.p, LOOSE * fit.covariance, len(own))
@@ -135,7 +149,7 @@ def by_misfit(measured: Measured, before: Fit, jobs: int) -> AtRest:
     misfit = weighed(measured.fit, before, jobs)
     held = weighed(measured.held, before, jobs)
     cost, held_cost = misfit.square(before.model), held.square(before.model)
-    starts = [misfit.square(sized(before.model, size)) for size in STARTS]
+    starts = [misfit.square(sized(NAME, before.model, size)) for size in STARTS]
     if min(starts) > cost:  # any amount only harms: there is nothing to fit
         return AtRest(0.0, 0.0, (0.0, 0.0), before)
     best = started(misfit, before, STARTS[int(np.argmin(starts))])
@@ -158,15 +172,17 @@ def weighed(records: Sequence[Record], before: Fit, jobs: int) -> Misfit:
     return misfit
 
 
-def sized(model: Model, size: float) -> Model:
-    """Return the model with pre-sliding of a size."""
-    return model.with_effect(NAME, **{p.name: size * p.step for p in CATALOGUE[NAME].parameters})
+def sized(name: str, model: Model, size: float) -> Model:
+    """Return the model with an effect of a size, in the steps of its amplitudes."""
+    own = CATALOGUE[name]
+    steps = {p.name: p.step for p in own.parameters}
+    return model.with_effect(name, **{a: size * steps[a] for a in own.amplitudes})
 
 
 def started(misfit: Misfit, before: Fit, size: float) -> Fit:
     """Fit pre-sliding from a size of its distances, and the rest from what is known."""
     own = effect_unknowns(NAME)
     known = widened(before.p, before.covariance, len(own))
-    model = sized(before.model, size)
+    model = sized(NAME, before.model, size)
     unknowns = (*before.unknowns, *own)
     return fit(misfit, model, unknowns, iterations=ITERATIONS, known=known)

@@ -28,6 +28,7 @@ from dmptm_ctrl.diagnosis.residual import closed, residual
 from dmptm_ctrl.diagnosis.runoff import run_off
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
+from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import Bursts, Unexplained, astray, unexplained
 from dmptm_ctrl.drive import Drive, paper_drive
@@ -100,6 +101,7 @@ def diagnose(
     after = sobered(decision, without["rmse"], after, held, jobs)
     after = rested(decision, after, jobs)
     after = in_step(decision, after, jobs, seed)
+    after = aged(decision, without["rmse"], after, held, jobs)
     nothing = not decision.found and not model.effects and decision.unexplained is None
     if nothing and without["rmse"] > ASTRAY:
         variables = astray(before.model, held)
@@ -209,7 +211,8 @@ def augment_near(decision: Decision, near: Fit, jobs: int) -> Fit:
 
 def beside_balances(base: BalanceFit) -> tuple[Unknown, ...]:
     """Unknowns in use that the balances do not tell."""
-    return unknowns_of(at_rest.NAME) if at_rest.NAME in base.model.effects else ()
+    used = [unknowns_of(name) for name in at_rest.SIMULATED if name in base.model.effects]
+    return tuple(unknown for own in used for unknown in own)
 
 
 def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
@@ -243,6 +246,39 @@ def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
         found = Found(at_rest.NAME, shown.evidence, at_rest.LEAST, trial, (), shown.in_step)
         decision.found.append(found)
     return fit
+
+
+def aged(decision: Decision, without: float, after: Fit, held: Sequence[Log], jobs: int) -> Fit:
+    """Say that friction grows with the time at rest, which is on no list, if all else fails.
+
+    It goes into the model if the held-out logs are predicted no worse with it.
+    """
+    if decision.found or decision.unexplained is not None:
+        return after
+    measured, beside = decision.before.measured, decision.after
+    shown = at_rest.ageing(beside, after, jobs)
+    if shown is None:
+        return after
+    unknowns = beside.base.unknowns
+    left = residual(measured, shown.fit.model, unknowns=unknowns, jobs=jobs)
+    variables = CATALOGUE[at_rest.AGEING].depends_on
+    decision.unexplained = Unexplained(variables, None, Bursts(0.0, ()), beyond_names=False)
+    decision.after = left
+    fit = augment_near(decision, shown.fit, jobs)
+    if speed_error(fit.model, held)["rmse"] > without:
+        decision.after = beside
+        return after
+    errors = errors_of(at_rest.AGEING, fit)
+    gains = shown.gain, shown.held_gain
+    decision.tables = Tables(variables, (at_rest.AGEING,), errors, *gains, beside, left)
+    return fit
+
+
+def errors_of(name: str, fit: Fit) -> dict[tuple[str, str], float]:
+    """Standard errors of an effect's parameters."""
+    errors = np.sqrt(np.diag(fit.covariance))
+    pairs = zip(fit.unknowns, errors, strict=True)
+    return {(name, u.name): float(u.scale * e) for u, e in pairs if u.effect == name}
 
 
 def softness(decision: Decision, final: Fit) -> tuple[str, ...]:

@@ -250,7 +250,7 @@ def named(found: Found, after: Fit, *, all_explained: bool) -> NamedEffect:
 
 
 def unnamed(tables: Tables) -> NamedEffect:
-    """Describe the lookup tables of an effect that is on no list."""
+    """Describe the curves of an effect that is on no list."""
     parameters = {}
     for name in tables.names:
         kind = name.removeprefix("unknown_")
@@ -266,7 +266,7 @@ def unnamed(tables: Tables) -> NamedEffect:
         float(min(0.99, evidence / (evidence + 10.0 * len(tables.errors) ** 0.5))),
         parameters,
         (),
-        f"A lookup table over {', '.join(tables.variables)}: log-likelihood ratio "
+        f"A curve over {', '.join(tables.variables)}: log-likelihood ratio "
         f"{tables.gain:.0f} on the fitted logs and {tables.held_gain:.0f} on the held-out ones.",
     )
 

@@ -30,6 +30,7 @@ from dmptm_ctrl.effects.sensor_gain import SENSOR_GAIN
 from dmptm_ctrl.effects.thermal_drift import THERMAL_DRIFT
 from dmptm_ctrl.effects.torque_constant_mismatch import TORQUE_CONSTANT_MISMATCH
 from dmptm_ctrl.effects.unbalance import UNBALANCE
+from dmptm_ctrl.effects.unknown_breakaway import UNKNOWN_BREAKAWAY
 from dmptm_ctrl.effects.unknown_friction import UNKNOWN_FRICTION
 from dmptm_ctrl.effects.unknown_torque import UNKNOWN_TORQUE
 from dmptm_ctrl.effects.unknown_voltage import UNKNOWN_VOLTAGE
@@ -65,6 +66,7 @@ CATALOGUE: dict[str, Effect] = {
         UNKNOWN_VOLTAGE,
         UNKNOWN_FRICTION,
         UNKNOWN_TORQUE,
+        UNKNOWN_BREAKAWAY,
     )
 }
 
@@ -98,8 +100,13 @@ def register(effect: Effect) -> Effect:
     return effect
 
 
-# Tables that stand in for what has no name: fitted when nothing else explains the logs,
+# Curves that stand in for what has no name: fitted when nothing else explains the logs,
 # never candidates among the others.
-TABLES = (UNKNOWN_VOLTAGE.name, UNKNOWN_FRICTION.name, UNKNOWN_TORQUE.name)
+TABLES = (
+    UNKNOWN_VOLTAGE.name,
+    UNKNOWN_FRICTION.name,
+    UNKNOWN_TORQUE.name,
+    UNKNOWN_BREAKAWAY.name,
+)
 
 __all__ = ["CATALOGUE", "TABLES", "register"]

@@ -17,7 +17,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dmptm_ctrl.identify.fit import Known, Unknown, place, position
-from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean, predict
+from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
+from dmptm_ctrl.simulate.batch import march_many
+from dmptm_ctrl.simulate.compiled import BODIES
 from dmptm_ctrl.simulate.model import Floats, Model
 
 HORIZONS = (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.9)  # s
@@ -162,21 +164,22 @@ class Steps:
     def residuals(self, several: Sequence[Floats]) -> Floats:
         """Measured minus simulated, in units, (len(several), m)."""
 
-        def one(p: Floats) -> Floats:
-            moved = self.placed(p)
-            arrays, n1, n2 = moved.arrays(), moved.drive["N_1"], moved.drive["N_2"]
-            parts = []
-            for rec in self.records:
-                out = predict(rec, arrays)
-                rows = [(rec.omega - out[:, 1]) / SPEED_UNIT]
-                if rec.twist is not None:
-                    twist = out[:, 2:4].T / n1 - n2 * out[:, 0]
-                    rows += list((rec.twist.T - twist) / (n2 * TWIST_UNIT))
-                parts.append(block_mean(np.array(rows), rec.block).ravel())
-            return np.concatenate(parts)
+        moved = [self.placed(p) for p in several]
+        arrays = [m.arrays() for m in moved]
+        n1, n2 = (np.array([m.drive[key] for m in moved]) for key in ("N_1", "N_2"))
+
+        def one(rec: Record) -> Floats:
+            theta, omega, *motors = np.moveaxis(
+                march_many(arrays, rec.u, rec.x0, rec.dt, columns=range(BODIES)), 2, 0
+            )
+            rows = [(rec.omega - omega) / SPEED_UNIT]
+            for side in range(0 if rec.twist is None else 2):
+                twist = motors[side] / n1[:, None] - n2[:, None] * theta
+                rows.append((rec.twist[:, side] - twist) / (n2[:, None] * TWIST_UNIT))
+            return block_mean(np.stack(rows, 1), rec.block).reshape(len(arrays), -1)
 
         with ThreadPoolExecutor(self.jobs) as pool:
-            return np.array(list(pool.map(one, several)))
+            return np.hstack(list(pool.map(one, self.records)))
 
     def levels(self, several: Sequence[Floats]) -> Floats:
         """Mean loss per sample of each."""

@@ -14,6 +14,7 @@ from dmptm_ctrl.simulate.model import Arrays, Floats, Model
 
 BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
 _OPEN = np.zeros(5)
+FEW = 64  # drives for which a second loop is not worth being compiled
 LINE = 8  # doubles in a cache line
 _NO_ROWS = np.zeros((0, 0))
 _NO_DRIVE = np.zeros((0, 2, 0))
@@ -115,7 +116,7 @@ def _all(
     task: Task, arrays: Sequence[Arrays], x0: Floats, loops: Floats, n_jobs: int
 ) -> tuple[Floats, Floats]:
     """Run any number of drives in groups of lanes, on threads or joblib's backend."""
-    size = NARROW if len(arrays) <= NARROW else WIDE
+    size = NARROW if len(arrays) <= FEW else WIDE
     groups = [slice(k, k + size) for k in range(0, len(arrays), size)]
     parts = ((size, task.rows(g), arrays[g], x0[g], loops[g]) for g in groups)
     if n_jobs == 1 or len(groups) == 1:

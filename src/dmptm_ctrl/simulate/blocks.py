@@ -119,25 +119,35 @@ def mesh_block(model: Model, side: int) -> ct.NonlinearIOSystem:
 def body_rates(
     sites: Sites, body: int, t: float, x, net: float, carried: float, inertia: float
 ) -> list[float]:
-    """Rates of (angle, speed[, presliding torque]) of a body under its net torque [N·m].
+    """Rates of (angle, speed[, presliding torque][, age]) of a body under its net torque [N·m].
 
     Friction by the kernels: sliding, sticking or presliding.
     """
     theta, omega = x[0], x[1]
+    age, older = 0.0, []
+    if sites.renewals[body] > 0.0:
+        age = x[-1]
+        older = [sites.ageing(body, omega, age)]
     distance = sites.distances[body]
     if distance > 0.0:
         direction = 1.0 if omega >= 0.0 else -1.0
-        level = direction * sites.sliding(body, direction, theta, omega, t, carried)
-        return [omega, (net - x[2]) / inertia, abs(omega) * (level - x[2]) / distance]
+        level = direction * sites.sliding(body, direction, theta, omega, t, carried, age)
+        return [omega, (net - x[2]) / inertia, abs(omega) * (level - x[2]) / distance, *older]
     if abs(omega) <= REST_SPEED:
         direction = 1.0 if net > 0.0 else -1.0
-        most = sites.holding(body, direction, theta, omega, t, carried)
+        most = sites.holding(body, direction, theta, omega, t, carried, age)
         if most > 0.0 and abs(net) <= most:
-            return [0.0, 0.0]
-        return [omega, (net - direction * most) / inertia]
+            return [0.0, 0.0, *older]
+        return [omega, (net - direction * most) / inertia, *older]
     direction = 1.0 if omega > 0.0 else -1.0
-    friction = direction * sites.sliding(body, direction, theta, omega, t, carried)
-    return [omega, (net - friction) / inertia]
+    friction = direction * sites.sliding(body, direction, theta, omega, t, carried, age)
+    return [omega, (net - friction) / inertia, *older]
+
+
+def friction_states(sites: Sites, body: int) -> list[str]:
+    """Return the names of the states that friction of a body has."""
+    presliding, ageing = sites.distances[body] > 0.0, sites.renewals[body] > 0.0
+    return ["friction"] * presliding + ["age"] * ageing
 
 
 def chain_block(model: Model, side: int) -> ct.NonlinearIOSystem:
@@ -148,8 +158,9 @@ def chain_block(model: Model, side: int) -> ct.NonlinearIOSystem:
     reducer is compliant.
     """
     sites, s = Sites(model), SIDES[side]
-    elastic, presliding = sites.compliance > 0.0, sites.distances[side] > 0.0
-    body = 2 + presliding  # states of the pinion
+    elastic = sites.compliance > 0.0
+    own = friction_states(sites, side)
+    body = 2 + len(own)  # states of the pinion
     inertia = sites.pinion_inertia + (0.0 if elastic else sites.motor_inertia)
 
     def motor(x):
@@ -163,7 +174,7 @@ def chain_block(model: Model, side: int) -> ct.NonlinearIOSystem:
             return body_rates(sites, side, t, x, drive - u[1], u[1], inertia)
         shaft = (theta - x[0]) / sites.compliance + sites.shaft_damping * (omega - x[1])
         return [
-            *body_rates(sites, side, t, x, shaft - u[1], u[1], inertia),
+            *body_rates(sites, side, t, x[:body], shaft - u[1], u[1], inertia),
             omega,
             (drive - shaft) / sites.motor_inertia,
         ]
@@ -172,7 +183,7 @@ def chain_block(model: Model, side: int) -> ct.NonlinearIOSystem:
         theta, omega = motor(x)
         return [sites.n1 * theta, sites.n1 * omega, x[0], x[1]]
 
-    states = ["theta", "omega"] + ["friction"] * presliding
+    states = ["theta", "omega", *own]
     return ct.NonlinearIOSystem(
         update,
         output,
@@ -202,7 +213,7 @@ def ring_block(model: Model) -> ct.NonlinearIOSystem:
         lambda t, x, u, params: x[:2],
         inputs=["torque_l", "torque_r"],
         outputs=["ring_angle", "ring_speed"],
-        states=["theta", "omega"] + ["friction"] * (sites.distances[RING] > 0.0),
+        states=["theta", "omega", *friction_states(sites, RING)],
         name="ring",
     )
 

@@ -16,6 +16,7 @@ OUTPUTS = (
     *("theta_L", "omega_L", "theta_ml", "theta_mr"),
     *("torque_l", "torque_r", "z_l", "z_r"),
 )
+BODIES = 4  # of these, the first: what turns; then torques and relative angles of the meshes
 SUBSTEPS = 8  # steps per sample; at 1 kHz 125 µs resolves the 231 Hz mode with 35 steps
 _NONE = np.zeros((0, 3))
 _OPEN = np.zeros(6)
@@ -59,6 +60,7 @@ def march(
     observer: tuple[float, float] | None = None,
     measured: Floats | None = None,
     extra: Floats | None = None,
+    meshes: bool = True,
 ) -> Floats:
     """Run the plant open loop on arrays, as the identification does thousands of times.
 
@@ -77,14 +79,16 @@ def march(
         The angle that the observer follows.
     extra : (n, 3) array [N·m]
         Torques added on the two pinions and the ring gear.
+    meshes : bool
+        Whether torques and relative angles of the meshes are wanted.
 
     Returns
     -------
     (n, 8) array
-        Columns :data:`OUTPUTS`, SI.
+        Columns :data:`OUTPUTS`, SI; the first 4 without `meshes`.
     """
     n = u.shape[1]
-    out = np.empty((n, len(OUTPUTS)))
+    out = np.empty((n, len(OUTPUTS) if meshes else BODIES))
     base, on, values = arrays
     engine().march(
         _own(u),
@@ -121,6 +125,7 @@ def close_loop(
     noise: ArrayLike | None = None,
     extra: Floats | None = None,
     substeps: int = SUBSTEPS,
+    meshes: bool = True,
 ) -> tuple[Floats, Floats]:
     """Run the plant under a sampled speed loop.
 
@@ -133,17 +138,19 @@ def close_loop(
         Added to the speed reading that the controller sees.
     extra : (n, 3) array [N·m], optional
         Torques added on the two pinions and the ring gear.
+    meshes : bool
+        Whether torques and relative angles of the meshes are wanted.
 
     Returns
     -------
     u : (2, n) array [V]
     out : (n, 8) array
-        Columns :data:`OUTPUTS`; the speed without the noise.
+        Columns :data:`OUTPUTS`, the first 4 without `meshes`; the speed without the noise.
     """
     target = _own(np.asarray(reference, float))
     seen = np.zeros_like(target) if noise is None else _own(np.asarray(noise, float))
     u = np.zeros((2, target.size))
-    out = np.empty((target.size, len(OUTPUTS)))
+    out = np.empty((target.size, len(OUTPUTS) if meshes else BODIES))
     base, on, values = arrays = model.arrays()
     engine().march(
         u,

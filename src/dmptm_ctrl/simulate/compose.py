@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from types import ModuleType
 from typing import Any, TypeVar
 
@@ -22,6 +23,7 @@ from dmptm_ctrl.effects import CATALOGUE, backlash, stribeck
 from dmptm_ctrl.simulate import elementary
 
 NARROW, WIDE = 8, 16  # lanes
+_LOADING = Lock()
 _T = TypeVar("_T")
 
 # per site: name of the chain, its arguments, neutral result, how one effect changes it
@@ -44,6 +46,12 @@ _CHAINS: dict[str, tuple[str, str, str, str]] = {
         "c = {call}; r = (r[0] * c[0], r[1] + c[1])",
     ),
     "presliding": ("presliding_distance", "body", "0.0", "r += {call}"),
+    "ageing": (
+        "aged_friction",
+        "age, body",
+        "0.0, 0.0",
+        "c = {call}; r = (r[0] + c[0], max(r[1], c[1]))",
+    ),
     "load": ("load_torque", "theta_L, omega_L, t", "0.0", "r += {call}"),
     "sensor": (
         "sensor_reading",
@@ -69,6 +77,7 @@ _LANE_CHAINS: dict[str, tuple[str, str, str]] = {
         "{A0}, {A1}, t, {A2}, side",
         "c = {call}; {R0} *= c[0]; {R1} += c[1]",
     ),
+    "ageing": ("ageing_lanes", "{A0}, side", "{R1} += {call}[0]"),
     "load": ("load_lanes", "{A0}, {A1}, t", "{R0} += {call}"),
     "sensor": ("sensor_lanes", "{A0}, {A1}, t", "{A0}, {A1} = {call}"),
 }
@@ -85,6 +94,7 @@ _OWN_KERNELS = (
 
 _INLINE = (
     *("held_average", "slide", "stop", "slide_or_stick", "preslide", "friction_step", "mesh_step"),
+    "aged",
     *("law", "plain_region", "level_stage"),
     *("section", "direction_of", "friction_along", "built_up", "feed_forward", "undone"),
     *("stays", "mesh_slopes", "one_way_law", "smooth_body", "mesh_change", "mesh_own", "law_own"),
@@ -260,8 +270,13 @@ def cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="dmptm_ctrl_"))
 
 
-@cache
 def _load(key: str, text: str) -> ModuleType:
+    with _LOADING:  # threads may ask for it at once
+        return _loaded(key, text)
+
+
+@cache
+def _loaded(key: str, text: str) -> ModuleType:
     file = cache_folder() / f"engine_{key}.py"
     if not file.exists() or file.read_text(encoding="utf-8") != text:
         if elementary.COMPILED:

@@ -28,6 +28,7 @@ from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torq
 from dmptm_ctrl.simulate.control_core import L_CLOSED, M_LEFT, M_RIGHT, MEMORY, command
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
+    aged_friction,
     drive_voltage,
     friction_level,
     lag_relaxation,
@@ -125,7 +126,7 @@ def march(
     its model in `design`; `observer` (angle gain, speed gain); `measured` (n,) is the angle that
     the observer follows, or the speed noise of the closed loop; `extra` (n, 3) or (0, 3)
     torques on the pinions and the ring gear; `base` in the order of `compiled.BASE`;
-    `out` (n, 8).
+    `out` (n, 8), or (n, 4) without the columns of the meshes.
     """
     n = u.shape[1]
     h = dt / substeps
@@ -166,6 +167,16 @@ def march(
     b0, b1 = 0.0, 0.0
     e0, e1 = 0.0, 0.0  # lagged voltages
     f0, f1, f2 = 0.0, 0.0, 0.0  # presliding friction
+    renew = (
+        aged_friction(0.0, 0, on, values)[1],
+        aged_friction(0.0, 1, on, values)[1],
+        aged_friction(0.0, 2, on, values)[1],
+    )
+    ageing = max(renew[0], renew[1], renew[2]) > 0.0
+    # in the middle of the step, as the torques
+    age0 = aged(0.0, v0, 0.5 * h, renew[0])
+    age1 = aged(0.0, v1, 0.5 * h, renew[1])
+    age2 = aged(0.0, v2, 0.5 * h, renew[2])
     integral = 0.0
     region0, region1 = UNKNOWN, UNKNOWN  # of each mesh in the step before
     late = lag_time > 0.0
@@ -174,6 +185,7 @@ def march(
     memory = np.zeros(MEMORY)
     step = 0
     lead = 0.0
+    meshes = out.shape[1] > 4  # whether the columns of the meshes are wanted
     for i in range(n):
         t = i * dt
         seen = v2
@@ -187,23 +199,24 @@ def march(
             angle, speed = sensor_reading(q2, seen, t, on, values)
         out[i, 0], out[i, 1] = angle, speed
         out[i, 2], out[i, 3] = n1 * m0, n1 * m1
-        if has_mesh:
-            dz, dz_rate, dgap, dk = mesh_shift(q0, v0, q2, v2, 0, on, values)
-        stiff = k_m + dk + (k_a * cos(z3 * q0 + phi_r) if k_a != 0.0 else 0.0)
-        out[i, 4] = mesh_torque(
-            q0 - n2 * q2 + dz,
-            v0 - n2 * v2 + dz_rate,
-            Backlash(stiff, c, c_f, max(gap[0] + dgap, 0.0)),
-        )
-        if has_mesh:
-            dz, dz_rate, dgap, dk = mesh_shift(q1, v1, q2, v2, 1, on, values)
-        stiff = k_m + dk + (k_a * cos(z3 * q1 + phi_r) if k_a != 0.0 else 0.0)
-        out[i, 5] = mesh_torque(
-            q1 - n2 * q2 + dz,
-            v1 - n2 * v2 + dz_rate,
-            Backlash(stiff, c, c_f, max(gap[1] + dgap, 0.0)),
-        )
-        out[i, 6], out[i, 7] = q0 - n2 * q2, q1 - n2 * q2
+        if meshes:
+            if has_mesh:
+                dz, dz_rate, dgap, dk = mesh_shift(q0, v0, q2, v2, 0, on, values)
+            stiff = k_m + dk + (k_a * cos(z3 * q0 + phi_r) if k_a != 0.0 else 0.0)
+            out[i, 4] = mesh_torque(
+                q0 - n2 * q2 + dz,
+                v0 - n2 * v2 + dz_rate,
+                Backlash(stiff, c, c_f, max(gap[0] + dgap, 0.0)),
+            )
+            if has_mesh:
+                dz, dz_rate, dgap, dk = mesh_shift(q1, v1, q2, v2, 1, on, values)
+            stiff = k_m + dk + (k_a * cos(z3 * q1 + phi_r) if k_a != 0.0 else 0.0)
+            out[i, 5] = mesh_torque(
+                q1 - n2 * q2 + dz,
+                v1 - n2 * v2 + dz_rate,
+                Backlash(stiff, c, c_f, max(gap[1] + dgap, 0.0)),
+            )
+            out[i, 6], out[i, 7] = q0 - n2 * q2, q1 - n2 * q2
         if loop[L_CLOSED] > 1.0:
             seen = speed + measured[i]
             command(target[i], angle, seen, n1 * m0, n1 * m1, t, dt, loop, memory, design)
@@ -310,20 +323,30 @@ def march(
 
             if has_friction:
                 scale, added = friction_level(x_0 + n2 * lead, s0, middle, torque0, 0, on, values)
+            if ageing:
+                added = (added if has_friction else 0.0) + aged_friction(age0, 0, on, values)[0]
             new0, f0 = friction_step(
                 v0, s0, force0, mobility_3, h, reducer, scale, added, distance[0], f0
             )
             if has_friction:
                 scale, added = friction_level(x_1 + n2 * lead, s1, middle, torque1, 1, on, values)
+            if ageing:
+                added = (added if has_friction else 0.0) + aged_friction(age1, 1, on, values)[0]
             new1, f1 = friction_step(
                 v1, s1, force1, mobility_3, h, reducer, scale, added, distance[1], f1
             )
             if has_friction:
                 carried = abs(torque0) + abs(torque1)
                 scale, added = friction_level(x_2 + lead, s2, middle, carried, 2, on, values)
+            if ageing:
+                added = (added if has_friction else 0.0) + aged_friction(age2, 2, on, values)[0]
             new2, f2 = friction_step(
                 v2, s2, force2, mobility_l, h, bearing, scale, added, distance[2], f2
             )
+            if ageing:
+                age0 = aged(age0, new0, h, renew[0])
+                age1 = aged(age1, new1, h, renew[1])
+                age2 = aged(age2, new2, h, renew[2])
             d0, d1, d2 = new0 - v0, new1 - v1, new2 - v2
             v0, v1, v2 = new0, new1, new2
             q0, q1, q2 = x_0 + 0.5 * h * v0, x_1 + 0.5 * h * v1, x_2 + 0.5 * h * v2
@@ -341,6 +364,18 @@ def friction_step(v, v_mid, force, mobility, h, law, scale, added, distance, bri
     if distance <= 0.0:
         return slide_or_stick(v, v_mid, force, mobility, law, scale, added), 0.0
     return preslide(v, v_mid, force, mobility, h, law, scale, added, distance, bristle)
+
+
+@njit
+def aged(age, v, h, slip):
+    """Age of a contact a time `h` later [s]: it grows with time, and `slip` [rad] makes it new."""
+    if slip <= 0.0:
+        return 0.0
+    turned = abs(v) * h / slip
+    if turned == 0.0:
+        return age + h
+    left = exp(-turned)
+    return age * left + h * (1.0 - left) / turned
 
 
 @njit

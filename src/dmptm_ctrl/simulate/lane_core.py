@@ -23,6 +23,7 @@ from dmptm_ctrl.simulate.control_core import (
 from dmptm_ctrl.simulate.core import (
     MIN_COMPLIANCE,
     UNKNOWN,
+    aged,
     held_average,
     mesh_step,
     preslide,
@@ -31,6 +32,7 @@ from dmptm_ctrl.simulate.core import (
 )
 from dmptm_ctrl.simulate.elementary import wide
 from dmptm_ctrl.simulate.lane_sites import (  # chains
+    ageing_lanes,
     drive_lanes,
     friction_lanes,
     lag_lanes,
@@ -41,6 +43,7 @@ from dmptm_ctrl.simulate.lane_sites import (  # chains
 )
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
+    aged_friction,
     lag_relaxation,
     presliding_distance,
     shaft_compliance,
@@ -80,7 +83,9 @@ LAW, DELTA = 87 * LANES, 111 * LANES  # 9 numbers, each of 3 bodies; the last of
 GAIN, J_MOTOR, DEAD, LATE, COMPLIANCE, SHAFT = range(114 * LANES, 120 * LANES, LANES)
 KP, KI, LIMIT, BIAS0, BIAS1, INTEGRAL, NOTHING = range(120 * LANES, 127 * LANES, LANES)
 N1, N2, TEETH, K_M, K_A, PHASE, GAP0, GAP1 = range(127 * LANES, 135 * LANES, LANES)
-OUT = 135 * LANES
+# Bodies: age of the contact in the middle of the step, slip that makes it new.
+AGE, RENEW = range(135 * LANES, 141 * LANES, 3 * LANES)
+OUT = 141 * LANES
 VALUES = OUT + COLUMNS * LANES
 
 
@@ -114,6 +119,8 @@ def fill(s, lane, x0, loop, h, dt, base, on, values):
         row = body * LANES + lane
         s[SCALE + row] = 1.0
         s[DISTANCE + row] = presliding_distance(body, on, values)
+        s[RENEW + row] = aged_friction(0.0, body, on, values)[1]
+        s[AGE + row] = aged(0.0, x0[3 + body], 0.5 * h, s[RENEW + row])
         s[MOBILITY + row] = h / (
             base[4] if body == 2 else base[3] if elastic else base[3] + j_motor
         )
@@ -370,6 +377,26 @@ def levels(s, width, t, on):
 
 
 @njit
+def ageing_stage(s, width, t, on):
+    """Add what the age of the contacts adds to friction."""
+    for body in range(3):
+        at = body * LANES
+        for lane in range(width):
+            s[A0 + lane] = s[AGE + at + lane]
+            s[R1 + lane] = 0.0
+        ageing_lanes(s, width, body, t, on)
+        for lane in range(width):
+            s[ADDED + at + lane] += s[R1 + lane]
+
+
+@njit
+def grow_older(s, width, h):
+    """Ages of the contacts in the middle of the next step."""
+    for row in range(3 * width):
+        s[AGE + row] = aged(s[AGE + row], s[NEW + row], h, s[RENEW + row])
+
+
+@njit
 def finish(s, width, h):
     """Changes of the speeds, speeds and angles at the end of the step."""
     wide()
@@ -553,6 +580,7 @@ def march_lanes(
     late = largest(s, width, LATE) > 0.0
     elastic = largest(s, width, COMPLIANCE) > 0.0
     presliding = largest(s, 3 * width, DISTANCE) > 0.0
+    ageing = largest(s, 3 * width, RENEW) > 0.0
     varying, general = False, False
     for lane in range(width):
         varying = varying or s[K_A + lane] != 0.0
@@ -667,11 +695,18 @@ def march_lanes(
                 load_stage(s, width, middle, on)
             if has_friction:
                 levels(s, width, middle, on)
+            if ageing:
+                if not has_friction:
+                    for row in range(3 * width):
+                        s[ADDED + row] = 0.0
+                ageing_stage(s, width, middle, on)
             stopping = general_slide_stage(s, width) if general else slide_stage(s, width)
             if stopping > 0:
                 stop_stage(s, width)
             if presliding:
                 presliding_stage(s, width, h)
+            if ageing:
+                grow_older(s, width, h)
             finish(s, width, h)
             if elastic:
                 rigid(s, width, 0)

@@ -32,6 +32,11 @@ def friction_lanes(s, width, side, t, on):
 
 
 @njit
+def ageing_lanes(s, width, side, t, on):
+    """Torque R1 added [N·m] at the age A0 of a body's contact."""
+
+
+@njit
 def load_lanes(s, width, side, t, on):
     """Torque added to R0 on the ring gear [N·m] at angle A0 and speed A1."""
 

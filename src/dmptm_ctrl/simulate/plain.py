@@ -66,6 +66,7 @@ class Sites:
         self.distances = tuple(
             sum(kernel(body, p) for kernel, p in self._chains["presliding"]) for body in range(3)
         )
+        self.renewals = tuple(self.aged_friction(body, 0.0)[1] for body in range(3))
 
     def has(self, site: str) -> bool:
         """Whether an effect acts at `site`."""
@@ -110,25 +111,53 @@ class Sites:
         """Torque of the mesh [N·m], positive drives the ring gear."""
         return mesh_torque(*self.mesh(theta_p, omega_p, theta_L, omega_L, side))
 
-    def _friction(self, body: int, theta: float, omega: float, t: float, mesh: float):
-        scale, added = 1.0, 0.0
+    def aged_friction(self, body: int, age: float) -> tuple[float, float]:
+        """Coulomb torque added [N·m] at the age of a contact, slip that makes it new [rad]."""
+        added, slip = 0.0, 0.0
+        for kernel, p in self._chains["ageing"]:
+            torque, distance = kernel(age, body, p)
+            added, slip = added + torque, max(slip, distance)
+        return added, slip
+
+    def ageing(self, body: int, omega: float, age: float) -> float:
+        """Rate of the age of a contact [s/s]."""
+        return 1.0 - abs(omega) * age / self.renewals[body]
+
+    def _friction(
+        self, body: int, theta: float, omega: float, t: float, mesh: float, age: float
+    ):
+        scale, added = 1.0, self.aged_friction(body, age)[0]
         for kernel, p in self._chains["friction"]:
             factor, coulomb = kernel(theta, omega, t, mesh, body, p)
             scale, added = scale * factor, added + coulomb
         return scale, added
 
     def holding(
-        self, body: int, direction: float, theta: float, omega: float, t: float, mesh: float
+        self,
+        body: int,
+        direction: float,
+        theta: float,
+        omega: float,
+        t: float,
+        mesh: float,
+        age: float = 0.0,
     ):
         """Largest friction at rest against motion in `direction` [N·m]."""
-        scale, added = self._friction(body, theta, omega, t, mesh)
+        scale, added = self._friction(body, theta, omega, t, mesh, age)
         return max(scale * _breakaway(direction, self.laws[body]) + added, 0.0)
 
     def sliding(
-        self, body: int, direction: float, theta: float, omega: float, t: float, mesh: float
+        self,
+        body: int,
+        direction: float,
+        theta: float,
+        omega: float,
+        t: float,
+        mesh: float,
+        age: float = 0.0,
     ):
         """Magnitude of friction in motion [N·m]."""
-        scale, added = self._friction(body, theta, omega, t, mesh)
+        scale, added = self._friction(body, theta, omega, t, mesh, age)
         return max(scale * _sliding(omega, direction, self.laws[body]) + added, 0.0)
 
     def load_torque(self, theta_L: float, omega_L: float, t: float) -> float:

@@ -17,9 +17,9 @@ from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites, mesh_region, region_torque
 
 # Angles of pinions and ring gear, their speeds; motors seen at the pinion, their speeds;
-# lagged voltages; presliding torques.
-STATES = 15
-ANGLE, SPEED, MOTOR, MOTOR_SPEED, LAGGED, BRISTLE = 0, 3, 6, 8, 10, 12
+# lagged voltages; presliding torques; ages of the contacts.
+STATES = 18
+ANGLE, SPEED, MOTOR, MOTOR_SPEED, LAGGED, BRISTLE, AGE = 0, 3, 6, 8, 10, 12, 15
 Hold = tuple[float, float, tuple[float, float]]  # start, end [s], voltages [V]
 ATOL = 1e-14  # rad, rad/s: 4e-10 N·m in the mesh
 EVENT_TIME = 1e-12  # s, to which a switch is located
@@ -84,14 +84,18 @@ class _Hybrid:
         rigid = sites.compliance <= 0.0
         for body in range(3):
             omega, motion = y[SPEED + body], self.motion[body]
+            age = y[AGE + body]
+            if sites.renewals[body] > 0.0:
+                rate[AGE + body] = sites.ageing(body, omega, age)
             if sites.distances[body] > 0.0:
                 friction = y[BRISTLE + body]
-                level = motion * sites.sliding(body, motion, y[body], omega, t, carried[body])
+                level = motion * sites.sliding(body, motion, y[body], omega, t, carried[body], age)
                 rate[BRISTLE + body] = abs(omega) * (level - friction) / sites.distances[body]
             elif motion == 0.0:
                 continue
             else:
-                friction = motion * sites.sliding(body, motion, y[body], omega, t, carried[body])
+                level = sites.sliding(body, motion, y[body], omega, t, carried[body], age)
+                friction = motion * level
             inertia = sites.ring_inertia
             if body != RING:
                 inertia = sites.pinion_inertia + (sites.motor_inertia if rigid else 0.0)
@@ -126,7 +130,8 @@ class _Hybrid:
     def breaks(self, t: float, y, body: int, net, carried) -> bool:
         """Whether the net torque on a body at rest is more than friction holds."""
         direction = 1.0 if net[body] > 0.0 else -1.0
-        most = self.sites.holding(body, direction, y[body], 0.0, t, carried[body])
+        age = y[AGE + body]
+        most = self.sites.holding(body, direction, y[body], 0.0, t, carried[body], age)
         return abs(net[body]) > most
 
     def switch(self, t: float, state: Floats) -> None:

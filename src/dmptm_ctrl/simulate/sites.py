@@ -61,6 +61,12 @@ def presliding_distance(body, on, values):
 
 
 @njit
+def aged_friction(age, body, on, values):
+    """Coulomb torque added [N·m] at the age of a contact, and slip that makes it new [rad]."""
+    return 0.0, 0.0
+
+
+@njit
 def load_torque(theta_L, omega_L, t, on, values):
     """Torque added on the ring gear [N·m]."""
     return 0.0

@@ -43,6 +43,10 @@ UNEASY = 0.45  # mean loss per sample above which all is not well; noise gives 0
 SEARCHED_SECONDS = 0.4  # up to which other starts are tried; later none that is drawn comes near
 DRAWS, SIZES = 32, (0.3, 1.0)  # how many, and how far in standard deviations of what is known
 PURSUED = 2  # of the draws that are fitted
+# Stuck early, it begins anew: horizon, how many places are drawn from what is known, how many of
+# the best are fitted; half-ranges beyond which a value is not known but open.
+ANEW_SECONDS, SCATTERED, FOLLOWED = 0.07, 256, 16
+OPEN = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +105,26 @@ def lock(
     """
     p = np.clip(position(model, unknowns), [k.low for k in unknowns], [k.high for k in unknowns])
     prior = np.asarray(np.linalg.inv(known.precision + TINY * np.eye(p.size)), np.float64)
-    best = Locked(model, position(model, unknowns), 0.0, np.inf, prior)
     rng = np.random.default_rng(seed)
     one = Seeker(model, tuple(unknowns), known, [p], prior, rng=rng)
     longest = max(rec.dt * rec.omega.size for rec in records)
-    for horizon in HORIZONS:
-        if horizon < reached:
-            continue
-        if horizon > longest:
-            break
+    ahead = [h for h in HORIZONS if reached <= h <= longest]
+    best = walk(one, records, ahead, jobs)
+    later = [h for h in ahead if h >= ANEW_SECONDS]
+    if later and best.horizon < min(SEARCHED_SECONDS, ahead[-1]):
+        fresh = Seeker(model, tuple(unknowns), known, [p], prior / LOOSE, rng=rng)
+        fresh.scatter([cut(rec, later[0]) for rec in records], jobs)
+        best = max(best, walk(fresh, records, later, jobs), key=Locked.lasts)
+    return best
+
+
+def walk(
+    one: "Seeker", records: Sequence[Record], horizons: Sequence[float], jobs: int
+) -> Locked:
+    """Go from horizon to horizon for as long as the model keeps step."""
+    start = one.places[0]
+    best = Locked(one.model, start, 0.0, np.inf, one.covariance)
+    for horizon in horizons:
         one.go([cut(rec, horizon) for rec in records], jobs)
         if best.horizon == 0.0:  # what is known may leave some values open altogether
             one.settle()
@@ -265,6 +280,29 @@ class Seeker:
         self.found.sort(key=lambda found: found[0])
         self.cost, _, _, self.level = self.found[0]
         self.places = [found[1] for found in self.found[:2]]
+
+    def scatter(self, records: Sequence[Record], jobs: int) -> None:
+        """Begin anew from the best of many places that are known to be possible."""
+        self.steps = Steps(records, self.model, self.unknowns, self.known, jobs, self.stalled)
+        self.found = []
+        first = self.places[0]
+        spread = np.sqrt(np.diag(self.covariance))
+        open_ = spread > OPEN
+        told = np.where(open_[:, None] | open_, np.diag(np.where(open_, 0.0, 1.0)), self.covariance)
+        shape = np.linalg.cholesky(told + TINY * np.eye(first.size))
+        drawn = [
+            np.clip(
+                first * np.where(open_, np.exp(self.rng.standard_normal(first.size)), 1.0)
+                + np.where(open_, 0.0, shape @ self.rng.standard_normal(first.size)),
+                self.steps.low,
+                self.steps.high,
+            )
+            for _ in range(SCATTERED)
+        ]
+        costs = self.steps.costs(self.steps.residuals(drawn), drawn)
+        for i in np.argsort(costs)[:FOLLOWED]:
+            self.pursue(drawn[i])
+        self.covariance = self.found[0][2]
 
     def search(self) -> None:
         """Try other starts, drawn from what the last horizon left open."""

@@ -24,13 +24,10 @@ from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.simulate.model import Model
 
 NAME = "presliding"
-AGEING = "unknown_breakaway"
-SIMULATED = (NAME, AGEING)  # what the balances tell nothing of
 STARTS = (0.2, 1.0)  # of each distance, in its step
 STRIDES = (0.5, 2.0, 8.0)  # the same, from which it tries to keep step
 FIRST_SECONDS = 0.1  # of each log, on which the best of them is found
 FAINT_SECONDS = 0.05  # for which it does at least before the meshes' damping is told anew
-AGEING_SECONDS = 0.1  # for which it keeps step at least; the first breaking away is before
 ITERATIONS = 6
 # Any real contact pre-slides a little: a common friction law with bristles lets that take off
 # up to half of the misfit, by distances of one or two counts of the ring encoder. An effect
@@ -90,31 +87,21 @@ def presliding(left: Residual, before: Fit, jobs: int) -> AtRest:
     """
     if before.horizon >= KEEPS_SECONDS:  # nothing is missing near rest
         return AtRest(0.0, 0.0, (0.0, 0.0), before)
-    kept = keeping_step(NAME, left, before, jobs)
+    kept = keeping_step(left, before, jobs)
     return kept or by_misfit(left.measured, before, jobs)
 
 
-def ageing(left: Residual, before: Fit, jobs: int) -> AtRest | None:
-    """Add friction that grows with the time at rest, if the model keeps step with it alone."""
-    if before.horizon >= KEEPS_SECONDS:
-        return None
-    shown = keeping_step(AGEING, left, before, jobs)
-    if shown is None or shown.in_step < AGEING_SECONDS:
-        return None
-    return shown if shown.gain + shown.held_gain > LEAST else None
-
-
-def keeping_step(name: str, left: Residual, before: Fit, jobs: int) -> AtRest | None:
-    """Add what acts near rest if the model keeps step with it, and not without."""
+def keeping_step(left: Residual, before: Fit, jobs: int) -> AtRest | None:
+    """Add pre-sliding if the model keeps step with it, and not without."""
     whole = left.measured.fit, left.measured.held
     starts, first = ([cut(rec, h) for rec in whole[0]] for h in (SECONDS, FIRST_SECONDS))
     bare = left.base.model
-    strides = [stride(name, left, sized(name, bare, size), first, jobs) for size in STRIDES]
+    strides = [stride(left, sized(NAME, bare, size), first, jobs) for size in STRIDES]
     best, unknowns = max(strides, key=lambda found: found[0].lasts())
     if best.horizon < FAINT_SECONDS:
         return None
     # the rattle told the meshes' damping with friction of another size; now once more
-    again, _ = stride(name, left, best.model, starts, jobs)
+    again, _ = stride(left, best.model, starts, jobs)
     best = max(best, again, key=Locked.lasts)
     for seconds in reversed(horizons(FAINT_SECONDS, best.horizon)):
         parts = [[cut(rec, seconds) for rec in records] for records in whole]
@@ -130,13 +117,13 @@ def keeping_step(name: str, left: Residual, before: Fit, jobs: int) -> AtRest | 
 
 
 def stride(
-    name: str, left: Residual, model: Model, records: Sequence[Record], jobs: int
+    left: Residual, model: Model, records: Sequence[Record], jobs: int
 ) -> tuple[Locked, tuple[Unknown, ...]]:
-    """Keep step with an effect from a size on.
+    """Keep step with pre-sliding from a size on.
 
     What the balances know of friction, and the rattle of the meshes' damping, they know beside it.
     """
-    measured, own = left.measured, effect_unknowns(name)
+    measured, own = left.measured, effect_unknowns(NAME)
     start = fit_balance(left.balance, model, left.base.unknowns)
     fit = rattled(measured.fit, start, measured.drive, jobs)
     known = widened(fit.p, LOOSE * fit.covariance, len(own))

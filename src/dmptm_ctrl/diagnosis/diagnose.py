@@ -29,8 +29,10 @@ from dmptm_ctrl.diagnosis.runoff import run_off
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.diagnosis.tables import Tables
-from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
+from dmptm_ctrl.diagnosis.trace import WITHOUT_TWIST, Trial, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import Bursts, Unexplained, astray, unexplained
+from dmptm_ctrl.diagnosis.unseen import AGEING, Shown, unseen
+from dmptm_ctrl.diagnosis.unseen import LEAST as LEAST_UNSEEN
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
@@ -47,6 +49,7 @@ WORSE = 1.2
 ASTRAY = 0.45
 LEAVE = 2.0  # of what counts as unexplained, beside pre-sliding
 LITTLE = 0.01  # deg/s
+BY_KEEPING_STEP = (at_rest.NAME, AGEING, *WITHOUT_TWIST)  # what balances may tell nothing of
 NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity", "mesh_error")
 
 
@@ -101,7 +104,7 @@ def diagnose(
     after = sobered(decision, without["rmse"], after, held, jobs)
     after = rested(decision, after, jobs)
     after = in_step(decision, after, jobs, seed)
-    after = aged(decision, without["rmse"], after, held, jobs)
+    after = uncovered(decision, without["rmse"], after, held, jobs, seed)
     nothing = not decision.found and not model.effects and decision.unexplained is None
     if nothing and without["rmse"] > ASTRAY:
         variables = astray(before.model, held)
@@ -211,8 +214,9 @@ def augment_near(decision: Decision, near: Fit, jobs: int) -> Fit:
 
 def beside_balances(base: BalanceFit) -> tuple[Unknown, ...]:
     """Unknowns in use that the balances do not tell."""
-    used = [unknowns_of(name) for name in at_rest.SIMULATED if name in base.model.effects]
-    return tuple(unknown for own in used for unknown in own)
+    fitted = {unknown.effect for unknown in base.unknowns}
+    used = [name for name in BY_KEEPING_STEP if name in base.model.effects and name not in fitted]
+    return tuple(unknown for name in used for unknown in unknowns_of(name))
 
 
 def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
@@ -248,30 +252,38 @@ def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
     return fit
 
 
-def aged(decision: Decision, without: float, after: Fit, held: Sequence[Log], jobs: int) -> Fit:
-    """Say that friction grows with the time at rest, which is on no list, if all else fails.
-
-    It goes into the model if the held-out logs are predicted no worse with it.
-    """
+def uncovered(
+    decision: Decision, without: float, after: Fit, held: Sequence[Log], jobs: int, seed: int
+) -> Fit:
+    """Add what the balances tell nothing of, if the model keeps step with it and all else fails."""
     if decision.found or decision.unexplained is not None:
         return after
-    measured, beside = decision.before.measured, decision.after
-    shown = at_rest.ageing(beside, after, jobs)
+    shown = unseen(decision.after, after, jobs=jobs, seed=seed)
     if shown is None:
         return after
+    measured, beside = decision.before.measured, decision.after
     unknowns = beside.base.unknowns
     left = residual(measured, shown.fit.model, unknowns=unknowns, jobs=jobs)
-    variables = CATALOGUE[at_rest.AGEING].depends_on
-    decision.unexplained = Unexplained(variables, None, Bursts(0.0, ()), beyond_names=False)
     decision.after = left
     fit = augment_near(decision, shown.fit, jobs)
-    if speed_error(fit.model, held)["rmse"] > without:
+    if shown.name != AGEING:
+        decision.found.append(by_step(shown, left.base))
+        return fit
+    variables = CATALOGUE[AGEING].depends_on
+    decision.unexplained = Unexplained(variables, None, Bursts(0.0, ()), beyond_names=False)
+    if speed_error(fit.model, held)["rmse"] > without:  # known to be there, but not well enough
         decision.after = beside
         return after
-    errors = errors_of(at_rest.AGEING, fit)
-    gains = shown.gain, shown.held_gain
-    decision.tables = Tables(variables, (at_rest.AGEING,), errors, *gains, beside, left)
+    gains, errors = (shown.gain, shown.held_gain), errors_of(AGEING, fit)
+    decision.tables = Tables(variables, (AGEING,), errors, *gains, beside, left)
     return fit
+
+
+def by_step(shown: Shown, base: BalanceFit) -> Found:
+    """Describe an effect that keeping step has shown, and others that do nearly as well."""
+    trials = [Trial(s.name, s.gain, s.held_gain, base) for s in (shown, *shown.rivals)]
+    seconds = shown.fit.horizon
+    return Found(shown.name, shown.evidence, LEAST_UNSEEN, trials[0], tuple(trials[1:]), seconds)
 
 
 def errors_of(name: str, fit: Fit) -> dict[tuple[str, str], float]:

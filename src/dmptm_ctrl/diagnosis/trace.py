@@ -18,6 +18,7 @@ from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
 from dmptm_ctrl.simulate.model import Floats
 
 NEEDS_TWIST = ("pinion_runout", "ring_gear_eccentricity", "mesh_error", "backlash_variation")
+WITHOUT_TWIST = (*NEEDS_TWIST, "reducer_compliance")  # unseen without motor encoders
 BY_SIMULATOR = ("presliding",)  # it acts near rest, where the balances do not look
 BY_SENSORS = ("sensor_gain", "sensor_delay", "encoder_eccentricity")
 FIXED_SHAPES = {  # whole numbers
@@ -294,7 +295,7 @@ def candidates(trace: Trace, skip: Iterable[str]) -> list[str]:
     twisted = any(mo.rec.twist is not None for mo in trace.balance.motions)
     out = {*skip, *trace.base.model.effects, *BY_SENSORS, *BY_SIMULATOR, *TABLES}
     if not twisted:
-        out |= {*NEEDS_TWIST, "reducer_compliance"}
+        out |= {*WITHOUT_TWIST}
     return [name for name in CATALOGUE if name not in out]
 
 

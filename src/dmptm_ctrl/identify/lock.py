@@ -44,9 +44,10 @@ SEARCHED_SECONDS = 0.4  # up to which other starts are tried; later none that is
 DRAWS, SIZES = 32, (0.3, 1.0)  # how many, and how far in standard deviations of what is known
 PURSUED = 2  # of the draws that are fitted
 # Stuck early, it begins anew: horizon, how many places are drawn from what is known, how many of
-# the best are fitted; half-ranges beyond which a value is not known but open.
-ANEW_SECONDS, SCATTERED, FOLLOWED = 0.07, 256, 16
-OPEN = 2.0
+# the best are fitted by how many steps, round by round.
+ANEW_SECONDS, SCATTERED, FOLLOWED = 0.07, 256, ((24, 2), (8, 8))
+OPEN = 2.0  # half-ranges, or steps of an effect, beyond which a value is not known but open
+OPEN_SIZE = 4.0  # of such a value, if it may have either sign
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,10 +212,10 @@ class Steps:
         runs = self.residuals([p, *(p + np.diag(step))])
         return (runs[1:] - runs[0]) / step[:, None], runs[0]
 
-    def descend(self, p: Floats) -> Floats:
+    def descend(self, p: Floats, iterations: int = ITERATIONS) -> Floats:
         """Go down from `p` for as long as it pays."""
         probe = PROBE
-        for _ in range(ITERATIONS):
+        for _ in range(iterations):
             slopes, r = self.slopes(p, probe)
             cost = self.costs(r[None], [p])[0]
             w = NEWS / (1.0 + r**2 / FREEDOM)
@@ -285,24 +286,25 @@ class Seeker:
         """Begin anew from the best of many places that are known to be possible."""
         self.steps = Steps(records, self.model, self.unknowns, self.known, jobs, self.stalled)
         self.found = []
-        first = self.places[0]
-        spread = np.sqrt(np.diag(self.covariance))
-        open_ = spread > OPEN
-        told = np.where(open_[:, None] | open_, np.diag(np.where(open_, 0.0, 1.0)), self.covariance)
-        shape = np.linalg.cholesky(told + TINY * np.eye(first.size))
-        drawn = [
-            np.clip(
-                first * np.where(open_, np.exp(self.rng.standard_normal(first.size)), 1.0)
-                + np.where(open_, 0.0, shape @ self.rng.standard_normal(first.size)),
-                self.steps.low,
-                self.steps.high,
-            )
-            for _ in range(SCATTERED)
-        ]
-        costs = self.steps.costs(self.steps.residuals(drawn), drawn)
-        for i in np.argsort(costs)[:FOLLOWED]:
-            self.pursue(drawn[i])
+        drawn = [self.draw() for _ in range(SCATTERED)]
+        for follow, iterations in FOLLOWED:
+            costs = self.steps.costs(self.steps.residuals(drawn), drawn)
+            best = np.argsort(costs)[:follow]
+            drawn = [self.steps.descend(drawn[i], iterations) for i in best]
+        for p in drawn:
+            self.pursue(p)
         self.covariance = self.found[0][2]
+
+    def draw(self) -> Floats:
+        """Draw a place from what is known; of a value that is open, another size or sign."""
+        first, (scale, other) = self.places[0], self.rng.standard_normal((2, self.places[0].size))
+        width = np.sqrt(np.diag(self.covariance))
+        of_open = width > OPEN
+        told = np.where(of_open[:, None] | of_open, 0.0, self.covariance)
+        told[np.diag_indices_from(told)] += np.where(of_open, 1.0, TINY)
+        near = first + np.linalg.cholesky(told) @ other
+        sized = np.where(self.steps.low < 0.0, OPEN_SIZE * scale, first * np.exp(scale))
+        return np.clip(np.where(of_open, sized, near), self.steps.low, self.steps.high)
 
     def search(self) -> None:
         """Try other starts, drawn from what the last horizon left open."""

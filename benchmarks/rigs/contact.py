@@ -16,15 +16,17 @@ from rigs.layout import EQ21, HUNT_CROSSLEY, TWO_STATE
 # Deflection at which Hunt-Crossley damping equals the linear damping: that of a
 # mesh torque of 5 N·m, which is usual here.
 _USUAL_TORQUE = 5.0
+# A flank that withdraws in a step by less still touches; a gap that varies does by some 1e-9 rad.
+TOUCH = 2e-8  # rad
 
 
 @njit(inline="always")
 def two_state(z, rate, place, gap, k, c, cf):
     """The tooth's twist is z - place; place moves only inside the gap."""
     place_rate = (k * (z - place) + c * rate) / (c + cf)
-    if place >= gap:
+    if place >= gap - TOUCH:
         place_rate = min(0.0, place_rate)
-    elif place <= -gap:
+    elif place <= TOUCH - gap:
         place_rate = max(0.0, place_rate)
     return k * (z - place) + c * (rate - place_rate), place_rate
 

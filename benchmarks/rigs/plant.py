@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
-from rigs.contact import mesh_torque
+from rigs.contact import TOUCH, mesh_torque
 from rigs.drive import amplifier, motor_torque
 from rigs.friction import breakaway, friction
 from rigs.geometry import half_gap, soft_flank, twist
@@ -129,8 +129,9 @@ def advance(time, step, y, p, m, volts, mode, work):
             mode[i] = 0.0
     if p.contact == TWO_STATE:
         for i in range(2):
-            gap = half_gap(p, i, y[ANGLE + RING])
-            y[GAP + i] = min(gap, max(-gap, y[GAP + i]))
+            gap, place = half_gap(p, i, y[ANGLE + RING]), y[GAP + i]
+            if abs(place) > gap - TOUCH:
+                y[GAP + i] = math.copysign(gap, place)
 
 
 @njit(cache=True)

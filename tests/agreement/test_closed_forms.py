@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.optimize import brentq
 
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.compiled import OUTPUTS
+from dmptm_ctrl.simulate.model import Model
 
 DT = 1e-3
 SPEED = OUTPUTS.index("omega_L")
@@ -169,3 +171,31 @@ def test_presliding_is_dahls_curve(coulomb, method, options, tolerance):
     passed = np.append(0.0, np.cumsum(0.5 * np.diff(root) * (integrand[1:] + integrand[:-1])))
     when = np.interp(x[first], np.append(0.0, grid), passed)
     np.testing.assert_allclose(when, time[first], atol=max(tolerance * time[-1], 1e-8))
+
+
+@pytest.mark.parametrize(("method", "options", "tolerance"), METHODS)
+def test_a_rest_makes_breaking_away_harder(method, options, tolerance):
+    """A ramp from rest breaks away when it meets Ts + rise log(1 + t/time)."""
+    rise, time_constant, ramp = 8.0, 0.02, 400.0  # N·m, s, N·m/s at the ring gear
+    model = Model().with_effect("unknown_breakaway", rise=rise, time=time_constant, slip=2e-4)
+    drive = model.drive
+    per_volt = drive["N_1"] * drive["K_d"] * drive["K_M"]
+    # both pinions rest on their flanks and push; reducers without friction hand all torque on
+    free = {f"T3{short}_{way}": 0.0 for short in "sc" for way in ("plus", "minus")}
+    model = model.with_values(**free, B3_plus=0.0, B3_minus=0.0)
+    time = DT * np.arange(round(0.12 / DT) + 1)
+    volts = ramp * time / (2.0 * drive["N_2"] * per_volt)
+    start = np.array([drive["gap_l"], drive["gap_r"], 0.0, 0.0, 0.0, 0.0])
+    u = np.array([volts, volts])
+    found = simulate(model, time, u, start, method=method, **options).outputs
+    moved = np.abs(found[OUTPUTS.index("theta_L")]) > 1e-7
+    when = time[int(np.argmax(moved))]
+
+    def short(t):
+        return ramp * t - drive["TLs_plus"] - rise * np.log1p(t / time_constant)
+
+    wanted = brentq(short, 1e-3, 0.12)
+    plain = drive["TLs_plus"] / ramp
+    assert wanted > 1.3 * plain
+    # held from sample to sample, and a moment to move
+    assert wanted - 2.0 * DT < when < wanted + 6.0 * DT

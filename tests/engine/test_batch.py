@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate import simulate_batch
 from dmptm_ctrl.simulate.batch import BATCH_OUTPUTS, march_many
-from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop, close_loop, march, observer_gains
+from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, Loop, close_loop, march, observer_gains
 from dmptm_ctrl.simulate.model import Model
 
 DT = 1e-3  # s
@@ -77,6 +77,21 @@ def test_every_effect_and_all_together():
     u = voltages(1.2, 12.0, 0.15)
     expected = np.array([march(a, u, STATE, DT) for a in arrays])
     assert_same(march_many(arrays, u, STATE, DT, jobs=2), expected)
+
+
+@pytest.mark.parametrize("name", [None, "pinion_runout", "reducer_compliance"])
+def test_without_the_columns_of_the_meshes_the_rest_is_the_same(name):
+    model = Model() if name is None else Model().with_effect(name, **visible(name))
+    u = voltages(1.2, 12.0, 0.15)
+    whole, bodies = (march(model.arrays(), u, STATE, DT, meshes=m) for m in (True, False))
+    assert bodies.shape == (u.shape[1], BODIES)
+    np.testing.assert_array_equal(bodies, whole[:, :BODIES])
+    target = 0.2 * np.sin(20.0 * TIME)
+    (volts, whole), (same, bodies) = (
+        close_loop(model, LOOP, target, DT, meshes=m) for m in (True, False)
+    )
+    np.testing.assert_array_equal(bodies, whole[:, :BODIES])
+    np.testing.assert_array_equal(same, volts)
 
 
 @pytest.mark.parametrize("name", [None, "reducer_compliance", "drive_delay", "cogging"])

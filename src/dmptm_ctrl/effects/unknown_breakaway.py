@@ -24,7 +24,7 @@ class UnknownBreakaway(NamedTuple):
 
 @njit
 def aged_friction(age, body, p):
-    """Coulomb torque added [N·m] at the age of the contact [s], and slip that makes it new [rad]."""
+    """Coulomb torque added [N·m] at an age of the contact [s]; slip that makes it new [rad]."""
     if body != 2 or p.rise == 0.0:
         return 0.0, 0.0
     return p.rise * log(1.0 + age / p.time), p.slip

@@ -119,9 +119,7 @@ def lock(
     return best
 
 
-def walk(
-    one: "Seeker", records: Sequence[Record], horizons: Sequence[float], jobs: int
-) -> Locked:
+def walk(one: "Seeker", records: Sequence[Record], horizons: Sequence[float], jobs: int) -> Locked:
     """Go from horizon to horizon for as long as the model keeps step."""
     start = one.places[0]
     best = Locked(one.model, start, 0.0, np.inf, one.covariance)
@@ -179,7 +177,6 @@ class Steps:
 
     def residuals(self, several: Sequence[Floats]) -> Floats:
         """Measured minus simulated, in units, (len(several), m)."""
-
         moved = [self.placed(p) for p in several]
         arrays = [m.arrays() for m in moved]
         n1, n2 = (np.array([m.drive[key] for m in moved]) for key in ("N_1", "N_2"))
@@ -189,9 +186,10 @@ class Steps:
                 march_many(arrays, rec.u, rec.x0, rec.dt, columns=range(BODIES)), 2, 0
             )
             rows = [(rec.omega - omega) / SPEED_UNIT]
-            for side in range(0 if rec.twist is None else 2):
-                twist = motors[side] / n1[:, None] - n2[:, None] * theta
-                rows.append((rec.twist[:, side] - twist) / (n2[:, None] * TWIST_UNIT))
+            if rec.twist is not None:
+                for seen, motor in zip(rec.twist.T, motors, strict=True):
+                    twist = motor / n1[:, None] - n2[:, None] * theta
+                    rows.append((seen - twist) / (n2[:, None] * TWIST_UNIT))
             return block_mean(np.stack(rows, 1), rec.block).reshape(len(arrays), -1)
 
         with ThreadPoolExecutor(self.jobs) as pool:

@@ -83,19 +83,16 @@ def block_mean(signal: Floats, block: int) -> Floats:
     return signal[..., : n * block].reshape(*signal.shape[:-1], n, block).mean(-1)
 
 
-def predict(
-    rec: Record, arrays: Arrays, bandwidth_hz: float = 0.0, *, meshes: bool = True
-) -> Floats:
+def predict(rec: Record, arrays: Arrays, bandwidth_hz: float = 0.0) -> Floats:
     """Run the model on a record; with a bandwidth, led slowly by the measured angle.
 
     Returns
     -------
     (n, 8) array
-        Columns of `compiled.OUTPUTS`; the first 4 without `meshes`.
+        Columns of `compiled.OUTPUTS`.
     """
     observer = observer_gains(bandwidth_hz, rec.dt) if bandwidth_hz > 0 else None
-    options = {"observer": observer, "measured": rec.theta, "meshes": meshes}
-    return march(arrays, rec.u, rec.x0, rec.dt, **options)
+    return march(arrays, rec.u, rec.x0, rec.dt, observer=observer, measured=rec.theta)
 
 
 def difference(rec: Record, out: Floats, n1: float, n2: float) -> Floats:

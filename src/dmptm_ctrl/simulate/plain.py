@@ -123,9 +123,7 @@ class Sites:
         """Rate of the age of a contact [s/s]."""
         return 1.0 - abs(omega) * age / self.renewals[body]
 
-    def _friction(
-        self, body: int, theta: float, omega: float, t: float, mesh: float, age: float
-    ):
+    def _friction(self, body: int, theta: float, omega: float, t: float, mesh: float, age: float):
         scale, added = 1.0, self.aged_friction(body, age)[0]
         for kernel, p in self._chains["friction"]:
             factor, coulomb = kernel(theta, omega, t, mesh, body, p)

@@ -16,17 +16,17 @@ from rigs.layout import EQ21, HUNT_CROSSLEY, TWO_STATE
 # Deflection at which Hunt-Crossley damping equals the linear damping: that of a
 # mesh torque of 5 N·m, which is usual here.
 _USUAL_TORQUE = 5.0
-# A flank that withdraws in a step by less still touches; a gap that varies does by some 1e-9 rad.
+# Where the gap varies, a flank that withdraws in a step by less still touches: it does by 1e-9 rad.
 TOUCH = 2e-8  # rad
 
 
 @njit(inline="always")
-def two_state(z, rate, place, gap, k, c, cf):
+def two_state(z, rate, place, gap, k, c, cf, touch=0.0):
     """The tooth's twist is z - place; place moves only inside the gap."""
     place_rate = (k * (z - place) + c * rate) / (c + cf)
-    if place >= gap - TOUCH:
+    if place >= gap - touch:
         place_rate = min(0.0, place_rate)
-    elif place <= TOUCH - gap:
+    elif place <= touch - gap:
         place_rate = max(0.0, place_rate)
     return k * (z - place) + c * (rate - place_rate), place_rate
 
@@ -80,9 +80,9 @@ def hunt_crossley(z, rate, gap, k, c, cf):
 
 
 @njit(inline="always")
-def mesh_torque(z, rate, place, gap, law, k, c, cf):
+def mesh_torque(z, rate, place, gap, law, k, c, cf, touch=0.0):
     if law == TWO_STATE:
-        return two_state(z, rate, place, gap, k, c, cf)
+        return two_state(z, rate, place, gap, k, c, cf, touch)
     if law == EQ21:
         return eq21(z, rate, gap, k, c, cf), 0.0
     if law == HUNT_CROSSLEY:

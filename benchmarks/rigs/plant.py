@@ -43,6 +43,7 @@ _HISTORY = 4096  # fine steps of speed kept for a late gyro
 def derivative(time, y, dy, p, m, volts, mode, decide):
     """Rates of the state; with `decide`, bodies at rest may break away first."""
     ring, ring_speed = y[ANGLE + RING], y[SPEED + RING]
+    touch = TOUCH if p.gap_variation != 0.0 else 0.0
     warmth = math.exp(-time / p.warm_time) if p.warm_time > 0.0 else 0.0
     load = 0.0
     for i in range(2):
@@ -51,7 +52,7 @@ def derivative(time, y, dy, p, m, volts, mode, decide):
         gap = half_gap(p, i, ring)
         z, rate = soft_flank(p, z, rate, gap)
         tooth, dy[GAP + i] = mesh_torque(
-            z, rate, y[GAP + i], gap, p.contact, p.stiffness, p.damping, p.gap_damping
+            z, rate, y[GAP + i], gap, p.contact, p.stiffness, p.damping, p.gap_damping, touch
         )
         if decide:
             m[TOOTH + i] = tooth
@@ -130,7 +131,7 @@ def advance(time, step, y, p, m, volts, mode, work):
     if p.contact == TWO_STATE:
         for i in range(2):
             gap, place = half_gap(p, i, y[ANGLE + RING]), y[GAP + i]
-            if abs(place) > gap - TOUCH:
+            if abs(place) > gap - (TOUCH if p.gap_variation != 0.0 else 0.0):
                 y[GAP + i] = math.copysign(gap, place)
 
 

@@ -281,7 +281,10 @@ def uncovered(
 
 def by_step(shown: Shown, base: BalanceFit) -> Found:
     """Describe an effect that keeping step has shown, and others that do nearly as well."""
-    trials = [Trial(s.name, s.gain, s.held_gain, base) for s in (shown, *shown.rivals)]
+    trials = [
+        Trial(s.name, s.gain, s.held_gain, replace(base, model=s.fit.model))
+        for s in (shown, *shown.rivals)
+    ]
     seconds = shown.fit.horizon
     return Found(shown.name, shown.evidence, LEAST_UNSEEN, trials[0], tuple(trials[1:]), seconds)
 

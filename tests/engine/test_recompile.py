@@ -49,7 +49,7 @@ def test_an_effect_changes_the_engine_s_name_and_taking_it_back_restores_it(own_
 def test_says_once_that_it_compiles(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("DMPTM_CACHE_DIR", str(tmp_path))
     for expected in ("Compiling the simulator for", ""):
-        compose._load.cache_clear()
+        compose._loaded.cache_clear()
         module = compose._load("test_of_the_message", "answer = 42\n")
         assert module.answer == 42
         said = capsys.readouterr().err

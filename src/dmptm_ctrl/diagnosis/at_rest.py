@@ -128,7 +128,8 @@ def stride(
     fit = rattled(measured.fit, start, measured.drive, jobs)
     known = widened(fit.p, LOOSE * fit.covariance, len(own))
     unknowns = (*fit.unknowns, *own)
-    return lock(records, fit.model, unknowns, known, jobs=jobs), unknowns
+    # other sizes are tried already; to begin anew with each would take most of a diagnosis
+    return lock(records, fit.model, unknowns, known, jobs=jobs, anew=False), unknowns
 
 
 def by_misfit(measured: Measured, before: Fit, jobs: int) -> AtRest:

@@ -83,6 +83,7 @@ def lock(
     reached: float = 0.0,
     jobs: int = 2,
     seed: int = 0,
+    anew: bool = True,
 ) -> Locked:
     """Fit unknowns to the starts of logs, sample by sample, over a growing horizon.
 
@@ -98,6 +99,8 @@ def lock(
         Threads.
     seed : int
         Of the starts that are tried where the model is about to lose step.
+    anew : bool
+        Whether it begins anew where it got stuck.
 
     Returns
     -------
@@ -112,7 +115,7 @@ def lock(
     ahead = [h for h in HORIZONS if reached <= h <= longest]
     best = walk(one, records, ahead, jobs)
     later = [h for h in ahead if h >= ANEW_SECONDS]
-    if later and best.horizon < min(SEARCHED_SECONDS, ahead[-1]):
+    if anew and later and best.horizon < min(SEARCHED_SECONDS, ahead[-1]):
         fresh = Seeker(model, tuple(unknowns), known, [p], prior / LOOSE, rng=rng)
         fresh.scatter([cut(rec, later[0]) for rec in records], jobs)
         best = max(best, walk(fresh, records, later, jobs), key=Locked.lasts)

@@ -37,7 +37,7 @@ from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown
-from dmptm_ctrl.signals import Log, load_logs
+from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.simulate.model import Model
 
 # The two sensors settle it without a model; what is left is that both are wrong alike.
@@ -261,9 +261,10 @@ def uncovered(
     shown = unseen(decision.after, after, jobs=jobs, seed=seed)
     if shown is None:
         return after
-    measured, beside = decision.before.measured, decision.after
-    unknowns = beside.base.unknowns
-    left = residual(measured, shown.fit.model, unknowns=unknowns, jobs=jobs)
+    beside = decision.after
+    # the balances tell nothing of it: what they leave stays as it was
+    model = beside.base.model.with_effect(shown.name, **shown.fit.model.effects[shown.name])
+    left = replace(beside, base=replace(beside.base, model=model))
     decision.after = left
     fit = augment_near(decision, shown.fit, jobs)
     if shown.name != AGEING:
@@ -342,6 +343,9 @@ def refined(measured: Measured, decision: Decision, after: Fit, jobs: int) -> Fi
     everything = (*measured.fit, *(rec for rec in measured.held if rec not in measured.fit))
     base = decision.after.base
     declared = Model(measured.drive)
-    _, start = closed(everything, base.model, declared, base.unknowns, jobs)
+    try:
+        _, start = closed(everything, base.model, declared, base.unknowns, jobs)
+    except LogError:  # with what keeping step has added no window may be left
+        return after
     beside, drive = beside_balances(base), measured.drive
     return augment(everything, start, drive, beside=beside, near=after, jobs=jobs)

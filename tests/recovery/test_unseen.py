@@ -34,15 +34,19 @@ def fitted(seed, effects, sensors, friction="karnopp", contact="eq21"):
 
 def test_eccentric_ring_without_motor_encoders():
     """The twist is not measured; the times of the impacts tell its size within a tenth."""
-    before, left, true = fitted(402, (("ring_gear_eccentricity", 0.5),), "load")
+    name = "ring_gear_eccentricity"
+    before, left, true = fitted(402, ((name, 0.5),), "load")
     assert before.horizon <= 0.1
-    shown = unseen(left, before)
-    assert shown.name == "ring_gear_eccentricity"
-    assert shown.rivals == ()
-    assert min(shown.gain, shown.held_gain) > 50.0
-    values = shown.fit.model.effects[shown.name]
+    decision = Decision(left, left)
+    fit = uncovered(decision, np.inf, before, left.measured.held_logs, 2, 0)
+    (found,) = decision.found
+    assert found.name == name
+    assert found.rivals == ()
+    assert min(found.trial.gain, found.trial.held_gain) > 50.0
+    assert fit.horizon >= 0.4
+    values = fit.model.effects[name]
     size = np.hypot(values["cosine"], values["sine"])
-    wanted = np.deg2rad(true[shown.name]["amplitude_arcmin"] / 60.0)
+    wanted = np.deg2rad(true[name]["amplitude_arcmin"] / 60.0)
     assert size == pytest.approx(wanted, rel=0.1)
 
 

@@ -267,12 +267,16 @@ def uncovered(
     left = replace(beside, base=replace(beside.base, model=model))
     decision.after = left
     fit = augment_near(decision, shown.fit, jobs)
+    better = speed_error(fit.model, held)["rmse"] <= without
     if shown.name != AGEING:
+        if not better:  # another one of its kind can meet the first landings too
+            decision.after = beside
+            return after
         decision.found.append(by_step(shown, left.base))
         return fit
     variables = CATALOGUE[AGEING].depends_on
     decision.unexplained = Unexplained(variables, None, Bursts(0.0, ()), beyond_names=False)
-    if speed_error(fit.model, held)["rmse"] > without:  # known to be there, but not well enough
+    if not better:  # known to be there, but not well enough
         decision.after = beside
         return after
     gains, errors = (shown.gain, shown.held_gain), errors_of(AGEING, fit)

@@ -17,7 +17,13 @@ from rigs.layout import EQ21, HUNT_CROSSLEY, TWO_STATE
 # mesh torque of 5 N·m, which is usual here.
 _USUAL_TORQUE = 5.0
 # Where the gap varies, a flank that withdraws in a step by less still touches: it does by 1e-9 rad.
-TOUCH = 2e-8  # rad
+_TOUCH = 2e-8  # rad
+
+
+@njit(inline="always")
+def tolerance(p):
+    """Return the distance within which a flank still touches [rad]."""
+    return _TOUCH if p.gap_variation != 0.0 else 0.0
 
 
 @njit(inline="always")

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
-from rigs.contact import TOUCH, mesh_torque
+from rigs.contact import mesh_torque, tolerance
 from rigs.drive import amplifier, motor_torque
 from rigs.friction import breakaway, friction
 from rigs.geometry import half_gap, soft_flank, twist
@@ -43,7 +43,6 @@ _HISTORY = 4096  # fine steps of speed kept for a late gyro
 def derivative(time, y, dy, p, m, volts, mode, decide):
     """Rates of the state; with `decide`, bodies at rest may break away first."""
     ring, ring_speed = y[ANGLE + RING], y[SPEED + RING]
-    touch = TOUCH if p.gap_variation != 0.0 else 0.0
     warmth = math.exp(-time / p.warm_time) if p.warm_time > 0.0 else 0.0
     load = 0.0
     for i in range(2):
@@ -51,9 +50,8 @@ def derivative(time, y, dy, p, m, volts, mode, decide):
         z, rate = twist(p, m, i, pinion, ring, speed, ring_speed)
         gap = half_gap(p, i, ring)
         z, rate = soft_flank(p, z, rate, gap)
-        tooth, dy[GAP + i] = mesh_torque(
-            z, rate, y[GAP + i], gap, p.contact, p.stiffness, p.damping, p.gap_damping, touch
-        )
+        law, k, c, cf = p.contact, p.stiffness, p.damping, p.gap_damping
+        tooth, dy[GAP + i] = mesh_torque(z, rate, y[GAP + i], gap, law, k, c, cf, tolerance(p))
         if decide:
             m[TOOTH + i] = tooth
         load += RING_RATIO * tooth
@@ -131,7 +129,7 @@ def advance(time, step, y, p, m, volts, mode, work):
     if p.contact == TWO_STATE:
         for i in range(2):
             gap, place = half_gap(p, i, y[ANGLE + RING]), y[GAP + i]
-            if abs(place) > gap - (TOUCH if p.gap_variation != 0.0 else 0.0):
+            if abs(place) > gap - tolerance(p):
                 y[GAP + i] = math.copysign(gap, place)
 
 

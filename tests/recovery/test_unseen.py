@@ -16,20 +16,14 @@ from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
 
-def measured_logs(seed, effects, sensors, friction, contact):
-    laws = {"friction": friction, "contact": contact}
-    rig = make_rig(seed, effects, sensors=sensors, **laws)
-    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
-    return logs, rig.label["effect_parameters"]
-
-
 def fitted(seed, effects, sensors, friction="karnopp", contact="eq21"):
     """The model as it is, what it leaves, and the rig's own label."""
-    logs, true = measured_logs(seed, effects, sensors, friction, contact)
+    rig = make_rig(seed, effects, sensors=sensors, friction=friction, contact=contact)
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
     drive = paper_drive()
     measured = measure(logs, drive)
     left = residual(measured, Model(drive))
-    return augment(measured.fit, left.base, drive), left, true
+    return augment(measured.fit, left.base, drive), left, rig.label["effect_parameters"]
 
 
 def test_eccentric_ring_without_motor_encoders():

@@ -15,7 +15,7 @@ from dmptm_ctrl.diagnosis.augment import widened
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ, Residual
-from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, SECONDS, horizons, run
+from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, SECONDS, lost
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import fit_balance
 from dmptm_ctrl.identify.fit import Fit, Misfit, Unknown, effect_unknowns, fit
@@ -103,13 +103,10 @@ def keeping_step(left: Residual, before: Fit, jobs: int) -> AtRest | None:
     # the rattle told the meshes' damping with friction of another size; now once more
     again, _ = stride(left, best.model, starts, jobs)
     best = max(best, again, key=Locked.lasts)
-    for seconds in reversed(horizons(FAINT_SECONDS, best.horizon)):
-        parts = [[cut(rec, seconds) for rec in records] for records in whole]
-        without, with_it = run(parts, before.model, jobs), run(parts, best.model, jobs)
-        if without.loses_to(with_it):
-            break
-    else:
+    found = lost(whole, before.model, best.model, (FAINT_SECONDS, best.horizon), jobs)
+    if found is None:
         return None
+    _, without, with_it = found
     gains = without.fitted - with_it.fitted, without.held - with_it.held
     shares = gains[0] / without.fitted, gains[1] / without.held
     done = Fit(best.model, unknowns, best.p, best.covariance, best.horizon)

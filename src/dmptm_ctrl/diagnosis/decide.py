@@ -124,8 +124,7 @@ def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decisi
         winner = winner_of(trials, threshold)
         if winner is None:
             break
-        rivals = tuple(t for t in trials if t is not winner and t.evidence > 0.0)
-        decision.found.append(Found(winner.name, winner.evidence, threshold, winner, rivals))
+        decision.found.append(found_among(trials, winner, threshold))
         decision.after = adopt(measured, winner, jobs)
         if len(decision.found) == MAX_EFFECTS:
             break
@@ -134,9 +133,9 @@ def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decisi
         threshold = max(SECOND, SECOND_SHARE * decision.found[0].evidence)
     if len(decision.found) == 2:
         reconsider(decision, skip, jobs)
-    explained = sum(found.evidence for found in decision.found)
-    leave = RINGS if decision.is_found("reducer_compliance") else 1.0
-    decision.unexplained = unexplained(decision.before, decision.after, explained, leave=leave)
+    decision.unexplained = remainder(decision)
+    if decision.unexplained is not None and len(decision.found) == 1:
+        name_instead(decision, jobs)
     if decision.unexplained is not None and decision.unexplained.beyond_names:
         decision.found, decision.after = [], decision.before
     if decision.unexplained is not None and decision.unexplained.curve is not None:
@@ -145,6 +144,33 @@ def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decisi
         if decision.tables is not None:
             decision.after = decision.tables.left
     return decision
+
+
+def found_among(trials: Sequence[Trial], winner: Trial, threshold: float) -> Found:
+    """Describe the winner of some trials."""
+    rivals = tuple(t for t in trials if t is not winner and t.evidence > 0.0)
+    return Found(winner.name, winner.evidence, threshold, winner, rivals)
+
+
+def remainder(decision: Decision) -> Unexplained | None:
+    """Tell what the effects that were found leave."""
+    explained = sum(found.evidence for found in decision.found)
+    leave = RINGS if decision.is_found("reducer_compliance") else 1.0
+    return unexplained(decision.before, decision.after, explained, leave=leave)
+
+
+def name_instead(decision: Decision, jobs: int) -> None:
+    """Prefer a name to a curve, if it leaves nothing: it says as much by fewer numbers."""
+    winner = winner_of(decision.rest, FIRST)
+    if winner is None:
+        return
+    without, curve = decision.after, decision.unexplained
+    decision.found.append(found_among(decision.rest, winner, FIRST))
+    decision.after = adopt(decision.before.measured, winner, jobs)
+    decision.unexplained = remainder(decision)
+    if decision.unexplained is not None:
+        decision.found.pop()
+        decision.after, decision.unexplained = without, curve
 
 
 def withdraw(decision: Decision, jobs: int) -> None:
@@ -179,8 +205,7 @@ def reconsider(decision: Decision, skip: Sequence[str], jobs: int) -> None:
         decision.found = [Found(second.name, own.evidence, FIRST, own, ())]
         decision.after, decision.rest = alone, trials
         return
-    rivals = tuple(t for t in trials if t is not winner and t.evidence > 0.0)
-    anew = Found(winner.name, winner.evidence, first.threshold, winner, rivals)
+    anew = found_among(trials, winner, first.threshold)
     if winner.name != first.name:
         decision.after = adopt(measured, winner, jobs)
     decision.found = [anew, second]

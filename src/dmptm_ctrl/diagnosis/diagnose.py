@@ -30,7 +30,7 @@ from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.trace import WITHOUT_TWIST, Trial, unknowns_of
-from dmptm_ctrl.diagnosis.unknown import Bursts, Unexplained, astray, unexplained
+from dmptm_ctrl.diagnosis.unknown import Unexplained, astray, unexplained
 from dmptm_ctrl.diagnosis.unseen import AGEING, Shown, unseen
 from dmptm_ctrl.diagnosis.unseen import LEAST as LEAST_UNSEEN
 from dmptm_ctrl.drive import Drive, paper_drive
@@ -108,7 +108,7 @@ def diagnose(
     nothing = not decision.found and not model.effects and decision.unexplained is None
     if nothing and without["rmse"] > ASTRAY:
         variables = astray(before.model, held)
-        decision.unexplained = Unexplained(variables, None, Bursts(0.0, ()), beyond_names=False)
+        decision.unexplained = Unexplained.without_curve(variables)
     error = {
         "unit": "deg/s",
         "bandwidth_hz": 30,
@@ -275,7 +275,7 @@ def uncovered(
         decision.found.append(by_step(shown, left.base))
         return fit
     variables = CATALOGUE[AGEING].depends_on
-    decision.unexplained = Unexplained(variables, None, Bursts(0.0, ()), beyond_names=False)
+    decision.unexplained = Unexplained.without_curve(variables)
     if not better:  # known to be there, but not well enough
         decision.after = beside
         return after

@@ -123,7 +123,7 @@ def run_off(
     field, seconds = dict(enumerate(runners)), 0.0
     runs: dict[int, Run] = {}
     for horizon in horizons(0.0, SECONDS):
-        parts = [[cut(rec, horizon) for rec in records] for records in (fitted, held)]
+        parts = starts((fitted, held), horizon)
         lap(list(field.values()), parts[0], jobs)
         here = {i: run(parts, one.there, jobs) for i, one in field.items()}
         ahead = min(here.values(), key=lambda r: r.fitted)
@@ -169,6 +169,39 @@ def runner(after: Fit, fit: BalanceFit, *seed: int) -> Runner:
     entered = entrant(None, model, fit.unknowns, loosely(fit), (np.array([*at]),))
     entered.rng = np.random.default_rng(seed)
     return entered
+
+
+def lost(
+    whole: Sequence[Sequence[Record]],
+    bare: Model,
+    other: Model,
+    between: tuple[float, float],
+    jobs: int,
+) -> tuple[float, Run, Run] | None:
+    """Find the longest horizon over which a model loses step where another keeps it.
+
+    Parameters
+    ----------
+    whole : (fitted records, held-out records)
+    between : (float, float)
+        Shortest and longest horizon [s].
+
+    Returns
+    -------
+    (seconds, run of `bare`, run of `other`) or None
+        None if there is no such horizon.
+    """
+    for seconds in reversed(horizons(*between)):
+        parts = starts(whole, seconds)
+        runs = run(parts, bare, jobs), run(parts, other, jobs)
+        if runs[0].loses_to(runs[1]):
+            return seconds, *runs
+    return None
+
+
+def starts(whole: Sequence[Sequence[Record]], seconds: float) -> list[list[Record]]:
+    """Return the starts of fitted and of held-out records."""
+    return [[cut(rec, seconds) for rec in records] for records in whole]
 
 
 def horizons(first: float, last: float) -> list[float]:

@@ -379,6 +379,11 @@ class Unexplained:
     bursts: Bursts
     beyond_names: bool
 
+    @classmethod
+    def without_curve(cls, variables: tuple[str, ...]) -> "Unexplained":
+        """Name the variables only: the balances gave no curve."""
+        return cls(variables, None, Bursts(0.0, ()), beyond_names=False)
+
 
 def unexplained(
     before: Residual, after: Residual, named: float, *, leave: float = 1.0

@@ -13,11 +13,11 @@ from dmptm_ctrl.diagnosis.at_rest import sized
 from dmptm_ctrl.diagnosis.race import beside, loosely
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, run
+from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, lost, run, starts
 from dmptm_ctrl.diagnosis.trace import WITHOUT_TWIST, unknowns_of
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown
-from dmptm_ctrl.identify.lock import HORIZONS, Locked, cut, lock
+from dmptm_ctrl.identify.lock import Locked, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Model
 
@@ -86,15 +86,13 @@ def unseen(left: Residual, before: Fit, *, jobs: int = 2, seed: int = 0) -> Show
     name = max(found, key=lambda n: found[n][0].lasts(), default=None)
     if name is None:
         return None
-    longest = found[name][0].horizon
-    for seconds in [h for h in reversed(HORIZONS) if LEAST_SECONDS <= h <= longest]:
-        parts = [[cut(rec, seconds) for rec in records] for records in whole]
-        bare = run(parts, before.model, jobs)
-        runs = {n: run(parts, one.model, jobs) for n, (one, _) in found.items()}
-        if bare.loses_to(runs[name]):
-            break
-    else:
+    winner = found[name][0]
+    ahead = lost(whole, before.model, winner.model, (LEAST_SECONDS, winner.horizon), jobs)
+    if ahead is None:
         return None
+    seconds, bare, _ = ahead
+    parts = starts(whole, seconds)
+    runs = {n: run(parts, one.model, jobs) for n, (one, _) in found.items()}
     near = [n for n in found if n != name and runs[n].beyond(runs[name]) < MARGIN]
     near = [n for n in near if bare.loses_to(runs[n])]
     rivals = tuple(shown(n, *found[n], bare, runs[n]) for n in near)

@@ -287,7 +287,7 @@ class Seeker:
         """Begin anew from the best of many places that are known to be possible."""
         self.steps = Steps(records, self.model, self.unknowns, self.known, jobs, self.stalled)
         self.found = []
-        drawn = [self.draw() for _ in range(SCATTERED)]
+        drawn = self.draw(SCATTERED)
         for follow, iterations in FOLLOWED:
             costs = self.steps.costs(self.steps.residuals(drawn), drawn)
             best = np.argsort(costs)[:follow]
@@ -296,16 +296,17 @@ class Seeker:
             self.pursue(p)
         self.covariance = self.found[0][2]
 
-    def draw(self) -> Floats:
-        """Draw a place from what is known; of a value that is open, another size or sign."""
-        first, (scale, other) = self.places[0], self.rng.standard_normal((2, self.places[0].size))
+    def draw(self, count: int) -> list[Floats]:
+        """Draw places from what is known; of a value that is open, another size or sign."""
+        first = self.places[0]
+        scale, other = np.moveaxis(self.rng.standard_normal((count, 2, first.size)), 1, 0)
         width = np.sqrt(np.diag(self.covariance))
         of_open = width > OPEN
         told = np.where(of_open[:, None] | of_open, 0.0, self.covariance)
         told[np.diag_indices_from(told)] += np.where(of_open, 1.0, TINY)
-        near = first + np.linalg.cholesky(told) @ other
+        near = first + other @ np.linalg.cholesky(told).T
         sized = np.where(self.steps.low < 0.0, OPEN_SIZE * scale, first * np.exp(scale))
-        return np.clip(np.where(of_open, sized, near), self.steps.low, self.steps.high)
+        return [*np.clip(np.where(of_open, sized, near), self.steps.low, self.steps.high)]
 
     def search(self) -> None:
         """Try other starts, drawn from what the last horizon left open."""

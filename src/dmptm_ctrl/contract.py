@@ -12,7 +12,7 @@ contact grows with time and falls with its slip; the runners keep it.
 | drive    | (u, t, side, p)                                     | voltage after the effect [V]               |
 | delay    | (side, p)                                           | dead time of the voltage [s]               |
 | lag      | (u, side, p)                                        | (target [V], time constant [s])            |
-| motor    | (theta_m, omega_m, t, side, p)                      | torque on the motor shaft [N·m]            |
+| motor    | (u, theta_m, omega_m, t, side, p)                   | torque on the motor shaft [N·m]            |
 | shaft    | (inertia, p)                                        | (compliance [rad/(N·m)], damping [N·m·s/rad]) at the pinion |
 | mesh     | (theta_p, omega_p, theta_L, omega_L, side, p)       | (shift of z [rad], its rate, change of half-gap [rad], change of stiffness [N·m/rad]) |
 | friction | (theta, omega, t, mesh_torque, body, p)             | (factor on declared friction, Coulomb torque added [N·m]) |

@@ -12,7 +12,7 @@ ARGUMENTS = {
     "drive": ("u", "t", "side"),
     "delay": ("side",),
     "lag": ("u", "side"),
-    "motor": ("theta_m", "omega_m", "t", "side"),
+    "motor": ("u", "theta_m", "omega_m", "t", "side"),
     "shaft": ("inertia",),
     "mesh": ("theta_p", "omega_p", "theta_L", "omega_L", "side"),
     "friction": ("theta", "omega", "t", "mesh_torque", "body"),

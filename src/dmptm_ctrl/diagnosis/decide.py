@@ -7,14 +7,14 @@ beside the first effect on rigs that lack one (`benchmarks/blind.py`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from dmptm_ctrl.diagnosis.at_rest import AtRest
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, residual
 from dmptm_ctrl.diagnosis.tables import Tables, tabulate
 from dmptm_ctrl.diagnosis.trace import Trial, trace, unknowns_of
-from dmptm_ctrl.diagnosis.unknown import Unexplained, unexplained
+from dmptm_ctrl.diagnosis.unknown import BURSTS, CURVE, Unexplained, unexplained
 from dmptm_ctrl.identify.fit import drive_unknowns
 from dmptm_ctrl.simulate.model import Model
 
@@ -138,12 +138,33 @@ def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decisi
         name_instead(decision, jobs)
     if decision.unexplained is not None and decision.unexplained.beyond_names:
         decision.found, decision.after = [], decision.before
-    if decision.unexplained is not None and decision.unexplained.curve is not None:
-        variables = decision.unexplained.curve.variables
-        decision.tables = tabulate(decision.after, variables, jobs)
-        if decision.tables is not None:
-            decision.after = decision.tables.left
+    if decision.unexplained is not None:
+        put_into_tables(decision, jobs)
+    if decision.tables is not None:
+        decision.after = decision.tables.left
     return decision
+
+
+def put_into_tables(decision: Decision, jobs: int) -> None:
+    """Put what has no name into tables, where any can stand for it.
+
+    What comes by the clock may be the log's excitation: a curve that says more goes before it.
+    """
+    what = decision.unexplained
+    assert what is not None
+    curve, left = what.curve, decision.after
+    by_curve = None if curve is None else tabulate(left, curve.variables, jobs)
+    by_clock = None
+    if what.bursts.period > 0.0:
+        by_clock = tabulate(left, ("time", "u"), jobs, period=what.bursts.period)
+    told = max([curve.evidence if curve else CURVE, by_curve.evidence if by_curve else 0.0])
+    if by_clock is not None and by_clock.evidence > told:
+        decision.tables = by_clock
+        decision.unexplained = replace(what, variables=by_clock.variables, curve=None)
+    elif curve is None and what.bursts.share < BURSTS:
+        decision.unexplained = None
+    else:
+        decision.tables = by_curve
 
 
 def found_among(trials: Sequence[Trial], winner: Trial, threshold: float) -> Found:

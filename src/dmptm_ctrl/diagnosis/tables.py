@@ -1,30 +1,48 @@
 """A curve without a name as a lookup table in the model, so that the error falls even so."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.residual import Residual, residual
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.effects.lookup import ANGLE, KNOTS, SPEED, TIME, VOLTAGE
-from dmptm_ctrl.identify.balance import columns, fit_balance
-from dmptm_ctrl.identify.fit import Unknown
+from dmptm_ctrl.effects.lookup import (
+    ANGLE,
+    BRAKING,
+    CLOCK,
+    KNOTS,
+    PATH,
+    SPEED,
+    TIME,
+    TURN,
+    VOLTAGE,
+)
+from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
+from dmptm_ctrl.identify.balance import BalanceFit, columns, fit_balance, scatter
+from dmptm_ctrl.identify.fit import Unknown, place
 from dmptm_ctrl.identify.motion import Motion
-from dmptm_ctrl.simulate.model import Floats
+from dmptm_ctrl.simulate.model import Floats, Model
 
 TORQUE, FRICTION, VOLTS = "unknown_torque", "unknown_friction", "unknown_voltage"
+MOTOR = "unknown_motor"
 PRIOR_STEPS = 3.0  # of a knot, in steps of its parameter: where no log goes, it stays at zero
+QUIET = 0.2  # of the largest knot of a period, below which nothing happens
 HELD = 8.0  # fall of the loss on the held-out logs that a table must bring
 # Tables that can stand for a curve of these variables; of others (a rate, a product) none can.
 PLANS: dict[tuple[str, ...], tuple[tuple[str, float], ...]] = {
     ("theta_L",): ((FRICTION, ANGLE), (TORQUE, ANGLE)),
     ("theta_L", "omega_L"): ((FRICTION, ANGLE), (TORQUE, ANGLE)),
+    ("theta_L", "u"): ((MOTOR, PATH),),
+    ("theta_m", "u"): ((MOTOR, TURN),),
+    ("omega_m", "u"): ((MOTOR, BRAKING),),
     ("omega_L",): ((TORQUE, SPEED),),
     ("u",): ((VOLTS, VOLTAGE),),
     ("time",): ((FRICTION, TIME), (TORQUE, TIME)),
     ("omega_L", "time"): ((FRICTION, TIME),),
 }
+CLOCKED = ((MOTOR, CLOCK),)  # for what comes at fixed intervals
+NO_PERIOD = 1.0  # s, of a table that is not over the clock: any
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,40 +71,37 @@ class Tables:
     beside: Residual
     left: Residual
 
+    @property
+    def evidence(self) -> float:
+        """Fall of the loss on all logs."""
+        return self.gain + self.held_gain
 
-def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | None:
-    """Fit tables over variables beside a model; None where they do not help."""
-    plan = PLANS.get(tuple(variables))
+
+def tabulate(
+    left: Residual, variables: Sequence[str], jobs: int, *, period: float = 0.0
+) -> Tables | None:
+    """Fit tables over variables beside a model; None where they do not help.
+
+    Parameters
+    ----------
+    period : float
+        Of what comes at fixed intervals [s]; 0 if nothing does.
+    """
+    plan = CLOCKED if period > 0.0 else PLANS.get(tuple(variables))
     if plan is None:
         return None
-    model = left.base.model
-    knots: list[Unknown] = []
+    shapes = {}
     for name, variable in plan:
-        low, high = ends(left.balance.motions, variable)
-        shape = {"variable": variable, "low": low, "high": high}
-        model = model.with_effect(name, **shape, **{f"k{i}": 0.0 for i in range(KNOTS)})
-        step = next(p for p in CATALOGUE[name].parameters if p.name == "k0")
-        knots += [
-            Unknown(
-                name,
-                f"k{i}",
-                0.0,
-                step.step,
-                step.low / step.step,
-                step.high / step.step,
-                PRIOR_STEPS,
-            )
-            for i in range(KNOTS)
-        ]
-    base = left.base
-    nothing = np.concatenate(left.balance.missing(model))
-    linear = columns(left.balance, model, knots, nothing)  # a table is linear in its knots
-    fitted = fit_balance(
-        left.balance,
-        model,
-        (*base.unknowns, *knots),
-        jacobian=np.hstack([base.jacobian, linear]),
-    )
+        low, high = (0.0, period) if period > 0.0 else ends(left.balance.motions, variable)
+        shapes[name] = {"variable": variable, "low": low, "high": high}
+    if MOTOR not in shapes:
+        fitted = tabled(left, shapes)
+    else:  # which of the motors it is, the logs tell
+        alike = {**shapes[MOTOR], "period": period if period > 0.0 else NO_PERIOD}
+        each = [{MOTOR: {**alike, "motors": motors}} for motors in (BOTH, LEFT, RIGHT)]
+        fitted = better(left, [tabled(left, shapes) for shapes in each])
+    if period > 0.0:
+        fitted = better(left, [fitted, tabled(left, {MOTOR: narrowed(fitted.model)})])
     held = left.held_base - left.held_loss(fitted.model)
     if held < HELD:
         return None
@@ -97,15 +112,70 @@ def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | No
         if k.effect is not None
     }
     # The knots are known as well as they can be; the simulator refits the rest.
-    rest = residual(left.measured, fitted.model, unknowns=base.unknowns, jobs=jobs)
-    names = tuple(name for name, _ in plan)
-    return Tables(tuple(variables), names, own, base.loss - fitted.loss, held, left, rest)
+    rest = residual(left.measured, fitted.model, unknowns=left.base.unknowns, jobs=jobs)
+    gain = left.base.loss - fitted.loss
+    return Tables(tuple(variables), tuple(shapes), own, gain, held, left, rest)
+
+
+def better(left: Residual, fits: Sequence[BalanceFit]) -> BalanceFit:
+    """Return the one that leaves least on fitted and held-out logs."""
+    return min(fits, key=lambda one: one.loss + left.held_loss(one.model))
+
+
+def narrowed(model: Model) -> dict[str, float]:
+    """Shape of a table over the part of a period in which something happens."""
+    values = model.effects[MOTOR]
+    knots = np.abs([values[f"k{i}"] for i in range(KNOTS)])
+    apart = values["period"] / (KNOTS - 1)
+    # the longest quiet stretch, across the end of the period too, is left out
+    loud = np.flatnonzero(knots > QUIET * knots.max())
+    quiet = np.diff([*loud, loud[0] + KNOTS - 1])
+    last = int(np.argmax(quiet))
+    first = int(loud[(last + 1) % loud.size])
+    length = KNOTS - 1 - int(quiet[last]) + 2
+    low = apart * (first - 1)
+    shape = {"variable": CLOCK, "low": low, "high": low + apart * length}
+    return {**shape, "motors": values["motors"], "period": values["period"]}
+
+
+def tabled(left: Residual, shapes: Mapping[str, Mapping[str, float]]) -> BalanceFit:
+    """Fit the knots of tables, and the drive beside them."""
+    model, base = left.base.model, left.base
+    knots: list[Unknown] = []
+    for name, shape in shapes.items():
+        model = model.with_effect(name, **shape, **{f"k{i}": 0.0 for i in range(KNOTS)})
+        step = next(p for p in CATALOGUE[name].parameters if p.name == "k0")
+        low, high = step.low / step.step, step.high / step.step
+        knots += [
+            Unknown(name, f"k{i}", 0.0, step.step, low, high, PRIOR_STEPS) for i in range(KNOTS)
+        ]
+    parts = left.balance.missing(model)
+    nothing = np.concatenate(parts)
+    linear = columns(left.balance, model, knots, nothing)  # a table is linear in its knots
+    jacobian = np.hstack([base.jacobian, linear])
+    # what stands far out pulls a robust fit no longer: begin where the squares are least
+    w = np.repeat(1.0 / np.array(scatter(parts, left.balance.kinds)), [x.size for x in parts])
+    ridge = np.eye(len(knots)) / PRIOR_STEPS**2
+    start, *_ = np.linalg.lstsq(
+        np.vstack([w[:, None] * linear, ridge]),
+        np.concatenate([-w * nothing, np.zeros(len(knots))]),
+        rcond=None,
+    )
+    model = place(model, knots, np.clip(start, low, high))
+    return fit_balance(left.balance, model, (*base.unknowns, *knots), jacobian=jacobian)
 
 
 def ends(motions: Sequence[Motion], variable: float) -> tuple[float, float]:
     """Range of a variable over all motions."""
 
     def along(mo: Motion) -> Floats:
+        if variable == TURN:
+            return np.array([0.0, 2.0 * np.pi])
+        if variable == PATH:
+            return mo.run[:, 2:4]
+        if variable == BRAKING:
+            fastest = np.abs(mo.pinion_speed).max() * mo.declared.drive["N_1"]
+            return np.array([-fastest, fastest])
         if variable == ANGLE:
             return mo.run[:, 0]
         if variable == SPEED:

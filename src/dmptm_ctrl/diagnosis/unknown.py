@@ -31,10 +31,14 @@ HELD = 8.0  # of it on the held-out logs: a curve has many knots
 CURVE_SHARE = 0.1
 ALIKE = 0.7  # share of the best curve's evidence from which another is named with it
 BURST = 12.0  # standard deviations of a window that no curve has to explain
+FAINT = 6.0  # the same, if such windows come by the clock
 BURSTS = 0.004  # share of windows that are bursts; rattle alone gives less
 MEMORIES = (0.3, 1.0, 3.0)  # s, of what the last seconds of motion leave behind
 LAGS = (0.04, 0.08, 0.12, 0.18, 0.26, 0.36, 0.5, 0.7, 0.95, 1.25)  # s, of a loose mass
 PERIODS = np.geomspace(0.25, 5.0, 1500)  # s, tried for bursts at fixed intervals
+WHOLE = 0.8  # of the greatest regularity, at which a longer interval counts as well
+FINE = 0.03  # share about a period in which it is looked for once more
+REGULAR = 0.9  # |mean exp(2πi t/T)| of what comes by the clock; excitations differ from log to log
 RAYLEIGH = 12.0  # n R² of burst onsets folded on a period: p below 1e-5 per period tried
 FAR = 0.1  # share of the samples of free runs that count as far off
 ONSET_GAP = 0.1  # s between bursts that count as two
@@ -263,10 +267,13 @@ class Bursts:
         Of all windows of the total balance.
     variables : tuple of str
         What their coming depends on, most telling first.
+    period : float
+        Of their coming [s]; 0 if they do not come at fixed intervals.
     """
 
     share: float
     variables: tuple[str, ...]
+    period: float = 0.0
 
 
 def bursts(left: Residual) -> Bursts:
@@ -279,9 +286,8 @@ def bursts(left: Residual) -> Bursts:
             if e.kind != "total":
                 continue
             mo = balance.motions[e.motion]
-            out = np.abs(part) > BURST * sigma
-            flags.append(out)
-            times.append(onsets(mo.time[e.used][out]))
+            flags.append(np.abs(part) > BURST * sigma)
+            times.append(onsets(mo.time[e.used][np.abs(part) > FAINT * sigma]))
             middle = mo.starts[e.used] + mo.window.size // 2
             values.append(
                 np.array(
@@ -296,13 +302,14 @@ def bursts(left: Residual) -> Bursts:
             )
     flag = np.concatenate(flags) if flags else np.zeros(0, bool)
     share = float(flag.mean()) if flag.size else 0.0
+    period = interval(times)
     if share < BURSTS:
-        return Bursts(share, ())
-    variables = ["time"] if clocked(times) else []
+        return Bursts(share, (), period)
+    variables = ["time"] if period > 0.0 else []
     table = np.concatenate(values, axis=1)
     names = ("theta_L", "omega_L", "u", "du_dt", "theta_m")
     variables += telling(names, table, flag, 1)
-    return Bursts(share, tuple(dict.fromkeys(variables)))
+    return Bursts(share, tuple(dict.fromkeys(variables)), period)
 
 
 def onsets(times: Floats) -> Floats:
@@ -312,14 +319,22 @@ def onsets(times: Floats) -> Floats:
     return np.asarray(times[np.concatenate([[True], np.diff(times) > ONSET_GAP])])
 
 
-def clocked(times: Sequence[Floats]) -> bool:
-    """Whether bursts come at fixed intervals from the start of each log."""
+def interval(times: Sequence[Floats]) -> float:
+    """Interval [s] at which bursts come from the start of each log; 0 if there is none."""
     all_times = np.concatenate(list(times))
     if all_times.size < 6:
-        return False
-    turns = np.exp(2j * np.pi * all_times[None, :] / PERIODS[:, None])
-    strength = np.abs(turns.mean(1)) ** 2 * all_times.size
-    return bool(strength.max() > RAYLEIGH and np.abs(turns.mean(1)).max() > 0.6)
+        return 0.0
+
+    def order(periods: Floats) -> Floats:
+        return np.asarray(np.abs(np.exp(2j * np.pi * all_times / periods[:, None]).mean(1)))
+
+    regular = order(PERIODS)
+    if regular.max() ** 2 * all_times.size < RAYLEIGH or regular.max() < REGULAR:
+        return 0.0
+    # a part of the interval is as regular as the whole: the longest it is
+    whole = PERIODS[np.flatnonzero(regular > WHOLE * regular.max())[-1]]
+    near = whole * (1.0 + np.linspace(-FINE, FINE, 401))
+    return float(near[np.argmax(order(near))])
 
 
 def telling(names: Sequence[str], table: Floats, flag: np.ndarray, most: int) -> list[str]:
@@ -403,7 +418,8 @@ def unexplained(
     told = curves(after)
     left = significant(told, max(leave * CURVE, CURVE_SHARE * named))
     shots = bursts(after)
-    if left is None and shots.share < leave * BURSTS:
+    by_the_clock = after is before and shots.period > 0.0
+    if left is None and shots.share < leave * BURSTS and not by_the_clock:
         return None
     beyond = False
     best = left

@@ -32,6 +32,7 @@ from dmptm_ctrl.effects.torque_constant_mismatch import TORQUE_CONSTANT_MISMATCH
 from dmptm_ctrl.effects.unbalance import UNBALANCE
 from dmptm_ctrl.effects.unknown_breakaway import UNKNOWN_BREAKAWAY
 from dmptm_ctrl.effects.unknown_friction import UNKNOWN_FRICTION
+from dmptm_ctrl.effects.unknown_motor import UNKNOWN_MOTOR
 from dmptm_ctrl.effects.unknown_torque import UNKNOWN_TORQUE
 from dmptm_ctrl.effects.unknown_voltage import UNKNOWN_VOLTAGE
 
@@ -67,6 +68,7 @@ CATALOGUE: dict[str, Effect] = {
         UNKNOWN_FRICTION,
         UNKNOWN_TORQUE,
         UNKNOWN_BREAKAWAY,
+        UNKNOWN_MOTOR,
     )
 }
 
@@ -107,6 +109,7 @@ TABLES = (
     UNKNOWN_FRICTION.name,
     UNKNOWN_TORQUE.name,
     UNKNOWN_BREAKAWAY.name,
+    UNKNOWN_MOTOR.name,
 )
 
 __all__ = ["CATALOGUE", "TABLES", "register"]

@@ -17,7 +17,7 @@ class BackEmf(NamedTuple):
 
 
 @njit
-def back_emf_torque(theta_m, omega_m, t, side, p):
+def back_emf_torque(u, theta_m, omega_m, t, side, p):
     """Torque on the motor's shaft [N·m]."""
     return -p.damping * omega_m
 

@@ -24,7 +24,7 @@ class Cogging(NamedTuple):
 
 
 @njit
-def cogging_torque(theta_m, omega_m, t, side, p):
+def cogging_torque(u, theta_m, omega_m, t, side, p):
     """Torque on the shaft of the motor on `side` [N·m]."""
     phase = p.order * theta_m
     if side == 0:

@@ -14,12 +14,15 @@ from dmptm_ctrl.contract import Parameter
 KNOTS = 32
 FIRST = 3  # position of the first knot among the parameters
 ANGLE, SPEED, TIME, VOLTAGE = 0.0, 1.0, 2.0, 3.0  # values of `variable`
+# The same of a motor: its angle in a turn, its speed (braking is negative), the time in a period,
+# its angle over all turns.
+TURN, BRAKING, CLOCK, PATH = 4.0, 5.0, 6.0, 7.0
 WIDEST = 60.0  # rad, rad/s, s or V: no log goes further
 
 
-def table_type(name: str) -> type[Any]:
-    """Return the NamedTuple of a table's parameters."""
-    return namedtuple(name, ["variable", "low", "high", *(f"k{i}" for i in range(KNOTS))])
+def table_type(name: str, *more: str) -> type[Any]:
+    """Return the NamedTuple of a table's parameters, and `more` behind them."""
+    return namedtuple(name, ["variable", "low", "high", *(f"k{i}" for i in range(KNOTS)), *more])
 
 
 def table_parameters(
@@ -28,16 +31,17 @@ def table_parameters(
     step: float,
     variables: tuple[float, ...],
     ends: tuple[float, float],
+    widest: float = WIDEST,
 ) -> tuple[Parameter, ...]:
     """Parameters of a table with knots up to `largest`.
 
-    The middle one of `variables` is the default, and `ends` of its table.
+    The middle one of `variables` is the default, and `ends` of its table, not beyond `widest`.
     """
     low, high = ends
     return (
-        Parameter("variable", "", ANGLE, VOLTAGE, 1.0, variables),
-        Parameter("low", "SI", -WIDEST, WIDEST, 0.02, (low,)),
-        Parameter("high", "SI", -WIDEST, WIDEST, 0.02, (high,)),
+        Parameter("variable", "", ANGLE, PATH, 1.0, variables),
+        Parameter("low", "SI", -widest, widest, 0.02, (low,)),
+        Parameter("high", "SI", -widest, widest, 0.02, (high,)),
         *(Parameter(f"k{i}", unit, -largest, largest, step) for i in range(KNOTS)),
     )
 

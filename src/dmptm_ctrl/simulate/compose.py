@@ -31,7 +31,7 @@ _CHAINS: dict[str, tuple[str, str, str, str]] = {
     "drive": ("drive_voltage", "u, t, side", "u", "u = {call}"),
     "delay": ("voltage_delay", "", "0.0", "r += {call}"),
     "lag": ("lag_relaxation", "u, side", "u, 0.0", "u, r = {call}"),
-    "motor": ("motor_torque", "theta_m, omega_m, t, side", "0.0", "r += {call}"),
+    "motor": ("motor_torque", "u, theta_m, omega_m, t, side", "0.0", "r += {call}"),
     "shaft": ("shaft_compliance", "inertia", "0.0, 0.0", "r = {call}"),
     "mesh": (
         "mesh_shift",
@@ -65,7 +65,7 @@ _CHAINS: dict[str, tuple[str, str, str, str]] = {
 _LANE_CHAINS: dict[str, tuple[str, str, str]] = {
     "drive": ("drive_lanes", "{A0}, t, side", "{A0} = {call}"),
     "lag": ("lag_lanes", "{R0}, side", "{R0}, {R1} = {call}"),
-    "motor": ("motor_lanes", "{A0}, {A1}, t, side", "{R0} += {call}"),
+    "motor": ("motor_lanes", "{A2}, {A0}, {A1}, t, side", "{R0} += {call}"),
     "mesh": (
         "mesh_lanes",
         "{A0}, {A1}, {A2}, {A3}, side",

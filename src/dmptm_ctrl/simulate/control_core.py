@@ -101,8 +101,11 @@ def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, dt, law, memory, bas
         mesh = share + (press if side == 0 else -press)
         rub = friction_along(n2 * speed, way, motor / n1, t, mesh, side, reducer, rubs, on, values)
         rub = built_up(rub, n2 * speed, dt, side, memory, on, values)
-        own = n1 * motor_torque(motor, n1 * n2 * speed, t, side, on, values) if pulls else 0.0
-        torque = share + swing + law[L_FRICTION] * rub - law[L_EFFECTS] * own
+        torque = share + swing + law[L_FRICTION] * rub
+        if pulls:
+            u = torque / gain
+            own = motor_torque(u, motor, n1 * n2 * speed, t, side, on, values)
+            torque -= law[L_EFFECTS] * n1 * own
         memory[M_LEFT + side] = torque / gain
 
 

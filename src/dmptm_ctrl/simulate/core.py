@@ -304,8 +304,9 @@ def march(
 
             drive0, drive1 = n1 * gain * u0, n1 * gain * u1
             if has_motor:
-                drive0 += n1 * motor_torque(n1 * (y0 + n2 * lead), n1 * r0, middle, 0, on, values)
-                drive1 += n1 * motor_torque(n1 * (y1 + n2 * lead), n1 * r1, middle, 1, on, values)
+                rotor0, rotor1 = n1 * (y0 + n2 * lead), n1 * (y1 + n2 * lead)
+                drive0 += n1 * motor_torque(u0, rotor0, n1 * r0, middle, 0, on, values)
+                drive1 += n1 * motor_torque(u1, rotor1, n1 * r1, middle, 1, on, values)
             force0, force1 = drive0, drive1
             if elastic:
                 force0 = (y0 - x_0) / compliance + shaft_damping * (r0 - s0)
@@ -428,7 +429,7 @@ def along(u, run, dt, base, on, values, torque, shift):
             theta_m = run[i, 2 + side]
             pull = gain * (v - u[side, i])
             if has_motor:
-                pull += motor_torque(theta_m, n1 * n2 * omega, t, side, on, values)
+                pull += motor_torque(v, theta_m, n1 * n2 * omega, t, side, on, values)
             brake = 0.0
             if has_friction:
                 scale, brake = friction_level(

@@ -435,6 +435,7 @@ def motor_stage(s, width, y, z, force, side, t, on):
     for lane in range(width):
         s[A0 + lane] = s[N1 + lane] * (s[y + lane] + s[N2 + lane] * s[LEAD + lane])
         s[A1 + lane] = s[N1 + lane] * s[z + lane]
+        s[A2 + lane] = s[U0 + side * LANES + lane]
         s[R0 + lane] = 0.0
     motor_lanes(s, width, side, t, on)
     for lane in range(width):

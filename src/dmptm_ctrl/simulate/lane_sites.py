@@ -18,7 +18,7 @@ def lag_lanes(s, width, side, t, on):
 
 @njit
 def motor_lanes(s, width, side, t, on):
-    """Torque added to R0 on the motor's shaft [N·m] at angle A0 and speed A1."""
+    """Torque added to R0 on the motor's shaft [N·m] at angle A0, speed A1 and voltage A2."""
 
 
 @njit

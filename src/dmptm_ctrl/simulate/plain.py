@@ -89,7 +89,7 @@ class Sites:
         """Torque on the motor's shaft, seen at the pinion [N·m]."""
         torque = self.gain * voltage
         for kernel, p in self._chains["motor"]:
-            torque += kernel(theta_m, omega_m, t, side, p)
+            torque += kernel(voltage, theta_m, omega_m, t, side, p)
         return self.n1 * torque
 
     def mesh(self, theta_p: float, omega_p: float, theta_L: float, omega_L: float, side: int):

@@ -31,7 +31,7 @@ def lag_relaxation(u, side, on, values):
 
 
 @njit
-def motor_torque(theta_m, omega_m, t, side, on, values):
+def motor_torque(u, theta_m, omega_m, t, side, on, values):
     """Torque added on the motor's shaft [N·m]."""
     return 0.0
 

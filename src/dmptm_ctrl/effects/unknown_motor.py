@@ -1,0 +1,60 @@
+"""Unknown motor: what a motor makes of its voltage, as a curve without a name.
+
+torque = u T(x) on the motor's shaft,  x one of θm in a turn, ωm sgn u (braking below zero),
+t in a period;  |u| T(x) with x = θm over all turns
+
+A part of the torque may be lost over a sector of the rotor, while the motor brakes, or at fixed
+intervals; a ripple over the ring gear's angle may grow with the voltage of either sign.
+"""
+
+from math import floor, pi
+
+from numba import njit
+
+from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.effects.lookup import (
+    BRAKING,
+    CLOCK,
+    PATH,
+    TURN,
+    looked_up,
+    table_parameters,
+    table_type,
+)
+
+LEFT, BOTH, RIGHT = -1.0, 0.0, 1.0  # values of `motors`
+WIDEST = 1e4  # rad or rad/s of a motor; no log goes further
+
+
+@njit
+def table_motor(u, theta_m, omega_m, t, side, p):
+    """Torque on the motor's shaft [N·m]."""
+    if p.motors * (2 * side - 1) < 0.0:
+        return 0.0
+    if p.variable > 6.5:
+        return abs(u) * looked_up(theta_m, p)
+    if p.variable > 5.5:
+        past = (t - p.low) / p.period
+        return u * looked_up(p.low + p.period * (past - floor(past)), p)
+    if p.variable > 4.5:
+        return u * looked_up(omega_m if u > 0.0 else -omega_m, p)
+    return u * looked_up(theta_m - 2.0 * pi * floor(theta_m / (2.0 * pi)), p)
+
+
+UNKNOWN_MOTOR = Effect(
+    name="unknown_motor",
+    site="motor",
+    kernel=table_motor,
+    parameters=(
+        *table_parameters(
+            "N·m/V", 2.0, 0.05, (BRAKING, TURN, CLOCK, PATH), (0.0, 2.0 * pi), WIDEST
+        ),
+        Parameter("motors", "", LEFT, RIGHT, 1.0, (LEFT, BOTH, RIGHT)),
+        Parameter("period", "s", 0.01, 60.0, 0.01, (0.5, 1.0, 2.0)),
+    ),
+    values=table_type("UnknownMotor", "motors", "period"),
+    location="motors",
+    source="lookup table, fitted",
+    depends_on=("u", "theta_m", "omega_m", "time", "theta_L"),
+    reveals="steady voltages of several sizes, in both directions, driving and braking",
+)

@@ -148,7 +148,8 @@ def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decisi
 def put_into_tables(decision: Decision, jobs: int) -> None:
     """Put what has no name into tables, where any can stand for it.
 
-    What comes by the clock may be the log's excitation: a curve that says more goes before it.
+    What comes by the clock may be the log's excitation, and what moves the voltage may be its
+    answer to what comes by the clock: the held-out logs tell.
     """
     what = decision.unexplained
     assert what is not None
@@ -156,9 +157,9 @@ def put_into_tables(decision: Decision, jobs: int) -> None:
     by_curve = None if curve is None else tabulate(left, curve.variables, jobs)
     by_clock = None
     if what.bursts.period > 0.0:
-        by_clock = tabulate(left, ("time", "u"), jobs, period=what.bursts.period)
-    told = max([curve.evidence if curve else CURVE, by_curve.evidence if by_curve else 0.0])
-    if by_clock is not None and by_clock.evidence > told:
+        by_clock = tabulate(left, (), jobs, period=what.bursts.period)
+    told = max(one.held_gain if one else 0.0 for one in (curve, by_curve))
+    if by_clock is not None and by_clock.held_gain > told and by_clock.evidence > CURVE:
         decision.tables = by_clock
         decision.unexplained = replace(what, variables=by_clock.variables, curve=None)
     elif curve is None and what.bursts.share < BURSTS:

@@ -84,6 +84,8 @@ def tabulate(
 
     Parameters
     ----------
+    variables : sequence of str
+        Of the curve; of what comes at fixed intervals they are told here.
     period : float
         Of what comes at fixed intervals [s]; 0 if nothing does.
     """
@@ -94,14 +96,16 @@ def tabulate(
     for name, variable in plan:
         low, high = (0.0, period) if period > 0.0 else ends(left.balance.motions, variable)
         shapes[name] = {"variable": variable, "low": low, "high": high}
-    if MOTOR not in shapes:
-        fitted = tabled(left, shapes)
-    else:  # which of the motors it is, the logs tell
-        alike = {**shapes[MOTOR], "period": period if period > 0.0 else NO_PERIOD}
-        each = [{MOTOR: {**alike, "motors": motors}} for motors in (BOTH, LEFT, RIGHT)]
-        fitted = better(left, [tabled(left, shapes) for shapes in each])
+        if name in (MOTOR, TORQUE):
+            shapes[name]["period"] = period if period > 0.0 else NO_PERIOD
+    tried = [shapes]
+    if MOTOR in shapes:  # which of the motors it is, the logs tell
+        tried = [{MOTOR: {**shapes[MOTOR], "motors": motors}} for motors in (BOTH, LEFT, RIGHT)]
     if period > 0.0:
-        fitted = better(left, [fitted, tabled(left, {MOTOR: narrowed(fitted.model)})])
+        tried.append({TORQUE: shapes[MOTOR]})
+    fitted = better(left, [tabled(left, one) for one in tried])
+    if period > 0.0:
+        fitted = better(left, [fitted, tabled(left, narrowed(fitted.model))])
     held = left.held_base - left.held_loss(fitted.model)
     if held < HELD:
         return None
@@ -114,7 +118,10 @@ def tabulate(
     # The knots are known as well as they can be; the simulator refits the rest.
     rest = residual(left.measured, fitted.model, unknowns=left.base.unknowns, jobs=jobs)
     gain = left.base.loss - fitted.loss
-    return Tables(tuple(variables), tuple(shapes), own, gain, held, left, rest)
+    names = tuple(name for name in fitted.model.effects if name not in left.base.model.effects)
+    if period > 0.0:
+        variables = ("time", "u") if MOTOR in names else ("time",)
+    return Tables(tuple(variables), names, own, gain, held, left, rest)
 
 
 def better(left: Residual, fits: Sequence[BalanceFit]) -> BalanceFit:
@@ -122,9 +129,10 @@ def better(left: Residual, fits: Sequence[BalanceFit]) -> BalanceFit:
     return min(fits, key=lambda one: one.loss + left.held_loss(one.model))
 
 
-def narrowed(model: Model) -> dict[str, float]:
+def narrowed(model: Model) -> dict[str, dict[str, float]]:
     """Shape of a table over the part of a period in which something happens."""
-    values = model.effects[MOTOR]
+    name = MOTOR if MOTOR in model.effects else TORQUE
+    values = model.effects[name]
     knots = np.abs([values[f"k{i}"] for i in range(KNOTS)])
     apart = values["period"] / (KNOTS - 1)
     # the longest quiet stretch, across the end of the period too, is left out
@@ -132,10 +140,9 @@ def narrowed(model: Model) -> dict[str, float]:
     quiet = np.diff([*loud, loud[0] + KNOTS - 1])
     last = int(np.argmax(quiet))
     first = int(loud[(last + 1) % loud.size])
-    length = KNOTS - 1 - int(quiet[last]) + 2
-    low = apart * (first - 1)
-    shape = {"variable": CLOCK, "low": low, "high": low + apart * length}
-    return {**shape, "motors": values["motors"], "period": values["period"]}
+    low, length = apart * (first - 1), apart * (KNOTS + 1 - int(quiet[last]))
+    shape = {key: x for key, x in values.items() if key in ("variable", "motors", "period")}
+    return {name: {**shape, "low": low, "high": low + length}}
 
 
 def tabled(left: Residual, shapes: Mapping[str, Mapping[str, float]]) -> BalanceFit:

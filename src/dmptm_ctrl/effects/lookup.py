@@ -5,6 +5,7 @@ variables of its site, chosen by a number.
 """
 
 from collections import namedtuple
+from math import floor
 from typing import Any
 
 from numba import njit
@@ -44,6 +45,18 @@ def table_parameters(
         Parameter("high", "SI", -widest, widest, 0.02, (high,)),
         *(Parameter(f"k{i}", unit, -largest, largest, step) for i in range(KNOTS)),
     )
+
+
+def period_parameter() -> Parameter:
+    """Return the period of a table over the clock."""
+    return Parameter("period", "s", 0.01, WIDEST, 0.01, (0.5, 1.0, 2.0))
+
+
+@njit
+def in_period(t, p):
+    """Time since the table's begin in a period that begins there [s], counted from `low`."""
+    past = (t - p.low) / p.period
+    return p.low + p.period * (past - floor(past))
 
 
 @njit

@@ -17,7 +17,9 @@ from dmptm_ctrl.effects.lookup import (
     CLOCK,
     PATH,
     TURN,
+    in_period,
     looked_up,
+    period_parameter,
     table_parameters,
     table_type,
 )
@@ -34,8 +36,7 @@ def table_motor(u, theta_m, omega_m, t, side, p):
     if p.variable > 6.5:
         return abs(u) * looked_up(theta_m, p)
     if p.variable > 5.5:
-        past = (t - p.low) / p.period
-        return u * looked_up(p.low + p.period * (past - floor(past)), p)
+        return u * looked_up(in_period(t, p), p)
     if p.variable > 4.5:
         return u * looked_up(omega_m if u > 0.0 else -omega_m, p)
     return u * looked_up(theta_m - 2.0 * pi * floor(theta_m / (2.0 * pi)), p)
@@ -50,7 +51,7 @@ UNKNOWN_MOTOR = Effect(
             "N·m/V", 2.0, 0.05, (BRAKING, TURN, CLOCK, PATH), (0.0, 2.0 * pi), WIDEST
         ),
         Parameter("motors", "", LEFT, RIGHT, 1.0, (LEFT, BOTH, RIGHT)),
-        Parameter("period", "s", 0.01, 60.0, 0.01, (0.5, 1.0, 2.0)),
+        period_parameter(),
     ),
     values=table_type("UnknownMotor", "motors", "period"),
     location="motors",

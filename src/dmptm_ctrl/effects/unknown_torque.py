@@ -1,6 +1,6 @@
 """Unknown torque: a torque on the ring gear that a curve describes and no name explains.
 
-τ = T(x),  x one of θL, ωL, t
+τ = T(x),  x one of θL, ωL, t, t in a period
 """
 
 from numba import njit
@@ -8,10 +8,13 @@ from numba import njit
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects.lookup import (
     ANGLE,
+    CLOCK,
     SPEED,
     TIME,
+    in_period,
     looked_up,
     motion_of_ring,
+    period_parameter,
     table_parameters,
     table_type,
 )
@@ -20,6 +23,8 @@ from dmptm_ctrl.effects.lookup import (
 @njit
 def table_torque(theta_L, omega_L, t, p):
     """Torque on the ring gear [N·m]."""
+    if p.variable > 5.5:
+        return looked_up(in_period(t, p), p)
     return looked_up(motion_of_ring(theta_L, omega_L, t, p), p)
 
 
@@ -27,8 +32,11 @@ UNKNOWN_TORQUE = Effect(
     name="unknown_torque",
     site="load",
     kernel=table_torque,
-    parameters=table_parameters("N·m", 60.0, 2.0, (ANGLE, SPEED, TIME), (0.0, 0.02)),
-    values=table_type("UnknownTorque"),
+    parameters=(
+        *table_parameters("N·m", 60.0, 2.0, (ANGLE, SPEED, TIME, CLOCK), (0.0, 0.02)),
+        period_parameter(),
+    ),
+    values=table_type("UnknownTorque", "period"),
     location="ring gear",
     source="lookup table, fitted",
     depends_on=("theta_L", "omega_L", "time"),

@@ -11,6 +11,7 @@ from dmptm_ctrl.effects.lookup import (
     ANGLE,
     BRAKING,
     CLOCK,
+    DRAG,
     KNOTS,
     PATH,
     SPEED,
@@ -32,7 +33,7 @@ HELD = 8.0  # fall of the loss on the held-out logs that a table must bring
 # Tables that can stand for a curve of these variables; of others (a rate, a product) none can.
 PLANS: dict[tuple[str, ...], tuple[tuple[str, float], ...]] = {
     ("theta_L",): ((FRICTION, ANGLE), (TORQUE, ANGLE)),
-    ("theta_L", "omega_L"): ((FRICTION, ANGLE), (TORQUE, ANGLE)),
+    ("theta_L", "omega_L"): ((TORQUE, DRAG),),
     ("theta_L", "u"): ((MOTOR, PATH),),
     ("theta_m", "u"): ((MOTOR, TURN),),
     ("omega_m", "u"): ((MOTOR, BRAKING),),
@@ -42,6 +43,7 @@ PLANS: dict[tuple[str, ...], tuple[tuple[str, float], ...]] = {
     ("omega_L", "time"): ((FRICTION, TIME),),
 }
 CLOCKED = ((MOTOR, CLOCK),)  # for what comes at fixed intervals
+ALONE = 1.1  # times what a table of both motors explains, from which one of one goes before it
 NO_PERIOD = 1.0  # s, of a table that is not over the clock: any
 
 
@@ -98,13 +100,12 @@ def tabulate(
         shapes[name] = {"variable": variable, "low": low, "high": high}
         if name in (MOTOR, TORQUE):
             shapes[name]["period"] = period if period > 0.0 else NO_PERIOD
-    tried = [shapes]
-    if MOTOR in shapes:  # which of the motors it is, the logs tell
-        tried = [{MOTOR: {**shapes[MOTOR], "motors": motors}} for motors in (BOTH, LEFT, RIGHT)]
+    if MOTOR in shapes:
+        fitted = of_motors(left, shapes[MOTOR])
+    else:
+        fitted = tabled(left, shapes)
     if period > 0.0:
-        tried.append({TORQUE: shapes[MOTOR]})
-    fitted = better(left, [tabled(left, one) for one in tried])
-    if period > 0.0:
+        fitted = better(left, [fitted, tabled(left, {TORQUE: shapes[MOTOR]})])
         fitted = better(left, [fitted, tabled(left, narrowed(fitted.model))])
     held = left.held_base - left.held_loss(fitted.model)
     if held < HELD:
@@ -124,9 +125,27 @@ def tabulate(
     return Tables(tuple(variables), names, own, gain, held, left, rest)
 
 
+def of_motors(left: Residual, shape: Mapping[str, float]) -> BalanceFit:
+    """Fit a table of both motors, or of one alone if that explains clearly more.
+
+    The motors turn together: what one of them does seems to be done by both, and the reverse.
+    """
+    both, *single = (
+        tabled(left, {MOTOR: {**shape, "motors": motors}}) for motors in (BOTH, LEFT, RIGHT)
+    )
+    one = better(left, single)
+    gains = [left.base.loss + left.held_base - total(left, fit) for fit in (both, one)]
+    return one if gains[1] > ALONE * gains[0] else both
+
+
+def total(left: Residual, fit: BalanceFit) -> float:
+    """Loss on fitted and held-out logs together."""
+    return fit.loss + left.held_loss(fit.model)
+
+
 def better(left: Residual, fits: Sequence[BalanceFit]) -> BalanceFit:
     """Return the one that leaves least on fitted and held-out logs."""
-    return min(fits, key=lambda one: one.loss + left.held_loss(one.model))
+    return min(fits, key=lambda one: total(left, one))
 
 
 def narrowed(model: Model) -> dict[str, dict[str, float]]:
@@ -160,7 +179,7 @@ def tabled(left: Residual, shapes: Mapping[str, Mapping[str, float]]) -> Balance
     nothing = np.concatenate(parts)
     linear = columns(left.balance, model, knots, nothing)  # a table is linear in its knots
     jacobian = np.hstack([base.jacobian, linear])
-    # what stands far out pulls a robust fit no longer: begin where the squares are least
+    # what stands far out pulls a robust fit no longer: begin where the squares are least, too
     w = np.repeat(1.0 / np.array(scatter(parts, left.balance.kinds)), [x.size for x in parts])
     ridge = np.eye(len(knots)) / PRIOR_STEPS**2
     start, *_ = np.linalg.lstsq(
@@ -168,8 +187,10 @@ def tabled(left: Residual, shapes: Mapping[str, Mapping[str, float]]) -> Balance
         np.concatenate([-w * nothing, np.zeros(len(knots))]),
         rcond=None,
     )
-    model = place(model, knots, np.clip(start, low, high))
-    return fit_balance(left.balance, model, (*base.unknowns, *knots), jacobian=jacobian)
+    begun = (model, place(model, knots, np.clip(start, low, high)))
+    unknowns = (*base.unknowns, *knots)
+    fits = [fit_balance(left.balance, one, unknowns, jacobian=jacobian) for one in begun]
+    return min(fits, key=lambda one: one.loss)
 
 
 def ends(motions: Sequence[Motion], variable: float) -> tuple[float, float]:
@@ -183,7 +204,7 @@ def ends(motions: Sequence[Motion], variable: float) -> tuple[float, float]:
         if variable == BRAKING:
             fastest = np.abs(mo.pinion_speed).max() * mo.declared.drive["N_1"]
             return np.array([-fastest, fastest])
-        if variable == ANGLE:
+        if variable in (ANGLE, DRAG):
             return mo.run[:, 0]
         if variable == SPEED:
             return mo.run[:, 1]

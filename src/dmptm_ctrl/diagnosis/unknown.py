@@ -37,7 +37,7 @@ MEMORIES = (0.3, 1.0, 3.0)  # s, of what the last seconds of motion leave behind
 LAGS = (0.04, 0.08, 0.12, 0.18, 0.26, 0.36, 0.5, 0.7, 0.95, 1.25)  # s, of a loose mass
 PERIODS = np.geomspace(0.25, 5.0, 1500)  # s, tried for bursts at fixed intervals
 WHOLE = 0.8  # of the greatest regularity, at which a longer interval counts as well
-FINE = 0.03  # share about a period in which it is looked for once more
+FINE, FINER = 0.004, 101  # share about a period in which it is looked for once more, trials
 REGULAR = 0.9  # |mean exp(2πi t/T)| of what comes by the clock; excitations differ from log to log
 RAYLEIGH = 12.0  # n R² of burst onsets folded on a period: p below 1e-5 per period tried
 FAR = 0.1  # share of the samples of free runs that count as far off
@@ -332,8 +332,10 @@ def interval(times: Sequence[Floats]) -> float:
     if regular.max() ** 2 * all_times.size < RAYLEIGH or regular.max() < REGULAR:
         return 0.0
     # a part of the interval is as regular as the whole: the longest it is
-    whole = PERIODS[np.flatnonzero(regular > WHOLE * regular.max())[-1]]
-    near = whole * (1.0 + np.linspace(-FINE, FINE, 401))
+    high = np.flatnonzero(regular > WHOLE * regular.max())
+    longest = np.split(high, np.flatnonzero(np.diff(high) > 1) + 1)[-1]
+    whole = PERIODS[longest[np.argmax(regular[longest])]]
+    near = whole * (1.0 + np.linspace(-FINE, FINE, FINER))
     return float(near[np.argmax(order(near))])
 
 

@@ -18,6 +18,7 @@ ANGLE, SPEED, TIME, VOLTAGE = 0.0, 1.0, 2.0, 3.0  # values of `variable`
 # The same of a motor: its angle in a turn, its speed (braking is negative), the time in a period,
 # its angle over all turns.
 TURN, BRAKING, CLOCK, PATH = 4.0, 5.0, 6.0, 7.0
+DRAG = 8.0  # angle again, of what is multiplied by the speed
 WIDEST = 60.0  # rad, rad/s, s or V: no log goes further
 
 
@@ -40,7 +41,7 @@ def table_parameters(
     """
     low, high = ends
     return (
-        Parameter("variable", "", ANGLE, PATH, 1.0, variables),
+        Parameter("variable", "", ANGLE, DRAG, 1.0, variables),
         Parameter("low", "SI", -widest, widest, 0.02, (low,)),
         Parameter("high", "SI", -widest, widest, 0.02, (high,)),
         *(Parameter(f"k{i}", unit, -largest, largest, step) for i in range(KNOTS)),

@@ -1,6 +1,6 @@
 """Unknown torque: a torque on the ring gear that a curve describes and no name explains.
 
-τ = T(x),  x one of θL, ωL, t, t in a period
+τ = T(x),  x one of θL, ωL, t, t in a period;  τ = ωL T(θL)
 """
 
 from numba import njit
@@ -9,6 +9,7 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects.lookup import (
     ANGLE,
     CLOCK,
+    DRAG,
     SPEED,
     TIME,
     in_period,
@@ -23,6 +24,8 @@ from dmptm_ctrl.effects.lookup import (
 @njit
 def table_torque(theta_L, omega_L, t, p):
     """Torque on the ring gear [N·m]."""
+    if p.variable > 7.5:
+        return omega_L * looked_up(theta_L, p)
     if p.variable > 5.5:
         return looked_up(in_period(t, p), p)
     return looked_up(motion_of_ring(theta_L, omega_L, t, p), p)
@@ -33,7 +36,7 @@ UNKNOWN_TORQUE = Effect(
     site="load",
     kernel=table_torque,
     parameters=(
-        *table_parameters("N·m", 60.0, 2.0, (ANGLE, SPEED, TIME, CLOCK), (0.0, 0.02)),
+        *table_parameters("N·m", 60.0, 2.0, (ANGLE, CLOCK, SPEED, TIME, DRAG), (0.0, 0.02)),
         period_parameter(),
     ),
     values=table_type("UnknownTorque", "period"),

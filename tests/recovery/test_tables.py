@@ -1,0 +1,125 @@
+"""What has no name goes into the model as a curve, on rigs of another program."""
+
+import numpy as np
+import pytest
+
+from dmptm_ctrl import load_log
+from dmptm_ctrl.diagnosis.decide import decide
+from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.predict import speed_error
+from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.diagnosis.tables import KNOTS, MOTOR, narrowed
+from dmptm_ctrl.diagnosis.unknown import interval
+from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.effects.lookup import CLOCK
+from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
+from dmptm_ctrl.simulate.model import Model
+from rigs import make_rig
+
+GAIN = paper_drive()["K_d"] * paper_drive()["K_M"]  # N·m/V on the motor's shaft
+DEG = np.pi / 180.0
+
+
+TURN, TURN_ENDS = "closed_turn_20", 19.0  # s, of the turn only the way there
+LOGS = ("open_sine_0v60", "open_square_0v75", "closed_sine_15", "closed_square_10", TURN)
+
+
+def decided(seed, effects, sensors, contact):
+    laws = {"friction": "karnopp", "contact": contact}
+    rig = make_rig(seed, effects, sensors=sensors, logs=LOGS, **laws)
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    logs = [log.segment(0.0, TURN_ENDS) if log.name == TURN else log for log in logs]
+    drive = paper_drive()
+    return decide(residual(measure(logs, drive), Model(drive))), rig.label["effect_parameters"]
+
+
+def table(decision):
+    values = decision.after.base.model.effects[MOTOR]
+    places = np.linspace(values["low"], values["high"], KNOTS)
+    return values, places, np.array([values[f"k{i}"] for i in range(KNOTS)])
+
+
+def halved(decision):
+    """Whether the free runs of the held-out logs miss less than half as much, not refitted."""
+    held = decision.before.measured.held_logs
+    before, after = (
+        speed_error(left.base.model, held)["rmse"] for left in (decision.before, decision.after)
+    )
+    return after < 0.5 * before
+
+
+def test_motor_without_power_at_fixed_intervals():
+    """Which motor, how often, for how long, and that all of its torque is lost."""
+    decision, true = decided(501, (("unpowered_motor", 1.0),), "all", "eq21")
+    true = true["unpowered_motor"]
+    assert decision.unexplained.variables == ("time", "u")
+    values, places, knots = table(decision)
+    assert values["motors"] == {"left": LEFT, "right": RIGHT}[true["motor"]]
+    assert values["period"] == pytest.approx(true["period_s"], rel=1e-3)
+    area = np.sum(0.5 * (knots[1:] + knots[:-1]) * np.diff(places))
+    assert area == pytest.approx(-GAIN * true["length_s"], rel=0.2)
+    assert halved(decision)
+
+
+def test_torque_lost_in_a_sector_of_the_rotor():
+    decision, true = decided(502, (("dead_commutation", 2.0),), "all", "eq21")
+    true = true["dead_commutation"]
+    assert decision.unexplained.variables == ("theta_m", "u")
+    values, places, knots = table(decision)
+    assert values["motors"] == BOTH
+    inside = knots < 0.5 * knots.min()
+    assert knots[inside].mean() == pytest.approx(-GAIN * true["share"], rel=0.2)
+    width = inside.sum() * (places[1] - places[0])
+    assert width == pytest.approx(2.0 * true["half_width_deg"] * DEG, abs=0.3)
+    assert halved(decision)
+
+
+def test_ripple_in_proportion_to_the_voltage():
+    decision, true = decided(503, (("voltage_ripple", 1.0),), "load", "eq21")
+    true = true["voltage_ripple"]
+    assert decision.unexplained.variables[:2] == ("theta_L", "u")
+    drive = paper_drive()
+    ratio = drive["N_1"] * drive["N_2"]
+    _, places, knots = table(decision)
+    phase = true["order"] * places / ratio
+    basis = np.column_stack([np.cos(phase), np.sin(phase)])
+    size = np.hypot(*np.linalg.lstsq(basis, knots, rcond=None)[0])
+    # of the mean voltage, at the ring gear, from both motors
+    assert 2.0 * ratio * size == pytest.approx(true["N_m_per_V"], rel=0.3)
+    assert halved(decision)
+
+
+def test_a_name_goes_before_a_curve_that_says_no_more(monkeypatch):
+    """Too little for a second effect, but with it no curve is needed."""
+    monkeypatch.setattr("dmptm_ctrl.diagnosis.decide.SECOND", np.inf)
+    effects = (("cogging", 3.0), ("drive_offset", 3.0))
+    decision, _ = decided(504, effects, "all", "eq21")
+    assert {found.name for found in decision.found} == {"cogging", "drive_offset"}
+    assert decision.unexplained is None
+
+
+@pytest.mark.parametrize("period", [0.3, 0.725, 1.37, 4.2])
+def test_interval(period):
+    """The whole interval, not a part of it, from times that are rounded to a window's hop."""
+    rng = np.random.default_rng(1)
+    logs = [np.arange(0.2, seconds, period) for seconds in (5.0, 8.0, 40.0)]
+    times = [np.round((t + rng.normal(0.0, 0.01, t.size)) / 0.02) * 0.02 for t in logs]
+    assert interval(times) == pytest.approx(period, rel=2e-3)
+
+
+def test_interval_of_excitations_that_differ_is_none():
+    """Reversals come by each log's own clock."""
+    assert interval([np.arange(0.5, 10.0, 1.0), np.arange(0.6, 10.0, 1.25)]) == 0.0
+    assert interval([np.sort(np.random.default_rng(2).uniform(0.0, 40.0, 40))]) == 0.0
+    assert interval([np.array([1.0, 2.0])]) == 0.0
+
+
+def test_narrowed_across_the_end_of_a_period():
+    """Something happens from 2.9 s of a period of 3.1 s to 0.2 s of the next."""
+    knots = {f"k{i}": 0.3 if i < 3 or i > 28 else 0.0 for i in range(KNOTS)}
+    shape = {"variable": CLOCK, "low": 0.0, "high": 3.1, "motors": LEFT, "period": 3.1}
+    model = Model(paper_drive()).with_effect(MOTOR, **shape, **knots)
+    values = narrowed(model)[MOTOR]
+    assert (values["low"] + 3.1) % 3.1 == pytest.approx(2.8)
+    assert values["high"] - values["low"] == pytest.approx(0.6)
+    assert (values["motors"], values["period"]) == (LEFT, 3.1)

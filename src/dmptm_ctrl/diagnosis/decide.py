@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from dmptm_ctrl.diagnosis.at_rest import AtRest
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, residual
-from dmptm_ctrl.diagnosis.tables import Tables, tabulate
+from dmptm_ctrl.diagnosis.tables import Tables, clock_table, tabulate
 from dmptm_ctrl.diagnosis.trace import Trial, trace, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import BURSTS, CURVE, Unexplained, unexplained
 from dmptm_ctrl.identify.fit import drive_unknowns
@@ -155,9 +155,8 @@ def put_into_tables(decision: Decision, jobs: int) -> None:
     assert what is not None
     curve, left = what.curve, decision.after
     by_curve = None if curve is None else tabulate(left, curve.variables, jobs)
-    by_clock = None
-    if what.bursts.period > 0.0:
-        by_clock = tabulate(left, (), jobs, period=what.bursts.period)
+    period = what.bursts.period
+    by_clock = clock_table(left, period, jobs) if period > 0.0 else None
     told = max(one.held_gain if one else 0.0 for one in (curve, by_curve))
     if by_clock is not None and by_clock.held_gain > told and by_clock.evidence > CURVE:
         decision.tables = by_clock

@@ -23,7 +23,7 @@ from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
 from dmptm_ctrl.identify.balance import BalanceFit, columns, fit_balance, scatter
 from dmptm_ctrl.identify.fit import Unknown, place
 from dmptm_ctrl.identify.motion import Motion
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.model import Model
 
 TORQUE, FRICTION, VOLTS = "unknown_torque", "unknown_friction", "unknown_voltage"
 MOTOR = "unknown_motor"
@@ -42,7 +42,6 @@ PLANS: dict[tuple[str, ...], tuple[tuple[str, float], ...]] = {
     ("time",): ((FRICTION, TIME), (TORQUE, TIME)),
     ("omega_L", "time"): ((FRICTION, TIME),),
 }
-CLOCKED = ((MOTOR, CLOCK),)  # for what comes at fixed intervals
 ALONE = 1.1  # times what a table of both motors explains, from which one of one goes before it
 NO_PERIOD = 1.0  # s, of a table that is not over the clock: any
 
@@ -79,34 +78,42 @@ class Tables:
         return self.gain + self.held_gain
 
 
-def tabulate(
-    left: Residual, variables: Sequence[str], jobs: int, *, period: float = 0.0
-) -> Tables | None:
-    """Fit tables over variables beside a model; None where they do not help.
+def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | None:
+    """Fit tables over the variables of a curve beside a model; None where they do not help."""
+    plan = PLANS.get(tuple(variables))
+    if plan is None:
+        return None
+    fits = []
+    for range_of in (widest, usual):  # a log that goes far leaves few knots where the others are
+        shapes = {}
+        for name, variable in plan:
+            low, high = range_of(left.balance.motions, variable)
+            shapes[name] = {"variable": variable, "low": low, "high": high}
+            if name in (MOTOR, TORQUE):
+                shapes[name]["period"] = NO_PERIOD
+        fits.append(of_motors(left, shapes[MOTOR]) if MOTOR in shapes else tabled(left, shapes))
+    return described(left, better(left, fits), variables, jobs)
+
+
+def clock_table(left: Residual, period: float, jobs: int) -> Tables | None:
+    """Fit a table over the time in a period; None where it does not help.
 
     Parameters
     ----------
-    variables : sequence of str
-        Of the curve; of what comes at fixed intervals they are told here.
     period : float
-        Of what comes at fixed intervals [s]; 0 if nothing does.
+        Of what comes at fixed intervals [s].
     """
-    plan = CLOCKED if period > 0.0 else PLANS.get(tuple(variables))
-    if plan is None:
-        return None
-    shapes = {}
-    for name, variable in plan:
-        low, high = (0.0, period) if period > 0.0 else ends(left.balance.motions, variable)
-        shapes[name] = {"variable": variable, "low": low, "high": high}
-        if name in (MOTOR, TORQUE):
-            shapes[name]["period"] = period if period > 0.0 else NO_PERIOD
-    if MOTOR in shapes:
-        fitted = of_motors(left, shapes[MOTOR])
-    else:
-        fitted = tabled(left, shapes)
-    if period > 0.0:
-        fitted = better(left, [fitted, tabled(left, {TORQUE: shapes[MOTOR]})])
-        fitted = better(left, [fitted, tabled(left, narrowed(fitted.model))])
+    shape = {"variable": CLOCK, "low": 0.0, "high": period, "period": period}
+    first = better(left, [of_motors(left, shape), tabled(left, {TORQUE: shape})])
+    fitted = better(left, [first, tabled(left, narrowed(first.model))])
+    variables = ("time", "u") if MOTOR in fitted.model.effects else ("time",)
+    return described(left, fitted, variables, jobs)
+
+
+def described(
+    left: Residual, fitted: BalanceFit, variables: Sequence[str], jobs: int
+) -> Tables | None:
+    """Describe fitted tables; None where the held-out logs gain nothing by them."""
     held = left.held_base - left.held_loss(fitted.model)
     if held < HELD:
         return None
@@ -120,8 +127,6 @@ def tabulate(
     rest = residual(left.measured, fitted.model, unknowns=left.base.unknowns, jobs=jobs)
     gain = left.base.loss - fitted.loss
     names = tuple(name for name in fitted.model.effects if name not in left.base.model.effects)
-    if period > 0.0:
-        variables = ("time", "u") if MOTOR in names else ("time",)
     return Tables(tuple(variables), names, own, gain, held, left, rest)
 
 
@@ -193,26 +198,33 @@ def tabled(left: Residual, shapes: Mapping[str, Mapping[str, float]]) -> Balance
     return min(fits, key=lambda one: one.loss)
 
 
-def ends(motions: Sequence[Motion], variable: float) -> tuple[float, float]:
+def widest(motions: Sequence[Motion], variable: float) -> tuple[float, float]:
     """Range of a variable over all motions."""
+    low, high = zip(*(ends(mo, variable) for mo in motions), strict=True)
+    return min(low), max(high)
 
-    def along(mo: Motion) -> Floats:
-        if variable == TURN:
-            return np.array([0.0, 2.0 * np.pi])
-        if variable == PATH:
-            return mo.run[:, 2:4]
-        if variable == BRAKING:
-            fastest = np.abs(mo.pinion_speed).max() * mo.declared.drive["N_1"]
-            return np.array([-fastest, fastest])
-        if variable in (ANGLE, DRAG):
-            return mo.run[:, 0]
-        if variable == SPEED:
-            return mo.run[:, 1]
-        if variable == VOLTAGE:
-            return mo.rec.u
-        return np.array([0.0, mo.rec.dt * mo.run.shape[0]])
 
-    return (
-        min(float(along(mo).min()) for mo in motions),
-        max(float(along(mo).max()) for mo in motions),
-    )
+def usual(motions: Sequence[Motion], variable: float) -> tuple[float, float]:
+    """Range of a variable in most motions."""
+    low, high = zip(*(ends(mo, variable) for mo in motions), strict=True)
+    return float(np.median(low)), float(np.median(high))
+
+
+def ends(mo: Motion, variable: float) -> tuple[float, float]:
+    """Range of a variable along a motion."""
+    if variable == TURN:
+        return 0.0, 2.0 * np.pi
+    if variable == BRAKING:
+        fastest = float(np.abs(mo.pinion_speed).max()) * mo.declared.drive["N_1"]
+        return -fastest, fastest
+    if variable in (ANGLE, DRAG):
+        along = mo.run[:, 0]
+    elif variable == PATH:
+        along = mo.run[:, 2:4]
+    elif variable == SPEED:
+        along = mo.run[:, 1]
+    elif variable == VOLTAGE:
+        along = mo.rec.u
+    else:
+        return 0.0, mo.rec.dt * mo.run.shape[0]
+    return float(along.min()), float(along.max())

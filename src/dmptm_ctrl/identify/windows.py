@@ -241,7 +241,10 @@ def carried(mo: Motion, base: Floats, friction: Sequence[Floats]) -> Floats:
 def seen(mo: Motion, base: Floats, friction: Sequence[Floats]) -> Floats:
     """Torque that each mesh carries [N·m], (2, n), with the motors' measured acceleration."""
     gain, j3 = base[5] * base[0] * base[1], base[5] * base[5] * base[2] + base[3]
-    rows = gain * mo.rec.u + np.array(friction[:2])
+    u = mo.rec.u
+    # a second difference weighs the voltages before and after its sample alike
+    held = 0.5 * (u + np.concatenate([u[:, :1], u[:, :-1]], axis=1))
+    rows = gain * held + np.array(friction[:2])
     for s in (0, 1):
         rows[s] -= j3 * second_difference(mo.run[:, 2 + s] / base[5], mo.rec.dt)
     return np.array([smooth(row, odd_span(SEEN_SECONDS, mo.rec.dt)) for row in rows])

@@ -50,7 +50,7 @@ def table_parameters(
 
 def period_parameter() -> Parameter:
     """Return the period of a table over the clock."""
-    return Parameter("period", "s", 0.01, WIDEST, 0.01, (0.5, 1.0, 2.0))
+    return Parameter("period", "s", 0.01, WIDEST, 0.01, (0.03,))
 
 
 @njit

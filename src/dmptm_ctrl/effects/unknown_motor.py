@@ -47,9 +47,7 @@ UNKNOWN_MOTOR = Effect(
     site="motor",
     kernel=table_motor,
     parameters=(
-        *table_parameters(
-            "N·m/V", 2.0, 0.05, (BRAKING, TURN, CLOCK, PATH), (0.0, 2.0 * pi), WIDEST
-        ),
+        *table_parameters("N·m/V", 2.0, 0.05, (BRAKING, TURN, CLOCK, PATH), (0.0, 0.02), WIDEST),
         Parameter("motors", "", LEFT, RIGHT, 1.0, (LEFT, BOTH, RIGHT)),
         period_parameter(),
     ),

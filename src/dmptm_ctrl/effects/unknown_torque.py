@@ -24,7 +24,7 @@ from dmptm_ctrl.effects.lookup import (
 @njit
 def table_torque(theta_L, omega_L, t, p):
     """Torque on the ring gear [N·m]."""
-    if p.variable > 7.5:
+    if p.variable > 6.5:
         return omega_L * looked_up(theta_L, p)
     if p.variable > 5.5:
         return looked_up(in_period(t, p), p)
@@ -36,7 +36,7 @@ UNKNOWN_TORQUE = Effect(
     site="load",
     kernel=table_torque,
     parameters=(
-        *table_parameters("N·m", 60.0, 2.0, (ANGLE, CLOCK, SPEED, TIME, DRAG), (0.0, 0.02)),
+        *table_parameters("N·m", 60.0, 2.0, (ANGLE, SPEED, CLOCK, TIME, DRAG), (0.0, 0.02)),
         period_parameter(),
     ),
     values=table_type("UnknownTorque", "period"),

@@ -27,6 +27,7 @@ SLACK = 10.0  # by which an effect may miss on the held-out logs, which need not
 HOPE = 0.2  # share of the first effect's evidence from which it may lose its place to another
 # A soft reducer rings after each impact, faster than the windows follow: factor on what is left.
 RINGS = 3.0
+SUREST = 0.995  # probability of a name
 RIVAL = 0.4  # share of the winner's evidence from which a candidate is named with it
 
 
@@ -40,6 +41,8 @@ class Found:
         Seconds over which it alone meets every bounce, where this and not the balances told it.
     out_of_step : tuple of str
         Rivals that lose step where it does not.
+    at_most : float
+        Probability that no evidence exceeds.
     """
 
     name: str
@@ -49,6 +52,7 @@ class Found:
     rivals: tuple[Trial, ...]
     in_step: float = 0.0
     out_of_step: tuple[str, ...] = ()
+    at_most: float = SUREST
 
     @property
     def left(self) -> tuple[Trial, ...]:
@@ -65,7 +69,7 @@ class Found:
         """Probability that the name is right, from its evidence and its lead."""
         share = min(1.0, max([0.0, *(t.evidence for t in self.left)]) / self.evidence)
         surely = self.evidence / (self.evidence + 0.1 * self.threshold)
-        return float(min(0.995, surely * (1.0 - 0.5 * share**4)))
+        return float(min(self.at_most, surely * (1.0 - 0.5 * share**4)))
 
 
 @dataclass(eq=False)

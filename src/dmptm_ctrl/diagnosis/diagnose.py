@@ -33,6 +33,7 @@ from dmptm_ctrl.diagnosis.trace import WITHOUT_TWIST, Trial, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import Unexplained, astray, unexplained
 from dmptm_ctrl.diagnosis.unseen import AGEING, Shown, unseen
 from dmptm_ctrl.diagnosis.unseen import LEAST as LEAST_UNSEEN
+from dmptm_ctrl.diagnosis.unseen import SUREST as UNSEEN_SURE
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
@@ -290,8 +291,9 @@ def by_step(shown: Shown, base: BalanceFit) -> Found:
         Trial(s.name, s.gain, s.held_gain, replace(base, model=s.fit.model))
         for s in (shown, *shown.rivals)
     ]
-    seconds = shown.fit.horizon
-    return Found(shown.name, shown.evidence, LEAST_UNSEEN, trials[0], tuple(trials[1:]), seconds)
+    seconds, rivals = shown.fit.horizon, tuple(trials[1:])
+    found = Found(shown.name, shown.evidence, LEAST_UNSEEN, trials[0], rivals, seconds)
+    return replace(found, at_most=UNSEEN_SURE)
 
 
 def errors_of(name: str, fit: Fit) -> dict[tuple[str, str], float]:

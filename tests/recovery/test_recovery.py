@@ -30,8 +30,6 @@ EFFECTS = [
     ("base_vibration", 1.0, "tanh", "load", MULTISINE, 0.8),
     ("thermal_drift", 1.0, "lugre", "all", TURN, 0.5),
     ("current_lag", 1.0, "tanh", "all", MULTISINE, 0.8),
-    ("drive_offset", 6.0, "tanh", "all", MULTISINE, 0.8),
-    ("torque_constant_mismatch", 6.0, "lugre", "all", MULTISINE, 1.05),  # differential
 ]
 
 

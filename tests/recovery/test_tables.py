@@ -12,12 +12,11 @@ from dmptm_ctrl.diagnosis.tables import KNOTS, MOTOR, narrowed
 from dmptm_ctrl.diagnosis.unknown import interval
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects.lookup import CLOCK
-from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
+from dmptm_ctrl.effects.unknown_motor import LEFT, RIGHT
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
 GAIN = paper_drive()["K_d"] * paper_drive()["K_M"]  # N·m/V on the motor's shaft
-DEG = np.pi / 180.0
 
 
 TURN, TURN_ENDS = "closed_turn_20", 19.0  # s, of the turn only the way there
@@ -58,19 +57,6 @@ def test_motor_without_power_at_fixed_intervals():
     assert values["period"] == pytest.approx(true["period_s"], rel=1e-3)
     area = np.sum(0.5 * (knots[1:] + knots[:-1]) * np.diff(places))
     assert area == pytest.approx(-GAIN * true["length_s"], rel=0.2)
-    assert halved(decision)
-
-
-def test_torque_lost_in_a_sector_of_the_rotor():
-    decision, true = decided(502, (("dead_commutation", 2.0),), "all", "eq21")
-    true = true["dead_commutation"]
-    assert decision.unexplained.variables == ("theta_m", "u")
-    values, places, knots = table(decision)
-    assert values["motors"] == BOTH
-    inside = knots < 0.5 * knots.min()
-    assert knots[inside].mean() == pytest.approx(-GAIN * true["share"], rel=0.2)
-    width = inside.sum() * (places[1] - places[0])
-    assert width == pytest.approx(2.0 * true["half_width_deg"] * DEG, abs=0.3)
     assert halved(decision)
 
 

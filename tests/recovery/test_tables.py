@@ -17,8 +17,6 @@ from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
 GAIN = paper_drive()["K_d"] * paper_drive()["K_M"]  # N·m/V on the motor's shaft
-
-
 TURN, TURN_ENDS = "closed_turn_20", 19.0  # s, of the turn only the way there
 LOGS = ("open_sine_0v60", "open_square_0v75", "closed_sine_15", "closed_square_10", TURN)
 
@@ -109,3 +107,11 @@ def test_narrowed_across_the_end_of_a_period():
     assert (values["low"] + 3.1) % 3.1 == pytest.approx(2.8)
     assert values["high"] - values["low"] == pytest.approx(0.6)
     assert (values["motors"], values["period"]) == (LEFT, 3.1)
+
+
+def test_narrowed_where_nothing_happens():
+    """A table of zeros stays over the whole period."""
+    knots = {f"k{i}": 0.0 for i in range(KNOTS)}
+    shape = {"variable": CLOCK, "low": 0.0, "high": 3.1, "motors": LEFT, "period": 3.1}
+    values = narrowed(Model(paper_drive()).with_effect(MOTOR, **shape, **knots))[MOTOR]
+    assert (values["low"], values["high"]) == (0.0, pytest.approx(3.1))

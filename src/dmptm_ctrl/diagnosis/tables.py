@@ -30,7 +30,7 @@ MOTOR = "unknown_motor"
 PRIOR_STEPS = 3.0  # of a knot, in steps of its parameter: where no log goes, it stays at zero
 QUIET = 0.2  # of the largest knot of a period, below which nothing happens
 HELD = 8.0  # fall of the loss on the held-out logs that a table must bring
-# Tables that can stand for a curve of these variables; of others (a rate, a product) none can.
+# Tables that can stand for a curve of these variables; of others (a rate, a mesh torque) none can.
 PLANS: dict[tuple[str, ...], tuple[tuple[str, float], ...]] = {
     ("theta_L",): ((FRICTION, ANGLE), (TORQUE, ANGLE)),
     ("theta_L", "omega_L"): ((TORQUE, DRAG),),
@@ -83,7 +83,7 @@ def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | No
     plan = PLANS.get(tuple(variables))
     if plan is None:
         return None
-    fits = []
+    tried: list[dict[str, dict[str, float]]] = []
     for range_of in (widest, usual):  # a log that goes far leaves few knots where the others are
         shapes = {}
         for name, variable in plan:
@@ -91,7 +91,12 @@ def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | No
             shapes[name] = {"variable": variable, "low": low, "high": high}
             if name in (MOTOR, TORQUE):
                 shapes[name]["period"] = NO_PERIOD
-        fits.append(of_motors(left, shapes[MOTOR]) if MOTOR in shapes else tabled(left, shapes))
+        if shapes not in tried:
+            tried.append(shapes)
+    fits = [
+        of_motors(left, shapes[MOTOR]) if MOTOR in shapes else tabled(left, shapes)
+        for shapes in tried
+    ]
     return described(left, better(left, fits), variables, jobs)
 
 
@@ -160,11 +165,12 @@ def narrowed(model: Model) -> dict[str, dict[str, float]]:
     knots = np.abs([values[f"k{i}"] for i in range(KNOTS)])
     apart = values["period"] / (KNOTS - 1)
     # the longest quiet stretch, across the end of the period too, is left out
-    loud = np.flatnonzero(knots > QUIET * knots.max())
+    loud = np.flatnonzero(knots >= QUIET * knots.max())
     quiet = np.diff([*loud, loud[0] + KNOTS - 1])
     last = int(np.argmax(quiet))
     first = int(loud[(last + 1) % loud.size])
-    low, length = apart * (first - 1), apart * (KNOTS + 1 - int(quiet[last]))
+    low = apart * (first - 1)
+    length = min(values["period"], apart * (KNOTS + 1 - int(quiet[last])))
     shape = {key: x for key, x in values.items() if key in ("variable", "motors", "period")}
     return {name: {**shape, "low": low, "high": low + length}}
 

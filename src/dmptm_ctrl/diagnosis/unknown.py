@@ -300,9 +300,10 @@ def bursts(left: Residual) -> Bursts:
                     ]
                 )
             )
-    flag = np.concatenate(flags) if flags else np.zeros(0, bool)
-    share = float(flag.mean()) if flag.size else 0.0
-    period = interval(times)
+    if not flags:
+        return Bursts(0.0, ())
+    flag = np.concatenate(flags)
+    share, period = float(flag.mean()), interval(times)
     if share < BURSTS:
         return Bursts(share, (), period)
     variables = ["time"] if period > 0.0 else []
@@ -320,7 +321,7 @@ def onsets(times: Floats) -> Floats:
 
 
 def interval(times: Sequence[Floats]) -> float:
-    """Interval [s] at which bursts come from the start of each log; 0 if there is none."""
+    """Return the interval [s] at which bursts come from a log's start; 0 if there is none."""
     all_times = np.concatenate(list(times))
     if all_times.size < 6:
         return 0.0

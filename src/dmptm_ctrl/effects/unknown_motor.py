@@ -33,11 +33,11 @@ def table_motor(u, theta_m, omega_m, t, side, p):
     """Torque on the motor's shaft [N·m]."""
     if p.motors * (2 * side - 1) < 0.0:
         return 0.0
-    if p.variable > 6.5:
+    if p.variable == PATH:
         return abs(u) * looked_up(theta_m, p)
-    if p.variable > 5.5:
+    if p.variable == CLOCK:
         return u * looked_up(in_period(t, p), p)
-    if p.variable > 4.5:
+    if p.variable == BRAKING:
         return u * looked_up(omega_m if u > 0.0 else -omega_m, p)
     return u * looked_up(theta_m - 2.0 * pi * floor(theta_m / (2.0 * pi)), p)
 

@@ -24,9 +24,9 @@ from dmptm_ctrl.effects.lookup import (
 @njit
 def table_torque(theta_L, omega_L, t, p):
     """Torque on the ring gear [N·m]."""
-    if p.variable > 6.5:
+    if p.variable == DRAG:
         return omega_L * looked_up(theta_L, p)
-    if p.variable > 5.5:
+    if p.variable == CLOCK:
         return looked_up(in_period(t, p), p)
     return looked_up(motion_of_ring(theta_L, omega_L, t, p), p)
 

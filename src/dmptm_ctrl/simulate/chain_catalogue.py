@@ -39,7 +39,7 @@ SITES = {
     "drive": ("input", "u, t, 0"),
     "delay": ("input", "0"),
     "lag": ("input", "u, 0"),
-    "motor": ("body", "0.0, theta, omega, t, 0"),
+    "motor": ("body", "0.0, theta, omega, t, 0"),  # bodies of a chain know no voltage
     "load": ("body", "theta, omega, t"),
     "friction": ("body", "theta, omega, t, load, 2"),
     "presliding": ("body", "2"),

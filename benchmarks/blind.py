@@ -118,10 +118,13 @@ def floor(logs, repeats):
 
 def examine(case):
     """Diagnose a rig; the line of results.jsonl."""
-    logs, hidden, lowest, label = given(case)
-    line = {
-        "id": case.id,
-        "kind": case.kind,
+    line = {"id": case.id, "kind": case.kind, "strengths": dict(case.effects)}
+    line |= {"truth": list(line["strengths"]), "sensors": case.sensors, "seconds": 0.0}
+    try:
+        logs, hidden, lowest, label = given(case)
+    except ValueError as error:  # logs that the tool refuses to read
+        return line | failed(error)
+    line |= {
         "truth": list(label["effects"]),
         "strengths": label.get("strengths", {}),
         "truly_depends_on": label.get("depends_on", []),
@@ -134,11 +137,17 @@ def examine(case):
     try:
         line |= diagnosed(logs, hidden)
     except Exception as error:  # one bad rig must not end a campaign of hours; it counts as missed
-        line |= {"verdict": "failed", "effects": [], "failure": f"{type(error).__name__}: {error}"}
+        line |= failed(error)
     line["seconds"] = round(time.perf_counter() - start, 1)
     if line.get("hidden"):
         line["hidden"]["floor"] = lowest
     return line
+
+
+def failed(error):
+    """What is known of a rig that ended with an error."""
+    why = f"{type(error).__name__}: {error}"
+    return {"verdict": "failed", "effects": [], "failure": why}
 
 
 def diagnosed(logs, hidden):

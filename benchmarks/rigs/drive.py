@@ -5,7 +5,7 @@ import math
 from numba import njit
 
 from rigs.geometry import wrap
-from rigs.layout import SAG_UNTIL, SLEWED
+from rigs.layout import PLAYED, SAG_UNTIL, SLEWED
 from rigs.nominal import REDUCER_RATIO
 
 
@@ -18,6 +18,9 @@ def amplifier(p, m, side, u, time, step):
         limit = p.slew * step
         u = m[SLEWED + side] + min(limit, max(-limit, u - m[SLEWED + side]))
         m[SLEWED + side] = u
+    if p.play > 0.0:
+        u = min(u + p.play, max(u - p.play, m[PLAYED + side]))
+        m[PLAYED + side] = u
     if p.dead_band > 0.0:
         u = math.copysign(max(0.0, abs(u) - p.dead_band), u)
     u += p.offset[side]
@@ -31,6 +34,10 @@ def amplifier(p, m, side, u, time, step):
             u *= 1.0 - p.sag
     if p.cut_length > 0.0 and side == p.cut_motor and time >= p.cut_start:
         u *= (time - p.cut_start) % p.cut_period >= p.cut_length
+    if p.polarity > 0.0 and u < 0.0:
+        u *= 1.0 - p.polarity
+    if p.fade > 0.0:
+        u *= 1.0 - p.fade * (1.0 - math.exp(-time / p.fade_time))
     return u
 
 
@@ -44,6 +51,9 @@ def motor_torque(p, side, voltage, angle, speed):
         away = wrap(angle - p.dead_sector_place)
         if abs(away) < p.dead_sector_half:
             gain *= 1.0 - p.dead_sector
+    if p.torque_ripple > 0.0:
+        turned = p.torque_ripple_order * angle + p.torque_ripple_phase[side]
+        gain *= 1.0 + p.torque_ripple * math.cos(turned)
     if p.regeneration > 0.0:
         gain *= 1.0 - p.regeneration * 0.5 * (1.0 - math.tanh(voltage * speed / 0.5))
     torque = gain * voltage

@@ -40,7 +40,8 @@ GRABBED = 10  # 1 while the high-speed brake holds
 HOOKED = 11  # 1 while the hook is engaged
 SLIPPED = 12  # rad that the pinion turned on its hub, left, right
 TOOTH = 14  # N·m, mesh torque at the start of the step, left, right
-MEMORY = 16
+PLAYED = 16  # V, output of the play in the drive, left, right
+MEMORY = 18
 
 DETENTS = 24
 
@@ -90,5 +91,9 @@ FIELDS = [
     ("howl", "f8"), ("howl_order", "f8"), ("howl_phase", "f8"), ("howl_speed", "f8"),
     ("howl_width", "f8"),
     ("knock", "f8"), ("knock_period", "f8"), ("knock_length", "f8"), ("knock_start", "f8"),
+    ("fade", "f8"), ("fade_time", "f8"), ("polarity", "f8"), ("play", "f8"),
+    ("torque_ripple", "f8"), ("torque_ripple_order", "f8"), ("torque_ripple_phase", "f8", 2),
+    ("bump", "f8"), ("bump_speed", "f8"), ("bump_width", "f8"),
+    ("wall", "f8"), ("wall_place", "f8"), ("late_brake", "f8"), ("late_brake_time", "f8"),
 ]  # fmt: skip
 RECORD = np.dtype(FIELDS)

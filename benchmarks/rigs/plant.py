@@ -88,7 +88,7 @@ def derivative(time, y, dy, p, m, volts, mode, decide):
         p, m, time, ring, ring_speed, mean_voltage, y[SLOSH_ANGLE], y[SLOSH_SPEED]
     )
     scale = 1.0 + p.warm_ring * warmth
-    extra = extra_friction(p, m, ring, ring_speed)
+    extra = extra_friction(p, m, time, ring, ring_speed)
     if decide and p.law[RING] == KARNOPP and mode[RING] == 0.0:
         mode[RING] = breakaway(p, RING, net, scale, extra)
     drag, dy[BRISTLE + RING] = friction(

@@ -44,6 +44,10 @@ def external_torque(p, m, time, angle, speed, voltage, slosh, slosh_rate):
         x = (abs(speed) - p.howl_speed) / p.howl_width
         swing = math.cos(p.howl_order * angle + p.howl_phase)
         torque += p.howl * math.exp(-0.5 * x * x) * swing
+    if p.wall != 0.0:
+        past = wrap(angle) - p.wall_place
+        if past * p.wall_place > 0.0:
+            torque -= p.wall * past
     if p.knock != 0.0 and time >= p.knock_start:
         since = (time - p.knock_start) % p.knock_period
         if since < p.knock_length:
@@ -52,7 +56,7 @@ def external_torque(p, m, time, angle, speed, voltage, slosh, slosh_rate):
 
 
 @njit(inline="always")
-def extra_friction(p, m, angle, speed):
+def extra_friction(p, m, time, angle, speed):
     """Friction on top of Stribeck's [N·m], without direction."""
     extra = 0.0
     if p.position_friction != 0.0:
@@ -67,6 +71,11 @@ def extra_friction(p, m, angle, speed):
         extra += p.flash_rise * m[HEAT] / (m[HEAT] + p.flash_heat)
     if m[GRABBED] == 1.0:
         extra += p.grab
+    if p.bump != 0.0:
+        x = (abs(speed) - p.bump_speed) / p.bump_width
+        extra += p.bump * math.exp(-0.5 * x * x)
+    if time < p.late_brake_time:
+        extra += p.late_brake
     return extra
 
 

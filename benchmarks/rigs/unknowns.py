@@ -6,7 +6,7 @@ contract (`depends_on`), the decisive one first.
 
 import numpy as np
 
-from rigs.catalogue import between, near, phase
+from rigs.catalogue import between, near, phase, sign
 from rigs.layout import DETENTS
 from rigs.nominal import ARCMIN, DEG
 
@@ -145,6 +145,50 @@ def howl(p, rng, strength):
     return {"N_m": p.howl, "order": p.howl_order, "speed_deg_s": p.howl_speed / DEG}
 
 
+def fading_motors(p, rng, strength):
+    """Both motors lose torque in the course of a log."""
+    p.fade, p.fade_time = min(0.8, near(rng, 0.12 * strength)), between(rng, 1.0, 5.0)
+    return {"share": p.fade, "time_constant_s": p.fade_time}
+
+
+def weak_polarity(p, rng, strength):
+    """The drive gives less torque for negative commands."""
+    p.polarity = min(0.9, near(rng, 0.06 * strength))
+    return {"share": p.polarity}
+
+
+def command_play(p, rng, strength):
+    """The drive follows its command with play, as through a worn linkage."""
+    p.play = near(rng, 0.03 * strength)
+    return {"half_width_V": p.play}
+
+
+def torque_ripple(p, rng, strength):
+    """The torque of each volt ripples over the motor's turn."""
+    p.torque_ripple = min(0.9, near(rng, 0.12 * strength))
+    p.torque_ripple_order, p.torque_ripple_phase = int(rng.integers(2, 13)), phase(rng, 2)
+    return {"share": p.torque_ripple, "order": p.torque_ripple_order}
+
+
+def speed_bump(p, rng, strength):
+    """The ring gear's friction is higher around one speed."""
+    p.bump, p.bump_speed = near(rng, 4.0 * strength), rng.uniform(5, 12) * DEG
+    p.bump_width = rng.uniform(0.15, 0.3) * p.bump_speed
+    return {"N_m": p.bump, "speed_deg_s": p.bump_speed / DEG}
+
+
+def soft_wall(p, rng, strength):
+    """Beyond one angle a spring pushes the ring gear back."""
+    p.wall, p.wall_place = near(rng, 20.0 * strength), sign(rng) * rng.uniform(5, 20) * DEG
+    return {"N_m_rad": p.wall, "place_deg": p.wall_place / DEG}
+
+
+def late_brake(p, rng, strength):
+    """A brake drags on the ring gear for the first seconds of each log."""
+    p.late_brake, p.late_brake_time = near(rng, 5.0 * strength), rng.uniform(0.8, 2.5)
+    return {"N_m": p.late_brake, "length_s": p.late_brake_time}
+
+
 UNKNOWN = {
     effect.__name__: (effect, variables)
     for effect, variables in (
@@ -166,5 +210,12 @@ UNKNOWN = {
         (knocks, ("time",)),
         (coarse_command, ("u",)),
         (howl, ("theta_L", "omega_L")),
+        (fading_motors, ("time", "u")),
+        (weak_polarity, ("u",)),
+        (command_play, ("u", "du_dt")),
+        (torque_ripple, ("theta_m", "u")),
+        (speed_bump, ("omega_L",)),
+        (soft_wall, ("theta_L",)),
+        (late_brake, ("time", "omega_L")),
     )
 }

@@ -174,6 +174,31 @@ def test_presliding_is_dahls_curve(coulomb, method, options, tolerance):
 
 
 @pytest.mark.parametrize(("method", "options", "tolerance"), METHODS)
+def test_viscous_friction_that_acts_at_once_needs_no_distance(coulomb, method, options, tolerance):
+    """Without dry friction, ω = T/B (1 − e^(−Bt/J)); built up over a distance it comes later."""
+    damping = 4.0
+    dry = {f"T3{kind}_{way}": 0.0 for kind in "sc" for way in ("plus", "minus")}
+    model = coulomb.with_values(B3_plus=damping, B3_minus=damping, **dry)
+    drive = model.drive
+    torque = drive["N_1"] * drive["K_d"] * drive["K_M"] * 0.05
+    inertia = drive["J_2"] + drive["N_1"] ** 2 * drive["J_m"]
+    time = DT * np.arange(41)
+    u = np.full((2, time.size), 0.05)
+
+    def angle(share):
+        values = {"reducer_distance": 2e-3, "viscous_at_once": share}
+        there = model.with_effect("presliding", **values)
+        found = simulate(there, time, u, np.zeros(6), method=method, **options).outputs
+        return found[OUTPUTS.index("theta_ml")] / drive["N_1"]
+
+    tau = inertia / damping
+    expected = torque / damping * (time - tau * (1.0 - np.exp(-time / tau)))
+    assert expected[-1] < 0.9 * drive["gap_r"]
+    np.testing.assert_allclose(angle(1.0), expected, atol=max(tolerance * expected[-1], 1e-10))
+    assert angle(0.0)[-1] > 1.1 * expected[-1]
+
+
+@pytest.mark.parametrize(("method", "options", "tolerance"), METHODS)
 def test_a_rest_makes_breaking_away_harder(method, options, tolerance):
     """A ramp from rest breaks away when it meets Ts + rise log(1 + t/time)."""
     rise, time_constant, ramp = 8.0, 0.02, 400.0  # N·m, s, N·m/s at the ring gear

@@ -54,6 +54,16 @@ def test_motors_that_would_take_energy_out_of_friction(columns):
         load(columns)
 
 
+def test_a_late_drive_that_swings_against_its_commands_is_no_mistake():
+    t = 1e-3 * np.arange(6000)
+    omega = 15.0 * np.sin(2 * np.pi * 1.5 * t)  # deg/s, a limit cycle
+    late = np.where(t < 0.1, 1.0, -np.sin(2 * np.pi * 1.5 * t + 0.6))  # volts that lead it by far
+    columns = {"time_s": t, "omega_L_deg_s": omega, "theta_L_deg": np.cumsum(omega) * 1e-3}
+    columns |= {"u_left_V": late, "u_right_V": late}
+    assert np.corrcoef(late, omega)[0, 1] < -0.5
+    load(columns)
+
+
 def test_a_sensor_gain_is_for_the_diagnosis(columns):
     columns["omega_L_deg_s"] = 1.3 * columns["omega_L_deg_s"]
     assert load(columns).warnings == ()

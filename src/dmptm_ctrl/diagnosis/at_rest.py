@@ -1,40 +1,37 @@
 """What acts near rest, where the balances do not look: tried in the simulator.
 
-Balances count windows in which everything slides; pre-sliding shows as bodies come to rest
-and break away. On a machine that obeys the model's laws otherwise, it alone lets the model keep
-step with the first tenths of a second of each log. Elsewhere a free run of the held-out logs
-tells it from a friction law that is only a little softer than the declared one.
+Balances count windows in which everything slides; pre-sliding shows as bodies leave rest. Each
+log begins there: within its first tenth of a second, before chance has a say, bristles let the
+drive give way at once where friction that sticks holds it. Under every law of contact and of
+friction that takes off most of what the model misses there, and no other effect does.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from dmptm_ctrl.diagnosis.augment import widened
-from dmptm_ctrl.diagnosis.measure import Measured
+from dmptm_ctrl.diagnosis.race import entrant
 from dmptm_ctrl.diagnosis.rattle import rattled
-from dmptm_ctrl.diagnosis.residual import LEAD_HZ, Residual
-from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, SECONDS, lost
+from dmptm_ctrl.diagnosis.residual import Residual
+from dmptm_ctrl.diagnosis.runoff import lost, run, starts
+from dmptm_ctrl.diagnosis.trace import unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import fit_balance
-from dmptm_ctrl.identify.fit import Fit, Misfit, Unknown, effect_unknowns, fit
-from dmptm_ctrl.identify.lock import LOOSE, Locked, cut, lock
-from dmptm_ctrl.identify.records import RING_COUNT, Record
+from dmptm_ctrl.identify.fit import Fit, Known, Unknown
+from dmptm_ctrl.identify.lock import LOOSE, UNEASY, Seeker, cut, lock
+from dmptm_ctrl.identify.records import RING_COUNT
 from dmptm_ctrl.simulate.model import Model
 
 NAME = "presliding"
-STARTS = (0.2, 1.0)  # of each distance, in its step
-STRIDES = (0.5, 2.0, 8.0)  # the same, from which it tries to keep step
-FIRST_SECONDS = 0.1  # of each log, on which the best of them is found
-FAINT_SECONDS = 0.05  # for which it does at least before the meshes' damping is told anew
-ITERATIONS = 6
-# Any real contact pre-slides a little: a common friction law with bristles lets that take off
-# up to half of the misfit, by distances of one or two counts of the ring encoder. An effect
-# takes off this share, on fitted and held-out logs, by distances beyond those.
-SHARE = 0.1
+STRIDES = (0.5, 2.0, 8.0)  # of each distance, in its step, from which they are fitted
+FIRST_SECONDS = (0.03, 0.05, 0.1)  # of each log, one after another
+FAINT_SECONDS = 0.05  # for which a model with a little of it keeps step
+# Of what the model misses at first, on fitted and on held-out logs, pre-sliding takes off 0.5 to
+# 0.9, whatever the laws of the rig; where it is something else, less than 0.3.
+SHARE = 0.4
+# Any real contact pre-slides a little: common bristles bend by one or two counts of the ring
+# encoder. An effect bends by more.
 MATTERS = 3 * RING_COUNT
-LEAST = 70.0  # fall of the misfit beyond that, fitted and held-out logs together
+LEAST = 70.0  # fall of the loss on fitted and held-out logs together
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +41,11 @@ class AtRest:
     Attributes
     ----------
     gain, held_gain : float
-        Fall of the misfit, in variances, on fitted and held-out logs.
+        Fall of the loss on fitted and held-out logs.
     shares : (float, float)
-        The same, of the whole misfit.
+        The same, of the whole loss there.
     fit : Fit
-        Without pre-sliding where any amount of it only harms.
+        With it; without where nothing is missing at first.
     in_step : float
         Seconds for which it keeps step where the model without it does not; 0 if neither does.
     """
@@ -61,22 +58,63 @@ class AtRest:
 
     @property
     def evidence(self) -> float:
-        """Fall of the misfit on all logs beyond what a softer friction law would give."""
-        if travel(self.fit) < MATTERS:
-            return 0.0
-        if self.in_step > 0.0:
-            return self.gain + self.held_gain
-        parts = zip((self.gain, self.held_gain), self.shares, strict=True)
-        return max(0.0, sum(gain * (1.0 - SHARE / share) for gain, share in parts if share > 0.0))
+        """Fall of the loss on all logs; none by less than any friction gives way."""
+        return self.gain + self.held_gain if travel(self.fit) >= MATTERS else 0.0
 
     @property
     def convincing(self) -> bool:
         """Whether it is more than a friction law that is a little softer than the declared."""
-        return min(self.shares) > SHARE and self.evidence > LEAST
+        told = self.in_step > 0.0 or min(self.shares) > SHARE
+        return told and self.evidence > LEAST
 
 
-def presliding(left: Residual, before: Fit, jobs: int) -> AtRest:
-    """Add pre-sliding to a fitted model.
+def presliding(left: Residual, jobs: int) -> AtRest:
+    """Fit pre-sliding to the first tenth of a second of the logs, which begin at rest.
+
+    Parameters
+    ----------
+    left : Residual
+        What the model without it leaves.
+    """
+    bare, own = left.base.model, unknowns_of(NAME)
+    without = sought(left, bare, (), jobs)
+    if without.level < UNEASY:  # nothing is missing there
+        return AtRest(0.0, 0.0, (0.0, 0.0), fitted(without))
+    sized_ones = [sought(left, sized(NAME, bare, size), own, jobs) for size in STRIDES]
+    best = min(sized_ones, key=lambda one: one.level)
+    parts = starts((left.measured.fit, left.measured.held), FIRST_SECONDS[-1])
+    one, other = (run(parts, seeker.there, jobs) for seeker in (without, best))
+    gains = one.fitted - other.fitted, one.held - other.held
+    return AtRest(*gains, (gains[0] / one.fitted, gains[1] / one.held), fitted(best))
+
+
+def sought(left: Residual, model: Model, own: tuple[Unknown, ...], jobs: int) -> Seeker:
+    """Fit a model to the first hundredths of a second of the logs, then to the next."""
+    model, unknowns, known = told(left, model, own, jobs)
+    seeker = entrant(None, model, unknowns, known, ())
+    for seconds in FIRST_SECONDS:
+        seeker.go([cut(rec, seconds) for rec in left.measured.fit], jobs)
+        seeker.settle()
+    return seeker
+
+
+def told(
+    left: Residual, model: Model, own: tuple[Unknown, ...], jobs: int
+) -> tuple[Model, tuple[Unknown, ...], Known]:
+    """Return a model and what is known of it: of friction by balances, of damping by the rattle."""
+    start = fit_balance(left.balance, model, left.base.unknowns)
+    fit = rattled(left.measured.fit, start, left.measured.drive, jobs)
+    known = widened(fit.p, LOOSE * fit.covariance, len(own))
+    return fit.model, (*fit.unknowns, *own), known
+
+
+def fitted(seeker: Seeker) -> Fit:
+    """Where a seeker is."""
+    return Fit(seeker.there, seeker.unknowns, seeker.places[0], seeker.covariance, 0.0)
+
+
+def a_little(left: Residual, before: Fit, shown: AtRest, jobs: int) -> AtRest | None:
+    """Return pre-sliding with which a model keeps step and without which it does not.
 
     Parameters
     ----------
@@ -84,62 +122,22 @@ def presliding(left: Residual, before: Fit, jobs: int) -> AtRest:
         What the model without it leaves.
     before : Fit
         That model, refitted inside the simulator.
+    shown : AtRest
+        What the first tenth of a second tells of it.
     """
-    if before.horizon >= KEEPS_SECONDS:  # nothing is missing near rest
-        return AtRest(0.0, 0.0, (0.0, 0.0), before)
-    kept = keeping_step(left, before, jobs)
-    return kept or by_misfit(left.measured, before, jobs)
-
-
-def keeping_step(left: Residual, before: Fit, jobs: int) -> AtRest | None:
-    """Add pre-sliding if the model keeps step with it, and not without."""
     whole = left.measured.fit, left.measured.held
-    starts, first = ([cut(rec, h) for rec in whole[0]] for h in (SECONDS, FIRST_SECONDS))
-    bare = left.base.model
-    strides = [stride(left, sized(NAME, bare, size), first, jobs) for size in STRIDES]
-    best, unknowns = max(strides, key=lambda found: found[0].lasts())
-    if best.horizon < FAINT_SECONDS:
-        return None
     # the rattle told the meshes' damping with friction of another size; now once more
-    again, _ = stride(left, best.model, starts, jobs)
-    best = max(best, again, key=Locked.lasts)
-    found = lost(whole, before.model, best.model, (FAINT_SECONDS, best.horizon), jobs)
-    if found is None:
+    model, unknowns, known = told(left, shown.fit.model, unknowns_of(NAME), jobs)
+    # where it cannot keep step, another start would not either
+    kept = lock(whole[0], model, unknowns, known, jobs=jobs, anew=False)
+    ahead = lost(whole, before.model, kept.model, (FAINT_SECONDS, kept.horizon), jobs)
+    if ahead is None:
         return None
-    _, without, with_it = found
+    _, without, with_it = ahead
     gains = without.fitted - with_it.fitted, without.held - with_it.held
     shares = gains[0] / without.fitted, gains[1] / without.held
-    done = Fit(best.model, unknowns, best.p, best.covariance, best.horizon)
-    return AtRest(*gains, shares, done, best.horizon)
-
-
-def stride(
-    left: Residual, model: Model, records: Sequence[Record], jobs: int
-) -> tuple[Locked, tuple[Unknown, ...]]:
-    """Keep step with pre-sliding from a size on.
-
-    What the balances know of friction, and the rattle of the meshes' damping, they know beside it.
-    """
-    measured, own = left.measured, effect_unknowns(NAME)
-    start = fit_balance(left.balance, model, left.base.unknowns)
-    fit = rattled(measured.fit, start, measured.drive, jobs)
-    known = widened(fit.p, LOOSE * fit.covariance, len(own))
-    unknowns = (*fit.unknowns, *own)
-    # other sizes are tried already; to begin anew with each would take most of a diagnosis
-    return lock(records, fit.model, unknowns, known, jobs=jobs, anew=False), unknowns
-
-
-def by_misfit(measured: Measured, before: Fit, jobs: int) -> AtRest:
-    """Add pre-sliding by the misfit of whole free runs."""
-    misfit = weighed(measured.fit, before, jobs)
-    held = weighed(measured.held, before, jobs)
-    cost, held_cost = misfit.square(before.model), held.square(before.model)
-    starts = [misfit.square(sized(NAME, before.model, size)) for size in STARTS]
-    if min(starts) > cost:  # any amount only harms: there is nothing to fit
-        return AtRest(0.0, 0.0, (0.0, 0.0), before)
-    best = started(misfit, before, STARTS[int(np.argmin(starts))])
-    gain, held_gain = cost - misfit.square(best.model), held_cost - held.square(best.model)
-    return AtRest(gain, held_gain, (gain / cost, held_gain / held_cost), best)
+    fit = Fit(kept.model, unknowns, kept.p, kept.covariance, kept.horizon)
+    return AtRest(*gains, shares, fit, kept.horizon)
 
 
 def travel(of: Fit) -> float:
@@ -150,24 +148,8 @@ def travel(of: Fit) -> float:
     return max(values["ring_distance"], values["reducer_distance"] / of.model.drive["N_2"])
 
 
-def weighed(records: Sequence[Record], before: Fit, jobs: int) -> Misfit:
-    """Misfit on records with the scales that a model leaves there."""
-    misfit = Misfit(records, LEAD_HZ, jobs)
-    misfit.weigh(before.model)
-    return misfit
-
-
 def sized(name: str, model: Model, size: float) -> Model:
     """Return the model with an effect of a size, in the steps of its amplitudes."""
     own = CATALOGUE[name]
     steps = {p.name: p.step for p in own.parameters}
     return model.with_effect(name, **{a: size * steps[a] for a in own.amplitudes})
-
-
-def started(misfit: Misfit, before: Fit, size: float) -> Fit:
-    """Fit pre-sliding from a size of its distances, and the rest from what is known."""
-    own = effect_unknowns(NAME)
-    known = widened(before.p, before.covariance, len(own))
-    model = sized(NAME, before.model, size)
-    unknowns = (*before.unknowns, *own)
-    return fit(misfit, model, unknowns, iterations=ITERATIONS, known=known)

@@ -9,11 +9,12 @@ beside the first effect on rigs that lack one (`benchmarks/blind.py`).
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.at_rest import AtRest
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, residual
 from dmptm_ctrl.diagnosis.tables import Tables, clock_table, tabulate
-from dmptm_ctrl.diagnosis.trace import Trial, trace, unknowns_of
+from dmptm_ctrl.diagnosis.trace import BY_SIMULATOR, Trial, trace, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import BURSTS, CURVE, Unexplained, unexplained
 from dmptm_ctrl.identify.fit import drive_unknowns
 from dmptm_ctrl.simulate.model import Model
@@ -25,8 +26,9 @@ SECOND_SHARE = 0.01
 MAX_EFFECTS = 2
 SLACK = 10.0  # by which an effect may miss on the held-out logs, which need not show it
 HOPE = 0.2  # share of the first effect's evidence from which it may lose its place to another
-# A soft reducer rings after each impact, faster than the windows follow: factor on what is left.
-RINGS = 3.0
+# Factors on what may be left: a soft reducer rings after each impact, faster than the windows
+# follow; bristles carry more than the declared friction does near rest.
+LEAVES = {"reducer_compliance": 3.0, at_rest.NAME: 2.0}
 SUREST = 0.995  # probability of a name
 RIVAL = 0.4  # share of the winner's evidence from which a candidate is named with it
 
@@ -118,12 +120,53 @@ def adopt(measured: Measured, trial: Trial, jobs: int) -> Residual:
 
 def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decision:
     """Add effects one after another while the logs demand them."""
-    measured = left.measured
+    decision = by_balances(left, None, skip, jobs)
+    shown = at_rest.presliding(decision.after, jobs)
+    if shown.convincing:
+        # what the balances called it without knowing of it does not count
+        rested = slid(left, shown, jobs)
+        trial = Trial(at_rest.NAME, shown.gain, shown.held_gain, rested.base)
+        found = Found(at_rest.NAME, shown.evidence, at_rest.LEAST, trial, ())
+        decision = by_balances(left, (found, rested), skip, jobs)
+    decision.at_rest = shown
+    if decision.unexplained is not None:
+        put_into_tables(decision, jobs)
+    if decision.tables is not None:
+        decision.after = decision.tables.left
+    return decision
+
+
+def slid(left: Residual, shown: AtRest, jobs: int) -> Residual:
+    """Fit balances beside pre-sliding.
+
+    They tell whether viscous friction is built up over a distance with the rest, or acts at once.
+    """
+    name, unknowns = at_rest.NAME, left.base.unknowns
+    values = shown.fit.model.effects[name]
+    fits = [
+        residual(
+            left.measured,
+            left.base.model.with_effect(name, **{**values, "viscous_at_once": share}),
+            unknowns=unknowns,
+            jobs=jobs,
+        )
+        for share in (0.0, 1.0)
+    ]
+    return min(fits, key=lambda one: one.base.loss + one.held_base)
+
+
+def by_balances(
+    left: Residual, known: tuple[Found, Residual] | None, skip: Sequence[str], jobs: int
+) -> Decision:
+    """Add effects while the balances demand them, perhaps beside one that is known already."""
+    measured, threshold = left.measured, FIRST
     decision = Decision(left, left)
-    trials = trace(left, skip)
+    if known is not None:
+        first, decision.after = known
+        decision.found, threshold = [first], SECOND
+    trials = trace(decision.after, skip)
     decision.trials = {t.name: t for t in trials}
     decision.rest = trials
-    threshold = FIRST
     while len(decision.found) < MAX_EFFECTS:
         winner = winner_of(trials, threshold)
         if winner is None:
@@ -135,17 +178,13 @@ def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decisi
         trials = trace(decision.after, skip)
         decision.rest = trials
         threshold = max(SECOND, SECOND_SHARE * decision.found[0].evidence)
-    if len(decision.found) == 2:
+    if len(decision.found) == 2 and known is None:
         reconsider(decision, skip, jobs)
     decision.unexplained = remainder(decision)
     if decision.unexplained is not None and len(decision.found) == 1:
         name_instead(decision, jobs)
     if decision.unexplained is not None and decision.unexplained.beyond_names:
         decision.found, decision.after = [], decision.before
-    if decision.unexplained is not None:
-        put_into_tables(decision, jobs)
-    if decision.tables is not None:
-        decision.after = decision.tables.left
     return decision
 
 
@@ -180,7 +219,7 @@ def found_among(trials: Sequence[Trial], winner: Trial, threshold: float) -> Fou
 def remainder(decision: Decision) -> Unexplained | None:
     """Tell what the effects that were found leave."""
     explained = sum(found.evidence for found in decision.found)
-    leave = RINGS if decision.is_found("reducer_compliance") else 1.0
+    leave = max([1.0, *(LEAVES.get(found.name, 1.0) for found in decision.found)])
     return unexplained(decision.before, decision.after, explained, leave=leave)
 
 
@@ -206,7 +245,8 @@ def withdraw(decision: Decision, jobs: int) -> None:
     for found in decision.found:
         values = decision.after.base.model.effects[found.name]
         model = model.with_effect(found.name, **values)
-        unknowns = (*unknowns, *unknowns_of(found.name))
+        if found.name not in BY_SIMULATOR:
+            unknowns = (*unknowns, *unknowns_of(found.name))
     decision.after = decision.before
     if decision.found:
         decision.after = residual(decision.before.measured, model, unknowns=unknowns, jobs=jobs)

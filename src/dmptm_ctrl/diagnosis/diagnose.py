@@ -30,7 +30,7 @@ from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.trace import WITHOUT_TWIST, Trial, unknowns_of
-from dmptm_ctrl.diagnosis.unknown import Unexplained, astray, unexplained
+from dmptm_ctrl.diagnosis.unknown import Unexplained, astray
 from dmptm_ctrl.diagnosis.unseen import AGEING, Shown, unseen
 from dmptm_ctrl.diagnosis.unseen import LEAST as LEAST_UNSEEN
 from dmptm_ctrl.diagnosis.unseen import SUREST as UNSEEN_SURE
@@ -48,7 +48,6 @@ WORSE = 1.2
 # deg/s on held-out logs; the worst of 39 rigs that lack nothing has 0.17. No balance may
 # close so well that a model which predicts no better is right.
 ASTRAY = 0.45
-LEAVE = 2.0  # of what counts as unexplained, beside pre-sliding
 LITTLE = 0.01  # deg/s
 BY_KEEPING_STEP = (at_rest.NAME, AGEING, *WITHOUT_TWIST)  # what balances may tell nothing of
 NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity", "mesh_error")
@@ -98,7 +97,7 @@ def diagnose(
     before = augment(measured.fit, left.base, declared, jobs=jobs)
     after = before
     if decision.after is not left:
-        after = augment(measured.fit, decision.after.base, declared, jobs=jobs)
+        after = refit(decision, jobs)
     held = measured.held_logs
     without = speed_error(before.model.without(model.effects), held)
     after = told_apart(decision, after, jobs, seed)
@@ -169,20 +168,20 @@ def told_apart(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
             decision.after = residual(measured, told.model, unknowns=unknowns, jobs=jobs)
         if told.better is not None or told.seconds > after.horizon:
             near = replace(after, model=told.model, horizon=told.seconds)
-            after = augment_near(decision, near, jobs)
+            after = refit(decision, jobs, near)
         decision.found[i] = replace(found, out_of_step=told.out)
     return after
 
 
 def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log], jobs: int) -> Fit:
     """Withdraw what makes the free run of the held-out logs go astray."""
-    tables, measured = decision.tables, decision.before.measured
+    tables = decision.tables
     if tables is not None and speed_error(after.model, held)["rmse"] > without:
         decision.tables, decision.after = None, tables.beside
-        after = augment(measured.fit, decision.after.base, measured.drive, jobs=jobs)
+        after = refit(decision, jobs)
     while decision.found and speed_error(after.model, held)["rmse"] > WORSE * without + LITTLE:
         withdraw(decision, jobs)
-        after = augment(measured.fit, decision.after.base, measured.drive, jobs=jobs)
+        after = refit(decision, jobs)
     return after
 
 
@@ -203,11 +202,11 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     found = Found(shown.name, shown.evidence, LEAST, trial, (), shown.seconds)
     decision.found.append(found)
     near = replace(after, model=shown.model, horizon=shown.seconds)
-    return augment_near(decision, near, jobs)
+    return refit(decision, jobs, near)
 
 
-def augment_near(decision: Decision, near: Fit, jobs: int) -> Fit:
-    """Refit what was found from where a model keeps step already."""
+def refit(decision: Decision, jobs: int, near: Fit | None = None) -> Fit:
+    """Refit what was found inside the simulator, from where a model keeps step already if so."""
     measured, base = decision.before.measured, decision.after.base
     beside = beside_balances(base)
     return augment(measured.fit, base, measured.drive, beside=beside, near=near, jobs=jobs)
@@ -221,33 +220,29 @@ def beside_balances(base: BalanceFit) -> tuple[Unknown, ...]:
 
 
 def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
-    """Add pre-sliding, which only the simulator can tell, if it leaves nothing unexplained.
+    """Add the little pre-sliding of any friction, if the model keeps step by it.
 
-    Less of it than an effect, with which the model keeps step, is in it without being named.
+    It is in the model without being named, unless it turns out to be more.
     """
-    if decision.tables is not None or len(decision.found) == MAX_EFFECTS:
+    full = len(decision.found) == MAX_EFFECTS or decision.is_found(at_rest.NAME)
+    if full or after.horizon >= KEEPS_SECONDS or decision.unexplained is not None:
         return after
-    measured = decision.before.measured
-    shown = at_rest.presliding(decision.after, after, jobs)
-    decision.at_rest = shown
-    if not shown.convincing and (not shown.in_step or decision.unexplained is not None):
+    first = decision.at_rest
+    if first is None or at_rest.NAME not in first.fit.model.effects:
         return after
-    unknowns = decision.after.base.unknowns
-    moved = residual(measured, shown.fit.model, unknowns=unknowns, jobs=jobs)
-    if decision.unexplained is not None:
-        named = shown.evidence + sum(found.evidence for found in decision.found)
-        if unexplained(decision.before, moved, named, leave=LEAVE) is not None:
-            return after
-        decision.unexplained = None
-    without, fit = decision.after, shown.fit
-    decision.after = moved
-    if shown.in_step:
-        fit = augment_near(decision, fit, jobs)
+    shown = at_rest.a_little(decision.after, after, first, jobs)
+    if shown is None:
+        return after
+    measured, without = decision.before.measured, decision.after
+    unknowns = without.base.unknowns
+    decision.after = residual(measured, shown.fit.model, unknowns=unknowns, jobs=jobs)
+    fit = refit(decision, jobs, shown.fit)
     if not shown.convincing and fit.horizon < KEEPS_SECONDS:
         decision.after = without
         return after
     if shown.convincing:
-        trial = Trial(at_rest.NAME, shown.gain, shown.held_gain, moved.base)
+        decision.at_rest = shown
+        trial = Trial(at_rest.NAME, shown.gain, shown.held_gain, decision.after.base)
         found = Found(at_rest.NAME, shown.evidence, at_rest.LEAST, trial, (), shown.in_step)
         decision.found.append(found)
     return fit
@@ -267,7 +262,7 @@ def uncovered(
     model = beside.base.model.with_effect(shown.name, **shown.fit.model.effects[shown.name])
     left = replace(beside, base=replace(beside.base, model=model))
     decision.after = left
-    fit = augment_near(decision, shown.fit, jobs)
+    fit = refit(decision, jobs, shown.fit)
     better = speed_error(fit.model, held)["rmse"] <= without
     if shown.name != AGEING:
         if not better:  # another one of its kind can meet the first landings too

@@ -45,11 +45,14 @@ class Residual:
 
 def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: int) -> Balance:
     """Prepare balances; without motor encoders `model` tells which pinions touch."""
-    runs = None
-    if any(rec.twist is None for rec in records):
-        runs = Misfit(records, LEAD_HZ, jobs).runs(model)
-    balance = Balance(motions(records, model, runs), declared, jobs)
-    if not any(equation.used.any() for equation in balance.equations):
+    simulated = any(rec.twist is None for rec in records)
+    # a model that never touches with both is wrong about it: the declared one then tells
+    for tells in (model, declared) if simulated else (model,):
+        runs = Misfit(records, LEAD_HZ, jobs).runs(tells) if simulated else None
+        balance = Balance(motions(records, model, runs), declared, jobs)
+        if balance.equations:
+            break
+    else:
         names = ", ".join(rec.name for rec in records)
         raise LogError(
             f"nothing to diagnose in {names}: at no time does the drive move one way with both "

@@ -13,6 +13,7 @@ from dmptm_ctrl.effects.lookup import (
     CLOCK,
     DRAG,
     KNOTS,
+    LONGEST,
     PATH,
     SPEED,
     TIME,
@@ -40,10 +41,10 @@ PLANS: dict[tuple[str, ...], tuple[tuple[str, float], ...]] = {
     ("omega_L",): ((TORQUE, SPEED),),
     ("u",): ((VOLTS, VOLTAGE),),
     ("time",): ((FRICTION, TIME), (TORQUE, TIME)),
+    ("time", "u"): ((MOTOR, CLOCK),),
     ("omega_L", "time"): ((FRICTION, TIME),),
 }
 ALONE = 1.1  # times what a table of both motors explains, from which one of one goes before it
-NO_PERIOD = 1.0  # s, of a table that is not over the clock: any
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,7 @@ def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | No
             low, high = range_of(left.balance.motions, variable)
             shapes[name] = {"variable": variable, "low": low, "high": high}
             if name in (MOTOR, TORQUE):
-                shapes[name]["period"] = NO_PERIOD
+                shapes[name]["period"] = LONGEST
         if shapes not in tried:
             tried.append(shapes)
     fits = [

@@ -22,6 +22,7 @@ WITHOUT_TWIST = (*NEEDS_TWIST, "reducer_compliance")  # unseen without motor enc
 BY_SIMULATOR = ("presliding",)  # it acts near rest, where the balances do not look
 BY_SENSORS = ("sensor_gain", "sensor_delay", "encoder_eccentricity")
 FIXED_SHAPES = {  # whole numbers
+    "presliding": ("viscous_at_once",),
     "cogging": ("order",),
     "position_dependent_friction": ("order",),
     "torque_constant_mismatch": ("pattern",),

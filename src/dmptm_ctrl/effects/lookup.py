@@ -20,6 +20,7 @@ ANGLE, SPEED, TIME, VOLTAGE = 0.0, 1.0, 2.0, 3.0  # values of `variable`
 TURN, BRAKING, CLOCK, PATH = 4.0, 5.0, 6.0, 7.0
 DRAG = 8.0  # angle again, of what is multiplied by the speed
 WIDEST = 60.0  # rad, rad/s, s or V: no log goes further
+LONGEST = 1e4  # s, a period that no log comes to the end of: the time in it is that in the log
 
 
 def table_type(name: str, *more: str) -> type[Any]:
@@ -50,7 +51,7 @@ def table_parameters(
 
 def period_parameter() -> Parameter:
     """Return the period of a table over the clock."""
-    return Parameter("period", "s", 0.01, WIDEST, 0.01, (0.03,))
+    return Parameter("period", "s", 0.01, LONGEST, 0.01, (0.03,))
 
 
 @njit

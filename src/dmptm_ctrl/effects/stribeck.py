@@ -35,6 +35,13 @@ def breakaway_torque(direction, p):
 
 
 @njit
+def viscous_torque(omega, direction, p):
+    """Magnitude of the part of friction that grows with speed [N·m]; as `sliding_torque`."""
+    viscous = p.viscous_plus if direction > 0.0 else p.viscous_minus
+    return viscous * max(omega * direction, 0.0)
+
+
+@njit
 def sliding_torque(omega, direction, p):
     """Magnitude of friction [N·m] at speed `omega` [rad/s], branch chosen by `direction`."""
     if direction > 0.0:

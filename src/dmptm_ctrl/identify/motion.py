@@ -18,6 +18,7 @@ from dmptm_ctrl.simulate.model import Floats, Model
 
 WINDOW_SECONDS = 0.04  # of φ: averages the 231 Hz mode out, passes 25 Hz
 SMOOTH_SECONDS = 0.012  # of the speeds that friction is evaluated at
+SETTLED = 5.0  # distances of pre-sliding after a reversal, from which friction is that of sliding
 CREEP = np.deg2rad(0.3)  # rad/s of the ring gear; slower, friction is not a function of speed
 QUIET = np.deg2rad(0.4 / 60)  # rad, standard deviation of z in a window: rattling pinions exceed it
 NEAR = 0.4  # of the half-gap; closer to the middle nothing touches
@@ -121,6 +122,14 @@ def one_way(speed: Floats, least: float, m: int, starts: np.ndarray) -> np.ndarr
     return np.asarray((view[:, 0] != 0) & (view == view[:, :1]).all(1))
 
 
+def travelled(angle: Floats, speed: Floats) -> Floats:
+    """Angle since the speed last changed its sign."""
+    turned = np.flatnonzero(np.diff(np.sign(speed))) + 1
+    last = np.zeros(angle.size, int)
+    last[turned] = turned
+    return np.asarray(np.abs(angle - angle[np.maximum.accumulate(last)]))
+
+
 def corrected(rec: Record, model: Model) -> Record:
     """Take the model's sensor effects off the readings, to first order."""
     _, on, values = model.arrays()
@@ -217,6 +226,12 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
         slides &= one_way(speed[:, 1], n2 * CREEP, m, starts)
     else:
         slides &= touches.all(1)
+    _, on, values = model.arrays()
+    bristles = engine().presliding_law
+    for body, angle in enumerate((run[:, 2] / n1, run[:, 3] / n1, rec.theta)):
+        settled = SETTLED * bristles(body, on, values)[0]
+        if settled > 0.0:
+            slides &= (travelled(angle, omega) > settled)[starts]
     return Motion(rec, model, run, speed, window, starts, ring, acceleration, slides, touches)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
+from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque, viscous_torque
 from dmptm_ctrl.identify.motion import Motion, odd_span, readings, second_difference, smooth
 from dmptm_ctrl.simulate.compose import engine, layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
@@ -37,6 +37,14 @@ def friction_along(speed: Floats, law: Stribeck, out: Floats) -> None:
     for i in range(speed.size):
         direction = 1.0 if speed[i] > 0.0 else -1.0
         out[i] = -direction * sliding_torque(speed[i], direction, law)
+
+
+@njit(nogil=True)
+def viscous_along(speed: Floats, law: Stribeck, out: Floats) -> None:
+    """Viscous part of the same."""
+    for i in range(speed.size):
+        direction = 1.0 if speed[i] > 0.0 else -1.0
+        out[i] = -direction * viscous_torque(speed[i], direction, law)
 
 
 @njit(nogil=True)
@@ -119,15 +127,23 @@ class Windowed:
             return np.zeros(1)
         return np.asarray((now - then) @ self.waves)
 
-    def _friction(self, body: int, law: bytes, distance: float) -> tuple[Floats, Floats]:
+    def _friction(
+        self, body: int, law: bytes, distance: float, share: float
+    ) -> tuple[Floats, Floats]:
         """Friction on a body, (n,) and window means (w,) [N·m]; `law` as in the base array."""
         mo = self.motion
         n1 = mo.declared.drive["N_1"]
         row = np.empty(mo.run.shape[0])
-        friction_along(speed_of(mo, body), Stribeck(*np.frombuffer(law)), row)
+        given = speed_of(mo, body), Stribeck(*np.frombuffer(law))
+        friction_along(*given, row)
         if distance > 0.0:
+            at_once = np.empty_like(row)
+            viscous_along(*given, at_once)
+            at_once *= share
+            row -= at_once
             angle = mo.run[:, 0] if body == 2 else mo.run[:, 2 + body] / n1
             presliding_along(np.ascontiguousarray(angle), distance, row)
+            row += at_once
         return row, mo.mean(row, held=False)
 
     def _disturbed(self, arrays: tuple[bytes, bytes, bytes]) -> tuple[Floats, Floats]:
@@ -140,9 +156,9 @@ class Windowed:
 
     def frictions(self, base: Floats, on: Any, values: Floats) -> tuple[list[Floats], Floats]:
         """Friction on pinions and ring gear, three of (n,) and window means (3, w) [N·m]."""
-        distance = engine().presliding_distance
+        bristles = engine().presliding_law
         found = [
-            self.friction(body, law, distance(body, on, values))
+            self.friction(body, law, *bristles(body, on, values))
             for body, law in enumerate(laws(base))
         ]
         return [row for row, _ in found], np.array([mean for _, mean in found])

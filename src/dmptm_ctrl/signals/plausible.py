@@ -30,6 +30,8 @@ MISTAKES = {
     1 / 60.0: "arc-minutes and degrees, or turns per minute and per second, are mixed up",
 }
 NOTICEABLE = np.radians(1.0)  # motion that every speed sensor must see
+GENERATOR = -0.3  # energy that goes in, between -1 and 1, below which motors do not drive
+STARTED = 0.3  # of the highest speed, with which a log's first motion ends
 SHORTEST = 10  # samples at an extreme that count as clipped
 MOTORS = {"theta_ml": "left", "theta_mr": "right"}
 
@@ -158,14 +160,23 @@ def refuse_factor(
 
 
 def _refuse_generator(log: Log) -> None:
-    """Friction only takes energy: over a log, motors that drive put energy in."""
+    """Friction only takes energy: over a log, motors that drive put energy in.
+
+    A late drive may swing against its commands for most of a log, but it starts with them.
+    """
     voltage, speed = log["u_left"] + log["u_right"], log["omega_L"]
-    size = np.sqrt(float(voltage @ voltage) * float(speed @ speed))
-    if size > 0 and float(voltage @ speed) / size < -0.3:
+    started = int(np.argmax(np.abs(speed) > STARTED * np.abs(speed).max())) + 1
+    if max(_lean(voltage, speed), _lean(voltage[:started], speed[:started])) < GENERATOR:
         raise LogError(
             f"{log.name}: the ring gear turns against u_left + u_right over the whole log: "
             "the voltages or the speed have the wrong sign"
         )
+
+
+def _lean(voltage: Array, speed: Array) -> float:
+    """Energy that goes in, between -1 and 1."""
+    size = np.sqrt(float(voltage @ voltage) * float(speed @ speed))
+    return float(voltage @ speed) / size if size > 0 else 0.0
 
 
 def _constant(log: Log, channel: str, value: float) -> list[str]:

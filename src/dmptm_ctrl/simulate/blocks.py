@@ -131,8 +131,11 @@ def body_rates(
     distance = sites.distances[body]
     if distance > 0.0:
         direction = 1.0 if omega >= 0.0 else -1.0
-        level = direction * sites.sliding(body, direction, theta, omega, t, carried, age)
-        return [omega, (net - x[2]) / inertia, abs(omega) * (level - x[2]) / distance, *older]
+        given = direction, theta, omega, t, carried, age
+        friction = x[2] + direction * sites.at_once(body, *given)
+        level = direction * sites.sliding(body, *given)
+        built_up = abs(omega) * (level - friction) / distance
+        return [omega, (net - friction) / inertia, built_up, *older]
     if abs(omega) <= REST_SPEED:
         direction = 1.0 if net > 0.0 else -1.0
         most = sites.holding(body, direction, theta, omega, t, carried, age)

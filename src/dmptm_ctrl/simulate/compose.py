@@ -45,7 +45,12 @@ _CHAINS: dict[str, tuple[str, str, str, str]] = {
         "1.0, 0.0",
         "c = {call}; r = (r[0] * c[0], r[1] + c[1])",
     ),
-    "presliding": ("presliding_distance", "body", "0.0", "r += {call}"),
+    "presliding": (
+        "presliding_law",
+        "body",
+        "0.0, 0.0",
+        "c = {call}; r = (r[0] + c[0], max(r[1], c[1]))",
+    ),
     "ageing": (
         "aged_friction",
         "age, body",
@@ -88,7 +93,7 @@ _KERNEL_ARGS = {"delay": "0", "lag": "u, side"}  # a delay is the same on both s
 # kernels that the loop calls by itself
 _OWN_KERNELS = (
     *("landing", "mesh_region", "mesh_torque", "region_torque"),
-    *("breakaway_torque", "sliding_torque"),
+    *("breakaway_torque", "sliding_torque", "viscous_torque"),
 )
 
 
@@ -104,7 +109,7 @@ _INLINE = (
 # would be more text for the compiler than the function itself.
 _ENTRIES = (
     *("march", "along", "fill", "march_lanes", "march_tangents", "command"),
-    *("sensor_reading", "presliding_distance", "speed_delay"),
+    *("sensor_reading", "presliding_law", "speed_delay"),
 )
 _HEAD = """\
 from math import cos, exp, floor
@@ -120,7 +125,12 @@ from dmptm_ctrl.effects.backlash import (
     mesh_torque,
     region_torque,
 )
-from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque
+from dmptm_ctrl.effects.stribeck import (
+    Stribeck,
+    breakaway_torque,
+    sliding_torque,
+    viscous_torque,
+)
 from dmptm_ctrl.simulate.elementary import cos, exp, hosted, wide
 
 """

@@ -10,14 +10,14 @@ from math import exp
 
 from numba import njit
 
-from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
+from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque, viscous_torque
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
     drive_voltage,
     friction_level,
     load_torque,
     motor_torque,
-    presliding_distance,
+    presliding_law,
     sensor_reading,
 )
 
@@ -50,25 +50,28 @@ def direction_of(speed, softness):
 
 @njit
 def friction_along(omega, way, theta, t, mesh, body, law, active, on, values):
-    """Friction of a body that moves at `omega` [N·m], with its sign."""
+    """Friction of a body that moves at `omega` [N·m] and its viscous part, with their sign."""
     if way == 0.0:
-        return 0.0
+        return 0.0, 0.0
     scale, added = 1.0, 0.0
     if active:
         scale, added = friction_level(theta, omega, t, mesh, body, on, values)
     sign = 1.0 if way > 0.0 else -1.0
-    return way * max(scale * sliding_torque(omega, sign, law) + added, 0.0)
+    whole = max(scale * sliding_torque(omega, sign, law) + added, 0.0)
+    return way * whole, way * scale * viscous_torque(omega, sign, law)
 
 
 @njit
-def built_up(level, omega, dt, body, memory, on, values):
-    """Friction that takes a distance to build up [N·m]; memory holds it per body."""
-    distance = presliding_distance(body, on, values)
+def built_up(friction, omega, dt, body, memory, on, values):
+    """Friction that takes a distance to build up [N·m]; memory holds what does, per body."""
+    distance, share = presliding_law(body, on, values)
     if distance <= 0.0:
-        return level
+        return friction[0]
+    at_once = share * friction[1]
+    level = friction[0] - at_once
     kept = (memory[M_BRISTLES + body] - level) * exp(-abs(omega) * dt / distance)
     memory[M_BRISTLES + body] = level + kept
-    return memory[M_BRISTLES + body]
+    return memory[M_BRISTLES + body] + at_once
 
 
 @njit
@@ -89,8 +92,8 @@ def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, dt, law, memory, bas
     )
     way = direction_of(speed, law[L_SOFTNESS])
     press = 0.5 * gain * (law[L_BIAS_L] - law[L_BIAS_R])  # preload in each mesh, N·m
-    held = friction_along(speed, way, angle, t, 2.0 * abs(press), 2, bearing, rubs, on, values)
-    held = built_up(held, speed, dt, 2, memory, on, values)
+    rub = friction_along(speed, way, angle, t, 2.0 * abs(press), 2, bearing, rubs, on, values)
+    held = built_up(rub, speed, dt, 2, memory, on, values)
     load = law[L_INERTIA] * base[4] * rate + law[L_FRICTION] * held
     if loads:
         load -= law[L_EFFECTS] * load_torque(angle, speed, t, on, values)
@@ -100,8 +103,8 @@ def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, dt, law, memory, bas
         motor = (theta_ml if side == 0 else theta_mr) + law[L_LEAD] * n1 * n2 * speed
         mesh = share + (press if side == 0 else -press)
         rub = friction_along(n2 * speed, way, motor / n1, t, mesh, side, reducer, rubs, on, values)
-        rub = built_up(rub, n2 * speed, dt, side, memory, on, values)
-        torque = share + swing + law[L_FRICTION] * rub
+        held = built_up(rub, n2 * speed, dt, side, memory, on, values)
+        torque = share + swing + law[L_FRICTION] * held
         if pulls:
             u = torque / gain
             own = motor_torque(u, motor, n1 * n2 * speed, t, side, on, values)

@@ -24,7 +24,7 @@ from dmptm_ctrl.effects.backlash import (
     mesh_torque,
     region_torque,
 )
-from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque
+from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque, viscous_torque
 from dmptm_ctrl.simulate.control_core import L_CLOSED, M_LEFT, M_RIGHT, MEMORY, command
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
@@ -35,7 +35,7 @@ from dmptm_ctrl.simulate.sites import (  # chains
     load_torque,
     mesh_shift,
     motor_torque,
-    presliding_distance,
+    presliding_law,
     sensor_reading,
     shaft_compliance,
     speed_delay,
@@ -153,10 +153,10 @@ def march(
     dead_time = voltage_delay(on, values) / dt
     lag_time = speed_delay(on, values) / h
     lagging = lag_relaxation(0.0, 0, on, values)[1] > 0.0
-    distance = (
-        presliding_distance(0, on, values),
-        presliding_distance(1, on, values),
-        presliding_distance(2, on, values),
+    bristles = (
+        presliding_law(0, on, values),
+        presliding_law(1, on, values),
+        presliding_law(2, on, values),
     )
 
     q0, q1, q2 = x0[0], x0[1], x0[2]
@@ -327,14 +327,14 @@ def march(
             if ageing:
                 added = (added if has_friction else 0.0) + aged_friction(age0, 0, on, values)[0]
             new0, f0 = friction_step(
-                v0, s0, force0, mobility_3, h, reducer, scale, added, distance[0], f0
+                v0, s0, force0, mobility_3, h, reducer, scale, added, bristles[0], f0
             )
             if has_friction:
                 scale, added = friction_level(x_1 + n2 * lead, s1, middle, torque1, 1, on, values)
             if ageing:
                 added = (added if has_friction else 0.0) + aged_friction(age1, 1, on, values)[0]
             new1, f1 = friction_step(
-                v1, s1, force1, mobility_3, h, reducer, scale, added, distance[1], f1
+                v1, s1, force1, mobility_3, h, reducer, scale, added, bristles[1], f1
             )
             if has_friction:
                 carried = abs(torque0) + abs(torque1)
@@ -342,7 +342,7 @@ def march(
             if ageing:
                 added = (added if has_friction else 0.0) + aged_friction(age2, 2, on, values)[0]
             new2, f2 = friction_step(
-                v2, s2, force2, mobility_l, h, bearing, scale, added, distance[2], f2
+                v2, s2, force2, mobility_l, h, bearing, scale, added, bristles[2], f2
             )
             if ageing:
                 age0 = aged(age0, new0, h, renew[0])
@@ -360,11 +360,11 @@ def march(
 
 
 @njit
-def friction_step(v, v_mid, force, mobility, h, law, scale, added, distance, bristle):
-    """Speed and presliding torque after one step."""
-    if distance <= 0.0:
+def friction_step(v, v_mid, force, mobility, h, law, scale, added, bristles, bristle):
+    """Speed and presliding torque after one step; `bristles` as of the site."""
+    if bristles[0] <= 0.0:
         return slide_or_stick(v, v_mid, force, mobility, law, scale, added), 0.0
-    return preslide(v, v_mid, force, mobility, h, law, scale, added, distance, bristle)
+    return preslide(v, v_mid, force, mobility, h, law, scale, added, bristles, bristle)
 
 
 @njit
@@ -380,15 +380,17 @@ def aged(age, v, h, slip):
 
 
 @njit
-def preslide(v, v_mid, force, mobility, h, law, scale, added, distance, bristle):
+def preslide(v, v_mid, force, mobility, h, law, scale, added, bristles, bristle):
     """Speed and friction after one step where friction is a spring before it slides."""
     if v_mid == 0.0:
         return v + (force - bristle) * mobility, bristle
     direction = 1.0 if v_mid > 0.0 else -1.0
-    level = direction * max(scale * sliding_torque(v_mid, direction, law) + added, 0.0)
-    travel = abs(v_mid) * h / distance
+    at_once = direction * bristles[1] * scale * viscous_torque(v_mid, direction, law)
+    level = direction * max(scale * sliding_torque(v_mid, direction, law) + added, 0.0) - at_once
+    travel = abs(v_mid) * h / bristles[0]
     middle = level + (bristle - level) * exp(-0.5 * travel)
-    return v + (force - middle) * mobility, level + (bristle - level) * exp(-travel)
+    new = v + (force - middle - at_once) * mobility
+    return new, level + (bristle - level) * exp(-travel)
 
 
 @njit

@@ -45,7 +45,7 @@ from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
     aged_friction,
     lag_relaxation,
-    presliding_distance,
+    presliding_law,
     shaft_compliance,
     speed_delay,
     voltage_delay,
@@ -83,9 +83,10 @@ LAW, DELTA = 87 * LANES, 111 * LANES  # 9 numbers, each of 3 bodies; the last of
 GAIN, J_MOTOR, DEAD, LATE, COMPLIANCE, SHAFT = range(114 * LANES, 120 * LANES, LANES)
 KP, KI, LIMIT, BIAS0, BIAS1, INTEGRAL, NOTHING = range(120 * LANES, 127 * LANES, LANES)
 N1, N2, TEETH, K_M, K_A, PHASE, GAP0, GAP1 = range(127 * LANES, 135 * LANES, LANES)
-# Bodies: age of the contact in the middle of the step, slip that makes it new.
-AGE, RENEW = range(135 * LANES, 141 * LANES, 3 * LANES)
-OUT = 141 * LANES
+# Bodies: age of the contact in the middle of the step, slip that makes it new; share of viscous
+# friction that presliding does not hold back.
+AGE, RENEW, AT_ONCE = range(135 * LANES, 144 * LANES, 3 * LANES)
+OUT = 144 * LANES
 VALUES = OUT + COLUMNS * LANES
 
 
@@ -118,7 +119,7 @@ def fill(s, lane, x0, loop, h, dt, base, on, values):
     for body in range(3):
         row = body * LANES + lane
         s[SCALE + row] = 1.0
-        s[DISTANCE + row] = presliding_distance(body, on, values)
+        s[DISTANCE + row], s[AT_ONCE + row] = presliding_law(body, on, values)
         s[RENEW + row] = aged_friction(0.0, body, on, values)[1]
         s[AGE + row] = aged(0.0, x0[3 + body], 0.5 * h, s[RENEW + row])
         s[MOBILITY + row] = h / (
@@ -342,7 +343,7 @@ def presliding_stage(s, width, h):
                 law(s, row, s[DELTA + row]),
                 s[SCALE + row],
                 s[ADDED + row],
-                s[DISTANCE + row],
+                (s[DISTANCE + row], s[AT_ONCE + row]),
                 s[BRISTLE + row],
             )
 

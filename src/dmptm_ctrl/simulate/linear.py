@@ -170,5 +170,6 @@ def _preload_bristle(
     if sites.distances[body] > 0.0:
         theta, omega = state[f"{block}_theta"], state[f"{block}_omega"]
         way = float(np.sign(omega))
-        friction = way * sites.sliding(body, way, theta, omega, 0.0, carried)
-        state[f"{block}_friction"] = friction
+        given = way, theta, omega, 0.0, carried
+        held = sites.sliding(body, *given) - sites.at_once(body, *given)
+        state[f"{block}_friction"] = way * held

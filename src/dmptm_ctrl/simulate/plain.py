@@ -30,6 +30,7 @@ mesh_region = mesh_kernels.mesh_region
 mesh_torque = mesh_kernels.mesh_torque
 _breakaway = uncompiled(friction_kernels.breakaway_torque)
 _sliding = uncompiled(friction_kernels.sliding_torque)
+_viscous = uncompiled(friction_kernels.viscous_torque)
 
 
 class Sites:
@@ -63,9 +64,11 @@ class Sites:
         )
         for kernel, p in self._chains["shaft"]:
             self.compliance, self.shaft_damping = kernel(reduced, p)
-        self.distances = tuple(
-            sum(kernel(body, p) for kernel, p in self._chains["presliding"]) for body in range(3)
-        )
+        bristles = [
+            [kernel(body, p) for kernel, p in self._chains["presliding"]] for body in range(3)
+        ]
+        self.distances = tuple(sum(law[0] for law in laws) for laws in bristles)
+        self._at_once = [max((law[1] for law in laws), default=0.0) for laws in bristles]
         self.renewals = tuple(self.aged_friction(body, 0.0)[1] for body in range(3))
 
     def has(self, site: str) -> bool:
@@ -157,6 +160,22 @@ class Sites:
         """Magnitude of friction in motion [N·m]."""
         scale, added = self._friction(body, theta, omega, t, mesh, age)
         return max(scale * _sliding(omega, direction, self.laws[body]) + added, 0.0)
+
+    def at_once(
+        self,
+        body: int,
+        direction: float,
+        theta: float,
+        omega: float,
+        t: float,
+        mesh: float,
+        age: float = 0.0,
+    ):
+        """Part of friction in motion that presliding does not hold back [N·m], a magnitude."""
+        if self._at_once[body] == 0.0:
+            return 0.0
+        scale, _ = self._friction(body, theta, omega, t, mesh, age)
+        return self._at_once[body] * scale * _viscous(omega, direction, self.laws[body])
 
     def load_torque(self, theta_L: float, omega_L: float, t: float) -> float:
         """Torque of the load's effects on the ring gear [N·m]."""

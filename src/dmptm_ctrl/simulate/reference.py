@@ -88,8 +88,10 @@ class _Hybrid:
             if sites.renewals[body] > 0.0:
                 rate[AGE + body] = sites.ageing(body, omega, age)
             if sites.distances[body] > 0.0:
-                friction = y[BRISTLE + body]
-                level = motion * sites.sliding(body, motion, y[body], omega, t, carried[body], age)
+                given = motion, y[body], omega, t, carried[body], age
+                at_once = motion * sites.at_once(body, *given)
+                friction = y[BRISTLE + body] + at_once
+                level = motion * sites.sliding(body, *given)
                 rate[BRISTLE + body] = abs(omega) * (level - friction) / sites.distances[body]
             elif motion == 0.0:
                 continue

@@ -55,9 +55,9 @@ def friction_level(theta, omega, t, mesh_torque, body, on, values):
 
 
 @njit
-def presliding_distance(body, on, values):
-    """Relaxation distance [rad]."""
-    return 0.0
+def presliding_law(body, on, values):
+    """Relaxation distance [rad], and share of viscous friction that acts at once."""
+    return 0.0, 0.0
 
 
 @njit

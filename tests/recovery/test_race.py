@@ -5,11 +5,12 @@ import pytest
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.decide import FIRST
 from dmptm_ctrl.diagnosis.measure import measure
-from dmptm_ctrl.diagnosis.race import race
+from dmptm_ctrl.diagnosis.race import loosely, race, shaped
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.effects.torque_constant_mismatch import OPPOSITE
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -17,17 +18,21 @@ LOGS = ("open_sine_0v60", "open_square_0v75", "closed_sine_10", "closed_square_1
 SOME = ("drive_offset", "unbalance")
 
 
-def raced(effects, friction):
-    """What the balances reach, and who wins, on a rig without motor encoders."""
+def measured_rig(effects, friction, seed=5500014, logs=LOGS):
+    """A rig without motor encoders, what the declared drive leaves there, and its label."""
     laws = {"friction": friction, "contact": "kelvin_voigt"}
-    rig = make_rig(5500014, effects, sensors="load", logs=LOGS, **laws)
+    rig = make_rig(seed, effects, sensors="load", logs=logs, **laws)
     drive = paper_drive()
     logs = [load_log(table, name=name) for name, table in rig.logs.items()]
     measured = measure(logs, drive)
-    left = residual(measured, Model(drive))
-    trials = trace(left, only=SOME)
-    start = rattled(measured.fit, left.base, drive, 2)
-    told = rig.label["effect_parameters"]
+    return measured, residual(measured, Model(drive)), rig.label["effect_parameters"]
+
+
+def raced(effects, friction, only=SOME):
+    """What the balances reach, and who wins."""
+    measured, left, told = measured_rig(effects, friction)
+    trials = trace(left, only=only)
+    start = rattled(measured.fit, left.base, measured.drive, 2)
     return trials, race(measured.fit, measured.held, start, trials), told
 
 
@@ -41,6 +46,28 @@ def test_offset_that_hides_in_the_preload():
     true = told["drive_offset"]
     assert true["location"] == "right"
     assert values["right"] - values["left"] == pytest.approx(true["offset_V"], rel=0.15)
+
+
+def test_motors_that_differ_whichever_way():
+    """One stronger, one weaker: the balances see the sum only, and take one motor for another."""
+    effects, only = (("torque_constant_mismatch", 1.0),), ("torque_constant_mismatch", "cogging")
+    trials, winner, told = raced(effects, "karnopp", only)
+    assert max(trial.evidence for trial in trials) < FIRST
+    assert winner.name == "torque_constant_mismatch"
+    values = winner.model.effects["torque_constant_mismatch"]
+    assert values["pattern"] == OPPOSITE
+    assert values["error"] == pytest.approx(told[winner.name]["left_share"], rel=0.1)
+
+
+def test_an_order_that_the_balances_miss_goes_on_from_the_scan():
+    measured, left, told = measured_rig((("cogging", 3.0),), "karnopp", 90100001, "paper")
+    (trial,) = trace(left, only=("cogging",))
+    start = rattled(measured.fit, left.base, measured.drive, 2)
+    entered = shaped(trial, start, loosely(start), measured.fit, 2)
+    tried = [one.model.effects["cogging"]["order"] for one in entered]
+    assert tried[0] != told["cogging"]["order"]
+    assert told["cogging"]["order"] in tried[1:]
+    assert len(tried) == 3
 
 
 def test_nobody_wins_on_a_rig_of_another_friction_law():

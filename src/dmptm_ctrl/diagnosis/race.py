@@ -15,12 +15,11 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import widened
 from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, uncouple
-from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
+from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, Trial, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
 from dmptm_ctrl.identify.lock import (
-    FREEDOM,
     LOOSE,
     LOST,
     NEWS,
@@ -45,7 +44,8 @@ LEAST = 150.0  # evidence of a winner
 OUT = 2.7
 HELD_SHARE = 0.3  # of a fitted log's evidence, that a held-out log gives at least
 TRIED = 4  # best candidates, for which other starts are tried
-ORDER, SCAN_SECONDS, SCANNED = "order", 0.1, 2  # orders are tried on so much of each log
+# Shapes that are no slope, all tried: (seconds of each log, steps of a fit, how many go on).
+SCAN = ((0.03, 2, 32), (0.05, 4, 12), (0.07, 4, 6), (0.1, 6, 2))
 SHAPE_WIDTH = 10.0  # steps of a shape, about the value that the balances like best
 
 
@@ -112,9 +112,7 @@ def race(
     bare = entrant(None, start.model, start.unknowns, known, ())
     runners = [bare]
     for trial in trials:
-        values = trial.fit.model.effects[trial.name]
-        others = orders(trial, bare, fitted, jobs)
-        runners += [with_effect(trial, v, start, known) for v in (values, *others)]
+        runners += shaped(trial, start, known, fitted, jobs)
     for i, runner in enumerate(runners):
         runner.rng = np.random.default_rng([seed, i])
     last = None
@@ -227,41 +225,33 @@ def beside(known: Known, model: Model, own: Sequence[Unknown]) -> Known:
     return Known(np.concatenate([known.mean, centre]), precision)
 
 
-def orders(
-    trial: Trial, bare: Runner, records: Sequence[Record], jobs: int
-) -> list[Mapping[str, float]]:
-    """Whole-numbered orders that would mend most of the first bounces, to first order.
+def shaped(
+    trial: Trial, start: BalanceFit, known: Known, records: Sequence[Record], jobs: int
+) -> list[Runner]:
+    """Enter an effect in the shape that the balances like best, and in others they may not see.
 
-    The balances see none beyond 25 Hz.
+    They average over orders beyond 25 Hz, and without motor encoders do not tell which motor.
     """
-    effect = CATALOGUE[trial.name]
-    whole = [p for p in effect.parameters if p.name == ORDER and p.bank]
-    if not whole:
-        return []
-    parts = [cut(rec, SCAN_SECONDS) for rec in records]
-    steps = Steps(parts, bare.model, bare.unknowns, bare.known, jobs)
-    p = steps.descend(bare.places[0])
-    slopes, r = steps.slopes(p)
-    root = np.sqrt(NEWS / (1.0 + r**2 / FREEDOM))
-    basis, _ = np.linalg.qr((slopes * root).T)
-    target = root * r - basis @ (basis.T @ (root * r))
-    model, gains = steps.placed(p), []
-    for order in whole[0].bank:
-        own = tuple(k for k in unknowns_of(trial.name) if k.name in effect.amplitudes)
-        values = {**dict.fromkeys(effect.amplitudes, 0.0), ORDER: order}
-        small = Steps(parts, model.with_effect(trial.name, **values), own, none_known(own), jobs)
-        columns = (small.slopes(np.zeros(len(own)))[0] * root).T
-        columns -= basis @ (basis.T @ columns)
-        x, *_ = np.linalg.lstsq(columns, target, rcond=1e-6)
-        gains.append(float(x @ (columns.T @ target)))
-    best = np.argsort(gains)[::-1][:SCANNED]
     told = trial.fit.model.effects[trial.name]
-    return [{**told, ORDER: whole[0].bank[i]} for i in best if whole[0].bank[i] != told[ORDER]]
-
-
-def none_known(unknowns: Sequence[Unknown]) -> Known:
-    """Nothing known of unknowns."""
-    return Known(np.zeros(len(unknowns)), np.zeros((len(unknowns), len(unknowns))))
+    first = with_effect(trial, told, start, known)
+    fixed = FIXED_SHAPES.get(trial.name, ())
+    banks = [p for p in CATALOGUE[trial.name].parameters if p.name in fixed]
+    others = [
+        with_effect(trial, {**told, p.name: value}, start, known)
+        for p in banks
+        for value in p.bank
+        if value != told[p.name]
+    ]
+    for seconds, iterations, most in SCAN:
+        if len(others) <= SCAN[-1][-1]:
+            break
+        parts = [cut(rec, seconds) for rec in records]
+        for one in others:
+            steps = Steps(parts, one.model, one.unknowns, one.known, jobs, ROUGH)
+            one.places = [steps.descend(one.places[0], iterations)]
+            one.cost = float(steps.costs(steps.residuals(one.places), one.places)[0])
+        others = sorted(others, key=lambda one: one.cost)[:most]
+    return [first, *others]
 
 
 def entrant(

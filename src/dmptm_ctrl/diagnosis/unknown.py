@@ -23,6 +23,9 @@ from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats, Model
 
 RING_RATIO = 8.25  # N2, Table 1
+# Of the motor's turn, of a torque in proportion to the voltage; the first of them of one that is
+# not: beyond, that is cogging.
+ORDERS, PLAIN = range(1, 13), 6
 KNOT = 1e-3  # rad, unit of a knot of a curve of the twist
 RIDGE = 10.0  # N·m, what a knot of a curve may be before the data speak
 CURVE = 60.0  # evidence of a curve; well above the best of all curves on rigs without any
@@ -169,7 +172,10 @@ def bases(mo: Motion, s: Scale) -> Iterator[tuple[tuple[str, ...], Floats, Float
     yield ("du_dt", "u"), *pinions(hats(rate[0], knots), hats(rate[1], knots))
     turn = mo.run[:, 2:4].T
     waves = [
-        np.array([f(k * a) * v for k in range(1, 7) for f in (np.cos, np.sin) for v in (1.0, w)])
+        np.array(
+            [f(k * a) * w for k in ORDERS for f in (np.cos, np.sin)]
+            + [f(k * a) for k in ORDERS[:PLAIN] for f in (np.cos, np.sin)]
+        )
         for a, w in zip(turn, u, strict=True)
     ]
     yield ("theta_m", "u"), *pinions(*waves)

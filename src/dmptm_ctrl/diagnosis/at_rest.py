@@ -6,7 +6,9 @@ drive give way at once where friction that sticks holds it. Under every law of c
 friction that takes off most of what the model misses there, and no other effect does.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import widened
 from dmptm_ctrl.diagnosis.race import entrant
@@ -15,7 +17,7 @@ from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.runoff import lost, run, starts
 from dmptm_ctrl.diagnosis.trace import unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.balance import fit_balance
+from dmptm_ctrl.identify.balance import BalanceFit, fit_balance
 from dmptm_ctrl.identify.fit import Fit, Known, Unknown
 from dmptm_ctrl.identify.lock import LOOSE, UNEASY, Seeker, cut, lock
 from dmptm_ctrl.identify.records import RING_COUNT
@@ -23,6 +25,7 @@ from dmptm_ctrl.simulate.model import Model
 
 NAME = "presliding"
 STRIDES = (0.5, 2.0, 8.0)  # of each distance, in its step, from which they are fitted
+LITTLE = 0.3  # of each distance, in its step, that any friction may give way
 FIRST_SECONDS = (0.03, 0.05, 0.1)  # of each log, one after another
 FAINT_SECONDS = 0.05  # for which a model with a little of it keeps step
 # Of what the model misses at first, on fitted and on held-out logs, pre-sliding takes off 0.5 to
@@ -31,6 +34,7 @@ SHARE = 0.4
 # Any real contact pre-slides a little: common bristles bend by one or two counts of the ring
 # encoder. An effect bends by more.
 MATTERS = 3 * RING_COUNT
+NONE = 0.1 * RING_COUNT  # nobody would notice
 LEAST = 70.0  # fall of the loss on fitted and held-out logs together
 
 
@@ -138,6 +142,23 @@ def a_little(left: Residual, before: Fit, shown: AtRest, jobs: int) -> AtRest | 
     shares = gains[0] / without.fitted, gains[1] / without.held
     fit = Fit(kept.model, unknowns, kept.p, kept.covariance, kept.horizon)
     return AtRest(*gains, shares, fit, kept.horizon)
+
+
+def softened(fit: BalanceFit) -> BalanceFit:
+    """Let friction give way a little before it slides, by as much as the runs will tell.
+
+    Bristles or a steep tanh do; beside them, what else is missing is told from the first bounces.
+    """
+    if NAME in fit.model.effects:
+        return fit
+    own = unknowns_of(NAME)
+    model = sized(NAME, fit.model, LITTLE)
+    n = fit.p.size
+    covariance = np.diag(np.full(n + len(own), LITTLE**2))
+    covariance[:n, :n] = fit.covariance
+    unknowns = (*fit.unknowns, *own)
+    p = np.concatenate([fit.p, np.full(len(own), LITTLE)])
+    return replace(fit, model=model, unknowns=unknowns, p=p, covariance=covariance)
 
 
 def travel(of: Fit) -> float:

@@ -191,9 +191,10 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     if after.horizon >= KEEPS_SECONDS or full or decision.unexplained is not None:
         return after
     measured, base = decision.before.measured, decision.after.base
-    start = rattled(measured.fit, base, measured.drive, jobs)
+    start = at_rest.softened(rattled(measured.fit, base, measured.drive, jobs))
     logs = measured.fit, measured.held
-    shown = race(*logs, start, decision.rest, jobs=jobs, seed=seed)
+    trials = [replace(trial, fit=at_rest.softened(trial.fit)) for trial in decision.rest]
+    shown = race(*logs, start, trials, jobs=jobs, seed=seed)
     if shown is None:
         return after
     unknowns = (*base.unknowns, *unknowns_of(shown.name))
@@ -259,7 +260,7 @@ def uncovered(
         return after
     beside = decision.after
     # the balances tell nothing of it: what they leave stays as it was
-    model = beside.base.model.with_effect(shown.name, **shown.fit.model.effects[shown.name])
+    model = Model(beside.base.model.drive, shown.fit.model.effects)
     left = replace(beside, base=replace(beside.base, model=model))
     decision.after = left
     fit = refit(decision, jobs, shown.fit)
@@ -288,7 +289,7 @@ def by_step(shown: Shown, base: BalanceFit) -> Found:
     ]
     seconds, rivals = shown.fit.horizon, tuple(trials[1:])
     found = Found(shown.name, shown.evidence, LEAST_UNSEEN, trials[0], rivals, seconds)
-    return replace(found, at_most=UNSEEN_SURE)
+    return replace(found, at_most=UNSEEN_SURE.get(shown.name, found.at_most))
 
 
 def errors_of(name: str, fit: Fit) -> dict[tuple[str, str], float]:
@@ -301,6 +302,8 @@ def errors_of(name: str, fit: Fit) -> dict[tuple[str, str], float]:
 def softness(decision: Decision, final: Fit) -> tuple[str, ...]:
     """Say that there is pre-sliding in the model, where it is too little to be named."""
     if at_rest.NAME not in final.model.effects or decision.is_found(at_rest.NAME):
+        return ()
+    if at_rest.travel(final) < at_rest.NONE:
         return ()
     given = np.rad2deg(at_rest.travel(final)) * 60.0
     return (

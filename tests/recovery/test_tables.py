@@ -115,3 +115,14 @@ def test_narrowed_where_nothing_happens():
     shape = {"variable": CLOCK, "low": 0.0, "high": 3.1, "motors": LEFT, "period": 3.1}
     values = narrowed(Model(paper_drive()).with_effect(MOTOR, **shape, **knots))[MOTOR]
     assert (values["low"], values["high"]) == (0.0, pytest.approx(3.1))
+
+
+def test_motors_that_lose_torque_in_the_course_of_a_log():
+    decision, true = decided(504, (("fading_motors", 1.0),), "all", "kelvin_voigt")
+    share, tau = true["fading_motors"].values()
+    assert decision.unexplained.variables == ("time", "u")
+    _, places, knots = table(decision)
+    lost = -GAIN * share * (1.0 - np.exp(-places / tau))
+    # a motor that is weaker all the time is friction and inertia as well: compare the course
+    np.testing.assert_allclose(knots - knots[-1], lost - lost[-1], atol=0.05 * GAIN * share)
+    assert halved(decision)

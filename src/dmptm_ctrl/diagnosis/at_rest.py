@@ -18,7 +18,7 @@ from dmptm_ctrl.diagnosis.runoff import lost, run, starts
 from dmptm_ctrl.diagnosis.trace import unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit, fit_balance
-from dmptm_ctrl.identify.fit import Fit, Known, Unknown
+from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
 from dmptm_ctrl.identify.lock import LOOSE, UNEASY, Seeker, cut, lock
 from dmptm_ctrl.identify.records import RING_COUNT
 from dmptm_ctrl.simulate.model import Model
@@ -144,21 +144,32 @@ def a_little(left: Residual, before: Fit, shown: AtRest, jobs: int) -> AtRest | 
     return AtRest(*gains, shares, fit, kept.horizon)
 
 
-def softened(fit: BalanceFit) -> BalanceFit:
+def softened(fit: BalanceFit, behind: int) -> BalanceFit:
     """Let friction give way a little before it slides, by as much as the runs will tell.
 
     Bristles or a steep tanh do; beside them, what else is missing is told from the first bounces.
+
+    Parameters
+    ----------
+    behind : int
+        Unknowns of `fit` behind which those of pre-sliding come.
     """
-    if NAME in fit.model.effects:
-        return fit
-    own = unknowns_of(NAME)
-    model = sized(NAME, fit.model, LITTLE)
+    own, model = unknowns_of(NAME), fit.model
+    if NAME not in model.effects:
+        model = sized(NAME, model, LITTLE)
     n = fit.p.size
     covariance = np.diag(np.full(n + len(own), LITTLE**2))
     covariance[:n, :n] = fit.covariance
-    unknowns = (*fit.unknowns, *own)
-    p = np.concatenate([fit.p, np.full(len(own), LITTLE)])
-    return replace(fit, model=model, unknowns=unknowns, p=p, covariance=covariance)
+    unknowns = np.array([*fit.unknowns, *own], object)
+    p = np.concatenate([fit.p, position(model, own)])
+    order = [*range(behind), *range(n, n + len(own)), *range(behind, n)]
+    return replace(
+        fit,
+        model=model,
+        unknowns=tuple(unknowns[order]),
+        p=p[order],
+        covariance=covariance[np.ix_(order, order)],
+    )
 
 
 def travel(of: Fit) -> float:

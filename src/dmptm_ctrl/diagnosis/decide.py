@@ -250,6 +250,10 @@ def withdraw(decision: Decision, jobs: int) -> None:
     decision.after = decision.before
     if decision.found:
         decision.after = residual(decision.before.measured, model, unknowns=unknowns, jobs=jobs)
+    # candidates beside what is left, where they are known
+    own, known = decision.after.base.unknowns, (*decision.trials.values(), *decision.rest)
+    fits = {t.name: t for t in known if t.fit.unknowns == (*own, *unknowns_of(t.name))}
+    decision.rest = [t for t in fits.values() if not decision.is_found(t.name)]
 
 
 def reconsider(decision: Decision, skip: Sequence[str], jobs: int) -> None:

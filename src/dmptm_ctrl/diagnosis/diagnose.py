@@ -44,11 +44,11 @@ from dmptm_ctrl.simulate.model import Model
 # The two sensors settle it without a model; what is left is that both are wrong alike.
 SENSOR_PROBABILITY = 0.99
 # A free run may be a little worse beside an effect of the twist; more is another sign.
-WORSE = 1.1
+WORSE = 1.2
 # deg/s on held-out logs; the worst of 39 rigs that lack nothing has 0.17. No balance may
 # close so well that a model which predicts no better is right.
 ASTRAY = 0.45
-LITTLE = 0.015  # deg/s; chance moves a small error by so much
+LITTLE = 0.03  # deg/s; rattle of another course moves a small error by so much
 BY_KEEPING_STEP = (at_rest.NAME, AGEING, *WITHOUT_TWIST)  # what balances may tell nothing of
 NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity", "mesh_error")
 
@@ -191,9 +191,11 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     if after.horizon >= KEEPS_SECONDS or full or decision.unexplained is not None:
         return after
     measured, base = decision.before.measured, decision.after.base
-    start = at_rest.softened(rattled(measured.fit, base, measured.drive, jobs))
+    behind = len(base.unknowns)
+    start = at_rest.softened(rattled(measured.fit, base, measured.drive, jobs), behind)
     logs = measured.fit, measured.held
-    trials = [replace(trial, fit=at_rest.softened(trial.fit)) for trial in decision.rest]
+    rest = decision.rest
+    trials = [replace(trial, fit=at_rest.softened(trial.fit, behind)) for trial in rest]
     shown = race(*logs, start, trials, jobs=jobs, seed=seed)
     if shown is None:
         return after

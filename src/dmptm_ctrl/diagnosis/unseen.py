@@ -91,7 +91,7 @@ def unseen(left: Residual, before: Fit, *, jobs: int = 2, seed: int = 0) -> Show
         return None
     base = rattled(left.measured.fit, left.base, left.measured.drive, jobs)
     if not left.measured.has_motor_encoders:
-        found = by_impacts(left, softened(base), jobs, seed)
+        found = by_impacts(left, softened(base, len(base.unknowns)), jobs, seed)
         if found is not None:
             return found
     return ageing(left, base, before, jobs, seed)

@@ -48,6 +48,7 @@ WORSE = 1.2
 # deg/s on held-out logs; the worst of 39 rigs that lack nothing has 0.17. No balance may
 # close so well that a model which predicts no better is right.
 ASTRAY = 0.45
+WORTH_SECONDS = 0.1  # for which a model with a little pre-sliding keeps step, before a refit
 LITTLE = 0.03  # deg/s; rattle of another course moves a small error by so much
 BY_KEEPING_STEP = (at_rest.NAME, AGEING, *WITHOUT_TWIST)  # what balances may tell nothing of
 NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity", "mesh_error")
@@ -196,7 +197,7 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     logs = measured.fit, measured.held
     rest = decision.rest
     trials = [replace(trial, fit=at_rest.softened(trial.fit, behind)) for trial in rest]
-    shown = race(*logs, start, trials, jobs=jobs, seed=seed)
+    shown = race(*logs, start, trials, scan=not decision.found, jobs=jobs, seed=seed)
     if shown is None:
         return after
     unknowns = (*base.unknowns, *unknowns_of(shown.name))
@@ -234,7 +235,7 @@ def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
     if first is None or at_rest.NAME not in first.fit.model.effects:
         return after
     shown = at_rest.a_little(decision.after, after, first, jobs)
-    if shown is None:
+    if shown is None or not (shown.convincing or shown.in_step >= WORTH_SECONDS):
         return after
     measured, without = decision.before.measured, decision.after
     unknowns = without.base.unknowns

@@ -96,6 +96,7 @@ def race(
     start: BalanceFit,
     trials: Sequence[Trial],
     *,
+    scan: bool = True,
     jobs: int = 2,
     seed: int = 0,
 ) -> Raced | None:
@@ -107,12 +108,14 @@ def race(
         Of the model as it is, with the damping that its rattle tells.
     trials : sequence of Trial
         The effects, with the shapes that the balances like best.
+    scan : bool
+        Whether other orders are tried, which takes seconds.
     """
     known = loosely(start)
     bare = entrant(None, start.model, start.unknowns, known, ())
     runners = [bare]
     for trial in trials:
-        runners += shaped(trial, start, known, fitted, jobs)
+        runners += shaped(trial, start, known, fitted, jobs, scan=scan)
     for i, runner in enumerate(runners):
         runner.rng = np.random.default_rng([seed, i])
     last = None
@@ -226,11 +229,18 @@ def beside(known: Known, model: Model, own: Sequence[Unknown]) -> Known:
 
 
 def shaped(
-    trial: Trial, start: BalanceFit, known: Known, records: Sequence[Record], jobs: int
+    trial: Trial,
+    start: BalanceFit,
+    known: Known,
+    records: Sequence[Record],
+    jobs: int,
+    *,
+    scan: bool = True,
 ) -> list[Runner]:
     """Enter an effect in the shape that the balances like best, and in others they may not see.
 
     They average over orders beyond 25 Hz, and without motor encoders do not tell which motor.
+    Where there are many others, and no scan is wanted, they stay out.
     """
     told = trial.fit.model.effects[trial.name]
     first = with_effect(trial, told, start, known)
@@ -242,6 +252,8 @@ def shaped(
         for value in p.bank
         if value != told[p.name]
     ]
+    if not scan and len(others) > SCAN[0][-1]:
+        return [first]
     for seconds, iterations, most in SCAN:
         if len(others) <= SCAN[-1][-1]:
             break

@@ -24,8 +24,8 @@ TURN_ENDS = 19.0  # s, of the turn only the way there
 TWINS = {"current_lag": "drive_delay", "drive_delay": "current_lag"}
 # effect, strength, friction of the truth, sensors, one more log, held-out error after/before
 EFFECTS = [
-    ("unbalance", 3.0, "lugre", "load", TURN, 0.5),
-    ("cable_spring", 1.0, "tanh", "all", TURN, 0.5),
+    ("unbalance", 3.0, "karnopp", "load", TURN, 0.5),
+    ("cable_spring", 1.0, "karnopp", "all", TURN, 0.5),
     ("cogging", 1.0, "lugre", "all", TURN, 1.1),  # shows in the twist, hardly in the speed
     ("base_vibration", 1.0, "tanh", "load", MULTISINE, 0.8),
     ("thermal_drift", 1.0, "lugre", "all", TURN, 0.5),

@@ -14,7 +14,7 @@ from dmptm_ctrl.diagnosis.augment import widened
 from dmptm_ctrl.diagnosis.race import entrant
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.diagnosis.runoff import lost, run, starts
+from dmptm_ctrl.diagnosis.runoff import Run, lost, run, starts
 from dmptm_ctrl.diagnosis.trace import unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit, fit_balance
@@ -88,8 +88,7 @@ def presliding(left: Residual, jobs: int) -> AtRest:
     best = min(sized_ones, key=lambda one: one.level)
     parts = starts((left.measured.fit, left.measured.held), FIRST_SECONDS[-1])
     one, other = (run(parts, seeker.there, jobs) for seeker in (without, best))
-    gains = one.fitted - other.fitted, one.held - other.held
-    return AtRest(*gains, (gains[0] / one.fitted, gains[1] / one.held), fitted(best))
+    return compared(one, other, fitted(best))
 
 
 def sought(left: Residual, model: Model, own: tuple[Unknown, ...], jobs: int) -> Seeker:
@@ -112,9 +111,16 @@ def told(
     return fit.model, (*fit.unknowns, *own), known
 
 
-def fitted(seeker: Seeker) -> Fit:
+def compared(without: Run, with_it: Run, fit: Fit) -> AtRest:
+    """Describe a fit by what it takes off the loss of runs without it."""
+    gains = without.fitted - with_it.fitted, without.held - with_it.held
+    shares = gains[0] / without.fitted, gains[1] / without.held
+    return AtRest(*gains, shares, fit, fit.horizon)
+
+
+def fitted(seeker: Seeker, horizon: float = 0.0) -> Fit:
     """Where a seeker is."""
-    return Fit(seeker.there, seeker.unknowns, seeker.places[0], seeker.covariance, 0.0)
+    return Fit(seeker.there, seeker.unknowns, seeker.places[0], seeker.covariance, horizon)
 
 
 def a_little(left: Residual, before: Fit, shown: AtRest, jobs: int) -> AtRest | None:
@@ -138,10 +144,7 @@ def a_little(left: Residual, before: Fit, shown: AtRest, jobs: int) -> AtRest | 
     if ahead is None:
         return None
     _, without, with_it = ahead
-    gains = without.fitted - with_it.fitted, without.held - with_it.held
-    shares = gains[0] / without.fitted, gains[1] / without.held
-    fit = Fit(kept.model, unknowns, kept.p, kept.covariance, kept.horizon)
-    return AtRest(*gains, shares, fit, kept.horizon)
+    return compared(without, with_it, kept.as_fit(unknowns))
 
 
 def softened(fit: BalanceFit, behind: int) -> BalanceFit:

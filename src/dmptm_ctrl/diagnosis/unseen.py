@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.at_rest import sized, softened
+from dmptm_ctrl.diagnosis.at_rest import fitted, sized, softened
 from dmptm_ctrl.diagnosis.race import Runner, beside, entrant, loosely
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
@@ -115,7 +115,7 @@ def by_impacts(left: Residual, base: BalanceFit, jobs: int, seed: int) -> Shown 
         if name not in base.model.effects
     }
     going = {name: one for name, one in field.items() if one.level < LOST}
-    kept = {name: onward(one, whole[0], jobs, seed) for name, one in {**going, "": alone}.items()}
+    kept = {name: onward(one, whole[0], jobs, seed) for name, one in going.items()}
     parts = starts(whole, FIRST_SECONDS[-1])
     bare, *others = (run(parts, one.there, jobs) for one in (alone, *field.values()))
     runs = dict(zip(field, others, strict=True))
@@ -127,7 +127,8 @@ def by_impacts(left: Residual, base: BalanceFit, jobs: int, seed: int) -> Shown 
         if not name:
             return None
         between = LEAST_SECONDS, kept[name].horizon
-        ahead = lost(whole, kept[""].model, kept[name].model, between, jobs)
+        without = onward(alone, whole[0], jobs, seed).model
+        ahead = lost(whole, without, kept[name].model, between, jobs)
         if ahead is None:
             return None
         seconds, bare, won = ahead
@@ -156,8 +157,8 @@ def onward(one: Runner, records: Sequence[Record], jobs: int, seed: int) -> Lock
 def fit_of(one: Runner, kept: Locked | None) -> Fit:
     """Where a runner is, or how far it went on."""
     if kept is None or kept.horizon == 0.0:
-        return Fit(one.there, one.unknowns, one.places[0], one.covariance, FIRST_SECONDS[-1])
-    return Fit(kept.model, one.unknowns, kept.p, kept.covariance, kept.horizon)
+        return fitted(one, FIRST_SECONDS[-1])
+    return kept.as_fit(one.unknowns)
 
 
 def variants(name: str, model: Model) -> list[list[Model]]:
@@ -213,8 +214,7 @@ def ageing(left: Residual, base: BalanceFit, before: Fit, jobs: int, seed: int) 
     if ahead is None:
         return None
     _, bare, with_it = ahead
-    fit = Fit(kept.model, unknowns, kept.p, kept.covariance, kept.horizon)
-    best = shown(AGEING, fit, bare, with_it)
+    best = shown(AGEING, kept.as_fit(unknowns), bare, with_it)
     return best if best.evidence > LEAST else None
 
 

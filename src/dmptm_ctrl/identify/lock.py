@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dmptm_ctrl.identify.fit import Known, Unknown, place, position
+from dmptm_ctrl.identify.fit import Fit, Known, Unknown, place, position
 from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import BODIES
@@ -68,6 +68,10 @@ class Locked:
     horizon: float
     level: float
     covariance: Floats
+
+    def as_fit(self, unknowns: tuple[Unknown, ...]) -> Fit:
+        """The same as a fit of its unknowns."""
+        return Fit(self.model, unknowns, self.p, self.covariance, self.horizon)
 
     def lasts(self) -> tuple[float, float]:
         """How well it keeps step: the longer the better, then the nearer."""

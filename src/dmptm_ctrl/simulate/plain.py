@@ -162,18 +162,12 @@ class Sites:
         return max(scale * _sliding(omega, direction, self.laws[body]) + added, 0.0)
 
     def at_once(
-        self,
-        body: int,
-        direction: float,
-        theta: float,
-        omega: float,
-        t: float,
-        mesh: float,
-        age: float = 0.0,
-    ):
-        """Part of friction in motion that presliding does not hold back [N·m], a magnitude."""
+        self, body: int, direction: float, theta: float, omega: float, t: float, *mesh_age: float
+    ) -> float:
+        """Part of `sliding` that presliding does not hold back [N·m], a magnitude."""
         if self._at_once[body] == 0.0:
             return 0.0
+        mesh, age = (*mesh_age, 0.0)[:2]
         scale, _ = self._friction(body, theta, omega, t, mesh, age)
         return self._at_once[body] * scale * _viscous(omega, direction, self.laws[body])
 

@@ -36,7 +36,7 @@ class Case(NamedTuple):
     sensors: str | None
     folder: Path | None = None
     label: dict | None = None
-    friction: str | None = None
+    laws: tuple = ()  # ("friction", ...), ("contact", ...): where they are not drawn
 
 
 def planned(seeds, count, only):
@@ -88,9 +88,7 @@ def given(case):
         return list(load_logs(case.folder)), hidden, None, case.label
     from rigs import make_rig
 
-    options = {"sensors": case.sensors, "hidden_logs": HIDDEN}
-    if case.friction is not None:
-        options["friction"] = case.friction
+    options = {"sensors": case.sensors, "hidden_logs": HIDDEN, **dict(case.laws)}
     rig = make_rig(case.seed, case.effects, **options)
     again = make_rig(
         case.seed, case.effects, logs=("open_sine_0v60",), noise_seed=case.seed + 1, **options
@@ -172,6 +170,7 @@ def diagnosed(logs, hidden):
         ],
         "rest": [[t.name, t.gain, t.held_gain] for t in result.decision.rest[:3]],
         "at_bounds": list(result.fitted.at_bounds),
+        "left_per_window": [per_window(r) for r in (result.decision.before, result.decision.after)],
         "keeps_step": [fit.horizon for fit in result.fits],
     }
     if hidden:
@@ -181,6 +180,12 @@ def diagnosed(logs, hidden):
             "after": speed_error(result.augmented, hidden)["rmse"],
         }
     return said
+
+
+def per_window(left):
+    """Loss of the balances per window, on fitted and on held-out logs."""
+    losses = (left.base.loss, left.base.parts), (left.held_base, left.held.missing(left.base.model))
+    return [loss / max(1, sum(map(len, parts))) for loss, parts in losses]
 
 
 def run(cases, folder, jobs, scheduler=None, show=print):
@@ -233,6 +238,11 @@ def main():
     parser.add_argument("--effects", nargs="+", help="these, one per rig, instead of a campaign")
     parser.add_argument("--strengths", type=float, nargs="+", default=[1.0, 3.0])
     parser.add_argument("--friction", choices=("karnopp", "lugre", "tanh"), help="of all rigs")
+    parser.add_argument(
+        "--contact",
+        choices=("eq21", "two_state", "kelvin_voigt", "hunt_crossley"),
+        help="of all rigs",
+    )
     parser.add_argument("--logs", type=Path, help="a folder of rigs with labels.json")
     cluster.add_arguments(parser, jobs=2)
     asked = parser.parse_args()
@@ -242,8 +252,9 @@ def main():
         cases = one_by_one(asked.seeds, asked.effects, asked.strengths)
     else:
         cases = planned(asked.seeds, asked.count, asked.only)
-    if asked.friction:
-        cases = [c._replace(id=f"{c.id}-{asked.friction}", friction=asked.friction) for c in cases]
+    laws = {"friction": asked.friction, "contact": asked.contact}
+    laws = {name: law for name, law in laws.items() if law}
+    cases = [c._replace(id="-".join((c.id, *laws.values())), laws=(*laws.items(),)) for c in cases]
     run(cases, asked.out, asked.jobs, asked.scheduler)
     lines = list(read(asked.out / "results.jsonl").values())
     summary = summarise(lines)

@@ -7,7 +7,7 @@ Source: Zheng et al. 2022, doi:10.21203/rs.3.rs-1546754/v1 ("the paper").
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 from types import MappingProxyType
 
@@ -39,6 +39,10 @@ class Quantity:
     source: str
     low: float | None = None
     high: float | None = None
+
+    def at(self, value: float) -> "Quantity":
+        """Return the same declaration with another value."""
+        return Quantity(value, self.unit, self.tolerance, self.source, self.low, self.high)
 
     @property
     def range(self) -> tuple[float, float]:
@@ -99,7 +103,7 @@ class Drive(Mapping[str, float]):
         new = dict(self.quantities)
         for key, value in values.items():
             self[key]
-            new[key] = replace(new[key], value=float(value))
+            new[key] = new[key].at(float(value))
         return Drive(new, self.name)
 
     @property

@@ -15,7 +15,8 @@ from scipy.optimize import lsq_linear
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import Record, difference, predict, settled
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.compose import layout
+from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 
 CORRELATION_SECONDS = 0.1  # how long a model error lasts: samples closer than this are not news
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
@@ -102,6 +103,30 @@ def place(model: Model, unknowns: Sequence[Unknown], p: Floats) -> Model:
         else:
             effects.setdefault(unknown.effect, {})[unknown.name] = value
     return Model(model.drive.with_values(**drive), effects)
+
+
+def arrays_at(model: Model, unknowns: Sequence[Unknown], several: Sequence[Floats]) -> list[Arrays]:
+    """Return ``place(model, unknowns, p).arrays()`` of several `p`; no model is made of each."""
+    base, on, values = place(model, unknowns, several[0]).arrays()
+    numbers = [k.centre for k in unknowns] + np.array(several) * [k.scale for k in unknowns]
+    bases, rows = (np.tile(x, (len(several), 1)) for x in (base, values))
+    flags = np.tile(on, (len(several), 1))
+    slots = layout()
+    for unknown, column in zip(unknowns, numbers.T, strict=True):
+        if unknown.effect is None:
+            bases[:, BASE.index(unknown.name)] = column
+        else:
+            rows[:, slots[unknown.effect][1] + _place_in(unknown.effect, unknown.name)] = column
+    for name in {k.effect for k in unknowns if k.effect is not None}:
+        index, first = slots[name]
+        amplitudes = [first + _place_in(name, a) for a in CATALOGUE[name].amplitudes]
+        flags[:, index] = np.any(rows[:, amplitudes] != 0.0, axis=1)
+    return list(zip(bases, flags, rows, strict=True))
+
+
+def _place_in(effect: str, parameter: str) -> int:
+    """Place of a parameter among its effect's."""
+    return [p.name for p in CATALOGUE[effect].parameters].index(parameter)
 
 
 def position(model: Model, unknowns: Sequence[Unknown]) -> Floats:

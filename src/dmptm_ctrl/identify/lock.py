@@ -16,11 +16,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dmptm_ctrl.identify.fit import Fit, Known, Unknown, place, position
+from dmptm_ctrl.identify.fit import Fit, Known, Unknown, arrays_at, place, position
 from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import BODIES
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.model import BASE, Floats, Model
 
 HORIZONS = (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.9)  # s
 BLOCK_SECONDS = 0.002
@@ -30,13 +30,17 @@ SPEED_UNIT = np.deg2rad(0.08)  # rad/s
 TWIST_UNIT = 1.4 * RING_COUNT / np.sqrt(12.0)  # rad at the ring gear
 FREEDOM = 4.0  # what has lost step counts by the logarithm of its miss only
 NEWS = 0.2  # share of the samples that is independent
-LOST = 0.6  # mean loss per sample above which the model has lost step; noise alone gives 0.25
-PROBE = 1e-3  # difference step, in half-ranges: small against the distance to another bounce
-PROBE_SHRINKS = 0.3
+NOISE_LEVEL = 0.25  # mean loss per sample of noise alone
+LOST = 0.6  # the same, above which the model has lost step
+# Slopes are taken as far apart as values may still lie, in standard deviations, for one impact
+# missed by a sample makes the loss jagged below; nearer where that leads nowhere.
+REACH, NEARER, NEAREST = 0.7, 0.3, 0.05
+FARTHEST = 1.0  # half-ranges, or steps of an effect, that a slope takes at most
 DAMPINGS = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)  # of a step; all are tried
 ITERATIONS = 8  # per horizon
 LOOSE = 4.0  # factor on the variance of what balances know, before bounces sharpen it
 TINY = 1e-9  # precision of what nothing is known about
+SINGULAR = 1e-6  # of directions that bounds have made one
 STALLED = 5e-3  # relative fall of the cost that ends them
 ROUGH = 0.02  # the same where names are compared, which differ by far more
 UNEASY = 0.45  # mean loss per sample above which all is not well; noise gives 0.25
@@ -172,6 +176,7 @@ class Steps:
     known: Known
     jobs: int
     stalled: float = STALLED
+    spread: Floats | None = None
 
     def __post_init__(self) -> None:
         self.covariance: Floats = np.zeros(0)  # of the last step
@@ -184,9 +189,9 @@ class Steps:
 
     def residuals(self, several: Sequence[Floats]) -> Floats:
         """Measured minus simulated, in units, (len(several), m)."""
-        moved = [self.placed(p) for p in several]
-        arrays = [m.arrays() for m in moved]
-        n1, n2 = (np.array([m.drive[key] for m in moved]) for key in ("N_1", "N_2"))
+        arrays = arrays_at(self.model, self.unknowns, several)
+        ratios = [BASE.index(key) for key in ("N_1", "N_2")]
+        n1, n2 = np.array([base[ratios] for base, _, _ in arrays]).T
 
         def one(rec: Record) -> Floats:
             theta, omega, *motors = np.moveaxis(
@@ -211,20 +216,25 @@ class Steps:
         told = [self.known.cost(p) for p in several]
         return np.asarray(NEWS * loss(residuals).sum(1) + told)
 
-    def slopes(self, p: Floats, probe: float = PROBE) -> tuple[Floats, Floats]:
+    def slopes(self, p: Floats, directions: Floats) -> tuple[Floats, Floats]:
         """Slopes of the residuals by differences, (len(p), m), and the residuals."""
-        step = np.where(p + probe < self.high, probe, -probe)
-        runs = self.residuals([p, *(p + np.diag(step))])
-        return (runs[1:] - runs[0]) / step[:, None], runs[0]
+        ends = np.clip(p + directions, self.low, self.high)
+        other = np.clip(p - directions, self.low, self.high)
+        shorter = np.sum((ends - p) ** 2, axis=1) < np.sum((other - p) ** 2, axis=1)
+        ends[shorter] = other[shorter]
+        runs = self.residuals([p, *ends])
+        return np.linalg.pinv(ends - p, rcond=SINGULAR) @ (runs[1:] - runs[0]), runs[0]
 
     def descend(self, p: Floats, iterations: int = ITERATIONS) -> Floats:
         """Go down from `p` for as long as it pays."""
-        probe = PROBE
+        known = self.known.precision + TINY * np.eye(p.size)
+        spread = np.asarray(np.linalg.inv(known)) if self.spread is None else self.spread
+        reach = REACH
         for _ in range(iterations):
-            slopes, r = self.slopes(p, probe)
+            slopes, r = self.slopes(p, reach * axes(spread))
             cost = self.costs(r[None], [p])[0]
             w = NEWS / (1.0 + r**2 / FREEDOM)
-            normal = (slopes * w) @ slopes.T + self.known.precision + TINY * np.eye(p.size)
+            normal = (slopes * w) @ slopes.T + known
             self.covariance = np.asarray(np.linalg.inv(normal), np.float64)
             uphill = (slopes * w) @ r + self.known.precision @ (p - self.known.mean)
             tried = [
@@ -240,10 +250,22 @@ class Steps:
             if gain > 0.0:
                 p = tried[int(np.argmin(costs))]
             if gain < self.stalled * cost:
-                if gain > 0.0 or probe < PROBE:
+                if gain > 0.0 or reach < NEAREST:
                     break
-                probe *= PROBE_SHRINKS
+                reach *= NEARER
+            # what is missed says how far off the values may be
+            spread = self.covariance * max(1.0, float(loss(r).mean()) / NOISE_LEVEL)
         return p
+
+
+def axes(spread: Floats, most: float = FARTHEST) -> Floats:
+    """Return the principal axes of what is known, one standard deviation long, as rows.
+
+    Each value is taken to be known to `most` at least.
+    """
+    near = np.minimum(1.0, most / np.sqrt(np.maximum(np.diag(spread), TINY)))
+    size, vectors = np.linalg.eigh(near[:, None] * spread * near)
+    return np.asarray((vectors * np.sqrt(np.maximum(size, TINY))).T)
 
 
 @dataclass(eq=False)
@@ -272,10 +294,16 @@ class Seeker:
 
     def go(self, records: Sequence[Record], jobs: int) -> None:
         """Fit to records of one horizon."""
-        self.steps = Steps(records, self.model, self.unknowns, self.known, jobs, self.stalled)
+        self.steps = self.prepared(records, jobs, self.covariance)
         self.found: list[tuple[float, Floats, Floats, float]] = []
         for start in self.places:
             self.pursue(start)
+
+    def prepared(self, records: Sequence[Record], jobs: int, spread: Floats | None) -> Steps:
+        """Return what goes down on some records."""
+        return Steps(
+            records, self.model, self.unknowns, self.known, jobs, self.stalled, spread=spread
+        )
 
     def pursue(self, start: Floats) -> None:
         """Go down from a start; keep the best two places."""
@@ -289,7 +317,7 @@ class Seeker:
 
     def scatter(self, records: Sequence[Record], jobs: int) -> None:
         """Begin anew from the best of many places that are known to be possible."""
-        self.steps = Steps(records, self.model, self.unknowns, self.known, jobs, self.stalled)
+        self.steps = self.prepared(records, jobs, None)
         self.found = []
         drawn = self.draw(SCATTERED)
         for follow, iterations in FOLLOWED:
@@ -308,18 +336,18 @@ class Seeker:
         of_open = width > OPEN
         told = np.where(of_open[:, None] | of_open, 0.0, self.covariance)
         told[np.diag_indices_from(told)] += np.where(of_open, 1.0, TINY)
-        near = first + other @ np.linalg.cholesky(told).T
+        near = first + other @ axes(told, np.inf)
         sized = np.where(self.steps.low < 0.0, OPEN_SIZE * scale, first * np.exp(scale))
         return [*np.clip(np.where(of_open, sized, near), self.steps.low, self.steps.high)]
 
     def search(self) -> None:
         """Try other starts, drawn from what the last horizon left open."""
         rng = self.rng
-        spread = np.linalg.cholesky(self.covariance)
+        spread = axes(self.covariance, np.inf)
         best = self.places[0]
         drawn = [
             np.clip(
-                best + SIZES[i % len(SIZES)] * spread @ rng.standard_normal(best.size),
+                best + SIZES[i % len(SIZES)] * rng.standard_normal(best.size) @ spread,
                 self.steps.low,
                 self.steps.high,
             )

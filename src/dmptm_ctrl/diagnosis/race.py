@@ -34,18 +34,22 @@ from dmptm_ctrl.identify.lock import (
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
-KEEPS_SECONDS = 0.15  # a model that keeps step for so long lacks nothing that is told here
-HORIZONS = (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4)  # s
+KEEPS_SECONDS = 0.6  # a model that keeps step for so long lacks nothing that is told here
+HORIZONS = (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.9)  # s
 WINS_SECONDS = 0.15  # for which a winner keeps step
 MARGIN = 40.0  # cost beyond the best one's at which a candidate drops out
 LEAST = 150.0  # evidence of a winner
 # Times the winner's loss per sample: so far out of step is the model as it is. Where friction is
 # only a little other than the model's, an effect that mends it in part leaves more of it.
 OUT = 2.7
+WELL = 0.4  # mean loss per sample that leaves nothing to mend
 HELD_SHARE = 0.3  # of a fitted log's evidence, that a held-out log gives at least
 TRIED = 4  # best candidates, for which other starts are tried
+# Seconds for which the model as it is keeps step too, from where only so many go on: those that
+# balances and bounces together speak for.
+EVEN_SECONDS, MANY = 0.15, 8
 # Shapes that are no slope, all tried: (seconds of each log, steps of a fit, how many go on).
-SCAN = ((0.03, 2, 32), (0.05, 4, 12), (0.07, 4, 6), (0.1, 6, 2))
+SCAN = ((0.03, 2, 32), (0.05, 4, 12), (0.07, 4, 6), (0.1, 6, 4))
 SHAPE_WIDTH = 10.0  # steps of a shape, about the value that the balances like best
 
 
@@ -57,9 +61,19 @@ class Runner(Seeker):
     ----------
     name : str or None
         None for the model as it is.
+    told : float
+        Evidence of the balances for it.
     """
 
     name: str | None = None
+    told: float = 0.0
+
+    def from_place_of(self, other: "Runner") -> None:
+        """Try the values of one with an effect, without it: a start may be all that it had ahead.
+
+        Its own unknowns are behind those of the model as it is.
+        """
+        self.pursue(other.places[0][: len(self.unknowns)])
 
     def place(self) -> "Place":
         """Return where it is."""
@@ -128,12 +142,18 @@ def race(
             if runner.level > UNEASY:
                 runner.search()
         runners.sort(key=lambda runner: runner.cost)
-        if runners[0].level > UNEASY or (bare.level < UNEASY and horizon >= KEEPS_SECONDS):
+        if runners[0].level > LOST or (bare.level < UNEASY and horizon >= KEEPS_SECONDS):
             break
         runners = [runner for runner in runners if runner.cost <= runners[0].cost + MARGIN]
+        if bare.level < UNEASY and horizon >= EVEN_SECONDS:
+            hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)[:MANY]
+            runners = [runner for runner in runners if runner in hopeful]
+        if bare.cost > runners[0].cost + MARGIN:
+            bare.from_place_of(runners[0])
         for runner in with_(bare, runners):
             runner.settle()
-        last = Lap(horizon, bare.place(), tuple(runner.place() for runner in runners))
+        if runners[0].level < UNEASY:
+            last = Lap(horizon, bare.place(), tuple(runner.place() for runner in runners))
     return None if last is None else judged(last, held, jobs)
 
 
@@ -170,7 +190,7 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
     winner, bare = lap.field[0], lap.bare
     if lap.seconds < WINS_SECONDS or winner.name is None:
         return None
-    if bare.level < max(LOST, OUT * winner.level):
+    if bare.level < max(LOST, winner.level * (1.0 if winner.level < WELL else OUT)):
         return None
     records = [cut(rec, lap.seconds) for rec in held]
     held_gain = bare.missed(records, jobs) - winner.missed(records, jobs)
@@ -199,7 +219,9 @@ def with_effect(
     if values != trial.fit.model.effects[name]:
         return entrant(name, model, unknowns, beside(known, model, own), ())
     known = loosely(meshes_from(start, trial.fit))
-    return entrant(name, model, unknowns, known, (known.mean,))
+    entered = entrant(name, model, unknowns, known, (known.mean,))
+    entered.told = trial.evidence
+    return entered
 
 
 def loosely(fit: BalanceFit) -> Known:

@@ -13,7 +13,7 @@ from dmptm_ctrl.diagnosis.decide import MAX_EFFECTS, Decision, Found, decide, wi
 from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.race import KEEPS_SECONDS, LEAST, race
+from dmptm_ctrl.diagnosis.race import KEEPS_SECONDS, LEAST, WINS_SECONDS, race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import (
     Diagnosis,
@@ -106,6 +106,8 @@ def diagnose(
     after = rested(decision, after, jobs)
     after = in_step(decision, after, jobs, seed)
     after = uncovered(decision, without["rmse"], after, held, jobs, seed)
+    if at_rest.travel(after) < at_rest.MATTERS:  # no more than any friction gives way
+        decision.found = [found for found in decision.found if found.name != at_rest.NAME]
     nothing = not decision.found and not model.effects and decision.unexplained is None
     if nothing and without["rmse"] > ASTRAY:
         variables = astray(before.model, held)
@@ -192,12 +194,13 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     if after.horizon >= KEEPS_SECONDS or full or decision.unexplained is not None:
         return after
     measured, base = decision.before.measured, decision.after.base
-    behind = len(base.unknowns)
-    start = at_rest.softened(rattled(measured.fit, base, measured.drive, jobs), behind)
-    logs = measured.fit, measured.held
-    rest = decision.rest
-    trials = [replace(trial, fit=at_rest.softened(trial.fit, behind)) for trial in rest]
-    shown = race(*logs, start, trials, scan=not decision.found, jobs=jobs, seed=seed)
+    start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
+    if gives(decision):  # or delays and lags would do for it
+        behind = len(base.unknowns)
+        field = [replace(t, fit=at_rest.softened(t.fit, behind)) for t in field]
+        start = at_rest.softened(start, behind)
+    logs, scan = (measured.fit, measured.held), not decision.found
+    shown = race(*logs, start, field, scan=scan, jobs=jobs, seed=seed)
     if shown is None:
         return after
     unknowns = (*base.unknowns, *unknowns_of(shown.name))
@@ -207,6 +210,11 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     decision.found.append(found)
     near = replace(after, model=shown.model, horizon=shown.seconds)
     return refit(decision, jobs, near)
+
+
+def gives(decision: Decision) -> bool:
+    """Whether friction gives a little before it slides, and not only in what is named so."""
+    return decision.at_rest is not None and decision.at_rest.gives
 
 
 def refit(decision: Decision, jobs: int, near: Fit | None = None) -> Fit:
@@ -229,7 +237,7 @@ def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
     It is in the model without being named, unless it turns out to be more.
     """
     full = len(decision.found) == MAX_EFFECTS or decision.is_found(at_rest.NAME)
-    if full or after.horizon >= KEEPS_SECONDS or decision.unexplained is not None:
+    if full or after.horizon >= WINS_SECONDS or decision.unexplained is not None:
         return after
     first = decision.at_rest
     if first is None or at_rest.NAME not in first.fit.model.effects:
@@ -241,7 +249,7 @@ def rested(decision: Decision, after: Fit, jobs: int) -> Fit:
     unknowns = without.base.unknowns
     decision.after = residual(measured, shown.fit.model, unknowns=unknowns, jobs=jobs)
     fit = refit(decision, jobs, shown.fit)
-    if not shown.convincing and fit.horizon < KEEPS_SECONDS:
+    if not shown.convincing and fit.horizon < WINS_SECONDS:
         decision.after = without
         return after
     if shown.convincing:
@@ -258,7 +266,7 @@ def uncovered(
     """Add what the balances tell nothing of, if the model keeps step with it and all else fails."""
     if decision.found or decision.unexplained is not None:
         return after
-    shown = unseen(decision.after, after, jobs=jobs, seed=seed)
+    shown = unseen(decision.after, after, gives=gives(decision), jobs=jobs, seed=seed)
     if shown is None:
         return after
     beside = decision.after

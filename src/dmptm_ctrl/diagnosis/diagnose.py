@@ -191,7 +191,9 @@ def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log],
 def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     """Add an effect that the balances do not see, but without which no bounce is met."""
     full = len(decision.found) == MAX_EFFECTS
-    if after.horizon >= KEEPS_SECONDS or full or decision.unexplained is not None:
+    # beside another effect a law that is not quite the model's is not told from a faint one
+    keeps = WINS_SECONDS if decision.found else KEEPS_SECONDS
+    if after.horizon >= keeps or full or decision.unexplained is not None:
         return after
     measured, base = decision.before.measured, decision.after.base
     start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest

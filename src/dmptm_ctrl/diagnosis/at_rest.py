@@ -31,8 +31,8 @@ FAINT_SECONDS = 0.05  # for which a model with a little of it keeps step
 # Of what the model misses at first, on fitted and on held-out logs, pre-sliding takes off 0.5 to
 # 0.9, whatever the laws of the rig; where it is something else, less than 0.3.
 SHARE = 0.4
-# The same beside another lack, where the friction law is one that gives; where friction sticks it
-# is below, mostly negative (rigs of benchmarks/blind.py --seeds 911 912, 16 rigs without lack).
+# The same beside another lack, where the friction law is one that gives; where friction sticks
+# it takes off nothing on the held-out logs.
 HELPS = 0.05
 # Any real contact pre-slides a little: common bristles bend by one or two counts of the ring
 # encoder and are taken for up to twice that. An effect bends by more.

@@ -8,6 +8,7 @@ beside the first effect on rigs that lack one (`benchmarks/blind.py`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.at_rest import AtRest
@@ -25,6 +26,8 @@ SECOND = 90.0  # of a second one, beside the first
 SECOND_SHARE = 0.01
 MAX_EFFECTS = 2
 SLACK = 10.0  # by which an effect may miss on the held-out logs, which need not show it
+# Share of the best first effect's evidence from which others are tried with a second, too; most.
+NEAR, MOST_FIRST = 0.8, 3
 HOPE = 0.2  # share of the first effect's evidence from which it may lose its place to another
 # Factors on what may be left: a soft reducer rings after each impact, faster than the windows
 # follow; bristles carry more than the declared friction does near rest.
@@ -167,17 +170,16 @@ def by_balances(
     trials = trace(decision.after, skip)
     decision.trials = {t.name: t for t in trials}
     decision.rest = trials
-    while len(decision.found) < MAX_EFFECTS:
-        winner = winner_of(trials, threshold)
-        if winner is None:
-            break
-        decision.found.append(found_among(trials, winner, threshold))
+    winner = winner_of(trials, threshold)
+    if winner is not None and known is None:
+        start = first_of(measured, trials, skip, jobs)
+        decision.found.append(found_among(trials, start.trial, threshold))
+        decision.after, decision.rest = start.after, start.rest
+        threshold = start.threshold
+        winner = winner_of(decision.rest, threshold)
+    if winner is not None:
+        decision.found.append(found_among(decision.rest, winner, threshold))
         decision.after = adopt(measured, winner, jobs)
-        if len(decision.found) == MAX_EFFECTS:
-            break
-        trials = trace(decision.after, skip)
-        decision.rest = trials
-        threshold = max(SECOND, SECOND_SHARE * decision.found[0].evidence)
     if len(decision.found) == 2 and known is None:
         reconsider(decision, skip, jobs)
     decision.unexplained = remainder(decision)
@@ -186,6 +188,41 @@ def by_balances(
     if decision.unexplained is not None and decision.unexplained.beyond_names:
         decision.found, decision.after = [], decision.before
     return decision
+
+
+class Start(NamedTuple):
+    """A first effect, and what is left for a second."""
+
+    trial: Trial
+    after: Residual
+    rest: list[Trial]
+
+    @property
+    def threshold(self) -> float:
+        """Evidence of a second one."""
+        return max(SECOND, SECOND_SHARE * self.trial.evidence)
+
+    def evidence(self) -> float:
+        """Evidence of the first effect and of a second one, if one convinces."""
+        second = winner_of(self.rest, self.threshold)
+        return self.trial.evidence + (second.evidence if second is not None else 0.0)
+
+
+def first_of(
+    measured: Measured, trials: Sequence[Trial], skip: Sequence[str], jobs: int
+) -> Start:
+    """Choose the first effect; of several that do nearly as well, by what a second adds.
+
+    The one that does best alone may do so because it also takes up a part of another.
+    """
+    able = [t for t in trials if convincing(t, FIRST)]
+    near = [t for t in able if t.evidence > NEAR * able[0].evidence][:MOST_FIRST]
+    starts = []
+    for trial in near:
+        after = adopt(measured, trial, jobs)
+        starts.append(Start(trial, after, trace(after, skip)))
+    best = max(starts, key=Start.evidence)
+    return best if best.evidence() > starts[0].evidence() + SECOND else starts[0]
 
 
 def put_into_tables(decision: Decision, jobs: int) -> None:

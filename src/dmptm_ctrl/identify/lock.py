@@ -13,17 +13,19 @@ Source: the growing horizon is the usual way to fit chaotic motion, Baake et al.
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from dmptm_ctrl.identify.fit import Fit, Known, Unknown, arrays_at, place, position
 from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
 from dmptm_ctrl.simulate.batch import march_many
-from dmptm_ctrl.simulate.compiled import BODIES
-from dmptm_ctrl.simulate.model import BASE, Floats, Model
+from dmptm_ctrl.simulate.compiled import BODIES, observer_gains
+from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 
 HORIZONS = (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.9)  # s
 BLOCK_SECONDS = 0.002
+LEAD_HZ = 6.0  # of the observer that leads a run to where it is let go
 # One unit of a residual: twice what a gyro of 0.05 deg/s leaves in a block of two samples, and
 # one and a half times the rounding of the ring encoder, seen at the pinion.
 SPEED_UNIT = np.deg2rad(0.08)  # rad/s
@@ -150,7 +152,7 @@ def walk(one: "Seeker", records: Sequence[Record], horizons: Sequence[float], jo
 
 def cut(rec: Record, seconds: float) -> Record:
     """Return the start of a record, in the blocks that are compared here."""
-    n = min(rec.omega.size, round(seconds / rec.dt))
+    n = min(rec.omega.size, rec.led + round(seconds / rec.dt))
     return replace(
         rec,
         u=np.ascontiguousarray(rec.u[:, :n]),
@@ -160,6 +162,15 @@ def cut(rec: Record, seconds: float) -> Record:
         time=rec.time[:n],
         block=max(1, round(BLOCK_SECONDS / rec.dt)),
     )
+
+
+def led_run(rec: Record, arrays: Sequence[Arrays]) -> Floats:
+    """Run many drives on a record, (len(arrays), n, BODIES), led where it is."""
+    lead: dict[str, Any] = {}
+    if rec.led:
+        gains = observer_gains(LEAD_HZ, rec.dt)
+        lead = {"observer": gains, "measured": rec.theta[: rec.led], "begin": float(rec.time[0])}
+    return march_many(arrays, rec.u, rec.x0, rec.dt, columns=range(BODIES), **lead)
 
 
 @dataclass(eq=False)
@@ -194,15 +205,14 @@ class Steps:
         n1, n2 = np.array([base[ratios] for base, _, _ in arrays]).T
 
         def one(rec: Record) -> Floats:
-            theta, omega, *motors = np.moveaxis(
-                march_many(arrays, rec.u, rec.x0, rec.dt, columns=range(BODIES)), 2, 0
-            )
+            theta, omega, *motors = np.moveaxis(led_run(rec, arrays), 2, 0)
             rows = [(rec.omega - omega) / SPEED_UNIT]
             if rec.twist is not None:
                 for seen, motor in zip(rec.twist.T, motors, strict=True):
                     twist = motor / n1[:, None] - n2[:, None] * theta
                     rows.append((seen - twist) / (n2[:, None] * TWIST_UNIT))
-            return block_mean(np.stack(rows, 1), rec.block).reshape(len(arrays), -1)
+            compared = np.stack(rows, 1)[..., rec.led :]
+            return block_mean(compared, rec.block).reshape(len(arrays), -1)
 
         with ThreadPoolExecutor(self.jobs) as pool:
             return np.hstack(list(pool.map(one, self.records)))

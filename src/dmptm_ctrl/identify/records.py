@@ -30,6 +30,9 @@ class Record:
         State at rest at the first reading.
     block : int
         Samples per block mean.
+    led : int
+        First samples, over which the simulated run is led by the measured angle; they are not
+        compared.
     """
 
     name: str
@@ -41,6 +44,7 @@ class Record:
     x0: Floats
     block: int
     time: Floats
+    led: int = 0
 
     @property
     def channels(self) -> tuple[str, ...]:

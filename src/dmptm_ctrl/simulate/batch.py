@@ -59,6 +59,7 @@ class Task(NamedTuple):
     every: int
     statistics: bool
     design: Arrays | None = None  # of the controllers' model
+    begin: float = 0.0  # s, time of the first sample
 
     def rows(self, group: slice) -> "Task":
         """What a group of the drives needs of it."""
@@ -107,7 +108,7 @@ def _lanes(
     loop.march_lanes(
         *(task.inputs, task.target, task.measured, pick),
         *(laws, task.design or arrays[0], task.observer, task.extra),
-        *(task.dt, task.substeps, on, s, task.columns, task.every, out, stats),
+        *(task.begin, task.dt, task.substeps, on, s, task.columns, task.every, out, stats),
     )
     return out, stats[:, :, :count]
 
@@ -140,6 +141,7 @@ def march_many(
     observer: tuple[float, float] | None = None,
     measured: Floats | None = None,
     extra: Floats | None = None,
+    begin: float = 0.0,
     columns: Sequence[int] = range(len(OUTPUTS)),
     jobs: int = 1,
 ) -> Floats:
@@ -150,9 +152,9 @@ def march_many(
     arrays : sequence of what :meth:`Model.arrays` gives
     u : (2, n) or (batch, 2, n) array [V]
     x0 : (6,) or (batch, 6) array
-    dt, substeps, observer, extra
+    dt, substeps, observer, extra, begin
         As for :func:`~.compiled.march`, the same for all.
-    measured : (n,) or (batch, n) array [rad]
+    measured : (m,) or (batch, m) array [rad]
     columns : sequence of int
         Which of :data:`BATCH_OUTPUTS` to keep.
     jobs : int
@@ -176,6 +178,7 @@ def march_many(
         columns=np.array(columns, np.int64),
         every=1,
         statistics=False,
+        begin=begin,
     )
     count = len(arrays)
     starts = np.array(np.broadcast_to(x0, (count, 6)), float)

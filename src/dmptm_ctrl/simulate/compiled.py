@@ -60,6 +60,7 @@ def march(
     observer: tuple[float, float] | None = None,
     measured: Floats | None = None,
     extra: Floats | None = None,
+    begin: float = 0.0,
     meshes: bool = True,
 ) -> Floats:
     """Run the plant open loop on arrays, as the identification does thousands of times.
@@ -75,10 +76,12 @@ def march(
         Sample time [s].
     observer : (angle gain, speed gain) per sample
         Feeds the miss of the ring-gear angle back to the rigid mode, see :func:`observer`.
-    measured : (n,) array [rad]
-        The angle that the observer follows.
+    measured : (m,) array [rad]
+        The angle that the observer follows for as long as it lasts; m ≤ n.
     extra : (n, 3) array [N·m]
         Torques added on the two pinions and the ring gear.
+    begin : float
+        Time of the first sample [s], for what depends on it.
     meshes : bool
         Whether torques and relative angles of the meshes are wanted.
 
@@ -99,6 +102,7 @@ def march(
         np.empty(0) if measured is None else _own(measured),
         _NONE if extra is None else _own(extra),
         _own(x0),
+        begin,
         dt,
         substeps,
         base,
@@ -161,6 +165,7 @@ def close_loop(
         seen,
         _NONE if extra is None else _own(extra),
         rest(model, theta_L),
+        0.0,
         dt,
         substeps,
         base,

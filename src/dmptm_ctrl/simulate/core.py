@@ -117,15 +117,17 @@ def mesh_step(z, z_rate, law, before, h):
 
 @njit
 def march(
-    u, loop, design, target, observer, measured, extra, x0, dt, substeps, base, on, values, out
-):
+    u, loop, design, target, observer, measured, extra, x0, begin, dt, substeps, base, on, values,
+    out
+):  # fmt: skip
     """Run the plant over all samples; see `compiled.march` for the meaning.
 
     u (2, n) is read, or written when the loop is closed; `loop` (kp, ki, limit, bias_l,
     bias_r, closed) and, where closed is 2, what else `control_core` takes, with the arrays of
-    its model in `design`; `observer` (angle gain, speed gain); `measured` (n,) is the angle that
-    the observer follows, or the speed noise of the closed loop; `extra` (n, 3) or (0, 3)
-    torques on the pinions and the ring gear; `base` in the order of `compiled.BASE`;
+    its model in `design`; `observer` (angle gain, speed gain); `measured` is the angle that
+    the observer follows for as long as it lasts, or (n,) the speed noise of the closed loop;
+    `extra` (n, 3) or (0, 3) torques on the pinions and the ring gear; `begin` the time of the
+    first sample; `base` in the order of `compiled.BASE`;
     `out` (n, 8), or (n, 4) without the columns of the meshes.
     """
     n = u.shape[1]
@@ -187,7 +189,7 @@ def march(
     lead = 0.0
     meshes = out.shape[1] > 4  # whether the columns of the meshes are wanted
     for i in range(n):
-        t = i * dt
+        t = begin + i * dt
         seen = v2
         if late:
             back = int(lag_time)
@@ -229,7 +231,7 @@ def march(
                 common = loop[2] if common > 0.0 else -loop[2]
             left[i] = common + loop[3]
             right[i] = common + loop[4]
-        elif observer[0] > 0.0:
+        elif observer[0] > 0.0 and i < measured.size:
             miss = measured[i] - angle
             # what depends on angle is where the sensor says, not where the run has drifted to
             lead = (1.0 - observer[0]) * miss

@@ -558,15 +558,17 @@ def summarise(s, width, stats):
 
 @njit
 def march_lanes(
-    u, target, measured, pick, laws, design, observer, extra, dt, substeps, on, s, columns, every,
-    out, stats
+    u, target, measured, pick, laws, design, observer, extra, begin, dt, substeps, on, s, columns,
+    every, out, stats
 ):  # fmt: skip
     """Run LANES drives over all samples.
 
-    u (k, 2, n), or (0, 2, n) under the loop; target (k, n) or (0, 0); measured (k, n) or (0, 0);
+    u (k, 2, n), or (0, 2, n) under the loop; target (k, n) or (0, 0); measured (k, n), for
+    the observer also shorter, or (0, 0);
     pick (3, LANES) the rows of these that each lane takes; laws (LANES, SIZE) or (0, 0) the
     controllers of `control_core` with the arrays of their model in design; observer (angle
-    gain, speed gain); extra (n, 3) or (0, 3); on (effects,), where any lane has it; s as from
+    gain, speed gain); extra (n, 3) or (0, 3); begin the time of the first sample;
+    on (effects,), where any lane has it; s as from
     `fill`; out (up to LANES, columns.size, samples kept), every `every`-th sample; stats
     (4, COLUMNS, LANES).
     """
@@ -597,7 +599,7 @@ def march_lanes(
     step = 0
     kept = 0
     for i in range(n):
-        t = i * dt
+        t = begin + i * dt
         for lane in range(width):
             s[SEEN + lane] = s[V2 + lane]
         if late:
@@ -632,7 +634,7 @@ def march_lanes(
             for lane in range(width):
                 s[U0 + lane] = u[pick[0, lane], 0, i]
                 s[U1 + lane] = u[pick[0, lane], 1, i]
-            if observer[0] > 0.0:
+            if observer[0] > 0.0 and i < measured.shape[1]:
                 for lane in range(width):
                     s[R0 + lane] = measured[pick[2, lane], i] - s[OUT + lane]
                 correct(s, width, observer[0], observer[1])

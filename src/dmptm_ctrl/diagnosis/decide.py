@@ -197,6 +197,12 @@ class Start(NamedTuple):
     after: Residual
     rest: list[Trial]
 
+    @classmethod
+    def of(cls, measured: Measured, trial: Trial, skip: Sequence[str], jobs: int) -> "Start":
+        """Adopt a first effect and try all others beside it."""
+        after = adopt(measured, trial, jobs)
+        return cls(trial, after, trace(after, skip))
+
     @property
     def threshold(self) -> float:
         """Evidence of a second one."""
@@ -216,13 +222,12 @@ def first_of(
     The one that does best alone may do so because it also takes up a part of another.
     """
     able = [t for t in trials if convincing(t, FIRST)]
-    near = [t for t in able if t.evidence > NEAR * able[0].evidence][:MOST_FIRST]
-    starts = []
-    for trial in near:
-        after = adopt(measured, trial, jobs)
-        starts.append(Start(trial, after, trace(after, skip)))
-    best = max(starts, key=Start.evidence)
-    return best if best.evidence() > starts[0].evidence() + SECOND else starts[0]
+    best = Start.of(measured, able[0], skip, jobs)
+    if all(t.gain < SECOND for t in best.rest):
+        return best  # no second one is in sight
+    near = [t for t in able[1:MOST_FIRST] if t.evidence > NEAR * able[0].evidence]
+    other = max((Start.of(measured, t, skip, jobs) for t in near), key=Start.evidence, default=best)
+    return other if other.evidence() > best.evidence() + SECOND else best
 
 
 def put_into_tables(decision: Decision, jobs: int) -> None:

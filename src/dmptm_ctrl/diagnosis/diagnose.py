@@ -51,6 +51,7 @@ ASTRAY = 0.45
 WORTH_SECONDS = 0.1  # for which a model with a little pre-sliding keeps step, before a refit
 LITTLE = 0.03  # deg/s; rattle of another course moves a small error by so much
 BY_KEEPING_STEP = (at_rest.NAME, AGEING, *WITHOUT_TWIST)  # what balances may tell nothing of
+RINGING = {"u", "du_dt"}  # what a ringing reducer depends on
 NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity", "mesh_error")
 
 
@@ -266,12 +267,18 @@ def uncovered(
     decision: Decision, without: float, after: Fit, held: Sequence[Log], jobs: int, seed: int
 ) -> Fit:
     """Add what the balances tell nothing of, if the model keeps step with it and all else fails."""
-    if decision.found or decision.unexplained is not None:
+    full = len(decision.found) == MAX_EFFECTS or after.horizon >= WINS_SECONDS
+    if (decision.found and full) or not may_ring(decision):
         return after
-    shown = unseen(decision.after, after, gives=gives(decision), jobs=jobs, seed=seed)
+    alone = not decision.found and decision.unexplained is None
+    before, beside = decision.after, decision.after
+    if decision.tables is not None:
+        beside = decision.tables.beside
+    if decision.found or not alone:
+        without = speed_error(after.model, held)["rmse"]
+    shown = unseen(beside, after, gives=gives(decision), alone=alone, jobs=jobs, seed=seed)
     if shown is None:
         return after
-    beside = decision.after
     # the balances tell nothing of it: what they leave stays as it was
     model = Model(beside.base.model.drive, shown.fit.model.effects)
     left = replace(beside, base=replace(beside.base, model=model))
@@ -280,9 +287,10 @@ def uncovered(
     better = speed_error(fit.model, held)["rmse"] <= without
     if shown.name != AGEING:
         if not better:  # another one of its kind can meet the first landings too
-            decision.after = beside
+            decision.after = before
             return after
         decision.found.append(by_step(shown, left.base))
+        decision.unexplained = decision.tables = None
         return fit
     variables = CATALOGUE[AGEING].depends_on
     decision.unexplained = Unexplained.without_curve(variables)
@@ -292,6 +300,17 @@ def uncovered(
     gains, errors = (shown.gain, shown.held_gain), errors_of(AGEING, fit)
     decision.tables = Tables(variables, (AGEING,), errors, *gains, beside, left)
     return fit
+
+
+def may_ring(decision: Decision) -> bool:
+    """Whether nothing is left without a name but what a soft reducer would leave.
+
+    It rings after each step of the voltage, and only motor encoders would show it.
+    """
+    what = decision.unexplained
+    if what is None:
+        return True
+    return not decision.before.measured.has_motor_encoders and set(what.variables) <= RINGING
 
 
 def by_step(shown: Shown, base: BalanceFit) -> Found:

@@ -87,3 +87,28 @@ def test_observer_leaves_a_perfect_run_alone_and_draws_in_a_wrong_one(paper, clo
     assert abs(off[-1, 0] - angle[-1] - 1e-3) < 1e-4
     free = simulate(paper, DT * np.arange(angle.size), u).outputs
     np.testing.assert_array_equal(free[0], angle)
+
+
+def test_observer_lets_go_where_the_measured_angle_ends(paper, closed):
+    """From there on the run is free: the same as one led by its own angle."""
+    _, _, u, out = closed
+    gains, x0 = observer_gains(2.0, DT), rest(paper, 0.0)
+    angle = np.ascontiguousarray(out[: u.shape[1] // 3, 0]) + 1e-3
+    let_go = march(paper.arrays(), u, x0, DT, observer=gains, measured=angle)
+    own = np.concatenate([angle, let_go[angle.size :, 0]])
+    led = march(paper.arrays(), u, x0, DT, observer=gains, measured=own)
+    np.testing.assert_array_equal(led, let_go)
+    assert np.abs(let_go[:, 0] - out[:, 0]).max() > 5e-4
+
+
+def test_a_run_may_begin_late(paper):
+    """A shake that begins a quarter of its period late has the other phase."""
+    u, x0, hz = np.zeros((2, 400)), rest(paper, 0.0), 8.0
+    shaken = [
+        paper.with_effect("base_vibration", frequency=hz, **wave)
+        for wave in ({"cosine": 60.0, "sine": 0.0}, {"cosine": 0.0, "sine": -60.0})
+    ]
+    late = march(shaken[0].arrays(), u, x0, DT, begin=0.25 / hz)
+    other = march(shaken[1].arrays(), u, x0, DT)
+    np.testing.assert_allclose(late, other, rtol=0.0, atol=1e-9)
+    assert np.ptp(other[:, 0]) > 1e-4

@@ -38,8 +38,13 @@ BY_HAND = [
      (-0.001, -0.001 * sqrt(3.0), 0.0, 0.0)),
     ("backlash_variation", (0.002, 0.001, 0.0, 0.0), (9.0, 9.0, pi / 2, 1.0, 0),
      (0.0, 0.0, 0.001, 0.0)),
-    ("backlash_variation", (0.0, 0.0, 0.002, 0.0), (9.0, 9.0, 0.0, 1.0, 1),
+    ("backlash_variation", (0.002, 0.0, 0.0, 0.0), (9.0, 9.0, 0.0, 1.0, 1),
      (0.0, 0.0, -0.001, 0.0)),
+    # what differs is added on the left and taken off on the right
+    ("backlash_variation", (0.0, 0.0, 0.002, 0.001), (9.0, 9.0, pi / 2, 1.0, 0),
+     (0.0, 0.0, 0.001, 0.0)),
+    ("backlash_variation", (0.0, 0.0, 0.002, 0.0), (9.0, 9.0, 0.0, 1.0, 1),
+     (0.0, 0.0, 0.001, 0.0)),
     # 20 teeth: a quarter of a tooth is 2π/80
     ("mesh_error", (1e-4, 2e-4), (pi / 40, 3.0, 9.0, 9.0, 0), (2e-4, -6e-3, 0.0, 0.0)),
     ("load_dependent_friction", (0.1,), (0.0, 1.0, 0.0, -30.0, 0), (1.0, 3.0)),

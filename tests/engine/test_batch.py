@@ -111,6 +111,17 @@ def test_observer_and_extra_torques(name):
     assert_same(march_many(arrays, u, STATE, DT, measured=angle, **options), expected)
 
 
+def test_let_go_and_late():
+    """As the diagnosis meets a reversal: led up to it, with the time of the log."""
+    model = Model().with_effect("base_vibration", **visible("base_vibration"))
+    arrays = [model.with_values(c=c).arrays() for c in (1.0, 3.0, 8.0)]
+    u = voltages(1.2, 12.0, 0.15)
+    angle = 0.1 + 1e-3 * np.sin(40.0 * TIME[: TIME.size // 2])
+    options = {"observer": observer_gains(2.0, DT), "measured": angle, "begin": 0.37}
+    expected = np.array([march(a, u, STATE, DT, **options) for a in arrays])
+    assert_same(march_many(arrays, u, STATE, DT, **options), expected)
+
+
 def test_closed_loop_each_with_its_own_gains():
     reference = 0.3 * np.sin(2 * np.pi * 6.0 * TIME)
     noise = 1e-3 * np.random.default_rng(2).normal(size=(9, TIME.size))

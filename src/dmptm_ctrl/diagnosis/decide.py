@@ -214,9 +214,7 @@ class Start(NamedTuple):
         return self.trial.evidence + (second.evidence if second is not None else 0.0)
 
 
-def first_of(
-    measured: Measured, trials: Sequence[Trial], skip: Sequence[str], jobs: int
-) -> Start:
+def first_of(measured: Measured, trials: Sequence[Trial], skip: Sequence[str], jobs: int) -> Start:
     """Choose the first effect; of several that do nearly as well, by what a second adds.
 
     The one that does best alone may do so because it also takes up a part of another.

@@ -52,7 +52,7 @@ WORTH_SECONDS = 0.1  # for which a model with a little pre-sliding keeps step, b
 LITTLE = 0.03  # deg/s; rattle of another course moves a small error by so much
 BY_KEEPING_STEP = (at_rest.NAME, AGEING, *WITHOUT_TWIST)  # what balances may tell nothing of
 RINGING = {"u", "du_dt"}  # what a ringing reducer depends on
-NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity", "mesh_error")
+NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity")
 
 
 def diagnose(
@@ -284,8 +284,11 @@ def uncovered(
     left = replace(beside, base=replace(beside.base, model=model))
     decision.after = left
     fit = refit(decision, jobs, shown.fit)
-    better = speed_error(fit.model, held)["rmse"] <= without
+    error = speed_error(fit.model, held)["rmse"]
+    better = error <= without
     if shown.name != AGEING:
+        # what all reversals tell is not undone by rattle of another course
+        better |= shown.everywhere and error <= WORSE * without + LITTLE
         if not better:  # another one of its kind can meet the first landings too
             decision.after = before
             return after

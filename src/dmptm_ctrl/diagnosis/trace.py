@@ -17,7 +17,7 @@ from dmptm_ctrl.identify.balance import STALLED, Balance, BalanceFit, columns, f
 from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
 from dmptm_ctrl.simulate.model import Floats
 
-NEEDS_TWIST = ("pinion_runout", "ring_gear_eccentricity", "mesh_error", "backlash_variation")
+NEEDS_TWIST = ("pinion_runout", "ring_gear_eccentricity", "backlash_variation")
 WITHOUT_TWIST = (*NEEDS_TWIST, "reducer_compliance")  # unseen without motor encoders
 BY_SIMULATOR = ("presliding",)  # it acts near rest, where the balances do not look
 BY_SENSORS = ("sensor_gain", "sensor_delay", "encoder_eccentricity")

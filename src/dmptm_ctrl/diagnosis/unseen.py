@@ -9,12 +9,12 @@ otherwise it alone lets the model keep step.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.at_rest import fitted, sized, softened
-from dmptm_ctrl.diagnosis.race import Runner, beside, entrant, loosely
+from dmptm_ctrl.diagnosis.race import HELD_SHARE, Runner, beside, entrant, loosely
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, lost, run, starts
@@ -24,12 +24,14 @@ from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown, position
 from dmptm_ctrl.identify.lock import LOST, UNEASY, Locked, cut, lock
 from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.identify.segments import reversals
 from dmptm_ctrl.simulate.model import Model
 
 AGEING = "unknown_breakaway"
 BY_IMPACTS = (*WITHOUT_TWIST, "torque_constant_mismatch")
 FIRST_SECONDS = (0.03, 0.05, 0.07, 0.1)  # of each log, one after another
 SIZES = (1.0, -1.0, 4.0, -4.0)  # of each amplitude, in its step, to start from
+WAVE = 3.0  # of one over an angle
 SCATTER_SECONDS = 0.05  # up to which a search that is not near begins anew, from places drawn
 SEARCHES = 2  # at a horizon where no start is near
 BEHIND = 2.0  # times the nearest one's loss, from where none looks for another start
@@ -37,6 +39,9 @@ SHARE = 0.5  # of what the model misses, that a winner takes off
 # Where the law of the flanks is not quite the model's, none is near in the end; one alone that
 # leaves so little, where each of the others leaves so much, is told all the same.
 APART, OTHERS = 0.45, 0.75
+# Of each reversal, from just before the meshes open; later a true model has lost step as well.
+REVERSAL_SECONDS = (0.05, 0.07)
+MISSES = 1.6  # times the winner's loss, that the model as it is has there
 LEAST_SECONDS = 0.1  # for which a winner among the rest keeps step; the first landings are before
 LEAST = 100.0  # evidence of a winner
 # Errors of the teeth move the landings alike: of 13 such names on rigs of benchmarks/rigs 10 were
@@ -58,6 +63,8 @@ class Shown:
         Fall of the loss on the starts of fitted and held-out logs.
     rivals : tuple of Shown
         Others that keep step as long.
+    everywhere : bool
+        Whether the reversals of whole logs tell it, not only their starts.
     """
 
     name: str
@@ -65,6 +72,7 @@ class Shown:
     gain: float
     held_gain: float
     rivals: tuple["Shown", ...] = ()
+    everywhere: bool = False
 
     @property
     def evidence(self) -> float:
@@ -145,7 +153,14 @@ def by_impacts(left: Residual, base: BalanceFit, jobs: int, seed: int) -> Shown 
     told = share <= SHARE and total(bare) - total(won) > LEAST
     second = min((total(r) for n, r in runs.items() if n != name), default=np.inf)
     apart = total(won) <= APART * total(bare) and second > OTHERS * total(bare)
-    if not apart and (won.level > LOST or not told):  # it may take longer to tell
+    near = [n for n in runs if n != name and total(runs[n]) < total(won) + MARGIN]
+    told = apart or (told and won.level < LOST)
+    if not told or near:  # other reversals may tell, or a longer run
+        entrants = [(n, one) for n, one in entered if not told or n in (name, *near)]
+        met = by_reversals(whole, base.model, alone, entrants, jobs)
+        if met is not None:
+            return met
+    if not told:
         name = max(going, key=lambda n: kept[n].lasts(), default="")
         if not name:
             return None
@@ -157,11 +172,51 @@ def by_impacts(left: Residual, base: BalanceFit, jobs: int, seed: int) -> Shown 
         seconds, bare, won = ahead
         parts = starts(whole, seconds)
         runs = {n: run(parts, kept[n].model, jobs) for n in going}
-    near = [n for n in runs if n != name and total(runs[n]) < total(won) + MARGIN]
+        near = [n for n in runs if n != name and total(runs[n]) < total(won) + MARGIN]
     fits = {n: fit_of(field[n], kept.get(n)) for n in (name, *near)}
     rivals = tuple(shown(n, fits[n], bare, runs[n]) for n in near)
     best = shown(name, fits[name], bare, won, rivals)
     return best if best.evidence > LEAST else None
+
+
+def by_reversals(
+    whole: Sequence[Sequence[Record]],
+    model: Model,
+    alone: Runner,
+    entered: Sequence[tuple[str, Runner]],
+    jobs: int,
+) -> Shown | None:
+    """Find the effect that meets the reversals of whole logs, each at its own angle."""
+    last = REVERSAL_SECONDS[-1]
+    turned = [reversals(records, model, last) for records in whole]
+
+    def parts(seconds: float) -> list[list[Record]]:
+        begun = starts(whole, seconds)
+        return [[*a, *(cut(r, seconds) for r in b)] for a, b in zip(begun, turned, strict=True)]
+
+    field = [alone, *(one for _, one in entered)]
+    for seconds in REVERSAL_SECONDS:
+        records = parts(seconds)[0]
+        for one in field:
+            one.go(records, jobs)
+            if one.level > UNEASY:
+                one.search()
+            one.settle()
+    runs = [run(parts(last), one.there, jobs) for one in field]
+    order = sorted(range(1, len(field)), key=lambda i: total(runs[i]))
+    bare, won = runs[0], runs[order[0]]
+    name = entered[order[0] - 1][0]
+    near = [i for i in order if total(runs[i]) < total(won) + MARGIN]
+    rivals = {entered[i - 1][0]: i for i in reversed(near)}
+    best, *others = (
+        shown(entered[i - 1][0], fitted(field[i], last), bare, runs[i])
+        for i in (order[0], *(i for n, i in rivals.items() if n != name))
+    )
+    agree = best.held_gain > HELD_SHARE * best.gain * len(turned[1]) / max(1, len(turned[0]))
+    kept = won.level < LOST and bare.level > max(LOST, MISSES * won.level)
+    if not (kept and agree and best.evidence > LEAST):
+        return None
+    return replace(best, rivals=tuple(others), everywhere=True)
 
 
 def total(one: Run) -> float:
@@ -185,23 +240,38 @@ def fit_of(one: Runner, kept: Locked | None) -> Fit:
 
 
 def variants(name: str, model: Model) -> list[list[Model]]:
-    """Models with an effect of each pattern, of several sizes to start from."""
+    """Models with an effect of each pattern, of several sizes and phases to start from."""
     effect = CATALOGUE[name]
     fixed = FIXED_SHAPES.get(name, ())
     banks = [(p.name, value) for p in effect.parameters if p.name in fixed for value in p.bank]
-    signed = any(p.low < 0.0 for p in effect.parameters if p.name in effect.amplitudes)
-    sizes = [size for size in SIZES if signed or size > 0.0]
     patterns: list[Mapping[str, float]] = [{key: value} for key, value in banks] or [{}]
-    models = [sized(name, model, size) for size in sizes]
+    models = waves(name, model)
+    if not models:
+        signed = any(p.low < 0.0 for p in effect.parameters if p.name in effect.amplitudes)
+        models = [sized(name, model, size) for size in SIZES if signed or size > 0.0]
     return [
         [one.with_effect(name, **{**one.effects[name], **pattern}) for one in models]
         for pattern in patterns
     ]
 
 
-def enter(
-    models: Sequence[Model], base: BalanceFit, own: tuple[Unknown, ...], seed: int
-) -> Runner:
+def waves(name: str, model: Model) -> list[Model]:
+    """Models with one wave of an effect over an angle, a quarter of a turn apart; none if flat."""
+    effect = CATALOGUE[name]
+    steps = {p.name: p.step for p in effect.parameters}
+    none = dict.fromkeys(effect.amplitudes, 0.0)
+    started = []
+    for cosine in effect.amplitudes:
+        sine = cosine.replace("cosine", "sine")
+        if sine == cosine or sine not in none or cosine.startswith("apart"):
+            continue
+        for c, s in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)):
+            wave = {cosine: c * WAVE * steps[cosine], sine: s * WAVE * steps[sine]}
+            started.append(model.with_effect(name, **{**none, **wave}))
+    return started
+
+
+def enter(models: Sequence[Model], base: BalanceFit, own: tuple[Unknown, ...], seed: int) -> Runner:
     """Enter a model that starts from several sizes of an effect."""
     unknowns = (*base.unknowns, *own)
     known = beside(loosely(base), models[0], own)

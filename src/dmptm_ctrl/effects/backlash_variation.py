@@ -1,6 +1,9 @@
 """Backlash variation: the tooth gap changes around the ring gear.
 
-Δ_i += C_i cos(θL + i·120°) + S_i sin(θL + i·120°), i = 0 left, 1 right
+Δ_i += (C ± C') cos(θL + i·120°) + (S ± S') sin(θL + i·120°), i = 0 left (+), 1 right (−)
+
+Both pinions meet the same ring gear a third of a turn apart; C' and S' are what differs between
+the two meshes.
 """
 
 from math import cos, pi, sin
@@ -16,19 +19,19 @@ PINION_ANGLE = 2.0 * pi / 3.0  # rad between the pinions on the ring gear
 class BacklashVariation(NamedTuple):
     """Parameters."""
 
-    left_cosine: float  # rad at the pinion
-    left_sine: float  # rad at the pinion
-    right_cosine: float  # rad at the pinion
-    right_sine: float  # rad at the pinion
+    cosine: float  # rad at the pinion
+    sine: float  # rad at the pinion
+    apart_cosine: float  # rad at the pinion, more on the left and less on the right
+    apart_sine: float  # rad at the pinion
 
 
 @njit
 def varied_gap(theta_p, omega_p, theta_L, omega_L, side, p):
     """Shift of z and its rate (none), change of half-gap [rad], of stiffness (none)."""
     phase = theta_L + side * PINION_ANGLE
-    if side == 0:
-        return 0.0, 0.0, p.left_cosine * cos(phase) + p.left_sine * sin(phase), 0.0
-    return 0.0, 0.0, p.right_cosine * cos(phase) + p.right_sine * sin(phase), 0.0
+    own = 1.0 - 2.0 * side
+    cosine, sine = p.cosine + own * p.apart_cosine, p.sine + own * p.apart_sine
+    return 0.0, 0.0, cosine * cos(phase) + sine * sin(phase), 0.0
 
 
 BACKLASH_VARIATION = Effect(
@@ -36,10 +39,10 @@ BACKLASH_VARIATION = Effect(
     site="mesh",
     kernel=varied_gap,
     parameters=(
-        Parameter("left_cosine", "rad", -5e-3, 5e-3, 1e-4),
-        Parameter("left_sine", "rad", -5e-3, 5e-3, 1e-4),
-        Parameter("right_cosine", "rad", -5e-3, 5e-3, 1e-4),
-        Parameter("right_sine", "rad", -5e-3, 5e-3, 1e-4),
+        Parameter("cosine", "rad", -5e-3, 5e-3, 1e-4),
+        Parameter("sine", "rad", -5e-3, 5e-3, 1e-4),
+        Parameter("apart_cosine", "rad", -1.5e-3, 1.5e-3, 1e-4),
+        Parameter("apart_sine", "rad", -1.5e-3, 1.5e-3, 1e-4),
     ),
     values=BacklashVariation,
     location="ring gear",

@@ -146,13 +146,21 @@ class Windowed:
             row += at_once
         return row, mo.mean(row, held=False)
 
-    def _disturbed(self, arrays: tuple[bytes, bytes, bytes]) -> tuple[Floats, Floats]:
-        """Window means of :func:`disturbance`, (3, w) [N·m] and (2, w) [rad]."""
+    def _disturbed(self, arrays: tuple[bytes, bytes, bytes]) -> tuple[Floats, Floats, Floats]:
+        """Window means of :func:`disturbance`, (3, w) [N·m] and (2, w) [rad].
+
+        Where the twist is not measured, the shifts also as accelerations, (2, w) [rad/s²].
+        """
         base, values = (np.frombuffer(arrays[i]).copy() for i in (0, 2))
         on = np.frombuffer(arrays[1], np.uint8).copy()
         rows = self.frictions(base, on, values)[0] if loads(on) else None
         torque, moved = disturbance(self.motion, (base, on, values), rows)
-        return self.motion.mean(torque), self.motion.mean(moved, held=False)
+        mo = self.motion
+        shaken = np.zeros((2, mo.starts.size))
+        if mo.rec.twist is None and moved.any():
+            pushed = np.array([second_difference(row, mo.rec.dt) for row in moved])
+            shaken = mo.mean(pushed, held=False)
+        return mo.mean(torque), mo.mean(moved, held=False), shaken
 
     def frictions(self, base: Floats, on: Any, values: Floats) -> tuple[list[Floats], Floats]:
         """Friction on pinions and ring gear, three of (n,) and window means (3, w) [N·m]."""
@@ -174,8 +182,11 @@ class Windowed:
         if on.any():
             needed = base.copy()
             needed[unneeded(on)] = 0.0  # so that a result lately kept is found again
-            torque, moved = self.disturbed((needed.tobytes(), on.tobytes(), values.tobytes()))
+            given = needed.tobytes(), on.tobytes(), values.tobytes()
+            torque, moved, shaken = self.disturbed(given)
             force += torque
+            # the flanks push the pinions, whose motion is not measured, out of their way
+            force[:2] += j3 * shaken
             shift = shift + moved
         drive = n1 * base[0] * base[1] * self.volts
         force[:2] += drive

@@ -71,7 +71,7 @@ class AtRest:
     @property
     def gives(self) -> bool:
         """Whether a little of it helps, under a friction law of another kind."""
-        return min(self.shares) > HELPS
+        return min(self.shares) > HELPS and self.gain + self.held_gain > LEAST
 
     @property
     def convincing(self) -> bool:

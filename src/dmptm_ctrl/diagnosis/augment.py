@@ -30,6 +30,7 @@ def augment(
     *,
     beside: Sequence[Unknown] = (),
     near: Fit | None = None,
+    also: Sequence[Record] = (),
     jobs: int = 2,
 ) -> Fit:
     """Refit a model inside the simulator, from what the balances know.
@@ -45,6 +46,8 @@ def augment(
         Also fitted, and not known by the balances.
     near : Fit, optional
         That keeps step already; the bounces are met from its values on.
+    also : sequence of Record
+        Reversals that are met as well.
     """
     start = rattled(records, start, declared, jobs)
     unknowns = (*start.unknowns, *beside)
@@ -53,7 +56,8 @@ def augment(
     best: Locked | Fit
     first = start.model if near is None else near.model
     reached = 0.0 if near is None else AGAIN * near.horizon
-    best = locked = lock(records, first, unknowns, loosely, reached=reached, jobs=jobs)
+    met = (*records, *also)
+    best = locked = lock(met, first, unknowns, loosely, reached=reached, jobs=jobs)
     if locked.horizon < FIRM_SECONDS:
         misfit = Misfit(records, LEAD_HZ, jobs)
         misfit.weigh(start.model)

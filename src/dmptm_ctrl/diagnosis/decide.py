@@ -48,6 +48,8 @@ class Found:
         Rivals that lose step where it does not.
     at_most : float
         Probability that no evidence exceeds.
+    everywhere : bool
+        Whether the reversals of whole logs told it, not only their starts.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Found:
     in_step: float = 0.0
     out_of_step: tuple[str, ...] = ()
     at_most: float = SUREST
+    everywhere: bool = False
 
     @property
     def left(self) -> tuple[Trial, ...]:

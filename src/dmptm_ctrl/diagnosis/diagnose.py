@@ -31,13 +31,15 @@ from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.trace import WITHOUT_TWIST, Trial, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import Unexplained, astray
-from dmptm_ctrl.diagnosis.unseen import AGEING, Shown, unseen
+from dmptm_ctrl.diagnosis.unseen import AGEING, REVERSAL_SECONDS, Shown, unseen
 from dmptm_ctrl.diagnosis.unseen import LEAST as LEAST_UNSEEN
 from dmptm_ctrl.diagnosis.unseen import SUREST as UNSEEN_SURE
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown
+from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.identify.segments import reversals
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.simulate.model import Model
 
@@ -223,8 +225,16 @@ def gives(decision: Decision) -> bool:
 def refit(decision: Decision, jobs: int, near: Fit | None = None) -> Fit:
     """Refit what was found inside the simulator, from where a model keeps step already if so."""
     measured, base = decision.before.measured, decision.after.base
-    beside = beside_balances(base)
-    return augment(measured.fit, base, measured.drive, beside=beside, near=near, jobs=jobs)
+    beside, drive = beside_balances(base), measured.drive
+    also = () if near is None else turned(decision, measured.fit, near.model)
+    return augment(measured.fit, base, drive, beside=beside, near=near, also=also, jobs=jobs)
+
+
+def turned(decision: Decision, records: Sequence[Record], model: Model) -> tuple[Record, ...]:
+    """Cut out the reversals, where they tell of an effect."""
+    told = [found.name for found in decision.found if found.everywhere]
+    # where the meshes open is told by a run without it, whose gaps do not vary
+    return reversals(records, model.without(told), REVERSAL_SECONDS[-1]) if told else ()
 
 
 def beside_balances(base: BalanceFit) -> tuple[Unknown, ...]:
@@ -283,6 +293,9 @@ def uncovered(
     model = Model(beside.base.model.drive, shown.fit.model.effects)
     left = replace(beside, base=replace(beside.base, model=model))
     decision.after = left
+    found = by_step(shown, left.base)
+    if shown.name != AGEING:
+        decision.found.append(found)
     fit = refit(decision, jobs, shown.fit)
     error = speed_error(fit.model, held)["rmse"]
     better = error <= without
@@ -291,8 +304,8 @@ def uncovered(
         better |= shown.everywhere and error <= WORSE * without + LITTLE
         if not better:  # another one of its kind can meet the first landings too
             decision.after = before
+            decision.found.pop()
             return after
-        decision.found.append(by_step(shown, left.base))
         decision.unexplained = decision.tables = None
         return fit
     variables = CATALOGUE[AGEING].depends_on
@@ -324,7 +337,8 @@ def by_step(shown: Shown, base: BalanceFit) -> Found:
     ]
     seconds, rivals = shown.fit.horizon, tuple(trials[1:])
     found = Found(shown.name, shown.evidence, LEAST_UNSEEN, trials[0], rivals, seconds)
-    return replace(found, at_most=UNSEEN_SURE.get(shown.name, found.at_most))
+    sure = UNSEEN_SURE.get(shown.name, found.at_most)
+    return replace(found, at_most=sure, everywhere=shown.everywhere)
 
 
 def errors_of(name: str, fit: Fit) -> dict[tuple[str, str], float]:
@@ -386,5 +400,6 @@ def refined(measured: Measured, decision: Decision, after: Fit, jobs: int) -> Fi
         _, start = closed(everything, base.model, declared, base.unknowns, jobs)
     except LogError:  # with what keeping step has added no window may be left
         return after
+    also = turned(decision, everything, after.model)
     beside, drive = beside_balances(base), measured.drive
-    return augment(everything, start, drive, beside=beside, near=after, jobs=jobs)
+    return augment(everything, start, drive, beside=beside, near=after, also=also, jobs=jobs)

@@ -1,6 +1,6 @@
 """Mesh error: tooth-to-tooth error and varying stiffness, once per tooth.
 
-z += C cos(z3 θp) + S sin(z3 θp)
+z += C cos(z3 θp) + S sin(z3 θp), each pinion with its own
 """
 
 from math import cos, sin
@@ -16,16 +16,22 @@ TEETH = 20.0  # z3, Table 1
 class MeshError(NamedTuple):
     """Parameters."""
 
-    cosine: float  # rad
-    sine: float  # rad
+    left_cosine: float  # rad
+    left_sine: float  # rad
+    right_cosine: float  # rad
+    right_sine: float  # rad
 
 
 @njit
 def tooth_shift(theta_p, omega_p, theta_L, omega_L, side, p):
     """Shift of z [rad], its rate [rad/s], changes of half-gap and stiffness (none)."""
+    if side == 0:
+        cosine, sine = p.left_cosine, p.left_sine
+    else:
+        cosine, sine = p.right_cosine, p.right_sine
     phase = TEETH * theta_p
     c, s = cos(phase), sin(phase)
-    return p.cosine * c + p.sine * s, TEETH * (p.sine * c - p.cosine * s) * omega_p, 0.0, 0.0
+    return cosine * c + sine * s, TEETH * (sine * c - cosine * s) * omega_p, 0.0, 0.0
 
 
 MESH_ERROR = Effect(
@@ -33,8 +39,10 @@ MESH_ERROR = Effect(
     site="mesh",
     kernel=tooth_shift,
     parameters=(
-        Parameter("cosine", "rad", -1e-3, 1e-3, 2e-5),
-        Parameter("sine", "rad", -1e-3, 1e-3, 2e-5),
+        Parameter("left_cosine", "rad", -1e-3, 1e-3, 2e-5),
+        Parameter("left_sine", "rad", -1e-3, 1e-3, 2e-5),
+        Parameter("right_cosine", "rad", -1e-3, 1e-3, 2e-5),
+        Parameter("right_sine", "rad", -1e-3, 1e-3, 2e-5),
     ),
     values=MeshError,
     location="pinions",

@@ -1,0 +1,116 @@
+"""Reversals cut from logs, and what shakes the pinions where no encoder sees them."""
+
+import numpy as np
+import pytest
+
+from dmptm_ctrl import load_log
+from dmptm_ctrl.diagnosis.decide import FIRST
+from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.rattle import rattled
+from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.diagnosis.trace import trace, unknowns_of
+from dmptm_ctrl.diagnosis.unseen import by_reversals, enter, race_first, variants
+from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.identify.fit import Known
+from dmptm_ctrl.identify.lock import LOST, NOISE_LEVEL, Steps, cut, loss
+from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.identify.segments import FREE_SECONDS, PRESSED_SECONDS, openings, reversals
+from dmptm_ctrl.simulate.compiled import march, rest
+from dmptm_ctrl.simulate.model import Model
+from rigs import make_rig
+
+DT, HZ = 1e-3, 0.4
+KARNOPP = {"friction": "karnopp"}
+NOTHING = Known(np.zeros(0), np.zeros((0, 0)))
+
+
+@pytest.fixture(scope="module")
+def turned():
+    """A run of the model itself over four reversals, as a record; (model, record)."""
+    model = Model()
+    t = DT * np.arange(6000)
+    u = np.ascontiguousarray([1.6 * np.sin(2.0 * np.pi * HZ * t)] * 2)
+    x0 = rest(model, 0.3)
+    out = march(model.arrays(), u, x0, DT)
+    return model, Record("own", DT, u, out[:, 0], out[:, 1], None, x0, 5, t)
+
+
+def level(model, records, seconds):
+    steps = Steps([cut(rec, seconds) for rec in records], model, (), NOTHING, 1)
+    return loss(steps.residuals([np.zeros(0)])).mean()
+
+
+def test_reversals_are_behind_the_turns_of_the_voltage(turned):
+    model, rec = turned
+    parts = reversals([rec], model, 0.1)
+    turns = 0.5 / HZ * np.arange(1, 5)
+    opened = [part.time[part.led] + FREE_SECONDS for part in parts]
+    assert len(parts) == 4
+    # friction keeps the meshes closed until the voltage has overcome it
+    late = np.array(opened) - turns
+    assert np.all((late > 0.0) & (late < 0.2))
+    for part in parts:
+        np.testing.assert_array_equal(part.u, rec.u[:, np.isin(rec.time, part.time)])
+
+
+def test_the_model_meets_its_own_reversals_and_another_does_not(turned):
+    model, rec = turned
+    parts = reversals([rec], model, 0.1)
+    assert level(model, parts, 0.07) < 0.1 * NOISE_LEVEL  # there is no noise
+    wider = model.with_values(gap_l=1.3 * model.drive["gap_l"])
+    assert level(wider, parts, 0.07) > LOST
+
+
+def test_openings_need_both_meshes_closed_for_a_while():
+    gaps, least = [1.0, 1.0], round(PRESSED_SECONDS / DT)
+    z = np.full((1000, 2), 2.0)
+    z[300:320, 0] = 0.0  # a bounce, and closed again on the same side
+    z[380:, 1] = -2.0  # changes sides before it has been closed for long
+    z[700:, :] = 0.0
+    assert openings(z, gaps, least).tolist() == [300, 700]
+
+
+def test_tooth_errors_shake_the_ring_without_motor_encoders():
+    """No encoder sees the twist, but the flanks push the pinions, whose inertia shows."""
+    rig = make_rig(7, (("mesh_error", 0.5),), sensors="load", **KARNOPP)
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    drive = paper_drive()
+    left = residual(measure(logs, drive), Model(drive))
+    best, *others = trace(left, only=("mesh_error", "base_vibration", "unbalance"))
+    assert best.name == "mesh_error"
+    assert min(best.gain, best.held_gain) > FIRST
+    assert best.held_gain > max(other.held_gain for other in others) + FIRST
+    values = best.fit.model.effects["mesh_error"]
+    both = sum(
+        complex(values[f"{side}_cosine"], values[f"{side}_sine"]) for side in ("left", "right")
+    )
+    # the ring gear feels both pinions; which of them, it does not tell
+    own = rig.record[0]
+    wanted = own["tooth_error"] * np.exp(-1j * own["tooth_phase"]).sum()
+    assert abs(both - wanted) < 0.1 * abs(wanted)
+
+
+def test_gaps_that_vary_meet_the_reversals_at_every_angle():
+    """Each reversal is at another angle: an eccentric ring, which moves landings too, loses."""
+    rig = make_rig(7, (("backlash_variation", 1.0),), sensors="load", contact="eq21", **KARNOPP)
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    drive = paper_drive()
+    measured = measure(logs, drive)
+    base = rattled(measured.fit, residual(measured, Model(drive)).base, drive, 2)
+    alone = enter([base.model], base, (), 0)
+    entered = [
+        (name, enter(models, base, unknowns_of(name), 0))
+        for name in ("backlash_variation", "ring_gear_eccentricity")
+        for models in variants(name, base.model)
+    ]
+    whole = measured.fit, measured.held
+    race_first(alone, [one for _, one in entered], whole[0], 2)
+    shown = by_reversals(whole, base.model, alone, entered, 2)
+    assert shown.name == "backlash_variation"
+    assert shown.rivals == ()
+    assert min(shown.gain, shown.held_gain) > 50.0
+    values = shown.fit.model.effects[shown.name]
+    wanted = rig.label["effect_parameters"][shown.name]["share"] * np.mean(
+        rig.label["plant"]["half_gap"]
+    )
+    assert 0.4 * wanted < np.hypot(values["cosine"], values["sine"]) < 1.6 * wanted

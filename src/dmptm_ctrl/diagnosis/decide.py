@@ -17,6 +17,7 @@ from dmptm_ctrl.diagnosis.residual import Residual, residual
 from dmptm_ctrl.diagnosis.tables import Tables, clock_table, tabulate
 from dmptm_ctrl.diagnosis.trace import BY_SIMULATOR, Trial, trace, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import BURSTS, CURVE, Unexplained, unexplained
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import drive_unknowns
 from dmptm_ctrl.simulate.model import Model
 
@@ -110,8 +111,18 @@ class Decision:
 
 
 def convincing(trial: Trial, threshold: float) -> bool:
-    """Whether there is enough evidence, and the held-out logs do not object."""
-    return trial.evidence > threshold and trial.held_gain > -SLACK
+    """Whether there is enough evidence, no objection by held-out logs, and a possible size."""
+    enough = trial.evidence > threshold and trial.held_gain > -SLACK
+    return enough and not beyond(trial)
+
+
+def beyond(trial: Trial) -> bool:
+    """Whether the logs ask for more of an effect than it can be: it stands in for another."""
+    amplitudes = CATALOGUE[trial.name].amplitudes
+    return any(
+        k.effect == trial.name and k.name in amplitudes and x != 0.0 and x in (k.low, k.high)
+        for k, x in zip(trial.fit.unknowns, trial.fit.p, strict=True)
+    )
 
 
 def winner_of(trials: Sequence[Trial], threshold: float) -> Trial | None:

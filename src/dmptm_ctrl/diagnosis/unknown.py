@@ -305,6 +305,7 @@ def bursts(left: Residual) -> Bursts:
                         np.abs(mo.rec.u).mean(0)[middle],
                         np.abs(slew(mo)).max(0)[middle],
                         np.mod(mo.run[middle, 2], 2 * np.pi),
+                        mo.time[e.used],
                     ]
                 )
             )
@@ -316,7 +317,7 @@ def bursts(left: Residual) -> Bursts:
         return Bursts(share, (), period)
     variables = ["time"] if period > 0.0 else []
     table = np.concatenate(values, axis=1)
-    names = ("theta_L", "omega_L", "u", "du_dt", "theta_m")
+    names = ("theta_L", "omega_L", "u", "du_dt", "theta_m", "time")
     variables += telling(names, table, flag, 1)
     return Bursts(share, tuple(dict.fromkeys(variables)), period)
 

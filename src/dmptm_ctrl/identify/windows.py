@@ -28,6 +28,8 @@ STIFFNESS = 3.6e4  # N·m/rad, Table 1: expresses a twist as a torque, whatever 
 SEEN_SECONDS = 0.01  # passes what the multisine excites, keeps the encoders' noise small
 CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed
 ENCODER_UNIT = 1e-4  # rad, at which the encoder's error is read off its kernel
+# Friction that takes a tenth of the torque is met to a ten-thousandth of it by the third.
+PASSES = 3
 RECENT = 4  # results kept per motion
 
 
@@ -297,6 +299,8 @@ def disturbance(
     engine().along(mo.rec.u, run, mo.rec.dt, base, on, values, torque, moved)
     if friction is not None:
         # The mesh carries what friction leaves, which depends on what it carries.
-        run[:, 4:6] += torque[:, :2]
-        engine().along(mo.rec.u, run, mo.rec.dt, base, on, values, torque, moved)
+        without = run[:, 4:6].copy()
+        for _ in range(PASSES):
+            run[:, 4:6] = without + torque[:, :2]
+            engine().along(mo.rec.u, run, mo.rec.dt, base, on, values, torque, moved)
     return torque.T, moved.T

@@ -161,7 +161,7 @@ def by_impacts(
     if turns and (near or not told):  # other reversals may tell, or a longer run
         entrants = [(n, one) for n, one in entered if not told or n in (name, *near)]
         met = by_reversals(whole, base.model, alone, entrants, jobs)
-        if met is not None:
+        if met is not None or told:  # one of several that no reversal tells from the others
             return met
     if not told:
         name = max(going, key=lambda n: kept[n].lasts(), default="")

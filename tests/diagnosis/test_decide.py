@@ -1,0 +1,69 @@
+"""Which effect is taken first, and which is asked for beyond what it can be."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from dmptm_ctrl.diagnosis import decide
+from dmptm_ctrl.diagnosis.decide import FIRST, SECOND, Start, convincing, first_of
+from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
+
+NOWHERE = SimpleNamespace(unknowns=(), p=())
+
+
+def trial(name, gain, held, fit=NOWHERE):
+    return Trial(name, gain, held, fit)
+
+
+@pytest.fixture
+def beside(monkeypatch):
+    """Trials beside each first effect, by its name; which were asked for."""
+    rest, asked = {}, []
+
+    def of(measured, first, skip, jobs):
+        asked.append(first.name)
+        return Start(first, None, rest.get(first.name, []))
+
+    monkeypatch.setattr(decide.Start, "of", of)
+    return rest, asked
+
+
+def test_the_first_effect_leaves_room_for_a_second(beside):
+    """Alone a weak motor does best; held-out logs object to a late drive beside it."""
+    rest, _ = beside
+    rest["torque_constant_mismatch"] = [trial("drive_delay", 464.0, -244.0)]
+    rest["back_emf"] = [trial("drive_delay", 887.0, 690.0)]
+    trials = [
+        trial("torque_constant_mismatch", 3607.0, 911.0),
+        trial("back_emf", 3682.0, 724.0),
+        trial("quadratic_drag", 2000.0, 100.0),  # far behind
+    ]
+    assert first_of(None, trials, (), 1).trial.name == "back_emf"
+
+
+def test_no_other_first_effect_is_tried_where_no_second_is_in_sight(beside):
+    rest, asked = beside
+    rest["unbalance"] = [trial("cogging", SECOND - 1.0, 0.0)]
+    trials = [trial("unbalance", 900.0, 300.0), trial("position_dependent_friction", 890.0, 290.0)]
+    assert first_of(None, trials, (), 1).trial.name == "unbalance"
+    assert asked == ["unbalance"]
+
+
+def test_the_best_alone_stays_where_others_with_a_second_are_not_clearly_better(beside):
+    rest, asked = beside
+    rest["unbalance"] = [trial("cogging", 2.0 * SECOND, 10.0)]
+    rest["local_spot"] = [trial("cogging", 2.5 * SECOND, 10.0)]
+    trials = [trial("unbalance", 900.0, 300.0), trial("local_spot", 890.0, 290.0)]
+    assert first_of(None, trials, (), 1).trial.name == "unbalance"
+    assert asked == ["unbalance", "local_spot"]
+
+
+@pytest.mark.parametrize(("share", "told"), [(1.0, False), (0.9, True), (0.0, True)])
+def test_more_than_an_effect_can_be_is_another_one(share, told):
+    own = unknowns_of("thermal_drift")
+    names = [k.name for k in own]
+    p = [1.0] * len(own)
+    j = names.index("ring_extra")
+    p[j] = share * own[j].low
+    fit = SimpleNamespace(unknowns=own, p=p)
+    assert convincing(trial("thermal_drift", FIRST, FIRST, fit), FIRST) is told

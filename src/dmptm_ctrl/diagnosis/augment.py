@@ -11,7 +11,7 @@ from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit
-from dmptm_ctrl.identify.lock import LOOSE, Locked, lock
+from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, Steps, cut, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -56,17 +56,28 @@ def augment(
     best: Locked | Fit
     first = start.model if near is None else near.model
     reached = 0.0 if near is None else AGAIN * near.horizon
-    met = (*records, *also)
-    best = locked = lock(met, first, unknowns, loosely, reached=reached, jobs=jobs)
+    best = locked = lock(records, first, unknowns, loosely, reached=reached, jobs=jobs)
+    if also:
+        met = (*records, *also)
+        other = lock(met, first, unknowns, loosely, reached=reached, jobs=jobs)
+        if off(other.model, met, jobs) < off(locked.model, met, jobs):
+            best = locked = other
     if locked.horizon < FIRM_SECONDS:
         misfit = Misfit(records, LEAD_HZ, jobs)
         misfit.weigh(start.model)
         known = widened(start.p, start.covariance, more)
-        other = fit(misfit, start.model, unknowns, iterations=ITERATIONS, known=known)
-        if locked.horizon == 0.0 or missed(other.model, records) < missed(best.model, records):
-            best = other
+        whole = fit(misfit, start.model, unknowns, iterations=ITERATIONS, known=known)
+        if locked.horizon == 0.0 or missed(whole.model, records) < missed(best.model, records):
+            best = whole
     done = Fit(best.model, unknowns, best.p, best.covariance, locked.horizon)
     return replace(done, covariance=honest(done, start))
+
+
+def off(model: Model, records: Sequence[Record], jobs: int) -> float:
+    """Mean loss per sample of the starts of records, and of reversals."""
+    none, nothing = np.zeros(0), Known(np.zeros(0), np.zeros((0, 0)))
+    parts = [cut(rec, HORIZONS[-1]) for rec in records]
+    return float(Steps(parts, model, (), nothing, jobs).levels([none])[0])
 
 
 def missed(model: Model, records: Sequence[Record]) -> float:

@@ -10,6 +10,7 @@ otherwise it alone lets the model keep step.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -31,7 +32,8 @@ AGEING = "unknown_breakaway"
 BY_IMPACTS = (*WITHOUT_TWIST, "torque_constant_mismatch")
 FIRST_SECONDS = (0.03, 0.05, 0.07, 0.1)  # of each log, one after another
 SIZES = (1.0, -1.0, 4.0, -4.0)  # of each amplitude, in its step, to start from
-WAVE = 3.0  # of one over an angle
+QUARTERS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # cosine and sine
+WAVES = (3.0, 10.0, 30.0)  # of one over an angle
 SCATTER_SECONDS = 0.05  # up to which a search that is not near begins anew, from places drawn
 SEARCHES = 2  # at a horizon where no start is near
 BEHIND = 2.0  # times the nearest one's loss, from where none looks for another start
@@ -160,7 +162,9 @@ def by_impacts(
     told = apart or (told and won.level < LOST)
     if turns and (near or not told):  # other reversals may tell, or a longer run
         entrants = [(n, one) for n, one in entered if not told or n in (name, *near)]
-        met = by_reversals(whole, base.model, alone, entrants, jobs)
+        met = by_reversals(whole, base.model, alone, entrants, jobs, told=told)
+        if met is not None and met.name in kept and kept[met.name].horizon > 0.0:
+            return replace(met, fit=fit_of(field[met.name], kept[met.name]))
         if met is not None or told:  # one of several that no reversal tells from the others
             return met
     if not told:
@@ -188,8 +192,14 @@ def by_reversals(
     alone: Runner,
     entered: Sequence[tuple[str, Runner]],
     jobs: int,
+    *,
+    told: bool = False,
 ) -> Shown | None:
-    """Find the effect that meets the reversals of whole logs, each at its own angle."""
+    """Find the effect that meets the reversals of whole logs, each at its own angle.
+
+    Where the starts of the logs have told already that one of them is there, the model as it is
+    need not have lost step.
+    """
     last = REVERSAL_SECONDS[-1]
     turned = [reversals(records, model, last) for records in whole]
 
@@ -216,7 +226,7 @@ def by_reversals(
         for i in (order[0], *(i for n, i in rivals.items() if n != name))
     )
     agree = best.held_gain > HELD_SHARE * best.gain * len(turned[1]) / max(1, len(turned[0]))
-    kept = won.level < LOST and bare.level > max(LOST, MISSES * won.level)
+    kept = won.level < LOST and (told or bare.level > max(LOST, MISSES * won.level))
     if not (kept and agree and best.evidence > LEAST):
         return None
     return replace(best, rivals=tuple(others), everywhere=True)
@@ -268,8 +278,8 @@ def waves(name: str, model: Model) -> list[Model]:
         sine = cosine.replace("cosine", "sine")
         if sine == cosine or sine not in none or cosine.startswith("apart"):
             continue
-        for c, s in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)):
-            wave = {cosine: c * WAVE * steps[cosine], sine: s * WAVE * steps[sine]}
+        for size, (c, s) in product(WAVES, QUARTERS):
+            wave = {cosine: size * c * steps[cosine], sine: size * s * steps[sine]}
             started.append(model.with_effect(name, **{**none, **wave}))
     return started
 

@@ -163,7 +163,7 @@ def by_impacts(
     if turns and (near or not told):  # other reversals may tell, or a longer run
         entrants = [(n, one) for n, one in entered if not told or n in (name, *near)]
         met = by_reversals(whole, base.model, alone, entrants, jobs, told=told)
-        if met is not None and met.name in kept and kept[met.name].horizon > 0.0:
+        if told and met is not None and met.name in kept:
             return replace(met, fit=fit_of(field[met.name], kept[met.name]))
         if met is not None or told:  # one of several that no reversal tells from the others
             return met

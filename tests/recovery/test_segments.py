@@ -6,10 +6,8 @@ import pytest
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.decide import FIRST
 from dmptm_ctrl.diagnosis.measure import measure
-from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.trace import trace, unknowns_of
-from dmptm_ctrl.diagnosis.unseen import by_reversals, enter, race_first, variants
+from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.fit import Known
 from dmptm_ctrl.identify.lock import LOST, NOISE_LEVEL, Steps, cut, loss
@@ -88,29 +86,3 @@ def test_tooth_errors_shake_the_ring_without_motor_encoders():
     own = rig.record[0]
     wanted = own["tooth_error"] * np.exp(-1j * own["tooth_phase"]).sum()
     assert abs(both - wanted) < 0.1 * abs(wanted)
-
-
-def test_gaps_that_vary_meet_the_reversals_at_every_angle():
-    """Each reversal is at another angle: an eccentric ring, which moves landings too, loses."""
-    rig = make_rig(7, (("backlash_variation", 1.0),), sensors="load", contact="eq21", **KARNOPP)
-    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
-    drive = paper_drive()
-    measured = measure(logs, drive)
-    base = rattled(measured.fit, residual(measured, Model(drive)).base, drive, 2)
-    alone = enter([base.model], base, (), 0)
-    entered = [
-        (name, enter(models, base, unknowns_of(name), 0))
-        for name in ("backlash_variation", "ring_gear_eccentricity")
-        for models in variants(name, base.model)
-    ]
-    whole = measured.fit, measured.held
-    race_first(alone, [one for _, one in entered], whole[0], 2)
-    shown = by_reversals(whole, base.model, alone, entered, 2)
-    assert shown.name == "backlash_variation"
-    assert shown.rivals == ()
-    assert min(shown.gain, shown.held_gain) > 50.0
-    values = shown.fit.model.effects[shown.name]
-    wanted = rig.label["effect_parameters"][shown.name]["share"] * np.mean(
-        rig.label["plant"]["half_gap"]
-    )
-    assert 0.4 * wanted < np.hypot(values["cosine"], values["sine"]) < 1.6 * wanted

@@ -36,6 +36,7 @@ def test_eccentric_ring_without_motor_encoders():
     (found,) = decision.found
     assert found.name == name
     assert found.rivals == ()
+    assert found.everywhere  # gaps that vary meet the starts of the logs as well, not the reversals
     assert min(found.trial.gain, found.trial.held_gain) > 50.0
     assert fit.horizon >= 0.4
     values = fit.model.effects[name]

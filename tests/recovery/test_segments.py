@@ -1,5 +1,7 @@
 """Reversals cut from logs, and what shakes the pinions where no encoder sees them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,7 @@ from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.fit import Known
-from dmptm_ctrl.identify.lock import LOST, NOISE_LEVEL, Steps, cut, loss
+from dmptm_ctrl.identify.lock import LOST, NOISE_LEVEL, cut, losses
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import FREE_SECONDS, PRESSED_SECONDS, openings, reversals
 from dmptm_ctrl.simulate.compiled import march, rest
@@ -19,7 +20,6 @@ from rigs import make_rig
 
 DT, HZ = 1e-3, 0.4
 KARNOPP = {"friction": "karnopp"}
-NOTHING = Known(np.zeros(0), np.zeros((0, 0)))
 
 
 @pytest.fixture(scope="module")
@@ -34,8 +34,7 @@ def turned():
 
 
 def level(model, records, seconds):
-    steps = Steps([cut(rec, seconds) for rec in records], model, (), NOTHING, 1)
-    return loss(steps.residuals([np.zeros(0)])).mean()
+    return losses(model, [cut(rec, seconds) for rec in records], 1).mean()
 
 
 def test_reversals_are_behind_the_turns_of_the_voltage(turned):
@@ -57,6 +56,14 @@ def test_the_model_meets_its_own_reversals_and_another_does_not(turned):
     assert level(model, parts, 0.07) < 0.1 * NOISE_LEVEL  # there is no noise
     wider = model.with_values(gap_l=1.3 * model.drive["gap_l"])
     assert level(wider, parts, 0.07) > LOST
+
+
+def test_the_clock_is_that_of_a_run_from_the_start_of_the_log(turned):
+    """Whatever the logger's clock showed there."""
+    model, rec = turned
+    own, late = (reversals([r], model, 0.1) for r in (rec, replace(rec, time=rec.time + 5.0)))
+    for one, other in zip(own, late, strict=True):
+        np.testing.assert_allclose(other.time, one.time, rtol=0.0, atol=1e-9)
 
 
 def test_openings_need_both_meshes_closed_for_a_while():

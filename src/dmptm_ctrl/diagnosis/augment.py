@@ -11,7 +11,7 @@ from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit
-from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, Steps, cut, lock
+from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, cut, lock, losses
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -75,9 +75,7 @@ def augment(
 
 def off(model: Model, records: Sequence[Record], jobs: int) -> float:
     """Mean loss per sample of the starts of records, and of reversals."""
-    none, nothing = np.zeros(0), Known(np.zeros(0), np.zeros((0, 0)))
-    parts = [cut(rec, HORIZONS[-1]) for rec in records]
-    return float(Steps(parts, model, (), nothing, jobs).levels([none])[0])
+    return float(losses(model, [cut(rec, HORIZONS[-1]) for rec in records], jobs).mean())
 
 
 def missed(model: Model, records: Sequence[Record]) -> float:

@@ -284,7 +284,7 @@ def uncovered(
     before, beside = decision.after, decision.after
     if decision.tables is not None:
         beside = decision.tables.beside
-    if decision.found or not alone:
+    if not alone:
         without = speed_error(after.model, held)["rmse"]
     shown = unseen(beside, after, gives=gives(decision), alone=alone, jobs=jobs, seed=seed)
     if shown is None:
@@ -293,9 +293,8 @@ def uncovered(
     model = Model(beside.base.model.drive, shown.fit.model.effects)
     left = replace(beside, base=replace(beside.base, model=model))
     decision.after = left
-    found = by_step(shown, left.base)
     if shown.name != AGEING:
-        decision.found.append(found)
+        decision.found.append(by_step(shown, left.base))
     fit = refit(decision, jobs, shown.fit)
     error = speed_error(fit.model, held)["rmse"]
     better = error <= without

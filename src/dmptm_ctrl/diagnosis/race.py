@@ -20,6 +20,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
 from dmptm_ctrl.identify.lock import (
+    HORIZONS,
     LOOSE,
     LOST,
     NEWS,
@@ -35,7 +36,6 @@ from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
 KEEPS_SECONDS = 0.6  # a model that keeps step for so long lacks nothing that is told here
-HORIZONS = (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.9)  # s
 WINS_SECONDS = 0.15  # for which a winner keeps step
 MARGIN = 40.0  # cost beyond the best one's at which a candidate drops out
 LEAST = 150.0  # evidence of a winner

@@ -22,10 +22,10 @@ from dmptm_ctrl.diagnosis.race import (
 )
 from dmptm_ctrl.diagnosis.trace import Trial
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.fit import Fit, Known, place
-from dmptm_ctrl.identify.lock import HORIZONS, LOST, NEWS, UNEASY, Steps, cut, loss
+from dmptm_ctrl.identify.fit import Fit, place
+from dmptm_ctrl.identify.lock import HORIZONS, LOST, NEWS, UNEASY, cut, losses
 from dmptm_ctrl.identify.records import Record
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.model import Model
 
 ALIKE = 0.2  # share of a winner's evidence from which a rival runs beside it
 MOST = 6  # rivals
@@ -211,13 +211,5 @@ def horizons(first: float, last: float) -> list[float]:
 
 def run(parts: Sequence[Sequence[Record]], model: Model, jobs: int) -> Run:
     """Run a model over the fitted and the held-out logs."""
-    none: Floats = np.zeros(0)
-    losses = [
-        loss(Steps(records, model, (), Known(none, np.zeros((0, 0))), jobs).residuals([none]))
-        for records in parts
-    ]
-    return Run(
-        float(losses[0].mean()),
-        float(NEWS * losses[0].sum()),
-        float(NEWS * losses[1].sum()),
-    )
+    fitted, held = (losses(model, records, jobs) for records in parts)
+    return Run(float(fitted.mean()), float(NEWS * fitted.sum()), float(NEWS * held.sum()))

@@ -207,24 +207,22 @@ def by_reversals(
         begun = starts(whole, seconds)
         return [[*a, *(cut(r, seconds) for r in b)] for a, b in zip(begun, turned, strict=True)]
 
-    field = [alone, *(one for _, one in entered)]
     for seconds in REVERSAL_SECONDS:
         records = parts(seconds)[0]
-        for one in field:
+        for one in (alone, *(one for _, one in entered)):
             one.go(records, jobs)
             if one.level > UNEASY:
                 one.search()
             one.settle()
-    runs = [run(parts(last), one.there, jobs) for one in field]
-    order = sorted(range(1, len(field)), key=lambda i: total(runs[i]))
-    bare, won = runs[0], runs[order[0]]
-    name = entered[order[0] - 1][0]
-    near = [i for i in order if total(runs[i]) < total(won) + MARGIN]
-    rivals = {entered[i - 1][0]: i for i in reversed(near)}
-    best, *others = (
-        shown(entered[i - 1][0], fitted(field[i], last), bare, runs[i])
-        for i in (order[0], *(i for n, i in rivals.items() if n != name))
-    )
+    bare = run(parts(last), alone.there, jobs)
+    runs = [(name, one, run(parts(last), one.there, jobs)) for name, one in entered]
+    runs.sort(key=lambda entry: total(entry[2]))
+    won = runs[0][2]
+    near: dict[str, Shown] = {}  # the best pattern of each name
+    for name, one, own in runs:
+        if name not in near and total(own) < total(won) + MARGIN:
+            near[name] = shown(name, fitted(one, last), bare, own)
+    best, *others = near.values()
     agree = best.held_gain > HELD_SHARE * best.gain * len(turned[1]) / max(1, len(turned[0]))
     kept = won.level < LOST and (told or bare.level > max(LOST, MISSES * won.level))
     if not (kept and agree and best.evidence > LEAST):

@@ -173,6 +173,13 @@ def led_run(rec: Record, arrays: Sequence[Arrays]) -> Floats:
     return march_many(arrays, rec.u, rec.x0, rec.dt, columns=range(BODIES), **lead)
 
 
+def losses(model: Model, records: Sequence[Record], jobs: int) -> Floats:
+    """Loss of each sample of a model's runs on records."""
+    none: Floats = np.zeros(0)
+    steps = Steps(records, model, (), Known(none, np.zeros((0, 0))), jobs)
+    return loss(steps.residuals([none])[0])
+
+
 @dataclass(eq=False)
 class Steps:
     """Gauss–Newton on records of one horizon.

@@ -71,6 +71,6 @@ def segment(rec: Record, out: Floats, model: Model, opened: int, seconds: float)
         omega=rec.omega[part],
         twist=None if rec.twist is None else rec.twist[part],
         x0=np.array([*(z + n2 * theta), theta, n2 * omega, n2 * omega, omega]),
-        time=rec.time[part],
+        time=rec.time[part] - rec.time[0],  # as that of a run from the start of the log
         led=free - first,
     )

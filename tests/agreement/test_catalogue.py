@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate import simulate
+from dmptm_ctrl.simulate import compiled, compose, simulate
 from dmptm_ctrl.simulate.blocks import initial_state, to_blocks
 from dmptm_ctrl.simulate.compiled import OUTPUTS, march, rest
-from dmptm_ctrl.simulate.compose import layout
 
 each = pytest.mark.parametrize("name", CATALOGUE)
 
@@ -22,17 +21,32 @@ def without(paper, lively):
     return simulate(paper, time, u, x0).outputs
 
 
+@pytest.fixture(scope="module")
+def unused(paper, lively):
+    """The loop with all chains, of which none is in use."""
+    time, u, x0 = lively
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "plain_engine", compose.engine)
+        return march(paper.arrays(), u, x0, time[1]).T
+
+
 @each
-def test_zero_parameters_change_nothing_bit_for_bit(name, paper, lively, without):
+def test_zero_parameters_change_nothing_bit_for_bit(name, paper, lively, without, unused):
     """Absent, and forced to be evaluated at its neutral parameters."""
     time, u, x0 = lively
     absent = paper.with_effect(name)
     np.testing.assert_array_equal(simulate(absent, time, u, x0).outputs, without)
     base, on, values = absent.arrays()
     assert not on.any()
-    on[layout()[name][0]] = 1
+    on[compose.layout()[name][0]] = 1
     forced = march((base, on, values), u, x0, time[1])
-    np.testing.assert_array_equal(forced.T, without)
+    np.testing.assert_array_equal(forced.T, unused)
+
+
+def test_the_loop_without_chains_is_the_loop_with_none_in_use(without, unused):
+    """To rounding, multiplied by the impacts."""
+    scale = np.ptp(without, axis=1)[:, None]
+    assert np.max(np.abs(unused - without) / scale) < 1e-11
 
 
 def test_compiled_is_the_reference(visible, paper, lively):

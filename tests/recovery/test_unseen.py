@@ -37,7 +37,7 @@ def test_eccentric_ring_without_motor_encoders():
     assert found.name == name
     assert found.rivals == ()
     assert found.everywhere  # gaps that vary meet the starts of the logs as well, not the reversals
-    # How large they are hangs on chance: an impact met one sample later, by a rounding, is worth ten
+    # How large they are hangs on rounding: an impact met one sample later is worth ten
     assert min(found.trial.gain, found.trial.held_gain) > 0.0
     assert found.evidence > found.threshold
     assert fit.horizon >= 0.4

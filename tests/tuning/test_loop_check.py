@@ -43,14 +43,14 @@ def test_limit_cycle_that_the_linear_model_does_not_show():
     gains = tune_pi(three_dof_ss(states="twists"), 20.0, 60.0)
     assert gains.gain_margin_db > 9
     loop = Loop(gains.kp, gains.ki, 10.0)
-    short, long = (check_loop(Model(), loop, 10 * DEG, duration=d) for d in (12.0, 24.0))
+    short, long = (check_loop(Model(), loop, 10 * DEG, duration=d) for d in (12.0, 48.0))
     assert short.limit_cycle_amplitude > 2 * DEG
-    assert long.limit_cycle_amplitude == pytest.approx(short.limit_cycle_amplitude, rel=0.3)
-    assert long.limit_cycle_hz == pytest.approx(short.limit_cycle_hz, rel=0.1)
-    # not of the step: an eighth of it hammers alike
+    assert long.limit_cycle_hz == pytest.approx(short.limit_cycle_hz, rel=0.15)
+    # Once it is periodic, which a rounding may put off to 20 s; and not of the step: an eighth
+    # of it hammers alike
     fine = close_loop(Model(), loop, long.ref, 1e-3, substeps=64)[1][:, 1]
     amplitude = np.sqrt(2) * np.std(fine[fine.size // 3 :])
-    assert amplitude == pytest.approx(long.limit_cycle_amplitude, rel=0.2)
+    assert amplitude == pytest.approx(long.limit_cycle_amplitude, rel=0.02)
     closed = Model(paper_drive().with_values(gap_l=0.0, gap_r=0.0))
     assert check_loop(closed, loop, 10 * DEG).limit_cycle_amplitude == 0.0
 

@@ -68,4 +68,5 @@ def _engine(chains: tuple[ChainEffect, ...]) -> ModuleType:
         file = getattr(module, "__file__", None)
         kernel = chain.effect.kernel
         parts.append(Path(file).read_text(encoding="utf-8") if file else _cell(kernel))
-    return _load("chain_" + hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16], text)
+    key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+    return _load(f"chain_{key}", text, CHAIN_CATALOGUE)

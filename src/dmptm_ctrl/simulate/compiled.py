@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.compose import engine, plain_engine
 from dmptm_ctrl.simulate.model import Floats, Model
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def march(
     n = u.shape[1]
     out = np.empty((n, len(OUTPUTS) if meshes else BODIES))
     base, on, values = arrays
-    engine().march(
+    (engine if on.any() else plain_engine)().march(
         _own(u),
         _OPEN,
         arrays,  # of no controller's model
@@ -156,10 +156,11 @@ def close_loop(
     u = np.zeros((2, target.size))
     out = np.empty((target.size, len(OUTPUTS) if meshes else BODIES))
     base, on, values = arrays = model.arrays()
-    engine().march(
+    design = arrays if isinstance(loop, Loop) else loop.model.arrays()
+    (engine if on.any() or design[1].any() else plain_engine)().march(
         u,
         np.array([*loop, 1.0]) if isinstance(loop, Loop) else loop.numbers(),
-        arrays if isinstance(loop, Loop) else loop.model.arrays(),
+        design,
         target,
         np.zeros(2),
         seen,

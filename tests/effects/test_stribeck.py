@@ -4,9 +4,9 @@ from math import exp
 
 import pytest
 
-from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque
+from dmptm_ctrl.effects.stribeck import breakaway_torque, sliding_torque, stribeck_law
 
-LAW = Stribeck(
+LAW = stribeck_law(
     static_plus=2.8,
     coulomb_plus=2.5,
     speed_plus=0.04,

@@ -26,6 +26,36 @@ class Stribeck(NamedTuple):
     speed_minus: float
     viscous_minus: float
     exponent: float  # δ
+    steepness_plus: float  # s/rad, 1/Ω⁺
+    steepness_minus: float
+
+
+@njit(error_model="numpy")
+def stribeck_law(
+    static_plus,
+    coulomb_plus,
+    speed_plus,
+    viscous_plus,
+    static_minus,
+    coulomb_minus,
+    speed_minus,
+    viscous_minus,
+    exponent,
+):
+    """Friction of one body; quotients are taken here, and a loop's steps need not wait for them."""
+    return Stribeck(
+        static_plus,
+        coulomb_plus,
+        speed_plus,
+        viscous_plus,
+        static_minus,
+        coulomb_minus,
+        speed_minus,
+        viscous_minus,
+        exponent,
+        1.0 / speed_plus,
+        1.0 / speed_minus,
+    )
 
 
 @njit
@@ -45,23 +75,23 @@ def viscous_torque(omega, direction, p):
 def sliding_torque(omega, direction, p):
     """Magnitude of friction [N·m] at speed `omega` [rad/s], branch chosen by `direction`."""
     if direction > 0.0:
-        static, coulomb, scale, viscous = (
+        static, coulomb, steepness, viscous = (
             p.static_plus,
             p.coulomb_plus,
-            p.speed_plus,
+            p.steepness_plus,
             p.viscous_plus,
         )
     else:
-        static, coulomb, scale, viscous = (
+        static, coulomb, steepness, viscous = (
             p.static_minus,
             p.coulomb_minus,
-            p.speed_minus,
+            p.steepness_minus,
             p.viscous_minus,
         )
     speed = omega * direction
     if speed < 0.0:
         speed = 0.0
-    ratio = speed / scale
+    ratio = speed * steepness
     if p.exponent != 1.0:
         ratio = ratio**p.exponent
-    return coulomb + (static - coulomb) * exp(-ratio) + viscous * speed
+    return (coulomb + viscous * speed) + (static - coulomb) * exp(-ratio)

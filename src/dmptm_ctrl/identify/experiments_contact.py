@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from dmptm_ctrl.drive import Drive, pinion_inertia
-from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
+from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque, stribeck_law
 from dmptm_ctrl.identify.experiments import Estimate, twists
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.elementary import cached
@@ -112,7 +112,7 @@ def _smooth(angle: Floats) -> Floats:
 
 def _miss(flight: _Flight, drive: Drive, dt: float) -> Floats:
     """Measured minus flown angle [rad], start and initial speed fitted by least squares."""
-    law = Stribeck(
+    law = stribeck_law(
         drive["T3s_plus"],
         drive["T3c_plus"],
         drive["W3_plus"],

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from dmptm_ctrl.drive import Drive
-from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
+from dmptm_ctrl.effects.stribeck import sliding_torque, stribeck_law
 from dmptm_ctrl.identify.experiments import (
     SUM_DIFFERENCE,
     Estimate,
@@ -218,7 +218,7 @@ def _branch(
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
     def model(q: Floats) -> Floats:
-        law = Stribeck(q[0], q[1], q[2], q[3], q[0], q[1], q[2], q[3], exponent)
+        law = stribeck_law(q[0], q[1], q[2], q[3], q[0], q[1], q[2], q[3], exponent)
         return np.array([sliding_torque(w, 1.0, law) for w in speed])
 
     slope, level = np.polyfit(speed[-3:], torque[-3:], 1)

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque, viscous_torque
+from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque, stribeck_law, viscous_torque
 from dmptm_ctrl.identify.motion import Motion, odd_span, readings, second_difference, smooth
 from dmptm_ctrl.simulate.compose import engine, layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
@@ -136,7 +136,7 @@ class Windowed:
         mo = self.motion
         n1 = mo.declared.drive["N_1"]
         row = np.empty(mo.run.shape[0])
-        given = speed_of(mo, body), Stribeck(*np.frombuffer(law))
+        given = speed_of(mo, body), stribeck_law(*np.frombuffer(law))
         friction_along(*given, row)
         if distance > 0.0:
             at_once = np.empty_like(row)
@@ -249,7 +249,7 @@ def frictions(mo: Motion, base: Floats) -> Floats:
     """Friction on pinions and ring gear along a motion, (3, n) [N·m], negative when forward."""
     rows = np.empty((3, mo.run.shape[0]))
     for body, law in enumerate(laws(base)):
-        friction_along(speed_of(mo, body), Stribeck(*np.frombuffer(law)), rows[body])
+        friction_along(speed_of(mo, body), stribeck_law(*np.frombuffer(law)), rows[body])
     return rows
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from dmptm_ctrl.control import tune_pi
 from dmptm_ctrl.drive import three_dof_ss
 from dmptm_ctrl.effects.backlash import Backlash
-from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
+from dmptm_ctrl.effects.stribeck import sliding_torque, stribeck_law
 from dmptm_ctrl.identify.experiments import Estimate
 from dmptm_ctrl.identify.experiments_breakaway import reducer_breakaway, ring_breakaway
 from dmptm_ctrl.identify.experiments_contact import gap_damping
@@ -138,7 +138,7 @@ def _friction_picture(points: FrictionPoints, fit: dict[str, Estimate], what: st
     names = [
         f"{n.format(b)}_{s}" for s in ("plus", "minus") for n in ("T{}s", "T{}c", "W{}", "B{}")
     ]
-    law = Stribeck(*(fit[n].value for n in names), exponent=1.0)  # type: ignore[misc]
+    law = stribeck_law(*(fit[n].value for n in names), exponent=1.0)  # type: ignore[misc]
     top = np.abs(points.speed).max()
     speed = np.geomspace(np.abs(points.speed).min(), top, 200)
     speed = np.concatenate([-speed[::-1], speed])

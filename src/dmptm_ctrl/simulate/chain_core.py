@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from dmptm_ctrl.effects.backlash import Backlash, mesh_torque
-from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque
+from dmptm_ctrl.effects.stribeck import breakaway_torque, sliding_torque, stribeck_law
 from dmptm_ctrl.simulate.chain_sites import (
     drive_signal,
     effect_torque,
@@ -59,7 +59,7 @@ def friction_of(group, q, speed, direction, breakaway, t, load, plant):
         size = abs(r * speed)
         omega = way * max(size, TINY)
         row = plant.law[b]
-        law = Stribeck(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
+        law = stribeck_law(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
         if breakaway:
             level = breakaway_torque(way, law)
         else:
@@ -259,7 +259,7 @@ def drive_along(kind, u, t, values, out):
 @njit
 def law_along(omega, row, out):
     """Friction of a declared law along a speed, signed against the motion."""
-    law = Stribeck(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
+    law = stribeck_law(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
     for i in range(omega.size):
         way = 1.0 if omega[i] > 0.0 else -1.0
         out[i] = way * sliding_torque(omega[i], way, law) if omega[i] != 0.0 else 0.0

@@ -93,7 +93,7 @@ _KERNEL_ARGS = {"delay": "0", "lag": "u, side"}  # a delay is the same on both s
 # kernels that the loop calls by itself
 _OWN_KERNELS = (
     *("landing", "mesh_region", "mesh_torque", "region_torque"),
-    *("breakaway_torque", "sliding_torque", "viscous_torque"),
+    *("stribeck_law", "breakaway_torque", "sliding_torque", "viscous_torque"),
 )
 
 
@@ -129,6 +129,7 @@ from dmptm_ctrl.effects.stribeck import (
     Stribeck,
     breakaway_torque,
     sliding_torque,
+    stribeck_law,
     viscous_torque,
 )
 from dmptm_ctrl.simulate.elementary import cos, exp, FAST, hosted, wide

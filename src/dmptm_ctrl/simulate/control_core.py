@@ -10,7 +10,7 @@ from math import exp
 
 from numba import njit
 
-from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque, viscous_torque
+from dmptm_ctrl.effects.stribeck import sliding_torque, stribeck_law, viscous_torque
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
     drive_voltage,
@@ -84,10 +84,10 @@ def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, dt, law, memory, bas
     n1, n2 = base[5], base[6]
     _, pulls, _, rubs, loads, _ = active_sites(on)
     angle += law[L_LEAD] * speed
-    reducer = Stribeck(
+    reducer = stribeck_law(
         base[15], base[16], base[17], base[18], base[19], base[20], base[21], base[22], base[23]
     )
-    bearing = Stribeck(
+    bearing = stribeck_law(
         base[24], base[25], base[26], base[27], base[28], base[29], base[30], base[31], base[32]
     )
     way = direction_of(speed, law[L_SOFTNESS])

@@ -24,7 +24,12 @@ from dmptm_ctrl.effects.backlash import (
     mesh_torque,
     region_torque,
 )
-from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque, viscous_torque
+from dmptm_ctrl.effects.stribeck import (
+    breakaway_torque,
+    sliding_torque,
+    stribeck_law,
+    viscous_torque,
+)
 from dmptm_ctrl.simulate.control_core import L_CLOSED, M_LEFT, M_RIGHT, MEMORY, command
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
@@ -137,10 +142,10 @@ def march(
     n1, n2, z3 = base[5], base[6], base[7]
     k_m, k_a, phi_r, c, c_f = base[8], base[9], base[10], base[11], base[12]
     gap = (base[13], base[14])
-    reducer = Stribeck(
+    reducer = stribeck_law(
         base[15], base[16], base[17], base[18], base[19], base[20], base[21], base[22], base[23]
     )
-    bearing = Stribeck(
+    bearing = stribeck_law(
         base[24], base[25], base[26], base[27], base[28], base[29], base[30], base[31], base[32]
     )
     # Local flags: an absent site costs one well-predicted branch per step.
@@ -405,10 +410,10 @@ def along(u, run, dt, base, on, values, torque, shift):
     n = u.shape[1]
     gain = base[0] * base[1]
     n1, n2 = base[5], base[6]
-    reducer = Stribeck(
+    reducer = stribeck_law(
         base[15], base[16], base[17], base[18], base[19], base[20], base[21], base[22], base[23]
     )
-    bearing = Stribeck(
+    bearing = stribeck_law(
         base[24], base[25], base[26], base[27], base[28], base[29], base[30], base[31], base[32]
     )
     dead_time = voltage_delay(on, values) / dt

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
-from dmptm_ctrl.effects.stribeck import Stribeck
+from dmptm_ctrl.effects.stribeck import stribeck_law
 from dmptm_ctrl.simulate.control_core import (
     M_LEFT,
     M_RIGHT,
@@ -141,7 +141,7 @@ def largest(s, width, row):
 @njit
 def law(s, row, exponent):
     """Friction law in a row of the bodies."""
-    return Stribeck(
+    return stribeck_law(
         s[LAW + row],
         s[LAW + 3 * LANES + row],
         s[LAW + 6 * LANES + row],

@@ -13,7 +13,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects import backlash as mesh_kernels
 from dmptm_ctrl.effects import stribeck as friction_kernels
 from dmptm_ctrl.effects.backlash import Backlash
-from dmptm_ctrl.effects.stribeck import Stribeck
+from dmptm_ctrl.effects.stribeck import stribeck_law
 from dmptm_ctrl.simulate.compose import layout
 from dmptm_ctrl.simulate.model import BASE, Model
 
@@ -46,8 +46,8 @@ class Sites:
         self._drive = drive
         self._gaps = drive["gap_l"], drive["gap_r"]
         first = BASE.index("T3s_plus")
-        reducer = Stribeck(*(float(x) for x in base[first : first + 9]))
-        self.laws = reducer, reducer, Stribeck(*(float(x) for x in base[first + 9 :]))
+        reducer = stribeck_law(*(float(x) for x in base[first : first + 9]))
+        self.laws = reducer, reducer, stribeck_law(*(float(x) for x in base[first + 9 :]))
         self._chains: dict[str, list[tuple[Callable[..., Any], Any]]] = {s: [] for s in SITES}
         for name, (index, slot) in layout().items():
             effect = CATALOGUE[name]

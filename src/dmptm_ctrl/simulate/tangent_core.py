@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
-from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque
+from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque, stribeck_law
 from dmptm_ctrl.simulate.core import (
     UNKNOWN,
     mesh_step,
@@ -37,7 +37,7 @@ SIZE_OF_CHANGES = 35 * CHANGES
 @njit
 def law_at(base, first):
     """Friction law from the array of a drive's numbers."""
-    return Stribeck(
+    return stribeck_law(
         base[first],
         base[first + 1],
         base[first + 2],
@@ -130,11 +130,12 @@ def one_way_law(direction, law):
     """Friction law of one direction."""
     if direction > 0.0:
         static, coulomb = law.static_plus, law.coulomb_plus
-        scale, viscous = law.speed_plus, law.viscous_plus
+        scale, viscous, steepness = law.speed_plus, law.viscous_plus, law.steepness_plus
     else:
         static, coulomb = law.static_minus, law.coulomb_minus
-        scale, viscous = law.speed_minus, law.viscous_minus
-    return Stribeck(static, coulomb, scale, viscous, static, coulomb, scale, viscous, 1.0)
+        scale, viscous, steepness = law.speed_minus, law.viscous_minus, law.steepness_minus
+    both = (static, coulomb, scale, viscous)
+    return Stribeck(*both, *both, 1.0, steepness, steepness)
 
 
 @njit
@@ -155,10 +156,11 @@ def smooth_body(v, v_mid, force, mobility, law):
     # not within a step of stopping; a law that drives is not smooth at zero
     sure = new * direction > abs(new - v) and friction > 0.0
     # linear in its torques: what is left of the static one at this speed
-    unit = Stribeck(1.0, 0.0, p.speed_plus, 0.0, 1.0, 0.0, p.speed_plus, 0.0, 1.0)
+    steepness = p.steepness_plus
+    one = (1.0, 0.0, p.speed_plus, 0.0)
+    unit = Stribeck(*one, *one, 1.0, steepness, steepness)
     decay = sliding_torque(v_mid, direction, unit)
     speed = max(v_mid * direction, 0.0)
-    steepness = 1.0 / p.speed_plus
     falls = (p.static_plus - p.coulomb_plus) * decay * steepness
     slope = p.viscous_plus - falls if speed > 0.0 else 0.0
     by_scale = falls * speed * steepness

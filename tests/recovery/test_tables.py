@@ -8,11 +8,11 @@ from dmptm_ctrl.diagnosis.decide import decide
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.tables import KNOTS, MOTOR, narrowed
+from dmptm_ctrl.diagnosis.tables import KNOTS, MOTOR, narrowed, tabulate
 from dmptm_ctrl.diagnosis.unknown import interval
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects.lookup import CLOCK
-from dmptm_ctrl.effects.unknown_motor import LEFT, RIGHT
+from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -21,17 +21,26 @@ TURN, TURN_ENDS = "closed_turn_20", 19.0  # s, of the turn only the way there
 LOGS = ("open_sine_0v60", "open_square_0v75", "closed_sine_15", "closed_square_10", TURN)
 
 
-def decided(seed, effects, sensors, contact):
+def left_by(seed, effects, sensors, contact):
     laws = {"friction": "karnopp", "contact": contact}
     rig = make_rig(seed, effects, sensors=sensors, logs=LOGS, **laws)
     logs = [load_log(table, name=name) for name, table in rig.logs.items()]
     logs = [log.segment(0.0, TURN_ENDS) if log.name == TURN else log for log in logs]
     drive = paper_drive()
-    return decide(residual(measure(logs, drive), Model(drive))), rig.label["effect_parameters"]
+    return residual(measure(logs, drive), Model(drive)), rig.label["effect_parameters"]
+
+
+def decided(*rig):
+    left, true = left_by(*rig)
+    return decide(left), true
 
 
 def table(decision):
-    values = decision.after.base.model.effects[MOTOR]
+    return table_of(decision.after)
+
+
+def table_of(left):
+    values = left.base.model.effects[MOTOR]
     places = np.linspace(values["low"], values["high"], KNOTS)
     return values, places, np.array([values[f"k{i}"] for i in range(KNOTS)])
 
@@ -71,6 +80,19 @@ def test_ripple_in_proportion_to_the_voltage():
     # of the mean voltage, at the ring gear, from both motors
     assert 2.0 * ratio * size == pytest.approx(true["N_m_per_V"], rel=0.3)
     assert halved(decision)
+
+
+def test_both_motors_ripple_alike_each_at_its_own_angle():
+    """A table of the whole turn would have a few knots per wave, and one angle for both."""
+    left, true = left_by(505, (("torque_ripple", 3.0),), "all", "eq21")
+    true = true["torque_ripple"]
+    found = tabulate(left, ("theta_m", "u"), 2)
+    values, places, knots = table_of(found.left)
+    assert values["motors"] == BOTH
+    assert 2.0 * np.pi / (values["high"] - values["low"]) == pytest.approx(true["order"])
+    phase = true["order"] * places
+    size = np.hypot(*np.linalg.lstsq(np.column_stack([np.cos(phase), np.sin(phase)]), knots)[0])
+    assert size == pytest.approx(true["share"] * GAIN, rel=0.1)
 
 
 def test_a_name_goes_before_a_curve_that_says_no_more(monkeypatch):

@@ -24,7 +24,7 @@ from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
 from dmptm_ctrl.identify.balance import BalanceFit, columns, fit_balance, scatter
 from dmptm_ctrl.identify.fit import Unknown, place
 from dmptm_ctrl.identify.motion import Motion
-from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model import Floats, Model
 
 TORQUE, FRICTION, VOLTS = "unknown_torque", "unknown_friction", "unknown_voltage"
 MOTOR = "unknown_motor"
@@ -98,7 +98,29 @@ def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | No
         of_motors(left, shapes[MOTOR]) if MOTOR in shapes else tabled(left, shapes)
         for shapes in tried
     ]
+    if plan == ((MOTOR, TURN),):
+        fits.append(tabled(left, {MOTOR: waves(left)}))
     return described(left, better(left, fits), variables, jobs)
+
+
+def waves(left: Residual) -> dict[str, float]:
+    """Shape of a table over one wave of those that a motor's turn has, the strongest kind.
+
+    Of a short wave a table of the whole turn has only a few knots. Both motors have the same one,
+    at other angles: how far apart, a table for each of them tells.
+    """
+    turn = {"variable": TURN, "low": 0.0, "high": 2.0 * np.pi, "period": LONGEST}
+    entered = [entered_into(left.base.model, MOTOR, {**turn, "motors": m}) for m in (LEFT, RIGHT)]
+    nothing = left.balance.missing(entered[0][0])
+    linear = np.hstack(
+        [columns(left.balance, m, knots, np.concatenate(nothing)) for m, knots in entered]
+    )
+    each = linear_fit(left, nothing, linear).reshape(2, KNOTS)[:, :-1]  # the last is the first
+    spectrum = np.fft.rfft(each)[:, 1:]
+    most = int(np.argmax(np.sum(np.abs(spectrum) ** 2, axis=0)))
+    ahead = float(np.angle(spectrum[1, most] / spectrum[0, most]))
+    count = most + 1
+    return {**turn, "high": turn["high"] / count, "motors": BOTH, "apart": ahead / count}
 
 
 def clock_table(left: Residual, period: float, jobs: int) -> Tables | None:
@@ -181,28 +203,40 @@ def tabled(left: Residual, shapes: Mapping[str, Mapping[str, float]]) -> Balance
     model, base = left.base.model, left.base
     knots: list[Unknown] = []
     for name, shape in shapes.items():
-        model = model.with_effect(name, **shape, **{f"k{i}": 0.0 for i in range(KNOTS)})
-        step = next(p for p in CATALOGUE[name].parameters if p.name == "k0")
-        low, high = step.low / step.step, step.high / step.step
-        knots += [
-            Unknown(name, f"k{i}", 0.0, step.step, low, high, PRIOR_STEPS) for i in range(KNOTS)
-        ]
+        model, own = entered_into(model, name, shape)
+        knots += own
     parts = left.balance.missing(model)
-    nothing = np.concatenate(parts)
-    linear = columns(left.balance, model, knots, nothing)  # a table is linear in its knots
+    linear = columns(left.balance, model, knots, np.concatenate(parts))  # linear in its knots
     jacobian = np.hstack([base.jacobian, linear])
     # what stands far out pulls a robust fit no longer: begin where the squares are least, too
-    w = np.repeat(1.0 / np.array(scatter(parts, left.balance.kinds)), [x.size for x in parts])
-    ridge = np.eye(len(knots)) / PRIOR_STEPS**2
-    start, *_ = np.linalg.lstsq(
-        np.vstack([w[:, None] * linear, ridge]),
-        np.concatenate([-w * nothing, np.zeros(len(knots))]),
-        rcond=None,
-    )
-    begun = (model, place(model, knots, np.clip(start, low, high)))
+    low, high = ([getattr(k, end) for k in knots] for end in ("low", "high"))
+    start = np.clip(linear_fit(left, parts, linear), low, high)
+    begun = (model, place(model, knots, start))
     unknowns = (*base.unknowns, *knots)
     fits = [fit_balance(left.balance, one, unknowns, jacobian=jacobian) for one in begun]
     return min(fits, key=lambda one: one.loss)
+
+
+def entered_into(
+    model: Model, name: str, shape: Mapping[str, float]
+) -> tuple[Model, list[Unknown]]:
+    """Model with a table of zeros, and its knots."""
+    model = model.with_effect(name, **shape, **{f"k{i}": 0.0 for i in range(KNOTS)})
+    step = next(p for p in CATALOGUE[name].parameters if p.name == "k0")
+    low, high = step.low / step.step, step.high / step.step
+    own = [Unknown(name, f"k{i}", 0.0, step.step, low, high, PRIOR_STEPS) for i in range(KNOTS)]
+    return model, own
+
+
+def linear_fit(left: Residual, parts: Sequence[Floats], linear: Floats) -> Floats:
+    """Knots that leave the least squares of what is missing, where no log goes zero."""
+    w = np.repeat(1.0 / np.array(scatter(parts, left.balance.kinds)), [x.size for x in parts])
+    n = linear.shape[1]
+    rows = np.vstack([w[:, None] * linear, np.eye(n) / PRIOR_STEPS**2])
+    found, *_ = np.linalg.lstsq(
+        rows, np.concatenate([-w * np.concatenate(parts), np.zeros(n)]), rcond=None
+    )
+    return np.asarray(found, np.float64)
 
 
 def widest(motions: Sequence[Motion], variable: float) -> tuple[float, float]:

@@ -1,10 +1,11 @@
 """Unknown motor: what a motor makes of its voltage, as a curve without a name.
 
-torque = u T(x) on the motor's shaft,  x one of θm in a turn, ωm sgn u (braking below zero),
-t in a period;  |u| T(x) with x = θm over all turns
+torque = u T(x) on the motor's shaft,  x one of θm in a turn or a part of it, ωm sgn u (braking
+below zero), t in a period;  |u| T(x) with x = θm over all turns
 
 A part of the torque may be lost over a sector of the rotor, while the motor brakes, or at fixed
-intervals; a ripple over the ring gear's angle may grow with the voltage of either sign.
+intervals; a ripple over the ring gear's angle may grow with the voltage of either sign. Two motors
+of one kind have one curve, each with its own zero of the angle in a turn.
 """
 
 from math import floor, pi
@@ -39,7 +40,10 @@ def table_motor(u, theta_m, omega_m, t, side, p):
         return u * looked_up(in_period(t, p), p)
     if p.variable == BRAKING:
         return u * looked_up(omega_m if u > 0.0 else -omega_m, p)
-    return u * looked_up(theta_m - 2.0 * pi * floor(theta_m / (2.0 * pi)), p)
+    angle, turn = theta_m + side * p.apart, p.high - p.low
+    if turn > 0.0:
+        angle -= turn * floor((angle - p.low) / turn)
+    return u * looked_up(angle, p)
 
 
 UNKNOWN_MOTOR = Effect(
@@ -49,9 +53,10 @@ UNKNOWN_MOTOR = Effect(
     parameters=(
         *table_parameters("N·m/V", 2.0, 0.05, (BRAKING, TURN, CLOCK, PATH), (0.0, 0.02), WIDEST),
         Parameter("motors", "", LEFT, RIGHT, 1.0, (LEFT, BOTH, RIGHT)),
+        Parameter("apart", "rad", -2.0 * pi, 2.0 * pi, 0.1, (0.0,)),
         period_parameter(),
     ),
-    values=table_type("UnknownMotor", "motors", "period"),
+    values=table_type("UnknownMotor", "motors", "apart", "period"),
     location="motors",
     source="lookup table, fitted",
     depends_on=("u", "theta_m", "omega_m", "time", "theta_L"),

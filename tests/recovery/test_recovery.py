@@ -26,7 +26,7 @@ TWINS = {"current_lag": "drive_delay", "drive_delay": "current_lag"}
 EFFECTS = [
     ("unbalance", 3.0, "karnopp", "load", TURN, 0.5),
     ("cable_spring", 1.0, "karnopp", "all", TURN, 0.5),
-    ("cogging", 1.0, "karnopp", "all", TURN, 0.5),
+    ("cogging", 1.0, "karnopp", "all", TURN, 0.8),
     ("base_vibration", 1.0, "tanh", "load", MULTISINE, 0.8),
     ("thermal_drift", 1.0, "lugre", "all", TURN, 0.5),
     ("current_lag", 1.0, "tanh", "all", MULTISINE, 0.8),

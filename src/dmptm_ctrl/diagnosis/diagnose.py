@@ -289,6 +289,8 @@ def uncovered(
     shown = unseen(beside, after, gives=gives(decision), alone=alone, jobs=jobs, seed=seed)
     if shown is None:
         return after
+    if isinstance(shown, Fit):
+        return refit(decision, jobs, shown)
     # the balances tell nothing of it: what they leave stays as it was
     model = Model(beside.base.model.drive, shown.fit.model.effects)
     left = replace(beside, base=replace(beside.base, model=model))

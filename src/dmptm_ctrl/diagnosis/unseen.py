@@ -18,12 +18,12 @@ from dmptm_ctrl.diagnosis.at_rest import fitted, sized, softened
 from dmptm_ctrl.diagnosis.race import HELD_SHARE, Runner, beside, entrant, loosely
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, lost, run, starts
+from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, horizons, lost, run, starts
 from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, NEEDS_TWIST, WITHOUT_TWIST, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown, position
-from dmptm_ctrl.identify.lock import LOST, UNEASY, Locked, cut, lock
+from dmptm_ctrl.identify.lock import LOST, UNEASY, Locked, cut, lock, losses
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
 from dmptm_ctrl.simulate.model import Model
@@ -95,7 +95,7 @@ def unseen(
     alone: bool = True,
     jobs: int = 2,
     seed: int = 0,
-) -> Shown | None:
+) -> Shown | Fit | None:
     """Find what lets a model keep step that loses it.
 
     Parameters
@@ -111,8 +111,9 @@ def unseen(
 
     Returns
     -------
-    Shown or None
-        None where nothing, or not one thing alone, lets the model keep step.
+    Shown or Fit or None
+        A fit of the model as it is, where it keeps step for longer from values that another one
+        has led to; None where nothing, or not one thing alone, lets the model keep step.
     """
     if before.horizon >= KEEPS_SECONDS:
         return None
@@ -121,6 +122,8 @@ def unseen(
         start = softened(base, len(base.unknowns)) if gives else base
         # a friction law of another kind lets no model meet the reversals
         found = by_impacts(left, start, jobs, seed, turns=not gives)
+        if isinstance(found, Fit) and found.horizon <= before.horizon:
+            found = None
         if found is not None:
             return found
     return ageing(left, base, before, jobs, seed) if alone else None
@@ -128,7 +131,7 @@ def unseen(
 
 def by_impacts(
     left: Residual, base: BalanceFit, jobs: int, seed: int, *, turns: bool = True
-) -> Shown | None:
+) -> Shown | Fit | None:
     """Find the effect that meets the first impacts where the model as it is does not."""
     whole = left.measured.fit, left.measured.held
     alone = enter([base.model], base, (), seed)
@@ -172,10 +175,11 @@ def by_impacts(
         if not name:
             return None
         between = LEAST_SECONDS, kept[name].horizon
-        without = onward(alone, whole[0], jobs, seed).model
-        ahead = lost(whole, without, kept[name].model, between, jobs)
+        bare_too = without(kept[name], base, whole[0], jobs, seed)
+        longer = max(onward(alone, whole[0], jobs, seed), bare_too, key=Locked.lasts)
+        ahead = lost(whole, longer.model, kept[name].model, between, jobs)
         if ahead is None:
-            return None
+            return longer.as_fit(base.unknowns) if longer is bare_too else None
         seconds, bare, won = ahead
         parts = starts(whole, seconds)
         runs = {n: run(parts, kept[n].model, jobs) for n in going}
@@ -313,7 +317,29 @@ def race_first(
             one.settle()
 
 
-def ageing(left: Residual, base: BalanceFit, before: Fit, jobs: int, seed: int) -> Shown | None:
+def without(
+    kept: Locked, base: BalanceFit, records: Sequence[Record], jobs: int, seed: int
+) -> Locked:
+    """Lock the model as it is from where it keeps step with an effect.
+
+    That may be all that the effect had ahead: a lock misses a way that one with more freedom
+    finds.
+    """
+    start = Model(kept.model.drive, base.model.effects)
+    in_step = [h for h in horizons(LEAST_SECONDS, kept.horizon) if keeps(start, records, h, jobs)]
+    reached = max(in_step, default=0.0)
+    unknowns, known = base.unknowns, loosely(base)
+    return lock(records, start, unknowns, known, reached=reached, jobs=jobs, seed=seed, anew=False)
+
+
+def keeps(model: Model, records: Sequence[Record], seconds: float, jobs: int) -> bool:
+    """Whether a model meets the bounces of the starts of records."""
+    return float(losses(model, [cut(rec, seconds) for rec in records], jobs).mean()) < LOST
+
+
+def ageing(
+    left: Residual, base: BalanceFit, before: Fit, jobs: int, seed: int
+) -> Shown | Fit | None:
     """Try friction that grows with the time at rest."""
     if AGEING in base.model.effects:
         return None
@@ -323,9 +349,15 @@ def ageing(left: Residual, base: BalanceFit, before: Fit, jobs: int, seed: int) 
     known = beside(loosely(base), model, own)
     unknowns = (*base.unknowns, *own)
     kept = lock(whole[0], model, unknowns, known, jobs=jobs, seed=seed)
-    ahead = lost(whole, before.model, kept.model, (LEAST_SECONDS, kept.horizon), jobs)
-    if ahead is None:
+    if kept.horizon < max(before.horizon, LEAST_SECONDS):
         return None
+    bare_too = without(kept, base, whole[0], jobs, seed)
+    between = LEAST_SECONDS, kept.horizon
+    ahead = lost(whole, before.model, kept.model, between, jobs)
+    if ahead is not None and bare_too.horizon > 0.0:
+        ahead = lost(whole, bare_too.model, kept.model, between, jobs)
+    if ahead is None:
+        return bare_too.as_fit(base.unknowns) if bare_too.horizon > before.horizon else None
     _, bare, with_it = ahead
     best = shown(AGEING, kept.as_fit(unknowns), bare, with_it)
     return best if best.evidence > LEAST else None

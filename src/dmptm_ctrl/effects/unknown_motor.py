@@ -5,7 +5,7 @@ below zero), t in a period;  |u| T(x) with x = θm over all turns
 
 A part of the torque may be lost over a sector of the rotor, while the motor brakes, or at fixed
 intervals; a ripple over the ring gear's angle may grow with the voltage of either sign. Two motors
-of one kind have one curve, each with its own zero of the angle in a turn.
+of one kind have one curve; the right one is ahead in its turn, or in a period, by `apart`.
 """
 
 from math import floor, pi
@@ -36,11 +36,12 @@ def table_motor(u, theta_m, omega_m, t, side, p):
         return 0.0
     if p.variable == PATH:
         return abs(u) * looked_up(theta_m, p)
+    ahead = side * p.apart
     if p.variable == CLOCK:
-        return u * looked_up(in_period(t, p), p)
+        return u * looked_up(in_period(t + ahead, p), p)
     if p.variable == BRAKING:
         return u * looked_up(omega_m if u > 0.0 else -omega_m, p)
-    angle, turn = theta_m + side * p.apart, p.high - p.low
+    angle, turn = theta_m + ahead, p.high - p.low
     if turn > 0.0:
         angle -= turn * floor((angle - p.low) / turn)
     return u * looked_up(angle, p)
@@ -53,7 +54,7 @@ UNKNOWN_MOTOR = Effect(
     parameters=(
         *table_parameters("N·m/V", 2.0, 0.05, (BRAKING, TURN, CLOCK, PATH), (0.0, 0.02), WIDEST),
         Parameter("motors", "", LEFT, RIGHT, 1.0, (LEFT, BOTH, RIGHT)),
-        Parameter("apart", "rad", -2.0 * pi, 2.0 * pi, 0.1, (0.0,)),
+        Parameter("apart", "SI", -2.0 * pi, 2.0 * pi, 0.1, (0.0,)),
         period_parameter(),
     ),
     values=table_type("UnknownMotor", "motors", "apart", "period"),

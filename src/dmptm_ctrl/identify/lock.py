@@ -45,6 +45,8 @@ TINY = 1e-9  # precision of what nothing is known about
 SINGULAR = 1e-6  # of directions that bounds have made one
 STALLED = 5e-3  # relative fall of the cost that ends them
 ROUGH = 0.02  # the same where names are compared, which differ by far more
+# The same, above which another start is looked for: from a wrong one the next impact is not met
+DOUBTFUL = 0.32
 UNEASY = 0.45  # mean loss per sample above which all is not well; noise gives 0.25
 SEARCHED_SECONDS = 0.4  # up to which other starts are tried; later none that is drawn comes near
 DRAWS, SIZES = 32, (0.3, 1.0)  # how many, and how far in standard deviations of what is known
@@ -140,7 +142,7 @@ def walk(one: "Seeker", records: Sequence[Record], horizons: Sequence[float], jo
         one.go([cut(rec, horizon) for rec in records], jobs)
         if best.horizon == 0.0:  # what is known may leave some values open altogether
             one.settle()
-        if one.level > LOST and horizon <= SEARCHED_SECONDS:
+        if one.level > DOUBTFUL and horizon <= SEARCHED_SECONDS:
             one.search()
         if one.level > LOST:
             break

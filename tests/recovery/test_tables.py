@@ -11,6 +11,7 @@ from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.tables import KNOTS, MOTOR, narrowed, tabulate
 from dmptm_ctrl.diagnosis.unknown import interval
 from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.lookup import CLOCK
 from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
 from dmptm_ctrl.simulate.model import Model
@@ -93,6 +94,7 @@ def test_both_motors_ripple_alike_each_at_its_own_angle():
     phase = true["order"] * places
     size = np.hypot(*np.linalg.lstsq(np.column_stack([np.cos(phase), np.sin(phase)]), knots)[0])
     assert size == pytest.approx(true["share"] * GAIN, rel=0.1)
+    assert set(values) == {p.name for p in CATALOGUE[MOTOR].parameters}  # the report shows all
 
 
 def test_a_name_goes_before_a_curve_that_says_no_more(monkeypatch):

@@ -221,8 +221,11 @@ def entered_into(
     model: Model, name: str, shape: Mapping[str, float]
 ) -> tuple[Model, list[Unknown]]:
     """Model with a table of zeros, and its knots."""
-    model = model.with_effect(name, **shape, **{f"k{i}": 0.0 for i in range(KNOTS)})
-    step = next(p for p in CATALOGUE[name].parameters if p.name == "k0")
+    effect = CATALOGUE[name]
+    values = dict(zip((p.name for p in effect.parameters), effect.defaults(), strict=True))
+    knots = {f"k{i}": 0.0 for i in range(KNOTS)}
+    model = model.with_effect(name, **{**values, **shape, **knots})
+    step = next(p for p in effect.parameters if p.name == "k0")
     low, high = step.low / step.step, step.high / step.step
     own = [Unknown(name, f"k{i}", 0.0, step.step, low, high, PRIOR_STEPS) for i in range(KNOTS)]
     return model, own

@@ -218,10 +218,11 @@ def by_reversals(
             if one.level > UNEASY:
                 one.search()
             one.settle()
-    bare = run(parts(last), alone.there, jobs)
     runs = [(name, one, run(parts(last), one.there, jobs)) for name, one in entered]
     runs.sort(key=lambda entry: total(entry[2]))
-    won = runs[0][2]
+    _, first, won = runs[0]
+    alone.from_place_of(first)
+    bare = run(parts(last), alone.there, jobs)
     near: dict[str, Shown] = {}  # the best pattern of each name
     for name, one, own in runs:
         if name not in near and total(own) < total(won) + MARGIN:

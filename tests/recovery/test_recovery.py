@@ -25,10 +25,9 @@ TWINS = {"current_lag": "drive_delay", "drive_delay": "current_lag"}
 # effect, strength, friction of the truth, sensors, one more log, held-out error after/before
 EFFECTS = [
     ("unbalance", 3.0, "karnopp", "load", TURN, 0.5),
-    ("cable_spring", 1.0, "karnopp", "all", TURN, 0.5),
     ("cogging", 1.0, "karnopp", "all", TURN, 0.8),
     ("base_vibration", 1.0, "tanh", "load", MULTISINE, 0.8),
-    ("thermal_drift", 1.0, "lugre", "all", TURN, 0.5),
+    ("thermal_drift", 1.0, "karnopp", "all", TURN, 0.5),
     ("current_lag", 1.0, "tanh", "all", MULTISINE, 0.8),
 ]
 

@@ -8,7 +8,7 @@ from dmptm_ctrl.diagnosis.decide import decide
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.tables import KNOTS, MOTOR, narrowed, tabulate
+from dmptm_ctrl.diagnosis.tables import HELD, KNOTS, MOTOR, narrowed, tabulate
 from dmptm_ctrl.diagnosis.unknown import interval
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE
@@ -142,11 +142,11 @@ def test_narrowed_where_nothing_happens():
 
 
 def test_motors_that_lose_torque_in_the_course_of_a_log():
-    decision, true = decided(504, (("fading_motors", 1.0),), "all", "kelvin_voigt")
+    left, true = left_by(504, (("fading_motors", 1.0),), "all", "kelvin_voigt")
     share, tau = true["fading_motors"].values()
-    assert decision.unexplained.variables == ("time", "u")
-    _, places, knots = table(decision)
+    found = tabulate(left, ("time", "u"), 2)
+    _, places, knots = table_of(found.left)
     lost = -GAIN * share * (1.0 - np.exp(-places / tau))
     # a motor that is weaker all the time is friction and inertia as well: compare the course
     np.testing.assert_allclose(knots - knots[-1], lost - lost[-1], atol=0.05 * GAIN * share)
-    assert halved(decision)
+    assert found.held_gain > HELD

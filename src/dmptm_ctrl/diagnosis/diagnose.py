@@ -289,8 +289,9 @@ def uncovered(
     shown = unseen(beside, after, gives=gives(decision), alone=alone, jobs=jobs, seed=seed)
     if shown is None:
         return after
-    if isinstance(shown, Fit):
-        return refit(decision, jobs, shown)
+    if isinstance(shown, Fit):  # of the model without tables
+        fit = after if decision.tables is not None else refit(decision, jobs, shown)
+        return min(after, fit, key=lambda one: speed_error(one.model, held)["rmse"])
     # the balances tell nothing of it: what they leave stays as it was
     model = Model(beside.base.model.drive, shown.fit.model.effects)
     left = replace(beside, base=replace(beside.base, model=model))

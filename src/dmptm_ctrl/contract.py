@@ -95,4 +95,8 @@ class Effect(NamedTuple):
 
     def defaults(self) -> tuple[float, ...]:
         """Return the parameters of the absent effect: zero amplitudes, mid-bank shapes."""
-        return tuple(p.bank[len(p.bank) // 2] if p.bank else 0.0 for p in self.parameters)
+        return tuple(self.absent().values())
+
+    def absent(self) -> dict[str, float]:
+        """Return the same by name."""
+        return {p.name: p.bank[len(p.bank) // 2] if p.bank else 0.0 for p in self.parameters}

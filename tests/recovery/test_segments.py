@@ -11,7 +11,7 @@ from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.lock import LOST, NOISE_LEVEL, cut, losses
+from dmptm_ctrl.identify.lock import LOST, NOISE_LEVEL, level
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import FREE_SECONDS, PRESSED_SECONDS, openings, reversals
 from dmptm_ctrl.simulate.compiled import march, rest
@@ -33,10 +33,6 @@ def turned():
     return model, Record("own", DT, u, out[:, 0], out[:, 1], None, x0, 5, t)
 
 
-def level(model, records, seconds):
-    return losses(model, [cut(rec, seconds) for rec in records], 1).mean()
-
-
 def test_reversals_are_behind_the_turns_of_the_voltage(turned):
     model, rec = turned
     parts = reversals([rec], model, 0.1)
@@ -53,9 +49,9 @@ def test_reversals_are_behind_the_turns_of_the_voltage(turned):
 def test_the_model_meets_its_own_reversals_and_another_does_not(turned):
     model, rec = turned
     parts = reversals([rec], model, 0.1)
-    assert level(model, parts, 0.07) < 0.1 * NOISE_LEVEL  # there is no noise
+    assert level(model, parts, 0.07, 1) < 0.1 * NOISE_LEVEL  # there is no noise
     wider = model.with_values(gap_l=1.3 * model.drive["gap_l"])
-    assert level(wider, parts, 0.07) > LOST
+    assert level(wider, parts, 0.07, 1) > LOST
 
 
 def test_the_clock_is_that_of_a_run_from_the_start_of_the_log(turned):

@@ -11,7 +11,7 @@ from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit
-from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, cut, lock, losses
+from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, level, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -60,8 +60,9 @@ def augment(
     if also:
         met = (*records, *also)
         other = lock(met, first, unknowns, loosely, reached=reached, jobs=jobs)
-        if off(other.model, met, jobs) < off(locked.model, met, jobs):
-            best = locked = other
+        best = locked = min(
+            (locked, other), key=lambda one: level(one.model, met, HORIZONS[-1], jobs)
+        )
     if locked.horizon < FIRM_SECONDS:
         misfit = Misfit(records, LEAD_HZ, jobs)
         misfit.weigh(start.model)
@@ -71,11 +72,6 @@ def augment(
             best = whole
     done = Fit(best.model, unknowns, best.p, best.covariance, locked.horizon)
     return replace(done, covariance=honest(done, start))
-
-
-def off(model: Model, records: Sequence[Record], jobs: int) -> float:
-    """Mean loss per sample of the starts of records, and of reversals."""
-    return float(losses(model, [cut(rec, HORIZONS[-1]) for rec in records], jobs).mean())
 
 
 def missed(model: Model, records: Sequence[Record]) -> float:

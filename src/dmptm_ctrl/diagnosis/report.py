@@ -213,12 +213,12 @@ STANDS_IN = 6.0 / 8.0
 def named(found: Found, after: Fit, *, all_explained: bool) -> NamedEffect:
     """Describe an accepted effect with the values of the final fit."""
     effect = CATALOGUE[found.name]
-    parameters = {}
-    for p, default in zip(effect.parameters, effect.defaults(), strict=True):
+    parameters, absent = {}, effect.absent()
+    for p in effect.parameters:
         try:
             value, se = after.value(found.name, p.name)
         except KeyError:  # found by search, not by fit: a whole-numbered order
-            value, se = after.model.effects[found.name].get(p.name, default), 0.0
+            value, se = after.model.effects[found.name].get(p.name, absent[p.name]), 0.0
         parameters[p.name] = estimate(value, se, p.unit)
     trial = found.trial
     how = "It supplies the torque or twist that is missing"

@@ -222,9 +222,8 @@ def entered_into(
 ) -> tuple[Model, list[Unknown]]:
     """Model with a table of zeros, and its knots."""
     effect = CATALOGUE[name]
-    values = dict(zip((p.name for p in effect.parameters), effect.defaults(), strict=True))
     knots = {f"k{i}": 0.0 for i in range(KNOTS)}
-    model = model.with_effect(name, **{**values, **shape, **knots})
+    model = model.with_effect(name, **{**effect.absent(), **shape, **knots})
     step = next(p for p in effect.parameters if p.name == "k0")
     low, high = step.low / step.step, step.high / step.step
     own = [Unknown(name, f"k{i}", 0.0, step.step, low, high, PRIOR_STEPS) for i in range(KNOTS)]

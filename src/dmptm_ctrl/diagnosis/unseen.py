@@ -23,7 +23,7 @@ from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, NEEDS_TWIST, WITHOUT_TWIST,
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown, position
-from dmptm_ctrl.identify.lock import LOST, UNEASY, Locked, cut, lock, losses
+from dmptm_ctrl.identify.lock import LOST, UNEASY, Locked, cut, level, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
 from dmptm_ctrl.simulate.model import Model
@@ -327,15 +327,10 @@ def without(
     finds.
     """
     start = Model(kept.model.drive, base.model.effects)
-    in_step = [h for h in horizons(LEAST_SECONDS, kept.horizon) if keeps(start, records, h, jobs)]
-    reached = max(in_step, default=0.0)
+    between = horizons(LEAST_SECONDS, kept.horizon)
+    reached = max((h for h in between if level(start, records, h, jobs) < LOST), default=0.0)
     unknowns, known = base.unknowns, loosely(base)
     return lock(records, start, unknowns, known, reached=reached, jobs=jobs, seed=seed, anew=False)
-
-
-def keeps(model: Model, records: Sequence[Record], seconds: float, jobs: int) -> bool:
-    """Whether a model meets the bounces of the starts of records."""
-    return float(losses(model, [cut(rec, seconds) for rec in records], jobs).mean()) < LOST
 
 
 def ageing(

@@ -182,6 +182,11 @@ def losses(model: Model, records: Sequence[Record], jobs: int) -> Floats:
     return loss(steps.residuals([none])[0])
 
 
+def level(model: Model, records: Sequence[Record], seconds: float, jobs: int) -> float:
+    """Mean loss per sample of a model's runs on the starts of records."""
+    return float(losses(model, [cut(rec, seconds) for rec in records], jobs).mean())
+
+
 @dataclass(eq=False)
 class Steps:
     """Gauss–Newton on records of one horizon.

@@ -73,8 +73,7 @@ def _moved(model: Model, name: str, share: float) -> tuple[Model, float]:
     if parameter not in places:
         raise ValueError(f"no parameter {name!r}; effects are named as in 'cogging.left_cosine'")
     found = CATALOGUE[effect].parameters[places.index(parameter)]
-    values = dict(zip(places, CATALOGUE[effect].defaults(), strict=True))
-    values.update(model.effects.get(effect, {}))
+    values = {**CATALOGUE[effect].absent(), **model.effects.get(effect, {})}
     value = values[parameter]
     step = share * max(abs(value), found.step)
     if value + step < found.low and share < 0.0:

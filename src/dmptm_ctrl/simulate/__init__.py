@@ -144,12 +144,13 @@ def _timepts(timepts: ArrayLike) -> NDArray[np.float64]:
     time = np.asarray(timepts, float)
     if time.ndim != 1 or time.size < 2:
         raise ValueError(f"timepts has shape {time.shape}; needs (n,) with n ≥ 2")
-    if not np.all(np.isfinite(time)):
+    if not np.isfinite(time).all():
         raise ValueError("timepts holds a value that is not finite")
-    steps = np.diff(time)
-    if steps.min() <= 0.0 or np.ptp(steps) > EVEN * steps.mean() + 8.0 * np.spacing(time[-1]):
+    steps = time[1:] - time[:-1]
+    least, most, mean = steps.min(), steps.max(), (time[-1] - time[0]) / steps.size
+    if least <= 0.0 or most - least > EVEN * mean + 8.0 * np.spacing(time[-1]):
         raise ValueError(
-            f"timepts is uneven: steps from {steps.min():.6g} to {steps.max():.6g} s; "
+            f"timepts is uneven: steps from {least:.6g} to {most:.6g} s; "
             "the voltage is held over equal samples"
         )
     return time
@@ -161,6 +162,6 @@ def _finite(
     array = np.array(values, float)
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}; needs {shape}: {meaning}")
-    if not np.all(np.isfinite(array)):
+    if not np.isfinite(array).all():
         raise ValueError(f"{name} holds a value that is not finite")
     return array

@@ -102,7 +102,16 @@ _INLINE = (
     "aged",
     *("law", "plain_region", "level_stage"),
     *("section", "direction_of", "friction_along", "built_up", "feed_forward", "undone"),
-    *("stays", "mesh_slopes", "one_way_law", "smooth_body", "mesh_change", "mesh_own", "law_own"),
+    *(
+        "stays",
+        "mesh_slopes",
+        "law_slopes",
+        "one_way_law",
+        "smooth_body",
+        "mesh_change",
+        "mesh_own",
+        "law_own",
+    ),
     "change_along",
 )
 # What Python calls; the rest is called by these alone and has no wrapper for Python, which

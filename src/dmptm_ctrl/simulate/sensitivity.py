@@ -164,11 +164,11 @@ def _back(model: Model, parameters: Sequence[str], group: range) -> Arrays:
 
 def _plain(arrays: Sequence[Arrays]) -> bool:
     """Whether no effect acts and nothing moves but what `tangent_core` knows the slopes of."""
-    base = arrays[0][0]
-    return all(
-        not on.any() and np.array_equal(moved[LEFT_ALONE], base[LEFT_ALONE])
-        for moved, on, _ in arrays
-    ) and np.array_equal(base[NEUTRAL], (0.0, 1.0, 1.0))
+    if any(on.any() for _, on, _ in arrays):
+        return False
+    bases = np.array([base for base, _, _ in arrays])
+    same = bases[1:, LEFT_ALONE] == bases[0, LEFT_ALONE]
+    return bool(same.all() and (bases[0, NEUTRAL] == (0.0, 1.0, 1.0)).all())
 
 
 def _along(

@@ -32,6 +32,7 @@ D_LAW = 17 * CHANGES
 # regions of the meshes.
 D_G0, D_G1 = 33 * CHANGES, 34 * CHANGES
 SIZE_OF_CHANGES = 35 * CHANGES
+NO_SLOPES = (0.0, 0.0, 0.0)
 
 
 @njit
@@ -101,27 +102,33 @@ def whole_step(q0, q1, q2, v0, v1, v2, d0, d1, d2, region0, region1, u0, u1, h, 
 
 
 @njit
-def stays(z, z_rate, region, p, margin):
+def stays(z, z_rate, torque, region, p, margin):
     """Whether a mesh is where it was in Eq. 21, and by a margin of torque not elsewhere."""
-    side = region if region != 0.0 else 1.0 if z >= 0.0 else -1.0
-    pressed, closing = p.stiffness * (side * z - p.half_gap), side * z_rate
-    reach = pressed + p.damping * closing
     if region == 0.0:
-        return reach < -margin
-    return reach > margin and pressed >= p.gap_damping * closing + margin
+        side = 1.0 if z >= 0.0 else -1.0
+        return side * region_torque(z, z_rate, side, p) < -margin
+    push = region * torque
+    return push > margin and push - region * z_rate * (p.damping + p.gap_damping) >= margin
 
 
 @njit
-def mesh_slopes(z, z_rate, region, p):
-    """Slopes of a mesh's torque: by z, its rate, stiffness, both dampings, half-gap."""
+def mesh_slopes(region, p):
+    """Slopes of a mesh's torque in a whole region: by z, its rate, half-gap."""
     zero = region_torque(0.0, 0.0, region, p)
     return (
         region_torque(1.0, 0.0, region, p) - zero,
         region_torque(0.0, 1.0, region, p) - zero,
+        region_torque(0.0, 0.0, region, Backlash(p.stiffness, 0.0, 0.0, 1.0)),
+    )
+
+
+@njit
+def law_slopes(z, z_rate, region, p):
+    """Slopes of a mesh's torque: by stiffness, both dampings."""
+    return (
         region_torque(z, z_rate, region, Backlash(1.0, 0.0, 0.0, p.half_gap)),
         region_torque(z, z_rate, region, Backlash(0.0, 1.0, 0.0, p.half_gap)),
         region_torque(z, z_rate, region, Backlash(0.0, 0.0, 1.0, p.half_gap)),
-        region_torque(0.0, 0.0, region, Backlash(p.stiffness, 0.0, 0.0, 1.0)),
     )
 
 
@@ -179,17 +186,21 @@ def used(s, start, stop):
 
 @njit
 def change_along(
-    s, j, h, n2, volts, mobilities, m0, m1, f0, f1, f2, l0, l1, l2, drives, meshes, masses, laws
+    s, j, h, n2, volts, mobilities, m0, m1, k0, k1, f0, f1, f2, l0, l1, l2,
+    drives, meshes, masses, laws
 ):  # fmt: skip
-    """Take one change a step further; by slopes of meshes m and bodies f, rows l of their laws."""
+    """Take one change a step further.
+
+    By slopes m, k of the meshes and f of the bodies, with rows l of their laws.
+    """
     w0, w1, w2 = s[DV0 + j], s[DV1 + j], s[DV2 + j]
     a0, a1, a2 = s[DQ0 + j] + 0.5 * h * w0, s[DQ1 + j] + 0.5 * h * w1, s[DQ2 + j] + 0.5 * h * w2
     c0, c1, c2 = w0 + 0.5 * s[DC0 + j], w1 + 0.5 * s[DC1 + j], w2 + 0.5 * s[DC2 + j]
     t0 = mesh_change(m0, a0 - n2 * a2, c0 - n2 * c2)
     t1 = mesh_change(m1, a1 - n2 * a2, c1 - n2 * c2)
     if meshes:
-        t0 += mesh_own(m0, s, D_GAP0, j)
-        t1 += mesh_own(m1, s, D_GAP1, j)
+        t0 += mesh_own(m0, k0, s, D_GAP0, j)
+        t1 += mesh_own(m1, k1, s, D_GAP1, j)
     g0, g1, g2 = -t0, -t1, n2 * (t0 + t1)
     if drives:
         g0 += volts[0] * s[D_GAIN + j]
@@ -242,6 +253,7 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
     v0, v1, v2 = x0[3], x0[4], x0[5]
     d0, d1, d2 = 0.0, 0.0, 0.0
     region0, region1 = UNKNOWN, UNKNOWN
+    m0 = m1 = NO_SLOPES
     width = p  # changes that go along; one more once the other way is another one
     split = n
     apart = True  # whether some change is, or may be, on another branch than the run
@@ -251,23 +263,21 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
         y, y_rate = q1 - n2 * q2, v1 - n2 * v2
         out[0, i], out[1, i], out[2, i], out[3, i] = q2, v2, n1 * q0, n1 * q1
         out[6, i], out[7, i] = z, y
-        anew0 = apart or not stays(z, z_rate, region0, mesh0, margin)
-        anew1 = apart or not stays(y, y_rate, region1, mesh1, margin)
-        out[4, i] = region_torque(z, z_rate, region0, mesh0)
-        if anew0:
-            out[4, i] = mesh_torque(z, z_rate, mesh0)
-        out[5, i] = region_torque(y, y_rate, region1, mesh1)
-        if anew1:
-            out[5, i] = mesh_torque(y, y_rate, mesh1)
-        m0 = mesh_slopes(z, z_rate, region0, mesh0)
-        m1 = mesh_slopes(y, y_rate, region1, mesh1)
+        t0 = region_torque(z, z_rate, region0, mesh0)
+        t1 = region_torque(y, y_rate, region1, mesh1)
+        anew0 = apart or not stays(z, z_rate, t0, region0, mesh0, margin)
+        anew1 = apart or not stays(y, y_rate, t1, region1, mesh1, margin)
+        out[4, i] = mesh_torque(z, z_rate, mesh0) if anew0 else t0
+        out[5, i] = mesh_torque(y, y_rate, mesh1) if anew1 else t1
+        k0 = law_slopes(z, z_rate, region0, mesh0) if meshes else NO_SLOPES
+        k1 = law_slopes(y, y_rate, region1, mesh1) if meshes else NO_SLOPES
         for j in range(width):
             row = changes[j] if j < p else back
             dz, dz_rate = s[DQ0 + j] - n2 * s[DQ2 + j], s[DV0 + j] - n2 * s[DV2 + j]
             dy, dy_rate = s[DQ1 + j] - n2 * s[DQ2 + j], s[DV1 + j] - n2 * s[DV2 + j]
             per = 1.0 / steps[j] if j < p else 1.0
-            t0 = mesh_change(m0, dz, dz_rate) + mesh_own(m0, s, D_GAP0, j)
-            t1 = mesh_change(m1, dy, dy_rate) + mesh_own(m1, s, D_GAP1, j)
+            t0 = mesh_change(m0, dz, dz_rate) + mesh_own(m0, k0, s, D_GAP0, j)
+            t1 = mesh_change(m1, dy, dy_rate) + mesh_own(m1, k1, s, D_GAP1, j)
             if anew0:
                 mesh = mesh_at(bases[1 + j], 13)
                 t0 = mesh_torque(z + dz, z_rate + dz_rate, mesh) - out[4, i]
@@ -291,8 +301,8 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
             if (
                 apart
                 or not (sure0 and sure1 and sure2)
-                or not stays(z, z_rate, region0, mesh0, margin)
-                or not stays(y, y_rate, region1, mesh1, margin)
+                or not stays(z, z_rate, t0, region0, mesh0, margin)
+                or not stays(y, y_rate, t1, region1, mesh1, margin)
             ):
                 state = (q0, q1, q2, v0, v1, v2, d0, d1, d2)
                 if width == p:
@@ -300,6 +310,7 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
                 here = whole_step(*state, region0, region1, u0, u1, h, base)
                 apart = anew(s, p, state, here, u0, u1, h, bases)
                 region0, region1 = here[9], here[10]
+                m0, m1 = mesh_slopes(region0, mesh0), mesh_slopes(region1, mesh1)
                 q0, q1, q2, v0, v1, v2 = here[0], here[1], here[2], here[3], here[4], here[5]
                 d0, d1, d2 = here[6], here[7], here[8]
                 top = max(top, abs(v0), abs(v1), abs(v2))
@@ -307,8 +318,8 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
                     width = p + 1
                     split = i + 1
                 continue
-            m0 = mesh_slopes(z, z_rate, region0, mesh0)
-            m1 = mesh_slopes(y, y_rate, region1, mesh1)
+            k0 = law_slopes(z, z_rate, region0, mesh0) if meshes else NO_SLOPES
+            k1 = law_slopes(y, y_rate, region1, mesh1) if meshes else NO_SLOPES
             l0 = D_LAW + (0 if f0[1] > 0.0 else 4 * CHANGES)
             l1 = D_LAW + (0 if f1[1] > 0.0 else 4 * CHANGES)
             l2 = D_LAW + (8 * CHANGES if f2[1] > 0.0 else 12 * CHANGES)
@@ -316,14 +327,16 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
                 for j in range(width):
                     change_along(
                         *(s, j, h, n2, (u0, u1), (mobility_3, mobility_l)),
-                        *(m0, m1, f0, f1, f2, l0, l1, l2, drives, meshes, masses, laws),
+                        *(m0, m1, k0, k1, f0, f1, f2, l0, l1, l2),
+                        *(drives, meshes, masses, laws),
                     )
             else:
                 # four at a time, as a vector; those beyond the last are zero
                 for j in range((width + 3) // 4 * 4):
                     change_along(
                         *(s, j, h, n2, (u0, u1), (mobility_3, mobility_l)),
-                        *(m0, m1, f0, f1, f2, l0, l1, l2, True, True, True, True),
+                        *(m0, m1, k0, k1, f0, f1, f2, l0, l1, l2),
+                        *(True, True, True, True),
                     )
             d0, d1, d2 = new0 - v0, new1 - v1, new2 - v2
             v0, v1, v2 = new0, new1, new2
@@ -339,10 +352,10 @@ def mesh_change(slopes, dz, dz_rate):
 
 
 @njit
-def mesh_own(slopes, s, gap, j):
+def mesh_own(slopes, own, s, gap, j):
     """Change of a mesh's torque with its own numbers."""
-    own = slopes[2] * s[D_K + j] + slopes[3] * s[D_C + j]
-    return own + (slopes[4] * s[D_CF + j] + slopes[5] * s[gap + j])
+    by_law = own[0] * s[D_K + j] + own[1] * s[D_C + j]
+    return by_law + (own[2] * s[D_CF + j] + slopes[2] * s[gap + j])
 
 
 @njit

@@ -38,6 +38,7 @@ from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown
+from dmptm_ctrl.identify.lock import DOUBTFUL, level
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
 from dmptm_ctrl.signals import Log, LogError, load_logs
@@ -194,11 +195,14 @@ def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log],
 def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     """Add an effect that the balances do not see, but without which no bounce is met."""
     full = len(decision.found) == MAX_EFFECTS
-    # beside another effect a law that is not quite the model's is not told from a faint one
-    keeps = WINS_SECONDS if decision.found else KEEPS_SECONDS
-    if after.horizon >= keeps or full or decision.unexplained is not None:
+    if full or decision.unexplained is not None:
         return after
     measured, base = decision.before.measured, decision.after.base
+    # beside another effect a law that is not quite the model's is not told from a faint one
+    if after.horizon >= (WINS_SECONDS if decision.found else KEEPS_SECONDS) and (
+        decision.found or level(after.model, measured.fit, KEEPS_SECONDS, jobs) < DOUBTFUL
+    ):
+        return after
     start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
     if gives(decision):  # or delays and lags would do for it
         behind = len(base.unknowns)

@@ -20,6 +20,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
 from dmptm_ctrl.identify.lock import (
+    DOUBTFUL,
     HORIZONS,
     LOOSE,
     LOST,
@@ -35,7 +36,8 @@ from dmptm_ctrl.identify.lock import (
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
-KEEPS_SECONDS = 0.6  # a model that keeps step for so long lacks nothing that is told here
+# A model that keeps step for so long, as well as noise lets it, lacks nothing that is told here.
+KEEPS_SECONDS = 0.6
 WINS_SECONDS = 0.15  # for which a winner keeps step
 MARGIN = 40.0  # cost beyond the best one's at which a candidate drops out
 LEAST = 150.0  # evidence of a winner
@@ -45,6 +47,7 @@ OUT = 2.7
 WELL = 0.4  # mean loss per sample that leaves nothing to mend
 HELD_SHARE = 0.3  # of a fitted log's evidence, that a held-out log gives at least
 TRIED = 4  # best candidates, for which other starts are tried
+BEHIND = 8.0  # cost beyond the best one's, at which it may only have missed a way
 # Seconds for which the model as it is keeps step too, from where only so many go on: those that
 # balances and bounces together speak for.
 EVEN_SECONDS, MANY = 0.15, 8
@@ -139,10 +142,11 @@ def race(
             runner.go(records, jobs)
         runners.sort(key=lambda runner: runner.cost)
         for runner in with_(bare, runners[:TRIED]):
-            if runner.level > UNEASY:
+            behind = runner.cost - runners[0].cost
+            if runner.level > UNEASY or (behind > BEHIND and horizon >= EVEN_SECONDS):
                 runner.search()
         runners.sort(key=lambda runner: runner.cost)
-        if runners[0].level > LOST or (bare.level < UNEASY and horizon >= KEEPS_SECONDS):
+        if runners[0].level > LOST or (bare.level < DOUBTFUL and horizon >= KEEPS_SECONDS):
             break
         runners = [runner for runner in runners if runner.cost <= runners[0].cost + MARGIN]
         if bare.level < UNEASY and horizon >= EVEN_SECONDS:

@@ -31,10 +31,12 @@ from dmptm_ctrl.simulate.model import Model
 AGEING = "unknown_breakaway"
 BY_IMPACTS = (*WITHOUT_TWIST, "torque_constant_mismatch")
 FIRST_SECONDS = (0.03, 0.05, 0.07, 0.1)  # of each log, one after another
+# Places that go on from each: first impacts alone are met in many ways, of which the next leave
+# few; the one that leaves least there is seldom right.
+PLACES = (8, 4, 3, 2)
 SIZES = (1.0, -1.0, 4.0, -4.0)  # of each amplitude, in its step, to start from
 QUARTERS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # cosine and sine
 WAVES = (3.0, 10.0, 30.0)  # of one over an angle
-SCATTER_SECONDS = 0.05  # up to which a search that is not near begins anew, from places drawn
 SEARCHES = 2  # at a horizon where no start is near
 BEHIND = 2.0  # times the nearest one's loss, from where none looks for another start
 SHARE = 0.5  # of what the model misses, that a winner takes off
@@ -300,22 +302,23 @@ def enter(models: Sequence[Model], base: BalanceFit, own: tuple[Unknown, ...], s
 def race_first(
     alone: Runner, field: Sequence[Runner], records: Sequence[Record], jobs: int
 ) -> None:
-    """Fit all to the first hundredths of a second, then to the next.
+    """Fit all to the first hundredths of a second, then to the next, from several places each.
 
     Who is not near looks for other starts, unless another one leaves much less.
     """
-    for seconds in FIRST_SECONDS:
+    for seconds, places in zip(FIRST_SECONDS, PLACES, strict=True):
         parts = [cut(rec, seconds) for rec in records]
         for one in (alone, *field):
             one.go(parts, jobs)
+            if seconds == FIRST_SECONDS[0]:
+                one.spread()
         for one in sorted((alone, *field), key=lambda one: one.level):
             far = max(UNEASY, BEHIND * min(other.level for other in (alone, *field)))
             for _ in range(SEARCHES):
                 if UNEASY < one.level <= far:
                     one.search()
-            if UNEASY < one.level <= far and seconds <= SCATTER_SECONDS:
-                one.scatter(parts, jobs)
             one.settle()
+            one.places = one.different(places)
 
 
 def without(

@@ -51,6 +51,7 @@ UNEASY = 0.45  # mean loss per sample above which all is not well; noise gives 0
 SEARCHED_SECONDS = 0.4  # up to which other starts are tried; later none that is drawn comes near
 DRAWS, SIZES = 32, (0.3, 1.0)  # how many, and how far in standard deviations of what is known
 PURSUED = 2  # of the draws that are fitted
+SAME = 0.2  # half-ranges, or steps of an effect, by which no two values differ at one place
 # Stuck early, it begins anew: horizon, how many places are drawn from what is known, how many of
 # the best are fitted by how many steps, round by round.
 ANEW_SECONDS, SCATTERED, FOLLOWED = 0.07, 256, ((24, 2), (8, 8))
@@ -343,6 +344,11 @@ class Seeker:
         """Begin anew from the best of many places that are known to be possible."""
         self.steps = self.prepared(records, jobs, None)
         self.found = []
+        self.spread()
+        self.covariance = self.found[0][2]
+
+    def spread(self) -> None:
+        """Go down from the best of many places that are known to be possible, too."""
         drawn = self.draw(SCATTERED)
         for follow, iterations in FOLLOWED:
             costs = self.steps.costs(self.steps.residuals(drawn), drawn)
@@ -350,7 +356,6 @@ class Seeker:
             drawn = [self.steps.descend(drawn[i], iterations) for i in best]
         for p in drawn:
             self.pursue(p)
-        self.covariance = self.found[0][2]
 
     def draw(self, count: int) -> list[Floats]:
         """Draw places from what is known; of a value that is open, another size or sign."""
@@ -380,6 +385,14 @@ class Seeker:
         costs = self.steps.costs(self.steps.residuals(drawn), drawn)
         for i in np.argsort(costs)[:PURSUED]:
             self.pursue(drawn[i])
+
+    def different(self, count: int) -> list[Floats]:
+        """Return the best places that are not the same."""
+        kept: list[Floats] = []
+        for _, p, _, _ in self.found:
+            if all(np.abs(p - other).max() > SAME for other in kept):
+                kept.append(p)
+        return kept[:count]
 
     def settle(self) -> None:
         """Take what was learnt to the next horizon: one place, if all is well there."""

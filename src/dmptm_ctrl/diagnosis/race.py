@@ -66,10 +66,13 @@ class Runner(Seeker):
         None for the model as it is.
     told : float
         Evidence of the balances for it.
+    wave : int
+        How many amplitudes over an angle it has behind the drive's own values.
     """
 
     name: str | None = None
     told: float = 0.0
+    wave: int = 0
 
     def from_place_of(self, other: "Runner") -> None:
         """Try the values of one with an effect, without it: a start may be all that it had ahead.

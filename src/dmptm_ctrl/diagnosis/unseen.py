@@ -23,7 +23,7 @@ from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, NEEDS_TWIST, WITHOUT_TWIST,
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown, position
-from dmptm_ctrl.identify.lock import LOST, UNEASY, Locked, cut, level, lock
+from dmptm_ctrl.identify.lock import LOST, SCATTERED, UNEASY, Locked, cut, level, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
 from dmptm_ctrl.simulate.model import Model
@@ -34,6 +34,9 @@ FIRST_SECONDS = (0.03, 0.05, 0.07, 0.1)  # of each log, one after another
 # Places that go on from each: first impacts alone are met in many ways, of which the next leave
 # few; the one that leaves least there is seldom right.
 PLACES = (8, 4, 3, 2)
+# The amplitudes of a wave that the next impacts tell, drawn anew about each of these places: how
+# many draws, and how far in steps.
+REDRAWN, RESIZED = 3072, (2.0, 4.0, 8.0)
 SIZES = (1.0, -1.0, 4.0, -4.0)  # of each amplitude, in its step, to start from
 QUARTERS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # cosine and sine
 WAVES = (3.0, 10.0, 30.0)  # of one over an angle
@@ -296,6 +299,7 @@ def enter(models: Sequence[Model], base: BalanceFit, own: tuple[Unknown, ...], s
     others = [position(model, unknowns) for model in models[1:]]
     one = entrant(None, models[0], unknowns, known, others)
     one.rng = np.random.default_rng(seed)
+    one.wave = len(own) if own and waves(str(own[0].effect), models[0]) else 0
     return one
 
 
@@ -304,16 +308,22 @@ def race_first(
 ) -> None:
     """Fit all to the first hundredths of a second, then to the next, from several places each.
 
-    Who is not near looks for other starts, unless another one leaves much less.
+    Who is not near looks for other starts, unless another one leaves much less. The second impact
+    is the other pinion's: every wave is drawn anew there, or one of them would win by chance.
     """
     for seconds, places in zip(FIRST_SECONDS, PLACES, strict=True):
         parts = [cut(rec, seconds) for rec in records]
+        before = {id(one): one.places for one in (alone, *field)}
         for one in (alone, *field):
             one.go(parts, jobs)
             if seconds == FIRST_SECONDS[0]:
-                one.spread()
+                one.spread(one.draw(SCATTERED))
         for one in sorted((alone, *field), key=lambda one: one.level):
             far = max(UNEASY, BEHIND * min(other.level for other in (alone, *field)))
+            within = np.inf if seconds == FIRST_SECONDS[1] else far
+            if UNEASY < one.level <= within and one.wave and seconds > FIRST_SECONDS[0]:
+                one.places = before[id(one)]
+                one.spread(one.anew(one.wave, REDRAWN, RESIZED))
             for _ in range(SEARCHES):
                 if UNEASY < one.level <= far:
                     one.search()

@@ -344,12 +344,11 @@ class Seeker:
         """Begin anew from the best of many places that are known to be possible."""
         self.steps = self.prepared(records, jobs, None)
         self.found = []
-        self.spread()
+        self.spread(self.draw(SCATTERED))
         self.covariance = self.found[0][2]
 
-    def spread(self) -> None:
-        """Go down from the best of many places that are known to be possible, too."""
-        drawn = self.draw(SCATTERED)
+    def spread(self, drawn: Sequence[Floats]) -> None:
+        """Go down from the best of many places, too."""
         for follow, iterations in FOLLOWED:
             costs = self.steps.costs(self.steps.residuals(drawn), drawn)
             best = np.argsort(costs)[:follow]
@@ -385,6 +384,16 @@ class Seeker:
         costs = self.steps.costs(self.steps.residuals(drawn), drawn)
         for i in np.argsort(costs)[:PURSUED]:
             self.pursue(drawn[i])
+
+    def anew(self, open_values: int, count: int, sizes: Sequence[float]) -> list[Floats]:
+        """Draw the last values anew about each place; the others stay."""
+        sized = np.resize(np.array(sizes), count // len(self.places))[:, None]
+        drawn = []
+        for p in self.places:
+            moved = np.zeros((sized.size, p.size))
+            moved[:, -open_values:] = sized * self.rng.standard_normal((sized.size, open_values))
+            drawn += [*np.clip(p + moved, self.steps.low, self.steps.high)]
+        return drawn
 
     def different(self, count: int) -> list[Floats]:
         """Return the best places that are not the same."""

@@ -32,6 +32,7 @@ from dmptm_ctrl.identify.lock import (
     Steps,
     cut,
     loss,
+    walk,
 )
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -46,6 +47,8 @@ LEAST = 150.0  # evidence of a winner
 OUT = 2.7
 WELL = 0.4  # mean loss per sample that leaves nothing to mend
 HELD_SHARE = 0.3  # of a fitted log's evidence, that a held-out log gives at least
+# Where all lose step after so long, it may be the way that was wrong: how many begin anew.
+WAY_SECONDS, ONCE_MORE = 0.1, 3
 TRIED = 4  # best candidates, for which other starts are tried
 BEHIND = 8.0  # cost beyond the best one's, at which it may only have missed a way
 # Seconds for which the model as it is keeps step too, from where only so many go on: those that
@@ -80,6 +83,15 @@ class Runner(Seeker):
         Its own unknowns are behind those of the model as it is.
         """
         self.pursue(other.places[0][: len(self.unknowns)])
+
+    def from_the_start(self, records: Sequence[Record], seconds: float, jobs: int) -> None:
+        """Try where a lock comes out that goes alone, with more care at each horizon."""
+        horizons = [h for h in HORIZONS if h <= seconds]
+        covariance = np.asarray(np.linalg.inv(self.known.precision), np.float64)
+        alone = Seeker(self.model, self.unknowns, self.known, [self.known.mean], covariance)
+        found = walk(alone, records, horizons, jobs)
+        if found.horizon == seconds:
+            self.pursue(found.p)
 
     def place(self) -> "Place":
         """Return where it is."""
@@ -148,6 +160,11 @@ def race(
             behind = runner.cost - runners[0].cost
             if runner.level > UNEASY or (behind > BEHIND and horizon >= EVEN_SECONDS):
                 runner.search()
+        lost = min(runner.level for runner in runners) > LOST
+        if lost and last is not None and last.seconds >= WAY_SECONDS:
+            hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)
+            for runner in hopeful[:ONCE_MORE]:
+                runner.from_the_start(fitted, horizon, jobs)
         runners.sort(key=lambda runner: runner.cost)
         if runners[0].level > LOST or (bare.level < DOUBTFUL and horizon >= KEEPS_SECONDS):
             break

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -29,20 +30,25 @@ from dmptm_ctrl.simulate.model import Floats, Model
 TORQUE, FRICTION, VOLTS = "unknown_torque", "unknown_friction", "unknown_voltage"
 MOTOR = "unknown_motor"
 PRIOR_STEPS = 3.0  # of a knot, in steps of its parameter: where no log goes, it stays at zero
-QUIET = 0.2  # of the largest knot of a period, below which nothing happens
+FAR = 3.0  # times the usual range of a variable in a log, beyond which one goes far
+QUIET = 0.2  # of the largest knot, below which nothing happens
+MOST_OF_IT = 0.6  # of a table, in which something happens: it needs no finer one
 HELD = 8.0  # fall of the loss on the held-out logs that a table must bring
 # Tables that can stand for a curve of these variables; of others (a rate, a mesh torque) none can.
-PLANS: dict[tuple[str, ...], tuple[tuple[str, float], ...]] = {
-    ("theta_L",): ((FRICTION, ANGLE), (TORQUE, ANGLE)),
-    ("theta_L", "omega_L"): ((TORQUE, DRAG),),
-    ("theta_L", "u"): ((MOTOR, PATH),),
-    ("theta_m", "u"): ((MOTOR, TURN),),
-    ("omega_m", "u"): ((MOTOR, BRAKING),),
-    ("omega_L",): ((TORQUE, SPEED),),
-    ("u",): ((VOLTS, VOLTAGE),),
-    ("time",): ((FRICTION, TIME), (TORQUE, TIME)),
-    ("time", "u"): ((MOTOR, CLOCK),),
-    ("omega_L", "time"): ((FRICTION, TIME),),
+# Of several the one that explains most: a brake in a sector of the turn is a curve over the angle,
+# and whether it grows with the speed only a table of each tells.
+Plan = tuple[tuple[str, float], ...]
+PLANS: dict[tuple[str, ...], tuple[Plan, ...]] = {
+    ("theta_L",): (((FRICTION, ANGLE), (TORQUE, ANGLE)), ((TORQUE, DRAG),)),
+    ("theta_L", "omega_L"): (((TORQUE, DRAG),),),
+    ("theta_L", "u"): (((MOTOR, PATH),),),
+    ("theta_m", "u"): (((MOTOR, TURN),),),
+    ("omega_m", "u"): (((MOTOR, BRAKING),),),
+    ("omega_L",): (((TORQUE, SPEED),),),
+    ("u",): (((VOLTS, VOLTAGE),),),
+    ("time",): (((FRICTION, TIME), (TORQUE, TIME)),),
+    ("time", "u"): (((MOTOR, CLOCK),),),
+    ("omega_L", "time"): (((FRICTION, TIME),),),
 }
 ALONE = 1.1  # times what a table of both motors explains, from which one of one goes before it
 
@@ -81,11 +87,12 @@ class Tables:
 
 def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | None:
     """Fit tables over the variables of a curve beside a model; None where they do not help."""
-    plan = PLANS.get(tuple(variables))
-    if plan is None:
+    plans = PLANS.get(tuple(variables), ())
+    if not plans:
         return None
     tried: list[dict[str, dict[str, float]]] = []
-    for range_of in (widest, usual):  # a log that goes far leaves few knots where the others are
+    # a log that goes far leaves few knots where the others are
+    for plan, range_of in product(plans, (widest, together, usual)):
         shapes = {}
         for name, variable in plan:
             low, high = range_of(left.balance.motions, variable)
@@ -98,7 +105,9 @@ def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | No
         of_motors(left, shapes[MOTOR]) if MOTOR in shapes else tabled(left, shapes)
         for shapes in tried
     ]
-    if plan == ((MOTOR, TURN),):
+    near = [focused(fit, shapes) for fit, shapes in zip(fits, tried, strict=True)]
+    fits += [tabled(left, shapes) for shapes in near if shapes is not None]
+    if ((MOTOR, TURN),) in plans:
         fits.append(tabled(left, {MOTOR: waves(left)}))
     return described(left, better(left, fits), variables, jobs)
 
@@ -181,6 +190,30 @@ def better(left: Residual, fits: Sequence[BalanceFit]) -> BalanceFit:
     return min(fits, key=lambda one: total(left, one))
 
 
+def focused(
+    fit: BalanceFit, shapes: Mapping[str, Mapping[str, float]]
+) -> dict[str, dict[str, float]] | None:
+    """Shapes of tables over the part of the ring gear's turn in which something happens.
+
+    None where that is most of it, or the tables are over something else.
+    """
+    if any(shape["variable"] not in (ANGLE, DRAG) for shape in shapes.values()):
+        return None
+    happens = np.zeros(KNOTS, np.bool_)
+    for name in shapes:
+        knots = np.array([fit.model.effects[name][f"k{i}"] for i in range(KNOTS)])
+        above = np.abs(knots - np.median(knots))
+        happens |= (above >= QUIET * above.max()) & (above > 0.0)
+    loud = np.flatnonzero(happens)
+    if loud.size == 0 or loud[-1] - loud[0] + 2 > MOST_OF_IT * (KNOTS - 1):
+        return None
+    shape = next(iter(shapes.values()))
+    apart = (shape["high"] - shape["low"]) / (KNOTS - 1)
+    ends = (loud[0] - 1, loud[-1] + 1)
+    low, high = (float(shape["low"] + apart * end) for end in ends)
+    return {name: {**shape, "low": low, "high": high} for name, shape in shapes.items()}
+
+
 def narrowed(model: Model) -> dict[str, dict[str, float]]:
     """Shape of a table over the part of a period in which something happens."""
     name = MOTOR if MOTOR in model.effects else TORQUE
@@ -242,9 +275,18 @@ def linear_fit(left: Residual, parts: Sequence[Floats], linear: Floats) -> Float
 
 
 def widest(motions: Sequence[Motion], variable: float) -> tuple[float, float]:
-    """Range of a variable over all motions."""
+    """Range of a variable over all motions; of the ring gear's angle a turn at most."""
     low, high = zip(*(ends(mo, variable) for mo in motions), strict=True)
+    if variable in (ANGLE, DRAG):
+        return min(low), min(max(high), min(low) + 2.0 * np.pi)
     return min(low), max(high)
+
+
+def together(motions: Sequence[Motion], variable: float) -> tuple[float, float]:
+    """Range of a variable over all motions but those that go far."""
+    low, high = np.array([ends(mo, variable) for mo in motions]).T
+    near = high - low <= FAR * np.median(high - low)
+    return float(low[near].min()), float(high[near].max())
 
 
 def usual(motions: Sequence[Motion], variable: float) -> tuple[float, float]:

@@ -5,7 +5,7 @@ variables of its site, chosen by a number.
 """
 
 from collections import namedtuple
-from math import floor
+from math import floor, pi
 from typing import Any
 
 from numba import njit
@@ -62,10 +62,16 @@ def in_period(t, p):
 
 
 @njit
+def in_turn(theta, p):
+    """Angle within half a turn of the table's middle: what it stands for comes back each turn."""
+    return theta - 2.0 * pi * floor((theta - 0.5 * (p.low + p.high)) / (2.0 * pi) + 0.5)
+
+
+@njit
 def motion_of_ring(theta, omega, t, p):
-    """Variable that a table of the ring gear is over: angle, speed or time."""
+    """Variable that a table of the ring gear is over: angle in a turn, speed or time."""
     if p.variable < 0.5:
-        return theta
+        return in_turn(theta, p)
     return omega if p.variable < 1.5 else t
 
 

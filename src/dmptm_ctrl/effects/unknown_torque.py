@@ -13,6 +13,7 @@ from dmptm_ctrl.effects.lookup import (
     SPEED,
     TIME,
     in_period,
+    in_turn,
     looked_up,
     motion_of_ring,
     period_parameter,
@@ -25,7 +26,7 @@ from dmptm_ctrl.effects.lookup import (
 def table_torque(theta_L, omega_L, t, p):
     """Torque on the ring gear [N·m]."""
     if p.variable == DRAG:
-        return omega_L * looked_up(theta_L, p)
+        return omega_L * looked_up(in_turn(theta_L, p), p)
     if p.variable == CLOCK:
         return looked_up(in_period(t, p), p)
     return looked_up(motion_of_ring(theta_L, omega_L, t, p), p)

@@ -79,11 +79,15 @@ BY_HAND = [
     ("sensor_delay", (0.006,), (), 0.006),
     # 32 knots from 0 to 31, each worth twice its place: the table doubles, and ends flat
     ("unknown_torque", (1.0, 0.0, 31.0, *RAMP, 1.0), (9.0, 3.25, 9.0), 6.5),
-    ("unknown_torque", (0.0, 0.0, 31.0, *RAMP, 1.0), (40.0, 3.25, 9.0), 62.0),
+    # over an angle the same table is 3.1 rad wide; behind it is its end, a turn further itself
+    ("unknown_torque", (0.0, -1.55, 1.55, *RAMP, 1.0), (0.55, 3.25, 9.0), 42.0),
+    ("unknown_torque", (0.0, -1.55, 1.55, *RAMP, 1.0), (0.55 - 4.0 * pi, 3.25, 9.0), 42.0),
+    ("unknown_torque", (0.0, -1.55, 1.55, *RAMP, 1.0), (3.0, 3.25, 9.0), 62.0),
+    ("unknown_torque", (0.0, -1.55, 1.55, *RAMP, 1.0), (3.2, 3.25, 9.0), 0.0),
     # by the clock: 103 s are 3 s into the third period of 50 s, 98 s are behind the table
     ("unknown_torque", (6.0, 0.0, 31.0, *RAMP, 50.0), (9.0, 9.0, 103.0), 6.0),
     ("unknown_torque", (6.0, 0.0, 31.0, *RAMP, 50.0), (9.0, 9.0, 98.0), 62.0),
-    ("unknown_torque", (8.0, 0.0, 31.0, *RAMP, 1.0), (4.0, -0.5, 9.0), -4.0),
+    ("unknown_torque", (8.0, -1.55, 1.55, *RAMP, 1.0), (2.0 * pi - 1.25, -0.5, 9.0), -3.0),
     ("unknown_friction", (2.0, 0.0, 31.0, *RAMP), (9.0, 1.0, 0.5, 5.0, 2), (1.0, 1.0)),
     ("unknown_friction", (1.0, 0.0, 31.0, *RAMP), (9.0, 1.0, 0.5, 5.0, 2), (1.0, 2.0)),
     ("unknown_friction", (1.0, 0.0, 31.0, *RAMP), (9.0, 1.0, 0.5, 5.0, 1), (1.0, 0.0)),

@@ -5,12 +5,13 @@ import pytest
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.decide import FIRST
 from dmptm_ctrl.diagnosis.measure import measure
-from dmptm_ctrl.diagnosis.race import SCAN, loosely, race, shaped
+from dmptm_ctrl.diagnosis.race import KEEPS_SECONDS, SCAN, loosely, race, shaped
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects.torque_constant_mismatch import OPPOSITE
+from dmptm_ctrl.identify.lock import DOUBTFUL, level
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -18,9 +19,9 @@ LOGS = ("open_sine_0v60", "open_square_0v75", "closed_sine_10", "closed_square_1
 SOME = ("drive_offset", "unbalance")
 
 
-def measured_rig(effects, friction, seed=5500014, logs=LOGS):
+def measured_rig(effects, friction, seed=5500014, logs=LOGS, contact="kelvin_voigt"):
     """A rig without motor encoders, what the declared drive leaves there, and its label."""
-    laws = {"friction": friction, "contact": "kelvin_voigt"}
+    laws = {"friction": friction, "contact": contact}
     rig = make_rig(seed, effects, sensors="load", logs=logs, **laws)
     drive = paper_drive()
     logs = [load_log(table, name=name) for name, table in rig.logs.items()]
@@ -57,6 +58,23 @@ def test_motors_that_differ_whichever_way():
     values = winner.model.effects["torque_constant_mismatch"]
     assert values["pattern"] == OPPOSITE
     assert values["error"] == pytest.approx(told[winner.name]["left_share"], rel=0.1)
+
+
+def test_what_keeps_step_worse_than_noise_lets_it_lacks_something():
+    """Friction that grows with the load, which others can play for 0.3 s of each log."""
+    name, only = "load_dependent_friction", ("load_dependent_friction", "thermal_drift")
+
+    rig = ((name, 3.0),), "karnopp", 130100027, "paper", "eq21"
+    measured, left, told = measured_rig(*rig)
+    trials = trace(left, only=only)
+    assert max(trial.evidence for trial in trials) < FIRST
+    start = rattled(measured.fit, left.base, measured.drive, 2)
+    assert level(start.model, measured.fit, 0.1, 2) > DOUBTFUL
+    winner = race(measured.fit, measured.held, start, trials)
+    assert winner.name == name
+    assert winner.seconds >= KEEPS_SECONDS
+    found = winner.model.effects[name]["coefficient"]
+    assert found == pytest.approx(told[name]["coefficient"], rel=0.3)
 
 
 def test_an_order_that_the_balances_miss_goes_on_from_the_scan():

@@ -8,11 +8,11 @@ from dmptm_ctrl.diagnosis.decide import decide
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.tables import HELD, KNOTS, MOTOR, narrowed, tabulate
+from dmptm_ctrl.diagnosis.tables import HELD, KNOTS, MOTOR, TORQUE, narrowed, tabulate
 from dmptm_ctrl.diagnosis.unknown import interval
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.effects.lookup import CLOCK
+from dmptm_ctrl.effects.lookup import CLOCK, DRAG
 from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
@@ -22,9 +22,9 @@ TURN, TURN_ENDS = "closed_turn_20", 19.0  # s, of the turn only the way there
 LOGS = ("open_sine_0v60", "open_square_0v75", "closed_sine_15", "closed_square_10", TURN)
 
 
-def left_by(seed, effects, sensors, contact):
+def left_by(seed, effects, sensors, contact, logs=LOGS):
     laws = {"friction": "karnopp", "contact": contact}
-    rig = make_rig(seed, effects, sensors=sensors, logs=LOGS, **laws)
+    rig = make_rig(seed, effects, sensors=sensors, logs=logs, **laws)
     logs = [load_log(table, name=name) for name, table in rig.logs.items()]
     logs = [log.segment(0.0, TURN_ENDS) if log.name == TURN else log for log in logs]
     drive = paper_drive()
@@ -40,8 +40,8 @@ def table(decision):
     return table_of(decision.after)
 
 
-def table_of(left):
-    values = left.base.model.effects[MOTOR]
+def table_of(left, name=MOTOR):
+    values = left.base.model.effects[name]
     places = np.linspace(values["low"], values["high"], KNOTS)
     return values, places, np.array([values[f"k{i}"] for i in range(KNOTS)])
 
@@ -81,6 +81,23 @@ def test_ripple_in_proportion_to_the_voltage():
     # of the mean voltage, at the ring gear, from both motors
     assert 2.0 * ratio * size == pytest.approx(true["N_m_per_V"], rel=0.3)
     assert halved(decision)
+
+
+def test_brake_in_a_sector_of_the_turn():
+    """Where it begins and ends, and that it grows with the speed; the next turn meets it again."""
+    logs = (*LOGS, "open_square_0v60")
+    left, true = left_by(506, (("sector_brake", 3.0),), "load", "eq21", logs=logs)
+    true = true["sector_brake"]
+    found = tabulate(left, ("theta_L",), 2)
+    assert found.names == (TORQUE,)
+    values, places, knots = table_of(found.left, TORQUE)
+    assert values["variable"] == DRAG
+    away = np.abs(np.rad2deg(places) - true["place_deg"])
+    inside = knots[away < 0.8 * true["half_width_deg"]]
+    # the drive's own viscous friction takes up what is everywhere
+    outside = knots[away > 1.2 * true["half_width_deg"]]
+    assert np.median(outside) - np.median(inside) == pytest.approx(true["N_m_s_rad"], rel=0.1)
+    assert values["high"] - values["low"] < np.deg2rad(4.0 * true["half_width_deg"] + 60.0)
 
 
 def test_both_motors_ripple_alike_each_at_its_own_angle():

@@ -398,7 +398,12 @@ def sensor_effect(name: str, sensors: SensorCheck) -> NamedEffect:
 
 
 def refined(measured: Measured, decision: Decision, after: Fit, jobs: int) -> Fit:
-    """Refit the verdict's model on all logs: the honest error is known, now predict best."""
+    """Refit the verdict's model on all logs: the honest error is known, now predict best.
+
+    Not where the model is known to lack something: more logs would lead it as far astray.
+    """
+    if decision.unexplained is not None and decision.tables is None:
+        return after
     everything = (*measured.fit, *(rec for rec in measured.held if rec not in measured.fit))
     base = decision.after.base
     declared = Model(measured.drive)

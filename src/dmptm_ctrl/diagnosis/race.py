@@ -71,11 +71,14 @@ class Runner(Seeker):
         Evidence of the balances for it.
     wave : int
         How many amplitudes over an angle it has behind the drive's own values.
+    alone : bool
+        Whether it may still try to go alone from the start.
     """
 
     name: str | None = None
     told: float = 0.0
     wave: int = 0
+    alone: bool = True
 
     def from_place_of(self, other: "Runner") -> None:
         """Try the values of one with an effect, without it: a start may be all that it had ahead.
@@ -89,6 +92,7 @@ class Runner(Seeker):
         horizons = [h for h in HORIZONS if h <= seconds]
         covariance = np.asarray(np.linalg.inv(self.known.precision), np.float64)
         alone = Seeker(self.model, self.unknowns, self.known, [self.known.mean], covariance)
+        self.alone = False
         found = walk(alone, records, horizons, jobs)
         if found.horizon == seconds:
             self.pursue(found.p)
@@ -158,8 +162,11 @@ def race(
         runners.sort(key=lambda runner: runner.cost)
         for runner in with_(bare, runners[:TRIED]):
             behind = runner.cost - runners[0].cost
-            if runner.level > UNEASY or (behind > BEHIND and horizon >= EVEN_SECONDS):
+            late = horizon >= EVEN_SECONDS and behind > BEHIND
+            if runner.level > UNEASY or late:
                 runner.search()
+            if late and runner.cost > runners[0].cost + BEHIND and runner.alone:
+                runner.from_the_start(fitted, horizon, jobs)
         lost = min(runner.level for runner in runners) > LOST
         if lost and last is not None and last.seconds >= WAY_SECONDS:
             hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)

@@ -63,7 +63,6 @@ def test_motors_that_differ_whichever_way():
 def test_what_keeps_step_worse_than_noise_lets_it_lacks_something():
     """Friction that grows with the load, which others can play for 0.3 s of each log."""
     name, only = "load_dependent_friction", ("load_dependent_friction", "thermal_drift")
-
     rig = ((name, 3.0),), "karnopp", 130100027, "paper", "eq21"
     measured, left, told = measured_rig(*rig)
     trials = trace(left, only=only)

@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 
 from dmptm_ctrl.diagnosis.residual import Residual, residual
+from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.lookup import (
     ANGLE,
@@ -92,13 +93,19 @@ def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | No
         return None
     tried: list[dict[str, dict[str, float]]] = []
     # a log that goes far leaves few knots where the others are
+    reached = {
+        variable: np.array([ends(mo, variable) for mo in left.balance.motions])
+        for plan in plans
+        for _, variable in plan
+    }
     for plan, range_of in product(plans, (widest, together, usual)):
         shapes = {}
         for name, variable in plan:
-            low, high = range_of(left.balance.motions, variable)
-            shapes[name] = {"variable": variable, "low": low, "high": high}
+            low, high = range_of(reached[variable])
+            turn = turn_of(left.measured.drive, variable)
+            shapes[name] = {"variable": variable, "low": low, "high": min(high, low + turn)}
             if name in (MOTOR, TORQUE):
-                shapes[name]["period"] = LONGEST
+                shapes[name]["period"] = min(turn, LONGEST)
         if shapes not in tried:
             tried.append(shapes)
     fits = [
@@ -274,25 +281,28 @@ def linear_fit(left: Residual, parts: Sequence[Floats], linear: Floats) -> Float
     return np.asarray(found, np.float64)
 
 
-def widest(motions: Sequence[Motion], variable: float) -> tuple[float, float]:
-    """Range of a variable over all motions; of the ring gear's angle a turn at most."""
-    low, high = zip(*(ends(mo, variable) for mo in motions), strict=True)
+def turn_of(drive: Drive, variable: float) -> float:
+    """What a variable grows by over a turn of the ring gear [rad]; of no angle inf."""
     if variable in (ANGLE, DRAG):
-        return min(low), min(max(high), min(low) + 2.0 * np.pi)
-    return min(low), max(high)
+        return 2.0 * np.pi
+    return 2.0 * np.pi * drive["N_1"] * drive["N_2"] if variable == PATH else np.inf
 
 
-def together(motions: Sequence[Motion], variable: float) -> tuple[float, float]:
+def widest(reached: Floats) -> tuple[float, float]:
+    """Range of a variable over all motions, from the ends (n, 2) that each of them reaches."""
+    return float(reached[:, 0].min()), float(reached[:, 1].max())
+
+
+def together(reached: Floats) -> tuple[float, float]:
     """Range of a variable over all motions but those that go far."""
-    low, high = np.array([ends(mo, variable) for mo in motions]).T
-    near = high - low <= FAR * np.median(high - low)
-    return float(low[near].min()), float(high[near].max())
+    length = reached[:, 1] - reached[:, 0]
+    return widest(reached[length <= FAR * np.median(length)])
 
 
-def usual(motions: Sequence[Motion], variable: float) -> tuple[float, float]:
+def usual(reached: Floats) -> tuple[float, float]:
     """Range of a variable in most motions."""
-    low, high = zip(*(ends(mo, variable) for mo in motions), strict=True)
-    return float(np.median(low)), float(np.median(high))
+    low, high = np.median(reached, axis=0)
+    return float(low), float(high)
 
 
 def ends(mo: Motion, variable: float) -> tuple[float, float]:

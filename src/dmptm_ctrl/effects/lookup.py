@@ -16,11 +16,12 @@ KNOTS = 32
 FIRST = 3  # position of the first knot among the parameters
 ANGLE, SPEED, TIME, VOLTAGE = 0.0, 1.0, 2.0, 3.0  # values of `variable`
 # The same of a motor: its angle in a turn, its speed (braking is negative), the time in a period,
-# its angle over all turns.
+# its angle in a turn of the ring gear.
 TURN, BRAKING, CLOCK, PATH = 4.0, 5.0, 6.0, 7.0
 DRAG = 8.0  # angle again, of what is multiplied by the speed
 WIDEST = 60.0  # rad, rad/s, s or V: no log goes further
-LONGEST = 1e4  # s, a period that no log comes to the end of: the time in it is that in the log
+# s, or a motor's rad: a period that no log comes to the end of; the time in it is that in the log
+LONGEST = 1e4
 
 
 def table_type(name: str, *more: str) -> type[Any]:
@@ -50,14 +51,14 @@ def table_parameters(
 
 
 def period_parameter() -> Parameter:
-    """Return the period of a table over the clock."""
-    return Parameter("period", "s", 0.01, LONGEST, 0.01, (0.03,))
+    """Return the period of a table over the clock, or over a motor's angle."""
+    return Parameter("period", "SI", 0.01, LONGEST, 0.01, (0.03,))
 
 
 @njit
-def in_period(t, p):
-    """Time since the table's begin in a period that begins there [s], counted from `low`."""
-    past = (t - p.low) / p.period
+def in_period(x, p):
+    """Time, or a motor's angle, in a period that begins with the table, counted from `low`."""
+    past = (x - p.low) / p.period
     return p.low + p.period * (past - floor(past))
 
 

@@ -1,7 +1,7 @@
 """Unknown motor: what a motor makes of its voltage, as a curve without a name.
 
 torque = u T(x) on the motor's shaft,  x one of θm in a turn or a part of it, ωm sgn u (braking
-below zero), t in a period;  |u| T(x) with x = θm over all turns
+below zero), t in a period;  |u| T(x) with x = θm in a period, that of the ring gear's turn
 
 A part of the torque may be lost over a sector of the rotor, while the motor brakes, or at fixed
 intervals; a ripple over the ring gear's angle may grow with the voltage of either sign. Two motors
@@ -35,7 +35,7 @@ def table_motor(u, theta_m, omega_m, t, side, p):
     if p.motors * (2 * side - 1) < 0.0:
         return 0.0
     if p.variable == PATH:
-        return abs(u) * looked_up(theta_m, p)
+        return abs(u) * looked_up(in_period(theta_m, p), p)
     ahead = side * p.apart
     if p.variable == CLOCK:
         return u * looked_up(in_period(t + ahead, p), p)

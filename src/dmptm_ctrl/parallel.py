@@ -1,7 +1,38 @@
 """Tasks of a study on joblib's backend: threads, processes, or a cluster."""
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Literal
+from concurrent.futures import ThreadPoolExecutor
+from functools import wraps
+from typing import Any, Literal, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+T = TypeVar("T")
+
+
+def small_matrices(function: Callable[P, R]) -> Callable[P, R]:
+    """Let the linear algebra of a function run on one thread.
+
+    Its matrices have some tens of rows: threads would wait for each other, and for those that
+    share out the work here, and sums would be rounded by how many cores there are.
+    """
+
+    @wraps(function)
+    def alone(*args: P.args, **kwargs: P.kwargs) -> R:
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return alone
+
+
+def in_threads(function: Callable[[T], R], items: Iterable[T], jobs: int) -> list[R]:
+    """Call a function, most of which is compiled, for each item, at once on `jobs` threads."""
+    if jobs <= 1:
+        return [function(item) for item in items]
+    with ThreadPoolExecutor(jobs) as pool:
+        return list(pool.map(function, items))
 
 
 def each(

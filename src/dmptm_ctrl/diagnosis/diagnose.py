@@ -41,6 +41,7 @@ from dmptm_ctrl.identify.fit import Fit, Unknown
 from dmptm_ctrl.identify.lock import DOUBTFUL, level
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
+from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.simulate.model import Model
 
@@ -58,6 +59,7 @@ RINGING = {"u", "du_dt"}  # what a ringing reducer depends on
 NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity")
 
 
+@small_matrices
 def diagnose(
     logs: str | PathLike[str] | Iterable[Log],
     drive: Drive | None = None,

@@ -25,6 +25,7 @@ from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.chain_fit import State, residuals
 from dmptm_ctrl.identify.chain_sensors import late_sensors
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
+from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.chain import declared_effects
 from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
@@ -34,6 +35,7 @@ HOLD_EVERY = 3
 MIN_ROWS = 60  # of a log's balance; fewer tell nothing
 
 
+@small_matrices
 def diagnose_chain(
     logs: str | PathLike[str] | Iterable[str | PathLike[str] | Log],
     rig: Rig | str | PathLike[str],

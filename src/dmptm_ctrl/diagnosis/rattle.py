@@ -7,7 +7,6 @@ logs by it.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Misfit, position
 from dmptm_ctrl.identify.records import Record, block_mean
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
 DAMPING, GAP_DAMPING = "c", "c_f"
@@ -80,8 +80,7 @@ def damping(
             ]
         ).ravel()
 
-    with ThreadPoolExecutor(jobs) as pool:
-        off = np.array(list(pool.map(ratios, scale)))
+    off = np.array(in_threads(ratios, scale, jobs))
     fine = np.linspace(scale[0], scale[-1], FINER)
     off = np.array([np.interp(fine, scale, column) for column in off.T])
     scatter = np.maximum(np.sqrt(np.mean(off**2, axis=0).min()), LEAST)

@@ -5,7 +5,6 @@ best of its bank of shapes; what it lowers the loss by is its evidence.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +14,7 @@ from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import STALLED, Balance, BalanceFit, columns, fit_balance
 from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats
 
 NEEDS_TWIST = ("pinion_runout", "ring_gear_eccentricity", "backlash_variation")
@@ -184,8 +184,7 @@ def orders(trace: Trace, effect: Effect) -> list[dict[str, float]]:
                     parts[j].append(-table[j] if mine else np.zeros(table.shape[1]))
         return trace.gain(np.array([trace.weigh_down(p) for p in parts]).T)
 
-    with ThreadPoolExecutor(balance.jobs) as pool:
-        gains = np.array(list(pool.map(gain, bank)))
+    gains = np.array(in_threads(gain, bank, balance.jobs))
     return [{"order": float(bank[i])} for i in best(gains, STARTS, 1)]
 
 
@@ -308,8 +307,7 @@ def trace(
     names = candidates(trace, skip)
     if only is not None:
         names = [name for name in names if name in only]
-    with ThreadPoolExecutor(trace.balance.jobs) as pool:
-        done = list(pool.map(lambda name: try_effect(trace, name), names))
+    done = in_threads(lambda name: try_effect(trace, name), names, trace.balance.jobs)
     done.sort(key=lambda t: -t.evidence)
     done[:FINALISTS] = [settled(trace, t) if t.gain > WORTH else t for t in done[:FINALISTS]]
     return sorted(done, key=lambda t: -t.evidence)

@@ -11,7 +11,6 @@ Source: paper Eqs. 16 to 18, 21, 25.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import sqrt
@@ -22,6 +21,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
 from dmptm_ctrl.identify.motion import Motion
 from dmptm_ctrl.identify.windows import Windowed, frictions
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
 FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a window
@@ -248,8 +248,7 @@ def columns(balance: Balance, model: Model, unknowns: Sequence[Unknown], e0: Flo
         p[j] += step
         return (np.concatenate(balance.missing(place(model, unknowns, p))) - e0) / step
 
-    with ThreadPoolExecutor(balance.jobs) as pool:
-        done = list(pool.map(column, range(len(unknowns))))
+    done = in_threads(column, range(len(unknowns)), balance.jobs)
     return np.array(done).T if done else np.empty((e0.size, 0))
 
 

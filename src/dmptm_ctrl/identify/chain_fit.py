@@ -4,7 +4,6 @@ J = Σ (w · residual)² + Σ ((p − p0)/σ)², the second sum over declared ra
 """
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from math import isfinite
 
@@ -13,6 +12,7 @@ from scipy.optimize import lsq_linear
 
 from dmptm_ctrl.identify.chain_free import Floats, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
+from dmptm_ctrl.parallel import in_threads, small_matrices
 from dmptm_ctrl.simulate.chain_model import ChainModel
 
 ROWS_PER_NEWS = 8.0  # rows of the balance that carry one independent piece of news
@@ -147,8 +147,7 @@ def jacobian(
             moved, _ = _one(there, balance, k)
             columns[k][:, :, j] = (moved - left[k]) / (step / free.scale)
 
-    with ThreadPoolExecutor(max(jobs, 1)) as pool:
-        list(pool.map(column, range(len(frees))))
+    in_threads(column, range(len(frees)), jobs)
     return tuple(columns)
 
 
@@ -158,6 +157,7 @@ def _step(free: Free) -> float:
     return DIFFERENCE * free.scale
 
 
+@small_matrices
 def fit_chain(
     state: State,
     balance: Balance,

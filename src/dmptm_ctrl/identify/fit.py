@@ -6,7 +6,6 @@ effects, scaled by their `step`.
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from scipy.optimize import lsq_linear
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import Record, difference, predict, settled
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compose import layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 
@@ -200,8 +200,7 @@ class Misfit:
                 for rec, run, out in zip(self.records, runs, outs, strict=True)
             ]
 
-        with ThreadPoolExecutor(self.jobs) as pool:
-            done = list(pool.map(squares, range(len(changed))))
+        done = in_threads(squares, range(len(changed)), self.jobs)
         kernel = np.ones(10) / 10  # the spread of four runs is smoothed over 50 ms
         return [
             np.sqrt([np.convolve(row, kernel, "same") for row in np.mean(parts, axis=0)])
@@ -272,8 +271,7 @@ class Misfit:
 
     def map(self, function: Callable[[int], Floats], items: Sequence[int]) -> Floats:
         """Stack columns computed on `jobs` threads."""
-        with ThreadPoolExecutor(self.jobs) as pool:
-            done = list(pool.map(function, items))
+        done = in_threads(function, items, self.jobs)
         return np.array(done).T if done else np.empty((0, 0))
 
 
@@ -378,8 +376,7 @@ def best_step(
         miss = misfit.vector(moved)
         return Step(float(miss @ miss) + known.cost(trial), trial, moved, miss)
 
-    with ThreadPoolExecutor(misfit.jobs) as pool:
-        steps = list(pool.map(attempt, DAMPINGS))
+    steps = in_threads(attempt, DAMPINGS, misfit.jobs)
     return min([Step(cost, p, model, r), *steps], key=lambda s: s.cost)
 
 

@@ -11,7 +11,6 @@ Source: the growing horizon is the usual way to fit chaotic motion, Baake et al.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from dmptm_ctrl.identify.fit import Fit, Known, Unknown, arrays_at, place, position
 from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import BODIES, observer_gains
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
@@ -229,8 +229,7 @@ class Steps:
             compared = np.stack(rows, 1)[..., rec.led :]
             return block_mean(compared, rec.block).reshape(len(arrays), -1)
 
-        with ThreadPoolExecutor(self.jobs) as pool:
-            return np.hstack(list(pool.map(one, self.records)))
+        return np.hstack(in_threads(one, self.records, self.jobs))
 
     def levels(self, several: Sequence[Floats]) -> Floats:
         """Mean loss per sample of each."""

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy.optimize import least_squares
+from scipy.optimize import root
 
 from dmptm_ctrl.contract import SITES
 from dmptm_ctrl.design.harmonics import (
@@ -43,6 +43,7 @@ TINY = 1e-9  # rad/s, for the slope of friction
 STEP = 1e-6  # of the frequency, for the derivative of the controller
 LOWEST_HZ = 0.5  # of a search, which would else wander to rest
 SHORTEST = 1e-4  # rad, scale of z where there is no gap
+STOP = 1e-8  # relative change of unknowns or torques that ends a search
 EVALUATIONS = 60
 MANY = 20  # harmonics, beyond which only half as many are worth their time
 # Delays and lags join the controller; what else an effect does depends on angle or time.
@@ -303,19 +304,16 @@ class Balance:
         omega = None if free else start.omega
         if free:
             x = np.append(x, np.log(start.omega))
-        found = least_squares(
-            lambda y: self.equations(y, n, omega, given)[0],
-            x,
-            jac=lambda y: self.equations(y, n, omega, given)[1],
-            method="lm",
-            max_nfev=EVALUATIONS if n <= MANY else EVALUATIONS // 2,
-        )
+        most = EVALUATIONS if n <= MANY else EVALUATIONS // 2
+        limits = {"maxiter": most, "ftol": STOP, "xtol": STOP, "gtol": STOP}
+        options = {**limits, "diag": np.ones(x.size)}
+        found = root(self.equations, x, (n, omega, given), "lm", jac=True, options=options)
         size, m = 2 * n + 1, self.chains
         z = found.x[: m * size].reshape(m, size) * self.length
         ring = np.append(given[0], found.x[m * size : m * size + 2 * n])
         w = self._frequency(found.x[-1]) if free else start.omega
         left = float(np.abs(found.fun).max()) * self._torque / self._largest(z, w, n)
-        moved = _newton(found.jac, found.fun)
+        moved = _newton(self.equations(found.x, n, omega, given)[1], found.fun)
         there = slice(m * size, m * size + 2 * n)
         size_there = max(float(np.linalg.norm(found.x[there])), TINY)
         doubt = float(np.linalg.norm(moved[there])) / size_there

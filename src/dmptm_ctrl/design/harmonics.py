@@ -18,13 +18,7 @@ class Basis:
         self.n = n
         self.points = max(POINTS, 1 << (PER_HARMONIC * n - 1).bit_length())
         k = np.arange(1, n + 1)
-        # from packed to two-sided complex coefficients −n … n, and back
-        self._split = np.zeros((2 * n + 1, 2 * n + 1), complex)
-        self._split[n, 0] = 1.0
-        self._split[n + k, k], self._split[n + k, n + k] = 0.5, 0.5j
-        self._split[n - k, k], self._split[n - k, n + k] = 0.5, -0.5j
-        self._join = np.linalg.inv(self._split)
-        self._order = np.subtract.outer(np.arange(2 * n + 1), np.arange(2 * n + 1))
+        self._less, self._more = np.subtract.outer(k, k), np.add.outer(k, k)
 
     @staticmethod
     @cache
@@ -52,9 +46,18 @@ class Basis:
 
     def through(self, slope: Floats) -> Floats:
         """Matrix from packed input to packed output of a slope that varies along the period."""
-        spectrum = np.fft.fft(slope) / self.points
-        product = spectrum[self._order]  # convolution; negative orders wrap around
-        return np.asarray((self._join @ product @ self._split).real, float)
+        n, spectrum = self.n, np.fft.fft(slope) / self.points
+        # a cosine and a minus-sine part of order l, at the orders k: the sums and differences
+        same, other = spectrum[self._less], spectrum[self._more]
+        even, odd = same + other, 1j * (same - other)
+        ahead = spectrum[1 : n + 1]
+        out = np.empty((2 * n + 1, 2 * n + 1))
+        out[0, 0] = spectrum[0].real
+        out[0, 1 : n + 1], out[0, n + 1 :] = ahead.real, ahead.imag
+        out[1 : n + 1, 0], out[n + 1 :, 0] = 2.0 * ahead.real, 2.0 * ahead.imag
+        out[1 : n + 1, 1 : n + 1], out[1 : n + 1, n + 1 :] = even.real, odd.real
+        out[n + 1 :, 1 : n + 1], out[n + 1 :, n + 1 :] = even.imag, odd.imag
+        return out
 
 
 class Cycle(NamedTuple):

@@ -13,6 +13,7 @@ from dmptm_ctrl.design.cycle_run import STILL, Run, Simulated, run_cycles, wave_
 from dmptm_ctrl.design.harmonic_balance import Balance, mesh_along
 from dmptm_ctrl.design.harmonics import Basis, Cycle
 from dmptm_ctrl.effects.backlash import Backlash
+from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.simulate.model import Model
 
 # Pinions touch for 2 ms, half a period of the mesh: up to three times its frequency counts.
@@ -86,6 +87,7 @@ def mesh_describing_function(law: Backlash, amplitude: float, omega: float) -> c
     return complex(2j * np.mean(torque[0] * np.exp(-1j * angle)) / amplitude)
 
 
+@small_matrices
 def limit_cycles(
     model: Model,
     kp: float,

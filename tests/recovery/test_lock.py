@@ -6,8 +6,9 @@ import pytest
 from dmptm_ctrl import load_log
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.fit import Known, drive_unknowns, place, position
-from dmptm_ctrl.identify.lock import LOST, Steps, cut, lock
+from dmptm_ctrl.identify.lock import LOST, UNEASY, Steps, cut, level, lock
 from dmptm_ctrl.identify.records import records
+from dmptm_ctrl.simulate.compiled import SUBSTEPS
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -16,9 +17,9 @@ NEAR = 0.15  # half-ranges, standard deviation; as far off as balances leave wha
 BODIES = (("3", 0), ("L", 2))  # of the friction: reducers and ring gear
 
 
-def made(friction, contact):
+def made(friction, contact, seed=77, logs=LOGS):
     """Records of a rig, and the declared drive with the rig's own values."""
-    rig = make_rig(77, friction=friction, contact=contact, sensors="all", logs=LOGS)
+    rig = make_rig(seed, friction=friction, contact=contact, sensors="all", logs=logs)
     plant, drive = rig.label["plant"], paper_drive()
     reducer = plant["pinion_inertia"] / (drive["J_2"] + drive["N_1"] ** 2 * drive["J_m"])
     values = {
@@ -74,6 +75,15 @@ def test_bounces_sharpen_the_parameters(keeps):
         assert np.all(np.abs(after[-1]) < 5.0 * np.sqrt(np.diag(done.covariance)[own]))
         np.testing.assert_allclose(position(done.model, unknowns), done.p, rtol=0, atol=1e-12)
     assert np.linalg.norm(after) < 0.2 * np.linalg.norm(before)
+
+
+def test_true_values_keep_step_only_by_fine_steps(monkeypatch):
+    """Where gaps damp little, each bounce grows what the scheme has missed of those before."""
+    logs = ("open_square_0v60", "closed_sine_10", "closed_square_15")
+    recs, true = made("karnopp", "eq21", 130100010, logs)
+    assert level(true, recs, 0.3, 1) < UNEASY
+    monkeypatch.setattr("dmptm_ctrl.identify.lock.FINE_SUBSTEPS", SUBSTEPS)
+    assert level(true, recs, 0.3, 1) > LOST
 
 
 def test_true_values_keep_step_and_others_do_not(keeps):

@@ -11,7 +11,8 @@ import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.compiled import march, rest
+from dmptm_ctrl.simulate.batch import march_many
+from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
 
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
@@ -54,11 +55,14 @@ def expected(model: Model, u: Floats, x0: Floats, dt: float, *, runs: int = RUNS
         Columns of `compiled.OUTPUTS`, SI.
     """
     shares = SPREAD * np.random.default_rng(0).standard_normal((runs - 1, len(JOGGED)))
-    mean = march(model.arrays(), u, x0, dt)
+    if runs == 1:
+        return march(model.arrays(), u, x0, dt, substeps=FINE_SUBSTEPS)
+    models = [model]
     for share in shares:
         values = {k: model.drive[k] * (1.0 + x) for k, x in zip(JOGGED, share, strict=True)}
-        mean += march(model.with_values(**values).arrays(), u, x0, dt)
-    return mean / runs
+        models.append(model.with_values(**values))
+    arrays = [one.arrays() for one in models]
+    return np.asarray(march_many(arrays, u, x0, dt, substeps=FINE_SUBSTEPS).mean(axis=0))
 
 
 def predict(model: Model, log: Log, *, runs: int = RUNS) -> pd.DataFrame:

@@ -41,6 +41,9 @@ from dmptm_ctrl.simulate.model import Floats, Model
 KEEPS_SECONDS = 0.6
 WINS_SECONDS = 0.15  # for which a winner keeps step
 MARGIN = 40.0  # cost beyond the best one's at which a candidate drops out
+# The same for the last lap, where the best one leaves no more than noise: costs are what they
+# claim to be then, logarithms of likelihoods.
+CLEARLY = 20.0
 LEAST = 150.0  # evidence of a winner
 # Times the winner's loss per sample: so far out of step is the model as it is. Where friction is
 # only a little other than the model's, an effect that mends it in part leaves more of it.
@@ -229,7 +232,9 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
     per_log = gain / len(winner.steps.records)
     if gain + held_gain < LEAST or held_gain < HELD_SHARE * per_log * len(records):
         return None
-    if any(place.name != winner.name for place in lap.field):
+    margin = CLEARLY if winner.level < DOUBTFUL else MARGIN
+    near = [place for place in lap.field if place.cost < winner.cost + margin]
+    if any(place.name != winner.name for place in near):
         return None  # several mend a law that is not quite the model's
     model = winner.steps.placed(winner.p)
     return Raced(winner.name, model, lap.seconds, gain + held_gain, held_gain)

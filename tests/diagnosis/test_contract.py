@@ -219,13 +219,11 @@ def test_predict_is_better_on_a_log_never_seen(written, tmp_path):
     assert np.sqrt(np.mean(near**2)) < 0.7 * np.sqrt(np.mean(far**2))
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not BLIND.is_dir(), reason="no ../shared/blind")
-@pytest.mark.parametrize(("rig", "names"), [("d01", []), ("d04", ["unbalance"])])
-def test_rigs_of_another_program(rig, names, tmp_path):
+def test_rig_of_another_program(tmp_path):
+    """One that lacks nothing; `benchmarks/blind.py --logs ../shared/blind` runs them all."""
     out = tmp_path / "out"
-    assert main(["diagnose", str(BLIND / rig), "--out", str(out), "--quiet"]) == 0
+    assert main(["diagnose", str(BLIND / "d01"), "--out", str(out), "--quiet"]) == 0
     found = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
-    assert [effect["name"] for effect in found["effects"]] == names
-    if names:
-        assert found["error"]["after"]["rmse"] < 0.5 * found["error"]["before"]["rmse"]
+    assert found["verdict"] == "none"
+    assert found["effects"] == []

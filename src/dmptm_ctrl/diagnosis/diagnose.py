@@ -52,9 +52,11 @@ WORSE = 1.2
 # deg/s on held-out logs; the worst of 39 rigs that lack nothing has 0.17. No balance may
 # close so well that a model which predicts no better is right.
 ASTRAY = 0.45
+BESIDE_SECONDS = 0.2  # for which a model with an effect keeps step that need not race for more
 WORTH_SECONDS = 0.1  # for which a model with a little pre-sliding keeps step, before a refit
 LITTLE = 0.03  # deg/s; rattle of another course moves a small error by so much
 BY_KEEPING_STEP = (at_rest.NAME, AGEING, *WITHOUT_TWIST)  # what balances may tell nothing of
+RING_ENCODER = "encoder_eccentricity"
 RINGING = {"u", "du_dt"}  # what a ringing reducer depends on
 NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity")
 
@@ -99,9 +101,12 @@ def diagnose(
     measured = measure(tuple(campaign), declared)
     sensors = cross_check((*measured.fit, *measured.held))
     model = with_sensors(Model(declared), sensors)
+    if model.effects:
+        measured = measured.started(model)
     left = residual(measured, model, jobs=jobs)
     decision = decide(left, skip=tuple(sensors.values), jobs=jobs)
-    before = augment(measured.fit, left.base, declared, jobs=jobs)
+    beside = beside_balances(left.base, measured)
+    before = augment(measured.fit, left.base, declared, beside=beside, jobs=jobs)
     after = before
     if decision.after is not left:
         after = refit(decision, jobs)
@@ -201,7 +206,7 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
         return after
     measured, base = decision.before.measured, decision.after.base
     # beside another effect a law that is not quite the model's is not told from a faint one
-    if after.horizon >= (WINS_SECONDS if decision.found else KEEPS_SECONDS) and (
+    if after.horizon >= (BESIDE_SECONDS if decision.found else KEEPS_SECONDS) and (
         decision.found or level(after.model, measured.fit, KEEPS_SECONDS, jobs) < DOUBTFUL
     ):
         return after
@@ -231,7 +236,7 @@ def gives(decision: Decision) -> bool:
 def refit(decision: Decision, jobs: int, near: Fit | None = None) -> Fit:
     """Refit what was found inside the simulator, from where a model keeps step already if so."""
     measured, base = decision.before.measured, decision.after.base
-    beside, drive = beside_balances(base), measured.drive
+    beside, drive = beside_balances(base, measured), measured.drive
     also = () if near is None else turned(decision, measured.fit, near.model)
     return augment(measured.fit, base, drive, beside=beside, near=near, also=also, jobs=jobs)
 
@@ -243,10 +248,12 @@ def turned(decision: Decision, records: Sequence[Record], model: Model) -> tuple
     return reversals(records, model.without(told), REVERSAL_SECONDS[-1]) if told else ()
 
 
-def beside_balances(base: BalanceFit) -> tuple[Unknown, ...]:
+def beside_balances(base: BalanceFit, measured: Measured) -> tuple[Unknown, ...]:
     """Unknowns in use that the balances do not tell."""
     fitted = {unknown.effect for unknown in base.unknowns}
-    used = [name for name in BY_KEEPING_STEP if name in base.model.effects and name not in fitted]
+    # the twist tells an error of the ring encoder far more finely than the speed does
+    able = (*BY_KEEPING_STEP, *((RING_ENCODER,) if measured.has_motor_encoders else ()))
+    used = [name for name in able if name in base.model.effects and name not in fitted]
     return tuple(unknown for name in used for unknown in unknowns_of(name))
 
 
@@ -414,7 +421,7 @@ def refined(measured: Measured, decision: Decision, after: Fit, jobs: int) -> Fi
     except LogError:  # with what keeping step has added no window may be left
         return after
     also = turned(decision, everything, after.model)
-    beside, drive = beside_balances(base), measured.drive
+    beside, drive = beside_balances(base, measured), measured.drive
     final = augment(everything, start, drive, beside=beside, near=after, also=also, jobs=jobs)
     # it has seen these logs, the other one has not: where it misses more it went astray
     of_both = [speed_error(one.model, measured.held_logs)["rmse"] for one in (after, final)]

@@ -2,11 +2,12 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dmptm_ctrl.drive import Drive
-from dmptm_ctrl.identify.records import Record, record
+from dmptm_ctrl.identify.records import Record, record, started
 from dmptm_ctrl.signals import Log, LogError
+from dmptm_ctrl.simulate.model import Model
 
 MIN_SAMPLES = 200
 
@@ -29,6 +30,11 @@ class Measured:
     held: tuple[Record, ...]
     drive: Drive
     warnings: tuple[str, ...] = ()
+
+    def started(self, model: Model) -> "Measured":
+        """The same logs, each from where the ring gear is by the sensors of a model."""
+        fit, held = (tuple(started(rec, model) for rec in recs) for recs in (self.fit, self.held))
+        return replace(self, fit=fit, held=held)
 
     @property
     def held_logs(self) -> tuple[Log, ...]:

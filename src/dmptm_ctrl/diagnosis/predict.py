@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
+from dmptm_ctrl.identify.records import true_angle
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, march, rest
@@ -37,7 +38,8 @@ def free_run(model: Model, log: Log, *, runs: int = RUNS) -> Floats:
         Columns of `compiled.OUTPUTS`, SI; readings as the sensors would give, no noise.
     """
     u = np.array([log["u_left"], log["u_right"]])
-    return expected(model, u, rest(model, float(log["theta_L"][0])), log.sample_time, runs=runs)
+    x0 = rest(model, true_angle(model, float(log["theta_L"][0])))
+    return expected(model, u, x0, log.sample_time, runs=runs)
 
 
 def expected(model: Model, u: Floats, x0: Floats, dt: float, *, runs: int = RUNS) -> Floats:

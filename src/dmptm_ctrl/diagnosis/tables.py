@@ -1,7 +1,7 @@
 """A curve without a name as a lookup table in the model, so that the error falls even so."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -31,6 +31,7 @@ from dmptm_ctrl.simulate.model import Floats, Model
 TORQUE, FRICTION, VOLTS = "unknown_torque", "unknown_friction", "unknown_voltage"
 MOTOR = "unknown_motor"
 PRIOR_STEPS = 3.0  # of a knot, in steps of its parameter: where no log goes, it stays at zero
+LARGEST = 3.0  # of the knots, in standard deviations of what they are likely to be
 FAR = 3.0  # times the usual range of a variable in a log, beyond which one goes far
 QUIET = 0.2  # of the largest knot, below which nothing happens
 MOST_OF_IT = 0.6  # of a table, in which something happens: it needs no finer one
@@ -40,7 +41,7 @@ HELD = 8.0  # fall of the loss on the held-out logs that a table must bring
 # and whether it grows with the speed only a table of each tells.
 Plan = tuple[tuple[str, float], ...]
 PLANS: dict[tuple[str, ...], tuple[Plan, ...]] = {
-    ("theta_L",): (((FRICTION, ANGLE), (TORQUE, ANGLE)), ((TORQUE, DRAG),)),
+    ("theta_L",): (((FRICTION, ANGLE), (TORQUE, ANGLE)), ((TORQUE, ANGLE),), ((TORQUE, DRAG),)),
     ("theta_L", "omega_L"): (((TORQUE, DRAG),),),
     ("theta_L", "u"): (((MOTOR, PATH),),),
     ("theta_m", "u"): (((MOTOR, TURN),),),
@@ -251,6 +252,8 @@ def tabled(left: Residual, shapes: Mapping[str, Mapping[str, float]]) -> Balance
     # what stands far out pulls a robust fit no longer: begin where the squares are least, too
     low, high = ([getattr(k, end) for k in knots] for end in ("low", "high"))
     start = np.clip(linear_fit(left, parts, linear), low, high)
+    likely = max(PRIOR_STEPS, float(np.abs(start).max()) / LARGEST)
+    knots = [replace(knot, prior=likely) for knot in knots]
     begun = (model, place(model, knots, start))
     unknowns = (*base.unknowns, *knots)
     fits = [fit_balance(left.balance, one, unknowns, jacobian=jacobian) for one in begun]

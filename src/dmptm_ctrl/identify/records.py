@@ -1,17 +1,20 @@
 """Logs prepared for fitting: arrays, masks and the residual of a simulated run."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.compiled import march, observer_gains
-from dmptm_ctrl.simulate.model import Arrays, Floats
+from dmptm_ctrl.simulate.compiled import march, observer_gains, rest
+from dmptm_ctrl.simulate.model import Arrays, Floats, Model
+from dmptm_ctrl.simulate.plain import Sites
 
 BLOCK_SECONDS = 0.005  # residuals are means over blocks: to 100 Hz, past the 60 Hz mode
 RING_COUNT = 2 * np.pi / 2**18  # rad
+KNOWN_TO = 4.0 * RING_COUNT  # rad, to which an error of the ring encoder is known
+INVERSIONS = 8  # of a sensor whose error is far smaller than the angle it varies over
 FLIGHT_MARGIN = 0.02  # s around a gap crossing in which the transmission error is not judged
 
 
@@ -74,6 +77,25 @@ def record(log: Log, drive: Drive) -> Record:
             x0[:2] = motors[0] / n1
     block = max(1, round(BLOCK_SECONDS / dt))
     return Record(log.name, dt, u, theta, omega, twist, x0, block, log.time)
+
+
+def true_angle(model: Model, reading: float) -> float:
+    """Angle [rad] at which the ring gear rests where its sensor says `reading` [rad]."""
+    sites, angle = Sites(model), reading
+    for _ in range(INVERSIONS):
+        angle += reading - sites.reading(angle, 0.0, 0.0)[0]
+    return angle
+
+
+def started(rec: Record, model: Model) -> Record:
+    """Move the start of a record to where the ring gear is, if its sensor says another angle."""
+    n1, n2 = model.drive["N_1"], model.drive["N_2"]
+    reading = float(rec.theta[0])
+    angle = true_angle(model, reading)
+    motors = None if rec.twist is None else n1 * (rec.twist[0] + n2 * reading)
+    if motors is None or np.abs(motors / n1 - n2 * angle).max() <= n2 * KNOWN_TO:
+        return replace(rec, x0=rest(model, angle))  # mid-gap
+    return replace(rec, x0=rest(model, angle, motors=motors))
 
 
 def records(logs: Iterable[Log], drive: Drive) -> tuple[Record, ...]:

@@ -1,0 +1,32 @@
+"""The motion to be expected: the mean of several runs, side by side or one by one."""
+
+import numpy as np
+
+from dmptm_ctrl.diagnosis.predict import JOGGED, expected
+from dmptm_ctrl.simulate.compiled import rest
+from dmptm_ctrl.simulate.model import Model
+
+DT, COUNT = 1e-3, 150
+VOLTS = np.tile(np.r_[np.zeros(10), np.full(COUNT - 10, 0.8)], (2, 1))
+
+
+def test_side_by_side_is_one_by_one(monkeypatch):
+    model = Model()
+    x0 = rest(model, 0.1)
+    together = expected(model, VOLTS, x0, DT)
+    monkeypatch.setitem(expected.__globals__, "TOGETHER", 0)
+    one_by_one = expected(model, VOLTS, x0, DT)
+    assert np.ptp(together[:, 1]) > 0.01  # it moves
+    np.testing.assert_allclose(together, one_by_one, rtol=1e-6, atol=1e-9)
+
+
+def test_mean_of_runs_that_differ_in_their_meshes():
+    model = Model()
+    x0 = rest(model, 0.1)
+    single = expected(model, VOLTS, x0, DT, runs=1)
+    share = 0.003 * np.random.default_rng(0).standard_normal((1, len(JOGGED)))[0]
+    other = model.with_values(
+        **{k: model.drive[k] * (1.0 + x) for k, x in zip(JOGGED, share, strict=True)}
+    )
+    both = 0.5 * (single + expected(other, VOLTS, x0, DT, runs=1))
+    np.testing.assert_allclose(expected(model, VOLTS, x0, DT, runs=2), both, rtol=1e-6, atol=1e-9)

@@ -123,14 +123,15 @@ def diagnose(
     if nothing and without["rmse"] > ASTRAY:
         variables = astray(before.model, held)
         decision.unexplained = Unexplained.without_curve(variables)
+    predicted = speed_error(after.model, held)
     error = {
         "unit": "deg/s",
         "bandwidth_hz": 30,
         "on": "held-out logs",
         "before": without,
-        "after": speed_error(after.model, held),
+        "after": predicted,
     }
-    final = refined(measured, decision, after, jobs)
+    final = refined(measured, decision, after, predicted["rmse"], jobs)
     effects = tuple(
         sorted(
             [
@@ -406,8 +407,8 @@ def sensor_effect(name: str, sensors: SensorCheck) -> NamedEffect:
     )
 
 
-def refined(measured: Measured, decision: Decision, after: Fit, jobs: int) -> Fit:
-    """Refit the verdict's model on all logs: the honest error is known, now predict best.
+def refined(measured: Measured, decision: Decision, after: Fit, error: float, jobs: int) -> Fit:
+    """Refit the verdict's model on all logs: its honest `error` is known, now predict best.
 
     Not where the model is known to lack something: more logs would lead it as far astray.
     """
@@ -424,5 +425,5 @@ def refined(measured: Measured, decision: Decision, after: Fit, jobs: int) -> Fi
     beside, drive = beside_balances(base, measured), measured.drive
     final = augment(everything, start, drive, beside=beside, near=after, also=also, jobs=jobs)
     # it has seen these logs, the other one has not: where it misses more it went astray
-    of_both = [speed_error(one.model, measured.held_logs)["rmse"] for one in (after, final)]
-    return after if of_both[1] > of_both[0] + LITTLE else final
+    worse = speed_error(final.model, measured.held_logs)["rmse"] > error + LITTLE
+    return after if worse else final

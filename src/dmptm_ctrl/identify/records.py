@@ -67,14 +67,11 @@ def record(log: Log, drive: Drive) -> Record:
     theta, omega = log["theta_L"], log["omega_L"]
     u = np.ascontiguousarray([log["u_left"], log["u_right"]])
     n1, n2 = drive["N_1"], drive["N_2"]
-    twist = None
-    x0 = np.array([n2 * theta[0], n2 * theta[0], theta[0], 0.0, 0.0, 0.0])
+    twist, begun = None, None
     if log.has("theta_ml", "theta_mr"):
         motors = np.column_stack([log["theta_ml"], log["theta_mr"]])
-        twist = motors / n1 - n2 * theta[:, None]
-        # Mid-gap, unless the encoders say otherwise: their rounding is worth many a bounce.
-        if np.abs(twist[0]).max() > n2 * RING_COUNT:
-            x0[:2] = motors[0] / n1
+        twist, begun = motors / n1 - n2 * theta[:, None], motors[0]
+    x0 = _resting(Model(drive), theta[0], begun, RING_COUNT)
     block = max(1, round(BLOCK_SECONDS / dt))
     return Record(log.name, dt, u, theta, omega, twist, x0, block, log.time)
 
@@ -91,11 +88,19 @@ def started(rec: Record, model: Model) -> Record:
     """Move the start of a record to where the ring gear is, if its sensor says another angle."""
     n1, n2 = model.drive["N_1"], model.drive["N_2"]
     reading = float(rec.theta[0])
-    angle = true_angle(model, reading)
     motors = None if rec.twist is None else n1 * (rec.twist[0] + n2 * reading)
-    if motors is None or np.abs(motors / n1 - n2 * angle).max() <= n2 * KNOWN_TO:
-        return replace(rec, x0=rest(model, angle))  # mid-gap
-    return replace(rec, x0=rest(model, angle, motors=motors))
+    return replace(rec, x0=_resting(model, true_angle(model, reading), motors, KNOWN_TO))
+
+
+def _resting(model: Model, angle: float, motors: Floats | None, known_to: float) -> Floats:
+    """State at rest, mid-gap unless the motors' angles [rad] say otherwise by more than is known.
+
+    The rounding of the encoders, `known_to` [rad] at the ring gear, is worth many a bounce.
+    """
+    n1, n2 = model.drive["N_1"], model.drive["N_2"]
+    if motors is not None and np.abs(motors / n1 - n2 * angle).max() <= n2 * known_to:
+        motors = None
+    return rest(model, angle, motors=motors)
 
 
 def records(logs: Iterable[Log], drive: Drive) -> tuple[Record, ...]:

@@ -35,7 +35,7 @@ class Loop(NamedTuple):
     bias_r: float = 0.0  # V
 
 
-def rest(model: Model, theta_L: float, *, motors: Sequence[float] | None = None) -> Floats:
+def rest(model: Model, theta_L: float, *, motors: Sequence[float] | Floats | None = None) -> Floats:
     """Return the state at rest at ring-gear angle `theta_L` [rad], chains at mid-gap.
 
     Parameters

@@ -77,6 +77,19 @@ def test_what_keeps_step_worse_than_noise_lets_it_lacks_something():
     assert 0.5 < share < 1.5
 
 
+def test_a_limit_that_one_log_reaches_at_its_first_reversal():
+    """It tells nothing for 0.5 s, nor by a small step from no limit, nor in any other log."""
+    name, only = "drive_saturation", ("drive_saturation", "quadratic_drag")
+    measured, left, told = measured_rig(((name, 1.0),), "karnopp", 3682345426, "paper", "eq21")
+    trials = trace(left, only=only)
+    start = rattled(measured.fit, left.base, measured.drive, 2)
+    winner = race(measured.fit, measured.held, start, trials)
+    assert winner.name == name
+    assert winner.seconds >= KEEPS_SECONDS
+    limit = 1.0 / winner.model.effects[name]["inverse_limit"]
+    assert limit == pytest.approx(told[name]["limit_V"], rel=0.01)
+
+
 def test_an_order_that_the_balances_miss_goes_on_from_the_scan():
     measured, left, told = measured_rig((("cogging", 3.0),), "karnopp", 90100001, "paper")
     (trial,) = trace(left, only=("cogging",))

@@ -9,13 +9,14 @@ torque. On a machine with other laws of friction or contact none does.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import widened
 from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, uncouple
-from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, Trial, unknowns_of
+from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, SATURATED, Trial, bent, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
@@ -49,7 +50,7 @@ LEAST = 150.0  # evidence of a winner
 # only a little other than the model's, an effect that mends it in part leaves more of it.
 OUT = 2.7
 WELL = 0.4  # mean loss per sample that leaves nothing to mend
-HELD_SHARE = 0.3  # of a fitted log's evidence, that a held-out log gives at least
+HELD_SHARE = 0.3  # of what a fitted log commonly gains, that a held-out log gains at least
 # Where all lose step after so long, it may be the way that was wrong: how many begin anew.
 WAY_SECONDS, ONCE_MORE = 0.1, 3
 TRIED = 4  # best candidates, for which other starts are tried
@@ -57,6 +58,8 @@ BEHIND = 8.0  # cost beyond the best one's, at which it may only have missed a w
 # Seconds for which the model as it is keeps step too, from where only so many go on: those that
 # balances and bounces together speak for.
 EVEN_SECONDS, MANY = 0.15, 8
+# Of each amplitude, in its step, from which those begin that stayed behind.
+SIZES = (1.0, -1.0, 4.0, -4.0)
 # Shapes that are no slope, all tried: (seconds of each log, steps of a fit, how many go on).
 SCAN = ((0.03, 2, 32), (0.05, 4, 12), (0.07, 4, 6), (0.1, 6, 4))
 SHAPE_WIDTH = 10.0  # steps of a shape, about the value that the balances like best
@@ -89,6 +92,36 @@ class Runner(Seeker):
         Its own unknowns are behind those of the model as it is.
         """
         self.pursue(other.places[0][: len(self.unknowns)])
+
+    def joins(self, bare: "Runner", records: Sequence[Record], jobs: int) -> bool:
+        """Start anew from where the model as it is is, if some size of the effect misses less.
+
+        What acts at the first reversal only has told nothing before it.
+        """
+        n = len(bare.unknowns)
+        own = self.places[0][n:]
+        drawn = [np.concatenate([bare.places[0], x]) for x in (own, *self.sizes(own, records))]
+        steps = self.prepared(records, jobs, None)
+        costs = steps.costs(steps.residuals(drawn), drawn)
+        best = int(np.argmin(costs))
+        self.places = [np.clip(drawn[best], steps.low, steps.high)]
+        return bool(costs[best] < bare.cost)
+
+    def sizes(self, own: Floats, records: Sequence[Record]) -> list[Floats]:
+        """Return an effect's unknowns with one amplitude after another of several sizes."""
+        unknowns = self.unknowns[-own.size :]
+        amplitudes = CATALOGUE[str(self.name)].amplitudes
+        sizes: Sequence[float] = SIZES
+        if self.name == "drive_saturation":
+            top = max(float(np.abs(rec.u).max()) for rec in records)
+            sizes = [1.0 / (share * top * unknowns[0].scale) for share in SATURATED]
+        several = []
+        for j, size in product(range(own.size), sizes):
+            if unknowns[j].name in amplitudes and unknowns[j].low <= size <= unknowns[j].high:
+                one = own.copy()
+                one[j] = size
+                several.append(one)
+        return several
 
     def from_the_start(self, records: Sequence[Record], seconds: float, jobs: int) -> None:
         """Try where a lock comes out that goes alone, with more care at each horizon."""
@@ -157,11 +190,18 @@ def race(
         runners += shaped(trial, start, known, fitted, jobs, scan=scan)
     for i, runner in enumerate(runners):
         runner.rng = np.random.default_rng([seed, i])
+    # no step from nothing finds those
+    waiting = [one for one in runners if one.name is not None and bent(one.name)]
     last = None
     for horizon in HORIZONS:
         records = [cut(rec, horizon) for rec in fitted]
         for runner in with_(bare, runners):
             runner.go(records, jobs)
+        if waiting and bare.level > UNEASY:
+            joined = [runner for runner in waiting if runner.joins(bare, records, jobs)]
+            for runner in joined:
+                runner.go(records, jobs)
+            runners, waiting = [*dict.fromkeys((*runners, *joined))], []
         runners.sort(key=lambda runner: runner.cost)
         for runner in with_(bare, runners[:TRIED]):
             behind = runner.cost - runners[0].cost
@@ -181,6 +221,7 @@ def race(
         runners = [runner for runner in runners if runner.cost <= runners[0].cost + MARGIN]
         if bare.level < UNEASY and horizon >= EVEN_SECONDS:
             hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)[:MANY]
+            waiting += [one for one in runners if one not in (bare, *hopeful, *waiting)]
             runners = [runner for runner in runners if runner in hopeful]
         if bare.cost > runners[0].cost + MARGIN:
             bare.from_place_of(runners[0])
@@ -205,10 +246,10 @@ class Place(NamedTuple):
     cost: float
     level: float
 
-    def missed(self, records: Sequence[Record], jobs: int) -> float:
-        """Loss on records that it was not fitted to."""
-        steps = replace(self.steps, records=records, jobs=jobs)
-        return float(NEWS * loss(steps.residuals([self.p])).sum())
+    def missed(self, records: Sequence[Record], jobs: int) -> Floats:
+        """Loss on each of some records."""
+        each = [replace(self.steps, records=[rec], jobs=jobs) for rec in records]
+        return np.array([NEWS * loss(steps.residuals([self.p])).sum() for steps in each])
 
 
 class Lap(NamedTuple):
@@ -227,10 +268,13 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
     if bare.level < max(LOST, winner.level * (1.0 if winner.level < WELL else OUT)):
         return None
     records = [cut(rec, lap.seconds) for rec in held]
-    held_gain = bare.missed(records, jobs) - winner.missed(records, jobs)
+    told = winner.steps.records
+    gains = bare.missed(told, jobs) - winner.missed(told, jobs)
+    held_gain = float((bare.missed(records, jobs) - winner.missed(records, jobs)).sum())
     gain = bare.cost - winner.cost
-    per_log = gain / len(winner.steps.records)
-    if gain + held_gain < LEAST or held_gain < HELD_SHARE * per_log * len(records):
+    # what shows in one log only, a limit that no other reaches, need not show in the held-out ones
+    common = max(float(np.median(gains)), 0.0)
+    if gain + held_gain < LEAST or held_gain < HELD_SHARE * common * len(records):
         return None
     margin = CLEARLY if winner.level < DOUBTFUL else MARGIN
     near = [place for place in lap.field if place.cost < winner.cost + margin]

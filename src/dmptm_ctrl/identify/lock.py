@@ -20,7 +20,7 @@ from dmptm_ctrl.identify.fit import Fit, Known, Unknown, arrays_at, place, posit
 from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_many
-from dmptm_ctrl.simulate.compiled import BODIES, FINE_SUBSTEPS, observer_gains
+from dmptm_ctrl.simulate.compiled import BODIES, FINE_SUBSTEPS, SUBSTEPS, observer_gains
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 
 # Of a run in the first tenth of a second, where names are told by a few landings: the next ones
@@ -171,7 +171,9 @@ def cut(rec: Record, seconds: float) -> Record:
     )
 
 
-def led_runs(records: Sequence[Record], arrays: Sequence[Arrays], jobs: int) -> list[Floats]:
+def led_runs(
+    records: Sequence[Record], arrays: Sequence[Arrays], jobs: int, *, rough: bool = False
+) -> list[Floats]:
     """Run many drives on each record, led where it is: (len(arrays), n, BODIES) of each."""
     alike: dict[tuple[float, ...], list[int]] = {}  # what runs side by side
     for i, rec in enumerate(records):
@@ -188,7 +190,8 @@ def led_runs(records: Sequence[Record], arrays: Sequence[Arrays], jobs: int) -> 
         recs = [records[i] for i, _ in task]
         first = recs[0]
         early = first.u.shape[1] * first.dt <= EARLY_SECONDS
-        how: dict[str, Any] = {"substeps": EARLY_SUBSTEPS if early else FINE_SUBSTEPS}
+        fine = EARLY_SUBSTEPS if early else FINE_SUBSTEPS
+        how: dict[str, Any] = {"substeps": SUBSTEPS if rough else fine}
         if first.led:
             how["observer"] = observer_gains(LEAD_HZ, first.dt)
             how["measured"] = np.array([rec.theta[: rec.led] for rec in recs])
@@ -231,6 +234,7 @@ class Steps:
     jobs: int
     stalled: float = STALLED
     spread: Floats | None = None
+    rough: bool = False  # in steps that rank places, at a quarter of the cost
 
     def __post_init__(self) -> None:
         self.covariance: Floats = np.zeros(0)  # of the last step
@@ -257,7 +261,7 @@ class Steps:
             compared = np.stack(rows, 1)[..., rec.led :]
             return block_mean(compared, rec.block).reshape(len(arrays), -1)
 
-        runs = led_runs(self.records, arrays, self.jobs)
+        runs = led_runs(self.records, arrays, self.jobs, rough=self.rough)
         return np.hstack([one(rec, run) for rec, run in zip(self.records, runs, strict=True)])
 
     def levels(self, several: Sequence[Floats]) -> Floats:
@@ -377,10 +381,11 @@ class Seeker:
 
     def spread(self, drawn: Sequence[Floats]) -> None:
         """Go down from the best of many places, too."""
+        rough = replace(self.steps, rough=True)
         for follow, iterations in FOLLOWED:
-            costs = self.steps.costs(self.steps.residuals(drawn), drawn)
+            costs = rough.costs(rough.residuals(drawn), drawn)
             best = np.argsort(costs)[:follow]
-            drawn = [self.steps.descend(drawn[i], iterations) for i in best]
+            drawn = [rough.descend(drawn[i], iterations) for i in best]
         for p in drawn:
             self.pursue(p)
 

@@ -88,14 +88,18 @@ def right(line):
     return len(line["effects"]) == len(line["truth"]) and all(hit(line, e) for e in line["effects"])
 
 
-def error_left(line):
-    """Share of the effect's own error on hidden logs that the augmented model leaves."""
+def error_left(line, lowest="floor"):
+    """Share of the effect's own error on hidden logs that the augmented model leaves.
+
+    Above the noise, or above what the rig's twins leave to chance too.
+    """
     hidden = line.get("hidden") or {}
-    if line["kind"] == "null" or hidden.get("floor") is None:
+    least = hidden.get(lowest)
+    if line["kind"] == "null" or least is None:
         return None
-    if hidden["before"] < 1.5 * hidden["floor"]:  # the effect does not show in their speed
+    if hidden["before"] < 1.5 * least:  # the effect does not show in their speed
         return None
-    return (hidden["after"] - hidden["floor"]) / (hidden["before"] - hidden["floor"])
+    return (hidden["after"] - least) / (hidden["before"] - least)
 
 
 def covered(line):
@@ -166,6 +170,7 @@ def summarise(lines):
             x["after"] / x["before"] for x in lines if x["kind"] != "null" and x["effects"]
         ),
         "hidden_error_left": spread(error_left(x) for x in lines),
+        "hidden_error_left_above_chance": spread(error_left(x, "chance") for x in lines),
         "hidden_error_left_by_friction": {
             law: spread(error_left(x) for x in lines if x["laws"].get("friction") == law)
             for law in sorted({x["laws"]["friction"] for x in lines if x.get("laws")})
@@ -224,6 +229,9 @@ def report(summary):
         rows.append(
             f"error left on hidden logs, median {summary['hidden_error_left']['median']:.3f}"
         )
+        above = summary["hidden_error_left_above_chance"]
+        if above:
+            rows.append(f"  above what is chance  {above['median']:.3f} of {above['of']}")
         for law, left in summary["hidden_error_left_by_friction"].items():
             if left:
                 rows.append(f"  friction {law:12s} {left['median']:.3f} of {left['of']}")

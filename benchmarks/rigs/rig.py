@@ -65,6 +65,7 @@ def make_rig(
     spread=None,
     step=FINE_STEP,
     noise_seed=None,
+    meshes=(1.0, 1.0),
 ):
     """Draw a rig of the paper's kind and run its experiments.
 
@@ -90,6 +91,8 @@ def make_rig(
         Fine step of the integrator [s]; must divide a sample.
     noise_seed : int, optional
         Measures the same rig once more, with other noise.
+    meshes : (float, float)
+        Factors on the stiffness and the damping of what was drawn.
 
     Returns
     -------
@@ -105,6 +108,8 @@ def make_rig(
     drawn_sensors = str(plant.choice(["all", "load"]))
     sensors = sensors or drawn_sensors
     record = draw_plant(plant, laws, spread)
+    record["stiffness"] *= meshes[0]
+    record["damping"] *= meshes[1]
     label = {
         "effects": [title(name) for name, _ in effects],
         "sensors": sensors,

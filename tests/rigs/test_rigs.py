@@ -211,6 +211,18 @@ def test_the_paper_s_experiments_are_those_of_the_blind_logs():
             np.testing.assert_allclose(log["u_left_V"], ran.signal, atol=6e-6)
 
 
+def test_a_twin_starts_alike_and_then_lands_elsewhere():
+    """Meshes of a little other stiffness: the same noise, another motion after some bounces."""
+    options = {"logs": ("open_sine_0v60",), "hidden_logs": 1, "friction": "karnopp"}
+    rig, same, twin = (
+        make_rig(3, meshes=factors, **options).hidden["hidden_1_open_sine"]["omega_L_deg_s"]
+        for factors in ((1.0, 1.0), (1.0, 1.0), (1.001, 0.999))
+    )
+    np.testing.assert_array_equal(rig, same)
+    apart = np.abs(rig - twin)
+    assert apart[:20].max() <= 1e-4 < apart.max()  # deg/s, a digit of the file
+
+
 def test_saved_rigs_have_logs_hidden_logs_and_a_label(tmp_path):
     rig = make_rig(2, [("cogging", 1.0)], logs=("closed_sine_15",), hidden_logs=1)
     rig.save(tmp_path / "a")

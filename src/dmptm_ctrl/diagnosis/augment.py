@@ -56,10 +56,12 @@ def augment(
     best: Locked | Fit
     first = start.model if near is None else near.model
     reached = 0.0 if near is None else AGAIN * near.horizon
-    best = locked = lock(records, first, unknowns, loosely, reached=reached, jobs=jobs)
+    best = locked = lock(
+        records, first, unknowns, loosely, reached=reached, jobs=jobs, anew=near is None
+    )
     if also:
         met = (*records, *also)
-        other = lock(met, first, unknowns, loosely, reached=reached, jobs=jobs)
+        other = lock(met, first, unknowns, loosely, reached=reached, jobs=jobs, anew=near is None)
         best = locked = min(
             (locked, other), key=lambda one: level(one.model, met, HORIZONS[-1], jobs)
         )

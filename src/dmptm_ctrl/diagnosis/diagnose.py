@@ -139,7 +139,7 @@ def diagnose(
                 for found in decision.found
             ]
             + [unnamed(tables) for tables in (decision.tables,) if tables is not None]
-            + [sensor_effect(name, sensors) for name in model.effects],
+            + [sensor_effect(name, sensors, final) for name in model.effects],
             key=lambda e: -e.probability,
         )
     )
@@ -385,14 +385,16 @@ def with_sensors(model: Model, sensors: SensorCheck) -> Model:
     return model
 
 
-def sensor_effect(name: str, sensors: SensorCheck) -> NamedEffect:
-    """Describe a sensor effect found by the cross-check."""
+def sensor_effect(name: str, sensors: SensorCheck, final: Fit) -> NamedEffect:
+    """Describe a sensor effect found by the cross-check, with the values of the model."""
     effect = CATALOGUE[name]
-    units = {p.name: p.unit for p in effect.parameters}
-    parameters = {
-        key: estimate(value, sensors.errors[name][key], units[key])
-        for key, value in sensors.values[name].items()
-    }
+    parameters = {}
+    for p in effect.parameters:
+        try:
+            value, se = final.value(name, p.name)
+        except KeyError:  # only the two sensors tell it
+            value, se = sensors.values[name][p.name], sensors.errors[name][p.name]
+        parameters[p.name] = estimate(value, se, p.unit)
     largest = max(
         abs(v) / max(sensors.errors[name][k], 1e-300) for k, v in sensors.values[name].items()
     )

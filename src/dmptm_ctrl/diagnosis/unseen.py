@@ -311,18 +311,19 @@ def race_first(
     Who is not near looks for other starts, unless another one leaves much less. The second impact
     is the other pinion's: every wave is drawn anew there, or one of them would win by chance.
     """
+    entered = (alone, *field)
     for seconds, places in zip(FIRST_SECONDS, PLACES, strict=True):
         parts = [cut(rec, seconds) for rec in records]
-        before = {id(one): one.places for one in (alone, *field)}
-        for one in (alone, *field):
+        before = [one.places for one in entered]
+        for one in entered:
             one.go(parts, jobs)
             if seconds == FIRST_SECONDS[0]:
                 one.spread(one.draw(SCATTERED))
-        for one in sorted((alone, *field), key=lambda one: one.level):
-            far = max(UNEASY, BEHIND * min(other.level for other in (alone, *field)))
+        for one, came in sorted(zip(entered, before, strict=True), key=lambda two: two[0].level):
+            far = max(UNEASY, BEHIND * min(other.level for other in entered))
             within = np.inf if seconds == FIRST_SECONDS[1] else far
             if UNEASY < one.level <= within and one.wave and seconds > FIRST_SECONDS[0]:
-                one.places = before[id(one)]
+                one.places = came
                 one.spread(one.anew(one.wave, REDRAWN, RESIZED))
             for _ in range(SEARCHES):
                 if UNEASY < one.level <= far:

@@ -93,6 +93,20 @@ class Runner(Seeker):
         """
         self.pursue(other.places[0][: len(self.unknowns)])
 
+    def crosses(self, leader: "Runner", common: int) -> None:
+        """Go on from the leader's values of the drive, with the own effect or none, if nearer.
+
+        A leader's effect may be wrong where the way that it found through the bounces is not.
+        """
+        base = leader.places[0][:common]
+        starts = [
+            np.clip(np.concatenate([base, own[common:]]), self.steps.low, self.steps.high)
+            for own in (self.places[0], position(self.model, self.unknowns))
+        ]
+        costs = self.steps.costs(self.steps.residuals(starts), starts)
+        if costs.min() < self.cost:
+            self.pursue(starts[int(np.argmin(costs))])
+
     def joins(self, bare: "Runner", records: Sequence[Record], jobs: int) -> bool:
         """Start anew from where the model as it is is, if some size of the effect misses less.
 
@@ -202,6 +216,10 @@ def race(
             for runner in joined:
                 runner.go(records, jobs)
             runners, waiting = [*dict.fromkeys((*runners, *joined))], []
+        runners.sort(key=lambda runner: runner.cost)
+        for runner in with_(bare, runners)[1:]:
+            if runner.cost > runners[0].cost + BEHIND:
+                runner.crosses(runners[0], len(bare.unknowns))
         runners.sort(key=lambda runner: runner.cost)
         for runner in with_(bare, runners[:TRIED]):
             behind = runner.cost - runners[0].cost

@@ -1,17 +1,26 @@
 """Effects too small for the balances, told by keeping step; on rigs of another program."""
 
+import numpy as np
 import pytest
 
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.decide import FIRST
 from dmptm_ctrl.diagnosis.measure import measure
-from dmptm_ctrl.diagnosis.race import KEEPS_SECONDS, SCAN, loosely, race, shaped
+from dmptm_ctrl.diagnosis.race import (
+    KEEPS_SECONDS,
+    SCAN,
+    beside,
+    entrant,
+    loosely,
+    race,
+    shaped,
+)
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.trace import trace
+from dmptm_ctrl.diagnosis.trace import trace, unknowns_of
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects.torque_constant_mismatch import OPPOSITE
-from dmptm_ctrl.identify.lock import DOUBTFUL, level
+from dmptm_ctrl.identify.lock import DOUBTFUL, LOST, UNEASY, cut, level
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -75,6 +84,33 @@ def test_what_keeps_step_worse_than_noise_lets_it_lacks_something():
     # how large it is, other logs and a finer fit tell
     share = winner.model.effects[name]["coefficient"] / told[name]["coefficient"]
     assert 0.5 < share < 1.5
+
+
+def test_who_lost_the_way_goes_on_from_the_leader():
+    """Nothing lacks here: with no drag beside it the leader's way is right for the drag, too."""
+    measured, left, _ = measured_rig((), "karnopp", contact="eq21")
+    start = rattled(measured.fit, left.base, measured.drive, 2)
+    known, name = loosely(start), "quadratic_drag"
+    records = [cut(rec, 0.1) for rec in measured.fit]
+    leader = entrant(None, start.model, start.unknowns, known, ())
+    leader.go(records, 2)
+    assert leader.level < UNEASY
+    own = unknowns_of(name)
+    model = start.model.with_effect(name, coefficient=0.0)
+    lost = entrant(name, model, (*start.unknowns, *own), beside(known, model, own), ())
+    lost.places = [np.concatenate([-leader.places[0], [20.0]])]  # steps: the way is far from there
+    lost.steps = lost.prepared(records, 2, None)
+    lost.level, lost.found = float(lost.steps.levels(lost.places)[0]), []
+    lost.cost = float(lost.steps.costs(lost.steps.residuals(lost.places), lost.places)[0])
+    assert lost.level > LOST
+    lost.crosses(leader, len(start.unknowns))
+    assert lost.level < UNEASY
+    assert lost.cost < leader.cost + 1.0
+    astray = entrant(None, start.model, start.unknowns, known, ())
+    astray.places = [-leader.places[0]]
+    kept = leader.places[0]
+    leader.crosses(astray, len(start.unknowns))
+    assert leader.places[0] is kept
 
 
 def test_a_limit_that_one_log_reaches_at_its_first_reversal():

@@ -103,13 +103,13 @@ def test_who_lost_the_way_goes_on_from_the_leader():
     lost.level, lost.found = float(lost.steps.levels(lost.places)[0]), []
     lost.cost = float(lost.steps.costs(lost.steps.residuals(lost.places), lost.places)[0])
     assert lost.level > LOST
-    lost.crosses(leader, len(start.unknowns))
+    lost.crosses([leader], len(start.unknowns))
     assert lost.level < UNEASY
     assert lost.cost < leader.cost + 1.0
     astray = entrant(None, start.model, start.unknowns, known, ())
     astray.places = [-leader.places[0]]
     kept = leader.places[0]
-    leader.crosses(astray, len(start.unknowns))
+    leader.crosses([astray], len(start.unknowns))
     assert leader.places[0] is kept
 
 

@@ -93,15 +93,19 @@ class Runner(Seeker):
         """
         self.pursue(other.places[0][: len(self.unknowns)])
 
-    def crosses(self, leader: "Runner", common: int) -> None:
-        """Go on from the leader's values of the drive, with the own effect or none, if nearer.
+    def crosses(self, others: Sequence["Runner"], common: int) -> None:
+        """Go on from the best of others' values of the drive, with the own effect or none.
 
-        A leader's effect may be wrong where the way that it found through the bounces is not.
+        Another's effect may be wrong where the way that it found through the bounces is not.
         """
-        base = leader.places[0][:common]
+        nothing = position(self.model, self.unknowns)
+        owns = [own[common:] for own in (self.places[0], nothing)]
         starts = [
-            np.clip(np.concatenate([base, own[common:]]), self.steps.low, self.steps.high)
-            for own in (self.places[0], position(self.model, self.unknowns))
+            np.clip(
+                np.concatenate([other.places[0][:common], own]), self.steps.low, self.steps.high
+            )
+            for other in others
+            for own in (owns if owns[0].size else owns[:1])
         ]
         costs = self.steps.costs(self.steps.residuals(starts), starts)
         if costs.min() < self.cost:
@@ -219,7 +223,9 @@ def race(
         runners.sort(key=lambda runner: runner.cost)
         for runner in with_(bare, runners)[1:]:
             if runner.cost > runners[0].cost + BEHIND:
-                runner.crosses(runners[0], len(bare.unknowns))
+                # each of the others may have found the way that is right for the model as it is
+                near = runners[:1] if runner is not bare else [r for r in runners if r is not bare]
+                runner.crosses(near, len(bare.unknowns))
         runners.sort(key=lambda runner: runner.cost)
         for runner in with_(bare, runners[:TRIED]):
             behind = runner.cost - runners[0].cost

@@ -81,36 +81,21 @@ def _lanes(
     x0: Floats,
     loops: Floats,
 ) -> tuple[Floats, Floats]:
-    """Run up to as many drives as lanes; those left over repeat the last of them."""
+    """Run any number of drives, as many at once as there are lanes."""
     loop = engine(lanes)
     count = len(arrays)
-    s = _aligned(loop.VALUES + arrays[0][2].size * lanes)
-    on = np.zeros_like(arrays[0][1])
-    laws = NO_LAWS
-    if task.design is not None:
-        laws = np.ascontiguousarray(loops[np.minimum(np.arange(lanes), count - 1)])
-    for lane in range(lanes):
-        k = min(lane, count - 1)
-        base, own, values = arrays[k]
-        on |= own
-        loop.fill(s, lane, x0[k], loops[k], task.dt / task.substeps, task.dt, base, own, values)
-    rows = np.minimum(np.arange(lanes), count - 1)
-    pick = np.array(
-        [
-            rows if table.shape[0] > 1 else np.zeros(lanes, np.int64)
-            for table in (task.inputs, task.target, task.measured)
-        ]
-    )
+    base, on, values = (np.array(rows) for rows in zip(*arrays, strict=True))
+    room = _aligned(loop.VALUES + values.shape[1] * lanes)
+    laws = NO_LAWS if task.design is None else loops
     kept = -(-task.samples // task.every) if task.columns.size else 0
     out = np.empty((count, task.columns.size, kept))
-    stats = np.zeros((4, loop.COLUMNS, lanes) if task.statistics else (0, 0, 0))
-    stats[:1], stats[1:2] = np.inf, -np.inf
-    loop.march_lanes(
-        *(task.inputs, task.target, task.measured, pick),
-        *(laws, task.design or arrays[0], task.observer, task.extra),
-        *(task.begin, task.dt, task.substeps, on, s, task.columns, task.every, out, stats),
+    stats = np.empty((4, loop.COLUMNS, count) if task.statistics else (0, 0, 0))
+    loop.march_groups(
+        *(task.inputs, task.target, task.measured, laws, task.design or arrays[0]),
+        *(task.observer, task.extra, task.begin, task.dt, task.substeps, base, on, values),
+        *(x0, loops, room, task.columns, task.every, out, stats),
     )
-    return out, stats[:, :, :count]
+    return out, stats
 
 
 def _all(
@@ -118,15 +103,12 @@ def _all(
 ) -> tuple[Floats, Floats]:
     """Run any number of drives in groups of lanes, on threads or joblib's backend."""
     size = NARROW if len(arrays) <= FEW else WIDE
+    if n_jobs == 1 or len(arrays) <= size:
+        return _lanes(size, task, arrays, x0, loops)
     groups = [slice(k, k + size) for k in range(0, len(arrays), size)]
     parts = ((size, task.rows(g), arrays[g], x0[g], loops[g]) for g in groups)
-    if n_jobs == 1 or len(groups) == 1:
-        done = [_lanes(*part) for part in parts]
-    else:
-        # threads: the loop does not hold the interpreter's lock
-        done = list(each(_lanes, parts, n_jobs, prefer="threads"))
-    if len(done) == 1:
-        return done[0]
+    # threads: the loop does not hold the interpreter's lock
+    done = list(each(_lanes, parts, n_jobs, prefer="threads"))
     outs, stats = zip(*done, strict=True)
     return np.concatenate(outs), np.concatenate(stats, axis=2)
 

@@ -117,7 +117,7 @@ _INLINE = (
 # What Python calls; the rest is called by these alone and has no wrapper for Python, which
 # would be more text for the compiler than the function itself.
 _ENTRIES = (
-    *("march", "along", "fill", "march_lanes", "march_tangents", "command"),
+    *("march", "along", "march_groups", "march_tangents", "command"),
     *("sensor_reading", "presliding_law", "speed_delay"),
 )
 _HEAD = """\

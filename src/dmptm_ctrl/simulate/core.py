@@ -389,15 +389,14 @@ def aged(age, v, h, slip):
 @njit
 def preslide(v, v_mid, force, mobility, h, law, scale, added, bristles, bristle):
     """Speed and friction after one step where friction is a spring before it slides."""
-    if v_mid == 0.0:
-        return v + (force - bristle) * mobility, bristle
     direction = 1.0 if v_mid > 0.0 else -1.0
     at_once = direction * bristles[1] * scale * viscous_torque(v_mid, direction, law)
     level = direction * max(scale * sliding_torque(v_mid, direction, law) + added, 0.0) - at_once
-    travel = abs(v_mid) * h / bristles[0]
-    middle = level + (bristle - level) * exp(-0.5 * travel)
+    # of what is left to build up, after half of the step; one at rest, where nothing does
+    half = exp(-0.5 * abs(v_mid) * h / bristles[0])
+    middle = bristle + (level - bristle) * (1.0 - half)
     new = v + (force - middle - at_once) * mobility
-    return new, level + (bristle - level) * exp(-travel)
+    return new, bristle + (level - bristle) * (1.0 - half * half)
 
 
 @njit

@@ -315,9 +315,9 @@ def general_slide_stage(s, width):
 
 @njit
 def stop_stage(s, width):
-    """The few bodies that come to rest within the step."""
+    """The few bodies that come to rest within the step, where friction is no spring."""
     for row in range(3 * width):
-        if s[STOPS + row] != 0.0:
+        if s[STOPS + row] != 0.0 and s[DISTANCE + row] <= 0.0:
             s[NEW + row] = stop(
                 s[V0 + row],
                 s[NEW + row],
@@ -331,7 +331,30 @@ def stop_stage(s, width):
 
 @njit
 def presliding_stage(s, width, h):
-    """Where friction is a spring before it slides, that instead."""
+    """Where friction is a spring before it slides, that instead; friction with exponent 1."""
+    wide()
+    for row in range(3 * width):
+        distance = s[DISTANCE + row]
+        gives = distance > 0.0
+        new, bristle = preslide(
+            s[V0 + row],
+            s[S0 + row],
+            s[P0 + row],
+            s[MOBILITY + row],
+            h,
+            law(s, row, 1.0),
+            s[SCALE + row],
+            s[ADDED + row],
+            (distance if gives else 1.0, s[AT_ONCE + row]),
+            s[BRISTLE + row],
+        )
+        s[NEW + row] = new if gives else s[NEW + row]
+        s[BRISTLE + row] = bristle if gives else s[BRISTLE + row]
+
+
+@njit
+def general_presliding_stage(s, width, h):
+    """The same with any exponent, which takes a power."""
     for row in range(3 * width):
         if s[DISTANCE + row] > 0.0:
             s[NEW + row], s[BRISTLE + row] = preslide(
@@ -707,7 +730,9 @@ def march_lanes(
             stopping = general_slide_stage(s, width) if general else slide_stage(s, width)
             if stopping > 0:
                 stop_stage(s, width)
-            if presliding:
+            if presliding and general:
+                general_presliding_stage(s, width, h)
+            elif presliding:
                 presliding_stage(s, width, h)
             if ageing:
                 grow_older(s, width, h)
@@ -723,3 +748,46 @@ def march_lanes(
             rigid(s, width, 0)
             rigid(s, width, 1)
     return step
+
+
+@njit
+def march_groups(
+    u, target, measured, laws, design, observer, extra, begin, dt, substeps, base, on, values, x0,
+    loops, s, columns, every, out, stats
+):  # fmt: skip
+    """Run any number of drives, LANES at a time; lanes left over repeat the last of them.
+
+    base, on, values, x0 (6,), loops (5,) of each drive in rows; laws (drives, SIZE) or (0, 0);
+    u, target and measured of each drive, or one for all; s room for one group; out (drives,
+    columns.size, samples kept); stats (4, COLUMNS, drives) or none; the rest as of
+    `march_lanes`.
+    """
+    count = base.shape[0]
+    used = np.empty_like(on[0])
+    pick = np.empty((3, LANES), np.int64)
+    own = np.empty((LANES if laws.shape[0] > 0 else 0, laws.shape[1]))
+    part = np.empty((4, COLUMNS, LANES) if stats.size > 0 else (0, 0, 0))
+    for first in range(0, count, LANES):
+        s[:] = 0.0
+        used[:] = 0
+        for lane in range(LANES):
+            k = min(first + lane, count - 1)
+            for effect in range(used.size):
+                used[effect] |= on[k, effect]
+            fill(s, lane, x0[k], loops[k], dt / substeps, dt, base[k], on[k], values[k])
+            pick[0, lane] = k if u.shape[0] > 1 else 0
+            pick[1, lane] = k if target.shape[0] > 1 else 0
+            pick[2, lane] = k if measured.shape[0] > 1 else 0
+            if laws.shape[0] > 0:
+                own[lane] = laws[k]
+        if stats.size > 0:
+            part[:] = 0.0
+            part[0] = np.inf
+            part[1] = -np.inf
+        end = min(first + LANES, count)
+        march_lanes(
+            *(u, target, measured, pick, own, design, observer, extra, begin, dt, substeps),
+            *(used, s, columns, every, out[first:end], part),
+        )
+        if stats.size > 0:
+            stats[:, :, first:end] = part[:, :, : end - first]

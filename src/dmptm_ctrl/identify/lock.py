@@ -26,6 +26,7 @@ from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 # Of a run in the first tenth of a second, where names are told by a few landings: the next ones
 # grow what a coarser scheme misses there.
 EARLY_SECONDS, EARLY_SUBSTEPS = 0.1, 32
+RANKING_SUBSTEPS = 4  # where places are only ranked; what is pursued takes finer ones
 AT_ONCE = 64  # runs of one call, in groups of lanes
 HORIZONS = (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.9)  # s
 BLOCK_SECONDS = 0.002
@@ -172,9 +173,12 @@ def cut(rec: Record, seconds: float) -> Record:
 
 
 def led_runs(
-    records: Sequence[Record], arrays: Sequence[Arrays], jobs: int, *, rough: bool = False
+    records: Sequence[Record], arrays: Sequence[Arrays], jobs: int, substeps: int | None = None
 ) -> list[Floats]:
-    """Run many drives on each record, led where it is: (len(arrays), n, BODIES) of each."""
+    """Run many drives on each record, led where it is: (len(arrays), n, BODIES) of each.
+
+    In steps as fine as its length asks for, unless `substeps` says how many per sample.
+    """
     alike: dict[tuple[float, ...], list[int]] = {}  # what runs side by side
     for i, rec in enumerate(records):
         begin = float(rec.time[0]) if rec.led else 0.0
@@ -191,7 +195,7 @@ def led_runs(
         first = recs[0]
         early = first.u.shape[1] * first.dt <= EARLY_SECONDS
         fine = EARLY_SUBSTEPS if early else FINE_SUBSTEPS
-        how: dict[str, Any] = {"substeps": SUBSTEPS if rough else fine}
+        how: dict[str, Any] = {"substeps": substeps or fine}
         if first.led:
             how["observer"] = observer_gains(LEAD_HZ, first.dt)
             how["measured"] = np.array([rec.theta[: rec.led] for rec in recs])
@@ -234,18 +238,23 @@ class Steps:
     jobs: int
     stalled: float = STALLED
     spread: Floats | None = None
-    rough: bool = False  # in steps that rank places, at a quarter of the cost
+    substeps: int | None = None  # per sample; as fine as needed
 
     def __post_init__(self) -> None:
         self.covariance: Floats = np.zeros(0)  # of the last step
         self.low = np.array([k.low for k in self.unknowns])
         self.high = np.array([k.high for k in self.unknowns])
+        # few impacts grow what coarse steps miss: they tell as well where it goes down
+        self.early = all(
+            (rec.u.shape[1] - rec.led) * rec.dt <= EARLY_SECONDS + 0.5 * rec.dt
+            for rec in self.records
+        )
 
     def placed(self, p: Floats) -> Model:
         """Return the model with values."""
         return place(self.model, self.unknowns, p)
 
-    def residuals(self, several: Sequence[Floats]) -> Floats:
+    def residuals(self, several: Sequence[Floats], substeps: int | None = None) -> Floats:
         """Measured minus simulated, in units, (len(several), m)."""
         arrays = arrays_at(self.model, self.unknowns, several)
         ratios = [BASE.index(key) for key in ("N_1", "N_2")]
@@ -261,7 +270,7 @@ class Steps:
             compared = np.stack(rows, 1)[..., rec.led :]
             return block_mean(compared, rec.block).reshape(len(arrays), -1)
 
-        runs = led_runs(self.records, arrays, self.jobs, rough=self.rough)
+        runs = led_runs(self.records, arrays, self.jobs, substeps or self.substeps)
         return np.hstack([one(rec, run) for rec, run in zip(self.records, runs, strict=True)])
 
     def levels(self, several: Sequence[Floats]) -> Floats:
@@ -273,23 +282,24 @@ class Steps:
         told = [self.known.cost(p) for p in several]
         return np.asarray(NEWS * loss(residuals).sum(1) + told)
 
-    def slopes(self, p: Floats, directions: Floats) -> tuple[Floats, Floats]:
-        """Slopes of the residuals by differences, (len(p), m), and the residuals."""
+    def slopes(self, p: Floats, directions: Floats) -> Floats:
+        """Slopes of the residuals by differences, (len(p), m)."""
         ends = np.clip(p + directions, self.low, self.high)
         other = np.clip(p - directions, self.low, self.high)
         shorter = np.sum((ends - p) ** 2, axis=1) < np.sum((other - p) ** 2, axis=1)
         ends[shorter] = other[shorter]
-        runs = self.residuals([p, *ends])
-        return np.linalg.pinv(ends - p, rcond=SINGULAR) @ (runs[1:] - runs[0]), runs[0]
+        runs = self.residuals([p, *ends], SUBSTEPS if self.early else None)
+        return np.linalg.pinv(ends - p, rcond=SINGULAR) @ (runs[1:] - runs[0])
 
     def descend(self, p: Floats, iterations: int = ITERATIONS) -> Floats:
         """Go down from `p` for as long as it pays."""
         known = self.known.precision + TINY * np.eye(p.size)
         spread = np.asarray(np.linalg.inv(known)) if self.spread is None else self.spread
         reach = REACH
+        r = self.residuals([p])[0]
+        cost = self.costs(r[None], [p])[0]
         for _ in range(iterations):
-            slopes, r = self.slopes(p, reach * axes(spread))
-            cost = self.costs(r[None], [p])[0]
+            slopes = self.slopes(p, reach * axes(spread))
             w = NEWS / (1.0 + r**2 / FREEDOM)
             normal = (slopes * w) @ slopes.T + known
             self.covariance = np.asarray(np.linalg.inv(normal), np.float64)
@@ -302,16 +312,18 @@ class Steps:
                 )
                 for d in DAMPINGS
             ]
-            costs = self.costs(self.residuals(tried), tried)
-            gain = cost - costs.min()
+            missed = self.residuals(tried)
+            costs = self.costs(missed, tried)
+            best, before = int(np.argmin(costs)), cost
+            gain = cost - costs[best]
+            # what is missed says how far off the values may be
+            spread = self.covariance * max(1.0, float(loss(r).mean()) / NOISE_LEVEL)
             if gain > 0.0:
-                p = tried[int(np.argmin(costs))]
-            if gain < self.stalled * cost:
+                p, r, cost = tried[best], missed[best], costs[best]
+            if gain < self.stalled * before:
                 if gain > 0.0 or reach < NEAREST:
                     break
                 reach *= NEARER
-            # what is missed says how far off the values may be
-            spread = self.covariance * max(1.0, float(loss(r).mean()) / NOISE_LEVEL)
         return p
 
 
@@ -364,6 +376,8 @@ class Seeker:
 
     def pursue(self, start: Floats) -> None:
         """Go down from a start; keep the best two places."""
+        if self.steps.early and self.steps.levels([start])[0] > UNEASY:
+            start = self.rough.descend(start)
         p = self.steps.descend(start)
         missed = self.steps.residuals([p])
         cost, level = float(self.steps.costs(missed, [p])[0]), float(loss(missed).mean())
@@ -371,6 +385,11 @@ class Seeker:
         self.found.sort(key=lambda found: found[0])
         self.cost, _, _, self.level = self.found[0]
         self.places = [found[1] for found in self.found[:2]]
+
+    @property
+    def rough(self) -> Steps:
+        """The same in coarse steps."""
+        return replace(self.steps, substeps=SUBSTEPS)
 
     def scatter(self, records: Sequence[Record], jobs: int) -> None:
         """Begin anew from the best of many places that are known to be possible."""
@@ -381,13 +400,15 @@ class Seeker:
 
     def spread(self, drawn: Sequence[Floats]) -> None:
         """Go down from the best of many places, too."""
-        rough = replace(self.steps, rough=True)
         for follow, iterations in FOLLOWED:
-            costs = rough.costs(rough.residuals(drawn), drawn)
-            best = np.argsort(costs)[:follow]
-            drawn = [rough.descend(drawn[i], iterations) for i in best]
+            drawn = [self.rough.descend(p, iterations) for p in self.nearest(drawn, follow)]
         for p in drawn:
             self.pursue(p)
+
+    def nearest(self, drawn: Sequence[Floats], count: int) -> list[Floats]:
+        """Return the best of many places."""
+        costs = self.steps.costs(self.steps.residuals(drawn, RANKING_SUBSTEPS), drawn)
+        return [drawn[i] for i in np.argsort(costs)[:count]]
 
     def draw(self, count: int) -> list[Floats]:
         """Draw places from what is known; of a value that is open, another size or sign."""
@@ -414,9 +435,8 @@ class Seeker:
             )
             for i in range(DRAWS)
         ]
-        costs = self.steps.costs(self.steps.residuals(drawn), drawn)
-        for i in np.argsort(costs)[:PURSUED]:
-            self.pursue(drawn[i])
+        for p in self.nearest(drawn, PURSUED):
+            self.pursue(p)
 
     def anew(self, open_values: int, count: int, sizes: Sequence[float]) -> list[Floats]:
         """Draw the last values anew about each place; the others stay."""

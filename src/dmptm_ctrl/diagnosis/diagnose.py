@@ -49,6 +49,7 @@ from dmptm_ctrl.simulate.model import Model
 SENSOR_PROBABILITY = 0.99
 # A free run may be a little worse beside an effect of the twist; more is another sign.
 WORSE = 1.2
+HELPS = 0.9  # of the error without them, up to which names stand beside what has none
 # deg/s on held-out logs; the worst of 39 rigs that lack nothing has 0.17. No balance may
 # close so well that a model which predicts no better is right.
 ASTRAY = 0.45
@@ -189,12 +190,19 @@ def told_apart(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
 
 
 def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log], jobs: int) -> Fit:
-    """Withdraw what makes the free run of the held-out logs go astray."""
+    """Withdraw what makes the free run of the held-out logs go astray.
+
+    Where the model lacks what has no name, a name can stand in for a part of it: one that does
+    not help is none.
+    """
     tables = decision.tables
     if tables is not None and speed_error(after.model, held)["rmse"] > without:
         decision.tables, decision.after = None, tables.beside
         after = refit(decision, jobs)
-    while decision.found and speed_error(after.model, held)["rmse"] > WORSE * without + LITTLE:
+    most = WORSE * without + LITTLE
+    if decision.unexplained is not None and decision.tables is None:
+        most = HELPS * without
+    while decision.found and speed_error(after.model, held)["rmse"] > most:
         withdraw(decision, jobs)
         after = refit(decision, jobs)
     return after

@@ -104,20 +104,23 @@ def orders(diagnosis: "Diagnosis") -> Orders:
     encoders, else of the speed.
     """
     records = {r.name: r for r in (*diagnosis.measured.fit, *diagnosis.measured.held)}.values()
-    bank = np.arange(1, round(MAX_ORDER * ORDERS_PER_TURN) + 1) / ORDERS_PER_TURN
+    count = round(MAX_ORDER * ORDERS_PER_TURN)
     twisted = all(rec.twist is not None for rec in records)
     sides = []
     for model in models(diagnosis):
         parts = [_along_the_turn(rec, model, twisted) for rec in records]
         angle, left, weight = (np.concatenate([p[i] for p in parts]) for i in range(3))
-        sides.append(order_amplitudes(angle, left, weight, bank))
+        sides.append(order_amplitudes(angle, left, weight, 1.0 / ORDERS_PER_TURN, count))
     quantity = "transmission error [arcmin]" if twisted else "speed, measured − model [deg/s]"
     teeth = models(diagnosis)[1].drive["z_3"] / models(diagnosis)[1].drive["N_1"]
     marks = {"motor turn": 1.0, "tooth mesh": float(teeth)}
+    bank = np.arange(1, count + 1) / ORDERS_PER_TURN
     return Orders(bank, sides[0], sides[1], quantity, marks)
 
 
-def order_amplitudes(angle: Floats, signal: Floats, weight: Floats, bank: Floats) -> Floats:
+def order_amplitudes(
+    angle: Floats, signal: Floats, weight: Floats, step: float, count: int
+) -> Floats:
     """Amplitude of cos and sin of each order.
 
     Parameters
@@ -125,14 +128,25 @@ def order_amplitudes(angle: Floats, signal: Floats, weight: Floats, bank: Floats
     angle : (n,) array [rad]
     signal, weight : (n,) arrays
         The weight is the angle that a sample stands for.
-    bank : (k,) array
-        Orders per turn.
+    step : float
+        The first order, and from each to the next, per turn.
+    count : int
+        Of orders.
+
+    Returns
+    -------
+    (count,) array
     """
     total = float(weight.sum())
     if total == 0.0:
-        return np.zeros(bank.size)
+        return np.zeros(count)
     centred = weight * (signal - float(weight @ signal) / total)
-    return np.array([2.0 * abs(np.exp(-1j * k * angle) @ centred) / total for k in bank])
+    turning = np.exp(-1j * step * angle)
+    wave, sums = centred.astype(np.complex128), np.empty(count, np.complex128)
+    for k in range(count):
+        wave *= turning
+        sums[k] = wave.sum()
+    return np.asarray(2.0 * np.abs(sums) / total)
 
 
 def _along_the_turn(rec: Record, model: Model, twisted: bool) -> tuple[Floats, Floats, Floats]:

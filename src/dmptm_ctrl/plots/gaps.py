@@ -1,16 +1,21 @@
 """A picture that moves: the two pinions in their tooth gaps along a log."""
 
 import base64
-import tempfile
+import io
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.animation import FuncAnimation
+from matplotlib.artist import Artist
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 from numpy.typing import NDArray
+from PIL import Image
 
 Floats = NDArray[np.float64]
 
@@ -64,6 +69,42 @@ def busiest(motion: GapMotion, seconds: float = 1.5) -> GapMotion:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Figure of a motion, and what moves in it."""
+
+    motion: GapMotion
+    figure: Figure
+    teeth: Sequence[Rectangle]
+    cursor: Line2D
+    title: Text
+    shown: NDArray[np.int64]  # sample of each frame
+
+    def draw(self, frame: int) -> list[Artist]:
+        """Move what moves to where it is in a frame, and return it."""
+        motion, i = self.motion, self.shown[frame]
+        for side, tooth in enumerate(self.teeth):
+            place = float(np.clip(motion.place[side, i], -REACH, REACH))
+            tooth.set_x(place - 0.5)
+            tooth.set_facecolor(PUSHES[int(motion.contact[side, i])])
+        self.cursor.set_xdata([motion.time[i]] * 2)
+        self.title.set_text(
+            f"{motion.name}, {motion.source}: t = {motion.time[i]:6.3f} s, ring gear "
+            f"{motion.speed[i]:+6.2f} deg/s"
+        )
+        return [*self.teeth, self.cursor, self.title]
+
+
+def scene(motion: GapMotion, frames: int) -> Scene:
+    """Draw what stands still in all frames."""
+    figure = Figure(figsize=(7.2, 3.0), dpi=100)
+    panels = figure.subplots(1, 2, gridspec_kw={"width_ratios": [2, 3]})
+    figure.subplots_adjust(left=0.02, right=0.985, bottom=0.17, top=0.86, wspace=0.3)
+    teeth, cursor = _teeth(panels[0]), _traces(panels[1], motion)
+    shown = np.linspace(0, motion.time.size - 1, frames).round().astype(np.int64)
+    return Scene(motion, figure, teeth, cursor, figure.suptitle("", fontsize=10), shown)
+
+
 def animate_gaps(motion: GapMotion, *, frames: int = FRAMES) -> FuncAnimation:
     """Draw the pinions in their gaps, frame by frame.
 
@@ -77,38 +118,33 @@ def animate_gaps(motion: GapMotion, *, frames: int = FRAMES) -> FuncAnimation:
     matplotlib.animation.FuncAnimation
         ``.to_jshtml()`` shows it in a notebook.
     """
-    figure = Figure(figsize=(7.2, 3.0), dpi=100)
-    panels = figure.subplots(1, 2, gridspec_kw={"width_ratios": [2, 3]})
-    figure.subplots_adjust(left=0.02, right=0.985, bottom=0.17, top=0.86, wspace=0.3)
-    moving = _teeth(panels[0])
-    cursor = _traces(panels[1], motion)
-    title = figure.suptitle("", fontsize=10)
-    shown = np.linspace(0, motion.time.size - 1, frames).round().astype(int)
-
-    def draw(frame: int) -> list[Any]:
-        i = shown[frame]
-        for side, tooth in enumerate(moving):
-            place = float(np.clip(motion.place[side, i], -REACH, REACH))
-            tooth.set_x(place - 0.5)
-            tooth.set_facecolor(PUSHES[int(motion.contact[side, i])])
-        cursor.set_xdata([motion.time[i]] * 2)
-        title.set_text(
-            f"{motion.name}, {motion.source}: t = {motion.time[i]:6.3f} s, ring gear "
-            f"{motion.speed[i]:+6.2f} deg/s"
-        )
-        return [*moving, cursor, title]
-
-    draw(0)
-    return FuncAnimation(figure, draw, frames=frames, interval=1000 / PER_SECOND, blit=False)
+    drawn = scene(motion, frames)
+    drawn.draw(0)
+    interval = 1000 / PER_SECOND
+    return FuncAnimation(drawn.figure, drawn.draw, frames=frames, interval=interval, blit=False)
 
 
 def animated_uri(motion: GapMotion, *, frames: int = FRAMES) -> str:
-    """Return the animation as an animated image to put into a page without scripts."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "gaps.gif"
-        animate_gaps(motion, frames=frames).save(str(file), writer=PillowWriter(fps=PER_SECOND))
-        data = file.read_bytes()
-    return "data:image/gif;base64," + base64.b64encode(data).decode("ascii")
+    """Return the animation as an animated image to put into a page without scripts.
+
+    What stands still is drawn once, as interactive backends do.
+    """
+    drawn = scene(motion, frames)
+    for artist in drawn.draw(0):
+        artist.set_animated(True)
+    canvas = FigureCanvasAgg(drawn.figure)
+    canvas.draw()
+    still = canvas.copy_from_bbox(drawn.figure.bbox)
+    images = []
+    for frame in range(frames):
+        canvas.restore_region(still)
+        for artist in drawn.draw(frame):
+            drawn.figure.draw_artist(artist)
+        images.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
+    file = io.BytesIO()
+    first, *rest = images
+    first.save(file, "gif", save_all=True, append_images=rest, duration=1000 // PER_SECOND, loop=0)
+    return "data:image/gif;base64," + base64.b64encode(file.getvalue()).decode("ascii")
 
 
 def _teeth(panel: Any) -> list[Rectangle]:

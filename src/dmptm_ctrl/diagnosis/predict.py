@@ -5,6 +5,7 @@ motion to be expected is the mean of runs that differ in them: it misses least.
 """
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -103,7 +104,12 @@ def low_pass(signal: Floats, dt: float) -> Floats:
     """Zero-phase Butterworth low-pass at :data:`BANDWIDTH_HZ`."""
     if 2.0 * BANDWIDTH_HZ * dt >= 1.0:
         return signal
-    return np.asarray(sosfiltfilt(butter(ORDER, BANDWIDTH_HZ, fs=1.0 / dt, output="sos"), signal))
+    return np.asarray(sosfiltfilt(_sections(1.0 / dt), signal))
+
+
+@cache  # to design it takes longer than to filter a log
+def _sections(rate: float) -> Floats:
+    return np.asarray(butter(ORDER, BANDWIDTH_HZ, fs=rate, output="sos"), np.float64)
 
 
 def speeds(model: Model, log: Log) -> tuple[Floats, Floats]:

@@ -8,6 +8,7 @@ logs by it.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -96,8 +97,10 @@ def powers(speed: Floats, dt: float) -> Floats:
     """Power of a speed in each band and window [rad²/s²], (bands, windows)."""
     top = NYQUIST_SHARE * 0.5 / dt
     bands = [(a, min(b, top)) for a, b in BANDS_HZ if a < 0.9 * top]
-    rows = [
-        sosfiltfilt(butter(ORDER, band, "bandpass", fs=1.0 / dt, output="sos"), speed) ** 2
-        for band in bands
-    ]
+    rows = [sosfiltfilt(_sections(band, 1.0 / dt), speed) ** 2 for band in bands]
     return block_mean(np.array(rows), max(1, round(WINDOW_SECONDS / dt)))
+
+
+@cache  # to design it takes longer than to filter a log
+def _sections(band: tuple[float, float], rate: float) -> Floats:
+    return np.asarray(butter(ORDER, band, "bandpass", fs=rate, output="sos"), np.float64)

@@ -12,6 +12,7 @@ from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit
 from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, level, lock
+from dmptm_ctrl.identify.longer import longer
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -31,6 +32,7 @@ def augment(
     beside: Sequence[Unknown] = (),
     near: Fit | None = None,
     also: Sequence[Record] = (),
+    onward: bool = False,
     jobs: int = 2,
 ) -> Fit:
     """Refit a model inside the simulator, from what the balances know.
@@ -48,6 +50,8 @@ def augment(
         That keeps step already; the bounces are met from its values on.
     also : sequence of Record
         Reversals that are met as well.
+    onward : bool
+        Whether a model that keeps step with all goes on with those that can be told for longer.
     """
     start = rattled(records, start, declared, jobs)
     unknowns = (*start.unknowns, *beside)
@@ -59,8 +63,8 @@ def augment(
     best = locked = lock(
         records, first, unknowns, loosely, reached=reached, jobs=jobs, anew=near is None
     )
+    met = (*records, *also)
     if also:
-        met = (*records, *also)
         other = lock(met, first, unknowns, loosely, reached=reached, jobs=jobs, anew=near is None)
         best = locked = min(
             (locked, other), key=lambda one: level(one.model, met, HORIZONS[-1], jobs)
@@ -73,6 +77,8 @@ def augment(
         if locked.horizon == 0.0 or missed(whole.model, records) < missed(best.model, records):
             best = whole
     done = Fit(best.model, unknowns, best.p, best.covariance, locked.horizon)
+    if onward:
+        done = longer(met, done, loosely, jobs)
     return replace(done, covariance=honest(done, start))
 
 

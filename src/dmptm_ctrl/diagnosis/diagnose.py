@@ -433,7 +433,9 @@ def refined(measured: Measured, decision: Decision, after: Fit, error: float, jo
         return after
     also = turned(decision, everything, after.model)
     beside, drive = beside_balances(base, measured), measured.drive
-    final = augment(everything, start, drive, beside=beside, near=after, also=also, jobs=jobs)
+    final = augment(
+        everything, start, drive, beside=beside, near=after, also=also, onward=True, jobs=jobs
+    )
     # it has seen these logs, the other one has not: where it misses more it went astray
     worse = speed_error(final.model, measured.held_logs)["rmse"] > error + LITTLE
     return after if worse else final

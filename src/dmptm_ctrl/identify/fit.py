@@ -147,6 +147,15 @@ def bend(x: Floats) -> Floats:
     return bent
 
 
+def jogged(model: Model, by: float) -> list[Model]:
+    """Return models with meshes a little other: some times `by`, relative."""
+    k_m, c = model.drive["k_m"], model.drive["c"]
+    return [
+        model.with_values(k_m=k_m * (1.0 + by * a), c=c * (1.0 + by * b))
+        for a, b in ((1.0, 2.0), (-1.0, 3.0), (2.0, -3.0), (-2.0, -2.0))
+    ]
+
+
 @dataclass(eq=False)
 class Misfit:
     """The residual of a model on records, as a vector.
@@ -185,13 +194,7 @@ class Misfit:
         then give another motion. Its spread is what no fit can explain.
         """
         n1, n2 = model.drive["N_1"], model.drive["N_2"]
-        changed = [
-            model.with_values(
-                k_m=model.drive["k_m"] * (1 + PERTURBATION * a),
-                c=model.drive["c"] * (1 + PERTURBATION * b),
-            )
-            for a, b in ((1, 2), (-1, 3), (2, -3), (-2, -2))
-        ]
+        changed = jogged(model, PERTURBATION)
 
         def squares(i: int) -> list[Floats]:
             runs = self.runs(changed[i])

@@ -211,6 +211,27 @@ def led_runs(
     return [np.array(runs[i]) for i in range(len(records))]
 
 
+def compared(
+    records: Sequence[Record], arrays: Sequence[Arrays], jobs: int, substeps: int | None = None
+) -> Floats:
+    """Measured minus simulated of many drives, in units, (len(arrays), m); as :func:`led_runs`."""
+    ratios = [BASE.index(key) for key in ("N_1", "N_2")]
+    n1, n2 = np.array([base[ratios] for base, _, _ in arrays]).T
+
+    def one(rec: Record, runs: Floats) -> Floats:
+        theta, omega, *motors = np.moveaxis(runs, 2, 0)
+        rows = [(rec.omega - omega) / SPEED_UNIT]
+        if rec.twist is not None:
+            for seen, motor in zip(rec.twist.T, motors, strict=True):
+                twist = motor / n1[:, None] - n2[:, None] * theta
+                rows.append((seen - twist) / (n2[:, None] * TWIST_UNIT))
+        parts = np.stack(rows, 1)[..., rec.led :]
+        return block_mean(parts, rec.block).reshape(len(arrays), -1)
+
+    runs = led_runs(records, arrays, jobs, substeps)
+    return np.hstack([one(rec, run) for rec, run in zip(records, runs, strict=True)])
+
+
 def losses(model: Model, records: Sequence[Record], jobs: int) -> Floats:
     """Loss of each sample of a model's runs on records."""
     none: Floats = np.zeros(0)
@@ -257,21 +278,7 @@ class Steps:
     def residuals(self, several: Sequence[Floats], substeps: int | None = None) -> Floats:
         """Measured minus simulated, in units, (len(several), m)."""
         arrays = arrays_at(self.model, self.unknowns, several)
-        ratios = [BASE.index(key) for key in ("N_1", "N_2")]
-        n1, n2 = np.array([base[ratios] for base, _, _ in arrays]).T
-
-        def one(rec: Record, runs: Floats) -> Floats:
-            theta, omega, *motors = np.moveaxis(runs, 2, 0)
-            rows = [(rec.omega - omega) / SPEED_UNIT]
-            if rec.twist is not None:
-                for seen, motor in zip(rec.twist.T, motors, strict=True):
-                    twist = motor / n1[:, None] - n2[:, None] * theta
-                    rows.append((seen - twist) / (n2[:, None] * TWIST_UNIT))
-            compared = np.stack(rows, 1)[..., rec.led :]
-            return block_mean(compared, rec.block).reshape(len(arrays), -1)
-
-        runs = led_runs(self.records, arrays, self.jobs, substeps or self.substeps)
-        return np.hstack([one(rec, run) for rec, run in zip(self.records, runs, strict=True)])
+        return compared(self.records, arrays, self.jobs, substeps or self.substeps)
 
     def levels(self, several: Sequence[Floats]) -> Floats:
         """Mean loss per sample of each."""

@@ -8,13 +8,10 @@ from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import Decision
 from dmptm_ctrl.diagnosis.diagnose import uncovered
 from dmptm_ctrl.diagnosis.measure import measure
-from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import unnamed
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.trace import unknowns_of
-from dmptm_ctrl.diagnosis.unseen import AGEING, enter, names, race_first, unseen, variants
+from dmptm_ctrl.diagnosis.unseen import AGEING, names, unseen
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.lock import LOST, UNEASY
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -27,28 +24,6 @@ def fitted(seed, effects, sensors, friction="karnopp", contact="eq21"):
     measured = measure(logs, drive)
     left = residual(measured, Model(drive))
     return augment(measured.fit, left.base, drive), left, rig.label["effect_parameters"]
-
-
-def test_runout_that_the_other_pinion_tells():
-    """First impacts are met in many ways; where the other pinion lands, one of them is left."""
-    name, drive = "pinion_runout", paper_drive()
-    laws = {"friction": "karnopp", "contact": "eq21"}
-    rig = make_rig(4228218833, ((name, 3.0),), sensors="load", **laws)
-    measured = measure([load_log(table, name=log) for log, table in rig.logs.items()], drive)
-    left = residual(measured, Model(drive))
-    base = rattled(measured.fit, left.base, drive, 2)
-    alone = enter([base.model], base, (), 0)
-    (models,) = variants(name, base.model)
-    one = enter(models, base, unknowns_of(name), 0)
-    race_first(alone, [one], measured.fit, 2)
-    assert alone.level > LOST
-    assert one.level < UNEASY
-    values = one.there.effects[name]
-    sizes = [np.hypot(values[f"{s}_cosine"], values[f"{s}_sine"]) for s in ("left", "right")]
-    true = rig.label["effect_parameters"][name]
-    assert true["location"] == "right"
-    wanted = np.deg2rad(true["amplitude_arcmin"] / 60.0)
-    assert sizes == pytest.approx([0.0, wanted], abs=0.1 * wanted)
 
 
 def test_friction_that_grows_at_rest_is_unknown_by_its_variable():

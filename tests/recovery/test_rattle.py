@@ -1,14 +1,25 @@
 """The meshes' damping of rigs of another program is told by how strongly they rattle."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.rattle import rattled
+from dmptm_ctrl.diagnosis.race import meshes_from
+from dmptm_ctrl.diagnosis.rattle import (
+    bands,
+    fed_back,
+    powers,
+    quiet,
+    rattled,
+    tie,
+)
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.identify.records import record
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -50,3 +61,59 @@ def test_known_damping_is_left_alone():
     assert done.model.drive["c"] == 2.0
     np.testing.assert_allclose(done.p, known.p, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(done.covariance, known.covariance)
+
+
+def test_a_closed_loop_is_told_by_the_voltages():
+    """They follow from the speed reading, noise and all; those of an open loop do not."""
+    rig = make_rig(904, friction="karnopp", contact="two_state", sensors="all", logs=LOGS)
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    told = {log.name: fed_back(record(log, paper_drive())) for log in logs}
+    assert told == {name: name.startswith("closed") for name in LOGS}
+
+
+def test_noise_is_taken_from_the_quietest_windows_without_bias():
+    """3e-3 rad/s of noise, white to 500 Hz, and a rattle in two of every ten seconds."""
+    generator = np.random.default_rng(1)
+    dt, deviation = 1e-3, 3e-3
+    times = np.arange(60_000) * dt
+    noise = deviation * generator.standard_normal(times.size)
+    loud = 0.1 * np.sin(2 * np.pi * 90.0 * times) + 0.1 * np.sin(2 * np.pi * 300.0 * times)
+    speed = noise + np.where(times % 10.0 < 2.0, loud, 0.0)
+    white = [2.0 * dt * deviation**2 * (b - a) for a, b in bands(dt)]
+    np.testing.assert_allclose(quiet(powers(speed, dt), dt), white, rtol=0.1)
+
+
+def test_an_unknown_that_follows_others():
+    generator = np.random.default_rng(2)
+    root = generator.standard_normal((4, 4))
+    covariance = root @ root.T
+    before = covariance.copy()
+    rest, slopes = [0, 1, 3], np.array([0.5, -2.0, 0.0, 1.0])
+    tie(covariance, 2, slopes, 0.3)
+    np.testing.assert_array_equal(covariance[np.ix_(rest, rest)], before[np.ix_(rest, rest)])
+    follows = np.linalg.solve(covariance[np.ix_(rest, rest)], covariance[rest, 2])
+    np.testing.assert_allclose(follows, slopes[rest], atol=1e-12)
+    np.testing.assert_allclose(covariance[2, 2] - follows @ covariance[rest, 2], 0.3)
+    tie(covariance, 2)
+    assert not covariance[2, rest].any()
+
+
+def test_damping_follows_the_gaps_that_are_found_later():
+    """Of a fit whose left gap is 15 % too wide; the run rattles alike with both pairs."""
+    rig = make_rig(904, friction="karnopp", contact="two_state", sensors="all", logs=LOGS)
+    drive = paper_drive()
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    measured = measure(logs, drive)
+    start = residual(measured, Model(drive)).base
+    right = rattled(measured.fit, start, drive, 2)
+    (j,) = (j for j, k in enumerate(start.unknowns) if k.name == "gap_l")
+    wide = 1.15 * start.model.drive["gap_l"]
+    p = start.p.copy()
+    p[j] += 0.15 * start.model.drive["gap_l"] / start.unknowns[j].scale
+    wrong = rattled(
+        measured.fit, replace(start, model=start.model.with_values(gap_l=wide), p=p), drive, 2
+    )
+    (k,) = (k for k, unknown in enumerate(start.unknowns) if unknown.name == "c")
+    true, off = right.p[k], wrong.p[k] - right.p[k]
+    assert off > 0.0  # more damping, for the wider gap
+    assert abs(meshes_from(wrong, start).p[k] - true) < 0.3 * off

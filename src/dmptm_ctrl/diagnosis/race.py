@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import widened
-from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, uncouple
+from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, tie
 from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, SATURATED, Trial, bent, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
@@ -334,12 +334,24 @@ def loosely(fit: BalanceFit) -> Known:
 
 
 def meshes_from(start: BalanceFit | Fit, fit: BalanceFit) -> BalanceFit:
-    """Take the damping of meshes and gaps, which balances do not tell, from another fit."""
+    """Take the damping of meshes and gaps, which balances do not tell, from another fit.
+
+    That of the meshes as it follows the rest of the drive.
+    """
     p, covariance = fit.p.copy(), fit.covariance.copy()
-    for j, unknown in enumerate(start.unknowns):
-        if unknown.effect is None and unknown.name in (DAMPING, GAP_DAMPING):
-            uncouple(covariance, j)
-            p[j], covariance[j, j] = start.p[j], start.covariance[j, j]
+    names = [k.name for k in start.unknowns if k.effect is None]
+    if GAP_DAMPING in names:
+        j = names.index(GAP_DAMPING)
+        p[j] = start.p[j]
+        tie(covariance, j, variance=start.covariance[j, j])
+    if DAMPING in names:
+        j = names.index(DAMPING)
+        rest = [i for i in range(len(names)) if i != j]
+        with_rest = start.covariance[rest, j]
+        slopes = np.zeros(p.size)
+        slopes[rest] = np.linalg.solve(start.covariance[np.ix_(rest, rest)], with_rest)
+        p[j] = start.p[j] + slopes[rest] @ (p[rest] - start.p[rest])
+        tie(covariance, j, slopes, start.covariance[j, j] - slopes[rest] @ with_rest)
     return replace(fit, p=p, covariance=covariance)
 
 

@@ -3,7 +3,8 @@
 Each reversal ends in impacts that ring at 60 and 230 Hz. No run predicts their phase, and a
 fit by mean squares would choose too much damping, since silence misses less than a rattle out
 of step. But their power follows the damping closely: whole free runs are compared with the
-logs by it.
+logs by it. Not with logs of a closed loop: there the controller shakes the pinions by what it
+reads of their rattle, a free run with the same voltages does not rattle in step with them.
 """
 
 from collections.abc import Sequence
@@ -12,10 +13,11 @@ from functools import cache
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
+from scipy.stats import chi2
 
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.fit import Misfit, position
+from dmptm_ctrl.identify.fit import Misfit, Unknown, position
 from dmptm_ctrl.identify.records import Record, block_mean
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -28,81 +30,149 @@ NYQUIST_SHARE = 0.9  # of half the sample rate, where the last band ends at the 
 ORDER = 4
 WINDOW_SECONDS = 0.1
 QUIET = 0.05  # share of the windows in which there is nothing but the sensor's noise
+# Of the voltages' power in the upper band, explained by the speed of the same or one of the last
+# samples, above which a loop is closed. Closed: 0.1 to 1, open: 0.01 at most (benchmarks/rigs).
+FED_BACK, LAGS = 0.05, 4
 LEAST = 0.1  # scatter of the logarithm of a power from log to log; less is chance
 PRIOR = 0.6  # standard deviation of the logarithm about the declared value
-# Of the logarithm, by what is wrong alike in all logs: the fit's gaps and friction. On thirty rigs
-# that lack nothing (seed 1607 of benchmarks/rigs) values are off by 0.19, where the logs' scatter
-# alone claims 0.06; what takes this up widens it twofold, as all that balances know.
-COMMON = 0.1
+# What it is told beside: a wider gap, or one that damps less, makes the pinions rattle more.
+BESIDE = ("gap_l", "gap_r", GAP_DAMPING)
+STEP = 0.3  # relative, of the damping itself, for the slope of the power over it
+APART = 0.3  # half-ranges, by which such a value is changed at least, or chance is larger
 
 
 def rattled(records: Sequence[Record], start: BalanceFit, declared: Drive, jobs: int) -> BalanceFit:
     """Return a fit with the damping that the rattle of the records speaks for.
 
-    It comes with its standard deviation. The gap's damping, which not even that tells, is the
-    declared one. What is not among the unknowns of the fit stays as it is.
+    It comes with its standard deviation, and with how it follows the gaps: who knows these better
+    later knows it better, too. The gap's damping, which not even the rattle tells, is the declared
+    one. What is not among the unknowns of the fit stays as it is.
     """
     names = [k.name if k.effect is None else "" for k in start.unknowns]
     covariance = start.covariance.copy()
     model = start.model
     if GAP_DAMPING in names:
         model = model.with_values(**{GAP_DAMPING: declared[GAP_DAMPING]})
-        uncouple(covariance, names.index(GAP_DAMPING))
+        tie(covariance, names.index(GAP_DAMPING))
     if DAMPING in names:
         j = names.index(DAMPING)
-        value, error = damping(records, model, declared, jobs)
+        rattle = Rattle(records, declared, jobs)
+        value, error = rattle.damping(model)
         model = model.with_values(**{DAMPING: value})
-        uncouple(covariance, j)
-        covariance[j, j] = (error / start.unknowns[j].scale) ** 2
+        others = [i for i, name in enumerate(names) if name in BESIDE]
+        sigmas = np.sqrt(covariance[others, others])
+        relative = value / start.unknowns[j].scale
+        slopes = np.zeros(len(names))
+        slopes[others] = relative * rattle.slopes(
+            model, [start.unknowns[i] for i in others], sigmas
+        )
+        tie(covariance, j, slopes, (relative * error) ** 2)
     low, high = ([getattr(k, end) for k in start.unknowns] for end in ("low", "high"))
     p = np.clip(position(model, start.unknowns), low, high)
     return replace(start, model=model, p=p, covariance=covariance)
 
 
-def uncouple(covariance: Floats, j: int) -> None:
-    """Make an unknown independent of the others, in place."""
-    own = covariance[j, j]
+def tie(
+    covariance: Floats, j: int, slopes: Floats | None = None, variance: float | None = None
+) -> None:
+    """Let an unknown follow others by `slopes` and nothing else, in place.
+
+    With a variance of its own beside that; without one it keeps what it has.
+    """
+    own = covariance[j, j] if variance is None else variance
     covariance[j, :] = covariance[:, j] = 0.0
-    covariance[j, j] = own
+    if slopes is None:
+        covariance[j, j] = own
+        return
+    along = covariance @ slopes
+    covariance[j, :] = covariance[:, j] = along
+    covariance[j, j] = own + slopes @ along
 
 
-def damping(
-    records: Sequence[Record], model: Model, declared: Drive, jobs: int
-) -> tuple[float, float]:
-    """Return the meshes' damping and its standard deviation [N·m·s/rad]."""
-    low, high = declared.quantities[DAMPING].range
-    scale = np.log(np.geomspace(max(low, 1e-3 * high), high, VALUES))
-    seen = [powers(rec.omega, rec.dt) for rec in records]
-    noise = np.min([np.quantile(part, QUIET, axis=1) for part in seen], axis=0)
+class Rattle:
+    """The power of the records' rattle, to be compared with that of free runs."""
 
-    def ratios(logarithm: float) -> Floats:
-        tried = model.with_values(**{DAMPING: float(np.exp(logarithm))})
-        runs = Misfit(records, 0.0).runs(tried)
-        return np.array(
-            [
-                np.log((powers(run[:, 1], rec.dt).mean(1) + noise) / part.mean(1))
-                for rec, run, part in zip(records, runs, seen, strict=True)
+    def __init__(self, records: Sequence[Record], declared: Drive, jobs: int) -> None:
+        self.records = [rec for rec in records if not fed_back(rec)] or list(records)
+        self.declared, self.jobs = declared, jobs
+        self.seen = [powers(rec.omega, rec.dt) for rec in self.records]
+        pairs = zip(self.records, self.seen, strict=True)
+        self.noise = np.min([quiet(part, rec.dt) for rec, part in pairs], axis=0)
+
+    def ratios(self, models: Sequence[Model]) -> Floats:
+        """Logarithm of simulated over measured power, (len(models), logs times bands)."""
+
+        def one(model: Model) -> Floats:
+            runs = Misfit(self.records, 0.0).runs(model)
+            parts = zip(self.records, runs, self.seen, strict=True)
+            rows = [
+                np.log((powers(run[:, 1], rec.dt).mean(1) + self.noise) / part.mean(1))
+                for rec, run, part in parts
             ]
-        ).ravel()
+            return np.array(rows).ravel()
 
-    off = np.array(in_threads(ratios, scale, jobs))
-    fine = np.linspace(scale[0], scale[-1], FINER)
-    off = np.array([np.interp(fine, scale, column) for column in off.T])
-    scatter = np.maximum(np.sqrt(np.mean(off**2, axis=0).min()), LEAST)
-    cost = np.sum((off / scatter) ** 2, axis=0) + ((fine - np.log(declared[DAMPING])) / PRIOR) ** 2
-    weight = np.exp(-0.5 * (cost - cost.min()))
-    weight /= weight.sum()
-    mean = float(weight @ fine)
-    spread = float(np.sqrt(weight @ (fine - mean) ** 2))
-    return float(np.exp(mean)), float(np.exp(mean) * np.hypot(spread, COMMON))
+        return np.array(in_threads(one, models, self.jobs))
+
+    def damping(self, model: Model) -> tuple[float, float]:
+        """Return the meshes' damping [N·m·s/rad] and its relative standard deviation."""
+        low, high = self.declared.quantities[DAMPING].range
+        scale = np.log(np.geomspace(max(low, 1e-3 * high), high, VALUES))
+        off = self.ratios([model.with_values(**{DAMPING: float(np.exp(x))}) for x in scale])
+        fine = np.linspace(scale[0], scale[-1], FINER)
+        off = np.array([np.interp(fine, scale, column) for column in off.T])
+        scatter = np.maximum(np.sqrt(np.mean(off**2, axis=0).min()), LEAST)
+        expected = np.log(self.declared[DAMPING])
+        cost = np.sum((off / scatter) ** 2, axis=0) + ((fine - expected) / PRIOR) ** 2
+        weight = np.exp(-0.5 * (cost - cost.min()))
+        weight /= weight.sum()
+        mean = float(weight @ fine)
+        return float(np.exp(mean)), float(np.sqrt(weight @ (fine - mean) ** 2))
+
+    def slopes(self, model: Model, others: Sequence[Unknown], sigmas: Floats) -> Floats:
+        """Relative change of the damping, per unit of others, that leaves the power as it is."""
+
+        def either(name: str, by: float) -> Floats:
+            value = model.drive[name]
+            ends = self.ratios([model.with_values(**{name: value + x}) for x in (by, -by)])
+            return np.asarray(ends[0] - ends[1])
+
+        own = either(DAMPING, STEP * model.drive[DAMPING]) / STEP
+        apart = np.maximum(sigmas, APART)
+        rows = [either(k.name, k.scale * d) / d for k, d in zip(others, apart, strict=True)]
+        return np.array([-(own @ row) / (own @ own) for row in rows])
 
 
 def powers(speed: Floats, dt: float) -> Floats:
     """Power of a speed in each band and window [rad²/s²], (bands, windows)."""
-    top = NYQUIST_SHARE * 0.5 / dt
-    bands = [(a, min(b, top)) for a, b in BANDS_HZ if a < 0.9 * top]
-    rows = [sosfiltfilt(_sections(band, 1.0 / dt), speed) ** 2 for band in bands]
+    rows = [sosfiltfilt(_sections(band, 1.0 / dt), speed) ** 2 for band in bands(dt)]
     return block_mean(np.array(rows), max(1, round(WINDOW_SECONDS / dt)))
+
+
+def bands(dt: float) -> list[tuple[float, float]]:
+    """Bands [Hz] that a sample time leaves."""
+    top = NYQUIST_SHARE * 0.5 / dt
+    return [(a, min(b, top)) for a, b in BANDS_HZ if a < NYQUIST_SHARE * top]
+
+
+def quiet(power: Floats, dt: float) -> Floats:
+    """Power of white noise alone [rad²/s²], (bands,), from the quietest windows.
+
+    Of noise these are below the mean by chance: by the chi-square distribution of two values per
+    hertz and second.
+    """
+    freedom = np.array([2.0 * (b - a) * WINDOW_SECONDS for a, b in bands(dt)])
+    return np.asarray(np.quantile(power, QUIET, axis=1) / (chi2.ppf(QUIET, freedom) / freedom))
+
+
+def fed_back(rec: Record) -> bool:
+    """Tell whether the voltages follow from the speed reading: the loop was closed."""
+    sections = _sections(bands(rec.dt)[-1], 1.0 / rec.dt)
+    u, speed = sosfiltfilt(sections, rec.u.sum(0)), sosfiltfilt(sections, rec.omega)
+    size = float(np.sqrt((u @ u) * (speed @ speed)))
+    if size == 0.0:
+        return False
+    products = [u[lag:] @ speed[: speed.size - lag] for lag in range(LAGS)]
+    return bool((np.max(np.abs(products)) / size) ** 2 > FED_BACK)
 
 
 @cache  # to design it takes longer than to filter a log

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
-from tests.recovery.test_tables import decided, halved, table
+from tests.recovery.test_tables import LOGS, decided, halved, left_by, table, table_of
 
+from dmptm_ctrl.diagnosis.tables import TORQUE, tabulate
 from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.effects.lookup import DRAG
 
 
 def test_ripple_in_proportion_to_the_voltage():
@@ -20,3 +22,29 @@ def test_ripple_in_proportion_to_the_voltage():
     # of the mean voltage, at the ring gear, from both motors
     assert 2.0 * ratio * size == pytest.approx(true["N_m_per_V"], rel=0.3)
     assert halved(decision)
+
+
+def test_brake_in_a_sector_of_the_turn():
+    """Where it begins and ends, and that it grows with the speed; the next turn meets it again."""
+    logs = (*LOGS, "open_square_0v60")
+    left, true = left_by(506, (("sector_brake", 3.0),), "load", "eq21", logs=logs)
+    true = true["sector_brake"]
+    found = tabulate(left, ("theta_L",), 2)
+    assert found.names == (TORQUE,)
+    values, places, knots = table_of(found.left, TORQUE)
+    assert values["variable"] == DRAG
+    away = np.abs(np.rad2deg(places) - true["place_deg"])
+    inside = knots[away < 0.8 * true["half_width_deg"]]
+    # the drive's own viscous friction takes up what is everywhere
+    outside = knots[away > 1.2 * true["half_width_deg"]]
+    assert np.median(outside) - np.median(inside) == pytest.approx(true["N_m_s_rad"], rel=0.1)
+    assert values["high"] - values["low"] < np.deg2rad(4.0 * true["half_width_deg"] + 60.0)
+
+
+def test_a_name_goes_before_a_curve_that_says_no_more(monkeypatch):
+    """Too little for a second effect, but with it no curve is needed."""
+    monkeypatch.setattr("dmptm_ctrl.diagnosis.decide.SECOND", np.inf)
+    effects = (("cogging", 3.0), ("drive_offset", 3.0))
+    decision, _ = decided(504, effects, "all", "eq21")
+    assert {found.name for found in decision.found} == {"cogging", "drive_offset"}
+    assert decision.unexplained is None

@@ -8,11 +8,11 @@ from dmptm_ctrl.diagnosis.decide import decide
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.tables import HELD, KNOTS, MOTOR, TORQUE, narrowed, tabulate
+from dmptm_ctrl.diagnosis.tables import HELD, KNOTS, MOTOR, narrowed, tabulate
 from dmptm_ctrl.diagnosis.unknown import interval
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.effects.lookup import CLOCK, DRAG
+from dmptm_ctrl.effects.lookup import CLOCK
 from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
@@ -68,23 +68,6 @@ def test_motor_without_power_at_fixed_intervals():
     assert halved(decision)
 
 
-def test_brake_in_a_sector_of_the_turn():
-    """Where it begins and ends, and that it grows with the speed; the next turn meets it again."""
-    logs = (*LOGS, "open_square_0v60")
-    left, true = left_by(506, (("sector_brake", 3.0),), "load", "eq21", logs=logs)
-    true = true["sector_brake"]
-    found = tabulate(left, ("theta_L",), 2)
-    assert found.names == (TORQUE,)
-    values, places, knots = table_of(found.left, TORQUE)
-    assert values["variable"] == DRAG
-    away = np.abs(np.rad2deg(places) - true["place_deg"])
-    inside = knots[away < 0.8 * true["half_width_deg"]]
-    # the drive's own viscous friction takes up what is everywhere
-    outside = knots[away > 1.2 * true["half_width_deg"]]
-    assert np.median(outside) - np.median(inside) == pytest.approx(true["N_m_s_rad"], rel=0.1)
-    assert values["high"] - values["low"] < np.deg2rad(4.0 * true["half_width_deg"] + 60.0)
-
-
 def test_both_motors_ripple_alike_each_at_its_own_angle():
     """A table of the whole turn would have a few knots per wave, and one angle for both."""
     left, true = left_by(505, (("torque_ripple", 3.0),), "all", "eq21")
@@ -97,15 +80,6 @@ def test_both_motors_ripple_alike_each_at_its_own_angle():
     size = np.hypot(*np.linalg.lstsq(np.column_stack([np.cos(phase), np.sin(phase)]), knots)[0])
     assert size == pytest.approx(true["share"] * GAIN, rel=0.1)
     assert set(values) == {p.name for p in CATALOGUE[MOTOR].parameters}  # the report shows all
-
-
-def test_a_name_goes_before_a_curve_that_says_no_more(monkeypatch):
-    """Too little for a second effect, but with it no curve is needed."""
-    monkeypatch.setattr("dmptm_ctrl.diagnosis.decide.SECOND", np.inf)
-    effects = (("cogging", 3.0), ("drive_offset", 3.0))
-    decision, _ = decided(504, effects, "all", "eq21")
-    assert {found.name for found in decision.found} == {"cogging", "drive_offset"}
-    assert decision.unexplained is None
 
 
 @pytest.mark.parametrize("period", [0.3, 0.725, 1.37, 4.2])

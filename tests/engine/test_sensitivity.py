@@ -90,7 +90,7 @@ def test_slopes_agree_with_whole_runs_side_by_side(names, monkeypatch):
     time = DT * np.arange(401)
     u = 0.9 * np.sin(2 * np.pi * 4.0 * time) + np.array([[0.05], [-0.05]])
     found = simulate_with_sensitivities(Model(), time, u, names)
-    monkeypatch.setattr(sensitivity, "_plain", lambda arrays: False)
+    monkeypatch.setattr(sensitivity, "_plain", lambda *_: False)
     other = simulate_with_sensitivities(Model(), time, u, names)
     z = found.outputs[OUTPUTS.index("z_l")]
     assert np.ptp(np.sign(z)) == 2.0  # both flanks

@@ -163,7 +163,7 @@ def march_many(
         begin=begin,
     )
     count = len(arrays)
-    starts = np.array(np.broadcast_to(x0, (count, 6)), float)
+    starts = np.array(np.broadcast_to(x0, (count, 6)), float, order="C")
     kept, _ = _all(task, arrays, starts, np.tile(_OPEN, (count, 1)), jobs)
     return kept.transpose(0, 2, 1)
 

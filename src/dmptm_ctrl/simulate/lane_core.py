@@ -778,8 +778,8 @@ def march_groups(
             pick[0, lane] = k if u.shape[0] > 1 else 0
             pick[1, lane] = k if target.shape[0] > 1 else 0
             pick[2, lane] = k if measured.shape[0] > 1 else 0
-            if laws.shape[0] > 0:
-                own[lane] = laws[k]
+            for number in range(own.shape[1]):  # numba compiles the copy of a slice for seconds
+                own[lane, number] = laws[k, number]
         if stats.size > 0:
             part[:] = 0.0
             part[0] = np.inf
@@ -790,4 +790,7 @@ def march_groups(
             *(used, s, columns, every, out[first:end], part),
         )
         if stats.size > 0:
-            stats[:, :, first:end] = part[:, :, : end - first]
+            for what in range(4):
+                for column in range(COLUMNS):
+                    for k in range(first, end):
+                        stats[what, column, k] = part[what, column, k - first]

@@ -20,7 +20,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
-from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.compose import engine, layout
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 
@@ -58,8 +58,30 @@ class Sensitivities(NamedTuple):
     exists: NDArray[np.bool_]
 
 
-def _moved(model: Model, name: str, share: float) -> tuple[Model, float]:
-    """Return the model with one parameter moved by a share of its size, and by how much."""
+class _Place(NamedTuple):
+    """Where a parameter stands in the arrays of a model, and how far it is moved."""
+
+    slot: int  # of the drive's numbers, or of the effects'
+    step: float
+    effect: str  # or "" for the drive
+
+    def move(self, arrays: Arrays, ways: float = 1.0) -> Arrays:
+        """Copy of the arrays with the parameter moved by some steps."""
+        base, on, values = arrays
+        if not self.effect:
+            base = base.copy()
+            base[self.slot] += ways * self.step
+            return base, on, values
+        on, values = on.copy(), values.copy()
+        values[self.slot] += ways * self.step
+        number, first = layout()[self.effect]
+        parameters = CATALOGUE[self.effect].parameters
+        on[number] = any(not p.bank and values[first + k] for k, p in enumerate(parameters))
+        return base, on, values
+
+
+def _place(model: Model, name: str, values: Floats) -> _Place:
+    """Where a parameter is; `values` are those of all effects."""
     effect, _, parameter = name.rpartition(".")
     if not effect:
         if parameter not in model.drive:
@@ -67,19 +89,16 @@ def _moved(model: Model, name: str, share: float) -> tuple[Model, float]:
         value = model.drive[parameter]
         if value == 0.0:
             raise ValueError(f"{parameter} is zero: its size is not known; give it a value")
-        step = share * abs(value)
-        return model.with_values(**{parameter: value + step}), step
-    places = [p.name for p in CATALOGUE[effect].parameters] if effect in CATALOGUE else []
-    if parameter not in places:
+        return _Place(BASE.index(parameter), STEP * abs(value), "")
+    names = [p.name for p in CATALOGUE[effect].parameters] if effect in CATALOGUE else []
+    if parameter not in names:
         raise ValueError(f"no parameter {name!r}; effects are named as in 'cogging.left_cosine'")
-    found = CATALOGUE[effect].parameters[places.index(parameter)]
-    values = {**CATALOGUE[effect].absent(), **model.effects.get(effect, {})}
-    value = values[parameter]
-    step = share * max(abs(value), found.step)
-    if value + step < found.low and share < 0.0:
+    found = CATALOGUE[effect].parameters[names.index(parameter)]
+    index = layout()[effect][1] + names.index(parameter)
+    step = STEP * max(abs(values[index]), found.step)
+    if values[index] - step < found.low:
         raise ValueError(f"{name} is at its lower bound {found.low:g}: no derivative from below")
-    values[parameter] = value + step
-    return model.with_effect(effect, **values), step
+    return _Place(index, step, effect)
 
 
 def simulate_with_sensitivities(
@@ -125,19 +144,12 @@ def simulate_with_sensitivities(
     )
     if len(parameters) == 0:
         raise ValueError("parameters is empty; name at least one")
-    moved = [_moved(model, name, STEP) for name in parameters]
-    arrays = [m.arrays() for m in (model, *(m for m, _ in moved))]
-    steps = np.array([step for _, step in moved])
+    here = model.arrays()
+    places = [_place(model, name, here[2]) for name in parameters]
     dt = (time[-1] - time[0]) / (time.size - 1)
-    if _plain(arrays):
-        groups = [range(k, min(k + GROUP, steps.size)) for k in range(0, steps.size, GROUP)]
-        tasks = [
-            (
-                [arrays[0], *(arrays[1 + k] for k in group), _back(model, parameters, group)],
-                *(u, x0, dt, substeps, steps[group.start : group.stop]),
-            )
-            for group in groups
-        ]
+    if _plain(here, places):
+        groups = [places[k : k + GROUP] for k in range(0, len(places), GROUP)]
+        tasks = [(here, group, u, x0, dt, substeps) for group in groups]
         if len(tasks) == 1:
             parts = [_along(*tasks[0])]
         else:
@@ -147,7 +159,8 @@ def simulate_with_sensitivities(
             derivatives = np.concatenate([part[1] for part in parts])
             exists = np.logical_and.reduce([part[2] for part in parts])
         return Sensitivities(time, outputs, tuple(parameters), derivatives, exists)
-    arrays.append(_back(model, parameters, range(steps.size)))
+    arrays = [here, *(place.move(here) for place in places), _back(here, places)]
+    steps = np.array([place.step for place in places])
     runs = march_many(arrays, u, x0, dt, substeps=substeps, jobs=jobs).transpose(0, 2, 1)
     outputs, changes = runs[0], runs[1:] - runs[0]
     derivatives = changes[:-1] / steps[:, None, None]
@@ -155,30 +168,30 @@ def simulate_with_sensitivities(
     return Sensitivities(time, outputs, tuple(parameters), derivatives, exists)
 
 
-def _back(model: Model, parameters: Sequence[str], group: range) -> Arrays:
-    """Numbers of the model with some of the parameters moved the other way."""
-    for k in group:
-        model, _ = _moved(model, parameters[k], -STEP)
-    return model.arrays()
+def _back(arrays: Arrays, places: Sequence[_Place]) -> Arrays:
+    """Numbers of a model with parameters moved the other way, all of them together."""
+    for place in places:
+        arrays = place.move(arrays, -1.0)
+    return arrays
 
 
-def _plain(arrays: Sequence[Arrays]) -> bool:
+def _plain(arrays: Arrays, places: Sequence[_Place]) -> bool:
     """Whether no effect acts and nothing moves but what `tangent_core` knows the slopes of."""
-    if any(on.any() for _, on, _ in arrays):
-        return False
-    bases = np.array([base for base, _, _ in arrays])
-    same = bases[1:, LEFT_ALONE] == bases[0, LEFT_ALONE]
-    return bool(same.all() and (bases[0, NEUTRAL] == (0.0, 1.0, 1.0)).all())
+    base, on, _ = arrays
+    known = not any(place.effect or place.slot in LEFT_ALONE for place in places)
+    return known and not on.any() and bool((base[NEUTRAL] == (0.0, 1.0, 1.0)).all())
 
 
 def _along(
-    arrays: Sequence[Arrays], u: Floats, x0: Floats, dt: float, substeps: int, steps: Floats
+    arrays: Arrays, places: Sequence[_Place], u: Floats, x0: Floats, dt: float, substeps: int
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Outputs of a run, its derivatives and where they exist, by `tangent_core`."""
     n = u.shape[1]
     outputs, back = np.empty((len(OUTPUTS), n)), np.empty((len(OUTPUTS), n))
-    derivatives = np.empty((steps.size, len(OUTPUTS), n))
-    bases = np.array([base for base, _, _ in arrays])
+    derivatives = np.empty((len(places), len(OUTPUTS), n))
+    moved = [place.move(arrays) for place in places]
+    bases = np.array([base for base, _, _ in (arrays, *moved, _back(arrays, places))])
+    steps = np.array([place.step for place in places])
     many = None if steps.size <= FEW else True  # two loops, compiled as they are needed
     split = engine().march_tangents(
         u, x0, dt, substeps, bases, steps, outputs, derivatives, back, many

@@ -174,6 +174,37 @@ def test_presliding_is_dahls_curve(coulomb, method, options, tolerance):
 
 
 @pytest.mark.parametrize(("method", "options", "tolerance"), METHODS)
+def test_bristles_ring_with_their_damping_ratio(coulomb, method, options, tolerance):
+    """Pushed a little, the body swings on a spring Tc/x0: step response of ω0 and ζ.
+
+    How much else it does goes with the push: half of it is half as far from the linear one.
+    """
+    ratio, distance = 0.3, 2e-3
+    model = coulomb.with_values(B3_plus=0.0, B3_minus=0.0).with_effect(
+        "presliding", reducer_distance=distance, damping=ratio
+    )
+    drive = model.drive
+    inertia = drive["J_2"] + drive["N_1"] ** 2 * drive["J_m"]
+    natural = np.sqrt(drive["T3c_plus"] / distance / inertia)
+    damped = natural * np.sqrt(1.0 - ratio**2)
+    time = DT * np.arange(121)
+    decay = np.exp(-ratio * natural * time)
+    swing = np.cos(damped * time) + ratio * natural / damped * np.sin(damped * time)
+    assert damped * time[-1] > 2.0 * np.pi
+
+    def off(volts):
+        u = np.full((2, time.size), volts)
+        found = simulate(model, time, u, np.zeros(6), method=method, **options).outputs
+        x = found[OUTPUTS.index("theta_ml")] / drive["N_1"]
+        force = volts * drive["N_1"] * drive["K_d"] * drive["K_M"]
+        return np.abs(x * drive["T3c_plus"] / (force * distance) - (1.0 - decay * swing)).max()
+
+    far, near = off(2e-3), off(1e-3)
+    assert far < 0.02
+    assert near == pytest.approx(0.5 * far, rel=0.05)
+
+
+@pytest.mark.parametrize(("method", "options", "tolerance"), METHODS)
 def test_viscous_friction_that_acts_at_once_needs_no_distance(coulomb, method, options, tolerance):
     """Without dry friction, ω = T/B (1 − e^(−Bt/J)); built up over a distance it comes later."""
     damping = 4.0

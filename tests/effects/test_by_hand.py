@@ -5,6 +5,8 @@ from math import cos, e, exp, log, pi, sin, sqrt
 import pytest
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.effects.presliding import bristle_lag, fading
+from dmptm_ctrl.effects.stribeck import stribeck_law
 
 RAMP = [2.0 * i for i in range(32)]  # knots of a table
 
@@ -60,8 +62,8 @@ BY_HAND = [
      (1.0, 10.0 * exp(-0.5 * ((2 * pi - 6.1) / 0.1) ** 2))),
     ("local_spot", (10.0, 3.0, 0.1), (3.0, 1.0, 0.0, 5.0, 1), (1.0, 0.0)),
     ("thermal_drift", (0.4, 0.2, 6.0), (0.0, 1.0, 6.0, 5.0, 1), (1.0 + 0.4 / e, 0.0)),
-    ("presliding", (5e-4, 1e-4, 1.0), (1,), (5e-4, 1.0)),
-    ("presliding", (5e-4, 1e-4, 0.0), (2,), (1e-4, 0.0)),
+    ("presliding", (5e-4, 1e-4, 1.0, 0.4), (1,), (5e-4, 1.0, 0.4)),
+    ("presliding", (5e-4, 1e-4, 0.0, 0.4), (2,), (1e-4, 0.0, 0.4)),
     ("unknown_breakaway", (5.0, 0.01, 2e-4), (0.09, 2), (5.0 * log(10.0), 2e-4)),
     ("unknown_breakaway", (5.0, 0.01, 2e-4), (0.09, 1), (0.0, 0.0)),
     ("unknown_breakaway", (0.0, 0.01, 2e-4), (0.09, 2), (0.0, 0.0)),
@@ -114,6 +116,16 @@ def test_by_hand(name, values, arguments, expected):
     effect = CATALOGUE[name]
     result = effect.kernel(*arguments, effect.values(*values))
     assert result == pytest.approx(expected, rel=1e-12, abs=1e-15)
+
+
+def test_damping_of_bristles_by_hand():
+    """Stiffness 20 N·m over 2e-4 rad is 1e5; √(2.5/1e5) = 5 ms, twice ζ of it; at Ω half of it."""
+    law = stribeck_law(25.0, 22.0, 0.02, 60.0, 25.0, 18.0, 0.04, 60.0, 1.0)
+    assert bristle_lag(2e-4, 0.4, 2.5, law) == pytest.approx(4e-3, rel=1e-12)
+    assert fading(0.02, 1.0, law) == pytest.approx(0.5, rel=1e-12)
+    assert fading(-0.02, -1.0, law) == pytest.approx(1.0 / 1.5, rel=1e-12)
+    frictionless = law._replace(coulomb_plus=0.0, coulomb_minus=0.0)
+    assert bristle_lag(2e-4, 0.4, 2.5, frictionless) == 0.0
 
 
 def test_every_effect_of_this_package_is_done_by_hand():

@@ -168,7 +168,7 @@ class Windowed:
         """Friction on pinions and ring gear, three of (n,) and window means (3, w) [N·m]."""
         bristles = engine().presliding_law
         found = [
-            self.friction(body, law, *bristles(body, on, values))
+            self.friction(body, law, *bristles(body, on, values)[:2])
             for body, law in enumerate(laws(base))
         ]
         return [row for row, _ in found], np.array([mean for _, mean in found])

@@ -135,6 +135,7 @@ def body_rates(
         friction = x[2] + direction * sites.at_once(body, *given)
         level = direction * sites.sliding(body, *given)
         built_up = abs(omega) * (level - friction) / distance
+        friction += sites.bristle_damping(body, direction, omega, inertia, built_up)
         return [omega, (net - friction) / inertia, built_up, *older]
     if abs(omega) <= REST_SPEED:
         direction = 1.0 if net > 0.0 else -1.0

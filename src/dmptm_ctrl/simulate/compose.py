@@ -19,7 +19,7 @@ from types import ModuleType
 from typing import Any, TypeVar
 
 from dmptm_ctrl.contract import SITES, Effect
-from dmptm_ctrl.effects import CATALOGUE, backlash, stribeck
+from dmptm_ctrl.effects import CATALOGUE, backlash, presliding, stribeck
 from dmptm_ctrl.simulate import elementary
 
 NARROW, WIDE = 8, 16  # lanes
@@ -48,8 +48,8 @@ _CHAINS: dict[str, tuple[str, str, str, str]] = {
     "presliding": (
         "presliding_law",
         "body",
-        "0.0, 0.0",
-        "c = {call}; r = (r[0] + c[0], max(r[1], c[1]))",
+        "0.0, 0.0, 0.0",
+        "c = {call}; r = (r[0] + c[0], max(r[1], c[1]), max(r[2], c[2]))",
     ),
     "ageing": (
         "aged_friction",
@@ -94,12 +94,13 @@ _KERNEL_ARGS = {"delay": "0", "lag": "u, side"}  # a delay is the same on both s
 _OWN_KERNELS = (
     *("landing", "mesh_region", "mesh_torque", "region_torque"),
     *("stribeck_law", "breakaway_torque", "sliding_torque", "viscous_torque"),
+    *("bristle_lag", "fading"),
 )
 
 
 _INLINE = (
     *("held_average", "slide", "stop", "slide_or_stick", "preslide", "friction_step", "mesh_step"),
-    "aged",
+    *("aged", "bristles_of"),
     *("law", "plain_region", "level_stage"),
     *("section", "direction_of", "friction_along", "built_up", "feed_forward", "undone"),
     *(
@@ -134,6 +135,7 @@ from dmptm_ctrl.effects.backlash import (
     mesh_torque,
     region_torque,
 )
+from dmptm_ctrl.effects.presliding import bristle_lag, fading
 from dmptm_ctrl.effects.stribeck import (
     Stribeck,
     breakaway_torque,
@@ -271,7 +273,7 @@ def _compiled(text: str) -> str:
 
 
 def _key(text: str, effects: Mapping[str, Effect] = CATALOGUE) -> str:
-    parts = [text, *(inspect.getsource(m) for m in (backlash, stribeck, elementary))]
+    parts = [text, *(inspect.getsource(m) for m in (backlash, presliding, stribeck, elementary))]
     for effect in effects.values():
         module = sys.modules.get(effect.kernel.__module__)
         file = getattr(module, "__file__", None)

@@ -64,7 +64,7 @@ def friction_along(omega, way, theta, t, mesh, body, law, active, on, values):
 @njit
 def built_up(friction, omega, dt, body, memory, on, values):
     """Friction that takes a distance to build up [N·m]; memory holds what does, per body."""
-    distance, share = presliding_law(body, on, values)
+    distance, share, _ = presliding_law(body, on, values)
     if distance <= 0.0:
         return friction[0]
     at_once = share * friction[1]

@@ -24,6 +24,7 @@ from dmptm_ctrl.effects.backlash import (
     mesh_torque,
     region_torque,
 )
+from dmptm_ctrl.effects.presliding import bristle_lag, fading
 from dmptm_ctrl.effects.stribeck import (
     breakaway_torque,
     sliding_torque,
@@ -161,9 +162,9 @@ def march(
     lag_time = speed_delay(on, values) / h
     lagging = lag_relaxation(0.0, 0, on, values)[1] > 0.0
     bristles = (
-        presliding_law(0, on, values),
-        presliding_law(1, on, values),
-        presliding_law(2, on, values),
+        bristles_of(presliding_law(0, on, values), mobility_3, h, reducer),
+        bristles_of(presliding_law(1, on, values), mobility_3, h, reducer),
+        bristles_of(presliding_law(2, on, values), mobility_l, h, bearing),
     )
 
     q0, q1, q2 = x0[0], x0[1], x0[2]
@@ -368,10 +369,23 @@ def march(
 
 @njit
 def friction_step(v, v_mid, force, mobility, h, law, scale, added, bristles, bristle):
-    """Speed and presliding torque after one step; `bristles` as of the site."""
+    """Speed and presliding torque after one step; `bristles` as of `bristles_of`."""
     if bristles[0] <= 0.0:
         return slide_or_stick(v, v_mid, force, mobility, law, scale, added), 0.0
     return preslide(v, v_mid, force, mobility, h, law, scale, added, bristles, bristle)
+
+
+@njit
+def bristles_of(site, mobility, h, law):
+    """Distance, share of viscous friction at once and lag [s] of a body's bristles.
+
+    So short a distance that the step cannot follow the body on it has no more damping than the
+    step can take.
+    """
+    distance, share, damping = site
+    inertia = h / mobility
+    lag = bristle_lag(distance, damping, inertia, law)
+    return distance, share, min(lag, bristle_lag(distance, 0.5, inertia, law) ** 2 / h)
 
 
 @njit
@@ -395,8 +409,9 @@ def preslide(v, v_mid, force, mobility, h, law, scale, added, bristles, bristle)
     # of what is left to build up, after half of the step; one at rest, where nothing does
     half = exp(-0.5 * abs(v_mid) * h / bristles[0])
     middle = bristle + (level - bristle) * (1.0 - half)
-    new = v + (force - middle - at_once) * mobility
-    return new, bristle + (level - bristle) * (1.0 - half * half)
+    built = (level - bristle) * (1.0 - half * half)
+    damping = bristles[2] * fading(v_mid, direction, law) * built / h
+    return v + (force - middle - damping - at_once) * mobility, bristle + built
 
 
 @njit

@@ -24,6 +24,7 @@ from dmptm_ctrl.simulate.core import (
     MIN_COMPLIANCE,
     UNKNOWN,
     aged,
+    bristles_of,
     held_average,
     mesh_step,
     preslide,
@@ -84,9 +85,9 @@ GAIN, J_MOTOR, DEAD, LATE, COMPLIANCE, SHAFT = range(114 * LANES, 120 * LANES, L
 KP, KI, LIMIT, BIAS0, BIAS1, INTEGRAL, NOTHING = range(120 * LANES, 127 * LANES, LANES)
 N1, N2, TEETH, K_M, K_A, PHASE, GAP0, GAP1 = range(127 * LANES, 135 * LANES, LANES)
 # Bodies: age of the contact in the middle of the step, slip that makes it new; share of viscous
-# friction that presliding does not hold back.
-AGE, RENEW, AT_ONCE = range(135 * LANES, 144 * LANES, 3 * LANES)
-OUT = 144 * LANES
+# friction that presliding does not hold back, lag of its bristles.
+AGE, RENEW, AT_ONCE, BRISTLE_LAG = range(135 * LANES, 147 * LANES, 3 * LANES)
+OUT = 147 * LANES
 VALUES = OUT + COLUMNS * LANES
 
 
@@ -119,7 +120,6 @@ def fill(s, lane, x0, loop, h, dt, base, on, values):
     for body in range(3):
         row = body * LANES + lane
         s[SCALE + row] = 1.0
-        s[DISTANCE + row], s[AT_ONCE + row] = presliding_law(body, on, values)
         s[RENEW + row] = aged_friction(0.0, body, on, values)[1]
         s[AGE + row] = aged(0.0, x0[3 + body], 0.5 * h, s[RENEW + row])
         s[MOBILITY + row] = h / (
@@ -127,6 +127,9 @@ def fill(s, lane, x0, loop, h, dt, base, on, values):
         )
         for k in range(9):
             s[LAW + 3 * k * LANES + row] = base[(24 if body == 2 else 15) + k]
+        s[DISTANCE + row], s[AT_ONCE + row], s[BRISTLE_LAG + row] = bristles_of(
+            presliding_law(body, on, values), s[MOBILITY + row], h, law(s, row, 1.0)
+        )
 
 
 @njit
@@ -345,7 +348,7 @@ def presliding_stage(s, width, h):
             law(s, row, 1.0),
             s[SCALE + row],
             s[ADDED + row],
-            (distance if gives else 1.0, s[AT_ONCE + row]),
+            (distance if gives else 1.0, s[AT_ONCE + row], s[BRISTLE_LAG + row]),
             s[BRISTLE + row],
         )
         s[NEW + row] = new if gives else s[NEW + row]
@@ -366,7 +369,7 @@ def general_presliding_stage(s, width, h):
                 law(s, row, s[DELTA + row]),
                 s[SCALE + row],
                 s[ADDED + row],
-                (s[DISTANCE + row], s[AT_ONCE + row]),
+                (s[DISTANCE + row], s[AT_ONCE + row], s[BRISTLE_LAG + row]),
                 s[BRISTLE + row],
             )
 

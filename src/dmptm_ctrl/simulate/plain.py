@@ -11,6 +11,7 @@ from typing import Any
 from dmptm_ctrl.contract import SITES
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects import backlash as mesh_kernels
+from dmptm_ctrl.effects import presliding as bristle_kernels
 from dmptm_ctrl.effects import stribeck as friction_kernels
 from dmptm_ctrl.effects.backlash import Backlash
 from dmptm_ctrl.effects.stribeck import stribeck_law
@@ -31,6 +32,8 @@ mesh_torque = mesh_kernels.mesh_torque
 _breakaway = uncompiled(friction_kernels.breakaway_torque)
 _sliding = uncompiled(friction_kernels.sliding_torque)
 _viscous = uncompiled(friction_kernels.viscous_torque)
+_bristle_lag = uncompiled(bristle_kernels.bristle_lag)
+_fading = uncompiled(bristle_kernels.fading)
 
 
 class Sites:
@@ -69,6 +72,7 @@ class Sites:
         ]
         self.distances = tuple(sum(law[0] for law in laws) for laws in bristles)
         self._at_once = [max((law[1] for law in laws), default=0.0) for laws in bristles]
+        self._dampings = [max((law[2] for law in laws), default=0.0) for laws in bristles]
         self.renewals = tuple(self.aged_friction(body, 0.0)[1] for body in range(3))
 
     def has(self, site: str) -> bool:
@@ -170,6 +174,16 @@ class Sites:
         mesh, age = (*mesh_age, 0.0)[:2]
         scale, _ = self._friction(body, theta, omega, t, mesh, age)
         return self._at_once[body] * scale * _viscous(omega, direction, self.laws[body])
+
+    def bristle_damping(
+        self, body: int, direction: float, omega: float, inertia: float, rate: float
+    ) -> float:
+        """Friction [N·m] of bristles whose torque changes at `rate` [N·m/s]."""
+        if self._dampings[body] == 0.0:
+            return 0.0
+        law = self.laws[body]
+        lag = _bristle_lag(self.distances[body], self._dampings[body], inertia, law)
+        return lag * _fading(omega, direction, law) * rate
 
     def load_torque(self, theta_L: float, omega_L: float, t: float) -> float:
         """Torque of the load's effects on the ring gear [N·m]."""

@@ -85,6 +85,9 @@ class _Hybrid:
         for body in range(3):
             omega, motion = y[SPEED + body], self.motion[body]
             age = y[AGE + body]
+            inertia = sites.ring_inertia
+            if body != RING:
+                inertia = sites.pinion_inertia + (sites.motor_inertia if rigid else 0.0)
             if sites.renewals[body] > 0.0:
                 rate[AGE + body] = sites.ageing(body, omega, age)
             if sites.distances[body] > 0.0:
@@ -92,15 +95,14 @@ class _Hybrid:
                 at_once = motion * sites.at_once(body, *given)
                 friction = y[BRISTLE + body] + at_once
                 level = motion * sites.sliding(body, *given)
-                rate[BRISTLE + body] = abs(omega) * (level - friction) / sites.distances[body]
+                built_up = abs(omega) * (level - friction) / sites.distances[body]
+                rate[BRISTLE + body] = built_up
+                friction += sites.bristle_damping(body, motion, omega, inertia, built_up)
             elif motion == 0.0:
                 continue
             else:
                 level = sites.sliding(body, motion, y[body], omega, t, carried[body], age)
                 friction = motion * level
-            inertia = sites.ring_inertia
-            if body != RING:
-                inertia = sites.pinion_inertia + (sites.motor_inertia if rigid else 0.0)
             rate[body] = omega
             rate[SPEED + body] = (net[body] - friction) / inertia
         for side in (0, 1):

@@ -56,8 +56,8 @@ def friction_level(theta, omega, t, mesh_torque, body, on, values):
 
 @njit
 def presliding_law(body, on, values):
-    """Relaxation distance [rad], and share of viscous friction that acts at once."""
-    return 0.0, 0.0
+    """Relaxation distance [rad], share of viscous friction that acts at once, damping ratio."""
+    return 0.0, 0.0, 0.0
 
 
 @njit

@@ -30,3 +30,13 @@ def test_mean_of_runs_that_differ_in_their_meshes():
     )
     both = 0.5 * (single + expected(other, VOLTS, x0, DT, runs=1))
     np.testing.assert_allclose(expected(model, VOLTS, x0, DT, runs=2), both, rtol=1e-6, atol=1e-9)
+
+
+def test_runs_begin_anywhere_in_the_count_of_the_encoder():
+    """Where what turns with the motors depends on the angle, their mean is another; else not."""
+    rounded, x0 = 1e-3, rest(Model(), 0.1)
+    cogging = Model().with_effect("cogging", left_cosine=0.05, order=6.0)
+    for model, differs in ((Model(), False), (cogging, True)):
+        exact = expected(model, VOLTS, x0, DT, runs=4)[:, 1]
+        begun = expected(model, VOLTS, x0, DT, runs=4, count=rounded)[:, 1]
+        assert (np.abs(begun - exact).max() > 1e-3 * np.ptp(exact)) == differs

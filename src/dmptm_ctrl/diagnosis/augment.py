@@ -10,10 +10,11 @@ from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
+from dmptm_ctrl.identify.ensemble import smoothed
 from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit
 from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, level, lock
-from dmptm_ctrl.identify.longer import longer
 from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
 # Factor on the variance: what a friction law has wrong is wrong alike in neighbouring windows.
@@ -51,7 +52,7 @@ def augment(
     also : sequence of Record
         Reversals that are met as well.
     onward : bool
-        Whether a model that keeps step with all goes on with those that can be told for longer.
+        Whether it goes on with whole logs, for as long as that meets them better.
     """
     start = rattled(records, start, declared, jobs)
     unknowns = (*start.unknowns, *beside)
@@ -78,13 +79,15 @@ def augment(
             best = whole
     done = Fit(best.model, unknowns, best.p, best.covariance, locked.horizon)
     if onward:
-        done = longer(met, done, loosely, jobs)
+        further = smoothed(records, done, loosely, jobs)
+        best = min((done, *further), key=lambda one: missed(one.model, records, jobs))
+        done = replace(done, model=best.model, p=best.p)
     return replace(done, covariance=honest(done, start))
 
 
-def missed(model: Model, records: Sequence[Record]) -> float:
+def missed(model: Model, records: Sequence[Record], jobs: int = 1) -> float:
     """How badly the expected motion meets the speed below 30 Hz: sum of the logs' logarithms."""
-    runs = [expected(model, rec.u, rec.x0, rec.dt) for rec in records]
+    runs = in_threads(lambda rec: expected(model, rec.u, rec.x0, rec.dt), records, jobs)
     squares = [
         np.mean(low_pass(rec.omega - run[:, 1], rec.dt) ** 2)
         for rec, run in zip(records, runs, strict=True)

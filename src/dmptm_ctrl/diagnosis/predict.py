@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
-from dmptm_ctrl.identify.records import true_angle
+from dmptm_ctrl.identify.records import RING_COUNT, true_angle
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, march, rest
@@ -41,10 +41,12 @@ def free_run(model: Model, log: Log, *, runs: int = RUNS) -> Floats:
     """
     u = np.array([log["u_left"], log["u_right"]])
     x0 = rest(model, true_angle(model, float(log["theta_L"][0])))
-    return expected(model, u, x0, log.sample_time, runs=runs)
+    return expected(model, u, x0, log.sample_time, runs=runs, count=RING_COUNT)
 
 
-def expected(model: Model, u: Floats, x0: Floats, dt: float, *, runs: int = RUNS) -> Floats:
+def expected(
+    model: Model, u: Floats, x0: Floats, dt: float, *, runs: int = RUNS, count: float = 0.0
+) -> Floats:
     """Mean of a model's free run and of those with meshes changed by :data:`SPREAD`.
 
     Parameters
@@ -52,23 +54,28 @@ def expected(model: Model, u: Floats, x0: Floats, dt: float, *, runs: int = RUNS
     u : (2, n) array [V]
     x0 : (6,) array
         As for :func:`~dmptm_ctrl.simulate.compiled.march`.
+    count : float
+        To which the ring gear's first angle is rounded [rad]; the others begin anywhere in it.
 
     Returns
     -------
     (n, 8) array
         Columns of `compiled.OUTPUTS`, SI.
     """
-    shares = SPREAD * np.random.default_rng(0).standard_normal((runs - 1, len(JOGGED)))
+    rng = np.random.default_rng(0)
+    shares = SPREAD * rng.standard_normal((runs - 1, len(JOGGED)))
+    aside = count * np.concatenate([[0.0], rng.uniform(-0.5, 0.5, runs - 1)])
+    starts = x0 + np.multiply.outer(aside, rest(model, 1.0))
     jogged = [
         {k: model.drive[k] * (1.0 + x) for k, x in zip(JOGGED, share, strict=True)}
         for share in shares
     ]
     arrays = [model.arrays(), *(model.with_values(**values).arrays() for values in jogged)]
     if runs > 1 and u.shape[1] <= TOGETHER:
-        return np.asarray(march_many(arrays, u, x0, dt, substeps=FINE_SUBSTEPS).mean(axis=0))
-    total = march(arrays[0], u, x0, dt, substeps=FINE_SUBSTEPS)
-    for other in arrays[1:]:
-        total += march(other, u, x0, dt, substeps=FINE_SUBSTEPS)
+        return np.asarray(march_many(arrays, u, starts, dt, substeps=FINE_SUBSTEPS).mean(axis=0))
+    total = march(arrays[0], u, starts[0], dt, substeps=FINE_SUBSTEPS)
+    for other, start in zip(arrays[1:], starts[1:], strict=True):
+        total += march(other, u, start, dt, substeps=FINE_SUBSTEPS)
     return total / runs
 
 

@@ -14,6 +14,7 @@ from dmptm_ctrl.simulate.plain import Sites
 BLOCK_SECONDS = 0.005  # residuals are means over blocks: to 100 Hz, past the 60 Hz mode
 RING_COUNT = 2 * np.pi / 2**18  # rad
 KNOWN_TO = 4.0 * RING_COUNT  # rad, to which an error of the ring encoder is known
+ROUNDING = 1e-9  # rad, of angles in double precision; no encoder has so fine a step
 INVERSIONS = 8  # of a sensor whose error is far smaller than the angle it varies over
 FLIGHT_MARGIN = 0.02  # s around a gap crossing in which the transmission error is not judged
 
@@ -67,11 +68,11 @@ def record(log: Log, drive: Drive) -> Record:
     theta, omega = log["theta_L"], log["omega_L"]
     u = np.ascontiguousarray([log["u_left"], log["u_right"]])
     n1, n2 = drive["N_1"], drive["N_2"]
-    twist, begun = None, None
+    twist, motors = None, None
     if log.has("theta_ml", "theta_mr"):
         motors = np.column_stack([log["theta_ml"], log["theta_mr"]])
-        twist, begun = motors / n1 - n2 * theta[:, None], motors[0]
-    x0 = _resting(Model(drive), theta[0], begun, RING_COUNT)
+        twist = motors / n1 - n2 * theta[:, None]
+    x0 = _resting(Model(drive), theta[0], motors, RING_COUNT)
     block = max(1, round(BLOCK_SECONDS / dt))
     return Record(log.name, dt, u, theta, omega, twist, x0, block, log.time)
 
@@ -88,19 +89,27 @@ def started(rec: Record, model: Model) -> Record:
     """Move the start of a record to where the ring gear is, if its sensor says another angle."""
     n1, n2 = model.drive["N_1"], model.drive["N_2"]
     reading = float(rec.theta[0])
-    motors = None if rec.twist is None else n1 * (rec.twist[0] + n2 * reading)
+    motors = None if rec.twist is None else n1 * (rec.twist + n2 * rec.theta[:, None])
     return replace(rec, x0=_resting(model, true_angle(model, reading), motors, KNOWN_TO))
 
 
 def _resting(model: Model, angle: float, motors: Floats | None, known_to: float) -> Floats:
     """State at rest, mid-gap unless the motors' angles [rad] say otherwise by more than is known.
 
-    The rounding of the encoders, `known_to` [rad] at the ring gear, is worth many a bounce.
+    The rounding of the encoders, `known_to` [rad] at the ring gear, is worth many a bounce. Of
+    what turns with the motors the run depends on more digits of the angle than the ring encoder
+    has: where both motors say the same angle, it is theirs.
     """
+    if motors is None:
+        return rest(model, angle)
     n1, n2 = model.drive["N_1"], model.drive["N_2"]
-    if motors is not None and np.abs(motors / n1 - n2 * angle).max() <= n2 * known_to:
-        motors = None
-    return rest(model, angle, motors=motors)
+    begun = motors[0]
+    if np.abs(begun / n1 - n2 * angle).max() > n2 * known_to:
+        return rest(model, angle, motors=begun)
+    between = np.diff(np.unique(motors[:, 0]))
+    count = float(np.min(between, where=between > ROUNDING, initial=np.inf))
+    alike = abs(begun[0] - begun[1]) < 1.5 * count and count < n1 * n2 * RING_COUNT
+    return rest(model, float(begun.mean()) / (n1 * n2) if alike else angle)
 
 
 def records(logs: Iterable[Log], drive: Drive) -> tuple[Record, ...]:

@@ -1,0 +1,134 @@
+"""Fit whole logs by ensembles: where bounces grow everything, slopes are a matter of distance.
+
+Past some bounces the slope of a run says where it goes for the millionth part of a value, and
+nothing of what it does for what is not known. So drives are drawn from what is known, all run the
+whole logs, and a regression on them tells how a run moves on the mean over that distance. What
+is left of their spread is chance: no value of these drives tells it, and it counts as noise. What
+a step has learnt narrows the next draw, which sees farther into the logs.
+Source: statistical linearisation, Gelb (ed.), Applied Optimal Estimation (1974) 6.2; iterated by
+ensembles as in Chen & Oliver, Math. Geosci. 44 (2012) 1.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dmptm_ctrl.identify.fit import Fit, Known, arrays_at, place
+from dmptm_ctrl.identify.lock import ROUGH, SPEED_UNIT, TINY, Steps, compared, cut
+from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, SUBSTEPS
+from dmptm_ctrl.simulate.model import Arrays, Floats
+
+# Per sample, of each step: wide draws tell the same in coarse ones. More make it too sure.
+SUBSTEPS_EACH = (SUBSTEPS, SUBSTEPS, FINE_SUBSTEPS)
+DRIVES = 64  # drawn, of up to 28 unknowns
+SPARE = 8  # drives beyond two per unknown
+FIRST_SECONDS = 0.6  # of each log, whose slopes tell what is known before the first draw
+WIDER = 4.0  # factor on the variance of the first draw: what those slopes know is too much
+BLOCK_SECONDS = 0.01
+# One unit of speed: what a gyro of 0.05 deg/s leaves in a block of ten samples, beside what a
+# law that is nearly right may miss.
+UNIT = np.deg2rad(np.hypot(0.05 / np.sqrt(10.0), 0.006))  # rad/s
+FREEDOM = 9.0  # what a run misses counts by the logarithm beyond three units
+NEWS = 0.3  # share of the blocks that is independent
+CHANCE = 1.0  # variance that no value tells, below which a block is judged as it is,
+TOLD = 0.5  # or share of its spread that is told, above which it is judged nevertheless
+AT_ONCE = 16  # drives of one call
+SHARPER = 25.0  # factor by which one step narrows a variance at most,
+VAGUER = 0.3  # and by which it may widen it
+LONGEST = 2.0  # standard deviations of a draw, per unknown, that a step goes at most
+
+
+def smoothed(
+    records: Sequence[Record], done: Fit, known: Known, jobs: int, seed: int = 0
+) -> list[Fit]:
+    """Go on with a fit over whole logs.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Each from rest.
+    done : Fit
+        That is near: its runs go the same way for most of the time.
+    known : Known
+        What is known of its unknowns beforehand.
+    jobs : int
+        Threads. The result does not depend on it.
+    seed : int
+        Of the drives that are drawn.
+
+    Returns
+    -------
+    list of Fit
+        After each step; its covariance believes that the model's laws are the drive's.
+    """
+    parts = [replace(rec, block=max(1, round(BLOCK_SECONDS / rec.dt))) for rec in records]
+    rng = np.random.default_rng(seed)
+    fits = [replace(done, covariance=WIDER * at_first(records, done, known, jobs))]
+    for substeps in SUBSTEPS_EACH:
+        p, covariance = step(parts, fits[-1], known, jobs, rng, substeps)
+        fits.append(Fit(place(done.model, done.unknowns, p), done.unknowns, p, covariance))
+    return [replace(fit, horizon=done.horizon) for fit in fits[1:]]
+
+
+def at_first(records: Sequence[Record], done: Fit, known: Known, jobs: int) -> Floats:
+    """Covariance of the unknowns, as the slopes over the starts of logs tell it."""
+    starts = [cut(rec, FIRST_SECONDS) for rec in records]
+    steps = Steps(starts, done.model, done.unknowns, known, jobs, ROUGH)
+    steps.descend(done.p, 1)
+    return steps.covariance
+
+
+def step(
+    records: Sequence[Record],
+    done: Fit,
+    known: Known,
+    jobs: int,
+    rng: np.random.Generator,
+    substeps: int = FINE_SUBSTEPS,
+) -> tuple[Floats, Floats]:
+    """Draw drives from what is known, and learn from all of them: values and covariance."""
+    low = np.array([k.low for k in done.unknowns])
+    high = np.array([k.high for k in done.unknowns])
+    k = done.p.size
+    root = np.linalg.cholesky(done.covariance + TINY**2 * np.eye(k))
+    half = rng.standard_normal((max(DRIVES, 2 * k + SPARE) // 2, k))
+    drawn = np.clip(done.p + np.concatenate([half, -half]) @ root.T, low, high)
+    drives = arrays_at(done.model, done.unknowns, [*drawn])
+    missed = _missed(records, drives, jobs, substeps)
+    # in the draw's own units from here on
+    shifts = np.linalg.solve(root, (drawn - done.p).T).T
+    regressors = np.column_stack([np.ones(len(shifts)), shifts])
+    told, *_ = np.linalg.lstsq(regressors, missed, rcond=None)
+    r, slopes = told[0], told[1:]
+    chance = np.sum((missed - regressors @ told) ** 2, 0) / (len(shifts) - k - 1)
+    spread = np.maximum(missed.var(0, ddof=1), TINY)
+    judged = (chance < CHANCE) | (chance < (1.0 - TOLD) * spread)
+    w = judged / (1.0 + chance)
+    w = NEWS * w / (1.0 + w * r**2 / FREEDOM)
+    normal = (slopes * w) @ slopes.T + root.T @ known.precision @ root + TINY * np.eye(k)
+    downhill = -(slopes * w) @ r - root.T @ known.precision @ (done.p - known.mean)
+    move = np.linalg.solve(normal, downhill)
+    move *= min(1.0, LONGEST * np.sqrt(k) / max(float(np.linalg.norm(move)), TINY))
+    p = np.clip(done.p + root @ move, low, high)
+    narrower, axes = np.linalg.eigh(normal)
+    root = root @ (axes / np.sqrt(np.clip(narrower, VAGUER, SHARPER)))
+    return p, np.asarray(root @ root.T)
+
+
+def _missed(
+    records: Sequence[Record], drives: Sequence[Arrays], jobs: int, substeps: int
+) -> Floats:
+    """Measured minus simulated of many drives, in blocks and units of whole logs."""
+
+    def one(task: tuple[Record, int]) -> Floats:  # some drives at a time: runs take memory
+        rec, first = task
+        some = compared([rec], drives[first : first + AT_ONCE], 1, substeps)
+        finer = np.where(np.array(rec.channels) == "speed", SPEED_UNIT / UNIT, 1.0)
+        return some * np.repeat(finer, rec.omega.size // rec.block)
+
+    parts = range(0, len(drives), AT_ONCE)
+    done = in_threads(one, [(rec, first) for rec in records for first in parts], jobs)
+    return np.hstack([np.vstack(done[i : i + len(parts)]) for i in range(0, len(done), len(parts))])

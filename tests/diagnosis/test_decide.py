@@ -5,7 +5,16 @@ from types import SimpleNamespace
 import pytest
 
 from dmptm_ctrl.diagnosis import decide
-from dmptm_ctrl.diagnosis.decide import FIRST, SECOND, Start, convincing, first_of
+from dmptm_ctrl.diagnosis.decide import (
+    FAINT,
+    FAINT_HELD,
+    FIRST,
+    SECOND,
+    Start,
+    convincing,
+    faint_one,
+    first_of,
+)
 from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
 
 NOWHERE = SimpleNamespace(unknowns=(), p=())
@@ -67,3 +76,15 @@ def test_more_than_an_effect_can_be_is_another_one(share, told):
     p[j] = share * own[j].low
     fit = SimpleNamespace(unknowns=own, p=p)
     assert convincing(trial("thermal_drift", FIRST, FIRST, fit), FIRST) is told
+
+
+def test_of_little_evidence_a_share_is_of_logs_that_did_not_choose():
+    """A bank searched for its best frequency finds some on the fitted logs of any drive."""
+    searched = trial("base_vibration", FAINT, FAINT_HELD + 1.0)
+    told = trial("quadratic_drag", FAINT - FAINT_HELD, 1.5 * FAINT_HELD)
+    more = trial("back_emf", FAINT, 2.0 * FAINT_HELD)
+    assert faint_one([searched]) is None
+    assert faint_one([trial("cogging", 0.3 * FAINT, FAINT_HELD + 1.0)]) is None
+    assert faint_one([trial("quadratic_drag", 2.0 * FAINT, 0.5 * FAINT_HELD)]) is None
+    assert faint_one([searched, told]) is told
+    assert faint_one([searched, told, more]) is more

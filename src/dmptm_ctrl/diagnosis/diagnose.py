@@ -9,7 +9,17 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.augment import augment
-from dmptm_ctrl.diagnosis.decide import MAX_EFFECTS, Decision, Found, decide, withdraw
+from dmptm_ctrl.diagnosis.decide import (
+    FAINT,
+    MAX_EFFECTS,
+    Decision,
+    Found,
+    adopt,
+    decide,
+    faint_one,
+    found_among,
+    withdraw,
+)
 from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
@@ -111,6 +121,7 @@ def diagnose(
     after = before
     if decision.after is not left:
         after = refit(decision, jobs)
+    after = of_little(decision, after, jobs)
     held = measured.held_logs
     without = speed_error(before.model.without(model.effects), held)
     after = told_apart(decision, after, jobs, seed)
@@ -166,6 +177,32 @@ def diagnose(
     )
 
 
+def of_little(decision: Decision, after: Fit, jobs: int) -> Fit:
+    """Add an effect that little speaks for, if nothing else could: the model keeps step.
+
+    It stays if the model keeps step with it as well.
+    """
+    measured, without = decision.before.measured, decision.after
+    full = len(decision.found) == MAX_EFFECTS or decision.unexplained is not None
+    winner = faint_one(decision.rest)
+    if full or winner is None or not keeps_step(after, measured, jobs):
+        return after
+    decision.found.append(found_among(decision.rest, winner, FAINT))
+    decision.after = adopt(measured, winner, jobs)
+    beside = refit(decision, jobs)
+    if beside.horizon >= after.horizon and keeps_step(beside, measured, jobs):
+        return beside
+    decision.found.pop()
+    decision.after = without
+    return after
+
+
+def keeps_step(fit: Fit, measured: Measured, jobs: int) -> bool:
+    """Whether a model meets every bounce for so long that its laws are the machine's."""
+    meets = fit.horizon >= KEEPS_SECONDS
+    return meets and level(fit.model, measured.fit, KEEPS_SECONDS, jobs) < DOUBTFUL
+
+
 def told_apart(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     """Keep, of names that the balances take for one another, the one that keeps step."""
     measured = decision.before.measured
@@ -215,9 +252,7 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
         return after
     measured, base = decision.before.measured, decision.after.base
     # beside another effect a law that is not quite the model's is not told from a faint one
-    if after.horizon >= (BESIDE_SECONDS if decision.found else KEEPS_SECONDS) and (
-        decision.found or level(after.model, measured.fit, KEEPS_SECONDS, jobs) < DOUBTFUL
-    ):
+    if after.horizon >= BESIDE_SECONDS if decision.found else keeps_step(after, measured, jobs):
         return after
     start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
     if gives(decision):  # or delays and lags would do for it

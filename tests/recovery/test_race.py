@@ -1,14 +1,19 @@
 """Effects too small for the balances, told by keeping step; on rigs of another program."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dmptm_ctrl import load_log
-from dmptm_ctrl.diagnosis.decide import FIRST
+from dmptm_ctrl.diagnosis.at_rest import softened
+from dmptm_ctrl.diagnosis.decide import FAINT, FIRST
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.race import (
+    BEHIND,
     KEEPS_SECONDS,
     SCAN,
+    SCATTER_SECONDS,
     beside,
     entrant,
     loosely,
@@ -28,10 +33,12 @@ LOGS = ("open_sine_0v60", "open_square_0v75", "closed_sine_10", "closed_square_1
 SOME = ("drive_offset", "unbalance")
 
 
-def measured_rig(effects, friction, seed=5500014, logs=LOGS, contact="kelvin_voigt"):
-    """A rig without motor encoders, what the declared drive leaves there, and its label."""
+def measured_rig(
+    effects, friction, seed=5500014, logs=LOGS, contact="kelvin_voigt", sensors="load"
+):
+    """A rig, what the declared drive leaves there, and its label."""
     laws = {"friction": friction, "contact": contact}
-    rig = make_rig(seed, effects, sensors="load", logs=logs, **laws)
+    rig = make_rig(seed, effects, sensors=sensors, logs=logs, **laws)
     drive = paper_drive()
     logs = [load_log(table, name=name) for name, table in rig.logs.items()]
     measured = measure(logs, drive)
@@ -112,6 +119,29 @@ def test_who_lost_the_way_goes_on_from_the_leader():
     kept = leader.places[0]
     leader.crosses([astray], len(start.unknowns))
     assert leader.places[0] is kept
+
+
+def test_who_begins_anew_finds_the_way_into_the_first_landings():
+    """11 mV on one motor, where friction may give as well: no step leads there."""
+    name = "drive_offset"
+    rig = ((name, 0.5),), "karnopp", 200100038, "paper", "eq21", "all"
+    measured, left, told = measured_rig(*rig)
+    (trial,) = trace(left, only=(name,))
+    assert trial.evidence < FAINT
+    behind = len(left.base.unknowns)
+    start = softened(rattled(measured.fit, left.base, measured.drive, 2), behind)
+    trial = replace(trial, fit=softened(trial.fit, behind))
+    (one,) = shaped(trial, start, loosely(start), measured.fit, 2)
+    for seconds in (0.03, SCATTER_SECONDS):
+        records = [cut(rec, seconds) for rec in measured.fit]
+        one.go(records, 2)
+    stuck = one.cost
+    assert one.level > UNEASY
+    one.scatters(records, 2)
+    assert one.level < UNEASY
+    assert one.cost < stuck - BEHIND
+    values = one.there.effects[name]
+    assert values["left"] - values["right"] == pytest.approx(told[name]["offset_V"], rel=0.3)
 
 
 def test_a_limit_that_one_log_reaches_at_its_first_reversal():

@@ -58,6 +58,10 @@ BEHIND = 8.0  # cost beyond the best one's, at which it may only have missed a w
 # Seconds for which the model as it is keeps step too, from where only so many go on: those that
 # balances and bounces together speak for.
 EVEN_SECONDS, MANY = 0.15, 8
+# Seconds by which landings tell so much that a first way into them may be wrong; how many of the
+# best, by balances and by cost, begin anew from places drawn at random then, and closer in how
+# many rounds.
+SCATTER_SECONDS, SCATTERED, ROUNDS = 0.05, 3, 2
 # Of each amplitude, in its step, from which those begin that stayed behind.
 SIZES = (1.0, -1.0, 4.0, -4.0)
 # Shapes that are no slope, all tried: (seconds of each log, steps of a fit, how many go on).
@@ -151,6 +155,17 @@ class Runner(Seeker):
         if found.horizon == seconds:
             self.pursue(found.p)
 
+    def scatters(self, records: Sequence[Record], jobs: int) -> None:
+        """Begin anew as well, from the best of many places that balances hold possible."""
+        covariance = np.asarray(np.linalg.inv(self.known.precision), np.float64)
+        fresh = Seeker(
+            self.model, self.unknowns, self.known, [self.known.mean], covariance, rng=self.rng
+        )
+        fresh.scatter(records, jobs)
+        fresh.closer(ROUNDS)
+        for p in fresh.different(len(self.places)):
+            self.pursue(p)
+
     def place(self) -> "Place":
         """Return where it is."""
         return Place(self.name, self.steps, self.places[0], self.cost, self.level)
@@ -220,6 +235,15 @@ def race(
             for runner in joined:
                 runner.go(records, jobs)
             runners, waiting = [*dict.fromkeys((*runners, *joined))], []
+        doubtful = min(runner.level for runner in runners) > DOUBTFUL
+        if doubtful and SCATTER_SECONDS <= horizon <= WAY_SECONDS:
+            told = sorted(runners, key=lambda runner: -runner.told)[:SCATTERED]
+            ahead = sorted(runners, key=lambda runner: runner.cost)[:SCATTERED]
+            for runner in with_(bare, [*dict.fromkeys((*told, *ahead))]):
+                if horizon == SCATTER_SECONDS:
+                    runner.scatters(records, jobs)
+                else:
+                    runner.closer(1)
         runners.sort(key=lambda runner: runner.cost)
         for runner in with_(bare, runners)[1:]:
             if runner.cost > runners[0].cost + BEHIND:

@@ -60,6 +60,9 @@ SAME = 0.2  # half-ranges, or steps of an effect, by which no two values differ 
 # Stuck early, it begins anew: horizon, how many places are drawn from what is known, how many of
 # the best are fitted by how many steps, round by round.
 ANEW_SECONDS, SCATTERED, FOLLOWED = 0.07, 256, ((24, 2), (8, 8))
+# About how many places it draws closer, how far in standard deviations of what is known, and from
+# how many of these it goes down.
+CENTRES, CLOSER, AGAIN = 4, (0.2, 0.4), 12
 OPEN = 2.0  # half-ranges, or steps of an effect, beyond which a value is not known but open
 OPEN_SIZE = 4.0  # of such a value, if it may have either sign
 
@@ -444,6 +447,24 @@ class Seeker:
         ]
         for p in self.nearest(drawn, PURSUED):
             self.pursue(p)
+
+    def closer(self, rounds: int) -> None:
+        """Draw anew about the best places, nearer than what is known, and go down from there."""
+        spread = axes(np.asarray(np.linalg.inv(self.known.precision), np.float64), np.inf)
+        for _ in range(rounds):
+            drawn = [
+                np.clip(
+                    p + size * self.rng.standard_normal(p.size) @ spread,
+                    self.steps.low,
+                    self.steps.high,
+                )
+                for p in self.different(CENTRES)
+                for size in CLOSER
+                for _ in range(DRAWS)
+            ]
+            followed = [self.rough.descend(p, 2) for p in self.nearest(drawn, AGAIN)]
+            for p in self.nearest(followed, CENTRES):
+                self.pursue(p)
 
     def anew(self, open_values: int, count: int, sizes: Sequence[float]) -> list[Floats]:
         """Draw the last values anew about each place; the others stay."""

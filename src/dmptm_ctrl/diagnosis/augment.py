@@ -79,10 +79,23 @@ def augment(
             best = whole
     done = Fit(best.model, unknowns, best.p, best.covariance, locked.horizon)
     if onward:
-        further = smoothed(records, done, loosely, jobs)
-        best = min((done, *further), key=lambda one: missed(one.model, records, jobs))
-        done = replace(done, model=best.model, p=best.p)
+        done = onto_whole(records, done, near, loosely, jobs)
     return replace(done, covariance=honest(done, start))
+
+
+def onto_whole(
+    records: Sequence[Record], done: Fit, near: Fit | None, known: Known, jobs: int
+) -> Fit:
+    """Go on over whole logs from whichever of two fits meets them better, as long as it helps."""
+    fits = [done]
+    if near is not None and near.unknowns == done.unknowns:
+        fits.append(replace(done, model=near.model, p=near.p))
+    misses = [missed(one.model, records, jobs) for one in fits]
+    first = fits[int(np.argmin(misses))]
+    further = smoothed(records, first, known, jobs)
+    misses += [missed(one.model, records, jobs) for one in further]
+    best = [*fits, *further][int(np.argmin(misses))]
+    return replace(done, model=best.model, p=best.p)
 
 
 def missed(model: Model, records: Sequence[Record], jobs: int = 1) -> float:

@@ -7,7 +7,7 @@ import pytest
 from dmptm_ctrl.diagnosis import decide
 from dmptm_ctrl.diagnosis.decide import (
     FAINT,
-    FAINT_HELD,
+    FAINT_SHARE,
     FIRST,
     SECOND,
     Start,
@@ -78,13 +78,14 @@ def test_more_than_an_effect_can_be_is_another_one(share, told):
     assert convincing(trial("thermal_drift", FIRST, FIRST, fit), FIRST) is told
 
 
-def test_of_little_evidence_a_share_is_of_logs_that_did_not_choose():
+def test_of_little_evidence_fitted_and_held_out_logs_have_a_share():
     """A bank searched for its best frequency finds some on the fitted logs of any drive."""
-    searched = trial("base_vibration", FAINT, FAINT_HELD + 1.0)
-    told = trial("quadratic_drag", FAINT - FAINT_HELD, 1.5 * FAINT_HELD)
-    more = trial("back_emf", FAINT, 2.0 * FAINT_HELD)
-    assert faint_one([searched]) is None
-    assert faint_one([trial("cogging", 0.3 * FAINT, FAINT_HELD + 1.0)]) is None
-    assert faint_one([trial("quadratic_drag", 2.0 * FAINT, 0.5 * FAINT_HELD)]) is None
-    assert faint_one([searched, told]) is told
-    assert faint_one([searched, told, more]) is more
+    bank = trial("base_vibration", FAINT, FAINT_SHARE + 1.0)
+    told = trial("quadratic_drag", FAINT - FAINT_SHARE, 1.5 * FAINT_SHARE)
+    more = trial("back_emf", FAINT, 2.0 * FAINT_SHARE)
+    assert faint_one([bank]) is None
+    assert faint_one([trial("quadratic_drag", 2.0 * FAINT, 0.5 * FAINT_SHARE)]) is None
+    assert faint_one([trial("quadratic_drag", 0.0, 2.0 * FAINT)]) is None
+    assert faint_one([trial("cogging", 0.3 * FAINT, FAINT_SHARE + 1.0)]) is None
+    assert faint_one([bank, told]) is told
+    assert faint_one([bank, told, more]) is more

@@ -93,7 +93,8 @@ def step(
     low = np.array([k.low for k in done.unknowns])
     high = np.array([k.high for k in done.unknowns])
     k = done.p.size
-    root = np.linalg.cholesky(done.covariance + TINY**2 * np.eye(k))
+    size, vectors = np.linalg.eigh(done.covariance)
+    root = vectors * np.sqrt(np.maximum(size, TINY))
     half = rng.standard_normal((max(DRIVES, 2 * k + SPARE) // 2, k))
     drawn = np.clip(done.p + np.concatenate([half, -half]) @ root.T, low, high)
     drives = arrays_at(done.model, done.unknowns, [*drawn])
@@ -113,8 +114,8 @@ def step(
     move = np.linalg.solve(normal, downhill)
     move *= min(1.0, LONGEST * np.sqrt(k) / max(float(np.linalg.norm(move)), TINY))
     p = np.clip(done.p + root @ move, low, high)
-    narrower, axes = np.linalg.eigh(normal)
-    root = root @ (axes / np.sqrt(np.clip(narrower, VAGUER, SHARPER)))
+    size, vectors = np.linalg.eigh(normal)
+    root = root @ (vectors / np.sqrt(np.clip(size, VAGUER, SHARPER)))
     return p, np.asarray(root @ root.T)
 
 

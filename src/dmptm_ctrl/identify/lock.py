@@ -450,7 +450,8 @@ class Seeker:
 
     def closer(self, rounds: int) -> None:
         """Draw anew about the best places, nearer than what is known, and go down from there."""
-        spread = axes(np.asarray(np.linalg.inv(self.known.precision), np.float64), np.inf)
+        known = self.known.precision + TINY * np.eye(self.known.mean.size)
+        spread = axes(np.asarray(np.linalg.inv(known), np.float64), np.inf)
         for _ in range(rounds):
             drawn = [
                 np.clip(

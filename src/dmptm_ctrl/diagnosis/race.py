@@ -10,7 +10,7 @@ torque. On a machine with other laws of friction or contact none does.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -148,19 +148,20 @@ class Runner(Seeker):
     def from_the_start(self, records: Sequence[Record], seconds: float, jobs: int) -> None:
         """Try where a lock comes out that goes alone, with more care at each horizon."""
         horizons = [h for h in HORIZONS if h <= seconds]
-        covariance = np.asarray(np.linalg.inv(self.known.precision), np.float64)
-        alone = Seeker(self.model, self.unknowns, self.known, [self.known.mean], covariance)
         self.alone = False
-        found = walk(alone, records, horizons, jobs)
+        found = walk(self.afresh(), records, horizons, jobs)
         if found.horizon == seconds:
             self.pursue(found.p)
 
+    def afresh(self, **how: Any) -> Seeker:
+        """Return one of its kind that knows nothing but what was known beforehand."""
+        covariance = np.asarray(np.linalg.inv(self.known.precision), np.float64)
+        places = [self.known.mean]
+        return Seeker(self.model, self.unknowns, self.known, places, covariance, **how)
+
     def scatters(self, records: Sequence[Record], jobs: int) -> None:
         """Begin anew as well, from the best of many places that balances hold possible."""
-        covariance = np.asarray(np.linalg.inv(self.known.precision), np.float64)
-        fresh = Seeker(
-            self.model, self.unknowns, self.known, [self.known.mean], covariance, rng=self.rng
-        )
+        fresh = self.afresh(rng=self.rng)
         fresh.scatter(records, jobs)
         fresh.closer(ROUNDS)
         for p in fresh.different(len(self.places)):

@@ -434,19 +434,15 @@ class Seeker:
 
     def search(self) -> None:
         """Try other starts, drawn from what the last horizon left open."""
-        rng = self.rng
-        spread = axes(self.covariance, np.inf)
-        best = self.places[0]
-        drawn = [
-            np.clip(
-                best + SIZES[i % len(SIZES)] * rng.standard_normal(best.size) @ spread,
-                self.steps.low,
-                self.steps.high,
-            )
-            for i in range(DRAWS)
-        ]
+        spread, best = axes(self.covariance, np.inf), self.places[0]
+        drawn = [self.about(best, SIZES[i % len(SIZES)], spread) for i in range(DRAWS)]
         for p in self.nearest(drawn, PURSUED):
             self.pursue(p)
+
+    def about(self, p: Floats, size: float, spread: Floats) -> Floats:
+        """Draw a place about another, `size` times as far as the axes of `spread` reach."""
+        drawn = p + size * self.rng.standard_normal(p.size) @ spread
+        return np.clip(drawn, self.steps.low, self.steps.high)
 
     def closer(self, rounds: int) -> None:
         """Draw anew about the best places, nearer than what is known, and go down from there."""
@@ -454,11 +450,7 @@ class Seeker:
         spread = axes(np.asarray(np.linalg.inv(known), np.float64), np.inf)
         for _ in range(rounds):
             drawn = [
-                np.clip(
-                    p + size * self.rng.standard_normal(p.size) @ spread,
-                    self.steps.low,
-                    self.steps.high,
-                )
+                self.about(p, size, spread)
                 for p in self.different(CENTRES)
                 for size in CLOSER
                 for _ in range(DRAWS)

@@ -7,7 +7,7 @@ than the best drop out. An effect that keeps step alone, for long, is there, how
 torque. On a machine with other laws of friction or contact none does.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -36,6 +36,7 @@ from dmptm_ctrl.identify.lock import (
     walk,
 )
 from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
 # A model that keeps step for so long, as well as noise lets it, lacks nothing that is told here.
@@ -145,11 +146,11 @@ class Runner(Seeker):
                 several.append(one)
         return several
 
-    def from_the_start(self, records: Sequence[Record], seconds: float, jobs: int) -> None:
+    def from_the_start(self, records: Sequence[Record], seconds: float) -> None:
         """Try where a lock comes out that goes alone, with more care at each horizon."""
         horizons = [h for h in HORIZONS if h <= seconds]
         self.alone = False
-        found = walk(self.afresh(), records, horizons, jobs)
+        found = walk(self.afresh(), records, horizons, 1)
         if found.horizon == seconds:
             self.pursue(found.p)
 
@@ -159,10 +160,10 @@ class Runner(Seeker):
         places = [self.known.mean]
         return Seeker(self.model, self.unknowns, self.known, places, covariance, **how)
 
-    def scatters(self, records: Sequence[Record], jobs: int) -> None:
+    def scatters(self, records: Sequence[Record]) -> None:
         """Begin anew as well, from the best of many places that balances hold possible."""
         fresh = self.afresh(rng=self.rng)
-        fresh.scatter(records, jobs)
+        fresh.scatter(records, 1)
         fresh.closer(ROUNDS)
         for p in fresh.different(len(self.places)):
             self.pursue(p)
@@ -220,8 +221,10 @@ def race(
     known = loosely(start)
     bare = entrant(None, start.model, start.unknowns, known, ())
     runners = [bare]
-    for trial in trials:
-        runners += shaped(trial, start, known, fitted, jobs, scan=scan)
+    for entered in in_threads(
+        lambda trial: shaped(trial, start, known, fitted, 1, scan=scan), trials, jobs
+    ):
+        runners += entered
     for i, runner in enumerate(runners):
         runner.rng = np.random.default_rng([seed, i])
     # no step from nothing finds those
@@ -229,41 +232,40 @@ def race(
     last = None
     for horizon in HORIZONS:
         records = [cut(rec, horizon) for rec in fitted]
-        for runner in with_(bare, runners):
-            runner.go(records, jobs)
+        together(Runner.go, with_(bare, runners), jobs, records)
         if waiting and bare.level > UNEASY:
             joined = [runner for runner in waiting if runner.joins(bare, records, jobs)]
-            for runner in joined:
-                runner.go(records, jobs)
+            together(Runner.go, joined, jobs, records)
             runners, waiting = [*dict.fromkeys((*runners, *joined))], []
         doubtful = min(runner.level for runner in runners) > DOUBTFUL
         if doubtful and SCATTER_SECONDS <= horizon <= WAY_SECONDS:
             told = sorted(runners, key=lambda runner: -runner.told)[:SCATTERED]
             ahead = sorted(runners, key=lambda runner: runner.cost)[:SCATTERED]
-            for runner in with_(bare, [*dict.fromkeys((*told, *ahead))]):
-                if horizon == SCATTER_SECONDS:
-                    runner.scatters(records, jobs)
-                else:
-                    runner.closer(1)
+            some = with_(bare, [*dict.fromkeys((*told, *ahead))])
+            if horizon == SCATTER_SECONDS:
+                together(Runner.scatters, some, jobs, records)
+            else:
+                together(Runner.closer, some, jobs, 1)
         runners.sort(key=lambda runner: runner.cost)
-        for runner in with_(bare, runners)[1:]:
-            if runner.cost > runners[0].cost + BEHIND:
-                # each of the others may have found the way that is right for the model as it is
-                near = runners[:1] if runner is not bare else [r for r in runners if r is not bare]
-                runner.crosses(near, len(bare.unknowns))
+        behind = [one for one in with_(bare, runners) if one.cost > runners[0].cost + BEHIND]
+        others = [runner for runner in behind if runner is not bare]
+        together(Runner.crosses, others, jobs, runners[:1], len(bare.unknowns))
+        if bare in behind:
+            # each of the others may have found the way that is right for the model as it is
+            bare.crosses([r for r in runners if r is not bare], len(bare.unknowns))
         runners.sort(key=lambda runner: runner.cost)
-        for runner in with_(bare, runners[:TRIED]):
-            behind = runner.cost - runners[0].cost
-            late = horizon >= EVEN_SECONDS and behind > BEHIND
-            if runner.level > UNEASY or late:
-                runner.search()
-            if late and runner.cost > runners[0].cost + BEHIND and runner.alone:
-                runner.from_the_start(fitted, horizon, jobs)
+        tried = with_(bare, runners[:TRIED])
+        late = [one for one in tried if one.cost > runners[0].cost + BEHIND]
+        late = late if horizon >= EVEN_SECONDS else []
+        uneasy = [one for one in tried if one.level > UNEASY or one in late]
+        together(Runner.search, uneasy, jobs)
+        late = [one for one in late if one.cost > runners[0].cost + BEHIND and one.alone]
+        together(Runner.from_the_start, late, jobs, fitted, horizon)
         lost = min(runner.level for runner in runners) > LOST
         if lost and last is not None and last.seconds >= WAY_SECONDS:
             hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)
-            for runner in hopeful[:ONCE_MORE]:
-                runner.from_the_start(fitted, horizon, jobs)
+            hopeful = hopeful[:ONCE_MORE]
+            together(Runner.from_the_start, hopeful, jobs, fitted, horizon)
         runners.sort(key=lambda runner: runner.cost)
         if runners[0].level > LOST or (bare.level < DOUBTFUL and horizon >= KEEPS_SECONDS):
             break
@@ -279,6 +281,11 @@ def race(
         if runners[0].level < UNEASY:
             last = Lap(horizon, bare.place(), tuple(runner.place() for runner in runners))
     return None if last is None else judged(last, held, jobs)
+
+
+def together(action: Callable[..., None], some: Sequence[Runner], jobs: int, *args: Any) -> None:
+    """Let some runners do the same, each on a thread of its own."""
+    in_threads(lambda runner: action(runner, *args), some, jobs)
 
 
 def with_(bare: Runner, field: Sequence[Runner]) -> list[Runner]:

@@ -371,7 +371,7 @@ class Seeker:
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     stalled: float = STALLED
 
-    def go(self, records: Sequence[Record], jobs: int) -> None:
+    def go(self, records: Sequence[Record], jobs: int = 1) -> None:
         """Fit to records of one horizon."""
         self.steps = self.prepared(records, jobs, self.covariance)
         self.found: list[tuple[float, Floats, Floats, float]] = []

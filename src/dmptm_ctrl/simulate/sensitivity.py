@@ -27,12 +27,14 @@ from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 # Share of a parameter's size: truncation and rounding, grown by the run, are both far below 1 %
 STEP = 1e-7
 DIFFERENT = 0.02  # derivatives from both sides that differ by more are not the same
-FEW = 3  # parameters that each go alone beside a run
+FEW = 2  # parameters that each go alone beside a run; more go as a vector
 GROUP = 15  # parameters that go along with one run
 # What no slope is known of may not move, and acts as here: no stiffness that varies with the
 # teeth, friction falling exponentially
-NEUTRAL = [BASE.index(name) for name in ("k_a", "delta3", "deltaL")]
-LEFT_ALONE = NEUTRAL + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "phi_r")]
+NEUTRAL = {
+    BASE.index(name): value for name, value in (("k_a", 0.0), ("delta3", 1.0), ("deltaL", 1.0))
+}
+LEFT_ALONE = [*NEUTRAL] + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "phi_r")]
 NOISE = 1e-4  # of an output's range per parameter's size, below which a difference is rounding
 
 
@@ -179,7 +181,7 @@ def _plain(arrays: Arrays, places: Sequence[_Place]) -> bool:
     """Whether no effect acts and nothing moves but what `tangent_core` knows the slopes of."""
     base, on, _ = arrays
     known = not any(place.effect or place.slot in LEFT_ALONE for place in places)
-    return known and not on.any() and bool((base[NEUTRAL] == (0.0, 1.0, 1.0)).all())
+    return known and not on.any() and all(base[slot] == x for slot, x in NEUTRAL.items())
 
 
 def _along(

@@ -29,9 +29,13 @@ DQ0, DQ1, DQ2, DV0, DV1, DV2, DC0, DC1, DC2 = range(0, 9 * CHANGES, CHANGES)
 D_GAIN, D_K, D_C, D_CF, D_GAP0, D_GAP1, D_MOB3, D_MOBL = range(9 * CHANGES, 17 * CHANGES, CHANGES)
 # of the friction laws, four numbers each: reducer forward, backward, ring gear forward, backward;
 D_LAW = 17 * CHANGES
+# the same in the directions that the bodies move in: reducer left, right, ring gear;
+D_S0, D_T0, D_W0, D_B0 = range(33 * CHANGES, 37 * CHANGES, CHANGES)
+D_S1, D_T1, D_W1, D_B1 = range(37 * CHANGES, 41 * CHANGES, CHANGES)
+D_S2, D_T2, D_W2, D_B2 = range(41 * CHANGES, 45 * CHANGES, CHANGES)
 # regions of the meshes.
-D_G0, D_G1 = 33 * CHANGES, 34 * CHANGES
-SIZE_OF_CHANGES = 35 * CHANGES
+D_G0, D_G1 = 45 * CHANGES, 46 * CHANGES
+SIZE_OF_CHANGES = 47 * CHANGES
 NO_SLOPES = (0.0, 0.0, 0.0)
 
 
@@ -133,46 +137,61 @@ def law_slopes(z, z_rate, region, p):
 
 
 @njit
-def one_way_law(direction, law):
-    """Friction law of one direction."""
+def one_way(direction, law):
+    """Numbers of a friction law in one direction: static, Coulomb, scale, viscous, steepness."""
     if direction > 0.0:
         static, coulomb = law.static_plus, law.coulomb_plus
-        scale, viscous, steepness = law.speed_plus, law.viscous_plus, law.steepness_plus
-    else:
-        static, coulomb = law.static_minus, law.coulomb_minus
-        scale, viscous, steepness = law.speed_minus, law.viscous_minus, law.steepness_minus
-    both = (static, coulomb, scale, viscous)
-    return Stribeck(*both, *both, 1.0, steepness, steepness)
+        return static, coulomb, law.speed_plus, law.viscous_plus, law.steepness_plus
+    static, coulomb = law.static_minus, law.coulomb_minus
+    return static, coulomb, law.speed_minus, law.viscous_minus, law.steepness_minus
 
 
 @njit
-def smooth_body(v, v_mid, force, mobility, law):
+def smooth_body(v, v_mid, force, mobility, law, own):
     """Speed of a body after a step in which it goes on sliding or resting, if that is sure.
 
-    Then 0 if it rests, else 1; its direction, net torque; slopes of its friction: by speed,
-    static, Coulomb, Stribeck speed, viscous.
+    `own` holds the numbers of its law in the direction that it moves in, kept from step to step:
+    a body seldom turns. Then 0 if it rests, else 1; its direction, net torque; slopes of its
+    friction: by speed, static, Coulomb, Stribeck speed, viscous.
     """
     if v == 0.0:
         hold = breakaway_torque(1.0 if force > 0.0 else -1.0, law)
         sure = abs(force) < (1.0 - MARGIN) * hold
         return 0.0, sure, (0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    direction = 1.0 if v > 0.0 else -1.0
-    p = one_way_law(direction, law)
+    direction = one_of(v)
+    static, coulomb, scale, viscous, steepness = own
+    both = (static, coulomb, scale, viscous)
+    p = Stribeck(*both, *both, 1.0, steepness, steepness)
     friction = sliding_torque(v_mid, direction, p)
     new = v + force * mobility - friction * (direction * mobility)
     # not within a step of stopping; a law that drives is not smooth at zero
     sure = new * direction > abs(new - v) and friction > 0.0
     # linear in its torques: what is left of the static one at this speed
-    steepness = p.steepness_plus
-    one = (1.0, 0.0, p.speed_plus, 0.0)
+    one = (1.0, 0.0, scale, 0.0)
     unit = Stribeck(*one, *one, 1.0, steepness, steepness)
     decay = sliding_torque(v_mid, direction, unit)
     speed = max(v_mid * direction, 0.0)
-    falls = (p.static_plus - p.coulomb_plus) * decay * steepness
-    slope = p.viscous_plus - falls if speed > 0.0 else 0.0
+    falls = (static - coulomb) * decay * steepness
+    slope = viscous - falls if speed > 0.0 else 0.0
     by_scale = falls * speed * steepness
     slopes = (slope, decay, 1.0 - decay, by_scale, speed)
     return new, sure, (1.0, direction, force - direction * friction, *slopes)
+
+
+@njit
+def laws_along(s, way0, way1, way2):
+    """Put changes of laws in the directions that bodies move in where a vector loop finds them."""
+    first = D_LAW if way0 > 0.0 else D_LAW + 4 * CHANGES
+    second = D_LAW if way1 > 0.0 else D_LAW + 4 * CHANGES
+    third = D_LAW + 8 * CHANGES if way2 > 0.0 else D_LAW + 12 * CHANGES
+    for k in range(4 * CHANGES):
+        s[D_S0 + k], s[D_S1 + k], s[D_S2 + k] = s[first + k], s[second + k], s[third + k]
+
+
+@njit
+def one_of(v):
+    """Direction of a speed."""
+    return 1.0 if v > 0.0 else -1.0
 
 
 @njit
@@ -186,29 +205,25 @@ def used(s, start, stop):
 
 @njit
 def change_along(
-    s, j, h, n2, volts, mobilities, m0, m1, k0, k1, f0, f1, f2, l0, l1, l2,
-    drives, meshes, masses, laws
+    s, j, h, n2, volts, mobilities, m0, m1, k0, k1, f0, f1, f2, drives, meshes, masses, laws
 ):  # fmt: skip
-    """Take one change a step further.
-
-    By slopes m, k of the meshes and f of the bodies, with rows l of their laws.
-    """
+    """Take one change a step further, by slopes m, k of the meshes and f of the bodies."""
     w0, w1, w2 = s[DV0 + j], s[DV1 + j], s[DV2 + j]
     a0, a1, a2 = s[DQ0 + j] + 0.5 * h * w0, s[DQ1 + j] + 0.5 * h * w1, s[DQ2 + j] + 0.5 * h * w2
     c0, c1, c2 = w0 + 0.5 * s[DC0 + j], w1 + 0.5 * s[DC1 + j], w2 + 0.5 * s[DC2 + j]
     t0 = mesh_change(m0, a0 - n2 * a2, c0 - n2 * c2)
     t1 = mesh_change(m1, a1 - n2 * a2, c1 - n2 * c2)
     if meshes:
-        t0 += mesh_own(m0, k0, s, D_GAP0, j)
-        t1 += mesh_own(m1, k1, s, D_GAP1, j)
+        t0 += mesh_own(m0, k0, s[D_K + j], s[D_C + j], s[D_CF + j], s[D_GAP0 + j])
+        t1 += mesh_own(m1, k1, s[D_K + j], s[D_C + j], s[D_CF + j], s[D_GAP1 + j])
     g0, g1, g2 = -t0, -t1, n2 * (t0 + t1)
     if drives:
         g0 += volts[0] * s[D_GAIN + j]
         g1 += volts[1] * s[D_GAIN + j]
     if laws:
-        g0 -= law_own(f0, s, l0, j)
-        g1 -= law_own(f1, s, l1, j)
-        g2 -= law_own(f2, s, l2, j)
+        g0 -= law_own(f0, s[D_S0 + j], s[D_T0 + j], s[D_W0 + j], s[D_B0 + j])
+        g1 -= law_own(f1, s[D_S1 + j], s[D_T1 + j], s[D_W1 + j], s[D_B1 + j])
+        g2 -= law_own(f2, s[D_S2 + j], s[D_T2 + j], s[D_W2 + j], s[D_B2 + j])
     b0 = w0 + mobilities[0] * (g0 - f0[3] * c0)
     b1 = w1 + mobilities[0] * (g1 - f1[3] * c1)
     b2 = w2 + mobilities[1] * (g2 - f2[3] * c2)
@@ -255,6 +270,9 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
     region0, region1 = UNKNOWN, UNKNOWN
     m0 = m1 = NO_SLOPES
     width = p  # changes that go along; one more once the other way is another one
+    way0, way1, way2 = 1.0, 1.0, 1.0  # directions that the bodies move in, or last moved in
+    p0, p1, p2 = one_way(way0, reducer), one_way(way1, reducer), one_way(way2, bearing)
+    laws_along(s, way0, way1, way2)
     split = n
     apart = True  # whether some change is, or may be, on another branch than the run
     top = 0.0  # largest speed so far
@@ -276,14 +294,15 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
             dz, dz_rate = s[DQ0 + j] - n2 * s[DQ2 + j], s[DV0 + j] - n2 * s[DV2 + j]
             dy, dy_rate = s[DQ1 + j] - n2 * s[DQ2 + j], s[DV1 + j] - n2 * s[DV2 + j]
             per = 1.0 / steps[j] if j < p else 1.0
-            t0 = mesh_change(m0, dz, dz_rate) + mesh_own(m0, k0, s, D_GAP0, j)
-            t1 = mesh_change(m1, dy, dy_rate) + mesh_own(m1, k1, s, D_GAP1, j)
+            mesh = s[D_K + j], s[D_C + j], s[D_CF + j]
+            t0 = mesh_change(m0, dz, dz_rate) + mesh_own(m0, k0, *mesh, s[D_GAP0 + j])
+            t1 = mesh_change(m1, dy, dy_rate) + mesh_own(m1, k1, *mesh, s[D_GAP1 + j])
             if anew0:
-                mesh = mesh_at(bases[1 + j], 13)
-                t0 = mesh_torque(z + dz, z_rate + dz_rate, mesh) - out[4, i]
+                moved = mesh_at(bases[1 + j], 13)
+                t0 = mesh_torque(z + dz, z_rate + dz_rate, moved) - out[4, i]
             if anew1:
-                mesh = mesh_at(bases[1 + j], 14)
-                t1 = mesh_torque(y + dy, y_rate + dy_rate, mesh) - out[5, i]
+                moved = mesh_at(bases[1 + j], 14)
+                t1 = mesh_torque(y + dy, y_rate + dy_rate, moved) - out[5, i]
             row[0, i], row[1, i] = s[DQ2 + j] * per, s[DV2 + j] * per
             row[2, i], row[3, i] = n1 * s[DQ0 + j] * per, n1 * s[DQ1 + j] * per
             row[4, i], row[5, i], row[6, i], row[7, i] = t0 * per, t1 * per, dz * per, dy * per
@@ -295,9 +314,13 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
             y, y_rate = x_1 - n2 * x_2, s1 - n2 * s2
             t0 = region_torque(z, z_rate, region0, mesh0)
             t1 = region_torque(y, y_rate, region1, mesh1)
-            new0, sure0, f0 = smooth_body(v0, s0, gain * u0 - t0, mobility_3, reducer)
-            new1, sure1, f1 = smooth_body(v1, s1, gain * u1 - t1, mobility_3, reducer)
-            new2, sure2, f2 = smooth_body(v2, s2, n2 * (t0 + t1), mobility_l, bearing)
+            if v0 * way0 < 0.0 or v1 * way1 < 0.0 or v2 * way2 < 0.0:
+                way0, way1, way2 = one_of(v0), one_of(v1), one_of(v2)
+                p0, p1, p2 = one_way(way0, reducer), one_way(way1, reducer), one_way(way2, bearing)
+                laws_along(s, way0, way1, way2)
+            new0, sure0, f0 = smooth_body(v0, s0, gain * u0 - t0, mobility_3, reducer, p0)
+            new1, sure1, f1 = smooth_body(v1, s1, gain * u1 - t1, mobility_3, reducer, p1)
+            new2, sure2, f2 = smooth_body(v2, s2, n2 * (t0 + t1), mobility_l, bearing, p2)
             if (
                 apart
                 or not (sure0 and sure1 and sure2)
@@ -320,14 +343,11 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
                 continue
             k0 = law_slopes(z, z_rate, region0, mesh0) if meshes else NO_SLOPES
             k1 = law_slopes(y, y_rate, region1, mesh1) if meshes else NO_SLOPES
-            l0 = D_LAW + (0 if f0[1] > 0.0 else 4 * CHANGES)
-            l1 = D_LAW + (0 if f1[1] > 0.0 else 4 * CHANGES)
-            l2 = D_LAW + (8 * CHANGES if f2[1] > 0.0 else 12 * CHANGES)
             if many is None:
                 for j in range(width):
                     change_along(
                         *(s, j, h, n2, (u0, u1), (mobility_3, mobility_l)),
-                        *(m0, m1, k0, k1, f0, f1, f2, l0, l1, l2),
+                        *(m0, m1, k0, k1, f0, f1, f2),
                         *(drives, meshes, masses, laws),
                     )
             else:
@@ -335,7 +355,7 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
                 for j in range((width + 3) // 4 * 4):
                     change_along(
                         *(s, j, h, n2, (u0, u1), (mobility_3, mobility_l)),
-                        *(m0, m1, k0, k1, f0, f1, f2, l0, l1, l2),
+                        *(m0, m1, k0, k1, f0, f1, f2),
                         *(True, True, True, True),
                     )
             d0, d1, d2 = new0 - v0, new1 - v1, new2 - v2
@@ -352,17 +372,15 @@ def mesh_change(slopes, dz, dz_rate):
 
 
 @njit
-def mesh_own(slopes, own, s, gap, j):
+def mesh_own(slopes, own, stiffness, damping, gap_damping, gap):
     """Change of a mesh's torque with its own numbers."""
-    by_law = own[0] * s[D_K + j] + own[1] * s[D_C + j]
-    return by_law + (own[2] * s[D_CF + j] + slopes[2] * s[gap + j])
+    return own[0] * stiffness + own[1] * damping + (own[2] * gap_damping + slopes[2] * gap)
 
 
 @njit
-def law_own(slopes, s, law, j):
+def law_own(slopes, static, coulomb, scale, viscous):
     """Change of a friction with its own numbers."""
-    own = slopes[4] * s[law + j] + slopes[5] * s[law + CHANGES + j]
-    own += slopes[6] * s[law + 2 * CHANGES + j] + slopes[7] * s[law + 3 * CHANGES + j]
+    own = slopes[4] * static + slopes[5] * coulomb + (slopes[6] * scale + slopes[7] * viscous)
     return slopes[1] * own
 
 

@@ -60,6 +60,12 @@ BATCH = 1000
 SPINS, SPIN = 64, 5_000_000  # tasks of about 10 ms that touch nothing but registers
 PARAMETERS = ("c", "k_m", "J_L", "T3c_plus", "TLc_plus", "gap_l", "B3_plus", "BL_plus")
 PARAMETERS += ("T3s_plus", "TLs_plus", "gap_r", "J_2", "T3c_minus", "TLc_minus")
+# Effects in use while derivatives are taken, and which of theirs come first among them
+EFFECTS = {
+    "cogging": {"left_cosine": 0.01, "right_sine": 0.01, "order": 24.0},
+    "load_dependent_friction": {"coefficient": 0.05},
+    "drive_offset": {"left": 0.05, "right": -0.05},
+}
 
 CASES = {
     "preloaded": Loop(0.08 * PER_DEGREE, 1.5 * PER_DEGREE, 10.0, 0.5, -0.5),
@@ -209,22 +215,34 @@ def batch_ratios(model, loop, substeps, c, repeats):
     }
 
 
-def sensitivity_costs(model, loop, repeats, *, existing=False):
+def sensitivity_costs(model, loop, repeats, *, existing=False, names=PARAMETERS, most=14):
     """Cost of p sensitivities, in runs; over 10 s, or as long as all derivatives exist."""
     u, _ = close_loop(model, loop, TARGET, DT)
     x0, arrays, times = rest(model, 0.0), model.arrays(), TIME
     if existing:
-        exists = simulate_with_sensitivities(model, times, u, PARAMETERS, x0).exists.all(axis=0)
+        exists = simulate_with_sensitivities(model, times, u, names, x0).exists.all(axis=0)
         n = times.size if exists.all() else int(np.argmin(exists))
         u, times = np.ascontiguousarray(u[:, :n]), times[:n]
-    counts = [p for p in (1, 2, 3, 4, 6, 7, 8, 10, 14) if p <= len(PARAMETERS)]
+    counts = [p for p in (1, 2, 3, 4, 6, 7, 8, 10, 14) if p <= most]
 
     def run(p):
-        return lambda: simulate_with_sensitivities(model, times, u, PARAMETERS[:p], x0)
+        return lambda: simulate_with_sensitivities(model, times, u, names[:p], x0)
 
     spent = least([lambda: march(arrays, u, x0, DT), *(run(p) for p in counts)], repeats)
     costs = {p: round(float(t / spent[0]), 2) for p, t in zip(counts, spent[1:], strict=True)}
     return {"seconds": round(float(times[-1]), 2), **costs}
+
+
+def costs_with_effects(model, loop, repeats):
+    """The same of drives with an effect in use, first among them a parameter of the effect."""
+    found = {}
+    for effect, values in EFFECTS.items():
+        names = (f"{effect}.{next(iter(values))}", *PARAMETERS)
+        changed = model.with_effect(effect, **values)
+        found[f"sensitivities_in_runs_with_{effect}"] = sensitivity_costs(
+            changed, loop, repeats, names=names, most=6
+        )
+    return found
 
 
 def growth(model, repeats):
@@ -298,6 +316,7 @@ def main():
             "sensitivities_in_runs_no_preload": sensitivity_costs(
                 model, CASES["no preload"], asked.repeats, existing=True
             ),
+            **costs_with_effects(model, loop, asked.repeats),
         }
         ratios |= growth(model, asked.repeats)
         first = starts(str(Path(folder) / "start"))

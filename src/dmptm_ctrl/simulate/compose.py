@@ -114,16 +114,18 @@ _INLINE = (
         "mesh_own",
         "law_own",
     ),
-    "change_along",
+    *("change_along", "mesh_along", "body_along", "motor_along", "shaft_along"),
+    *("voltage_of", "mesh_of", "changed_mesh", "level_of", "law_of", "bristles_in"),
 )
 # What Python calls; the rest is called by these alone and has no wrapper for Python, which
 # would be more text for the compiler than the function itself.
 _ENTRIES = (
-    *("march", "along", "march_groups", "march_tangents", "command"),
+    *("march", "along", "march_groups", "march_tangents", "march_site_tangents", "command"),
     *("sensor_reading", "presliding_law", "speed_delay"),
 )
 _HEAD = """\
 from math import cos, exp, floor
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -144,7 +146,7 @@ from dmptm_ctrl.effects.stribeck import (
     stribeck_law,
     viscous_torque,
 )
-from dmptm_ctrl.simulate.elementary import cos, exp, FAST, hosted, wide
+from dmptm_ctrl.simulate.elementary import cos, exp, FAST, borrowed, hosted, wide
 
 """
 
@@ -158,9 +160,16 @@ def _slots() -> dict[str, int]:
     return slots
 
 
-def _chain(site: str, effects: Mapping[str, Effect]) -> str:
+def _chain(site: str, effects: Mapping[str, Effect], rows: bool = False) -> str:
+    """Text of a site's chain; with `rows` of one of several drives, whose numbers are in a row."""
     name, args, neutral, change = _CHAINS[site]
-    lines = [f"@njit\ndef {name}({args + ', ' if args else ''}on, values):"]
+    head = (
+        f"{name}_of({args + ', ' if args else ''}on, values, row)"
+        if rows
+        else (f"{name}({args + ', ' if args else ''}on, values)")
+    )
+    at = "row, " if rows else ""
+    lines = [f"@njit\ndef {head}:"]
     in_place = change.startswith(("u = ", "theta_L, "))
     if site == "lag":
         lines.append("    r = 0.0")
@@ -171,7 +180,7 @@ def _chain(site: str, effects: Mapping[str, Effect]) -> str:
         if effect.site != site:
             continue
         first = slots[key]
-        values = ", ".join(f"values[{first + j}]" for j in range(len(effect.parameters)))
+        values = ", ".join(f"values[{at}{first + j}]" for j in range(len(effect.parameters)))
         passed = _KERNEL_ARGS.get(site, args)
         call = f"kernel_{index}({passed + ', ' if passed else ''}Values_{index}({values}))"
         lines.append(f"    if on[{index}]:")
@@ -245,6 +254,7 @@ def plain_source() -> str:
 
 def source() -> str:
     """Return the text of the engine for the catalogue as it is now."""
+    row_chains = "\n\n\n".join(_chain(site, CATALOGUE, rows=True) for site in SITES)
     lane_chains = "\n\n\n".join(_lane_chain(site) for site in _LANE_CHAINS)
     lanes = _body("lane_core.py")
     cut = lanes.index("\n@njit\n")  # behind the constants that the chains need
@@ -254,6 +264,7 @@ def source() -> str:
     )
     return _compiled(
         f"{_loop(CATALOGUE)}{_body('tangent_core.py')}\n\n"
+        f"{row_chains}\n\n\n{_body('tangent_site_core.py')}\n\n"
         f"{lanes[:cut]}\n{places}\n\n{lane_chains}\n\n{lanes[cut:]}"
     )
 

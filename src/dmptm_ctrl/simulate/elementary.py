@@ -14,8 +14,10 @@ from types import FunctionType
 from typing import Any
 
 from numba import njit, types
+from numba.core import cgutils
 from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
+from numba.np.arrayobj import make_array
 
 # a·b + c rounded once, where the CPU does that; a zero's sign is nothing, so x + 0 is x
 FAST = {"contract", "nsz"}
@@ -98,6 +100,26 @@ def _wide(typingctx):
 wide: Callable[[], None] = intrinsic(_wide)  # type: ignore[assignment]
 
 
+def _borrowed(typingctx, array):
+    """Array whose references nobody counts."""
+
+    def codegen(context, builder, signature, args):
+        made = make_array(signature.return_type)
+        given, lent = made(context, builder, args[0]), made(context, builder)
+        for name in ("parent", "nitems", "itemsize", "data", "shape", "strides"):
+            setattr(lent, name, getattr(given, name))
+        lent.meminfo = cgutils.get_null_value(lent.meminfo.type)
+        return lent._getvalue()
+
+    return array(array), codegen
+
+
+# The caller keeps the array for as long as it is lent. Each function that is given an array counts
+# itself among its users, and off again, which as atomic operations takes as long as one of the
+# loops over lanes.
+borrowed: Callable[[Any], Any] = intrinsic(_borrowed)  # type: ignore[assignment]
+
+
 @njit(**OPTIONS)
 def exp(x):
     """Exponential; held at its value for −708 and 709 beyond, so never subnormal or infinite."""
@@ -168,6 +190,12 @@ def cos(x):
 COMPILED = isinstance(exp, Dispatcher)  # false where numba is switched off
 if not COMPILED:
     wide = type(None)  # nothing to mark
+
+    def borrowed(array):
+        """Nothing is counted."""
+        return array
+
+
 _INSTEAD: dict[Any, Any] = {math.exp: exp, math.sin: sin, math.cos: cos}
 
 

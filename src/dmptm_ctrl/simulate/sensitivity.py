@@ -2,16 +2,17 @@
 
 A small change of each parameter goes along with the run, so that its share is the derivative of
 the scheme itself: to first order by the slopes of the step (`tangent_core`), and with branches
-of its own where the run reaches or leaves a flank, stops or starts. With effects, whose slopes
-nobody has written down, each change is a run of its own beside the others in vector lanes.
+of its own where the run reaches or leaves a flank, stops or starts. Of effects nobody has written
+down the slopes: their kernels are called again for each change (`tangent_site_core`), or, where
+there are more than a few, each change is a run of its own beside the others in vector lanes.
 All parameters moved the other way together go along too: where the run is differentiable they
 change minus the sum of the others, and where that is not so the derivative from one side is not
 that from the other and does not exist. A derivative converges with the first order of the step
 where events lie before it, the run itself with the second.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,6 +36,11 @@ NEUTRAL = {
     BASE.index(name): value for name, value in (("k_a", 0.0), ("delta3", 1.0), ("deltaL", 1.0))
 }
 LEFT_ALONE = [*NEUTRAL] + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "phi_r")]
+WITH_MEMORY = {"delay", "lag", "shaft", "presliding", "ageing", "sensor_delay"}
+# Of drives with effects: parameters that go along with a run for less than lanes would take
+FEW_WITH_EFFECTS = 4
+EXPONENTS = [BASE.index(name) for name in ("delta3", "deltaL")]
+UNKNOWN_SLOPES = EXPONENTS + [BASE.index(name) for name in ("N_1", "N_2")]
 NOISE = 1e-4  # of an output's range per parameter's size, below which a difference is rounding
 
 
@@ -149,13 +155,14 @@ def simulate_with_sensitivities(
     here = model.arrays()
     places = [_place(model, name, here[2]) for name in parameters]
     dt = (time[-1] - time[0]) / (time.size - 1)
-    if _plain(here, places):
+    along = _way(here, places)
+    if along is not None:
         groups = [places[k : k + GROUP] for k in range(0, len(places), GROUP)]
         tasks = [(here, group, u, x0, dt, substeps) for group in groups]
         if len(tasks) == 1:
-            parts = [_along(*tasks[0])]
+            parts = [along(*tasks[0])]
         else:
-            parts = list(each(_along, tasks, jobs, prefer="threads"))
+            parts = list(each(along, tasks, jobs, prefer="threads"))
         outputs, derivatives, exists = parts[0]
         if len(parts) > 1:
             derivatives = np.concatenate([part[1] for part in parts])
@@ -182,6 +189,43 @@ def _plain(arrays: Arrays, places: Sequence[_Place]) -> bool:
     base, on, _ = arrays
     known = not any(place.effect or place.slot in LEFT_ALONE for place in places)
     return known and not on.any() and all(base[slot] == x for slot, x in NEUTRAL.items())
+
+
+def _way(arrays: Arrays, places: Sequence[_Place]) -> Callable[..., Any] | None:
+    """Loop that takes changes along with a run, or None where each is to be a run of its own."""
+    if _plain(arrays, places):
+        return _along
+    straight = all(arrays[0][slot] == 1.0 for slot in EXPONENTS)
+    known = straight and not any(not p.effect and p.slot in UNKNOWN_SLOPES for p in places)
+    return _with_effects if known and len(places) <= FEW_WITH_EFFECTS else None
+
+
+def _memory(ons: NDArray[np.uint8]) -> bool | None:
+    """True if an effect in use has a state of its own, else None: each a loop of its own."""
+    used = ons.max(axis=0)
+    lasting = any(
+        effect.site in WITH_MEMORY and used[k] for k, effect in enumerate(CATALOGUE.values())
+    )
+    return True if lasting else None
+
+
+def _with_effects(
+    arrays: Arrays, places: Sequence[_Place], u: Floats, x0: Floats, dt: float, substeps: int
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Outputs of a run, its derivatives and where they exist, by `tangent_site_core`."""
+    n = u.shape[1]
+    outputs, back = np.empty((len(OUTPUTS), n)), np.empty((len(OUTPUTS), n))
+    derivatives = np.empty((len(places), len(OUTPUTS), n))
+    runs = [arrays, *(place.move(arrays) for place in places), _back(arrays, places)]
+    bases, ons, values = (np.array(rows) for rows in zip(*runs, strict=True))
+    steps = np.array([place.step for place in places])
+    loop = engine()
+    room, fixed = np.zeros(loop.SIZE_WITH_SITES), np.zeros((len(runs), loop.FIXED))
+    split = loop.march_site_tangents(
+        *(u, x0, dt, substeps, bases, values, ons.max(axis=0), steps, room, fixed),
+        *(outputs, derivatives, back, _memory(ons)),
+    )
+    return outputs, derivatives, _existing(outputs, derivatives, back, steps, split)
 
 
 def _along(

@@ -37,6 +37,7 @@ D_S2, D_T2, D_W2, D_B2 = range(41 * CHANGES, 45 * CHANGES, CHANGES)
 D_G0, D_G1 = 45 * CHANGES, 46 * CHANGES
 SIZE_OF_CHANGES = 47 * CHANGES
 NO_SLOPES = (0.0, 0.0, 0.0)
+RESTING = (0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # what `smooth_body` says of it
 
 
 @njit
@@ -147,22 +148,24 @@ def one_way(direction, law):
 
 
 @njit
-def smooth_body(v, v_mid, force, mobility, law, own):
+def smooth_body(v, v_mid, force, mobility, law, own, level, added):
     """Speed of a body after a step in which it goes on sliding or resting, if that is sure.
 
     `own` holds the numbers of its law in the direction that it moves in, kept from step to step:
-    a body seldom turns. Then 0 if it rests, else 1; its direction, net torque; slopes of its
-    friction: by speed, static, Coulomb, Stribeck speed, viscous.
+    a body seldom turns; friction is `level` times the law, and `added`. Then 0 if it rests, else 1;
+    its direction, net torque; slopes of its friction: by speed, static, Coulomb, Stribeck speed,
+    viscous, level.
     """
     if v == 0.0:
-        hold = breakaway_torque(1.0 if force > 0.0 else -1.0, law)
+        hold = level * breakaway_torque(one_of(force), law) + added
         sure = abs(force) < (1.0 - MARGIN) * hold
-        return 0.0, sure, (0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return 0.0, sure, RESTING
     direction = one_of(v)
     static, coulomb, scale, viscous, steepness = own
     both = (static, coulomb, scale, viscous)
     p = Stribeck(*both, *both, 1.0, steepness, steepness)
-    friction = sliding_torque(v_mid, direction, p)
+    declared = sliding_torque(v_mid, direction, p)
+    friction = level * declared + added
     new = v + force * mobility - friction * (direction * mobility)
     # not within a step of stopping; a law that drives is not smooth at zero
     sure = new * direction > abs(new - v) and friction > 0.0
@@ -174,8 +177,9 @@ def smooth_body(v, v_mid, force, mobility, law, own):
     falls = (static - coulomb) * decay * steepness
     slope = viscous - falls if speed > 0.0 else 0.0
     by_scale = falls * speed * steepness
-    slopes = (slope, decay, 1.0 - decay, by_scale, speed)
-    return new, sure, (1.0, direction, force - direction * friction, *slopes)
+    slopes = (level * slope, level * decay, level * (1.0 - decay), level * by_scale)
+    net = force - direction * friction
+    return new, sure, (1.0, direction, net, *slopes, level * speed, declared)
 
 
 @njit
@@ -318,9 +322,9 @@ def march_tangents(u, x0, dt, substeps, bases, steps, out, changes, back, many):
                 way0, way1, way2 = one_of(v0), one_of(v1), one_of(v2)
                 p0, p1, p2 = one_way(way0, reducer), one_way(way1, reducer), one_way(way2, bearing)
                 laws_along(s, way0, way1, way2)
-            new0, sure0, f0 = smooth_body(v0, s0, gain * u0 - t0, mobility_3, reducer, p0)
-            new1, sure1, f1 = smooth_body(v1, s1, gain * u1 - t1, mobility_3, reducer, p1)
-            new2, sure2, f2 = smooth_body(v2, s2, n2 * (t0 + t1), mobility_l, bearing, p2)
+            new0, sure0, f0 = smooth_body(v0, s0, gain * u0 - t0, mobility_3, reducer, p0, 1.0, 0.0)
+            new1, sure1, f1 = smooth_body(v1, s1, gain * u1 - t1, mobility_3, reducer, p1, 1.0, 0.0)
+            new2, sure2, f2 = smooth_body(v2, s2, n2 * (t0 + t1), mobility_l, bearing, p2, 1.0, 0.0)
             if (
                 apart
                 or not (sure0 and sure1 and sure2)

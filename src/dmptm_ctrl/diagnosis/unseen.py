@@ -50,6 +50,8 @@ APART, OTHERS = 0.45, 0.75
 REVERSAL_SECONDS = (0.05, 0.07)
 MISSES = 1.6  # times the winner's loss, that the model as it is has there
 LEAST_SECONDS = 0.1  # for which a winner among the rest keeps step; the first landings are before
+# The same of what those landings, judged by themselves, have not told: it is to be seen in more.
+LATER_SECONDS = 0.15
 LEAST = 100.0  # evidence of a winner
 # Errors of the teeth move the landings alike: of 13 such names on rigs of benchmarks/rigs 10 were
 # right (seeds 97, 199, 401 to 406, 801).
@@ -179,7 +181,7 @@ def by_impacts(
         name = max(going, key=lambda n: kept[n].lasts(), default="")
         if not name:
             return None
-        between = LEAST_SECONDS, kept[name].horizon
+        between = LATER_SECONDS, kept[name].horizon
         bare_too = without(kept[name], base, whole[0], jobs, seed)
         longer = max(onward(alone, whole[0], jobs, seed), bare_too, key=Locked.lasts)
         ahead = lost(whole, longer.model, kept[name].model, between, jobs)

@@ -255,16 +255,15 @@ def race(
             bare.crosses([r for r in runners if r is not bare], len(bare.unknowns))
         runners.sort(key=lambda runner: runner.cost)
         tried = with_(bare, runners[:TRIED])
-        late = [one for one in tried if one.cost > runners[0].cost + BEHIND]
-        late = late if horizon >= EVEN_SECONDS else []
+        even = horizon >= EVEN_SECONDS
+        late = [one for one in tried if even and one.cost > runners[0].cost + BEHIND]
         uneasy = [one for one in tried if one.level > UNEASY or one in late]
         together(Runner.search, uneasy, jobs)
         late = [one for one in late if one.cost > runners[0].cost + BEHIND and one.alone]
         together(Runner.from_the_start, late, jobs, fitted, horizon)
         lost = min(runner.level for runner in runners) > LOST
         if lost and last is not None and last.seconds >= WAY_SECONDS:
-            hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)
-            hopeful = hopeful[:ONCE_MORE]
+            hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)[:ONCE_MORE]
             together(Runner.from_the_start, hopeful, jobs, fitted, horizon)
         runners.sort(key=lambda runner: runner.cost)
         if runners[0].level > LOST or (bare.level < DOUBTFUL and horizon >= KEEPS_SECONDS):

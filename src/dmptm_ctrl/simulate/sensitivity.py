@@ -155,33 +155,35 @@ def simulate_with_sensitivities(
     here = model.arrays()
     places = [_place(model, name, here[2]) for name in parameters]
     dt = (time[-1] - time[0]) / (time.size - 1)
-    along = _way(here, places)
-    if along is not None:
+    loop = _way(here, places)
+    if loop is not None:
         groups = [places[k : k + GROUP] for k in range(0, len(places), GROUP)]
-        tasks = [(here, group, u, x0, dt, substeps) for group in groups]
+        tasks = [(loop, here, group, u, x0, dt, substeps) for group in groups]
         if len(tasks) == 1:
-            parts = [along(*tasks[0])]
+            parts = [_along(*tasks[0])]
         else:
-            parts = list(each(along, tasks, jobs, prefer="threads"))
+            parts = list(each(_along, tasks, jobs, prefer="threads"))
         outputs, derivatives, exists = parts[0]
         if len(parts) > 1:
             derivatives = np.concatenate([part[1] for part in parts])
             exists = np.logical_and.reduce([part[2] for part in parts])
         return Sensitivities(time, outputs, tuple(parameters), derivatives, exists)
-    arrays = [here, *(place.move(here) for place in places), _back(here, places)]
     steps = np.array([place.step for place in places])
-    runs = march_many(arrays, u, x0, dt, substeps=substeps, jobs=jobs).transpose(0, 2, 1)
+    runs = march_many(_drives(here, places), u, x0, dt, substeps=substeps, jobs=jobs).transpose(
+        0, 2, 1
+    )
     outputs, changes = runs[0], runs[1:] - runs[0]
     derivatives = changes[:-1] / steps[:, None, None]
     exists = _existing(outputs, derivatives, changes[-1], steps, 0)
     return Sensitivities(time, outputs, tuple(parameters), derivatives, exists)
 
 
-def _back(arrays: Arrays, places: Sequence[_Place]) -> Arrays:
-    """Numbers of a model with parameters moved the other way, all of them together."""
+def _drives(arrays: Arrays, places: Sequence[_Place]) -> list[Arrays]:
+    """Numbers of a model, with each parameter moved, with all of them moved the other way."""
+    back = arrays
     for place in places:
-        arrays = place.move(arrays, -1.0)
-    return arrays
+        back = place.move(back, -1.0)
+    return [arrays, *(place.move(arrays) for place in places), back]
 
 
 def _plain(arrays: Arrays, places: Sequence[_Place]) -> bool:
@@ -191,13 +193,13 @@ def _plain(arrays: Arrays, places: Sequence[_Place]) -> bool:
     return known and not on.any() and all(base[slot] == x for slot, x in NEUTRAL.items())
 
 
-def _way(arrays: Arrays, places: Sequence[_Place]) -> Callable[..., Any] | None:
+def _way(arrays: Arrays, places: Sequence[_Place]) -> Callable[..., int] | None:
     """Loop that takes changes along with a run, or None where each is to be a run of its own."""
     if _plain(arrays, places):
-        return _along
+        return _by_slopes
     straight = all(arrays[0][slot] == 1.0 for slot in EXPONENTS)
     known = straight and not any(not p.effect and p.slot in UNKNOWN_SLOPES for p in places)
-    return _with_effects if known and len(places) <= FEW_WITH_EFFECTS else None
+    return _by_kernels if known and len(places) <= FEW_WITH_EFFECTS else None
 
 
 def _memory(ons: NDArray[np.uint8]) -> bool | None:
@@ -209,39 +211,46 @@ def _memory(ons: NDArray[np.uint8]) -> bool | None:
     return True if lasting else None
 
 
-def _with_effects(
-    arrays: Arrays, places: Sequence[_Place], u: Floats, x0: Floats, dt: float, substeps: int
-) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Outputs of a run, its derivatives and where they exist, by `tangent_site_core`."""
-    n = u.shape[1]
-    outputs, back = np.empty((len(OUTPUTS), n)), np.empty((len(OUTPUTS), n))
-    derivatives = np.empty((len(places), len(OUTPUTS), n))
-    runs = [arrays, *(place.move(arrays) for place in places), _back(arrays, places)]
-    bases, ons, values = (np.array(rows) for rows in zip(*runs, strict=True))
-    steps = np.array([place.step for place in places])
+def _by_kernels(
+    given: tuple[Any, ...], drives: Sequence[Arrays], steps: Floats, results: Sequence[Floats]
+) -> int:
+    """Go along by `tangent_site_core`; the sample from which the other way is another one."""
+    bases, ons, values = (np.array(rows) for rows in zip(*drives, strict=True))
     loop = engine()
-    room, fixed = np.zeros(loop.SIZE_WITH_SITES), np.zeros((len(runs), loop.FIXED))
-    split = loop.march_site_tangents(
-        *(u, x0, dt, substeps, bases, values, ons.max(axis=0), steps, room, fixed),
-        *(outputs, derivatives, back, _memory(ons)),
+    room, fixed = np.zeros(loop.SIZE_WITH_SITES), np.zeros((len(drives), loop.FIXED))
+    on = ons.max(axis=0)
+    return int(
+        loop.march_site_tangents(
+            *given, bases, values, on, steps, room, fixed, *results, _memory(ons)
+        )
     )
-    return outputs, derivatives, _existing(outputs, derivatives, back, steps, split)
+
+
+def _by_slopes(
+    given: tuple[Any, ...], drives: Sequence[Arrays], steps: Floats, results: Sequence[Floats]
+) -> int:
+    """The same by `tangent_core`."""
+    bases = np.array([base for base, _, _ in drives])
+    many = None if steps.size <= FEW else True  # two loops, compiled as they are needed
+    return int(engine().march_tangents(*given, bases, steps, *results, many))
 
 
 def _along(
-    arrays: Arrays, places: Sequence[_Place], u: Floats, x0: Floats, dt: float, substeps: int
+    loop: Callable[..., int],
+    arrays: Arrays,
+    places: Sequence[_Place],
+    u: Floats,
+    x0: Floats,
+    dt: float,
+    substeps: int,
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Outputs of a run, its derivatives and where they exist, by `tangent_core`."""
+    """Outputs of a run, its derivatives and where they exist, by one of two loops."""
     n = u.shape[1]
     outputs, back = np.empty((len(OUTPUTS), n)), np.empty((len(OUTPUTS), n))
     derivatives = np.empty((len(places), len(OUTPUTS), n))
-    moved = [place.move(arrays) for place in places]
-    bases = np.array([base for base, _, _ in (arrays, *moved, _back(arrays, places))])
     steps = np.array([place.step for place in places])
-    many = None if steps.size <= FEW else True  # two loops, compiled as they are needed
-    split = engine().march_tangents(
-        u, x0, dt, substeps, bases, steps, outputs, derivatives, back, many
-    )
+    results = outputs, derivatives, back
+    split = loop((u, x0, dt, substeps), _drives(arrays, places), steps, results)
     return outputs, derivatives, _existing(outputs, derivatives, back, steps, split)
 
 

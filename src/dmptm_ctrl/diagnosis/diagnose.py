@@ -59,7 +59,9 @@ from dmptm_ctrl.simulate.model import Model
 SENSOR_PROBABILITY = 0.99
 # A free run may be a little worse beside an effect of the twist; more is another sign.
 WORSE = 1.2
-HELPS = 0.9  # of the error without them, up to which names stand beside what has none
+# Of the error without them, up to which names stand beside what has none, and tables stand: a
+# curve that hardly helps on these held-out logs does as much harm on others.
+HELPS = 0.9
 # deg/s on held-out logs; the worst of 39 rigs that lack nothing has 0.17. No balance may
 # close so well that a model which predicts no better is right.
 ASTRAY = 0.45
@@ -233,7 +235,7 @@ def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log],
     not help is none.
     """
     tables = decision.tables
-    if tables is not None and speed_error(after.model, held)["rmse"] > without:
+    if tables is not None and speed_error(after.model, held)["rmse"] > HELPS * without:
         decision.tables, decision.after = None, tables.beside
         after = refit(decision, jobs)
     most = WORSE * without + LITTLE

@@ -33,6 +33,9 @@ HELD = 8.0  # of it on the held-out logs: a curve has many knots
 # What a named effect leaves because its form is only nearly right is small beside it.
 CURVE_SHARE = 0.1
 ALIKE = 0.7  # share of the best curve's evidence from which another is named with it
+# The same for one that predicts held-out logs so many times as well: most of the evidence is
+# of the fitted logs, on which a curve may bend as it likes.
+ALIKE_HELD, BETTER_HELD = 0.5, 2.0
 BURST = 12.0  # standard deviations of a window that no curve has to explain
 FAINT = 6.0  # the same, if such windows come by the clock
 BURSTS = 0.004  # share of windows that are bursts; rattle alone gives less
@@ -449,7 +452,12 @@ def unexplained(
 
 def alike(found: Sequence[Curve], best: Curve) -> tuple[str, ...]:
     """Variables of the best curve, then of those that the logs hardly tell from it."""
-    near = [c for c in found if c.evidence > ALIKE * best.evidence and c.held_gain > HELD]
+    near = []
+    for c in found:
+        better = c.held_gain > BETTER_HELD * best.held_gain
+        least = (ALIKE_HELD if better else ALIKE) * best.evidence
+        if c.evidence > least and c.held_gain > HELD:
+            near.append(c)
     names = [name for c in (best, *near) for name in c.variables]
     return tuple(dict.fromkeys(names))
 

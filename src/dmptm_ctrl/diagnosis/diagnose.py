@@ -39,7 +39,7 @@ from dmptm_ctrl.diagnosis.runoff import run_off
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.diagnosis.tables import Tables
-from dmptm_ctrl.diagnosis.trace import WITHOUT_TWIST, Trial, unknowns_of
+from dmptm_ctrl.diagnosis.trace import WITHOUT_TWIST, Trial, ringing, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import Unexplained, astray
 from dmptm_ctrl.diagnosis.unseen import AGEING, REVERSAL_SECONDS, Shown, unseen
 from dmptm_ctrl.diagnosis.unseen import LEAST as LEAST_UNSEEN
@@ -300,7 +300,8 @@ def beside_balances(base: BalanceFit, measured: Measured) -> tuple[Unknown, ...]
     # the twist tells an error of the ring encoder far more finely than the speed does
     able = (*BY_KEEPING_STEP, *((RING_ENCODER,) if measured.has_motor_encoders else ()))
     used = [name for name in able if name in base.model.effects and name not in fitted]
-    return tuple(unknown for name in used for unknown in unknowns_of(name))
+    told = tuple(unknown for name in used for unknown in unknowns_of(name))
+    return (*told, *ringing(base.model.effects))
 
 
 def rested(decision: Decision, after: Fit, jobs: int) -> Fit:

@@ -27,6 +27,8 @@ FIXED_SHAPES = {  # whole numbers
     "position_dependent_friction": ("order",),
     "torque_constant_mismatch": ("pattern",),
 }
+# How fast a reducer's ringing dies out is over before a window is: left to the simulator.
+BY_RINGING = {"reducer_compliance": ("damping",)}
 SIZES = {  # effects without a slope at zero, or far from linear: multiples of `step` to start at
     "current_lag": (1.0, 3.0),
     "drive_delay": (1.0, 3.0),
@@ -225,7 +227,7 @@ def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     shapes: list[dict[str, float]]
     if effect.name in SEARCHES:
         shapes = SEARCHES[effect.name](trace, effect)
-    elif effect.shapes:
+    elif effect.shapes and effect.name not in BY_RINGING:
         (shape,) = (p for p in effect.parameters if p.bank)
         shapes = [{shape.name: value} for value in shape.bank]
     else:
@@ -244,8 +246,15 @@ def bent(name: str) -> bool:
 
 def unknowns_of(name: str) -> tuple[Unknown, ...]:
     """Parameters of an effect that are fitted; whole numbers stay as they were found."""
-    fixed = FIXED_SHAPES.get(name, ())
+    fixed = (*FIXED_SHAPES.get(name, ()), *BY_RINGING.get(name, ()))
     return tuple(k for k in effect_unknowns(name) if k.name not in fixed)
+
+
+def ringing(names: Iterable[str]) -> tuple[Unknown, ...]:
+    """Parameters of effects of which only the simulator tells."""
+    return tuple(
+        k for name in names for k in effect_unknowns(name) if k.name in BY_RINGING.get(name, ())
+    )
 
 
 def try_effect(trace: Trace, name: str) -> Trial:

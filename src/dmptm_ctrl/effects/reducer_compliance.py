@@ -2,7 +2,7 @@
 
     torque = (θm/N1 − θ3)/C + D (θ̇m/N1 − θ̇3)
 
-C is the compliance at the pinion; D gives a damping ratio of ZETA in the reducer's own mode.
+C is the compliance at the pinion; D gives the damping ratio ζ in the reducer's own mode.
 """
 
 from math import sqrt
@@ -12,13 +12,15 @@ from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
 
-ZETA = 0.03  # damping ratio of steel gearing, lower end of Eq. 24's range
+# Damping ratio of steel gearing: lower end of Eq. 24's range, a third of it and three times it.
+ZETA = (0.01, 0.03, 0.1)
 
 
 class ReducerCompliance(NamedTuple):
     """Parameters."""
 
     compliance: float  # rad/(N·m), C
+    damping: float  # ratio ζ, 1 is critical
 
 
 @njit
@@ -26,14 +28,17 @@ def shaft_compliance(inertia, p):
     """Compliance [rad/(N·m)] and damping [N·m·s/rad]; `inertia` is the reduced one [kg·m²]."""
     if p.compliance <= 0.0:
         return 0.0, 0.0
-    return p.compliance, 2.0 * ZETA * sqrt(inertia / p.compliance)
+    return p.compliance, 2.0 * p.damping * sqrt(inertia / p.compliance)
 
 
 REDUCER_COMPLIANCE = Effect(
     name="reducer_compliance",
     site="shaft",
     kernel=shaft_compliance,
-    parameters=(Parameter("compliance", "rad/(N·m)", 0.0, 2e-3, 2e-5),),
+    parameters=(
+        Parameter("compliance", "rad/(N·m)", 0.0, 2e-3, 2e-5),
+        Parameter("damping", "", 0.0, 0.3, 0.01, ZETA),
+    ),
     values=ReducerCompliance,
     location="reducers",
     source="torsional stiffness of planetary reducers, manufacturers' data",

@@ -5,7 +5,7 @@ from math import cos, e, exp, log, pi, sin, sqrt
 import pytest
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.effects.presliding import bristle_lag, fading
+from dmptm_ctrl.effects.presliding import bristle_lag, build_up_distance, fading
 from dmptm_ctrl.effects.stribeck import stribeck_law
 
 RAMP = [2.0 * i for i in range(32)]  # knots of a table
@@ -28,7 +28,7 @@ BY_HAND = [
     ("cogging", (0.02, 0.01, 0.03, 0.04, 6.0), (5.0, pi / 12, 1.0, 0.0, 1), 0.04),
     ("back_emf", (0.002,), (5.0, 3.0, 20.0, 0.0, 1), -0.04),
     # two inertias of 0.125 kg·m² reduce to 0.0625; 2 · 0.03 · √(0.0625/1e-4) = 1.5
-    ("reducer_compliance", (1e-4,), (0.0625,), (1e-4, 1.5)),
+    ("reducer_compliance", (1e-4, 0.03), (0.0625,), (1e-4, 1.5)),
     ("pinion_runout", (0.001, 0.002, 0.003, 0.004), (pi / 2, 2.0, 9.0, 9.0, 0),
      (0.002, -0.002, 0.0, 0.0)),
     ("pinion_runout", (0.001, 0.002, 0.003, 0.004), (0.0, 2.0, 9.0, 9.0, 1),
@@ -124,8 +124,11 @@ def test_damping_of_bristles_by_hand():
     assert bristle_lag(2e-4, 0.4, 2.5, law) == pytest.approx(4e-3, rel=1e-12)
     assert fading(0.02, 1.0, law) == pytest.approx(0.5, rel=1e-12)
     assert fading(-0.02, -1.0, law) == pytest.approx(1.0 / 1.5, rel=1e-12)
+    # 25 N·m at the same stiffness take 2.5e-4 rad
+    assert build_up_distance(2e-4, -25.0, law) == pytest.approx(2.5e-4, rel=1e-12)
     frictionless = law._replace(coulomb_plus=0.0, coulomb_minus=0.0)
     assert bristle_lag(2e-4, 0.4, 2.5, frictionless) == 0.0
+    assert build_up_distance(2e-4, 5.0, frictionless) == 2e-4
 
 
 def test_every_effect_of_this_package_is_done_by_hand():

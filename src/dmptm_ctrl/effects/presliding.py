@@ -1,13 +1,14 @@
 """Presliding: friction is a spring before it slides.
 
-    dF/dt = |ω| (F_s sgn ω − F)/x0,  friction F + τ dF/dt + v B ω
+    dF/dt = σ |ω| (sgn ω − F/F_s),  σ = Tc/x0,  friction F + τ dF/dt + v B ω
     F_s the declared friction at that speed less v B |ω|,  B ω its viscous part
     τ = 2 ζ √(J x0/Tc) / (1 + |ω|/Ω),  J the body's inertia, Tc and Ω of its friction law
 
 Dahl's equation for all of friction (v = 0), or for what does not grow with speed, with the
 viscous part acting at once as in the LuGre law (v = 1); at x0 → 0 it is the declared friction.
-τ is the damping of the bristles, σ1/σ0 of that law: at small motion the body swings on them
-with the damping ratio ζ. It fades as friction slides, or it would no longer be passive.
+The bristles' stiffness σ is the same at any speed; Tc is the mean of both directions. τ is the
+damping of the bristles, σ1/σ0 of that law: at small motion the body swings on them with the
+damping ratio ζ. It fades as friction slides, or it would no longer be passive.
 """
 
 from typing import NamedTuple
@@ -15,6 +16,8 @@ from typing import NamedTuple
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
+
+LEAST = 1e-9  # of Tc: friction of no size is there at once, without a division by zero
 
 
 class Presliding(NamedTuple):
@@ -31,6 +34,13 @@ def relaxation(body, p):
     """Distance [rad] over which friction builds up, viscous share that need not, damping ratio."""
     distance = p.ring_distance if body == 2 else p.reducer_distance
     return distance, p.viscous_at_once, p.damping
+
+
+@njit
+def build_up_distance(distance, level, p):
+    """Distance [rad] over which friction of `level` [N·m] builds up by friction law p."""
+    coulomb = 0.5 * (p.coulomb_plus + p.coulomb_minus)
+    return distance * max(abs(level) / coulomb, LEAST) if coulomb > 0.0 else distance
 
 
 @njit

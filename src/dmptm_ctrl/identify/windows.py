@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.effects.presliding import build_up_distance
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque, stribeck_law, viscous_torque
 from dmptm_ctrl.identify.motion import Motion, odd_span, readings, second_difference, smooth
 from dmptm_ctrl.simulate.compose import engine, layout
@@ -50,15 +51,16 @@ def viscous_along(speed: Floats, law: Stribeck, out: Floats) -> None:
 
 
 @njit(nogil=True)
-def presliding_along(angle: Floats, distance: float, out: Floats) -> None:
-    """Turn sliding friction into that of Dahl's equation along an angle, exact for its steps."""
+def presliding_along(angle: Floats, distance: float, law: Stribeck, out: Floats) -> None:
+    """Turn sliding friction into presliding along an angle, exact for its steps."""
     force = 0.0
     for i in range(1, angle.size):
         moved = angle[i] - angle[i - 1]
         if moved != 0.0:
             # where the speed has the other sign, there is nothing to slide against yet
             goal = out[i] if out[i] * moved < 0.0 else 0.0
-            force = goal + (force - goal) * exp(-abs(moved) / distance)
+            over = build_up_distance(distance, goal, law)
+            force = goal + (force - goal) * exp(-abs(moved) / over)
         out[i] = force
 
 
@@ -144,7 +146,7 @@ class Windowed:
             at_once *= share
             row -= at_once
             angle = mo.run[:, 0] if body == 2 else mo.run[:, 2 + body] / n1
-            presliding_along(np.ascontiguousarray(angle), distance, row)
+            presliding_along(np.ascontiguousarray(angle), distance, given[1], row)
             row += at_once
         return row, mo.mean(row, held=False)
 

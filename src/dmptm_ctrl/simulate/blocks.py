@@ -128,13 +128,13 @@ def body_rates(
     if sites.renewals[body] > 0.0:
         age = x[-1]
         older = [sites.ageing(body, omega, age)]
-    distance = sites.distances[body]
-    if distance > 0.0:
+    if sites.distances[body] > 0.0:
         direction = 1.0 if omega >= 0.0 else -1.0
         given = direction, theta, omega, t, carried, age
-        friction = x[2] + direction * sites.at_once(body, *given)
-        level = direction * sites.sliding(body, *given)
-        built_up = abs(omega) * (level - friction) / distance
+        at_once = direction * sites.at_once(body, *given)
+        level = direction * sites.sliding(body, *given) - at_once
+        built_up = sites.build_up(body, omega, level, x[2])
+        friction = x[2] + at_once
         friction += sites.bristle_damping(body, direction, omega, inertia, built_up)
         return [omega, (net - friction) / inertia, built_up, *older]
     if abs(omega) <= REST_SPEED:

@@ -94,7 +94,7 @@ _KERNEL_ARGS = {"delay": "0", "lag": "u, side"}  # a delay is the same on both s
 _OWN_KERNELS = (
     *("landing", "mesh_region", "mesh_torque", "region_torque"),
     *("stribeck_law", "breakaway_torque", "sliding_torque", "viscous_torque"),
-    *("bristle_lag", "fading"),
+    *("bristle_lag", "build_up_distance", "fading"),
 )
 
 
@@ -138,7 +138,7 @@ from dmptm_ctrl.effects.backlash import (
     mesh_torque,
     region_torque,
 )
-from dmptm_ctrl.effects.presliding import bristle_lag, fading
+from dmptm_ctrl.effects.presliding import bristle_lag, build_up_distance, fading
 from dmptm_ctrl.effects.stribeck import (
     Stribeck,
     breakaway_torque,

@@ -10,6 +10,7 @@ from math import exp
 
 from numba import njit
 
+from dmptm_ctrl.effects.presliding import build_up_distance
 from dmptm_ctrl.effects.stribeck import sliding_torque, stribeck_law, viscous_torque
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
@@ -62,13 +63,14 @@ def friction_along(omega, way, theta, t, mesh, body, law, active, on, values):
 
 
 @njit
-def built_up(friction, omega, dt, body, memory, on, values):
+def built_up(friction, omega, dt, body, law, memory, on, values):
     """Friction that takes a distance to build up [N·m]; memory holds what does, per body."""
     distance, share, _ = presliding_law(body, on, values)
     if distance <= 0.0:
         return friction[0]
     at_once = share * friction[1]
     level = friction[0] - at_once
+    distance = build_up_distance(distance, level, law)
     kept = (memory[M_BRISTLES + body] - level) * exp(-abs(omega) * dt / distance)
     memory[M_BRISTLES + body] = level + kept
     return memory[M_BRISTLES + body] + at_once
@@ -93,7 +95,7 @@ def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, dt, law, memory, bas
     way = direction_of(speed, law[L_SOFTNESS])
     press = 0.5 * gain * (law[L_BIAS_L] - law[L_BIAS_R])  # preload in each mesh, N·m
     rub = friction_along(speed, way, angle, t, 2.0 * abs(press), 2, bearing, rubs, on, values)
-    held = built_up(rub, speed, dt, 2, memory, on, values)
+    held = built_up(rub, speed, dt, 2, bearing, memory, on, values)
     load = law[L_INERTIA] * base[4] * rate + law[L_FRICTION] * held
     if loads:
         load -= law[L_EFFECTS] * load_torque(angle, speed, t, on, values)
@@ -103,7 +105,7 @@ def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, dt, law, memory, bas
         motor = (theta_ml if side == 0 else theta_mr) + law[L_LEAD] * n1 * n2 * speed
         mesh = share + (press if side == 0 else -press)
         rub = friction_along(n2 * speed, way, motor / n1, t, mesh, side, reducer, rubs, on, values)
-        held = built_up(rub, n2 * speed, dt, side, memory, on, values)
+        held = built_up(rub, n2 * speed, dt, side, reducer, memory, on, values)
         torque = share + swing + law[L_FRICTION] * held
         if pulls:
             u = torque / gain

@@ -24,7 +24,7 @@ from dmptm_ctrl.effects.backlash import (
     mesh_torque,
     region_torque,
 )
-from dmptm_ctrl.effects.presliding import bristle_lag, fading
+from dmptm_ctrl.effects.presliding import bristle_lag, build_up_distance, fading
 from dmptm_ctrl.effects.stribeck import (
     breakaway_torque,
     sliding_torque,
@@ -407,7 +407,7 @@ def preslide(v, v_mid, force, mobility, h, law, scale, added, bristles, bristle)
     at_once = direction * bristles[1] * scale * viscous_torque(v_mid, direction, law)
     level = direction * max(scale * sliding_torque(v_mid, direction, law) + added, 0.0) - at_once
     # of what is left to build up, after half of the step; one at rest, where nothing does
-    half = exp(-0.5 * abs(v_mid) * h / bristles[0])
+    half = exp(-0.5 * abs(v_mid) * h / build_up_distance(bristles[0], level, law))
     middle = bristle + (level - bristle) * (1.0 - half)
     built = (level - bristle) * (1.0 - half * half)
     damping = bristles[2] * fading(v_mid, direction, law) * built / h

@@ -33,6 +33,7 @@ _breakaway = uncompiled(friction_kernels.breakaway_torque)
 _sliding = uncompiled(friction_kernels.sliding_torque)
 _viscous = uncompiled(friction_kernels.viscous_torque)
 _bristle_lag = uncompiled(bristle_kernels.bristle_lag)
+_build_up_distance = uncompiled(bristle_kernels.build_up_distance)
 _fading = uncompiled(bristle_kernels.fading)
 
 
@@ -174,6 +175,11 @@ class Sites:
         mesh, age = (*mesh_age, 0.0)[:2]
         scale, _ = self._friction(body, theta, omega, t, mesh, age)
         return self._at_once[body] * scale * _viscous(omega, direction, self.laws[body])
+
+    def build_up(self, body: int, omega: float, level: float, friction: float) -> float:
+        """Rate [N·m/s] of presliding torque `friction` towards `level`, both signed."""
+        distance = _build_up_distance(self.distances[body], level, self.laws[body])
+        return abs(omega) * (level - friction) / distance
 
     def bristle_damping(
         self, body: int, direction: float, omega: float, inertia: float, rate: float

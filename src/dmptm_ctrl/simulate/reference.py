@@ -94,8 +94,8 @@ class _Hybrid:
                 given = motion, y[body], omega, t, carried[body], age
                 at_once = motion * sites.at_once(body, *given)
                 friction = y[BRISTLE + body] + at_once
-                level = motion * sites.sliding(body, *given)
-                built_up = abs(omega) * (level - friction) / sites.distances[body]
+                level = motion * sites.sliding(body, *given) - at_once
+                built_up = sites.build_up(body, omega, level, y[BRISTLE + body])
                 rate[BRISTLE + body] = built_up
                 friction += sites.bristle_damping(body, motion, omega, inertia, built_up)
             elif motion == 0.0:

@@ -69,7 +69,7 @@ def test_all_effects_together_are_second_order(paper, lively, visible_values):
         model = model.with_effect(name, **visible_values(effect))
     time, u, x0 = lively
     steps, last, logs = 2 ** np.arange(3, 11), [], []
-    for volts in (1.6, 1.8, 2.0, 2.2, 2.4):
+    for volts in (1.6, 2.0, 2.4):
         exact = simulate(model, time, volts * u, x0, method="reference").outputs
         scale = np.ptp(exact, axis=1)
         assert np.all(scale > 1e-4)

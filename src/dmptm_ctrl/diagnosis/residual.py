@@ -1,13 +1,16 @@
 """Second step: what the declared model, fitted inside its declared ranges, leaves."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.identify.balance import Balance, BalanceFit, fit_balance, surprise
+from dmptm_ctrl.identify.balance import Balance, BalanceFit, fit_balance, loss, surprise
 from dmptm_ctrl.identify.fit import Misfit, Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.motion import motions
 from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.identify.ripple import FAST
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.model import Model
 
@@ -42,6 +45,20 @@ class Residual:
         """Loss of the fitted model on the held-out logs."""
         return self.held_loss(self.base.model)
 
+    @cached_property
+    def fast(self) -> "Residual":
+        """The same, judged by what is faster than windows besides."""
+        if self.balance.fast:
+            return self
+        balance, held = (replace(one, fast=True) for one in (self.balance, self.held))
+        base, parts = self.base, balance.missing(self.base.model)
+        # nothing of the drive alone changes its fast part
+        still = np.zeros((sum(map(len, parts)) - len(base.missing), len(base.unknowns)))
+        value = loss(parts, balance.kinds, base.unknowns, base.p)
+        jacobian = np.vstack([base.jacobian, still])
+        base = replace(base, parts=parts, kinds=balance.kinds, jacobian=jacobian, loss=value)
+        return replace(self, balance=balance, held=held, base=base)
+
 
 def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: int) -> Balance:
     """Prepare balances; without motor encoders `model` tells which pinions touch."""
@@ -49,7 +66,8 @@ def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: i
     # a model that never touches with both is wrong about it: the declared one then tells
     for tells in (model, declared) if simulated else (model,):
         runs = Misfit(records, LEAD_HZ, jobs).runs(tells) if simulated else None
-        balance = Balance(motions(records, model, runs), declared, jobs)
+        fast = any(name in FAST for name in model.effects)
+        balance = Balance(motions(records, model, runs), declared, jobs, fast)
         if balance.equations:
             break
     else:

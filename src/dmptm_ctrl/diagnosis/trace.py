@@ -6,6 +6,7 @@ best of its bank of shapes; what it lowers the loss by is its evidence.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import STALLED, Balance, BalanceFit, columns, fit_balance
 from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
+from dmptm_ctrl.identify.ripple import FAST, order_gains
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats
 
@@ -84,6 +86,11 @@ class Trace:
         self.basis, _ = np.linalg.qr(np.vstack([w[:, None] * self.base.jacobian, prior]))
         self.rows = prior.shape[0]
         self.target = self.project(-w * self.base.missing)
+
+    @cached_property
+    def fast(self) -> "Trace":
+        """The same for effects that act faster than a window passes."""
+        return self if self.balance.fast else Trace(self.left.fast)
 
     def project(self, columns: Floats) -> Floats:
         """Take out what the drive's parameters could explain; (m,) or (m, k) weighted."""
@@ -177,6 +184,10 @@ def orders(trace: Trace, effect: Effect) -> list[dict[str, float]]:
             for mo in balance.motions
         ]
         for e in balance.equations:
+            if e.kind == "ripple":
+                for part in parts:
+                    part.append(np.zeros(int(e.used.sum())))
+                continue
             table = n1 * tables[e.motion][:, e.used]
             for j in range(4):
                 if e.kind == "total":
@@ -186,8 +197,20 @@ def orders(trace: Trace, effect: Effect) -> list[dict[str, float]]:
                     parts[j].append(-table[j] if mine else np.zeros(table.shape[1]))
         return trace.gain(np.array([trace.weigh_down(p) for p in parts]).T)
 
-    gains = np.array(in_threads(gain, bank, balance.jobs))
+    gains = np.array(in_threads(gain, bank, balance.jobs)) + fast_gains(trace, bank)
     return [{"order": float(bank[i])} for i in best(gains, STARTS, 1)]
+
+
+def fast_gains(trace: Trace, bank: Sequence[float]) -> Floats:
+    """What the same orders explain of the fast part."""
+    ends = np.cumsum([part.size for part in trace.base.parts])[:-1]
+    counts = np.split(trace.base.weights**2, ends)
+    fast = [
+        (trace.balance.ripples[e.motion], part, count)
+        for e, part, count in zip(trace.balance.equations, trace.base.parts, counts, strict=True)
+        if e.kind == "ripple"
+    ]
+    return order_gains(fast, round(max(bank)))[np.array(bank, int) - 1]
 
 
 def places(trace: Trace, effect: Effect) -> list[dict[str, float]]:
@@ -260,6 +283,8 @@ def ringing(names: Iterable[str]) -> tuple[Unknown, ...]:
 def try_effect(trace: Trace, name: str) -> Trial:
     """Fit an effect from its best starts."""
     effect = CATALOGUE[name]
+    if name in FAST:
+        trace = trace.fast
     fits = []
     for values in starts(trace, effect):
         model = trace.base.model.with_effect(name, **values)
@@ -293,6 +318,8 @@ def tried(trace: Trace, name: str, done: BalanceFit) -> Trial:
 
 def settled(trace: Trace, trial: Trial) -> Trial:
     """Fit a trial to the end, with the drive's columns taken where it is."""
+    if trial.name in FAST:
+        trace = trace.fast
     own = trace.base.unknowns
     there = columns(trace.balance, trial.fit.model, own, trial.fit.missing)
     again = fit_balance(trace.balance, trial.fit.model, trial.fit.unknowns, jacobian=there)

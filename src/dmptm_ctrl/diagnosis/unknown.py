@@ -216,7 +216,9 @@ def group_parts(balance: Balance, scale: Scale) -> list[tuple[tuple[str, ...], l
 
 
 def signs(kind: str, rows: Sequence[Floats], used: np.ndarray) -> Floats:
-    """Columns (w, k) of one equation from window means of torques and shifts."""
+    """Columns (w, k) of one equation from window means of torques and shifts; no ripple."""
+    if kind == "ripple":
+        return np.zeros((int(used.sum()), sum(len(x) for x in rows)))
     left, right, ring, one, two = (x[:, used] for x in rows)
     if kind == "total":
         turned = [-RING_RATIO * left, -RING_RATIO * right, -ring, 0.0 * one, 0.0 * two]

@@ -6,7 +6,8 @@ Summed over all bodies the mesh torques cancel, so that the balance at the ring 
 
 holds through gaps and rattle, of which no simulation predicts the course; per chain the
 mesh torque follows from the measured twist while the pinion rests on a flank. Nothing is
-integrated: no drift, no chaos, and nearly linear in everything unknown.
+integrated: no drift, no chaos, and nearly linear in everything unknown. What acts faster than a
+window is long is told by the gyro's fast part (`ripple`).
 Source: paper Eqs. 16 to 18, 21, 25.
 """
 
@@ -19,7 +20,8 @@ import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
-from dmptm_ctrl.identify.motion import Motion
+from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
+from dmptm_ctrl.identify.ripple import Ripple
 from dmptm_ctrl.identify.windows import Windowed, frictions
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -29,14 +31,16 @@ MIN_WINDOWS = 8  # of a log and equation; fewer tell nothing about their own sca
 FREEDOM = 4.0  # of Student's t: how a window may scatter, bursts and rattle included
 SCALE_STEPS = 12
 RECENT = 256  # scales kept: of all equations of a few fits at a time
-FLOOR = {"total": 0.1, "chain": 0.4}  # N·m; friction laws are not known more finely
+# N·m, rad/s for ripple; friction laws, and a sensor's noise, are not known more finely
+FLOOR = {"total": 0.1, "chain": 0.4, "ripple": 0.5 * GYRO_NOISE}
 # Difference steps, in scales of an unknown; small for what enters a phase or an exponent.
 PROBES = {"drive": 0.1, "amplitude": 1.0, "shape": 0.02}
 ITERATIONS = 8
 STALLED = 0.5  # fall of the loss that ends the iterations
 # Share of the windows that are independent: they overlap by half, and the wobble of a pinion
 # on its flank lasts for several. Not read off the misfit, which a missing effect correlates.
-NEWS = {"total": 0.6, "chain": 0.25}
+# Samples of the fast part are white.
+NEWS = {"total": 0.6, "chain": 0.25, "ripple": 1.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +48,13 @@ class Equation:
     """One balance on one log: which windows of it count."""
 
     motion: int
-    kind: str  # total, or the chain: left, right
+    kind: str  # total, or the chain: left, right; or ripple, whose `used` are samples
     used: np.ndarray
 
 
 @dataclass(eq=False)
 class Balance:
-    """Missing torque [N·m] of a model on measured motions.
+    """Missing torque [N·m], and missing fast speed [rad/s], of a model on measured motions.
 
     Parameters
     ----------
@@ -59,11 +63,14 @@ class Balance:
         Tells which meshes push firmly; which windows count does not follow a fit.
     jobs : int
         Threads; nothing depends on it.
+    fast : bool
+        Whether the fast part counts, last of all equations.
     """
 
     motions: Sequence[Motion]
     declared: Model
     jobs: int = 1
+    fast: bool = False
 
     @cached_property
     def equations(self) -> tuple[Equation, ...]:
@@ -77,7 +84,14 @@ class Balance:
                     (k, mo.slides & mo.touches[:, s] & firm[:, s]) for s, k in enumerate(SIDES)
                 ]
             found += [Equation(i, k, used) for k, used in kinds if used.sum() >= MIN_WINDOWS]
+        if self.fast:
+            found += [Equation(i, "ripple", r.used) for i, r in enumerate(self.ripples) if r.tells]
         return tuple(found)
+
+    @cached_property
+    def ripples(self) -> list[Ripple]:
+        """The fast part of each motion."""
+        return [Ripple(mo) for mo in self.motions]
 
     @cached_property
     def windowed(self) -> list[Windowed]:
@@ -99,7 +113,12 @@ class Balance:
         arrays = model.arrays()
         reduced = reducer_compliance(model)
         tables = [windowed.missing(arrays, reduced) for windowed in self.windowed]
-        return [tables[e.motion][ROWS[e.kind]][e.used] for e in self.equations]
+        return [
+            self.ripples[e.motion].missing(arrays)
+            if e.kind == "ripple"
+            else tables[e.motion][ROWS[e.kind]][e.used]
+            for e in self.equations
+        ]
 
 
 def pushes(windowed: Windowed, model: Model) -> np.ndarray:
@@ -122,7 +141,7 @@ def reducer_compliance(model: Model) -> float:
 
 
 def scatter(parts: Sequence[Floats], kinds: Sequence[str]) -> list[float]:
-    """How far the windows of each equation scatter [N·m]."""
+    """How far the windows, or samples, of each equation scatter."""
     return [
         float(np.hypot(robust_scale(part), FLOOR[role_of(kind)]))
         for part, kind in zip(parts, kinds, strict=True)
@@ -225,8 +244,8 @@ def loss(
 
 
 def role_of(kind: str) -> str:
-    """Tell the balance of the whole from that of a chain."""
-    return "total" if kind == "total" else "chain"
+    """Tell the balance of the whole, that of a chain and the fast part apart."""
+    return kind if kind in ("total", "ripple") else "chain"
 
 
 def role(unknown: Unknown) -> str:

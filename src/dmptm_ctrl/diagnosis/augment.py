@@ -10,8 +10,8 @@ from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.ensemble import smoothed
-from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit
+from dmptm_ctrl.identify.ensemble import SUBSTEPS_EACH, smoothed
+from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit, place, position
 from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, level, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
@@ -22,6 +22,9 @@ NOT_NEWS = 2.0
 FIRM_SECONDS = 0.2  # a lock that holds for so long needs no other fit beside it
 AGAIN = 0.5  # share of a horizon that was reached, from which other logs begin
 NOISE = np.deg2rad(0.01)  # rad/s, of a gyro below 30 Hz
+# Over whole logs at most; how many may come to less than the fall of the sum of the logs'
+# logarithms that is worth more; of how many the mean is tried.
+TURNS, PATIENCE, WORTH, LAST = 6, 3, 0.25, 3
 ITERATIONS = 2  # from the values of balances and the rattle; more moved nothing on held-out logs
 
 
@@ -78,23 +81,39 @@ def augment(
         if locked.horizon == 0.0 or missed(whole.model, records) < missed(best.model, records):
             best = whole
     done = Fit(best.model, unknowns, best.p, best.covariance, locked.horizon)
+    if near is not None:
+        done = nearer(records, done, near.model, jobs)
     if onward:
-        done = onto_whole(records, done, near, loosely, jobs)
+        done = onto_whole(records, done, loosely, jobs)
     return replace(done, covariance=honest(done, start))
 
 
-def onto_whole(
-    records: Sequence[Record], done: Fit, near: Fit | None, known: Known, jobs: int
-) -> Fit:
-    """Go on over whole logs from whichever of two fits meets them better, as long as it helps."""
-    fits = [done]
-    if near is not None and near.unknowns == done.unknowns:
-        fits.append(replace(done, model=near.model, p=near.p))
-    misses = [missed(one.model, records, jobs) for one in fits]
-    first = fits[int(np.argmin(misses))]
-    further = smoothed(records, first, known, jobs)
-    misses += [missed(one.model, records, jobs) for one in further]
-    best = [*fits, *further][int(np.argmin(misses))]
+def nearer(records: Sequence[Record], done: Fit, near: Model, jobs: int) -> Fit:
+    """Return a refit, or what it began with where that meets whole logs better."""
+    p = position(near, done.unknowns)
+    other = replace(done, model=place(done.model, done.unknowns, p), p=p)
+    return min(done, other, key=lambda one: missed(one.model, records, jobs))
+
+
+def onto_whole(records: Sequence[Record], done: Fit, known: Known, jobs: int) -> Fit:
+    """Go on over whole logs as long as it meets them better.
+
+    What a turn has learnt brings later bounces within reach of the next, which begins anew with
+    the little that the first bounces tell: what a turn knows in the end is too much. Where each
+    comes out is partly chance, which their mean has less of.
+    """
+    tried, turns = [(missed(done.model, records, jobs), done)], [done]
+    for turn in range(TURNS):
+        steps = SUBSTEPS_EACH if turn == 0 else SUBSTEPS_EACH[1:]
+        turns.append(smoothed(records, turns[-1], known, jobs, turn, steps)[-1])
+        tried.append((missed(turns[-1].model, records, jobs), turns[-1]))
+        misses = [miss for miss, _ in tried]
+        if min(misses[-PATIENCE:]) > min(misses[:-PATIENCE], default=np.inf) - WORTH:
+            break
+    p = np.mean([one.p for one in turns[-LAST:]], axis=0)
+    mean = replace(done, model=place(done.model, done.unknowns, p), p=p)
+    tried.append((missed(mean.model, records, jobs), mean))
+    best = min(tried, key=lambda one: one[0])[1]
     return replace(done, model=best.model, p=best.p)
 
 

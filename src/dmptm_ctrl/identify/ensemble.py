@@ -42,7 +42,12 @@ LONGEST = 2.0  # standard deviations of a draw, per unknown, that a step goes at
 
 
 def smoothed(
-    records: Sequence[Record], done: Fit, known: Known, jobs: int, seed: int = 0
+    records: Sequence[Record],
+    done: Fit,
+    known: Known,
+    jobs: int,
+    seed: int = 0,
+    each: Sequence[int] = SUBSTEPS_EACH,
 ) -> list[Fit]:
     """Go on with a fit over whole logs.
 
@@ -58,6 +63,8 @@ def smoothed(
         Threads. The result does not depend on it.
     seed : int
         Of the drives that are drawn.
+    each : sequence of int
+        Steps per sample, of each step.
 
     Returns
     -------
@@ -67,7 +74,7 @@ def smoothed(
     parts = [replace(rec, block=max(1, round(BLOCK_SECONDS / rec.dt))) for rec in records]
     rng = np.random.default_rng(seed)
     fits = [replace(done, covariance=WIDER * at_first(records, done, known, jobs))]
-    for substeps in SUBSTEPS_EACH:
+    for substeps in each:
         p, covariance = step(parts, fits[-1], known, jobs, rng, substeps)
         fits.append(Fit(place(done.model, done.unknowns, p), done.unknowns, p, covariance))
     return [replace(fit, horizon=done.horizon) for fit in fits[1:]]

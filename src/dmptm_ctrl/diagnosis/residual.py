@@ -47,8 +47,11 @@ class Residual:
 
     @cached_property
     def fast(self) -> "Residual":
-        """The same, judged by what is faster than windows besides."""
-        if self.balance.fast:
+        """The same, judged by what is faster than windows besides.
+
+        With motor encoders the chains' own balances tell more, and nothing is added.
+        """
+        if self.balance.fast or not self.balance.simulated:
             return self
         balance, held = (replace(one, fast=True) for one in (self.balance, self.held))
         base, parts = self.base, balance.missing(self.base.model)
@@ -66,7 +69,7 @@ def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: i
     # a model that never touches with both is wrong about it: the declared one then tells
     for tells in (model, declared) if simulated else (model,):
         runs = Misfit(records, LEAD_HZ, jobs).runs(tells) if simulated else None
-        fast = any(name in FAST for name in model.effects)
+        fast = simulated and any(name in FAST for name in model.effects)
         balance = Balance(motions(records, model, runs), declared, jobs, fast)
         if balance.equations:
             break

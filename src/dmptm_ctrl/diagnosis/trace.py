@@ -90,7 +90,7 @@ class Trace:
     @cached_property
     def fast(self) -> "Trace":
         """The same for effects that act faster than a window passes."""
-        return self if self.balance.fast else Trace(self.left.fast)
+        return self if self.left.fast is self.left else Trace(self.left.fast)
 
     def project(self, columns: Floats) -> Floats:
         """Take out what the drive's parameters could explain; (m,) or (m, k) weighted."""
@@ -203,6 +203,8 @@ def orders(trace: Trace, effect: Effect) -> list[dict[str, float]]:
 
 def fast_gains(trace: Trace, bank: Sequence[float]) -> Floats:
     """What the same orders explain of the fast part."""
+    if not trace.balance.fast:
+        return np.zeros(len(bank))
     ends = np.cumsum([part.size for part in trace.base.parts])[:-1]
     counts = np.split(trace.base.weights**2, ends)
     fast = [

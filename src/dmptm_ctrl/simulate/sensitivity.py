@@ -17,11 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dmptm_ctrl.contract import SITES, Effect
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
-from dmptm_ctrl.simulate.compose import engine, layout
+from dmptm_ctrl.simulate.compose import engine, layout, per_catalogue
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 
@@ -202,6 +203,12 @@ def _way(arrays: Arrays, places: Sequence[_Place]) -> Callable[..., int] | None:
     return _by_kernels if known and len(places) <= FEW_WITH_EFFECTS else None
 
 
+@per_catalogue
+def _sites(effects: tuple[Effect, ...]) -> list[int]:
+    """Site of each number of the effects, by its position in the contract."""
+    return [SITES.index(effect.site) for effect in effects for _ in effect.parameters]
+
+
 def _memory(ons: NDArray[np.uint8]) -> bool | None:
     """True if an effect in use has a state of its own, else None: each a loop of its own."""
     used = ons.max(axis=0)
@@ -217,11 +224,16 @@ def _by_kernels(
     """Go along by `tangent_site_core`; the sample from which the other way is another one."""
     bases, ons, values = (np.array(rows) for rows in zip(*drives, strict=True))
     loop = engine()
+    sites = _sites()
+    moved = np.array(
+        [(j, slot, sites[slot]) for j, slot in zip(*np.nonzero(values[1:-1] != values[0]), strict=True)],
+        np.int64,
+    ).reshape(-1, 3)
     room, fixed = np.zeros(loop.SIZE_WITH_SITES), np.zeros((len(drives), loop.FIXED))
     on = ons.max(axis=0)
     return int(
         loop.march_site_tangents(
-            *given, bases, values, on, steps, room, fixed, *results, _memory(ons)
+            *given, bases, values, on, moved, steps, room, fixed, *results, _memory(ons)
         )
     )
 

@@ -35,6 +35,7 @@ from dmptm_ctrl.simulate.tangent_core import (
     APART,
     CHANGES,
     D_G0,
+    D_G1,
     DQ0,
     ROUNDING,
     SIZE_OF_CHANGES,
@@ -169,66 +170,66 @@ def level_of(x, v, t, torque, age, body, acting, on, values, row):
 
 
 @njit
-def pinion_step(x, side, u, t, h, acting, bases, on, values, fixed, row):
-    """Step of a pinion and its motor, from torque of the mesh to angle; that torque."""
+def row_step(x, u0, u1, t, h, acting, bases, on, values, fixed, row):
+    """Take a state one step further: pinions and their motors, then the ring gear."""
     n1, n2 = bases[row, 5], bases[row, 6]
-    v = x[X_V + side]
-    theta, omega = x[X_Q + side] + 0.5 * h * v, v + 0.5 * x[X_D + side]
     theta_l, omega_l = x[X_Q + 2] + 0.5 * h * x[X_V + 2], x[X_V + 2] + 0.5 * x[X_D + 2]
-    shift, rate, mesh = mesh_of(
-        theta, omega, theta_l, omega_l, side, acting.mesh, bases, on, values, row
-    )
-    z, z_rate = theta - n2 * theta_l + shift, omega - n2 * omega_l + rate
-    torque, x[X_REGION + side] = mesh_step(z, z_rate, mesh, x[X_REGION + side], h)
-    u, x[X_E + side] = voltage_of(u, x[X_E + side], t, side, h, acting, on, values, row)
+    push, load = 0.0, 0.0  # on the ring gear, and what its friction may grow with
+    for body in range(3):
+        theta = x[X_Q + body] + 0.5 * h * x[X_V + body]
+        omega = x[X_V + body] + 0.5 * x[X_D + body]
+        mobility, first = (F_MOBL, 24) if body == 2 else (F_MOB3, 15)
+        if body == 2:
+            force, torque = n2 * push, load
+            if acting.load:
+                force += load_torque_of(theta, omega, t, on, values, row)
+        else:
+            shift, rate, mesh = mesh_of(
+                theta, omega, theta_l, omega_l, body, acting.mesh, bases, on, values, row
+            )
+            z, z_rate = theta - n2 * theta_l + shift, omega - n2 * omega_l + rate
+            torque, x[X_REGION + body] = mesh_step(z, z_rate, mesh, x[X_REGION + body], h)
+            push, load = push + torque, load + abs(torque)
+            u, x[X_E + body] = voltage_of(
+                u1 if body == 1 else u0, x[X_E + body], t, body, h, acting, on, values, row
+            )
+            force = motor_step(
+                x, body, theta, omega, u, t, h, acting, n1, n1 * (bases[row, 0] * bases[row, 1]),
+                on, values, fixed, row
+            ) - torque  # fmt: skip
+        level, added = level_of(
+            theta, omega, t, torque, x[X_AGE + body], body, acting, on, values, row
+        )
+        law, bristles = law_of(bases, row, first), bristles_in(fixed, row, body)
+        v = x[X_V + body]
+        new, x[X_F + body] = friction_step(
+            v, omega, force, fixed[row, mobility], h, law, level, added, bristles, x[X_F + body]
+        )
+        if acting.ageing:
+            x[X_AGE + body] = aged(x[X_AGE + body], new, h, fixed[row, F_RENEW + body])
+        x[X_V + body], x[X_D + body] = new, new - v
+        x[X_Q + body] = theta + 0.5 * h * new
+        if body < 2 and not acting.elastic:
+            x[X_A + body] = x[X_Q + body]
+
+
+@njit
+def motor_step(x, side, theta, omega, u, t, h, acting, n1, gain, on, values, fixed, row):
+    """Torque of a motor on the pinion, and the step of one behind an elastic reducer."""
     angle, speed = theta, omega
     if acting.elastic:
         angle = x[X_A + side] + 0.5 * h * x[X_W + side]
         speed = x[X_W + side] + 0.5 * x[X_B + side]
-    force = n1 * (bases[row, 0] * bases[row, 1]) * u
+    force = gain * u
     if acting.motor:
         force += n1 * motor_torque_of(u, n1 * angle, n1 * speed, t, side, on, values, row)
-    if acting.elastic:
-        twist = fixed[row, F_STIFF] * (angle - theta) + fixed[row, F_DAMP] * (speed - omega)
-        x[X_B + side] = fixed[row, F_EASE] * (force - twist)
-        x[X_W + side] += x[X_B + side]
-        x[X_A + side] = angle + 0.5 * h * x[X_W + side]
-        force = twist
-    body_step(x, side, theta, omega, force - torque, torque, t, h, acting, bases, on, values, fixed, row)
     if not acting.elastic:
-        x[X_A + side] = x[X_Q + side]
-    return torque
-
-
-@njit
-def body_step(x, body, theta, omega, force, load, t, h, acting, bases, on, values, fixed, row):
-    """Step of a body under a net torque but for friction; `load` is what friction may grow with."""
-    v = x[X_V + body]
-    level, added = level_of(
-        theta, omega, t, load, x[X_AGE + body], body, acting, on, values, row
-    )
-    mobility, first = (F_MOBL, 24) if body == 2 else (F_MOB3, 15)
-    law, bristles = law_of(bases, row, first), bristles_in(fixed, row, body)
-    new, x[X_F + body] = friction_step(
-        v, omega, force, fixed[row, mobility], h, law, level, added, bristles, x[X_F + body]
-    )
-    if acting.ageing:
-        x[X_AGE + body] = aged(x[X_AGE + body], new, h, fixed[row, F_RENEW + body])
-    x[X_V + body], x[X_D + body] = new, new - v
-    x[X_Q + body] = theta + 0.5 * h * new
-
-
-@njit
-def row_step(x, u0, u1, t, h, acting, bases, on, values, fixed, row):
-    """Take a state one step further."""
-    theta, omega = x[X_Q + 2] + 0.5 * h * x[X_V + 2], x[X_V + 2] + 0.5 * x[X_D + 2]
-    torque0 = pinion_step(x, 0, u0, t, h, acting, bases, on, values, fixed, row)
-    torque1 = pinion_step(x, 1, u1, t, h, acting, bases, on, values, fixed, row)
-    force = bases[row, 6] * (torque0 + torque1)
-    if acting.load:
-        force += load_torque_of(theta, omega, t, on, values, row)
-    carried = abs(torque0) + abs(torque1)
-    body_step(x, 2, theta, omega, force, carried, t, h, acting, bases, on, values, fixed, row)
+        return force
+    twist = fixed[row, F_STIFF] * (angle - theta) + fixed[row, F_DAMP] * (speed - omega)
+    x[X_B + side] = fixed[row, F_EASE] * (force - twist)
+    x[X_W + side] += x[X_B + side]
+    x[X_A + side] = angle + 0.5 * h * x[X_W + side]
+    return twist
 
 
 @njit
@@ -246,20 +247,25 @@ def row_steps(s, room, p, volts, t, h, acting, bases, on, values, fixed):
     here, there, before = room[0], room[1], room[2]
     for k in range(STATE):
         before[k] = here[k]
-    row_step(here, volts[0, 0], volts[0, 1], t, h, acting, bases, on, values, fixed, 0)
     apart = False
-    for j in range(p + 1):
-        for k in range(SMOOTH):
-            there[k] = before[k] + s[place_of(k) + j]
-        for side in range(2):
-            there[X_REGION + side] = s[D_G0 + side * CHANGES + j]
+    for j in range(-1, p + 1):
         row = 1 + j
+        for k in range(STATE):
+            there[k] = before[k]
+        if j >= 0:
+            for k in range(SMOOTH):
+                there[k] += s[place_of(k) + j]
+            there[X_REGION], there[X_REGION + 1] = s[D_G0 + j], s[D_G1 + j]
         row_step(there, volts[row, 0], volts[row, 1], t, h, acting, bases, on, values, fixed, row)
+        if j < 0:
+            for k in range(STATE):
+                here[k] = there[k]
+            continue
         for k in range(SMOOTH):
             s[place_of(k) + j] = there[k] - here[k]
-        for side in range(2):
-            s[D_G0 + side * CHANGES + j] = there[X_REGION + side]
-            apart = apart or there[X_REGION + side] != here[X_REGION + side]
+        s[D_G0 + j], s[D_G1 + j] = there[X_REGION], there[X_REGION + 1]
+        apart = apart or there[X_REGION] != here[X_REGION]
+        apart = apart or there[X_REGION + 1] != here[X_REGION + 1]
         for k in range(X_V, X_V + 3):
             apart = apart or (there[k] == 0.0) != (here[k] == 0.0)
     return apart

@@ -209,6 +209,21 @@ def _sites(effects: tuple[Effect, ...]) -> list[int]:
     return [SITES.index(effect.site) for effect in effects for _ in effect.parameters]
 
 
+def _moved(values: Floats) -> NDArray[np.int64]:
+    """Changes and numbers of the effects that these move, by site, behind where each site begins.
+
+    `values` of the run, of each change, of all the other way.
+    """
+    sites, ends = _sites(), len(SITES) + 1
+    pairs = np.argwhere(values[1:-1] != values[0])
+    pairs = sorted(pairs.tolist(), key=lambda pair: sites[pair[1]])
+    table = np.zeros((ends + len(pairs), 3), np.int64)
+    for k, (j, slot) in enumerate(pairs):
+        table[ends + k, 1:] = j, slot
+    table[:ends, 0] = ends + np.searchsorted([sites[slot] for _, slot in pairs], range(ends))
+    return table
+
+
 def _memory(ons: NDArray[np.uint8]) -> bool | None:
     """True if an effect in use has a state of its own, else None: each a loop of its own."""
     used = ons.max(axis=0)
@@ -224,16 +239,15 @@ def _by_kernels(
     """Go along by `tangent_site_core`; the sample from which the other way is another one."""
     bases, ons, values = (np.array(rows) for rows in zip(*drives, strict=True))
     loop = engine()
-    sites = _sites()
-    moved = np.array(
-        [(j, slot, sites[slot]) for j, slot in zip(*np.nonzero(values[1:-1] != values[0]), strict=True)],
-        np.int64,
-    ).reshape(-1, 3)
-    room, fixed = np.zeros(loop.SIZE_WITH_SITES), np.zeros((len(drives), loop.FIXED))
-    on = ons.max(axis=0)
+    moved = _moved(values)
+    fixed, room = np.zeros((len(drives), loop.FIXED)), np.zeros((3, loop.STATE))
+    s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(loop.R_MOVES + len(moved))
+    on, ends = ons.max(axis=0), len(SITES) + 1
+    r[: loop.R_OWN] = *on, *values[0]
+    r[loop.R_MOVES + ends :] = (values[1:-1] - values[0])[tuple(moved[ends:, 1:].T)]
     return int(
         loop.march_site_tangents(
-            *given, bases, values, on, moved, steps, room, fixed, *results, _memory(ons)
+            *given, bases, values, on, moved, steps, s, fixed, room, r, *results, _memory(ons)
         )
     )
 

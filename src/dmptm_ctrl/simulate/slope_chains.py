@@ -1,6 +1,7 @@
 """Write the slopes of the site chains as source text, and tell which effects have them."""
 
 import inspect
+import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -18,8 +19,8 @@ class Chain(NamedTuple):
     begin: str  # values and slopes without effects
     change: str  # by an effect's values c and slopes e
     result: str
-    first: str  # row of g of the first value, on the side or body
-    scaled: tuple[str, ...] = ()  # what an effect does to the rows of effects before it
+    first: str  # row of the first value's slopes by numbers, on the side or body
+    scaled: tuple[str, ...] = ()  # what an effect does to those of effects before it
     weights: tuple[str, ...] = ()  # and those before it to its own
 
 
@@ -27,18 +28,18 @@ _SUMS = "; ".join(f"c_{k} += c[{k}]" for k in range(4))
 CHAINS: dict[str, Chain] = {
     "drive": Chain(
         *("u, t, side", ("u",), "by = 1.0", "u, by = c[0], by * e[0]", "u, by", "side"),
-        scaled=("g[side, k] *= e[0]",),
+        scaled=("r[{side} + k] *= e[0]",),
     ),
     "lag": Chain(
         *("u, side", ("u",), "tau, by, tau_by = 0.0, 1.0, 0.0"),
         "u, tau, by, tau_by = c[0], c[1], by * e[0], by * e[1]",
         *("(u, tau), (by, tau_by)", "2 * side"),
-        scaled=("g[2 * side + 1, k] = g[2 * side, k] * e[1]", "g[2 * side, k] *= e[0]"),
+        scaled=("r[{2 * side + 1} + k] = r[{2 * side} + k] * e[1]", "r[{2 * side} + k] *= e[0]"),
     ),
     "motor": Chain(
         *("u, theta_m, omega_m, t, side", ("u", "theta_m", "omega_m")),
-        *("r, r_0, r_1, r_2 = 0.0, 0.0, 0.0, 0.0", "r += c[0]; r_0 += e[0]; r_1 += e[1]; r_2 += e[2]"),
-        *("r, (r_0, r_1, r_2)", "side"),
+        *("c_0 = e_0 = e_1 = e_2 = 0.0", "c_0 += c[0]; e_0 += e[0]; e_1 += e[1]; e_2 += e[2]"),
+        *("c_0, (e_0, e_1, e_2)", "side"),
     ),
     "mesh": Chain(
         "theta_p, omega_p, theta_L, omega_L, side",
@@ -57,17 +58,18 @@ CHAINS: dict[str, Chain] = {
         + "; ".join(f"e_{k} += e[{k}]" for k in range(3, 6))
         + "; level *= c[0]; added += c[1]",
         *("(level, added), (e_0, e_1, e_2, e_3, e_4, e_5)", "2 * body"),
-        scaled=("g[2 * body, k] *= c[0]",),
+        scaled=("r[{2 * body} + k] *= c[0]",),
         weights=("level * ", ""),
     ),
     "ageing": Chain(
-        *("age, body", ("age",), "r, by = 0.0, 0.0", "r += c[0]; by += e[0]", "r, by", "body"),
+        *("age, body", ("age",), "c_0 = e_0 = 0.0", "c_0 += c[0]; e_0 += e[0]", "c_0, e_0", "body"),
     ),
     "load": Chain(
-        *("theta_L, omega_L, t", ("theta_L", "omega_L"), "r, r_0, r_1 = 0.0, 0.0, 0.0"),
-        *("r += c[0]; r_0 += e[0]; r_1 += e[1]", "r, (r_0, r_1)", "0"),
+        *("theta_L, omega_L, t", ("theta_L", "omega_L"), "c_0 = e_0 = e_1 = 0.0"),
+        *("c_0 += c[0]; e_0 += e[0]; e_1 += e[1]", "c_0, (e_0, e_1)", "0"),
     ),
 }
+_ROWS = 8  # of slopes by numbers: most values that a site has, of all its sides or bodies
 _OUTPUTS = {"drive": 1, "lag": 2, "motor": 1, "mesh": 4, "friction": 2, "ageing": 1, "load": 1}
 
 
@@ -81,7 +83,9 @@ def effect_slopes(effect: Effect, library: Library) -> Slopes | None:
     own = dict(zip(chain.args.split(", "), names[:-1], strict=True))
     chosen = [(names[-1], k) for k, p in enumerate(effect.parameters) if p.bank]
     fields = {names[-1]: [p.name for p in effect.parameters]}
-    return library.of(kernel, [own[name] for name in chain.motion], fields, chosen=chosen)
+    motion = [own[name] for name in chain.motion]
+    speeds = [own[name] for name in chain.motion if name.startswith("omega")]
+    return library.of(kernel, motion, fields, speeds=speeds, chosen=chosen)
 
 
 def deciding(effect: Effect) -> frozenset[int] | None:
@@ -93,24 +97,29 @@ def deciding(effect: Effect) -> frozenset[int] | None:
     return frozenset(k for _, k in slopes.deciding) if slopes else frozenset()
 
 
+def _rows(text: str) -> str:
+    """Text in which rows stand for their first places."""
+    return re.sub(r"\{(.*?)\}", r"R_OWN + (\1) * R_NUMBERS", text)
+
+
 def _write_own(
     slopes: Slopes, chain: Chain, site: str, own: range, before: list[int]
 ) -> list[str]:
     """Lines that put slopes by an effect's `own` numbers into g."""
     first = own.start
     lines = [f"for k in ({', '.join(map(str, before))},):"] if chain.scaled and before else []
-    lines += [f"    {text}" for text in chain.scaled if before]
+    lines += [f"    {_rows(text)}" for text in chain.scaled if before]
     for o in range(_OUTPUTS[site]):
-        row = f"{chain.first} + {o}" if o else chain.first
+        row = _rows(f"{{{chain.first} + {o}}}" if o else f"{{{chain.first}}}")
         weight = chain.weights[o] if chain.weights else ""
         if slopes.found:
             lines.append(f"for k in range({first}, {own.stop}):")
-            lines.append(f"    g[{row}, k] = 0.0")
+            lines.append(f"    r[{row} + k] = 0.0")
         for k, (_, at) in enumerate(slopes.fields):
-            lines.append(f"g[{row}, {first + at}] = {weight}q[{o * len(slopes.fields) + k}]")
+            lines.append(f"r[{row} + {first + at}] = {weight}q[{o * len(slopes.fields) + k}]")
         for k in range(slopes.found):
             slope = f"{weight}looked[{o * slopes.found + k}]"
-            lines.append(f"g[{row}, {first} + places[{k}]] += {slope}")
+            lines.append(f"r[{row} + {first} + places[{k}]] += {slope}")
     return lines
 
 
@@ -119,7 +128,7 @@ def _chain(
 ) -> str:
     """Text of the slopes of a site's chain."""
     chain = CHAINS[site]
-    lines = [f"@njit\ndef {site}_slopes_of({chain.args}, own, on, values, g):", "    sure = True"]
+    lines = [f"@njit\ndef {site}_slopes_of({chain.args}, own, r):", "    sure = True"]
     lines += [f"    {part}" for part in chain.begin.split("; ")]
     before: list[int] = []
     for index, (name, effect) in enumerate(effects.items()):
@@ -131,8 +140,8 @@ def _chain(
             continue  # a run with this effect goes another way
         assert slopes is not None
         first, count = slots[name], len(effect.parameters)
-        values = ", ".join(f"values[0, {first + k}]" for k in range(count))
-        lines.append(f"    if on[{index}]:")
+        values = ", ".join(f"r[R_VALUES + {first + k}]" for k in range(count))
+        lines.append(f"    if r[{index}] != 0.0:")
         lines.append(
             f"        c, e, q, places, looked, good = "
             f"{slopes.name}({chain.args}, Values_{index}({values}))"
@@ -155,11 +164,15 @@ def slope_source(effects: Mapping[str, Effect], slots: Mapping[str, int]) -> str
     preslide = library.of(core.preslide, motion, law, still=[("law", "exponent")])
     loops: dict[str, Any] = {
         "preslide": preslide,
-        "aged": library.of(core.aged, ("age", "v", "slip"), {}),
+        "aged": library.of(core.aged, ("age", "v", "slip"), {}, speeds=["v"]),
         "lagged": library.of(row_step_core.lagged, ("aim", "tau", "kept"), {}),
         "toothed": library.of(row_step_core.toothed, ("x", "k_a", "z_3", "phi_r"), {}),
     }
     names = "\n".join(f"{name}_slopes = {slopes.name}" for name, slopes in loops.items())
     fields = tuple(at for record, at in preslide.fields if record == "law")
     chains = "\n\n\n".join(_chain(site, effects, slots, library) for site in CHAINS)
-    return f"{library.text()}\n\n\n{names}\nLAW_FIELDS = {fields}\n\n\n{chains}"
+    numbers = sum(len(effect.parameters) for effect in effects.values())
+    own = len(effects) + numbers
+    places = f"R_VALUES, R_NUMBERS, R_OWN = {len(effects)}, {numbers}, {own}\n"
+    places += f"R_MOVES = {own + _ROWS * numbers}"
+    return f"{library.text()}\n\n\n{names}\nLAW_FIELDS = {fields}\n{places}\n\n\n{chains}"

@@ -44,7 +44,8 @@ class Slopes(NamedTuple):
 
     Its text returns values; slopes by `motion`, of one value after the other; slopes by `fields`;
     positions in the record that are found while it runs; slopes by these; whether a small change
-    leaves all branches as they are, that of a field in `deciding` apart.
+    leaves all branches as they are, that of a field in `deciding` apart. With `rests` it takes one
+    more argument for each in `motion`: whether that does not change at all.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Library:
         motion: Sequence[str],
         records: Mapping[str, Sequence[str]],
         *,
+        speeds: Iterable[str] | None = (),
         still: Iterable[tuple[str, str]] = (),
         chosen: Iterable[tuple[str, int]] = (),
     ) -> Slopes:
@@ -78,17 +80,23 @@ class Library:
         ----------
         records : mapping
             Argument → names of its fields, empty for a tuple.
+        speeds : iterable of str, or None
+            Arguments in `motion` that do not change where they are zero: what rests stays at
+            rest. None: the caller says which do not.
         still : iterable of (argument, field)
             What never changes.
         chosen : iterable of (argument, position)
             What is chosen once for a run, and may be compared without being close to anything.
         """
         function = getattr(function, "py_func", function)
-        key = (function, tuple(motion), tuple(records), tuple(still), tuple(chosen))
+        rests = {a: f"rests_{a}" for a in motion} if speeds is None else {
+            a: f"{a} == 0.0" for a in speeds
+        }
+        key = (function, tuple(motion), tuple(records), *map(tuple, (rests, still, chosen)))
         if key not in self.known:
             name = f"{function.__name__}_slopes_{len(self.known)}"
             name = re.sub(r"\W", "_", name)
-            writer = _Writer(self, function, motion, records, set(still), set(chosen))
+            writer = _Writer(self, function, motion, records, rests, set(still), set(chosen))
             self.known[key] = writer.slopes(name)
         return self.known[key]
 
@@ -114,8 +122,10 @@ def _times(a: str, b: str) -> str:
 class _Writer:
     """Text of one function."""
 
-    def __init__(self, library, function, motion, records, still, chosen) -> None:  # type: ignore
-        self.library, self.function = library, function
+    def __init__(  # type: ignore[no-untyped-def]
+        self, library, function, motion, records, rests, still, chosen
+    ) -> None:
+        self.library, self.function, self.rests = library, function, rests
         self.motion, self.records = tuple(motion), dict(records)
         self.still, self.chosen = still, chosen
         self.lines: list[Any] = []  # of text, or of what is returned
@@ -152,7 +162,8 @@ class _Writer:
         if len(found_in) > 1:
             raise NoSlopes(f"{name} looks up in several records")
         found = max(len(self._found(duals)) for _, duals in returned)
-        text = [f"@njit\ndef {name}({', '.join(self.args)}):", "    sure = True"]
+        more = [x for x in self.rests.values() if _simple(x)]
+        text = [f"@njit\ndef {name}({', '.join(self.args + more)}):", "    sure = True"]
         for line in self.lines:
             if isinstance(line, str):
                 text.append(line)
@@ -274,19 +285,33 @@ class _Writer:
         if isinstance(node, ast.Compare) and len(node.ops) == 1:
             a, b = self.value(node.left), self.value(node.comparators[0])
             left, right = self.bind(a[0]), self.bind(b[0])
-            chosen = {s for s in (*a[1], *b[1]) if s in self.chosen}
-            self.deciding |= chosen  # type: ignore[arg-type]
-            self.guard({*a[1], *b[1]} - chosen, _far(left, right))
+            self.deciding |= {s for s in (*a[1], *b[1]) if s in self.chosen}  # type: ignore
+            apart = [(s, d) for x in (a, b) for s, d in x[1].items() if s not in self.chosen]
+            self.guard(apart, _far(left, right))
             compared = ast.Compare(
                 ast.Name(left, ast.Load()), node.ops, [ast.Name(right, ast.Load())]
             )
             return f"({ast.unparse(compared)})"
         raise NoSlopes(f"{ast.unparse(node)!r} is not covered")
 
-    def guard(self, seeds: Iterable[Seed], far: str) -> None:
-        """Say that the branch is not sure where what depends on something is not `far`."""
-        if any(True for _ in seeds):
-            self.emit(f"sure = sure and {far}")
+    def guard(self, slopes: Iterable[tuple[Seed, str]], far: str) -> None:
+        """Say that the branch is not sure where what is not `far` may change."""
+        slopes = list(slopes)
+        rests = self.resting(slopes)
+        if rests != "True":
+            self.emit(f"sure = sure and ({far}{'' if rests == 'False' else f' or ({rests})'})")
+
+    def resting(self, slopes: Iterable[tuple[Seed, str]]) -> str:
+        """Text of whether nothing changes of a value with these slopes."""
+        terms = []
+        for seed, slope in slopes:
+            terms.append(self.rests.get(seed, "False") if isinstance(seed, str) else "False")
+            if not re.fullmatch(r"\(?-?1\.0\)?", slope):
+                terms[-1] = f"{slope} == 0.0" + ("" if terms[-1] == "False" else f" or {terms[-1]}")
+                terms[-1] = f"({terms[-1]})"
+        if "False" in terms:
+            return "False"
+        return " and ".join(dict.fromkeys(terms)) or "True"
 
     # Values
 
@@ -393,7 +418,8 @@ class _Writer:
         if db:
             raise NoSlopes(f"{ast.unparse(node)!r} is not covered")
         if sign == "%":
-            self.guard(da, f"{_far(value, '0.0', b)} and {_far(value, b)}")
+            far = f"{_far(value, '0.0', b)} and {_far(value, b)}"
+            self.guard(da.items(), f"({far})")
             return value, da
         power = _times(b, a if b == "2" else f"{a} ** ({b} - 1.0)")
         return value, self.total([(da, self.bind(power))])
@@ -414,7 +440,7 @@ class _Writer:
             if not (slopes or args[1][1]):
                 return f"{name}({texts})", {}
             a, b = ((self.bind(x), d) for x, d in args)
-            self.guard([*a[1], *b[1]], _far(a[0], b[0]))
+            self.guard([*a[1].items(), *b[1].items()], _far(a[0], b[0]))
             return self.either(self.bind(f"{a[0]} {'<' if name == 'min' else '>'} {b[0]}"), a, b)
         if len(args) != 1:
             raise NoSlopes(f"{name}({texts}) is not covered")
@@ -422,11 +448,10 @@ class _Writer:
             return f"{name}({texts})", {}
         x = self.bind(texts)
         if name in ("floor", "int"):
-            resting = " and ".join(f"{d} == 0.0" for d in slopes.values())
-            self.guard(slopes, f"({_far(x, f'floor({x} + 0.5)')} or ({resting}))")
+            self.guard(slopes.items(), _far(x, f"floor({x} + 0.5)"))
             return f"{name}({x})", {}
         if name == "abs":
-            self.guard(slopes, _far(x, "0.0"))
+            self.guard(slopes.items(), _far(x, "0.0"))
             sign = self.bind(f"1.0 if {x} > 0.0 else -1.0")
             return self.bind(f"abs({x})"), self.total([(slopes, sign)])
         if name in ("sin", "cos"):
@@ -467,12 +492,14 @@ class _Writer:
             plain,
             [name for name, (_, slopes) in duals.items() if slopes],
             {inside: self.records[here] for here, inside in renamed.items()},
+            speeds=None,
             still=sorted((renamed[r], f) for r, f in self.still if r in renamed),
             chosen=sorted((renamed[r], k) for r, k in self.chosen if r in renamed),
         )
         back = {inside: here for here, inside in renamed.items()}
         self.deciding |= {(back[r], k) for r, k in inner.deciding}
         given = [duals[n][0] if n in duals else back[n] for n in names]
+        given += [self.resting(duals[m][1].items()) for m in inner.motion]
         result = self.bind(f"{inner.name}({', '.join(given)})")
         self.emit(f"sure = sure and {result}[5]")
         places = [self.bind(f"{result}[3][{k}]") for k in range(inner.found)]

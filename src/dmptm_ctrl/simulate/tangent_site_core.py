@@ -56,6 +56,9 @@ from dmptm_ctrl.simulate.row_step_core import (
 from dmptm_ctrl.simulate.sites import active_sites
 from dmptm_ctrl.simulate.slope_sites import (
     LAW_FIELDS,
+    R_MOVES,
+    R_NUMBERS,
+    R_OWN,
     aged_slopes,
     ageing_slopes_of,
     drive_slopes_of,
@@ -129,7 +132,6 @@ D_N0, D_N1, D_N2, D_R0, D_R1, D_R2 = range(D_OWN + 11 * CHANGES, D_OWN + 17 * CH
 OWN = 17
 NUMBERS = 4 + len(LAW_FIELDS)  # that presliding knows: mobility, bristles, friction law
 SIZE_WITH_SITES = D_OWN + OWN * CHANGES
-OUTPUTS_OF_SITE = 8  # most that a site gives, of all its sides or bodies
 # Sites as numbers, in the order of `contract.SITES`
 AT_DRIVE, AT_DELAY, AT_LAG, AT_MOTOR, AT_SHAFT, AT_MESH, AT_FRICTION = range(7)
 AT_PRESLIDING, AT_AGEING, AT_LOAD = 7, 8, 9
@@ -169,12 +171,12 @@ class MeshOf(NamedTuple):
 
 
 @njit
-def mesh_along(x, v, x_2, v_2, side, region, varying, acting, moving, bases, on, values, g):
+def mesh_along(x, v, x_2, v_2, side, region, varying, acting, moving, bases, r):
     """A mesh of the run in a region of Eq. 21, with what its effects make of it."""
     n2 = bases[0, 6]
     c, e, sure = (0.0,) * 4, (0.0,) * 16, True
     if acting.mesh:
-        c, e, sure = mesh_slopes_of(x, v, x_2, v_2, side, moving.mesh, on, values, g)
+        c, e, sure = mesh_slopes_of(x, v, x_2, v_2, side, moving.mesh, r)
     stiff, teeth = c[3], (0.0,) * 4
     if varying:
         more = toothed_slopes(x, bases[0, 9], bases[0, 7], bases[0, 10])
@@ -195,36 +197,30 @@ def mesh_along(x, v, x_2, v_2, side, region, varying, acting, moving, bases, on,
 
 
 @njit
-def own_of(s, to, site, first, weights, moved, values, g):
+def own_of(s, to, site, first, weights, moved, r):
     """Put what moved numbers of a site's effects change by themselves into a row."""
-    for m in range(moved.shape[0]):
-        j, slot = moved[m, 0], moved[m, 1]
-        if moved[m, 2] == site:
-            total = 0.0
-            for o in range(len(weights)):
-                total += weights[o] * g[first + o, slot]
-            s[to + j] += total * (values[1 + j, slot] - values[0, slot])
+    for m in range(moved[site, 0], moved[site + 1, 0]):
+        j, slot = moved[m, 1], moved[m, 2]
+        total = 0.0
+        for o in range(len(weights)):
+            total += weights[o] * r[R_OWN + (first + o) * R_NUMBERS + slot]
+        s[to + j] = total * r[R_MOVES + m]
 
 
 @njit
-def own_of_mesh(s, to, side, mesh, p, moving, bases, moved, values, g):
+def own_of_mesh(s, to, side, mesh, p, width, moving, bases, moved, r):
     """The same of a mesh, with the numbers of its teeth."""
-    if moving.mesh or moving.teeth:
+    if moving.teeth:
         for j in range(p):
             s[to + j] = 0.0
             for k in range(3):
                 number = (9, 7, 10)[k]
                 slope = mesh.numbers[3] * mesh.teeth[1 + k]
                 s[to + j] += slope * (bases[1 + j, number] - bases[0, number])
-        own_of(s, to, AT_MESH, 4 * side, mesh.numbers, moved, values, g)
+    if moving.mesh:
+        own_of(s, to, AT_MESH, 4 * side, mesh.numbers, moved, r)
+    if width > p:
         grow(s, to, 1, p)
-
-
-@njit
-def clear(s, to, count):
-    """Nothing in some rows."""
-    for k in range(count * CHANGES):
-        s[to + k] = 0.0
 
 
 @njit
@@ -319,42 +315,39 @@ def grown(age, v, h, slip):
 
 
 @njit
-def volts_along(s, given, kept, t, side, h, acting, p, on, moved, values, g):
+def volts_along(s, given, kept, t, side, h, acting, p, width, moved, r):
     """Voltage of the run behind drive and lag, what the lag keeps, and their slopes.
 
     By what is given, and by what is kept; whether they are sure.
     """
     u, by_given, sure = given, 1.0, True
     to = side * CHANGES
-    for k in range(0, D_H0 - D_U0, 2 * CHANGES):
-        clear(s, D_U0 + to + k, 1)
     if acting.drive:
-        u, by_given, sure = drive_slopes_of(given, t, side, True, on, values, g)
-        own_of(s, D_U0 + to, AT_DRIVE, side, (1.0,), moved, values, g)
+        u, by_given, sure = drive_slopes_of(given, t, side, True, r)
+        own_of(s, D_U0 + to, AT_DRIVE, side, (1.0,), moved, r)
     after, mean, late = kept, (by_given, 0.0), (0.0, 1.0)
     if acting.lag:
-        c, e, good = lag_slopes_of(u, side, True, on, values, g)
+        c, e, good = lag_slopes_of(u, side, True, r)
         both, d, _, _, _, smooth = lagged_slopes(c[0], c[1], kept, h)
         u, after = both
         sure = sure and good and smooth
         mean, late = (d[0] * e[0] + d[1] * e[1], d[2]), (d[3] * e[0] + d[4] * e[1], d[5])
-        own_of(s, D_L0 + to, AT_LAG, 2 * side, (d[0], d[1]), moved, values, g)
-        own_of(s, D_K0 + to, AT_LAG, 2 * side, (d[3], d[4]), moved, values, g)
-    for k in range(0, D_H0 - D_U0, 2 * CHANGES):
-        grow(s, D_U0 + to + k, 1, p)
+        own_of(s, D_L0 + to, AT_LAG, 2 * side, (d[0], d[1]), moved, r)
+        own_of(s, D_K0 + to, AT_LAG, 2 * side, (d[3], d[4]), moved, r)
+    if width > p:
+        for k in range(0, D_H0 - D_U0, 2 * CHANGES):
+            grow(s, D_U0 + to + k, 1, p)
     return u, after, by_given, mean, late, sure
 
 
 @njit
-def friction_own(s, body, slopes, more, p, moving, moved, values, g, preslid):
+def friction_own(s, body, slopes, more, p, width, moving, moved, r, preslid):
     """Put what numbers of friction change by themselves into the rows of a body.
 
     slopes, more as of `sliding`, of the speed and of the presliding friction; preslid (12,
     changes) what each changes of the numbers that presliding knows, or None; `own` their slopes.
     """
     to, to_more = D_N0 + body * CHANGES, D_R0 + body * CHANGES
-    clear(s, to, 1)
-    clear(s, to_more, 1)
     if preslid is not None:
         changed, own = preslid
         for j in range(p):
@@ -365,13 +358,14 @@ def friction_own(s, body, slopes, more, p, moving, moved, values, g, preslid):
                     total_more += own[1 + NUMBERS + k] * changed[body, 2 + k, j]
                 s[to + j], s[to_more + j] = total, total_more
     if moving.friction:
-        own_of(s, to, AT_FRICTION, 2 * body, (slopes[3], slopes[4]), moved, values, g)
-        own_of(s, to, AT_AGEING, body, (slopes[4],), moved, values, g)
+        own_of(s, to, AT_FRICTION, 2 * body, (slopes[3], slopes[4]), moved, r)
+        own_of(s, to, AT_AGEING, body, (slopes[4],), moved, r)
         if preslid is not None:
-            own_of(s, to_more, AT_FRICTION, 2 * body, (more[3], more[4]), moved, values, g)
-            own_of(s, to_more, AT_AGEING, body, (more[4],), moved, values, g)
-    grow(s, to, 1, p)
-    grow(s, to_more, 1, p)
+            own_of(s, to_more, AT_FRICTION, 2 * body, (more[3], more[4]), moved, r)
+            own_of(s, to_more, AT_AGEING, body, (more[4],), moved, r)
+    if width > p:
+        grow(s, to, 1, p)
+        grow(s, to_more, 1, p)
 
 
 @njit
@@ -396,7 +390,7 @@ def preslid_numbers(changed, p, bases, fixed):
 
 @njit
 def march_site_tangents(
-    u, x0, dt, substeps, bases, values, on, moved, steps, s, fixed, out, changes, back, memory
+    u, x0, dt, substeps, bases, values, on, moved, steps, s, fixed, room, r, out, changes, back, memory
 ):  # fmt: skip
     """Run a drive with effects and what changes of its numbers and of theirs change.
 
@@ -410,11 +404,10 @@ def march_site_tangents(
     h = dt / substeps
     half = 0.5 * h
     left, right = borrowed(u[0]), borrowed(u[1])
-    room, volts = np.zeros((3, STATE)), np.zeros((p + 2, 2))
-    g = np.zeros((OUTPUTS_OF_SITE, values.shape[1]))
-    s, fixed = borrowed(s), borrowed(fixed)
+    s, fixed, room = borrowed(s), borrowed(fixed), borrowed(room)
     bases, values, on, moved = borrowed(bases), borrowed(values), borrowed(on), borrowed(moved)
-    room, volts, g = borrowed(room), borrowed(volts), borrowed(g)
+    r = borrowed(r)
+    volts = np.zeros((p + 2, 2))
     for row in range(p + 2):
         fix(fixed, row, h, dt, bases, on, values)
     renew0, renew1, renew2 = fixed[0, F_RENEW], fixed[0, F_RENEW + 1], fixed[0, F_RENEW + 2]
@@ -458,9 +451,7 @@ def march_site_tangents(
         s[D_AGE0 + j] = aged(0.0, v0, half, fixed[1 + j, F_RENEW]) - age0
         s[D_AGE1 + j] = aged(0.0, v1, half, fixed[1 + j, F_RENEW + 1]) - age1
         s[D_AGE2 + j] = aged(0.0, v2, half, fixed[1 + j, F_RENEW + 2]) - age2
-    at = np.zeros(12, np.bool_)
-    for m in range(moved.shape[0]):
-        at[moved[m, 2]] = True
+    at = moved[1:13, 0] > moved[:12, 0]
     acting = Acting(
         *(has_drive, lagging, has_motor, has_mesh, has_friction, ageing, has_load),
         *(elastic, presliding),
@@ -519,13 +510,13 @@ def march_site_tangents(
         t = i * dt
         if altered:
             mesh_l = mesh_along(
-                *(q0, v0, q2, v2, 0, region0, varying, acting, moving, bases, on, values, g)
+                *(q0, v0, q2, v2, 0, region0, varying, acting, moving, bases, r)
             )
-            own_of_mesh(s, D_M0, 0, mesh_l, p, moving, bases, moved, values, g)
+            own_of_mesh(s, D_M0, 0, mesh_l, p, width, moving, bases, moved, r)
             mesh_r = mesh_along(
-                *(q1, v1, q2, v2, 1, region1, varying, acting, moving, bases, on, values, g)
+                *(q1, v1, q2, v2, 1, region1, varying, acting, moving, bases, r)
             )
-            own_of_mesh(s, D_M1, 1, mesh_r, p, moving, bases, moved, values, g)
+            own_of_mesh(s, D_M1, 1, mesh_r, p, width, moving, bases, moved, r)
         else:
             mesh_l = plain_mesh(q0 - n2 * q2, v0 - n2 * v2, region0, mesh0, m0, n2)
             mesh_r = plain_mesh(q1 - n2 * q2, v1 - n2 * v2, region1, mesh1, m1, n2)
@@ -584,10 +575,10 @@ def march_site_tangents(
             if steered:
                 if moving.volts:
                     u0, kept0, given_by0, mean0, late0, sure0 = volts_along(
-                        *(s, given0, e0, middle, 0, h, acting, p, on, moved, values, g)
+                        *(s, given0, e0, middle, 0, h, acting, p, width, moved, r)
                     )
                     u1, kept1, given_by1, mean1, late1, sure1 = volts_along(
-                        *(s, given1, e1, middle, 1, h, acting, p, on, moved, values, g)
+                        *(s, given1, e1, middle, 1, h, acting, p, width, moved, r)
                     )
                     sure = sure0 and sure1
                 else:
@@ -600,13 +591,13 @@ def march_site_tangents(
                 y0, y1, r0, r1 = a0 + half * w0, a1 + half * w1, w0 + 0.5 * b0, w1 + 0.5 * b1
             if altered:
                 mesh_l = mesh_along(
-                    *(x_0, s0, x_2, s2, 0, region0, varying, acting, moving, bases, on, values, g)
+                    *(x_0, s0, x_2, s2, 0, region0, varying, acting, moving, bases, r)
                 )
-                own_of_mesh(s, D_M0, 0, mesh_l, p, moving, bases, moved, values, g)
+                own_of_mesh(s, D_M0, 0, mesh_l, p, width, moving, bases, moved, r)
                 mesh_r = mesh_along(
-                    *(x_1, s1, x_2, s2, 1, region1, varying, acting, moving, bases, on, values, g)
+                    *(x_1, s1, x_2, s2, 1, region1, varying, acting, moving, bases, r)
                 )
-                own_of_mesh(s, D_M1, 1, mesh_r, p, moving, bases, moved, values, g)
+                own_of_mesh(s, D_M1, 1, mesh_r, p, width, moving, bases, moved, r)
             else:
                 mesh_l = plain_mesh(x_0 - n2 * x_2, s0 - n2 * s2, region0, mesh0, m0, n2)
                 mesh_r = plain_mesh(x_1 - n2 * x_2, s1 - n2 * s2, region1, mesh1, m1, n2)
@@ -616,21 +607,21 @@ def march_site_tangents(
             push0 = push1 = (gain, 0.0, 0.0)  # by voltage, angle and speed of the motor
             if has_motor:
                 pull, e, good = motor_slopes_of(
-                    u0, n1 * y0, n1 * r0, middle, 0, moving.motor, on, values, g
+                    u0, n1 * y0, n1 * r0, middle, 0, moving.motor, r
                 )
                 drive0 += n1 * pull
                 push0 = (gain + n1 * e[0], n1 * n1 * e[1], n1 * n1 * e[2])
                 pull, e, fine = motor_slopes_of(
-                    u1, n1 * y1, n1 * r1, middle, 1, moving.motor, on, values, g
+                    u1, n1 * y1, n1 * r1, middle, 1, moving.motor, r
                 )
                 drive1 += n1 * pull
                 push1 = (gain + n1 * e[0], n1 * n1 * e[1], n1 * n1 * e[2])
                 sure = sure and good and fine
                 if moving.motor:
-                    clear(s, D_H0, 2)
-                    own_of(s, D_H0, AT_MOTOR, 0, (n1,), moved, values, g)
-                    own_of(s, D_H1, AT_MOTOR, 1, (n1,), moved, values, g)
-                    grow(s, D_H0, 2, p)
+                    own_of(s, D_H0, AT_MOTOR, 0, (n1,), moved, r)
+                    own_of(s, D_H1, AT_MOTOR, 1, (n1,), moved, r)
+                    if width > p:
+                        grow(s, D_H0, 2, p)
             net0, net1 = drive0, drive1
             if elastic:
                 drive0 = stiff * (y0 - x_0) + damping * (r0 - s0)
@@ -639,13 +630,13 @@ def march_site_tangents(
             force0, force1, force2 = drive0 - torque0, drive1 - torque1, n2 * (torque0 + torque1)
             load = (0.0, 0.0)
             if has_load:
-                pushed, load, good = load_slopes_of(x_2, s2, middle, moving.load, on, values, g)
+                pushed, load, good = load_slopes_of(x_2, s2, middle, moving.load, r)
                 force2 += pushed
                 sure = sure and good
                 if moving.load:
-                    clear(s, D_LOAD, 1)
-                    own_of(s, D_LOAD, AT_LOAD, 0, (1.0,), moved, values, g)
-                    grow(s, D_LOAD, 1, p)
+                    own_of(s, D_LOAD, AT_LOAD, 0, (1.0,), moved, r)
+                    if width > p:
+                        grow(s, D_LOAD, 1, p)
             level0, level1, level2, added0, added1, added2 = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
             by0 = by1 = by2 = nothing
             old0 = old1 = old2 = 0.0
@@ -653,23 +644,23 @@ def march_site_tangents(
             aged0, aged1, aged2 = 0.0, 0.0, 0.0
             if has_friction:
                 own = moving.friction
-                c, by0, good = friction_slopes_of(x_0, s0, middle, torque0, 0, own, on, values, g)
+                c, by0, good = friction_slopes_of(x_0, s0, middle, torque0, 0, own, r)
                 level0, added0 = c
-                c, by1, fine = friction_slopes_of(x_1, s1, middle, torque1, 1, own, on, values, g)
+                c, by1, fine = friction_slopes_of(x_1, s1, middle, torque1, 1, own, r)
                 level1, added1 = c
                 carried = abs(torque0) + abs(torque1)
-                c, by2, well = friction_slopes_of(x_2, s2, middle, carried, 2, own, on, values, g)
+                c, by2, well = friction_slopes_of(x_2, s2, middle, carried, 2, own, r)
                 level2, added2 = c
                 sure = sure and good and fine and well
                 level_by = abs(by2[2]) + abs(by2[5])
                 sure = sure and (level_by == 0.0 or (torque0 != 0.0 and torque1 != 0.0))
             if ageing:
                 own = moving.friction
-                more, old0, good = ageing_slopes_of(age0, 0, own, on, values, g)
+                more, old0, good = ageing_slopes_of(age0, 0, own, r)
                 added0 += more
-                more, old1, fine = ageing_slopes_of(age1, 1, own, on, values, g)
+                more, old1, fine = ageing_slopes_of(age1, 1, own, r)
                 added1 += more
-                more, old2, well = ageing_slopes_of(age2, 2, own, on, values, g)
+                more, old2, well = ageing_slopes_of(age2, 2, own, r)
                 added2 += more
                 sure = sure and good and fine and well
             if v0 * way0 < 0.0 or v1 * way1 < 0.0 or v2 * way2 < 0.0:
@@ -684,13 +675,13 @@ def march_site_tangents(
                 )
                 if own_friction:
                     friction_own(
-                        *(s, 0, s_0, more0, p, moving, moved, values, g, (preslid, own_0))
+                        *(s, 0, s_0, more0, p, width, moving, moved, r, (preslid, own_0))
                     )
             else:
                 new0, good, f0 = smooth_body(v0, s0, force0, mobility_3, reducer, p0, level0, added0)
                 s_0 = sliding(f0, mobility_3)
                 if own_friction:
-                    friction_own(s, 0, s_0, more0, p, moving, moved, values, g, None)
+                    friction_own(s, 0, s_0, more0, p, width, moving, moved, r, None)
             sure = sure and good
             if presliding and bristles1[0] > 0.0:
                 new1, after1, s_1, more1, own_1, good = bristling(
@@ -698,13 +689,13 @@ def march_site_tangents(
                 )
                 if own_friction:
                     friction_own(
-                        *(s, 1, s_1, more1, p, moving, moved, values, g, (preslid, own_1))
+                        *(s, 1, s_1, more1, p, width, moving, moved, r, (preslid, own_1))
                     )
             else:
                 new1, good, f1 = smooth_body(v1, s1, force1, mobility_3, reducer, p1, level1, added1)
                 s_1 = sliding(f1, mobility_3)
                 if own_friction:
-                    friction_own(s, 1, s_1, more1, p, moving, moved, values, g, None)
+                    friction_own(s, 1, s_1, more1, p, width, moving, moved, r, None)
             sure = sure and good
             if presliding and bristles2[0] > 0.0:
                 new2, after2, s_2, more2, own_2, good = bristling(
@@ -712,13 +703,13 @@ def march_site_tangents(
                 )
                 if own_friction:
                     friction_own(
-                        *(s, 2, s_2, more2, p, moving, moved, values, g, (preslid, own_2))
+                        *(s, 2, s_2, more2, p, width, moving, moved, r, (preslid, own_2))
                     )
             else:
                 new2, good, f2 = smooth_body(v2, s2, force2, mobility_l, bearing, p2, level2, added2)
                 s_2 = sliding(f2, mobility_l)
                 if own_friction:
-                    friction_own(s, 2, s_2, more2, p, moving, moved, values, g, None)
+                    friction_own(s, 2, s_2, more2, p, width, moving, moved, r, None)
             sure = sure and good
             if ageing:
                 aged0, grown0, good = grown(age0, new0, h, renew0)

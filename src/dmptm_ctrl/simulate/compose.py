@@ -117,7 +117,7 @@ _INLINE = (
         "law_own",
     ),
     *("change_along", "mesh_along", "plain_mesh", "is_same", "change_of_mesh", "own_of", "own_of_mesh", "friction_own", "volts_along", "bristling", "grown", "voltage_of", "level_of", "row_step", "motor_step"),
-    *("sliding", "through_friction", "bristle_change", "law_of", "bristles_in", "lagged"),
+    *("sliding", "with_level", "without_level", "bristle_change", "law_of", "bristles_in", "lagged"),
 )
 # What Python calls; the rest is called by these alone and has no wrapper for Python, which
 # would be more text for the compiler than the function itself.

@@ -37,7 +37,8 @@ NEUTRAL = {
     BASE.index(name): value for name, value in (("k_a", 0.0), ("delta3", 1.0), ("deltaL", 1.0))
 }
 LEFT_ALONE = [*NEUTRAL] + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "phi_r")]
-WITH_MEMORY = {"delay", "lag", "shaft", "presliding", "ageing", "sensor_delay"}
+WITH_MEMORY = {"delay", "lag", "shaft", "sensor_delay"}
+WITH_CONTACTS = {"presliding", "ageing"}
 # Of drives with effects: parameters that go along with a run for less than lanes would take
 FEW_WITH_EFFECTS = 4
 EXPONENTS = [BASE.index(name) for name in ("delta3", "deltaL")]
@@ -224,13 +225,11 @@ def _moved(values: Floats) -> NDArray[np.int64]:
     return table
 
 
-def _memory(ons: NDArray[np.uint8]) -> bool | None:
-    """True if an effect in use has a state of its own, else None: each a loop of its own."""
+def _used(ons: NDArray[np.uint8], sites: set[str]) -> bool | None:
+    """True if an effect at one of some sites is in use, else None: each a loop of its own."""
     used = ons.max(axis=0)
-    lasting = any(
-        effect.site in WITH_MEMORY and used[k] for k, effect in enumerate(CATALOGUE.values())
-    )
-    return True if lasting else None
+    found = any(effect.site in sites and used[k] for k, effect in enumerate(CATALOGUE.values()))
+    return True if found else None
 
 
 def _by_kernels(
@@ -242,12 +241,13 @@ def _by_kernels(
     moved = _moved(values)
     fixed, room = np.zeros((len(drives), loop.FIXED)), np.zeros((3, loop.STATE))
     s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(loop.R_MOVES + len(moved))
+    kinds = _used(ons, WITH_MEMORY), _used(ons, WITH_CONTACTS)
     on, ends = ons.max(axis=0), len(SITES) + 1
     r[: loop.R_OWN] = *on, *values[0]
     r[loop.R_MOVES + ends :] = (values[1:-1] - values[0])[tuple(moved[ends:, 1:].T)]
     return int(
         loop.march_site_tangents(
-            *given, bases, values, on, moved, steps, s, fixed, room, r, *results, _memory(ons)
+            *given, bases, values, on, moved, steps, s, fixed, room, r, *results, *kinds
         )
     )
 

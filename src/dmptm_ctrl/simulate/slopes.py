@@ -1,10 +1,11 @@
 """Slopes of kernels, written as source text from the source of the kernels.
 
-Forward differentiation of the text (Griewank & Walther, Evaluating Derivatives, 2008, ch. 3):
-each line is followed by those of its slopes, as many as it depends on; sines, cosines and
-exponentials are taken once for value and slopes. Branches stay as they are, and where a
-comparison is too close to say that a small change leaves the branch, the text says so. What is
-not covered raises :class:`NoSlopes`.
+Differentiation of the text (Griewank & Walther, Evaluating Derivatives, 2008, ch. 3 and 10): each
+line is followed by those of its slopes; sines, cosines and exponentials are taken once for value
+and slopes. A value that depends on more than a few goes on as something to depend on itself, and
+is put in its place at the end. Branches stay as they are, and where a comparison is too close to
+say that a small change leaves the branch, the text says so. What is not covered raises
+:class:`NoSlopes`.
 """
 
 import ast
@@ -12,12 +13,13 @@ import inspect
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 NEAR = 1e-6  # of the values compared: nearer to each other than this, a branch is not sure
+MOST = 4  # things that must all be at rest to be asked for: with more it would cost too much
 # Slopes of what is known by name: of the value {v}, of the argument {x}
 _KNOWN = {
     "exp": "{v}",
@@ -30,7 +32,9 @@ _FUNCTIONS: dict[Any, str] = {getattr(module, n): n for module in (math, np) for
 _FUNCTIONS |= {f: f.__name__ for f in (abs, min, max, int)} | {np.abs: "abs", math.fabs: "abs"}
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%", ast.Pow: "**"}
 
-Seed = str | tuple[str, int | str]  # an argument; the position in a record, or its name if found
+FEW = 3  # slopes that a value has before it goes on as something to depend on
+# An argument; the position in a record, or its name if found; the number of such a value
+Seed = str | tuple[str, int | str] | int
 Tangents = dict[Seed, str]  # how a value changes with what it depends on
 Dual = tuple[str, Tangents]  # text of a value, with that of its slopes
 
@@ -90,7 +94,7 @@ class Library:
         """
         function = getattr(function, "py_func", function)
         rests = {a: f"rests_{a}" for a in motion} if speeds is None else {
-            a: f"{a} == 0.0" for a in speeds
+            a: f"({a} == 0.0)" for a in speeds
         }
         key = (function, tuple(motion), tuple(records), *map(tuple, (rests, still, chosen)))
         if key not in self.known:
@@ -131,7 +135,9 @@ class _Writer:
         self.lines: list[Any] = []  # of text, or of what is returned
         self.depth, self.count = 1, 0
         self.sines: dict[str, tuple[str, str]] = {}
+        self.seen: set[str] = set()
         self.deciding: set[tuple[str, int]] = set()
+        self.between: list[Tangents] = []  # slopes of values that others depend on
         try:
             source = textwrap.dedent(inspect.getsource(function))
             tree = ast.parse(source).body[0]
@@ -207,7 +213,8 @@ class _Writer:
         for statement in body:
             if isinstance(statement, ast.Return) and statement.value is not None:
                 duals = self.several(statement.value)
-                self.lines.append((self.depth, [(_float(v), slopes) for v, slopes in duals]))
+                whole = [(_float(v), self.put_in(slopes, 0)) for v, slopes in duals]
+                self.lines.append((self.depth, whole))
                 return True
             if isinstance(statement, ast.If):
                 if self.branch(statement):
@@ -236,15 +243,21 @@ class _Writer:
     def branch(self, statement: ast.If) -> bool:
         """Write both ways, and let the names that they set go on with either's values."""
         test = self.bind(self.condition(statement.test))
-        before, sines = dict(self.env), self.sines
+        before, sines, seen = dict(self.env), self.sines, self.seen
         ways: list[tuple[bool, dict[str, Dual], list[Any]]] = []
         outer = self.lines
         for body in (statement.body, statement.orelse):
             self.env, self.sines, self.lines = dict(before), dict(sines), []
+            self.seen = set(seen)
             self.depth += 1
-            ways.append((self.block(body), self.env, self.lines))
+            since = len(self.between)
+            done = self.block(body)
+            for name, (value, slopes) in self.env.items():
+                if not done and before.get(name) != (value, slopes):
+                    self.env[name] = value, self.put_in(slopes, since)
+            ways.append((done, self.env, self.lines))
             self.depth -= 1
-        self.lines, self.sines = outer, sines
+        self.lines, self.sines, self.seen = outer, sines, seen
         (done, yes, yes_lines), (other_done, no, no_lines) = ways
         self.env = dict(yes if other_done else no)
         if not (done or other_done):
@@ -285,33 +298,60 @@ class _Writer:
         if isinstance(node, ast.Compare) and len(node.ops) == 1:
             a, b = self.value(node.left), self.value(node.comparators[0])
             left, right = self.bind(a[0]), self.bind(b[0])
-            self.deciding |= {s for s in (*a[1], *b[1]) if s in self.chosen}  # type: ignore
-            apart = [(s, d) for x in (a, b) for s, d in x[1].items() if s not in self.chosen]
-            self.guard(apart, _far(left, right))
+            self.guard([*a[1].items(), *b[1].items()], _far(left, right))
             compared = ast.Compare(
                 ast.Name(left, ast.Load()), node.ops, [ast.Name(right, ast.Load())]
             )
             return f"({ast.unparse(compared)})"
         raise NoSlopes(f"{ast.unparse(node)!r} is not covered")
 
-    def guard(self, slopes: Iterable[tuple[Seed, str]], far: str) -> None:
-        """Say that the branch is not sure where what is not `far` may change."""
-        slopes = list(slopes)
+    def guard(self, slopes: Collection[tuple[Seed, str]], far: str) -> None:
+        """Say that the branch is not sure where what is not `far` may change.
+
+        What was chosen changes for a run as a whole, and is said to decide.
+        """
+        self.deciding |= self.chosen_among(s for s, _ in slopes)
         rests = self.resting(slopes)
         if rests != "True":
-            self.emit(f"sure = sure and ({far}{'' if rests == 'False' else f' or ({rests})'})")
+            self.see(f"({far})" if rests == "False" else f"({far}) | ({rests})")
+
+    def see(self, text: str) -> None:
+        """Say that the branch is sure only with a condition, once."""
+        line = f"sure = sure & ({text})"  # no branches: both sides cost nothing
+        if line not in self.seen:
+            self.seen.add(line)
+            self.emit(line)
+
+    def chosen_among(self, seeds: Iterable[Seed]) -> set[tuple[str, int]]:
+        """What is chosen once for a run, of what something depends on."""
+        found = set()
+        for seed in seeds:
+            if isinstance(seed, int):
+                found |= self.chosen_among(self.between[seed])
+            elif seed in self.chosen:
+                found.add(seed)
+        return found
 
     def resting(self, slopes: Iterable[tuple[Seed, str]]) -> str:
-        """Text of whether nothing changes of a value with these slopes."""
+        """Text of whether nothing changes of a value with these slopes, by what is not chosen."""
         terms = []
         for seed, slope in slopes:
-            terms.append(self.rests.get(seed, "False") if isinstance(seed, str) else "False")
-            if not re.fullmatch(r"\(?-?1\.0\)?", slope):
-                terms[-1] = f"{slope} == 0.0" + ("" if terms[-1] == "False" else f" or {terms[-1]}")
-                terms[-1] = f"({terms[-1]})"
-        if "False" in terms:
+            if seed in self.chosen:
+                continue
+            terms.append("False")
+            if isinstance(seed, str):
+                terms[-1] = self.rests.get(seed, "False")
+            elif isinstance(seed, int):
+                terms[-1] = self.resting(self.between[seed].items())
+            if terms[-1] == "True":
+                terms.pop()
+            elif not re.fullmatch(r"\(?-?1\.0\)?", slope):
+                still = f"({slope} == 0.0)"
+                terms[-1] = still if terms[-1] == "False" else f"({still} | {terms[-1]})"
+        terms = list(dict.fromkeys(terms))
+        if "False" in terms or len(terms) > MOST:
             return "False"
-        return " and ".join(dict.fromkeys(terms)) or "True"
+        return " & ".join(terms) or "True"
 
     # Values
 
@@ -398,39 +438,59 @@ class _Writer:
             s: self.bind(f"{a[1].get(s, '0.0')} if {test} else {b[1].get(s, '0.0')}")
             for s in dict.fromkeys([*a[1], *b[1]])
         }
-        return self.bind(f"{a[0]} if {test} else {b[0]}"), slopes
+        return self.bind(f"{a[0]} if {test} else {b[0]}"), self.few(slopes)
 
     def operation(self, sign: str, node: ast.BinOp) -> Dual:
         (a, da), (b, db) = self.value(node.left), self.value(node.right)
         if not (da or db):
             return f"({a} {sign} {b})", {}
         a, b = self.bind(a), self.bind(b)
+        if sign == "/":  # divided once: the quotient may differ in its last digit
+            part = self.bind(f"1.0 / {b}")
+            value = self.bind(f"{a} * {part}")
+            by = self.bind(f"-{value} * {part}") if db else ""
+            return value, self.total([(da, part), (db, by)])
         value = self.bind(f"{a} {sign} {b}")
         if sign in "+-":
             back = {s: d if sign == "+" else _times("-1.0", d) for s, d in db.items()}
             return value, self.total([(da, "1.0"), (back, "1.0")])
         if sign == "*":
             return value, self.total([(da, b), (db, a)])
-        if sign == "/":
-            part = self.bind(f"1.0 / {b}")
-            by = self.bind(f"-{value} * {part}") if db else ""
-            return value, self.total([(da, part), (db, by)])
         if db:
             raise NoSlopes(f"{ast.unparse(node)!r} is not covered")
         if sign == "%":
-            far = f"{_far(value, '0.0', b)} and {_far(value, b)}"
-            self.guard(da.items(), f"({far})")
+            far = f"({_far(value, '0.0', b)}) & ({_far(value, b)})"
+            if self.resting(da.items()) != "True":
+                self.see(far)
             return value, da
         power = _times(b, a if b == "2" else f"{a} ** ({b} - 1.0)")
         return value, self.total([(da, self.bind(power))])
 
     def total(self, parts: list[tuple[Tangents, str]]) -> Tangents:
         """Slopes of a sum of changes, each times a factor."""
+        return self.few(self.summed(parts))
+
+    def summed(self, parts: list[tuple[Tangents, str]]) -> Tangents:
         terms: dict[Seed, list[str]] = {}
         for slopes, factor in parts:
             for seed, slope in slopes.items():
                 terms.setdefault(seed, []).append(_times(slope, factor))
         return {seed: self.bind(" + ".join(found)) for seed, found in terms.items()}
+
+    def few(self, slopes: Tangents) -> Tangents:
+        """Slopes, or the value itself as what others depend on, where these are many."""
+        if len(slopes) <= FEW:
+            return slopes
+        self.between.append(slopes)
+        return {len(self.between) - 1: "1.0"}
+
+    def put_in(self, slopes: Tangents, since: int) -> Tangents:
+        """Slopes with those of the values since some in the place of these."""
+        for seed in range(len(self.between) - 1, since - 1, -1):
+            if seed in slopes:
+                rest = {s: d for s, d in slopes.items() if s != seed}
+                slopes = self.summed([(rest, "1.0"), (self.between[seed], slopes[seed])])
+        return slopes
 
     def known(self, name: str, args: list[Dual]) -> Dual:
         """Value and slopes of a function known by name."""
@@ -501,7 +561,7 @@ class _Writer:
         given = [duals[n][0] if n in duals else back[n] for n in names]
         given += [self.resting(duals[m][1].items()) for m in inner.motion]
         result = self.bind(f"{inner.name}({', '.join(given)})")
-        self.emit(f"sure = sure and {result}[5]")
+        self.emit(f"sure = sure & {result}[5]")
         places = [self.bind(f"{result}[3][{k}]") for k in range(inner.found)]
         found: list[Dual] = []
         for o in range(inner.values):

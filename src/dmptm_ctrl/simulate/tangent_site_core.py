@@ -234,24 +234,9 @@ def sliding(f, mobility):
 
 
 @njit
-def through_friction(slopes, level, age):
-    """Slopes of a speed by angle, speed and torque of the mesh, and by age, through friction.
-
-    `slopes` as of `sliding`; `level` as of the sites' effects, `age` of the ageing's.
-    """
-    x, added = slopes[3], slopes[4]
-    return (
-        x * level[0] + added * level[3],
-        x * level[1] + added * level[4],
-        x * level[2] + added * level[5],
-        added * age,
-    )
-
-
-@njit
-def plain_mesh(z, z_rate, region, law, m, n2):
+def plain_mesh(z, z_rate, region, law, m, n2, moving):
     """A mesh of the run in a region of Eq. 21 that nothing acts on; m as of `mesh_slopes`."""
-    k = law_slopes(z, z_rate, region, law)
+    k = law_slopes(z, z_rate, region, law) if moving.numbers else NO_SLOPES
     slopes, numbers = (m[0], m[1], -n2 * m[0], -n2 * m[1]), (m[0], m[1], m[2], k[0])
     torque = region_torque(z, z_rate, region, law)
     return MeshOf(z, z_rate, law, torque, slopes, k, numbers, (0.0,) * 4, True)
@@ -269,6 +254,32 @@ def torque_at(x, v, x_2, v_2, side, acting, bases, on, values, row):
     n2 = bases[row, 6]
     shift, rate, law = mesh_of(x, v, x_2, v_2, side, acting.mesh, bases, on, values, row)
     return mesh_torque(x - n2 * x_2 + shift, v - n2 * v_2 + rate, law)
+
+
+@njit
+def with_level(slopes, level, age):
+    """Slopes of a speed, or of a presliding friction, with those through the level of friction.
+
+    `slopes` as of `sliding`; `level` of the sites' effects by angle, speed and torque of the mesh,
+    `age` of ageing. By speed before the step and in the middle, torque, angle, torque of the mesh,
+    age, presliding.
+    """
+    x, added = slopes[3], slopes[4]
+    return (
+        slopes[0],
+        slopes[1] + (x * level[1] + added * level[4]),
+        slopes[2],
+        x * level[0] + added * level[3],
+        x * level[2] + added * level[5],
+        added * age,
+        slopes[5],
+    )
+
+
+@njit
+def without_level(slopes):
+    """The same where nothing acts on the level of friction."""
+    return slopes[0], slopes[1], slopes[2], 0.0, 0.0, 0.0, slopes[5]
 
 
 @njit
@@ -298,11 +309,10 @@ def bristling(v, v_mid, force, mobility, h, law, level, added, bristles, bristle
 
 
 @njit
-def bristle_change(slopes, level, age, v, v_mid, force, x, load, bristle, older):
-    """Change of a presliding friction over a step; slopes, level, age as of `through_friction`."""
-    by = through_friction(slopes, level, age)
-    change = slopes[0] * v + (slopes[1] + by[1]) * v_mid + slopes[2] * force
-    return change + by[0] * x + by[2] * load + by[3] * older + slopes[5] * bristle
+def bristle_change(by, v, v_mid, force, x, load, older, bristle):
+    """Change of a presliding friction over a step; `by` as of `with_level`."""
+    change = by[0] * v + by[1] * v_mid + by[2] * force + by[6] * bristle
+    return change + (by[3] * x + by[4] * load + by[5] * older)
 
 
 @njit
@@ -390,7 +400,7 @@ def preslid_numbers(changed, p, bases, fixed):
 
 @njit
 def march_site_tangents(
-    u, x0, dt, substeps, bases, values, on, moved, steps, s, fixed, room, r, out, changes, back, memory
+    u, x0, dt, substeps, bases, values, on, moved, steps, s, fixed, room, r, out, changes, back, memory, contacts
 ):  # fmt: skip
     """Run a drive with effects and what changes of its numbers and of theirs change.
 
@@ -418,7 +428,14 @@ def march_site_tangents(
     lagging, delayed, late, presliding, ageing, elastic = False, False, False, False, False, False
     longest, farthest, dead, shaft, kinked = 0.0, 0.0, False, False, False
     has_drive, has_motor, has_mesh, has_friction, has_load, has_sensor = active_sites(on)
-    preslid = np.zeros((3, 1 + NUMBERS, CHANGES))
+    preslid, numbered = np.zeros((3, 1 + NUMBERS, CHANGES)), False
+    if contacts is not None:
+        for row in range(p + 2):
+            for body in range(3):
+                presliding = presliding or fixed[row, F_BRISTLES + 3 * body] > 0.0
+                ageing = ageing or fixed[row, F_RENEW + body] > 0.0
+        preslid_numbers(preslid, p, bases, fixed)
+        numbered = preslid[:, 0].max() > 0.0
     if memory is not None:
         elastic = fixed[0, F_STIFF] > 0.0
         for row in range(p + 2):
@@ -429,15 +446,11 @@ def march_site_tangents(
             farthest = max(farthest, abs(fixed[row, F_DEAD] - fixed[0, F_DEAD]))
             for k in (F_STIFF, F_DAMP, F_EASE):
                 shaft = shaft or fixed[row, k] != fixed[0, k]
-            for body in range(3):
-                presliding = presliding or fixed[row, F_BRISTLES + 3 * body] > 0.0
-                ageing = ageing or fixed[row, F_RENEW + body] > 0.0
             # held voltages have corners at the samples, readings between steps
             for k in (F_DEAD, F_LATE):
                 whole = fixed[0, k] * (substeps if k == F_DEAD else 1.0)
                 apart_from = abs(whole - np.floor(whole + 0.5))
                 kinked = kinked or (fixed[row, k] != fixed[0, k] and apart_from < WHOLE)
-        preslid_numbers(preslid, p, bases, fixed)
     varying, teeth = False, False
     dead = farthest > 0.0
     for row in range(p + 2):
@@ -475,7 +488,7 @@ def march_site_tangents(
     )
     steered = delayed or has_drive or lagging
     altered, levelled = has_mesh or varying, has_friction or ageing
-    own_friction = moving.friction or presliding
+    own_friction = moving.friction or numbered
     base = bases[0]
     n1, n2 = base[5], base[6]
     gain = n1 * (base[0] * base[1])
@@ -518,8 +531,8 @@ def march_site_tangents(
             )
             own_of_mesh(s, D_M1, 1, mesh_r, p, width, moving, bases, moved, r)
         else:
-            mesh_l = plain_mesh(q0 - n2 * q2, v0 - n2 * v2, region0, mesh0, m0, n2)
-            mesh_r = plain_mesh(q1 - n2 * q2, v1 - n2 * v2, region1, mesh1, m1, n2)
+            mesh_l = plain_mesh(q0 - n2 * q2, v0 - n2 * v2, region0, mesh0, m0, n2, moving)
+            mesh_r = plain_mesh(q1 - n2 * q2, v1 - n2 * v2, region1, mesh1, m1, n2, moving)
         anew0 = apart or not is_same(mesh_l, region0, margin)
         anew1 = apart or not is_same(mesh_r, region1, margin)
         for j in range(-1, width):
@@ -599,8 +612,8 @@ def march_site_tangents(
                 )
                 own_of_mesh(s, D_M1, 1, mesh_r, p, width, moving, bases, moved, r)
             else:
-                mesh_l = plain_mesh(x_0 - n2 * x_2, s0 - n2 * s2, region0, mesh0, m0, n2)
-                mesh_r = plain_mesh(x_1 - n2 * x_2, s1 - n2 * s2, region1, mesh1, m1, n2)
+                mesh_l = plain_mesh(x_0 - n2 * x_2, s0 - n2 * s2, region0, mesh0, m0, n2, moving)
+                mesh_r = plain_mesh(x_1 - n2 * x_2, s1 - n2 * s2, region1, mesh1, m1, n2, moving)
             torque0, torque1 = mesh_l.torque, mesh_r.torque
             sure = sure and is_same(mesh_l, region0, margin) and is_same(mesh_r, region1, margin)
             drive0, drive1 = gain * u0, gain * u1
@@ -751,12 +764,12 @@ def march_site_tangents(
                     ):
                         width, split = p + 1, i + 1
             else:
-                x = through_friction(s_0, by0, old0)
-                z_0 = (s_0[0], s_0[1] + x[1], s_0[2], x[0], x[2], x[3], s_0[5])
-                x = through_friction(s_1, by1, old1)
-                z_1 = (s_1[0], s_1[1] + x[1], s_1[2], x[0], x[2], x[3], s_1[5])
-                x = through_friction(s_2, by2, old2)
-                z_2 = (s_2[0], s_2[1] + x[1], s_2[2], x[0], x[2], x[3], s_2[5])
+                z_0, z_1, z_2 = without_level(s_0), without_level(s_1), without_level(s_2)
+                y_0, y_1, y_2 = without_level(more0), without_level(more1), without_level(more2)
+                if levelled:
+                    z_0, y_0 = with_level(s_0, by0, old0), with_level(more0, by0, old0)
+                    z_1, y_1 = with_level(s_1, by1, old1), with_level(more1, by1, old1)
+                    z_2, y_2 = with_level(s_2, by2, old2), with_level(more2, by2, old2)
                 for j in range(width):
                     row = 1 + j
                     o0, o1, o2 = s[DV0 + j], s[DV1 + j], s[DV2 + j]
@@ -848,15 +861,13 @@ def march_site_tangents(
                         new_0 += z_0[6] * was[0]
                         new_1 += z_1[6] * was[1]
                         new_2 += z_2[6] * was[2]
-                        s[D_F0 + j] = bristle_change(
-                            more0, by0, old0, o0, c0, h0, i0, t0, was[0], y[0]
-                        ) + s[D_R0 + j]
-                        s[D_F1 + j] = bristle_change(
-                            more1, by1, old1, o1, c1, h1, i1, t1, was[1], y[1]
-                        ) + s[D_R1 + j]
-                        s[D_F2 + j] = bristle_change(
-                            more2, by2, old2, o2, c2, h2, i2, t2, was[2], y[2]
-                        ) + s[D_R2 + j]
+                        s[D_F0 + j] = bristle_change(y_0, o0, c0, h0, i0, t0, y[0], was[0])
+                        s[D_F1 + j] = bristle_change(y_1, o1, c1, h1, i1, t1, y[1], was[1])
+                        s[D_F2 + j] = bristle_change(y_2, o2, c2, h2, i2, t2, y[2], was[2])
+                        if own_friction:
+                            s[D_F0 + j] += s[D_R0 + j]
+                            s[D_F1 + j] += s[D_R1 + j]
+                            s[D_F2 + j] += s[D_R2 + j]
                     if ageing:
                         new_0 += z_0[5] * s[D_AGE0 + j]
                         new_1 += z_1[5] * s[D_AGE1 + j]

@@ -25,6 +25,7 @@ from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
 from dmptm_ctrl.simulate.compose import engine, layout, per_catalogue
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
+from dmptm_ctrl.simulate.slope_chains import deciding_fields
 
 # Share of a parameter's size: truncation and rounding, grown by the run, are both far below 1 %
 STEP = 1e-7
@@ -39,8 +40,9 @@ NEUTRAL = {
 LEFT_ALONE = [*NEUTRAL] + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "phi_r")]
 WITH_MEMORY = {"delay", "lag", "shaft", "sensor_delay"}
 WITH_CONTACTS = {"presliding", "ageing"}
-# Of drives with effects: parameters that go along with a run for less than lanes would take
-FEW_WITH_EFFECTS = 4
+# Of drives with effects, and where contacts have a state of their own: parameters that go along
+# with a run for less than lanes would take
+FEW_WITH_EFFECTS, FEW_WITH_CONTACTS = 6, 2
 EXPONENTS = [BASE.index(name) for name in ("delta3", "deltaL")]
 UNKNOWN_SLOPES = EXPONENTS + [BASE.index(name) for name in ("N_1", "N_2")]
 NOISE = 1e-4  # of an output's range per parameter's size, below which a difference is rounding
@@ -199,9 +201,27 @@ def _way(arrays: Arrays, places: Sequence[_Place]) -> Callable[..., int] | None:
     """Loop that takes changes along with a run, or None where each is to be a run of its own."""
     if _plain(arrays, places):
         return _by_slopes
+    _, on, _ = arrays
     straight = all(arrays[0][slot] == 1.0 for slot in EXPONENTS)
     known = straight and not any(not p.effect and p.slot in UNKNOWN_SLOPES for p in places)
-    return _by_kernels if known and len(places) <= FEW_WITH_EFFECTS else None
+    few = FEW_WITH_CONTACTS if _used(on[None], WITH_CONTACTS) else FEW_WITH_EFFECTS
+    return _by_kernels if known and len(places) <= few and _smooth(on, places) else None
+
+
+def _smooth(on: NDArray[np.uint8], places: Sequence[_Place]) -> bool:
+    """Whether the slopes of all effects in use are known, and nothing moves that decides."""
+    deciding = _deciding()
+    used = {p.effect for p in places if p.effect}
+    used |= {name for k, name in enumerate(CATALOGUE) if on[k]}
+    known = {name: found for name in used if (found := deciding[name]) is not None}
+    return len(known) == len(used) and not any(
+        p.slot - layout()[p.effect][1] in known[p.effect] for p in places if p.effect
+    )
+
+
+@per_catalogue
+def _deciding(effects: tuple[Effect, ...]) -> dict[str, frozenset[int] | None]:
+    return {effect.name: deciding_fields(effect) for effect in effects}
 
 
 @per_catalogue
@@ -216,8 +236,8 @@ def _moved(values: Floats) -> NDArray[np.int64]:
     `values` of the run, of each change, of all the other way.
     """
     sites, ends = _sites(), len(SITES) + 1
-    pairs = np.argwhere(values[1:-1] != values[0])
-    pairs = sorted(pairs.tolist(), key=lambda pair: sites[pair[1]])
+    found = np.argwhere(values[1:-1] != values[0]).tolist()
+    pairs = sorted(found, key=lambda pair: sites[pair[1]])
     table = np.zeros((ends + len(pairs), 3), np.int64)
     for k, (j, slot) in enumerate(pairs):
         table[ends + k, 1:] = j, slot

@@ -88,7 +88,7 @@ def effect_slopes(effect: Effect, library: Library) -> Slopes | None:
     return library.of(kernel, motion, fields, speeds=speeds, chosen=chosen)
 
 
-def deciding(effect: Effect) -> frozenset[int] | None:
+def deciding_fields(effect: Effect) -> frozenset[int] | None:
     """Positions of parameters that decide on branches of the kernel; None if it has no slopes."""
     try:
         slopes = effect_slopes(effect, Library())
@@ -102,9 +102,7 @@ def _rows(text: str) -> str:
     return re.sub(r"\{(.*?)\}", r"R_OWN + (\1) * R_NUMBERS", text)
 
 
-def _write_own(
-    slopes: Slopes, chain: Chain, site: str, own: range, before: list[int]
-) -> list[str]:
+def _write_own(slopes: Slopes, chain: Chain, site: str, own: range, before: list[int]) -> list[str]:
     """Lines that put slopes by an effect's `own` numbers into g."""
     first = own.start
     lines = [f"for k in ({', '.join(map(str, before))},):"] if chain.scaled and before else []

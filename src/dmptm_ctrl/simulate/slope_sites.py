@@ -1,9 +1,9 @@
 """The slopes of the site chains of a drive without any effect; see `row_sites.py`.
 
 `compose.py` puts the catalogue's in place. `r` holds whether an effect is in use, the numbers of
-all effects, and behind them rows of slopes by these, which the chains write where `own` says so. The last value is whether a small
-change leaves the branches of all kernels as they are. Of what the loops themselves know of
-friction and lags `compose.py` writes the slopes too.
+all effects, and behind them rows of slopes by these, which the chains write where `own` says so.
+The last value is whether a small change leaves the branches of all kernels as they are. Of what
+the loops themselves know of friction and lags `compose.py` writes the slopes too.
 """
 
 from numba import njit

@@ -93,9 +93,11 @@ class Library:
             What is chosen once for a run, and may be compared without being close to anything.
         """
         function = getattr(function, "py_func", function)
-        rests = {a: f"rests_{a}" for a in motion} if speeds is None else {
-            a: f"({a} == 0.0)" for a in speeds
-        }
+        rests = (
+            {a: f"rests_{a}" for a in motion}
+            if speeds is None
+            else {a: f"({a} == 0.0)" for a in speeds}
+        )
         key = (function, tuple(motion), tuple(records), *map(tuple, (rests, still, chosen)))
         if key not in self.known:
             name = f"{function.__name__}_slopes_{len(self.known)}"
@@ -126,9 +128,7 @@ def _times(a: str, b: str) -> str:
 class _Writer:
     """Text of one function."""
 
-    def __init__(  # type: ignore[no-untyped-def]
-        self, library, function, motion, records, rests, still, chosen
-    ) -> None:
+    def __init__(self, library, function, motion, records, rests, still, chosen) -> None:
         self.library, self.function, self.rests = library, function, rests
         self.motion, self.records = tuple(motion), dict(records)
         self.still, self.chosen = still, chosen
@@ -151,7 +151,8 @@ class _Writer:
             a: (a, {a: "1.0"} if a in self.motion else {}) for a in self.args
         }
         self.globals = dict(function.__globals__)
-        for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        cells = function.__closure__ or ()
+        for name, cell in zip(function.__code__.co_freevars, cells, strict=True):
             self.globals[name] = cell.cell_contents
 
     def slopes(self, name: str) -> Slopes:
@@ -180,9 +181,9 @@ class _Writer:
             motion = [slopes.get(m, "0.0") for _, slopes in duals for m in self.motion]
             own = [slopes.get(f, "0.0") for _, slopes in duals for f in fields]
             places = [str(s[1]) for s in here] + ["0"] * pad
-            looked = [
-                x for _, slopes in duals for x in [slopes.get(s, "0.0") for s in here] + ["0.0"] * pad
-            ]
+            looked: list[str] = []
+            for _, slopes in duals:
+                looked += [slopes.get(s, "0.0") for s in here] + ["0.0"] * pad
             parts = [_row(x) for x in ([v for v, _ in duals], motion, own, places, looked)]
             text.append("    " * depth + f"return {', '.join(parts)}, sure")
         return Slopes(
@@ -271,7 +272,7 @@ class _Writer:
             self.lines += no_lines
         return done and other_done
 
-    def _joined(self, name: str, yes: Dual, yes_lines: list, no: Dual, no_lines: list) -> Dual:  # type: ignore
+    def _joined(self, name: str, yes: Dual, yes_lines: list, no: Dual, no_lines: list) -> Dual:
         """Value and slopes that either way has set."""
         self.count += 1
         joined: Tangents = {}
@@ -324,7 +325,7 @@ class _Writer:
 
     def chosen_among(self, seeds: Iterable[Seed]) -> set[tuple[str, int]]:
         """What is chosen once for a run, of what something depends on."""
-        found = set()
+        found: set[Any] = set()
         for seed in seeds:
             if isinstance(seed, int):
                 found |= self.chosen_among(self.between[seed])
@@ -574,9 +575,7 @@ class _Writer:
                 for k, (r, at) in enumerate(inner.fields)
             }
             for k, place in enumerate(places):
-                own[back[inner.record], place] = self.bind(
-                    f"{result}[4][{o * inner.found + k}]"
-                )
+                own[back[inner.record], place] = self.bind(f"{result}[4][{o * inner.found + k}]")
             found.append((self.bind(f"{result}[0][{o}]"), self.total([*parts, (own, "1.0")])))
         return found
 

@@ -14,7 +14,7 @@ from numba import njit
 from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
 from dmptm_ctrl.simulate.core import UNKNOWN, aged, held_average
 from dmptm_ctrl.simulate.elementary import borrowed
-from dmptm_ctrl.simulate.row_sites import lag_relaxation_of, load_torque_of, sensor_reading_of
+from dmptm_ctrl.simulate.row_sites import lag_relaxation_of, sensor_reading_of
 from dmptm_ctrl.simulate.row_step_core import (
     D_A0,
     D_A1,
@@ -82,7 +82,6 @@ from dmptm_ctrl.simulate.tangent_core import (
     D_G1,
     D_GAIN,
     D_GAP0,
-    D_GAP1,
     D_K,
     D_LAW,
     D_MOB3,
@@ -208,8 +207,9 @@ def own_of(s, to, site, first, weights, moved, r):
 
 
 @njit
-def own_of_mesh(s, to, side, mesh, p, width, moving, bases, moved, r):
+def own_of_mesh(s, side, mesh, p, width, moving, bases, moved, r):
     """The same of a mesh, with the numbers of its teeth."""
+    to = D_M0 + side * CHANGES
     if moving.teeth:
         for j in range(p):
             s[to + j] = 0.0
@@ -283,15 +283,15 @@ def without_level(slopes):
 
 
 @njit
-def change_of_mesh(s, j, mesh, x, v, x_2, v_2, own, gap, moving):
+def change_of_mesh(s, j, mesh, x, v, x_2, v_2, side, moving):
     """Change of a mesh's torque with that of the motion and with its own numbers."""
-    by = mesh.slopes
+    by, gap = mesh.slopes, D_GAP0 + side * CHANGES
     change = by[0] * x + by[1] * v + (by[2] * x_2 + by[3] * v_2)
     if moving.numbers:
         open_by = (0.0, 0.0, mesh.numbers[2])
         change += mesh_own(open_by, mesh.own, s[D_K + j], s[D_C + j], s[D_CF + j], s[gap + j])
     if moving.mesh or moving.teeth:
-        change += s[own + j]
+        change += s[D_M0 + side * CHANGES + j]
     return change
 
 
@@ -313,6 +313,12 @@ def bristle_change(by, v, v_mid, force, x, load, older, bristle):
     """Change of a presliding friction over a step; `by` as of `with_level`."""
     change = by[0] * v + by[1] * v_mid + by[2] * force + by[6] * bristle
     return change + (by[3] * x + by[4] * load + by[5] * older)
+
+
+@njit
+def older_by(by, age, v, slip):
+    """Change of an age over a step; `by` as of `grown`."""
+    return by[0] * age + by[1] * v + by[2] * slip
 
 
 @njit
@@ -400,19 +406,24 @@ def preslid_numbers(changed, p, bases, fixed):
 
 @njit
 def march_site_tangents(
-    u, x0, dt, substeps, bases, values, on, moved, steps, s, fixed, room, r, out, changes, back, memory, contacts
+    u, x0, dt, substeps, bases, values, on, moved, steps, s, fixed, room, r,
+    out, changes, back, memory, contacts
 ):  # fmt: skip
     """Run a drive with effects and what changes of its numbers and of theirs change.
 
     bases and values (p + 2, ...) of the run, of each change, of all the other way; on (effects,),
-    where any of these has it; moved (m, 3) change, number and site of each number of an effect that
-    is moved; s and fixed (p + 2, FIXED) zeros, room to work in; memory is None
-    where no effect has a state of its own, which is quicker; the rest, and what is returned, as of
+    where any of these has it; moved (13 + m, 3) where each site begins, then change and number of
+    each number of an effect that is moved; s, fixed (p + 2, FIXED), room (3, STATE) zeros, room to
+    work in; r as of `slope_sites`; memory and contacts are None where no effect has a state of its
+    own, of the drive or of the contacts, which is quicker; the rest, and what is returned, as of
     `march_tangents`.
     """
     n, p = u.shape[1], changes.shape[0]
     h = dt / substeps
     half = 0.5 * h
+    # not literals, for each of which the chains would be compiled once more
+    side0 = 0 * substeps
+    side1, ring = side0 + 1, side0 + 2
     left, right = borrowed(u[0]), borrowed(u[1])
     s, fixed, room = borrowed(s), borrowed(fixed), borrowed(room)
     bases, values, on, moved = borrowed(bases), borrowed(values), borrowed(on), borrowed(moved)
@@ -523,13 +534,13 @@ def march_site_tangents(
         t = i * dt
         if altered:
             mesh_l = mesh_along(
-                *(q0, v0, q2, v2, 0, region0, varying, acting, moving, bases, r)
+                *(q0, v0, q2, v2, side0, region0, varying, acting, moving, bases, r)
             )
-            own_of_mesh(s, D_M0, 0, mesh_l, p, width, moving, bases, moved, r)
+            own_of_mesh(s, side0, mesh_l, p, width, moving, bases, moved, r)
             mesh_r = mesh_along(
-                *(q1, v1, q2, v2, 1, region1, varying, acting, moving, bases, r)
+                *(q1, v1, q2, v2, side1, region1, varying, acting, moving, bases, r)
             )
-            own_of_mesh(s, D_M1, 1, mesh_r, p, width, moving, bases, moved, r)
+            own_of_mesh(s, side1, mesh_r, p, width, moving, bases, moved, r)
         else:
             mesh_l = plain_mesh(q0 - n2 * q2, v0 - n2 * v2, region0, mesh0, m0, n2, moving)
             mesh_r = plain_mesh(q1 - n2 * q2, v1 - n2 * v2, region1, mesh1, m1, n2, moving)
@@ -552,16 +563,16 @@ def march_site_tangents(
                 angle, speed = sensor_reading_of(angle, speed, t, on, values, row)
             torque0, torque1 = mesh_l.torque, mesh_r.torque
             if j >= 0 and not anew0:
-                torque0 += change_of_mesh(s, j, mesh_l, dq0, dv0, dq2, dv2, D_M0, D_GAP0, moving)
+                torque0 += change_of_mesh(s, j, mesh_l, dq0, dv0, dq2, dv2, side0, moving)
             elif anew0:
                 torque0 = torque_at(
-                    *(q0 + dq0, v0 + dv0, q2 + dq2, v2 + dv2, 0, acting, bases, on, values, row)
+                    *(q0 + dq0, v0 + dv0, q2 + dq2, v2 + dv2, side0, acting, bases, on, values, row)
                 )
             if j >= 0 and not anew1:
-                torque1 += change_of_mesh(s, j, mesh_r, dq1, dv1, dq2, dv2, D_M1, D_GAP1, moving)
+                torque1 += change_of_mesh(s, j, mesh_r, dq1, dv1, dq2, dv2, side1, moving)
             elif anew1:
                 torque1 = torque_at(
-                    *(q1 + dq1, v1 + dv1, q2 + dq2, v2 + dv2, 1, acting, bases, on, values, row)
+                    *(q1 + dq1, v1 + dv1, q2 + dq2, v2 + dv2, side1, acting, bases, on, values, row)
                 )
             if j < 0:
                 out[0, i], out[1, i], out[2, i], out[3, i] = angle, speed, n1 * a0, n1 * a1
@@ -588,15 +599,15 @@ def march_site_tangents(
             if steered:
                 if moving.volts:
                     u0, kept0, given_by0, mean0, late0, sure0 = volts_along(
-                        *(s, given0, e0, middle, 0, h, acting, p, width, moved, r)
+                        *(s, given0, e0, middle, side0, h, acting, p, width, moved, r)
                     )
                     u1, kept1, given_by1, mean1, late1, sure1 = volts_along(
-                        *(s, given1, e1, middle, 1, h, acting, p, width, moved, r)
+                        *(s, given1, e1, middle, side1, h, acting, p, width, moved, r)
                     )
                     sure = sure0 and sure1
                 else:
-                    u0, kept0 = voltage_of(given0, e0, middle, 0, h, acting, on, values, 0)
-                    u1, kept1 = voltage_of(given1, e1, middle, 1, h, acting, on, values, 0)
+                    u0, kept0 = voltage_of(given0, e0, middle, side0, h, acting, on, values, side0)
+                    u1, kept1 = voltage_of(given1, e1, middle, side1, h, acting, on, values, side0)
             x_0, x_1, x_2 = q0 + half * v0, q1 + half * v1, q2 + half * v2
             s0, s1, s2 = v0 + 0.5 * d0, v1 + 0.5 * d1, v2 + 0.5 * d2
             y0, y1, r0, r1 = x_0, x_1, s0, s1
@@ -604,13 +615,13 @@ def march_site_tangents(
                 y0, y1, r0, r1 = a0 + half * w0, a1 + half * w1, w0 + 0.5 * b0, w1 + 0.5 * b1
             if altered:
                 mesh_l = mesh_along(
-                    *(x_0, s0, x_2, s2, 0, region0, varying, acting, moving, bases, r)
+                    *(x_0, s0, x_2, s2, side0, region0, varying, acting, moving, bases, r)
                 )
-                own_of_mesh(s, D_M0, 0, mesh_l, p, width, moving, bases, moved, r)
+                own_of_mesh(s, side0, mesh_l, p, width, moving, bases, moved, r)
                 mesh_r = mesh_along(
-                    *(x_1, s1, x_2, s2, 1, region1, varying, acting, moving, bases, r)
+                    *(x_1, s1, x_2, s2, side1, region1, varying, acting, moving, bases, r)
                 )
-                own_of_mesh(s, D_M1, 1, mesh_r, p, width, moving, bases, moved, r)
+                own_of_mesh(s, side1, mesh_r, p, width, moving, bases, moved, r)
             else:
                 mesh_l = plain_mesh(x_0 - n2 * x_2, s0 - n2 * s2, region0, mesh0, m0, n2, moving)
                 mesh_r = plain_mesh(x_1 - n2 * x_2, s1 - n2 * s2, region1, mesh1, m1, n2, moving)
@@ -620,19 +631,19 @@ def march_site_tangents(
             push0 = push1 = (gain, 0.0, 0.0)  # by voltage, angle and speed of the motor
             if has_motor:
                 pull, e, good = motor_slopes_of(
-                    u0, n1 * y0, n1 * r0, middle, 0, moving.motor, r
+                    u0, n1 * y0, n1 * r0, middle, side0, moving.motor, r
                 )
                 drive0 += n1 * pull
                 push0 = (gain + n1 * e[0], n1 * n1 * e[1], n1 * n1 * e[2])
                 pull, e, fine = motor_slopes_of(
-                    u1, n1 * y1, n1 * r1, middle, 1, moving.motor, r
+                    u1, n1 * y1, n1 * r1, middle, side1, moving.motor, r
                 )
                 drive1 += n1 * pull
                 push1 = (gain + n1 * e[0], n1 * n1 * e[1], n1 * n1 * e[2])
                 sure = sure and good and fine
                 if moving.motor:
-                    own_of(s, D_H0, AT_MOTOR, 0, (n1,), moved, r)
-                    own_of(s, D_H1, AT_MOTOR, 1, (n1,), moved, r)
+                    own_of(s, D_H0, AT_MOTOR, side0, (n1,), moved, r)
+                    own_of(s, D_H0 + side1 * CHANGES, AT_MOTOR, side1, (n1,), moved, r)
                     if width > p:
                         grow(s, D_H0, 2, p)
             net0, net1 = drive0, drive1
@@ -657,23 +668,23 @@ def march_site_tangents(
             aged0, aged1, aged2 = 0.0, 0.0, 0.0
             if has_friction:
                 own = moving.friction
-                c, by0, good = friction_slopes_of(x_0, s0, middle, torque0, 0, own, r)
+                c, by0, good = friction_slopes_of(x_0, s0, middle, torque0, side0, own, r)
                 level0, added0 = c
-                c, by1, fine = friction_slopes_of(x_1, s1, middle, torque1, 1, own, r)
+                c, by1, fine = friction_slopes_of(x_1, s1, middle, torque1, side1, own, r)
                 level1, added1 = c
                 carried = abs(torque0) + abs(torque1)
-                c, by2, well = friction_slopes_of(x_2, s2, middle, carried, 2, own, r)
+                c, by2, well = friction_slopes_of(x_2, s2, middle, carried, ring, own, r)
                 level2, added2 = c
                 sure = sure and good and fine and well
                 level_by = abs(by2[2]) + abs(by2[5])
                 sure = sure and (level_by == 0.0 or (torque0 != 0.0 and torque1 != 0.0))
             if ageing:
                 own = moving.friction
-                more, old0, good = ageing_slopes_of(age0, 0, own, r)
+                more, old0, good = ageing_slopes_of(age0, side0, own, r)
                 added0 += more
-                more, old1, fine = ageing_slopes_of(age1, 1, own, r)
+                more, old1, fine = ageing_slopes_of(age1, side1, own, r)
                 added1 += more
-                more, old2, well = ageing_slopes_of(age2, 2, own, r)
+                more, old2, well = ageing_slopes_of(age2, ring, own, r)
                 added2 += more
                 sure = sure and good and fine and well
             if v0 * way0 < 0.0 or v1 * way1 < 0.0 or v2 * way2 < 0.0:
@@ -688,13 +699,15 @@ def march_site_tangents(
                 )
                 if own_friction:
                     friction_own(
-                        *(s, 0, s_0, more0, p, width, moving, moved, r, (preslid, own_0))
+                        *(s, side0, s_0, more0, p, width, moving, moved, r, (preslid, own_0))
                     )
             else:
-                new0, good, f0 = smooth_body(v0, s0, force0, mobility_3, reducer, p0, level0, added0)
+                new0, good, f0 = smooth_body(
+                    v0, s0, force0, mobility_3, reducer, p0, level0, added0
+                )
                 s_0 = sliding(f0, mobility_3)
                 if own_friction:
-                    friction_own(s, 0, s_0, more0, p, width, moving, moved, r, None)
+                    friction_own(s, side0, s_0, more0, p, width, moving, moved, r, None)
             sure = sure and good
             if presliding and bristles1[0] > 0.0:
                 new1, after1, s_1, more1, own_1, good = bristling(
@@ -702,13 +715,15 @@ def march_site_tangents(
                 )
                 if own_friction:
                     friction_own(
-                        *(s, 1, s_1, more1, p, width, moving, moved, r, (preslid, own_1))
+                        *(s, side1, s_1, more1, p, width, moving, moved, r, (preslid, own_1))
                     )
             else:
-                new1, good, f1 = smooth_body(v1, s1, force1, mobility_3, reducer, p1, level1, added1)
+                new1, good, f1 = smooth_body(
+                    v1, s1, force1, mobility_3, reducer, p1, level1, added1
+                )
                 s_1 = sliding(f1, mobility_3)
                 if own_friction:
-                    friction_own(s, 1, s_1, more1, p, width, moving, moved, r, None)
+                    friction_own(s, side1, s_1, more1, p, width, moving, moved, r, None)
             sure = sure and good
             if presliding and bristles2[0] > 0.0:
                 new2, after2, s_2, more2, own_2, good = bristling(
@@ -716,13 +731,15 @@ def march_site_tangents(
                 )
                 if own_friction:
                     friction_own(
-                        *(s, 2, s_2, more2, p, width, moving, moved, r, (preslid, own_2))
+                        *(s, ring, s_2, more2, p, width, moving, moved, r, (preslid, own_2))
                     )
             else:
-                new2, good, f2 = smooth_body(v2, s2, force2, mobility_l, bearing, p2, level2, added2)
+                new2, good, f2 = smooth_body(
+                    v2, s2, force2, mobility_l, bearing, p2, level2, added2
+                )
                 s_2 = sliding(f2, mobility_l)
                 if own_friction:
-                    friction_own(s, 2, s_2, more2, p, width, moving, moved, r, None)
+                    friction_own(s, ring, s_2, more2, p, width, moving, moved, r, None)
             sure = sure and good
             if ageing:
                 aged0, grown0, good = grown(age0, new0, h, renew0)
@@ -748,10 +765,9 @@ def march_site_tangents(
                     s[D_G0 + p], s[D_G1 + p] = region0, region1
                 apart = row_steps(s, room, p, volts, middle, h, acting, bases, on, values, fixed)
                 x = room[0]
-                q0, q1, q2, v0, v1, v2, d0, d1, d2 = (
-                    *(x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8]),
-                )
-                a0, a1, w0, w1, b0, b1, e0, e1 = x[9], x[10], x[11], x[12], x[13], x[14], x[15], x[16]
+                q0, q1, q2, v0, v1, v2, d0, d1 = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]
+                d2, a0, a1, w0, w1, b0, b1 = x[8], x[9], x[10], x[11], x[12], x[13], x[14]
+                e0, e1 = x[15], x[16]
                 g0, g1, g2, age0, age1, age2 = x[17], x[18], x[19], x[20], x[21], x[22]
                 if not altered and (region0 != x[23] or region1 != x[24]):
                     m0, m1 = mesh_slopes(x[23], mesh0), mesh_slopes(x[24], mesh1)
@@ -776,8 +792,8 @@ def march_site_tangents(
                     i0, i1 = s[DQ0 + j] + half * o0, s[DQ1 + j] + half * o1
                     i2 = s[DQ2 + j] + half * o2
                     c0, c1, c2 = o0 + 0.5 * s[DC0 + j], o1 + 0.5 * s[DC1 + j], o2 + 0.5 * s[DC2 + j]
-                    t0 = change_of_mesh(s, j, mesh_l, i0, c0, i2, c2, D_M0, D_GAP0, moving)
-                    t1 = change_of_mesh(s, j, mesh_r, i1, c1, i2, c2, D_M1, D_GAP1, moving)
+                    t0 = change_of_mesh(s, j, mesh_l, i0, c0, i2, c2, side0, moving)
+                    t1 = change_of_mesh(s, j, mesh_r, i1, c1, i2, c2, side1, moving)
                     h0, h1 = 0.0, 0.0
                     if moving.gain:
                         h0, h1 = u0 * s[D_GAIN + j], u1 * s[D_GAIN + j]
@@ -855,9 +871,9 @@ def march_site_tangents(
                         new_0 += s[D_N0 + j]
                         new_1 += s[D_N1 + j]
                         new_2 += s[D_N2 + j]
+                    y = s[D_AGE0 + j], s[D_AGE1 + j], s[D_AGE2 + j]
                     if presliding:
                         was = s[D_F0 + j], s[D_F1 + j], s[D_F2 + j]
-                        y = s[D_AGE0 + j], s[D_AGE1 + j], s[D_AGE2 + j]
                         new_0 += z_0[6] * was[0]
                         new_1 += z_1[6] * was[1]
                         new_2 += z_2[6] * was[2]
@@ -869,15 +885,15 @@ def march_site_tangents(
                             s[D_F1 + j] += s[D_R1 + j]
                             s[D_F2 + j] += s[D_R2 + j]
                     if ageing:
-                        new_0 += z_0[5] * s[D_AGE0 + j]
-                        new_1 += z_1[5] * s[D_AGE1 + j]
-                        new_2 += z_2[5] * s[D_AGE2 + j]
+                        new_0 += z_0[5] * y[0]
+                        new_1 += z_1[5] * y[1]
+                        new_2 += z_2[5] * y[2]
                         slip = fixed[row, F_RENEW] - renew0
-                        s[D_AGE0 + j] = grown0[0] * s[D_AGE0 + j] + grown0[1] * new_0 + grown0[2] * slip
+                        s[D_AGE0 + j] = older_by(grown0, y[0], new_0, slip)
                         slip = fixed[row, F_RENEW + 1] - renew1
-                        s[D_AGE1 + j] = grown1[0] * s[D_AGE1 + j] + grown1[1] * new_1 + grown1[2] * slip
+                        s[D_AGE1 + j] = older_by(grown1, y[1], new_1, slip)
                         slip = fixed[row, F_RENEW + 2] - renew2
-                        s[D_AGE2 + j] = grown2[0] * s[D_AGE2 + j] + grown2[1] * new_2 + grown2[2] * slip
+                        s[D_AGE2 + j] = older_by(grown2, y[2], new_2, slip)
                     s[DQ0 + j], s[DQ1 + j] = i0 + half * new_0, i1 + half * new_1
                     s[DQ2 + j] = i2 + half * new_2
                     s[DV0 + j], s[DV1 + j], s[DV2 + j] = new_0, new_1, new_2

@@ -41,9 +41,9 @@ NEUTRAL = {
 LEFT_ALONE = [*NEUTRAL] + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "phi_r")]
 WITH_MEMORY = {"delay", "lag", "shaft", "sensor_delay"}
 WITH_CONTACTS = {"presliding", "ageing"}
-# Of drives with effects, and where contacts have a state of their own: parameters that go along
-# with a run for less than lanes would take
-FEW_WITH_EFFECTS, FEW_WITH_CONTACTS = 6, 2
+# Of drives with effects, and with presliding: parameters that go along with a run for less than
+# lanes would take
+FEW_WITH_EFFECTS, FEW_WITH_PRESLIDING = 6, 2
 EXPONENTS = [BASE.index(name) for name in ("delta3", "deltaL")]
 UNKNOWN_SLOPES = EXPONENTS + [BASE.index(name) for name in ("N_1", "N_2")]
 NOISE = 1e-4  # of an output's range per parameter's size, below which a difference is rounding
@@ -205,7 +205,7 @@ def _way(arrays: Arrays, places: Sequence[_Place]) -> Callable[..., int] | None:
     _, on, _ = arrays
     straight = all(arrays[0][slot] == 1.0 for slot in EXPONENTS)
     known = straight and not any(not p.effect and p.slot in UNKNOWN_SLOPES for p in places)
-    few = FEW_WITH_CONTACTS if _used(on[None], WITH_CONTACTS) else FEW_WITH_EFFECTS
+    few = FEW_WITH_PRESLIDING if _used(on[None], {"presliding"}) else FEW_WITH_EFFECTS
     return _by_kernels if known and len(places) <= few and _smooth(on, places) else None
 
 

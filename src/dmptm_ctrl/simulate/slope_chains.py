@@ -156,10 +156,12 @@ def _chain(
 def slope_source(effects: Mapping[str, Effect], slots: Mapping[str, int]) -> str:
     """Return the text of all slopes that `tangent_site_core` calls."""
     library = Library()
-    law = {"law": Stribeck._fields, "bristles": ("distance", "share", "lag")}
-    motion = ("v", "v_mid", "force", "mobility", "scale", "added", "bristle")
-    # exponents stay as they are along with slopes
-    preslide = library.of(core.preslide, motion, law, still=[("law", "exponent")])
+    # numbers of presliding and of its friction law move by whole steps with these
+    motion = ("v", "v_mid", "force", "scale", "added", "bristle")
+    records = {"law": Stribeck._fields, "bristles": ("distance", "share", "lag")}
+    still: list[tuple[str, str | int]] = [("law", name) for name in Stribeck._fields]
+    still += [("bristles", k) for k in range(3)]
+    preslide = library.of(core.preslide, motion, records, still=still)
     loops: dict[str, Any] = {
         "preslide": preslide,
         "aged": library.of(core.aged, ("age", "v", "slip"), {}, speeds=["v"]),
@@ -167,10 +169,9 @@ def slope_source(effects: Mapping[str, Effect], slots: Mapping[str, int]) -> str
         "toothed": library.of(row_step_core.toothed, ("x", "k_a", "z_3", "phi_r"), {}),
     }
     names = "\n".join(f"{name}_slopes = {slopes.name}" for name, slopes in loops.items())
-    fields = tuple(at for record, at in preslide.fields if record == "law")
     chains = "\n\n\n".join(_chain(site, effects, slots, library) for site in CHAINS)
     numbers = sum(len(effect.parameters) for effect in effects.values())
     own = len(effects) + numbers
     places = f"R_VALUES, R_NUMBERS, R_OWN = {len(effects)}, {numbers}, {own}\n"
     places += f"R_MOVES = {own + _ROWS * numbers}"
-    return f"{library.text()}\n\n\n{names}\nLAW_FIELDS = {fields}\n{places}\n\n\n{chains}"
+    return f"{library.text()}\n\n\n{names}\n{places}\n\n\n{chains}"

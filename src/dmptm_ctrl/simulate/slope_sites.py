@@ -11,7 +11,6 @@ from numba import njit
 # Where the numbers of effects begin in `r`, how many there are; where rows of slopes begin, and
 # how far each number of an effect is moved, as `sensitivity` lists these
 R_VALUES, R_NUMBERS, R_OWN, R_MOVES = 0, 0, 0, 0
-LAW_FIELDS = (0, 1, 3, 4, 5, 7, 9, 10)  # positions in a friction law of what presliding knows
 
 
 @njit
@@ -76,5 +75,5 @@ def aged_slopes(age, v, h, slip):
 
 @njit
 def preslide_slopes(v, v_mid, force, mobility, h, law, scale, added, bristles, bristle):
-    """Values of `preslide`; slopes of both by v to mobility, scale, added, bristle; by numbers."""
-    return (0.0, 0.0), (0.0,) * 14, (0.0,) * 22, (), (), True
+    """Values of `preslide`; slopes of both by v, v_mid, force, scale, added, bristle."""
+    return (0.0, 0.0), (0.0,) * 12, (), (), (), True

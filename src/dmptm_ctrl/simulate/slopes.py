@@ -75,7 +75,7 @@ class Library:
         records: Mapping[str, Sequence[str]],
         *,
         speeds: Iterable[str] | None = (),
-        still: Iterable[tuple[str, str]] = (),
+        still: Iterable[tuple[str, str | int]] = (),
         chosen: Iterable[tuple[str, int]] = (),
     ) -> Slopes:
         """Write a function with slopes by the arguments `motion` and what is in `records`.
@@ -87,8 +87,8 @@ class Library:
         speeds : iterable of str, or None
             Arguments in `motion` that do not change where they are zero: what rests stays at
             rest. None: the caller says which do not.
-        still : iterable of (argument, field)
-            What never changes.
+        still : iterable of (argument, field or position)
+            What does not change.
         chosen : iterable of (argument, position)
             What is chosen once for a run, and may be compared without being close to anything.
         """
@@ -432,7 +432,10 @@ class _Writer:
             index: int | str = int(ast.literal_eval(place))
         except ValueError:
             index = place = self.bind(place)
-        return f"{record}[{place}]", {(record, index): "1.0"}
+        return f"{record}[{place}]", {(record, index): "1.0"} if (
+            record,
+            index,
+        ) not in self.still else {}
 
     def either(self, test: str, a: Dual, b: Dual) -> Dual:
         slopes = {
@@ -554,7 +557,7 @@ class _Writer:
             [name for name, (_, slopes) in duals.items() if slopes],
             {inside: self.records[here] for here, inside in renamed.items()},
             speeds=None,
-            still=sorted((renamed[r], f) for r, f in self.still if r in renamed),
+            still=sorted(((renamed[r], f) for r, f in self.still if r in renamed), key=str),
             chosen=sorted((renamed[r], k) for r, k in self.chosen if r in renamed),
         )
         back = {inside: here for here, inside in renamed.items()}

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
-from dmptm_ctrl.simulate.core import UNKNOWN, aged, held_average
+from dmptm_ctrl.simulate.core import UNKNOWN, aged, held_average, preslide
 from dmptm_ctrl.simulate.elementary import borrowed
 from dmptm_ctrl.simulate.row_sites import lag_relaxation_of, sensor_reading_of
 from dmptm_ctrl.simulate.row_step_core import (
@@ -55,7 +55,6 @@ from dmptm_ctrl.simulate.row_step_core import (
 )
 from dmptm_ctrl.simulate.sites import active_sites
 from dmptm_ctrl.simulate.slope_sites import (
-    LAW_FIELDS,
     R_MOVES,
     R_NUMBERS,
     R_OWN,
@@ -128,8 +127,8 @@ D_U0, D_U1, D_L0, D_L1, D_K0, D_K1, D_H0, D_H1, D_M0, D_M1, D_LOAD = range(
     D_OWN, D_OWN + 11 * CHANGES, CHANGES
 )
 D_N0, D_N1, D_N2, D_R0, D_R1, D_R2 = range(D_OWN + 11 * CHANGES, D_OWN + 17 * CHANGES, CHANGES)
-OWN = 17
-NUMBERS = 4 + len(LAW_FIELDS)  # that presliding knows: mobility, bristles, friction law
+D_BRISTLED = D_OWN + 17 * CHANGES  # where a change moves what presliding of a body knows
+OWN = 20
 SIZE_WITH_SITES = D_OWN + OWN * CHANGES
 # Sites as numbers, in the order of `contract.SITES`
 AT_DRIVE, AT_DELAY, AT_LAG, AT_MOTOR, AT_SHAFT, AT_MESH, AT_FRICTION = range(7)
@@ -297,15 +296,12 @@ def change_of_mesh(s, j, mesh, x, v, x_2, v_2, side, moving):
 
 @njit
 def bristling(v, v_mid, force, mobility, h, law, level, added, bristles, bristle):
-    """Speed and presliding friction of a body after a step, slopes of both as of `sliding`.
-
-    Then their slopes by mobility, bristles and the law's numbers, and whether they are sure.
-    """
-    both, d, q, _, _, sure = preslide_slopes(
+    """Speed and presliding friction of a body after a step, slopes of both as of `sliding`."""
+    both, d, _, _, _, sure = preslide_slopes(
         v, v_mid, force, mobility, h, law, level, added, bristles, bristle
     )
-    speed, friction = (d[0], d[1], d[2], d[4], d[5], d[6]), (d[7], d[8], d[9], d[11], d[12], d[13])
-    return both[0], both[1], speed, friction, (d[3], d[10], *q), sure
+    speed, friction = (d[0], d[1], d[2], d[3], d[4], d[5]), (d[6], d[7], d[8], d[9], d[10], d[11])
+    return both[0], both[1], speed, friction, sure
 
 
 @njit
@@ -357,51 +353,58 @@ def volts_along(s, given, kept, t, side, h, acting, p, width, moved, r):
 
 
 @njit
-def friction_own(s, body, slopes, more, p, width, moving, moved, r, preslid):
-    """Put what numbers of friction change by themselves into the rows of a body.
+def friction_own(s, body, slopes, more, p, width, moved, r):
+    """Put what numbers of friction's effects change by themselves into the rows of a body.
 
-    slopes, more as of `sliding`, of the speed and of the presliding friction; preslid (12,
-    changes) what each changes of the numbers that presliding knows, or None; `own` their slopes.
+    slopes, more as of `sliding`, of the speed and of the presliding friction.
     """
     to, to_more = D_N0 + body * CHANGES, D_R0 + body * CHANGES
-    if preslid is not None:
-        changed, own = preslid
-        for j in range(p):
-            if changed[body, 0, j] != 0.0:
-                total, total_more = own[0] * changed[body, 1, j], own[1] * changed[body, 1, j]
-                for k in range(NUMBERS - 1):
-                    total += own[2 + k] * changed[body, 2 + k, j]
-                    total_more += own[1 + NUMBERS + k] * changed[body, 2 + k, j]
-                s[to + j], s[to_more + j] = total, total_more
-    if moving.friction:
-        own_of(s, to, AT_FRICTION, 2 * body, (slopes[3], slopes[4]), moved, r)
-        own_of(s, to, AT_AGEING, body, (slopes[4],), moved, r)
-        if preslid is not None:
-            own_of(s, to_more, AT_FRICTION, 2 * body, (more[3], more[4]), moved, r)
-            own_of(s, to_more, AT_AGEING, body, (more[4],), moved, r)
+    own_of(s, to, AT_FRICTION, 2 * body, (slopes[3], slopes[4]), moved, r)
+    own_of(s, to, AT_AGEING, body, (slopes[4],), moved, r)
+    own_of(s, to_more, AT_FRICTION, 2 * body, (more[3], more[4]), moved, r)
+    own_of(s, to_more, AT_AGEING, body, (more[4],), moved, r)
     if width > p:
         grow(s, to, 1, p)
         grow(s, to_more, 1, p)
 
 
 @njit
-def preslid_numbers(changed, p, bases, fixed):
-    """What each change changes of mobility, bristles and friction law; first whether anything."""
+def bristles_own(
+    s, body, v, v_mid, force, h, level, added, bristle, new, after, p, width, bases, fixed
+):  # fmt: skip
+    """Put into the same rows what numbers that presliding knows change: by the step with these."""
+    to, to_more = D_N0 + body * CHANGES, D_R0 + body * CHANGES
+    mobility, first = (F_MOBL, 24) if body == 2 else (F_MOB3, 15)
+    for j in range(p):
+        row = 1 + j
+        if s[D_BRISTLED + body * CHANGES + j] != 0.0:
+            law, bristles = law_of(bases, row, first), bristles_in(fixed, row, body)
+            there, later = preslide(
+                v, v_mid, force, fixed[row, mobility], h, law, level, added, bristles, bristle
+            )
+            s[to + j], s[to_more + j] = there - new, later - after
+    if width > p:
+        grow(s, to, 1, p)
+        grow(s, to_more, 1, p)
+
+
+@njit
+def bristled(s, p, bases, fixed):
+    """Mark the changes that move what presliding of a body knows; whether there are any."""
+    found = False
     for body in range(3):
-        first = 24 if body == 2 else 15
-        mobility = F_MOBL if body == 2 else F_MOB3
-        law = law_of(bases, 0, first)
+        mobility, first = (F_MOBL, 24) if body == 2 else (F_MOB3, 15)
         for j in range(p):
-            there = law_of(bases, 1 + j, first)
-            changed[body, 1, j] = fixed[1 + j, mobility] - fixed[0, mobility]
-            for k in range(3):
-                at = F_BRISTLES + 3 * body + k
-                changed[body, 2 + k, j] = fixed[1 + j, at] - fixed[0, at]
-            for k in range(len(LAW_FIELDS)):
-                changed[body, 5 + k, j] = there[LAW_FIELDS[k]] - law[LAW_FIELDS[k]]
-            for k in range(NUMBERS):
-                if changed[body, 1 + k, j] != 0.0:
-                    changed[body, 0, j] = 1.0
+            row = 1 + j
+            moves = fixed[row, mobility] != fixed[0, mobility]
+            for k in range(F_BRISTLES + 3 * body, F_BRISTLES + 3 * body + 3):
+                moves = moves or fixed[row, k] != fixed[0, k]
+            for k in range(first, first + 9):
+                moves = moves or bases[row, k] != bases[0, k]
+            if moves:
+                s[D_BRISTLED + body * CHANGES + j] = 1.0
+                found = True
+    return found
 
 
 @njit
@@ -439,14 +442,13 @@ def march_site_tangents(
     lagging, delayed, late, presliding, ageing, elastic = False, False, False, False, False, False
     longest, farthest, dead, shaft, kinked = 0.0, 0.0, False, False, False
     has_drive, has_motor, has_mesh, has_friction, has_load, has_sensor = active_sites(on)
-    preslid, numbered = np.zeros((3, 1 + NUMBERS, CHANGES)), False
+    numbered = False
     if contacts is not None:
         for row in range(p + 2):
             for body in range(3):
                 presliding = presliding or fixed[row, F_BRISTLES + 3 * body] > 0.0
                 ageing = ageing or fixed[row, F_RENEW + body] > 0.0
-        preslid_numbers(preslid, p, bases, fixed)
-        numbered = preslid[:, 0].max() > 0.0
+        numbered = presliding and bristled(s, p, bases, fixed)
     if memory is not None:
         elastic = fixed[0, F_STIFF] > 0.0
         for row in range(p + 2):
@@ -694,52 +696,55 @@ def march_site_tangents(
             f0 = f1 = f2 = RESTING
             after0, after1, after2, more0, more1, more2 = 0.0, 0.0, 0.0, nothing, nothing, nothing
             if presliding and bristles0[0] > 0.0:
-                new0, after0, s_0, more0, own_0, good = bristling(
+                new0, after0, s_0, more0, good = bristling(
                     v0, s0, force0, mobility_3, h, reducer, level0, added0, bristles0, g0
                 )
-                if own_friction:
-                    friction_own(
-                        *(s, side0, s_0, more0, p, width, moving, moved, r, (preslid, own_0))
+                if numbered:
+                    bristles_own(
+                        *(s, side0, v0, s0, force0, h, level0, added0, g0, new0, after0),
+                        *(p, width, bases, fixed),
                     )
             else:
                 new0, good, f0 = smooth_body(
                     v0, s0, force0, mobility_3, reducer, p0, level0, added0
                 )
                 s_0 = sliding(f0, mobility_3)
-                if own_friction:
-                    friction_own(s, side0, s_0, more0, p, width, moving, moved, r, None)
+            if moving.friction:
+                friction_own(s, side0, s_0, more0, p, width, moved, r)
             sure = sure and good
             if presliding and bristles1[0] > 0.0:
-                new1, after1, s_1, more1, own_1, good = bristling(
+                new1, after1, s_1, more1, good = bristling(
                     v1, s1, force1, mobility_3, h, reducer, level1, added1, bristles1, g1
                 )
-                if own_friction:
-                    friction_own(
-                        *(s, side1, s_1, more1, p, width, moving, moved, r, (preslid, own_1))
+                if numbered:
+                    bristles_own(
+                        *(s, side1, v1, s1, force1, h, level1, added1, g1, new1, after1),
+                        *(p, width, bases, fixed),
                     )
             else:
                 new1, good, f1 = smooth_body(
                     v1, s1, force1, mobility_3, reducer, p1, level1, added1
                 )
                 s_1 = sliding(f1, mobility_3)
-                if own_friction:
-                    friction_own(s, side1, s_1, more1, p, width, moving, moved, r, None)
+            if moving.friction:
+                friction_own(s, side1, s_1, more1, p, width, moved, r)
             sure = sure and good
             if presliding and bristles2[0] > 0.0:
-                new2, after2, s_2, more2, own_2, good = bristling(
+                new2, after2, s_2, more2, good = bristling(
                     v2, s2, force2, mobility_l, h, bearing, level2, added2, bristles2, g2
                 )
-                if own_friction:
-                    friction_own(
-                        *(s, ring, s_2, more2, p, width, moving, moved, r, (preslid, own_2))
+                if numbered:
+                    bristles_own(
+                        *(s, ring, v2, s2, force2, h, level2, added2, g2, new2, after2),
+                        *(p, width, bases, fixed),
                     )
             else:
                 new2, good, f2 = smooth_body(
                     v2, s2, force2, mobility_l, bearing, p2, level2, added2
                 )
                 s_2 = sliding(f2, mobility_l)
-                if own_friction:
-                    friction_own(s, ring, s_2, more2, p, width, moving, moved, r, None)
+            if moving.friction:
+                friction_own(s, ring, s_2, more2, p, width, moved, r)
             sure = sure and good
             if ageing:
                 aged0, grown0, good = grown(age0, new0, h, renew0)

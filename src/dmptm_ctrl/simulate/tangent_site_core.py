@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
+from dmptm_ctrl.effects.stribeck import Stribeck
 from dmptm_ctrl.simulate.core import UNKNOWN, aged, held_average, preslide
 from dmptm_ctrl.simulate.elementary import borrowed
 from dmptm_ctrl.simulate.row_sites import lag_relaxation_of, sensor_reading_of
@@ -129,7 +130,17 @@ D_U0, D_U1, D_L0, D_L1, D_K0, D_K1, D_H0, D_H1, D_M0, D_M1, D_LOAD = range(
 D_N0, D_N1, D_N2, D_R0, D_R1, D_R2 = range(D_OWN + 11 * CHANGES, D_OWN + 17 * CHANGES, CHANGES)
 D_BRISTLED = D_OWN + 17 * CHANGES  # where a change moves what presliding of a body knows
 OWN = 20
-SIZE_WITH_SITES = D_OWN + OWN * CHANGES
+# Rows of the three bodies, and of none, as a vector: what presliding knows, and what it makes of it.
+LANES_OF_BODIES = 4
+W_V = D_OWN + OWN * CHANGES
+W_MID, W_FORCE, W_LEVEL, W_ADDED, W_BRISTLE, W_MOBILITY, W_LAW = range(
+    W_V + LANES_OF_BODIES, W_V + 8 * LANES_OF_BODIES, LANES_OF_BODIES
+)
+W_BRISTLES = W_LAW + 11 * LANES_OF_BODIES
+W_NEW = W_BRISTLES + 3 * LANES_OF_BODIES
+W_AFTER, W_SLOPES = W_NEW + LANES_OF_BODIES, W_NEW + 2 * LANES_OF_BODIES
+W_SURE = W_SLOPES + 12 * LANES_OF_BODIES
+SIZE_WITH_SITES = W_SURE + LANES_OF_BODIES
 # Sites as numbers, in the order of `contract.SITES`
 AT_DRIVE, AT_DELAY, AT_LAG, AT_MOTOR, AT_SHAFT, AT_MESH, AT_FRICTION = range(7)
 AT_PRESLIDING, AT_AGEING, AT_LOAD = 7, 8, 9
@@ -295,13 +306,53 @@ def change_of_mesh(s, j, mesh, x, v, x_2, v_2, side, moving):
 
 
 @njit
-def bristling(v, v_mid, force, mobility, h, law, level, added, bristles, bristle):
+def bristle_numbers(s, bases, fixed):
+    """Put numbers of presliding where `bristles_along` finds them; the last body stands for none."""
+    for lane in range(LANES_OF_BODIES):
+        body = min(lane, 2)
+        mobility, first = (F_MOBL, 24) if body == 2 else (F_MOB3, 15)
+        s[W_MOBILITY + lane] = fixed[0, mobility]
+        law = law_of(bases, 0, first)
+        for k in range(11):
+            s[W_LAW + k * LANES_OF_BODIES + lane] = law[k]
+        for k in range(3):
+            at = F_BRISTLES + 3 * body + k
+            s[W_BRISTLES + k * LANES_OF_BODIES + lane] = fixed[0, at]
+
+
+@njit
+def bristles_along(s, h):
+    """Step of all bodies that preslide, as a vector: speeds, frictions, slopes of both."""
+    n = LANES_OF_BODIES
+    for k in range(LANES_OF_BODIES):
+        law = Stribeck(
+            *(s[W_LAW + k], s[W_LAW + n + k], s[W_LAW + 2 * n + k], s[W_LAW + 3 * n + k]),
+            *(s[W_LAW + 4 * n + k], s[W_LAW + 5 * n + k], s[W_LAW + 6 * n + k]),
+            *(s[W_LAW + 7 * n + k], 1.0, s[W_LAW + 9 * n + k], s[W_LAW + 10 * n + k]),
+        )
+        both, d, _, _, _, sure = preslide_slopes(
+            *(s[W_V + k], s[W_MID + k], s[W_FORCE + k], s[W_MOBILITY + k], h, law),
+            *(s[W_LEVEL + k], s[W_ADDED + k]),
+            (s[W_BRISTLES + k], s[W_BRISTLES + n + k], s[W_BRISTLES + 2 * n + k]),
+            s[W_BRISTLE + k],
+        )
+        s[W_NEW + k], s[W_AFTER + k] = both
+        s[W_SLOPES + k], s[W_SLOPES + n + k], s[W_SLOPES + 2 * n + k] = d[0], d[1], d[2]
+        s[W_SLOPES + 3 * n + k], s[W_SLOPES + 4 * n + k], s[W_SLOPES + 5 * n + k] = d[3], d[4], d[5]
+        s[W_SLOPES + 6 * n + k], s[W_SLOPES + 7 * n + k], s[W_SLOPES + 8 * n + k] = d[6], d[7], d[8]
+        s[W_SLOPES + 9 * n + k], s[W_SLOPES + 10 * n + k] = d[9], d[10]
+        s[W_SLOPES + 11 * n + k] = d[11]
+        s[W_SURE + k] = 1.0 if sure else 0.0
+
+
+@njit
+def bristling(s, body):
     """Speed and presliding friction of a body after a step, slopes of both as of `sliding`."""
-    both, d, _, _, _, sure = preslide_slopes(
-        v, v_mid, force, mobility, h, law, level, added, bristles, bristle
-    )
-    speed, friction = (d[0], d[1], d[2], d[3], d[4], d[5]), (d[6], d[7], d[8], d[9], d[10], d[11])
-    return both[0], both[1], speed, friction, sure
+    n, to = LANES_OF_BODIES, W_SLOPES + body
+    speed = (s[to], s[to + n], s[to + 2 * n], s[to + 3 * n], s[to + 4 * n], s[to + 5 * n])
+    to += 6 * n
+    friction = (s[to], s[to + n], s[to + 2 * n], s[to + 3 * n], s[to + 4 * n], s[to + 5 * n])
+    return s[W_NEW + body], s[W_AFTER + body], speed, friction, s[W_SURE + body] > 0.0
 
 
 @njit
@@ -449,6 +500,7 @@ def march_site_tangents(
                 presliding = presliding or fixed[row, F_BRISTLES + 3 * body] > 0.0
                 ageing = ageing or fixed[row, F_RENEW + body] > 0.0
         numbered = presliding and bristled(s, p, bases, fixed)
+        bristle_numbers(s, bases, fixed)
     if memory is not None:
         elastic = fixed[0, F_STIFF] > 0.0
         for row in range(p + 2):
@@ -695,10 +747,16 @@ def march_site_tangents(
                 laws_along(s, way0, way1, way2)
             f0 = f1 = f2 = RESTING
             after0, after1, after2, more0, more1, more2 = 0.0, 0.0, 0.0, nothing, nothing, nothing
+            if presliding:
+                s[W_V], s[W_V + 1], s[W_V + 2] = v0, v1, v2
+                s[W_MID], s[W_MID + 1], s[W_MID + 2] = s0, s1, s2
+                s[W_FORCE], s[W_FORCE + 1], s[W_FORCE + 2] = force0, force1, force2
+                s[W_LEVEL], s[W_LEVEL + 1], s[W_LEVEL + 2] = level0, level1, level2
+                s[W_ADDED], s[W_ADDED + 1], s[W_ADDED + 2] = added0, added1, added2
+                s[W_BRISTLE], s[W_BRISTLE + 1], s[W_BRISTLE + 2] = g0, g1, g2
+                bristles_along(s, h)
             if presliding and bristles0[0] > 0.0:
-                new0, after0, s_0, more0, good = bristling(
-                    v0, s0, force0, mobility_3, h, reducer, level0, added0, bristles0, g0
-                )
+                new0, after0, s_0, more0, good = bristling(s, side0)
                 if numbered:
                     bristles_own(
                         *(s, side0, v0, s0, force0, h, level0, added0, g0, new0, after0),
@@ -713,9 +771,7 @@ def march_site_tangents(
                 friction_own(s, side0, s_0, more0, p, width, moved, r)
             sure = sure and good
             if presliding and bristles1[0] > 0.0:
-                new1, after1, s_1, more1, good = bristling(
-                    v1, s1, force1, mobility_3, h, reducer, level1, added1, bristles1, g1
-                )
+                new1, after1, s_1, more1, good = bristling(s, side1)
                 if numbered:
                     bristles_own(
                         *(s, side1, v1, s1, force1, h, level1, added1, g1, new1, after1),
@@ -730,9 +786,7 @@ def march_site_tangents(
                 friction_own(s, side1, s_1, more1, p, width, moved, r)
             sure = sure and good
             if presliding and bristles2[0] > 0.0:
-                new2, after2, s_2, more2, good = bristling(
-                    v2, s2, force2, mobility_l, h, bearing, level2, added2, bristles2, g2
-                )
+                new2, after2, s_2, more2, good = bristling(s, ring)
                 if numbered:
                     bristles_own(
                         *(s, ring, v2, s2, force2, h, level2, added2, g2, new2, after2),

@@ -128,19 +128,21 @@ D_U0, D_U1, D_L0, D_L1, D_K0, D_K1, D_H0, D_H1, D_M0, D_M1, D_LOAD = range(
     D_OWN, D_OWN + 11 * CHANGES, CHANGES
 )
 D_N0, D_N1, D_N2, D_R0, D_R1, D_R2 = range(D_OWN + 11 * CHANGES, D_OWN + 17 * CHANGES, CHANGES)
-D_BRISTLED = D_OWN + 17 * CHANGES  # where a change moves what presliding of a body knows
-OWN = 20
-# Rows of the three bodies, and of none, as a vector: what presliding knows, and what it makes of it.
+D_BRISTLED = D_OWN + 17 * CHANGES  # where a change moves what presliding knows
+OWN = 18
+# Rows of the three bodies, and of none, as a vector: what presliding knows and makes of it.
 LANES_OF_BODIES = 4
 W_V = D_OWN + OWN * CHANGES
-W_MID, W_FORCE, W_LEVEL, W_ADDED, W_BRISTLE, W_MOBILITY, W_LAW = range(
-    W_V + LANES_OF_BODIES, W_V + 8 * LANES_OF_BODIES, LANES_OF_BODIES
+W_MID, W_FORCE, W_LEVEL, W_ADDED, W_BRISTLE, W_SLOPES = range(
+    W_V + LANES_OF_BODIES, W_V + 7 * LANES_OF_BODIES, LANES_OF_BODIES
 )
-W_BRISTLES = W_LAW + 11 * LANES_OF_BODIES
-W_NEW = W_BRISTLES + 3 * LANES_OF_BODIES
-W_AFTER, W_SLOPES = W_NEW + LANES_OF_BODIES, W_NEW + 2 * LANES_OF_BODIES
 W_SURE = W_SLOPES + 12 * LANES_OF_BODIES
-SIZE_WITH_SITES = W_SURE + LANES_OF_BODIES
+# Of the run, of the change that is looked at, of each: h/J, friction law, bristles; speed and
+# presliding friction.
+W_NUMBERS = W_SURE + LANES_OF_BODIES
+N_LAW, N_BRISTLES, N_NEW, N_AFTER, N_SIZE = (k * LANES_OF_BODIES for k in (1, 12, 15, 16, 17))
+W_OTHER = W_NUMBERS + N_SIZE
+SIZE_WITH_SITES = W_OTHER + (CHANGES + 1) * N_SIZE
 # Sites as numbers, in the order of `contract.SITES`
 AT_DRIVE, AT_DELAY, AT_LAG, AT_MOTOR, AT_SHAFT, AT_MESH, AT_FRICTION = range(7)
 AT_PRESLIDING, AT_AGEING, AT_LOAD = 7, 8, 9
@@ -306,43 +308,63 @@ def change_of_mesh(s, j, mesh, x, v, x_2, v_2, side, moving):
 
 
 @njit
-def bristle_numbers(s, bases, fixed):
-    """Put numbers of presliding where `bristles_along` finds them; the last body stands for none."""
+def bristle_numbers(s, row, bases, fixed):
+    """Put numbers of presliding where the vector finds them; its last body stands for none."""
+    to = W_OTHER + row * N_SIZE if row > 0 else W_NUMBERS
     for lane in range(LANES_OF_BODIES):
         body = min(lane, 2)
         mobility, first = (F_MOBL, 24) if body == 2 else (F_MOB3, 15)
-        s[W_MOBILITY + lane] = fixed[0, mobility]
-        law = law_of(bases, 0, first)
+        s[to + lane] = fixed[row, mobility]
+        law = law_of(bases, row, first)
         for k in range(11):
-            s[W_LAW + k * LANES_OF_BODIES + lane] = law[k]
+            s[to + N_LAW + k * LANES_OF_BODIES + lane] = law[k]
         for k in range(3):
-            at = F_BRISTLES + 3 * body + k
-            s[W_BRISTLES + k * LANES_OF_BODIES + lane] = fixed[0, at]
+            number = fixed[row, F_BRISTLES + 3 * body + k]
+            s[to + N_BRISTLES + k * LANES_OF_BODIES + lane] = number
+
+
+@njit
+def law_in(s, at):
+    """Friction law of a body in the vector; exponents are 1 along with slopes."""
+    n = LANES_OF_BODIES
+    return Stribeck(
+        *(s[at], s[at + n], s[at + 2 * n], s[at + 3 * n], s[at + 4 * n], s[at + 5 * n]),
+        *(s[at + 6 * n], s[at + 7 * n], 1.0, s[at + 9 * n], s[at + 10 * n]),
+    )
 
 
 @njit
 def bristles_along(s, h):
-    """Step of all bodies that preslide, as a vector: speeds, frictions, slopes of both."""
+    """Step of all bodies that preslide: speeds, presliding frictions, slopes of both."""
     n = LANES_OF_BODIES
     for k in range(LANES_OF_BODIES):
-        law = Stribeck(
-            *(s[W_LAW + k], s[W_LAW + n + k], s[W_LAW + 2 * n + k], s[W_LAW + 3 * n + k]),
-            *(s[W_LAW + 4 * n + k], s[W_LAW + 5 * n + k], s[W_LAW + 6 * n + k]),
-            *(s[W_LAW + 7 * n + k], 1.0, s[W_LAW + 9 * n + k], s[W_LAW + 10 * n + k]),
-        )
+        at = W_NUMBERS + k
+        bristles = s[at + N_BRISTLES], s[at + N_BRISTLES + n], s[at + N_BRISTLES + 2 * n]
         both, d, _, _, _, sure = preslide_slopes(
-            *(s[W_V + k], s[W_MID + k], s[W_FORCE + k], s[W_MOBILITY + k], h, law),
-            *(s[W_LEVEL + k], s[W_ADDED + k]),
-            (s[W_BRISTLES + k], s[W_BRISTLES + n + k], s[W_BRISTLES + 2 * n + k]),
-            s[W_BRISTLE + k],
+            *(s[W_V + k], s[W_MID + k], s[W_FORCE + k], s[at], h, law_in(s, at + N_LAW)),
+            *(s[W_LEVEL + k], s[W_ADDED + k], bristles, s[W_BRISTLE + k]),
         )
-        s[W_NEW + k], s[W_AFTER + k] = both
-        s[W_SLOPES + k], s[W_SLOPES + n + k], s[W_SLOPES + 2 * n + k] = d[0], d[1], d[2]
-        s[W_SLOPES + 3 * n + k], s[W_SLOPES + 4 * n + k], s[W_SLOPES + 5 * n + k] = d[3], d[4], d[5]
-        s[W_SLOPES + 6 * n + k], s[W_SLOPES + 7 * n + k], s[W_SLOPES + 8 * n + k] = d[6], d[7], d[8]
-        s[W_SLOPES + 9 * n + k], s[W_SLOPES + 10 * n + k] = d[9], d[10]
-        s[W_SLOPES + 11 * n + k] = d[11]
+        s[at + N_NEW], s[at + N_AFTER] = both
+        to = W_SLOPES + k
+        s[to], s[to + n], s[to + 2 * n], s[to + 3 * n] = d[0], d[1], d[2], d[3]
+        s[to + 4 * n], s[to + 5 * n], s[to + 6 * n], s[to + 7 * n] = d[4], d[5], d[6], d[7]
+        s[to + 8 * n], s[to + 9 * n], s[to + 10 * n], s[to + 11 * n] = d[8], d[9], d[10], d[11]
         s[W_SURE + k] = 1.0 if sure else 0.0
+
+
+@njit
+def bristles_with(s, row, h):
+    """Step of the run with the numbers of a change."""
+    n = LANES_OF_BODIES
+    for k in range(N_NEW):  # to where the compiler sees that nothing else is: else no vector
+        s[W_OTHER + k] = s[W_OTHER + row * N_SIZE + k]
+    for k in range(LANES_OF_BODIES):
+        at = W_OTHER + k
+        bristles = s[at + N_BRISTLES], s[at + N_BRISTLES + n], s[at + N_BRISTLES + 2 * n]
+        s[at + N_NEW], s[at + N_AFTER] = preslide(
+            *(s[W_V + k], s[W_MID + k], s[W_FORCE + k], s[at], h, law_in(s, at + N_LAW)),
+            *(s[W_LEVEL + k], s[W_ADDED + k], bristles, s[W_BRISTLE + k]),
+        )
 
 
 @njit
@@ -352,7 +374,8 @@ def bristling(s, body):
     speed = (s[to], s[to + n], s[to + 2 * n], s[to + 3 * n], s[to + 4 * n], s[to + 5 * n])
     to += 6 * n
     friction = (s[to], s[to + n], s[to + 2 * n], s[to + 3 * n], s[to + 4 * n], s[to + 5 * n])
-    return s[W_NEW + body], s[W_AFTER + body], speed, friction, s[W_SURE + body] > 0.0
+    at = W_NUMBERS + body
+    return s[at + N_NEW], s[at + N_AFTER], speed, friction, s[W_SURE + body] > 0.0
 
 
 @njit
@@ -420,41 +443,35 @@ def friction_own(s, body, slopes, more, p, width, moved, r):
 
 
 @njit
-def bristles_own(
-    s, body, v, v_mid, force, h, level, added, bristle, new, after, p, width, bases, fixed
-):  # fmt: skip
+def bristles_own(s, h, p, width):
     """Put into the same rows what numbers that presliding knows change: by the step with these."""
-    to, to_more = D_N0 + body * CHANGES, D_R0 + body * CHANGES
-    mobility, first = (F_MOBL, 24) if body == 2 else (F_MOB3, 15)
     for j in range(p):
-        row = 1 + j
-        if s[D_BRISTLED + body * CHANGES + j] != 0.0:
-            law, bristles = law_of(bases, row, first), bristles_in(fixed, row, body)
-            there, later = preslide(
-                v, v_mid, force, fixed[row, mobility], h, law, level, added, bristles, bristle
-            )
-            s[to + j], s[to_more + j] = there - new, later - after
+        if s[D_BRISTLED + j] != 0.0:
+            bristles_with(s, 1 + j, h)
+            for body in range(3):
+                if s[W_NUMBERS + N_BRISTLES + body] > 0.0:
+                    to = body * CHANGES + j
+                    s[D_N0 + to] = s[W_OTHER + N_NEW + body] - s[W_NUMBERS + N_NEW + body]
+                    s[D_R0 + to] = s[W_OTHER + N_AFTER + body] - s[W_NUMBERS + N_AFTER + body]
     if width > p:
-        grow(s, to, 1, p)
-        grow(s, to_more, 1, p)
+        grow(s, D_N0, 6, p)
 
 
 @njit
 def bristled(s, p, bases, fixed):
-    """Mark the changes that move what presliding of a body knows; whether there are any."""
+    """Mark the changes that move what presliding knows; whether there are any."""
     found = False
-    for body in range(3):
-        mobility, first = (F_MOBL, 24) if body == 2 else (F_MOB3, 15)
-        for j in range(p):
-            row = 1 + j
-            moves = fixed[row, mobility] != fixed[0, mobility]
-            for k in range(F_BRISTLES + 3 * body, F_BRISTLES + 3 * body + 3):
-                moves = moves or fixed[row, k] != fixed[0, k]
-            for k in range(first, first + 9):
-                moves = moves or bases[row, k] != bases[0, k]
-            if moves:
-                s[D_BRISTLED + body * CHANGES + j] = 1.0
-                found = True
+    for j in range(p):
+        row = 1 + j
+        moves = False
+        for k in range(F_BRISTLES, F_RENEW):
+            moves = moves or fixed[row, k] != fixed[0, k]
+        for k in (F_MOB3, F_MOBL):
+            moves = moves or fixed[row, k] != fixed[0, k]
+        for k in range(15, 33):
+            moves = moves or bases[row, k] != bases[0, k]
+        s[D_BRISTLED + j] = 1.0 if moves else 0.0
+        found = found or moves
     return found
 
 
@@ -500,7 +517,8 @@ def march_site_tangents(
                 presliding = presliding or fixed[row, F_BRISTLES + 3 * body] > 0.0
                 ageing = ageing or fixed[row, F_RENEW + body] > 0.0
         numbered = presliding and bristled(s, p, bases, fixed)
-        bristle_numbers(s, bases, fixed)
+        for row in range(p + 1):
+            bristle_numbers(s, row, bases, fixed)
     if memory is not None:
         elastic = fixed[0, F_STIFF] > 0.0
         for row in range(p + 2):
@@ -755,13 +773,10 @@ def march_site_tangents(
                 s[W_ADDED], s[W_ADDED + 1], s[W_ADDED + 2] = added0, added1, added2
                 s[W_BRISTLE], s[W_BRISTLE + 1], s[W_BRISTLE + 2] = g0, g1, g2
                 bristles_along(s, h)
+                if numbered:
+                    bristles_own(s, h, p, width)
             if presliding and bristles0[0] > 0.0:
                 new0, after0, s_0, more0, good = bristling(s, side0)
-                if numbered:
-                    bristles_own(
-                        *(s, side0, v0, s0, force0, h, level0, added0, g0, new0, after0),
-                        *(p, width, bases, fixed),
-                    )
             else:
                 new0, good, f0 = smooth_body(
                     v0, s0, force0, mobility_3, reducer, p0, level0, added0
@@ -772,11 +787,6 @@ def march_site_tangents(
             sure = sure and good
             if presliding and bristles1[0] > 0.0:
                 new1, after1, s_1, more1, good = bristling(s, side1)
-                if numbered:
-                    bristles_own(
-                        *(s, side1, v1, s1, force1, h, level1, added1, g1, new1, after1),
-                        *(p, width, bases, fixed),
-                    )
             else:
                 new1, good, f1 = smooth_body(
                     v1, s1, force1, mobility_3, reducer, p1, level1, added1
@@ -787,11 +797,6 @@ def march_site_tangents(
             sure = sure and good
             if presliding and bristles2[0] > 0.0:
                 new2, after2, s_2, more2, good = bristling(s, ring)
-                if numbered:
-                    bristles_own(
-                        *(s, ring, v2, s2, force2, h, level2, added2, g2, new2, after2),
-                        *(p, width, bases, fixed),
-                    )
             else:
                 new2, good, f2 = smooth_body(
                     v2, s2, force2, mobility_l, bearing, p2, level2, added2

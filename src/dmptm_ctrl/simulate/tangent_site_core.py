@@ -13,7 +13,7 @@ from numba import njit
 
 from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
 from dmptm_ctrl.effects.stribeck import Stribeck
-from dmptm_ctrl.simulate.core import UNKNOWN, aged, held_average, preslide
+from dmptm_ctrl.simulate.core import UNKNOWN, aged, held_average
 from dmptm_ctrl.simulate.elementary import borrowed
 from dmptm_ctrl.simulate.row_sites import lag_relaxation_of, sensor_reading_of
 from dmptm_ctrl.simulate.row_step_core import (
@@ -361,10 +361,13 @@ def bristles_with(s, row, h):
     for k in range(LANES_OF_BODIES):
         at = W_OTHER + k
         bristles = s[at + N_BRISTLES], s[at + N_BRISTLES + n], s[at + N_BRISTLES + 2 * n]
-        s[at + N_NEW], s[at + N_AFTER] = preslide(
-            *(s[W_V + k], s[W_MID + k], s[W_FORCE + k], s[at], h, law_in(s, at + N_LAW)),
-            *(s[W_LEVEL + k], s[W_ADDED + k], bristles, s[W_BRISTLE + k]),
+        both = (
+            preslide_slopes(  # to the last digit as of the run, and what is not used costs nothing
+                *(s[W_V + k], s[W_MID + k], s[W_FORCE + k], s[at], h, law_in(s, at + N_LAW)),
+                *(s[W_LEVEL + k], s[W_ADDED + k], bristles, s[W_BRISTLE + k]),
+            )[0]
         )
+        s[at + N_NEW], s[at + N_AFTER] = both
 
 
 @njit

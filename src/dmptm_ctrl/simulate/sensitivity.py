@@ -39,11 +39,12 @@ NEUTRAL = {
     BASE.index(name): value for name, value in (("k_a", 0.0), ("delta3", 1.0), ("deltaL", 1.0))
 }
 LEFT_ALONE = [*NEUTRAL] + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "phi_r")]
-WITH_MEMORY = {"delay", "lag", "shaft", "sensor_delay"}
-WITH_CONTACTS = {"presliding", "ageing"}
+# Kinds of sites: where the drive has a state of its own, where its contacts have, presliding
+KINDS = ({"delay", "lag", "shaft", "sensor_delay"}, {"presliding", "ageing"}, {"presliding"})
+WITH_MEMORY, WITH_CONTACTS, WITH_PRESLIDING = range(len(KINDS))
 # Of drives with effects, and with presliding: parameters that go along with a run for less than
 # lanes would take
-FEW_WITH_EFFECTS, FEW_WITH_PRESLIDING = 6, 2
+FEW_WITH_EFFECTS, FEW_WITH_PRESLIDING = 5, 2
 EXPONENTS = [BASE.index(name) for name in ("delta3", "deltaL")]
 UNKNOWN_SLOPES = EXPONENTS + [BASE.index(name) for name in ("N_1", "N_2")]
 NOISE = 1e-4  # of an output's range per parameter's size, below which a difference is rounding
@@ -135,7 +136,7 @@ def simulate_with_sensitivities(
     parameters : sequence of str
         Names of the drive's parameters, or "effect.parameter".
     jobs : int
-        Threads, for more than fifteen parameters, or six with effects.
+        Threads, for more than fifteen parameters, or seven with effects.
 
     Returns
     -------
@@ -205,7 +206,7 @@ def _way(arrays: Arrays, places: Sequence[_Place]) -> Callable[..., int] | None:
     _, on, _ = arrays
     straight = all(arrays[0][slot] == 1.0 for slot in EXPONENTS)
     known = straight and not any(not p.effect and p.slot in UNKNOWN_SLOPES for p in places)
-    few = FEW_WITH_PRESLIDING if _used(on[None], {"presliding"}) else FEW_WITH_EFFECTS
+    few = FEW_WITH_PRESLIDING if _used(on, WITH_PRESLIDING) else FEW_WITH_EFFECTS
     return _by_kernels if known and len(places) <= few and _smooth(on, places) else None
 
 
@@ -213,7 +214,8 @@ def _smooth(on: NDArray[np.uint8], places: Sequence[_Place]) -> bool:
     """Whether the slopes of all effects in use are known, and nothing moves that decides."""
     deciding = _deciding()
     used = {p.effect for p in places if p.effect}
-    used |= {name for k, name in enumerate(CATALOGUE) if on[k]}
+    names = list(CATALOGUE)
+    used |= {names[k] for k in np.flatnonzero(on)}
     known = {name: found for name in used if (found := deciding[name]) is not None}
     return len(known) == len(used) and not any(
         p.slot - layout()[p.effect][1] in known[p.effect] for p in places if p.effect
@@ -246,11 +248,15 @@ def _moved(values: Floats) -> NDArray[np.int64]:
     return table
 
 
-def _used(ons: NDArray[np.uint8], sites: set[str]) -> bool | None:
+def _used(on: NDArray[np.uint8], where: int) -> bool | None:
     """True if an effect at one of some sites is in use, else None: each a loop of its own."""
-    used = ons.max(axis=0)
-    found = any(effect.site in sites and used[k] for k, effect in enumerate(CATALOGUE.values()))
-    return True if found else None
+    return True if on[_kinds()[where]].any() else None
+
+
+@per_catalogue
+def _kinds(effects: tuple[Effect, ...]) -> list[NDArray[np.bool_]]:
+    """Which effects are at the sites of each kind."""
+    return [np.array([effect.site in sites for effect in effects]) for sites in KINDS]
 
 
 def _by_kernels(
@@ -262,9 +268,9 @@ def _by_kernels(
     moved = _moved(values)
     fixed, room = np.zeros((len(drives), loop.FIXED)), np.zeros((3, loop.STATE))
     s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(loop.R_MOVES + len(moved))
-    kinds = _used(ons, WITH_MEMORY), _used(ons, WITH_CONTACTS)
     on, ends = ons.max(axis=0), len(SITES) + 1
-    r[: loop.R_OWN] = *on, *values[0]
+    kinds = _used(on, WITH_MEMORY), _used(on, WITH_CONTACTS)
+    r[: loop.R_VALUES], r[loop.R_VALUES : loop.R_OWN] = on, values[0]
     r[loop.R_MOVES + ends :] = (values[1:-1] - values[0])[tuple(moved[ends:, 1:].T)]
     return int(
         loop.march_site_tangents(

@@ -185,7 +185,18 @@ def unfinished(u, t, side, p):
         return u
 
 
-@pytest.mark.parametrize("function", [looping, spoken, unfinished, lambda u, t, side, p: u, abs])
+def absent(u, t, side, p):
+    return u + p.nothing
+
+
+def endless(u, t, side, p):
+    return endless(u, t, side, p)
+
+
+NOT_COVERED = [looping, spoken, unfinished, absent, endless, lambda u, t, side, p: u, abs]
+
+
+@pytest.mark.parametrize("function", NOT_COVERED)
 def test_says_what_it_does_not_cover(function):
     with pytest.raises(NoSlopes):
         Library().of(function, ["u"], {"p": ["step", "table"]})

@@ -118,6 +118,7 @@ _INLINE = (
     ),
     *("change_along", "mesh_along", "plain_mesh", "is_same", "change_of_mesh", "own_of"),
     *("own_of_mesh", "friction_own", "volts_along", "load_slopes_of", "friction_slopes_of"),
+    "ageing_slopes_of",
     *("bristling", "bristle_change", "grown", "older_by", "sliding", "with_level"),
     *("without_level", "voltage_of", "level_of", "lagged", "law_of", "bristles_in", "law_in"),
     *("row_step", "motor_step"),

@@ -80,7 +80,10 @@ def effect_slopes(effect: Effect, library: Library) -> Slopes | None:
     chain = CHAINS[effect.site]
     kernel = getattr(effect.kernel, "py_func", effect.kernel)
     names = [*inspect.signature(kernel).parameters]  # a user may call them otherwise
-    own = dict(zip(chain.args.split(", "), names[:-1], strict=True))
+    args = chain.args.split(", ")
+    if len(names) != len(args) + 1:
+        raise NoSlopes(f"{effect.name}: the kernel does not take what its site gives")
+    own = dict(zip(args, names[:-1], strict=True))
     chosen = [(names[-1], k) for k, p in enumerate(effect.parameters) if p.bank]
     fields = {names[-1]: [p.name for p in effect.parameters]}
     motion = [own[name] for name in chain.motion]

@@ -102,8 +102,11 @@ class Library:
         if key not in self.known:
             name = f"{function.__name__}_slopes_{len(self.known)}"
             name = re.sub(r"\W", "_", name)
-            writer = _Writer(self, function, motion, records, rests, set(still), set(chosen))
-            self.known[key] = writer.slopes(name)
+            try:
+                writer = _Writer(self, function, motion, records, rests, set(still), set(chosen))
+                self.known[key] = writer.slopes(name)
+            except (LookupError, TypeError, ValueError, RecursionError) as error:
+                raise NoSlopes(f"{name} is not covered: {error}") from error
         return self.known[key]
 
     def text(self) -> str:

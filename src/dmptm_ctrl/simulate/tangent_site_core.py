@@ -430,16 +430,18 @@ def volts_along(s, given, kept, t, side, h, acting, p, width, moved, r):
 
 
 @njit
-def friction_own(s, body, slopes, more, p, width, moved, r):
+def friction_own(s, body, slopes, more, p, width, acting, moved, r):
     """Put what numbers of friction's effects change by themselves into the rows of a body.
 
     slopes, more as of `sliding`, of the speed and of the presliding friction.
     """
     to, to_more = D_N0 + body * CHANGES, D_R0 + body * CHANGES
     own_of(s, to, AT_FRICTION, 2 * body, (slopes[3], slopes[4]), moved, r)
-    own_of(s, to, AT_AGEING, body, (slopes[4],), moved, r)
-    own_of(s, to_more, AT_FRICTION, 2 * body, (more[3], more[4]), moved, r)
-    own_of(s, to_more, AT_AGEING, body, (more[4],), moved, r)
+    if acting.ageing:
+        own_of(s, to, AT_AGEING, body, (slopes[4],), moved, r)
+    if acting.presliding:
+        own_of(s, to_more, AT_FRICTION, 2 * body, (more[3], more[4]), moved, r)
+        own_of(s, to_more, AT_AGEING, body, (more[4],), moved, r)
     if width > p:
         grow(s, to, 1, p)
         grow(s, to_more, 1, p)
@@ -786,7 +788,7 @@ def march_site_tangents(
                 )
                 s_0 = sliding(f0, mobility_3)
             if moving.friction:
-                friction_own(s, side0, s_0, more0, p, width, moved, r)
+                friction_own(s, side0, s_0, more0, p, width, acting, moved, r)
             sure = sure and good
             if presliding and bristles1[0] > 0.0:
                 new1, after1, s_1, more1, good = bristling(s, side1)
@@ -796,7 +798,7 @@ def march_site_tangents(
                 )
                 s_1 = sliding(f1, mobility_3)
             if moving.friction:
-                friction_own(s, side1, s_1, more1, p, width, moved, r)
+                friction_own(s, side1, s_1, more1, p, width, acting, moved, r)
             sure = sure and good
             if presliding and bristles2[0] > 0.0:
                 new2, after2, s_2, more2, good = bristling(s, ring)
@@ -806,7 +808,7 @@ def march_site_tangents(
                 )
                 s_2 = sliding(f2, mobility_l)
             if moving.friction:
-                friction_own(s, ring, s_2, more2, p, width, moved, r)
+                friction_own(s, ring, s_2, more2, p, width, acting, moved, r)
             sure = sure and good
             if ageing:
                 aged0, grown0, good = grown(age0, new0, h, renew0)

@@ -63,8 +63,15 @@ PARAMETERS += ("T3s_plus", "TLs_plus", "gap_r", "J_2", "T3c_minus", "TLc_minus")
 # Effects in use while derivatives are taken, and which of theirs come first among them
 EFFECTS = {
     "cogging": {"left_cosine": 0.01, "right_sine": 0.01, "order": 24.0},
+    "local_spot": {"height": 4.0},
+    "back_emf": {"damping": 4e-4},
+    "reducer_compliance": {"compliance": 4e-5},
+    "current_lag": {"time_constant": 0.004},
     "load_dependent_friction": {"coefficient": 0.05},
     "drive_offset": {"left": 0.05, "right": -0.05},
+    "mesh_error": {"left_cosine": 4e-5, "right_sine": 4e-5},
+    "unbalance": {"cosine": 4.0, "sine": 4.0},
+    "presliding": {"ring_distance": 2e-4, "reducer_distance": 1e-3},
 }
 
 CASES = {
@@ -329,15 +336,27 @@ def main():
         f"{batch['two_cores_over_one']:.2f} times as fast; the machine's own two cores are "
         f"{batch['two_cores_over_one_of_the_machine']:.2f} times as fast as one at spinning"
     )
-    for name, found in costs.items():
-        print(f"{name.replace('_', ' ')}, over {found['seconds']:.4g} s:")
-        for p, cost in list(found.items())[1:]:
-            print(f"{p:3d} sensitivities cost {cost:.2f} runs (goal {1 + 0.5 * p:.1f})")
+    print_costs(costs)
     for name, spent in first.items():
         print(f"{name.replace('_', ' '):28s}{spent['seconds']:8.2f} s")
     ratios |= batch | costs | {"first_result": first}
     figure(rows, floors, asked.out / "simulator.png")
     print(json.dumps(ratios, allow_nan=False))
+
+
+def print_costs(costs):
+    """Costs of derivatives beside the goal, 1 + 0.5 p runs; a star where it is missed."""
+    counts = sorted({p for found in costs.values() for p in found if p != "seconds"})
+    print(f"{'cost of p sensitivities, in runs':44s}" + "".join(f"{p:>7d}" for p in counts))
+    print(f"{'  goal':44s}" + "".join(f"{1 + 0.5 * p:7.1f}" for p in counts))
+    for name, found in costs.items():
+        shown = name.removeprefix("sensitivities_in_runs").strip("_").replace("_", " ")
+        line = f"  {shown or 'without effects'}, {found['seconds']:.3g} s"
+        cells = [
+            f"{found[p]:6.2f}{'*' if found[p] > 1 + 0.5 * p else ' '}" if p in found else " " * 7
+            for p in counts
+        ]
+        print(f"{line:44s}" + "".join(cells))
 
 
 def as_good(rows, rivals):

@@ -110,7 +110,7 @@ def test_slopes_agree_with_whole_runs_side_by_side(names, monkeypatch):
 
 @pytest.mark.parametrize("effect", CATALOGUE.values(), ids=CATALOGUE)
 def test_effects_agree_with_whole_runs_side_by_side(effect, monkeypatch):
-    """Kernels called again for each change, and lanes that share nothing of it."""
+    """Slopes written from the kernels, and lanes that share nothing of it."""
     time = DT * np.arange(301)
     u = 0.9 * np.sin(2 * np.pi * 4.0 * time) + np.array([[0.25], [-0.25]])
     own = [p for p in effect.parameters if not p.bank]

@@ -9,6 +9,7 @@ import hashlib
 import importlib.util
 import inspect
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
@@ -21,6 +22,7 @@ from typing import Any, TypeVar
 from dmptm_ctrl.contract import SITES, Effect
 from dmptm_ctrl.effects import CATALOGUE, backlash, presliding, stribeck
 from dmptm_ctrl.simulate import elementary
+from dmptm_ctrl.simulate.slope_chains import slope_source
 
 NARROW, WIDE = 8, 16  # lanes
 _LOADING = Lock()
@@ -114,8 +116,12 @@ _INLINE = (
         "mesh_own",
         "law_own",
     ),
-    *("change_along", "mesh_along", "body_along", "motor_along", "shaft_along"),
-    *("voltage_of", "mesh_of", "changed_mesh", "level_of", "law_of", "bristles_in"),
+    *("change_along", "mesh_along", "plain_mesh", "is_same", "change_of_mesh", "own_of"),
+    *("own_of_mesh", "friction_own", "volts_along", "load_slopes_of", "friction_slopes_of"),
+    "ageing_slopes_of",
+    *("bristling", "bristle_change", "grown", "older_by", "sliding", "with_level"),
+    *("without_level", "voltage_of", "level_of", "lagged", "law_of", "bristles_in", "law_in"),
+    *("row_step", "motor_step"),
 )
 # What Python calls; the rest is called by these alone and has no wrapper for Python, which
 # would be more text for the compiler than the function itself.
@@ -124,7 +130,7 @@ _ENTRIES = (
     *("sensor_reading", "presliding_law", "speed_delay"),
 )
 _HEAD = """\
-from math import cos, exp, floor
+from math import cos, exp, floor, log, sin, sqrt, tanh
 from typing import NamedTuple
 
 import numpy as np
@@ -146,7 +152,7 @@ from dmptm_ctrl.effects.stribeck import (
     stribeck_law,
     viscous_torque,
 )
-from dmptm_ctrl.simulate.elementary import cos, exp, FAST, borrowed, hosted, wide
+from dmptm_ctrl.simulate.elementary import cos, exp, sin, FAST, borrowed, hosted, wide
 
 """
 
@@ -264,7 +270,8 @@ def source() -> str:
     )
     return _compiled(
         f"{_loop(CATALOGUE)}{_body('tangent_core.py')}\n\n"
-        f"{row_chains}\n\n\n{_body('tangent_site_core.py')}\n\n"
+        f"{row_chains}\n\n\n{_body('row_step_core.py')}\n\n"
+        f"{slope_source(CATALOGUE, _slots())}\n\n\n{_body('tangent_site_core.py')}\n\n"
         f"{lanes[:cut]}\n{places}\n\n{lane_chains}\n\n{lanes[cut:]}"
     )
 
@@ -272,7 +279,7 @@ def source() -> str:
 def _compiled(text: str) -> str:
     """Text whose functions numba compiles, each as it is called."""
     if not elementary.COMPILED:
-        text = text.replace("elementary import cos, exp,", "elementary import")
+        text = text.replace("elementary import cos, exp, sin,", "elementary import")
     options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST'
     for entry in _ENTRIES:
         text = text.replace(f"@njit\ndef {entry}(", f"@njit({options})\ndef {entry}(")
@@ -281,6 +288,8 @@ def _compiled(text: str) -> str:
         text = text.replace(
             f"@njit\ndef {helper}(", f"@njit({options}, forceinline=True)\ndef {helper}("
         )
+    inline = f"@njit({options}, forceinline=True)\ndef "
+    text = re.sub(r"@njit\ndef (?=\w+_slopes_\d+\()", inline, text)
     return text.replace("@njit\n", f"@njit({options})\n")
 
 

@@ -3,8 +3,9 @@
 A small change of each parameter goes along with the run, so that its share is the derivative of
 the scheme itself: to first order by the slopes of the step (`tangent_core`), and with branches
 of its own where the run reaches or leaves a flank, stops or starts. Of effects nobody has written
-down the slopes: their kernels are called again for each change (`tangent_site_core`), or, where
-there are more than a few, each change is a run of its own beside the others in vector lanes.
+down the slopes: they are written from the source of their kernels (`slopes`,
+`tangent_site_core`). Where that cannot be had, or there are more than a few changes, each change is
+a run of its own beside the others in vector lanes.
 All parameters moved the other way together go along too: where the run is differentiable they
 change minus the sum of the others, and where that is not so the derivative from one side is not
 that from the other and does not exist. A derivative converges with the first order of the step
@@ -17,13 +18,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dmptm_ctrl.contract import SITES, Effect
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
-from dmptm_ctrl.simulate.compose import engine, layout
+from dmptm_ctrl.simulate.compose import engine, layout, per_catalogue
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
+from dmptm_ctrl.simulate.slope_chains import deciding_fields
 
 # Share of a parameter's size: truncation and rounding, grown by the run, are both far below 1 %
 STEP = 1e-7
@@ -36,9 +39,12 @@ NEUTRAL = {
     BASE.index(name): value for name, value in (("k_a", 0.0), ("delta3", 1.0), ("deltaL", 1.0))
 }
 LEFT_ALONE = [*NEUTRAL] + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "phi_r")]
-WITH_MEMORY = {"delay", "lag", "shaft", "presliding", "ageing", "sensor_delay"}
-# Of drives with effects: parameters that go along with a run for less than lanes would take
-FEW_WITH_EFFECTS = 4
+# Kinds of sites: where the drive has a state of its own, where its contacts have, presliding
+KINDS = ({"delay", "lag", "shaft", "sensor_delay"}, {"presliding", "ageing"}, {"presliding"})
+WITH_MEMORY, WITH_CONTACTS, WITH_PRESLIDING = range(len(KINDS))
+# Of drives with effects, and with presliding: parameters that go along with a run for less than
+# lanes would take
+FEW_WITH_EFFECTS, FEW_WITH_PRESLIDING = 5, 2
 EXPONENTS = [BASE.index(name) for name in ("delta3", "deltaL")]
 UNKNOWN_SLOPES = EXPONENTS + [BASE.index(name) for name in ("N_1", "N_2")]
 NOISE = 1e-4  # of an output's range per parameter's size, below which a difference is rounding
@@ -130,7 +136,7 @@ def simulate_with_sensitivities(
     parameters : sequence of str
         Names of the drive's parameters, or "effect.parameter".
     jobs : int
-        Threads, for more than fifteen parameters, or six with effects.
+        Threads, for more than fifteen parameters, or seven with effects.
 
     Returns
     -------
@@ -197,18 +203,60 @@ def _way(arrays: Arrays, places: Sequence[_Place]) -> Callable[..., int] | None:
     """Loop that takes changes along with a run, or None where each is to be a run of its own."""
     if _plain(arrays, places):
         return _by_slopes
+    _, on, _ = arrays
     straight = all(arrays[0][slot] == 1.0 for slot in EXPONENTS)
     known = straight and not any(not p.effect and p.slot in UNKNOWN_SLOPES for p in places)
-    return _by_kernels if known and len(places) <= FEW_WITH_EFFECTS else None
+    few = FEW_WITH_PRESLIDING if _used(on, WITH_PRESLIDING) else FEW_WITH_EFFECTS
+    return _by_kernels if known and len(places) <= few and _smooth(on, places) else None
 
 
-def _memory(ons: NDArray[np.uint8]) -> bool | None:
-    """True if an effect in use has a state of its own, else None: each a loop of its own."""
-    used = ons.max(axis=0)
-    lasting = any(
-        effect.site in WITH_MEMORY and used[k] for k, effect in enumerate(CATALOGUE.values())
+def _smooth(on: NDArray[np.uint8], places: Sequence[_Place]) -> bool:
+    """Whether the slopes of all effects in use are known, and nothing moves that decides."""
+    deciding = _deciding()
+    used = {p.effect for p in places if p.effect}
+    names = list(CATALOGUE)
+    used |= {names[k] for k in np.flatnonzero(on)}
+    known = {name: found for name in used if (found := deciding[name]) is not None}
+    return len(known) == len(used) and not any(
+        p.slot - layout()[p.effect][1] in known[p.effect] for p in places if p.effect
     )
-    return True if lasting else None
+
+
+@per_catalogue
+def _deciding(effects: tuple[Effect, ...]) -> dict[str, frozenset[int] | None]:
+    return {effect.name: deciding_fields(effect) for effect in effects}
+
+
+@per_catalogue
+def _sites(effects: tuple[Effect, ...]) -> list[int]:
+    """Site of each number of the effects, by its position in the contract."""
+    return [SITES.index(effect.site) for effect in effects for _ in effect.parameters]
+
+
+def _moved(values: Floats) -> NDArray[np.int64]:
+    """Changes and numbers of the effects that these move, by site, behind where each site begins.
+
+    `values` of the run, of each change, of all the other way.
+    """
+    sites, ends = _sites(), len(SITES) + 1
+    found = np.argwhere(values[1:-1] != values[0]).tolist()
+    pairs = sorted(found, key=lambda pair: sites[pair[1]])
+    table = np.zeros((ends + len(pairs), 3), np.int64)
+    for k, (j, slot) in enumerate(pairs):
+        table[ends + k, 1:] = j, slot
+    table[:ends, 0] = ends + np.searchsorted([sites[slot] for _, slot in pairs], range(ends))
+    return table
+
+
+def _used(on: NDArray[np.uint8], where: int) -> bool | None:
+    """True if an effect at one of some sites is in use, else None: each a loop of its own."""
+    return True if on[_kinds()[where]].any() else None
+
+
+@per_catalogue
+def _kinds(effects: tuple[Effect, ...]) -> list[NDArray[np.bool_]]:
+    """Which effects are at the sites of each kind."""
+    return [np.array([effect.site in sites for effect in effects]) for sites in KINDS]
 
 
 def _by_kernels(
@@ -217,11 +265,16 @@ def _by_kernels(
     """Go along by `tangent_site_core`; the sample from which the other way is another one."""
     bases, ons, values = (np.array(rows) for rows in zip(*drives, strict=True))
     loop = engine()
-    room, fixed = np.zeros(loop.SIZE_WITH_SITES), np.zeros((len(drives), loop.FIXED))
-    on = ons.max(axis=0)
+    moved = _moved(values)
+    fixed, room = np.zeros((len(drives), loop.FIXED)), np.zeros((3, loop.STATE))
+    s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(loop.R_MOVES + len(moved))
+    on, ends = ons.max(axis=0), len(SITES) + 1
+    kinds = _used(on, WITH_MEMORY), _used(on, WITH_CONTACTS)
+    r[: loop.R_VALUES], r[loop.R_VALUES : loop.R_OWN] = on, values[0]
+    r[loop.R_MOVES + ends :] = (values[1:-1] - values[0])[tuple(moved[ends:, 1:].T)]
     return int(
         loop.march_site_tangents(
-            *given, bases, values, on, steps, room, fixed, *results, _memory(ons)
+            *given, bases, values, on, moved, steps, s, fixed, room, r, *results, *kinds
         )
     )
 

@@ -2,46 +2,76 @@
 
 As in `tangent_core` the run goes by itself, and what a change of a parameter changes in it goes
 along to first order, or with branches of its own where the run is about to take another one.
-What an effect makes of a change is found by its own kernel, called at the motion and the numbers
-of the run and again at the changed ones. No physics is written here.
+The slopes of kernels are written from their source (`slopes`), those of numbers of an effect
+used for the changes that move these. No physics is written here.
 """
 
-from math import cos, exp
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
-from dmptm_ctrl.effects.stribeck import stribeck_law
-from dmptm_ctrl.simulate.core import (
-    MIN_COMPLIANCE,
-    UNKNOWN,
-    aged,
-    bristles_of,
-    held_average,
-    mesh_step,
-    preslide,
-    slide_or_stick,
-)
+from dmptm_ctrl.effects.stribeck import Stribeck
+from dmptm_ctrl.simulate.core import UNKNOWN, aged, held_average
 from dmptm_ctrl.simulate.elementary import borrowed
-from dmptm_ctrl.simulate.row_sites import (
-    aged_friction_of,
-    drive_voltage_of,
-    friction_level_of,
-    lag_relaxation_of,
-    load_torque_of,
-    mesh_shift_of,
-    motor_torque_of,
-    presliding_law_of,
-    sensor_reading_of,
-    shaft_compliance_of,
-    speed_delay_of,
-    voltage_delay_of,
+from dmptm_ctrl.simulate.row_sites import lag_relaxation_of, sensor_reading_of
+from dmptm_ctrl.simulate.row_step_core import (
+    D_A0,
+    D_A1,
+    D_AGE0,
+    D_AGE1,
+    D_AGE2,
+    D_E0,
+    D_E1,
+    D_F0,
+    D_F1,
+    D_F2,
+    D_HIDDEN,
+    D_O0,
+    D_O1,
+    D_P0,
+    D_P1,
+    F_BRISTLES,
+    F_DAMP,
+    F_DEAD,
+    F_EASE,
+    F_LATE,
+    F_MOB3,
+    F_MOBL,
+    F_RENEW,
+    F_STIFF,
+    HIDDEN,
+    MOTION,
+    STATE,
+    Acting,
+    bristles_in,
+    fix,
+    grow,
+    law_of,
+    mesh_of,
+    row_steps,
+    same_both_ways,
+    voltage_of,
 )
 from dmptm_ctrl.simulate.sites import active_sites
+from dmptm_ctrl.simulate.slope_sites import (
+    R_MOVES,
+    R_NUMBERS,
+    R_OWN,
+    aged_slopes,
+    ageing_slopes_of,
+    drive_slopes_of,
+    friction_slopes_of,
+    lag_slopes_of,
+    lagged_slopes,
+    load_slopes_of,
+    mesh_slopes_of,
+    motor_slopes_of,
+    preslide_slopes,
+    toothed_slopes,
+)
 from dmptm_ctrl.simulate.tangent_core import (
-    APART,
     CHANGES,
     D_B0,
     D_B1,
@@ -52,7 +82,6 @@ from dmptm_ctrl.simulate.tangent_core import (
     D_G1,
     D_GAIN,
     D_GAP0,
-    D_GAP1,
     D_K,
     D_LAW,
     D_MOB3,
@@ -78,13 +107,10 @@ from dmptm_ctrl.simulate.tangent_core import (
     MARGIN,
     NO_SLOPES,
     RESTING,
-    ROUNDING,
-    SIZE_OF_CHANGES,
     changed_numbers,
     law_own,
     law_slopes,
     laws_along,
-    mesh_change,
     mesh_own,
     mesh_slopes,
     one_of,
@@ -94,321 +120,391 @@ from dmptm_ctrl.simulate.tangent_core import (
     used,
 )
 
-# Rows of changes behind those of `tangent_core`: of motors behind elastic reducers, angles,
-# speeds, last changes of the speeds;
-D_M0, D_M1, D_O0, D_O1, D_P0, D_P1 = range(SIZE_OF_CHANGES, SIZE_OF_CHANGES + 6 * CHANGES, CHANGES)
-# lagged voltages; presliding friction; ages of the contacts.
-D_E0, D_E1, D_R0, D_R1, D_R2, D_A0, D_A1, D_A2 = range(
-    SIZE_OF_CHANGES + 6 * CHANGES, SIZE_OF_CHANGES + 14 * CHANGES, CHANGES
+# Rows behind those of the state: what numbers of effects change by themselves in a step, of
+# voltages, lagged voltages in the step and after it, torques of motors, meshes and on the ring
+# gear, speeds and presliding frictions of bodies.
+D_OWN = D_HIDDEN + HIDDEN * CHANGES
+D_U0, D_U1, D_L0, D_L1, D_K0, D_K1, D_H0, D_H1, D_M0, D_M1, D_LOAD = range(
+    D_OWN, D_OWN + 11 * CHANGES, CHANGES
 )
-SIZE_WITH_SITES = SIZE_OF_CHANGES + 14 * CHANGES
-MOTION, HIDDEN = 9, 14  # rows of state from DQ0 on, and from D_M0 on
-# What stays as it is in each run: h/J; reducer's stiffness, damping, h/J of its motor; dead times
-# in samples and steps;
-F_MOB3, F_MOBL, F_STIFF, F_DAMP, F_EASE, F_DEAD, F_LATE = range(7)
-# presliding of the three bodies; slip that makes their contacts new.
-F_BRISTLES, F_RENEW = 7, 16
-FIXED = 19
-# Samples after which it is looked whether the other way is another one, where nothing but a value
-# that stays on a kink can make it so; voltages, which may stay on one, are looked at in each.
-PROBED = 8
+D_N0, D_N1, D_N2, D_R0, D_R1, D_R2 = range(D_OWN + 11 * CHANGES, D_OWN + 17 * CHANGES, CHANGES)
+D_BRISTLED = D_OWN + 17 * CHANGES  # where a change moves what presliding knows
+OWN = 18
+# Rows of the three bodies, and of none, as a vector: what presliding knows and makes of it.
+LANES_OF_BODIES = 4
+W_V = D_OWN + OWN * CHANGES
+W_MID, W_FORCE, W_LEVEL, W_ADDED, W_BRISTLE, W_SLOPES = range(
+    W_V + LANES_OF_BODIES, W_V + 7 * LANES_OF_BODIES, LANES_OF_BODIES
+)
+W_SURE = W_SLOPES + 12 * LANES_OF_BODIES
+# Of the run, of the change that is looked at, of each: h/J, friction law, bristles; speed and
+# presliding friction.
+W_NUMBERS = W_SURE + LANES_OF_BODIES
+N_LAW, N_BRISTLES, N_NEW, N_AFTER, N_SIZE = (k * LANES_OF_BODIES for k in (1, 12, 15, 16, 17))
+W_OTHER = W_NUMBERS + N_SIZE
+SIZE_WITH_SITES = W_OTHER + (CHANGES + 1) * N_SIZE
+# Sites as numbers, in the order of `contract.SITES`
+AT_DRIVE, AT_DELAY, AT_LAG, AT_MOTOR, AT_SHAFT, AT_MESH, AT_FRICTION = range(7)
+AT_PRESLIDING, AT_AGEING, AT_LOAD = 7, 8, 9
+WHOLE = 1e-6  # of a step: dead times nearer to whole steps than this are on a kink
 
 
-@njit
-def law_of(bases, row, first):
-    """Friction law from a row of drives' numbers."""
-    return stribeck_law(
-        bases[row, first],
-        bases[row, first + 1],
-        bases[row, first + 2],
-        bases[row, first + 3],
-        bases[row, first + 4],
-        bases[row, first + 5],
-        bases[row, first + 6],
-        bases[row, first + 7],
-        bases[row, first + 8],
-    )
-
-
-@njit
-def fix(fixed, row, h, dt, bases, on, values):
-    """Put what stays as it is in a run into a row."""
-    j_2, j_motor = bases[row, 3], bases[row, 5] * (bases[row, 5] * bases[row, 2])
-    compliance, damping = shaft_compliance_of(j_motor * j_2 / (j_motor + j_2), on, values, row)
-    elastic = compliance > MIN_COMPLIANCE
-    fixed[row, F_MOB3] = h / (j_2 if elastic else j_2 + j_motor)
-    fixed[row, F_MOBL] = h / bases[row, 4]
-    fixed[row, F_STIFF] = 1.0 / compliance if elastic else 0.0
-    fixed[row, F_DAMP], fixed[row, F_EASE] = damping, h / j_motor
-    fixed[row, F_DEAD] = voltage_delay_of(on, values, row) / dt
-    fixed[row, F_LATE] = speed_delay_of(on, values, row) / h
-    for body in range(3):
-        mobility = fixed[row, F_MOBL if body == 2 else F_MOB3]
-        law = law_of(bases, row, 24 if body == 2 else 15)
-        site = presliding_law_of(body, on, values, row)
-        bristles = bristles_of(site, mobility, h, law)
-        for k in range(3):
-            fixed[row, F_BRISTLES + 3 * body + k] = bristles[k]
-        fixed[row, F_RENEW + body] = aged_friction_of(0.0, body, on, values, row)[1]
-
-
-@njit
-def bristles_in(fixed, row, body):
-    """Presliding of a body."""
-    first = F_BRISTLES + 3 * body
-    return fixed[row, first], fixed[row, first + 1], fixed[row, first + 2]
-
-
-@njit
-def voltage_of(u, kept, t, side, h, has_drive, lagging, on, values, row):
-    """Mean voltage over the step behind drive and lag, and what the lag keeps."""
-    if has_drive:
-        u = drive_voltage_of(u, t, side, on, values, row)
-    if lagging:
-        aim, tau = lag_relaxation_of(u, side, on, values, row)
-        left = (kept - aim) * exp(-h / tau) if tau > 0.0 else 0.0
-        return aim + (kept - aim - left) * tau / h, aim + left
-    return u, kept
-
-
-@njit
-def mesh_of(x, v, x_2, v_2, side, has_mesh, bases, on, values, row):
-    """Shift of a mesh's angle, its rate, and the mesh itself."""
-    shift, rate, wider, stiffer = 0.0, 0.0, 0.0, 0.0
-    if has_mesh:
-        shift, rate, wider, stiffer = mesh_shift_of(x, v, x_2, v_2, side, on, values, row)
-    if bases[row, 9] != 0.0:
-        stiffer += bases[row, 9] * cos(bases[row, 7] * x + bases[row, 10])
-    gap = max(bases[row, 13 + side] + wider, 0.0)
-    return shift, rate, Backlash(bases[row, 8] + stiffer, bases[row, 11], bases[row, 12], gap)
-
-
-@njit
-def changed_mesh(m, k, dz, dz_rate, here, there):
-    """Change of a mesh's torque by its slopes, with the motion and from one mesh to another."""
-    own = mesh_own(
-        m,
-        k,
-        there.stiffness - here.stiffness,
-        there.damping - here.damping,
-        there.gap_damping - here.gap_damping,
-        there.half_gap - here.half_gap,
-    )
-    return mesh_change(m, dz, dz_rate) + own
-
-
-@njit
-def level_of(x, v, t, torque, age, body, has_friction, ageing, on, values, row):
-    """Factor on the declared friction, and Coulomb torque added."""
-    level, added = 1.0, 0.0
-    if has_friction:
-        level, added = friction_level_of(x, v, t, torque, body, on, values, row)
-    if ageing:
-        added += aged_friction_of(age, body, on, values, row)[0]
-    return level, added
-
-
-@njit
-def grow(s, to, count, p):
-    """Put what all changes the other way change behind the changes: minus their sum."""
-    for k in range(count):
-        total = 0.0
-        for j in range(p):
-            total += s[to + k * CHANGES + j]
-        s[to + k * CHANGES + p] = -total
-
-
-@njit
-def same_both_ways(s, first, count, p, size_of_state):
-    """Whether what all changes the other way change is minus their sum."""
-    for k in range(count):
-        row = first + k * CHANGES
-        size = abs(s[row + p])
-        together = s[row + p]
-        for j in range(p):
-            together += s[row + j]
-            size += abs(s[row + j])
-        if abs(together) > APART * size + ROUNDING * size_of_state:
-            return False
-    return True
-
-
-class Acting(NamedTuple):
-    """What acts in a run at all."""
+class Moving(NamedTuple):
+    """Which numbers some change moves."""
 
     volts: bool
-    delay: bool
-    drive: bool
-    lag: bool
+    dead: bool
+    gain: bool
     motor: bool
+    shaft: bool
     mesh: bool
-    altered: bool  # meshes, by effects or with the teeth
-    friction: bool
-    ageing: bool
+    numbers: bool  # of the meshes
+    teeth: bool
+    friction: bool  # numbers of effects on it
+    laws: bool
+    mass: bool
     load: bool
-    elastic: bool
-    presliding: bool
-    numbers: bool  # changes of the meshes' numbers
-    laws: bool  # changes of the friction laws
+    ages: bool
 
 
-class Body(NamedTuple):
-    """A body of the run in a step."""
-
-    v: float  # rad/s, before the step
-    v_mid: float
-    force: float  # N·m, net but for friction
-    new: float  # rad/s, after the step
-    slopes: tuple[float, ...]  # of `smooth_body`
-    level: float
-    added: float
-    bristle: float  # N·m, before the step
-    bristle_after: float
-    age: float  # s
-    age_after: float
-
-
-class Mesh(NamedTuple):
-    """A mesh of the run in a step."""
+class MeshOf(NamedTuple):
+    """A mesh of the run."""
 
     z: float
     z_rate: float
-    shift: float
-    shift_rate: float
     law: Backlash
     torque: float
-    slopes: tuple[float, ...]
-    own: tuple[float, ...]
-
-
-class Motor(NamedTuple):
-    """A motor of the run in a step, seen at the pinion."""
-
-    given: float  # V, behind the dead time
-    u: float  # V, behind drive and lag
-    kept: float  # V, by the lag before the step
-    kept_after: float
-    angle: float  # rad
-    speed: float
-    pull: float  # N·m, what the chain gives on the shaft
-    net: float  # N·m, on an elastic reducer's motor
+    slopes: tuple[float, ...]  # by angle and speed of the pinion, of the ring gear
+    own: tuple[float, ...]  # by stiffness and both dampings
+    numbers: tuple[float, ...]  # by shift, its rate, half-gap, stiffness
+    teeth: tuple[float, ...]  # of its stiffness, by angle and numbers of the teeth
+    sure: bool
 
 
 @njit
-def mesh_along(s, j, side, here, dz, dz_rate, place, look, h, acting, bases, on, values):
-    """Change of a mesh's torque, by slopes or by a branch of its own.
+def mesh_along(x, v, x_2, v_2, side, region, varying, acting, moving, bases, r):
+    """A mesh of the run in a region of Eq. 21, with what its effects make of it."""
+    n2 = bases[0, 6]
+    c, e, sure = (0.0,) * 4, (0.0,) * 16, True
+    if acting.mesh:
+        c, e, sure = mesh_slopes_of(x, v, x_2, v_2, side, moving.mesh, r)
+    stiff, teeth = c[3], (0.0,) * 4
+    if varying:
+        more = toothed_slopes(x, bases[0, 9], bases[0, 7], bases[0, 10])
+        stiff, teeth = stiff + more[0][0], more[1]
+    wide = bases[0, 13 + side] + c[2]
+    law = Backlash(bases[0, 8] + stiff, bases[0, 11], bases[0, 12], max(wide, 0.0))
+    z, z_rate = x - n2 * x_2 + c[0], v - n2 * v_2 + c[1]
+    m, k = mesh_slopes(region, law), law_slopes(z, z_rate, region, law)
+    w = (m[0], m[1], m[2] if wide > 0.0 else 0.0, k[0])
+    slopes = (
+        w[0] * (1.0 + e[0]) + w[1] * e[4] + w[2] * e[8] + w[3] * (e[12] + teeth[0]),
+        w[0] * e[1] + w[1] * (1.0 + e[5]) + w[2] * e[9] + w[3] * e[13],
+        w[0] * (e[2] - n2) + w[1] * e[6] + w[2] * e[10] + w[3] * e[14],
+        w[0] * e[3] + w[1] * (e[7] - n2) + w[2] * e[11] + w[3] * e[15],
+    )
+    torque = region_torque(z, z_rate, region, law)
+    return MeshOf(z, z_rate, law, torque, slopes, k, w, teeth, sure and wide != 0.0)
 
-    `place` holds angle and speed of the changed pinion and ring gear.
+
+@njit
+def own_of(s, to, site, first, weights, moved, r):
+    """Put what moved numbers of a site's effects change by themselves into a row."""
+    for m in range(moved[site, 0], moved[site + 1, 0]):
+        j, slot = moved[m, 1], moved[m, 2]
+        total = 0.0
+        for o in range(len(weights)):
+            total += weights[o] * r[R_OWN + (first + o) * R_NUMBERS + slot]
+        s[to + j] = total * r[R_MOVES + m]
+
+
+@njit
+def own_of_mesh(s, side, mesh, p, width, moving, bases, moved, r):
+    """The same of a mesh, with the numbers of its teeth."""
+    to = D_M0 + side * CHANGES
+    if moving.teeth:
+        for j in range(p):
+            s[to + j] = 0.0
+            for k in range(3):
+                number = (9, 7, 10)[k]
+                slope = mesh.numbers[3] * mesh.teeth[1 + k]
+                s[to + j] += slope * (bases[1 + j, number] - bases[0, number])
+    if moving.mesh:
+        own_of(s, to, AT_MESH, 4 * side, mesh.numbers, moved, r)
+    if width > p:
+        grow(s, to, 1, p)
+
+
+@njit
+def sliding(f, mobility):
+    """Slopes of a speed after a step, of a body that slides or rests.
+
+    By speed before the step and in the middle, torque, level, added torque, presliding.
     """
-    row = 1 + j
-    region = (D_G1 if side == 1 else D_G0) + j
-    if acting.altered or look:
-        shift, rate, law = mesh_of(*place, side, acting.mesh, bases, on, values, row)
-        dz, dz_rate = dz + (shift - here.shift), dz_rate + (rate - here.shift_rate)
-        if look:
-            torque, s[region] = mesh_step(here.z + dz, here.z_rate + dz_rate, law, s[region], h)
-            return torque - here.torque
-        return changed_mesh(here.slopes, here.own, dz, dz_rate, here.law, law)
-    change = mesh_change(here.slopes, dz, dz_rate)
-    if acting.numbers:
-        gap = s[(D_GAP1 if side == 1 else D_GAP0) + j]
-        change += mesh_own(here.slopes, here.own, s[D_K + j], s[D_C + j], s[D_CF + j], gap)
+    by = f[0] * mobility
+    return f[0], -by * f[3], by, -by * f[1] * f[8], -by * f[1], 0.0
+
+
+@njit
+def plain_mesh(z, z_rate, region, law, m, n2, moving):
+    """A mesh of the run in a region of Eq. 21 that nothing acts on; m as of `mesh_slopes`."""
+    k = law_slopes(z, z_rate, region, law) if moving.numbers else NO_SLOPES
+    slopes, numbers = (m[0], m[1], -n2 * m[0], -n2 * m[1]), (m[0], m[1], m[2], k[0])
+    torque = region_torque(z, z_rate, region, law)
+    return MeshOf(z, z_rate, law, torque, slopes, k, numbers, (0.0,) * 4, True)
+
+
+@njit
+def is_same(mesh, region, margin):
+    """Whether a mesh of the run, and all that changes of it, goes on in a region."""
+    return mesh.sure and stays(mesh.z, mesh.z_rate, mesh.torque, region, mesh.law, margin)
+
+
+@njit
+def torque_at(x, v, x_2, v_2, side, acting, bases, on, values, row):
+    """Torque of a mesh by its own branch."""
+    n2 = bases[row, 6]
+    shift, rate, law = mesh_of(x, v, x_2, v_2, side, acting.mesh, bases, on, values, row)
+    return mesh_torque(x - n2 * x_2 + shift, v - n2 * v_2 + rate, law)
+
+
+@njit
+def with_level(slopes, level, age):
+    """Slopes of a speed, or of a presliding friction, with those through the level of friction.
+
+    `slopes` as of `sliding`; `level` of the sites' effects by angle, speed and torque of the mesh,
+    `age` of ageing. By speed before the step and in the middle, torque, angle, torque of the mesh,
+    age, presliding.
+    """
+    x, added = slopes[3], slopes[4]
+    return (
+        slopes[0],
+        slopes[1] + (x * level[1] + added * level[4]),
+        slopes[2],
+        x * level[0] + added * level[3],
+        x * level[2] + added * level[5],
+        added * age,
+        slopes[5],
+    )
+
+
+@njit
+def without_level(slopes):
+    """The same where nothing acts on the level of friction."""
+    return slopes[0], slopes[1], slopes[2], 0.0, 0.0, 0.0, slopes[5]
+
+
+@njit
+def change_of_mesh(s, j, mesh, x, v, x_2, v_2, side, moving):
+    """Change of a mesh's torque with that of the motion and with its own numbers."""
+    by, gap = mesh.slopes, D_GAP0 + side * CHANGES
+    change = by[0] * x + by[1] * v + (by[2] * x_2 + by[3] * v_2)
+    if moving.numbers:
+        open_by = (0.0, 0.0, mesh.numbers[2])
+        change += mesh_own(open_by, mesh.own, s[D_K + j], s[D_C + j], s[D_CF + j], s[gap + j])
+    if moving.mesh or moving.teeth:
+        change += s[D_M0 + side * CHANGES + j]
     return change
 
 
 @njit
-def body_along(s, j, body, w, c, g, own, place, look, h, acting, here, rows, bases, fixed):
-    """Change of a body's speed after the step, by slopes or by a branch of its own.
-
-    w, c, g are the changes of its speed before the step and in the middle and of the torque on it,
-    `own` that of its friction law; `rows` where changes of h/J, bristles and ages are.
-    """
-    row = 1 + j
-    mobility = fixed[row, F_MOBL if body == 2 else F_MOB3]
-    level, added = place
-    first = 24 if body == 2 else 15
-    if acting.presliding and fixed[row, F_BRISTLES + 3 * body] > 0.0:
-        new, bristle = preslide(
-            *(here.v + w, here.v_mid + c, here.force + g, mobility, h, law_of(bases, row, first)),
-            *(level, added, bristles_in(fixed, row, body), here.bristle + s[rows[1] + j]),
-        )
-        s[rows[1] + j] = bristle - here.bristle_after
-        change = new - here.new
-    elif look:
+def bristle_numbers(s, row, bases, fixed):
+    """Put numbers of presliding where the vector finds them; its last body stands for none."""
+    to = W_OTHER + row * N_SIZE if row > 0 else W_NUMBERS
+    for lane in range(LANES_OF_BODIES):
+        body = min(lane, 2)
+        mobility, first = (F_MOBL, 24) if body == 2 else (F_MOB3, 15)
+        s[to + lane] = fixed[row, mobility]
         law = law_of(bases, row, first)
-        new = slide_or_stick(
-            here.v + w, here.v_mid + c, here.force + g, mobility, law, level, added
-        )
-        change = new - here.new
-    else:
-        f = here.slopes
-        own += f[1] * (f[8] * (level - here.level) + (added - here.added))
-        base = fixed[0, F_MOBL if body == 2 else F_MOB3]
-        change = f[0] * (w + base * (g - f[3] * c - own) + f[2] * s[rows[0] + j])
-    if acting.ageing:
-        slip = fixed[row, F_RENEW + body]
-        s[rows[2] + j] = aged(here.age + s[rows[2] + j], here.new + change, h, slip)
-        s[rows[2] + j] -= here.age_after
-    return change
+        for k in range(11):
+            s[to + N_LAW + k * LANES_OF_BODIES + lane] = law[k]
+        for k in range(3):
+            number = fixed[row, F_BRISTLES + 3 * body + k]
+            s[to + N_BRISTLES + k * LANES_OF_BODIES + lane] = number
 
 
 @njit
-def motor_along(s, j, side, here, a, c, given, t, h, n1, gain, acting, on, values):
-    """Change of a motor's torque at the pinion, with those of its angle and speed."""
-    row = 1 + j
-    change = here.u * s[D_GAIN + j]
-    u = here.u
-    if acting.volts:
-        kept = (D_E1 if side == 1 else D_E0) + j
-        u, after = voltage_of(
-            *(given, here.kept + s[kept], t, side, h, acting.drive, acting.lag, on, values, row)
-        )
-        s[kept] = after - here.kept_after
-        change += gain * (u - here.u)
-    if acting.motor:
-        pull = motor_torque_of(
-            u, n1 * (here.angle + a), n1 * (here.speed + c), t, side, on, values, row
-        )
-        change += n1 * (pull - here.pull)
-    return change
+def law_in(s, at):
+    """Friction law of a body in the vector; exponents are 1 along with slopes."""
+    n = LANES_OF_BODIES
+    return Stribeck(
+        *(s[at], s[at + n], s[at + 2 * n], s[at + 3 * n], s[at + 4 * n], s[at + 5 * n]),
+        *(s[at + 6 * n], s[at + 7 * n], 1.0, s[at + 9 * n], s[at + 10 * n]),
+    )
 
 
 @njit
-def shaft_along(s, j, here, twist, y, r, a, c, drive, h, rows, fixed):
-    """Change of an elastic reducer's torque, and the step of its motor.
+def bristles_along(s, h):
+    """Step of all bodies that preslide: speeds, presliding frictions, slopes of both."""
+    n = LANES_OF_BODIES
+    for k in range(LANES_OF_BODIES):
+        at = W_NUMBERS + k
+        bristles = s[at + N_BRISTLES], s[at + N_BRISTLES + n], s[at + N_BRISTLES + 2 * n]
+        both, d, _, _, _, sure = preslide_slopes(
+            *(s[W_V + k], s[W_MID + k], s[W_FORCE + k], s[at], h, law_in(s, at + N_LAW)),
+            *(s[W_LEVEL + k], s[W_ADDED + k], bristles, s[W_BRISTLE + k]),
+        )
+        s[at + N_NEW], s[at + N_AFTER] = both
+        to = W_SLOPES + k
+        s[to], s[to + n], s[to + 2 * n], s[to + 3 * n] = d[0], d[1], d[2], d[3]
+        s[to + 4 * n], s[to + 5 * n], s[to + 6 * n], s[to + 7 * n] = d[4], d[5], d[6], d[7]
+        s[to + 8 * n], s[to + 9 * n], s[to + 10 * n], s[to + 11 * n] = d[8], d[9], d[10], d[11]
+        s[W_SURE + k] = 1.0 if sure else 0.0
 
-    `twist` are angle and rate of the motor against the pinion, y, r and a, c changes of both in
-    the middle of the step; `rows` hold those of the motor's angle, speed, last change of it.
+
+@njit
+def bristles_with(s, row, h):
+    """Step of the run with the numbers of a change."""
+    n = LANES_OF_BODIES
+    for k in range(N_NEW):  # to where the compiler sees that nothing else is: else no vector
+        s[W_OTHER + k] = s[W_OTHER + row * N_SIZE + k]
+    for k in range(LANES_OF_BODIES):
+        at = W_OTHER + k
+        bristles = s[at + N_BRISTLES], s[at + N_BRISTLES + n], s[at + N_BRISTLES + 2 * n]
+        both = (
+            preslide_slopes(  # to the last digit as of the run, and what is not used costs nothing
+                *(s[W_V + k], s[W_MID + k], s[W_FORCE + k], s[at], h, law_in(s, at + N_LAW)),
+                *(s[W_LEVEL + k], s[W_ADDED + k], bristles, s[W_BRISTLE + k]),
+            )[0]
+        )
+        s[at + N_NEW], s[at + N_AFTER] = both
+
+
+@njit
+def bristling(s, body):
+    """Speed and presliding friction of a body after a step, slopes of both as of `sliding`."""
+    n, to = LANES_OF_BODIES, W_SLOPES + body
+    speed = (s[to], s[to + n], s[to + 2 * n], s[to + 3 * n], s[to + 4 * n], s[to + 5 * n])
+    to += 6 * n
+    friction = (s[to], s[to + n], s[to + 2 * n], s[to + 3 * n], s[to + 4 * n], s[to + 5 * n])
+    at = W_NUMBERS + body
+    return s[at + N_NEW], s[at + N_AFTER], speed, friction, s[W_SURE + body] > 0.0
+
+
+@njit
+def bristle_change(by, v, v_mid, force, x, load, older, bristle):
+    """Change of a presliding friction over a step; `by` as of `with_level`."""
+    change = by[0] * v + by[1] * v_mid + by[2] * force + by[6] * bristle
+    return change + (by[3] * x + by[4] * load + by[5] * older)
+
+
+@njit
+def older_by(by, age, v, slip):
+    """Change of an age over a step; `by` as of `grown`."""
+    return by[0] * age + by[1] * v + by[2] * slip
+
+
+@njit
+def grown(age, v, h, slip):
+    """Age of a contact after a step, and its slopes by age, speed and slip; whether sure."""
+    if slip <= 0.0:
+        return 0.0, (0.0, 0.0, 0.0), True
+    after, by, _, _, _, sure = aged_slopes(age, v, h, slip)
+    return after[0], by, sure
+
+
+@njit
+def volts_along(s, given, kept, t, side, h, acting, p, width, moved, r):
+    """Voltage of the run behind drive and lag, what the lag keeps, and their slopes.
+
+    By what is given, and by what is kept; whether they are sure.
     """
-    row = 1 + j
-    torque = fixed[0, F_STIFF] * (y - a) + fixed[0, F_DAMP] * (r - c)
-    torque += (fixed[row, F_STIFF] - fixed[0, F_STIFF]) * twist[0]
-    torque += (fixed[row, F_DAMP] - fixed[0, F_DAMP]) * twist[1]
-    ease = fixed[0, F_EASE]
-    push = ease * (drive - torque) + (fixed[row, F_EASE] - ease) * here.net
-    s[rows[2] + j] = push
-    s[rows[1] + j] += push
-    s[rows[0] + j] = y + 0.5 * h * s[rows[1] + j]
-    return torque
+    u, by_given, sure = given, 1.0, True
+    to = side * CHANGES
+    if acting.drive:
+        u, by_given, sure = drive_slopes_of(given, t, side, True, r)
+        own_of(s, D_U0 + to, AT_DRIVE, side, (1.0,), moved, r)
+    after, mean, late = kept, (by_given, 0.0), (0.0, 1.0)
+    if acting.lag:
+        c, e, good = lag_slopes_of(u, side, True, r)
+        both, d, _, _, _, smooth = lagged_slopes(c[0], c[1], kept, h)
+        u, after = both
+        sure = sure and good and smooth
+        mean, late = (d[0] * e[0] + d[1] * e[1], d[2]), (d[3] * e[0] + d[4] * e[1], d[5])
+        own_of(s, D_L0 + to, AT_LAG, 2 * side, (d[0], d[1]), moved, r)
+        own_of(s, D_K0 + to, AT_LAG, 2 * side, (d[3], d[4]), moved, r)
+    if width > p:
+        for k in range(0, D_H0 - D_U0, 2 * CHANGES):
+            grow(s, D_U0 + to + k, 1, p)
+    return u, after, by_given, mean, late, sure
+
+
+@njit
+def friction_own(s, body, slopes, more, p, width, acting, moved, r):
+    """Put what numbers of friction's effects change by themselves into the rows of a body.
+
+    slopes, more as of `sliding`, of the speed and of the presliding friction.
+    """
+    to, to_more = D_N0 + body * CHANGES, D_R0 + body * CHANGES
+    own_of(s, to, AT_FRICTION, 2 * body, (slopes[3], slopes[4]), moved, r)
+    if acting.ageing:
+        own_of(s, to, AT_AGEING, body, (slopes[4],), moved, r)
+    if acting.presliding:
+        own_of(s, to_more, AT_FRICTION, 2 * body, (more[3], more[4]), moved, r)
+        own_of(s, to_more, AT_AGEING, body, (more[4],), moved, r)
+    if width > p:
+        grow(s, to, 1, p)
+        grow(s, to_more, 1, p)
+
+
+@njit
+def bristles_own(s, h, p, width):
+    """Put into the same rows what numbers that presliding knows change: by the step with these."""
+    for j in range(p):
+        if s[D_BRISTLED + j] != 0.0:
+            bristles_with(s, 1 + j, h)
+            for body in range(3):
+                if s[W_NUMBERS + N_BRISTLES + body] > 0.0:
+                    to = body * CHANGES + j
+                    s[D_N0 + to] = s[W_OTHER + N_NEW + body] - s[W_NUMBERS + N_NEW + body]
+                    s[D_R0 + to] = s[W_OTHER + N_AFTER + body] - s[W_NUMBERS + N_AFTER + body]
+    if width > p:
+        grow(s, D_N0, 6, p)
+
+
+@njit
+def bristled(s, p, bases, fixed):
+    """Mark the changes that move what presliding knows; whether there are any."""
+    found = False
+    for j in range(p):
+        row = 1 + j
+        moves = False
+        for k in range(F_BRISTLES, F_RENEW):
+            moves = moves or fixed[row, k] != fixed[0, k]
+        for k in (F_MOB3, F_MOBL):
+            moves = moves or fixed[row, k] != fixed[0, k]
+        for k in range(15, 33):
+            moves = moves or bases[row, k] != bases[0, k]
+        s[D_BRISTLED + j] = 1.0 if moves else 0.0
+        found = found or moves
+    return found
 
 
 @njit
 def march_site_tangents(
-    u, x0, dt, substeps, bases, values, on, steps, s, fixed, out, changes, back, memory
+    u, x0, dt, substeps, bases, values, on, moved, steps, s, fixed, room, r,
+    out, changes, back, memory, contacts
 ):  # fmt: skip
     """Run a drive with effects and what changes of its numbers and of theirs change.
 
     bases and values (p + 2, ...) of the run, of each change, of all the other way; on (effects,),
-    where any of these has it; s and fixed (p + 2, FIXED) zeros, room to work in; memory is None
-    where no effect has a state of its own, which is quicker; the rest, and what is returned, as of
+    where any of these has it; moved (13 + m, 3) where each site begins, then change and number of
+    each number of an effect that is moved; s, fixed (p + 2, FIXED), room (3, STATE) zeros, room to
+    work in; r as of `slope_sites`; memory and contacts are None where no effect has a state of its
+    own, of the drive or of the contacts, which is quicker; the rest, and what is returned, as of
     `march_tangents`.
     """
     n, p = u.shape[1], changes.shape[0]
     h = dt / substeps
     half = 0.5 * h
+    # not literals, for each of which the chains would be compiled once more
+    side0 = 0 * substeps
+    side1, ring = side0 + 1, side0 + 2
     left, right = borrowed(u[0]), borrowed(u[1])
-    s, fixed = borrowed(s), borrowed(fixed)
-    bases, values, on = borrowed(bases), borrowed(values), borrowed(on)
+    s, fixed, room = borrowed(s), borrowed(fixed), borrowed(room)
+    bases, values, on, moved = borrowed(bases), borrowed(values), borrowed(on), borrowed(moved)
+    r = borrowed(r)
+    volts = np.zeros((p + 2, 2))
     for row in range(p + 2):
         fix(fixed, row, h, dt, bases, on, values)
     renew0, renew1, renew2 = fixed[0, F_RENEW], fixed[0, F_RENEW + 1], fixed[0, F_RENEW + 2]
@@ -417,7 +513,17 @@ def march_site_tangents(
     age0, age1 = aged(0.0, v0, half, renew0), aged(0.0, v1, half, renew1)
     age2 = aged(0.0, v2, half, renew2)
     lagging, delayed, late, presliding, ageing, elastic = False, False, False, False, False, False
-    varying, longest = False, 0.0
+    longest, farthest, dead, shaft, kinked = 0.0, 0.0, False, False, False
+    has_drive, has_motor, has_mesh, has_friction, has_load, has_sensor = active_sites(on)
+    numbered = False
+    if contacts is not None:
+        for row in range(p + 2):
+            for body in range(3):
+                presliding = presliding or fixed[row, F_BRISTLES + 3 * body] > 0.0
+                ageing = ageing or fixed[row, F_RENEW + body] > 0.0
+        numbered = presliding and bristled(s, p, bases, fixed)
+        for row in range(p + 1):
+            bristle_numbers(s, row, bases, fixed)
     if memory is not None:
         elastic = fixed[0, F_STIFF] > 0.0
         for row in range(p + 2):
@@ -425,27 +531,52 @@ def march_site_tangents(
             delayed = delayed or fixed[row, F_DEAD] > 0.0
             late = late or fixed[row, F_LATE] > 0.0
             longest = max(longest, fixed[row, F_LATE])
-            for body in range(3):
-                presliding = presliding or fixed[row, F_BRISTLES + 3 * body] > 0.0
-                ageing = ageing or fixed[row, F_RENEW + body] > 0.0
+            farthest = max(farthest, abs(fixed[row, F_DEAD] - fixed[0, F_DEAD]))
+            for k in (F_STIFF, F_DAMP, F_EASE):
+                shaft = shaft or fixed[row, k] != fixed[0, k]
+            # held voltages have corners at the samples, readings between steps
+            for k in (F_DEAD, F_LATE):
+                whole = fixed[0, k] * (substeps if k == F_DEAD else 1.0)
+                apart_from = abs(whole - np.floor(whole + 0.5))
+                kinked = kinked or (fixed[row, k] != fixed[0, k] and apart_from < WHOLE)
+    varying, teeth = False, False
+    dead = farthest > 0.0
     for row in range(p + 2):
         varying = varying or bases[row, 9] != 0.0
+        for k in (7, 9, 10):
+            teeth = teeth or bases[row, k] != bases[0, k]
     for j in range(p + 1):
         changed_numbers(s, j, bases[0], bases[1 + j], h)
         s[D_MOB3 + j] = fixed[1 + j, F_MOB3] - fixed[0, F_MOB3]
         s[D_G0 + j] = s[D_G1 + j] = UNKNOWN
-        s[D_A0 + j] = aged(0.0, v0, half, fixed[1 + j, F_RENEW]) - age0
-        s[D_A1 + j] = aged(0.0, v1, half, fixed[1 + j, F_RENEW + 1]) - age1
-        s[D_A2 + j] = aged(0.0, v2, half, fixed[1 + j, F_RENEW + 2]) - age2
-    has_drive, has_motor, has_mesh, has_friction, has_load, has_sensor = active_sites(on)
-    volts, altered = delayed or has_drive or lagging, has_mesh or varying
+        s[D_AGE0 + j] = aged(0.0, v0, half, fixed[1 + j, F_RENEW]) - age0
+        s[D_AGE1 + j] = aged(0.0, v1, half, fixed[1 + j, F_RENEW + 1]) - age1
+        s[D_AGE2 + j] = aged(0.0, v2, half, fixed[1 + j, F_RENEW + 2]) - age2
+    at = moved[1:13, 0] > moved[:12, 0]
     acting = Acting(
-        *(volts, delayed, has_drive, lagging, has_motor, has_mesh, altered),
-        *(has_friction, ageing, has_load, elastic, presliding),
-        *(used(s, D_K, D_MOB3), used(s, D_LAW, D_S0)),
+        *(has_drive, lagging, has_motor, has_mesh, has_friction, ageing, has_load),
+        *(elastic, presliding),
     )
-    levelled = has_friction or ageing
-    hidden = lagging or elastic or presliding or ageing
+    own_volts, own_level = at[AT_DRIVE] or at[AT_LAG] or dead, at[AT_FRICTION] or at[AT_AGEING]
+    own_teeth = varying and teeth
+    moving = Moving(
+        own_volts,
+        dead,
+        used(s, D_GAIN, D_K),
+        at[AT_MOTOR],
+        shaft,
+        at[AT_MESH],
+        used(s, D_K, D_MOB3),
+        own_teeth,
+        own_level,
+        used(s, D_LAW, D_S0),
+        used(s, D_MOB3, D_LAW),
+        at[AT_LOAD],
+        at[AT_AGEING],
+    )
+    steered = delayed or has_drive or lagging
+    altered, levelled = has_mesh or varying, has_friction or ageing
+    own_friction = moving.friction or numbered
     base = bases[0]
     n1, n2 = base[5], base[6]
     gain = n1 * (base[0] * base[1])
@@ -455,54 +586,75 @@ def march_site_tangents(
     reducer, bearing = law_of(bases, 0, 15), law_of(bases, 0, 24)
     bristles0, bristles1 = bristles_in(fixed, 0, 0), bristles_in(fixed, 0, 1)
     bristles2 = bristles_in(fixed, 0, 2)
-    mesh0 = mesh_of(q0, v0, q2, v2, 0, False, bases, on, values, 0)[2]
-    mesh1 = mesh_of(q1, v1, q2, v2, 1, False, bases, on, values, 0)[2]
+    mesh0 = Backlash(base[8], base[11], base[12], max(base[13], 0.0))
+    mesh1 = Backlash(base[8], base[11], base[12], max(base[14], 0.0))
     d0, d1, d2 = 0.0, 0.0, 0.0
     a0, a1, w0, w1, b0, b1 = q0, q1, v0, v1, 0.0, 0.0  # motors, seen at the pinion
     e0, e1, kept0, kept1 = 0.0, 0.0, 0.0, 0.0  # lagged voltages, before and after the step
     g0, g1, g2 = 0.0, 0.0, 0.0  # presliding frictions
-    pull0, pull1, pushed = 0.0, 0.0, 0.0
     region0, region1 = UNKNOWN, UNKNOWN
-    m0 = m1 = k0 = k1 = NO_SLOPES
-    shift0 = shift1 = rate0 = rate1 = 0.0
-    level0, level1, level2, added0, added1, added2 = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
+    m0 = m1 = NO_SLOPES
+    nothing, nowhere = (0.0,) * 6, (0.0,) * 3
+    given_by0, given_by1, mean0, mean1 = 1.0, 1.0, (1.0, 0.0), (1.0, 0.0)
+    late0, late1 = (0.0, 1.0), (0.0, 1.0)
     way0, way1, way2 = 1.0, 1.0, 1.0  # directions that the bodies move in, or last moved in
     p0, p1, p2 = one_way(way0, reducer), one_way(way1, reducer), one_way(way2, bearing)
     laws_along(s, way0, way1, way2)
-    history = np.full((int(longest) + 2, p + 2), v2)
+    history, newest = np.full((int(longest) + 2, p + 2), v2), 0
     width = p  # changes that go along; one more once the other way is another one
     split = n
+    if kinked:
+        width, split = p + 1, 0
     apart = True  # whether some change is, or may be, on another branch than the run
     top = 0.0  # largest speed so far
-    step = 0
     for i in range(n):
         t = i * dt
+        if altered:
+            mesh_l = mesh_along(
+                *(q0, v0, q2, v2, side0, region0, varying, acting, moving, bases, r)
+            )
+            own_of_mesh(s, side0, mesh_l, p, width, moving, bases, moved, r)
+            mesh_r = mesh_along(
+                *(q1, v1, q2, v2, side1, region1, varying, acting, moving, bases, r)
+            )
+            own_of_mesh(s, side1, mesh_r, p, width, moving, bases, moved, r)
+        else:
+            mesh_l = plain_mesh(q0 - n2 * q2, v0 - n2 * v2, region0, mesh0, m0, n2, moving)
+            mesh_r = plain_mesh(q1 - n2 * q2, v1 - n2 * v2, region1, mesh1, m1, n2, moving)
+        anew0 = apart or not is_same(mesh_l, region0, margin)
+        anew1 = apart or not is_same(mesh_r, region1, margin)
         for j in range(-1, width):
             row = 1 + j
             dq0, dq1, dq2, dv0, dv1, dv2, da0, da1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             if j >= 0:
                 dq0, dq1, dq2 = s[DQ0 + j], s[DQ1 + j], s[DQ2 + j]
                 dv0, dv1, dv2 = s[DV0 + j], s[DV1 + j], s[DV2 + j]
-                da0, da1 = (s[D_M0 + j], s[D_M1 + j]) if elastic else (dq0, dq1)
+                da0, da1 = (s[D_A0 + j], s[D_A1 + j]) if elastic else (dq0, dq1)
             angle, speed = q2 + dq2, v2 + dv2
             if late:
                 back_by = int(fixed[row, F_LATE])
-                newer = history[(step - back_by) % history.shape[0], row]
-                older = history[(step - back_by - 1) % history.shape[0], row]
+                newer = history[(newest - back_by) % history.shape[0], row]
+                older = history[(newest - back_by - 1) % history.shape[0], row]
                 speed = newer + (fixed[row, F_LATE] - back_by) * (older - newer)
             if has_sensor:
                 angle, speed = sensor_reading_of(angle, speed, t, on, values, row)
-            place = (q0 + dq0, v0 + dv0, q2 + dq2, v2 + dv2)
-            shift, rate, mesh = mesh_of(*place, 0, has_mesh, bases, on, values, row)
-            z, z_rate = q0 - n2 * q2 + (dq0 - n2 * dq2), v0 - n2 * v2 + (dv0 - n2 * dv2)
-            torque0 = mesh_torque(z + shift, z_rate + rate, mesh)
-            place = (q1 + dq1, v1 + dv1, q2 + dq2, v2 + dv2)
-            shift, rate, mesh = mesh_of(*place, 1, has_mesh, bases, on, values, row)
-            y, y_rate = q1 - n2 * q2 + (dq1 - n2 * dq2), v1 - n2 * v2 + (dv1 - n2 * dv2)
-            torque1 = mesh_torque(y + shift, y_rate + rate, mesh)
+            torque0, torque1 = mesh_l.torque, mesh_r.torque
+            if j >= 0 and not anew0:
+                torque0 += change_of_mesh(s, j, mesh_l, dq0, dv0, dq2, dv2, side0, moving)
+            elif anew0:
+                torque0 = torque_at(
+                    *(q0 + dq0, v0 + dv0, q2 + dq2, v2 + dv2, side0, acting, bases, on, values, row)
+                )
+            if j >= 0 and not anew1:
+                torque1 += change_of_mesh(s, j, mesh_r, dq1, dv1, dq2, dv2, side1, moving)
+            elif anew1:
+                torque1 = torque_at(
+                    *(q1 + dq1, v1 + dv1, q2 + dq2, v2 + dv2, side1, acting, bases, on, values, row)
+                )
             if j < 0:
                 out[0, i], out[1, i], out[2, i], out[3, i] = angle, speed, n1 * a0, n1 * a1
-                out[4, i], out[5, i], out[6, i], out[7, i] = torque0, torque1, z, y
+                out[4, i], out[5, i] = torque0, torque1
+                out[6, i], out[7, i] = q0 - n2 * q2, q1 - n2 * q2
             else:
                 line = changes[j] if j < p else back
                 per = 1.0 / steps[j] if j < p else 1.0
@@ -513,232 +665,323 @@ def march_site_tangents(
         u0, u1 = left[i], right[i]
         for k in range(substeps):
             middle = t + (k + 0.5) * h
-            given0, given1 = left[i], right[i]
+            given0, given1, start, crossing = left[i], right[i], 0.0, False
+            sure = True
             if delayed:
                 start = i + k / substeps - fixed[0, F_DEAD]
                 given0 = held_average(left, i + 1, start, start + 1.0 / substeps)
                 given1 = held_average(right, i + 1, start, start + 1.0 / substeps)
-            if acting.volts:
-                u0, kept0 = voltage_of(given0, e0, middle, 0, h, has_drive, lagging, on, values, 0)
-                u1, kept1 = voltage_of(given1, e1, middle, 1, h, has_drive, lagging, on, values, 0)
+                end = start + 1.0 / substeps + farthest
+                crossing = dead and np.floor(start - farthest) != np.floor(end)
+            if steered:
+                if moving.volts:
+                    u0, kept0, given_by0, mean0, late0, sure0 = volts_along(
+                        *(s, given0, e0, middle, side0, h, acting, p, width, moved, r)
+                    )
+                    u1, kept1, given_by1, mean1, late1, sure1 = volts_along(
+                        *(s, given1, e1, middle, side1, h, acting, p, width, moved, r)
+                    )
+                    sure = sure0 and sure1
+                else:
+                    u0, kept0 = voltage_of(given0, e0, middle, side0, h, acting, on, values, side0)
+                    u1, kept1 = voltage_of(given1, e1, middle, side1, h, acting, on, values, side0)
             x_0, x_1, x_2 = q0 + half * v0, q1 + half * v1, q2 + half * v2
             s0, s1, s2 = v0 + 0.5 * d0, v1 + 0.5 * d1, v2 + 0.5 * d2
             y0, y1, r0, r1 = x_0, x_1, s0, s1
             if elastic:
                 y0, y1, r0, r1 = a0 + half * w0, a1 + half * w1, w0 + 0.5 * b0, w1 + 0.5 * b1
-            if acting.altered:
-                shift0, rate0, mesh0 = mesh_of(x_0, s0, x_2, s2, 0, has_mesh, bases, on, values, 0)
-                shift1, rate1, mesh1 = mesh_of(x_1, s1, x_2, s2, 1, has_mesh, bases, on, values, 0)
-                m0, m1 = mesh_slopes(region0, mesh0), mesh_slopes(region1, mesh1)
-            z, z_rate = x_0 - n2 * x_2 + shift0, s0 - n2 * s2 + rate0
-            y, y_rate = x_1 - n2 * x_2 + shift1, s1 - n2 * s2 + rate1
-            torque0 = region_torque(z, z_rate, region0, mesh0)
-            torque1 = region_torque(y, y_rate, region1, mesh1)
-            look = (
-                apart
-                or not stays(z, z_rate, torque0, region0, mesh0, margin)
-                or not stays(y, y_rate, torque1, region1, mesh1, margin)
-            )
-            before0, before1 = region0, region1
-            if look:
-                torque0, region0 = mesh_step(z, z_rate, mesh0, region0, h)
-                torque1, region1 = mesh_step(y, y_rate, mesh1, region1, h)
-                m0, m1 = mesh_slopes(region0, mesh0), mesh_slopes(region1, mesh1)
-            elif acting.altered or acting.numbers:
-                k0 = law_slopes(z, z_rate, region0, mesh0)
-                k1 = law_slopes(y, y_rate, region1, mesh1)
+            if altered:
+                mesh_l = mesh_along(
+                    *(x_0, s0, x_2, s2, side0, region0, varying, acting, moving, bases, r)
+                )
+                own_of_mesh(s, side0, mesh_l, p, width, moving, bases, moved, r)
+                mesh_r = mesh_along(
+                    *(x_1, s1, x_2, s2, side1, region1, varying, acting, moving, bases, r)
+                )
+                own_of_mesh(s, side1, mesh_r, p, width, moving, bases, moved, r)
+            else:
+                mesh_l = plain_mesh(x_0 - n2 * x_2, s0 - n2 * s2, region0, mesh0, m0, n2, moving)
+                mesh_r = plain_mesh(x_1 - n2 * x_2, s1 - n2 * s2, region1, mesh1, m1, n2, moving)
+            torque0, torque1 = mesh_l.torque, mesh_r.torque
+            sure = sure and is_same(mesh_l, region0, margin) and is_same(mesh_r, region1, margin)
             drive0, drive1 = gain * u0, gain * u1
+            push0 = push1 = (gain, 0.0, 0.0)  # by voltage, angle and speed of the motor
             if has_motor:
-                pull0 = motor_torque_of(u0, n1 * y0, n1 * r0, middle, 0, on, values, 0)
-                pull1 = motor_torque_of(u1, n1 * y1, n1 * r1, middle, 1, on, values, 0)
-                drive0, drive1 = drive0 + n1 * pull0, drive1 + n1 * pull1
-            net0, net1 = 0.0, 0.0
+                pull, e, good = motor_slopes_of(
+                    u0, n1 * y0, n1 * r0, middle, side0, moving.motor, r
+                )
+                drive0 += n1 * pull
+                push0 = (gain + n1 * e[0], n1 * n1 * e[1], n1 * n1 * e[2])
+                pull, e, fine = motor_slopes_of(
+                    u1, n1 * y1, n1 * r1, middle, side1, moving.motor, r
+                )
+                drive1 += n1 * pull
+                push1 = (gain + n1 * e[0], n1 * n1 * e[1], n1 * n1 * e[2])
+                sure = sure and good and fine
+                if moving.motor:
+                    own_of(s, D_H0, AT_MOTOR, side0, (n1,), moved, r)
+                    own_of(s, D_H0 + side1 * CHANGES, AT_MOTOR, side1, (n1,), moved, r)
+                    if width > p:
+                        grow(s, D_H0, 2, p)
+            net0, net1 = drive0, drive1
             if elastic:
-                net0, net1 = drive0, drive1
                 drive0 = stiff * (y0 - x_0) + damping * (r0 - s0)
                 drive1 = stiff * (y1 - x_1) + damping * (r1 - s1)
                 net0, net1 = net0 - drive0, net1 - drive1
-                b0, b1 = ease * net0, ease * net1
-                w0, w1 = w0 + b0, w1 + b1
-                a0, a1 = y0 + half * w0, y1 + half * w1
             force0, force1, force2 = drive0 - torque0, drive1 - torque1, n2 * (torque0 + torque1)
+            load = (0.0, 0.0)
             if has_load:
-                pushed = load_torque_of(x_2, s2, middle, on, values, 0)
+                pushed, load, good = load_slopes_of(x_2, s2, middle, moving.load, r)
                 force2 += pushed
-            if levelled:
-                level0, added0 = level_of(
-                    *(x_0, s0, middle, torque0, age0, 0, has_friction, ageing, on, values, 0)
-                )
-                level1, added1 = level_of(
-                    *(x_1, s1, middle, torque1, age1, 1, has_friction, ageing, on, values, 0)
-                )
+                sure = sure and good
+                if moving.load:
+                    own_of(s, D_LOAD, AT_LOAD, 0, (1.0,), moved, r)
+                    if width > p:
+                        grow(s, D_LOAD, 1, p)
+            level0, level1, level2, added0, added1, added2 = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
+            by0 = by1 = by2 = nothing
+            old0 = old1 = old2 = 0.0
+            grown0 = grown1 = grown2 = nowhere
+            aged0, aged1, aged2 = 0.0, 0.0, 0.0
+            if has_friction:
+                own = moving.friction
+                c, by0, good = friction_slopes_of(x_0, s0, middle, torque0, side0, own, r)
+                level0, added0 = c
+                c, by1, fine = friction_slopes_of(x_1, s1, middle, torque1, side1, own, r)
+                level1, added1 = c
                 carried = abs(torque0) + abs(torque1)
-                level2, added2 = level_of(
-                    *(x_2, s2, middle, carried, age2, 2, has_friction, ageing, on, values, 0)
-                )
+                c, by2, well = friction_slopes_of(x_2, s2, middle, carried, ring, own, r)
+                level2, added2 = c
+                sure = sure and good and fine and well
+                level_by = abs(by2[2]) + abs(by2[5])
+                sure = sure and (level_by == 0.0 or (torque0 != 0.0 and torque1 != 0.0))
+            if ageing:
+                own = moving.friction
+                more, old0, good = ageing_slopes_of(age0, side0, own, r)
+                added0 += more
+                more, old1, fine = ageing_slopes_of(age1, side1, own, r)
+                added1 += more
+                more, old2, well = ageing_slopes_of(age2, ring, own, r)
+                added2 += more
+                sure = sure and good and fine and well
             if v0 * way0 < 0.0 or v1 * way1 < 0.0 or v2 * way2 < 0.0:
                 way0, way1, way2 = one_of(v0), one_of(v1), one_of(v2)
                 p0, p1, p2 = one_way(way0, reducer), one_way(way1, reducer), one_way(way2, bearing)
                 laws_along(s, way0, way1, way2)
-            after0, after1, after2 = 0.0, 0.0, 0.0
-            new0, sure0, f0 = 0.0, True, RESTING
-            new1, sure1, f1 = 0.0, True, RESTING
-            new2, sure2, f2 = 0.0, True, RESTING
+            f0 = f1 = f2 = RESTING
+            after0, after1, after2, more0, more1, more2 = 0.0, 0.0, 0.0, nothing, nothing, nothing
+            if presliding:
+                s[W_V], s[W_V + 1], s[W_V + 2] = v0, v1, v2
+                s[W_MID], s[W_MID + 1], s[W_MID + 2] = s0, s1, s2
+                s[W_FORCE], s[W_FORCE + 1], s[W_FORCE + 2] = force0, force1, force2
+                s[W_LEVEL], s[W_LEVEL + 1], s[W_LEVEL + 2] = level0, level1, level2
+                s[W_ADDED], s[W_ADDED + 1], s[W_ADDED + 2] = added0, added1, added2
+                s[W_BRISTLE], s[W_BRISTLE + 1], s[W_BRISTLE + 2] = g0, g1, g2
+                bristles_along(s, h)
+                if numbered:
+                    bristles_own(s, h, p, width)
             if presliding and bristles0[0] > 0.0:
-                new0, after0 = preslide(
-                    *(v0, s0, force0, mobility_3, h, reducer, level0, added0, bristles0, g0)
-                )
+                new0, after0, s_0, more0, good = bristling(s, side0)
             else:
-                new0, sure0, f0 = smooth_body(
+                new0, good, f0 = smooth_body(
                     v0, s0, force0, mobility_3, reducer, p0, level0, added0
                 )
+                s_0 = sliding(f0, mobility_3)
+            if moving.friction:
+                friction_own(s, side0, s_0, more0, p, width, acting, moved, r)
+            sure = sure and good
             if presliding and bristles1[0] > 0.0:
-                new1, after1 = preslide(
-                    *(v1, s1, force1, mobility_3, h, reducer, level1, added1, bristles1, g1)
-                )
+                new1, after1, s_1, more1, good = bristling(s, side1)
             else:
-                new1, sure1, f1 = smooth_body(
+                new1, good, f1 = smooth_body(
                     v1, s1, force1, mobility_3, reducer, p1, level1, added1
                 )
+                s_1 = sliding(f1, mobility_3)
+            if moving.friction:
+                friction_own(s, side1, s_1, more1, p, width, acting, moved, r)
+            sure = sure and good
             if presliding and bristles2[0] > 0.0:
-                new2, after2 = preslide(
-                    *(v2, s2, force2, mobility_l, h, bearing, level2, added2, bristles2, g2)
-                )
+                new2, after2, s_2, more2, good = bristling(s, ring)
             else:
-                new2, sure2, f2 = smooth_body(
+                new2, good, f2 = smooth_body(
                     v2, s2, force2, mobility_l, bearing, p2, level2, added2
                 )
-            look_at = look or not (sure0 and sure1 and sure2)
-            if look_at:
-                if not presliding or bristles0[0] <= 0.0:
-                    new0 = slide_or_stick(v0, s0, force0, mobility_3, reducer, level0, added0)
-                if not presliding or bristles1[0] <= 0.0:
-                    new1 = slide_or_stick(v1, s1, force1, mobility_3, reducer, level1, added1)
-                if not presliding or bristles2[0] <= 0.0:
-                    new2 = slide_or_stick(v2, s2, force2, mobility_l, bearing, level2, added2)
-            aged0, aged1, aged2 = 0.0, 0.0, 0.0
+                s_2 = sliding(f2, mobility_l)
+            if moving.friction:
+                friction_own(s, ring, s_2, more2, p, width, acting, moved, r)
+            sure = sure and good
             if ageing:
-                aged0, aged1 = aged(age0, new0, h, renew0), aged(age1, new1, h, renew1)
-                aged2 = aged(age2, new2, h, renew2)
-
-            probe = width == p and (look_at or (k == 0 and (volts or i % PROBED == 0)))
-            if probe:
-                grow(s, DQ0, MOTION, p)
-                if hidden:
-                    grow(s, D_M0, HIDDEN, p)
-                s[D_G0 + p], s[D_G1 + p] = before0, before1
-            body0 = Body(v0, s0, force0, new0, f0, level0, added0, g0, after0, age0, aged0)
-            body1 = Body(v1, s1, force1, new1, f1, level1, added1, g1, after1, age1, aged1)
-            body2 = Body(v2, s2, force2, new2, f2, level2, added2, g2, after2, age2, aged2)
-            left_mesh = Mesh(z, z_rate, shift0, rate0, mesh0, torque0, m0, k0)
-            right_mesh = Mesh(y, y_rate, shift1, rate1, mesh1, torque1, m1, k1)
-            motor0 = Motor(given0, u0, e0, kept0, y0, r0, pull0, net0)
-            motor1 = Motor(given1, u1, e1, kept1, y1, r1, pull1, net1)
-            if look_at:
-                apart = False
-            for j in range(p + 1 if probe else width):
-                row = 1 + j
-                o0, o1, o2 = s[DV0 + j], s[DV1 + j], s[DV2 + j]
-                i0, i1, i2 = s[DQ0 + j] + half * o0, s[DQ1 + j] + half * o1, s[DQ2 + j] + half * o2
-                c0, c1, c2 = o0 + 0.5 * s[DC0 + j], o1 + 0.5 * s[DC1 + j], o2 + 0.5 * s[DC2 + j]
-                place = (x_0 + i0, s0 + c0, x_2 + i2, s2 + c2)
-                t0 = mesh_along(
-                    *(s, j, 0, left_mesh, i0 - n2 * i2, c0 - n2 * c2, place, look, h),
-                    *(acting, bases, on, values),
+                aged0, grown0, good = grown(age0, new0, h, renew0)
+                aged1, grown1, fine = grown(age1, new1, h, renew1)
+                aged2, grown2, well = grown(age2, new2, h, renew2)
+                sure = sure and good and fine and well
+            if apart or not sure:
+                state = (
+                    *(q0, q1, q2, v0, v1, v2, d0, d1, d2, a0, a1, w0, w1, b0, b1),
+                    *(e0, e1, g0, g1, g2, age0, age1, age2, region0, region1),
                 )
-                place = (x_1 + i1, s1 + c1, x_2 + i2, s2 + c2)
-                t1 = mesh_along(
-                    *(s, j, 1, right_mesh, i1 - n2 * i2, c1 - n2 * c2, place, look, h),
-                    *(acting, bases, on, values),
-                )
-                begin0, begin1 = given0, given1
-                if delayed and fixed[row, F_DEAD] != fixed[0, F_DEAD]:
-                    start = i + k / substeps - fixed[row, F_DEAD]
-                    begin0 = held_average(left, i + 1, start, start + 1.0 / substeps)
-                    begin1 = held_average(right, i + 1, start, start + 1.0 / substeps)
-                n_0, n_1, l_0, l_1 = i0, i1, c0, c1
-                if elastic:
-                    n_0, l_0 = s[D_M0 + j] + half * s[D_O0 + j], s[D_O0 + j] + 0.5 * s[D_P0 + j]
-                    n_1, l_1 = s[D_M1 + j] + half * s[D_O1 + j], s[D_O1 + j] + 0.5 * s[D_P1 + j]
-                h0 = motor_along(
-                    *(s, j, 0, motor0, n_0, l_0, begin0, middle, h, n1, gain, acting, on, values)
-                )
-                h1 = motor_along(
-                    *(s, j, 1, motor1, n_1, l_1, begin1, middle, h, n1, gain, acting, on, values)
-                )
-                if elastic:
-                    twist = (y0 - x_0, r0 - s0)
-                    rows = (D_M0, D_O0, D_P0)
-                    h0 = shaft_along(s, j, motor0, twist, n_0, l_0, i0, c0, h0, h, rows, fixed)
-                    twist = (y1 - x_1, r1 - s1)
-                    rows = (D_M1, D_O1, D_P1)
-                    h1 = shaft_along(s, j, motor1, twist, n_1, l_1, i1, c1, h1, h, rows, fixed)
-                h2 = n2 * (t0 + t1)
-                if has_load:
-                    h2 += load_torque_of(x_2 + i2, s2 + c2, middle, on, values, row) - pushed
-                place0, place1, place2 = (level0, added0), (level1, added1), (level2, added2)
+                for m in range(STATE):
+                    room[0, m] = state[m]
+                for row in range(p + 2):
+                    volts[row, 0], volts[row, 1] = left[i], right[i]
+                    if delayed:
+                        start = i + k / substeps - fixed[row, F_DEAD]
+                        volts[row, 0] = held_average(left, i + 1, start, start + 1.0 / substeps)
+                        volts[row, 1] = held_average(right, i + 1, start, start + 1.0 / substeps)
+                if width == p:
+                    grow(s, DQ0, MOTION, p)
+                    grow(s, D_HIDDEN, HIDDEN, p)
+                    s[D_G0 + p], s[D_G1 + p] = region0, region1
+                apart = row_steps(s, room, p, volts, middle, h, acting, bases, on, values, fixed)
+                x = room[0]
+                q0, q1, q2, v0, v1, v2, d0, d1 = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]
+                d2, a0, a1, w0, w1, b0, b1 = x[8], x[9], x[10], x[11], x[12], x[13], x[14]
+                e0, e1 = x[15], x[16]
+                g0, g1, g2, age0, age1, age2 = x[17], x[18], x[19], x[20], x[21], x[22]
+                if not altered and (region0 != x[23] or region1 != x[24]):
+                    m0, m1 = mesh_slopes(x[23], mesh0), mesh_slopes(x[24], mesh1)
+                region0, region1 = x[23], x[24]
+                if width == p:
+                    reach = max(abs(q0), abs(q1), abs(q2))
+                    top = max(top, abs(v0), abs(v1), abs(v2))
+                    if not (
+                        same_both_ways(s, DQ0, 3, p, reach) and same_both_ways(s, DV0, 6, p, top)
+                    ):
+                        width, split = p + 1, i + 1
+            else:
+                z_0, z_1, z_2 = without_level(s_0), without_level(s_1), without_level(s_2)
+                y_0, y_1, y_2 = without_level(more0), without_level(more1), without_level(more2)
                 if levelled:
-                    load0, load1 = torque0 + t0, torque1 + t1
-                    place0 = level_of(
-                        *(x_0 + i0, s0 + c0, middle, load0, age0 + s[D_A0 + j], 0),
-                        *(has_friction, ageing, on, values, row),
-                    )
-                    place1 = level_of(
-                        *(x_1 + i1, s1 + c1, middle, load1, age1 + s[D_A1 + j], 1),
-                        *(has_friction, ageing, on, values, row),
-                    )
-                    place2 = level_of(
-                        *(x_2 + i2, s2 + c2, middle, abs(load0) + abs(load1)),
-                        *(age2 + s[D_A2 + j], 2, has_friction, ageing, on, values, row),
-                    )
-                own0, own1, own2 = 0.0, 0.0, 0.0
-                if acting.laws and not look_at:
-                    own0 = law_own(f0, s[D_S0 + j], s[D_T0 + j], s[D_W0 + j], s[D_B0 + j])
-                    own1 = law_own(f1, s[D_S1 + j], s[D_T1 + j], s[D_W1 + j], s[D_B1 + j])
-                    own2 = law_own(f2, s[D_S2 + j], s[D_T2 + j], s[D_W2 + j], s[D_B2 + j])
-                rows = (D_MOB3, D_R0, D_A0)
-                o0 = body_along(
-                    *(s, j, 0, o0, c0, h0 - t0, own0, place0, look_at, h, acting, body0, rows),
-                    *(bases, fixed),
-                )
-                rows = (D_MOB3, D_R1, D_A1)
-                o1 = body_along(
-                    *(s, j, 1, o1, c1, h1 - t1, own1, place1, look_at, h, acting, body1, rows),
-                    *(bases, fixed),
-                )
-                rows = (D_MOBL, D_R2, D_A2)
-                o2 = body_along(
-                    *(s, j, 2, o2, c2, h2, own2, place2, look_at, h, acting, body2, rows),
-                    *(bases, fixed),
-                )
-                s[DC0 + j], s[DC1 + j], s[DC2 + j] = (
-                    o0 - s[DV0 + j],
-                    o1 - s[DV1 + j],
-                    o2 - s[DV2 + j],
-                )
-                s[DV0 + j], s[DV1 + j], s[DV2 + j] = o0, o1, o2
-                s[DQ0 + j], s[DQ1 + j], s[DQ2 + j] = i0 + half * o0, i1 + half * o1, i2 + half * o2
-                if look_at:
-                    apart = apart or s[D_G0 + j] != region0 or s[D_G1 + j] != region1
-                    apart = apart or (new0 + o0 == 0.0) != (new0 == 0.0)
-                    apart = apart or (new1 + o1 == 0.0) != (new1 == 0.0)
-                    apart = apart or (new2 + o2 == 0.0) != (new2 == 0.0)
-            d0, d1, d2 = new0 - v0, new1 - v1, new2 - v2
-            v0, v1, v2 = new0, new1, new2
-            q0, q1, q2 = x_0 + half * v0, x_1 + half * v1, x_2 + half * v2
-            if not elastic:
-                a0, a1 = q0, q1
-            e0, e1, g0, g1, g2 = kept0, kept1, after0, after1, after2
-            age0, age1, age2 = aged0, aged1, aged2
-            step += 1
+                    z_0, y_0 = with_level(s_0, by0, old0), with_level(more0, by0, old0)
+                    z_1, y_1 = with_level(s_1, by1, old1), with_level(more1, by1, old1)
+                    z_2, y_2 = with_level(s_2, by2, old2), with_level(more2, by2, old2)
+                for j in range(width):
+                    row = 1 + j
+                    o0, o1, o2 = s[DV0 + j], s[DV1 + j], s[DV2 + j]
+                    i0, i1 = s[DQ0 + j] + half * o0, s[DQ1 + j] + half * o1
+                    i2 = s[DQ2 + j] + half * o2
+                    c0, c1, c2 = o0 + 0.5 * s[DC0 + j], o1 + 0.5 * s[DC1 + j], o2 + 0.5 * s[DC2 + j]
+                    t0 = change_of_mesh(s, j, mesh_l, i0, c0, i2, c2, side0, moving)
+                    t1 = change_of_mesh(s, j, mesh_r, i1, c1, i2, c2, side1, moving)
+                    h0, h1 = 0.0, 0.0
+                    if moving.gain:
+                        h0, h1 = u0 * s[D_GAIN + j], u1 * s[D_GAIN + j]
+                    if moving.volts:
+                        begin0, begin1 = 0.0, 0.0
+                        if crossing and fixed[row, F_DEAD] != fixed[0, F_DEAD]:
+                            start = i + k / substeps - fixed[row, F_DEAD]
+                            end = start + 1.0 / substeps
+                            begin0 = held_average(left, i + 1, start, end) - given0
+                            begin1 = held_average(right, i + 1, start, end) - given1
+                        begin0 = given_by0 * begin0 + s[D_U0 + j]
+                        begin1 = given_by1 * begin1 + s[D_U1 + j]
+                        if lagging:
+                            was0, was1 = s[D_E0 + j], s[D_E1 + j]
+                            s[D_E0 + j] = late0[0] * begin0 + late0[1] * was0 + s[D_K0 + j]
+                            s[D_E1 + j] = late1[0] * begin1 + late1[1] * was1 + s[D_K1 + j]
+                            begin0 = mean0[0] * begin0 + mean0[1] * was0 + s[D_L0 + j]
+                            begin1 = mean1[0] * begin1 + mean1[1] * was1 + s[D_L1 + j]
+                        h0 += push0[0] * begin0
+                        h1 += push1[0] * begin1
+                    l_0, l_1, o_0, o_1 = i0, i1, c0, c1
+                    if elastic:
+                        l_0, o_0 = s[D_A0 + j] + half * s[D_O0 + j], s[D_O0 + j] + 0.5 * s[D_P0 + j]
+                        l_1, o_1 = s[D_A1 + j] + half * s[D_O1 + j], s[D_O1 + j] + 0.5 * s[D_P1 + j]
+                    if has_motor:
+                        h0 += push0[1] * l_0 + push0[2] * o_0
+                        h1 += push1[1] * l_1 + push1[2] * o_1
+                        if moving.motor:
+                            h0 += s[D_H0 + j]
+                            h1 += s[D_H1 + j]
+                    if elastic:
+                        shaft0 = stiff * (l_0 - i0) + damping * (o_0 - c0)
+                        shaft1 = stiff * (l_1 - i1) + damping * (o_1 - c1)
+                        eased0, eased1 = 0.0, 0.0
+                        if moving.shaft:
+                            stiffer = fixed[row, F_STIFF] - stiff
+                            damped = fixed[row, F_DAMP] - damping
+                            shaft0 += stiffer * (y0 - x_0) + damped * (r0 - s0)
+                            shaft1 += stiffer * (y1 - x_1) + damped * (r1 - s1)
+                            eased0 = (fixed[row, F_EASE] - ease) * net0
+                            eased1 = (fixed[row, F_EASE] - ease) * net1
+                        s[D_P0 + j] = ease * (h0 - shaft0) + eased0
+                        s[D_P1 + j] = ease * (h1 - shaft1) + eased1
+                        s[D_O0 + j] += s[D_P0 + j]
+                        s[D_O1 + j] += s[D_P1 + j]
+                        s[D_A0 + j] = l_0 + half * s[D_O0 + j]
+                        s[D_A1 + j] = l_1 + half * s[D_O1 + j]
+                        h0, h1 = shaft0, shaft1
+                    h0, h1, h2 = h0 - t0, h1 - t1, n2 * (t0 + t1)
+                    if has_load:
+                        h2 += load[0] * i2 + load[1] * c2
+                        if moving.load:
+                            h2 += s[D_LOAD + j]
+                    new_0 = z_0[0] * o0 + z_0[1] * c0 + z_0[2] * h0
+                    new_1 = z_1[0] * o1 + z_1[1] * c1 + z_1[2] * h1
+                    new_2 = z_2[0] * o2 + z_2[1] * c2 + z_2[2] * h2
+                    t2 = 0.0
+                    if levelled:
+                        t2 = (t0 if torque0 > 0.0 else -t0) + (t1 if torque1 > 0.0 else -t1)
+                        new_0 += z_0[3] * i0 + z_0[4] * t0
+                        new_1 += z_1[3] * i1 + z_1[4] * t1
+                        new_2 += z_2[3] * i2 + z_2[4] * t2
+                    if moving.laws:
+                        law = s[D_S0 + j], s[D_T0 + j], s[D_W0 + j], s[D_B0 + j]
+                        new_0 -= z_0[2] * law_own(f0, *law)
+                        law = s[D_S1 + j], s[D_T1 + j], s[D_W1 + j], s[D_B1 + j]
+                        new_1 -= z_1[2] * law_own(f1, *law)
+                        law = s[D_S2 + j], s[D_T2 + j], s[D_W2 + j], s[D_B2 + j]
+                        new_2 -= z_2[2] * law_own(f2, *law)
+                    if moving.mass:
+                        new_0 += f0[0] * f0[2] * s[D_MOB3 + j]
+                        new_1 += f1[0] * f1[2] * s[D_MOB3 + j]
+                        new_2 += f2[0] * f2[2] * s[D_MOBL + j]
+                    if own_friction:
+                        new_0 += s[D_N0 + j]
+                        new_1 += s[D_N1 + j]
+                        new_2 += s[D_N2 + j]
+                    y = s[D_AGE0 + j], s[D_AGE1 + j], s[D_AGE2 + j]
+                    if presliding:
+                        was = s[D_F0 + j], s[D_F1 + j], s[D_F2 + j]
+                        new_0 += z_0[6] * was[0]
+                        new_1 += z_1[6] * was[1]
+                        new_2 += z_2[6] * was[2]
+                        s[D_F0 + j] = bristle_change(y_0, o0, c0, h0, i0, t0, y[0], was[0])
+                        s[D_F1 + j] = bristle_change(y_1, o1, c1, h1, i1, t1, y[1], was[1])
+                        s[D_F2 + j] = bristle_change(y_2, o2, c2, h2, i2, t2, y[2], was[2])
+                        if own_friction:
+                            s[D_F0 + j] += s[D_R0 + j]
+                            s[D_F1 + j] += s[D_R1 + j]
+                            s[D_F2 + j] += s[D_R2 + j]
+                    if ageing:
+                        new_0 += z_0[5] * y[0]
+                        new_1 += z_1[5] * y[1]
+                        new_2 += z_2[5] * y[2]
+                        slip = fixed[row, F_RENEW] - renew0
+                        s[D_AGE0 + j] = older_by(grown0, y[0], new_0, slip)
+                        slip = fixed[row, F_RENEW + 1] - renew1
+                        s[D_AGE1 + j] = older_by(grown1, y[1], new_1, slip)
+                        slip = fixed[row, F_RENEW + 2] - renew2
+                        s[D_AGE2 + j] = older_by(grown2, y[2], new_2, slip)
+                    s[DQ0 + j], s[DQ1 + j] = i0 + half * new_0, i1 + half * new_1
+                    s[DQ2 + j] = i2 + half * new_2
+                    s[DV0 + j], s[DV1 + j], s[DV2 + j] = new_0, new_1, new_2
+                    s[DC0 + j], s[DC1 + j], s[DC2 + j] = new_0 - o0, new_1 - o1, new_2 - o2
+                d0, d1, d2 = new0 - v0, new1 - v1, new2 - v2
+                v0, v1, v2 = new0, new1, new2
+                q0, q1, q2 = x_0 + half * v0, x_1 + half * v1, x_2 + half * v2
+                if elastic:
+                    b0, b1 = ease * net0, ease * net1
+                    w0, w1 = w0 + b0, w1 + b1
+                    a0, a1 = y0 + half * w0, y1 + half * w1
+                else:
+                    a0, a1 = q0, q1
+                e0, e1, g0, g1, g2 = kept0, kept1, after0, after1, after2
+                age0, age1, age2 = aged0, aged1, aged2
             if late:
-                for j in range(-1, p + 1):
-                    history[step % history.shape[0], 1 + j] = v2 + (s[DV2 + j] if j >= 0 else 0.0)
-            top = max(top, abs(v0), abs(v1), abs(v2))
-            if probe:
-                reach = max(abs(q0), abs(q1), abs(q2))
-                same = same_both_ways(s, DQ0, 3, p, reach) and same_both_ways(s, DV0, 6, p, top)
-                if not same:
-                    width = p + 1
-                    split = i + 1
+                newest = newest + 1 if newest + 1 < history.shape[0] else 0
+                history[newest, 0] = v2
+                for j in range(p + 1):
+                    history[newest, 1 + j] = v2 + s[DV2 + j]
+        top = max(top, abs(v0), abs(v1), abs(v2))
     return split

@@ -16,7 +16,9 @@ from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import Trace, fast_gains, trace
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.ripple import ANSWER, FINER, WHITE, answers
+from dmptm_ctrl.identify.motion import motion
+from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.identify.ripple import ANSWER, FINER, WHITE, Ripple, answers, order_gains
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -112,6 +114,22 @@ def test_names_it_without_motor_encoders(cogging):
     # nothing else lives on what it leaves
     others = ("base_vibration", "back_emf", "torque_constant_mismatch", "drive_delay")
     assert all(t.evidence < 0.5 * SECOND for t in trace(after, only=others))
+
+
+def test_logs_without_noise_or_without_calm_tell_nothing_wrong():
+    """A speed that never ripples is white enough; no calm stretch, no gain."""
+    model = Model(paper_drive())
+    n = 2000
+    speed = 0.2 * np.ones(n)
+    angle = 0.2 * DT * np.arange(n)
+    twist = 1.1 * model.drive["gap_l"] * np.ones((n, 2))
+    still = np.zeros((2, n)), angle, speed, twist, np.zeros(6), 1, DT * np.arange(n)
+    rec = Record("still", DT, *still)
+    ripple = Ripple(motion(rec, model))
+    assert ripple.tells
+    assert np.abs(ripple.missing(model.arrays())).max() < 1e-9
+    assert np.isfinite(ripple.colour).all()
+    np.testing.assert_array_equal(order_gains([], 5), np.zeros(5))
 
 
 def test_none_where_there_is_none(nothing):

@@ -32,6 +32,7 @@ FINER = 2  # steps per sample in which a torque acts: an order may have two samp
 WHITE = 8  # coefficients that whiten what is left: the meshes' wobble is a narrow band
 EXTREME = 0.01  # share of samples at either end that do not tell the colour of the rest
 LEAST = 100  # samples of a log, below which nothing is told
+FAINTEST = 0.01  # share of a gyro's usual noise that any has
 NEARLY = 1e-3  # share by which two motors' waves must differ to be told apart
 GRID = 2048  # frequencies at which the response is known
 GAIN = [BASE.index(name) for name in ("K_d", "K_M", "N_1", "N_2")]
@@ -85,6 +86,8 @@ class Ripple:
         row = np.clip(row, *np.quantile(row[self.used], (EXTREME, 1.0 - EXTREME)))
         row[~self.used] = 0.0
         lags = np.array([row[: row.size - k] @ row[k:] for k in range(WHITE + 1)])
+        # a sensor's noise is white, and there where a log has none
+        lags[0] += FAINTEST**2 * GYRO_NOISE**2 * row.size
         return np.concatenate([[1.0], -solve_toeplitz(lags[:-1], lags[1:])])
 
     def speed(self, torque: Floats, answer: bytes) -> Floats:
@@ -239,6 +242,8 @@ def order_gains(parts: Sequence[tuple[Ripple, Floats, Floats]], most: int) -> Fl
 
     `parts` are motions, what is missing in them and what each of their samples counts.
     """
+    if not parts:
+        return np.zeros(most)
     found = np.zeros((2, most), np.complex128)
     own, crossed = np.zeros(most), np.zeros(most, np.complex128)
     for ripple, row, counts in parts:

@@ -50,6 +50,7 @@ from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown
 from dmptm_ctrl.identify.lock import DOUBTFUL, level
 from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.identify.ripple import FAST
 from dmptm_ctrl.identify.segments import reversals
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
@@ -131,8 +132,7 @@ def diagnose(
     after = rested(decision, after, jobs)
     after = in_step(decision, after, jobs, seed)
     after = uncovered(decision, without["rmse"], after, held, jobs, seed)
-    if at_rest.travel(after) < at_rest.MATTERS:  # no more than any friction gives way
-        decision.found = [found for found in decision.found if found.name != at_rest.NAME]
+    as_any_friction(decision, after)
     nothing = not decision.found and not model.effects and decision.unexplained is None
     if nothing and without["rmse"] > ASTRAY:
         variables = astray(before.model, held)
@@ -146,6 +146,7 @@ def diagnose(
         "after": predicted,
     }
     final = refined(measured, decision, after, predicted["rmse"], jobs)
+    as_any_friction(decision, final)
     effects = tuple(
         sorted(
             [
@@ -177,6 +178,12 @@ def diagnose(
         warnings=tuple(dict.fromkeys((*notes, *measured.warnings, *softness(decision, final)))),
         experiment=next_experiment(decision, measured.has_motor_encoders),
     )
+
+
+def as_any_friction(decision: Decision, fit: Fit) -> None:
+    """Take its name from pre-sliding that is no more than any friction gives way."""
+    if at_rest.travel(fit) < at_rest.MATTERS:
+        decision.found = [found for found in decision.found if found.name != at_rest.NAME]
 
 
 def of_little(decision: Decision, after: Fit, jobs: int) -> Fit:
@@ -257,6 +264,8 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     if after.horizon >= BESIDE_SECONDS if decision.found else keeps_step(after, measured, jobs):
         return after
     start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
+    if decision.after.fast.balance.fast:  # that has told what it can: it does not see landings
+        field = [trial for trial in field if trial.name not in FAST]
     if gives(decision):  # or delays and lags would do for it
         behind = len(base.unknowns)
         field = [replace(t, fit=at_rest.softened(t.fit, behind)) for t in field]

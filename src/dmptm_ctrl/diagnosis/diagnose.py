@@ -264,7 +264,7 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     if after.horizon >= BESIDE_SECONDS if decision.found else keeps_step(after, measured, jobs):
         return after
     start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
-    if decision.after.fast.balance.fast:  # that has told what it can: it does not see landings
+    if decision.after.balance.simulated:  # the fast part has told what it can of those
         field = [trial for trial in field if trial.name not in FAST]
     if gives(decision):  # or delays and lags would do for it
         behind = len(base.unknowns)

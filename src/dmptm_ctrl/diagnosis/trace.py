@@ -203,8 +203,6 @@ def orders(trace: Trace, effect: Effect) -> list[dict[str, float]]:
 
 def fast_gains(trace: Trace, bank: Sequence[float]) -> Floats:
     """What the same orders explain of the fast part."""
-    if not trace.balance.fast:
-        return np.zeros(len(bank))
     ends = np.cumsum([part.size for part in trace.base.parts])[:-1]
     counts = np.split(trace.base.weights**2, ends)
     fast = [

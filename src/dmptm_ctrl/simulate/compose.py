@@ -5,6 +5,7 @@ of everything it is made of: the loop, and each kernel. A changed kernel or a us
 effect gives another name, and so one recompile.
 """
 
+import ast
 import hashlib
 import importlib.util
 import inspect
@@ -116,11 +117,20 @@ _INLINE = (
         "mesh_own",
         "law_own",
     ),
-    *("change_along", "mesh_along", "plain_mesh", "is_same", "change_of_mesh", "own_of"),
+    *(
+        "change_along",
+        "mesh_along",
+        "meshes_along",
+        "plain_mesh",
+        "is_same",
+        "change_of_mesh",
+        "own_of",
+    ),
     *("own_of_mesh", "friction_own", "volts_along", "load_slopes_of", "friction_slopes_of"),
     "ageing_slopes_of",
     *("bristling", "bristle_change", "grown", "older_by", "sliding", "with_level"),
     *("without_level", "voltage_of", "level_of", "lagged", "law_of", "bristles_in", "law_in"),
+    *("keep_along", "own_by_slopes"),
     *("row_step", "motor_step"),
 )
 # What Python calls; the rest is called by these alone and has no wrapper for Python, which
@@ -233,10 +243,10 @@ def _flags(effects: Mapping[str, Effect]) -> str:
 
 
 def _body(name: str) -> str:
-    """Text of a loop module after its last import of neutral chains."""
+    """Text of a loop module after its last import."""
     text = Path(__file__).with_name(name).read_text(encoding="utf-8")
-    start = text.rindex("from dmptm_ctrl.simulate.")
-    return text[text.index(")\n", start) + 2 :]
+    imports = [node for node in ast.parse(text).body if isinstance(node, ast.ImportFrom)]
+    return "".join(text.splitlines(keepends=True)[imports[-1].end_lineno :])
 
 
 def _loop(effects: Mapping[str, Effect]) -> str:
@@ -271,7 +281,8 @@ def source() -> str:
     return _compiled(
         f"{_loop(CATALOGUE)}{_body('tangent_core.py')}\n\n"
         f"{row_chains}\n\n\n{_body('row_step_core.py')}\n\n"
-        f"{slope_source(CATALOGUE, _slots())}\n\n\n{_body('tangent_site_core.py')}\n\n"
+        f"{slope_source(CATALOGUE, _slots())}\n\n\n{_body('bristle_core.py')}\n\n"
+        f"{_body('tangent_site_core.py')}\n\n"
         f"{lanes[:cut]}\n{places}\n\n{lane_chains}\n\n{lanes[cut:]}"
     )
 

@@ -12,7 +12,7 @@ that from the other and does not exist. A derivative converges with the first or
 where events lie before it, the run itself with the second.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,11 +42,13 @@ LEFT_ALONE = [*NEUTRAL] + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "p
 # Kinds of sites: where the drive has a state of its own, where its contacts have, presliding
 KINDS = ({"delay", "lag", "shaft", "sensor_delay"}, {"presliding", "ageing"}, {"presliding"})
 WITH_MEMORY, WITH_CONTACTS, WITH_PRESLIDING = range(len(KINDS))
-# Of drives with effects, and with presliding: parameters that go along with a run for less than
-# lanes would take
-FEW_WITH_EFFECTS, FEW_WITH_PRESLIDING = 5, 2
+# Of drives with effects: parameters that go along with a run for less than lanes would take; and
+# where a step of presliding is made for each, because it moves numbers of friction laws, or masses
+FEW_WITH_EFFECTS, FEW_WITH_STEPS = 5, 2
+OF_STEPS = ("J_", "T3", "TL", "B3_", "BL_", "W3", "WL")  # what their names begin with
+BY_STEPS = frozenset(k for k, name in enumerate(BASE) if name.startswith(OF_STEPS))
 EXPONENTS = [BASE.index(name) for name in ("delta3", "deltaL")]
-UNKNOWN_SLOPES = EXPONENTS + [BASE.index(name) for name in ("N_1", "N_2")]
+UNKNOWN_SLOPES = frozenset(EXPONENTS) | {BASE.index(name) for name in ("N_1", "N_2")}
 NOISE = 1e-4  # of an output's range per parameter's size, below which a difference is rounding
 
 
@@ -199,77 +201,82 @@ def _plain(arrays: Arrays, places: Sequence[_Place]) -> bool:
     return known and not on.any() and all(base[slot] == x for slot, x in NEUTRAL.items())
 
 
+class _Known(NamedTuple):
+    """What of the effects of a catalogue is the same in all runs."""
+
+    deciding: dict[str, frozenset[int] | None]
+    sites: list[int]  # of each number, by its position in the contract
+    kinds: NDArray[np.uint8]  # (kinds, effects), whether an effect is at a site of a kind
+
+
+@per_catalogue
+def _known(effects: tuple[Effect, ...]) -> _Known:
+    return _Known(
+        {effect.name: deciding_fields(effect) for effect in effects},
+        [SITES.index(effect.site) for effect in effects for _ in effect.parameters],
+        np.array([[effect.site in sites for effect in effects] for sites in KINDS], np.uint8),
+    )
+
+
 def _way(arrays: Arrays, places: Sequence[_Place]) -> Callable[..., int] | None:
     """Loop that takes changes along with a run, or None where each is to be a run of its own."""
     if _plain(arrays, places):
         return _by_slopes
-    _, on, _ = arrays
-    straight = all(arrays[0][slot] == 1.0 for slot in EXPONENTS)
-    known = straight and not any(not p.effect and p.slot in UNKNOWN_SLOPES for p in places)
-    few = FEW_WITH_PRESLIDING if _used(on, WITH_PRESLIDING) else FEW_WITH_EFFECTS
-    return _by_kernels if known and len(places) <= few and _smooth(on, places) else None
+    base, on, _ = arrays
+    own = [p.slot for p in places if not p.effect]
+    if any(base[slot] != 1.0 for slot in EXPONENTS) or not UNKNOWN_SLOPES.isdisjoint(own):
+        return None
+    known = _known()
+    stepped = not BY_STEPS.isdisjoint(own) and bool((known.kinds[WITH_PRESLIDING] & on).any())
+    few = FEW_WITH_STEPS if stepped else FEW_WITH_EFFECTS
+    return _by_kernels if len(places) <= few and _smooth(on, places, known.deciding) else None
 
 
-def _smooth(on: NDArray[np.uint8], places: Sequence[_Place]) -> bool:
+def _smooth(
+    on: NDArray[np.uint8],
+    places: Sequence[_Place],
+    deciding: Mapping[str, frozenset[int] | None],
+) -> bool:
     """Whether the slopes of all effects in use are known, and nothing moves that decides."""
-    deciding = _deciding()
-    used = {p.effect for p in places if p.effect}
-    names = list(CATALOGUE)
-    used |= {names[k] for k in np.flatnonzero(on)}
-    known = {name: found for name in used if (found := deciding[name]) is not None}
-    return len(known) == len(used) and not any(
-        p.slot - layout()[p.effect][1] in known[p.effect] for p in places if p.effect
-    )
+    names = list(deciding)
+    if any(deciding[names[k]] is None for k in on.nonzero()[0]):
+        return False
+    for place in places:
+        if place.effect:
+            found = deciding[place.effect]
+            if found is None or place.slot - layout()[place.effect][1] in found:
+                return False
+    return True
 
 
 @per_catalogue
-def _deciding(effects: tuple[Effect, ...]) -> dict[str, frozenset[int] | None]:
-    return {effect.name: deciding_fields(effect) for effect in effects}
-
-
-@per_catalogue
-def _sites(effects: tuple[Effect, ...]) -> list[int]:
-    """Site of each number of the effects, by its position in the contract."""
-    return [SITES.index(effect.site) for effect in effects for _ in effect.parameters]
-
-
-def _moved(values: Floats) -> NDArray[np.int64]:
+def _moved(_: tuple[Effect, ...], *slots: int) -> NDArray[np.int64]:
     """Changes and numbers of the effects that these move, by site, behind where each site begins.
 
-    `values` of the run, of each change, of all the other way.
+    `slots` of each change, -1 of a change of the drive's numbers.
     """
-    sites, ends = _sites(), len(SITES) + 1
-    found = np.argwhere(values[1:-1] != values[0]).tolist()
-    pairs = sorted(found, key=lambda pair: sites[pair[1]])
-    table = np.zeros((ends + len(pairs), 3), np.int64)
-    for k, (j, slot) in enumerate(pairs):
-        table[ends + k, 1:] = j, slot
-    table[:ends, 0] = ends + np.searchsorted([sites[slot] for _, slot in pairs], range(ends))
-    return table
-
-
-def _used(on: NDArray[np.uint8], where: int) -> bool | None:
-    """True if an effect at one of some sites is in use, else None: each a loop of its own."""
-    return True if on[_kinds()[where]].any() else None
-
-
-@per_catalogue
-def _kinds(effects: tuple[Effect, ...]) -> list[NDArray[np.bool_]]:
-    """Which effects are at the sites of each kind."""
-    return [np.array([effect.site in sites for effect in effects]) for sites in KINDS]
+    sites, ends = _known().sites, len(SITES) + 1
+    found = sorted((sites[slot], j, slot) for j, slot in enumerate(slots) if slot >= 0)
+    begins = [(ends + sum(site < at for site, _, _ in found), 0, 0) for at in range(ends)]
+    return np.array([*begins, *((0, j, slot) for _, j, slot in found)])
 
 
 def _by_kernels(
-    given: tuple[Any, ...], drives: Sequence[Arrays], steps: Floats, results: Sequence[Floats]
+    given: tuple[Any, ...],
+    drives: Sequence[Arrays],
+    places: Sequence[_Place],
+    steps: Floats,
+    results: Sequence[Floats],
 ) -> int:
     """Go along by `tangent_site_core`; the sample from which the other way is another one."""
     bases, ons, values = (np.array(rows) for rows in zip(*drives, strict=True))
-    loop = engine()
-    moved = _moved(values)
+    loop, known = engine(), _known()
+    moved = _moved(*(place.slot if place.effect else -1 for place in places))
     fixed, room = np.zeros((len(drives), loop.FIXED)), np.zeros((3, loop.STATE))
     s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(loop.R_MOVES + len(moved))
     on, ends = ons.max(axis=0), len(SITES) + 1
-    kinds = _used(on, WITH_MEMORY), _used(on, WITH_CONTACTS)
+    used = known.kinds @ on
+    kinds = (None if used[kind] == 0 else True for kind in (WITH_MEMORY, WITH_CONTACTS))
     r[: loop.R_VALUES], r[loop.R_VALUES : loop.R_OWN] = on, values[0]
     r[loop.R_MOVES + ends :] = (values[1:-1] - values[0])[tuple(moved[ends:, 1:].T)]
     return int(
@@ -280,7 +287,11 @@ def _by_kernels(
 
 
 def _by_slopes(
-    given: tuple[Any, ...], drives: Sequence[Arrays], steps: Floats, results: Sequence[Floats]
+    given: tuple[Any, ...],
+    drives: Sequence[Arrays],
+    _: Sequence[_Place],
+    steps: Floats,
+    results: Sequence[Floats],
 ) -> int:
     """The same by `tangent_core`."""
     bases = np.array([base for base, _, _ in drives])
@@ -303,7 +314,7 @@ def _along(
     derivatives = np.empty((len(places), len(OUTPUTS), n))
     steps = np.array([place.step for place in places])
     results = outputs, derivatives, back
-    split = loop((u, x0, dt, substeps), _drives(arrays, places), steps, results)
+    split = loop((u, x0, dt, substeps), _drives(arrays, places), places, steps, results)
     return outputs, derivatives, _existing(outputs, derivatives, back, steps, split)
 
 

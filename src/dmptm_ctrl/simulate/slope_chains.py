@@ -3,7 +3,7 @@
 import inspect
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects.stribeck import Stribeck
@@ -159,14 +159,14 @@ def _chain(
 def slope_source(effects: Mapping[str, Effect], slots: Mapping[str, int]) -> str:
     """Return the text of all slopes that `tangent_site_core` calls."""
     library = Library()
-    # numbers of presliding and of its friction law move by whole steps with these
+    # numbers of the friction law move by whole steps with these
     motion = ("v", "v_mid", "force", "scale", "added", "bristle")
     records = {"law": Stribeck._fields, "bristles": ("distance", "share", "lag")}
-    still: list[tuple[str, str | int]] = [("law", name) for name in Stribeck._fields]
-    still += [("bristles", k) for k in range(3)]
-    preslide = library.of(core.preslide, motion, records, still=still)
-    loops: dict[str, Any] = {
-        "preslide": preslide,
+    law: list[tuple[str, str | int]] = [("law", name) for name in Stribeck._fields]
+    bristles: list[tuple[str, str | int]] = [("bristles", k) for k in range(3)]
+    loops: dict[str, Slopes] = {
+        "preslide": library.of(core.preslide, motion, records, still=law + bristles),
+        "preslide_own": library.of(core.preslide, motion, records, still=law),
         "aged": library.of(core.aged, ("age", "v", "slip"), {}, speeds=["v"]),
         "lagged": library.of(row_step_core.lagged, ("aim", "tau", "kept"), {}),
         "toothed": library.of(row_step_core.toothed, ("x", "k_a", "z_3", "phi_r"), {}),

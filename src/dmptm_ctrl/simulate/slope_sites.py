@@ -77,3 +77,9 @@ def aged_slopes(age, v, h, slip):
 def preslide_slopes(v, v_mid, force, mobility, h, law, scale, added, bristles, bristle):
     """Values of `preslide`; slopes of both by v, v_mid, force, scale, added, bristle."""
     return (0.0, 0.0), (0.0,) * 12, (), (), (), True
+
+
+@njit
+def preslide_own_slopes(v, v_mid, force, mobility, h, law, scale, added, bristles, bristle):
+    """The same; slopes of both by distance, share and lag of the bristles."""
+    return (0.0, 0.0), (0.0,) * 12, (0.0,) * 6, (), (), True

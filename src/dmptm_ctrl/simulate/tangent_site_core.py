@@ -2,7 +2,7 @@
 
 As in `tangent_core` the run goes by itself, and what a change of a parameter changes in it goes
 along to first order, or with branches of its own where the run is about to take another one.
-The slopes of kernels are written from their source (`slopes`), those of numbers of an effect
+The slopes of kernels are written from their source (`slopes`), those by numbers of an effect
 used for the changes that move these. No physics is written here.
 """
 
@@ -12,7 +12,28 @@ import numpy as np
 from numba import njit
 
 from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
-from dmptm_ctrl.effects.stribeck import Stribeck
+from dmptm_ctrl.simulate.bristle_core import (
+    D_N0,
+    D_N1,
+    D_N2,
+    D_R0,
+    D_R1,
+    D_R2,
+    SIZE_WITH_BRISTLES,
+    W_ADDED,
+    W_BRISTLE,
+    W_FORCE,
+    W_LEVEL,
+    W_MID,
+    W_V,
+    bristle_change,
+    bristle_numbers,
+    bristled,
+    bristles_along,
+    bristles_along_with_own,
+    bristles_own,
+    bristling,
+)
 from dmptm_ctrl.simulate.core import UNKNOWN, aged, held_average
 from dmptm_ctrl.simulate.elementary import borrowed
 from dmptm_ctrl.simulate.row_sites import lag_relaxation_of, sensor_reading_of
@@ -68,7 +89,6 @@ from dmptm_ctrl.simulate.slope_sites import (
     load_slopes_of,
     mesh_slopes_of,
     motor_slopes_of,
-    preslide_slopes,
     toothed_slopes,
 )
 from dmptm_ctrl.simulate.tangent_core import (
@@ -120,29 +140,13 @@ from dmptm_ctrl.simulate.tangent_core import (
     used,
 )
 
-# Rows behind those of the state: what numbers of effects change by themselves in a step, of
-# voltages, lagged voltages in the step and after it, torques of motors, meshes and on the ring
-# gear, speeds and presliding frictions of bodies.
-D_OWN = D_HIDDEN + HIDDEN * CHANGES
+# Rows behind those of presliding: what numbers of effects change by themselves in a step, of
+# voltages, lagged voltages in the step and after it, torques of motors, meshes, on the ring gear.
+D_OWN, OWN = SIZE_WITH_BRISTLES, 11
 D_U0, D_U1, D_L0, D_L1, D_K0, D_K1, D_H0, D_H1, D_M0, D_M1, D_LOAD = range(
-    D_OWN, D_OWN + 11 * CHANGES, CHANGES
+    D_OWN, D_OWN + OWN * CHANGES, CHANGES
 )
-D_N0, D_N1, D_N2, D_R0, D_R1, D_R2 = range(D_OWN + 11 * CHANGES, D_OWN + 17 * CHANGES, CHANGES)
-D_BRISTLED = D_OWN + 17 * CHANGES  # where a change moves what presliding knows
-OWN = 18
-# Rows of the three bodies, and of none, as a vector: what presliding knows and makes of it.
-LANES_OF_BODIES = 4
-W_V = D_OWN + OWN * CHANGES
-W_MID, W_FORCE, W_LEVEL, W_ADDED, W_BRISTLE, W_SLOPES = range(
-    W_V + LANES_OF_BODIES, W_V + 7 * LANES_OF_BODIES, LANES_OF_BODIES
-)
-W_SURE = W_SLOPES + 12 * LANES_OF_BODIES
-# Of the run, of the change that is looked at, of each: h/J, friction law, bristles; speed and
-# presliding friction.
-W_NUMBERS = W_SURE + LANES_OF_BODIES
-N_LAW, N_BRISTLES, N_NEW, N_AFTER, N_SIZE = (k * LANES_OF_BODIES for k in (1, 12, 15, 16, 17))
-W_OTHER = W_NUMBERS + N_SIZE
-SIZE_WITH_SITES = W_OTHER + (CHANGES + 1) * N_SIZE
+SIZE_WITH_SITES = D_OWN + OWN * CHANGES
 # Sites as numbers, in the order of `contract.SITES`
 AT_DRIVE, AT_DELAY, AT_LAG, AT_MOTOR, AT_SHAFT, AT_MESH, AT_FRICTION = range(7)
 AT_PRESLIDING, AT_AGEING, AT_LOAD = 7, 8, 9
@@ -236,6 +240,19 @@ def own_of_mesh(s, side, mesh, p, width, moving, bases, moved, r):
 
 
 @njit
+def meshes_along(
+    x_0, x_1, x_2, v_0, v_1, v_2, region0, region1, side0,
+    varying, acting, moving, p, width, bases, moved, s, r,
+):  # fmt: skip
+    """Both meshes of the run, and what their own numbers change by themselves into rows."""
+    mesh_l = mesh_along(x_0, v_0, x_2, v_2, side0, region0, varying, acting, moving, bases, r)
+    own_of_mesh(s, side0, mesh_l, p, width, moving, bases, moved, r)
+    mesh_r = mesh_along(x_1, v_1, x_2, v_2, side0 + 1, region1, varying, acting, moving, bases, r)
+    own_of_mesh(s, side0 + 1, mesh_r, p, width, moving, bases, moved, r)
+    return mesh_l, mesh_r
+
+
+@njit
 def sliding(f, mobility):
     """Slopes of a speed after a step, of a body that slides or rests.
 
@@ -308,87 +325,6 @@ def change_of_mesh(s, j, mesh, x, v, x_2, v_2, side, moving):
 
 
 @njit
-def bristle_numbers(s, row, bases, fixed):
-    """Put numbers of presliding where the vector finds them; its last body stands for none."""
-    to = W_OTHER + row * N_SIZE if row > 0 else W_NUMBERS
-    for lane in range(LANES_OF_BODIES):
-        body = min(lane, 2)
-        mobility, first = (F_MOBL, 24) if body == 2 else (F_MOB3, 15)
-        s[to + lane] = fixed[row, mobility]
-        law = law_of(bases, row, first)
-        for k in range(11):
-            s[to + N_LAW + k * LANES_OF_BODIES + lane] = law[k]
-        for k in range(3):
-            number = fixed[row, F_BRISTLES + 3 * body + k]
-            s[to + N_BRISTLES + k * LANES_OF_BODIES + lane] = number
-
-
-@njit
-def law_in(s, at):
-    """Friction law of a body in the vector; exponents are 1 along with slopes."""
-    n = LANES_OF_BODIES
-    return Stribeck(
-        *(s[at], s[at + n], s[at + 2 * n], s[at + 3 * n], s[at + 4 * n], s[at + 5 * n]),
-        *(s[at + 6 * n], s[at + 7 * n], 1.0, s[at + 9 * n], s[at + 10 * n]),
-    )
-
-
-@njit
-def bristles_along(s, h):
-    """Step of all bodies that preslide: speeds, presliding frictions, slopes of both."""
-    n = LANES_OF_BODIES
-    for k in range(LANES_OF_BODIES):
-        at = W_NUMBERS + k
-        bristles = s[at + N_BRISTLES], s[at + N_BRISTLES + n], s[at + N_BRISTLES + 2 * n]
-        both, d, _, _, _, sure = preslide_slopes(
-            *(s[W_V + k], s[W_MID + k], s[W_FORCE + k], s[at], h, law_in(s, at + N_LAW)),
-            *(s[W_LEVEL + k], s[W_ADDED + k], bristles, s[W_BRISTLE + k]),
-        )
-        s[at + N_NEW], s[at + N_AFTER] = both
-        to = W_SLOPES + k
-        s[to], s[to + n], s[to + 2 * n], s[to + 3 * n] = d[0], d[1], d[2], d[3]
-        s[to + 4 * n], s[to + 5 * n], s[to + 6 * n], s[to + 7 * n] = d[4], d[5], d[6], d[7]
-        s[to + 8 * n], s[to + 9 * n], s[to + 10 * n], s[to + 11 * n] = d[8], d[9], d[10], d[11]
-        s[W_SURE + k] = 1.0 if sure else 0.0
-
-
-@njit
-def bristles_with(s, row, h):
-    """Step of the run with the numbers of a change."""
-    n = LANES_OF_BODIES
-    for k in range(N_NEW):  # to where the compiler sees that nothing else is: else no vector
-        s[W_OTHER + k] = s[W_OTHER + row * N_SIZE + k]
-    for k in range(LANES_OF_BODIES):
-        at = W_OTHER + k
-        bristles = s[at + N_BRISTLES], s[at + N_BRISTLES + n], s[at + N_BRISTLES + 2 * n]
-        both = (
-            preslide_slopes(  # to the last digit as of the run, and what is not used costs nothing
-                *(s[W_V + k], s[W_MID + k], s[W_FORCE + k], s[at], h, law_in(s, at + N_LAW)),
-                *(s[W_LEVEL + k], s[W_ADDED + k], bristles, s[W_BRISTLE + k]),
-            )[0]
-        )
-        s[at + N_NEW], s[at + N_AFTER] = both
-
-
-@njit
-def bristling(s, body):
-    """Speed and presliding friction of a body after a step, slopes of both as of `sliding`."""
-    n, to = LANES_OF_BODIES, W_SLOPES + body
-    speed = (s[to], s[to + n], s[to + 2 * n], s[to + 3 * n], s[to + 4 * n], s[to + 5 * n])
-    to += 6 * n
-    friction = (s[to], s[to + n], s[to + 2 * n], s[to + 3 * n], s[to + 4 * n], s[to + 5 * n])
-    at = W_NUMBERS + body
-    return s[at + N_NEW], s[at + N_AFTER], speed, friction, s[W_SURE + body] > 0.0
-
-
-@njit
-def bristle_change(by, v, v_mid, force, x, load, older, bristle):
-    """Change of a presliding friction over a step; `by` as of `with_level`."""
-    change = by[0] * v + by[1] * v_mid + by[2] * force + by[6] * bristle
-    return change + (by[3] * x + by[4] * load + by[5] * older)
-
-
-@njit
 def older_by(by, age, v, slip):
     """Change of an age over a step; `by` as of `grown`."""
     return by[0] * age + by[1] * v + by[2] * slip
@@ -448,39 +384,6 @@ def friction_own(s, body, slopes, more, p, width, acting, moved, r):
 
 
 @njit
-def bristles_own(s, h, p, width):
-    """Put into the same rows what numbers that presliding knows change: by the step with these."""
-    for j in range(p):
-        if s[D_BRISTLED + j] != 0.0:
-            bristles_with(s, 1 + j, h)
-            for body in range(3):
-                if s[W_NUMBERS + N_BRISTLES + body] > 0.0:
-                    to = body * CHANGES + j
-                    s[D_N0 + to] = s[W_OTHER + N_NEW + body] - s[W_NUMBERS + N_NEW + body]
-                    s[D_R0 + to] = s[W_OTHER + N_AFTER + body] - s[W_NUMBERS + N_AFTER + body]
-    if width > p:
-        grow(s, D_N0, 6, p)
-
-
-@njit
-def bristled(s, p, bases, fixed):
-    """Mark the changes that move what presliding knows; whether there are any."""
-    found = False
-    for j in range(p):
-        row = 1 + j
-        moves = False
-        for k in range(F_BRISTLES, F_RENEW):
-            moves = moves or fixed[row, k] != fixed[0, k]
-        for k in (F_MOB3, F_MOBL):
-            moves = moves or fixed[row, k] != fixed[0, k]
-        for k in range(15, 33):
-            moves = moves or bases[row, k] != bases[0, k]
-        s[D_BRISTLED + j] = 1.0 if moves else 0.0
-        found = found or moves
-    return found
-
-
-@njit
 def march_site_tangents(
     u, x0, dt, substeps, bases, values, on, moved, steps, s, fixed, room, r,
     out, changes, back, memory, contacts
@@ -515,13 +418,14 @@ def march_site_tangents(
     lagging, delayed, late, presliding, ageing, elastic = False, False, False, False, False, False
     longest, farthest, dead, shaft, kinked = 0.0, 0.0, False, False, False
     has_drive, has_motor, has_mesh, has_friction, has_load, has_sensor = active_sites(on)
-    numbered = False
+    numbered, sloped = False, False
     if contacts is not None:
         for row in range(p + 2):
             for body in range(3):
                 presliding = presliding or fixed[row, F_BRISTLES + 3 * body] > 0.0
                 ageing = ageing or fixed[row, F_RENEW + body] > 0.0
-        numbered = presliding and bristled(s, p, bases, fixed)
+        if presliding:
+            numbered, sloped = bristled(s, p, bases, fixed)
         for row in range(p + 1):
             bristle_numbers(s, row, bases, fixed)
     if memory is not None:
@@ -610,14 +514,10 @@ def march_site_tangents(
     for i in range(n):
         t = i * dt
         if altered:
-            mesh_l = mesh_along(
-                *(q0, v0, q2, v2, side0, region0, varying, acting, moving, bases, r)
+            mesh_l, mesh_r = meshes_along(
+                *(q0, q1, q2, v0, v1, v2, region0, region1, side0),
+                *(varying, acting, moving, p, width, bases, moved, s, r),
             )
-            own_of_mesh(s, side0, mesh_l, p, width, moving, bases, moved, r)
-            mesh_r = mesh_along(
-                *(q1, v1, q2, v2, side1, region1, varying, acting, moving, bases, r)
-            )
-            own_of_mesh(s, side1, mesh_r, p, width, moving, bases, moved, r)
         else:
             mesh_l = plain_mesh(q0 - n2 * q2, v0 - n2 * v2, region0, mesh0, m0, n2, moving)
             mesh_r = plain_mesh(q1 - n2 * q2, v1 - n2 * v2, region1, mesh1, m1, n2, moving)
@@ -691,14 +591,10 @@ def march_site_tangents(
             if elastic:
                 y0, y1, r0, r1 = a0 + half * w0, a1 + half * w1, w0 + 0.5 * b0, w1 + 0.5 * b1
             if altered:
-                mesh_l = mesh_along(
-                    *(x_0, s0, x_2, s2, side0, region0, varying, acting, moving, bases, r)
+                mesh_l, mesh_r = meshes_along(
+                    *(x_0, x_1, x_2, s0, s1, s2, region0, region1, side0),
+                    *(varying, acting, moving, p, width, bases, moved, s, r),
                 )
-                own_of_mesh(s, side0, mesh_l, p, width, moving, bases, moved, r)
-                mesh_r = mesh_along(
-                    *(x_1, s1, x_2, s2, side1, region1, varying, acting, moving, bases, r)
-                )
-                own_of_mesh(s, side1, mesh_r, p, width, moving, bases, moved, r)
             else:
                 mesh_l = plain_mesh(x_0 - n2 * x_2, s0 - n2 * s2, region0, mesh0, m0, n2, moving)
                 mesh_r = plain_mesh(x_1 - n2 * x_2, s1 - n2 * s2, region1, mesh1, m1, n2, moving)
@@ -777,7 +673,10 @@ def march_site_tangents(
                 s[W_LEVEL], s[W_LEVEL + 1], s[W_LEVEL + 2] = level0, level1, level2
                 s[W_ADDED], s[W_ADDED + 1], s[W_ADDED + 2] = added0, added1, added2
                 s[W_BRISTLE], s[W_BRISTLE + 1], s[W_BRISTLE + 2] = g0, g1, g2
-                bristles_along(s, h)
+                if sloped:
+                    bristles_along_with_own(s, h)
+                else:
+                    bristles_along(s, h)
                 if numbered:
                     bristles_own(s, h, p, width)
             if presliding and bristles0[0] > 0.0:

@@ -142,8 +142,8 @@ def chance(logs, twins):
     return float(np.rad2deg(np.sqrt(np.mean(squares)))) if squares else None
 
 
-def examine(case):
-    """Diagnose a rig; the line of results.jsonl."""
+def examine(case, threads=1):
+    """Diagnose a rig on some threads; the line of results.jsonl."""
     line = {"id": case.id, "kind": case.kind, "strengths": dict(case.effects)}
     line |= {"truth": list(line["strengths"]), "sensors": case.sensors, "seconds": 0.0}
     try:
@@ -161,7 +161,7 @@ def examine(case):
     }
     start = time.perf_counter()
     try:
-        line |= diagnosed(logs, hidden)
+        line |= diagnosed(logs, hidden, threads)
     except Exception as error:  # one bad rig must not end a campaign of hours; it counts as missed
         line |= failed(error)
     line["seconds"] = round(time.perf_counter() - start, 1)
@@ -176,12 +176,12 @@ def failed(error):
     return {"verdict": "failed", "effects": [], "failure": why}
 
 
-def diagnosed(logs, hidden):
+def diagnosed(logs, hidden, threads):
     """What the diagnosis says, what it rests on, and how well its models predict."""
     from dmptm_ctrl import diagnose
     from dmptm_ctrl.diagnosis.predict import speed_error
 
-    result = diagnose(logs, jobs=1)
+    result = diagnose(logs, jobs=threads)
     said = {
         "verdict": result.verdict,
         "effects": [effect.to_dict() for effect in result.effects],
@@ -216,7 +216,7 @@ def per_window(left):
     return [loss / max(1, sum(map(len, parts))) for loss, parts in losses]
 
 
-def run(cases, folder, jobs, scheduler=None, show=print):
+def run(cases, folder, jobs, scheduler=None, show=print, threads=1):
     """Examine what has no line yet; returns all lines, in the order of `cases`."""
     from dmptm_ctrl.parallel import each
 
@@ -226,7 +226,7 @@ def run(cases, folder, jobs, scheduler=None, show=print):
     todo = [case for case in cases if case.id not in lines]
     os.environ.update(dict.fromkeys(THREADS, "1"))  # for the processes to come
     with cluster.where(scheduler), path.open("a", encoding="utf-8") as out:
-        for line in each(examine, ((case,) for case in todo), jobs, in_order=False):
+        for line in each(examine, ((case, threads) for case in todo), jobs, in_order=False):
             out.write(json.dumps(line, allow_nan=False) + "\n")
             out.flush()
             lines[line["id"]] = line
@@ -272,6 +272,7 @@ def main():
         help="of all rigs",
     )
     parser.add_argument("--logs", type=Path, help="a folder of rigs with labels.json")
+    parser.add_argument("--threads", type=int, default=1, help="of each process")
     cluster.add_arguments(parser, jobs=2)
     asked = parser.parse_args()
     if asked.logs:
@@ -283,7 +284,7 @@ def main():
     laws = {"friction": asked.friction, "contact": asked.contact}
     laws = {name: law for name, law in laws.items() if law}
     cases = [c._replace(id="-".join((c.id, *laws.values())), laws=(*laws.items(),)) for c in cases]
-    run(cases, asked.out, asked.jobs, asked.scheduler)
+    run(cases, asked.out, asked.jobs, asked.scheduler, threads=asked.threads)
     lines = list(read(asked.out / "results.jsonl").values())
     summary = summarise(lines)
     text = json.dumps(summary, indent=1, allow_nan=False) + "\n"

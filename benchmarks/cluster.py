@@ -10,7 +10,7 @@ from contextlib import nullcontext
 
 def add_arguments(parser, jobs):
     """Give a benchmark's command --jobs and --scheduler."""
-    parser.add_argument("--jobs", type=int, default=jobs, help="processes of one thread each")
+    parser.add_argument("--jobs", type=int, default=jobs, help="processes")
     parser.add_argument("--scheduler", help="address of a Dask scheduler to run on instead")
 
 

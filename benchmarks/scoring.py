@@ -236,7 +236,10 @@ def report(summary):
             if left:
                 rows.append(f"  friction {law:12s} {left['median']:.3f} of {left['of']}")
     if summary["seconds"]:
-        rows.append(f"seconds per rig, median {summary['seconds']['median']:.0f}")
+        median, most, last = (summary["seconds"][key] for key in ("median", "p90", "max"))
+        rows.append(
+            f"seconds per rig, median {median:.0f}, nine of ten at most {most:.0f}, all {last:.0f}"
+        )
     rows += [f"missed {m['id']}: {m['verdict']} {' '.join(m['named'])}" for m in summary["missed"]]
     return "\n".join(rows)
 

@@ -4,12 +4,22 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl import load_log
-from dmptm_ctrl.diagnosis.at_rest import MATTERS, NAME, SHARE, a_little, presliding, travel
+from dmptm_ctrl.diagnosis.at_rest import (
+    MATTERS,
+    NAME,
+    SHARE,
+    a_little,
+    matters,
+    presliding,
+    travel,
+)
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import decide
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.diagnosis.trace import unknowns_of
 from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.identify.fit import Fit, position
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -78,3 +88,18 @@ def test_nothing_where_the_model_keeps_step():
     shown = presliding(left, 2)
     assert shown.evidence == 0.0
     assert NAME not in shown.fit.model.effects
+
+
+@pytest.mark.parametrize(
+    ("counts", "error", "told"),
+    [(4.73, 6.8, False), (4.73, 2.0, True), (3.9, 0.1, False), (12.0, 5.0, True)],
+)
+def test_a_name_needs_a_distance_that_is_known(counts, error, told):
+    """The first is of a rig that lacks nothing: friction with bristles, gears of other damping."""
+    model = Model().with_effect(NAME, ring_distance=counts * MATTERS / 4.0, reducer_distance=1e-6)
+    unknowns = unknowns_of(NAME)
+    scales = np.array([u.scale for u in unknowns])
+    errors = np.where([u.name == "ring_distance" for u in unknowns], error * MATTERS / 4.0, 1e-7)
+    fit = Fit(model, unknowns, position(model, unknowns), np.diag((errors / scales) ** 2), 0.1)
+    assert matters(fit) is told
+    assert not matters(Fit(Model(), (), np.zeros(0), np.zeros((0, 0)), 0.1))

@@ -14,6 +14,8 @@ from dmptm_ctrl.diagnosis.race import (
     KEEPS_SECONDS,
     SCAN,
     SCATTER_SECONDS,
+    Lap,
+    Place,
     beside,
     entrant,
     loosely,
@@ -170,6 +172,24 @@ def test_an_order_that_the_balances_miss_goes_on_from_the_scan():
     assert tried[0] == true - 1.0
     assert true in tried[1:]
     assert len(tried) == 1 + SCAN[-1][-1]
+
+
+@pytest.mark.parametrize(
+    ("laps", "told"),
+    [
+        # a rig that lacks nothing but friction and contact by the model's laws: level of the
+        # offset that mends a part of it, and of the model as it is, from horizon to horizon
+        (((0.32, 0.33), (0.37, 0.40), (0.44, 0.70), (0.40, 1.10)), False),
+        # a rig of the same laws with an offset of half the size that shows
+        (((0.27, 1.20), (0.34, 1.97), (0.43, 2.31), (0.44, 2.18)), True),
+    ],
+)
+def test_a_name_needs_bounces_met_as_well_as_noise_lets(laps, told):
+    def place(name, level):
+        return Place(name, None, np.zeros(0), 0.0, level)
+
+    proven = [Lap(0.1, place(None, bare), (place("drive_offset", own),)) for own, bare in laps]
+    assert set().union(*(lap.proven for lap in proven)) == ({"drive_offset"} if told else set())
 
 
 def test_nobody_wins_on_a_rig_of_another_friction_law():

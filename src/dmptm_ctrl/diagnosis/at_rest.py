@@ -38,6 +38,9 @@ HELPS = 0.05
 # encoder and are taken for up to twice that. An effect bends by more.
 MATTERS = 4 * RING_COUNT
 NONE = 0.1 * RING_COUNT  # nobody would notice
+# Standard errors of a distance that has a name: true ones of half the size that shows have 5 and
+# more, bristles of a friction law that the model does not have less than 1.
+KNOWN_TO = 2.0
 LEAST = 70.0  # fall of the loss on fitted and held-out logs together
 
 
@@ -189,6 +192,16 @@ def travel(of: Fit) -> float:
         return 0.0
     values = of.model.effects[NAME]
     return max(values["ring_distance"], values["reducer_distance"] / of.model.drive["N_2"])
+
+
+def matters(of: Fit) -> bool:
+    """Whether friction is known to give way by more than any does."""
+    if travel(of) < MATTERS:
+        return False
+    ring, reducer = (of.value(NAME, a) for a in ("ring_distance", "reducer_distance"))
+    ratio = of.model.drive["N_2"]
+    value, error = max(ring, (reducer[0] / ratio, reducer[1] / ratio))
+    return value > KNOWN_TO * error
 
 
 def sized(name: str, model: Model, size: float) -> Model:

@@ -182,7 +182,7 @@ def diagnose(
 
 def as_any_friction(decision: Decision, fit: Fit) -> None:
     """Take its name from pre-sliding that is no more than any friction gives way."""
-    if at_rest.travel(fit) < at_rest.MATTERS:
+    if decision.is_found(at_rest.NAME) and not at_rest.matters(fit):
         decision.found = [found for found in decision.found if found.name != at_rest.NAME]
 
 
@@ -480,8 +480,10 @@ def refined(measured: Measured, decision: Decision, after: Fit, error: float, jo
         return after
     also = turned(decision, everything, after.model)
     beside, drive = beside_balances(base, measured), measured.drive
+    # a drive that lacks nothing has told all there is by its first bounces
+    onward = bool(decision.found or decision.tables or decision.before.base.model.effects)
     final = augment(
-        everything, start, drive, beside=beside, near=after, also=also, onward=True, jobs=jobs
+        everything, start, drive, beside=beside, near=after, also=also, onward=onward, jobs=jobs
     )
     # it has seen these logs, the other one has not: where it misses more it went astray
     worse = speed_error(final.model, measured.held_logs)["rmse"] > error + LITTLE

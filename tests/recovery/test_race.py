@@ -182,6 +182,8 @@ def test_an_order_that_the_balances_miss_goes_on_from_the_scan():
         (((0.32, 0.33), (0.37, 0.40), (0.44, 0.70), (0.40, 1.10)), False),
         # a rig of the same laws with an offset of half the size that shows
         (((0.27, 1.20), (0.34, 1.97), (0.43, 2.31), (0.44, 2.18)), True),
+        # laws that are the model's, and a friction that grows with the load
+        (((0.20, 0.24), (0.19, 0.40), (0.19, 0.56), (0.34, 0.65)), True),
     ],
 )
 def test_a_name_needs_bounces_met_as_well_as_noise_lets(laps, told):

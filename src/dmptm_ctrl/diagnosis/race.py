@@ -321,8 +321,9 @@ class Lap(NamedTuple):
 
         Who never does may mend a part of what other laws of friction or contact make.
         """
-        lost = self.bare.level >= LOST
-        return {place.name for place in self.field if lost and place.level < DOUBTFUL}
+        out = self.bare.level
+        met = [place for place in self.field if place.level < DOUBTFUL]
+        return {place.name for place in met if out >= min(LOST, OUT * place.level)}
 
 
 def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:

@@ -41,6 +41,7 @@ from scaling import batch as small_batch
 from scaling import run as open_loop
 from starts import starts
 
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate import simulate_batch, simulate_with_sensitivities
 from dmptm_ctrl.simulate.compiled import Loop, close_loop, march, rest
@@ -60,18 +61,14 @@ BATCH = 1000
 SPINS, SPIN = 64, 5_000_000  # tasks of about 10 ms that touch nothing but registers
 PARAMETERS = ("c", "k_m", "J_L", "T3c_plus", "TLc_plus", "gap_l", "B3_plus", "BL_plus")
 PARAMETERS += ("T3s_plus", "TLs_plus", "gap_r", "J_2", "T3c_minus", "TLc_minus")
-# Effects in use while derivatives are taken, and which of theirs come first among them
-EFFECTS = {
+# Of effects in use while derivatives are taken, what is not a clearly visible size of all
+# amplitudes. A dead time of whole steps has a kink, where no derivative exists.
+EXAMPLES = {
     "cogging": {"left_cosine": 0.01, "right_sine": 0.01, "order": 24.0},
-    "local_spot": {"height": 4.0},
-    "back_emf": {"damping": 4e-4},
-    "reducer_compliance": {"compliance": 4e-5},
-    "current_lag": {"time_constant": 0.004},
-    "load_dependent_friction": {"coefficient": 0.05},
-    "drive_offset": {"left": 0.05, "right": -0.05},
     "mesh_error": {"left_cosine": 4e-5, "right_sine": 4e-5},
-    "unbalance": {"cosine": 4.0, "sine": 4.0},
-    "presliding": {"ring_distance": 2e-4, "reducer_distance": 1e-3},
+    "drive_offset": {"left": 0.05, "right": -0.05},
+    "drive_delay": {"delay": 2.3e-3},
+    "sensor_delay": {"delay": 2.3e-3},
 }
 
 CASES = {
@@ -241,9 +238,10 @@ def sensitivity_costs(model, loop, repeats, *, existing=False, names=PARAMETERS,
 
 
 def costs_with_effects(model, loop, repeats):
-    """The same of drives with an effect in use, first among them a parameter of the effect."""
+    """The same of drives with an effect in use, the first parameter one of the effect's."""
     found = {}
-    for effect, values in EFFECTS.items():
+    for effect, own in CATALOGUE.items():
+        values = EXAMPLES.get(effect, {p.name: p.step for p in own.parameters if not p.bank})
         names = (f"{effect}.{next(iter(values))}", *PARAMETERS)
         changed = model.with_effect(effect, **values)
         found[f"sensitivities_in_runs_with_{effect}"] = sensitivity_costs(

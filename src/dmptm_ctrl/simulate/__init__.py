@@ -1,6 +1,9 @@
 """Simulation of a drive: compiled for work, in python-control blocks, or by the reference."""
 
 import gc
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -84,9 +87,23 @@ def simulate(
     TypeError
         An option that the method does not have.
     """
-    from dmptm_ctrl.simulate.compiled import OUTPUTS, rest
+    if "control" in sys.modules:
+        return _simulated(model, timepts, inputs, initial_state, method, options)
+    with _unsearched():  # the first result waits for imports, of whose time it takes a tenth
+        return _simulated(model, timepts, inputs, initial_state, method, options)
 
-    response = _response()
+
+def _simulated(
+    model: "Model",
+    timepts: ArrayLike,
+    inputs: ArrayLike,
+    initial_state: ArrayLike | None,
+    method: str,
+    options: dict[str, Any],
+) -> "control.TimeResponseData":
+    from control import TimeResponseData
+
+    from dmptm_ctrl.simulate.compiled import OUTPUTS, rest
 
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
@@ -108,7 +125,7 @@ def simulate(
     )
     dt = (time[-1] - time[0]) / (time.size - 1)
     outputs = _run(method, model, u, x0, dt, options)
-    return response(
+    return TimeResponseData(
         time,
         outputs.T,
         inputs=u,
@@ -120,19 +137,16 @@ def simulate(
     )
 
 
-def _response() -> "type[control.TimeResponseData]":
-    """Import python-control, which a first result waits for, and return its class.
-
-    What an import makes stays: to search it for garbage meanwhile takes a tenth of the time.
-    """
+@contextmanager
+def _unsearched() -> Iterator[None]:
+    """Search for no garbage: what imports and the loading of compiled code make stays."""
     collects = gc.isenabled()
     gc.disable()
     try:
-        from control import TimeResponseData
+        yield
     finally:
         if collects:
             gc.enable()
-    return TimeResponseData
 
 
 def _run(

@@ -574,7 +574,9 @@ def march_site_tangents(
                 end = start + 1.0 / substeps + farthest
                 crossing = dead and np.floor(start - farthest) != np.floor(end)
             if steered:
-                if moving.volts:
+                if not (has_drive or lagging):
+                    u0, u1 = given0, given1
+                elif moving.volts:
                     u0, kept0, given_by0, mean0, late0, sure0 = volts_along(
                         *(s, given0, e0, middle, side0, h, acting, p, width, moved, r)
                     )

@@ -43,7 +43,7 @@ from starts import starts
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.parallel import each
-from dmptm_ctrl.simulate import simulate_batch, simulate_with_sensitivities
+from dmptm_ctrl.simulate import simulate, simulate_batch, simulate_with_sensitivities
 from dmptm_ctrl.simulate.compiled import Loop, close_loop, march, rest
 from dmptm_ctrl.simulate.model import Model
 
@@ -220,9 +220,12 @@ def batch_ratios(model, loop, substeps, c, repeats):
 
 
 def sensitivity_costs(model, loop, repeats, *, existing=False, names=PARAMETERS, most=14):
-    """Cost of p sensitivities, in runs; over 10 s, or as long as all derivatives exist."""
+    """Cost of p sensitivities, in runs, both as a user calls them.
+
+    Over 10 s, or as long as all derivatives exist.
+    """
     u, _ = close_loop(model, loop, TARGET, DT)
-    x0, arrays, times = rest(model, 0.0), model.arrays(), TIME
+    x0, times = rest(model, 0.0), TIME
     if existing:
         exists = simulate_with_sensitivities(model, times, u, names, x0).exists.all(axis=0)
         n = times.size if exists.all() else int(np.argmin(exists))
@@ -232,12 +235,12 @@ def sensitivity_costs(model, loop, repeats, *, existing=False, names=PARAMETERS,
     def run(p):
         return lambda: simulate_with_sensitivities(model, times, u, names[:p], x0)
 
-    spent = least([lambda: march(arrays, u, x0, DT), *(run(p) for p in counts)], repeats)
+    spent = least([lambda: simulate(model, times, u, x0), *(run(p) for p in counts)], repeats)
     costs = {p: round(float(t / spent[0]), 2) for p, t in zip(counts, spent[1:], strict=True)}
     return {"seconds": round(float(times[-1]), 2), **costs}
 
 
-def costs_with_effects(model, loop, repeats):
+def costs_with_effects(model, loop, repeats, **how):
     """The same of drives with an effect in use, the first parameter one of the effect's."""
     found = {}
     for effect, own in CATALOGUE.items():
@@ -245,7 +248,7 @@ def costs_with_effects(model, loop, repeats):
         names = (f"{effect}.{next(iter(values))}", *PARAMETERS)
         changed = model.with_effect(effect, **values)
         found[f"sensitivities_in_runs_with_{effect}"] = sensitivity_costs(
-            changed, loop, repeats, names=names, most=6
+            changed, loop, repeats, names=names, most=6, **how
         )
     return found
 
@@ -323,6 +326,8 @@ def main():
             ),
             **costs_with_effects(model, loop, asked.repeats),
         }
+        later = costs_with_effects(model, CASES["no preload"], asked.repeats, existing=True)
+        costs |= {f"{name}_no_preload": found for name, found in later.items()}
         ratios |= growth(model, asked.repeats)
         first = starts(str(Path(folder) / "start"))
     print(f"{'case':12s}{'contender':22s}{'step':12s}{'10 s take':>12s}{'error':>12s}")

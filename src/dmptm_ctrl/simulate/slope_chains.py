@@ -87,8 +87,9 @@ def effect_slopes(effect: Effect, library: Library) -> Slopes | None:
     chosen = [(names[-1], k) for k, p in enumerate(effect.parameters) if p.bank]
     fields = {names[-1]: [p.name for p in effect.parameters]}
     motion = [own[name] for name in chain.motion]
-    speeds = [own[name] for name in chain.motion if name.startswith("omega")]
-    return library.of(kernel, motion, fields, speeds=speeds, chosen=chosen)
+    # what is at rest stays there, and a mesh that is in its gap
+    still = [own[name] for name in chain.motion if name.startswith(("omega", "mesh_torque"))]
+    return library.of(kernel, motion, fields, speeds=still, chosen=chosen)
 
 
 def deciding_fields(effect: Effect) -> frozenset[int] | None:

@@ -651,8 +651,11 @@ def march_site_tangents(
                 c, by2, well = friction_slopes_of(x_2, s2, middle, carried, ring, own, r)
                 level2, added2 = c
                 sure = sure and good and fine and well
+                # no torque has no direction, but in a gap there is no change of it either
+                none0 = torque0 == 0.0 and mesh_l.slopes[0] != 0.0
+                none1 = torque1 == 0.0 and mesh_r.slopes[0] != 0.0
                 level_by = abs(by2[2]) + abs(by2[5])
-                sure = sure and (level_by == 0.0 or (torque0 != 0.0 and torque1 != 0.0))
+                sure = sure and (level_by == 0.0 or not (none0 or none1))
             if ageing:
                 own = moving.friction
                 more, old0, good = ageing_slopes_of(age0, side0, own, r)

@@ -44,7 +44,7 @@ from starts import starts
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate import simulate, simulate_batch, simulate_with_sensitivities
-from dmptm_ctrl.simulate.compiled import Loop, close_loop, march, rest
+from dmptm_ctrl.simulate.compiled import Loop, close_loop, rest
 from dmptm_ctrl.simulate.model import Model
 
 DT, SECONDS = 1e-3, 10.0  # s

@@ -12,7 +12,9 @@ import pytest
 
 from dmptm_ctrl import diagnose, load_log
 from dmptm_ctrl.diagnosis import at_rest
+from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import FIRST, SECOND, decide
+from dmptm_ctrl.diagnosis.diagnose import keeps_step, of_little
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.drive import paper_drive
@@ -92,3 +94,23 @@ def no_false_alarm(seeds, capsys):
             f"where {FIRST:.0f} is needed\n"
         )
     assert max(best.values()) < 0.8 * FIRST
+
+
+def test_little_evidence_is_enough_where_the_model_keeps_step_by_it():
+    """Half of a drag that shows: too little for the balances, and without it a bounce is missed."""
+    effects, laws = (("quadratic_drag", 0.5),), {"friction": "karnopp", "contact": "eq21"}
+    rig = make_rig(300100024, effects, sensors="load", **laws)
+    drive = paper_drive()
+    measured = measure([load_log(table, name=name) for name, table in rig.logs.items()], drive)
+    left = residual(measured, Model(drive))
+    decision = decide(left)
+    assert not decision.found
+    assert max(trial.evidence for trial in decision.rest) < FIRST
+    before = augment(measured.fit, left.base, drive)
+    assert not keeps_step(before, measured, 2)
+    after = of_little(decision, before, 2)
+    assert [found.name for found in decision.found] == ["quadratic_drag"]
+    assert keeps_step(after, measured, 2)
+    true = rig.label["effect_parameters"]["quadratic_drag"]["coefficient_N_m_s2_rad2"]
+    value, error = after.value("quadratic_drag", "coefficient")
+    assert abs(value - true) < 3.0 * error < true

@@ -187,14 +187,16 @@ def as_any_friction(decision: Decision, fit: Fit) -> None:
 
 
 def of_little(decision: Decision, after: Fit, jobs: int) -> Fit:
-    """Add an effect that little speaks for, if nothing else could: the model keeps step.
+    """Add an effect that little speaks for, if nothing else could: with it the model keeps step.
 
-    It stays if the model keeps step with it as well.
+    Beside another one the model has to keep step without it, too.
     """
     measured, without = decision.before.measured, decision.after
     full = len(decision.found) == MAX_EFFECTS or decision.unexplained is not None
     winner = faint_one(decision.rest)
-    if full or winner is None or not keeps_step(after, measured, jobs):
+    if full or winner is None:
+        return after
+    if decision.found and not keeps_step(after, measured, jobs):
         return after
     decision.found.append(found_among(decision.rest, winner, FAINT))
     decision.after = adopt(measured, winner, jobs)

@@ -198,9 +198,10 @@ def matters(of: Fit) -> bool:
     """Whether friction is known to give way by more than any does."""
     if travel(of) < MATTERS:
         return False
-    ring, reducer = (of.value(NAME, a) for a in ("ring_distance", "reducer_distance"))
-    ratio = of.model.drive["N_2"]
-    value, error = max(ring, (reducer[0] / ratio, reducer[1] / ratio))
+    ratios = {"ring_distance": 1.0, "reducer_distance": of.model.drive["N_2"]}
+    known = {k.name for k in of.unknowns if k.effect == NAME}
+    told = [np.array(of.value(NAME, name)) / ratios[name] for name in ratios if name in known]
+    value, error = max(told, key=lambda one: one[0], default=(travel(of), 0.0))
     return value > KNOWN_TO * error
 
 

@@ -202,7 +202,7 @@ def matters(of: Fit) -> bool:
     known = {k.name for k in of.unknowns if k.effect == NAME}
     told = [np.array(of.value(NAME, name)) / ratios[name] for name in ratios if name in known]
     value, error = max(told, key=lambda one: one[0], default=(travel(of), 0.0))
-    return value > KNOWN_TO * error
+    return bool(value > KNOWN_TO * error)
 
 
 def sized(name: str, model: Model, size: float) -> Model:

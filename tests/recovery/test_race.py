@@ -21,6 +21,7 @@ from dmptm_ctrl.diagnosis.race import (
     loosely,
     race,
     shaped,
+    told_from_friction,
 )
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
@@ -192,6 +193,25 @@ def test_a_name_needs_bounces_met_as_well_as_noise_lets(laps, told):
 
     proven = [Lap(0.1, place(None, bare), (place("drive_offset", own),)) for own, bare in laps]
     assert set().union(*(lap.proven for lap in proven)) == ({"drive_offset"} if told else set())
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "told"),
+    [
+        (
+            -0.0174,
+            -0.0170,
+            False,
+        ),  # winners on two rigs that lack nothing, with a tanh for friction
+        (0.01857, 0.01852, False),
+        (-0.0270, -0.0184, True),  # -8.7 mV on the left motor, beside what friction takes up
+        (-0.0067, 0.0019, True),
+    ],
+)
+def test_what_is_common_to_both_motors_is_friction_s(left, right, told):
+    model = Model().with_effect("drive_offset", left=left, right=right)
+    assert told_from_friction(model, "drive_offset") is told
+    assert told_from_friction(model.with_effect("cogging", left_cosine=0.01), "cogging")
 
 
 def test_nobody_wins_on_a_rig_of_another_friction_law():

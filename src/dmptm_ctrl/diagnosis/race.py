@@ -51,6 +51,9 @@ LEAST = 150.0  # evidence of a winner
 # only a little other than the model's, an effect that mends it in part leaves more of it.
 OUT = 2.7
 WELL = 0.4  # mean loss per sample that leaves nothing to mend
+# Of a clearly visible offset, by which the motors' offsets differ at least: what is common to both
+# acts as a friction that is not the same both ways, and mends a part of another law of friction.
+APART = 0.2
 HELD_SHARE = 0.3  # of what a fitted log commonly gains, that a held-out log gains at least
 # Where all lose step after so long, it may be the way that was wrong: how many begin anew.
 WAY_SECONDS, ONCE_MORE = 0.1, 3
@@ -347,7 +350,18 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
     if any(place.name != winner.name for place in near):
         return None  # several mend a law that is not quite the model's
     model = winner.steps.placed(winner.p)
+    if not told_from_friction(model, winner.name):
+        return None
     return Raced(winner.name, model, lap.seconds, gain + held_gain, held_gain)
+
+
+def told_from_friction(model: Model, name: str) -> bool:
+    """Whether an effect is more than friction that is not the same both ways."""
+    if name != "drive_offset":
+        return True
+    steps = {p.name: p.step for p in CATALOGUE[name].parameters}
+    values = model.effects[name]
+    return abs(values["left"] - values["right"]) > APART * steps["left"]
 
 
 def with_effect(

@@ -360,6 +360,12 @@ def print_costs(costs):
             for p in counts
         ]
         print(f"{line:44s}" + "".join(cells))
+    for ending in ("", "_no_preload"):
+        names = [name for name in costs if "_with_" in name]
+        rows = [costs[n] for n in names if n.endswith("_no_preload") == bool(ending)]
+        middle = [float(np.median([found[p] for found in rows])) for p in counts if p in rows[0]]
+        shown = f"  median of {len(rows)} effects{ending.replace('_', ' ')}"
+        print(f"{shown:44s}" + "".join(f"{cost:6.2f} " for cost in middle))
 
 
 def as_good(rows, rivals):

@@ -198,11 +198,8 @@ def test_a_name_needs_bounces_met_as_well_as_noise_lets(laps, told):
 @pytest.mark.parametrize(
     ("left", "right", "told"),
     [
-        (
-            -0.0174,
-            -0.0170,
-            False,
-        ),  # winners on two rigs that lack nothing, with a tanh for friction
+        # winners on two rigs that lack nothing, with a tanh for friction
+        (-0.0174, -0.0170, False),
         (0.01857, 0.01852, False),
         (-0.0270, -0.0184, True),  # -8.7 mV on the left motor, beside what friction takes up
         (-0.0067, 0.0019, True),

@@ -182,7 +182,7 @@ def diagnose(
 
 def as_any_friction(decision: Decision, fit: Fit) -> None:
     """Take its name from pre-sliding that is no more than any friction gives way."""
-    if decision.is_found(at_rest.NAME) and not at_rest.matters(fit):
+    if not at_rest.matters(fit):
         decision.found = [found for found in decision.found if found.name != at_rest.NAME]
 
 

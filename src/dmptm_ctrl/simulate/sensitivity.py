@@ -276,7 +276,7 @@ def _by_kernels(
     s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(loop.R_MOVES + len(moved))
     on, ends = ons.max(axis=0), len(SITES) + 1
     used = known.kinds @ on
-    kinds = (None if used[kind] == 0 else True for kind in (WITH_MEMORY, WITH_CONTACTS))
+    kinds = (True if used[kind] else None for kind in (WITH_MEMORY, WITH_CONTACTS))
     r[: loop.R_VALUES], r[loop.R_VALUES : loop.R_OWN] = on, values[0]
     r[loop.R_MOVES + ends :] = (values[1:-1] - values[0])[tuple(moved[ends:, 1:].T)]
     return int(

@@ -29,7 +29,8 @@ def small_matrices(function: Callable[P, R]) -> Callable[P, R]:
 
 def in_threads(function: Callable[[T], R], items: Iterable[T], jobs: int) -> list[R]:
     """Call a function, most of which is compiled, for each item, at once on `jobs` threads."""
-    if jobs <= 1:
+    items = list(items)
+    if min(jobs, len(items)) <= 1:
         return [function(item) for item in items]
     with ThreadPoolExecutor(jobs) as pool:
         return list(pool.map(function, items))

@@ -19,6 +19,7 @@ from dmptm_ctrl.diagnosis.race import (
     entrant,
     loosely,
     meshes_from,
+    together,
 )
 from dmptm_ctrl.diagnosis.trace import Trial
 from dmptm_ctrl.identify.balance import BalanceFit
@@ -149,14 +150,16 @@ def run_off(
 
 def lap(field: Sequence[Runner], records: Sequence[Record], jobs: int) -> None:
     """Fit everyone to one horizon; who is behind looks for other starts before it counts."""
-    for one in field:
-        one.go(records, jobs)
+    together(Runner.go, field, jobs, records, jobs)
     least = min(one.cost for one in field)
-    for one in field:
+
+    def looks(one: Runner) -> None:
         behind = one.cost - least
         if behind < FAR and (one.level > UNEASY or behind > MARGIN):
             one.search()
         one.settle()
+
+    together(looks, field, jobs)
 
 
 def runner(after: Fit, fit: BalanceFit, *seed: int) -> Runner:

@@ -8,14 +8,14 @@ rest acts where no window is counted, and later: on a machine that obeys the mod
 otherwise it alone lets the model keep step.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.at_rest import fitted, sized, softened
-from dmptm_ctrl.diagnosis.race import HELD_SHARE, Runner, beside, entrant, loosely
+from dmptm_ctrl.diagnosis.race import HELD_SHARE, Runner, beside, entrant, loosely, together
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, horizons, lost, run, starts
@@ -26,7 +26,7 @@ from dmptm_ctrl.identify.fit import Fit, Unknown, position
 from dmptm_ctrl.identify.lock import LOST, SCATTERED, UNEASY, Locked, cut, level, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
-from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model import Floats, Model
 
 AGEING = "unknown_breakaway"
 BY_IMPACTS = (*WITHOUT_TWIST, "torque_constant_mismatch")
@@ -48,6 +48,8 @@ SHARE = 0.5  # of what the model misses, that a winner takes off
 APART, OTHERS = 0.45, 0.75
 # Of each reversal, from just before the meshes open; later a true model has lost step as well.
 REVERSAL_SECONDS = (0.05, 0.07)
+# Cost by which one of them is ahead of the model as it is at each; what more freedom does not give
+AHEAD = 4.0
 MISSES = 1.6  # times the winner's loss, that the model as it is has there
 LEAST_SECONDS = 0.1  # for which a winner among the rest keeps step; the first landings are before
 # The same of what those landings, judged by themselves, have not told: it is to be seen in more.
@@ -149,8 +151,8 @@ def by_impacts(
         for models in variants(name, base.model)
     ]
     race_first(alone, [one for _, one in entered], whole[0], jobs)
-    if alone.level < LOST:
-        return None
+    if alone.level < LOST:  # reversals at other angles may tell
+        return by_reversals(whole, base.model, alone, entered, jobs) if turns else None
     parts = starts(whole, FIRST_SECONDS[-1])
     field: dict[str, Runner] = {}
     runs: dict[str, Run] = {}
@@ -166,8 +168,7 @@ def by_impacts(
     bare = run(parts, alone.there, jobs)
     share = max(won.fitted / bare.fitted, won.held / bare.held)
     told = share <= SHARE and total(bare) - total(won) > LEAST
-    second = min((total(r) for n, r in runs.items() if n != name), default=np.inf)
-    apart = total(won) <= APART * total(bare) and second > OTHERS * total(bare)
+    apart = stands_apart(won, bare, (total(r) for n, r in runs.items() if n != name))
     near = [n for n in runs if n != name and total(runs[n]) < total(won) + MARGIN]
     told = apart or (told and won.level < LOST)
     if turns and (near or not told):  # other reversals may tell, or a longer run
@@ -208,38 +209,54 @@ def by_reversals(
 ) -> Shown | None:
     """Find the effect that meets the reversals of whole logs, each at its own angle.
 
-    Where the starts of the logs have told already that one of them is there, the model as it is
-    need not have lost step.
+    Where the starts of the logs have told already that one of them is there, it is to be told from
+    the others only. The last horizon tells at which the nearest one keeps step.
     """
-    last = REVERSAL_SECONDS[-1]
-    turned = [reversals(records, model, last) for records in whole]
-
-    def parts(seconds: float) -> list[list[Record]]:
-        begun = starts(whole, seconds)
-        return [[*a, *(cut(r, seconds) for r in b)] for a, b in zip(begun, turned, strict=True)]
-
+    longest = REVERSAL_SECONDS[-1]
+    turned = [reversals(records, model, longest) for records in whole]
+    share = HELD_SHARE * len(turned[1]) / max(1, len(turned[0]))
+    field = [one for _, one in entered]
+    found = None
     for seconds in REVERSAL_SECONDS:
-        records = parts(seconds)[0]
-        for one in (alone, *(one for _, one in entered)):
-            one.go(records, jobs)
-            if one.level > UNEASY:
-                one.search()
+        begun = starts(whole, seconds)
+        parts = [[*a, *(cut(r, seconds) for r in b)] for a, b in zip(begun, turned, strict=True)]
+        together(Runner.go, (alone, *field), jobs, parts[0], jobs)
+        nearest, *others = sorted((alone, *field), key=lambda one: one.level)
+        for some in ([nearest], others):
+            together(looks, some, jobs, within((alone, *field)))
+        for one in (alone, *field):
             one.settle()
-    runs = [(name, one, run(parts(last), one.there, jobs)) for name, one in entered]
-    runs.sort(key=lambda entry: total(entry[2]))
-    _, first, won = runs[0]
-    alone.from_place_of(first)
-    bare = run(parts(last), alone.there, jobs)
-    near: dict[str, Shown] = {}  # the best pattern of each name
-    for name, one, own in runs:
-        if name not in near and total(own) < total(won) + MARGIN:
-            near[name] = shown(name, fitted(one, last), bare, own)
-    best, *others = near.values()
-    agree = best.held_gain > HELD_SHARE * best.gain * len(turned[1]) / max(1, len(turned[0]))
-    kept = won.level < LOST and (told or bare.level > max(LOST, MISSES * won.level))
-    if not (kept and agree and best.evidence > LEAST):
-        return None
-    return replace(best, rivals=tuple(others), everywhere=True)
+        if not told and min(one.cost for one in field) > alone.cost - AHEAD:
+            break
+        runs = [(name, one, run(parts, one.there, jobs)) for name, one in entered]
+        runs.sort(key=lambda entry: total(entry[2]))
+        name, first, won = runs[0]
+        alone.from_place_of(first)
+        bare = run(parts, alone.there, jobs)
+        behind = (total(own) for n, _, own in runs if n != name)
+        if won.level > LOST and not stands_apart(won, bare, behind):
+            break
+        near: dict[str, Shown] = {}  # the best pattern of each name
+        for name, one, own in runs:
+            if name not in near and total(own) < total(won) + MARGIN:
+                near[name] = shown(name, fitted(one, seconds), bare, own)
+        best, *rivals = near.values()
+        missed = bare.level > max(LOST, MISSES * won.level) and best.evidence > LEAST
+        agree = best.held_gain > share * best.gain
+        clear = agree and (told or missed)
+        found = replace(best, rivals=tuple(rivals), everywhere=True) if clear else None
+    return found
+
+
+def stands_apart(won: Run, bare: Run, others: Iterable[float]) -> bool:
+    """Whether one leaves so little, and each of the others so much, that it is told out of step."""
+    second = min(others, default=np.inf)
+    return total(won) <= APART * total(bare) and second > OTHERS * total(bare)
+
+
+def within(entered: Sequence[Runner]) -> float:
+    """Return the loss up to which one looks for other starts, as the nearest leaves no less."""
+    return max(UNEASY, BEHIND * min(one.level for one in entered))
 
 
 def total(one: Run) -> float:
@@ -314,24 +331,33 @@ def race_first(
     is the other pinion's: every wave is drawn anew there, or one of them would win by chance.
     """
     entered = (alone, *field)
-    for seconds, places in zip(FIRST_SECONDS, PLACES, strict=True):
-        parts = [cut(rec, seconds) for rec in records]
-        before = [one.places for one in entered]
-        for one in entered:
-            one.go(parts, jobs)
-            if seconds == FIRST_SECONDS[0]:
-                one.spread(one.draw(SCATTERED))
-        for one, came in sorted(zip(entered, before, strict=True), key=lambda two: two[0].level):
-            far = max(UNEASY, BEHIND * min(other.level for other in entered))
-            within = np.inf if seconds == FIRST_SECONDS[1] else far
-            if UNEASY < one.level <= within and one.wave and seconds > FIRST_SECONDS[0]:
-                one.places = came
-                one.spread(one.anew(one.wave, REDRAWN, RESIZED))
-            for _ in range(SEARCHES):
-                if UNEASY < one.level <= far:
-                    one.search()
-            one.settle()
-            one.places = one.different(places)
+    for lap, (seconds, places) in enumerate(zip(FIRST_SECONDS, PLACES, strict=True)):
+        came = {one: one.places for one in entered}
+        together(Runner.go, entered, jobs, [cut(rec, seconds) for rec in records])
+        if lap == 0:
+            together(lambda one: one.spread(one.draw(SCATTERED)), entered, jobs)
+        far = within(entered)
+        redraws = (0.0, np.inf, far, far)[lap]
+        together(looks_on, entered, jobs, came, redraws, far, places)
+
+
+def looks_on(
+    one: Runner, came: Mapping[Runner, list[Floats]], redraws: float, far: float, places: int
+) -> None:
+    """Draw a wave anew about the places it came from, look for other starts, keep some places."""
+    if one.wave and UNEASY < one.level <= redraws:
+        one.places = came[one]
+        one.spread(one.anew(one.wave, REDRAWN, RESIZED))
+    for _ in range(SEARCHES):
+        looks(one, far)
+    one.settle()
+    one.places = one.different(places)
+
+
+def looks(one: Runner, far: float) -> None:
+    """Look for another start where all is not well, unless the nearest one leaves much less."""
+    if UNEASY < one.level <= far:
+        one.search()
 
 
 def without(

@@ -12,15 +12,18 @@ Source: the growing horizon is the usual way to fit chaotic motion, Baake et al.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit, Known, Unknown, arrays_at, place, position
 from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import BODIES, FINE_SUBSTEPS, SUBSTEPS, observer_gains
+from dmptm_ctrl.simulate.compose import layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 
 # Of a run in the first tenth of a second, where names are told by a few landings: the next ones
@@ -182,16 +185,15 @@ def led_runs(
 
     In steps as fine as its length asks for, unless `substeps` says how many per sample.
     """
+    timed = depends_on_time(arrays)
     alike: dict[tuple[float, ...], list[int]] = {}  # what runs side by side
     for i, rec in enumerate(records):
-        begin = float(rec.time[0]) if rec.led else 0.0
+        begin = float(rec.time[0]) if rec.led and timed else 0.0
         alike.setdefault((rec.u.shape[1], rec.dt, rec.led, begin), []).append(i)
-    several = len(arrays)
-    tasks = [
-        [(i, k) for i in rows for k in range(several)][first : first + AT_ONCE]
-        for rows in alike.values()
-        for first in range(0, len(rows) * several, AT_ONCE)
-    ]
+    tasks = []
+    for rows in alike.values():
+        pairs = [*product(rows, range(len(arrays)))]
+        tasks += [pairs[first : first + AT_ONCE] for first in range(0, len(pairs), AT_ONCE)]
 
     def run(task: Sequence[tuple[int, int]]) -> Floats:
         recs = [records[i] for i, _ in task]
@@ -202,7 +204,7 @@ def led_runs(
         if first.led:
             how["observer"] = observer_gains(LEAD_HZ, first.dt)
             how["measured"] = np.array([rec.theta[: rec.led] for rec in recs])
-            how["begin"] = float(first.time[0])
+            how["begin"] = float(first.time[0])  # of all of them, where it matters
         u, x0 = np.array([rec.u for rec in recs]), np.array([rec.x0 for rec in recs])
         own = [arrays[k] for _, k in task]
         return march_many(own, u, x0, first.dt, columns=range(BODIES), **how)
@@ -212,6 +214,12 @@ def led_runs(
         for (i, _), out in zip(task, done, strict=True):
             runs[i].append(out)
     return [np.array(runs[i]) for i in range(len(records))]
+
+
+def depends_on_time(arrays: Sequence[Arrays]) -> bool:
+    """Whether any of some drives has an effect that depends on the time."""
+    used = np.any([on for _, on, _ in arrays], axis=0)
+    return any(used[layout()[n][0]] for n, e in CATALOGUE.items() if "time" in e.depends_on)
 
 
 def compared(

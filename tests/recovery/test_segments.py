@@ -11,10 +11,10 @@ from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.lock import LOST, NOISE_LEVEL, level
+from dmptm_ctrl.identify.lock import LEAD_HZ, LOST, NOISE_LEVEL, led_runs, level
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import FREE_SECONDS, PRESSED_SECONDS, openings, reversals
-from dmptm_ctrl.simulate.compiled import march, rest
+from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, march, observer_gains, rest
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -60,6 +60,33 @@ def test_the_clock_is_that_of_a_run_from_the_start_of_the_log(turned):
     own, late = (reversals([r], model, 0.1) for r in (rec, replace(rec, time=rec.time + 5.0)))
     for one, other in zip(own, late, strict=True):
         np.testing.assert_allclose(other.time, one.time, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("timed", [{}, {"base_vibration": {"cosine": 2.0, "frequency": 3.1}}])
+def test_reversals_run_side_by_side_as_each_alone(turned, timed):
+    """Of different times, which matter only to what depends on the time."""
+    model, rec = turned
+    for name, values in timed.items():
+        model = model.with_effect(name, **values)
+    parts = reversals([rec], model, 0.05)
+    drives = [model.arrays(), model.with_values(gap_l=1.2 * model.drive["gap_l"]).arrays()]
+    together = led_runs(parts, drives, 1)
+    for part, runs in zip(parts, together, strict=True):
+        alone = [
+            march(
+                drive,
+                part.u,
+                part.x0,
+                part.dt,
+                substeps=FINE_SUBSTEPS,
+                observer=observer_gains(LEAD_HZ, part.dt),
+                measured=part.theta[: part.led],
+                begin=float(part.time[0]),
+                meshes=False,
+            )
+            for drive in drives
+        ]
+        np.testing.assert_allclose(runs, alone, rtol=0.0, atol=1e-9)
 
 
 def test_openings_need_both_meshes_closed_for_a_while():

@@ -10,7 +10,8 @@ from dmptm_ctrl.diagnosis.diagnose import uncovered
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.report import unnamed
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.unseen import AGEING, names, unseen
+from dmptm_ctrl.diagnosis.runoff import Run
+from dmptm_ctrl.diagnosis.unseen import AGEING, LEAST, names, stands_apart, unseen
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
@@ -49,3 +50,28 @@ def test_nothing_where_the_model_keeps_step():
     assert before.horizon >= 0.3
     assert unseen(left, before) is None
     assert names(left) == (AGEING,)  # with motor encoders the balances tell the rest
+
+
+def test_reversals_tell_what_the_first_landings_do_not():
+    """A gap that varies by a quarter: the model as it is meets every first landing."""
+    before, left, truth = fitted(1355135373, (("backlash_variation", 1.0),), "load")
+    found = unseen(left, before)
+    assert found.name == "backlash_variation"
+    assert found.everywhere
+    assert not found.rivals
+    assert found.evidence > 2.0 * LEAST
+    model = found.fit.model
+    told = model.effects["backlash_variation"]
+    for side, way in (("l", 1.0), ("r", -1.0)):
+        cosine, sine = (told[k] + way * told[f"apart_{k}"] for k in ("cosine", "sine"))
+        share = np.hypot(cosine, sine) / model.drive[f"gap_{side}"]
+        assert share == pytest.approx(truth["backlash_variation"]["share"], rel=0.2)
+
+
+def test_one_stands_apart_of_others_that_leave_much():
+    def of(loss):
+        return Run(1.0, loss, loss)
+
+    assert stands_apart(of(45.0), of(100.0), [152.0])
+    assert not stands_apart(of(46.0), of(100.0), [152.0])  # leaves too much
+    assert not stands_apart(of(45.0), of(100.0), [152.0, 148.0])  # another one does as well

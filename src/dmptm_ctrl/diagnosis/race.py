@@ -269,7 +269,7 @@ def race(
             hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)[:ONCE_MORE]
             together(Runner.from_the_start, hopeful, jobs, fitted, horizon)
         runners.sort(key=lambda runner: runner.cost)
-        if runners[0].level > LOST or (bare.level < DOUBTFUL and horizon >= KEEPS_SECONDS):
+        if runners[0].level > LOST or (bare.level < DOUBTFUL and horizon == HORIZONS[-1]):
             break
         runners = [runner for runner in runners if runner.cost <= runners[0].cost + MARGIN]
         if bare.level < UNEASY and horizon >= EVEN_SECONDS:

@@ -97,21 +97,6 @@ def test_what_keeps_step_worse_than_noise_lets_it_lacks_something():
     assert 0.5 < share < 1.5
 
 
-def test_what_shows_after_the_model_as_it_is_has_kept_step_for_long():
-    """A friction by load that free runs tell, and the first 0.6 s of the logs do not."""
-    name = "load_dependent_friction"
-    rig = ((name, 1.0),), "karnopp", 330100032, "paper", "eq21"
-    measured, left, told = measured_rig(*rig)
-    trials = trace(left, only=(name, "torque_constant_mismatch"))
-    assert max(trial.evidence for trial in trials) < FIRST
-    start = rattled(measured.fit, left.base, measured.drive, 2)
-    winner = race(measured.fit, measured.held, start, trials)
-    assert winner.name == name
-    assert winner.seconds > KEEPS_SECONDS
-    share = winner.model.effects[name]["coefficient"] / told[name]["coefficient"]
-    assert share == pytest.approx(1.0, abs=0.25)
-
-
 def test_who_lost_the_way_goes_on_from_the_leader():
     """Nothing lacks here: with no drag beside it the leader's way is right for the drag, too."""
     measured, left, _ = measured_rig((), "karnopp", contact="eq21")

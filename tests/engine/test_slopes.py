@@ -25,6 +25,7 @@ from dmptm_ctrl.simulate.slope_chains import CHAINS, deciding_fields, effect_slo
 from dmptm_ctrl.simulate.slopes import Library, NoSlopes
 
 DT = 1e-3  # s
+ULP = 1.0 + np.finfo(float).eps
 NAMES = {name: getattr(math, name) for name in ("sin", "cos", "exp", "log", "sqrt", "floor")}
 # Largest values of motion that are tried: V, rad, rad/s, N·m, s
 SIZES = {"u": 10.0, "theta": 7.0, "omega": 3.0, "mesh": 50.0, "age": 5.0, "t": 8.0}
@@ -89,9 +90,15 @@ def test_kernels_of_the_catalogue(effect, data):
     c, e, q, places, looked, sure = function(*place.values(), effect.values(*numbers))
     assume(sure)
     outputs = len(c)
-    # a table over the time in a short period is that steep
-    sizes = np.abs([place[name] for name in chain.motion])
-    rounded = np.finfo(float).eps * np.max(np.abs(np.array(e)).reshape(outputs, -1) @ sizes)
+    # a table over the time in a short period is so steep that a rounding of the time shows
+    shifted = [
+        np.max(
+            np.abs(rows(kernel(*(place | {name: x * ULP}).values(), effect.values(*numbers))) - c)
+        )
+        for name, x in place.items()
+        if isinstance(x, float)
+    ]
+    rounded = max(shifted, default=0.0)
     for k, name in enumerate(chain.motion):
         step = 1e-6 * SIZES[name.split("_")[0]]
         motion = np.array(e).reshape(outputs, -1)[:, k]

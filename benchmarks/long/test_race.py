@@ -1,10 +1,11 @@
-"""A race that chance may end early, too long for CI: ``python -m pytest benchmarks/long``."""
+"""A race that rounding may end early, so not in CI: ``python -m pytest benchmarks/long``."""
 
 import pytest
 from tests.recovery.test_race import measured_rig
 
 from dmptm_ctrl.diagnosis.decide import FIRST
-from dmptm_ctrl.diagnosis.race import KEEPS_SECONDS, race
+from dmptm_ctrl.diagnosis.diagnose import KEEPS_SECONDS
+from dmptm_ctrl.diagnosis.race import race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.parallel import small_matrices

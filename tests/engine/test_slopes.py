@@ -26,6 +26,7 @@ from dmptm_ctrl.simulate.slopes import Library, NoSlopes
 
 DT = 1e-3  # s
 ULP = 1.0 + np.finfo(float).eps
+ROUNDINGS = 8.0  # of its arguments, by which two texts of a kernel may differ
 NAMES = {name: getattr(math, name) for name in ("sin", "cos", "exp", "log", "sqrt", "floor")}
 # Largest values of motion that are tried: V, rad, rad/s, N·m, s
 SIZES = {"u": 10.0, "theta": 7.0, "omega": 3.0, "mesh": 50.0, "age": 5.0, "t": 8.0}
@@ -59,7 +60,7 @@ def agree(f, found, slope, x, step, rounded=0.0):
     `rounded` is what a rounding of its arguments makes of the function.
     """
     ahead, back, here = (rows(f(x + s)) for s in (step, -step, 0.0))
-    np.testing.assert_allclose(here, found, rtol=1e-10, atol=1e-10 + 8.0 * rounded)
+    np.testing.assert_allclose(here, found, rtol=1e-10, atol=1e-10 + ROUNDINGS * rounded)
     forward, backward = (ahead - here) / step, (here - back) / step
     size = np.abs(forward) + np.abs(backward)
     rounding = 1e-14 * (np.abs(here) + np.abs(x) * size + 1.0) / step
@@ -90,22 +91,18 @@ def test_kernels_of_the_catalogue(effect, data):
     c, e, q, places, looked, sure = function(*place.values(), effect.values(*numbers))
     assume(sure)
     outputs = len(c)
+
+    def called(**instead):
+        return rows(kernel(*(place | instead).values(), effect.values(*numbers)))
+
     # a table over the time in a short period is so steep that a rounding of the time shows
-    shifted = [
-        np.max(
-            np.abs(rows(kernel(*(place | {name: x * ULP}).values(), effect.values(*numbers))) - c)
-        )
-        for name, x in place.items()
-        if isinstance(x, float)
-    ]
-    rounded = max(shifted, default=0.0)
+    floats = {name: x for name, x in place.items() if isinstance(x, float)}
+    shifts = (np.max(np.abs(called(**{n: x * ULP}) - called())) for n, x in floats.items())
+    rounded = max(shifts, default=0.0)
     for k, name in enumerate(chain.motion):
         step = 1e-6 * SIZES[name.split("_")[0]]
         motion = np.array(e).reshape(outputs, -1)[:, k]
-        agree(
-            lambda x, name=name: kernel(*(place | {name: x}).values(), effect.values(*numbers)),
-            *(c, motion, place[name], step, rounded),
-        )
+        agree(lambda x, name=name: called(**{name: x}), c, motion, place[name], step, rounded)
     own = np.zeros((outputs, len(numbers)))
     for k, (_, at) in enumerate(slopes.fields):
         own[:, at] += np.array(q).reshape(outputs, -1)[:, k]

@@ -82,7 +82,7 @@ def test_true_values_keep_step_only_by_fine_steps(monkeypatch):
     logs = ("open_square_0v60", "closed_sine_10", "closed_square_15")
     recs, true = made("karnopp", "eq21", 130100010, logs)
     assert level(true, recs, 0.3, 1) < UNEASY
-    monkeypatch.setattr("dmptm_ctrl.identify.lock.FINE_SUBSTEPS", SUBSTEPS)
+    monkeypatch.setattr("dmptm_ctrl.identify.led.FINE_SUBSTEPS", SUBSTEPS)
     assert level(true, recs, 0.3, 1) > LOST
 
 

@@ -8,10 +8,10 @@ import pytest
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.at_rest import softened
 from dmptm_ctrl.diagnosis.decide import FAINT, FIRST
+from dmptm_ctrl.diagnosis.diagnose import KEEPS_SECONDS
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.race import (
     BEHIND,
-    KEEPS_SECONDS,
     SCAN,
     SCATTER_SECONDS,
     Lap,

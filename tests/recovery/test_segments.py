@@ -11,7 +11,8 @@ from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.lock import LEAD_HZ, LOST, NOISE_LEVEL, led_runs, level
+from dmptm_ctrl.identify.led import LEAD_HZ, led_runs
+from dmptm_ctrl.identify.lock import LOST, NOISE_LEVEL, level
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import FREE_SECONDS, PRESSED_SECONDS, openings, reversals
 from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, march, observer_gains, rest

@@ -23,7 +23,7 @@ from dmptm_ctrl.diagnosis.decide import (
 from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.race import KEEPS_SECONDS, LEAST, WINS_SECONDS, race
+from dmptm_ctrl.diagnosis.race import LEAST, WINS_SECONDS, race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import (
     Diagnosis,
@@ -66,6 +66,8 @@ HELPS = 0.9
 # deg/s on held-out logs; the worst of 39 rigs that lack nothing has 0.17. No balance may
 # close so well that a model which predicts no better is right.
 ASTRAY = 0.45
+# A model that keeps step for so long, as well as noise lets it, need not race.
+KEEPS_SECONDS = 0.6
 BESIDE_SECONDS = 0.2  # for which a model with an effect keeps step that need not race for more
 WORTH_SECONDS = 0.1  # for which a model with a little pre-sliding keeps step, before a refit
 LITTLE = 0.03  # deg/s; rattle of another course moves a small error by so much

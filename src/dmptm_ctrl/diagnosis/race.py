@@ -39,8 +39,6 @@ from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
-# A model that keeps step for so long, as well as noise lets it, lacks nothing that is told here.
-KEEPS_SECONDS = 0.6
 WINS_SECONDS = 0.15  # for which a winner keeps step
 MARGIN = 40.0  # cost beyond the best one's at which a candidate drops out
 # The same for the last lap, where the best one leaves no more than noise: costs are what they

@@ -15,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from dmptm_ctrl.identify.fit import Fit, Known, arrays_at, place
-from dmptm_ctrl.identify.lock import ROUGH, SPEED_UNIT, TINY, Steps, compared, cut
+from dmptm_ctrl.identify.led import SPEED_UNIT, compared
+from dmptm_ctrl.identify.lock import ROUGH, TINY, Steps, cut
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, SUBSTEPS

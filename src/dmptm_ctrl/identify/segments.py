@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.identify.lock import LEAD_HZ
+from dmptm_ctrl.identify.led import LEAD_HZ
 from dmptm_ctrl.identify.records import Record, predict
 from dmptm_ctrl.simulate.model import Floats, Model
 

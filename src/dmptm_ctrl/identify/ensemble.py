@@ -22,8 +22,8 @@ from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, SUBSTEPS
 from dmptm_ctrl.simulate.model import Arrays, Floats
 
-# Per sample, of each step: wide draws tell the same in coarse ones. More make it too sure.
-SUBSTEPS_EACH = (SUBSTEPS, SUBSTEPS, FINE_SUBSTEPS)
+# Per sample, of each step; finer ones tell no more. More steps make it too sure.
+SUBSTEPS_EACH = (SUBSTEPS, SUBSTEPS, SUBSTEPS)
 DRIVES = 64  # drawn, of up to 28 unknowns
 SPARE = 8  # drives beyond two per unknown
 FIRST_SECONDS = 0.6  # of each log, whose slopes tell what is known before the first draw

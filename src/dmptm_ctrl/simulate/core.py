@@ -61,13 +61,21 @@ def held_average(u, n, start, end):
     first = floor(start)
     last = floor(end)
     if last == first or end == last:
-        return u[min(first, n - 1) % u.size] if first >= 0 else 0.0
+        return held(u, n, first)
     total = 0.0
     for i in range(first, last + 1):
-        if i >= 0:
-            width = min(end, i + 1.0) - max(start, float(i))
-            total += width * u[min(i, n - 1) % u.size]
+        width = min(end, i + 1.0) - max(start, float(i))
+        total += width * held(u, n, i)
     return total / (end - start)
+
+
+@njit
+def held(u, n, i):
+    """Sample i of such a signal."""
+    if i < 0:
+        return 0.0
+    i = min(i, n - 1)
+    return u[i] if i < u.size else u[i % u.size]  # to divide takes long
 
 
 @njit

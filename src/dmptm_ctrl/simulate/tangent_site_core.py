@@ -384,18 +384,28 @@ def friction_own(s, body, slopes, more, p, width, acting, moved, r):
 
 
 @njit
+def kink(fixed, row, number, per):
+    """Whether a change moves a delay that is as good as whole; `per` are its units per whole.
+
+    Held voltages have corners at the samples, readings between steps.
+    """
+    whole = fixed[0, number] * per
+    return fixed[row, number] != fixed[0, number] and abs(whole - np.floor(whole + 0.5)) < WHOLE
+
+
+@njit
 def march_site_tangents(
     u, x0, dt, substeps, bases, values, on, moved, steps, s, fixed, room, r,
-    out, changes, back, memory, contacts
+    out, changes, back, torques, delays, memory, contacts
 ):  # fmt: skip
     """Run a drive with effects and what changes of its numbers and of theirs change.
 
     bases and values (p + 2, ...) of the run, of each change, of all the other way; on (effects,),
     where any of these has it; moved (13 + m, 3) where each site begins, then change and number of
     each number of an effect that is moved; s, fixed (p + 2, FIXED), room (3, STATE) zeros, room to
-    work in; r as of `slope_sites`; memory and contacts are None where no effect has a state of its
-    own, of the drive or of the contacts, which is quicker; the rest, and what is returned, as of
-    `march_tangents`.
+    work in; r as of `slope_sites`; torques, delays, memory and contacts are None where no effect is
+    a torque, delays the voltage, or has a state of its own, of the drive or of the contacts, which
+    is quicker; the rest, and what is returned, as of `march_tangents`.
     """
     n, p = u.shape[1], changes.shape[0]
     h = dt / substeps
@@ -418,6 +428,8 @@ def march_site_tangents(
     lagging, delayed, late, presliding, ageing, elastic = False, False, False, False, False, False
     longest, farthest, dead, shaft, kinked = 0.0, 0.0, False, False, False
     has_drive, has_motor, has_mesh, has_friction, has_load, has_sensor = active_sites(on)
+    if torques is None:
+        has_motor, has_mesh, has_friction, has_load = False, False, False, False
     numbered, sloped = False, False
     if contacts is not None:
         for row in range(p + 2):
@@ -428,27 +440,27 @@ def march_site_tangents(
             numbered, sloped = bristled(s, p, bases, fixed)
         for row in range(p + 1):
             bristle_numbers(s, row, bases, fixed)
+    if delays is not None:
+        for row in range(p + 2):
+            delayed = delayed or fixed[row, F_DEAD] > 0.0
+            farthest = max(farthest, abs(fixed[row, F_DEAD] - fixed[0, F_DEAD]))
+            kinked = kinked or kink(fixed, row, F_DEAD, 1.0 * substeps)
     if memory is not None:
         elastic = fixed[0, F_STIFF] > 0.0
         for row in range(p + 2):
             lagging = lagging or lag_relaxation_of(0.0, 0, on, values, row)[1] > 0.0
-            delayed = delayed or fixed[row, F_DEAD] > 0.0
             late = late or fixed[row, F_LATE] > 0.0
             longest = max(longest, fixed[row, F_LATE])
-            farthest = max(farthest, abs(fixed[row, F_DEAD] - fixed[0, F_DEAD]))
             for k in (F_STIFF, F_DAMP, F_EASE):
                 shaft = shaft or fixed[row, k] != fixed[0, k]
-            # held voltages have corners at the samples, readings between steps
-            for k in (F_DEAD, F_LATE):
-                whole = fixed[0, k] * (substeps if k == F_DEAD else 1.0)
-                apart_from = abs(whole - np.floor(whole + 0.5))
-                kinked = kinked or (fixed[row, k] != fixed[0, k] and apart_from < WHOLE)
+            kinked = kinked or kink(fixed, row, F_LATE, 1.0)
     varying, teeth = False, False
     dead = farthest > 0.0
-    for row in range(p + 2):
-        varying = varying or bases[row, 9] != 0.0
-        for k in (7, 9, 10):
-            teeth = teeth or bases[row, k] != bases[0, k]
+    if torques is not None:
+        for row in range(p + 2):
+            varying = varying or bases[row, 9] != 0.0
+            for k in (7, 9, 10):
+                teeth = teeth or bases[row, k] != bases[0, k]
     for j in range(p + 1):
         changed_numbers(s, j, bases[0], bases[1 + j], h)
         s[D_MOB3 + j] = fixed[1 + j, F_MOB3] - fixed[0, F_MOB3]
@@ -461,22 +473,23 @@ def march_site_tangents(
         *(has_drive, lagging, has_motor, has_mesh, has_friction, ageing, has_load),
         *(elastic, presliding),
     )
-    own_volts, own_level = at[AT_DRIVE] or at[AT_LAG] or dead, at[AT_FRICTION] or at[AT_AGEING]
+    own_volts = at[AT_DRIVE] or at[AT_LAG] or dead
+    own_level = (has_friction and at[AT_FRICTION]) or (ageing and at[AT_AGEING])
     own_teeth = varying and teeth
     moving = Moving(
         own_volts,
         dead,
         used(s, D_GAIN, D_K),
-        at[AT_MOTOR],
+        has_motor and at[AT_MOTOR],
         shaft,
-        at[AT_MESH],
+        has_mesh and at[AT_MESH],
         used(s, D_K, D_MOB3),
         own_teeth,
         own_level,
         used(s, D_LAW, D_S0),
         used(s, D_MOB3, D_LAW),
-        at[AT_LOAD],
-        at[AT_AGEING],
+        has_load and at[AT_LOAD],
+        ageing and at[AT_AGEING],
     )
     steered = delayed or has_drive or lagging
     altered, levelled = has_mesh or varying, has_friction or ageing

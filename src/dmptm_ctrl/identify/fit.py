@@ -16,7 +16,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import Record, difference, predict, settled
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compose import layout
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
+from dmptm_ctrl.simulate.model import BASE, Floats, Model, Stacked
 
 CORRELATION_SECONDS = 0.1  # how long a model error lasts: samples closer than this are not news
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
@@ -105,7 +105,7 @@ def place(model: Model, unknowns: Sequence[Unknown], p: Floats) -> Model:
     return Model(model.drive.with_values(**drive), effects)
 
 
-def arrays_at(model: Model, unknowns: Sequence[Unknown], several: Sequence[Floats]) -> list[Arrays]:
+def arrays_at(model: Model, unknowns: Sequence[Unknown], several: Sequence[Floats]) -> Stacked:
     """Return ``place(model, unknowns, p).arrays()`` of several `p`; no model is made of each."""
     base, on, values = place(model, unknowns, several[0]).arrays()
     numbers = [k.centre for k in unknowns] + np.array(several) * [k.scale for k in unknowns]
@@ -121,7 +121,7 @@ def arrays_at(model: Model, unknowns: Sequence[Unknown], several: Sequence[Float
         index, first = slots[name]
         amplitudes = [first + _place_in(name, a) for a in CATALOGUE[name].amplitudes]
         flags[:, index] = np.any(rows[:, amplitudes] != 0.0, axis=1)
-    return list(zip(bases, flags, rows, strict=True))
+    return Stacked(bases, flags, rows)
 
 
 def _place_in(effect: str, parameter: str) -> int:

@@ -1,7 +1,6 @@
 """Runs of many drives on many records at once, led where they are, beside what was measured."""
 
 from collections.abc import Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import BODIES, FINE_SUBSTEPS, observer_gains
 from dmptm_ctrl.simulate.compose import layout
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
+from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Stacked, stacked
 
 # Of a run in the first tenth of a second, where names are told by a few landings: the next ones
 # grow what a coarser scheme misses there.
@@ -32,40 +31,70 @@ def led_runs(
 
     In steps as fine as its length asks for, unless `substeps` says how many per sample.
     """
-    timed = any(rec.led for rec in records) and depends_on_time(arrays)
+    found: dict[int, Floats] = {}
+    for rows, runs in side_by_side(records, stacked(arrays), jobs, substeps):
+        found |= zip(rows, runs, strict=True)
+    return [found[i] for i in range(len(records))]
+
+
+def side_by_side(
+    records: Sequence[Record], drives: Stacked, jobs: int, substeps: int | None
+) -> list[tuple[list[int], Floats]]:
+    """Run many drives on records: which are alike, and their runs (len, drives, n, BODIES)."""
+    timed = any(rec.led for rec in records) and depends_on_time(drives)
     alike: dict[tuple[float, ...], list[int]] = {}  # what runs side by side
     for i, rec in enumerate(records):
         begin = float(rec.time[0]) if timed else 0.0
-        alike.setdefault((rec.u.shape[1], rec.dt, rec.led, begin), []).append(i)
-    tasks = []
-    for rows in alike.values():
-        pairs = [*product(rows, range(len(arrays)))]
-        tasks += [pairs[first : first + AT_ONCE] for first in range(0, len(pairs), AT_ONCE)]
+        key = (rec.u.shape[1], rec.dt, rec.led, begin, rec.block, rec.twist is None)
+        alike.setdefault(key, []).append(i)
+    groups = [_Group([records[i] for i in rows], drives, substeps) for rows in alike.values()]
+    tasks = [(group, first) for group in groups for first in range(0, group.count, AT_ONCE)]
+    done = iter(in_threads(lambda task: task[0].run(task[1]), tasks, jobs))
+    shape = len(drives), -1, BODIES
+    return [
+        (
+            rows,
+            np.concatenate([next(done) for _ in range(0, group.count, AT_ONCE)]).reshape(
+                len(rows), *shape
+            ),
+        )
+        for rows, group in zip(alike.values(), groups, strict=True)
+    ]
 
-    def run(task: Sequence[tuple[int, int]]) -> Floats:
-        recs = [records[i] for i, _ in task]
-        first = recs[0]
-        early = first.u.shape[1] * first.dt <= EARLY_SECONDS
-        fine = EARLY_SUBSTEPS if early else FINE_SUBSTEPS
-        how: dict[str, Any] = {"substeps": substeps or fine}
+
+class _Group:
+    """Runs of many drives on records that are alike, one record after another."""
+
+    def __init__(self, alike: Sequence[Record], drives: Stacked, substeps: int | None) -> None:
+        first = alike[0]
+        self.drives, self.dt, self.count = drives, first.dt, len(alike) * len(drives)
+        self.u = np.array([rec.u for rec in alike])
+        self.x0 = np.array([rec.x0 for rec in alike])
+        early = self.u.shape[2] * self.dt <= EARLY_SECONDS
+        self.how: dict[str, Any] = {
+            "substeps": substeps or (EARLY_SUBSTEPS if early else FINE_SUBSTEPS),
+            "columns": range(BODIES),
+        }
+        self.theta = np.array([rec.theta[: first.led] for rec in alike])
         if first.led:
-            how["observer"] = observer_gains(LEAD_HZ, first.dt)
-            how["measured"] = np.array([rec.theta[: rec.led] for rec in recs])
-            how["begin"] = float(first.time[0])  # of all of them, where it matters
-        u, x0 = np.array([rec.u for rec in recs]), np.array([rec.x0 for rec in recs])
-        own = [arrays[k] for _, k in task]
-        return march_many(own, u, x0, first.dt, columns=range(BODIES), **how)
+            self.how["observer"] = observer_gains(LEAD_HZ, self.dt)
+            self.how["begin"] = float(first.time[0])  # of all of them, where it matters
 
-    runs: dict[int, list[Floats]] = {i: [] for i in range(len(records))}
-    for task, done in zip(tasks, in_threads(run, tasks, jobs), strict=True):
-        for (i, _), out in zip(task, done, strict=True):
-            runs[i].append(out)
-    return [np.array(runs[i]) for i in range(len(records))]
+    def run(self, first: int) -> Floats:
+        """Run from one on as many as go at once."""
+        record, drive = np.divmod(
+            np.arange(first, min(first + AT_ONCE, self.count)), len(self.drives)
+        )
+        measured = self.theta[record] if self.theta.size else None
+        own = self.drives[drive]
+        return march_many(
+            own, self.u[record], self.x0[record], self.dt, measured=measured, **self.how
+        )
 
 
-def depends_on_time(arrays: Sequence[Arrays]) -> bool:
+def depends_on_time(drives: Stacked) -> bool:
     """Whether any of some drives has an effect that depends on the time."""
-    used = np.any([on for _, on, _ in arrays], axis=0)
+    used = np.any(drives.on, axis=0)
     return any(used[layout()[n][0]] for n, e in CATALOGUE.items() if "time" in e.depends_on)
 
 
@@ -73,18 +102,19 @@ def compared(
     records: Sequence[Record], arrays: Sequence[Arrays], jobs: int, substeps: int | None = None
 ) -> Floats:
     """Measured minus simulated of many drives, in units, (len(arrays), m); as :func:`led_runs`."""
-    ratios = [BASE.index(key) for key in ("N_1", "N_2")]
-    n1, n2 = np.array([base[ratios] for base, _, _ in arrays]).T
-
-    def one(rec: Record, runs: Floats) -> Floats:
-        theta, omega, *motors = np.moveaxis(runs, 2, 0)
-        rows = [(rec.omega - omega) / SPEED_UNIT]
-        if rec.twist is not None:
-            for seen, motor in zip(rec.twist.T, motors, strict=True):
-                twist = motor / n1[:, None] - n2[:, None] * theta
-                rows.append((seen - twist) / (n2[:, None] * TWIST_UNIT))
-        parts = np.stack(rows, 1)[..., rec.led :]
-        return block_mean(parts, rec.block).reshape(len(arrays), -1)
-
-    runs = led_runs(records, arrays, jobs, substeps)
-    return np.hstack([one(rec, run) for rec, run in zip(records, runs, strict=True)])
+    drives = stacked(arrays)
+    n1, n2 = (drives.base[:, BASE.index(key), None] for key in ("N_1", "N_2"))
+    parts: dict[int, Floats] = {}
+    for which, runs in side_by_side(records, drives, jobs, substeps):
+        some = [records[i] for i in which]
+        theta, omega, *motors = np.moveaxis(runs, 3, 0)  # (records, drives, n) each
+        rows = [(np.array([rec.omega for rec in some])[:, None] - omega) / SPEED_UNIT]
+        if some[0].twist is not None:
+            measured = np.array([rec.twist for rec in some])[:, None]
+            for side, motor in enumerate(motors):
+                twist = motor / n1 - n2 * theta
+                rows.append((measured[..., side] - twist) / (n2 * TWIST_UNIT))
+        missed = np.stack(rows, 2)[..., some[0].led :]
+        missed = block_mean(missed, some[0].block).reshape(len(some), len(drives), -1)
+        parts |= zip(which, missed, strict=True)
+    return np.concatenate([parts[i] for i in range(len(records))], axis=1)

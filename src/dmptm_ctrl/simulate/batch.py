@@ -10,7 +10,7 @@ from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, Loop, rest
 from dmptm_ctrl.simulate.compose import NARROW, WIDE, engine
 from dmptm_ctrl.simulate.law import NO_LAWS, Law
-from dmptm_ctrl.simulate.model import Arrays, Floats, Model
+from dmptm_ctrl.simulate.model import Arrays, Floats, Model, stacked
 
 BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
 _OPEN = np.zeros(5)
@@ -84,16 +84,16 @@ def _lanes(
     """Run any number of drives, as many at once as there are lanes."""
     loop = engine(lanes)
     count = len(arrays)
-    base, on, values = (np.array(rows) for rows in zip(*arrays, strict=True))
-    room = _aligned(loop.VALUES + values.shape[1] * lanes)
+    rows = stacked(arrays)
+    room = _aligned(loop.VALUES + rows.values.shape[1] * lanes)
     laws = NO_LAWS if task.design is None else loops
     kept = -(-task.samples // task.every) if task.columns.size else 0
     out = np.empty((count, task.columns.size, kept))
     stats = np.empty((4, loop.COLUMNS, count) if task.statistics else (0, 0, 0))
     loop.march_groups(
         *(task.inputs, task.target, task.measured, laws, task.design or arrays[0]),
-        *(task.observer, task.extra, task.begin, task.dt, task.substeps, base, on, values),
-        *(x0, loops, room, task.columns, task.every, out, stats),
+        *(task.observer, task.extra, task.begin, task.dt, task.substeps),
+        *(rows.base, rows.on, rows.values, x0, loops, room, task.columns, task.every, out, stats),
     )
     return out, stats
 

@@ -1,8 +1,8 @@
 """A drive with effects added to it: what is simulated, fitted, saved and turned into blocks."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,38 @@ BASE = (
 def _neutral(effects: tuple[Effect, ...]) -> Floats:
     """Parameters of all effects at which they are absent."""
     return np.array([v for effect in effects for v in effect.defaults()])
+
+
+@dataclass(frozen=True, eq=False)
+class Stacked(Sequence[Arrays]):
+    """What :meth:`Model.arrays` gives of many drives, in rows, as the loops take it.
+
+    Attributes
+    ----------
+    base, on, values : (drives, ...) arrays
+    """
+
+    base: Floats
+    on: NDArray[np.uint8]
+    values: Floats
+
+    def __len__(self) -> int:
+        return len(self.base)
+
+    @overload
+    def __getitem__(self, k: int) -> Arrays: ...
+    @overload
+    def __getitem__(self, k: slice | NDArray[np.intp]) -> "Stacked": ...
+    def __getitem__(self, k: int | slice | NDArray[np.intp]) -> "Arrays | Stacked":
+        rows = self.base[k], self.on[k], self.values[k]
+        return Stacked(*rows) if isinstance(k, slice | np.ndarray) else rows
+
+
+def stacked(arrays: Sequence[Arrays]) -> Stacked:
+    """Stack the numbers of many drives, if they are not."""
+    if isinstance(arrays, Stacked):
+        return arrays
+    return Stacked(*(np.array(rows) for rows in zip(*arrays, strict=True)))
 
 
 @dataclass(frozen=True)

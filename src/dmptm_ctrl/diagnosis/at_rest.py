@@ -77,6 +77,11 @@ class AtRest:
         return min(self.shares) > HELPS and self.gain + self.held_gain > LEAST
 
     @property
+    def doubtful(self) -> bool:
+        """Whether it helps less than where friction gives, so that something else may be it."""
+        return self.gives and max(self.shares) < SHARE
+
+    @property
     def convincing(self) -> bool:
         """Whether it is more than a friction law that is a little softer than the declared."""
         told = self.in_step > 0.0 or min(self.shares) > SHARE

@@ -359,7 +359,7 @@ def uncovered(
         beside = decision.tables.beside
     if not alone:
         without = speed_error(after.model, held)["rmse"]
-    shown = unseen(beside, after, gives=gives(decision), alone=alone, jobs=jobs, seed=seed)
+    shown = unseen(beside, after, rested=decision.at_rest, alone=alone, jobs=jobs, seed=seed)
     if shown is None:
         return after
     if isinstance(shown, Fit):  # of the model without tables

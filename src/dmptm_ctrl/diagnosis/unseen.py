@@ -14,7 +14,7 @@ from itertools import product
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.at_rest import fitted, sized, softened
+from dmptm_ctrl.diagnosis.at_rest import AtRest, fitted, sized, softened
 from dmptm_ctrl.diagnosis.race import HELD_SHARE, Runner, beside, entrant, loosely, together
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
@@ -101,7 +101,7 @@ def unseen(
     left: Residual,
     before: Fit,
     *,
-    gives: bool = False,
+    rested: AtRest | None = None,
     alone: bool = True,
     jobs: int = 2,
     seed: int = 0,
@@ -114,8 +114,8 @@ def unseen(
         What the model leaves.
     before : Fit
         That model, refitted inside the simulator.
-    gives : bool
-        Whether friction gives a little before it slides.
+    rested : AtRest, optional
+        What the first tenth of a second tells of friction that gives before it slides.
     alone : bool
         Whether nothing else was found: friction that grows with the time at rest shows alone only.
 
@@ -129,11 +129,12 @@ def unseen(
         return None
     base = rattled(left.measured.fit, left.base, left.measured.drive, jobs)
     if not left.measured.has_motor_encoders:
+        gives = rested is not None and rested.gives
         landed = landings(left, softened(base, len(base.unknowns)) if gives else base, jobs, seed)
         # a friction law of another kind lets no model meet the reversals
         found = by_impacts(landed, jobs, seed, turns=not gives)
-        if gives and found is None and landed.alone.level > LOST:
-            # it may be the effect that gives, and friction sticks
+        doubtful = rested is not None and rested.doubtful
+        if doubtful and found is None and landed.alone.level > LOST:  # friction may stick
             landed = landings(left, base, jobs, seed, among=landed.nearest(ONCE_MORE))
             found = by_impacts(landed, jobs, seed)
         if isinstance(found, Fit) and found.horizon <= before.horizon:

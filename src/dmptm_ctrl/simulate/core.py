@@ -32,6 +32,7 @@ from dmptm_ctrl.effects.stribeck import (
     viscous_torque,
 )
 from dmptm_ctrl.simulate.control_core import L_CLOSED, M_LEFT, M_RIGHT, MEMORY, command
+from dmptm_ctrl.simulate.elementary import borrowed
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
     aged_friction,
@@ -146,6 +147,7 @@ def march(
     """
     n = u.shape[1]
     h = dt / substeps
+    on, values = borrowed(on), borrowed(values)
     gain = base[0] * base[1]
     j_m, j_2, j_l = base[2], base[3], base[4]
     n1, n2, z3 = base[5], base[6], base[7]
@@ -197,7 +199,7 @@ def march(
     region0, region1 = UNKNOWN, UNKNOWN  # of each mesh in the step before
     late = lag_time > 0.0
     history = np.full(int(lag_time) + 2, v2)
-    left, right = u[0], u[1]
+    left, right = borrowed(u[0]), borrowed(u[1])
     memory = np.zeros(MEMORY)
     step = 0
     lead = 0.0
@@ -440,7 +442,9 @@ def along(u, run, dt, base, on, values, torque, shift):
     )
     dead_time = voltage_delay(on, values) / dt
     lagging = lag_relaxation(0.0, 0, on, values)[1] > 0.0
-    lagged = np.zeros(2)
+    # what is counted for each call of a site takes longer than what acts there
+    u, run, torque, shift = borrowed(u), borrowed(run), borrowed(torque), borrowed(shift)
+    on, values, lagged = borrowed(on), borrowed(values), np.zeros(2)
     has_drive, has_motor, has_mesh, has_friction, has_load, _ = active_sites(on)
     for i in range(n):
         t = (i + 0.5) * dt

@@ -39,16 +39,12 @@ NEUTRAL = {
     BASE.index(name): value for name, value in (("k_a", 0.0), ("delta3", 1.0), ("deltaL", 1.0))
 }
 LEFT_ALONE = [*NEUTRAL] + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "phi_r")]
-# Kinds of sites: where a torque acts, where the voltage is delayed, where the drive has another
-# state of its own, where its contacts have, presliding
+# Kinds of sites: what none of them needs is not compiled in, for it would take time
 KINDS = (
-    {"motor", "mesh", "friction", "load"},
-    {"delay"},
-    {"lag", "shaft", "sensor_delay"},
-    {"presliding", "ageing"},
-    {"presliding"},
+    *({"motor"}, {"mesh"}, {"friction"}, {"load"}, {"delay"}, {"lag"}, {"shaft"}, {"sensor_delay"}),
+    *({"presliding", "ageing"}, {"presliding"}),
 )
-WITH_TORQUES, WITH_DELAYS, WITH_MEMORY, WITH_CONTACTS, WITH_PRESLIDING = range(len(KINDS))
+WITH_MESHES, WITH_PRESLIDING = 1, len(KINDS) - 1
 VARIED = BASE.index("k_a")  # not zero, the meshes' stiffness varies with the teeth
 # Of drives with effects: parameters that go along with a run for less than lanes would take; and
 # where a step of presliding is made for each, because it moves numbers of friction laws, or masses
@@ -284,7 +280,7 @@ def _by_kernels(
     s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(loop.R_MOVES + len(moved))
     on, ends = ons.max(axis=0), len(SITES) + 1
     used = known.kinds @ on
-    used[WITH_TORQUES] += np.count_nonzero(bases[:, VARIED])
+    used[WITH_MESHES] += np.count_nonzero(bases[:, VARIED])
     kinds = (True if used[kind] else None for kind in range(WITH_PRESLIDING))
     r[: loop.R_VALUES], r[loop.R_VALUES : loop.R_OWN] = on, values[0]
     r[loop.R_MOVES + ends :] = (values[1:-1] - values[0])[tuple(moved[ends:, 1:].T)]

@@ -396,16 +396,17 @@ def kink(fixed, row, number, per):
 @njit
 def march_site_tangents(
     u, x0, dt, substeps, bases, values, on, moved, steps, s, fixed, room, r,
-    out, changes, back, torques, delays, memory, contacts
+    out, changes, back, motors, meshes, frictions, loads, delays, lags, shafts, lates, contacts
 ):  # fmt: skip
     """Run a drive with effects and what changes of its numbers and of theirs change.
 
     bases and values (p + 2, ...) of the run, of each change, of all the other way; on (effects,),
     where any of these has it; moved (13 + m, 3) where each site begins, then change and number of
     each number of an effect that is moved; s, fixed (p + 2, FIXED), room (3, STATE) zeros, room to
-    work in; r as of `slope_sites`; torques, delays, memory and contacts are None where no effect is
-    a torque, delays the voltage, or has a state of its own, of the drive or of the contacts, which
-    is quicker; the rest, and what is returned, as of `march_tangents`.
+    work in; r as of `slope_sites`; the last nine are None where no effect acts at a kind of sites,
+    which leaves that out of what is compiled: motors, meshes, friction, load, delay of the voltage,
+    lag, shaft, delay of a reading, what has a state of the contacts; the rest, and what is
+    returned, as of `march_tangents`.
     """
     n, p = u.shape[1], changes.shape[0]
     h = dt / substeps
@@ -428,8 +429,14 @@ def march_site_tangents(
     lagging, delayed, late, presliding, ageing, elastic = False, False, False, False, False, False
     longest, farthest, dead, shaft, kinked = 0.0, 0.0, False, False, False
     has_drive, has_motor, has_mesh, has_friction, has_load, has_sensor = active_sites(on)
-    if torques is None:
-        has_motor, has_mesh, has_friction, has_load = False, False, False, False
+    if motors is None:
+        has_motor = False
+    if meshes is None:
+        has_mesh = False
+    if frictions is None:
+        has_friction = False
+    if loads is None:
+        has_load = False
     numbered, sloped = False, False
     if contacts is not None:
         for row in range(p + 2):
@@ -445,18 +452,22 @@ def march_site_tangents(
             delayed = delayed or fixed[row, F_DEAD] > 0.0
             farthest = max(farthest, abs(fixed[row, F_DEAD] - fixed[0, F_DEAD]))
             kinked = kinked or kink(fixed, row, F_DEAD, 1.0 * substeps)
-    if memory is not None:
-        elastic = fixed[0, F_STIFF] > 0.0
+    if lags is not None:
         for row in range(p + 2):
             lagging = lagging or lag_relaxation_of(0.0, 0, on, values, row)[1] > 0.0
-            late = late or fixed[row, F_LATE] > 0.0
-            longest = max(longest, fixed[row, F_LATE])
+    if shafts is not None:
+        elastic = fixed[0, F_STIFF] > 0.0
+        for row in range(p + 2):
             for k in (F_STIFF, F_DAMP, F_EASE):
                 shaft = shaft or fixed[row, k] != fixed[0, k]
+    if lates is not None:
+        for row in range(p + 2):
+            late = late or fixed[row, F_LATE] > 0.0
+            longest = max(longest, fixed[row, F_LATE])
             kinked = kinked or kink(fixed, row, F_LATE, 1.0)
     varying, teeth = False, False
     dead = farthest > 0.0
-    if torques is not None:
+    if meshes is not None:
         for row in range(p + 2):
             varying = varying or bases[row, 9] != 0.0
             for k in (7, 9, 10):

@@ -39,16 +39,16 @@ NEUTRAL = {
     BASE.index(name): value for name, value in (("k_a", 0.0), ("delta3", 1.0), ("deltaL", 1.0))
 }
 LEFT_ALONE = [*NEUTRAL] + [BASE.index(name) for name in ("N_1", "N_2", "z_3", "phi_r")]
-# Kinds of sites: what none of them needs is not compiled in, for it would take time
+# Sites: what none in use needs is not compiled in, for it would take time
 KINDS = (
-    *({"motor"}, {"mesh"}, {"friction"}, {"load"}, {"delay"}, {"lag"}, {"shaft"}, {"sensor_delay"}),
-    *({"presliding", "ageing"}, {"presliding"}),
+    *("motor", "mesh", "friction", "load", "delay", "lag", "shaft", "sensor_delay", "ageing"),
+    "presliding",
 )
 WITH_MESHES, WITH_PRESLIDING = 1, len(KINDS) - 1
 VARIED = BASE.index("k_a")  # not zero, the meshes' stiffness varies with the teeth
-# Of drives with effects: parameters that go along with a run for less than lanes would take; and
-# where a step of presliding is made for each, because it moves numbers of friction laws, or masses
-FEW_WITH_EFFECTS, FEW_WITH_STEPS = 5, 2
+# Parameters that go along for less than lanes would take where a step of presliding is made for
+# each, because it moves numbers of friction laws, or masses
+FEW_WITH_STEPS = 2
 OF_STEPS = ("J_", "T3", "TL", "B3_", "BL_", "W3", "WL")  # what their names begin with
 BY_STEPS = frozenset(k for k, name in enumerate(BASE) if name.startswith(OF_STEPS))
 EXPONENTS = [BASE.index(name) for name in ("delta3", "deltaL")]
@@ -142,7 +142,7 @@ def simulate_with_sensitivities(
     parameters : sequence of str
         Names of the drive's parameters, or "effect.parameter".
     jobs : int
-        Threads, for more than fifteen parameters, or seven with effects.
+        Threads, for more than fifteen parameters.
 
     Returns
     -------
@@ -218,7 +218,7 @@ def _known(effects: tuple[Effect, ...]) -> _Known:
     return _Known(
         {effect.name: deciding_fields(effect) for effect in effects},
         [SITES.index(effect.site) for effect in effects for _ in effect.parameters],
-        np.array([[effect.site in sites for effect in effects] for sites in KINDS], np.uint8),
+        np.array([[effect.site == site for effect in effects] for site in KINDS], np.uint8),
     )
 
 
@@ -232,7 +232,7 @@ def _way(arrays: Arrays, places: Sequence[_Place]) -> Callable[..., int] | None:
         return None
     known = _known()
     stepped = not BY_STEPS.isdisjoint(own) and bool((known.kinds[WITH_PRESLIDING] & on).any())
-    few = FEW_WITH_STEPS if stepped else FEW_WITH_EFFECTS
+    few = FEW_WITH_STEPS if stepped else GROUP
     return _by_kernels if len(places) <= few and _smooth(on, places, known.deciding) else None
 
 
@@ -281,7 +281,7 @@ def _by_kernels(
     on, ends = ons.max(axis=0), len(SITES) + 1
     used = known.kinds @ on
     used[WITH_MESHES] += np.count_nonzero(bases[:, VARIED])
-    kinds = (True if used[kind] else None for kind in range(WITH_PRESLIDING))
+    kinds = (True if count else None for count in used)
     r[: loop.R_VALUES], r[loop.R_VALUES : loop.R_OWN] = on, values[0]
     r[loop.R_MOVES + ends :] = (values[1:-1] - values[0])[tuple(moved[ends:, 1:].T)]
     return int(

@@ -106,22 +106,29 @@ def _rows(text: str) -> str:
     return re.sub(r"\{(.*?)\}", r"R_OWN + (\1) * R_NUMBERS", text)
 
 
-def _write_own(slopes: Slopes, chain: Chain, site: str, own: range, before: list[int]) -> list[str]:
-    """Lines that put slopes by an effect's `own` numbers into g."""
+def _write_own(
+    slopes: Slopes, chain: Chain, site: str, own: range, before: list[int], effect: int
+) -> list[str]:
+    """Lines that put slopes by an effect's `own` numbers into r."""
     first = own.start
     lines = [f"for k in ({', '.join(map(str, before))},):"] if chain.scaled and before else []
     lines += [f"    {_rows(text)}" for text in chain.scaled if before]
     for o in range(_OUTPUTS[site]):
         row = _rows(f"{{{chain.first} + {o}}}" if o else f"{{{chain.first}}}")
         weight = chain.weights[o] if chain.weights else ""
+        used = f"r[R_LOOKED + {effect * _ROWS} + {chain.first} + {o}]"  # whether some are not 0
         if slopes.found:
-            lines.append(f"for k in range({first}, {own.stop}):")
-            lines.append(f"    r[{row} + k] = 0.0")
+            lines.append(f"if {used} != 0.0:")
+            lines.append(f"    for k in range({first}, {own.stop}):")
+            lines.append(f"        r[{row} + k] = 0.0")
         for k, (_, at) in enumerate(slopes.fields):
             lines.append(f"r[{row} + {first + at}] = {weight}q[{o * len(slopes.fields) + k}]")
-        for k in range(slopes.found):
-            slope = f"{weight}looked[{o * slopes.found + k}]"
-            lines.append(f"r[{row} + {first} + places[{k}]] += {slope}")
+        found = [f"looked[{o * slopes.found + k}]" for k in range(slopes.found)]
+        if found:
+            lines.append(f"{used} = {' + '.join(f'abs({slope})' for slope in found)}")
+            lines.append(f"if {used} != 0.0:")
+        for k, slope in enumerate(found):
+            lines.append(f"    r[{row} + {first} + places[{k}]] += {weight}{slope}")
     return lines
 
 
@@ -149,7 +156,7 @@ def _chain(
             f"{slopes.name}({chain.args}, Values_{index}({values}))"
         )
         lines.append("        sure = sure and good")
-        own = _write_own(slopes, chain, site, range(first, first + count), before)
+        own = _write_own(slopes, chain, site, range(first, first + count), before, index)
         if own:
             lines += ["        if own:", *(f"            {line}" for line in own)]
         lines += [f"        {part}" for part in chain.change.split("; ")]
@@ -177,5 +184,7 @@ def slope_source(effects: Mapping[str, Effect], slots: Mapping[str, int]) -> str
     numbers = sum(len(effect.parameters) for effect in effects.values())
     own = len(effects) + numbers
     places = f"R_VALUES, R_NUMBERS, R_OWN = {len(effects)}, {numbers}, {own}\n"
-    places += f"R_MOVES = {own + _ROWS * numbers}"
+    places += (
+        f"R_LOOKED, R_MOVES = {own + _ROWS * numbers}, {own + _ROWS * (numbers + len(effects))}"
+    )
     return f"{library.text()}\n\n\n{names}\n{places}\n\n\n{chains}"

@@ -146,7 +146,9 @@ D_OWN, OWN = SIZE_WITH_BRISTLES, 11
 D_U0, D_U1, D_L0, D_L1, D_K0, D_K1, D_H0, D_H1, D_M0, D_M1, D_LOAD = range(
     D_OWN, D_OWN + OWN * CHANGES, CHANGES
 )
-SIZE_WITH_SITES = D_OWN + OWN * CHANGES
+# Of the lag of either motor: time constant, and as of `lagged_slopes` from 1 to none.
+W_LAG, LAG = D_OWN + OWN * CHANGES, 8
+SIZE_WITH_SITES = W_LAG + 2 * LAG
 # Sites as numbers, in the order of `contract.SITES`
 AT_DRIVE, AT_DELAY, AT_LAG, AT_MOTOR, AT_SHAFT, AT_MESH, AT_FRICTION = range(7)
 AT_PRESLIDING, AT_AGEING, AT_LOAD = 7, 8, 9
@@ -353,9 +355,16 @@ def volts_along(s, given, kept, t, side, h, acting, p, width, moved, r):
     after, mean, late = kept, (by_given, 0.0), (0.0, 1.0)
     if acting.lag:
         c, e, good = lag_slopes_of(u, side, True, r)
-        both, d, _, _, _, smooth = lagged_slopes(c[0], c[1], kept, h)
-        u, after = both
-        sure = sure and good and smooth
+        at = W_LAG + side * LAG
+        if s[at] != c[1]:  # linear in both voltages: the rest stays as it is
+            _, d, _, _, _, smooth = lagged_slopes(0.0, c[1], 1.0, h)
+            s[at], s[at + 7] = c[1], 1.0 if smooth else 0.0
+            for k in range(6):
+                s[at + 1 + k] = d[k]
+        sure = sure and good and s[at + 7] > 0.0
+        off = kept - c[0]
+        d = s[at + 1], s[at + 2] * off, s[at + 3], s[at + 4], s[at + 5] * off, s[at + 6]
+        u, after = c[0] + d[2] * off, c[0] + d[5] * off
         mean, late = (d[0] * e[0] + d[1] * e[1], d[2]), (d[3] * e[0] + d[4] * e[1], d[5])
         own_of(s, D_L0 + to, AT_LAG, 2 * side, (d[0], d[1]), moved, r)
         own_of(s, D_K0 + to, AT_LAG, 2 * side, (d[3], d[4]), moved, r)
@@ -396,17 +405,18 @@ def kink(fixed, row, number, per):
 @njit
 def march_site_tangents(
     u, x0, dt, substeps, bases, values, on, moved, steps, s, fixed, room, r,
-    out, changes, back, motors, meshes, frictions, loads, delays, lags, shafts, lates, contacts
+    out, changes, back, motors, meshes, frictions, loads, delays, lags, shafts, lates, ages,
+    bristles
 ):  # fmt: skip
     """Run a drive with effects and what changes of its numbers and of theirs change.
 
     bases and values (p + 2, ...) of the run, of each change, of all the other way; on (effects,),
     where any of these has it; moved (13 + m, 3) where each site begins, then change and number of
     each number of an effect that is moved; s, fixed (p + 2, FIXED), room (3, STATE) zeros, room to
-    work in; r as of `slope_sites`; the last nine are None where no effect acts at a kind of sites,
+    work in; r as of `slope_sites`; the last ten are None where no effect acts at a kind of sites,
     which leaves that out of what is compiled: motors, meshes, friction, load, delay of the voltage,
-    lag, shaft, delay of a reading, what has a state of the contacts; the rest, and what is
-    returned, as of `march_tangents`.
+    lag, shaft, delay of a reading, age of the contacts, presliding; the rest, and what is returned,
+    as of `march_tangents`.
     """
     n, p = u.shape[1], changes.shape[0]
     h = dt / substeps
@@ -438,11 +448,14 @@ def march_site_tangents(
     if loads is None:
         has_load = False
     numbered, sloped = False, False
-    if contacts is not None:
+    if ages is not None:
+        for row in range(p + 2):
+            for body in range(3):
+                ageing = ageing or fixed[row, F_RENEW + body] > 0.0
+    if bristles is not None:
         for row in range(p + 2):
             for body in range(3):
                 presliding = presliding or fixed[row, F_BRISTLES + 3 * body] > 0.0
-                ageing = ageing or fixed[row, F_RENEW + body] > 0.0
         if presliding:
             numbered, sloped = bristled(s, p, bases, fixed)
         for row in range(p + 1):

@@ -14,6 +14,7 @@ from dmptm_ctrl.diagnosis.race import (
     BEHIND,
     SCAN,
     SCATTER_SECONDS,
+    SMALLEST,
     Lap,
     Place,
     beside,
@@ -21,6 +22,7 @@ from dmptm_ctrl.diagnosis.race import (
     loosely,
     race,
     shaped,
+    size,
     told_from_friction,
 )
 from dmptm_ctrl.diagnosis.rattle import rattled
@@ -209,6 +211,21 @@ def test_what_is_common_to_both_motors_is_friction_s(left, right, told):
     model = Model().with_effect("drive_offset", left=left, right=right)
     assert told_from_friction(model, "drive_offset") is told
     assert told_from_friction(model.with_effect("cogging", left_cosine=0.01), "cogging")
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "shows"),
+    [
+        # winners on rigs that lack nothing
+        ("torque_constant_mismatch", {"pattern": 2.0, "error": -0.0010}, False),
+        ("cogging", {"left_cosine": 0.0008, "left_sine": -0.0005, "right_cosine": 0.0009}, False),
+        # the smallest ones that were there
+        ("drive_offset", {"left": -0.0067, "right": 0.0019}, True),
+        ("reducer_compliance", {"compliance": 2.8e-5}, True),
+    ],
+)
+def test_a_winner_is_of_a_size_that_logs_show(name, values, shows):
+    assert (size(Model().with_effect(name, **values), name) > SMALLEST) is shows
 
 
 def test_nobody_wins_on_a_rig_of_another_friction_law():

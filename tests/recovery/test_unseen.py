@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl import load_log
+from dmptm_ctrl.diagnosis.at_rest import presliding
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import Decision
 from dmptm_ctrl.diagnosis.diagnose import uncovered
@@ -66,6 +67,22 @@ def test_reversals_tell_what_the_first_landings_do_not():
         cosine, sine = (told[k] + way * told[f"apart_{k}"] for k in ("cosine", "sine"))
         share = np.hypot(cosine, sine) / model.drive[f"gap_{side}"]
         assert share == pytest.approx(truth["backlash_variation"]["share"], rel=0.2)
+
+
+def test_friction_that_hardly_gives_may_be_motors_that_differ():
+    """A little pre-sliding mends a part of what the motors do; beside it none meets the landings.
+
+    With friction that sticks, the right one does.
+    """
+    before, left, truth = fitted(350100023, (("torque_constant_mismatch", 1.0),), "load")
+    rested = presliding(left, 2)
+    assert rested.gives
+    assert rested.doubtful
+    found = unseen(left, before, rested=rested)
+    assert found.name == "torque_constant_mismatch"
+    assert found.fit.horizon >= 0.1
+    size = found.fit.model.effects[found.name]["error"]
+    assert size == pytest.approx(truth[found.name]["left_share"], rel=0.1)
 
 
 def test_one_stands_apart_of_others_that_leave_much():

@@ -18,7 +18,7 @@ from dmptm_ctrl.identify.records import Record, predict
 from dmptm_ctrl.simulate.model import Floats, Model
 
 PRESSED_SECONDS = 0.1  # for which both meshes stay closed before they open
-LEAD_SECONDS = 0.3  # of the lead, eleven times its time constant; rattle before it is forgotten, too
+LEAD_SECONDS = 0.3  # of the lead, eleven of its time constants; rattle before it is forgotten, too
 FREE_SECONDS = 0.02  # between the end of the lead and the opening
 
 

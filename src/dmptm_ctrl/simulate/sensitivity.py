@@ -4,7 +4,7 @@ A small change of each parameter goes along with the run, so that its share is t
 the scheme itself: to first order by the slopes of the step (`tangent_core`), and with branches
 of its own where the run reaches or leaves a flank, stops or starts. Of effects nobody has written
 down the slopes: they are written from the source of their kernels (`slopes`,
-`tangent_site_core`). Where that cannot be had, or there are more than a few changes, each change is
+`tangent_site_core`). Where that cannot be had, or there are more than fifteen changes, each is
 a run of its own beside the others in vector lanes.
 All parameters moved the other way together go along too: where the run is differentiable they
 change minus the sum of the others, and where that is not so the derivative from one side is not

@@ -53,7 +53,8 @@ WELL = 0.4  # mean loss per sample that leaves nothing to mend
 # acts as a friction that is not the same both ways, and mends a part of another law of friction.
 APART = 0.2
 # Of a clearly visible effect, a winner at least: less moves the landings by a digit that the model
-# as it is may find as well. In campaigns wrong winners had 0.04 to 0.18, right ones 0.67 and more.
+# as it is may find as well. In campaigns cogging and motors that differ had 0.04 to 0.18 where they
+# were not there, winners that were 0.67 and more.
 SMALLEST = 0.3
 HELD_SHARE = 0.3  # of what a fitted log commonly gains, that a held-out log gains at least
 # Where all lose step after so long, it may be the way that was wrong: how many begin anew.

@@ -11,12 +11,12 @@ from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.led import LEAD_HZ, led_runs
+from dmptm_ctrl.identify.led import LEAD_HZ, side_by_side
 from dmptm_ctrl.identify.lock import LOST, NOISE_LEVEL, level
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import FREE_SECONDS, PRESSED_SECONDS, openings, reversals
 from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, march, observer_gains, rest
-from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model import Model, stacked
 from rigs import make_rig
 
 DT, HZ = 1e-3, 0.4
@@ -71,8 +71,12 @@ def test_reversals_run_side_by_side_as_each_alone(turned, timed):
         model = model.with_effect(name, **values)
     parts = reversals([rec], model, 0.05)
     drives = [model.arrays(), model.with_values(gap_l=1.2 * model.drive["gap_l"]).arrays()]
-    together = led_runs(parts, drives, 1)
-    for part, runs in zip(parts, together, strict=True):
+    together = {}
+    for rows, runs in side_by_side(parts, stacked(drives), 1, None):
+        together |= zip(rows, runs, strict=True)
+    assert sorted(together) == [*range(len(parts))]
+    for i, part in enumerate(parts):
+        runs = together[i]
         alone = [
             march(
                 drive,

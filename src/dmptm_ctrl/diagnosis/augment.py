@@ -10,7 +10,7 @@ from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.ensemble import SUBSTEPS_EACH, smoothed
+from dmptm_ctrl.identify.ensemble import STEPS, smoothed
 from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit, place, position
 from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, level, lock
 from dmptm_ctrl.identify.records import Record
@@ -104,7 +104,7 @@ def onto_whole(records: Sequence[Record], done: Fit, known: Known, jobs: int) ->
     """
     tried, turns = [(missed(done.model, records, jobs), done)], [done]
     for turn in range(TURNS):
-        steps = SUBSTEPS_EACH if turn == 0 else SUBSTEPS_EACH[1:]
+        steps = STEPS if turn == 0 else STEPS - 1
         turns.append(smoothed(records, turns[-1], known, jobs, turn, steps)[-1])
         tried.append((missed(turns[-1].model, records, jobs), turns[-1]))
         misses = [miss for miss, _ in tried]

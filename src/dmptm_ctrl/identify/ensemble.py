@@ -19,11 +19,10 @@ from dmptm_ctrl.identify.led import SPEED_UNIT, compared
 from dmptm_ctrl.identify.lock import ROUGH, TINY, Steps, cut
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, SUBSTEPS
+from dmptm_ctrl.simulate.compiled import SUBSTEPS
 from dmptm_ctrl.simulate.model import Arrays, Floats
 
-# Per sample, of each step; finer ones tell no more. More steps make it too sure.
-SUBSTEPS_EACH = (SUBSTEPS, SUBSTEPS, SUBSTEPS)
+STEPS = 3  # more make it too sure; runs in finer steps per sample tell no more
 DRIVES = 64  # drawn, of up to 28 unknowns
 SPARE = 8  # drives beyond two per unknown
 FIRST_SECONDS = 0.6  # of each log, whose slopes tell what is known before the first draw
@@ -48,7 +47,7 @@ def smoothed(
     known: Known,
     jobs: int,
     seed: int = 0,
-    each: Sequence[int] = SUBSTEPS_EACH,
+    steps: int = STEPS,
 ) -> list[Fit]:
     """Go on with a fit over whole logs.
 
@@ -64,8 +63,8 @@ def smoothed(
         Threads. The result does not depend on it.
     seed : int
         Of the drives that are drawn.
-    each : sequence of int
-        Steps per sample, of each step.
+    steps : int
+        How many.
 
     Returns
     -------
@@ -75,8 +74,8 @@ def smoothed(
     parts = [replace(rec, block=max(1, round(BLOCK_SECONDS / rec.dt))) for rec in records]
     rng = np.random.default_rng(seed)
     fits = [replace(done, covariance=WIDER * at_first(records, done, known, jobs))]
-    for substeps in each:
-        p, covariance = step(parts, fits[-1], known, jobs, rng, substeps)
+    for _ in range(steps):
+        p, covariance = step(parts, fits[-1], known, jobs, rng)
         fits.append(Fit(place(done.model, done.unknowns, p), done.unknowns, p, covariance))
     return [replace(fit, horizon=done.horizon) for fit in fits[1:]]
 
@@ -95,7 +94,6 @@ def step(
     known: Known,
     jobs: int,
     rng: np.random.Generator,
-    substeps: int = FINE_SUBSTEPS,
 ) -> tuple[Floats, Floats]:
     """Draw drives from what is known, and learn from all of them: values and covariance."""
     low = np.array([k.low for k in done.unknowns])
@@ -106,7 +104,7 @@ def step(
     half = rng.standard_normal((max(DRIVES, 2 * k + SPARE) // 2, k))
     drawn = np.clip(done.p + np.concatenate([half, -half]) @ root.T, low, high)
     drives = arrays_at(done.model, done.unknowns, [*drawn])
-    missed = _missed(records, drives, jobs, substeps)
+    missed = _missed(records, drives, jobs)
     # in the draw's own units from here on
     shifts = np.linalg.solve(root, (drawn - done.p).T).T
     regressors = np.column_stack([np.ones(len(shifts)), shifts])
@@ -127,14 +125,12 @@ def step(
     return p, np.asarray(root @ root.T)
 
 
-def _missed(
-    records: Sequence[Record], drives: Sequence[Arrays], jobs: int, substeps: int
-) -> Floats:
+def _missed(records: Sequence[Record], drives: Sequence[Arrays], jobs: int) -> Floats:
     """Measured minus simulated of many drives, in blocks and units of whole logs."""
 
     def one(task: tuple[Record, int]) -> Floats:  # some drives at a time: runs take memory
         rec, first = task
-        some = compared([rec], drives[first : first + AT_ONCE], 1, substeps)
+        some = compared([rec], drives[first : first + AT_ONCE], 1, SUBSTEPS)
         finer = np.where(np.array(rec.channels) == "speed", SPEED_UNIT / UNIT, 1.0)
         return some * np.repeat(finer, rec.omega.size // rec.block)
 

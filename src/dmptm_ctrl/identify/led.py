@@ -24,23 +24,14 @@ SPEED_UNIT = np.deg2rad(0.08)  # rad/s
 TWIST_UNIT = 1.4 * RING_COUNT / np.sqrt(12.0)  # rad at the ring gear
 
 
-def led_runs(
-    records: Sequence[Record], arrays: Sequence[Arrays], jobs: int, substeps: int | None = None
-) -> list[Floats]:
-    """Run many drives on each record, led where it is: (len(arrays), n, BODIES) of each.
-
-    In steps as fine as its length asks for, unless `substeps` says how many per sample.
-    """
-    found: dict[int, Floats] = {}
-    for rows, runs in side_by_side(records, stacked(arrays), jobs, substeps):
-        found |= zip(rows, runs, strict=True)
-    return [found[i] for i in range(len(records))]
-
-
 def side_by_side(
     records: Sequence[Record], drives: Stacked, jobs: int, substeps: int | None
 ) -> list[tuple[list[int], Floats]]:
-    """Run many drives on records: which are alike, and their runs (len, drives, n, BODIES)."""
+    """Run many drives on each record, led where it is.
+
+    In steps as fine as its length asks for, unless `substeps` says how many per sample. Returns
+    which records are alike, and their runs (len, drives, n, BODIES).
+    """
     timed = any(rec.led for rec in records) and depends_on_time(drives)
     alike: dict[tuple[float, ...], list[int]] = {}  # what runs side by side
     for i, rec in enumerate(records):
@@ -101,7 +92,7 @@ def depends_on_time(drives: Stacked) -> bool:
 def compared(
     records: Sequence[Record], arrays: Sequence[Arrays], jobs: int, substeps: int | None = None
 ) -> Floats:
-    """Measured minus simulated of many drives, in units, (len(arrays), m); as :func:`led_runs`."""
+    """Measured minus simulated of many drives, in units, (len(arrays), m), by `side_by_side`."""
     drives = stacked(arrays)
     n1, n2 = (drives.base[:, BASE.index(key), None] for key in ("N_1", "N_2"))
     parts: dict[int, Floats] = {}

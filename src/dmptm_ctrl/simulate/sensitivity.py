@@ -25,7 +25,7 @@ from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
 from dmptm_ctrl.simulate.compose import engine, layout, per_catalogue
 from dmptm_ctrl.simulate.elementary import cached
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
+from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model, stacked
 from dmptm_ctrl.simulate.slope_chains import deciding_fields
 
 # Share of a parameter's size: truncation and rounding, grown by the run, are both far below 1 %
@@ -44,7 +44,7 @@ KINDS = (
     *("motor", "mesh", "friction", "load", "delay", "lag", "shaft", "sensor_delay", "ageing"),
     "presliding",
 )
-WITH_MESHES, WITH_PRESLIDING = 1, len(KINDS) - 1
+WITH_MESHES, WITH_PRESLIDING = (KINDS.index(site) for site in ("mesh", "presliding"))
 VARIED = BASE.index("k_a")  # not zero, the meshes' stiffness varies with the teeth
 # Parameters that go along for less than lanes would take where a step of presliding is made for
 # each, because it moves numbers of friction laws, or masses
@@ -273,12 +273,13 @@ def _by_kernels(
     results: Sequence[Floats],
 ) -> int:
     """Go along by `tangent_site_core`; the sample from which the other way is another one."""
-    bases, ons, values = (np.array(rows) for rows in zip(*drives, strict=True))
+    rows = stacked(drives)
+    bases, values = rows.base, rows.values
     loop, known = engine(), _known()
     moved = _moved(*(place.slot if place.effect else -1 for place in places))
     fixed, room = np.zeros((len(drives), loop.FIXED)), np.zeros((3, loop.STATE))
     s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(loop.R_MOVES + len(moved))
-    on, ends = ons.max(axis=0), len(SITES) + 1
+    on, ends = rows.on.max(axis=0), len(SITES) + 1
     used = known.kinds @ on
     used[WITH_MESHES] += np.count_nonzero(bases[:, VARIED])
     kinds = (True if count else None for count in used)

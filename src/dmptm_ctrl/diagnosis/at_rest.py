@@ -173,11 +173,28 @@ def softened(fit: BalanceFit, behind: int) -> BalanceFit:
     behind : int
         Unknowns of `fit` behind which those of pre-sliding come.
     """
-    own, model = unknowns_of(NAME), fit.model
+    model = fit.model
     if NAME not in model.effects:
         model = sized(NAME, model, LITTLE)
+    return extended(fit, model, unknowns_of(NAME), LITTLE, behind)
+
+
+def extended(
+    fit: BalanceFit, model: Model, own: tuple[Unknown, ...], width: float, behind: int
+) -> BalanceFit:
+    """Add to a fit what the balances do not tell.
+
+    Parameters
+    ----------
+    model : Model
+        Of the fit, with the values of the added unknowns.
+    width : float
+        Standard deviation of what is known of each, in its steps.
+    behind : int
+        Unknowns of `fit` behind which they come.
+    """
     n = fit.p.size
-    covariance = np.diag(np.full(n + len(own), LITTLE**2))
+    covariance = np.diag(np.full(n + len(own), width**2))
     covariance[:n, :n] = fit.covariance
     unknowns = np.array([*fit.unknowns, *own], object)
     p = np.concatenate([fit.p, position(model, own)])

@@ -15,6 +15,7 @@ from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit, place, pos
 from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, level, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.simulate.compiled import SUBSTEPS
 from dmptm_ctrl.simulate.model import Floats, Model
 
 # Factor on the variance: what a friction law has wrong is wrong alike in neighbouring windows.
@@ -73,12 +74,14 @@ def augment(
         best = locked = min(
             (locked, other), key=lambda one: level(one.model, met, HORIZONS[-1], jobs)
         )
-    if locked.horizon < FIRM_SECONDS:
+    if locked.horizon < FIRM_SECONDS and not onward:  # or whole logs come next
         misfit = Misfit(records, LEAD_HZ, jobs)
         misfit.weigh(start.model)
         known = widened(start.p, start.covariance, more)
         whole = fit(misfit, start.model, unknowns, iterations=ITERATIONS, known=known)
-        if locked.horizon == 0.0 or missed(whole.model, records) < missed(best.model, records):
+        if locked.horizon == 0.0 or missed(whole.model, records, jobs) < missed(
+            best.model, records, jobs
+        ):
             best = whole
     done = Fit(best.model, unknowns, best.p, best.covariance, locked.horizon)
     if near is not None:
@@ -119,7 +122,9 @@ def onto_whole(records: Sequence[Record], done: Fit, known: Known, jobs: int) ->
 
 def missed(model: Model, records: Sequence[Record], jobs: int = 1) -> float:
     """How badly the expected motion meets the speed below 30 Hz: sum of the logs' logarithms."""
-    runs = in_threads(lambda rec: expected(model, rec.u, rec.x0, rec.dt), records, jobs)
+    runs = in_threads(
+        lambda rec: expected(model, rec.u, rec.x0, rec.dt, substeps=SUBSTEPS), records, jobs
+    )
     squares = [
         np.mean(low_pass(rec.omega - run[:, 1], rec.dt) ** 2)
         for rec, run in zip(records, runs, strict=True)

@@ -39,9 +39,9 @@ from dmptm_ctrl.diagnosis.runoff import run_off
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.diagnosis.tables import Tables
-from dmptm_ctrl.diagnosis.trace import WITHOUT_TWIST, Trial, ringing, unknowns_of
+from dmptm_ctrl.diagnosis.trace import Trial, ringing, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import Unexplained, astray
-from dmptm_ctrl.diagnosis.unseen import AGEING, REVERSAL_SECONDS, Shown, unseen
+from dmptm_ctrl.diagnosis.unseen import AGEING, BY_IMPACTS, REVERSAL_SECONDS, Shown, unseen
 from dmptm_ctrl.diagnosis.unseen import LEAST as LEAST_UNSEEN
 from dmptm_ctrl.diagnosis.unseen import SUREST as UNSEEN_SURE
 from dmptm_ctrl.drive import Drive, paper_drive
@@ -71,7 +71,8 @@ KEEPS_SECONDS = 0.6
 BESIDE_SECONDS = 0.2  # for which a model with an effect keeps step that need not race for more
 WORTH_SECONDS = 0.1  # for which a model with a little pre-sliding keeps step, before a refit
 LITTLE = 0.03  # deg/s; rattle of another course moves a small error by so much
-BY_KEEPING_STEP = (at_rest.NAME, AGEING, *WITHOUT_TWIST)  # what balances may tell nothing of
+BY_KEEPING_STEP = (at_rest.NAME, AGEING, *BY_IMPACTS)  # what balances may tell nothing of
+LIKELY = 1.0  # steps of such an effect, by which another one beside it may change its size
 RING_ENCODER = "encoder_eccentricity"
 RINGING = {"u", "du_dt"}  # what a ringing reducer depends on
 NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity")
@@ -134,6 +135,8 @@ def diagnose(
     after = rested(decision, after, jobs)
     after = in_step(decision, after, jobs, seed)
     after = uncovered(decision, without["rmse"], after, held, jobs, seed)
+    if met_by_landings(decision):  # beside it another one may show
+        after = in_step(decision, after, jobs, seed)
     as_any_friction(decision, after)
     nothing = not decision.found and not model.effects and decision.unexplained is None
     if nothing and without["rmse"] > ASTRAY:
@@ -274,6 +277,10 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
         behind = len(base.unknowns)
         field = [replace(t, fit=at_rest.softened(t.fit, behind)) for t in field]
         start = at_rest.softened(start, behind)
+    for found in met_by_landings(decision):
+        others = (t for t in field if t.name != found.name)
+        field = [replace(t, fit=with_found(t.fit, found, after.model, base)) for t in others]
+        start = with_found(start, found, after.model, base)
     logs, scan = (measured.fit, measured.held), not decision.found
     shown = race(*logs, start, field, scan=scan, jobs=jobs, seed=seed)
     if shown is None:
@@ -285,6 +292,18 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     decision.found.append(found)
     near = replace(after, model=shown.model, horizon=shown.seconds)
     return refit(decision, jobs, near)
+
+
+def met_by_landings(decision: Decision) -> list[Found]:
+    """Return what was found of which the balances tell nothing."""
+    told = {unknown.effect for unknown in decision.after.base.unknowns}
+    return [f for f in decision.found if f.name in BY_IMPACTS and f.name not in told]
+
+
+def with_found(fit: BalanceFit, found: Found, model: Model, base: BalanceFit) -> BalanceFit:
+    """Let what was found go along with a fit, from its values in a model."""
+    there = fit.model.with_effect(found.name, **model.effects[found.name])
+    return at_rest.extended(fit, there, unknowns_of(found.name), LIKELY, len(base.unknowns))
 
 
 def gives(decision: Decision) -> bool:
@@ -375,8 +394,9 @@ def uncovered(
     error = speed_error(fit.model, held)["rmse"]
     better = error <= without
     if shown.name != AGEING:
-        # what all reversals tell is not undone by rattle of another course
-        better |= shown.everywhere and error <= WORSE * without + LITTLE
+        # what all reversals tell, or what meets the landings, rattle of another course leaves
+        lasting = shown.everywhere or shown.meets
+        better |= lasting and error <= WORSE * without + LITTLE
         if not better:  # another one of its kind can meet the first landings too
             decision.after = before
             decision.found.pop()

@@ -45,7 +45,14 @@ def free_run(model: Model, log: Log, *, runs: int = RUNS) -> Floats:
 
 
 def expected(
-    model: Model, u: Floats, x0: Floats, dt: float, *, runs: int = RUNS, count: float = 0.0
+    model: Model,
+    u: Floats,
+    x0: Floats,
+    dt: float,
+    *,
+    runs: int = RUNS,
+    count: float = 0.0,
+    substeps: int = FINE_SUBSTEPS,
 ) -> Floats:
     """Mean of a model's free run and of those with meshes changed by :data:`SPREAD`.
 
@@ -56,6 +63,8 @@ def expected(
         As for :func:`~dmptm_ctrl.simulate.compiled.march`.
     count : float
         To which the ring gear's first angle is rounded [rad]; the others begin anywhere in it.
+    substeps : int
+        Steps per sample.
 
     Returns
     -------
@@ -72,10 +81,10 @@ def expected(
     ]
     arrays = [model.arrays(), *(model.with_values(**values).arrays() for values in jogged)]
     if runs > 1 and u.shape[1] <= TOGETHER:
-        return np.asarray(march_many(arrays, u, starts, dt, substeps=FINE_SUBSTEPS).mean(axis=0))
-    total = march(arrays[0], u, starts[0], dt, substeps=FINE_SUBSTEPS)
+        return np.asarray(march_many(arrays, u, starts, dt, substeps=substeps).mean(axis=0))
+    total = march(arrays[0], u, starts[0], dt, substeps=substeps)
     for other, start in zip(arrays[1:], starts[1:], strict=True):
-        total += march(other, u, start, dt, substeps=FINE_SUBSTEPS)
+        total += march(other, u, start, dt, substeps=substeps)
     return total / runs
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.diagnosis.residual import Residual
@@ -43,6 +44,7 @@ STARTS = 2  # best shapes that are fitted
 # Evidence of a first step from nothing, nearly all that there is, below which no more are taken;
 # a second effect of a tenth of what it needs has that much.
 WORTH = 8.0
+SINGULAR = 1e-9  # share of a column's square, below which nothing of it is left but rounding
 FINALISTS = 3  # fitted to the end before they are compared
 
 
@@ -98,6 +100,22 @@ class Trace:
         tall = np.pad(columns, pad)
         return np.asarray(tall - self.basis @ (self.basis.T @ tall))
 
+    @cached_property
+    def totals(self) -> NDArray[np.intp]:
+        """Rows of the balances of the whole; any others a torque on the ring gear leaves alone."""
+        counts = [(e.kind == "total", int(e.used.sum())) for e in self.balance.equations]
+        return np.flatnonzero(np.concatenate([np.full(count, whole) for whole, count in counts]))
+
+    def left_of(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Squares of projected columns of the totals, and their products with the target.
+
+        By the columns' own products: to project them takes longer.
+        """
+        squares = np.einsum("ij,ij->j", columns, columns)
+        told = self.basis[self.totals].T @ columns
+        left = squares - np.einsum("ij,ij->j", told, told)
+        return np.maximum(left, SINGULAR * squares), self.target[self.totals] @ columns
+
     def weigh_down(self, parts: Sequence[Floats]) -> Floats:
         """Stack parts per equation with the weights of the base fit."""
         return np.asarray(self.base.weights * np.concatenate(parts))
@@ -124,22 +142,19 @@ def effect_columns(trace: Trace, effect: Effect, shapes: Mapping[str, float]) ->
 
 
 def total_columns(trace: Trace, rows: Sequence[Floats]) -> Floats:
-    """Weighted columns of torques on the ring gear, (k, w) per motion, in windows."""
+    """Weighted columns of torques on the ring gear, (k, w) per motion, in windows of the totals."""
     eqs = trace.balance.equations
-    k = rows[0].shape[0]
-    parts = [
-        -rows[e.motion][:, e.used] if e.kind == "total" else np.zeros((k, int(e.used.sum())))
-        for e in eqs
-    ]
-    return np.asarray(trace.base.weights[:, None] * np.concatenate(parts, axis=1).T)
+    parts = [-rows[e.motion][:, e.used] for e in eqs if e.kind == "total"]
+    columns = np.concatenate(parts, axis=1).T
+    return np.asarray(trace.base.weights[trace.totals, None] * columns)
 
 
 def pair_gains(trace: Trace, cosine: Floats, sine: Floats) -> Floats:
-    """Gain of each (cosine, sine) pair of columns (m, k)."""
-    c, s = trace.project(cosine), trace.project(sine)
-    r = trace.target
-    cc, ss, cs = (c * c).sum(0), (s * s).sum(0), (c * s).sum(0)
-    rc, rs = r @ c, r @ s
+    """Gain of each (cosine, sine) pair of columns of the totals."""
+    (cc, rc), (ss, rs) = trace.left_of(cosine), trace.left_of(sine)
+    basis = trace.basis[trace.totals]
+    cs = np.einsum("ij,ij->j", cosine, sine)
+    cs -= np.einsum("ij,ij->j", basis.T @ cosine, basis.T @ sine)
     det = np.maximum(cc * ss - cs**2, 1e-9 * cc * ss + 1e-300)
     return np.asarray((ss * rc**2 - 2 * cs * rc * rs + cc * rs**2) / det)
 
@@ -224,8 +239,8 @@ def places(trace: Trace, effect: Effect) -> list[dict[str, float]]:
             theta, direction = mo.run[middle, 0], np.sign(mo.run[middle, 1])
             away = (theta - banks["place"][:, None] + np.pi) % (2 * np.pi) - np.pi
             rows.append(-direction * np.exp(-0.5 * (away / width) ** 2))
-        g = trace.project(total_columns(trace, rows))
-        gain = np.maximum(trace.target @ g, 0.0) ** 2 / np.maximum((g * g).sum(0), 1e-9)
+        square, product = trace.left_of(total_columns(trace, rows))
+        gain = np.maximum(product, 0.0) ** 2 / np.maximum(square, 1e-9)
         for i in best(gain, STARTS, 3):
             trials.append({"place": float(banks["place"][i]), "width": float(width)})
             gains.append(gain[i])

@@ -142,6 +142,15 @@ def largest(s, width, row):
 
 
 @njit
+def smallest(s, width, row):
+    """Smallest of a row."""
+    least = s[row]
+    for lane in range(width):
+        least = min(least, s[row + lane])
+    return least
+
+
+@njit
 def law(s, row, exponent):
     """Friction law in a row of the bodies."""
     return stribeck_law(
@@ -610,6 +619,7 @@ def march_lanes(
     late = largest(s, width, LATE) > 0.0
     elastic = largest(s, width, COMPLIANCE) > 0.0
     presliding = largest(s, 3 * width, DISTANCE) > 0.0
+    sliding = smallest(s, 3 * width, DISTANCE) <= 0.0  # some body at least
     ageing = largest(s, 3 * width, RENEW) > 0.0
     varying, general = False, False
     for lane in range(width):
@@ -730,9 +740,10 @@ def march_lanes(
                     for row in range(3 * width):
                         s[ADDED + row] = 0.0
                 ageing_stage(s, width, middle, on)
-            stopping = general_slide_stage(s, width) if general else slide_stage(s, width)
-            if stopping > 0:
-                stop_stage(s, width)
+            if sliding:
+                stopping = general_slide_stage(s, width) if general else slide_stage(s, width)
+                if stopping > 0:
+                    stop_stage(s, width)
             if presliding and general:
                 general_presliding_stage(s, width, h)
             elif presliding:

@@ -30,12 +30,16 @@ from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import trace, unknowns_of
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects.torque_constant_mismatch import OPPOSITE
+from dmptm_ctrl.identify.fit import place as placed
+from dmptm_ctrl.identify.led import TWIST_UNIT
 from dmptm_ctrl.identify.lock import DOUBTFUL, LOST, UNEASY, cut, level
+from dmptm_ctrl.identify.records import predict
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
 LOGS = ("open_sine_0v60", "open_square_0v75", "closed_sine_10", "closed_square_15")
 SOME = ("drive_offset", "unbalance")
+GYRO = np.deg2rad(0.05)  # rad/s, noise of the speed
 
 
 def measured_rig(
@@ -163,18 +167,35 @@ def test_a_limit_that_one_log_reaches_at_its_first_reversal():
     assert limit == pytest.approx(told[name]["limit_V"], rel=0.01)
 
 
-def test_an_order_that_the_balances_miss_goes_on_from_the_scan():
-    measured, left, told = measured_rig((("cogging", 3.0),), "karnopp", 90100001, "paper")
+@pytest.mark.parametrize("true", [9.0, 29.0])
+def test_an_order_that_the_balances_miss_goes_on_from_the_scan(true):
+    """Of a drive that obeys the model's laws, and whose values balances know nearly."""
+    measured, left, _ = measured_rig((), "karnopp", 90100001, sensors="all")
+    start = rattled(measured.fit, left.base, measured.drive, 2)
+    magnets = {"left_cosine": 0.02, "left_sine": 0.02, "right_cosine": 0.0, "right_sine": 0.03}
+    rng = np.random.default_rng(5)
+    off = 0.5 * np.linalg.cholesky(start.covariance) @ rng.standard_normal(start.p.size)
+    plant = placed(start.model, start.unknowns, start.p + off)
+    plant = plant.with_effect("cogging", **magnets, order=true)
+    logged = [as_run(cut(rec, 0.2), plant, rng) for rec in measured.fit]
     (trial,) = trace(left, only=("cogging",))
-    true = told["cogging"]["order"]
     missed = trial.fit.model.with_effect("cogging", order=true - 1.0)
     trial = replace(trial, fit=replace(trial.fit, model=missed))
-    start = rattled(measured.fit, left.base, measured.drive, 2)
-    entered = shaped(trial, start, loosely(start), measured.fit, 2)
+    entered = shaped(trial, start, loosely(start), logged, 2)
     tried = [one.model.effects["cogging"]["order"] for one in entered]
     assert tried[0] == true - 1.0
     assert true in tried[1:]
     assert len(tried) == 1 + SCAN[-1][-1]
+
+
+def as_run(rec, plant, rng):
+    """A record as a plant runs on it, with noise of its sensors."""
+    run = predict(rec, plant.arrays())
+    n1, n2 = plant.drive["N_1"], plant.drive["N_2"]
+    omega = run[:, 1] + GYRO * rng.standard_normal(rec.omega.size)
+    twist = run[:, 2:4] / n1 - n2 * run[:, :1]
+    twist += n2 * TWIST_UNIT * rng.standard_normal(twist.shape)
+    return replace(rec, omega=omega, twist=twist)
 
 
 @pytest.mark.parametrize(

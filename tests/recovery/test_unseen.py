@@ -1,5 +1,7 @@
 """What the balances tell nothing of, told by keeping step on rigs of another program."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,11 +9,13 @@ from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.at_rest import presliding
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import Decision
-from dmptm_ctrl.diagnosis.diagnose import uncovered
+from dmptm_ctrl.diagnosis.diagnose import in_step, met_by_landings, uncovered
 from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.report import unnamed
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.runoff import Run
+from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.diagnosis.unseen import AGEING, LEAST, names, stands_apart, unseen
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.simulate.model import Model
@@ -75,7 +79,8 @@ def test_friction_that_hardly_gives_may_be_motors_that_differ():
     With friction that sticks, the right one does.
     """
     before, left, truth = fitted(350100023, (("torque_constant_mismatch", 1.0),), "load")
-    rested = presliding(left, 2)
+    # what it takes off, fitted and held out, where it does mend a part
+    rested = replace(presliding(left, 2), gain=150.0, held_gain=40.0, shares=(0.24, 0.18))
     assert rested.gives
     assert rested.doubtful
     found = unseen(left, before, rested=rested)
@@ -83,6 +88,28 @@ def test_friction_that_hardly_gives_may_be_motors_that_differ():
     assert found.fit.horizon >= 0.1
     size = found.fit.model.effects[found.name]["error"]
     assert size == pytest.approx(truth[found.name]["left_share"], rel=0.1)
+
+
+def test_beside_what_meets_the_landings_another_one_is_raced():
+    """Motors that differ, and an offset of one: until that is there the free run goes astray."""
+    effects = (("drive_offset", 1.0), ("torque_constant_mismatch", 1.0))
+    before, left, truth = fitted(370100009, effects, "load")
+    some = ("drive_offset", "torque_constant_mismatch", "unbalance")
+    decision = Decision(left, left, rest=trace(left, only=some))
+    held = left.measured.held_logs
+    without = speed_error(before.model, held)["rmse"]
+    fit = uncovered(decision, without, before, held, 2, 0)
+    assert [found.name for found in decision.found] == ["torque_constant_mismatch"]
+    assert [found.name for found in met_by_landings(decision)] == ["torque_constant_mismatch"]
+    fit = in_step(decision, fit, 2, 0)
+    assert {found.name for found in decision.found} == {name for name, _ in effects}
+    assert speed_error(fit.model, held)["rmse"] < 0.5 * without
+    told = fit.model.effects
+    share, offset = (truth[name] for name in ("torque_constant_mismatch", "drive_offset"))
+    mismatch = told["torque_constant_mismatch"]["error"]
+    assert mismatch == pytest.approx(share["left_share"], rel=0.1)
+    apart = told["drive_offset"]["left"] - told["drive_offset"]["right"]
+    assert apart == pytest.approx(offset["offset_V"], rel=0.2)
 
 
 def test_one_stands_apart_of_others_that_leave_much():

@@ -23,7 +23,7 @@ from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, NEEDS_TWIST, WITHOUT_TWIST,
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown, position
-from dmptm_ctrl.identify.lock import DOUBTFUL, LOST, SCATTERED, UNEASY, Locked, cut, level, lock
+from dmptm_ctrl.identify.lock import LOST, SCATTERED, UNEASY, Locked, cut, level, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -79,7 +79,7 @@ class Shown:
     everywhere : bool
         Whether the reversals of whole logs tell it, not only their starts.
     meets : bool
-        Whether it meets these starts as well as noise lets it, where the model as it is does not.
+        Whether it meets these starts well where the model as it is has lost step altogether.
     """
 
     name: str
@@ -453,5 +453,5 @@ def ageing(
 
 def shown(name: str, fit: Fit, bare: Run, own: Run, rivals: tuple[Shown, ...] = ()) -> Shown:
     """Describe one that keeps step where the model as it is does not."""
-    meets = own.level < DOUBTFUL and bare.level > max(LOST, OUT * own.level)
+    meets = own.level < UNEASY and bare.level > max(LOST, OUT * own.level)
     return Shown(name, fit, bare.fitted - own.fitted, bare.held - own.held, rivals, meets=meets)

@@ -2,8 +2,8 @@
 
     python benchmarks/starts.py
 
-Prints one JSON object: seconds, and seconds of the processor, from the first line on. What
-python-control takes to be imported is part of `simulate`, which returns its TimeResponseData.
+Prints one JSON object: seconds, and seconds of the processor, from the first line on. The numbers
+of a result are there before python-control is; who asks for its TimeResponseData waits for that.
 """
 
 import json
@@ -19,8 +19,10 @@ FIRST = """
 import numpy as np
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.model import Model
-simulate(Model(), 1e-3 * np.arange(1000), np.ones((2, 1000)))
+response = simulate(Model(), 1e-3 * np.arange(1000), np.ones((2, 1000)))
+assert response.outputs.shape == (8, 1000)
 """
+WHOLE = f"{FIRST}assert response.output_labels[0] == 'theta_L'\n"  # of python-control
 ARRAYS = """
 import numpy as np
 from dmptm_ctrl.simulate.compiled import march, rest
@@ -30,6 +32,7 @@ march(Model().arrays(), np.ones((2, 1000)), rest(Model(), 0.0), 1e-3)
 STARTS = {  # what a fresh process does; the first without anything compiled
     "cold_simulate": FIRST,
     "warm_simulate": FIRST,
+    "warm_time_response_data": WHOLE,
     "warm_python_control_alone": "import control",
     "warm_march": ARRAYS,
     "warm_import": IMPORT,

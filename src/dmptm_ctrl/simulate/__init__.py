@@ -77,7 +77,8 @@ def simulate(
     -------
     TimeResponseData
         Outputs :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, readings of the sensors
-        without noise.
+        without noise. Where python-control is not imported yet, the numbers do not wait for it,
+        see :mod:`~dmptm_ctrl.simulate.response`.
 
     Raises
     ------
@@ -100,9 +101,8 @@ def _simulated(
     method: str,
     options: dict[str, Any],
 ) -> "control.TimeResponseData":
-    from control import TimeResponseData
-
     from dmptm_ctrl.simulate.compiled import OUTPUTS, rest
+    from dmptm_ctrl.simulate.response import response
 
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
@@ -124,7 +124,7 @@ def _simulated(
     )
     dt = (time[-1] - time[0]) / (time.size - 1)
     outputs = _run(method, model, u, x0, dt, options)
-    return TimeResponseData(
+    return response(
         time,
         outputs.T,
         inputs=u,

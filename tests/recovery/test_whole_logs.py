@@ -11,8 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "identify"))
 
 from test_ensemble import astray, drawn, logged
 
-from dmptm_ctrl.diagnosis.augment import missed, nearer, onto_whole
-from dmptm_ctrl.identify.fit import position
+from dmptm_ctrl.diagnosis.augment import missed, nearest, onto_whole
 
 
 @pytest.fixture(scope="module")
@@ -27,20 +26,20 @@ def records(plant):
 
 def test_a_refit_that_meets_logs_worse_than_its_start_is_none(plant, records):
     wrong, _ = astray(plant)
-    kept = nearer(records, wrong, plant[0], 2)
-    np.testing.assert_allclose(kept.p, plant[1], atol=1e-12)
-    np.testing.assert_allclose(position(kept.model, kept.unknowns), kept.p, atol=1e-12)
     right = replace(wrong, model=plant[0], p=plant[1])
-    assert nearer(records, right, wrong.model, 2) is right
+    for tried in ((wrong, right), (right, wrong)):
+        miss, kept = nearest(tried, records, 2)
+        assert kept is right
+        assert miss == missed(plant[0], records)
 
 
 def test_turns_bring_whole_logs_within_reach(plant, records):
     """Drag on the way back, wrong by a fifth of its range: the first turn is not the last."""
     wrong, known = astray(plant)
     before, truth = missed(wrong.model, records), missed(plant[0], records)
-    done = onto_whole(records, wrong, known, 2)
+    done = onto_whole(records, (before, wrong), known, 2)
     after = missed(done.model, records)
     assert after - truth < 0.2 * (before - truth)
     assert np.linalg.norm(done.p - plant[1]) < 0.25 * np.linalg.norm(wrong.p - plant[1])
-    again = onto_whole(records, wrong, known, 1)
+    again = onto_whole(records, (before, wrong), known, 1)
     np.testing.assert_array_equal(again.p, done.p)

@@ -79,33 +79,32 @@ def augment(
         misfit.weigh(start.model)
         known = widened(start.p, start.covariance, more)
         whole = fit(misfit, start.model, unknowns, iterations=ITERATIONS, known=known)
-        if locked.horizon == 0.0 or missed(whole.model, records, jobs) < missed(
-            best.model, records, jobs
-        ):
-            best = whole
+        kept = Fit(best.model, unknowns, best.p, best.covariance)
+        best = whole if locked.horizon == 0.0 else nearest((kept, whole), records, jobs)[1]
     done = Fit(best.model, unknowns, best.p, best.covariance, locked.horizon)
-    if near is not None:
-        done = nearer(records, done, near.model, jobs)
-    if onward:
-        done = onto_whole(records, done, loosely, jobs)
+    tried = [done]
+    if near is not None:  # a refit, or what it began with where that meets whole logs better
+        p = position(near.model, unknowns)
+        tried.append(replace(done, model=place(done.model, unknowns, p), p=p))
+    if onward or near is not None:
+        miss, done = nearest(tried, records, jobs)
+        done = onto_whole(records, (miss, done), loosely, jobs) if onward else done
     return replace(done, covariance=honest(done, start))
 
 
-def nearer(records: Sequence[Record], done: Fit, near: Model, jobs: int) -> Fit:
-    """Return a refit, or what it began with where that meets whole logs better."""
-    p = position(near, done.unknowns)
-    other = replace(done, model=place(done.model, done.unknowns, p), p=p)
-    return min(done, other, key=lambda one: missed(one.model, records, jobs))
+def nearest(tried: Sequence[Fit], records: Sequence[Record], jobs: int) -> tuple[float, Fit]:
+    """Return the fit that meets whole logs best, behind how badly it does."""
+    return min(((missed(one.model, records, jobs), one) for one in tried), key=lambda one: one[0])
 
 
-def onto_whole(records: Sequence[Record], done: Fit, known: Known, jobs: int) -> Fit:
-    """Go on over whole logs as long as it meets them better.
+def onto_whole(records: Sequence[Record], begun: tuple[float, Fit], known: Known, jobs: int) -> Fit:
+    """Go on over whole logs as long as it meets them better than it began.
 
     What a turn has learnt brings later bounces within reach of the next, which begins anew with
     the little that the first bounces tell: what a turn knows in the end is too much. Where each
     comes out is partly chance, which their mean has less of.
     """
-    tried, turns = [(missed(done.model, records, jobs), done)], [done]
+    tried, turns = [begun], [begun[1]]
     for turn in range(TURNS):
         steps = STEPS if turn == 0 else STEPS - 1
         turns.append(smoothed(records, turns[-1], known, jobs, turn, steps)[-1])
@@ -113,6 +112,7 @@ def onto_whole(records: Sequence[Record], done: Fit, known: Known, jobs: int) ->
         misses = [miss for miss, _ in tried]
         if min(misses[-PATIENCE:]) > min(misses[:-PATIENCE], default=np.inf) - WORTH:
             break
+    done = begun[1]
     p = np.mean([one.p for one in turns[-LAST:]], axis=0)
     mean = replace(done, model=place(done.model, done.unknowns, p), p=p)
     tried.append((missed(mean.model, records, jobs), mean))

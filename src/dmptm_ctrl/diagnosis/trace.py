@@ -155,7 +155,7 @@ def pair_gains(trace: Trace, cosine: Floats, sine: Floats) -> Floats:
     basis = trace.basis[trace.totals]
     cs = np.einsum("ij,ij->j", cosine, sine)
     cs -= np.einsum("ij,ij->j", basis.T @ cosine, basis.T @ sine)
-    det = np.maximum(cc * ss - cs**2, 1e-9 * cc * ss + 1e-300)
+    det = np.maximum(cc * ss - cs**2, SINGULAR * cc * ss + 1e-300)
     return np.asarray((ss * rc**2 - 2 * cs * rc * rs + cc * rs**2) / det)
 
 

@@ -142,15 +142,6 @@ def largest(s, width, row):
 
 
 @njit
-def smallest(s, width, row):
-    """Smallest of a row."""
-    least = s[row]
-    for lane in range(width):
-        least = min(least, s[row + lane])
-    return least
-
-
-@njit
 def law(s, row, exponent):
     """Friction law in a row of the bodies."""
     return stribeck_law(
@@ -619,13 +610,13 @@ def march_lanes(
     late = largest(s, width, LATE) > 0.0
     elastic = largest(s, width, COMPLIANCE) > 0.0
     presliding = largest(s, 3 * width, DISTANCE) > 0.0
-    sliding = smallest(s, 3 * width, DISTANCE) <= 0.0  # some body at least
     ageing = largest(s, 3 * width, RENEW) > 0.0
-    varying, general = False, False
+    varying, general, sliding = False, False, False
     for lane in range(width):
         varying = varying or s[K_A + lane] != 0.0
     for row in range(3 * width):
         general = general or s[DELTA + row] != 1.0
+        sliding = sliding or s[DISTANCE + row] <= 0.0
     past = np.zeros((2, LANES, int(largest(s, width, DEAD)) + 3))  # voltages at the last samples
     history = np.empty((int(largest(s, width, LATE)) + 2, LANES))  # speeds at the last steps
     for lane in range(width):

@@ -34,3 +34,18 @@ def test_stiffness_of_another_programs_rig(strength):
     true = rig.label["effect_parameters"]["reducer_compliance"]["stiffness_N_m_rad"]
     assert stiffness == pytest.approx(true, rel=0.2)
     assert unexplained(left, after, trial.evidence, leave=LEAVES["reducer_compliance"]) is None
+
+
+def test_motors_that_differ_wind_up_soft_reducers_by_as_much():
+    """What acts at a motor goes through its shaft: else it would stand in for that, too large."""
+    effects = (("reducer_compliance", 3.0), ("torque_constant_mismatch", 1.0))
+    rig = make_rig(380100006, effects, sensors="all", friction="karnopp", contact="eq21")
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    measured = measure(logs, paper_drive())
+    left = residual(measured, Model(paper_drive()))
+    (first,) = trace(left, only=("reducer_compliance",))
+    (second,) = trace(adopt(measured, first, 2), only=("torque_constant_mismatch",))
+    error = abs(second.fit.model.effects["torque_constant_mismatch"]["error"])
+    true = rig.label["effect_parameters"]["torque_constant_mismatch"]["left_share"]
+    assert error == pytest.approx(abs(true), rel=0.1)
+    assert second.held_gain > 0.0

@@ -32,6 +32,7 @@ ENCODER_UNIT = 1e-4  # rad, at which the encoder's error is read off its kernel
 # Friction that takes a tenth of the torque is met to a ten-thousandth of it by the third.
 PASSES = 3
 RECENT = 4  # results kept per motion
+MOTOR_SITES = ("delay", "drive", "lag", "motor")
 
 
 @njit(nogil=True)
@@ -194,6 +195,11 @@ class Windowed:
             shift = shift + moved
         drive = n1 * base[0] * base[1] * self.volts
         force[:2] += drive
+        motors = at_motors(on)
+        if compliance > 0.0 and motors.any():
+            drive = (
+                drive + self.disturbed((base.tobytes(), motors.tobytes(), values.tobytes()))[0][:2]
+            )
         out = np.empty((3, mo.starts.size))
         # As an acceleration: the sensors' noise is one, and must not favour a small inertia.
         out[0] = jl * mo.ring + n2 * j3 * mo.pinions.sum(1) - n2 * force[:2].sum(0) - force[2]
@@ -234,6 +240,16 @@ def _unneeded(names: tuple[str, ...], on: bytes) -> list[int]:
     acts = any(used and CATALOGUE[n].site == "friction" for n, used in zip(names, on, strict=True))
     friction = list(range(REDUCER, BEARING + LAW)) if acts else []
     return [i for i in range(len(BASE)) if i not in {*gain, *ratios, *friction}]
+
+
+def at_motors(on: Any) -> Any:
+    """Which of the effects in use act on what a motor gives its shaft."""
+    return on & _at_motors(tuple(CATALOGUE))
+
+
+@cache
+def _at_motors(names: tuple[str, ...]) -> Any:
+    return np.array([CATALOGUE[n].site in MOTOR_SITES for n in names], np.uint8)
 
 
 def loads(on: Any) -> bool:

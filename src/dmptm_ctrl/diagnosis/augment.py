@@ -84,12 +84,16 @@ def augment(
     done = Fit(best.model, unknowns, best.p, best.covariance, locked.horizon)
     tried = [done]
     if near is not None:  # a refit, or what it began with where that meets whole logs better
-        p = position(near.model, unknowns)
-        tried.append(replace(done, model=place(done.model, unknowns, p), p=p))
+        tried.append(moved(done, position(near.model, unknowns)))
     if onward or near is not None:
         miss, done = nearest(tried, records, jobs)
         done = onto_whole(records, (miss, done), loosely, jobs) if onward else done
     return replace(done, covariance=honest(done, start))
+
+
+def moved(done: Fit, p: Floats) -> Fit:
+    """Return a fit at other values of its unknowns."""
+    return replace(done, model=place(done.model, done.unknowns, p), p=p)
 
 
 def nearest(tried: Sequence[Fit], records: Sequence[Record], jobs: int) -> tuple[float, Fit]:
@@ -113,8 +117,7 @@ def onto_whole(records: Sequence[Record], begun: tuple[float, Fit], known: Known
         if min(misses[-PATIENCE:]) > min(misses[:-PATIENCE], default=np.inf) - WORTH:
             break
     done = begun[1]
-    p = np.mean([one.p for one in turns[-LAST:]], axis=0)
-    mean = replace(done, model=place(done.model, done.unknowns, p), p=p)
+    mean = moved(done, np.mean([one.p for one in turns[-LAST:]], axis=0))
     tried.append((missed(mean.model, records, jobs), mean))
     best = min(tried, key=lambda one: one[0])[1]
     return replace(done, model=best.model, p=best.p)

@@ -195,11 +195,10 @@ class Windowed:
             shift = shift + moved
         drive = n1 * base[0] * base[1] * self.volts
         force[:2] += drive
-        motors = at_motors(on)
-        if compliance > 0.0 and motors.any():
-            drive = (
-                drive + self.disturbed((base.tobytes(), motors.tobytes(), values.tobytes()))[0][:2]
-            )
+        motors = at_motors(on) if compliance > 0.0 else None
+        if motors is not None and motors.any():
+            given = base.tobytes(), motors.tobytes(), values.tobytes()
+            drive = drive + self.disturbed(given)[0][:2]
         out = np.empty((3, mo.starts.size))
         # As an acceleration: the sensors' noise is one, and must not favour a small inertia.
         out[0] = jl * mo.ring + n2 * j3 * mo.pinions.sum(1) - n2 * force[:2].sum(0) - force[2]

@@ -6,6 +6,7 @@ own the moment it is asked for anything else.
 """
 
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from numpy.typing import NDArray
@@ -69,14 +70,7 @@ class _Response:
         return repr(_made(self))
 
     def __reduce__(self) -> Any:
-        return response_of, (self.time, self.outputs, self._given)
-
-
-def response_of(
-    time: NDArray[Any], outputs: NDArray[Any], given: dict[str, Any]
-) -> "control.TimeResponseData":
-    """Make a response again that was pickled before it was made."""
-    return response(time, outputs, **given)
+        return partial(response, **self._given), (self.time, self.outputs)
 
 
 def _made(one: Any) -> Any:

@@ -3,11 +3,13 @@
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import wraps
+from threading import local
 from typing import Any, Literal, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
+_THREAD = local()
 
 
 def small_matrices(function: Callable[P, R]) -> Callable[P, R]:
@@ -28,11 +30,14 @@ def small_matrices(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def in_threads(function: Callable[[T], R], items: Iterable[T], jobs: int) -> list[R]:
-    """Call a function, most of which is compiled, for each item, at once on `jobs` threads."""
+    """Call a function, most of which is compiled, for each item, at once on `jobs` threads.
+
+    On one of them what is called does its own one after another: the cores are taken.
+    """
     items = list(items)
-    if min(jobs, len(items)) <= 1:
+    if min(jobs, len(items)) <= 1 or getattr(_THREAD, "taken", False):
         return [function(item) for item in items]
-    with ThreadPoolExecutor(jobs) as pool:
+    with ThreadPoolExecutor(jobs, initializer=setattr, initargs=(_THREAD, "taken", True)) as pool:
         return list(pool.map(function, items))
 
 

@@ -18,7 +18,7 @@ from dmptm_ctrl.diagnosis.predict import speeds
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.identify.balance import Balance, columns, loss, scatter, surprise
 from dmptm_ctrl.identify.motion import Motion, first_difference, smooth
-from dmptm_ctrl.identify.windows import STIFFNESS, carried, frictions
+from dmptm_ctrl.identify.windows import CARRIED_SECONDS, STIFFNESS, carried, evened, frictions
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -97,7 +97,7 @@ def slew(mo: Motion) -> Floats:
 def load_of(mo: Motion) -> Floats:
     """Mesh torque of each chain [N·m], (2, n), of the model that the motion was prepared with."""
     base, _, _ = mo.declared.arrays()
-    return carried(mo, base, list(frictions(mo, base)))
+    return evened(carried(base, mo.rec.u, frictions(mo, base)), mo.rec.dt, CARRIED_SECONDS)
 
 
 def hats(x: Floats, knots: NDArray[np.floating[Any]]) -> Floats:

@@ -79,7 +79,7 @@ class Balance:
         for i, mo in enumerate(self.motions):
             kinds = [("total", mo.slides)]
             if mo.rec.twist is not None:
-                firm = pushes(self.windowed[i], self.declared)
+                firm = pushes(mo, self.declared)
                 kinds += [
                     (k, mo.slides & mo.touches[:, s] & firm[:, s]) for s, k in enumerate(SIDES)
                 ]
@@ -95,8 +95,31 @@ class Balance:
 
     @cached_property
     def windowed(self) -> list[Windowed]:
-        """What each motion gives the balances."""
-        return [Windowed(mo) for mo in self.motions]
+        """What motions that are alike give the balances."""
+        return [Windowed([self.motions[i] for i in rows]) for rows in self.alike]
+
+    @cached_property
+    def alike(self) -> list[list[int]]:
+        """Motions of the same sample time, with motor encoders or without."""
+        found: dict[tuple[float, bool], list[int]] = {}
+        for i, mo in enumerate(self.motions):
+            found.setdefault((mo.rec.dt, mo.rec.twist is None), []).append(i)
+        return list(found.values())
+
+    @cached_property
+    def places(self) -> list[tuple[int, int, np.ndarray]]:
+        """Of each balance which group it is in, which row, and which windows of it count."""
+        first = {}
+        for group, rows in enumerate(self.alike):
+            begin = 0
+            for i in rows:
+                first[i] = group, begin
+                begin += self.motions[i].starts.size
+        return [
+            (first[e.motion][0], ROWS[e.kind], first[e.motion][1] + np.flatnonzero(e.used))
+            for e in self.equations
+            if e.kind != "ripple"
+        ]
 
     @property
     def simulated(self) -> bool:
@@ -113,21 +136,18 @@ class Balance:
         arrays = model.arrays()
         reduced = reducer_compliance(model)
         tables = [windowed.missing(arrays, reduced) for windowed in self.windowed]
-        return [
-            self.ripples[e.motion].missing(arrays)
-            if e.kind == "ripple"
-            else tables[e.motion][ROWS[e.kind]][e.used]
-            for e in self.equations
-        ]
+        parts = [tables[group][row, windows] for group, row, windows in self.places]
+        fast = [self.ripples[e.motion] for e in self.equations if e.kind == "ripple"]  # last of all
+        return [*parts, *(ripple.missing(arrays) for ripple in fast)]
 
 
-def pushes(windowed: Windowed, model: Model) -> np.ndarray:
+def pushes(mo: Motion, model: Model) -> np.ndarray:
     """Windows in which the mesh pushes so firmly that it does not lift in between, (w, 2)."""
     base, _, _ = model.arrays()
-    n1, mo = base[5], windowed.motion
+    n1 = base[5]
     friction = mo.mean(frictions(mo, base)[:2], held=False)
     inertia = n1 * n1 * base[2] + base[3]
-    left = n1 * base[0] * base[1] * windowed.volts + friction - inertia * mo.pinions.T
+    left = n1 * base[0] * base[1] * mo.mean(mo.rec.u) + friction - inertia * mo.pinions.T
     return np.asarray((mo.mean(np.sign(mo.run[:, 6:8].T)) * left > FIRM).T)
 
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
 
 from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats, Model
 
 WINDOW_SECONDS = 0.04  # of φ: averages the 231 Hz mode out, passes 25 Hz
@@ -74,21 +74,46 @@ class Motion:
         held from each sample to the next, as a voltage is. What is known at the instants,
         as an angle or a speed is, counts as it is (`held` false).
         """
-        hop = self.window.size // 2
-        count = self.starts.size + 1
-        used = slice(1, 1 + count * hop), slice(0, count * hop)
-        halves = np.column_stack([self.window[:hop], self.window[hop:]])
-        now = rows[..., used[0]]
-        if held:
-            now = 0.5 * (now + rows[..., used[1]])
-        sums = now.reshape(*rows.shape[:-1], count, hop) @ halves
-        return np.asarray(sums[..., :-1, 0] + sums[..., 1:, 1])
+        return averaged(rows, [self], held=held)
 
     @property
     def time(self) -> Floats:
         """Mid of each window [s] from the start of the log."""
         middle = self.starts + 0.5 * (self.window.size - 1)
         return np.asarray(middle * self.rec.dt)
+
+
+def averaged(rows: Floats, several: Sequence[Motion], *, held: bool = True) -> Floats:
+    """Window means of several motions one after another, (..., n) → (..., w)."""
+    window, ends = several[0].window, np.cumsum([mo.run.shape[0] for mo in several])
+    counts = np.array([mo.starts.size for mo in several])
+    flat = np.ascontiguousarray(rows, np.float64).reshape(-1, rows.shape[-1])
+    out = np.empty((flat.shape[0], int(counts.sum())))
+    weigh(flat, window, np.array([0, *ends[:-1]]), counts, held, out)
+    return out.reshape(*rows.shape[:-1], out.shape[1])
+
+
+@cached(nogil=True)
+def weigh(rows: Floats, window: Floats, begins: Any, counts: Any, held: bool, out: Floats) -> None:
+    """Write window means, of half-overlapping windows from the second sample of each part on."""
+    hop = window.size // 2
+    for r in range(rows.shape[0]):
+        w = 0
+        for part in range(begins.size):
+            rising = 0.0
+            for k in range(counts[part] + 1):
+                first = begins[part] + 1 + k * hop
+                up, down = 0.0, 0.0
+                for i in range(hop):
+                    x = rows[r, first + i]
+                    if held:
+                        x = 0.5 * (x + rows[r, first + i - 1])
+                    up += window[i] * x
+                    down += window[hop + i] * x
+                if k > 0:
+                    out[r, w] = rising + down
+                    w += 1
+                rising = up
 
 
 def second_difference(angle: Floats, dt: float) -> Floats:
@@ -135,8 +160,7 @@ def corrected(rec: Record, model: Model) -> Record:
     _, on, values = model.arrays()
     late = engine().speed_delay(on, values)
     theta, omega = np.empty_like(rec.theta), np.empty_like(rec.omega)
-    sensor = engine().sensor_reading
-    readings(sensor, rec.theta, rec.omega, rec.dt, on, values, theta, omega)
+    engine().readings(rec.theta, rec.omega, rec.dt, on, values, theta, omega)
     theta, omega = 2.0 * rec.theta - theta, 2.0 * rec.omega - omega
     if late > 0.0:
         t = rec.dt * np.arange(omega.size)
@@ -145,22 +169,6 @@ def corrected(rec: Record, model: Model) -> Record:
     if twist is not None:
         twist = twist + model.drive["N_2"] * (rec.theta - theta)[:, None]
     return replace(rec, theta=theta, omega=omega, twist=twist)
-
-
-@njit(nogil=True)
-def readings(
-    sensor: Any,
-    angle: Floats,
-    speed: Floats,
-    dt: float,
-    on: Any,
-    values: Floats,
-    theta: Floats,
-    omega: Floats,
-) -> None:
-    """Pass a motion through a sensor chain."""
-    for i in range(angle.size):
-        theta[i], omega[i] = sensor(angle[i], speed[i], i * dt, on, values)
 
 
 def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion:

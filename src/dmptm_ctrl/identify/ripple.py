@@ -111,7 +111,8 @@ class Ripple:
         """Torque of a model's effects, summed at the ring gear, (n FINER,)."""
         u, run = self.finer
         torque, moved = np.empty((run.shape[0], 3)), np.empty((run.shape[0], 2))
-        engine().along(u, run, self.motion.rec.dt / FINER, *arrays, torque, moved)
+        free = np.zeros((run.shape[0], 2))  # nothing in FAST depends on what the meshes carry
+        engine().along(u, run, free, 0, self.motion.rec.dt / FINER, *arrays, torque, moved)
         n2 = arrays[0][BASE.index("N_2")]
         return np.asarray(n2 * (torque[:, 0] + torque[:, 1]) + torque[:, 2])
 

@@ -1,22 +1,25 @@
-"""What a recorded motion gives the balances: window means of forces and twists.
+"""What recorded motions give the balances: window means of forces and twists.
 
 A fit asks for the same friction and the same disturbance many times over, while it moves
 another parameter; what was computed lately is kept.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from math import exp
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.effects.presliding import build_up_distance
-from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque, stribeck_law, viscous_torque
-from dmptm_ctrl.identify.motion import Motion, odd_span, readings, second_difference, smooth
+from dmptm_ctrl.identify.motion import (
+    Motion,
+    averaged,
+    odd_span,
+    second_difference,
+    smooth,
+)
 from dmptm_ctrl.simulate.compose import engine, layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
 
@@ -31,100 +34,113 @@ CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed
 ENCODER_UNIT = 1e-4  # rad, at which the encoder's error is read off its kernel
 # Friction that takes a tenth of the torque is met to a ten-thousandth of it by the third.
 PASSES = 3
-RECENT = 4  # results kept per motion
+RECENT = 4  # results kept
 MOTOR_SITES = ("delay", "drive", "lag", "motor")
-
-
-@njit(nogil=True)
-def friction_along(speed: Floats, law: Stribeck, out: Floats) -> None:
-    """Sliding friction along a recorded speed, negative when forward."""
-    for i in range(speed.size):
-        direction = 1.0 if speed[i] > 0.0 else -1.0
-        out[i] = -direction * sliding_torque(speed[i], direction, law)
-
-
-@njit(nogil=True)
-def viscous_along(speed: Floats, law: Stribeck, out: Floats) -> None:
-    """Viscous part of the same."""
-    for i in range(speed.size):
-        direction = 1.0 if speed[i] > 0.0 else -1.0
-        out[i] = -direction * viscous_torque(speed[i], direction, law)
-
-
-@njit(nogil=True)
-def presliding_along(angle: Floats, distance: float, law: Stribeck, out: Floats) -> None:
-    """Turn sliding friction into presliding along an angle, exact for its steps."""
-    force = 0.0
-    for i in range(1, angle.size):
-        moved = angle[i] - angle[i - 1]
-        if moved != 0.0:
-            # where the speed has the other sign, there is nothing to slide against yet
-            goal = out[i] if out[i] * moved < 0.0 else 0.0
-            over = build_up_distance(distance, goal, law)
-            force = goal + (force - goal) * exp(-abs(moved) / over)
-        out[i] = force
 
 
 @dataclass(eq=False)
 class Windowed:
-    """The balances of one motion.
+    """The balances of some motions, one after another.
 
     Parameters
     ----------
-    motion : Motion
+    motions : sequence of Motion
+        Of the same sample time, and all with motor encoders, or none.
     """
 
-    motion: Motion
+    motions: Sequence[Motion]
 
     def __post_init__(self) -> None:
         self.friction = lru_cache(RECENT)(self._friction)
+        self.even_friction = lru_cache(RECENT)(self._even_friction)
         self.disturbed = lru_cache(RECENT)(self._disturbed)
+
+    @cached_property
+    def parts(self) -> list[slice]:
+        """Samples of each motion."""
+        ends = np.cumsum([0, *(mo.run.shape[0] for mo in self.motions)])
+        return [slice(a, b) for a, b in pairwise(ends.tolist())]
+
+    @cached_property
+    def twisted(self) -> bool:
+        """Whether the twist is measured."""
+        return all(mo.rec.twist is not None for mo in self.motions)
+
+    def all(self, row: Callable[[Motion], Floats]) -> Floats:
+        """Put rows (..., n or w) of all motions one after another."""
+        return np.concatenate([row(mo) for mo in self.motions], axis=-1)
+
+    def mean(self, rows: Floats, *, held: bool = True) -> Floats:
+        """Window means, (..., n) → (..., w), as :meth:`Motion.mean`."""
+        return averaged(rows, self.motions, held=held)
 
     @cached_property
     def volts(self) -> Floats:
         """Window means of both voltages, (2, w) [V]."""
-        return self.motion.mean(self.motion.rec.u)
+        return self.mean(self.all(lambda mo: mo.rec.u))
+
+    @cached_property
+    def ring(self) -> Floats:
+        """Acceleration of the ring gear, (w,) [rad/s²]."""
+        return self.all(lambda mo: mo.ring)
+
+    @cached_property
+    def pinions(self) -> Floats:
+        """Accelerations of the pinions, (2, w) [rad/s²]."""
+        return self.all(lambda mo: mo.pinions.T)
+
+    @cached_property
+    def speeds(self) -> list[Floats]:
+        """Speeds of both pinions and of the ring gear, three of (n,) [rad/s]."""
+        return [*self.all(lambda mo: np.array([speed_of(mo, body) for body in range(3)]))]
+
+    @cached_property
+    def angles(self) -> list[Floats]:
+        """Angles of both pinions and of the ring gear, three of (n,) [rad]."""
+        n1 = self.motions[0].declared.drive["N_1"]
+        ring = self.all(lambda mo: mo.run[:, 0])
+        return [*(self.all(lambda mo: mo.run[:, 2:4].T) / n1), ring]
 
     @cached_property
     def twist(self) -> Floats:
         """Window means of z, (2, w) [rad]."""
-        return self.motion.mean(self.motion.run[:, 6:8].T, held=False)
+        return self.mean(self.all(lambda mo: mo.run[:, 6:8].T), held=False)
 
     @cached_property
     def flank(self) -> Floats:
         """Window means of which flank is near, 1 or −1, (2, w)."""
-        return self.motion.mean(np.where(self.motion.run[:, 6:8].T > 0.0, 1.0, -1.0), held=False)
+        near = self.all(lambda mo: np.where(mo.run[:, 6:8].T > 0.0, 1.0, -1.0))
+        return self.mean(near, held=False)
 
     def rate(self, n2: float) -> Floats:
         """Window means of dz/dt, (2, w) [rad/s]."""
-        return self.rates[0] - n2 * self.rates[1]
+        return self.rates[:2] - n2 * self.rates[2]
 
     @cached_property
-    def rates(self) -> tuple[Floats, Floats]:
-        """Window means of the pinions' speeds, (2, w), and of the ring gear's, (w,)."""
-        mo = self.motion
-        return mo.mean(mo.pinion_speed.T, held=False), mo.mean(mo.run[:, 1], held=False)
+    def rates(self) -> Floats:
+        """Window means of the speeds of both pinions and of the ring gear, (3, w)."""
+        return self.mean(np.array(self.speeds), held=False)
 
     @cached_property
     def waves(self) -> Floats:
         """Window means of the ring encoder's error per unit cosine and sine, (2, w)."""
-        mo = self.motion
         index, first = layout()["encoder_eccentricity"]
-        _, on, values = mo.declared.arrays()
-        waves = []
-        for k in (0, 1):
+
+        def wave(mo: Motion, k: int) -> Floats:
+            _, on, values = mo.declared.arrays()
             unit, flags = np.zeros_like(values), np.zeros_like(on)
             unit[first + k] = ENCODER_UNIT
             flags[index] = 1
-            read, speed = np.empty(mo.run.shape[0]), np.empty(mo.run.shape[0])
-            sensor = engine().sensor_reading
-            readings(sensor, mo.run[:, 0], mo.run[:, 1], mo.rec.dt, flags, unit, read, speed)
-            waves.append((read - mo.run[:, 0]) / ENCODER_UNIT)
-        return mo.mean(np.array(waves), held=False)
+            angle, turned = np.ascontiguousarray(mo.run[:, :2].T)
+            read, speed = np.empty_like(angle), np.empty_like(angle)
+            engine().readings(angle, turned, mo.rec.dt, flags, unit, read, speed)
+            return (read - angle) / ENCODER_UNIT
+
+        return self.mean(self.all(lambda mo: np.array([wave(mo, 0), wave(mo, 1)])), held=False)
 
     def encoder_error(self, on: Any, values: Floats) -> Floats:
         """Error of the ring encoder [rad], (w,), beyond what was taken off the readings."""
-        _, on_before, before = self.motion.declared.arrays()
+        _, on_before, before = self.motions[0].declared.arrays()
         index, first = layout()["encoder_eccentricity"]
         now = values[first : first + 2] * on[index]
         then = before[first : first + 2] * on_before[index]
@@ -136,53 +152,91 @@ class Windowed:
         self, body: int, law: bytes, distance: float, share: float
     ) -> tuple[Floats, Floats]:
         """Friction on a body, (n,) and window means (w,) [N·m]; `law` as in the base array."""
-        mo = self.motion
-        n1 = mo.declared.drive["N_1"]
-        row = np.empty(mo.run.shape[0])
-        given = speed_of(mo, body), stribeck_law(*np.frombuffer(law))
-        friction_along(*given, row)
+        given, row = np.frombuffer(law), np.empty(self.parts[-1].stop)
+        engine().sliding_along(self.speeds[body], given, row)
         if distance > 0.0:
-            at_once = np.empty_like(row)
-            viscous_along(*given, at_once)
-            at_once *= share
-            row -= at_once
-            angle = mo.run[:, 0] if body == 2 else mo.run[:, 2 + body] / n1
-            presliding_along(np.ascontiguousarray(angle), distance, given[1], row)
-            row += at_once
-        return row, mo.mean(row, held=False)
+            begins = np.array([part.start for part in self.parts])
+            angle = self.speeds[body], self.angles[body], begins
+            engine().presliding_along(*angle, distance, share, given, row)
+        return row, self.mean(row, held=False)
+
+    def _even_friction(self, *law: Any) -> Floats:
+        """Friction on a body, smoothed over what the mesh torque is told from."""
+        return self.even(self.friction(*law)[0])
+
+    def even(self, rows: Floats) -> Floats:
+        """Rows (..., n) smoothed over what the mesh torque is told from."""
+        seconds = SEEN_SECONDS if self.twisted else CARRIED_SECONDS
+        parts = zip(self.motions, self.parts, strict=True)
+        return np.concatenate([evened(rows[..., p], mo.rec.dt, seconds) for mo, p in parts], -1)
+
+    @cached_property
+    def even_volts(self) -> Floats:
+        """Voltages, smoothed, (2, n) [V]."""
+        # a second difference weighs the voltages before and after its sample alike
+        volts = self.all(lambda mo: halfway(mo.rec.u) if self.twisted else mo.rec.u)
+        return self.even(volts)
+
+    @cached_property
+    def even_accelerations(self) -> Floats:
+        """Accelerations of the motors, smoothed, (2, n) [rad/s²]."""
+        return self.even(
+            self.all(lambda mo: np.array([second_difference(x, mo.rec.dt) for x in mo.run.T[2:4]]))
+        )
+
+    def load(self, base: Floats, on: Any, values: Floats) -> Floats:
+        """Torque that each mesh carries without what depends on it, (n, 2) [N·m].
+
+        The readings are smoothed, not what follows from them: it is linear in each.
+        """
+        friction = [self.even_friction(*law) for law in self.laws(base, on, values)]
+        if not self.twisted:
+            return np.ascontiguousarray(carried(base, self.even_volts, friction).T)
+        drive = base[5] * base[0] * base[1] * self.even_volts + np.array(friction[:2])
+        j3 = base[5] * base[5] * base[2] + base[3]
+        return np.ascontiguousarray((drive - j3 * self.even_accelerations / base[5]).T)
 
     def _disturbed(self, arrays: tuple[bytes, bytes, bytes]) -> tuple[Floats, Floats, Floats]:
-        """Window means of :func:`disturbance`, (3, w) [N·m] and (2, w) [rad].
+        """Window means of what a model's effects do, (3, w) [N·m] and (2, w) [rad].
+
+        Torques on pinions and ring gear, and shifts of z.
 
         Where the twist is not measured, the shifts also as accelerations, (2, w) [rad/s²].
         """
         base, values = (np.frombuffer(arrays[i]).copy() for i in (0, 2))
         on = np.frombuffer(arrays[1], np.uint8).copy()
-        rows = self.frictions(base, on, values)[0] if loads(on) else None
-        torque, moved = disturbance(self.motion, (base, on, values), rows)
-        mo = self.motion
-        shaken = np.zeros((2, mo.starts.size))
-        if mo.rec.twist is None and moved.any():
-            pushed = np.array([second_difference(row, mo.rec.dt) for row in moved])
-            shaken = mo.mean(pushed, held=False)
-        return mo.mean(torque), mo.mean(moved, held=False), shaken
+        n = self.parts[-1].stop
+        torque, moved = np.empty((n, 3)), np.empty((n, 2))
+        told = loads(on)
+        load = self.load(base, on, values) if told else np.zeros((n, 2))
+        for mo, part in zip(self.motions, self.parts, strict=True):
+            given = mo.rec.u, mo.run, load[part], PASSES if told else 0, mo.rec.dt
+            engine().along(*given, base, on, values, torque[part], moved[part])
+        shifts = self.mean(moved.T, held=False)
+        shaken = np.zeros_like(shifts)
+        if not self.twisted and moved.any():
+            pushed = [
+                [second_difference(row, mo.rec.dt) for row in moved[part].T]
+                for mo, part in zip(self.motions, self.parts, strict=True)
+            ]
+            shaken = self.mean(np.concatenate(pushed, axis=1), held=False)
+        return self.mean(torque.T), shifts, shaken
 
-    def frictions(self, base: Floats, on: Any, values: Floats) -> tuple[list[Floats], Floats]:
-        """Friction on pinions and ring gear, three of (n,) and window means (3, w) [N·m]."""
+    def frictions(self, base: Floats, on: Any, values: Floats) -> Floats:
+        """Window means of the friction on pinions and ring gear, (3, w) [N·m]."""
+        return np.array([self.friction(*law)[1] for law in self.laws(base, on, values)])
+
+    def laws(self, base: Floats, on: Any, values: Floats) -> list[tuple[int, bytes, float, float]]:
+        """Friction of each body: which, law, distance and what is at once of pre-sliding."""
         bristles = engine().presliding_law
-        found = [
-            self.friction(body, law, *bristles(body, on, values)[:2])
-            for body, law in enumerate(laws(base))
-        ]
-        return [row for row, _ in found], np.array([mean for _, mean in found])
+        return [(body, law, *bristles(body, on, values)[:2]) for body, law in enumerate(laws(base))]
 
     def missing(self, arrays: Arrays, compliance: float) -> Floats:
         """All balances on all windows, (3, w) [N·m]."""
         base, on, values = arrays
-        mo = self.motion
         n1, n2 = base[5], base[6]
         j3, jl = n1 * n1 * base[2] + base[3], base[4]
-        _, force = self.frictions(base, on, values)
+        force = self.frictions(base, on, values)
         shift = n2 * self.encoder_error(on, values) * np.ones((2, 1))
         if on.any():
             needed = base.copy()
@@ -199,18 +253,18 @@ class Windowed:
         if motors is not None and motors.any():
             given = base.tobytes(), motors.tobytes(), values.tobytes()
             drive = drive + self.disturbed(given)[0][:2]
-        out = np.empty((3, mo.starts.size))
+        out = np.empty_like(force)
         # As an acceleration: the sensors' noise is one, and must not favour a small inertia.
-        out[0] = jl * mo.ring + n2 * j3 * mo.pinions.sum(1) - n2 * force[:2].sum(0) - force[2]
+        out[0] = jl * self.ring + n2 * j3 * self.pinions.sum(0) - n2 * force[:2].sum(0) - force[2]
         out[0] *= INERTIA / (jl + 2.0 * n2 * n2 * j3)
-        if mo.rec.twist is not None:
+        if self.twisted:
             gaps = base[13:15, None]
             twist = self.twist + shift - gaps * self.flank + base[11] / base[8] * self.rate(n2)
-            carried = force[:2] - j3 * mo.pinions.T
+            carried = force[:2] - j3 * self.pinions
             # In the twist, not in the torque: the twist's noise must not bias the stiffness.
             # A soft reducer adds its own, for z is seen at the motor; it carries what the motor
             # gives, before the friction on the pinion.
-            shaft = drive - n1 * n1 * base[2] * mo.pinions.T
+            shaft = drive - n1 * n1 * base[2] * self.pinions
             out[1:] = STIFFNESS * (twist - carried / base[8] - compliance * shaft)
         return out
 
@@ -233,12 +287,13 @@ def unneeded(on: Any) -> list[int]:
 
 @cache
 def _unneeded(names: tuple[str, ...], on: bytes) -> list[int]:
-    if _loads(names, on):
-        return []
-    gain, ratios = [0, 1], [5, 6]
+    needed = {0, 1, 5, 6}  # gain and ratios
     acts = any(used and CATALOGUE[n].site == "friction" for n, used in zip(names, on, strict=True))
-    friction = list(range(REDUCER, BEARING + LAW)) if acts else []
-    return [i for i in range(len(BASE)) if i not in {*gain, *ratios, *friction}]
+    if acts:
+        needed |= {*range(REDUCER, BEARING + LAW)}
+    if _loads(names, on):
+        needed |= {2, 3, 4}  # inertias
+    return [i for i in range(len(BASE)) if i not in needed]
 
 
 def at_motors(on: Any) -> Any:
@@ -266,58 +321,28 @@ def frictions(mo: Motion, base: Floats) -> Floats:
     """Friction on pinions and ring gear along a motion, (3, n) [N·m], negative when forward."""
     rows = np.empty((3, mo.run.shape[0]))
     for body, law in enumerate(laws(base)):
-        friction_along(speed_of(mo, body), stribeck_law(*np.frombuffer(law)), rows[body])
+        engine().sliding_along(speed_of(mo, body), np.frombuffer(law), rows[body])
     return rows
 
 
-def carried(mo: Motion, base: Floats, friction: Sequence[Floats]) -> Floats:
-    """Torque that each mesh carries [N·m], (2, n), by what drives and brakes; smoothed.
+def evened(rows: Floats, dt: float, seconds: float) -> Floats:
+    """Rows (..., n) smoothed over a span."""
+    return np.apply_along_axis(smooth, -1, rows, odd_span(seconds, dt))
+
+
+def halfway(held: Floats) -> Floats:
+    """Mean of what is held before and after each sample, (2, n)."""
+    return 0.5 * (held + np.concatenate([held[:, :1], held[:, :-1]], axis=1))
+
+
+def carried(base: Floats, volts: Floats, friction: Sequence[Floats] | Floats) -> Floats:
+    """Torque that each mesh carries [N·m], (2, n), by what drives and brakes.
 
     From the voltages, not from the measured acceleration: without motor encoders its noise
     would pass for friction that grows with the load.
     """
     n2 = base[6]
     j3 = base[5] * base[5] * base[2] + base[3]
-    drive = base[5] * base[0] * base[1] * mo.rec.u + np.array(friction[:2])
+    drive = base[5] * base[0] * base[1] * volts + np.array(friction[:2])
     force = n2 * drive.sum(0) + friction[2]
-    rest = drive - j3 * n2 * force / (base[4] + 2.0 * n2 * n2 * j3)
-    return np.array([smooth(row, odd_span(CARRIED_SECONDS, mo.rec.dt)) for row in rest])
-
-
-def seen(mo: Motion, base: Floats, friction: Sequence[Floats]) -> Floats:
-    """Torque that each mesh carries [N·m], (2, n), with the motors' measured acceleration."""
-    gain, j3 = base[5] * base[0] * base[1], base[5] * base[5] * base[2] + base[3]
-    u = mo.rec.u
-    # a second difference weighs the voltages before and after its sample alike
-    held = 0.5 * (u + np.concatenate([u[:, :1], u[:, :-1]], axis=1))
-    rows = gain * held + np.array(friction[:2])
-    for s in (0, 1):
-        rows[s] -= j3 * second_difference(mo.run[:, 2 + s] / base[5], mo.rec.dt)
-    return np.array([smooth(row, odd_span(SEEN_SECONDS, mo.rec.dt)) for row in rows])
-
-
-def disturbance(
-    mo: Motion, arrays: Arrays, friction: Sequence[Floats] | None
-) -> tuple[Floats, Floats]:
-    """Torques (3, n) on pinions and ring gear, and shifts (2, n) of z, of a model's effects.
-
-    Parameters
-    ----------
-    friction : three arrays (n,), optional
-        Of pinions and ring gear; needed for effects that depend on the mesh torques.
-    """
-    base, on, values = arrays
-    n = mo.run.shape[0]
-    torque, moved = np.empty((n, 3)), np.empty((n, 2))
-    run = mo.run
-    if friction is not None:
-        run = run.copy()
-        run[:, 4:6] = (carried if mo.rec.twist is None else seen)(mo, base, friction).T
-    engine().along(mo.rec.u, run, mo.rec.dt, base, on, values, torque, moved)
-    if friction is not None:
-        # The mesh carries what friction leaves, which depends on what it carries.
-        without = run[:, 4:6].copy()
-        for _ in range(PASSES):
-            run[:, 4:6] = without + torque[:, :2]
-            engine().along(mo.rec.u, run, mo.rec.dt, base, on, values, torque, moved)
-    return torque.T, moved.T
+    return np.asarray(drive - j3 * n2 * force / (base[4] + 2.0 * n2 * n2 * j3))

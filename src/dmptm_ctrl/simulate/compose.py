@@ -89,6 +89,27 @@ _LANE_CHAINS: dict[str, tuple[str, str, str]] = {
     "load": ("load_lanes", "{A0}, {A1}, t", "{R0} += {call}"),
     "sensor": ("sensor_lanes", "{A0}, {A1}, t", "{A0}, {A1} = {call}"),
 }
+# the same over samples of a recorded run: kernels' arguments are rows of its work array
+_SAMPLE_CHAINS: dict[str, tuple[str, str]] = {
+    "drive": ("drive_samples", "s[X_VOLTS + i] = {call}"),
+    "motor": ("motor_samples", "s[X_ADDED_TORQUE + i] += {call}"),
+    "mesh": ("mesh_samples", "c = {call}; s[X_SHIFT + i] += c[0]; s[X_GAP + i] += c[2]"),
+    "friction": ("friction_samples", "c = {call}; s[X_SCALE + i] *= c[0]; s[X_ADDED + i] += c[1]"),
+    "load": ("load_samples", "s[X_ADDED_TORQUE + i] += {call}"),
+}
+_SAMPLE_ROWS = {
+    "u": "X_VOLTS",
+    "theta_m": "X_MOTOR",
+    "omega_m": "X_MOTOR_SPEED",
+    "t": "X_TIME",
+    "theta_p": "X_ANGLE",
+    "omega_p": "X_SPEED",
+    "theta_L": "X_RING",
+    "omega_L": "X_RING_SPEED",
+    "theta": "X_ANGLE",
+    "omega": "X_SPEED",
+    "mesh_torque": "X_MESH",
+}
 _ROWS = ("A0", "A1", "A2", "A3", "R0", "R1")
 _KERNEL_ARGS = {"delay": "0", "lag": "u, side"}  # a delay is the same on both sides
 
@@ -102,7 +123,16 @@ _OWN_KERNELS = (
 
 
 _INLINE = (
-    *("held_average", "slide", "stop", "slide_or_stick", "preslide", "friction_step", "mesh_step"),
+    *(
+        "held_average",
+        *("rub", "slide_along"),
+        "slide",
+        "stop",
+        "slide_or_stick",
+        "preslide",
+        "friction_step",
+        "mesh_step",
+    ),
     *("aged", "bristles_of"),
     *("law", "plain_region", "level_stage"),
     *("section", "direction_of", "friction_along", "built_up", "feed_forward", "undone"),
@@ -136,8 +166,9 @@ _INLINE = (
 # What Python calls; the rest is called by these alone and has no wrapper for Python, which
 # would be more text for the compiler than the function itself.
 _ENTRIES = (
-    *("march", "along", "march_groups", "march_tangents", "march_site_tangents", "command"),
-    *("sensor_reading", "presliding_law", "speed_delay"),
+    *("march", "march_groups", "march_tangents", "march_site_tangents", "command"),
+    *("along", "sliding_along", "presliding_along", "readings"),
+    *("presliding_law", "speed_delay"),
 )
 _HEAD = """\
 from math import cos, exp, floor, log, sin, sqrt, tanh
@@ -228,6 +259,26 @@ def _lane_chain(site: str) -> str:
     return "\n".join([*lines, "    return"])
 
 
+def _sample_chain(site: str) -> str:
+    """Text of a site's chain over samples: one loop per effect, whose numbers stay."""
+    name, change = _SAMPLE_CHAINS[site]
+    args = ", ".join(
+        f"s[{_SAMPLE_ROWS[arg]} + i]" if arg in _SAMPLE_ROWS else "side"
+        for arg in _CHAINS[site][1].split(", ")
+    )
+    lines = [f"@njit\ndef {name}(s, width, side, on, values):"]
+    slots = _slots()
+    for index, (key, effect) in enumerate(CATALOGUE.items()):
+        if effect.site != site:
+            continue
+        values = ", ".join(f"values[{slots[key] + j}]" for j in range(len(effect.parameters)))
+        lines += [f"    if on[{index}]:", f"        p = Values_{index}({values})"]
+        call = f"kernel_{index}({args}, p)"
+        lines += ["        for i in range(width):"]
+        lines += [f"            {part}" for part in change.format(call=call).split("; ")]
+    return "\n".join([*lines, "    return"])
+
+
 def _flags(effects: Mapping[str, Effect]) -> str:
     """Text of the function that tells which of the sites in the inner loop are in use."""
     keys = list(effects)
@@ -272,6 +323,7 @@ def source() -> str:
     """Return the text of the engine for the catalogue as it is now."""
     row_chains = "\n\n\n".join(_chain(site, CATALOGUE, rows=True) for site in SITES)
     lane_chains = "\n\n\n".join(_lane_chain(site) for site in _LANE_CHAINS)
+    sample_chains = "\n\n\n".join(_sample_chain(site) for site in _SAMPLE_CHAINS)
     lanes = _body("lane_core.py")
     cut = lanes.index("\n@njit\n")  # behind the constants that the chains need
     places = "".join(
@@ -280,6 +332,7 @@ def source() -> str:
     )
     return _compiled(
         f"{_loop(CATALOGUE)}{_body('tangent_core.py')}\n\n"
+        f"{sample_chains}\n\n\n{_body('along_core.py')}\n\n"
         f"{row_chains}\n\n\n{_body('row_step_core.py')}\n\n"
         f"{slope_source(CATALOGUE, _slots())}\n\n\n{_body('bristle_core.py')}\n\n"
         f"{_body('tangent_site_core.py')}\n\n"

@@ -81,7 +81,10 @@ def augment(
         whole = fit(misfit, start.model, unknowns, iterations=ITERATIONS, known=known)
         kept = Fit(best.model, unknowns, best.p, best.covariance)
         best = whole if locked.horizon == 0.0 else nearest((kept, whole), records, jobs)[1]
-    done = Fit(best.model, unknowns, best.p, best.covariance, locked.horizon)
+    covariance = best.covariance
+    if near is not None and near.unknowns == unknowns and locked.horizon == 0.0:
+        covariance = near.covariance  # a lock that holds nowhere knows no more than before
+    done = Fit(best.model, unknowns, best.p, covariance, locked.horizon)
     tried = [done]
     if near is not None:  # a refit, or what it began with where that meets whole logs better
         tried.append(moved(done, position(near.model, unknowns)))

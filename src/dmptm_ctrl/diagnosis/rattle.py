@@ -17,10 +17,11 @@ from scipy.stats import chi2
 
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.fit import Misfit, Unknown, position
+from dmptm_ctrl.identify.fit import Unknown, position
+from dmptm_ctrl.identify.led import side_by_side
 from dmptm_ctrl.identify.records import Record, block_mean
-from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.compiled import SUBSTEPS
+from dmptm_ctrl.simulate.model import Floats, Model, stacked
 
 DAMPING, GAP_DAMPING = "c", "c_f"
 VALUES = 9  # of the damping, even on a logarithmic scale
@@ -101,17 +102,13 @@ class Rattle:
 
     def ratios(self, models: Sequence[Model]) -> Floats:
         """Logarithm of simulated over measured power, (len(models), logs times bands)."""
-
-        def one(model: Model) -> Floats:
-            runs = Misfit(self.records, 0.0).runs(model)
-            parts = zip(self.records, runs, self.seen, strict=True)
-            rows = [
-                np.log((powers(run[:, 1], rec.dt).mean(1) + self.noise) / part.mean(1))
-                for rec, run, part in parts
-            ]
-            return np.array(rows).ravel()
-
-        return np.array(in_threads(one, models, self.jobs))
+        drives = stacked([model.arrays() for model in models])
+        rows: dict[int, Floats] = {}
+        for which, runs in side_by_side(self.records, drives, self.jobs, SUBSTEPS):
+            for i, several in zip(which, runs[..., 1], strict=True):
+                rows[i] = np.array([powers(speed, self.records[i].dt).mean(1) for speed in several])
+        told = [np.log((rows[i] + self.noise) / part.mean(1)) for i, part in enumerate(self.seen)]
+        return np.concatenate(told, axis=1)
 
     def damping(self, model: Model) -> tuple[float, float]:
         """Return the meshes' damping [N·m·s/rad] and its relative standard deviation."""

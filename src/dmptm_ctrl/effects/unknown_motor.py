@@ -32,19 +32,19 @@ WIDEST = 1e4  # rad or rad/s of a motor; no log goes further
 @njit
 def table_motor(u, theta_m, omega_m, t, side, p):
     """Torque on the motor's shaft [N·m]."""
-    if p.motors * (2 * side - 1) < 0.0:
-        return 0.0
-    if p.variable == PATH:
-        return abs(u) * looked_up(in_period(theta_m, p), p)
     ahead = side * p.apart
-    if p.variable == CLOCK:
-        return u * looked_up(in_period(t + ahead, p), p)
-    if p.variable == BRAKING:
-        return u * looked_up(omega_m if u > 0.0 else -omega_m, p)
     angle, turn = theta_m + ahead, p.high - p.low
     if turn > 0.0:
         angle -= turn * floor((angle - p.low) / turn)
-    return u * looked_up(angle, p)
+    x, factor = angle, u
+    if p.variable == PATH:
+        x, factor = in_period(theta_m, p), abs(u)
+    if p.variable == CLOCK:
+        x = in_period(t + ahead, p)
+    if p.variable == BRAKING:
+        x = omega_m if u > 0.0 else -omega_m
+    torque = factor * looked_up(x, p)
+    return 0.0 if p.motors * (2 * side - 1) < 0.0 else torque
 
 
 UNKNOWN_MOTOR = Effect(

@@ -25,11 +25,13 @@ from dmptm_ctrl.effects.lookup import (
 @njit
 def table_torque(theta_L, omega_L, t, p):
     """Torque on the ring gear [N·m]."""
-    if p.variable == DRAG:
-        return omega_L * looked_up(in_turn(theta_L, p), p)
+    x = motion_of_ring(theta_L, omega_L, t, p)
     if p.variable == CLOCK:
-        return looked_up(in_period(t, p), p)
-    return looked_up(motion_of_ring(theta_L, omega_L, t, p), p)
+        x = in_period(t, p)
+    if p.variable == DRAG:
+        x = in_turn(theta_L, p)
+    value = looked_up(x, p)
+    return omega_L * value if p.variable == DRAG else value
 
 
 UNKNOWN_TORQUE = Effect(

@@ -149,11 +149,36 @@ def rub(s, width, body, law, on, values):
     for i in range(width):
         scaled = max(scaled, abs(s[X_SCALE + i] - 1.0))
     if scaled > 0.0:
-        for i in range(width):
-            sliding = sliding_torque(s[X_SPEED + i], s[X_WAY + i], law)
-            s[X_ADDED + i] += (s[X_SCALE + i] - 1.0) * sliding
+        if law.exponent == 1.0:
+            scale(s, width, without_power(law))
+        else:
+            scale(s, width, law)
     for i in range(width):
         s[X_TORQUE + i] = s[X_ADDED_TORQUE + i] - s[X_WAY + i] * s[X_ADDED + i]
+
+
+@njit
+def scale(s, width, law):
+    """Add what a factor on the friction makes of it."""
+    for i in range(width):
+        sliding = sliding_torque(s[X_SPEED + i], s[X_WAY + i], law)
+        s[X_ADDED + i] += (s[X_SCALE + i] - 1.0) * sliding
+
+
+@njit
+def without_power(law):
+    """Return a law whose exponent the compiler knows to be 1: a power is no vector's operation."""
+    return stribeck_law(
+        law.static_plus,
+        law.coulomb_plus,
+        law.speed_plus,
+        law.viscous_plus,
+        law.static_minus,
+        law.coulomb_minus,
+        law.speed_minus,
+        law.viscous_minus,
+        1.0,
+    )
 
 
 @njit
@@ -162,18 +187,11 @@ def sliding_along(speed, law, out):
 
     `law` (9,) as in the base array.
     """
-    if law[8] == 1.0:  # a number that the compiler knows: a power is no vector's operation
-        slide_along(
-            speed,
-            stribeck_law(law[0], law[1], law[2], law[3], law[4], law[5], law[6], law[7], 1.0),
-            out,
-        )
+    own = stribeck_law(law[0], law[1], law[2], law[3], law[4], law[5], law[6], law[7], law[8])
+    if own.exponent == 1.0:
+        slide_along(speed, without_power(own), out)
     else:
-        slide_along(
-            speed,
-            stribeck_law(law[0], law[1], law[2], law[3], law[4], law[5], law[6], law[7], law[8]),
-            out,
-        )
+        slide_along(speed, own, out)
 
 
 @njit

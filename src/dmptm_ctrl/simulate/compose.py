@@ -125,7 +125,7 @@ _OWN_KERNELS = (
 _INLINE = (
     *(
         "held_average",
-        *("rub", "slide_along"),
+        *("rub", "scale", "without_power", "slide_along"),
         "slide",
         "stop",
         "slide_or_stick",

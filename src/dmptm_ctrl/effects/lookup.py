@@ -77,12 +77,20 @@ def motion_of_ring(theta, omega, t, p):
     return omega if p.variable < 1.5 else t
 
 
-def _sum_of_hats() -> Callable[..., float]:
-    """Return the function that looks up: what each knot adds, term by term, in four sums.
+@njit
+def looked_up(x, p):
+    """Value of the table at x; that of the first knot if the ends are the wrong way round."""
+    if not p.high > p.low:
+        return p[FIRST]
+    place = (x - p.low) / (p.high - p.low) * (KNOTS - 1)
+    place = min(max(place, 0.0), KNOTS - 1.0)
+    i = max(0, min(int(place), KNOTS - 2))
+    share = place - i
+    return (1.0 - share) * p[FIRST + i] + share * p[FIRST + 1 + i]
 
-    A knot is not fetched by its number: for several drives side by side, each at another place,
-    that takes longer than to add what all of them give, nearly all of it nothing.
-    """
+
+def _sum_of_hats() -> Callable[..., float]:
+    """Return the sum of what each knot adds at a place, term by term, in four sums."""
     hats = [f"p.k{k} * max(1.0 - abs(place - {k}.0), 0.0)" for k in range(KNOTS)]
     sums = "".join(f"    s{j} = {' + '.join(hats[j::4])}\n" for j in range(4))
     names: dict[str, Any] = {}
@@ -90,13 +98,17 @@ def _sum_of_hats() -> Callable[..., float]:
     return names["table"]
 
 
-table_at = njit(_sum_of_hats())
+_sum = njit(_sum_of_hats())
 
 
 @njit
-def looked_up(x, p):
-    """Value of the table at x; that of the first knot if the ends are the wrong way round."""
+def summed(x, p):
+    """Give the same as :func:`looked_up` without fetching a knot by its number.
+
+    For several drives side by side, each at another place, that takes longer than to add what all
+    knots give, nearly all of them nothing.
+    """
     length = p.high - p.low
     place = (x - p.low) / (length if length > 0.0 else 1.0) * (KNOTS - 1)
     place = min(max(place, 0.0), KNOTS - 1.0)
-    return table_at(place if length > 0.0 else 0.0, p)
+    return _sum(place if length > 0.0 else 0.0, p)

@@ -21,7 +21,8 @@ from types import ModuleType
 from typing import Any, TypeVar
 
 from dmptm_ctrl.contract import SITES, Effect
-from dmptm_ctrl.effects import CATALOGUE, backlash, presliding, stribeck
+from dmptm_ctrl.effects import CATALOGUE, backlash, lookup, presliding, stribeck
+from dmptm_ctrl.effects.lookup import looked_up
 from dmptm_ctrl.simulate import elementary
 from dmptm_ctrl.simulate.slope_chains import slope_source
 
@@ -185,6 +186,7 @@ from dmptm_ctrl.effects.backlash import (
     mesh_torque,
     region_torque,
 )
+from dmptm_ctrl.effects.lookup import looked_up, summed
 from dmptm_ctrl.effects.presliding import bristle_lag, build_up_distance, fading
 from dmptm_ctrl.effects.stribeck import (
     Stribeck,
@@ -237,6 +239,12 @@ def _chain(site: str, effects: Mapping[str, Effect], rows: bool = False) -> str:
     return "\n".join(lines)
 
 
+def _vector_kernel(index: int, effect: Effect) -> str:
+    """Name of an effect's kernel for several drives, or samples, at once."""
+    calls = getattr(effect.kernel, "py_func", effect.kernel).__code__.co_names
+    return f"vector_kernel_{index}" if looked_up.__name__ in calls else f"kernel_{index}"
+
+
 def _lane_chain(site: str) -> str:
     """Text of a site's chain over lanes: one loop per effect, skipped where no lane has it."""
     name, args, change = _LANE_CHAINS[site]
@@ -253,7 +261,7 @@ def _lane_chain(site: str) -> str:
         values = ", ".join(
             f"s[VALUE_{slots[key] + j} + lane]" for j in range(len(effect.parameters))
         )
-        call = f"kernel_{index}({args.format(**rows)}, Values_{index}({values}))"
+        call = f"{_vector_kernel(index, effect)}({args.format(**rows)}, Values_{index}({values}))"
         lines += [f"    if on[{index}]:", "        for lane in range(width):"]
         lines += [f"            {part}" for part in change.format(call=call, **rows).split("; ")]
     return "\n".join([*lines, "    return"])
@@ -273,7 +281,7 @@ def _sample_chain(site: str) -> str:
             continue
         values = ", ".join(f"values[{slots[key] + j}]" for j in range(len(effect.parameters)))
         lines += [f"    if on[{index}]:", f"        p = Values_{index}({values})"]
-        call = f"kernel_{index}({args}, p)"
+        call = f"{_vector_kernel(index, effect)}({args}, p)"
         lines += ["        for i in range(width):"]
         lines += [f"            {part}" for part in change.format(call=call).split("; ")]
     return "\n".join([*lines, "    return"])
@@ -305,6 +313,11 @@ def _loop(effects: Mapping[str, Effect]) -> str:
     names = "\n".join(
         f"kernel_{i} = hosted(CATALOGUE[{name!r}].kernel)\nValues_{i} = CATALOGUE[{name!r}].values"
         for i, name in enumerate(effects)
+    )
+    names += "".join(
+        f"\n{name} = hosted(CATALOGUE[{key!r}].kernel, (looked_up, summed))"
+        for i, (key, effect) in enumerate(effects.items())
+        if (name := _vector_kernel(i, effect)) != f"kernel_{i}"
     )
     own = "\n".join(f"{name} = hosted({name})" for name in _OWN_KERNELS)
     chains = "\n\n\n".join([_flags(effects), *(_chain(site, effects) for site in SITES)])
@@ -357,8 +370,11 @@ def _compiled(text: str) -> str:
     return text.replace("@njit\n", f"@njit({options})\n")
 
 
+_KERNELS = (backlash, lookup, presliding, stribeck, elementary)
+
+
 def _key(text: str, effects: Mapping[str, Effect] = CATALOGUE) -> str:
-    parts = [text, *(inspect.getsource(m) for m in (backlash, presliding, stribeck, elementary))]
+    parts = [text, *(inspect.getsource(m) for m in _KERNELS)]
     for effect in effects.values():
         module = sys.modules.get(effect.kernel.__module__)
         file = getattr(module, "__file__", None)

@@ -200,11 +200,14 @@ _INSTEAD: dict[Any, Any] = {math.exp: exp, math.sin: sin, math.cos: cos}
 
 
 @cache
-def hosted(kernel: Callable[..., Any]) -> Callable[..., Any]:
+def hosted(
+    kernel: Callable[..., Any], *instead: tuple[Callable[..., Any], Callable[..., Any]]
+) -> Callable[..., Any]:
     """Return a kernel compiled inline with this module's exp, sin and cos.
 
-    Kernels that it calls are treated alike. It can be called from compiled code only. A kernel
-    that is not numba's, or numba switched off, gives the kernel itself.
+    Kernels that it calls are treated alike, of pairs `instead` the second for the first. It can be
+    called from compiled code only. A kernel that is not numba's, or numba switched off, gives the
+    kernel itself.
     """
     if not isinstance(kernel, Dispatcher):
         return kernel
@@ -213,7 +216,7 @@ def hosted(kernel: Callable[..., Any]) -> Callable[..., Any]:
     for name in function.__code__.co_names:
         found = names.get(name)
         if isinstance(found, Dispatcher):
-            names[name] = hosted(found)
+            names[name] = hosted(dict(instead).get(found, found), *instead)
         elif callable(found) and found in _INSTEAD:
             names[name] = _INSTEAD[found]
     copy = FunctionType(

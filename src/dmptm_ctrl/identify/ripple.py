@@ -23,7 +23,7 @@ from scipy.signal import cont2discrete, freqz, lfilter
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.motion import GYRO_NOISE, WINDOW_SECONDS, Motion, hann, odd_span, smooth
-from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.compose import engine, layout
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
 
@@ -37,7 +37,9 @@ NEARLY = 1e-3  # share by which two motors' waves must differ to be told apart
 GRID = 2048  # frequencies at which the response is known
 GAIN = [BASE.index(name) for name in ("K_d", "K_M", "N_1", "N_2")]
 ANSWER = [BASE.index(name) for name in ("J_m", "J_2", "J_L", "N_1", "N_2", "k_m", "c")]
+TOLD = sorted({*GAIN, *ANSWER})
 KEPT = 64  # difference equations kept
+RECENT = 4  # results kept per motion
 
 
 @dataclass(eq=False)
@@ -53,6 +55,7 @@ class Ripple:
 
     def __post_init__(self) -> None:
         mo = self.motion
+        self.left = lru_cache(RECENT)(self._left)
         self.span = odd_span(WINDOW_SECONDS, mo.rec.dt)
         closed = np.zeros(mo.run.shape[0], bool)
         for start in mo.starts[mo.slides & mo.touches.all(1)]:
@@ -119,11 +122,22 @@ class Ripple:
     def missing(self, arrays: Arrays) -> Floats:
         """Speed [rad/s] that a model does not explain, whitened, where the drive slides, (k,).
 
-        Of its effects those in :data:`FAST` count: no other may live on what they leave.
+        Of its effects those in :data:`FAST` count: no other may live on what they leave. What
+        was computed lately is kept: most that a fit moves changes nothing here.
         """
         base, on, values = arrays
-        row = self.measured
         acts = on * fast_ones(tuple(CATALOGUE))
+        needed, own = np.zeros_like(base), np.zeros_like(values)
+        if acts.any():
+            needed[TOLD] = base[TOLD]
+            for index, first, count in fast_places(tuple(CATALOGUE)):
+                own[first : first + count] = values[first : first + count] * acts[index]
+        return self.left(needed.tobytes(), acts.tobytes(), own.tobytes())
+
+    def _left(self, *arrays: bytes) -> Floats:
+        base, values = (np.frombuffer(arrays[i]).copy() for i in (0, 2))
+        acts = np.frombuffer(arrays[1], np.uint8).copy()
+        row = self.measured
         if acts.any():
             torque = self.torque((base, acts, values))
             row = row - self.fast(self.speed(torque, base[ANSWER].tobytes()))
@@ -183,6 +197,12 @@ class Ripple:
 def fast_ones(names: tuple[str, ...]) -> NDArray[np.uint8]:
     """1 for each effect that acts fast."""
     return np.array([name in FAST for name in names], np.uint8)
+
+
+@cache
+def fast_places(names: tuple[str, ...]) -> list[tuple[int, int, int]]:
+    """Index of each of these effects, its first slot, and how many it has."""
+    return [(*layout()[n], len(CATALOGUE[n].parameters)) for n in names if n in FAST]
 
 
 @lru_cache(KEPT)

@@ -44,6 +44,7 @@ STARTS = 2  # best shapes that are fitted
 # Evidence of a first step from nothing, nearly all that there is, below which no more are taken;
 # a second effect of a tenth of what it needs has that much.
 WORTH = 8.0
+FEW = 12  # orders that a thread asks for at a time
 SINGULAR = 1e-9  # share of a column's square, below which nothing of it is left but rounding
 FINALISTS = 3  # fitted to the end before they are compared
 
@@ -121,10 +122,12 @@ class Trace:
         return np.asarray(self.base.weights * np.concatenate(parts))
 
     def gain(self, columns: Floats) -> float:
-        """Fall of the weighted square by columns (m, k), to first order."""
-        g = self.project(columns)
-        coefficients, *_ = np.linalg.lstsq(g, self.target, rcond=1e-9)
-        return float(coefficients @ (g.T @ self.target))
+        """Fall of the weighted square by columns (m, k), to first order; by their products."""
+        size = np.maximum(np.sqrt(np.einsum("ij,ij->j", columns, columns)), np.finfo(float).tiny)
+        told = self.basis[: -self.rows].T @ columns / size
+        own = columns.T @ columns / np.outer(size, size) - told.T @ told
+        product = self.target[: -self.rows] @ columns / size
+        return float(product @ np.linalg.pinv(own, SINGULAR, hermitian=True) @ product)
 
 
 def effect_columns(trace: Trace, effect: Effect, shapes: Mapping[str, float]) -> Floats:
@@ -189,14 +192,22 @@ def orders(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     (bank,) = (p.bank for p in effect.parameters if p.bank)
     balance, base = trace.balance, trace.base.model.drive
     n1, n2 = base["N_1"], base["N_2"]
+    turns = [np.exp(1j * mo.run[:, 2:4].T) for mo in balance.motions]
 
-    def gain(order: float) -> float:
+    def some(few: Floats) -> list[float]:
+        """Gain of each of some orders that follow one another; a wave is the one before turned."""
+        waves, gains = [turn ** few[0] for turn in turns], []
+        for i, _ in enumerate(few):
+            if i > 0:
+                waves = [wave * turn for wave, turn in zip(waves, turns, strict=True)]
+            gains.append(gain(waves))
+        return gains
+
+    def gain(waves: Sequence[NDArray[np.complex128]]) -> float:
         parts: list[list[Floats]] = [[] for _ in range(4)]
         tables = [
-            mo.mean(
-                np.array([f(order * mo.run[:, 2 + s]) for s in (0, 1) for f in (np.cos, np.sin)])
-            )
-            for mo in balance.motions
+            mo.mean(np.array([wave[0].real, wave[0].imag, wave[1].real, wave[1].imag]))
+            for mo, wave in zip(balance.motions, waves, strict=True)
         ]
         for e in balance.equations:
             if e.kind == "ripple":
@@ -212,7 +223,11 @@ def orders(trace: Trace, effect: Effect) -> list[dict[str, float]]:
                     parts[j].append(-table[j] if mine else np.zeros(table.shape[1]))
         return trace.gain(np.array([trace.weigh_down(p) for p in parts]).T)
 
-    gains = np.array(in_threads(gain, bank, balance.jobs)) + fast_gains(trace, bank)
+    runs = np.split(np.array(bank), np.flatnonzero(np.diff(bank) != 1.0) + 1)
+    several = [few for run in runs for few in np.array_split(run, max(1, run.size // FEW))]
+    found = in_threads(some, several, balance.jobs)
+    by_windows = np.array([gain for gains in found for gain in gains])
+    gains = by_windows + fast_gains(trace, bank)
     return [{"order": float(bank[i])} for i in best(gains, STARTS, 1)]
 
 

@@ -93,7 +93,7 @@ def averaged(rows: Floats, several: Sequence[Motion], *, held: bool = True) -> F
     return out.reshape(*rows.shape[:-1], out.shape[1])
 
 
-@cached(nogil=True)
+@cached(nogil=True, fastmath={"reassoc", "contract"})
 def weigh(rows: Floats, window: Floats, begins: Any, counts: Any, held: bool, out: Floats) -> None:
     """Write window means, of half-overlapping windows from the second sample of each part on."""
     hop = window.size // 2

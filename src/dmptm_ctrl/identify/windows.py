@@ -184,6 +184,11 @@ class Windowed:
             self.all(lambda mo: np.array([second_difference(x, mo.rec.dt) for x in mo.run.T[2:4]]))
         )
 
+    @cached_property
+    def unloaded(self) -> Floats:
+        """Nothing, (n, 2), where nothing depends on what the meshes carry."""
+        return np.zeros((self.parts[-1].stop, 2))
+
     def load(self, base: Floats, on: Any, values: Floats) -> Floats:
         """Torque that each mesh carries without what depends on it, (n, 2) [N·m].
 
@@ -199,16 +204,15 @@ class Windowed:
     def _disturbed(self, arrays: tuple[bytes, bytes, bytes]) -> tuple[Floats, Floats, Floats]:
         """Window means of what a model's effects do, (3, w) [N·m] and (2, w) [rad].
 
-        Torques on pinions and ring gear, and shifts of z.
-
-        Where the twist is not measured, the shifts also as accelerations, (2, w) [rad/s²].
+        Torques on pinions and ring gear, and shifts of z. Where the twist is not measured, the
+        shifts also as accelerations, (2, w) [rad/s²].
         """
         base, values = (np.frombuffer(arrays[i]).copy() for i in (0, 2))
         on = np.frombuffer(arrays[1], np.uint8).copy()
         n = self.parts[-1].stop
         torque, moved = np.empty((n, 3)), np.empty((n, 2))
         told = loads(on)
-        load = self.load(base, on, values) if told else np.zeros((n, 2))
+        load = self.load(base, on, values) if told else self.unloaded
         for mo, part in zip(self.motions, self.parts, strict=True):
             given = mo.rec.u, mo.run, load[part], PASSES if told else 0, mo.rec.dt
             engine().along(*given, base, on, values, torque[part], moved[part])

@@ -26,6 +26,7 @@ from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
 from dmptm_ctrl.identify.balance import BalanceFit, columns, fit_balance, scatter
 from dmptm_ctrl.identify.fit import Unknown, place
 from dmptm_ctrl.identify.motion import Motion
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
 TORQUE, FRICTION, VOLTS = "unknown_torque", "unknown_friction", "unknown_voltage"
@@ -109,10 +110,11 @@ def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | No
                 shapes[name]["period"] = min(turn, LONGEST)
         if shapes not in tried:
             tried.append(shapes)
-    fits = [
-        of_motors(left, shapes[MOTOR]) if MOTOR in shapes else tabled(left, shapes)
-        for shapes in tried
-    ]
+    fits = in_threads(
+        lambda shapes: of_motors(left, shapes[MOTOR]) if MOTOR in shapes else tabled(left, shapes),
+        tried,
+        jobs,
+    )
     near = [focused(fit, shapes) for fit, shapes in zip(fits, tried, strict=True)]
     fits += [tabled(left, shapes) for shapes in near if shapes is not None]
     if ((MOTOR, TURN),) in plans:
@@ -180,8 +182,10 @@ def of_motors(left: Residual, shape: Mapping[str, float]) -> BalanceFit:
 
     The motors turn together: what one of them does seems to be done by both, and the reverse.
     """
-    both, *single = (
-        tabled(left, {MOTOR: {**shape, "motors": motors}}) for motors in (BOTH, LEFT, RIGHT)
+    both, *single = in_threads(
+        lambda motors: tabled(left, {MOTOR: {**shape, "motors": motors}}),
+        (BOTH, LEFT, RIGHT),
+        left.balance.jobs,
     )
     one = better(left, single)
     gains = [left.base.loss + left.held_base - total(left, fit) for fit in (both, one)]

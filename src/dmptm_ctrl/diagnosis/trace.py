@@ -373,6 +373,7 @@ def trace(
     names = candidates(trace, skip)
     if only is not None:
         names = [name for name in names if name in only]
+    names.sort(key=lambda name: name not in SEARCHES)  # what takes longest begins first
     done = in_threads(lambda name: try_effect(trace, name), names, trace.balance.jobs)
     done.sort(key=lambda t: -t.evidence)
     done[:FINALISTS] = [settled(trace, t) if t.gain > WORTH else t for t in done[:FINALISTS]]

@@ -19,6 +19,7 @@ from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.identify.balance import Balance, columns, loss, scatter, surprise
 from dmptm_ctrl.identify.motion import Motion, first_difference, smooth
 from dmptm_ctrl.identify.windows import CARRIED_SECONDS, STIFFNESS, carried, evened, frictions
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -201,14 +202,14 @@ def bases(mo: Motion, s: Scale) -> Iterator[tuple[tuple[str, ...], Floats, Float
 
 def group_parts(balance: Balance, scale: Scale) -> list[tuple[tuple[str, ...], list[Floats]]]:
     """Columns (w, k) per equation of every curve."""
-    made: list[list[tuple[tuple[str, ...], list[Floats]]]] = []
-    for mo in balance.motions:
-        made.append(
-            [
-                (variables, [mo.mean(x) for x in (*pinion, ring, *shift)])
-                for variables, pinion, ring, shift in bases(mo, scale)
-            ]
-        )
+
+    def one(mo: Motion) -> list[tuple[tuple[str, ...], list[Floats]]]:
+        return [
+            (variables, [mo.mean(x) for x in (*pinion, ring, *shift)])
+            for variables, pinion, ring, shift in bases(mo, scale)
+        ]
+
+    made = in_threads(one, balance.motions, balance.jobs)
     return [
         (made[0][g][0], [signs(e.kind, made[e.motion][g][1], e.used) for e in balance.equations])
         for g in range(len(made[0]))
@@ -242,8 +243,9 @@ def curves(left: Residual) -> list[Curve]:
     prior = np.array([1.0 / k.prior**2 if np.isfinite(k.prior) else 1e-6 for k in base.unknowns])
     own = w[:, None] * base.jacobian
     used = freedom(own.T @ own, prior)
-    found = []
-    for (variables, parts), (_, held) in zip(fitted, judged, strict=True):
+
+    def told(group: tuple[tuple[tuple[str, ...], list[Floats]], list[Floats]]) -> Curve:
+        (variables, parts), held = group
         g = np.concatenate(parts)
         both = np.hstack([base.jacobian, g])
         weighted = w[:, None] * both
@@ -256,7 +258,10 @@ def curves(left: Residual) -> list[Curve]:
         there = known + np.hstack([held_jac, np.concatenate(held)]) @ step
         held_gain = left.held_base - surprise(split(there, held_parts), left.held.kinds)
         price = 2.0 * (freedom(normal, ridge) - used)
-        found.append(Curve(variables, base.loss - after + held_gain - price, held_gain))
+        return Curve(variables, base.loss - after + held_gain - price, held_gain)
+
+    groups = [(one, held) for one, (_, held) in zip(fitted, judged, strict=True)]
+    found = in_threads(told, groups, left.balance.jobs)
     return sorted(found, key=lambda c: -c.evidence)
 
 

@@ -1,15 +1,12 @@
 """What the report says of a sensor's error is what the model has."""
 
-import importlib
-
 import numpy as np
 import pytest
 
-from dmptm_ctrl.diagnosis.sensors import SensorCheck
+from dmptm_ctrl.diagnosis.sensors import SensorCheck, sensor_effect
 from dmptm_ctrl.identify.fit import Fit, effect_unknowns, position
 from dmptm_ctrl.simulate.model import Model
 
-diagnose = importlib.import_module("dmptm_ctrl.diagnosis.diagnose")  # the function has its name
 SEEN = SensorCheck(
     {"encoder_eccentricity": {"cosine": 2.9e-4, "sine": -6.3e-5}, "sensor_gain": {"error": 0.01}},
     {"encoder_eccentricity": {"cosine": 2e-5, "sine": 2e-5}, "sensor_gain": {"error": 1e-3}},
@@ -28,13 +25,13 @@ def fit():
 
 
 def test_a_fitted_error_of_an_encoder_is_reported_as_fitted(fit):
-    told = diagnose.sensor_effect("encoder_eccentricity", SEEN, fit).parameters
+    told = sensor_effect("encoder_eccentricity", SEEN, fit).parameters
     for name, value in FITTED.items():
         assert told[name]["value"] == pytest.approx(value, rel=1e-12)
         assert told[name]["se"] == pytest.approx(fit.value("encoder_eccentricity", name)[1])
 
 
 def test_what_no_fit_tells_is_reported_as_the_sensors_tell_it(fit):
-    told = diagnose.sensor_effect("sensor_gain", SEEN, fit).parameters["error"]
+    told = sensor_effect("sensor_gain", SEEN, fit).parameters["error"]
     assert (told["value"], told["se"]) == (0.01, 1e-3)
     assert told["value"] == fit.model.effects["sensor_gain"]["error"]

@@ -27,8 +27,6 @@ from dmptm_ctrl.diagnosis.race import LEAST, WINS_SECONDS, race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import (
     Diagnosis,
-    NamedEffect,
-    estimate,
     named,
     provenance,
     ranking,
@@ -37,7 +35,7 @@ from dmptm_ctrl.diagnosis.report import (
 from dmptm_ctrl.diagnosis.residual import closed, residual
 from dmptm_ctrl.diagnosis.runoff import run_off
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
-from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
+from dmptm_ctrl.diagnosis.sensors import cross_check, sensor_effect, with_sensors
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.trace import Trial, ringing, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import Unexplained, astray
@@ -56,8 +54,6 @@ from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.simulate.model import Model
 
-# The two sensors settle it without a model; what is left is that both are wrong alike.
-SENSOR_PROBABILITY = 0.99
 # A free run may be a little worse beside an effect of the twist; more is another sign.
 WORSE = 1.2
 # Of the error without them, up to which names stand beside what has none, and tables stand: a
@@ -456,38 +452,6 @@ def softness(decision: Decision, final: Fit) -> tuple[str, ...]:
     return (
         f"friction gives by {given:.2g} arc-minutes of the ring gear before it slides: too little "
         "to be named, but with it the model keeps step, and it is in the augmented model",
-    )
-
-
-def with_sensors(model: Model, sensors: SensorCheck) -> Model:
-    """Add the sensor effects that the cross-check leaves no doubt about."""
-    for name in sensors.values:
-        if sensors.significant(name):
-            model = model.with_effect(name, **sensors.values[name])
-    return model
-
-
-def sensor_effect(name: str, sensors: SensorCheck, final: Fit) -> NamedEffect:
-    """Describe a sensor effect found by the cross-check, with the values of the model."""
-    effect = CATALOGUE[name]
-    parameters = {}
-    for p in effect.parameters:
-        try:
-            value, se = final.value(name, p.name)
-        except KeyError:  # only the two sensors tell it
-            value, se = sensors.values[name][p.name], sensors.errors[name][p.name]
-        parameters[p.name] = estimate(value, se, p.unit)
-    largest = max(
-        abs(v) / max(sensors.errors[name][k], 1e-300) for k, v in sensors.values[name].items()
-    )
-    return NamedEffect(
-        name,
-        effect.location,
-        SENSOR_PROBABILITY,
-        parameters,
-        (),
-        f"Speed sensor and ring encoder disagree by it by {largest:.0f} standard errors, "
-        "whatever the drive does.",
     )
 
 

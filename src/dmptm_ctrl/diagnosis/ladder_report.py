@@ -15,6 +15,7 @@ from dmptm_ctrl.diagnosis.ladder_judge import Errors
 from dmptm_ctrl.diagnosis.ladder_score import Tangent
 from dmptm_ctrl.diagnosis.ladder_standing import Standing
 from dmptm_ctrl.diagnosis.report import NamedEffect
+from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY
 from dmptm_ctrl.diagnosis.verdict import verdict_dict
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.chain_fit import ChainFit
@@ -26,7 +27,6 @@ from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
 
 MIN_SURVIVAL = 0.25  # of a candidate's size; less, and refitted parameters stand in for it
-SENSOR_PROBABILITY = 0.99  # two sensors settle it without a model
 
 
 @dataclass(frozen=True, eq=False)

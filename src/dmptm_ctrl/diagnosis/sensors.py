@@ -10,9 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import savgol_filter
 
+from dmptm_ctrl.diagnosis.report import NamedEffect, estimate
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.identify.records import Record, block_mean
-from dmptm_ctrl.simulate.model import Floats
+from dmptm_ctrl.simulate.model import Floats, Model
 
+# The two sensors settle it without a model; what is left is that both are wrong alike.
+SENSOR_PROBABILITY = 0.99
 WINDOW_SECONDS = 0.05  # span of the derivative filter of the encoder
 BLOCK_SECONDS = 0.05  # blocks whose errors count as independent
 SIGNIFICANT = 4.5  # standard errors
@@ -93,3 +98,35 @@ def regressed(records: Sequence[Record], late: float) -> tuple[Floats, Floats]:
         weight = np.sqrt(1.0 / (1.0 + (miss / (2.0 * scale)) ** 2))
     covariance = scale**2 * np.linalg.inv((x * weight[:, None]).T @ (x * weight[:, None]))
     return beta[: len(NAMES)], np.sqrt(np.diag(covariance))[: len(NAMES)]
+
+
+def with_sensors(model: Model, sensors: SensorCheck) -> Model:
+    """Add the sensor effects that the cross-check leaves no doubt about."""
+    for name in sensors.values:
+        if sensors.significant(name):
+            model = model.with_effect(name, **sensors.values[name])
+    return model
+
+
+def sensor_effect(name: str, sensors: SensorCheck, final: Fit) -> NamedEffect:
+    """Describe a sensor effect found by the cross-check, with the values of the model."""
+    effect = CATALOGUE[name]
+    parameters = {}
+    for p in effect.parameters:
+        try:
+            value, se = final.value(name, p.name)
+        except KeyError:  # only the two sensors tell it
+            value, se = sensors.values[name][p.name], sensors.errors[name][p.name]
+        parameters[p.name] = estimate(value, se, p.unit)
+    largest = max(
+        abs(v) / max(sensors.errors[name][k], 1e-300) for k, v in sensors.values[name].items()
+    )
+    return NamedEffect(
+        name,
+        effect.location,
+        SENSOR_PROBABILITY,
+        parameters,
+        (),
+        f"Speed sensor and ring encoder disagree by it by {largest:.0f} standard errors, "
+        "whatever the drive does.",
+    )

@@ -82,7 +82,7 @@ def augment(
         kept = Fit(best.model, unknowns, best.p, best.covariance)
         best = whole if locked.horizon == 0.0 else nearest((kept, whole), records, jobs)[1]
     covariance = best.covariance
-    if near is not None and near.unknowns == unknowns and locked.horizon == 0.0:
+    if near is not None and near.unknowns == unknowns and best is locked and locked.horizon == 0.0:
         covariance = near.covariance  # a lock that holds nowhere knows no more than before
     done = Fit(best.model, unknowns, best.p, covariance, locked.horizon)
     tried = [done]

@@ -37,7 +37,7 @@ NEARLY = 1e-3  # share by which two motors' waves must differ to be told apart
 GRID = 2048  # frequencies at which the response is known
 GAIN = [BASE.index(name) for name in ("K_d", "K_M", "N_1", "N_2")]
 ANSWER = [BASE.index(name) for name in ("J_m", "J_2", "J_L", "N_1", "N_2", "k_m", "c")]
-TOLD = sorted({*GAIN, *ANSWER})
+TOLD = sorted({*GAIN, *ANSWER})  # all of the drive that the fast part depends on
 KEPT = 64  # difference equations kept
 RECENT = 4  # results kept per motion
 
@@ -135,6 +135,7 @@ class Ripple:
         return self.left(needed.tobytes(), acts.tobytes(), own.tobytes())
 
     def _left(self, *arrays: bytes) -> Floats:
+        """Speed that is left, of the drive's numbers, flags and values that it depends on."""
         base, values = (np.frombuffer(arrays[i]).copy() for i in (0, 2))
         acts = np.frombuffer(arrays[1], np.uint8).copy()
         row = self.measured

@@ -12,9 +12,10 @@ import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
 from dmptm_ctrl.identify.records import RING_COUNT, true_angle
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.batch import march_many
-from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, march, rest
+from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, OUTPUTS, march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
 
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
@@ -22,10 +23,13 @@ ORDER = 4
 RUNS = 16
 JOGGED = ("k_m", "c")  # meshes decide when a pinion leaves its flank
 TOGETHER = 100_000  # samples of a log, up to which the runs are held at once: 100 MB
+SPEED = (OUTPUTS.index("omega_L"),)
 SPREAD = 0.003  # standard deviation of their change; no fit knows them more finely
 
 
-def free_run(model: Model, log: Log, *, runs: int = RUNS) -> Floats:
+def free_run(
+    model: Model, log: Log, *, runs: int = RUNS, columns: Sequence[int] = range(len(OUTPUTS))
+) -> Floats:
     """Run the plant on the log's voltages from its first angle, at rest.
 
     Parameters
@@ -33,15 +37,17 @@ def free_run(model: Model, log: Log, *, runs: int = RUNS) -> Floats:
     runs : int
         1 is the model's own run; more are the mean of that and of runs with slightly other
         meshes, see :func:`expected`.
+    columns : sequence of int
+        Which of `compiled.OUTPUTS`.
 
     Returns
     -------
-    (n, 8) array
-        Columns of `compiled.OUTPUTS`, SI; readings as the sensors would give, no noise.
+    (n, len(columns)) array
+        SI; readings as the sensors would give, no noise.
     """
     u = np.array([log["u_left"], log["u_right"]])
     x0 = rest(model, true_angle(model, float(log["theta_L"][0])))
-    return expected(model, u, x0, log.sample_time, runs=runs, count=RING_COUNT)
+    return expected(model, u, x0, log.sample_time, runs=runs, count=RING_COUNT, columns=columns)
 
 
 def expected(
@@ -53,6 +59,7 @@ def expected(
     runs: int = RUNS,
     count: float = 0.0,
     substeps: int = FINE_SUBSTEPS,
+    columns: Sequence[int] = range(len(OUTPUTS)),
 ) -> Floats:
     """Mean of a model's free run and of those with meshes changed by :data:`SPREAD`.
 
@@ -65,11 +72,13 @@ def expected(
         To which the ring gear's first angle is rounded [rad]; the others begin anywhere in it.
     substeps : int
         Steps per sample.
+    columns : sequence of int
+        Which of `compiled.OUTPUTS`.
 
     Returns
     -------
-    (n, 8) array
-        Columns of `compiled.OUTPUTS`, SI.
+    (n, len(columns)) array
+        SI.
     """
     rng = np.random.default_rng(0)
     shares = SPREAD * rng.standard_normal((runs - 1, len(JOGGED)))
@@ -81,11 +90,12 @@ def expected(
     ]
     arrays = [model.arrays(), *(model.with_values(**values).arrays() for values in jogged)]
     if runs > 1 and u.shape[1] <= TOGETHER:
-        return np.asarray(march_many(arrays, u, starts, dt, substeps=substeps).mean(axis=0))
+        many = march_many(arrays, u, starts, dt, substeps=substeps, columns=columns)
+        return np.asarray(many.mean(axis=0))
     total = march(arrays[0], u, starts[0], dt, substeps=substeps)
     for other, start in zip(arrays[1:], starts[1:], strict=True):
         total += march(other, u, start, dt, substeps=substeps)
-    return total / runs
+    return total[:, [*columns]] / runs
 
 
 def predict(model: Model, log: Log, *, runs: int = RUNS) -> pd.DataFrame:
@@ -131,18 +141,25 @@ def _sections(rate: float) -> Floats:
 def speeds(model: Model, log: Log) -> tuple[Floats, Floats]:
     """Measured and predicted speed below 30 Hz [rad/s]."""
     dt = log.sample_time
-    return low_pass(log["omega_L"], dt), low_pass(free_run(model, log)[:, 1], dt)
+    return low_pass(log["omega_L"], dt), low_pass(free_run(model, log, columns=SPEED)[:, 0], dt)
 
 
-def speed_error(model: Model, logs: Sequence[Log]) -> dict[str, float]:
+def speed_error(model: Model, logs: Sequence[Log], jobs: int = 1) -> dict[str, float]:
     """Error of the predicted speed over all logs together, below 30 Hz.
+
+    Parameters
+    ----------
+    model : Model
+    logs : sequence of Log
+    jobs : int
+        Threads.
 
     Returns
     -------
     dict
         `rmse` [deg/s], `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
     """
-    pairs = [speeds(model, log) for log in logs]
+    pairs = in_threads(lambda log: speeds(model, log), logs, jobs)
     seen = np.concatenate([p[0] for p in pairs])
     run = np.concatenate([p[1] for p in pairs])
     rmse = float(np.sqrt(np.mean((seen - run) ** 2)))

@@ -1,8 +1,9 @@
 """The motion to be expected: the mean of several runs, side by side or one by one."""
 
 import numpy as np
+import pytest
 
-from dmptm_ctrl.diagnosis.predict import JOGGED, expected
+from dmptm_ctrl.diagnosis.predict import JOGGED, TOGETHER, expected
 from dmptm_ctrl.simulate.compiled import rest
 from dmptm_ctrl.simulate.model import Model
 
@@ -18,6 +19,17 @@ def test_side_by_side_is_one_by_one(monkeypatch):
     one_by_one = expected(model, VOLTS, x0, DT)
     assert np.ptp(together[:, 1]) > 0.01  # it moves
     np.testing.assert_allclose(together, one_by_one, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("most", [0, TOGETHER])
+@pytest.mark.parametrize("runs", [1, 4])
+def test_only_the_columns_that_are_asked_for(monkeypatch, most, runs):
+    model = Model()
+    x0 = rest(model, 0.1)
+    monkeypatch.setitem(expected.__globals__, "TOGETHER", most)
+    whole = expected(model, VOLTS, x0, DT, runs=runs)
+    some = expected(model, VOLTS, x0, DT, runs=runs, columns=(1, 0))
+    np.testing.assert_array_equal(some, whole[:, [1, 0]])
 
 
 def test_mean_of_runs_that_differ_in_their_meshes():

@@ -50,6 +50,22 @@ def test_friction_that_grows_at_rest_is_unknown_by_its_variable():
     assert fit.model.effects[AGEING]["slip"] == pytest.approx(2e-4, rel=0.6)
 
 
+def test_friction_that_grows_at_rest_is_tried_before_landings(monkeypatch):
+    """Where the model as it is loses step at once; those take ten times as long."""
+
+    def unwanted(*args, **kwargs):
+        raise AssertionError("landings of other effects were tried")
+
+    before, left, _ = fitted(305, (("dwell_breakaway", 1.0),), "load")
+    assert before.horizon < 0.1
+    monkeypatch.setitem(unseen.__globals__, "landings", unwanted)
+    assert unseen(left, before).name == AGEING
+    monkeypatch.undo()
+    monkeypatch.setitem(unseen.__globals__, "landings", unwanted)
+    with pytest.raises(AssertionError, match="landings"):  # beside another effect it is not tried
+        unseen(left, before, alone=False)
+
+
 def test_nothing_where_the_model_keeps_step():
     before, left, _ = fitted(4000, (), "all")
     assert before.horizon >= 0.3

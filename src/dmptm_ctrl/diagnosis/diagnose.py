@@ -23,7 +23,7 @@ from dmptm_ctrl.diagnosis.decide import (
 from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.race import LEAST, WINS_SECONDS, race
+from dmptm_ctrl.diagnosis.race import LEAST, MANY, WINS_SECONDS, race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import (
     Diagnosis,
@@ -125,7 +125,7 @@ def diagnose(
         after = refit(decision, jobs)
     after = of_little(decision, after, jobs)
     held = measured.held_logs
-    without = speed_error(before.model.without(model.effects), held)
+    without = speed_error(before.model.without(model.effects), held, jobs)
     after = told_apart(decision, after, jobs, seed)
     after = sobered(decision, without["rmse"], after, held, jobs)
     after = rested(decision, after, jobs)
@@ -138,7 +138,7 @@ def diagnose(
     if nothing and without["rmse"] > ASTRAY:
         variables = astray(before.model, held)
         decision.unexplained = Unexplained.without_curve(variables)
-    predicted = speed_error(after.model, held)
+    predicted = speed_error(after.model, held, jobs)
     error = {
         "unit": "deg/s",
         "bandwidth_hz": 30,
@@ -245,13 +245,13 @@ def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log],
     not help is none.
     """
     tables = decision.tables
-    if tables is not None and speed_error(after.model, held)["rmse"] > HELPS * without:
+    if tables is not None and speed_error(after.model, held, jobs)["rmse"] > HELPS * without:
         decision.tables, decision.after = None, tables.beside
         after = refit(decision, jobs)
     most = WORSE * without + LITTLE
     if decision.unexplained is not None and decision.tables is None:
         most = HELPS * without
-    while decision.found and speed_error(after.model, held)["rmse"] > most:
+    while decision.found and speed_error(after.model, held, jobs)["rmse"] > most:
         withdraw(decision, jobs)
         after = refit(decision, jobs)
     return after
@@ -276,6 +276,8 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
         behind = len(base.unknowns)
         field = [replace(t, fit=at_rest.softened(t.fit, behind)) for t in field]
         start = at_rest.softened(start, behind)
+    if decision.found:  # beside it, those that balances speak for
+        field = sorted(field, key=lambda trial: -trial.evidence)[:MANY]
     for found in met_by_landings(decision):
         others = (t for t in field if t.name != found.name)
         field = [replace(t, fit=with_found(t.fit, found, after.model, base)) for t in others]
@@ -376,13 +378,13 @@ def uncovered(
     if decision.tables is not None:
         beside = decision.tables.beside
     if not alone:
-        without = speed_error(after.model, held)["rmse"]
+        without = speed_error(after.model, held, jobs)["rmse"]
     shown = unseen(beside, after, rested=decision.at_rest, alone=alone, jobs=jobs, seed=seed)
     if shown is None:
         return after
     if isinstance(shown, Fit):  # of the model without tables
         fit = after if decision.tables is not None else refit(decision, jobs, shown)
-        return min(after, fit, key=lambda one: speed_error(one.model, held)["rmse"])
+        return min(after, fit, key=lambda one: speed_error(one.model, held, jobs)["rmse"])
     # the balances tell nothing of it: what they leave stays as it was
     model = Model(beside.base.model.drive, shown.fit.model.effects)
     left = replace(beside, base=replace(beside.base, model=model))
@@ -390,7 +392,7 @@ def uncovered(
     if shown.name != AGEING:
         decision.found.append(by_step(shown, left.base))
     fit = refit(decision, jobs, shown.fit)
-    error = speed_error(fit.model, held)["rmse"]
+    error = speed_error(fit.model, held, jobs)["rmse"]
     better = error <= without
     if shown.name != AGEING:
         # what all reversals tell, or what meets the landings, rattle of another course leaves
@@ -477,5 +479,5 @@ def refined(measured: Measured, decision: Decision, after: Fit, error: float, jo
         everything, start, drive, beside=beside, near=after, also=also, onward=onward, jobs=jobs
     )
     # it has seen these logs, the other one has not: where it misses more it went astray
-    worse = speed_error(final.model, measured.held_logs)["rmse"] > error + LITTLE
+    worse = speed_error(final.model, measured.held_logs, jobs)["rmse"] > error + LITTLE
     return after if worse else final

@@ -18,7 +18,7 @@ from dmptm_ctrl.diagnosis.at_rest import AtRest, fitted, sized, softened
 from dmptm_ctrl.diagnosis.race import HELD_SHARE, OUT, Runner, beside, entrant, loosely, together
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, horizons, lost, run, starts
+from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, horizons, lost, met, run, starts
 from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, NEEDS_TWIST, WITHOUT_TWIST, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
@@ -132,9 +132,15 @@ def unseen(
     if before.horizon >= KEEPS_SECONDS:
         return None
     base = rattled(left.measured.fit, left.base, left.measured.drive, jobs)
+    if alone and before.horizon < LEAST_SECONDS:  # soon tried, and where it is told none is left
+        aged = ageing(left, base, before, jobs, seed, anew=False)
+        if isinstance(aged, Shown):
+            return aged
     if not left.measured.has_motor_encoders:
         gives = rested is not None and rested.gives
-        landed = landings(left, softened(base, len(base.unknowns)) if gives else base, jobs, seed)
+        start = softened(base, len(base.unknowns)) if gives else base
+        first = met(before, left.measured.fit, jobs)
+        landed = landings(left, start, jobs, seed, none_tells=first >= FIRST_SECONDS[-1])
         # a friction law of another kind lets no model meet the reversals
         found = by_impacts(landed, jobs, seed, turns=not gives)
         doubtful = rested is not None and rested.doubtful
@@ -181,9 +187,19 @@ class Landings:
 
 
 def landings(
-    left: Residual, base: BalanceFit, jobs: int, seed: int, among: Sequence[str] = BY_IMPACTS
+    left: Residual,
+    base: BalanceFit,
+    jobs: int,
+    seed: int,
+    among: Sequence[str] = BY_IMPACTS,
+    *,
+    none_tells: bool = False,
 ) -> Landings:
-    """Fit a model as it is, and with one effect or another, to the first landings."""
+    """Fit a model as it is, and with one effect or another, to the first landings.
+
+    Where it is known that the model as it is meets them, none tells anything: all are only brought
+    there.
+    """
     whole = left.measured.fit, left.measured.held
     alone = enter([base.model], base, (), seed)
     entered = [
@@ -192,15 +208,19 @@ def landings(
         if name not in base.model.effects
         for models in variants(name, base.model)
     ]
-    race_first(alone, [one for _, one in entered], whole[0], jobs)
+    field = [one for _, one in entered]
+    if none_tells:
+        brought(alone, field, whole[0], jobs)
+    else:
+        race_first(alone, field, whole[0], jobs)
     parts = starts(whole, FIRST_SECONDS[-1])
-    field: dict[str, Runner] = {}
+    best: dict[str, Runner] = {}
     runs: dict[str, Run] = {}
     for name, one in entered:
         own = run(parts, one.there, jobs)
-        if name not in field or own.level < runs[name].level:
-            field[name], runs[name] = one, own
-    return Landings(whole, base, alone, entered, field, runs)
+        if name not in best or own.level < runs[name].level:
+            best[name], runs[name] = one, own
+    return Landings(whole, base, alone, entered, best, runs)
 
 
 def by_impacts(landed: Landings, jobs: int, seed: int, *, turns: bool = True) -> Shown | Fit | None:
@@ -391,6 +411,15 @@ def race_first(
         together(looks_on, entered, jobs, came, redraws, far, places)
 
 
+def brought(alone: Runner, field: Sequence[Runner], records: Sequence[Record], jobs: int) -> None:
+    """Fit all to the first landings on the shortest way."""
+    for seconds, places in ((FIRST_SECONDS[0], PLACES[-2]), (FIRST_SECONDS[-1], PLACES[-1])):
+        together(Runner.go, (alone, *field), jobs, [cut(rec, seconds) for rec in records])
+        for one in (alone, *field):
+            one.settle()
+            one.places = one.different(places)
+
+
 def looks_on(
     one: Runner, came: Mapping[Runner, list[Floats]], redraws: float, far: float, places: int
 ) -> None:
@@ -426,7 +455,7 @@ def without(
 
 
 def ageing(
-    left: Residual, base: BalanceFit, before: Fit, jobs: int, seed: int
+    left: Residual, base: BalanceFit, before: Fit, jobs: int, seed: int, *, anew: bool = True
 ) -> Shown | Fit | None:
     """Try friction that grows with the time at rest."""
     if AGEING in base.model.effects:
@@ -436,7 +465,7 @@ def ageing(
     model = sized(AGEING, base.model, 1.0)
     known = beside(loosely(base), model, own)
     unknowns = (*base.unknowns, *own)
-    kept = lock(whole[0], model, unknowns, known, jobs=jobs, seed=seed)
+    kept = lock(whole[0], model, unknowns, known, jobs=jobs, seed=seed, anew=anew)
     if kept.horizon < max(before.horizon, LEAST_SECONDS):
         return None
     bare_too = without(kept, base, whole[0], jobs, seed)

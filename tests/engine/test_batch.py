@@ -122,6 +122,43 @@ def test_let_go_and_late():
     assert_same(march_many(arrays, u, STATE, DT, **options), expected)
 
 
+@pytest.mark.parametrize(
+    "name", [None, "reducer_compliance", "drive_delay", "current_lag", "unknown_breakaway"]
+)
+def test_led_in_other_steps(name):
+    """Alone and side by side alike; the same steps before and behind are none of their own."""
+    model = Model() if name is None else Model().with_effect(name, **visible(name))
+    arrays = [model.with_values(c=c).arrays() for c in (1.0, 3.0, 8.0)]
+    u = voltages(1.2, 12.0, 0.15)
+    angle = 0.1 + 1e-3 * np.sin(40.0 * TIME[: TIME.size // 2])
+    options = {"observer": observer_gains(2.0, DT), "measured": angle, "substeps": 16}
+    for lead in (4, 16, None):
+        options["lead_substeps"] = lead
+        runs = np.array([march(a, u, STATE, DT, **options) for a in arrays])
+        assert_same(march_many(arrays, u, STATE, DT, **options), runs)
+        if lead == 16:
+            same = runs
+    np.testing.assert_array_equal(runs, same)
+
+
+def test_led_in_other_steps_is_of_second_order():
+    """No order is lost where the steps change: without gaps, and turning one way, all is smooth."""
+    model = Model().with_values(gap_l=0.0, gap_r=0.0)
+    pinion = 0.5 * model.drive["N_2"]
+    start = np.array([0.1 * model.drive["N_2"], 0.1 * model.drive["N_2"], 0.1, pinion, pinion, 0.5])
+    u = 1.5 + voltages(0.5, 12.0, 0.15)
+    angle = 0.1 + 0.5 * TIME[: TIME.size // 2]
+
+    def run(steps):
+        how = {"substeps": 2 * steps, "lead_substeps": steps}
+        options = {"observer": observer_gains(6.0, DT), "measured": angle, **how}
+        return march(model.arrays(), u, start, DT, **options)
+
+    exact = run(512)[-1, 1]
+    missed = np.array([abs(run(steps)[-1, 1] - exact) for steps in (4, 8, 16, 32)])
+    np.testing.assert_allclose(missed[:-1] / missed[1:], 4.0, rtol=0.05)
+
+
 def test_closed_loop_each_with_its_own_gains():
     reference = 0.3 * np.sin(2 * np.pi * 6.0 * TIME)
     noise = 1e-3 * np.random.default_rng(2).normal(size=(9, TIME.size))

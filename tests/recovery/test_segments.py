@@ -11,7 +11,7 @@ from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.led import LEAD_HZ, side_by_side
+from dmptm_ctrl.identify.led import LEAD_HZ, LEAD_SUBSTEPS, side_by_side
 from dmptm_ctrl.identify.lock import LOST, NOISE_LEVEL, level
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import FREE_SECONDS, PRESSED_SECONDS, openings, reversals
@@ -84,6 +84,7 @@ def test_reversals_run_side_by_side_as_each_alone(turned, timed):
                 part.x0,
                 part.dt,
                 substeps=FINE_SUBSTEPS,
+                lead_substeps=LEAD_SUBSTEPS,
                 observer=observer_gains(LEAD_HZ, part.dt),
                 measured=part.theta[: part.led],
                 begin=float(part.time[0]),

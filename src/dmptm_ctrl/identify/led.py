@@ -18,6 +18,8 @@ from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Stacked, stacked
 EARLY_SECONDS, EARLY_SUBSTEPS = 0.1, 32
 AT_ONCE = 64  # runs of one call, in groups of lanes
 LEAD_HZ = 6.0  # of the observer that leads a run to where it is let go
+LEAD_SUBSTEPS = 4  # of a run that it leads, and that forgets what such steps miss
+OF_ONE_STEP = ("presliding", "sensor_delay")  # sites whose numbers are of one length of steps
 # One unit of a residual: twice what a gyro of 0.05 deg/s leaves in a block of two samples, and
 # one and a half times the rounding of the ring encoder, seen at the pinion.
 SPEED_UNIT = np.deg2rad(0.08)  # rad/s
@@ -69,6 +71,8 @@ class _Group:
         self.theta = np.array([rec.theta[: first.led] for rec in alike])
         if first.led:
             self.how["observer"] = observer_gains(LEAD_HZ, self.dt)
+            if not uses(drives, OF_ONE_STEP):
+                self.how["lead_substeps"] = min(LEAD_SUBSTEPS, self.how["substeps"])
             self.how["begin"] = float(first.time[0])  # of all of them, where it matters
 
     def run(self, first: int) -> Floats:
@@ -87,6 +91,12 @@ def depends_on_time(drives: Stacked) -> bool:
     """Whether any of some drives has an effect that depends on the time."""
     used = np.any(drives.on, axis=0)
     return any(used[layout()[n][0]] for n, e in CATALOGUE.items() if "time" in e.depends_on)
+
+
+def uses(drives: Stacked, sites: Sequence[str]) -> bool:
+    """Whether any of some drives has an effect at one of these sites."""
+    used = np.any(drives.on, axis=0)
+    return any(used[layout()[n][0]] for n, e in CATALOGUE.items() if e.site in sites)
 
 
 def compared(

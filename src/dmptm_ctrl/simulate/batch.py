@@ -53,7 +53,7 @@ class Task(NamedTuple):
     inputs: Floats  # (k, 2, n) [V], or (0, 2, n) under the loop
     target: Floats  # (k, n) [rad/s]
     measured: Floats  # (k, n): angle for the observer, or noise of the loop's speed
-    observer: Floats  # (2,) gains per sample
+    observer: Floats  # (3,) gains per sample, and steps while it leads
     extra: Floats  # (n, 3) or (0, 3) [N·m]
     columns: NDArray[np.int64]
     every: int
@@ -122,6 +122,7 @@ def march_many(
     substeps: int = SUBSTEPS,
     observer: tuple[float, float] | None = None,
     measured: Floats | None = None,
+    lead_substeps: int | None = None,
     extra: Floats | None = None,
     begin: float = 0.0,
     columns: Sequence[int] = range(len(OUTPUTS)),
@@ -134,7 +135,7 @@ def march_many(
     arrays : sequence of what :meth:`Model.arrays` gives
     u : (2, n) or (batch, 2, n) array [V]
     x0 : (6,) or (batch, 6) array
-    dt, substeps, observer, extra, begin
+    dt, substeps, observer, lead_substeps, extra, begin
         As for :func:`~.compiled.march`, the same for all.
     measured : (m,) or (batch, m) array [rad]
     columns : sequence of int
@@ -155,7 +156,7 @@ def march_many(
         inputs=inputs,
         target=_NO_ROWS,
         measured=_NO_ROWS if measured is None else np.ascontiguousarray(np.atleast_2d(measured)),
-        observer=np.array(observer or (0.0, 0.0)),
+        observer=np.array([*(observer or (0.0, 0.0)), lead_substeps or substeps]),
         extra=np.zeros((0, 3)) if extra is None else extra,
         columns=np.array(columns, np.int64),
         every=1,
@@ -253,7 +254,7 @@ def simulate_batch(
         inputs=drive,
         target=target,
         measured=measured,
-        observer=np.zeros(2),
+        observer=np.zeros(3),
         extra=np.zeros((0, 3)),
         columns=np.array([BATCH_OUTPUTS.index(name) for name in outputs], np.int64),
         every=every,

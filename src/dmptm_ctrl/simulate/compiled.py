@@ -62,6 +62,7 @@ def march(
     substeps: int = SUBSTEPS,
     observer: tuple[float, float] | None = None,
     measured: Floats | None = None,
+    lead_substeps: int | None = None,
     extra: Floats | None = None,
     begin: float = 0.0,
     meshes: bool = True,
@@ -81,6 +82,9 @@ def march(
         Feeds the miss of the ring-gear angle back to the rigid mode, see :func:`observer`.
     measured : (m,) array [rad]
         The angle that the observer follows for as long as it lasts; m ≤ n.
+    lead_substeps : int, optional
+        Steps per sample for as long as it does, if others. Not with bristles or a late reading
+        of the speed, whose numbers are of one length of steps.
     extra : (n, 3) array [N·m]
         Torques added on the two pinions and the ring gear.
     begin : float
@@ -101,7 +105,7 @@ def march(
         _OPEN,
         arrays,  # of no controller's model
         np.empty(0),
-        np.array(observer or (0.0, 0.0)),
+        np.array([*(observer or (0.0, 0.0)), lead_substeps or substeps]),
         np.empty(0) if measured is None else _own(measured),
         _NONE if extra is None else _own(extra),
         _own(x0),
@@ -165,7 +169,7 @@ def close_loop(
         np.array([*loop, 1.0]) if isinstance(loop, Loop) else loop.numbers(),
         design,
         target,
-        np.zeros(2),
+        np.zeros(3),
         seen,
         _NONE if extra is None else _own(extra),
         rest(model, theta_L),

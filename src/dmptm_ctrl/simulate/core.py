@@ -139,14 +139,17 @@ def march(
 
     u (2, n) is read, or written when the loop is closed; `loop` (kp, ki, limit, bias_l,
     bias_r, closed) and, where closed is 2, what else `control_core` takes, with the arrays of
-    its model in `design`; `observer` (angle gain, speed gain); `measured` is the angle that
-    the observer follows for as long as it lasts, or (n,) the speed noise of the closed loop;
+    its model in `design`; `observer` (angle gain, speed gain, steps per sample while it
+    leads); `measured` is the angle that the observer follows for as long as it lasts, or (n,)
+    the speed noise of the closed loop;
     `extra` (n, 3) or (0, 3) torques on the pinions and the ring gear; `begin` the time of the
     first sample; `base` in the order of `compiled.BASE`;
     `out` (n, 8), or (n, 4) without the columns of the meshes.
     """
     n = u.shape[1]
-    h = dt / substeps
+    led = measured.size if observer[0] > 0.0 else 0
+    steps = int(observer[2]) if led > 0 else substeps
+    h = dt / steps
     on, values = borrowed(on), borrowed(values)
     gain = base[0] * base[1]
     j_m, j_2, j_l = base[2], base[3], base[4]
@@ -206,6 +209,13 @@ def march(
     meshes = out.shape[1] > 4  # whether the columns of the meshes are wanted
     for i in range(n):
         t = begin + i * dt
+        if i == led and steps != substeps:  # let go: from here on in steps of another length
+            finer = steps / substeps
+            steps = substeps
+            h = dt / steps
+            mobility_3 *= finer
+            mobility_l *= finer
+            d0, d1, d2 = d0 * finer, d1 * finer, d2 * finer
         seen = v2
         if late:
             back = int(lag_time)
@@ -247,7 +257,7 @@ def march(
                 common = loop[2] if common > 0.0 else -loop[2]
             left[i] = common + loop[3]
             right[i] = common + loop[4]
-        elif observer[0] > 0.0 and i < measured.size:
+        elif i < led:
             miss = measured[i] - angle
             # what depends on angle is where the sensor says, not where the run has drifted to
             lead = (1.0 - observer[0]) * miss
@@ -267,12 +277,12 @@ def march(
         push0, push1, push2 = 0.0, 0.0, 0.0
         if extra.shape[0] > 0:
             push0, push1, push2 = extra[i, 0], extra[i, 1], extra[i, 2]
-        for k in range(substeps):
+        for k in range(steps):
             middle = t + (k + 0.5) * h
             if dead_time > 0.0:
-                start = i + k / substeps - dead_time
-                u0 = held_average(left, i + 1, start, start + 1.0 / substeps)
-                u1 = held_average(right, i + 1, start, start + 1.0 / substeps)
+                start = i + k / steps - dead_time
+                u0 = held_average(left, i + 1, start, start + 1.0 / steps)
+                u1 = held_average(right, i + 1, start, start + 1.0 / steps)
             else:
                 u0, u1 = left[i], right[i]
             if has_drive:

@@ -571,6 +571,17 @@ def correct(s, width, angle_gain, speed_gain):
 
 
 @njit
+def let_go(s, width, finer):
+    """Go on in steps of another length, `finer` times as long as the last."""
+    wide()
+    for row in range(3 * width):
+        s[C0 + row] *= finer
+        s[MOBILITY + row] *= finer
+    for row in range(2 * width):
+        s[B0 + row] *= finer
+
+
+@njit
 def summarise(s, width, stats):
     """Least, greatest, sum and sum of squares of each output so far."""
     for k in range(COLUMNS):
@@ -593,13 +604,15 @@ def march_lanes(
     the observer also shorter, or (0, 0);
     pick (3, LANES) the rows of these that each lane takes; laws (LANES, SIZE) or (0, 0) the
     controllers of `control_core` with the arrays of their model in design; observer (angle
-    gain, speed gain); extra (n, 3) or (0, 3); begin the time of the first sample;
-    on (effects,), where any lane has it; s as from
-    `fill`; out (up to LANES, columns.size, samples kept), every `every`-th sample; stats
+    gain, speed gain, steps per sample while it leads); extra (n, 3) or (0, 3); begin the time of
+    the first sample; on (effects,), where any lane has it; s as from `fill`; out (up to LANES,
+    columns.size, samples kept), every `every`-th sample; stats
     (4, COLUMNS, LANES).
     """
     n = u.shape[2]
-    h = dt / substeps
+    led = measured.shape[1] if observer[0] > 0.0 else 0
+    steps = int(observer[2]) if led > 0 else substeps
+    h = dt / steps
     width = (
         pick.shape[1] // LANES * LANES
     )  # of the loops; not a constant, or short ones are unrolled
@@ -627,6 +640,10 @@ def march_lanes(
     kept = 0
     for i in range(n):
         t = begin + i * dt
+        if i == led and steps != substeps:
+            let_go(s, width, steps / substeps)
+            steps = substeps
+            h = dt / steps
         for lane in range(width):
             s[SEEN + lane] = s[V2 + lane]
         if late:
@@ -661,7 +678,7 @@ def march_lanes(
             for lane in range(width):
                 s[U0 + lane] = u[pick[0, lane], 0, i]
                 s[U1 + lane] = u[pick[0, lane], 1, i]
-            if observer[0] > 0.0 and i < measured.shape[1]:
+            if i < led:
                 for lane in range(width):
                     s[R0 + lane] = measured[pick[2, lane], i] - s[OUT + lane]
                 correct(s, width, observer[0], observer[1])
@@ -684,15 +701,15 @@ def march_lanes(
         if extra.shape[0] > 0:
             push0, push1, push2 = extra[i, 0], extra[i, 1], extra[i, 2]
 
-        for k in range(substeps):
+        for k in range(steps):
             middle = t + (k + 0.5) * h
             if delayed or has_drive or lagging:
                 for lane in range(width):
                     s[U0 + lane], s[U1 + lane] = held[0, lane], held[1, lane]
             if delayed:
                 for lane in range(width):
-                    start = i + k / substeps - s[DEAD + lane]
-                    end = start + 1.0 / substeps
+                    start = i + k / steps - s[DEAD + lane]
+                    end = start + 1.0 / steps
                     s[U0 + lane] = held_average(past[0, lane], i + 1, start, end)
                     s[U1 + lane] = held_average(past[1, lane], i + 1, start, end)
             if has_drive:
@@ -768,6 +785,8 @@ def march_groups(
     `march_lanes`.
     """
     count = base.shape[0]
+    leads = observer[0] > 0.0 and measured.shape[1] > 0
+    h = dt / (observer[2] if leads else substeps)  # of the first step
     used = np.empty_like(on[0])
     pick = np.empty((3, LANES), np.int64)
     own = np.empty((LANES if laws.shape[0] > 0 else 0, laws.shape[1]))
@@ -779,7 +798,7 @@ def march_groups(
             k = min(first + lane, count - 1)
             for effect in range(used.size):
                 used[effect] |= on[k, effect]
-            fill(s, lane, x0[k], loops[k], dt / substeps, dt, base[k], on[k], values[k])
+            fill(s, lane, x0[k], loops[k], h, dt, base[k], on[k], values[k])
             pick[0, lane] = k if u.shape[0] > 1 else 0
             pick[1, lane] = k if target.shape[0] > 1 else 0
             pick[2, lane] = k if measured.shape[0] > 1 else 0

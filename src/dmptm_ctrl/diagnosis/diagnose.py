@@ -23,7 +23,7 @@ from dmptm_ctrl.diagnosis.decide import (
 from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.race import LEAST, MANY, WINS_SECONDS, race
+from dmptm_ctrl.diagnosis.race import LEAST, WINS_SECONDS, race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import (
     Diagnosis,
@@ -276,8 +276,6 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
         behind = len(base.unknowns)
         field = [replace(t, fit=at_rest.softened(t.fit, behind)) for t in field]
         start = at_rest.softened(start, behind)
-    if decision.found:  # beside it, those that balances speak for
-        field = sorted(field, key=lambda trial: -trial.evidence)[:MANY]
     for found in met_by_landings(decision):
         others = (t for t in field if t.name != found.name)
         field = [replace(t, fit=with_found(t.fit, found, after.model, base)) for t in others]

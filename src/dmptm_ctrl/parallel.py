@@ -41,6 +41,15 @@ def in_threads(function: Callable[[T], R], items: Iterable[T], jobs: int) -> lis
         return list(pool.map(function, items))
 
 
+def at_once(first: Callable[[], T], second: Callable[[], R], jobs: int) -> tuple[T, R]:
+    """Call one function on threads of its own while another runs alone; `second` on one core."""
+    if jobs <= 1:
+        return first(), second()
+    with ThreadPoolExecutor(1) as other:
+        coming = other.submit(second)
+        return first(), coming.result()
+
+
 def each(
     function: Callable[..., Any],
     tasks: Iterable[tuple[Any, ...]],

@@ -26,6 +26,7 @@ NOISE = np.deg2rad(0.01)  # rad/s, of a gyro below 30 Hz
 # Over whole logs at most; how many may come to less than the fall of the sum of the logs'
 # logarithms that is worth more; of how many the mean is tried.
 TURNS, PATIENCE, WORTH, LAST = 3, 2, 0.25, 3
+RUNS = 8  # of which the expected motion is the mean, where models are compared
 ITERATIONS = 2  # from the values of balances and the rattle; more moved nothing on held-out logs
 
 
@@ -130,7 +131,7 @@ def missed(model: Model, records: Sequence[Record], jobs: int = 1) -> float:
     """How badly the expected motion meets the speed below 30 Hz: sum of the logs' logarithms."""
 
     def square(rec: Record) -> float:
-        run = expected(model, rec.u, rec.x0, rec.dt, substeps=SUBSTEPS, columns=SPEED)
+        run = expected(model, rec.u, rec.x0, rec.dt, runs=RUNS, substeps=SUBSTEPS, columns=SPEED)
         return float(np.mean(low_pass(rec.omega - run[:, 0], rec.dt) ** 2))
 
     # the longest begin first: none is left for one core alone

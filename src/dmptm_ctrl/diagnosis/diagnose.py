@@ -50,7 +50,7 @@ from dmptm_ctrl.identify.lock import DOUBTFUL, level
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.ripple import FAST
 from dmptm_ctrl.identify.segments import reversals
-from dmptm_ctrl.parallel import small_matrices
+from dmptm_ctrl.parallel import at_once, small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.simulate.model import Model
 
@@ -117,9 +117,13 @@ def diagnose(
     if model.effects:
         measured = measured.started(model)
     left = residual(measured, model, jobs=jobs)
-    decision = decide(left, skip=tuple(sensors.values), jobs=jobs)
-    beside = beside_balances(left.base, measured)
-    before = augment(measured.fit, left.base, declared, beside=beside, jobs=jobs)
+    own = beside_balances(left.base, measured)
+    # what is left of two cores by the many small steps of a decision is enough for the other
+    decision, before = at_once(
+        lambda: decide(left, skip=tuple(sensors.values), jobs=jobs),
+        lambda: augment(measured.fit, left.base, declared, beside=own, jobs=1),
+        jobs,
+    )
     after = before
     if decision.after is not left:
         after = refit(decision, jobs)

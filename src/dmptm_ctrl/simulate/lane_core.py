@@ -55,6 +55,7 @@ from dmptm_ctrl.simulate.sites import (  # chains
 LANES = 8  # one vector register of doubles with AVX-512, two with AVX2; or 16, see `compose.py`
 CALM = 3.0  # instead of a region: nothing to look at again
 COLUMNS = 10  # outputs of a run, and the two voltages
+TORQUE_L, TORQUE_R = 4, 5  # of these
 
 # Rows of the work array; those of several bodies (left, right, ring gear) or meshes (left,
 # right) follow each other, so that one loop runs over all of them.
@@ -267,12 +268,12 @@ def read_meshes(s, width):
     for row in range(2 * width):
         mesh = Backlash(s[K0 + row], s[D0 + row], s[DF0 + row], s[H0 + row])
         region, sure = plain_region(s[Z0 + row], s[ZR0 + row], mesh)
-        s[OUT + 4 * LANES + row] = region_torque(s[Z0 + row], s[ZR0 + row], region, mesh)
+        s[OUT + TORQUE_L * LANES + row] = region_torque(s[Z0 + row], s[ZR0 + row], region, mesh)
         s[ODD0 + row] = CALM if sure else UNKNOWN
     for row in range(2 * width):
         if s[ODD0 + row] != CALM:
             mesh = Backlash(s[K0 + row], s[D0 + row], s[DF0 + row], s[H0 + row])
-            s[OUT + 4 * LANES + row] = mesh_torque(s[Z0 + row], s[ZR0 + row], mesh)
+            s[OUT + TORQUE_L * LANES + row] = mesh_torque(s[Z0 + row], s[ZR0 + row], mesh)
 
 
 @njit
@@ -630,6 +631,9 @@ def march_lanes(
     for row in range(3 * width):
         general = general or s[DELTA + row] != 1.0
         sliding = sliding or s[DISTANCE + row] <= 0.0
+    torques = stats.size > 0  # whether those of the meshes are wanted at the samples
+    for k in range(columns.size):
+        torques = torques or columns[k] == TORQUE_L or columns[k] == TORQUE_R
     past = np.zeros((2, LANES, int(largest(s, width, DEAD)) + 3))  # voltages at the last samples
     history = np.empty((int(largest(s, width, LATE)) + 2, LANES))  # speeds at the last steps
     for lane in range(width):
@@ -653,13 +657,14 @@ def march_lanes(
                 older = history[(step - back - 1) % history.shape[0], lane]
                 s[SEEN + lane] = newer + (s[LATE + lane] - back) * (older - newer)
         read(s, width, t, has_sensor, on)
-        if has_mesh:
-            shift_mesh(s, width, Q0, V0, Q2, V2, NOTHING, DZ0, 0, on)
-            shift_mesh(s, width, Q1, V1, Q2, V2, NOTHING, DZ1, 1, on)
-        if has_mesh or varying:
-            alter_meshes(s, width, Q0, varying)
-        twist(s, width, Q0, V0)
-        read_meshes(s, width)
+        if torques:
+            if has_mesh:
+                shift_mesh(s, width, Q0, V0, Q2, V2, NOTHING, DZ0, 0, on)
+                shift_mesh(s, width, Q1, V1, Q2, V2, NOTHING, DZ1, 1, on)
+            if has_mesh or varying:
+                alter_meshes(s, width, Q0, varying)
+            twist(s, width, Q0, V0)
+            read_meshes(s, width)
         if laws.shape[0] > 0:
             for lane in range(width):
                 speed = s[OUT + LANES + lane] + measured[pick[2, lane], i]

@@ -10,7 +10,7 @@ from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.ensemble import STEPS, smoothed
+from dmptm_ctrl.identify.ensemble import smoothed
 from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit, place, position
 from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, level, lock
 from dmptm_ctrl.identify.records import Record
@@ -114,8 +114,7 @@ def onto_whole(records: Sequence[Record], begun: tuple[float, Fit], known: Known
     """
     tried, turns = [begun], [begun[1]]
     for turn in range(TURNS):
-        steps = STEPS if turn == 0 else STEPS - 1
-        turns.append(smoothed(records, turns[-1], known, jobs, turn, steps)[-1])
+        turns.append(smoothed(records, turns[-1], known, jobs, turn)[-1])
         tried.append((missed(turns[-1].model, records, jobs), turns[-1]))
         misses = [miss for miss, _ in tried]
         if min(misses[-PATIENCE:]) > min(misses[:-PATIENCE], default=np.inf) - WORTH:

@@ -22,7 +22,7 @@ from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import SUBSTEPS
 from dmptm_ctrl.simulate.model import Arrays, Floats
 
-STEPS = 3  # more make it too sure; runs in finer steps per sample tell no more
+STEPS = 2  # more make it too sure; runs in finer steps per sample tell no more
 DRIVES = 64  # drawn, of up to 28 unknowns
 SPARE = 8  # drives beyond two per unknown
 FIRST_SECONDS = 0.6  # of each log, whose slopes tell what is known before the first draw

@@ -24,7 +24,7 @@ from dmptm_ctrl.diagnosis.race import (
 from dmptm_ctrl.diagnosis.trace import Trial
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, place
-from dmptm_ctrl.identify.lock import DOUBTFUL, HORIZONS, LOST, NEWS, UNEASY, cut, level, losses
+from dmptm_ctrl.identify.lock import HORIZONS, LOST, NEWS, UNEASY, cut, losses
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Model
 
@@ -210,12 +210,6 @@ def starts(whole: Sequence[Sequence[Record]], seconds: float) -> list[list[Recor
 def horizons(first: float, last: float) -> list[float]:
     """Return the horizons of a lock from one to another."""
     return [h for h in HORIZONS if first <= h <= last]
-
-
-def met(fit: Fit, records: Sequence[Record], jobs: int) -> float:
-    """Return the horizon over which a fit meets the bounces as well as noise lets it; 0 if none."""
-    within = reversed(horizons(0.0, fit.horizon))
-    return next((h for h in within if level(fit.model, records, h, jobs) < DOUBTFUL), 0.0)
 
 
 def run(parts: Sequence[Sequence[Record]], model: Model, jobs: int) -> Run:

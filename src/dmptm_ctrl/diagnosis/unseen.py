@@ -18,12 +18,12 @@ from dmptm_ctrl.diagnosis.at_rest import AtRest, fitted, sized, softened
 from dmptm_ctrl.diagnosis.race import HELD_SHARE, OUT, Runner, beside, entrant, loosely, together
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, horizons, lost, met, run, starts
+from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, horizons, lost, run, starts
 from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, NEEDS_TWIST, WITHOUT_TWIST, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown, position
-from dmptm_ctrl.identify.lock import LOST, SCATTERED, UNEASY, Locked, cut, level, lock
+from dmptm_ctrl.identify.lock import DOUBTFUL, LOST, SCATTERED, UNEASY, Locked, cut, level, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -139,8 +139,9 @@ def unseen(
     if not left.measured.has_motor_encoders:
         gives = rested is not None and rested.gives
         start = softened(base, len(base.unknowns)) if gives else base
-        first = met(before, left.measured.fit, jobs)
-        landed = landings(left, start, jobs, seed, none_tells=first >= FIRST_SECONDS[-1])
+        ahead, logs = horizons(FIRST_SECONDS[-1], before.horizon), left.measured.fit
+        meets = any(level(before.model, logs, h, jobs) < DOUBTFUL for h in ahead)
+        landed = landings(left, start, jobs, seed, none_tells=meets)
         # a friction law of another kind lets no model meet the reversals
         found = by_impacts(landed, jobs, seed, turns=not gives)
         doubtful = rested is not None and rested.doubtful

@@ -47,7 +47,6 @@ def smoothed(
     known: Known,
     jobs: int,
     seed: int = 0,
-    steps: int = STEPS,
 ) -> list[Fit]:
     """Go on with a fit over whole logs.
 
@@ -63,8 +62,6 @@ def smoothed(
         Threads. The result does not depend on it.
     seed : int
         Of the drives that are drawn.
-    steps : int
-        How many.
 
     Returns
     -------
@@ -74,7 +71,7 @@ def smoothed(
     parts = [replace(rec, block=max(1, round(BLOCK_SECONDS / rec.dt))) for rec in records]
     rng = np.random.default_rng(seed)
     fits = [replace(done, covariance=WIDER * at_first(records, done, known, jobs))]
-    for _ in range(steps):
+    for _ in range(STEPS):
         p, covariance = step(parts, fits[-1], known, jobs, rng)
         fits.append(Fit(place(done.model, done.unknowns, p), done.unknowns, p, covariance))
     return [replace(fit, horizon=done.horizon) for fit in fits[1:]]

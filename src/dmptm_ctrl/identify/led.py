@@ -1,10 +1,11 @@
 """Runs of many drives on many records at once, led where they are, beside what was measured."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
+from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
 from dmptm_ctrl.parallel import in_threads
@@ -34,7 +35,7 @@ def side_by_side(
     In steps as fine as its length asks for, unless `substeps` says how many per sample. Returns
     which records are alike, and their runs (len, drives, n, BODIES).
     """
-    timed = any(rec.led for rec in records) and depends_on_time(drives)
+    timed = any(rec.led for rec in records) and acts(drives, lambda e: "time" in e.depends_on)
     alike: dict[tuple[float, ...], list[int]] = {}  # what runs side by side
     for i, rec in enumerate(records):
         begin = float(rec.time[0]) if timed else 0.0
@@ -71,7 +72,7 @@ class _Group:
         self.theta = np.array([rec.theta[: first.led] for rec in alike])
         if first.led:
             self.how["observer"] = observer_gains(LEAD_HZ, self.dt)
-            if not uses(drives, OF_ONE_STEP):
+            if not acts(drives, lambda effect: effect.site in OF_ONE_STEP):
                 self.how["lead_substeps"] = min(LEAD_SUBSTEPS, self.how["substeps"])
             self.how["begin"] = float(first.time[0])  # of all of them, where it matters
 
@@ -87,16 +88,10 @@ class _Group:
         )
 
 
-def depends_on_time(drives: Stacked) -> bool:
-    """Whether any of some drives has an effect that depends on the time."""
+def acts(drives: Stacked, wanted: Callable[[Effect], bool]) -> bool:
+    """Whether any of some drives has an effect of a kind."""
     used = np.any(drives.on, axis=0)
-    return any(used[layout()[n][0]] for n, e in CATALOGUE.items() if "time" in e.depends_on)
-
-
-def uses(drives: Stacked, sites: Sequence[str]) -> bool:
-    """Whether any of some drives has an effect at one of these sites."""
-    used = np.any(drives.on, axis=0)
-    return any(used[layout()[n][0]] for n, e in CATALOGUE.items() if e.site in sites)
+    return any(used[layout()[name][0]] for name, e in CATALOGUE.items() if wanted(e))
 
 
 def compared(

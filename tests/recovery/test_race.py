@@ -7,6 +7,7 @@ import pytest
 
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.at_rest import softened
+from dmptm_ctrl.diagnosis.augment import loosened
 from dmptm_ctrl.diagnosis.decide import FAINT, FIRST
 from dmptm_ctrl.diagnosis.diagnose import KEEPS_SECONDS
 from dmptm_ctrl.diagnosis.measure import measure
@@ -19,7 +20,6 @@ from dmptm_ctrl.diagnosis.race import (
     Place,
     beside,
     entrant,
-    loosely,
     race,
     shaped,
     size,
@@ -111,7 +111,7 @@ def test_who_lost_the_way_goes_on_from_the_leader():
     """Nothing lacks here: with no drag beside it the leader's way is right for the drag, too."""
     measured, left, _ = measured_rig((), "karnopp", contact="eq21")
     start = rattled(measured.fit, left.base, measured.drive, 2)
-    known, name = loosely(start), "quadratic_drag"
+    known, name = loosened(start), "quadratic_drag"
     records = [cut(rec, 0.1) for rec in measured.fit]
     leader = entrant(None, start.model, start.unknowns, known, ())
     for seconds in (0.05, 0.1):
@@ -145,7 +145,7 @@ def test_who_begins_anew_finds_the_way_into_the_first_landings():
     behind = len(left.base.unknowns)
     start = softened(rattled(measured.fit, left.base, measured.drive, 2), behind)
     trial = replace(trial, fit=softened(trial.fit, behind))
-    (one,) = shaped(trial, start, loosely(start), measured.fit, 2)
+    (one,) = shaped(trial, start, loosened(start), measured.fit, 2)
     for seconds in (0.03, SCATTER_SECONDS):
         records = [cut(rec, seconds) for rec in measured.fit]
         one.go(records, 2)
@@ -185,7 +185,7 @@ def test_an_order_that_the_balances_miss_goes_on_from_the_scan(true):
     (trial,) = trace(left, only=("cogging",))
     missed = trial.fit.model.with_effect("cogging", order=true - 1.0)
     trial = replace(trial, fit=replace(trial.fit, model=missed))
-    entered = shaped(trial, start, loosely(start), logged, 2)
+    entered = shaped(trial, start, loosened(start), logged, 2)
     tried = [one.model.effects["cogging"]["order"] for one in entered]
     assert tried[0] == true - 1.0
     assert true in tried[1:]

@@ -8,16 +8,27 @@ import pytest
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.at_rest import presliding
 from dmptm_ctrl.diagnosis.augment import augment
-from dmptm_ctrl.diagnosis.decide import Decision
+from dmptm_ctrl.diagnosis.decide import FIRST, Decision
 from dmptm_ctrl.diagnosis.diagnose import in_step, met_by_landings, uncovered
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
+from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import unnamed
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.runoff import Run
 from dmptm_ctrl.diagnosis.trace import trace
-from dmptm_ctrl.diagnosis.unseen import AGEING, LEAST, names, stands_apart, unseen
+from dmptm_ctrl.diagnosis.unseen import (
+    AGEING,
+    LEAST,
+    by_impacts,
+    landings,
+    names,
+    outlasting,
+    stands_apart,
+    unseen,
+)
 from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.identify.lock import Locked
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -126,6 +137,38 @@ def test_beside_what_meets_the_landings_another_one_is_raced():
     assert mismatch == pytest.approx(share["left_share"], rel=0.1)
     apart = told["drive_offset"]["left"] - told["drive_offset"]["right"]
     assert apart == pytest.approx(offset["offset_V"], rel=0.2)
+
+
+def test_a_faint_ripple_without_motor_encoders_is_told_by_the_race():
+    """The gyro's fast part says too little of it; without it no landing is met."""
+    before, left, truth = fitted(440100014, (("cogging", 0.5),), "load")
+    decision = Decision(left, left, rest=trace(left, only=("cogging", "mesh_error", "unbalance")))
+    assert max(trial.evidence for trial in decision.rest) < FIRST
+    fit = in_step(decision, before, 2, 0)
+    assert [found.name for found in decision.found] == ["cogging"]
+    assert before.horizon < 0.1 < 0.6 < fit.horizon
+    told, true = fit.model.effects["cogging"], truth["cogging"]
+    assert (true["location"], told["order"]) == ("left", true["order"])
+    size = np.hypot(told["left_cosine"], told["left_sine"])
+    assert size == pytest.approx(true["amplitude_N_m"], rel=0.1)
+
+
+def test_a_longer_run_tells_what_no_reversal_does():
+    """A gap that varies, beside a limit at which all lose step at the reversals of whole logs."""
+    effects = (("backlash_variation", 1.0), ("drive_saturation", 1.0))
+    _, left, _ = fitted(450100016, effects, "load")
+    base = rattled(left.measured.fit, left.base, left.measured.drive, 2)
+    some = ("pinion_runout", "ring_gear_eccentricity", "backlash_variation")
+    landed = landings(left, base, 2, 0, some)
+    found = by_impacts(landed, 2, 0)
+    assert found.name == "backlash_variation"
+    assert not found.everywhere  # no reversal told it
+    assert found.fit.horizon >= 0.3
+    none, longest = Locked(base.model, base.p, 0.1, 0.3, base.covariance), found.fit
+    same = Locked(longest.model, longest.p, longest.horizon, 0.3, longest.covariance)
+    assert outlasting({"a": none, "b": same}, landed.whole, 2) == "b"
+    assert outlasting({"a": same, "b": same}, landed.whole, 2) is None
+    assert outlasting({}, landed.whole, 2) is None
 
 
 def test_one_stands_apart_of_others_that_leave_much():

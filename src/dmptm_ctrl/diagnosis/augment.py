@@ -14,6 +14,7 @@ from dmptm_ctrl.identify.ensemble import smoothed
 from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit, place, position
 from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, level, lock
 from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.identify.ripple import FAST
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import SUBSTEPS
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -62,7 +63,7 @@ def augment(
     start = rattled(records, start, declared, jobs)
     unknowns = (*start.unknowns, *beside)
     more = len(beside)
-    loosely = widened(start.p, LOOSE * start.covariance, more)
+    loosely = loosened(start, more)
     best: Locked | Fit
     first = start.model if near is None else near.model
     reached = 0.0 if near is None else AGAIN * near.horizon
@@ -150,6 +151,21 @@ def honest(done: Fit, start: BalanceFit) -> Floats:
     covariance[:n, n:] = covariance[n:, :n] = 0.0
     moved = np.concatenate([done.p[:n] - start.p, np.zeros(done.p.size - n)])
     return np.asarray(covariance + np.diag(moved**2))
+
+
+def loosened(fit: BalanceFit, more: int = 0) -> Known:
+    """Return what balances know before bounces sharpen it, and nothing of `more` unknowns.
+
+    Where motors turn unmeasured, a ripple tells its order and little more: a large one opens the
+    meshes, through which it would be seen, and one motor's is seen as the other's.
+    """
+    covariance = LOOSE * fit.covariance
+    if all(kind in ("total", "ripple") for kind in fit.kinds):
+        for i, unknown in enumerate(fit.unknowns):
+            if unknown.effect in FAST:
+                covariance[i], covariance[:, i] = 0.0, 0.0
+                covariance[i, i] = unknown.prior**2
+    return widened(fit.p, covariance, more)
 
 
 def widened(p: Floats, covariance: Floats, more: int) -> Known:

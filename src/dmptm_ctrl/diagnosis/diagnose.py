@@ -48,7 +48,6 @@ from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, Unknown
 from dmptm_ctrl.identify.lock import DOUBTFUL, level
 from dmptm_ctrl.identify.records import Record
-from dmptm_ctrl.identify.ripple import FAST
 from dmptm_ctrl.identify.segments import reversals
 from dmptm_ctrl.parallel import at_once, small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
@@ -274,8 +273,6 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     if after.horizon >= BESIDE_SECONDS if decision.found else keeps_step(after, measured, jobs):
         return after
     start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
-    if decision.after.balance.simulated:  # the fast part has told what it can of those
-        field = [trial for trial in field if trial.name not in FAST]
     if gives(decision):  # or delays and lags would do for it
         behind = len(base.unknowns)
         field = [replace(t, fit=at_rest.softened(t.fit, behind)) for t in field]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.augment import widened
+from dmptm_ctrl.diagnosis.augment import loosened
 from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, tie
 from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, SATURATED, Trial, bent, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
@@ -23,7 +23,6 @@ from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
 from dmptm_ctrl.identify.lock import (
     DOUBTFUL,
     HORIZONS,
-    LOOSE,
     LOST,
     NEWS,
     ROUGH,
@@ -223,7 +222,7 @@ def race(
     scan : bool
         Whether other orders are tried, which takes seconds.
     """
-    known = loosely(start)
+    known = loosened(start)
     bare = entrant(None, start.model, start.unknowns, known, ())
     runners = [bare]
     for entered in in_threads(
@@ -391,15 +390,10 @@ def with_effect(
     unknowns = (*start.unknowns, *own)
     if values != trial.fit.model.effects[name]:
         return entrant(name, model, unknowns, beside(known, model, own), ())
-    known = loosely(meshes_from(start, trial.fit))
+    known = loosened(meshes_from(start, trial.fit))
     entered = entrant(name, model, unknowns, known, (known.mean,))
     entered.told = trial.evidence
     return entered
-
-
-def loosely(fit: BalanceFit) -> Known:
-    """What balances know, before bounces sharpen it."""
-    return widened(fit.p, LOOSE * fit.covariance, 0)
 
 
 def meshes_from(start: BalanceFit | Fit, fit: BalanceFit) -> BalanceFit:

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dmptm_ctrl.diagnosis.augment import loosened
 from dmptm_ctrl.diagnosis.race import (
     MARGIN,
     OUT,
     Runner,
     entrant,
-    loosely,
     meshes_from,
     together,
 )
@@ -169,7 +169,7 @@ def runner(after: Fit, fit: BalanceFit, *seed: int) -> Runner:
     at = (kept.get((k.effect, k.name), x) for k, x in zip(fit.unknowns, fit.p, strict=True))
     low, high = ([getattr(k, end) for k in fit.unknowns] for end in ("low", "high"))
     model = place(fit.model, fit.unknowns, np.clip(fit.p, low, high))
-    entered = entrant(None, model, fit.unknowns, loosely(fit), (np.array([*at]),))
+    entered = entrant(None, model, fit.unknowns, loosened(fit), (np.array([*at]),))
     entered.rng = np.random.default_rng(seed)
     return entered
 

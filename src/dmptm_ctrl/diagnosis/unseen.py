@@ -15,7 +15,8 @@ from itertools import product
 import numpy as np
 
 from dmptm_ctrl.diagnosis.at_rest import AtRest, fitted, sized, softened
-from dmptm_ctrl.diagnosis.race import HELD_SHARE, OUT, Runner, beside, entrant, loosely, together
+from dmptm_ctrl.diagnosis.augment import loosened
+from dmptm_ctrl.diagnosis.race import HELD_SHARE, OUT, Runner, beside, entrant, together
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, horizons, lost, run, starts
@@ -247,8 +248,13 @@ def by_impacts(landed: Landings, jobs: int, seed: int, *, turns: bool = True) ->
         met = by_reversals(whole, base.model, alone, entrants, jobs, told=told)
         if told and met is not None and met.name in kept:
             return replace(met, fit=fit_of(field[met.name], kept[met.name]))
-        if met is not None or told:  # one of several that no reversal tells from the others
+        if met is not None:
             return met
+        if told:  # one of several that no reversal tells from the others: a longer run may
+            first = outlasting({n: kept[n] for n in (name, *near) if n in kept}, whole, jobs)
+            if first is None:
+                return None
+            return shown(first, fit_of(field[first], kept[first]), bare, runs[first])
     if not told:
         name = max(going, key=lambda n: kept[n].lasts(), default="")
         if not name:
@@ -319,6 +325,18 @@ def by_reversals(
     return found
 
 
+def outlasting(
+    kept: Mapping[str, Locked], whole: Sequence[Sequence[Record]], jobs: int
+) -> str | None:
+    """Return the effect that keeps step for so long that each of the others has lost it."""
+    if not kept:
+        return None
+    first, *others = sorted(kept, key=lambda name: kept[name].lasts(), reverse=True)
+    between = LATER_SECONDS, kept[first].horizon
+    behind = (lost(whole, kept[n].model, kept[first].model, between, jobs) for n in others)
+    return first if all(one is not None for one in behind) else None
+
+
 def stands_apart(won: Run, bare: Run, others: Iterable[float]) -> bool:
     """Whether one leaves so little, and each of the others so much, that it is told out of step."""
     second = min(others, default=np.inf)
@@ -385,7 +403,7 @@ def waves(name: str, model: Model) -> list[Model]:
 def enter(models: Sequence[Model], base: BalanceFit, own: tuple[Unknown, ...], seed: int) -> Runner:
     """Enter a model that starts from several sizes of an effect."""
     unknowns = (*base.unknowns, *own)
-    known = beside(loosely(base), models[0], own)
+    known = beside(loosened(base), models[0], own)
     others = [position(model, unknowns) for model in models[1:]]
     one = entrant(None, models[0], unknowns, known, others)
     one.rng = np.random.default_rng(seed)
@@ -451,7 +469,7 @@ def without(
     start = Model(kept.model.drive, base.model.effects)
     between = horizons(LEAST_SECONDS, kept.horizon)
     reached = max((h for h in between if level(start, records, h, jobs) < LOST), default=0.0)
-    unknowns, known = base.unknowns, loosely(base)
+    unknowns, known = base.unknowns, loosened(base)
     return lock(records, start, unknowns, known, reached=reached, jobs=jobs, seed=seed, anew=False)
 
 
@@ -464,7 +482,7 @@ def ageing(
     whole = left.measured.fit, left.measured.held
     own = unknowns_of(AGEING)
     model = sized(AGEING, base.model, 1.0)
-    known = beside(loosely(base), model, own)
+    known = beside(loosened(base), model, own)
     unknowns = (*base.unknowns, *own)
     kept = lock(whole[0], model, unknowns, known, jobs=jobs, seed=seed, anew=anew)
     if kept.horizon < max(before.horizon, LEAST_SECONDS):

@@ -18,6 +18,8 @@ from dmptm_ctrl.diagnosis.race import (
     SMALLEST,
     Lap,
     Place,
+    agree,
+    behind,
     beside,
     entrant,
     race,
@@ -220,6 +222,34 @@ def test_a_name_needs_bounces_met_as_well_as_noise_lets(laps, told):
 
     proven = [Lap(0.1, place(None, bare), (place("drive_offset", own),)) for own, bare in laps]
     assert set().union(*(lap.proven for lap in proven)) == ({"drive_offset"} if told else set())
+
+
+@pytest.mark.parametrize(
+    ("winner", "bare", "told"),
+    [
+        (0.25, 0.54, True),  # beside a drag: out of step from 0.15 to 0.6 s, not over 0.9 s
+        (0.38, 0.54, False),
+        (0.38, 0.70, True),
+        (0.43, 0.70, False),
+        (0.43, 1.20, True),
+    ],
+)
+def test_who_lost_step_before_is_behind_who_meets_all(winner, bare, told):
+    assert behind(bare, winner) == told
+
+
+@pytest.mark.parametrize(
+    ("gains", "held", "told"),
+    [
+        ((0, 0, -58, -1, 1928, -2), (-40, -2, 24, -35), True),  # a limit that one log reaches
+        ((0, 0, -58, -1, 1928, -2), (-40, -2, -60, -35), False),
+        ((80, 90, 100, 110, 90, 120), (30, 30, 30, 30), True),  # what all show
+        ((80, 90, 100, 110, 90, 120), (30, 30, 20, 20), False),
+        ((80, 90, 100, 110, 90, 120), (-2, -2, 0, 0), False),
+    ],
+)
+def test_held_out_logs_gain_what_is_common(gains, held, told):
+    assert agree(np.array(gains), np.array(held)) == told
 
 
 @pytest.mark.parametrize(

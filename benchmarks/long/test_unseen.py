@@ -7,11 +7,11 @@ from tests.recovery.test_unseen import fitted
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.decide import Decision
 from dmptm_ctrl.diagnosis.diagnose import uncovered
+from dmptm_ctrl.diagnosis.landings import enter, race_first, variants
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import unknowns_of
-from dmptm_ctrl.diagnosis.unseen import enter, race_first, variants
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.lock import LOST, UNEASY
 from dmptm_ctrl.simulate.model import Model

@@ -10,6 +10,7 @@ from dmptm_ctrl.diagnosis.at_rest import presliding
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import FIRST, Decision
 from dmptm_ctrl.diagnosis.diagnose import in_step, met_by_landings, uncovered
+from dmptm_ctrl.diagnosis.landings import landings
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.rattle import rattled
@@ -21,7 +22,6 @@ from dmptm_ctrl.diagnosis.unseen import (
     AGEING,
     LEAST,
     by_impacts,
-    landings,
     names,
     outlasting,
     stands_apart,

@@ -21,6 +21,7 @@ from dmptm_ctrl.diagnosis.decide import (
     withdraw,
 )
 from dmptm_ctrl.diagnosis.experiment import next_experiment
+from dmptm_ctrl.diagnosis.landings import BY_IMPACTS
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.race import LEAST, WINS_SECONDS, race
@@ -39,7 +40,7 @@ from dmptm_ctrl.diagnosis.sensors import cross_check, sensor_effect, with_sensor
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.trace import Trial, ringing, unknowns_of
 from dmptm_ctrl.diagnosis.unknown import Unexplained, astray
-from dmptm_ctrl.diagnosis.unseen import AGEING, BY_IMPACTS, REVERSAL_SECONDS, Shown, unseen
+from dmptm_ctrl.diagnosis.unseen import AGEING, REVERSAL_SECONDS, Shown, unseen
 from dmptm_ctrl.diagnosis.unseen import LEAST as LEAST_UNSEEN
 from dmptm_ctrl.diagnosis.unseen import SUREST as UNSEEN_SURE
 from dmptm_ctrl.drive import Drive, paper_drive

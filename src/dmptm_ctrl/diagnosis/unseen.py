@@ -10,39 +10,33 @@ otherwise it alone lets the model keep step.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.at_rest import AtRest, fitted, sized, softened
 from dmptm_ctrl.diagnosis.augment import loosened
-from dmptm_ctrl.diagnosis.race import HELD_SHARE, OUT, Runner, beside, entrant, together
+from dmptm_ctrl.diagnosis.landings import (
+    BY_IMPACTS,
+    FIRST_SECONDS,
+    Landings,
+    landings,
+    looks,
+    of_all_logs,
+    within,
+)
+from dmptm_ctrl.diagnosis.race import HELD_SHARE, OUT, Runner, beside, together
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, horizons, lost, run, starts
-from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, NEEDS_TWIST, WITHOUT_TWIST, unknowns_of
-from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.diagnosis.trace import NEEDS_TWIST, WITHOUT_TWIST, unknowns_of
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.fit import Fit, Unknown, position
-from dmptm_ctrl.identify.lock import DOUBTFUL, LOST, SCATTERED, UNEASY, Locked, cut, level, lock
+from dmptm_ctrl.identify.fit import Fit
+from dmptm_ctrl.identify.lock import DOUBTFUL, LOST, UNEASY, Locked, cut, level, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.model import Model
 
 AGEING = "unknown_breakaway"
-BY_IMPACTS = (*WITHOUT_TWIST, "torque_constant_mismatch")
-FIRST_SECONDS = (0.03, 0.05, 0.07, 0.1)  # of each log, one after another
-# Places that go on from each: first impacts alone are met in many ways, of which the next leave
-# few; the one that leaves least there is seldom right.
-PLACES = (8, 4, 3, 2)
-# The amplitudes of a wave that the next impacts tell, drawn anew about each of these places: how
-# many draws, and how far in steps.
-REDRAWN, RESIZED = 3072, (2.0, 4.0, 8.0)
-SIZES = (1.0, -1.0, 4.0, -4.0)  # of each amplitude, in its step, to start from
-QUARTERS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # cosine and sine
-WAVES = (3.0, 10.0, 30.0)  # of one over an angle
-SEARCHES = 2  # at a horizon where no start is near
-BEHIND = 2.0  # times the nearest one's loss, from where none looks for another start
 SHARE = 0.5  # of what the model misses, that a winner takes off
 # Where the law of the flanks is not quite the model's, none is near in the end; one alone that
 # leaves so little, where each of the others leaves so much, is told all the same.
@@ -130,7 +124,8 @@ def unseen(
         A fit of the model as it is, where it keeps step for longer from values that another one
         has led to; None where nothing, or not one thing alone, lets the model keep step.
     """
-    if before.horizon >= KEEPS_SECONDS:
+    everything = (*left.measured.fit, *left.measured.held)
+    if before.horizon >= KEEPS_SECONDS and keeps_all(before, everything, jobs):
         return None
     base = rattled(left.measured.fit, left.base, left.measured.drive, jobs)
     if alone and before.horizon < LEAST_SECONDS:  # soon tried, and where it is told none is left
@@ -140,11 +135,14 @@ def unseen(
     if not left.measured.has_motor_encoders:
         gives = rested is not None and rested.gives
         start = softened(base, len(base.unknowns)) if gives else base
-        ahead, logs = horizons(FIRST_SECONDS[-1], before.horizon), left.measured.fit
-        meets = any(level(before.model, logs, h, jobs) < DOUBTFUL for h in ahead)
+        ahead = horizons(FIRST_SECONDS[-1], before.horizon)
+        meets = any(level(before.model, everything, h, jobs) < DOUBTFUL for h in ahead)
         landed = landings(left, start, jobs, seed, none_tells=meets)
         # a friction law of another kind lets no model meet the reversals
-        found = by_impacts(landed, jobs, seed, turns=not gives)
+        turns = not gives
+        found: Shown | Fit | None = by_all_logs(landed, jobs, seed, turns=turns)
+        if found is None:
+            found = by_impacts(landed, jobs, seed, turns=turns)
         doubtful = rested is not None and rested.doubtful
         if doubtful and found is None and landed.alone.level > LOST:  # friction may stick
             landed = landings(left, base, jobs, seed, among=landed.nearest(ONCE_MORE))
@@ -156,73 +154,42 @@ def unseen(
     return ageing(left, base, before, jobs, seed) if alone else None
 
 
-@dataclass(frozen=True, eq=False)
-class Landings:
-    """Where models are that were fitted to the first landings of the logs.
+def by_all_logs(landed: Landings, jobs: int, seed: int, *, turns: bool = True) -> Shown | None:
+    """Find the effect that meets the first impacts of all logs where the model as it is does not.
 
-    Attributes
-    ----------
-    whole : two sequences of Record
-        Fitted and held-out logs.
-    base : BalanceFit
-        What they start from.
-    alone : Runner
-        The model as it is.
-    entered : sequence of (str, Runner)
-        With an effect, of each of its patterns.
-    field : dict
-        The best pattern of each effect.
-    runs : dict
-        What it misses.
+    Those that do are told apart by how long they keep step with the fitted logs, else by the
+    reversals; where neither tells, the nearest one has rivals.
     """
-
-    whole: tuple[Sequence[Record], Sequence[Record]]
-    base: BalanceFit
-    alone: Runner
-    entered: Sequence[tuple[str, Runner]]
-    field: Mapping[str, Runner]
-    runs: Mapping[str, Run]
-
-    def nearest(self, count: int) -> list[str]:
-        """Return the effects with which least is missed."""
-        return sorted(self.runs, key=lambda name: self.runs[name].level)[:count]
-
-
-def landings(
-    left: Residual,
-    base: BalanceFit,
-    jobs: int,
-    seed: int,
-    among: Sequence[str] = BY_IMPACTS,
-    *,
-    none_tells: bool = False,
-) -> Landings:
-    """Fit a model as it is, and with one effect or another, to the first landings.
-
-    Where it is known that the model as it is meets them, none tells anything: all are only brought
-    there.
-    """
-    whole = left.measured.fit, left.measured.held
-    alone = enter([base.model], base, (), seed)
-    entered = [
-        (name, enter(models, base, unknowns_of(name), seed))
-        for name in among
-        if name not in base.model.effects
-        for models in variants(name, base.model)
-    ]
-    field = [one for _, one in entered]
-    if none_tells:
-        brought(alone, field, whole[0], jobs)
-    else:
-        race_first(alone, field, whole[0], jobs)
+    whole = landed.whole
+    near = [name for name in landed.nearest(ONCE_MORE) if landed.runs[name].level < LOST]
+    if not near:
+        return None
+    alone, field = of_all_logs(landed, near, jobs)
+    name, *others = sorted(field, key=lambda n: field[n].cost)
+    best = field[name]
+    if best.level > DOUBTFUL or alone.level < LOST or alone.cost < best.cost + LEAST:
+        return None
+    rivals = [n for n in others if field[n].cost < best.cost + MARGIN]
+    kept = {n: onward(field[n], whole[0], jobs, seed) for n in (name, *rivals)}
     parts = starts(whole, FIRST_SECONDS[-1])
-    best: dict[str, Runner] = {}
-    runs: dict[str, Run] = {}
-    for name, one in entered:
-        own = run(parts, one.there, jobs)
-        if name not in best or own.level < runs[name].level:
-            best[name], runs[name] = one, own
-    return Landings(whole, base, alone, entered, best, runs)
+    bare = run(parts, alone.there, jobs)
+    fits = {n: fit_of(field[n], kept[n]) for n in kept}
+    runs = {n: run(parts, field[n].there, jobs) for n in kept}
+    if rivals:
+        first = outlasting(kept, whole, jobs)
+        if first is None and turns:
+            entrants = [(n, field[n]) for n in kept]
+            met = by_reversals(whole, landed.base.model, alone, entrants, jobs, told=True)
+            first = None if met is None or met.rivals else met.name
+        if first is not None:
+            name, rivals = first, []
+    others_shown = tuple(shown(n, fits[n], bare, runs[n]) for n in rivals)
+    return shown(name, fits[name], bare, runs[name], others_shown)
+
+
+def keeps_all(before: Fit, records: Sequence[Record], jobs: int) -> bool:
+    """Whether a model meets the first landings of all logs, of which it was fitted to some."""
+    return level(before.model, records, FIRST_SECONDS[-1], jobs) < LOST
 
 
 def by_impacts(landed: Landings, jobs: int, seed: int, *, turns: bool = True) -> Shown | Fit | None:
@@ -343,11 +310,6 @@ def stands_apart(won: Run, bare: Run, others: Iterable[float]) -> bool:
     return total(won) <= APART * total(bare) and second > OTHERS * total(bare)
 
 
-def within(entered: Sequence[Runner]) -> float:
-    """Return the loss up to which one looks for other starts, as the nearest leaves no less."""
-    return max(UNEASY, BEHIND * min(one.level for one in entered))
-
-
 def total(one: Run) -> float:
     """Loss on fitted and held-out logs."""
     return one.fitted + one.held
@@ -366,96 +328,6 @@ def fit_of(one: Runner, kept: Locked | None) -> Fit:
     if kept is None or kept.horizon == 0.0:
         return fitted(one, FIRST_SECONDS[-1])
     return kept.as_fit(one.unknowns)
-
-
-def variants(name: str, model: Model) -> list[list[Model]]:
-    """Models with an effect of each pattern, of several sizes and phases to start from."""
-    effect = CATALOGUE[name]
-    fixed = FIXED_SHAPES.get(name, ())
-    banks = [(p.name, value) for p in effect.parameters if p.name in fixed for value in p.bank]
-    patterns: list[Mapping[str, float]] = [{key: value} for key, value in banks] or [{}]
-    models = waves(name, model)
-    if not models:
-        signed = any(p.low < 0.0 for p in effect.parameters if p.name in effect.amplitudes)
-        models = [sized(name, model, size) for size in SIZES if signed or size > 0.0]
-    return [
-        [one.with_effect(name, **{**one.effects[name], **pattern}) for one in models]
-        for pattern in patterns
-    ]
-
-
-def waves(name: str, model: Model) -> list[Model]:
-    """Models with one wave of an effect over an angle, a quarter of a turn apart; none if flat."""
-    effect = CATALOGUE[name]
-    steps = {p.name: p.step for p in effect.parameters}
-    none = dict.fromkeys(effect.amplitudes, 0.0)
-    started = []
-    for cosine in effect.amplitudes:
-        sine = cosine.replace("cosine", "sine")
-        if sine == cosine or sine not in none or cosine.startswith("apart"):
-            continue
-        for size, (c, s) in product(WAVES, QUARTERS):
-            wave = {cosine: size * c * steps[cosine], sine: size * s * steps[sine]}
-            started.append(model.with_effect(name, **{**none, **wave}))
-    return started
-
-
-def enter(models: Sequence[Model], base: BalanceFit, own: tuple[Unknown, ...], seed: int) -> Runner:
-    """Enter a model that starts from several sizes of an effect."""
-    unknowns = (*base.unknowns, *own)
-    known = beside(loosened(base), models[0], own)
-    others = [position(model, unknowns) for model in models[1:]]
-    one = entrant(None, models[0], unknowns, known, others)
-    one.rng = np.random.default_rng(seed)
-    one.wave = len(own) if own and waves(str(own[0].effect), models[0]) else 0
-    return one
-
-
-def race_first(
-    alone: Runner, field: Sequence[Runner], records: Sequence[Record], jobs: int
-) -> None:
-    """Fit all to the first hundredths of a second, then to the next, from several places each.
-
-    Who is not near looks for other starts, unless another one leaves much less. The second impact
-    is the other pinion's: every wave is drawn anew there, or one of them would win by chance.
-    """
-    entered = (alone, *field)
-    for lap, (seconds, places) in enumerate(zip(FIRST_SECONDS, PLACES, strict=True)):
-        came = {one: one.places for one in entered}
-        together(Runner.go, entered, jobs, [cut(rec, seconds) for rec in records])
-        if lap == 0:
-            together(lambda one: one.spread(one.draw(SCATTERED)), entered, jobs)
-        far = within(entered)
-        redraws = (0.0, np.inf, far, far)[lap]
-        together(looks_on, entered, jobs, came, redraws, far, places)
-
-
-def brought(alone: Runner, field: Sequence[Runner], records: Sequence[Record], jobs: int) -> None:
-    """Fit all to the first landings on the shortest way."""
-    for seconds, places in ((FIRST_SECONDS[0], PLACES[-2]), (FIRST_SECONDS[-1], PLACES[-1])):
-        together(Runner.go, (alone, *field), jobs, [cut(rec, seconds) for rec in records])
-        for one in (alone, *field):
-            one.settle()
-            one.places = one.different(places)
-
-
-def looks_on(
-    one: Runner, came: Mapping[Runner, list[Floats]], redraws: float, far: float, places: int
-) -> None:
-    """Draw a wave anew about the places it came from, look for other starts, keep some places."""
-    if one.wave and UNEASY < one.level <= redraws:
-        one.places = came[one]
-        one.spread(one.anew(one.wave, REDRAWN, RESIZED))
-    for _ in range(SEARCHES):
-        looks(one, far)
-    one.settle()
-    one.places = one.different(places)
-
-
-def looks(one: Runner, far: float) -> None:
-    """Look for another start where all is not well, unless the nearest one leaves much less."""
-    if UNEASY < one.level <= far:
-        one.search()
 
 
 def without(

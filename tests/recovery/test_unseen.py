@@ -21,6 +21,7 @@ from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.diagnosis.unseen import (
     AGEING,
     LEAST,
+    by_all_logs,
     by_impacts,
     names,
     outlasting,
@@ -28,7 +29,7 @@ from dmptm_ctrl.diagnosis.unseen import (
     unseen,
 )
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.lock import Locked
+from dmptm_ctrl.identify.lock import LOST, Locked
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -151,6 +152,31 @@ def test_a_faint_ripple_without_motor_encoders_is_told_by_the_race():
     assert (true["location"], told["order"]) == ("left", true["order"])
     size = np.hypot(told["left_cosine"], told["left_sine"])
     assert size == pytest.approx(true["amplitude_N_m"], rel=0.1)
+
+
+def test_landings_of_all_logs_tell_what_half_of_them_leave_open():
+    """Fitted to six logs, the runout that is there misses first landings of the others as well."""
+    _, left, truth = fitted(627365687, (("pinion_runout", 1.0),), "load")
+    base = rattled(left.measured.fit, left.base, left.measured.drive, 2)
+    landed = landings(left, base, 2, 0, ("pinion_runout", "backlash_variation"))
+    own = landed.runs["pinion_runout"]
+    assert own.level < LOST
+    assert own.held > 5.0 * own.fitted
+    found = by_all_logs(landed, 2, 0)
+    assert found.name == "pinion_runout"
+    assert not found.rivals
+    true, told = truth["pinion_runout"], found.fit.model.effects["pinion_runout"]
+    assert true["location"] == "right"
+    size = np.rad2deg(np.hypot(told["right_cosine"], told["right_sine"])) * 60.0
+    assert size == pytest.approx(true["amplitude_arcmin"], rel=0.1)
+
+
+def test_landings_of_all_logs_tell_nothing_under_another_law_of_the_flanks():
+    _, left, _ = fitted(420200033, (), "load", "karnopp", "hunt_crossley")
+    base = rattled(left.measured.fit, left.base, left.measured.drive, 2)
+    landed = landings(left, base, 2, 0, ("pinion_runout", "backlash_variation"))
+    assert landed.alone.level > LOST
+    assert by_all_logs(landed, 2, 0) is None
 
 
 def test_a_longer_run_tells_what_no_reversal_does():

@@ -51,9 +51,8 @@ WELL = 0.4  # mean loss per sample that leaves nothing to mend
 # Of a clearly visible offset, by which the motors' offsets differ at least: what is common to both
 # acts as a friction that is not the same both ways, and mends a part of another law of friction.
 APART = 0.2
-# Of a clearly visible effect, a winner at least: less moves the landings by a digit that the model
-# as it is may find as well. In campaigns cogging and motors that differ had 0.04 to 0.18 where they
-# were not there, winners that were 0.67 and more.
+# Of a clearly visible effect, a winner at least: less moves the landings by a digit that any drive
+# may find. In campaigns wrong winners had 0.04 to 0.18, right ones 0.67 and more.
 SMALLEST = 0.3
 HELD_SHARE = 0.3  # of what a fitted log commonly gains, that a held-out log gains at least
 CHANCE = 0.05  # share of what one log alone gains, by which all held-out logs may miss more
@@ -68,8 +67,7 @@ EVEN_SECONDS, MANY = 0.15, 8
 # best, by balances and by cost, begin anew from places drawn at random then, and closer in how
 # many rounds.
 SCATTER_SECONDS, SCATTERED, ROUNDS = 0.05, 3, 2
-# Of each amplitude, in its step, from which those begin that stayed behind.
-SIZES = (1.0, -1.0, 4.0, -4.0)
+SIZES = (1.0, -1.0, 4.0, -4.0)  # of each amplitude, in its step, where who stayed behind begins
 # Shapes that are no slope, all tried: (seconds of each log, steps of a fit, how many go on).
 SCAN = ((0.03, 2, 32), (0.05, 4, 12), (0.07, 4, 6), (0.1, 6, 4))
 SHAPE_WIDTH = 10.0  # steps of a shape, about the value that the balances like best

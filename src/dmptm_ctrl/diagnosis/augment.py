@@ -9,7 +9,7 @@ from dmptm_ctrl.diagnosis.predict import SPEED, expected, low_pass
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
-from dmptm_ctrl.identify.balance import BalanceFit
+from dmptm_ctrl.identify.balance import BalanceFit, role_of
 from dmptm_ctrl.identify.ensemble import smoothed
 from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit, place, position
 from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, level, lock
@@ -160,7 +160,7 @@ def loosened(fit: BalanceFit, more: int = 0) -> Known:
     meshes, through which it would be seen, and one motor's is seen as the other's.
     """
     covariance = LOOSE * fit.covariance
-    if all(kind in ("total", "ripple") for kind in fit.kinds):
+    if "chain" not in map(role_of, fit.kinds):
         for i, unknown in enumerate(fit.unknowns):
             if unknown.effect in FAST:
                 covariance[i], covariance[:, i] = 0.0, 0.0

@@ -29,13 +29,13 @@ FIRST_SECONDS = (0.03, 0.05, 0.07, 0.1)  # of each log, one after another
 # Places that go on from each: first impacts alone are met in many ways, of which the next leave
 # few; the one that leaves least there is seldom right.
 PLACES = (8, 4, 3, 2)
+PLACES_OF_ALL = (4, 3, 2, 2)  # where all logs are met together, from places that are known
 # The amplitudes of a wave that the next impacts tell, drawn anew about each of these places: how
 # many draws, and how far in steps.
 REDRAWN, RESIZED = 3072, (2.0, 4.0, 8.0)
 SIZES = (1.0, -1.0, 4.0, -4.0)  # of each amplitude, in its step, to start from
 QUARTERS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # cosine and sine
 WAVES = (3.0, 10.0, 30.0)  # of one over an angle
-PLACES_OF_ALL = (4, 3, 2, 2)  # the same, where all logs are met together from places known already
 SEARCHES = 2  # at a horizon where no start is near
 BEHIND = 2.0  # times the nearest one's loss, from where none looks for another start
 
@@ -153,22 +153,29 @@ def enter(models: Sequence[Model], base: BalanceFit, own: tuple[Unknown, ...], s
 
 
 def race_first(
-    alone: Runner, field: Sequence[Runner], records: Sequence[Record], jobs: int
+    alone: Runner,
+    field: Sequence[Runner],
+    records: Sequence[Record],
+    jobs: int,
+    places: Sequence[int] = PLACES,
+    *,
+    afresh: bool = True,
 ) -> None:
     """Fit all to the first hundredths of a second, then to the next, from several places each.
 
     Who is not near looks for other starts, unless another one leaves much less. The second impact
-    is the other pinion's: every wave is drawn anew there, or one of them would win by chance.
+    is the other pinion's: every wave is drawn anew there, or one of them would win by chance. Not
+    so where they do not begin afresh, but from places that are known.
     """
     entered = (alone, *field)
-    for lap, (seconds, places) in enumerate(zip(FIRST_SECONDS, PLACES, strict=True)):
+    for lap, (seconds, kept) in enumerate(zip(FIRST_SECONDS, places, strict=True)):
         came = {one: one.places for one in entered}
         together(Runner.go, entered, jobs, [cut(rec, seconds) for rec in records])
-        if lap == 0:
+        if afresh and lap == 0:
             together(lambda one: one.spread(one.draw(SCATTERED)), entered, jobs)
         far = within(entered)
-        redraws = (0.0, np.inf, far, far)[lap]
-        together(looks_on, entered, jobs, came, redraws, far, places)
+        redraws = (0.0, np.inf if afresh else far, far, far)[lap]
+        together(looks_on, entered, jobs, came, redraws, far, kept)
 
 
 def of_all_logs(
@@ -180,12 +187,8 @@ def of_all_logs(
     it depend on what is fitted that the right effect misses it, too, until it is told of it.
     """
     alone, field = copy(landed.alone), {name: copy(landed.field[name]) for name in names}
-    entered, records = (alone, *field.values()), [rec for part in landed.whole for rec in part]
-    for lap, (seconds, places) in enumerate(zip(FIRST_SECONDS, PLACES_OF_ALL, strict=True)):
-        came = {one: one.places for one in entered}
-        together(Runner.go, entered, jobs, [cut(rec, seconds) for rec in records])
-        far = within(entered)
-        together(looks_on, entered, jobs, came, far if lap else 0.0, far, places)
+    records = [rec for part in landed.whole for rec in part]
+    race_first(alone, [*field.values()], records, jobs, PLACES_OF_ALL, afresh=False)
     alone.from_place_of(min(field.values(), key=lambda one: one.cost))
     return alone, field
 

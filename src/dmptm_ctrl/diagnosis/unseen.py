@@ -138,8 +138,7 @@ def unseen(
         ahead = horizons(FIRST_SECONDS[-1], before.horizon)
         meets = any(level(before.model, everything, h, jobs) < DOUBTFUL for h in ahead)
         landed = landings(left, start, jobs, seed, none_tells=meets)
-        # a friction law of another kind lets no model meet the reversals
-        turns = not gives
+        turns = not gives  # a friction law of another kind lets no model meet the reversals
         found: Shown | Fit | None = by_all_logs(landed, jobs, seed, turns=turns)
         if found is None:
             found = by_impacts(landed, jobs, seed, turns=turns)
@@ -173,8 +172,9 @@ def by_all_logs(landed: Landings, jobs: int, seed: int, *, turns: bool = True) -
     kept = {n: onward(field[n], whole[0], jobs, seed) for n in (name, *rivals)}
     parts = starts(whole, FIRST_SECONDS[-1])
     bare = run(parts, alone.there, jobs)
-    fits = {n: fit_of(field[n], kept[n]) for n in kept}
-    runs = {n: run(parts, field[n].there, jobs) for n in kept}
+    each = {
+        n: shown(n, fit_of(field[n], kept[n]), bare, run(parts, field[n].there, jobs)) for n in kept
+    }
     if rivals:
         first = outlasting(kept, whole, jobs)
         if first is None and turns:
@@ -183,8 +183,7 @@ def by_all_logs(landed: Landings, jobs: int, seed: int, *, turns: bool = True) -
             first = None if met is None or met.rivals else met.name
         if first is not None:
             name, rivals = first, []
-    others_shown = tuple(shown(n, fits[n], bare, runs[n]) for n in rivals)
-    return shown(name, fits[name], bare, runs[name], others_shown)
+    return replace(each[name], rivals=tuple(each[n] for n in rivals))
 
 
 def keeps_all(before: Fit, records: Sequence[Record], jobs: int) -> bool:

@@ -26,7 +26,7 @@ AGAIN = 0.5  # share of a horizon that was reached, from which other logs begin
 NOISE = np.deg2rad(0.01)  # rad/s, of a gyro below 30 Hz
 # Over whole logs at most; how many may come to less than the fall of the sum of the logs'
 # logarithms that is worth more; of how many the mean is tried.
-TURNS, PATIENCE, WORTH, LAST = 3, 2, 0.25, 3
+TURNS, PATIENCE, WORTH, LAST = 2, 2, 0.25, 2
 RUNS = 8  # of which the expected motion is the mean, where models are compared
 ITERATIONS = 2  # from the values of balances and the rattle; more moved nothing on held-out logs
 

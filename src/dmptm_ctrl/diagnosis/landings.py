@@ -170,12 +170,16 @@ def race_first(
     entered = (alone, *field)
     for lap, (seconds, kept) in enumerate(zip(FIRST_SECONDS, places, strict=True)):
         came = {one: one.places for one in entered}
-        together(Runner.go, entered, jobs, [cut(rec, seconds) for rec in records])
+        together(Runner.go, entered, jobs, [cut(rec, seconds) for rec in records], jobs)
         if afresh and lap == 0:
             together(lambda one: one.spread(one.draw(SCATTERED)), entered, jobs)
         far = within(entered)
         redraws = (0.0, np.inf if afresh else far, far, far)[lap]
-        together(looks_on, entered, jobs, came, redraws, far, kept)
+        some = [one for one in entered if UNEASY < one.level <= max(redraws, far)]
+        together(looks_on, some, jobs, came, redraws, far)
+        for one in entered:
+            one.settle()
+            one.places = one.different(kept)
 
 
 def of_all_logs(
@@ -196,23 +200,19 @@ def of_all_logs(
 def brought(alone: Runner, field: Sequence[Runner], records: Sequence[Record], jobs: int) -> None:
     """Fit all to the first landings on the shortest way."""
     for seconds, places in ((FIRST_SECONDS[0], PLACES[-2]), (FIRST_SECONDS[-1], PLACES[-1])):
-        together(Runner.go, (alone, *field), jobs, [cut(rec, seconds) for rec in records])
+        together(Runner.go, (alone, *field), jobs, [cut(rec, seconds) for rec in records], jobs)
         for one in (alone, *field):
             one.settle()
             one.places = one.different(places)
 
 
-def looks_on(
-    one: Runner, came: Mapping[Runner, list[Floats]], redraws: float, far: float, places: int
-) -> None:
-    """Draw a wave anew about the places it came from, look for other starts, keep some places."""
+def looks_on(one: Runner, came: Mapping[Runner, list[Floats]], redraws: float, far: float) -> None:
+    """Draw a wave anew about the places it came from, look for other starts."""
     if one.wave and UNEASY < one.level <= redraws:
         one.places = came[one]
         one.spread(one.anew(one.wave, REDRAWN, RESIZED))
     for _ in range(SEARCHES):
         looks(one, far)
-    one.settle()
-    one.places = one.different(places)
 
 
 def looks(one: Runner, far: float) -> None:

@@ -31,6 +31,7 @@ from dmptm_ctrl.identify.lock import (
     Seeker,
     Steps,
     cut,
+    level,
     loss,
     walk,
 )
@@ -70,6 +71,7 @@ SCATTER_SECONDS, SCATTERED, ROUNDS = 0.05, 3, 2
 SIZES = (1.0, -1.0, 4.0, -4.0)  # of each amplitude, in its step, where who stayed behind begins
 # Shapes that are no slope, all tried: (seconds of each log, steps of a fit, how many go on).
 SCAN = ((0.03, 2, 32), (0.05, 4, 12), (0.07, 4, 6), (0.1, 6, 4))
+SIZED = 3  # of these, from which who joins late begins
 SHAPE_WIDTH = 10.0  # steps of a shape, about the value that the balances like best
 
 
@@ -129,9 +131,9 @@ class Runner(Seeker):
         drawn = [np.concatenate([bare.places[0], x]) for x in (own, *self.sizes(own, records))]
         steps = self.prepared(records, jobs, None)
         costs = steps.costs(steps.residuals(drawn), drawn)
-        best = int(np.argmin(costs))
-        self.places = [np.clip(drawn[best], steps.low, steps.high)]
-        return bool(costs[best] < bare.cost)
+        best = np.argsort(costs)[:SIZED]
+        self.places = [np.clip(drawn[i], steps.low, steps.high) for i in best]
+        return bool(costs[best[0]] < bare.cost)
 
     def sizes(self, own: Floats, records: Sequence[Record]) -> list[Floats]:
         """Return an effect's unknowns with one amplitude after another of several sizes."""
@@ -149,11 +151,11 @@ class Runner(Seeker):
                 several.append(one)
         return several
 
-    def from_the_start(self, records: Sequence[Record], seconds: float) -> None:
+    def from_the_start(self, records: Sequence[Record], seconds: float, jobs: int) -> None:
         """Try where a lock comes out that goes alone, with more care at each horizon."""
         horizons = [h for h in HORIZONS if h <= seconds]
         self.alone = False
-        found = walk(self.afresh(), records, horizons, 1)
+        found = walk(self.afresh(), records, horizons, jobs)
         if found.horizon == seconds:
             self.pursue(found.p)
 
@@ -163,13 +165,19 @@ class Runner(Seeker):
         places = [self.known.mean]
         return Seeker(self.model, self.unknowns, self.known, places, covariance, **how)
 
-    def scatters(self, records: Sequence[Record]) -> None:
+    def scatters(self, records: Sequence[Record], jobs: int) -> None:
         """Begin anew as well, from the best of many places that balances hold possible."""
         fresh = self.afresh(rng=self.rng)
-        fresh.scatter(records, 1)
+        fresh.scatter(records, jobs)
         fresh.closer(ROUNDS)
         for p in fresh.different(len(self.places)):
             self.pursue(p)
+
+    def steps_down(self, records: Sequence[Record], iterations: int) -> None:
+        """Go a few steps down from where it is, without a look around."""
+        steps = Steps(records, self.model, self.unknowns, self.known, 1, ROUGH)
+        self.places = [steps.descend(self.places[0], iterations)]
+        self.cost = float(steps.costs(steps.residuals(self.places), self.places)[0])
 
     def place(self) -> "Place":
         """Return where it is."""
@@ -224,10 +232,8 @@ def race(
     known = loosened(start)
     bare = entrant(None, start.model, start.unknowns, known, ())
     runners = [bare]
-    for entered in in_threads(
-        lambda trial: shaped(trial, start, known, fitted, 1, scan=scan), trials, jobs
-    ):
-        runners += entered
+    for trial in trials:
+        runners += shaped(trial, start, known, fitted, jobs, scan=scan)
     for i, runner in enumerate(runners):
         runner.rng = np.random.default_rng([seed, i])
     # no step from nothing finds those
@@ -235,10 +241,10 @@ def race(
     last, proven = None, set[str | None]()
     for horizon in HORIZONS:
         records = [cut(rec, horizon) for rec in fitted]
-        together(Runner.go, with_(bare, runners), jobs, records)
+        together(Runner.go, with_(bare, runners), jobs, records, jobs)
         if waiting and bare.level > UNEASY:
             joined = [runner for runner in waiting if runner.joins(bare, records, jobs)]
-            together(Runner.go, joined, jobs, records)
+            together(Runner.go, joined, jobs, records, jobs)
             runners, waiting = [*dict.fromkeys((*runners, *joined))], []
         doubtful = min(runner.level for runner in runners) > DOUBTFUL
         if doubtful and SCATTER_SECONDS <= horizon <= WAY_SECONDS:
@@ -246,7 +252,7 @@ def race(
             ahead = sorted(runners, key=lambda runner: runner.cost)[:SCATTERED]
             some = with_(bare, [*dict.fromkeys((*told, *ahead))])
             if horizon == SCATTER_SECONDS:
-                together(Runner.scatters, some, jobs, records)
+                together(Runner.scatters, some, jobs, records, jobs)
             else:
                 together(Runner.closer, some, jobs, 1)
         runners.sort(key=lambda runner: runner.cost)
@@ -263,11 +269,11 @@ def race(
         uneasy = [one for one in tried if one.level > UNEASY or one in late]
         together(Runner.search, uneasy, jobs)
         late = [one for one in late if one.cost > runners[0].cost + BEHIND and one.alone]
-        together(Runner.from_the_start, late, jobs, fitted, horizon)
+        together(Runner.from_the_start, late, jobs, fitted, horizon, jobs)
         lost = min(runner.level for runner in runners) > LOST
         if lost and last is not None and last.seconds >= WAY_SECONDS:
             hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)[:ONCE_MORE]
-            together(Runner.from_the_start, hopeful, jobs, fitted, horizon)
+            together(Runner.from_the_start, hopeful, jobs, fitted, horizon, jobs)
         runners.sort(key=lambda runner: runner.cost)
         if runners[0].level > LOST or (bare.level < DOUBTFUL and horizon == HORIZONS[-1]):
             break
@@ -287,7 +293,10 @@ def race(
 
 
 def together(action: Callable[..., None], some: Sequence[Runner], jobs: int, *args: Any) -> None:
-    """Let some runners do the same, each on a thread of its own; who takes longest begins."""
+    """Let some runners do the same, each on a thread of its own; who takes longest begins.
+
+    One alone has all threads.
+    """
     some = sorted(some, key=lambda runner: -len(runner.places))
     in_threads(lambda runner: action(runner, *args), some, jobs)
 
@@ -337,10 +346,17 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
         return None
     if not behind(bare.level, winner.level):
         return None
-    records = [cut(rec, lap.seconds) for rec in held]
-    told = winner.steps.records
-    gains = bare.missed(told, jobs) - winner.missed(told, jobs)
-    held_gains = bare.missed(records, jobs) - winner.missed(records, jobs)
+    places = bare, winner
+    seconds = next(
+        (h for h in reversed(HORIZONS) if h <= lap.seconds and meets(places, held, h, jobs)),
+        lap.seconds,
+    )
+    gains, held_gains = (
+        np.subtract(
+            *(place.missed([cut(rec, seconds) for rec in records], jobs) for place in places)
+        )
+        for records in (winner.steps.records, held)
+    )
     gain, held_gain = bare.cost - winner.cost, float(held_gains.sum())
     if gain + held_gain < LEAST or not agree(gains, held_gains):
         return None
@@ -352,6 +368,11 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
     if size(model, winner.name) < SMALLEST or not told_from_friction(model, winner.name):
         return None
     return Raced(winner.name, model, lap.seconds, gain + held_gain, held_gain)
+
+
+def meets(places: Sequence[Place], held: Sequence[Record], seconds: float, jobs: int) -> bool:
+    """Whether one of some places keeps step with held-out logs: where none does, chance tells."""
+    return any(level(place.steps.placed(place.p), held, seconds, jobs) < LOST for place in places)
 
 
 def behind(bare: float, winner: float) -> bool:
@@ -476,10 +497,7 @@ def shaped(
         if len(others) <= SCAN[-1][-1]:
             break
         parts = [cut(rec, seconds) for rec in records]
-        for one in others:
-            steps = Steps(parts, one.model, one.unknowns, one.known, jobs, ROUGH)
-            one.places = [steps.descend(one.places[0], iterations)]
-            one.cost = float(steps.costs(steps.residuals(one.places), one.places)[0])
+        in_threads(lambda one: one.steps_down(parts, iterations), others, jobs)
         others = sorted(others, key=lambda one: one.cost)[:most]
     return [first, *others]
 

@@ -34,6 +34,7 @@ from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.identify.lock import DOUBTFUL, LOST, UNEASY, Locked, cut, level, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Model
 
 AGEING = "unknown_breakaway"
@@ -169,7 +170,7 @@ def by_all_logs(landed: Landings, jobs: int, seed: int, *, turns: bool = True) -
     if best.level > DOUBTFUL or alone.level < LOST or alone.cost < best.cost + LEAST:
         return None
     rivals = [n for n in others if field[n].cost < best.cost + MARGIN]
-    kept = {n: onward(field[n], whole[0], jobs, seed) for n in (name, *rivals)}
+    kept = all_onward({n: field[n] for n in (name, *rivals)}, whole[0], jobs, seed)
     parts = starts(whole, FIRST_SECONDS[-1])
     bare = run(parts, alone.there, jobs)
     each = {
@@ -199,7 +200,7 @@ def by_impacts(landed: Landings, jobs: int, seed: int, *, turns: bool = True) ->
         return by_reversals(whole, base.model, alone, entered, jobs) if turns else None
     parts = starts(whole, FIRST_SECONDS[-1])
     going = {name: one for name, one in field.items() if runs[name].level < LOST}
-    kept = {name: onward(one, whole[0], jobs, seed) for name, one in going.items()}
+    kept = all_onward(going, whole[0], jobs, seed)
     name = landed.nearest(1)[0]
     won = runs[name]
     alone.from_place_of(field[name])
@@ -320,6 +321,14 @@ def onward(one: Runner, records: Sequence[Record], jobs: int, seed: int) -> Lock
     return lock(
         records, start, one.unknowns, one.known, reached=reached, jobs=jobs, seed=seed, anew=False
     )
+
+
+def all_onward(
+    field: Mapping[str, Runner], records: Sequence[Record], jobs: int, seed: int
+) -> dict[str, Locked]:
+    """The same of several, each on a thread of its own."""
+    kept = in_threads(lambda one: onward(one, records, jobs, seed), field.values(), jobs)
+    return dict(zip(field, kept, strict=True))
 
 
 def fit_of(one: Runner, kept: Locked | None) -> Fit:

@@ -105,23 +105,49 @@ def place(model: Model, unknowns: Sequence[Unknown], p: Floats) -> Model:
     return Model(model.drive.with_values(**drive), effects)
 
 
+class Drives:
+    """Numbers of many drives that differ in some unknowns; no model is made of each.
+
+    Parameters
+    ----------
+    model : Model
+    unknowns : sequence of Unknown
+    """
+
+    def __init__(self, model: Model, unknowns: Sequence[Unknown]) -> None:
+        self._all = place(model, unknowns, position(model, unknowns)).arrays()
+        self._centre = np.array([k.centre for k in unknowns])
+        self._scale = np.array([k.scale for k in unknowns])
+        slots = layout()
+        own = [(j, k) for j, k in enumerate(unknowns) if k.effect is None]
+        others = [(j, k.effect, k.name) for j, k in enumerate(unknowns) if k.effect is not None]
+        self._bases = [j for j, _ in own], [BASE.index(k.name) for _, k in own]
+        self._values = (
+            [j for j, _, _ in others],
+            [slots[effect][1] + _place_in(effect, name) for _, effect, name in others],
+        )
+        self._switched = [
+            (slots[e][0], [slots[e][1] + _place_in(e, a) for a in CATALOGUE[e].amplitudes])
+            for e in dict.fromkeys(effect for _, effect, _ in others)
+        ]
+
+    def __call__(self, several: Sequence[Floats]) -> Stacked:
+        """Return ``place(model, unknowns, p).arrays()`` of several `p`."""
+        numbers = self._centre + np.array(several) * self._scale
+        base, on, values = self._all
+        bases, rows = (np.repeat(x[None], len(several), axis=0) for x in (base, values))
+        flags = np.repeat(on[None], len(several), axis=0)
+        for table, (which, columns) in ((bases, self._bases), (rows, self._values)):
+            if columns:
+                table[:, columns] = numbers[:, which]
+        for index, amplitudes in self._switched:
+            flags[:, index] = np.any(rows[:, amplitudes] != 0.0, axis=1)
+        return Stacked(bases, flags, rows)
+
+
 def arrays_at(model: Model, unknowns: Sequence[Unknown], several: Sequence[Floats]) -> Stacked:
-    """Return ``place(model, unknowns, p).arrays()`` of several `p`; no model is made of each."""
-    base, on, values = place(model, unknowns, several[0]).arrays()
-    numbers = [k.centre for k in unknowns] + np.array(several) * [k.scale for k in unknowns]
-    bases, rows = (np.tile(x, (len(several), 1)) for x in (base, values))
-    flags = np.tile(on, (len(several), 1))
-    slots = layout()
-    for unknown, column in zip(unknowns, numbers.T, strict=True):
-        if unknown.effect is None:
-            bases[:, BASE.index(unknown.name)] = column
-        else:
-            rows[:, slots[unknown.effect][1] + _place_in(unknown.effect, unknown.name)] = column
-    for name in {k.effect for k in unknowns if k.effect is not None}:
-        index, first = slots[name]
-        amplitudes = [first + _place_in(name, a) for a in CATALOGUE[name].amplitudes]
-        flags[:, index] = np.any(rows[:, amplitudes] != 0.0, axis=1)
-    return Stacked(bases, flags, rows)
+    """Return ``place(model, unknowns, p).arrays()`` of several `p`."""
+    return Drives(model, unknowns)(several)
 
 
 def _place_in(effect: str, parameter: str) -> int:
@@ -323,6 +349,11 @@ class Known(NamedTuple):
     def cost(self, p: Floats) -> float:
         """Return (p − mean)ᵀ precision (p − mean)."""
         return float((p - self.mean) @ self.precision @ (p - self.mean))
+
+    def costs(self, several: Sequence[Floats]) -> Floats:
+        """The same of several `p`."""
+        off = np.array(several) - self.mean
+        return np.asarray(np.sum(off @ self.precision * off, axis=1))
 
 
 def declared(unknowns: Sequence[Unknown]) -> Known:

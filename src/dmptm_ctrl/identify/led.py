@@ -10,7 +10,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_many
-from dmptm_ctrl.simulate.compiled import BODIES, FINE_SUBSTEPS, observer_gains
+from dmptm_ctrl.simulate.compiled import BODIES, FINE_SUBSTEPS, OUTPUTS, observer_gains
 from dmptm_ctrl.simulate.compose import layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Stacked, stacked
 
@@ -18,6 +18,8 @@ from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Stacked, stacked
 # grow what a coarser scheme misses there.
 EARLY_SECONDS, EARLY_SUBSTEPS = 0.1, 32
 AT_ONCE = 64  # runs of one call, in groups of lanes
+THREADED = 400_000  # steps of all runs, about 5 ms, of which threads take longer than they save
+SPEED = (OUTPUTS.index("omega_L"),)
 LEAD_HZ = 6.0  # of the observer that leads a run to where it is let go
 LEAD_SUBSTEPS = 4  # of a run that it leads, and that forgets what such steps miss
 OF_ONE_STEP = ("presliding", "sensor_delay")  # sites whose numbers are of one length of steps
@@ -27,65 +29,119 @@ SPEED_UNIT = np.deg2rad(0.08)  # rad/s
 TWIST_UNIT = 1.4 * RING_COUNT / np.sqrt(12.0)  # rad at the ring gear
 
 
-def side_by_side(
-    records: Sequence[Record], drives: Stacked, jobs: int, substeps: int | None
-) -> list[tuple[list[int], Floats]]:
-    """Run many drives on each record, led where it is.
+class Bench:
+    """Records on which many drives run, led where they are; what all runs share is made once.
 
-    In steps as fine as its length asks for, unless `substeps` says how many per sample. Returns
-    which records are alike, and their runs (len, drives, n, BODIES).
+    Parameters
+    ----------
+    records : sequence of Record
     """
-    timed = any(rec.led for rec in records) and acts(drives, lambda e: "time" in e.depends_on)
-    alike: dict[tuple[float, ...], list[int]] = {}  # what runs side by side
-    for i, rec in enumerate(records):
-        begin = float(rec.time[0]) if timed else 0.0
-        key = (rec.u.shape[1], rec.dt, rec.led, begin, rec.block, rec.twist is None)
-        alike.setdefault(key, []).append(i)
-    groups = [_Group([records[i] for i in rows], drives, substeps) for rows in alike.values()]
-    tasks = [(group, first) for group in groups for first in range(0, group.count, AT_ONCE)]
-    done = iter(in_threads(lambda task: task[0].run(task[1]), tasks, jobs))
-    shape = len(drives), -1, BODIES
-    return [
-        (
-            rows,
-            np.concatenate([next(done) for _ in range(0, group.count, AT_ONCE)]).reshape(
-                len(rows), *shape
-            ),
-        )
-        for rows, group in zip(alike.values(), groups, strict=True)
-    ]
+
+    def __init__(self, records: Sequence[Record]) -> None:
+        self.records = records
+        self.led = any(rec.led for rec in records)
+        self._groups: dict[bool, list[_Alike]] = {}
+
+    def groups(self, timed: bool) -> "list[_Alike]":
+        """Records that run side by side; those of other times only where time does not matter."""
+        if timed not in self._groups:
+            alike: dict[tuple[float, ...], list[int]] = {}
+            for i, rec in enumerate(self.records):
+                begin = float(rec.time[0]) if timed else 0.0
+                key = (rec.u.shape[1], rec.dt, rec.led, begin, rec.block, rec.twist is None)
+                alike.setdefault(key, []).append(i)
+            self._groups[timed] = [_Alike(rows, self.records) for rows in alike.values()]
+        return self._groups[timed]
+
+    def run(
+        self, drives: Stacked, jobs: int, substeps: int | None, *, compares: bool = False
+    ) -> "list[tuple[_Alike, Floats]]":
+        """Run drives on each record, in steps as fine as its length asks for unless said.
+
+        Returns records that are alike, and their runs (len, drives, bodies, n); of what they are
+        compared by only where that is all that is wanted.
+        """
+        timed = self.led and acts(drives, lambda e: "time" in e.depends_on)
+        groups = [_Runs(alike, drives, substeps, compares) for alike in self.groups(timed)]
+        tasks = [(one, first) for one in groups for first in range(0, one.count, AT_ONCE)]
+        steps = sum(one.count * one.alike.u.shape[2] * one.how["substeps"] for one in groups)
+        jobs = jobs if steps > THREADED else 1
+        done = iter(in_threads(lambda task: task[0].run(task[1]), tasks, jobs))
+        runs = []
+        for one in groups:
+            parts = [next(done) for _ in range(0, one.count, AT_ONCE)]
+            several = parts[0] if len(parts) == 1 else np.concatenate(parts)
+            runs.append(
+                (one.alike, several.reshape(one.alike.count, len(drives), *several.shape[1:]))
+            )
+        return runs
+
+    def compared(self, drives: Stacked, jobs: int, substeps: int | None = None) -> Floats:
+        """Measured minus simulated of many drives, in units, (len(drives), m)."""
+        parts: dict[int, Floats] = {}
+        n1, n2 = (drives.base[:, BASE.index(key), None] for key in ("N_1", "N_2"))
+        for alike, runs in self.run(drives, jobs, substeps, compares=True):
+            runs = runs[..., alike.led :]
+            if alike.twist is None:
+                missed = block_mean((alike.omega - runs[:, :, 0]) / SPEED_UNIT, alike.block)
+            else:
+                theta, omega, *motors = np.moveaxis(runs, 2, 0)
+                rows = [(alike.omega - omega) / SPEED_UNIT]
+                for measured, motor in zip(alike.twist, motors, strict=True):
+                    rows.append((measured - (motor / n1 - n2 * theta)) / (n2 * TWIST_UNIT))
+                several = [block_mean(row, alike.block) for row in rows]
+                missed = np.concatenate(several, axis=2)
+            parts |= zip(alike.rows, missed, strict=True)
+        return np.concatenate([parts[i] for i in range(len(self.records))], axis=1)
 
 
-class _Group:
+class _Alike:
+    """Records of one length and kind: what a run needs of them, and what it is compared with."""
+
+    def __init__(self, rows: Sequence[int], records: Sequence[Record]) -> None:
+        some = [records[i] for i in rows]
+        first = some[0]
+        self.rows, self.count = rows, len(rows)
+        self.dt, self.led, self.block = first.dt, first.led, first.block
+        self.begin = float(first.time[0])  # of all of them, where it matters
+        self.u = np.array([rec.u for rec in some])
+        self.x0 = np.array([rec.x0 for rec in some])
+        self.theta = np.array([rec.theta[: first.led] for rec in some])
+        self.early = self.u.shape[2] * self.dt <= EARLY_SECONDS
+        self.omega = np.array([rec.omega[first.led :] for rec in some])[:, None]
+        self.twist: list[Floats] | None = None
+        if first.twist is not None:
+            twists = np.array([rec.twist for rec in some])[:, None, first.led :]
+            self.twist = [twists[..., side] for side in range(2)]
+
+
+class _Runs:
     """Runs of many drives on records that are alike, one record after another."""
 
-    def __init__(self, alike: Sequence[Record], drives: Stacked, substeps: int | None) -> None:
-        first = alike[0]
-        self.drives, self.dt, self.count = drives, first.dt, len(alike) * len(drives)
-        self.u = np.array([rec.u for rec in alike])
-        self.x0 = np.array([rec.x0 for rec in alike])
-        early = self.u.shape[2] * self.dt <= EARLY_SECONDS
+    def __init__(
+        self, alike: _Alike, drives: Stacked, substeps: int | None, compares: bool
+    ) -> None:
+        self.alike, self.drives = alike, drives
+        self.count = alike.count * len(drives)
         self.how: dict[str, Any] = {
-            "substeps": substeps or (EARLY_SUBSTEPS if early else FINE_SUBSTEPS),
-            "columns": range(BODIES),
+            "substeps": substeps or (EARLY_SUBSTEPS if alike.early else FINE_SUBSTEPS),
+            "columns": SPEED if compares and alike.twist is None else range(BODIES),
         }
-        self.theta = np.array([rec.theta[: first.led] for rec in alike])
-        if first.led:
-            self.how["observer"] = observer_gains(LEAD_HZ, self.dt)
+        if alike.led:
+            self.how["observer"] = observer_gains(LEAD_HZ, alike.dt)
             if not acts(drives, lambda effect: effect.site in OF_ONE_STEP):
                 self.how["lead_substeps"] = min(LEAD_SUBSTEPS, self.how["substeps"])
-            self.how["begin"] = float(first.time[0])  # of all of them, where it matters
+            self.how["begin"] = alike.begin
 
     def run(self, first: int) -> Floats:
         """Run from one on as many as go at once."""
-        record, drive = np.divmod(
-            np.arange(first, min(first + AT_ONCE, self.count)), len(self.drives)
-        )
-        measured = self.theta[record] if self.theta.size else None
-        own = self.drives[drive]
-        return march_many(
-            own, self.u[record], self.x0[record], self.dt, measured=measured, **self.how
-        )
+        end = min(first + AT_ONCE, self.count)
+        record, drive = np.divmod(np.arange(first, end), len(self.drives))
+        alike, own = self.alike, self.drives[drive]
+        measured = alike.theta[record] if alike.theta.size else None
+        u, x0 = alike.u[record], alike.x0[record]
+        runs = march_many(own, u, x0, alike.dt, measured=measured, **self.how)
+        return runs.transpose(0, 2, 1)
 
 
 def acts(drives: Stacked, wanted: Callable[[Effect], bool]) -> bool:
@@ -94,23 +150,16 @@ def acts(drives: Stacked, wanted: Callable[[Effect], bool]) -> bool:
     return any(used[layout()[name][0]] for name, e in CATALOGUE.items() if wanted(e))
 
 
+def side_by_side(
+    records: Sequence[Record], drives: Stacked, jobs: int, substeps: int | None
+) -> list[tuple[Sequence[int], Floats]]:
+    """Run many drives on each record: which are alike, and their runs (len, drives, n, BODIES)."""
+    runs = Bench(records).run(drives, jobs, substeps)
+    return [(alike.rows, several.transpose(0, 1, 3, 2)) for alike, several in runs]
+
+
 def compared(
     records: Sequence[Record], arrays: Sequence[Arrays], jobs: int, substeps: int | None = None
 ) -> Floats:
-    """Measured minus simulated of many drives, in units, (len(arrays), m), by `side_by_side`."""
-    drives = stacked(arrays)
-    n1, n2 = (drives.base[:, BASE.index(key), None] for key in ("N_1", "N_2"))
-    parts: dict[int, Floats] = {}
-    for which, runs in side_by_side(records, drives, jobs, substeps):
-        some = [records[i] for i in which]
-        theta, omega, *motors = np.moveaxis(runs, 3, 0)  # (records, drives, n) each
-        rows = [(np.array([rec.omega for rec in some])[:, None] - omega) / SPEED_UNIT]
-        if some[0].twist is not None:
-            measured = np.array([rec.twist for rec in some])[:, None]
-            for side, motor in enumerate(motors):
-                twist = motor / n1 - n2 * theta
-                rows.append((measured[..., side] - twist) / (n2 * TWIST_UNIT))
-        missed = np.stack(rows, 2)[..., some[0].led :]
-        missed = block_mean(missed, some[0].block).reshape(len(some), len(drives), -1)
-        parts |= zip(which, missed, strict=True)
-    return np.concatenate([parts[i] for i in range(len(records))], axis=1)
+    """Measured minus simulated of many drives, in units, (len(arrays), m), by `Bench`."""
+    return Bench(records).compared(stacked(arrays), jobs, substeps)

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dmptm_ctrl.identify.fit import Fit, Known, Unknown, arrays_at, place, position
-from dmptm_ctrl.identify.led import EARLY_SECONDS, compared
+from dmptm_ctrl.identify.fit import Drives, Fit, Known, Unknown, place, position
+from dmptm_ctrl.identify.led import EARLY_SECONDS, Bench
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.compiled import SUBSTEPS
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -32,7 +32,7 @@ LOST = 0.6  # the same, above which the model has lost step
 # missed by a sample makes the loss jagged below; nearer where that leads nowhere.
 REACH, NEARER, NEAREST = 0.7, 0.3, 0.05
 FARTHEST = 1.0  # half-ranges, or steps of an effect, that a slope takes at most
-DAMPINGS = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0)  # of a step; all are tried
+DAMPINGS = np.array([0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0])  # of a step; all are tried
 ITERATIONS = 8  # per horizon
 LOOSE = 4.0  # factor on the variance of what balances know, before bounces sharpen it
 TINY = 1e-9  # precision of what nothing is known about
@@ -194,6 +194,8 @@ class Steps:
     substeps: int | None = None  # per sample; as fine as needed
 
     def __post_init__(self) -> None:
+        self.bench = Bench(self.records)
+        self.drives = Drives(self.model, self.unknowns)
         self.covariance: Floats = np.zeros(0)  # of the last step
         self.low = np.array([k.low for k in self.unknowns])
         self.high = np.array([k.high for k in self.unknowns])
@@ -209,8 +211,7 @@ class Steps:
 
     def residuals(self, several: Sequence[Floats], substeps: int | None = None) -> Floats:
         """Measured minus simulated, in units, (len(several), m)."""
-        arrays = arrays_at(self.model, self.unknowns, several)
-        return compared(self.records, arrays, self.jobs, substeps or self.substeps)
+        return self.bench.compared(self.drives(several), self.jobs, substeps or self.substeps)
 
     def levels(self, several: Sequence[Floats]) -> Floats:
         """Mean loss per sample of each."""
@@ -218,8 +219,7 @@ class Steps:
 
     def costs(self, residuals: Floats, several: Sequence[Floats]) -> Floats:
         """Loss of each, with what is known."""
-        told = [self.known.cost(p) for p in several]
-        return np.asarray(NEWS * loss(residuals).sum(1) + told)
+        return np.asarray(NEWS * loss(residuals).sum(1) + self.known.costs(several))
 
     def slopes(self, p: Floats, directions: Floats) -> Floats:
         """Slopes of the residuals by differences, (len(p), m)."""
@@ -243,14 +243,9 @@ class Steps:
             normal = (slopes * w) @ slopes.T + known
             self.covariance = np.asarray(np.linalg.inv(normal), np.float64)
             uphill = (slopes * w) @ r + self.known.precision @ (p - self.known.mean)
-            tried = [
-                np.clip(
-                    p - np.linalg.solve(normal + d * np.diag(np.diag(normal)), uphill),
-                    self.low,
-                    self.high,
-                )
-                for d in DAMPINGS
-            ]
+            damped = normal + DAMPINGS[:, None, None] * np.diag(np.diag(normal))
+            moves = np.linalg.solve(damped, uphill[:, None])[..., 0]
+            tried = [*np.clip(p - moves, self.low, self.high)]
             missed = self.residuals(tried)
             costs = self.costs(missed, tried)
             best, before = int(np.argmin(costs)), cost
@@ -302,10 +297,16 @@ class Seeker:
 
     def go(self, records: Sequence[Record], jobs: int = 1) -> None:
         """Fit to records of one horizon."""
-        self.steps = self.prepared(records, jobs, self.covariance)
+        self.prepare(records, jobs, self.covariance)
         self.found: list[tuple[float, Floats, Floats, float]] = []
         for start in self.places:
             self.pursue(start)
+
+    def prepare(self, records: Sequence[Record], jobs: int, spread: Floats | None) -> None:
+        """Take what goes down on some records, and the same in coarse steps."""
+        self.steps = self.prepared(records, jobs, spread)
+        self.rough = replace(self.steps, substeps=SUBSTEPS)
+        self.rough.bench = self.steps.bench
 
     def prepared(self, records: Sequence[Record], jobs: int, spread: Floats | None) -> Steps:
         """Return what goes down on some records."""
@@ -325,14 +326,9 @@ class Seeker:
         self.cost, _, _, self.level = self.found[0]
         self.places = [found[1] for found in self.found[:2]]
 
-    @property
-    def rough(self) -> Steps:
-        """The same in coarse steps."""
-        return replace(self.steps, substeps=SUBSTEPS)
-
     def scatter(self, records: Sequence[Record], jobs: int) -> None:
         """Begin anew from the best of many places that are known to be possible."""
-        self.steps = self.prepared(records, jobs, None)
+        self.prepare(records, jobs, None)
         self.found = []
         self.spread(self.draw(SCATTERED))
         self.covariance = self.found[0][2]

@@ -497,7 +497,7 @@ def shaped(
         if len(others) <= SCAN[-1][-1]:
             break
         parts = [cut(rec, seconds) for rec in records]
-        in_threads(lambda one: one.steps_down(parts, iterations), others, jobs)
+        together(Runner.steps_down, others, jobs, parts, iterations)
         others = sorted(others, key=lambda one: one.cost)[:most]
     return [first, *others]
 

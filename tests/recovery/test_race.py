@@ -1,40 +1,50 @@
 """Effects too small for the balances, told by keeping step; on rigs of another program."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "identify"))
+
+from test_ensemble import drawn, logged
 
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.at_rest import softened
 from dmptm_ctrl.diagnosis.augment import loosened
 from dmptm_ctrl.diagnosis.decide import FAINT, FIRST
 from dmptm_ctrl.diagnosis.diagnose import KEEPS_SECONDS
-from dmptm_ctrl.diagnosis.measure import measure
-from dmptm_ctrl.diagnosis.race import (
-    BEHIND,
-    SCAN,
-    SCATTER_SECONDS,
+from dmptm_ctrl.diagnosis.finish import (
     SMALLEST,
     Lap,
     Place,
     agree,
     behind,
+    size,
+    tells_for,
+    told_from_friction,
+)
+from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.race import (
+    BEHIND,
+    SCAN,
+    SCATTER_SECONDS,
     beside,
     entrant,
     race,
     shaped,
-    size,
-    told_from_friction,
 )
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import trace, unknowns_of
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects.torque_constant_mismatch import OPPOSITE
+from dmptm_ctrl.identify.fit import declared, drive_unknowns, position
 from dmptm_ctrl.identify.fit import place as placed
 from dmptm_ctrl.identify.led import TWIST_UNIT
-from dmptm_ctrl.identify.lock import DOUBTFUL, LOST, UNEASY, cut, level
+from dmptm_ctrl.identify.lock import DOUBTFUL, LOST, UNEASY, Steps, cut, level
 from dmptm_ctrl.identify.records import predict
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
@@ -250,6 +260,25 @@ def test_who_lost_step_before_is_behind_who_meets_all(winner, bare, told):
 )
 def test_held_out_logs_gain_what_is_common(gains, held, told):
     assert agree(np.array(gains), np.array(held)) == told
+
+
+@pytest.mark.parametrize(("off", "seconds"), [(0.02, 0.2), (0.05, 0.07)])
+def test_held_out_logs_tell_for_as_long_as_one_keeps_step(off, seconds):
+    """Not beyond: a limit was there on one log, and values moved for it met others by chance."""
+    plant = drawn(2)
+    model, records = plant[0], logged(plant, 3)
+    unknowns = drive_unknowns(model)
+    known, right = declared(unknowns), position(model, unknowns)
+
+    def at(p):
+        return Place(None, Steps(records, model, unknowns, known, 1), p, 0.0, 0.0)
+
+    there, beside = at(right), at(right + off)
+    assert tells_for((beside, there), records, 0.9, 1) == 0.9
+    assert tells_for((beside, beside), records, 0.9, 1) == seconds
+    assert tells_for((beside, beside), records, 0.05, 1) == 0.05
+    others = [replace(rec, omega=rec.omega + 0.1) for rec in records]
+    assert tells_for((beside, there), others, 0.9, 1) == 0.9  # no one ever keeps step
 
 
 @pytest.mark.parametrize(

@@ -21,10 +21,11 @@ from dmptm_ctrl.diagnosis.decide import (
     withdraw,
 )
 from dmptm_ctrl.diagnosis.experiment import next_experiment
+from dmptm_ctrl.diagnosis.finish import LEAST, WINS_SECONDS
 from dmptm_ctrl.diagnosis.landings import BY_IMPACTS
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.race import LEAST, WINS_SECONDS, race
+from dmptm_ctrl.diagnosis.race import race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import (
     Diagnosis,

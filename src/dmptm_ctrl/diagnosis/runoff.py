@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import loosened
+from dmptm_ctrl.diagnosis.finish import MARGIN, OUT
 from dmptm_ctrl.diagnosis.race import (
-    MARGIN,
-    OUT,
     Runner,
     entrant,
     meshes_from,

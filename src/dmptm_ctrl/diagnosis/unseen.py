@@ -15,6 +15,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.at_rest import AtRest, fitted, sized, softened
 from dmptm_ctrl.diagnosis.augment import loosened
+from dmptm_ctrl.diagnosis.finish import HELD_SHARE, OUT
 from dmptm_ctrl.diagnosis.landings import (
     BY_IMPACTS,
     FIRST_SECONDS,
@@ -24,7 +25,7 @@ from dmptm_ctrl.diagnosis.landings import (
     of_all_logs,
     within,
 )
-from dmptm_ctrl.diagnosis.race import HELD_SHARE, OUT, Runner, beside, together
+from dmptm_ctrl.diagnosis.race import Runner, beside, together
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, horizons, lost, run, starts

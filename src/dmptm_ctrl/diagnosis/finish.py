@@ -1,0 +1,162 @@
+"""Who has won a race, if anyone: the model as it is has lost step, and held-out logs agree."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.lock import DOUBTFUL, HORIZONS, LOST, NEWS, Steps, cut, level, loss
+from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.simulate.model import Floats, Model
+
+WINS_SECONDS = 0.15  # for which a winner keeps step
+MARGIN = 40.0  # cost beyond the best one's at which a candidate drops out
+# The same for the last lap, where the best one leaves no more than noise: costs are what they
+# claim to be then, logarithms of likelihoods.
+CLEARLY = 20.0
+LEAST = 150.0  # evidence of a winner
+# Times the winner's loss per sample: so far out of step is the model as it is. Where friction is
+# only a little other than the model's, an effect that mends it in part leaves more of it.
+OUT = 2.7
+WELL = 0.4  # mean loss per sample that leaves nothing to mend
+# Of a clearly visible offset, by which the motors' offsets differ at least: what is common to both
+# acts as a friction that is not the same both ways, and mends a part of another law of friction.
+APART = 0.2
+# Of a clearly visible effect, a winner at least: less moves the landings by a digit that any drive
+# may find. In campaigns wrong winners had 0.04 to 0.18, right ones 0.67 and more.
+SMALLEST = 0.3
+HELD_SHARE = 0.3  # of what a fitted log commonly gains, that a held-out log gains at least
+CHANCE = 0.05  # share of what one log alone gains, by which all held-out logs may miss more
+
+
+@dataclass(frozen=True, eq=False)
+class Raced:
+    """The winner.
+
+    Attributes
+    ----------
+    name : str
+    model : Model
+        With the effect, at its values.
+    seconds : float
+        For which it keeps step.
+    evidence : float
+        By how much the model as it is misses more, on fitted and held-out logs.
+    held_gain : float
+        The held-out logs' share of it.
+    """
+
+    name: str
+    model: Model
+    seconds: float
+    evidence: float
+    held_gain: float
+
+
+class Place(NamedTuple):
+    """Where a runner is after a lap."""
+
+    name: str | None
+    steps: Steps
+    p: Floats
+    cost: float
+    level: float
+
+    def missed(self, records: Sequence[Record], jobs: int) -> Floats:
+        """Loss on each of some records."""
+        each = [replace(self.steps, records=[rec], jobs=jobs) for rec in records]
+        return np.array([NEWS * loss(steps.residuals([self.p])).sum() for steps in each])
+
+
+class Lap(NamedTuple):
+    """The model as it is and those in the field, the best first, after a horizon."""
+
+    seconds: float
+    bare: Place
+    field: tuple[Place, ...]
+
+    @property
+    def proven(self) -> set[str | None]:
+        """Who meets all bounces here where the model as it is does not.
+
+        Who never does may mend a part of what other laws of friction or contact make.
+        """
+        out = self.bare.level
+        met = [place for place in self.field if place.level < DOUBTFUL]
+        return {place.name for place in met if out >= min(LOST, OUT * place.level)}
+
+
+def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
+    """Return the winner, if the model as it is has lost step and the held-out logs agree."""
+    winner, bare = lap.field[0], lap.bare
+    if lap.seconds < WINS_SECONDS or winner.name is None:
+        return None
+    if not behind(bare.level, winner.level):
+        return None
+    seconds = tells_for((bare, winner), held, lap.seconds, jobs)
+    parts = [[cut(rec, seconds) for rec in some] for some in (winner.steps.records, held)]
+    gains, held_gains = (bare.missed(some, jobs) - winner.missed(some, jobs) for some in parts)
+    gain, held_gain = bare.cost - winner.cost, float(held_gains.sum())
+    if gain + held_gain < LEAST or not agree(gains, held_gains):
+        return None
+    margin = CLEARLY if winner.level < DOUBTFUL else MARGIN
+    near = [place for place in lap.field if place.cost < winner.cost + margin]
+    if any(place.name != winner.name for place in near):
+        return None  # several mend a law that is not quite the model's
+    model = winner.steps.placed(winner.p)
+    if size(model, winner.name) < SMALLEST or not told_from_friction(model, winner.name):
+        return None
+    return Raced(winner.name, model, lap.seconds, gain + held_gain, held_gain)
+
+
+def tells_for(places: Sequence[Place], held: Sequence[Record], longest: float, jobs: int) -> float:
+    """Return for how long held-out logs tell: where no one keeps step any more, chance does.
+
+    They were not fitted, and a value moved by a hair for a fitted log's sake meets their later
+    bounces a little better or worse. If no one ever does, the whole run tells.
+    """
+    models = [place.steps.placed(place.p) for place in places]
+    ahead = (h for h in reversed(HORIZONS) if h <= longest)
+    kept = (h for h in ahead if any(level(one, held, h, jobs) < LOST for one in models))
+    return next(kept, longest)
+
+
+def behind(bare: float, winner: float) -> bool:
+    """Whether the model as it is, by its level, has lost step where the winner of a lap keeps it.
+
+    One that meets all bounces is known to have been ahead before, see :attr:`Lap.proven`: who lost
+    step at an early reversal may meet most of a long run again.
+    """
+    return winner < DOUBTFUL or bare >= max(LOST, winner * (1.0 if winner < WELL else OUT))
+
+
+def agree(gains: Floats, held_gains: Floats) -> bool:
+    """Whether held-out logs gain what is common to the fitted ones.
+
+    What shows in one log only, a limit that no other reaches, need not show there; values that
+    have moved for its sake then meet the others a little better or worse, by chance.
+    """
+    common = max(float(np.median(gains)), 0.0)
+    one_s_own = max(float(gains.sum()) - common * gains.size, 0.0)
+    return bool(held_gains.sum() >= HELD_SHARE * common * held_gains.size - CHANCE * one_s_own)
+
+
+def size(model: Model, name: str) -> float:
+    """Largest amplitude of an effect, as a share of a clearly visible one."""
+    effect, values = CATALOGUE[name], model.effects[name]
+    return max(
+        abs(values.get(p.name, 0.0)) / p.step
+        for p in effect.parameters
+        if p.name in effect.amplitudes
+    )
+
+
+def told_from_friction(model: Model, name: str) -> bool:
+    """Whether an effect is more than friction that is not the same both ways."""
+    if name != "drive_offset":
+        return True
+    steps = {p.name: p.step for p in CATALOGUE[name].parameters}
+    values = model.effects[name]
+    return abs(values["left"] - values["right"]) > APART * steps["left"]

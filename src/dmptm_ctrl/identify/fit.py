@@ -5,7 +5,7 @@ the drive, each scaled so that its declared range is [−1, 1], and amplitudes a
 effects, scaled by their `step`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,8 +15,10 @@ from scipy.optimize import lsq_linear
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import Record, difference, predict, settled
 from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.simulate.batch import march_many
+from dmptm_ctrl.simulate.compiled import BODIES, observer_gains
 from dmptm_ctrl.simulate.compose import layout
-from dmptm_ctrl.simulate.model import BASE, Floats, Model, Stacked
+from dmptm_ctrl.simulate.model import BASE, Floats, Model, Stacked, stacked
 
 CORRELATION_SECONDS = 0.1  # how long a model error lasts: samples closer than this are not news
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
@@ -26,6 +28,7 @@ AMPLITUDE_SHARE = 0.3
 # Difference steps, in half-ranges, taken in turn: beyond the roughness of contact events, and
 # never the same twice, so that no event spoils a column for good.
 PROBES = (0.3, 0.15)
+AT_ONCE = 16  # models of one call
 DAMPINGS = (0.0, 1.0, 5.0, 30.0)  # of a step, relative to the diagonal; all are tried
 PERTURBATION = 0.01  # relative; well inside what is known of stiffness and damping
 BEND = 4.0  # standard deviations beyond which a speed residual counts by its logarithm only
@@ -207,33 +210,46 @@ class Misfit:
         arrays = model.arrays()
         return [predict(rec, arrays, self.bandwidth_hz) for rec in self.records]
 
-    def differences(self, model: Model, runs: Sequence[Floats] | None = None) -> list[Floats]:
-        """Return measured minus simulated per record, (channels, blocks)."""
-        n1, n2 = model.drive["N_1"], model.drive["N_2"]
-        outs = self.runs(model) if runs is None else runs
-        return [difference(rec, out, n1, n2) for rec, out in zip(self.records, outs, strict=True)]
+    def differences(self, models: Sequence[Model]) -> list[list[Floats]]:
+        """Return measured minus simulated of several models per record, (channels, blocks)."""
+        drives = stacked([model.arrays() for model in models])
+        ratios = [(model.drive["N_1"], model.drive["N_2"]) for model in models]
 
-    def unpredictable(self, model: Model, outs: Sequence[Floats]) -> list[Floats]:
+        def some(task: tuple[Record, int]) -> list[Floats]:  # runs take memory
+            rec, first = task
+            led = observer_gains(self.bandwidth_hz, rec.dt) if self.bandwidth_hz > 0 else None
+            runs = march_many(
+                drives[first : first + AT_ONCE],
+                rec.u,
+                rec.x0,
+                rec.dt,
+                observer=led,
+                measured=rec.theta,
+                columns=range(BODIES),
+            )
+            own = ratios[first : first + AT_ONCE]
+            return [difference(rec, run, *n) for run, n in zip(runs, own, strict=True)]
+
+        parts = range(0, len(models), AT_ONCE)
+        tasks = [(rec, first) for rec in self.records for first in parts]
+        done = iter(in_threads(some, tasks, self.jobs))
+        return [[diff for _ in parts for diff in next(done)] for _ in self.records]
+
+    def unpredictable(self, model: Model) -> list[Floats]:
         """Return, per record, the standard deviation that rattle gives to each block.
 
         After a reversal the pinions bounce; parameters changed by less than anyone knows them
         then give another motion. Its spread is what no fit can explain.
         """
-        n1, n2 = model.drive["N_1"], model.drive["N_2"]
-        changed = jogged(model, PERTURBATION)
-
-        def squares(i: int) -> list[Floats]:
-            runs = self.runs(changed[i])
-            return [
-                (difference(rec, run, n1, n2) - difference(rec, out, n1, n2)) ** 2
-                for rec, run, out in zip(self.records, runs, outs, strict=True)
-            ]
-
-        done = in_threads(squares, range(len(changed)), self.jobs)
         kernel = np.ones(10) / 10  # the spread of four runs is smoothed over 50 ms
         return [
-            np.sqrt([np.convolve(row, kernel, "same") for row in np.mean(parts, axis=0)])
-            for parts in zip(*done, strict=True)
+            np.sqrt(
+                [
+                    np.convolve(row, kernel, "same")
+                    for row in np.mean([(own - other) ** 2 for other in others], axis=0)
+                ]
+            )
+            for own, *others in self.differences([model, *jogged(model, PERTURBATION)])
         ]
 
     def weigh(self, model: Model) -> None:
@@ -241,10 +257,9 @@ class Misfit:
         gaps = (model.drive["gap_l"], model.drive["gap_r"])
         rows = []
         outs = self.runs(model)
-        rattle = self.unpredictable(model, outs)
-        for rec, out, diff, chaos in zip(
-            self.records, outs, self.differences(model, outs), rattle, strict=True
-        ):
+        n1, n2 = model.drive["N_1"], model.drive["N_2"]
+        for rec, out, chaos in zip(self.records, outs, self.unpredictable(model), strict=True):
+            diff = difference(rec, out, n1, n2)
             keep = settled(rec, out, gaps)
             floor = np.array([FLOOR[c] for c in rec.channels])
             spread = np.array(
@@ -256,22 +271,25 @@ class Misfit:
             rows.append(keep / np.hypot(np.hypot(floor, spread)[:, None], chaos))
         self.weights = tuple(rows)
 
-    def vector(self, model: Model) -> Floats:
-        """Return the weighted residual of all records in one vector.
+    def vectors(self, models: Sequence[Model]) -> Floats:
+        """Return the weighted residuals of several models, a row each for all records.
 
         Scaled so that the square counts independent news.
         """
         if self.weights is None:
-            self.weigh(model)
+            self.weigh(models[0])
         assert self.weights is not None
-        return np.concatenate(
-            [
-                (np.sqrt(self.news(rec)) * bend(row * diff)).ravel()
-                for rec, diff, row in zip(
-                    self.records, self.differences(model), self.weights, strict=True
-                )
-            ]
-        )
+        rows = [
+            [(np.sqrt(self.news(rec)) * bend(weight * diff)).ravel() for diff in several]
+            for rec, several, weight in zip(
+                self.records, self.differences(models), self.weights, strict=True
+            )
+        ]
+        return np.concatenate(rows, axis=1)
+
+    def vector(self, model: Model) -> Floats:
+        """Return the weighted residual of all records in one vector."""
+        return np.asarray(self.vectors([model])[0])
 
     def square(self, model: Model) -> float:
         """Squared misfit of a model."""
@@ -285,23 +303,13 @@ class Misfit:
         self, model: Model, unknowns: Sequence[Unknown], r0: Floats, probe: float = PROBES[0]
     ) -> Floats:
         """Return d(−r)/dp by differences away from the bounds, (m, len(unknowns))."""
+        if not unknowns:
+            return np.empty((r0.size, 0))
         p0 = position(model, unknowns)
-
-        def column(j: int) -> Floats:
-            unknown = unknowns[j]
-            step = probe if unknown.effect is None else 1.0
-            if p0[j] + step > unknown.high:
-                step = -step
-            p = p0.copy()
-            p[j] += step
-            return (r0 - self.vector(place(model, unknowns, p))) / step
-
-        return self.map(column, range(len(unknowns)))
-
-    def map(self, function: Callable[[int], Floats], items: Sequence[int]) -> Floats:
-        """Stack columns computed on `jobs` threads."""
-        done = in_threads(function, items, self.jobs)
-        return np.array(done).T if done else np.empty((0, 0))
+        steps = np.array([probe if unknown.effect is None else 1.0 for unknown in unknowns])
+        steps *= np.where(p0 + steps > [unknown.high for unknown in unknowns], -1.0, 1.0)
+        moved = [place(model, unknowns, p) for p in p0 + np.diag(steps)]
+        return np.asarray((r0 - self.vectors(moved)) / steps[:, None]).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -404,14 +412,15 @@ def best_step(
     """Try steps of all dampings; return the best, or where it is if none is better."""
     low, high = [k.low for k in unknowns], [k.high for k in unknowns]
 
-    def attempt(damping: float) -> Step:
-        trial = np.clip(p + bounded_step(r, jac, p, unknowns, damping, known), low, high)
-        moved = place(model, unknowns, trial)
-        miss = misfit.vector(moved)
-        return Step(float(miss @ miss) + known.cost(trial), trial, moved, miss)
-
-    steps = in_threads(attempt, DAMPINGS, misfit.jobs)
-    return min([Step(cost, p, model, r), *steps], key=lambda s: s.cost)
+    steps = in_threads(
+        lambda damping: bounded_step(r, jac, p, unknowns, damping, known), DAMPINGS, misfit.jobs
+    )
+    trials = [np.clip(p + step, low, high) for step in steps]
+    models = [place(model, unknowns, trial) for trial in trials]
+    missed = misfit.vectors(models)
+    costs = np.sum(missed**2, axis=1) + known.costs(trials)
+    tried = [Step(float(x), *rest) for x, *rest in zip(costs, trials, models, missed, strict=True)]
+    return min([Step(cost, p, model, r), *tried], key=lambda s: s.cost)
 
 
 def fit(

@@ -204,3 +204,18 @@ def test_one_stands_apart_of_others_that_leave_much():
     assert stands_apart(of(45.0), of(100.0), [152.0])
     assert not stands_apart(of(46.0), of(100.0), [152.0])  # leaves too much
     assert not stands_apart(of(45.0), of(100.0), [152.0, 148.0])  # another one does as well
+
+
+def test_a_gap_that_is_nearly_all_variation_is_found_from_the_reversals():
+    """Logs begin within 30 degrees: their first landings another constant gap meets as well."""
+    effects = (("backlash_variation", 3.0),)
+    _, left, true = fitted(500100023, effects, "load")
+    base = rattled(left.measured.fit, left.base, left.measured.drive, 2)
+    found = by_all_logs(landings(left, base, 2, 0), 2, 0)
+    assert found is not None
+    assert found.name == "backlash_variation"
+    own = found.fit.model.effects["backlash_variation"]
+    share, phase = true["backlash_variation"]["share"], true["backlash_variation"]["phase_rad"]
+    gaps = [found.fit.model.drive[gap] for gap in ("gap_l", "gap_r")]
+    wave = 0.5 * share * sum(gaps) * np.exp(1j * phase)  # cosine and minus sine
+    assert abs(complex(own["cosine"], -own["sine"]) - wave) < 0.3 * abs(wave)

@@ -13,6 +13,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.at_rest import sized
 from dmptm_ctrl.diagnosis.augment import loosened
+from dmptm_ctrl.diagnosis.local_gaps import VARYING, waves_of_gaps
 from dmptm_ctrl.diagnosis.race import Runner, beside, entrant, together
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.runoff import Run, run, starts
@@ -88,10 +89,13 @@ def landings(
     """
     whole = left.measured.fit, left.measured.held
     alone = enter([base.model], base, (), seed)
+    new = [name for name in among if name not in base.model.effects]
+    seen: dict[str, list[Model]] = {}  # where the reversals see an effect
+    if VARYING in new and not none_tells:
+        seen[VARYING] = waves_of_gaps(whole[0], base.model, left.measured.drive, jobs, seed)
     entered = [
-        (name, enter(models, base, unknowns_of(name), seed))
-        for name in among
-        if name not in base.model.effects
+        (name, enter([*models, *seen.get(name, ())], base, unknowns_of(name), seed))
+        for name in new
         for models in variants(name, base.model)
     ]
     field = [one for _, one in entered]

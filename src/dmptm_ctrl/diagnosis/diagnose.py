@@ -284,7 +284,8 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
         field = [replace(t, fit=with_found(t.fit, found, after.model, base)) for t in others]
         start = with_found(start, found, after.model, base)
     logs, scan = (measured.fit, measured.held), not decision.found
-    shown = race(*logs, start, field, scan=scan, jobs=jobs, seed=seed)
+    enough = BESIDE_SECONDS if decision.found else np.inf
+    shown = race(*logs, start, field, scan=scan, enough=enough, jobs=jobs, seed=seed)
     if shown is None:
         return after
     unknowns = (*base.unknowns, *unknowns_of(shown.name))

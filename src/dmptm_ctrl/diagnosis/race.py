@@ -171,6 +171,7 @@ def race(
     trials: Sequence[Trial],
     *,
     scan: bool = True,
+    enough: float = np.inf,
     jobs: int = 2,
     seed: int = 0,
 ) -> Raced | None:
@@ -184,6 +185,8 @@ def race(
         The effects, with the shapes that the balances like best.
     scan : bool
         Whether other orders are tried, which takes seconds.
+    enough : float
+        Seconds for which the model as it is keeps step if it lacks nothing that is looked for.
     """
     known = loosened(start)
     bare = entrant(None, start.model, start.unknowns, known, ())
@@ -233,6 +236,8 @@ def race(
         runners.sort(key=lambda runner: runner.cost)
         if runners[0].level > LOST or (bare.level < DOUBTFUL and horizon == HORIZONS[-1]):
             break
+        if bare.level < UNEASY and horizon >= enough:
+            return None
         runners = [runner for runner in runners if runner.cost <= runners[0].cost + MARGIN]
         if bare.level < UNEASY and horizon >= EVEN_SECONDS:
             hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)[:MANY]

@@ -163,7 +163,7 @@ def test_who_begins_anew_finds_the_way_into_the_first_landings():
         one.go(records, 2)
     stuck = one.cost
     assert one.level > UNEASY
-    one.scatters(records)
+    one.scatters(records, 1)
     assert one.level < UNEASY
     assert one.cost < stuck - BEHIND
     values = one.there.effects[name]

@@ -12,23 +12,32 @@ import json
 import pstats
 import time
 from pathlib import Path
+from unittest.mock import patch
 
 from dmptm_ctrl import diagnose, load_logs
 from dmptm_ctrl.data import path as bundled
+from dmptm_ctrl.simulate import batch
 
 TOP = 10  # places shown
 
 
 def profiled(logs, jobs):
-    """Seconds, and the profile, of one diagnosis."""
+    """Seconds, the profile, and how many runs went side by side, of one diagnosis."""
     profile = cProfile.Profile()
+    side_by_side, lanes = [], batch._lanes
+
+    def counted(size, task, arrays, *rest):
+        side_by_side.append(len(arrays))
+        return lanes(size, task, arrays, *rest)
+
     start = time.perf_counter()
-    profile.runcall(diagnose, logs, jobs=jobs)
-    return time.perf_counter() - start, pstats.Stats(profile)
+    with patch.object(batch, "_lanes", counted):
+        profile.runcall(diagnose, logs, jobs=jobs)
+    return time.perf_counter() - start, pstats.Stats(profile), sum(side_by_side)
 
 
 def shares(stats):
-    """Seconds of their own by place in the package or library function; calls of the simulator."""
+    """Seconds of their own by place in the package or library function; runs one by one."""
     places, calls = {}, 0
     for (file, _, name), (_, count, own, _, _) in stats.stats.items():
         path = Path(file)
@@ -49,17 +58,18 @@ def main():
     parser.add_argument("--jobs", type=int, default=1, help="threads of the diagnosis")
     asked = parser.parse_args()
     logs = list(load_logs(asked.logs or bundled("demo_rig")))
-    cold, _ = profiled(logs, asked.jobs)
+    cold, *_ = profiled(logs, asked.jobs)
     start, busy = time.perf_counter(), time.process_time()
     result = diagnose(logs, jobs=asked.jobs)
     warm, busy = time.perf_counter() - start, time.process_time() - busy
-    _, stats = profiled(logs, asked.jobs)
-    places, calls = shares(stats)
+    _, stats, side_by_side = profiled(logs, asked.jobs)
+    places, alone = shares(stats)
+    calls = alone + side_by_side
     recorded = sum(log.time[-1] - log.time[0] for log in logs)
     print(f"{len(logs)} logs, {recorded:.0f} s recorded: {result.verdict}")
     print(
         f"{warm:.1f} s, {busy:.1f} s of the processor ({cold:.1f} s the first time); "
-        f"{calls} simulations of a log"
+        f"{calls} simulations of a log or its start"
     )
     for name, spent in list(places.items())[:TOP]:
         print(f"{spent:8.2f} s in {name}")

@@ -49,9 +49,9 @@ EVEN_SECONDS, MANY = 0.15, 8
 # many rounds.
 SCATTER_SECONDS, SCATTERED, ROUNDS = 0.05, 3, 2
 SIZES = (1.0, -1.0, 4.0, -4.0)  # of each amplitude, in its step, where who stayed behind begins
+SIZED = 3  # of these, from which who joins late begins
 # Shapes that are no slope, all tried: (seconds of each log, steps of a fit, how many go on).
 SCAN = ((0.03, 2, 32), (0.05, 4, 12), (0.07, 4, 6), (0.1, 6, 4))
-SIZED = 3  # of these, from which who joins late begins
 SHAPE_WIDTH = 10.0  # steps of a shape, about the value that the balances like best
 
 

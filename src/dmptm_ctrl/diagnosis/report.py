@@ -205,9 +205,9 @@ def estimate(value: float, se: float, unit: str) -> dict[str, Any]:
     return {"value": float(value), "se": float(np.hypot(se, floor)), "unit": unit}
 
 
-# Where something no name stands for is left, a name may only stand in for it: of the six effects
+# Where something no name stands for is left, a name may only stand in for it: of the ten effects
 # of the catalogue that campaigns named on such rigs, five were right (one more of each: Laplace).
-STANDS_IN = 6.0 / 8.0
+STANDS_IN = 6.0 / 12.0
 
 
 def named(found: Found, after: Fit, *, all_explained: bool) -> NamedEffect:

@@ -1,7 +1,14 @@
 """Gaps that vary, by reversals each taken alone."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "identify"))
+
+from test_ensemble import DT, logged
 
 from dmptm_ctrl.diagnosis.local_gaps import (
     APART,
@@ -13,34 +20,22 @@ from dmptm_ctrl.diagnosis.local_gaps import (
 )
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects.backlash_variation import BacklashVariation, varied_gap
-from dmptm_ctrl.identify.records import record
 from dmptm_ctrl.identify.segments import reversals
-from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, OUTPUTS, Loop, close_loop
 from dmptm_ctrl.simulate.model import Model
 
-DEG = np.pi / 180
-DT = 1e-3
-LOOP = Loop(0.08 / DEG, 1.5 / DEG, 10.0, 0.15, -0.15)
-
-
-def logged(model, seed):
-    """Records that swing slowly over some 120 degrees and reverse on the way."""
-    rng, several = np.random.default_rng(seed), []
-    time = DT * np.arange(12000)
-    for name, shift in (("out", 0.0), ("late", 0.7), ("later", 1.4), ("back", 2.1)):
-        setpoint = 30.0 * np.sin(0.5 * time + shift) + 20.0 * np.sign(np.sin(5.0 * time))
-        u, out = close_loop(model, LOOP, setpoint * DEG, DT, substeps=FINE_SUBSTEPS)
-        columns = {n: out[:, OUTPUTS.index(n)].copy() for n in OUTPUTS[:2]}
-        columns["omega_L"] += 0.05 * DEG * rng.standard_normal(time.size)
-        log = Log(name, time, {"u_left": u[0], "u_right": u[1], **columns})
-        several.append(record(log, model.drive))
-    return several
+TIME = DT * np.arange(12000)
+# deg/s; slowly over some 120 degrees, with reversals on the way
+SWINGS = {
+    shift: 30.0 * np.sin(0.5 * TIME + shift) + 20.0 * np.sign(np.sin(5.0 * TIME))
+    for shift in (0.0, 0.7, 1.4, 2.1)
+}
+SETPOINTS = {f"{shift} rad ahead": setpoint for shift, setpoint in SWINGS.items()}
 
 
 def test_waves_keep_to_what_is_declared_and_differ():
     plain = Model(paper_drive())
-    records = logged(plain.with_effect(VARYING, cosine=2e-3, sine=1e-3), 3)
+    plant = plain.with_effect(VARYING, cosine=2e-3, sine=1e-3)
+    records = logged((plant, None), 3, SETPOINTS)
     models = waves_of_gaps(records, plain, paper_drive(), 2, 0)
     assert 1 < len(models) <= PLACES
     for gap in ("gap_l", "gap_r"):
@@ -55,7 +50,7 @@ def test_waves_keep_to_what_is_declared_and_differ():
 
 def test_a_gap_that_is_right_costs_least_at_each_reversal():
     plain = Model(paper_drive())
-    turned = reversals(logged(plain, 3), plain, 0.07)
+    turned = reversals(logged((plain, None), 3, SETPOINTS), plain, 0.07)
     assert len(turned) > 5
     tables = losses_of_gaps(turned, plain, 1)
     near = tables[:, 5:7, 5:7].mean(axis=(1, 2))  # a little less and more than the gaps

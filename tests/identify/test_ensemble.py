@@ -36,15 +36,16 @@ def drawn(seed):
     return place(model, unknowns, p), p
 
 
-def logged(plant, seed):
-    """Records of a drive, with a gyro's noise."""
+def logged(plant, seed, setpoints=SETPOINTS):
+    """Records of a drive that follows setpoints [deg/s], with a gyro's noise."""
     rng = np.random.default_rng(seed)
     several = []
-    for name, setpoint in SETPOINTS.items():
+    for name, setpoint in setpoints.items():
+        time = DT * np.arange(setpoint.size)
         u, out = close_loop(plant[0], LOOP, setpoint * DEG, DT, substeps=FINE_SUBSTEPS)
         columns = {n: out[:, OUTPUTS.index(n)].copy() for n in OUTPUTS[:2]}
-        columns["omega_L"] += 0.05 * DEG * rng.standard_normal(TIME.size)
-        log = Log(name, TIME, {"u_left": u[0], "u_right": u[1], **columns})
+        columns["omega_L"] += 0.05 * DEG * rng.standard_normal(time.size)
+        log = Log(name, time, {"u_left": u[0], "u_right": u[1], **columns})
         several.append(record(log, plant[0].drive))
     return several
 

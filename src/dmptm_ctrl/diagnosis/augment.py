@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.predict import SPEED, expected, low_pass
+from dmptm_ctrl.diagnosis.predict import expected, low_pass
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import LEAD_HZ
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit, role_of
 from dmptm_ctrl.identify.ensemble import smoothed
 from dmptm_ctrl.identify.fit import Fit, Known, Misfit, Unknown, fit, place, position
+from dmptm_ctrl.identify.led import SPEED
 from dmptm_ctrl.identify.lock import HORIZONS, LOOSE, Locked, level, lock
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.ripple import FAST

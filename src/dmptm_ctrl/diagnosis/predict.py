@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
+from dmptm_ctrl.identify.led import SPEED
 from dmptm_ctrl.identify.records import RING_COUNT, true_angle
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
@@ -23,7 +24,6 @@ ORDER = 4
 RUNS = 16
 JOGGED = ("k_m", "c")  # meshes decide when a pinion leaves its flank
 TOGETHER = 100_000  # samples of a log, up to which the runs are held at once: 100 MB
-SPEED = (OUTPUTS.index("omega_L"),)
 SPREAD = 0.003  # standard deviation of their change; no fit knows them more finely
 
 

@@ -21,10 +21,12 @@ from dmptm_ctrl.identify.balance import BalanceFit, fit_balance
 from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
 from dmptm_ctrl.identify.lock import LOOSE, UNEASY, Seeker, cut, lock
 from dmptm_ctrl.identify.records import RING_COUNT
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Model
 
 NAME = "presliding"
 STRIDES = (0.1, 0.5, 2.0, 8.0)  # of each distance, in its step, from which they are fitted
+AT_ONCE = (0.0, 1.0)  # share of viscous friction that is not held back: Dahl's law, LuGre's
 LITTLE = 0.3  # of each distance, in its step, that any friction may give way
 FIRST_SECONDS = (0.03, 0.05, 0.1)  # of each log, one after another
 FAINT_SECONDS = 0.05  # for which a model with a little of it keeps step
@@ -100,11 +102,21 @@ def presliding(left: Residual, jobs: int) -> AtRest:
     without = sought(left, bare, (), jobs)
     if without.level < UNEASY:  # nothing is missing there
         return AtRest(0.0, 0.0, (0.0, 0.0), fitted(without))
-    sized_ones = [sought(left, sized(NAME, bare, size), own, jobs) for size in STRIDES]
-    best = min(sized_ones, key=lambda one: one.level)
+    begun = [with_share(sized(NAME, bare, s), share) for s in STRIDES for share in AT_ONCE]
+    each = in_threads(lambda model: sought(left, model, own, 1), begun, jobs)
+    near = [min(each[i :: len(AT_ONCE)], key=lambda one: one.level) for i in range(len(AT_ONCE))]
+    for seeker in near:  # from a wrong start the right law meets less than the other
+        if seeker.level > UNEASY:
+            seeker.search()
+    best = min(near, key=lambda one: one.level)
     parts = starts((left.measured.fit, left.measured.held), FIRST_SECONDS[-1])
     one, other = (run(parts, seeker.there, jobs) for seeker in (without, best))
     return compared(one, other, fitted(best))
+
+
+def with_share(model: Model, share: float) -> Model:
+    """Return a model whose viscous friction acts at once by a share."""
+    return model.with_effect(NAME, **{**model.effects[NAME], "viscous_at_once": share})
 
 
 def sought(left: Residual, model: Model, own: tuple[Unknown, ...], jobs: int) -> Seeker:

@@ -181,22 +181,9 @@ def decide(left: Residual, *, skip: Sequence[str] = (), jobs: int = 2) -> Decisi
 
 
 def slid(left: Residual, shown: AtRest, jobs: int) -> Residual:
-    """Fit balances beside pre-sliding.
-
-    They tell whether viscous friction is built up over a distance with the rest, or acts at once.
-    """
-    name, unknowns = at_rest.NAME, left.base.unknowns
-    values = shown.fit.model.effects[name]
-    fits = [
-        residual(
-            left.measured,
-            left.base.model.with_effect(name, **{**values, "viscous_at_once": share}),
-            unknowns=unknowns,
-            jobs=jobs,
-        )
-        for share in (0.0, 1.0)
-    ]
-    return min(fits, key=lambda one: one.base.loss + one.held_base)
+    """Fit balances beside pre-sliding."""
+    model = left.base.model.with_effect(at_rest.NAME, **shown.fit.model.effects[at_rest.NAME])
+    return residual(left.measured, model, unknowns=left.base.unknowns, jobs=jobs)
 
 
 def by_balances(

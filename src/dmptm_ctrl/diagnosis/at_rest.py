@@ -6,6 +6,7 @@ drive give way at once where friction that sticks holds it. Under every law of c
 friction that takes off most of what the model misses there, and no other effect does.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,14 +19,16 @@ from dmptm_ctrl.diagnosis.runoff import Run, lost, run, starts
 from dmptm_ctrl.diagnosis.trace import unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit, fit_balance
-from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
+from dmptm_ctrl.identify.fit import Fit, Unknown, position
 from dmptm_ctrl.identify.lock import LOOSE, UNEASY, Seeker, cut, lock
 from dmptm_ctrl.identify.records import RING_COUNT
 from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model import Floats, Model
 
 NAME = "presliding"
-STRIDES = (0.1, 0.5, 2.0, 8.0)  # of each distance, in its step, from which they are fitted
+# Of each distance, in its step, from which they are fitted: three times as far as it is, none
+# finds the way back.
+STRIDES = tuple(0.1 * 2.0**k for k in range(8))
 AT_ONCE = (0.0, 1.0)  # share of viscous friction that is not held back: Dahl's law, LuGre's
 LITTLE = 0.3  # of each distance, in its step, that any friction may give way
 FIRST_SECONDS = (0.03, 0.05, 0.1)  # of each log, one after another
@@ -98,16 +101,20 @@ def presliding(left: Residual, jobs: int) -> AtRest:
     left : Residual
         What the model without it leaves.
     """
-    bare, own = left.base.model, unknowns_of(NAME)
-    without = sought(left, bare, (), jobs)
+    base = told(left, left.base.model, jobs)
+    without = entered(base)
+    brought(without, left, FIRST_SECONDS, jobs)
     if without.level < UNEASY:  # nothing is missing there
         return AtRest(0.0, 0.0, (0.0, 0.0), fitted(without))
-    begun = [with_share(sized(NAME, bare, s), share) for s in STRIDES for share in AT_ONCE]
-    each = in_threads(lambda model: sought(left, model, own, 1), begun, jobs)
-    near = [min(each[i :: len(AT_ONCE)], key=lambda one: one.level) for i in range(len(AT_ONCE))]
-    for seeker in near:  # from a wrong start the right law meets less than the other
-        if seeker.level > UNEASY:
-            seeker.search()
+    begun = [
+        entered(base, with_share(sized(NAME, base.model, stride), share))
+        for share in AT_ONCE
+        for stride in STRIDES
+    ]
+    in_threads(lambda one: brought(one, left, FIRST_SECONDS, 1), begun, jobs)
+    of_a_law = [begun[i : i + len(STRIDES)] for i in range(0, len(begun), len(STRIDES))]
+    near = [min(some, key=lambda one: one.level) for some in of_a_law]
+    near = in_threads(lambda one: once_more(one, left), near, jobs)
     best = min(near, key=lambda one: one.level)
     parts = starts((left.measured.fit, left.measured.held), FIRST_SECONDS[-1])
     one, other = (run(parts, seeker.there, jobs) for seeker in (without, best))
@@ -115,28 +122,41 @@ def presliding(left: Residual, jobs: int) -> AtRest:
 
 
 def with_share(model: Model, share: float) -> Model:
-    """Return a model whose viscous friction acts at once by a share."""
+    """Return a model of whose viscous friction a share acts at once."""
     return model.with_effect(NAME, **{**model.effects[NAME], "viscous_at_once": share})
 
 
-def sought(left: Residual, model: Model, own: tuple[Unknown, ...], jobs: int) -> Seeker:
-    """Fit a model to the first hundredths of a second of the logs, then to the next."""
-    model, unknowns, known = told(left, model, own, jobs)
-    seeker = entrant(None, model, unknowns, known, ())
-    for seconds in FIRST_SECONDS:
-        seeker.go([cut(rec, seconds) for rec in left.measured.fit], jobs)
-        seeker.settle()
-    return seeker
-
-
-def told(
-    left: Residual, model: Model, own: tuple[Unknown, ...], jobs: int
-) -> tuple[Model, tuple[Unknown, ...], Known]:
-    """Return a model and what is known of it: of friction by balances, of damping by the rattle."""
+def told(left: Residual, model: Model, jobs: int) -> BalanceFit:
+    """Return what is known of a model: of friction by balances, of damping by the rattle."""
     start = fit_balance(left.balance, model, left.base.unknowns)
-    fit = rattled(left.measured.fit, start, left.measured.drive, jobs)
+    return rattled(left.measured.fit, start, left.measured.drive, jobs)
+
+
+def entered(fit: BalanceFit, model: Model | None = None, places: Sequence[Floats] = ()) -> Seeker:
+    """Enter what is known, or a model with pre-sliding beside it."""
+    own = () if model is None else unknowns_of(NAME)
     known = widened(fit.p, LOOSE * fit.covariance, len(own))
-    return fit.model, (*fit.unknowns, *own), known
+    return entrant(None, model or fit.model, (*fit.unknowns, *own), known, places)
+
+
+def brought(one: Seeker, left: Residual, horizons: Sequence[float], jobs: int) -> None:
+    """Fit a model to the first hundredths of a second of the logs, then to the next."""
+    for seconds in horizons:
+        one.go([cut(rec, seconds) for rec in left.measured.fit], jobs)
+        one.settle()
+
+
+def once_more(near: Seeker, left: Residual) -> Seeker:
+    """Fit one that is near again, with what balances and rattle tell beside its pre-sliding.
+
+    From a wrong start the right law meets less than the other one.
+    """
+    fit = told(left, near.there, 1)
+    one = entered(fit, fit.model, near.places[:1])
+    brought(one, left, FIRST_SECONDS[-1:], 1)
+    if one.level > UNEASY:
+        one.search()
+    return one
 
 
 def compared(without: Run, with_it: Run, fit: Fit) -> AtRest:
@@ -165,14 +185,15 @@ def a_little(left: Residual, before: Fit, shown: AtRest, jobs: int) -> AtRest | 
     """
     whole = left.measured.fit, left.measured.held
     # the rattle told the meshes' damping with friction of another size; now once more
-    model, unknowns, known = told(left, shown.fit.model, unknowns_of(NAME), jobs)
+    fit = told(left, shown.fit.model, jobs)
+    one = entered(fit, fit.model)
     # where it cannot keep step, another start would not either
-    kept = lock(whole[0], model, unknowns, known, jobs=jobs, anew=False)
+    kept = lock(whole[0], fit.model, one.unknowns, one.known, jobs=jobs, anew=False)
     ahead = lost(whole, before.model, kept.model, (FAINT_SECONDS, kept.horizon), jobs)
     if ahead is None:
         return None
     _, without, with_it = ahead
-    return compared(without, with_it, kept.as_fit(unknowns))
+    return compared(without, with_it, kept.as_fit(one.unknowns))
 
 
 def softened(fit: BalanceFit, behind: int) -> BalanceFit:

@@ -15,8 +15,8 @@ from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.at_rest import softened
 from dmptm_ctrl.diagnosis.augment import loosened
 from dmptm_ctrl.diagnosis.decide import FAINT, FIRST
-from dmptm_ctrl.diagnosis.diagnose import KEEPS_SECONDS
 from dmptm_ctrl.diagnosis.finish import (
+    KEEPS_SECONDS,
     SMALLEST,
     Lap,
     Place,

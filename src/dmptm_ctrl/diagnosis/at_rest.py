@@ -249,10 +249,16 @@ def travel(of: Fit) -> float:
     return max(values["ring_distance"], values["reducer_distance"] / of.model.drive["N_2"])
 
 
-def matters(of: Fit) -> bool:
-    """Whether friction is known to give way by more than any does."""
-    if travel(of) < MATTERS:
-        return False
+def matters(*fits: Fit) -> bool:
+    """Whether friction is known to give way by more than any does, by one fit after another.
+
+    A refit that holds over next to nothing may know it less well than the one before.
+    """
+    return all(travel(of) >= MATTERS for of in fits) and any(knows(of) for of in fits)
+
+
+def knows(of: Fit) -> bool:
+    """Whether the larger one of the distances is more than its standard errors."""
     ratios = {"ring_distance": 1.0, "reducer_distance": of.model.drive["N_2"]}
     known = {k.name for k in of.unknowns if k.effect == NAME}
     told = [np.array(of.value(NAME, name)) / ratios[name] for name in ratios if name in known]

@@ -21,7 +21,7 @@ from dmptm_ctrl.diagnosis.decide import (
     withdraw,
 )
 from dmptm_ctrl.diagnosis.experiment import next_experiment
-from dmptm_ctrl.diagnosis.finish import LEAST, WINS_SECONDS
+from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS, LEAST, WINS_SECONDS
 from dmptm_ctrl.diagnosis.landings import BY_IMPACTS
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
@@ -63,8 +63,6 @@ HELPS = 0.9
 # deg/s on held-out logs; the worst of 39 rigs that lack nothing has 0.17. No balance may
 # close so well that a model which predicts no better is right.
 ASTRAY = 0.45
-# A model that keeps step for so long, as well as noise lets it, need not race.
-KEEPS_SECONDS = 0.6
 BESIDE_SECONDS = 0.2  # for which a model with an effect keeps step that need not race for more
 WORTH_SECONDS = 0.1  # for which a model with a little pre-sliding keeps step, before a refit
 LITTLE = 0.03  # deg/s; rattle of another course moves a small error by so much
@@ -152,7 +150,7 @@ def diagnose(
         "after": predicted,
     }
     final = refined(measured, decision, after, predicted["rmse"], jobs)
-    as_any_friction(decision, final)
+    as_any_friction(decision, after, final)
     effects = tuple(
         sorted(
             [
@@ -186,9 +184,9 @@ def diagnose(
     )
 
 
-def as_any_friction(decision: Decision, fit: Fit) -> None:
+def as_any_friction(decision: Decision, *fits: Fit) -> None:
     """Take its name from pre-sliding that is no more than any friction gives way."""
-    if not at_rest.matters(fit):
+    if not at_rest.matters(*fits):
         decision.found = [found for found in decision.found if found.name != at_rest.NAME]
 
 

@@ -12,6 +12,8 @@ from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
 WINS_SECONDS = 0.15  # for which a winner keeps step
+# A model that keeps step for so long, as well as noise lets it, need not race.
+KEEPS_SECONDS = 0.6
 MARGIN = 40.0  # cost beyond the best one's at which a candidate drops out
 # The same for the last lap, where the best one leaves no more than noise: costs are what they
 # claim to be then, logarithms of likelihoods.

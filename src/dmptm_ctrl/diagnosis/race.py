@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import loosened
-from dmptm_ctrl.diagnosis.finish import MARGIN, Lap, Place, Raced, judged
+from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS, MARGIN, Lap, Place, Raced, judged
 from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, tie
 from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, SATURATED, Trial, bent, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
@@ -227,6 +227,8 @@ def race(
         late = [one for one in tried if even and one.cost > runners[0].cost + BEHIND]
         uneasy = [one for one in tried if one.level > UNEASY or one in late]
         together(Runner.search, uneasy, jobs)
+        if even and not proven and min(runner.level for runner in runners) > UNEASY:
+            break  # who has never met all bounces does not win, and none is near
         late = [one for one in late if one.cost > runners[0].cost + BEHIND and one.alone]
         together(Runner.from_the_start, late, jobs, fitted, horizon, jobs)
         lost = min(runner.level for runner in runners) > LOST
@@ -234,7 +236,7 @@ def race(
             hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)[:ONCE_MORE]
             together(Runner.from_the_start, hopeful, jobs, fitted, horizon, jobs)
         runners.sort(key=lambda runner: runner.cost)
-        if runners[0].level > LOST or (bare.level < DOUBTFUL and horizon == HORIZONS[-1]):
+        if runners[0].level > LOST or (bare.level < DOUBTFUL and horizon >= KEEPS_SECONDS):
             break
         if bare.level < UNEASY and horizon >= enough:
             return None

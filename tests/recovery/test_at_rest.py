@@ -14,22 +14,24 @@ from dmptm_ctrl.diagnosis.at_rest import (
     travel,
 )
 from dmptm_ctrl.diagnosis.augment import augment
-from dmptm_ctrl.diagnosis.decide import decide
+from dmptm_ctrl.diagnosis.decide import decide, slid
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import unknowns_of
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.fit import Fit, position
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, OUTPUTS, march, rest
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
 LOGS = ("open_sine_0v60", "open_square_0v75", "closed_sine_10", "closed_square_15")
 
 
-def left_by_the_drive(seed, effects, friction, sensors="all"):
+def left_by_the_drive(seed, effects, friction, sensors="all", contact="kelvin_voigt", logs=LOGS):
     """What the declared model leaves on a rig, and the rig's own label."""
-    laws = {"friction": friction, "contact": "kelvin_voigt"}
-    rig = make_rig(seed, effects, sensors=sensors, logs=LOGS, **laws)
+    laws = {"friction": friction, "contact": contact}
+    rig = make_rig(seed, effects, sensors=sensors, logs=logs, **laws)
     drive = paper_drive()
     logs = [load_log(table, name=name) for name, table in rig.logs.items()]
     return residual(measure(logs, drive), Model(drive)), rig.label["effect_parameters"]
@@ -69,6 +71,41 @@ def test_is_found_before_what_the_balances_would_call_it():
     assert decision.after.base.model.effects[NAME]["viscous_at_once"] == 1.0
 
 
+def test_landings_tell_which_law_where_the_balances_are_mistaken():
+    """Bristles of the ring gear alone: the balances hardly see them without motor encoders."""
+    left, _ = left_by_the_drive(510100010, ((NAME, 1.0),), "karnopp", "load", "eq21", "paper")
+    shown = presliding(left, 2)
+    assert shown.fit.model.effects[NAME]["viscous_at_once"] == 1.0
+    values = shown.fit.model.effects[NAME]
+
+    def lost(share):
+        model = left.base.model.with_effect(NAME, **{**values, "viscous_at_once": share})
+        one = residual(left.measured, model, unknowns=left.base.unknowns)
+        return one.base.loss + one.held_base
+
+    assert lost(0.0) < lost(1.0)
+    assert slid(left, shown, 2).base.model.effects[NAME]["viscous_at_once"] == 1.0
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_either_law_is_told(share):
+    """Of the product's own drive, which may obey Dahl's, under the voltages of a rig."""
+    values = {"ring_distance": 3e-4, "damping": 0.4, "viscous_at_once": share}
+    plant, rng = Model(paper_drive()).with_effect(NAME, **values), np.random.default_rng(11)
+    driven = []
+    for name, table in make_rig(510100010, sensors="load", friction="karnopp").logs.items():
+        log = load_log(table, name=name)
+        u = np.array([log["u_left"], log["u_right"]])
+        x0 = rest(plant, float(log["theta_L"][0]))
+        out = march(plant.arrays(), u, x0, log.sample_time, substeps=FINE_SUBSTEPS)
+        columns = {n: out[:, OUTPUTS.index(n)].copy() for n in OUTPUTS[:2]}
+        columns["omega_L"] += np.deg2rad(0.05) * rng.standard_normal(log.time.size)
+        driven.append(Log(name, log.time, {"u_left": u[0], "u_right": u[1], **columns}))
+    fit = presliding(residual(measure(driven, paper_drive()), Model(paper_drive())), 2).fit
+    assert fit.model.effects[NAME]["viscous_at_once"] == share
+    assert fit.model.effects[NAME]["ring_distance"] == pytest.approx(3e-4, rel=0.15)
+
+
 def test_bristles_too_short_for_a_name():
     """The same law of friction, as a rig has it that lacks nothing."""
     left, _ = left_by_the_drive(8200157, (), "lugre")
@@ -90,16 +127,30 @@ def test_nothing_where_the_model_keeps_step():
     assert NAME not in shown.fit.model.effects
 
 
+def fit_of(counts, error):
+    """A fit of pre-sliding of the ring gear, in counts of its encoder."""
+    model = Model().with_effect(NAME, ring_distance=counts * MATTERS / 4.0, reducer_distance=1e-6)
+    unknowns = unknowns_of(NAME)
+    scales = np.array([u.scale for u in unknowns])
+    errors = np.where([u.name == "ring_distance" for u in unknowns], error * MATTERS / 4.0, 1e-7)
+    return Fit(model, unknowns, position(model, unknowns), np.diag((errors / scales) ** 2), 0.1)
+
+
 @pytest.mark.parametrize(
     ("counts", "error", "told"),
     [(4.73, 6.8, False), (4.73, 2.0, True), (3.9, 0.1, False), (12.0, 5.0, True)],
 )
 def test_a_name_needs_a_distance_that_is_known(counts, error, told):
     """The first is of a rig that lacks nothing: friction with bristles, gears of other damping."""
-    model = Model().with_effect(NAME, ring_distance=counts * MATTERS / 4.0, reducer_distance=1e-6)
-    unknowns = unknowns_of(NAME)
-    scales = np.array([u.scale for u in unknowns])
-    errors = np.where([u.name == "ring_distance" for u in unknowns], error * MATTERS / 4.0, 1e-7)
-    fit = Fit(model, unknowns, position(model, unknowns), np.diag((errors / scales) ** 2), 0.1)
+    fit = fit_of(counts, error)
     assert matters(fit) is told
+    assert matters(fit, fit) is told
     assert not matters(Fit(Model(), (), np.zeros(0), np.zeros((0, 0)), 0.1))
+
+
+def test_a_refit_that_knows_less_takes_no_name_away_but_one_that_finds_less_does():
+    """The one before knew its distance to a sixtieth; a refit that holds for 0.05 s to a half."""
+    before, unsure, small = (fit_of(*one) for one in ((18.0, 0.3), (17.0, 9.0), (3.9, 0.1)))
+    assert matters(before, unsure)
+    assert not matters(unsure)
+    assert not matters(before, small)

@@ -115,10 +115,10 @@ def presliding(left: Residual, jobs: int) -> AtRest:
     of_a_law = [begun[i : i + len(STRIDES)] for i in range(0, len(begun), len(STRIDES))]
     near = [min(some, key=lambda one: one.level) for some in of_a_law]
     near = in_threads(lambda one: once_more(one, left), near, jobs)
-    best = min(near, key=lambda one: one.level)
     parts = starts((left.measured.fit, left.measured.held), FIRST_SECONDS[-1])
-    one, other = (run(parts, seeker.there, jobs) for seeker in (without, best))
-    return compared(one, other, fitted(best))
+    bare, *runs = (run(parts, one.there, jobs) for one in (without, *near))
+    best, of_the_best = min(zip(near, runs, strict=True), key=lambda pair: pair[1].total)
+    return compared(bare, of_the_best, fitted(best))
 
 
 def with_share(model: Model, share: float) -> Model:

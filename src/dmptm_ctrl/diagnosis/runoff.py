@@ -73,6 +73,11 @@ class Run:
     fitted: float
     held: float
 
+    @property
+    def total(self) -> float:
+        """Loss on fitted and held-out logs."""
+        return self.fitted + self.held
+
     def beyond(self, other: "Run") -> float:
         """Evidence for the other one, which keeps step; 0 unless the held-out logs agree."""
         fitted, held = self.fitted - other.fitted, self.held - other.held

@@ -207,9 +207,9 @@ def by_impacts(landed: Landings, jobs: int, seed: int, *, turns: bool = True) ->
     alone.from_place_of(field[name])
     bare = run(parts, alone.there, jobs)
     share = max(won.fitted / bare.fitted, won.held / bare.held)
-    told = share <= SHARE and total(bare) - total(won) > LEAST
-    apart = stands_apart(won, bare, (total(r) for n, r in runs.items() if n != name))
-    near = [n for n in runs if n != name and total(runs[n]) < total(won) + MARGIN]
+    told = share <= SHARE and bare.total - won.total > LEAST
+    apart = stands_apart(won, bare, (r.total for n, r in runs.items() if n != name))
+    near = [n for n in runs if n != name and runs[n].total < won.total + MARGIN]
     told = apart or (told and won.level < LOST)
     if turns and (near or not told):  # other reversals may tell, or a longer run
         entrants = [(n, one) for n, one in entered if not told or n in (name, *near)]
@@ -236,7 +236,7 @@ def by_impacts(landed: Landings, jobs: int, seed: int, *, turns: bool = True) ->
         seconds, bare, won = ahead
         parts = starts(whole, seconds)
         runs = {n: run(parts, kept[n].model, jobs) for n in going}
-        near = [n for n in runs if n != name and total(runs[n]) < total(won) + MARGIN]
+        near = [n for n in runs if n != name and runs[n].total < won.total + MARGIN]
     fits = {n: fit_of(field[n], kept.get(n)) for n in (name, *near)}
     rivals = tuple(shown(n, fits[n], bare, runs[n]) for n in near)
     best = shown(name, fits[name], bare, won, rivals)
@@ -274,16 +274,16 @@ def by_reversals(
         if not told and min(one.cost for one in field) > alone.cost - AHEAD:
             break
         runs = [(name, one, run(parts, one.there, jobs)) for name, one in entered]
-        runs.sort(key=lambda entry: total(entry[2]))
+        runs.sort(key=lambda entry: entry[2].total)
         name, first, won = runs[0]
         alone.from_place_of(first)
         bare = run(parts, alone.there, jobs)
-        behind = (total(own) for n, _, own in runs if n != name)
+        behind = (own.total for n, _, own in runs if n != name)
         if won.level > LOST and not stands_apart(won, bare, behind):
             break
         near: dict[str, Shown] = {}  # the best pattern of each name
         for name, one, own in runs:
-            if name not in near and total(own) < total(won) + MARGIN:
+            if name not in near and own.total < won.total + MARGIN:
                 near[name] = shown(name, fitted(one, seconds), bare, own)
         best, *rivals = near.values()
         missed = bare.level > max(LOST, MISSES * won.level) and best.evidence > LEAST
@@ -308,12 +308,7 @@ def outlasting(
 def stands_apart(won: Run, bare: Run, others: Iterable[float]) -> bool:
     """Whether one leaves so little, and each of the others so much, that it is told out of step."""
     second = min(others, default=np.inf)
-    return total(won) <= APART * total(bare) and second > OTHERS * total(bare)
-
-
-def total(one: Run) -> float:
-    """Loss on fitted and held-out logs."""
-    return one.fitted + one.held
+    return won.total <= APART * bare.total and second > OTHERS * bare.total
 
 
 def onward(one: Runner, records: Sequence[Record], jobs: int, seed: int) -> Locked:

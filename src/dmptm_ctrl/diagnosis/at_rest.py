@@ -114,7 +114,8 @@ def presliding(left: Residual, jobs: int) -> AtRest:
     in_threads(lambda one: brought(one, left, FIRST_SECONDS, 1), begun, jobs)
     of_a_law = [begun[i : i + len(STRIDES)] for i in range(0, len(begun), len(STRIDES))]
     near = [min(some, key=lambda one: one.level) for some in of_a_law]
-    near = in_threads(lambda one: once_more(one, left), near, jobs)
+    if min(one.level for one in near) < (1.0 - HELPS) * without.level:
+        near = in_threads(lambda one: once_more(one, left), near, jobs)
     parts = starts((left.measured.fit, left.measured.held), FIRST_SECONDS[-1])
     bare, *runs = (run(parts, one.there, jobs) for one in (without, *near))
     best, of_the_best = min(zip(near, runs, strict=True), key=lambda pair: pair[1].total)

@@ -119,6 +119,25 @@ def test_what_keeps_step_worse_than_noise_lets_it_lacks_something():
     assert 0.5 < share < 1.5
 
 
+@pytest.mark.parametrize(
+    ("seed", "friction", "contact", "longest"),
+    [(5500014, "karnopp", "eq21", 0.6), (5500017, "lugre", "hunt_crossley", 0.15)],
+)
+def test_ends_where_no_one_can_win(seed, friction, contact, longest, monkeypatch):
+    """Nothing lacks: the laws are the model's, which keeps step, or others that none meets."""
+    measured, left, _ = measured_rig((), friction, seed, contact=contact)
+    seconds = []
+
+    def noted(rec, horizon):
+        seconds.append(horizon)
+        return cut(rec, horizon)
+
+    monkeypatch.setattr("dmptm_ctrl.diagnosis.race.cut", noted)
+    start = rattled(measured.fit, left.base, measured.drive, 2)
+    assert race(measured.fit, measured.held, start, trace(left, only=SOME)) is None
+    assert max(seconds) == longest
+
+
 def test_who_lost_the_way_goes_on_from_the_leader():
     """Nothing lacks here: with no drag beside it the leader's way is right for the drag, too."""
     measured, left, _ = measured_rig((), "karnopp", contact="eq21")

@@ -29,7 +29,8 @@ NAME = "presliding"
 # Of each distance, in its step, from which they are fitted: three times as far as it is, none
 # finds the way back.
 STRIDES = tuple(0.1 * 2.0**k for k in range(8))
-AT_ONCE = (0.0, 1.0)  # share of viscous friction that is not held back: Dahl's law, LuGre's
+SHAPES = {p.name: p.bank for p in CATALOGUE[NAME].parameters}
+AT_ONCE = SHAPES["viscous_at_once"]  # Dahl's law, then LuGre's
 LITTLE = 0.3  # of each distance, in its step, that any friction may give way
 FIRST_SECONDS = (0.03, 0.05, 0.1)  # of each log, one after another
 FAINT_SECONDS = 0.05  # for which a model with a little of it keeps step

@@ -41,13 +41,16 @@ def logged(plant, seed, setpoints=SETPOINTS):
     rng = np.random.default_rng(seed)
     several = []
     for name, setpoint in setpoints.items():
-        time = DT * np.arange(setpoint.size)
         u, out = close_loop(plant[0], LOOP, setpoint * DEG, DT, substeps=FINE_SUBSTEPS)
-        columns = {n: out[:, OUTPUTS.index(n)].copy() for n in OUTPUTS[:2]}
-        columns["omega_L"] += 0.05 * DEG * rng.standard_normal(time.size)
-        log = Log(name, time, {"u_left": u[0], "u_right": u[1], **columns})
-        several.append(record(log, plant[0].drive))
+        several.append(record(noisy_log(name, u, out, rng), plant[0].drive))
     return several
+
+
+def noisy_log(name, u, out, rng):
+    """What a drive's encoder and gyro, with its noise, tell of a run under voltages."""
+    columns = {n: out[:, OUTPUTS.index(n)].copy() for n in OUTPUTS[:2]}
+    columns["omega_L"] += 0.05 * DEG * rng.standard_normal(len(out))
+    return Log(name, DT * np.arange(len(out)), {"u_left": u[0], "u_right": u[1], **columns})
 
 
 @pytest.fixture(scope="module")

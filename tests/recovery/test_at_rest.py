@@ -1,7 +1,14 @@
 """Pre-sliding told by the first tenth of a second, on rigs of another program with bristles."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "identify"))
+
+from test_ensemble import noisy_log
 
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.at_rest import (
@@ -20,8 +27,7 @@ from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import unknowns_of
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.fit import Fit, position
-from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, OUTPUTS, march, rest
+from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, march, rest
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -98,9 +104,7 @@ def test_either_law_is_told(share):
         u = np.array([log["u_left"], log["u_right"]])
         x0 = rest(plant, float(log["theta_L"][0]))
         out = march(plant.arrays(), u, x0, log.sample_time, substeps=FINE_SUBSTEPS)
-        columns = {n: out[:, OUTPUTS.index(n)].copy() for n in OUTPUTS[:2]}
-        columns["omega_L"] += np.deg2rad(0.05) * rng.standard_normal(log.time.size)
-        driven.append(Log(name, log.time, {"u_left": u[0], "u_right": u[1], **columns}))
+        driven.append(noisy_log(name, u, out, rng))
     fit = presliding(residual(measure(driven, paper_drive()), Model(paper_drive())), 2).fit
     assert fit.model.effects[NAME]["viscous_at_once"] == share
     assert fit.model.effects[NAME]["ring_distance"] == pytest.approx(3e-4, rel=0.15)

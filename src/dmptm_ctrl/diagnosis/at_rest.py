@@ -107,14 +107,13 @@ def presliding(left: Residual, jobs: int) -> AtRest:
     brought(without, left, FIRST_SECONDS, jobs)
     if without.level < UNEASY:  # nothing is missing there
         return AtRest(0.0, 0.0, (0.0, 0.0), fitted(without))
-    begun = [
-        entered(base, with_share(sized(NAME, base.model, stride), share))
+    laws = [
+        [entered(base, with_share(sized(NAME, base.model, stride), share)) for stride in STRIDES]
         for share in AT_ONCE
-        for stride in STRIDES
     ]
+    begun = [one for law in laws for one in law]
     in_threads(lambda one: brought(one, left, FIRST_SECONDS, 1), begun, jobs)
-    of_a_law = [begun[i : i + len(STRIDES)] for i in range(0, len(begun), len(STRIDES))]
-    near = [min(some, key=lambda one: one.level) for some in of_a_law]
+    near = [min(law, key=lambda one: one.level) for law in laws]
     if min(one.level for one in near) < (1.0 - HELPS) * without.level:
         near = in_threads(lambda one: once_more(one, left), near, jobs)
     parts = starts((left.measured.fit, left.measured.held), FIRST_SECONDS[-1])
@@ -260,7 +259,7 @@ def matters(*fits: Fit) -> bool:
 
 
 def knows(of: Fit) -> bool:
-    """Whether the larger one of the distances is more than its standard errors."""
+    """Whether the larger one of the distances is more than :data:`KNOWN_TO` standard errors."""
     ratios = {"ring_distance": 1.0, "reducer_distance": of.model.drive["N_2"]}
     known = {k.name for k in of.unknowns if k.effect == NAME}
     told = [np.array(of.value(NAME, name)) / ratios[name] for name in ratios if name in known]

@@ -57,6 +57,13 @@ def along(u, run, load, passes, dt, base, on, values, torque, shift):
     it is nearest to. The pinions turn with the ring gear. The meshes carry what friction leaves,
     which may depend on what they carry: it is asked `passes` times more.
     """
+    work = np.empty(ROWS)
+    in_blocks(work, u, run, load, passes, dt, base, on, values, torque, shift)
+
+
+@njit
+def in_blocks(s, u, run, load, passes, dt, base, on, values, torque, shift):
+    """Do the same; `s` (ROWS,) is room to work in, which the caller keeps."""
     gain = base[0] * base[1]
     n1, n2 = base[5], base[6]
     reducer = stribeck_law(
@@ -67,10 +74,10 @@ def along(u, run, load, passes, dt, base, on, values, torque, shift):
     )
     dead_time = voltage_delay(on, values) / dt
     lagging = lag_relaxation(0.0, 0, on, values)[1] > 0.0
-    work, lagged = np.empty(ROWS), np.zeros(2)
+    lagged = np.zeros(2)
     # what is counted for each call of a site takes longer than what acts there
     u, run, torque, shift = borrowed(u), borrowed(run), borrowed(torque), borrowed(shift)
-    on, values, load, s = borrowed(on), borrowed(values), borrowed(load), borrowed(work)
+    on, values, load, s = borrowed(on), borrowed(values), borrowed(load), borrowed(s)
     has_drive, has_motor, has_mesh, has_friction, has_load, _ = active_sites(on)
     for first in range(0, u.shape[1], BLOCK):
         width = min(BLOCK, u.shape[1] - first)
@@ -188,17 +195,17 @@ def sliding_along(speed, law, out):
     `law` (9,) as in the base array.
     """
     own = stribeck_law(law[0], law[1], law[2], law[3], law[4], law[5], law[6], law[7], law[8])
+    work = np.empty(ROWS)
     if own.exponent == 1.0:
-        slide_along(speed, without_power(own), out)
+        slide_along(work, speed, without_power(own), out)
     else:
-        slide_along(speed, own, out)
+        slide_along(work, speed, own, out)
 
 
 @njit
-def slide_along(speed, law, out):
-    """Write the friction of a law along a speed."""
-    work = np.empty(ROWS)
-    s, speed, out = borrowed(work), borrowed(speed), borrowed(out)
+def slide_along(s, speed, law, out):
+    """Write the friction of a law along a speed; `s` (ROWS,) is room to work in, which the caller keeps."""
+    s, speed, out = borrowed(s), borrowed(speed), borrowed(out)
     for first in range(0, speed.size, BLOCK):
         width = min(BLOCK, speed.size - first)
         for i in range(width):

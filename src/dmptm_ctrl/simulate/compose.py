@@ -126,7 +126,7 @@ _OWN_KERNELS = (
 _INLINE = (
     *(
         "held_average",
-        *("rub", "scale", "without_power", "slide_along"),
+        *("rub", "scale", "without_power", "in_blocks", "slide_along"),
         "slide",
         "stop",
         "slide_or_stick",

@@ -114,9 +114,10 @@ def _borrowed(typingctx, array):
     return array(array), codegen
 
 
-# The caller keeps the array for as long as it is lent. Each function that is given an array counts
-# itself among its users, and off again, which as atomic operations takes as long as one of the
-# loops over lanes.
+# The caller keeps the array for as long as it is lent: it is an argument, for one that is made in
+# the function itself is freed after its last use, which lending it may be. Each function that is
+# given an array counts itself among its users, and off again, which as atomic operations takes as
+# long as one of the loops over lanes.
 borrowed: Callable[[Any], Any] = intrinsic(_borrowed)  # type: ignore[assignment]
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import dmptm_ctrl.simulate
 
-SOURCES = sorted(Path(inspect.getfile(dmptm_ctrl.simulate)).parent.glob("*_core.py"))
+SOURCES = sorted(Path(inspect.getfile(dmptm_ctrl.simulate)).parent.glob("*core.py"))
 
 
 def lent(source):

@@ -204,7 +204,7 @@ def sliding_along(speed, law, out):
 
 @njit
 def slide_along(s, speed, law, out):
-    """Write the friction of a law along a speed; `s` (ROWS,) is room to work in, which the caller keeps."""
+    """Write the friction of a law along a speed; `s` (ROWS,) is the caller's room to work in."""
     s, speed, out = borrowed(s), borrowed(speed), borrowed(out)
     for first in range(0, speed.size, BLOCK):
         width = min(BLOCK, speed.size - first)

@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import wraps
-from threading import local
+from threading import Condition, local
 from typing import Any, Literal, ParamSpec, TypeVar
 
 P = ParamSpec("P")
@@ -32,22 +33,82 @@ def small_matrices(function: Callable[P, R]) -> Callable[P, R]:
 def in_threads(function: Callable[[T], R], items: Iterable[T], jobs: int) -> list[R]:
     """Call a function, most of which is compiled, for each item, at once on `jobs` threads.
 
-    On one of them what is called does its own one after another: the cores are taken.
+    On one of them what is called does its own one after another, the cores are taken, unless
+    others of them have nothing left to do.
     """
     items = list(items)
-    if min(jobs, len(items)) <= 1 or getattr(_THREAD, "taken", False):
+    if min(jobs, len(items)) <= 1:
         return [function(item) for item in items]
-    with ThreadPoolExecutor(jobs, initializer=setattr, initargs=(_THREAD, "taken", True)) as pool:
-        return list(pool.map(function, items))
+    with crew(jobs):
+        return _THREAD.crew.share(function, items)
+
+
+@contextmanager
+def crew(jobs: int) -> Iterator[None]:
+    """Keep threads for all that this one shares out; begun anew for each takes as long as a run."""
+    if jobs <= 1 or getattr(_THREAD, "crew", None) is not None:
+        yield
+        return
+    own = _THREAD.crew = _Crew(jobs)
+    try:
+        with own.pool:
+            yield
+    finally:
+        _THREAD.crew = None
+
+
+class _Crew:
+    """Threads that help each other; no more than so many are at work."""
+
+    def __init__(self, jobs: int) -> None:
+        self.idle, self.changed = jobs - 1, Condition()
+        # one more than helpers: while one waits for another, a third may help that
+        self.pool = ThreadPoolExecutor(jobs, "crew", setattr, (_THREAD, "crew", self))
+
+    def share(self, function: Callable[[T], R], items: list[T]) -> list[R]:
+        """Call a function for each item, on this thread and on those that are idle.
+
+        None waits for what has not been taken: it is taken back then.
+        """
+        if self.idle <= 0:
+            return [function(item) for item in items]
+        others = [self.pool.submit(self._help, function, item) for item in items[1:]]
+        try:
+            done = {0: function(items[0])}
+            done |= {i: function(items[i]) for i, one in enumerate(others, 1) if one.cancel()}
+            if len(done) < len(items):
+                self._rest()
+                try:
+                    done |= {i: one.result() for i, one in enumerate(others, 1) if i not in done}
+                finally:
+                    self._work()
+            return [done[i] for i in range(len(items))]
+        finally:
+            for one in others:
+                one.cancel()
+
+    def _help(self, function: Callable[[T], R], item: T) -> R:
+        self._work()
+        try:
+            return function(item)
+        finally:
+            self._rest()
+
+    def _work(self) -> None:
+        with self.changed:
+            self.changed.wait_for(lambda: self.idle > 0)
+            self.idle -= 1
+
+    def _rest(self) -> None:
+        with self.changed:
+            self.idle += 1
+            self.changed.notify()
 
 
 def at_once(first: Callable[[], T], second: Callable[[], R], jobs: int) -> tuple[T, R]:
-    """Call one function on threads of its own while another runs alone; `second` on one core."""
-    if jobs <= 1:
-        return first(), second()
-    with ThreadPoolExecutor(1) as other:
-        coming = other.submit(second)
-        return first(), coming.result()
+    """Call two functions at once; who is left has the other's thread for what it shares out."""
+    done: list[Any] = in_threads(lambda function: function(), [first, second], jobs)
+    return done[0], done[1]
 
 
 def each(

@@ -51,7 +51,7 @@ from dmptm_ctrl.identify.fit import Fit, Unknown
 from dmptm_ctrl.identify.lock import DOUBTFUL, level
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
-from dmptm_ctrl.parallel import at_once, small_matrices
+from dmptm_ctrl.parallel import at_once, crew, small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.simulate.model import Model
 
@@ -105,10 +105,15 @@ def diagnose(
     LogError
         Logs that cannot be read, lack a channel or are not of one rig.
     """
-    start = time.perf_counter()
-    declared = drive or paper_drive()
     if isinstance(logs, str | PathLike):
         logs = load_logs(logs, max_rows=READ_ROWS)
+    with crew(jobs):
+        return diagnosed(logs, drive or paper_drive(), jobs, seed)
+
+
+def diagnosed(logs: Iterable[Log], declared: Drive, jobs: int, seed: int) -> Diagnosis:
+    """Diagnose logs that have been read."""
+    start = time.perf_counter()
     campaign, notes = screen(logs, declared)
     measured = measure(tuple(campaign), declared)
     sensors = cross_check((*measured.fit, *measured.held))
@@ -117,10 +122,9 @@ def diagnose(
         measured = measured.started(model)
     left = residual(measured, model, jobs=jobs)
     own = beside_balances(left.base, measured)
-    # what is left of two cores by the many small steps of a decision is enough for the other
     decision, before = at_once(
         lambda: decide(left, skip=tuple(sensors.values), jobs=jobs),
-        lambda: augment(measured.fit, left.base, declared, beside=own, jobs=1),
+        lambda: augment(measured.fit, left.base, declared, beside=own, jobs=jobs),
         jobs,
     )
     after = before

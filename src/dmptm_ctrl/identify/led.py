@@ -11,14 +11,14 @@ from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import BODIES, FINE_SUBSTEPS, OUTPUTS, observer_gains
-from dmptm_ctrl.simulate.compose import layout
+from dmptm_ctrl.simulate.compose import NARROW, layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Stacked, stacked
 
 # Of a run in the first tenth of a second, where names are told by a few landings: the next ones
 # grow what a coarser scheme misses there.
 EARLY_SECONDS, EARLY_SUBSTEPS = 0.1, 32
 AT_ONCE = 64  # runs of one call, in groups of lanes
-THREADED = 400_000  # steps of all runs, about 5 ms, of which threads take longer than they save
+THREADED = 60_000  # steps of all runs, about 1 ms, of which threads take longer than they save
 SPEED = (OUTPUTS.index("omega_L"),)
 LEAD_HZ = 6.0  # of the observer that leads a run to where it is let go
 LEAD_SUBSTEPS = 4  # of a run that it leads, and that forgets what such steps miss
@@ -63,13 +63,13 @@ class Bench:
         """
         timed = self.led and acts(drives, lambda e: "time" in e.depends_on)
         groups = [_Runs(alike, drives, substeps, compares) for alike in self.groups(timed)]
-        tasks = [(one, first) for one in groups for first in range(0, one.count, AT_ONCE)]
         steps = sum(one.count * one.alike.u.shape[2] * one.how["substeps"] for one in groups)
         jobs = jobs if steps > THREADED else 1
+        tasks = [(one, some) for one in groups for some in one.shares(jobs)]
         done = iter(in_threads(lambda task: task[0].run(task[1]), tasks, jobs))
         runs = []
         for one in groups:
-            parts = [next(done) for _ in range(0, one.count, AT_ONCE)]
+            parts = [next(done) for _ in one.shares(jobs)]
             several = parts[0] if len(parts) == 1 else np.concatenate(parts)
             runs.append(
                 (one.alike, several.reshape(one.alike.count, len(drives), *several.shape[1:]))
@@ -133,10 +133,14 @@ class _Runs:
                 self.how["lead_substeps"] = min(LEAD_SUBSTEPS, self.how["substeps"])
             self.how["begin"] = alike.begin
 
-    def run(self, first: int) -> Floats:
-        """Run from one on as many as go at once."""
-        end = min(first + AT_ONCE, self.count)
-        record, drive = np.divmod(np.arange(first, end), len(self.drives))
+    def shares(self, jobs: int) -> list[range]:
+        """Share the runs out to threads, in groups of lanes that are full."""
+        size = min(AT_ONCE, NARROW * -(-self.count // (NARROW * jobs)))
+        return [range(k, min(k + size, self.count)) for k in range(0, self.count, size)]
+
+    def run(self, some: range) -> Floats:
+        """Run some of them."""
+        record, drive = np.divmod(np.array(some), len(self.drives))
         alike, own = self.alike, self.drives[drive]
         measured = alike.theta[record] if alike.theta.size else None
         u, x0 = alike.u[record], alike.x0[record]

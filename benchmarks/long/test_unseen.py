@@ -1,19 +1,23 @@
 """What the balances tell nothing of, too long for CI: ``python -m pytest benchmarks/long``."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.recovery.test_unseen import fitted
 
 from dmptm_ctrl import load_log
+from dmptm_ctrl.diagnosis.at_rest import presliding
 from dmptm_ctrl.diagnosis.decide import Decision
 from dmptm_ctrl.diagnosis.diagnose import uncovered
-from dmptm_ctrl.diagnosis.landings import enter, race_first, variants
+from dmptm_ctrl.diagnosis.landings import enter, landings, race_first, variants
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import unknowns_of
+from dmptm_ctrl.diagnosis.unseen import by_all_logs, by_impacts, outlasting, unseen
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.lock import LOST, UNEASY
+from dmptm_ctrl.identify.lock import LOST, UNEASY, Locked
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -58,3 +62,61 @@ def test_runout_that_the_other_pinion_tells():
     assert true["location"] == "right"
     wanted = np.deg2rad(true["amplitude_arcmin"] / 60.0)
     assert sizes == pytest.approx([0.0, wanted], abs=0.1 * wanted)
+
+
+def test_friction_that_hardly_gives_may_be_motors_that_differ():
+    """A little pre-sliding mends a part of what the motors do; beside it none meets the landings.
+
+    With friction that sticks, the right one does.
+    """
+    before, left, truth = fitted(350100023, (("torque_constant_mismatch", 1.0),), "load")
+    # what it takes off, fitted and held out, where it does mend a part
+    rested = replace(presliding(left, 2), gain=150.0, held_gain=40.0, shares=(0.24, 0.18))
+    assert rested.gives
+    assert rested.doubtful
+    found = unseen(left, before, rested=rested)
+    assert found.name == "torque_constant_mismatch"
+    assert found.fit.horizon >= 0.1
+    size = found.fit.model.effects[found.name]["error"]
+    assert size == pytest.approx(truth[found.name]["left_share"], rel=0.1)
+
+
+def test_landings_of_all_logs_tell_nothing_under_another_law_of_the_flanks():
+    _, left, _ = fitted(420200033, (), "load", "karnopp", "hunt_crossley")
+    base = rattled(left.measured.fit, left.base, left.measured.drive, 2)
+    landed = landings(left, base, 2, 0, ("pinion_runout", "backlash_variation"))
+    assert landed.alone.level > LOST
+    assert by_all_logs(landed, 2, 0) is None
+
+
+def test_a_longer_run_tells_what_no_reversal_does():
+    """A gap that varies, beside a limit at which all lose step at the reversals of whole logs."""
+    effects = (("backlash_variation", 1.0), ("drive_saturation", 1.0))
+    _, left, _ = fitted(450100016, effects, "load")
+    base = rattled(left.measured.fit, left.base, left.measured.drive, 2)
+    some = ("pinion_runout", "ring_gear_eccentricity", "backlash_variation")
+    landed = landings(left, base, 2, 0, some)
+    found = by_impacts(landed, 2, 0)
+    assert found.name == "backlash_variation"
+    assert not found.everywhere  # no reversal told it
+    assert found.fit.horizon >= 0.3
+    none, longest = Locked(base.model, base.p, 0.1, 0.3, base.covariance), found.fit
+    same = Locked(longest.model, longest.p, longest.horizon, 0.3, longest.covariance)
+    assert outlasting({"a": none, "b": same}, landed.whole, 2) == "b"
+    assert outlasting({"a": same, "b": same}, landed.whole, 2) is None
+    assert outlasting({}, landed.whole, 2) is None
+
+
+def test_a_gap_that_is_nearly_all_variation_is_found_from_the_reversals():
+    """Logs begin within 30 degrees: their first landings another constant gap meets as well."""
+    effects = (("backlash_variation", 3.0),)
+    _, left, true = fitted(500100023, effects, "load")
+    base = rattled(left.measured.fit, left.base, left.measured.drive, 2)
+    found = by_all_logs(landings(left, base, 2, 0), 2, 0)
+    assert found is not None
+    assert found.name == "backlash_variation"
+    own = found.fit.model.effects["backlash_variation"]
+    share, phase = true["backlash_variation"]["share"], true["backlash_variation"]["phase_rad"]
+    gaps = [found.fit.model.drive[gap] for gap in ("gap_l", "gap_r")]
+    wave = 0.5 * share * sum(gaps) * np.exp(1j * phase)  # cosine and minus sine
+    assert abs(complex(own["cosine"], -own["sine"]) - wave) < 0.3 * abs(wave)

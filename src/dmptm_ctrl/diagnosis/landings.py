@@ -84,8 +84,8 @@ def landings(
 ) -> Landings:
     """Fit a model as it is, and with one effect or another, to the first landings.
 
-    Where it is known that the model as it is meets them, none tells anything: all are only brought
-    there.
+    Where it is known that the model as it is, as `base` has it, meets them, none tells anything:
+    all are only brought there.
     """
     whole = left.measured.fit, left.measured.held
     alone = enter([base.model], base, (), seed)
@@ -202,12 +202,21 @@ def of_all_logs(
 
 
 def brought(alone: Runner, field: Sequence[Runner], records: Sequence[Record], jobs: int) -> None:
-    """Fit all to the first landings on the shortest way."""
-    for seconds, places in ((FIRST_SECONDS[0], PLACES[-2]), (FIRST_SECONDS[-1], PLACES[-1])):
-        together(Runner.go, (alone, *field), jobs, [cut(rec, seconds) for rec in records], jobs)
-        for one in (alone, *field):
-            one.settle()
-            one.places = one.different(places)
+    """Fit all to the first landings at once, from where the model as it is meets them."""
+    parts = [cut(rec, FIRST_SECONDS[-1]) for rec in records]
+    together(Runner.go, (alone, *field), jobs, parts, jobs)
+    together(from_none, field, jobs, alone)
+    for one in (alone, *field):
+        one.settle()
+        one.places = one.different(PLACES[-1])
+
+
+def from_none(one: Runner, alone: Runner) -> None:
+    """Go on from where the model as it is is, with nothing of the effect yet."""
+    own = one.unknowns[len(alone.unknowns) :]
+    there = position(one.model, own)
+    there[[k.name in CATALOGUE[str(k.effect)].amplitudes for k in own]] = 0.0
+    one.pursue(np.concatenate([alone.places[0], there]))
 
 
 def looks_on(one: Runner, came: Mapping[Runner, list[Floats]], redraws: float, far: float) -> None:

@@ -138,7 +138,9 @@ def unseen(
         gives = rested is not None and rested.gives
         start = softened(base, len(base.unknowns)) if gives else base
         ahead = horizons(FIRST_SECONDS[-1], before.horizon)
-        meets = any(level(before.model, everything, h, jobs) < DOUBTFUL for h in ahead)
+        meets = any(level(before.model, left.measured.fit, h, jobs) < DOUBTFUL for h in ahead)
+        if meets and start.model.effects.keys() == before.model.effects.keys():
+            start = replace(start, model=before.model)  # from where the first ones are met
         landed = landings(left, start, jobs, seed, none_tells=meets)
         turns = not gives  # a friction law of another kind lets no model meet the reversals
         found: Shown | Fit | None = by_all_logs(landed, jobs, seed, turns=turns)

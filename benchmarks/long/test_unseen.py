@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.recovery.test_unseen import fitted
 
-from dmptm_ctrl import load_log
+from dmptm_ctrl import diagnose, load_log
 from dmptm_ctrl.diagnosis.at_rest import presliding
 from dmptm_ctrl.diagnosis.decide import Decision
 from dmptm_ctrl.diagnosis.diagnose import uncovered
@@ -120,3 +120,16 @@ def test_a_gap_that_is_nearly_all_variation_is_found_from_the_reversals():
     gaps = [found.fit.model.drive[gap] for gap in ("gap_l", "gap_r")]
     wave = 0.5 * share * sum(gaps) * np.exp(1j * phase)  # cosine and minus sine
     assert abs(complex(own["cosine"], -own["sine"]) - wave) < 0.3 * abs(wave)
+
+
+def test_bursts_at_steps_of_the_voltage_are_a_soft_reducer_s_ringing():
+    """By the balances what is left depends on the time and on du/dt, and is on nobody's list."""
+    name = "reducer_compliance"
+    laws = {"friction": "karnopp", "contact": "eq21"}
+    rig = make_rig(550100018, ((name, 3.0),), sensors="load", **laws)
+    found = diagnose([load_log(table, name=log) for log, table in rig.logs.items()])
+    assert [effect.name for effect in found.effects] == [name]
+    told = found.augmented.effects[name]["compliance"]
+    true = rig.label["effect_parameters"][name]["stiffness_N_m_rad"]
+    assert 1.0 / told == pytest.approx(true, rel=0.1)
+    assert found.error["after"]["rmse"] < 0.4 * found.error["before"]["rmse"]

@@ -1,6 +1,7 @@
 """What the balances tell nothing of, told by keeping step on rigs of another program."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import FIRST, Decision
-from dmptm_ctrl.diagnosis.diagnose import in_step, met_by_landings, uncovered
+from dmptm_ctrl.diagnosis.diagnose import in_step, may_ring, met_by_landings, uncovered
 from dmptm_ctrl.diagnosis.landings import landings
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
@@ -17,6 +18,7 @@ from dmptm_ctrl.diagnosis.report import unnamed
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.runoff import Run
 from dmptm_ctrl.diagnosis.trace import trace
+from dmptm_ctrl.diagnosis.unknown import Unexplained
 from dmptm_ctrl.diagnosis.unseen import (
     AGEING,
     LEAST,
@@ -144,6 +146,24 @@ def test_a_faint_ripple_without_motor_encoders_is_told_by_the_race():
     assert (true["location"], told["order"]) == ("left", true["order"])
     size = np.hypot(told["left_cosine"], told["left_sine"])
     assert size == pytest.approx(true["amplitude_N_m"], rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("variables", "encoders", "tables", "may"),
+    [
+        (None, False, None, True),
+        (("u", "du_dt"), False, None, True),
+        (("time", "du_dt"), False, None, True),  # steps come by the clock of the log
+        (("time", "du_dt"), False, "a curve over them", False),
+        (("time",), False, None, False),
+        (("time", "theta_L", "du_dt"), False, None, False),
+        (("time", "du_dt"), True, None, False),  # the twist would show it
+    ],
+)
+def test_what_is_left_without_a_name_may_be_what_rings(variables, encoders, tables, may):
+    what = None if variables is None else Unexplained.without_curve(variables)
+    left = SimpleNamespace(measured=SimpleNamespace(has_motor_encoders=encoders))
+    assert may_ring(Decision(left, left, unexplained=what, tables=tables)) is may
 
 
 def test_landings_of_all_logs_tell_what_half_of_them_leave_open():

@@ -421,12 +421,16 @@ def uncovered(
 def may_ring(decision: Decision) -> bool:
     """Whether nothing is left without a name but what a soft reducer would leave.
 
-    It rings after each step of the voltage, and only motor encoders would show it.
+    It rings after each step of the voltage, which come by the clock of the log, and only motor
+    encoders would show it.
     """
     what = decision.unexplained
     if what is None:
         return True
-    return not decision.before.measured.has_motor_encoders and set(what.variables) <= RINGING
+    variables = set(what.variables)
+    if "du_dt" in variables and decision.tables is None:
+        variables -= {"time"}
+    return not decision.before.measured.has_motor_encoders and variables <= RINGING
 
 
 def by_step(shown: Shown, base: BalanceFit) -> Found:

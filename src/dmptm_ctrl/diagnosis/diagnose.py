@@ -105,15 +105,17 @@ def diagnose(
     LogError
         Logs that cannot be read, lack a channel or are not of one rig.
     """
-    if isinstance(logs, str | PathLike):
-        logs = load_logs(logs, max_rows=READ_ROWS)
     with crew(jobs):
         return diagnosed(logs, drive or paper_drive(), jobs, seed)
 
 
-def diagnosed(logs: Iterable[Log], declared: Drive, jobs: int, seed: int) -> Diagnosis:
-    """Diagnose logs that have been read."""
+def diagnosed(
+    logs: str | PathLike[str] | Iterable[Log], declared: Drive, jobs: int, seed: int
+) -> Diagnosis:
+    """Diagnose on threads that are kept."""
     start = time.perf_counter()
+    if isinstance(logs, str | PathLike):
+        logs = load_logs(logs, max_rows=READ_ROWS)
     campaign, notes = screen(logs, declared)
     measured = measure(tuple(campaign), declared)
     sensors = cross_check((*measured.fit, *measured.held))

@@ -22,6 +22,7 @@ from dmptm_ctrl.diagnosis.finish import (
     Place,
     agree,
     behind,
+    beyond_friction,
     size,
     tells_for,
     told_from_friction,
@@ -332,6 +333,24 @@ def test_an_offset_of_both_motors_is_told_by_all_bounces_of_long_runs():
     values = winner.model.effects["drive_offset"]
     both = 0.5 * (values["left"] + values["right"])
     assert both == pytest.approx(true["offset_V"], rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("offset", "told"),
+    [
+        (
+            0.0135,
+            False,
+        ),  # keeps step for 0.9 s on a rig that lacks nothing, with a tanh for friction
+        (-0.0185, False),
+        (0.0241, True),
+        (-0.0241, True),
+    ],
+)
+def test_an_offset_beyond_what_friction_can_differ_both_ways(offset, told):
+    """0.0222 V at 9.75 N·m/V of a pinion: 12 % of 1.8 N·m."""
+    model = Model().with_effect("drive_offset", left=offset - 0.001, right=offset + 0.001)
+    assert beyond_friction(model, drive_unknowns(Model())) is told
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.fit import Unknown
 from dmptm_ctrl.identify.lock import DOUBTFUL, HORIZONS, LOST, NEWS, Steps, cut, level, loss
 from dmptm_ctrl.identify.records import Record
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.model import BASE, Floats, Model
 
 WINS_SECONDS = 0.15  # for which a winner keeps step
 # A model that keeps step for so long, as well as noise lets it, need not race.
@@ -24,9 +25,9 @@ LEAST = 150.0  # evidence of a winner
 OUT = 2.7
 WELL = 0.4  # mean loss per sample that leaves nothing to mend
 # Of a clearly visible offset, by which the motors' offsets differ at least: what is common to both
-# acts as a friction that is not the same both ways, and mends a part of another law of friction, if
-# not all of it for :data:`KEEPS_SECONDS`.
+# acts as a friction that is not the same both ways, and mends a part of another law of friction.
 APART = 0.2
+SLIDING = ("T3c_plus", "T3c_minus")  # friction of a pinion, each way
 # Of a clearly visible effect, a winner at least: less moves the landings by a digit that any drive
 # may find. In campaigns wrong winners had 0.04 to 0.18, right ones 0.67 and more.
 SMALLEST = 0.3
@@ -111,9 +112,9 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
     model = winner.steps.placed(winner.p)
     if size(model, winner.name) < SMALLEST:
         return None
-    # under another law of friction none meets all bounces for so long as well as noise lets it
     lasting = lap.seconds >= KEEPS_SECONDS and winner.level < DOUBTFUL
-    if not lasting and not told_from_friction(model, winner.name):
+    beyond = lasting and beyond_friction(model, winner.steps.unknowns)
+    if not beyond and not told_from_friction(model, winner.name):
         return None
     return Raced(winner.name, model, lap.seconds, gain + held_gain, held_gain)
 
@@ -167,3 +168,12 @@ def told_from_friction(model: Model, name: str) -> bool:
     steps = {p.name: p.step for p in CATALOGUE[name].parameters}
     values = model.effects[name]
     return abs(values["left"] - values["right"]) > APART * steps["left"]
+
+
+def beyond_friction(model: Model, unknowns: Sequence[Unknown]) -> bool:
+    """Whether a common offset is more than friction inside its ranges can differ both ways."""
+    base, values = model.arrays()[0], model.effects.get("drive_offset", {})
+    gain = base[BASE.index("N_1")] * base[BASE.index("K_d")] * base[BASE.index("K_M")]
+    torque = abs(gain * 0.5 * sum(values.values()))
+    ranges = [k.scale for k in unknowns if k.effect is None and k.name in SLIDING]
+    return bool(ranges) and bool(torque > min(ranges))

@@ -34,10 +34,11 @@ def test_who_waits_for_another_helps_it():
 
     def second():
         left.wait(10.0)
-        while True:  # until the other thread is seen to be idle
+        for _ in range(10_000):  # until the other thread is seen to be idle
             seen = set(in_threads(lambda _: get_ident(), range(50), 2))
             if len(seen) > 1:
                 return in_threads(lambda _: met.wait() >= 0, range(2), 2)
+        return None
 
     assert at_once(first, second, 2) == (None, [True, True])
 

@@ -319,16 +319,15 @@ def test_what_is_common_to_both_motors_is_friction_s(left, right, told):
 
 def test_an_offset_of_both_motors_is_told_by_all_bounces_of_long_runs():
     """Friction may differ both ways by as much; here by more than its tolerance lets it."""
-    rig = make_rig(550100033, (("drive_offset", 1.0),), "load", friction="karnopp", contact="eq21")
-    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
-    measured = measure(logs, paper_drive())
-    left = residual(measured, Model(paper_drive()))
+    measured, left, told = measured_rig(
+        (("drive_offset", 1.0),), "karnopp", 550100033, logs="paper", contact="eq21"
+    )
     start = rattled(measured.fit, left.base, measured.drive, 2)
     winner = race(measured.fit, measured.held, start, trace(left, only=SOME))
     assert winner.name == "drive_offset"
     assert winner.seconds >= 0.6
     assert not told_from_friction(winner.model, winner.name)
-    true = rig.label["effect_parameters"]["drive_offset"]
+    true = told["drive_offset"]
     assert true["location"] == "both"
     values = winner.model.effects["drive_offset"]
     both = 0.5 * (values["left"] + values["right"])
@@ -338,10 +337,8 @@ def test_an_offset_of_both_motors_is_told_by_all_bounces_of_long_runs():
 @pytest.mark.parametrize(
     ("offset", "told"),
     [
-        (
-            0.0135,
-            False,
-        ),  # keeps step for 0.9 s on a rig that lacks nothing, with a tanh for friction
+        # keeps step for 0.9 s on a rig that lacks nothing, with a tanh for friction
+        (0.0135, False),
         (-0.0185, False),
         (0.0241, True),
         (-0.0241, True),

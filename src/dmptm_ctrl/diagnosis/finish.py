@@ -10,7 +10,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Unknown
 from dmptm_ctrl.identify.lock import DOUBTFUL, HORIZONS, LOST, NEWS, Steps, cut, level, loss
 from dmptm_ctrl.identify.records import Record
-from dmptm_ctrl.simulate.model import BASE, Floats, Model
+from dmptm_ctrl.simulate.model import Floats, Model
 
 WINS_SECONDS = 0.15  # for which a winner keeps step
 # A model that keeps step for so long, as well as noise lets it, need not race.
@@ -113,8 +113,9 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
     if size(model, winner.name) < SMALLEST:
         return None
     lasting = lap.seconds >= KEEPS_SECONDS and winner.level < DOUBTFUL
-    beyond = lasting and beyond_friction(model, winner.steps.unknowns)
-    if not beyond and not told_from_friction(model, winner.name):
+    if not told_from_friction(model, winner.name) and not (
+        lasting and beyond_friction(model, winner.steps.unknowns)
+    ):
         return None
     return Raced(winner.name, model, lap.seconds, gain + held_gain, held_gain)
 
@@ -172,8 +173,8 @@ def told_from_friction(model: Model, name: str) -> bool:
 
 def beyond_friction(model: Model, unknowns: Sequence[Unknown]) -> bool:
     """Whether a common offset is more than friction inside its ranges can differ both ways."""
-    base, values = model.arrays()[0], model.effects.get("drive_offset", {})
-    gain = base[BASE.index("N_1")] * base[BASE.index("K_d")] * base[BASE.index("K_M")]
-    torque = abs(gain * 0.5 * sum(values.values()))
+    drive, values = model.drive, model.effects["drive_offset"]
+    common = 0.5 * (values["left"] + values["right"])
+    torque = abs(drive["N_1"] * drive["K_d"] * drive["K_M"] * common)
     ranges = [k.scale for k in unknowns if k.effect is None and k.name in SLIDING]
-    return bool(ranges) and bool(torque > min(ranges))
+    return bool(ranges) and torque > min(ranges)

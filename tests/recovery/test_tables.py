@@ -9,7 +9,7 @@ from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.tables import HELD, KNOTS, MOTOR, narrowed, tabulate
-from dmptm_ctrl.diagnosis.unknown import interval
+from dmptm_ctrl.diagnosis.unknown import WANDERS, interval, wandered
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.lookup import CLOCK
@@ -126,3 +126,13 @@ def test_motors_that_lose_torque_in_the_course_of_a_log():
     # a motor that is weaker all the time is friction and inertia as well: compare the course
     np.testing.assert_allclose(knots - knots[-1], lost - lost[-1], atol=0.05 * GAIN * share)
     assert found.held_gain > HELD
+
+
+@pytest.mark.parametrize("contact", ["eq21", "hunt_crossley"])
+def test_what_slips_moves_the_flanks_for_good(contact):
+    """Neither an angle nor a static load brings them back; what lacks nothing keeps them."""
+    decision, _ = decided(560100013, (("slipping_hub", 2.0),), "all", contact)
+    assert decision.unexplained.variables[0] == "mesh_torque"
+    assert not decision.found
+    left, _ = left_by(560100013, (), "all", contact)
+    assert wandered(left) < WANDERS / 2 < WANDERS < wandered(decision.before)

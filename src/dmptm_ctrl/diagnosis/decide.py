@@ -272,7 +272,7 @@ def put_into_tables(decision: Decision, jobs: int) -> None:
     if by_clock is not None and by_clock.held_gain > told and by_clock.evidence > CURVE:
         decision.tables = by_clock
         decision.unexplained = replace(what, variables=by_clock.variables, curve=None)
-    elif curve is None and what.bursts.share < BURSTS:
+    elif curve is None and what.bursts.share < BURSTS and what.slips == 0.0:
         decision.unexplained = None
     else:
         decision.tables = by_curve

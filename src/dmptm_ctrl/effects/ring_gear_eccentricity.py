@@ -35,8 +35,8 @@ RING_GEAR_ECCENTRICITY = Effect(
     site="mesh",
     kernel=eccentric_shift,
     parameters=(
-        Parameter("cosine", "rad", -1e-2, 1e-2, 1e-4),
-        Parameter("sine", "rad", -1e-2, 1e-2, 1e-4),
+        Parameter("cosine", "rad", -3e-2, 3e-2, 1e-4),
+        Parameter("sine", "rad", -3e-2, 3e-2, 1e-4),
     ),
     values=RingGearEccentricity,
     location="ring gear",

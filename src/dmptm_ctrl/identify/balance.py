@@ -148,7 +148,7 @@ def pushes(mo: Motion, model: Model) -> np.ndarray:
     friction = mo.mean(frictions(mo, base)[:2], held=False)
     inertia = n1 * n1 * base[2] + base[3]
     left = n1 * base[0] * base[1] * mo.mean(mo.rec.u) + friction - inertia * mo.pinions.T
-    return np.asarray((mo.mean(np.sign(mo.run[:, 6:8].T)) * left > FIRM).T)
+    return np.asarray((mo.mean(mo.flank.T) * left > FIRM).T)
 
 
 SIDES = ("left", "right")

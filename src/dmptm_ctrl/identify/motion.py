@@ -6,11 +6,13 @@ differences fall on φ (weak form; Messenger & Bortz, J. Comput. Phys. 443 (2021
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.simulate.compose import engine
 from dmptm_ctrl.simulate.elementary import cached
@@ -54,6 +56,8 @@ class Motion:
         All three bodies move one way throughout.
     touches : (w, 2) array of bool
         The pinion rests on one flank throughout.
+    flank : (n, 2) array
+        Which flank is near, 1 or −1.
     """
 
     rec: Record
@@ -66,6 +70,7 @@ class Motion:
     pinions: Floats
     slides: np.ndarray
     touches: np.ndarray
+    flank: np.ndarray
 
     def mean(self, rows: Floats, *, held: bool = True) -> Floats:
         """Window means, (..., n) → (..., w).
@@ -216,6 +221,7 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
     run[:, 2:4] = n1 * (z + n2 * rec.theta[:, None])
     run[:, 6:8] = z
 
+    z = z + shifts(rec, run, model)
     gaps = np.array([d["gap_l"], d["gap_r"]])
     touches = np.empty((starts.size, 2), bool)
     for s in (0, 1):
@@ -240,7 +246,30 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
         settled = SETTLED * bristles(body, on, values)[0]
         if settled > 0.0:
             slides &= (travelled(angle, omega) > settled)[starts]
-    return Motion(rec, model, run, speed, window, starts, ring, acceleration, slides, touches)
+    flank = np.where(z > 0.0, 1.0, -1.0)
+    return Motion(
+        rec, model, run, speed, window, starts, ring, acceleration, slides, touches, flank
+    )
+
+
+def shifts(rec: Record, run: Floats, model: Model) -> Floats:
+    """What the model's errors of teeth and gears shift z by, (n, 2) [rad].
+
+    Where they are as large as the gap, z alone tells neither the flank nor what is rattle.
+    """
+    base, on, values = model.arrays()
+    meshes = on & at_meshes(tuple(CATALOGUE))
+    shift = np.zeros((run.shape[0], 2))
+    if rec.twist is not None and meshes.any():
+        torque, load = np.empty((run.shape[0], 3)), np.zeros_like(shift)
+        engine().along(rec.u, run, load, 0, rec.dt, base, meshes, values, torque, shift)
+    return shift
+
+
+@cache
+def at_meshes(names: tuple[str, ...]) -> Any:
+    """Which effects move the flanks."""
+    return np.array([CATALOGUE[n].site == "mesh" for n in names], np.uint8)
 
 
 def motions(

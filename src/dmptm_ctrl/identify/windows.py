@@ -109,8 +109,7 @@ class Windowed:
     @cached_property
     def flank(self) -> Floats:
         """Window means of which flank is near, 1 or −1, (2, w)."""
-        near = self.all(lambda mo: np.where(mo.run[:, 6:8].T > 0.0, 1.0, -1.0))
-        return self.mean(near, held=False)
+        return self.mean(self.all(lambda mo: mo.flank.T), held=False)
 
     def rate(self, n2: float) -> Floats:
         """Window means of dz/dt, (2, w) [rad/s]."""

@@ -133,3 +133,15 @@ def test_bursts_at_steps_of_the_voltage_are_a_soft_reducer_s_ringing():
     true = rig.label["effect_parameters"][name]["stiffness_N_m_rad"]
     assert 1.0 / told == pytest.approx(true, rel=0.1)
     assert found.error["after"]["rmse"] < 0.4 * found.error["before"]["rmse"]
+
+
+@pytest.mark.parametrize("seed", [7050, 8050])
+def test_motors_that_differ_much_land_where_no_window_is_expected(seed):
+    """What stands out of the balances then is where meshes are closed, not what is on no list."""
+    effects = (("torque_constant_mismatch", 5.0),)
+    rig = make_rig(seed, effects, sensors="load", friction="karnopp", contact="eq21")
+    found = diagnose([load_log(table, name=name) for name, table in rig.logs.items()])
+    (effect,) = found.effects
+    assert found.verdict == "explained"
+    true = rig.label["effect_parameters"]["torque_constant_mismatch"]["left_share"]
+    assert effect.parameters["error"]["value"] == pytest.approx(true, abs=0.01)

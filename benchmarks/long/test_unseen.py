@@ -145,3 +145,11 @@ def test_motors_that_differ_much_land_where_no_window_is_expected(seed):
     assert found.verdict == "explained"
     true = rig.label["effect_parameters"]["torque_constant_mismatch"]["left_share"]
     assert effect.parameters["error"]["value"] == pytest.approx(true, abs=0.01)
+
+
+def test_soft_reducers_of_next_to_no_size_have_no_name():
+    """Of other laws of friction and of the flanks they mend a part, at a tenth of what shows."""
+    laws = {"friction": "tanh", "contact": "hunt_crossley"}
+    rig = make_rig(610100036, (), sensors="load", **laws)
+    found = diagnose([load_log(table, name=name) for name, table in rig.logs.items()])
+    assert (found.verdict, found.effects) == ("none", ())

@@ -51,6 +51,7 @@ from dmptm_ctrl.identify.fit import Fit, Unknown
 from dmptm_ctrl.identify.lock import DOUBTFUL, level
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
+from dmptm_ctrl.identify.windows import STIFFNESS
 from dmptm_ctrl.parallel import at_once, crew, small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.simulate.model import Model
@@ -185,7 +186,11 @@ def diagnosed(
         fits=(before, after),
         fitted=final,
         provenance=provenance(measured, measured.logs, seed, time.perf_counter() - start),
-        warnings=tuple(dict.fromkeys((*notes, *measured.warnings, *softness(decision, final)))),
+        warnings=tuple(
+            dict.fromkeys(
+                (*notes, *measured.warnings, *softness(decision, final), *slipping(decision))
+            )
+        ),
         experiment=next_experiment(decision, measured.has_motor_encoders),
     )
 
@@ -470,6 +475,18 @@ def softness(decision: Decision, final: Fit) -> tuple[str, ...]:
     return (
         f"friction gives by {given:.2g} arc-minutes of the ring gear before it slides: too little "
         "to be named, but with it the model keeps step, and it is in the augmented model",
+    )
+
+
+def slipping(decision: Decision) -> tuple[str, ...]:
+    """Say how far flanks wander, where that is what shows that something is missing."""
+    what = decision.unexplained
+    if what is None or what.slips == 0.0:
+        return ()
+    far = np.rad2deg(what.slips / STIFFNESS) * 60.0
+    return (
+        f"a pinion's flanks wander by {far:.2g} arc-minutes within a log, which no angle and no "
+        "static load brings back: something slips between motor and ring gear",
     )
 
 

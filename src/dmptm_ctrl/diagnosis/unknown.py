@@ -47,8 +47,8 @@ WHOLE = 0.8  # of the greatest regularity, at which a longer interval counts as 
 FINE, FINER = 0.004, 101  # share about a period in which it is looked for once more, trials
 REGULAR = 0.9  # |mean exp(2πi t/T)| of what comes by the clock; excitations differ from log to log
 RAYLEIGH = 12.0  # n R² of burst onsets folded on a period: p below 1e-5 per period tried
-# N·m of twist, 0.48′ of the pinion: of what moves for good within a log no named effect leaves as
-# much as a third of it on rigs of benchmarks/rigs, and pinions that creep on their hubs 4 times.
+# N·m of twist, 0.48′ of the pinion: on rigs of benchmarks/rigs (seeds 5501, 5601) no named effect,
+# and no lack of any, leaves half as much; a pinion that creeps on its hub three times it.
 WANDERS = 5.0
 WANDERS_SHARE = 0.1  # of the same without names, up to which a name's form is only nearly right
 STRETCHES, FEWEST = 5, 20  # of a log; windows of it, fewer tell nothing of where it was meanwhile

@@ -15,7 +15,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.at_rest import AtRest, fitted, sized, softened
 from dmptm_ctrl.diagnosis.augment import loosened
-from dmptm_ctrl.diagnosis.finish import HELD_SHARE, OUT
+from dmptm_ctrl.diagnosis.finish import HELD_SHARE, OUT, SMALLEST, size
 from dmptm_ctrl.diagnosis.landings import (
     BY_IMPACTS,
     FIRST_SECONDS,
@@ -152,6 +152,8 @@ def unseen(
             found = by_impacts(landed, jobs, seed)
         if isinstance(found, Fit) and found.horizon <= before.horizon:
             found = None
+        if isinstance(found, Shown) and size(found.fit.model, found.name) < SMALLEST:
+            found = None  # it mends a part of another law of friction or of the flanks
         if found is not None:
             return found
     return ageing(left, base, before, jobs, seed) if alone else None

@@ -10,15 +10,16 @@ from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import FIRST, Decision
 from dmptm_ctrl.diagnosis.diagnose import in_step, may_ring, met_by_landings, uncovered
-from dmptm_ctrl.diagnosis.landings import landings
+from dmptm_ctrl.diagnosis.landings import FIRST_SECONDS, PLACES_OF_ALL, landings, race_first
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
+from dmptm_ctrl.diagnosis.race import Runner
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import unnamed
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.runoff import Run
 from dmptm_ctrl.diagnosis.trace import trace
-from dmptm_ctrl.diagnosis.unknown import Unexplained
+from dmptm_ctrl.diagnosis.unknown import Curve, Unexplained
 from dmptm_ctrl.diagnosis.unseen import (
     AGEING,
     LEAST,
@@ -161,9 +162,18 @@ def test_a_faint_ripple_without_motor_encoders_is_told_by_the_race():
     ],
 )
 def test_what_is_left_without_a_name_may_be_what_rings(variables, encoders, tables, may):
-    what = None if variables is None else Unexplained.without_curve(variables)
+    curve = None if variables is None else Curve(variables, 100.0, 10.0)
+    what = None if curve is None else replace(Unexplained.without_curve(variables), curve=curve)
     left = SimpleNamespace(measured=SimpleNamespace(has_motor_encoders=encoders))
     assert may_ring(Decision(left, left, unexplained=what, tables=tables)) is may
+
+
+@pytest.mark.parametrize("encoders", [False, True])
+def test_windows_that_stand_out_may_be_where_a_pinion_lands(encoders):
+    """Without motor encoders a run tells where the meshes are closed, and may be wrong."""
+    what = Unexplained.without_curve(("time",))
+    left = SimpleNamespace(measured=SimpleNamespace(has_motor_encoders=encoders))
+    assert may_ring(Decision(left, left, unexplained=what)) is not encoders
 
 
 def test_landings_of_all_logs_tell_what_half_of_them_leave_open():
@@ -181,6 +191,28 @@ def test_landings_of_all_logs_tell_what_half_of_them_leave_open():
     assert true["location"] == "right"
     size = np.rad2deg(np.hypot(told["right_cosine"], told["right_sine"])) * 60.0
     assert size == pytest.approx(true["amplitude_arcmin"], rel=0.1)
+
+
+@pytest.mark.parametrize(("leaves", "laps"), [(2.0, 2), (0.5, len(FIRST_SECONDS))])
+def test_who_loses_the_second_lap_of_all_logs_runs_no_other(monkeypatch, leaves, laps):
+    class Lagging:
+        level, places = leaves * LOST, ()
+
+        def settle(self):
+            pass
+
+        def different(self, _):
+            return ()
+
+    run = []
+
+    def together(action, some, *_):
+        if action is Runner.go:
+            run.append(len(some))
+
+    monkeypatch.setattr("dmptm_ctrl.diagnosis.landings.together", together)
+    race_first(Lagging(), [Lagging()], (), 1, PLACES_OF_ALL, afresh=False, hopeless=LOST)
+    assert run == [2] * laps
 
 
 def test_one_stands_apart_of_others_that_leave_much():

@@ -21,7 +21,7 @@ from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, WITHOUT_TWIST, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Unknown, position
-from dmptm_ctrl.identify.lock import SCATTERED, UNEASY, cut
+from dmptm_ctrl.identify.lock import LOST, SCATTERED, UNEASY, cut
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -164,12 +164,14 @@ def race_first(
     places: Sequence[int] = PLACES,
     *,
     afresh: bool = True,
+    hopeless: float = np.inf,
 ) -> None:
     """Fit all to the first hundredths of a second, then to the next, from several places each.
 
     Who is not near looks for other starts, unless another one leaves much less. The second impact
     is the other pinion's: every wave is drawn anew there, or one of them would win by chance. Not
-    so where they do not begin afresh, but from places that are known.
+    so where they do not begin afresh, but from places that are known. Where the nearest one leaves
+    more than what is hopeless by the second lap, no later one is run.
     """
     entered = (alone, *field)
     for lap, (seconds, kept) in enumerate(zip(FIRST_SECONDS, places, strict=True)):
@@ -184,6 +186,8 @@ def race_first(
         for one in entered:
             one.settle()
             one.places = one.different(kept)
+        if lap > 0 and min(one.level for one in entered) > hopeless:
+            break
 
 
 def of_all_logs(
@@ -196,7 +200,8 @@ def of_all_logs(
     """
     alone, field = copy(landed.alone), {name: copy(landed.field[name]) for name in names}
     records = [rec for part in landed.whole for rec in part]
-    race_first(alone, [*field.values()], records, jobs, PLACES_OF_ALL, afresh=False)
+    some = [*field.values()]
+    race_first(alone, some, records, jobs, PLACES_OF_ALL, afresh=False, hopeless=LOST)
     alone.from_place_of(min(field.values(), key=lambda one: one.cost))
     return alone, field
 

@@ -10,12 +10,15 @@ from dmptm_ctrl.diagnosis.decide import (
     FAINT_SHARE,
     FIRST,
     SECOND,
+    Decision,
     Start,
     convincing,
     faint_one,
     first_of,
+    said_by_a_name,
 )
 from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
+from dmptm_ctrl.diagnosis.unknown import BURSTS, Bursts, Curve, Unexplained
 
 NOWHERE = SimpleNamespace(unknowns=(), p=())
 
@@ -89,3 +92,16 @@ def test_of_little_evidence_fitted_and_held_out_logs_have_a_share():
     assert faint_one([trial("cogging", 0.3 * FAINT, FAINT_SHARE + 1.0)]) is None
     assert faint_one([bank, told]) is told
     assert faint_one([bank, told, more]) is more
+
+
+@pytest.mark.parametrize(
+    ("evidence", "held", "bursts", "said"),
+    [(63.0, 28.0, 0.0, True), (40.0, 28.0, 0.0, False), (63.0, 2.0, 0.0, False)]
+    + [(63.0, 28.0, BURSTS, False)],
+)
+def test_a_curve_that_explains_no_more_than_a_name_is_not_on_no_list(evidence, held, bursts, said):
+    """Between what a curve and what a first name need, a name with two numbers was "unknown"."""
+    what = Unexplained(("u",), Curve(("u",), 63.0, 27.0), Bursts(bursts, ()), beyond_names=False)
+    told = trial("drive_offset", evidence - held, held)
+    decision = Decision(None, None, rest=[told], unexplained=what)
+    assert said_by_a_name(decision) is said

@@ -18,7 +18,7 @@ from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, residual
 from dmptm_ctrl.diagnosis.tables import Tables, clock_table, tabulate
 from dmptm_ctrl.diagnosis.trace import BY_SIMULATOR, Trial, trace, unknowns_of
-from dmptm_ctrl.diagnosis.unknown import BURSTS, CURVE, Unexplained, unexplained
+from dmptm_ctrl.diagnosis.unknown import ALIKE, BURSTS, CURVE, HELD, Unexplained, unexplained
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import drive_unknowns
 from dmptm_ctrl.simulate.model import Model
@@ -211,6 +211,8 @@ def by_balances(
     if len(decision.found) == 2 and known is None:
         reconsider(decision, skip, jobs)
     decision.unexplained = remainder(decision)
+    if not decision.found and said_by_a_name(decision):
+        decision.unexplained = None  # too little for either; keeping step may tell which
     if decision.unexplained is not None and len(decision.found) == 1:
         name_instead(decision, jobs)
     if decision.unexplained is not None and decision.unexplained.beyond_names:
@@ -289,6 +291,15 @@ def remainder(decision: Decision) -> Unexplained | None:
     explained = sum(found.evidence for found in decision.found)
     leave = max([1.0, *(LEAVES.get(found.name, 1.0) for found in decision.found)])
     return unexplained(decision.before, decision.after, explained, leave=leave)
+
+
+def said_by_a_name(decision: Decision) -> bool:
+    """Whether a name that little speaks for explains nearly as much as the curve that counts."""
+    what = decision.unexplained
+    if what is None or what.curve is None or what.bursts.share >= BURSTS or what.slips > 0.0:
+        return False
+    able = [trial.evidence for trial in decision.rest if trial.held_gain > HELD]
+    return max(able, default=0.0) > ALIKE * what.curve.evidence
 
 
 def name_instead(decision: Decision, jobs: int) -> None:

@@ -96,8 +96,12 @@ def test_of_little_evidence_fitted_and_held_out_logs_have_a_share():
 
 @pytest.mark.parametrize(
     ("evidence", "held", "bursts", "said"),
-    [(63.0, 28.0, 0.0, True), (40.0, 28.0, 0.0, False), (63.0, 2.0, 0.0, False)]
-    + [(63.0, 28.0, BURSTS, False)],
+    [
+        (63.0, 28.0, 0.0, True),
+        (40.0, 28.0, 0.0, False),
+        (63.0, 2.0, 0.0, False),
+        (63.0, 28.0, BURSTS, False),
+    ],
 )
 def test_a_curve_that_explains_no_more_than_a_name_is_not_on_no_list(evidence, held, bursts, said):
     """Between what a curve and what a first name need, a name with two numbers was "unknown"."""

@@ -8,8 +8,9 @@ from dmptm_ctrl.diagnosis.decide import decide
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.diagnosis.slip import WANDERS, wandered
 from dmptm_ctrl.diagnosis.tables import HELD, KNOTS, MOTOR, narrowed, tabulate
-from dmptm_ctrl.diagnosis.unknown import WANDERS, interval, wandered
+from dmptm_ctrl.diagnosis.unknown import interval
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.lookup import CLOCK

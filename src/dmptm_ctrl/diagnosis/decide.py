@@ -296,7 +296,7 @@ def remainder(decision: Decision) -> Unexplained | None:
 def said_by_a_name(decision: Decision) -> bool:
     """Whether a name that little speaks for explains nearly as much as the curve that counts."""
     what = decision.unexplained
-    if what is None or what.curve is None or what.bursts.share >= BURSTS or what.slips > 0.0:
+    if what is None or what.curve is None or what.bursts.share >= BURSTS:
         return False
     able = [trial.evidence for trial in decision.rest if trial.held_gain > HELD]
     return max(able, default=0.0) > ALIKE * what.curve.evidence

@@ -27,6 +27,7 @@ from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.race import race
 from dmptm_ctrl.diagnosis.rattle import rattled
+from dmptm_ctrl.diagnosis.remarks import remarks
 from dmptm_ctrl.diagnosis.report import (
     Diagnosis,
     named,
@@ -51,7 +52,6 @@ from dmptm_ctrl.identify.fit import Fit, Unknown
 from dmptm_ctrl.identify.lock import DOUBTFUL, level
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.identify.segments import reversals
-from dmptm_ctrl.identify.windows import STIFFNESS
 from dmptm_ctrl.parallel import at_once, crew, small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.simulate.model import Model
@@ -186,11 +186,7 @@ def diagnosed(
         fits=(before, after),
         fitted=final,
         provenance=provenance(measured, measured.logs, seed, time.perf_counter() - start),
-        warnings=tuple(
-            dict.fromkeys(
-                (*notes, *measured.warnings, *softness(decision, final), *slipping(decision))
-            )
-        ),
+        warnings=tuple(dict.fromkeys((*notes, *measured.warnings, *remarks(decision, final)))),
         experiment=next_experiment(decision, measured.has_motor_encoders),
     )
 
@@ -463,31 +459,6 @@ def errors_of(name: str, fit: Fit) -> dict[tuple[str, str], float]:
     errors = np.sqrt(np.diag(fit.covariance))
     pairs = zip(fit.unknowns, errors, strict=True)
     return {(name, u.name): float(u.scale * e) for u, e in pairs if u.effect == name}
-
-
-def softness(decision: Decision, final: Fit) -> tuple[str, ...]:
-    """Say that there is pre-sliding in the model, where it is too little to be named."""
-    if at_rest.NAME not in final.model.effects or decision.is_found(at_rest.NAME):
-        return ()
-    if at_rest.travel(final) < at_rest.NONE:
-        return ()
-    given = np.rad2deg(at_rest.travel(final)) * 60.0
-    return (
-        f"friction gives by {given:.2g} arc-minutes of the ring gear before it slides: too little "
-        "to be named, but with it the model keeps step, and it is in the augmented model",
-    )
-
-
-def slipping(decision: Decision) -> tuple[str, ...]:
-    """Say how far flanks wander, where that is what shows that something is missing."""
-    what = decision.unexplained
-    if what is None or what.slips == 0.0:
-        return ()
-    far = np.rad2deg(what.slips / STIFFNESS) * 60.0
-    return (
-        f"a pinion's flanks wander by {far:.2g} arc-minutes within a log, which no angle and no "
-        "static load brings back: something slips between motor and ring gear",
-    )
 
 
 def refined(measured: Measured, decision: Decision, after: Fit, error: float, jobs: int) -> Fit:

@@ -16,7 +16,8 @@ from scipy.signal import lfilter
 
 from dmptm_ctrl.diagnosis.predict import speeds
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.identify.balance import SIDES, Balance, columns, loss, scatter, surprise
+from dmptm_ctrl.diagnosis.slip import SLIP, wanders
+from dmptm_ctrl.identify.balance import Balance, columns, loss, scatter, surprise
 from dmptm_ctrl.identify.motion import Motion, first_difference, smooth
 from dmptm_ctrl.identify.windows import CARRIED_SECONDS, STIFFNESS, carried, evened, frictions
 from dmptm_ctrl.parallel import in_threads
@@ -47,13 +48,7 @@ WHOLE = 0.8  # of the greatest regularity, at which a longer interval counts as 
 FINE, FINER = 0.004, 101  # share about a period in which it is looked for once more, trials
 REGULAR = 0.9  # |mean exp(2πi t/T)| of what comes by the clock; excitations differ from log to log
 RAYLEIGH = 12.0  # n R² of burst onsets folded on a period: p below 1e-5 per period tried
-# N·m of twist, 0.48′ of the pinion: on rigs of benchmarks/rigs (seeds 5501, 5601) no named effect,
-# and no lack of any, leaves half as much; a pinion that creeps on its hub three times it.
-WANDERS = 5.0
-WANDERS_SHARE = 0.1  # of the same without names, up to which a name's form is only nearly right
-STRETCHES, FEWEST = 5, 20  # of a log; windows of it, fewer tell nothing of where it was meanwhile
 FAR = 0.1  # share of the samples of free runs that count as far off
-SLIP = ("mesh_torque",)  # what makes something slip
 ONSET_GAP = 0.1  # s between bursts that count as two
 
 
@@ -468,33 +463,6 @@ def unexplained(
     if slips > 0.0 and best is None:
         variables = SLIP
     return Unexplained(tuple(dict.fromkeys(variables)), best, shots, beyond, slips)
-
-
-def wanders(before: Residual, after: Residual) -> float:
-    """Return how far a flank is from where it was, within a log [N·m of twist]; 0 where it stays.
-
-    What neither an angle nor a load brings back has slipped between motor and ring gear.
-    """
-    far = wandered(after)
-    return far if far > max(WANDERS, WANDERS_SHARE * wandered(before)) else 0.0
-
-
-def wandered(left: Residual) -> float:
-    """Range of the twist that is left, over stretches of a log, of the log where it is widest.
-
-    Of fitted and of held-out logs the smaller one; 0 without motor encoders.
-    """
-    widest = []
-    for balance in (left.balance, left.held):
-        parts = balance.missing(left.base.model)
-        chains = [
-            part
-            for e, part in zip(balance.equations, parts, strict=True)
-            if e.kind in SIDES and part.size >= FEWEST
-        ]
-        ranges = [np.ptp([np.median(s) for s in np.array_split(c, STRETCHES)]) for c in chains]
-        widest.append(float(max(ranges, default=0.0)))
-    return min(widest)
 
 
 def alike(found: Sequence[Curve], best: Curve) -> tuple[str, ...]:

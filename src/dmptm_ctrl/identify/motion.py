@@ -258,7 +258,7 @@ def shifts(rec: Record, run: Floats, model: Model) -> Floats:
     Where they are as large as the gap, z alone tells neither the flank nor what is rattle.
     """
     base, on, values = model.arrays()
-    meshes = on & at_meshes(tuple(CATALOGUE))
+    meshes = on & at_sites(tuple(CATALOGUE), ("mesh",))
     shift = np.zeros((run.shape[0], 2))
     if rec.twist is not None and meshes.any():
         torque, load = np.empty((run.shape[0], 3)), np.zeros_like(shift)
@@ -267,9 +267,9 @@ def shifts(rec: Record, run: Floats, model: Model) -> Floats:
 
 
 @cache
-def at_meshes(names: tuple[str, ...]) -> Any:
-    """Which effects move the flanks."""
-    return np.array([CATALOGUE[n].site == "mesh" for n in names], np.uint8)
+def at_sites(names: tuple[str, ...], sites: tuple[str, ...]) -> Any:
+    """Which effects act at one of some sites."""
+    return np.array([CATALOGUE[n].site in sites for n in names], np.uint8)
 
 
 def motions(

@@ -15,6 +15,7 @@ import numpy as np
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.motion import (
     Motion,
+    at_sites,
     averaged,
     odd_span,
     second_difference,
@@ -301,12 +302,7 @@ def _unneeded(names: tuple[str, ...], on: bytes) -> list[int]:
 
 def at_motors(on: Any) -> Any:
     """Which of the effects in use act on what a motor gives its shaft."""
-    return on & _at_motors(tuple(CATALOGUE))
-
-
-@cache
-def _at_motors(names: tuple[str, ...]) -> Any:
-    return np.array([CATALOGUE[n].site in MOTOR_SITES for n in names], np.uint8)
+    return on & at_sites(tuple(CATALOGUE), MOTOR_SITES)
 
 
 def loads(on: Any) -> bool:

@@ -79,7 +79,7 @@ def test_is_found_before_what_the_balances_would_call_it():
 
 def test_landings_tell_which_law_where_the_balances_are_mistaken():
     """Bristles of the ring gear alone: the balances hardly see them without motor encoders."""
-    left, _ = left_by_the_drive(510100010, ((NAME, 1.0),), "karnopp", "load", "eq21", "paper")
+    left, _ = left_by_the_drive(510100014, ((NAME, 1.0),), "karnopp", "load", "eq21", "paper")
     shown = presliding(left, 2)
     assert shown.fit.model.effects[NAME]["viscous_at_once"] == 1.0
     values = shown.fit.model.effects[NAME]

@@ -168,9 +168,9 @@ def test_who_lost_the_way_goes_on_from_the_leader():
 
 
 def test_who_begins_anew_finds_the_way_into_the_first_landings():
-    """11 mV on one motor, where friction may give as well: no step leads there."""
+    """10 mV on one motor, where friction may give as well: no step leads there."""
     name = "drive_offset"
-    rig = ((name, 0.5),), "karnopp", 200100038, "paper", "eq21", "all"
+    rig = ((name, 0.5),), "karnopp", 200100049, "paper", "eq21", "all"
     measured, left, told = measured_rig(*rig)
     (trial,) = trace(left, only=(name,))
     assert trial.evidence < FAINT

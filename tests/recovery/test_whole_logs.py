@@ -16,12 +16,12 @@ from dmptm_ctrl.identify.fit import position
 
 @pytest.fixture(scope="module")
 def plant():
-    return drawn(2)
+    return drawn(8)
 
 
 @pytest.fixture(scope="module")
 def records(plant):
-    return logged(plant, 3)
+    return logged(plant, 9)
 
 
 def test_a_refit_that_meets_logs_worse_than_its_start_is_none(plant, records):

@@ -64,6 +64,8 @@ class AtRest:
         With it; without where nothing is missing at first.
     in_step : float
         Seconds for which it keeps step where the model without it does not; 0 if neither does.
+    sticks : bool
+        Whether what is missed there is something else, beside which friction sticks.
     """
 
     gain: float
@@ -71,6 +73,7 @@ class AtRest:
     shares: tuple[float, float]
     fit: Fit
     in_step: float = 0.0
+    sticks: bool = False
 
     @property
     def evidence(self) -> float:
@@ -80,7 +83,8 @@ class AtRest:
     @property
     def gives(self) -> bool:
         """Whether a little of it helps, under a friction law of another kind."""
-        return min(self.shares) > HELPS and self.gain + self.held_gain > LEAST
+        told = min(self.shares) > HELPS and self.gain + self.held_gain > LEAST
+        return told and not self.sticks
 
     @property
     def doubtful(self) -> bool:

@@ -25,7 +25,7 @@ from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS, LEAST, WINS_SECONDS
 from dmptm_ctrl.diagnosis.landings import BY_IMPACTS
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.race import race
+from dmptm_ctrl.diagnosis.race import at_first, race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.remarks import remarks
 from dmptm_ctrl.diagnosis.report import (
@@ -281,9 +281,7 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
         return after
     start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
     if gives(decision):  # or delays and lags would do for it
-        behind = len(base.unknowns)
-        field = [replace(t, fit=at_rest.softened(t.fit, behind)) for t in field]
-        start = at_rest.softened(start, behind)
+        start, field = giving_or_not(decision, start, field, jobs)
     for found in met_by_landings(decision):
         others = (t for t in field if t.name != found.name)
         field = [replace(t, fit=with_found(t.fit, found, after.model, base)) for t in others]
@@ -300,6 +298,24 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     decision.found.append(found)
     near = replace(after, model=shown.model, horizon=shown.seconds)
     return refit(decision, jobs, near)
+
+
+def giving_or_not(
+    decision: Decision, start: BalanceFit, field: Sequence[Trial], jobs: int
+) -> tuple[BalanceFit, Sequence[Trial]]:
+    """Let friction give a little, unless some effect meets the first landings better if it sticks.
+
+    What lets the drive leave rest early, as an offset does, is missed as giving friction is.
+    """
+    behind = len(decision.after.base.unknowns)
+    softened = at_rest.softened(start, behind)
+    soft = [replace(t, fit=at_rest.softened(t.fit, behind)) for t in field]
+    records = decision.before.measured.fit
+    if at_first(records, softened, soft, jobs) <= at_first(records, start, field, jobs):
+        return softened, soft
+    if decision.at_rest is not None:
+        decision.at_rest = replace(decision.at_rest, sticks=True)
+    return start, field
 
 
 def met_by_landings(decision: Decision) -> list[Found]:

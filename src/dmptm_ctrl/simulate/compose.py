@@ -337,7 +337,7 @@ def source() -> str:
     row_chains = "\n\n\n".join(_chain(site, CATALOGUE, rows=True) for site in SITES)
     lane_chains = "\n\n\n".join(_lane_chain(site) for site in _LANE_CHAINS)
     sample_chains = "\n\n\n".join(_sample_chain(site) for site in _SAMPLE_CHAINS)
-    lanes = _body("lane_core.py")
+    lanes = _body("lane_stages_core.py")
     cut = lanes.index("\n@njit\n")  # behind the constants that the chains need
     places = "".join(
         f"VALUE_{k} = VALUES + {k} * LANES\n"  # a constant each: less arithmetic to compile
@@ -348,8 +348,8 @@ def source() -> str:
         f"{sample_chains}\n\n\n{_body('along_core.py')}\n\n"
         f"{row_chains}\n\n\n{_body('row_step_core.py')}\n\n"
         f"{slope_source(CATALOGUE, _slots())}\n\n\n{_body('bristle_core.py')}\n\n"
-        f"{_body('tangent_site_core.py')}\n\n"
-        f"{lanes[:cut]}\n{places}\n\n{lane_chains}\n\n{lanes[cut:]}"
+        f"{_body('site_change_core.py')}\n\n{_body('tangent_site_core.py')}\n\n"
+        f"{lanes[:cut]}\n{places}\n\n{lane_chains}\n\n{lanes[cut:]}\n\n{_body('lane_core.py')}"
     )
 
 

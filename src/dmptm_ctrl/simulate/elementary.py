@@ -19,8 +19,10 @@ from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
-# a·b + c rounded once, where the CPU does that; a zero's sign is nothing, so x + 0 is x
-FAST = {"contract", "nsz"}
+# A zero's sign is nothing, so x + 0 is x. No a·b + c rounded once: where the compiler does that
+# depends on what else it compiles, so that a run with code from the disk would be another one than
+# with the same code just compiled, to the last bit, and after the next bounce not only there.
+FAST = {"nsz"}
 OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "nogil": True,

@@ -1,6 +1,6 @@
 """The site chains over lanes of a drive without any effect; `compose.py` puts the catalogue's.
 
-Each chain reads rows `A` and changes rows `R` of the work array, see `lane_core.py`.
+Each chain reads rows `A` and changes rows `R` of the work array, see `lane_stages_core.py`.
 """
 
 from numba import njit

@@ -22,10 +22,11 @@ from dmptm_ctrl.diagnosis.decide import (
 )
 from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS, LEAST, WINS_SECONDS
+from dmptm_ctrl.diagnosis.giving import giving_or_not
 from dmptm_ctrl.diagnosis.landings import BY_IMPACTS
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.race import at_first, race
+from dmptm_ctrl.diagnosis.race import race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.remarks import remarks
 from dmptm_ctrl.diagnosis.report import (
@@ -280,8 +281,10 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     if after.horizon >= BESIDE_SECONDS if decision.found else keeps_step(after, measured, jobs):
         return after
     start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
-    if gives(decision):  # or delays and lags would do for it
-        start, field = giving_or_not(decision, start, field, jobs)
+    at_first = decision.at_rest
+    if at_first is not None and at_first.gives:  # or delays and lags would do for it
+        start, field, sticks = giving_or_not(measured.fit, start, field, jobs)
+        decision.at_rest = replace(at_first, sticks=sticks)
     for found in met_by_landings(decision):
         others = (t for t in field if t.name != found.name)
         field = [replace(t, fit=with_found(t.fit, found, after.model, base)) for t in others]
@@ -300,24 +303,6 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     return refit(decision, jobs, near)
 
 
-def giving_or_not(
-    decision: Decision, start: BalanceFit, field: Sequence[Trial], jobs: int
-) -> tuple[BalanceFit, Sequence[Trial]]:
-    """Let friction give a little, unless some effect meets the first landings better if it sticks.
-
-    What lets the drive leave rest early, as an offset does, is missed as giving friction is.
-    """
-    behind = len(decision.after.base.unknowns)
-    softened = at_rest.softened(start, behind)
-    soft = [replace(t, fit=at_rest.softened(t.fit, behind)) for t in field]
-    records = decision.before.measured.fit
-    if at_first(records, softened, soft, jobs) <= at_first(records, start, field, jobs):
-        return softened, soft
-    if decision.at_rest is not None:
-        decision.at_rest = replace(decision.at_rest, sticks=True)
-    return start, field
-
-
 def met_by_landings(decision: Decision) -> list[Found]:
     """Return what was found of which the balances tell nothing."""
     told = {unknown.effect for unknown in decision.after.base.unknowns}
@@ -328,11 +313,6 @@ def with_found(fit: BalanceFit, found: Found, model: Model, base: BalanceFit) ->
     """Let what was found go along with a fit, from its values in a model."""
     there = fit.model.with_effect(found.name, **model.effects[found.name])
     return at_rest.extended(fit, there, unknowns_of(found.name), LIKELY, len(base.unknowns))
-
-
-def gives(decision: Decision) -> bool:
-    """Whether friction gives a little before it slides, and not only in what is named so."""
-    return decision.at_rest is not None and decision.at_rest.gives
 
 
 def refit(decision: Decision, jobs: int, near: Fit | None = None) -> Fit:

@@ -39,7 +39,6 @@ from dmptm_ctrl.simulate.model import Floats, Model
 
 # Where all lose step after so long, it may be the way that was wrong: how many begin anew.
 WAY_SECONDS, ONCE_MORE = 0.1, 3
-FIRST = HORIZONS[:2]  # in which nobody has lost step who has the law of friction right
 TRIED = 4  # best candidates, for which other starts are tried
 BEHIND = 8.0  # cost beyond the best one's, at which it may only have missed a way
 # Seconds for which the model as it is keeps step too, from where only so many go on: those that
@@ -254,21 +253,6 @@ def race(
             last = Lap(horizon, bare.place(), tuple(runner.place() for runner in runners))
             proven |= last.proven
     return judged(last, held, jobs) if last and last.field[0].name in proven else None
-
-
-def at_first(
-    fitted: Sequence[Record], start: BalanceFit, trials: Sequence[Trial], jobs: int
-) -> float:
-    """Return what the nearest of all costs over the first hundredths of a second."""
-    known = loosened(start)
-    field = [entrant(None, start.model, start.unknowns, known, ())]
-    for trial in trials:
-        field += shaped(trial, start, known, fitted, jobs, scan=False)
-    for horizon in FIRST:
-        together(Runner.go, field, jobs, [cut(rec, horizon) for rec in fitted], jobs)
-        for runner in field:
-            runner.settle()
-    return min(runner.cost for runner in field)
 
 
 def together(action: Callable[..., None], some: Sequence[Runner], jobs: int, *args: Any) -> None:

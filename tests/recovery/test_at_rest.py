@@ -22,9 +22,11 @@ from dmptm_ctrl.diagnosis.at_rest import (
 )
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import decide, slid
+from dmptm_ctrl.diagnosis.giving import giving_or_not
 from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.trace import unknowns_of
+from dmptm_ctrl.diagnosis.trace import trace, unknowns_of
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.fit import Fit, position
 from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, march, rest
@@ -91,6 +93,20 @@ def test_landings_tell_which_law_where_the_balances_are_mistaken():
 
     assert lost(0.0) < lost(1.0)
     assert slid(left, shown, 2).base.model.effects[NAME]["viscous_at_once"] == 1.0
+
+
+@pytest.mark.parametrize(("friction", "sticking"), [("karnopp", True), ("lugre", False)])
+def test_beside_an_offset_the_nearer_law_goes_on(friction, sticking):
+    """57 mV on both motors let the drive leave rest early: pre-sliding alone helps, whatever it is."""
+    name = "drive_offset"
+    left, _ = left_by_the_drive(700100039, ((name, 3.0),), friction, "load", "eq21", "paper")
+    assert presliding(left, 2).gives
+    records = left.measured.fit
+    begun = rattled(records, left.base, left.measured.drive, 2)
+    start, (trial,), sticks = giving_or_not(records, begun, trace(left, only=(name,)), 2)
+    assert sticks == sticking
+    for fit in (start, trial.fit):
+        assert (NAME in fit.model.effects) != sticking
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])

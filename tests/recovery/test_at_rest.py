@@ -97,7 +97,7 @@ def test_landings_tell_which_law_where_the_balances_are_mistaken():
 
 @pytest.mark.parametrize(("friction", "sticking"), [("karnopp", True), ("lugre", False)])
 def test_beside_an_offset_the_nearer_law_goes_on(friction, sticking):
-    """57 mV on both motors let the drive leave rest early: pre-sliding alone helps, whatever it is."""
+    """57 mV on both motors let the drive leave rest early: pre-sliding alone helps."""
     name = "drive_offset"
     left, _ = left_by_the_drive(700100039, ((name, 3.0),), friction, "load", "eq21", "paper")
     assert presliding(left, 2).gives

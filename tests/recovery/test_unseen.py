@@ -23,6 +23,7 @@ from dmptm_ctrl.diagnosis.unknown import Curve, Unexplained
 from dmptm_ctrl.diagnosis.unseen import (
     AGEING,
     LEAST,
+    aged_at_landings,
     by_all_logs,
     names,
     stands_apart,
@@ -60,6 +61,20 @@ def test_friction_that_grows_at_rest_is_unknown_by_its_variable():
     assert curve.probability > 0.9
     # half a breakaway's age is slipped off within a few encoder counts
     assert fit.model.effects[AGEING]["slip"] == pytest.approx(2e-4, rel=0.6)
+
+
+@pytest.mark.parametrize(
+    ("effects", "friction"), [((("dwell_breakaway", 3.0),), "karnopp"), ((), "lugre")]
+)
+def test_at_landings_much_of_it_is_told_by_what_it_leaves(effects, friction):
+    """Too much for any model to keep step; another law of friction is none of it."""
+    _, left, true = fitted(620100007, effects, "all", friction)
+    base = rattled(left.measured.fit, left.base, left.measured.drive, 2)
+    found = aged_at_landings(left, base, 2, 0)
+    assert (found is not None) == bool(effects)
+    if found is not None:
+        rise = found.fit.model.effects[AGEING]["rise"]
+        assert rise == pytest.approx(true["dwell_breakaway"]["rise_N_m"], rel=0.3)
 
 
 def test_friction_that_grows_at_rest_is_tried_before_landings(monkeypatch):

@@ -153,3 +153,14 @@ def test_soft_reducers_of_next_to_no_size_have_no_name():
     rig = make_rig(610100036, (), sensors="load", **laws)
     found = diagnose([load_log(table, name=name) for name, table in rig.logs.items()])
     assert (found.verdict, found.effects) == ("none", ())
+
+
+def test_what_a_name_stands_in_for_is_unknown():
+    """Each volt's torque ripples over the motor's turn; a cogging explains it until it runs."""
+    laws = {"friction": "karnopp", "contact": "kelvin_voigt"}
+    rig = make_rig(710100007, (("torque_ripple", 1.0),), sensors="load", **laws)
+    found = diagnose([load_log(table, name=name) for name, table in rig.logs.items()])
+    assert found.ranking[0]["name"] == "cogging"
+    assert found.ranking[0]["status"] == "rejected"
+    assert found.verdict == "unknown"
+    assert found.depends_on == ("theta_m",)

@@ -100,6 +100,8 @@ class Decision:
         Name → its trial beside the declared model alone.
     rest : list of Trial
         Beside what was found; of two effects, beside the first.
+    withdrawn : list of Found
+        Names that free runs spoke against.
     """
 
     before: Residual
@@ -110,6 +112,7 @@ class Decision:
     unexplained: Unexplained | None = None
     tables: Tables | None = None
     at_rest: AtRest | None = None
+    withdrawn: list[Found] = field(default_factory=list)
 
     def is_found(self, name: str) -> bool:
         """Whether an effect was accepted."""
@@ -320,6 +323,7 @@ def withdraw(decision: Decision, jobs: int) -> None:
     """Take back the effect with the least evidence."""
     weakest = min(decision.found, key=lambda found: found.evidence)
     decision.found = [found for found in decision.found if found is not weakest]
+    decision.withdrawn.append(weakest)
     model, unknowns = decision.before.base.model, decision.before.base.unknowns
     for found in decision.found:
         values = decision.after.base.model.effects[found.name]

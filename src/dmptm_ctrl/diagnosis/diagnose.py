@@ -65,6 +65,9 @@ HELPS = 0.9
 # deg/s on held-out logs; the worst of 39 rigs that lack nothing has 0.17. No balance may
 # close so well that a model which predicts no better is right.
 ASTRAY = 0.45
+# Evidence of a name that free runs speak against, by which something is there all the same: ten
+# times what balances find on rigs that lack nothing.
+CERTAIN = 300.0
 BESIDE_SECONDS = 0.2  # for which a model with an effect keeps step that need not race for more
 WORTH_SECONDS = 0.1  # for which a model with a little pre-sliding keeps step, before a refit
 LITTLE = 0.03  # deg/s; rattle of another course moves a small error by so much
@@ -146,7 +149,11 @@ def diagnosed(
         after = in_step(decision, after, jobs, seed)
     as_any_friction(decision, after)
     nothing = not decision.found and not model.effects and decision.unexplained is None
-    if nothing and without["rmse"] > ASTRAY:
+    certain = [found for found in decision.withdrawn if found.evidence > CERTAIN]
+    if nothing and certain:  # something is there that acts as they do, and is none of them
+        effect = CATALOGUE[max(certain, key=lambda found: found.evidence).name]
+        decision.unexplained = Unexplained.without_curve(effect.depends_on)
+    elif nothing and without["rmse"] > ASTRAY:
         variables = astray(before.model, held)
         decision.unexplained = Unexplained.without_curve(variables)
     predicted = speed_error(after.model, held, jobs)

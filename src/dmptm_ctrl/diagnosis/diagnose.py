@@ -288,10 +288,10 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     if after.horizon >= BESIDE_SECONDS if decision.found else keeps_step(after, measured, jobs):
         return after
     start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
-    at_first = decision.at_rest
-    if at_first is not None and at_first.gives:  # or delays and lags would do for it
+    resting = decision.at_rest
+    if resting is not None and resting.gives:  # or delays and lags would do for it
         start, field, sticks = giving_or_not(measured.fit, start, field, jobs)
-        decision.at_rest = replace(at_first, sticks=sticks)
+        decision.at_rest = replace(resting, sticks=sticks)
     for found in met_by_landings(decision):
         others = (t for t in field if t.name != found.name)
         field = [replace(t, fit=with_found(t.fit, found, after.model, base)) for t in others]

@@ -22,7 +22,8 @@ from dmptm_ctrl.simulate import (
 )
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.slope_chains import CHAINS, deciding_fields, effect_slopes
-from dmptm_ctrl.simulate.slopes import Library, NoSlopes
+from dmptm_ctrl.simulate.slope_text import NoSlopes
+from dmptm_ctrl.simulate.slopes import Library
 
 DT = 1e-3  # s
 ULP = 1.0 + np.finfo(float).eps

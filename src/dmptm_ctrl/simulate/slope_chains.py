@@ -8,7 +8,8 @@ from typing import NamedTuple
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects.stribeck import Stribeck
 from dmptm_ctrl.simulate import core, row_step_core
-from dmptm_ctrl.simulate.slopes import Library, NoSlopes, Slopes
+from dmptm_ctrl.simulate.slope_text import NoSlopes, Slopes
+from dmptm_ctrl.simulate.slopes import Library
 
 
 class Chain(NamedTuple):

@@ -89,7 +89,8 @@ def test_kernels_of_the_catalogue(effect, data):
         data.draw(st.sampled_from(p.bank) if p.bank else between(p.low, min(p.high, 1e3)))
         for p in effect.parameters
     ]
-    c, e, q, places, looked, sure = function(*place.values(), effect.values(*numbers))
+    kept = ([*numbers[:1], *numbers], 1) if slopes.looked_in else ()
+    c, e, q, places, looked, sure = function(*place.values(), effect.values(*numbers), *kept)
     assume(sure)
     outputs = len(c)
 

@@ -146,6 +146,7 @@ _INLINE = (
         "smooth_body",
         "mesh_change",
         "mesh_own",
+        *("frictions_own", "own_of_bodies", "moved_by"),
         "law_own",
     ),
     *(
@@ -157,7 +158,7 @@ _INLINE = (
         "change_of_mesh",
         "own_of",
     ),
-    *("own_of_mesh", "friction_own", "volts_along", "load_slopes_of", "friction_slopes_of"),
+    *("own_of_mesh", "volts_along", "load_slopes_of", "friction_slopes_of"),
     "ageing_slopes_of",
     *("bristling", "bristle_change", "grown", "older_by", "sliding", "with_level"),
     *("without_level", "voltage_of", "level_of", "lagged", "law_of", "bristles_in", "law_in"),

@@ -262,7 +262,8 @@ def _moved(_: tuple[Effect, ...], *slots: int) -> NDArray[np.int64]:
     sites, ends = _known().sites, len(SITES) + 1
     found = sorted((sites[slot], j, slot) for j, slot in enumerate(slots) if slot >= 0)
     begins = [(ends + sum(site < at for site, _, _ in found), 0, 0) for at in range(ends)]
-    return np.array([*begins, *((0, j, slot) for _, j, slot in found)])
+    rows = np.array([*begins, *((0, j, slot) for _, j, slot in found)], np.int64)
+    return np.ascontiguousarray(rows.T)
 
 
 def _by_kernels(
@@ -278,13 +279,13 @@ def _by_kernels(
     loop, known = engine(), _known()
     moved = _moved(*(place.slot if place.effect else -1 for place in places))
     fixed, room = np.zeros((len(drives), loop.FIXED)), np.zeros((3, loop.STATE))
-    s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(loop.R_MOVES + len(moved))
+    s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(loop.R_MOVES + moved.shape[1])
     on, ends = rows.on.max(axis=0), len(SITES) + 1
     used = known.kinds @ on
     used[WITH_MESHES] += np.count_nonzero(bases[:, VARIED])
     kinds = (True if count else None for count in used)
     r[: loop.R_VALUES], r[loop.R_VALUES : loop.R_OWN] = on, values[0]
-    r[loop.R_MOVES + ends :] = (values[1:-1] - values[0])[tuple(moved[ends:, 1:].T)]
+    r[loop.R_MOVES + ends :] = (values[1:-1] - values[0])[tuple(moved[1:, ends:])]
     return int(
         loop.march_site_tangents(
             *given, bases, values, on, moved, steps, s, fixed, room, r, *results, *kinds

@@ -111,14 +111,30 @@ def mesh_along(x, v, x_2, v_2, side, region, varying, acting, moving, bases, r):
 
 
 @njit
+def moved_by(r, slot, first, weights):
+    """What a number of a site's effects changes by itself, moved by one."""
+    total = 0.0
+    for o in range(len(weights)):
+        total += weights[o] * r[R_OWN + (first + o) * R_NUMBERS + slot]
+    return total
+
+
+@njit
 def own_of(s, to, site, first, weights, moved, r):
     """Put what moved numbers of a site's effects change by themselves into a row."""
-    for m in range(moved[site, 0], moved[site + 1, 0]):
-        j, slot = moved[m, 1], moved[m, 2]
-        total = 0.0
-        for o in range(len(weights)):
-            total += weights[o] * r[R_OWN + (first + o) * R_NUMBERS + slot]
-        s[to + j] = total * r[R_MOVES + m]
+    for m in range(moved[0, site], moved[0, site + 1]):
+        s[to + moved[1, m]] = moved_by(r, moved[2, m], first, weights) * r[R_MOVES + m]
+
+
+@njit
+def own_of_bodies(s, to, site, weights0, weights1, weights2, moved, r):
+    """The same of the three bodies, into as many rows: where each number is, is found once."""
+    n = len(weights0)
+    for m in range(moved[0, site], moved[0, site + 1]):
+        at, slot, step = to + moved[1, m], moved[2, m], r[R_MOVES + m]
+        s[at] = moved_by(r, slot, 0, weights0) * step
+        s[at + CHANGES] = moved_by(r, slot, n, weights1) * step
+        s[at + 2 * CHANGES] = moved_by(r, slot, 2 * n, weights2) * step
 
 
 @njit
@@ -272,21 +288,21 @@ def volts_along(s, given, kept, t, side, h, acting, p, width, moved, r):
 
 
 @njit
-def friction_own(s, body, slopes, more, p, width, acting, moved, r):
-    """Put what numbers of friction's effects change by themselves into the rows of a body.
+def frictions_own(s, by0, by1, by2, more0, more1, more2, p, width, acting, moved, r):
+    """Put what numbers of friction's effects change by themselves into the rows of the bodies.
 
-    slopes, more as of `sliding`, of the speed and of the presliding friction.
+    by, more of each body as of `sliding`, of the speed and of the presliding friction.
     """
-    to, to_more = D_N0 + body * CHANGES, D_R0 + body * CHANGES
-    own_of(s, to, AT_FRICTION, 2 * body, (slopes[3], slopes[4]), moved, r)
+    levels = (by0[3], by0[4]), (by1[3], by1[4]), (by2[3], by2[4])
+    own_of_bodies(s, D_N0, AT_FRICTION, *levels, moved, r)
     if acting.ageing:
-        own_of(s, to, AT_AGEING, body, (slopes[4],), moved, r)
+        own_of_bodies(s, D_N0, AT_AGEING, (by0[4],), (by1[4],), (by2[4],), moved, r)
     if acting.presliding:
-        own_of(s, to_more, AT_FRICTION, 2 * body, (more[3], more[4]), moved, r)
-        own_of(s, to_more, AT_AGEING, body, (more[4],), moved, r)
+        levels = (more0[3], more0[4]), (more1[3], more1[4]), (more2[3], more2[4])
+        own_of_bodies(s, D_R0, AT_FRICTION, *levels, moved, r)
+        own_of_bodies(s, D_R0, AT_AGEING, (more0[4],), (more1[4],), (more2[4],), moved, r)
     if width > p:
-        grow(s, to, 1, p)
-        grow(s, to_more, 1, p)
+        grow(s, D_N0, 6, p)
 
 
 @njit

@@ -133,13 +133,35 @@ def _write_own(
     return lines
 
 
+# Of these the chain takes all bodies at once, to ask once what is in use; what each has of its own
+_OF_BODIES = {"friction": ("theta", "omega", "mesh_torque", "body"), "ageing": ("age", "body")}
+BODIES = 3
+
+
+def _of_body(text: str, k: int) -> str:
+    """Text of one body's part of a chain."""
+    own = "theta|omega|mesh_torque|age|body|level|added|c|e|[ce]_[0-9]+"
+    return re.sub(rf"\b({own})\b", rf"\1_of_{k}", text)
+
+
 def _chain(
     site: str, effects: Mapping[str, Effect], slots: Mapping[str, int], library: Library
 ) -> str:
     """Text of the slopes of a site's chain."""
-    chain = CHAINS[site]
-    lines = [f"@njit\ndef {site}_slopes_of({chain.args}, own, r):", "    sure = True"]
-    lines += [f"    {part}" for part in chain.begin.split("; ")]
+    chain, own_of_body = CHAINS[site], _OF_BODIES.get(site)
+
+    def each(*parts: str) -> list[str]:
+        """Lines for each body, or those as they are."""
+        if own_of_body is None:
+            return [*parts]
+        return [_of_body(part, k) for k in range(BODIES) for part in parts]
+
+    args = chain.args
+    if own_of_body is not None:
+        common = [name for name in args.split(", ") if name not in own_of_body]
+        args = ", ".join([*each(*own_of_body), *common])
+    lines = [f"@njit\ndef {site}_slopes_of({args}, own, r):", "    sure = True"]
+    lines += each(*(f"    {part}" for part in chain.begin.split("; ")))
     before: list[int] = []
     for index, (name, effect) in enumerate(effects.items()):
         if effect.site != site:
@@ -151,18 +173,21 @@ def _chain(
         assert slopes is not None
         first, count = slots[name], len(effect.parameters)
         values = ", ".join(f"r[R_VALUES + {first + k}]" for k in range(count))
+        kept = f", r, R_VALUES + {first}" if slopes.looked_in else ""
         lines.append(f"    if r[{index}] != 0.0:")
-        lines.append(
-            f"        c, e, q, places, looked, good = "
-            f"{slopes.name}({chain.args}, Values_{index}({values}))"
-        )
-        lines.append("        sure = sure and good")
+        part = [
+            f"c, e, q, places, looked, good = "
+            f"{slopes.name}({chain.args}, Values_{index}({values}){kept})",
+            "sure = sure and good",
+        ]
         own = _write_own(slopes, chain, site, range(first, first + count), before, index)
         if own:
-            lines += ["        if own:", *(f"            {line}" for line in own)]
-        lines += [f"        {part}" for part in chain.change.split("; ")]
+            part += ["if own:", *(f"    {line}" for line in own)]
+        part += chain.change.split("; ")
+        lines += each(*(f"        {line}" for line in part))
         before += range(first, first + count)
-    return "\n".join([*lines, f"    return {chain.result}, sure"])
+    result = chain.result if own_of_body is None else f"({chain.result})"
+    return "\n".join([*lines, f"    return {', '.join(each(result))}, sure"])
 
 
 def slope_source(effects: Mapping[str, Effect], slots: Mapping[str, int]) -> str:

@@ -38,15 +38,24 @@ def mesh_slopes_of(theta_p, omega_p, theta_L, omega_L, side, own, r):
 
 
 @njit
-def friction_slopes_of(theta, omega, t, mesh_torque, body, own, r):
-    """Level and added torque, slopes of both by angle, speed, torque; rows 2 body and the next."""
-    return (1.0, 0.0), (0.0,) * 6, True
+def friction_slopes_of(
+    theta_of_0, omega_of_0, mesh_torque_of_0, body_of_0,
+    theta_of_1, omega_of_1, mesh_torque_of_1, body_of_1,
+    theta_of_2, omega_of_2, mesh_torque_of_2, body_of_2,
+    t, own, r,
+):  # fmt: skip
+    """Of each body level and added torque, slopes of both by angle, speed, torque.
+
+    Rows 2 body and the next.
+    """
+    found = (1.0, 0.0), (0.0,) * 6
+    return found, found, found, True
 
 
 @njit
-def ageing_slopes_of(age, body, own, r):
-    """Coulomb torque added [N·m], its slope by age; row `body`."""
-    return 0.0, 0.0, True
+def ageing_slopes_of(age_of_0, body_of_0, age_of_1, body_of_1, age_of_2, body_of_2, own, r):
+    """Of each body Coulomb torque added [N·m], its slope by age; row `body`."""
+    return (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), True
 
 
 @njit

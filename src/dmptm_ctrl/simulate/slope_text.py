@@ -36,7 +36,9 @@ class Slopes(NamedTuple):
     Its text returns values; slopes by `motion`, of one value after the other; slopes by `fields`;
     positions in the record that are found while it runs; slopes by these; whether a small change
     leaves all branches as they are, that of a field in `deciding` apart. With `rests` it takes one
-    more argument for each in `motion`: whether that does not change at all.
+    more argument for each in `motion`: whether that does not change at all. For each record in
+    `looked_in` it takes two more: an array, and where in it the record begins; of many numbers
+    held as a tuple each would be fetched, to have one by its place.
     """
 
     name: str
@@ -47,6 +49,12 @@ class Slopes(NamedTuple):
     found: int
     record: str
     deciding: frozenset[tuple[str, int]]
+    looked_in: tuple[str, ...]
+
+
+def looked_up_in(record: str) -> list[str]:
+    """Return arguments by which a function finds what it looks up in a record."""
+    return [f"{record}_in", f"{record}_from"]
 
 
 def is_simple(text: str) -> bool:

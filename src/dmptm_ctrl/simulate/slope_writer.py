@@ -19,6 +19,7 @@ from dmptm_ctrl.simulate.slope_text import (
     as_float,
     far_apart,
     is_simple,
+    looked_up_in,
     row_of,
     times,
 )
@@ -39,6 +40,7 @@ class Writer:
         self.sines: dict[str, tuple[str, str]] = {}
         self.seen: set[str] = set()
         self.deciding: set[tuple[str, int]] = set()
+        self.looked_in: set[str] = set()  # records
         self.between: list[Tangents] = []  # slopes of values that others depend on
         try:
             source = textwrap.dedent(inspect.getsource(function))
@@ -72,6 +74,9 @@ class Writer:
             raise NoSlopes(f"{name} looks up in several records")
         found = max(len(self._found(duals)) for _, duals in returned)
         more = [x for x in self.rests.values() if is_simple(x)]
+        looked_in = tuple(sorted(self.looked_in))
+        for record in looked_in:
+            more += looked_up_in(record)
         text = [f"@njit\ndef {name}({', '.join(self.args + more)}):", "    sure = True"]
         for line in self.lines:
             if isinstance(line, str):
@@ -90,7 +95,7 @@ class Writer:
             text.append("    " * depth + f"return {', '.join(parts)}, sure")
         return Slopes(
             *(name, "\n".join(text), counts.pop(), self.motion, fields, found),
-            *(next(iter(found_in), ""), frozenset(self.deciding)),
+            *(next(iter(found_in), ""), frozenset(self.deciding), looked_in),
         )
 
     def _found(self, duals: list[Dual]) -> list[Any]:
@@ -334,10 +339,13 @@ class Writer:
             index: int | str = int(ast.literal_eval(place))
         except ValueError:
             index = place = self.bind(place)
-        return f"{record}[{place}]", {(record, index): "1.0"} if (
-            record,
-            index,
-        ) not in self.still else {}
+            self.looked_in.add(record)
+            array, first = looked_up_in(record)
+            text = f"{array}[{first} + {place}]"
+        else:
+            text = f"{record}[{place}]"
+        moves = (record, index) not in self.still
+        return text, {(record, index): "1.0"} if moves else {}
 
     def either(self, test: str, a: Dual, b: Dual) -> Dual:
         slopes = {
@@ -466,6 +474,9 @@ class Writer:
         self.deciding |= {(back[r], k) for r, k in inner.deciding}
         given = [duals[n][0] if n in duals else back[n] for n in names]
         given += [self.resting(duals[m][1].items()) for m in inner.motion]
+        for record in inner.looked_in:
+            given += looked_up_in(back[record])
+            self.looked_in.add(back[record])
         result = self.bind(f"{inner.name}({', '.join(given)})")
         self.emit(f"sure = sure & {result}[5]")
         places = [self.bind(f"{result}[3][{k}]") for k in range(inner.found)]

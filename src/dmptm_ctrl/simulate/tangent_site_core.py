@@ -90,7 +90,7 @@ from dmptm_ctrl.simulate.site_change_core import (
     D_U1,
     Moving,
     change_of_mesh,
-    friction_own,
+    frictions_own,
     grown,
     is_same,
     kink,
@@ -164,12 +164,12 @@ def march_site_tangents(
     """Run a drive with effects and what changes of its numbers and of theirs change.
 
     bases and values (p + 2, ...) of the run, of each change, of all the other way; on (effects,),
-    where any of these has it; moved (13 + m, 3) where each site begins, then change and number of
-    each number of an effect that is moved; s, fixed (p + 2, FIXED), room (3, STATE) zeros, room to
-    work in; r as of `slope_sites`; the last ten are None where no effect acts at a kind of sites,
-    which leaves that out of what is compiled: motors, meshes, friction, load, delay of the voltage,
-    lag, shaft, delay of a reading, age of the contacts, presliding; the rest, and what is returned,
-    as of `march_tangents`.
+    where any of these has it; moved (3, 13 + m) where each site begins, behind that the change and
+    number of each number of an effect that is moved; s, fixed (p + 2, FIXED), room (3, STATE)
+    zeros, room to work in; r as of `slope_sites`; the last ten are None where no effect acts at a
+    kind of sites, which leaves that out of what is compiled: motors, meshes, friction, load, delay
+    of the voltage, lag, shaft, delay of a reading, age of the contacts, presliding; the rest, and
+    what is returned, as of `march_tangents`.
     """
     n, p = u.shape[1], changes.shape[0]
     h = dt / substeps
@@ -245,7 +245,7 @@ def march_site_tangents(
         s[D_AGE0 + j] = aged(0.0, v0, half, fixed[1 + j, F_RENEW]) - age0
         s[D_AGE1 + j] = aged(0.0, v1, half, fixed[1 + j, F_RENEW + 1]) - age1
         s[D_AGE2 + j] = aged(0.0, v2, half, fixed[1 + j, F_RENEW + 2]) - age2
-    at = moved[1:13, 0] > moved[:12, 0]
+    at = moved[0, 1:13] > moved[0, :12]
     acting = Acting(
         *(has_drive, lagging, has_motor, has_mesh, has_friction, ageing, has_load),
         *(elastic, presliding),
@@ -432,29 +432,27 @@ def march_site_tangents(
             grown0 = grown1 = grown2 = nowhere
             aged0, aged1, aged2 = 0.0, 0.0, 0.0
             if has_friction:
-                own = moving.friction
-                c, by0, good = friction_slopes_of(x_0, s0, middle, torque0, side0, own, r)
-                level0, added0 = c
-                c, by1, fine = friction_slopes_of(x_1, s1, middle, torque1, side1, own, r)
-                level1, added1 = c
                 carried = abs(torque0) + abs(torque1)
-                c, by2, well = friction_slopes_of(x_2, s2, middle, carried, ring, own, r)
-                level2, added2 = c
-                sure = sure and good and fine and well
+                c0, c1, c2, good = friction_slopes_of(
+                    *(x_0, s0, torque0, side0, x_1, s1, torque1, side1, x_2, s2, carried, ring),
+                    *(middle, moving.friction, r),
+                )
+                (level0, added0), by0 = c0
+                (level1, added1), by1 = c1
+                (level2, added2), by2 = c2
+                sure = sure and good
                 # no torque has no direction, but in a gap there is no change of it either
                 none0 = torque0 == 0.0 and mesh_l.slopes[0] != 0.0
                 none1 = torque1 == 0.0 and mesh_r.slopes[0] != 0.0
                 level_by = abs(by2[2]) + abs(by2[5])
                 sure = sure and (level_by == 0.0 or not (none0 or none1))
             if ageing:
-                own = moving.friction
-                more, old0, good = ageing_slopes_of(age0, side0, own, r)
-                added0 += more
-                more, old1, fine = ageing_slopes_of(age1, side1, own, r)
-                added1 += more
-                more, old2, well = ageing_slopes_of(age2, ring, own, r)
-                added2 += more
-                sure = sure and good and fine and well
+                c0, c1, c2, good = ageing_slopes_of(
+                    *(age0, side0, age1, side1, age2, ring, moving.friction, r)
+                )
+                old0, old1, old2 = c0[1], c1[1], c2[1]
+                added0, added1, added2 = added0 + c0[0], added1 + c1[0], added2 + c2[0]
+                sure = sure and good
             if v0 * way0 < 0.0 or v1 * way1 < 0.0 or v2 * way2 < 0.0:
                 way0, way1, way2 = one_of(v0), one_of(v1), one_of(v2)
                 p0, p1, p2 = one_way(way0, reducer), one_way(way1, reducer), one_way(way2, bearing)
@@ -481,8 +479,6 @@ def march_site_tangents(
                     v0, s0, force0, mobility_3, reducer, p0, level0, added0
                 )
                 s_0 = sliding(f0, mobility_3)
-            if moving.friction:
-                friction_own(s, side0, s_0, more0, p, width, acting, moved, r)
             sure = sure and good
             if presliding and bristles1[0] > 0.0:
                 new1, after1, s_1, more1, good = bristling(s, side1)
@@ -491,8 +487,6 @@ def march_site_tangents(
                     v1, s1, force1, mobility_3, reducer, p1, level1, added1
                 )
                 s_1 = sliding(f1, mobility_3)
-            if moving.friction:
-                friction_own(s, side1, s_1, more1, p, width, acting, moved, r)
             sure = sure and good
             if presliding and bristles2[0] > 0.0:
                 new2, after2, s_2, more2, good = bristling(s, ring)
@@ -502,7 +496,10 @@ def march_site_tangents(
                 )
                 s_2 = sliding(f2, mobility_l)
             if moving.friction:
-                friction_own(s, ring, s_2, more2, p, width, acting, moved, r)
+                frictions_own(
+                    *(s, s_0, s_1, s_2, more0, more1, more2),
+                    *(p, width, acting, moved, r),
+                )
             sure = sure and good
             if ageing:
                 aged0, grown0, good = grown(age0, new0, h, renew0)

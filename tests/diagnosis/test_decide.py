@@ -5,6 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from dmptm_ctrl.diagnosis import decide
+from dmptm_ctrl.diagnosis.bursts import BURSTS, Bursts
+from dmptm_ctrl.diagnosis.curves import Curve
 from dmptm_ctrl.diagnosis.decide import (
     FAINT,
     FAINT_SHARE,
@@ -18,7 +20,7 @@ from dmptm_ctrl.diagnosis.decide import (
     said_by_a_name,
 )
 from dmptm_ctrl.diagnosis.trace import Trial, unknowns_of
-from dmptm_ctrl.diagnosis.unknown import BURSTS, Bursts, Curve, Unexplained
+from dmptm_ctrl.diagnosis.unknown import Unexplained
 
 NOWHERE = SimpleNamespace(unknowns=(), p=())
 

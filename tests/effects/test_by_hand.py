@@ -90,6 +90,10 @@ BY_HAND = [
     ("unknown_torque", (6.0, 0.0, 31.0, *RAMP, 50.0), (9.0, 9.0, 103.0), 6.0),
     ("unknown_torque", (6.0, 0.0, 31.0, *RAMP, 50.0), (9.0, 9.0, 98.0), 62.0),
     ("unknown_torque", (8.0, -1.55, 1.55, *RAMP, 1.0), (2.0 * pi - 1.25, -0.5, 9.0), -3.0),
+    # a wave of 4 rad: its cosine's size at the speed's place, its sine's 16 knots further
+    ("unknown_torque", (9.0, 0.0, 31.0, *RAMP, 4.0), (8.0, -3.25, 9.0), 6.5),
+    ("unknown_torque", (9.0, 0.0, 31.0, *RAMP, 4.0), (1.0, 3.25, 9.0), 38.5),
+    ("unknown_torque", (9.0, 0.0, 31.0, *RAMP, 4.0), (-1.0, 20.0, 9.0), -62.0),
     ("unknown_friction", (2.0, 0.0, 31.0, *RAMP), (9.0, 1.0, 0.5, 5.0, 2), (1.0, 1.0)),
     ("unknown_friction", (1.0, 0.0, 31.0, *RAMP), (9.0, 1.0, 0.5, 5.0, 2), (1.0, 2.0)),
     ("unknown_friction", (1.0, 0.0, 31.0, *RAMP), (9.0, 1.0, 0.5, 5.0, 1), (1.0, 0.0)),

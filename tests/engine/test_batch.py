@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.effects.lookup import BRAKING, SPEED, WIDEST
+from dmptm_ctrl.effects.lookup import BRAKING, SPEED, WAVE, WIDEST
 from dmptm_ctrl.simulate import simulate_batch
 from dmptm_ctrl.simulate.batch import BATCH_OUTPUTS, march_many
 from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, Loop, close_loop, march, observer_gains
@@ -48,7 +48,7 @@ def drawn(data, name):
         else data.draw(st.floats(max(p.low, -0.2 * p.high), 0.2 * p.high), label=p.name)
         for p in CATALOGUE[name].parameters
     }
-    if values.get("variable") in (SPEED, BRAKING):
+    if values.get("variable") in (SPEED, BRAKING, WAVE):
         # steep over a speed it drives what it should brake: any rounding grows beyond bounds
         knots = {key: 0.1 * x for key, x in values.items() if key[0] == "k"}
         values |= {"low": -WIDEST, "high": WIDEST, **knots}

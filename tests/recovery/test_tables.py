@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl import load_log
+from dmptm_ctrl.diagnosis.bursts import interval
 from dmptm_ctrl.diagnosis.decide import decide
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.slip import WANDERS, wandered
 from dmptm_ctrl.diagnosis.tables import HELD, KNOTS, MOTOR, narrowed, tabulate
-from dmptm_ctrl.diagnosis.unknown import interval
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.lookup import CLOCK
@@ -81,6 +81,23 @@ def test_both_motors_ripple_alike_each_at_its_own_angle():
     size = np.hypot(*np.linalg.lstsq(np.column_stack([np.cos(phase), np.sin(phase)]), knots)[0])
     assert size == pytest.approx(true["share"] * GAIN, rel=0.1)
     assert set(values) == {p.name for p in CATALOGUE[MOTOR].parameters}  # the report shows all
+
+
+@pytest.mark.parametrize(("seed", "sensors"), [(511, "load"), (512, "all")])
+def test_an_order_of_the_ring_gear_at_one_speed(seed, sensors):
+    """A curve over the angle knows no speed, and one over the speed no angle."""
+    decision, true = decided(seed, (("howl", 1.0),), sensors, "eq21")
+    true = true["howl"]
+    assert not decision.found
+    assert decision.unexplained.variables[:2] == ("theta_L", "omega_L")
+    values, _, knots = table_of(decision.after, "unknown_torque")
+    assert 2.0 * np.pi / values["period"] == pytest.approx(true["order"])
+    cosines, sines = np.split(knots, 2)
+    speeds = values["high"] / (KNOTS - 1) * np.arange(cosines.size)
+    sizes = np.hypot(cosines, sines)
+    assert np.rad2deg(speeds[np.argmax(sizes)]) == pytest.approx(true["speed_deg_s"], rel=0.25)
+    assert sizes.max() == pytest.approx(true["N_m"], rel=0.25)
+    assert halved(decision)
 
 
 @pytest.mark.parametrize("period", [0.3, 0.725, 1.37, 4.2])

@@ -8,6 +8,7 @@ import pytest
 
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.augment import augment
+from dmptm_ctrl.diagnosis.curves import Curve
 from dmptm_ctrl.diagnosis.decide import FIRST, Decision
 from dmptm_ctrl.diagnosis.diagnose import in_step, may_ring, met_by_landings, uncovered
 from dmptm_ctrl.diagnosis.landings import FIRST_SECONDS, PLACES_OF_ALL, landings, race_first
@@ -19,7 +20,7 @@ from dmptm_ctrl.diagnosis.report import unnamed
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.runoff import Run
 from dmptm_ctrl.diagnosis.trace import trace
-from dmptm_ctrl.diagnosis.unknown import Curve, Unexplained
+from dmptm_ctrl.diagnosis.unknown import Unexplained
 from dmptm_ctrl.diagnosis.unseen import (
     AGEING,
     LEAST,

@@ -14,11 +14,12 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.at_rest import AtRest
+from dmptm_ctrl.diagnosis.bursts import BURSTS
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, residual
 from dmptm_ctrl.diagnosis.tables import Tables, clock_table, tabulate
 from dmptm_ctrl.diagnosis.trace import BY_SIMULATOR, Trial, trace, unknowns_of
-from dmptm_ctrl.diagnosis.unknown import ALIKE, BURSTS, CURVE, HELD, Unexplained, unexplained
+from dmptm_ctrl.diagnosis.unknown import ALIKE, CURVE, HELD, Unexplained, unexplained
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import drive_unknowns
 from dmptm_ctrl.simulate.model import Model
@@ -270,7 +271,7 @@ def put_into_tables(decision: Decision, jobs: int) -> None:
     what = decision.unexplained
     assert what is not None
     curve, left = what.curve, decision.after
-    by_curve = None if curve is None else tabulate(left, curve.variables, jobs)
+    by_curve = None if curve is None else tabulate(left, curve.variables, jobs, order=curve.order)
     period = what.bursts.period
     by_clock = clock_table(left, period, jobs) if period > 0.0 else None
     told = max(one.held_gain if one else 0.0 for one in (curve, by_curve))

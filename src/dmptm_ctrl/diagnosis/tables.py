@@ -14,6 +14,7 @@ from dmptm_ctrl.effects.lookup import (
     BRAKING,
     CLOCK,
     DRAG,
+    HALF,
     KNOTS,
     LONGEST,
     PATH,
@@ -21,6 +22,7 @@ from dmptm_ctrl.effects.lookup import (
     TIME,
     TURN,
     VOLTAGE,
+    WAVE,
 )
 from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
 from dmptm_ctrl.identify.balance import BalanceFit, columns, fit_balance, scatter
@@ -43,7 +45,7 @@ HELD = 8.0  # fall of the loss on the held-out logs that a table must bring
 Plan = tuple[tuple[str, float], ...]
 PLANS: dict[tuple[str, ...], tuple[Plan, ...]] = {
     ("theta_L",): (((FRICTION, ANGLE), (TORQUE, ANGLE)), ((TORQUE, ANGLE),), ((TORQUE, DRAG),)),
-    ("theta_L", "omega_L"): (((TORQUE, DRAG),),),
+    ("theta_L", "omega_L"): (((TORQUE, DRAG),), ((TORQUE, WAVE),)),
     ("theta_L", "u"): (((MOTOR, PATH),),),
     ("theta_m", "u"): (((MOTOR, TURN),),),
     ("omega_m", "u"): (((MOTOR, BRAKING),),),
@@ -88,9 +90,15 @@ class Tables:
         return self.gain + self.held_gain
 
 
-def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | None:
-    """Fit tables over the variables of a curve beside a model; None where they do not help."""
+def tabulate(
+    left: Residual, variables: Sequence[str], jobs: int, *, order: int = 0
+) -> Tables | None:
+    """Fit tables over the variables of a curve beside a model; None where they do not help.
+
+    `order` of the ring gear's turn, of a curve that is a wave over it.
+    """
     plans = PLANS.get(tuple(variables), ())
+    plans = tuple(plan for plan in plans if order or all(over != WAVE for _, over in plan))
     if not plans:
         return None
     tried: list[dict[str, dict[str, float]]] = []
@@ -108,6 +116,8 @@ def tabulate(left: Residual, variables: Sequence[str], jobs: int) -> Tables | No
             shapes[name] = {"variable": variable, "low": low, "high": min(high, low + turn)}
             if name in (MOTOR, TORQUE):
                 shapes[name]["period"] = min(turn, LONGEST)
+            if variable == WAVE:
+                shapes[name]["period"] = 2.0 * np.pi / order
         if shapes not in tried:
             tried.append(shapes)
     fits = in_threads(
@@ -325,6 +335,8 @@ def ends(mo: Motion, variable: float) -> tuple[float, float]:
         along = mo.run[:, 2:4]
     elif variable == SPEED:
         along = mo.run[:, 1]
+    elif variable == WAVE:  # half of the table is over all speeds
+        return 0.0, float(np.abs(mo.run[:, 1]).max()) * (KNOTS - 1) / (HALF - 1)
     elif variable == VOLTAGE:
         along = mo.rec.u
     else:

@@ -20,8 +20,11 @@ ANGLE, SPEED, TIME, VOLTAGE = 0.0, 1.0, 2.0, 3.0  # values of `variable`
 # its angle in a turn of the ring gear.
 TURN, BRAKING, CLOCK, PATH = 4.0, 5.0, 6.0, 7.0
 DRAG = 8.0  # angle again, of what is multiplied by the speed
+# Speed either way, of the sizes of a wave over the angle: half of the knots are its cosine's
+WAVE = 9.0
+HALF = KNOTS // 2
 WIDEST = 60.0  # rad, rad/s, s or V: no log goes further
-# s, or a motor's rad: a period that no log comes to the end of; the time in it is that in the log
+# s, or rad: a period that no log comes to the end of; the time in it is that in the log
 LONGEST = 1e4
 
 
@@ -44,7 +47,7 @@ def table_parameters(
     """
     low, high = ends
     return (
-        Parameter("variable", "", ANGLE, DRAG, 1.0, variables),
+        Parameter("variable", "", ANGLE, WAVE, 1.0, variables),
         Parameter("low", "SI", -widest, widest, 0.02, (low,)),
         Parameter("high", "SI", -widest, widest, 0.02, (high,)),
         *(Parameter(f"k{i}", unit, -largest, largest, step) for i in range(KNOTS)),
@@ -52,7 +55,7 @@ def table_parameters(
 
 
 def period_parameter() -> Parameter:
-    """Return the period of a table over the clock, or over a motor's angle."""
+    """Return the period of a table over the clock or a motor's angle, or of a wave."""
     return Parameter("period", "SI", 0.01, LONGEST, 0.01, (0.03,))
 
 

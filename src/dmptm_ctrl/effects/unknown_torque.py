@@ -1,7 +1,10 @@
 """Unknown torque: a torque on the ring gear that a curve describes and no name explains.
 
-τ = T(x),  x one of θL, ωL, t, t in a period;  τ = ωL T(θL)
+τ = T(x),  x one of θL, ωL, t, t in a period;  τ = ωL T(θL);
+τ = A(|ωL|) cos(2π θL / period) + B(|ωL|) sin(2π θL / period)
 """
+
+from math import cos, pi, sin
 
 from numba import njit
 
@@ -10,8 +13,11 @@ from dmptm_ctrl.effects.lookup import (
     ANGLE,
     CLOCK,
     DRAG,
+    HALF,
+    KNOTS,
     SPEED,
     TIME,
+    WAVE,
     in_period,
     in_turn,
     looked_up,
@@ -23,8 +29,19 @@ from dmptm_ctrl.effects.lookup import (
 
 
 @njit
+def wave(theta, omega, p):
+    """Torque of a wave over the angle, its size over the speed."""
+    step = (p.high - p.low) / (KNOTS - 1)
+    place = p.low + min(abs(omega), (HALF - 1) * step)
+    phase = 2.0 * pi / p.period * theta
+    return looked_up(place, p) * cos(phase) + looked_up(place + HALF * step, p) * sin(phase)
+
+
+@njit
 def table_torque(theta_L, omega_L, t, p):
     """Torque on the ring gear [N·m]."""
+    if p.variable == WAVE:
+        return wave(theta_L, omega_L, p)
     x = motion_of_ring(theta_L, omega_L, t, p)
     if p.variable == CLOCK:
         x = in_period(t, p)
@@ -39,7 +56,7 @@ UNKNOWN_TORQUE = Effect(
     site="load",
     kernel=table_torque,
     parameters=(
-        *table_parameters("N·m", 100.0, 2.0, (ANGLE, SPEED, CLOCK, TIME, DRAG), (0.0, 0.02)),
+        *table_parameters("N·m", 100.0, 2.0, (ANGLE, SPEED, CLOCK, TIME, DRAG, WAVE), (0.0, 0.02)),
         period_parameter(),
     ),
     values=table_type("UnknownTorque", "period"),

@@ -1,4 +1,4 @@
-"""Curves without a name, fitted to what is left of the balances: over angle, speed, time and more."""
+"""Curves without a name, fitted to what is left of the balances: over angle, speed, time."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -21,7 +21,7 @@ from dmptm_ctrl.diagnosis.decide import (
     withdraw,
 )
 from dmptm_ctrl.diagnosis.experiment import next_experiment
-from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS, LEAST, WINS_SECONDS
+from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS, WINS_SECONDS
 from dmptm_ctrl.diagnosis.giving import giving_or_not
 from dmptm_ctrl.diagnosis.landings import BY_IMPACTS
 from dmptm_ctrl.diagnosis.measure import Measured, measure
@@ -285,7 +285,7 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
         return after
     measured, base = decision.before.measured, decision.after.base
     # beside another effect a law that is not quite the model's is not told from a faint one
-    if after.horizon >= BESIDE_SECONDS if decision.found else keeps_step(after, measured, jobs):
+    if decision.found and after.horizon >= BESIDE_SECONDS:
         return after
     start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
     resting = decision.at_rest
@@ -304,7 +304,7 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     unknowns = (*base.unknowns, *unknowns_of(shown.name))
     decision.after = residual(measured, shown.model, unknowns=unknowns, jobs=jobs)
     trial = Trial(shown.name, shown.evidence - shown.held_gain, shown.held_gain, base)
-    found = Found(shown.name, shown.evidence, LEAST, trial, (), shown.seconds)
+    found = Found(shown.name, shown.evidence, shown.threshold, trial, (), shown.seconds)
     decision.found.append(found)
     near = replace(after, model=shown.model, horizon=shown.seconds)
     return refit(decision, jobs, near)

@@ -31,6 +31,9 @@ SLIDING = ("T3c_plus", "T3c_minus")  # friction of a pinion, each way
 # Of a clearly visible effect, a winner at least: less moves the landings by a digit that any drive
 # may find. In campaigns wrong winners had 0.04 to 0.18, right ones 0.67 and more.
 SMALLEST = 0.3
+# Where the model as it is keeps step itself, its laws are the machine's: cost by which one is ahead
+# of it and of every other name there, and gain of the held-out logs.
+FAINT_LEAD, FAINT_HELD = 12.0, 8.0
 HELD_SHARE = 0.3  # of what a fitted log commonly gains, that a held-out log gains at least
 CHANCE = 0.05  # share of what one log alone gains, by which all held-out logs may miss more
 
@@ -50,6 +53,8 @@ class Raced:
         By how much the model as it is misses more, on fitted and held-out logs.
     held_gain : float
         The held-out logs' share of it.
+    threshold : float
+        Evidence that is asked for.
     """
 
     name: str
@@ -57,6 +62,7 @@ class Raced:
     seconds: float
     evidence: float
     held_gain: float
+    threshold: float = LEAST
 
 
 class Place(NamedTuple):
@@ -67,6 +73,11 @@ class Place(NamedTuple):
     p: Floats
     cost: float
     level: float
+
+    @property
+    def model(self) -> Model:
+        """The model there."""
+        return self.steps.placed(self.p)
 
     def missed(self, records: Sequence[Record], jobs: int) -> Floats:
         """Loss on each of some records."""
@@ -99,25 +110,61 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
         return None
     if not behind(bare.level, winner.level):
         return None
-    seconds = tells_for((bare, winner), held, lap.seconds, jobs)
-    parts = [[cut(rec, seconds) for rec in some] for some in (winner.steps.records, held)]
-    gains, held_gains = (bare.missed(some, jobs) - winner.missed(some, jobs) for some in parts)
+    gains, held_gains = gained(lap, held, jobs)
     gain, held_gain = bare.cost - winner.cost, float(held_gains.sum())
     if gain + held_gain < LEAST or not agree(gains, held_gains):
         return None
     margin = CLEARLY if winner.level < DOUBTFUL else MARGIN
-    near = [place for place in lap.field if place.cost < winner.cost + margin]
-    if any(place.name != winner.name for place in near):
+    if not ahead_of_others(lap, margin):
         return None  # several mend a law that is not quite the model's
-    model = winner.steps.placed(winner.p)
-    if size(model, winner.name) < SMALLEST:
+    if not large_enough(lap):
         return None
+    return Raced(winner.name, winner.model, lap.seconds, gain + held_gain, held_gain)
+
+
+def faintly(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
+    """Return who is clearly ahead where the model as it is keeps step too, if held-out logs agree.
+
+    What is too little to lose step is then worth as much as the likelihoods say.
+    """
+    winner, bare = lap.field[0], lap.bare
+    gain = bare.cost - winner.cost
+    if winner.name is None or gain < FAINT_LEAD or not ahead_of_others(lap, FAINT_LEAD):
+        return None
+    gains, held_gains = gained(lap, held, jobs)
+    held_gain = float(held_gains.sum())
+    if held_gain < FAINT_HELD or not (agree(gains, held_gains) and large_enough(lap)):
+        return None
+    evidence, threshold = gain + held_gain, FAINT_LEAD + FAINT_HELD
+    return Raced(winner.name, winner.model, lap.seconds, evidence, held_gain, threshold)
+
+
+def gained(lap: Lap, held: Sequence[Record], jobs: int) -> tuple[Floats, Floats]:
+    """What each fitted and held-out log gains for as long as held-out logs tell."""
+    winner, bare = lap.field[0], lap.bare
+    seconds = tells_for((bare, winner), held, lap.seconds, jobs)
+    parts = [[cut(rec, seconds) for rec in some] for some in (winner.steps.records, held)]
+    gains, held_gains = (bare.missed(some, jobs) - winner.missed(some, jobs) for some in parts)
+    return gains, held_gains
+
+
+def ahead_of_others(lap: Lap, margin: float) -> bool:
+    """Whether no other name, nor the model as it is, comes near the winner."""
+    winner = lap.field[0]
+    near = [place for place in lap.field if place.cost < winner.cost + margin]
+    return all(place.name == winner.name for place in near)
+
+
+def large_enough(lap: Lap) -> bool:
+    """Whether the winner is no digit that any drive may find, and no friction."""
+    winner = lap.field[0]
+    assert winner.name is not None
+    if size(winner.model, winner.name) < SMALLEST:
+        return False
     lasting = lap.seconds >= KEEPS_SECONDS and winner.level < DOUBTFUL
-    if not told_from_friction(model, winner.name) and not (
-        lasting and beyond_friction(model, winner.steps.unknowns)
-    ):
-        return None
-    return Raced(winner.name, model, lap.seconds, gain + held_gain, held_gain)
+    return told_from_friction(winner.model, winner.name) or (
+        lasting and beyond_friction(winner.model, winner.steps.unknowns)
+    )
 
 
 def tells_for(places: Sequence[Place], held: Sequence[Record], longest: float, jobs: int) -> float:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import loosened
-from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS, MARGIN, Lap, Place, Raced, judged
+from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS, MARGIN, Lap, Place, Raced, faintly, judged
 from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, tie
 from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, SATURATED, Trial, bent, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
@@ -197,7 +197,7 @@ def race(
         runner.rng = np.random.default_rng([seed, i])
     # no step from nothing finds those
     waiting = [one for one in runners if one.name is not None and bent(one.name)]
-    last, proven = None, set[str | None]()
+    last, even_so, proven = None, None, set[str | None]()
     for horizon in HORIZONS:
         records = [cut(rec, horizon) for rec in fitted]
         together(Runner.go, with_(bare, runners), jobs, records, jobs)
@@ -236,7 +236,10 @@ def race(
             hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)[:ONCE_MORE]
             together(Runner.from_the_start, hopeful, jobs, fitted, horizon, jobs)
         runners.sort(key=lambda runner: runner.cost)
-        if runners[0].level > LOST or (bare.level < DOUBTFUL and horizon >= KEEPS_SECONDS):
+        if runners[0].level > LOST:
+            break
+        if bare.level < DOUBTFUL and horizon >= KEEPS_SECONDS:
+            even_so = Lap(horizon, bare.place(), tuple(runner.place() for runner in runners))
             break
         if bare.level < UNEASY and horizon >= enough:
             return None
@@ -252,7 +255,8 @@ def race(
         if runners[0].level < UNEASY:
             last = Lap(horizon, bare.place(), tuple(runner.place() for runner in runners))
             proven |= last.proven
-    return judged(last, held, jobs) if last and last.field[0].name in proven else None
+    won = judged(last, held, jobs) if last and last.field[0].name in proven else None
+    return won if won or even_so is None else faintly(even_so, held, jobs)
 
 
 def together(action: Callable[..., None], some: Sequence[Runner], jobs: int, *args: Any) -> None:

@@ -17,6 +17,7 @@ from dmptm_ctrl.diagnosis.augment import loosened
 from dmptm_ctrl.diagnosis.decide import FAINT, FIRST
 from dmptm_ctrl.diagnosis.finish import (
     KEEPS_SECONDS,
+    LEAST,
     SMALLEST,
     Lap,
     Place,
@@ -118,6 +119,25 @@ def test_what_keeps_step_worse_than_noise_lets_it_lacks_something():
     # how large it is, other logs and a finer fit tell
     share = winner.model.effects[name]["coefficient"] / told[name]["coefficient"]
     assert 0.5 < share < 1.5
+
+
+def test_faint_one_where_the_model_as_it_is_keeps_step_too():
+    """Too little to lose step, but ahead of all others; without it no name is."""
+    name = "load_dependent_friction"
+    only = (name, "quadratic_drag", "torque_constant_mismatch")
+    for effects in (((name, 1.0),), ()):
+        measured, left, told = measured_rig(effects, "karnopp", 740100020, "paper", "eq21")
+        trials = trace(left, only=only)
+        assert max(trial.evidence for trial in trials) < FAINT
+        start = rattled(measured.fit, left.base, measured.drive, 2)
+        winner = race(measured.fit, measured.held, start, trials)
+        if not effects:
+            assert winner is None
+            continue
+        assert winner.name == name
+        assert winner.threshold < winner.evidence < LEAST
+        found = winner.model.effects[name]["coefficient"]
+        assert found == pytest.approx(told[name]["coefficient"], rel=0.25)
 
 
 @pytest.mark.parametrize(

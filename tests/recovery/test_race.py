@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "identify"))
 from test_ensemble import drawn, logged
 
 from dmptm_ctrl import load_log
+from dmptm_ctrl.diagnosis import finish
 from dmptm_ctrl.diagnosis.at_rest import softened
 from dmptm_ctrl.diagnosis.augment import loosened
 from dmptm_ctrl.diagnosis.decide import FAINT, FIRST
@@ -24,6 +25,7 @@ from dmptm_ctrl.diagnosis.finish import (
     agree,
     behind,
     beyond_friction,
+    lawfully,
     size,
     tells_for,
     told_from_friction,
@@ -272,6 +274,22 @@ def test_a_name_needs_bounces_met_as_well_as_noise_lets(laps, told):
 
     proven = [Lap(0.1, place(None, bare), (place("drive_offset", own),)) for own, bare in laps]
     assert set().union(*(lap.proven for lap in proven)) == ({"drive_offset"} if told else set())
+
+
+@pytest.mark.parametrize(
+    ("costs", "told"),
+    [
+        ({"drive_saturation": 0, "cogging": 140, None: 140}, True),  # a limit that is reached late
+        ({"drive_saturation": 0, None: 140}, True),
+        ({"drive_saturation": 0, "cogging": 50, None: 50}, False),
+        ({"thermal_drift": 0, "unbalance": 35, None: 110}, False),  # several find a part of the way
+    ],
+)
+def test_who_alone_goes_on(costs, told, monkeypatch):
+    places = {name: Place(name, None, np.zeros(0), cost, 0.2) for name, cost in costs.items()}
+    lap = Lap(0.6, places[None], tuple(places.values()))
+    monkeypatch.setattr(finish, "agreed", lambda lap, *_: lap.field[0].name)
+    assert lawfully(lap, (), 1) == (next(iter(costs)) if told else None)
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,10 @@ SMALLEST = 0.3
 # Where the model as it is keeps step itself, its laws are the machine's: cost by which one is ahead
 # of it and of every other name there, and gain of the held-out logs.
 FAINT_LEAD, FAINT_HELD = 12.0, 8.0
+# The same where it has kept step for `LAWFUL_SECONDS` and loses it then, which may be a way through
+# the bounces that was not found: another one would find more or less of it. Share of the winner's
+# lead that any other name has.
+LAWFUL_SECONDS, LAWFUL_LEAD, LAWFUL_SHARE = 0.3, 60.0, 0.3
 HELD_SHARE = 0.3  # of what a fitted log commonly gains, that a held-out log gains at least
 CHANCE = 0.05  # share of what one log alone gains, by which all held-out logs may miss more
 
@@ -93,6 +97,11 @@ class Lap(NamedTuple):
     field: tuple[Place, ...]
 
     @property
+    def lead(self) -> float:
+        """Cost by which the winner is ahead of the model as it is."""
+        return self.bare.cost - self.field[0].cost
+
+    @property
     def proven(self) -> set[str | None]:
         """Who meets all bounces here where the model as it is does not.
 
@@ -111,15 +120,16 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
     if not behind(bare.level, winner.level):
         return None
     gains, held_gains = gained(lap, held, jobs)
-    gain, held_gain = bare.cost - winner.cost, float(held_gains.sum())
-    if gain + held_gain < LEAST or not agree(gains, held_gains):
+    held_gain = float(held_gains.sum())
+    evidence = lap.lead + held_gain
+    if evidence < LEAST or not agree(gains, held_gains):
         return None
     margin = CLEARLY if winner.level < DOUBTFUL else MARGIN
     if not ahead_of_others(lap, margin):
         return None  # several mend a law that is not quite the model's
     if not large_enough(lap):
         return None
-    return Raced(winner.name, winner.model, lap.seconds, gain + held_gain, held_gain)
+    return Raced(winner.name, winner.model, lap.seconds, evidence, held_gain)
 
 
 def faintly(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
@@ -127,16 +137,34 @@ def faintly(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
 
     What is too little to lose step is then worth as much as the likelihoods say.
     """
-    winner, bare = lap.field[0], lap.bare
-    gain = bare.cost - winner.cost
-    if winner.name is None or gain < FAINT_LEAD or not ahead_of_others(lap, FAINT_LEAD):
+    if lap.lead < FAINT_LEAD or not ahead_of_others(lap, FAINT_LEAD):
         return None
+    return agreed(lap, held, FAINT_LEAD + FAINT_HELD, FAINT_HELD, jobs)
+
+
+def lawfully(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
+    """Return who alone goes on where the model as it is, and all others, lose step late.
+
+    What begins then, a limit that is reached, held-out logs need not show.
+    """
+    others = (p.cost for p in lap.field if p.name not in (None, lap.field[0].name))
+    nearest = min(others, default=np.inf) - lap.field[0].cost
+    if lap.lead < LAWFUL_LEAD or nearest < (1.0 - LAWFUL_SHARE) * lap.lead:
+        return None
+    return agreed(lap, held, LAWFUL_LEAD, -np.inf, jobs)
+
+
+def agreed(
+    lap: Lap, held: Sequence[Record], threshold: float, least: float, jobs: int
+) -> Raced | None:
+    """Return the winner of a lap, if held-out logs agree and gain no less than so much."""
     gains, held_gains = gained(lap, held, jobs)
     held_gain = float(held_gains.sum())
-    if held_gain < FAINT_HELD or not (agree(gains, held_gains) and large_enough(lap)):
+    if held_gain < least or not (agree(gains, held_gains) and large_enough(lap)):
         return None
-    evidence, threshold = gain + held_gain, FAINT_LEAD + FAINT_HELD
-    return Raced(winner.name, winner.model, lap.seconds, evidence, held_gain, threshold)
+    won = lap.field[0]
+    assert won.name is not None
+    return Raced(won.name, won.model, lap.seconds, lap.lead + held_gain, held_gain, threshold)
 
 
 def gained(lap: Lap, held: Sequence[Record], jobs: int) -> tuple[Floats, Floats]:

@@ -15,7 +15,17 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import loosened
-from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS, MARGIN, Lap, Place, Raced, faintly, judged
+from dmptm_ctrl.diagnosis.finish import (
+    KEEPS_SECONDS,
+    LAWFUL_SECONDS,
+    MARGIN,
+    Lap,
+    Place,
+    Raced,
+    faintly,
+    judged,
+    lawfully,
+)
 from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, tie
 from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, SATURATED, Trial, bent, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
@@ -197,7 +207,8 @@ def race(
         runner.rng = np.random.default_rng([seed, i])
     # no step from nothing finds those
     waiting = [one for one in runners if one.name is not None and bent(one.name)]
-    last, even_so, proven = None, None, set[str | None]()
+    last, even_so, outrun, proven = None, None, None, set[str | None]()
+    kept = 0.0  # seconds for which the model as it is keeps step
     for horizon in HORIZONS:
         records = [cut(rec, horizon) for rec in fitted]
         together(Runner.go, with_(bare, runners), jobs, records, jobs)
@@ -238,7 +249,8 @@ def race(
         runners.sort(key=lambda runner: runner.cost)
         if runners[0].level > LOST:
             break
-        if bare.level < DOUBTFUL and horizon >= KEEPS_SECONDS:
+        kept = horizon if bare.level < DOUBTFUL else kept
+        if kept == horizon and horizon >= KEEPS_SECONDS:
             even_so = Lap(horizon, bare.place(), tuple(runner.place() for runner in runners))
             break
         if bare.level < UNEASY and horizon >= enough:
@@ -255,8 +267,12 @@ def race(
         if runners[0].level < UNEASY:
             last = Lap(horizon, bare.place(), tuple(runner.place() for runner in runners))
             proven |= last.proven
+            if LAWFUL_SECONDS <= kept < horizon and runners[0].level < DOUBTFUL:
+                outrun = last
     won = judged(last, held, jobs) if last and last.field[0].name in proven else None
-    return won if won or even_so is None else faintly(even_so, held, jobs)
+    if won is None and even_so is not None:
+        return faintly(even_so, held, jobs)
+    return won if won or outrun is None else lawfully(outrun, held, jobs)
 
 
 def together(action: Callable[..., None], some: Sequence[Runner], jobs: int, *args: Any) -> None:

@@ -56,7 +56,7 @@ UNKNOWN_TORQUE = Effect(
     site="load",
     kernel=table_torque,
     parameters=(
-        *table_parameters("N·m", 100.0, 2.0, (ANGLE, SPEED, CLOCK, TIME, DRAG, WAVE), (0.0, 0.02)),
+        *table_parameters("N·m", 100.0, 2.0, (ANGLE, SPEED, WAVE, CLOCK, TIME, DRAG), (0.0, 0.02)),
         period_parameter(),
     ),
     values=table_type("UnknownTorque", "period"),

@@ -15,7 +15,7 @@ from dmptm_ctrl.parallel import small_matrices
 def test_what_shows_after_the_model_as_it_is_has_kept_step_for_long():
     """A friction by load that free runs tell, and the first 0.6 s of the logs do not."""
     name = "load_dependent_friction"
-    rig = ((name, 1.0),), "karnopp", 330100032, "paper", "eq21"
+    rig = ((name, 1.0),), "karnopp", 330100035, "paper", "eq21"
     measured, left, told = measured_rig(*rig)
     trials = trace(left, only=(name, "torque_constant_mismatch"))
     assert max(trial.evidence for trial in trials) < FIRST

@@ -49,6 +49,14 @@ class Curve:
     order: int = 0
 
 
+class Group(NamedTuple):
+    """A curve to try, as its knots show in the balances."""
+
+    variables: tuple[str, ...]
+    order: int
+    parts: list[Floats]
+
+
 class Basis(NamedTuple):
     """A curve to try.
 
@@ -201,21 +209,22 @@ def bases(mo: Motion, s: Scale) -> Iterator[Basis]:
         yield Basis(("theta_L",), *shifts(round_hats(theta, 24), round_hats(theta, 24)))
 
 
-def group_parts(balance: Balance, scale: Scale) -> list[tuple[tuple[str, ...], int, list[Floats]]]:
-    """Variables and order of every curve, and its columns (w, k) per equation."""
+def groups_of(balance: Balance, scale: Scale) -> list[Group]:
+    """Every curve with its columns (w, k) per equation."""
 
-    def one(mo: Motion) -> list[tuple[tuple[str, ...], int, list[Floats]]]:
+    def means(mo: Motion) -> list[Group]:
         return [
-            (b.variables, b.order, [mo.mean(x) for x in (*b.pinions, b.ring, *b.shifts)])
+            Group(b.variables, b.order, [mo.mean(x) for x in (*b.pinions, b.ring, *b.shifts)])
             for b in bases(mo, scale)
         ]
 
-    made = in_threads(one, balance.motions, balance.jobs)
-    columns_of = [
-        [signs(e.kind, made[e.motion][g][2], e.used) for e in balance.equations]
-        for g in range(len(made[0]))
+    made = in_threads(means, balance.motions, balance.jobs)
+    return [
+        group._replace(
+            parts=[signs(e.kind, made[e.motion][g].parts, e.used) for e in balance.equations]
+        )
+        for g, group in enumerate(made[0])
     ]
-    return [(*curve[:2], parts) for curve, parts in zip(made[0], columns_of, strict=True)]
 
 
 def signs(kind: str, rows: Sequence[Floats], used: np.ndarray) -> Floats:
@@ -235,8 +244,7 @@ def signs(kind: str, rows: Sequence[Floats], used: np.ndarray) -> Floats:
 def curves(left: Residual) -> list[Curve]:
     """Evidence of every curve beside the model of `left`, best first."""
     scale = scale_of(left.balance.motions)
-    fitted = group_parts(left.balance, scale)
-    judged = group_parts(left.held, scale)
+    fitted, judged = groups_of(left.balance, scale), groups_of(left.held, scale)
     base = left.base
     w = base.weights
     held_parts = left.held.missing(base.model)
@@ -246,9 +254,9 @@ def curves(left: Residual) -> list[Curve]:
     own = w[:, None] * base.jacobian
     used = freedom(own.T @ own, prior)
 
-    def told(group: tuple[tuple[tuple[str, ...], int, list[Floats]], list[Floats]]) -> Curve:
-        (variables, order, parts), held = group
-        g = np.concatenate(parts)
+    def told(both_of: tuple[Group, Group]) -> Curve:
+        group, held = both_of
+        g = np.concatenate(group.parts)
         both = np.hstack([base.jacobian, g])
         weighted = w[:, None] * both
         ridge = np.concatenate([prior, np.full(g.shape[1], RIDGE**-2)])
@@ -257,13 +265,13 @@ def curves(left: Residual) -> list[Curve]:
         step = np.linalg.solve(normal + np.diag(ridge), -(weighted.T @ (w * base.missing)) - pull)
         moved = split(base.missing + both @ step, base.parts)
         after = loss(moved, base.kinds, base.unknowns, base.p + step[: prior.size])
-        there = known + np.hstack([held_jac, np.concatenate(held)]) @ step
+        there = known + np.hstack([held_jac, np.concatenate(held.parts)]) @ step
         held_gain = left.held_base - surprise(split(there, held_parts), left.held.kinds)
         price = 2.0 * (freedom(normal, ridge) - used)
-        return Curve(variables, base.loss - after + held_gain - price, held_gain, order)
+        evidence = base.loss - after + held_gain - price
+        return Curve(group.variables, evidence, held_gain, group.order)
 
-    groups = [(one, held) for one, (*_, held) in zip(fitted, judged, strict=True)]
-    found = in_threads(told, groups, left.balance.jobs)
+    found = in_threads(told, list(zip(fitted, judged, strict=True)), left.balance.jobs)
     return sorted(found, key=lambda c: -c.evidence)
 
 

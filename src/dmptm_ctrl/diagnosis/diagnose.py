@@ -276,7 +276,7 @@ def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log],
 
 
 def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
-    """Add an effect that the balances do not see, but without which no bounce is met.
+    """Add an effect that the balances do not see, but free runs from rest do.
 
     What has been found and the balances do not see either runs along, of any size.
     """

@@ -119,17 +119,11 @@ def judged(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:
         return None
     if not behind(bare.level, winner.level):
         return None
-    gains, held_gains = gained(lap, held, jobs)
-    held_gain = float(held_gains.sum())
-    evidence = lap.lead + held_gain
-    if evidence < LEAST or not agree(gains, held_gains):
-        return None
     margin = CLEARLY if winner.level < DOUBTFUL else MARGIN
     if not ahead_of_others(lap, margin):
         return None  # several mend a law that is not quite the model's
-    if not large_enough(lap):
-        return None
-    return Raced(winner.name, winner.model, lap.seconds, evidence, held_gain)
+    won = agreed(lap, held, LEAST, -np.inf, jobs)
+    return won if won and won.evidence >= LEAST else None
 
 
 def faintly(lap: Lap, held: Sequence[Record], jobs: int) -> Raced | None:

@@ -251,7 +251,7 @@ def race(
             break
         kept = horizon if bare.level < DOUBTFUL else kept
         if kept == horizon and horizon >= KEEPS_SECONDS:
-            even_so = Lap(horizon, bare.place(), tuple(runner.place() for runner in runners))
+            even_so = lap_of(horizon, bare, runners)
             break
         if bare.level < UNEASY and horizon >= enough:
             return None
@@ -265,14 +265,16 @@ def race(
         for runner in with_(bare, runners):
             runner.settle()
         if runners[0].level < UNEASY:
-            last = Lap(horizon, bare.place(), tuple(runner.place() for runner in runners))
+            last = lap_of(horizon, bare, runners)
             proven |= last.proven
             if LAWFUL_SECONDS <= kept < horizon and runners[0].level < DOUBTFUL:
                 outrun = last
     won = judged(last, held, jobs) if last and last.field[0].name in proven else None
     if won is None and even_so is not None:
-        return faintly(even_so, held, jobs)
-    return won if won or outrun is None else lawfully(outrun, held, jobs)
+        won = faintly(even_so, held, jobs)
+    elif won is None and outrun is not None:
+        won = lawfully(outrun, held, jobs)
+    return won
 
 
 def together(action: Callable[..., None], some: Sequence[Runner], jobs: int, *args: Any) -> None:
@@ -282,6 +284,11 @@ def together(action: Callable[..., None], some: Sequence[Runner], jobs: int, *ar
     """
     some = sorted(some, key=lambda runner: -len(runner.places))
     in_threads(lambda runner: action(runner, *args), some, jobs)
+
+
+def lap_of(seconds: float, bare: Runner, field: Sequence[Runner]) -> Lap:
+    """Return where all are after a horizon."""
+    return Lap(seconds, bare.place(), tuple(runner.place() for runner in field))
 
 
 def with_(bare: Runner, field: Sequence[Runner]) -> list[Runner]:

@@ -70,6 +70,9 @@ CHAINS: dict[str, Chain] = {
         *("c_0 += c[0]; e_0 += e[0]; e_1 += e[1]", "c_0, (e_0, e_1)", "0"),
     ),
 }
+# Of these the chain takes all bodies at once, to ask once what is in use; what each has of its own
+_OF_BODIES = {"friction": ("theta", "omega", "mesh_torque", "body"), "ageing": ("age", "body")}
+_BODIES = 3
 _ROWS = 8  # of slopes by numbers: most values that a site has, of all its sides or bodies
 _OUTPUTS = {"drive": 1, "lag": 2, "motor": 1, "mesh": 4, "friction": 2, "ageing": 1, "load": 1}
 
@@ -133,11 +136,6 @@ def _write_own(
     return lines
 
 
-# Of these the chain takes all bodies at once, to ask once what is in use; what each has of its own
-_OF_BODIES = {"friction": ("theta", "omega", "mesh_torque", "body"), "ageing": ("age", "body")}
-BODIES = 3
-
-
 def _of_body(text: str, k: int) -> str:
     """Text of one body's part of a chain."""
     own = "theta|omega|mesh_torque|age|body|level|added|c|e|[ce]_[0-9]+"
@@ -154,7 +152,7 @@ def _chain(
         """Lines for each body, or those as they are."""
         if own_of_body is None:
             return [*parts]
-        return [_of_body(part, k) for k in range(BODIES) for part in parts]
+        return [_of_body(part, k) for k in range(_BODIES) for part in parts]
 
     args = chain.args
     if own_of_body is not None:

@@ -433,13 +433,13 @@ def march_site_tangents(
             aged0, aged1, aged2 = 0.0, 0.0, 0.0
             if has_friction:
                 carried = abs(torque0) + abs(torque1)
-                c0, c1, c2, good = friction_slopes_of(
+                found0, found1, found2, good = friction_slopes_of(
                     *(x_0, s0, torque0, side0, x_1, s1, torque1, side1, x_2, s2, carried, ring),
                     *(middle, moving.friction, r),
                 )
-                (level0, added0), by0 = c0
-                (level1, added1), by1 = c1
-                (level2, added2), by2 = c2
+                (level0, added0), by0 = found0
+                (level1, added1), by1 = found1
+                (level2, added2), by2 = found2
                 sure = sure and good
                 # no torque has no direction, but in a gap there is no change of it either
                 none0 = torque0 == 0.0 and mesh_l.slopes[0] != 0.0
@@ -447,11 +447,11 @@ def march_site_tangents(
                 level_by = abs(by2[2]) + abs(by2[5])
                 sure = sure and (level_by == 0.0 or not (none0 or none1))
             if ageing:
-                c0, c1, c2, good = ageing_slopes_of(
+                found0, found1, found2, good = ageing_slopes_of(
                     *(age0, side0, age1, side1, age2, ring, moving.friction, r)
                 )
-                old0, old1, old2 = c0[1], c1[1], c2[1]
-                added0, added1, added2 = added0 + c0[0], added1 + c1[0], added2 + c2[0]
+                old0, old1, old2 = found0[1], found1[1], found2[1]
+                added0, added1, added2 = added0 + found0[0], added1 + found1[0], added2 + found2[0]
                 sure = sure and good
             if v0 * way0 < 0.0 or v1 * way1 < 0.0 or v2 * way2 < 0.0:
                 way0, way1, way2 = one_of(v0), one_of(v1), one_of(v2)

@@ -25,6 +25,7 @@ from dmptm_ctrl.diagnosis.finish import (
     agree,
     behind,
     beyond_friction,
+    faintly,
     lawfully,
     size,
     tells_for,
@@ -290,6 +291,23 @@ def test_who_alone_goes_on(costs, told, monkeypatch):
     lap = Lap(0.6, places[None], tuple(places.values()))
     monkeypatch.setattr(finish, "agreed", lambda lap, *_: lap.field[0].name)
     assert lawfully(lap, (), 1) == (next(iter(costs)) if told else None)
+
+
+@pytest.mark.parametrize(
+    ("gains", "told"),
+    [
+        ((2.9, 2.9, 3.5, 1.0, 5.0, 1.3), True),  # friction that grows with the load, a little
+        ((0.8, -0.2, 32.5, 0.2, 2.0, 0.0), False),  # a bounce that one of two models missed
+    ],
+)
+def test_a_faint_one_is_told_by_more_than_one_log(gains, told, monkeypatch):
+    name = "load_dependent_friction"
+    places = [Place(n, None, np.zeros(0), c, 0.2) for n, c in ((name, 0.0), (None, sum(gains)))]
+    monkeypatch.setattr(finish, "gained", lambda *_: (np.array(gains), np.array([11, 19, 2, 1])))
+    monkeypatch.setattr(finish, "large_enough", lambda _: True)
+    monkeypatch.setattr(Place, "model", None)
+    won = faintly(Lap(0.6, places[1], tuple(places)), (), 1)
+    assert (won is not None) == told
 
 
 @pytest.mark.parametrize(

@@ -226,9 +226,11 @@ def race(
             else:
                 together(Runner.closer, some, jobs, 1)
         runners.sort(key=lambda runner: runner.cost)
-        behind = [one for one in with_(bare, runners) if one.cost > runners[0].cost + BEHIND]
+        # the model as it is may be ahead after it has dropped out
+        first = min(with_(bare, runners), key=lambda runner: runner.cost)
+        behind = [one for one in with_(bare, runners) if one.cost > first.cost + BEHIND]
         others = [runner for runner in behind if runner is not bare]
-        together(Runner.crosses, others, jobs, runners[:1], len(bare.unknowns))
+        together(Runner.crosses, others, jobs, [first], len(bare.unknowns))
         if bare in behind:
             # each of the others may have found the way that is right for the model as it is
             bare.crosses([r for r in runners if r is not bare], len(bare.unknowns))

@@ -17,6 +17,7 @@ from dmptm_ctrl.identify.experiments_validation import (
     misfit,
     score,
     speed_on,
+    speeds_on,
 )
 from dmptm_ctrl.reproduce.items import RIG_LOOP
 from dmptm_ctrl.signals import load_logs
@@ -82,6 +83,21 @@ def test_simulated_experiment_is_its_own_best_score(campaign):
             name, log.time, {**log.channels, "omega_L": speed_on(model, log, RIG_LOOP)}
         )
         assert misfit(model.drive, [again], RIG_LOOP) == 0.0
+
+
+def test_many_models_run_as_each_does(campaign):
+    """Until rounding has grown, through open and closed loop and from each model's own rest."""
+    models = [
+        Model(paper_drive().with_values(J_L=j, gap_l=g)) for j, g in ((3.0, 0.002), (5, 0.004))
+    ]
+    for name in ("open_sine_0v75", "closed_sine_15"):
+        log = campaign[name]
+        together = speeds_on(models, log, RIG_LOOP)
+        for model, speed in zip(models, together, strict=True):
+            alone = speed_on(model, log, RIG_LOOP)
+            first = log.time < 0.3
+            np.testing.assert_allclose(speed[first], alone[first], atol=1e-9)
+            assert np.std(alone[first]) > 1e-3
 
 
 @pytest.fixture(scope="module")

@@ -32,17 +32,10 @@ from dmptm_ctrl.diagnosis.finish import (
     told_from_friction,
 )
 from dmptm_ctrl.diagnosis.measure import measure
-from dmptm_ctrl.diagnosis.race import (
-    BEHIND,
-    SCAN,
-    SCATTER_SECONDS,
-    beside,
-    entrant,
-    race,
-    shaped,
-)
+from dmptm_ctrl.diagnosis.race import BEHIND, SCATTER_SECONDS, race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.diagnosis.runners import SCAN, beside, entrant, shaped
 from dmptm_ctrl.diagnosis.trace import trace, unknowns_of
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects.torque_constant_mismatch import OPPOSITE

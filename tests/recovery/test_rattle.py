@@ -8,7 +8,6 @@ import pytest
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.race import meshes_from
 from dmptm_ctrl.diagnosis.rattle import (
     bands,
     fed_back,
@@ -18,6 +17,7 @@ from dmptm_ctrl.diagnosis.rattle import (
     tie,
 )
 from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.diagnosis.runners import meshes_from
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.records import record
 from dmptm_ctrl.simulate.model import Model

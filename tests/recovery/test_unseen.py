@@ -14,10 +14,10 @@ from dmptm_ctrl.diagnosis.diagnose import in_step, may_ring, met_by_landings, un
 from dmptm_ctrl.diagnosis.landings import FIRST_SECONDS, PLACES_OF_ALL, landings, race_first
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.race import Runner
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import unnamed
 from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.diagnosis.runners import Runner
 from dmptm_ctrl.diagnosis.runoff import Run
 from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.diagnosis.unknown import Unexplained

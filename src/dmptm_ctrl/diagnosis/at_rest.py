@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import widened
-from dmptm_ctrl.diagnosis.race import entrant
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
+from dmptm_ctrl.diagnosis.runners import entrant
 from dmptm_ctrl.diagnosis.runoff import Run, lost, run, starts
 from dmptm_ctrl.diagnosis.trace import unknowns_of
 from dmptm_ctrl.effects import CATALOGUE

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from dmptm_ctrl.diagnosis.at_rest import softened
 from dmptm_ctrl.diagnosis.augment import loosened
-from dmptm_ctrl.diagnosis.race import Runner, entrant, shaped, together
+from dmptm_ctrl.diagnosis.runners import Runner, entrant, shaped, together
 from dmptm_ctrl.diagnosis.trace import Trial
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.lock import HORIZONS, cut

@@ -14,8 +14,8 @@ import numpy as np
 from dmptm_ctrl.diagnosis.at_rest import sized
 from dmptm_ctrl.diagnosis.augment import loosened
 from dmptm_ctrl.diagnosis.local_gaps import VARYING, waves_of_gaps
-from dmptm_ctrl.diagnosis.race import Runner, beside, entrant, together
 from dmptm_ctrl.diagnosis.residual import Residual
+from dmptm_ctrl.diagnosis.runners import Runner, beside, entrant, together
 from dmptm_ctrl.diagnosis.runoff import Run, run, starts
 from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, WITHOUT_TWIST, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE

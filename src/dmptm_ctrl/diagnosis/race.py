@@ -7,10 +7,8 @@ than the best drop out. An effect that keeps step alone, for long, is there, how
 torque. On a machine with other laws of friction or contact none does.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import product
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,32 +18,16 @@ from dmptm_ctrl.diagnosis.finish import (
     LAWFUL_SECONDS,
     MARGIN,
     Lap,
-    Place,
     Raced,
     faintly,
     judged,
     lawfully,
 )
-from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, tie
-from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, SATURATED, Trial, bent, unknowns_of
-from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.diagnosis.runners import Runner, entrant, shaped, together
+from dmptm_ctrl.diagnosis.trace import Trial, bent
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
-from dmptm_ctrl.identify.lock import (
-    DOUBTFUL,
-    HORIZONS,
-    LOST,
-    ROUGH,
-    TINY,
-    UNEASY,
-    Seeker,
-    Steps,
-    cut,
-    walk,
-)
+from dmptm_ctrl.identify.lock import DOUBTFUL, HORIZONS, LOST, UNEASY, cut
 from dmptm_ctrl.identify.records import Record
-from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.model import Floats, Model
 
 # Where all lose step after so long, it may be the way that was wrong: how many begin anew.
 WAY_SECONDS, ONCE_MORE = 0.1, 3
@@ -55,123 +37,174 @@ BEHIND = 8.0  # cost beyond the best one's, at which it may only have missed a w
 # balances and bounces together speak for.
 EVEN_SECONDS, MANY = 0.15, 8
 # Seconds by which landings tell so much that a first way into them may be wrong; how many of the
-# best, by balances and by cost, begin anew from places drawn at random then, and closer in how
-# many rounds.
-SCATTER_SECONDS, SCATTERED, ROUNDS = 0.05, 3, 2
-SIZES = (1.0, -1.0, 4.0, -4.0)  # of each amplitude, in its step, where who stayed behind begins
-SIZED = 3  # of these, from which who joins late begins
-# Shapes that are no slope, all tried: (seconds of each log, steps of a fit, how many go on).
-SCAN = ((0.03, 2, 32), (0.05, 4, 12), (0.07, 4, 6), (0.1, 6, 4))
-SHAPE_WIDTH = 10.0  # steps of a shape, about the value that the balances like best
+# best, by balances and by cost, begin anew from places drawn at random then.
+SCATTER_SECONDS, SCATTERED = 0.05, 3
 
 
-@dataclass(eq=False)
-class Runner(Seeker):
-    """A candidate, or the model as it is, on its way.
+@dataclass
+class Field:
+    """Who still runs, and what the laps so far have told.
 
     Attributes
     ----------
-    name : str or None
-        None for the model as it is.
-    told : float
-        Evidence of the balances for it.
-    wave : int
-        How many amplitudes over an angle it has behind the drive's own values.
-    alone : bool
-        Whether it may still try to go alone from the start.
+    bare : Runner
+        The model as it is; it goes on after it has dropped out.
+    runners : list of Runner
+        Those in the field.
+    waiting : list of Runner
+        Those that join when the model as it is loses step.
+    last, even_so, outrun : Lap or None
+        The last that someone has met; the one by which the model as it is keeps step for good;
+        the one in which it has lost it late.
+    proven : set of str
+        Names that have met a lap that the model as it is has not.
+    kept : float
+        Seconds for which the model as it is keeps step.
     """
 
-    name: str | None = None
-    told: float = 0.0
-    wave: int = 0
-    alone: bool = True
+    bare: Runner
+    runners: list[Runner]
+    waiting: list[Runner]
+    jobs: int
+    last: Lap | None = None
+    even_so: Lap | None = None
+    outrun: Lap | None = None
+    proven: set[str | None] = field(default_factory=set)
+    kept: float = 0.0
 
-    def from_place_of(self, other: "Runner") -> None:
-        """Try the values of one with an effect, without it: a start may be all that it had ahead.
+    @property
+    def all(self) -> list[Runner]:
+        """The field, and the model as it is beside it."""
+        return [*self.runners, *([] if self.bare in self.runners else [self.bare])]
 
-        Its own unknowns are behind those of the model as it is.
-        """
-        self.pursue(other.places[0][: len(self.unknowns)])
+    def sort(self) -> None:
+        """Let the best come first."""
+        self.runners.sort(key=lambda runner: runner.cost)
 
-    def crosses(self, others: Sequence["Runner"], common: int) -> None:
-        """Go on from the best of others' values of the drive, with the own effect or none.
+    @property
+    def level(self) -> float:
+        """Lowest of the field's."""
+        return min(runner.level for runner in self.runners)
 
-        Another's effect may be wrong where the way that it found through the bounces is not.
-        """
-        nothing = position(self.model, self.unknowns)
-        owns = [own[common:] for own in (self.places[0], nothing)]
-        starts = [
-            np.clip(
-                np.concatenate([other.places[0][:common], own]), self.steps.low, self.steps.high
-            )
-            for other in others
-            for own in (owns if owns[0].size else owns[:1])
-        ]
-        costs = self.steps.costs(self.steps.residuals(starts), starts)
-        if costs.min() < self.cost:
-            self.pursue(starts[int(np.argmin(costs))])
+    def lap(self, horizon: float, fitted: Sequence[Record], enough: float) -> bool:
+        """Run a lap of so many seconds; whether there is another one to run."""
+        records = [cut(rec, horizon) for rec in fitted]
+        together(Runner.go, self.all, self.jobs, records, self.jobs)
+        self.late_ones_join(records)
+        self.begin_anew(horizon, records)
+        self.cross()
+        even = horizon >= EVEN_SECONDS
+        late = self.look_around(even)
+        if even and not self.proven and self.level > UNEASY:
+            return False  # who has never met all bounces does not win, and none is near
+        self.start_again(horizon, fitted, late)
+        self.sort()
+        if self.runners[0].level > LOST:
+            return False
+        self.kept = horizon if self.bare.level < DOUBTFUL else self.kept
+        if self.kept == horizon and horizon >= KEEPS_SECONDS:
+            self.even_so = self.after(horizon)
+            return False
+        if self.bare.level < UNEASY and horizon >= enough:
+            self.last = self.outrun = None
+            return False
+        self.drop_out(horizon)
+        if self.runners[0].level < UNEASY:
+            self.last = self.after(horizon)
+            self.proven |= self.last.proven
+            if LAWFUL_SECONDS <= self.kept < horizon and self.runners[0].level < DOUBTFUL:
+                self.outrun = self.last
+        return True
 
-    def joins(self, bare: "Runner", records: Sequence[Record], jobs: int) -> bool:
-        """Start anew from where the model as it is is, if some size of the effect misses less.
+    def late_ones_join(self, records: Sequence[Record]) -> None:
+        """Let those that wait join where the model as it is loses step."""
+        if not self.waiting or self.bare.level <= UNEASY:
+            return
+        joined = [one for one in self.waiting if one.joins(self.bare, records, self.jobs)]
+        together(Runner.go, joined, self.jobs, records, self.jobs)
+        self.runners, self.waiting = [*dict.fromkeys((*self.runners, *joined))], []
 
-        What acts at the first reversal only has told nothing before it.
-        """
-        n = len(bare.unknowns)
-        own = self.places[0][n:]
-        drawn = [np.concatenate([bare.places[0], x]) for x in (own, *self.sizes(own, records))]
-        steps = self.prepared(records, jobs, None)
-        costs = steps.costs(steps.residuals(drawn), drawn)
-        best = np.argsort(costs)[:SIZED]
-        self.places = [np.clip(drawn[i], steps.low, steps.high) for i in best]
-        return bool(costs[best[0]] < bare.cost)
+    def begin_anew(self, horizon: float, records: Sequence[Record]) -> None:
+        """Draw places at random for some, where no one meets the first landings well."""
+        if self.level <= DOUBTFUL or not SCATTER_SECONDS <= horizon <= WAY_SECONDS:
+            return
+        told = sorted(self.runners, key=lambda runner: -runner.told)[:SCATTERED]
+        ahead = sorted(self.runners, key=lambda runner: runner.cost)[:SCATTERED]
+        some = [*dict.fromkeys((*told, *ahead))]
+        some += [] if self.bare in some else [self.bare]
+        if horizon == SCATTER_SECONDS:
+            together(Runner.scatters, some, self.jobs, records, self.jobs)
+        else:
+            together(Runner.closer, some, self.jobs, 1)
 
-    def sizes(self, own: Floats, records: Sequence[Record]) -> list[Floats]:
-        """Return an effect's unknowns with one amplitude after another of several sizes."""
-        unknowns = self.unknowns[-own.size :]
-        amplitudes = CATALOGUE[str(self.name)].amplitudes
-        sizes: Sequence[float] = SIZES
-        if self.name == "drive_saturation":
-            top = max(float(np.abs(rec.u).max()) for rec in records)
-            sizes = [1.0 / (share * top * unknowns[0].scale) for share in SATURATED]
-        several = []
-        for j, size in product(range(own.size), sizes):
-            if unknowns[j].name in amplitudes and unknowns[j].low <= size <= unknowns[j].high:
-                one = own.copy()
-                one[j] = size
-                several.append(one)
-        return several
+    def cross(self) -> None:
+        """Let who is behind try the way of who is ahead."""
+        self.sort()
+        # the model as it is may be ahead after it has dropped out
+        first = min(self.all, key=lambda runner: runner.cost)
+        behind = [one for one in self.all if one.cost > first.cost + BEHIND]
+        common = len(self.bare.unknowns)
+        others = [runner for runner in behind if runner is not self.bare]
+        together(Runner.crosses, others, self.jobs, [first], common)
+        if self.bare in behind:
+            # each of the others may have found the way that is right for the model as it is
+            self.bare.crosses([r for r in self.runners if r is not self.bare], common)
+        self.sort()
 
-    def from_the_start(self, records: Sequence[Record], seconds: float, jobs: int) -> None:
-        """Try where a lock comes out that goes alone, with more care at each horizon."""
-        horizons = [h for h in HORIZONS if h <= seconds]
-        self.alone = False
-        found = walk(self.afresh(), records, horizons, jobs)
-        if found.horizon == seconds:
-            self.pursue(found.p)
+    def look_around(self, even: bool) -> list[Runner]:
+        """Let the best that are not well try other starts; return those that may begin again."""
+        best = self.runners[:TRIED]
+        best += [] if self.bare in best else [self.bare]
+        late = [one for one in best if even and self.is_behind(one)]
+        uneasy = [one for one in best if one.level > UNEASY or one in late]
+        together(Runner.search, uneasy, self.jobs)
+        return late
 
-    def afresh(self, **how: Any) -> Seeker:
-        """Return one of its kind that knows nothing but what was known beforehand."""
-        covariance = np.asarray(np.linalg.inv(self.known.precision), np.float64)
-        places = [self.known.mean]
-        return Seeker(self.model, self.unknowns, self.known, places, covariance, **how)
+    def is_behind(self, one: Runner) -> bool:
+        """Whether one is so far behind the first of the field that it may have missed a way."""
+        return one.cost > self.runners[0].cost + BEHIND
 
-    def scatters(self, records: Sequence[Record], jobs: int) -> None:
-        """Begin anew as well, from the best of many places that balances hold possible."""
-        fresh = self.afresh(rng=self.rng)
-        fresh.scatter(records, jobs)
-        fresh.closer(ROUNDS)
-        for p in fresh.different(len(self.places)):
-            self.pursue(p)
+    def start_again(self, horizon: float, fitted: Sequence[Record], late: Sequence[Runner]) -> None:
+        """Let who is late go alone from the start; where all lose step, the most hopeful too."""
+        late = [one for one in late if self.is_behind(one) and one.alone]
+        together(Runner.from_the_start, late, self.jobs, fitted, horizon, self.jobs)
+        if self.level > LOST and self.last is not None and self.last.seconds >= WAY_SECONDS:
+            hopeful = self.hopeful(ONCE_MORE)
+            together(Runner.from_the_start, hopeful, self.jobs, fitted, horizon, self.jobs)
 
-    def steps_down(self, records: Sequence[Record], iterations: int) -> None:
-        """Go a few steps down from where it is, without a look around."""
-        steps = Steps(records, self.model, self.unknowns, self.known, 1, ROUGH)
-        self.places = [steps.descend(self.places[0], iterations)]
-        self.cost = float(steps.costs(steps.residuals(self.places), self.places)[0])
+    def hopeful(self, count: int) -> list[Runner]:
+        """Those that bounces and balances together speak for."""
+        return sorted(self.runners, key=lambda runner: runner.cost - runner.told)[:count]
 
-    def place(self) -> "Place":
-        """Return where it is."""
-        return Place(self.name, self.steps, self.places[0], self.cost, self.level)
+    def drop_out(self, horizon: float) -> None:
+        """Let go who misses more than the best, and make the others ready for the next lap."""
+        bare, most = self.bare, self.runners[0].cost + MARGIN
+        self.runners = [runner for runner in self.runners if runner.cost <= most]
+        if bare.level < UNEASY and horizon >= EVEN_SECONDS:
+            hopeful = self.hopeful(MANY)
+            stay = (bare, *hopeful, *self.waiting)
+            self.waiting += [one for one in self.runners if one not in stay]
+            self.runners = [runner for runner in self.runners if runner in hopeful]
+        if bare.cost > self.runners[0].cost + MARGIN:
+            bare.from_place_of(self.runners[0])
+        for runner in self.all:
+            runner.settle()
+
+    def after(self, seconds: float) -> Lap:
+        """Return where all are after a horizon."""
+        places = tuple(runner.place() for runner in self.runners)
+        return Lap(seconds, self.bare.place(), places)
+
+    def winner(self, held: Sequence[Record]) -> Raced | None:
+        """Return who has won, if anyone."""
+        won, last = None, self.last
+        if last is not None and last.field[0].name in self.proven:
+            won = judged(last, held, self.jobs)
+        if won is None and self.even_so is not None:
+            return faintly(self.even_so, held, self.jobs)
+        if won is None and self.outrun is not None:
+            return lawfully(self.outrun, held, self.jobs)
+        return won
 
 
 def race(
@@ -207,196 +240,8 @@ def race(
         runner.rng = np.random.default_rng([seed, i])
     # no step from nothing finds those
     waiting = [one for one in runners if one.name is not None and bent(one.name)]
-    last, even_so, outrun, proven = None, None, None, set[str | None]()
-    kept = 0.0  # seconds for which the model as it is keeps step
+    running = Field(bare, runners, waiting, jobs)
     for horizon in HORIZONS:
-        records = [cut(rec, horizon) for rec in fitted]
-        together(Runner.go, with_(bare, runners), jobs, records, jobs)
-        if waiting and bare.level > UNEASY:
-            joined = [runner for runner in waiting if runner.joins(bare, records, jobs)]
-            together(Runner.go, joined, jobs, records, jobs)
-            runners, waiting = [*dict.fromkeys((*runners, *joined))], []
-        doubtful = min(runner.level for runner in runners) > DOUBTFUL
-        if doubtful and SCATTER_SECONDS <= horizon <= WAY_SECONDS:
-            told = sorted(runners, key=lambda runner: -runner.told)[:SCATTERED]
-            ahead = sorted(runners, key=lambda runner: runner.cost)[:SCATTERED]
-            some = with_(bare, [*dict.fromkeys((*told, *ahead))])
-            if horizon == SCATTER_SECONDS:
-                together(Runner.scatters, some, jobs, records, jobs)
-            else:
-                together(Runner.closer, some, jobs, 1)
-        runners.sort(key=lambda runner: runner.cost)
-        # the model as it is may be ahead after it has dropped out
-        first = min(with_(bare, runners), key=lambda runner: runner.cost)
-        behind = [one for one in with_(bare, runners) if one.cost > first.cost + BEHIND]
-        others = [runner for runner in behind if runner is not bare]
-        together(Runner.crosses, others, jobs, [first], len(bare.unknowns))
-        if bare in behind:
-            # each of the others may have found the way that is right for the model as it is
-            bare.crosses([r for r in runners if r is not bare], len(bare.unknowns))
-        runners.sort(key=lambda runner: runner.cost)
-        tried = with_(bare, runners[:TRIED])
-        even = horizon >= EVEN_SECONDS
-        late = [one for one in tried if even and one.cost > runners[0].cost + BEHIND]
-        uneasy = [one for one in tried if one.level > UNEASY or one in late]
-        together(Runner.search, uneasy, jobs)
-        if even and not proven and min(runner.level for runner in runners) > UNEASY:
-            break  # who has never met all bounces does not win, and none is near
-        late = [one for one in late if one.cost > runners[0].cost + BEHIND and one.alone]
-        together(Runner.from_the_start, late, jobs, fitted, horizon, jobs)
-        lost = min(runner.level for runner in runners) > LOST
-        if lost and last is not None and last.seconds >= WAY_SECONDS:
-            hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)[:ONCE_MORE]
-            together(Runner.from_the_start, hopeful, jobs, fitted, horizon, jobs)
-        runners.sort(key=lambda runner: runner.cost)
-        if runners[0].level > LOST:
+        if not running.lap(horizon, fitted, enough):
             break
-        kept = horizon if bare.level < DOUBTFUL else kept
-        if kept == horizon and horizon >= KEEPS_SECONDS:
-            even_so = lap_of(horizon, bare, runners)
-            break
-        if bare.level < UNEASY and horizon >= enough:
-            return None
-        runners = [runner for runner in runners if runner.cost <= runners[0].cost + MARGIN]
-        if bare.level < UNEASY and horizon >= EVEN_SECONDS:
-            hopeful = sorted(runners, key=lambda runner: runner.cost - runner.told)[:MANY]
-            waiting += [one for one in runners if one not in (bare, *hopeful, *waiting)]
-            runners = [runner for runner in runners if runner in hopeful]
-        if bare.cost > runners[0].cost + MARGIN:
-            bare.from_place_of(runners[0])
-        for runner in with_(bare, runners):
-            runner.settle()
-        if runners[0].level < UNEASY:
-            last = lap_of(horizon, bare, runners)
-            proven |= last.proven
-            if LAWFUL_SECONDS <= kept < horizon and runners[0].level < DOUBTFUL:
-                outrun = last
-    won = judged(last, held, jobs) if last and last.field[0].name in proven else None
-    if won is None and even_so is not None:
-        won = faintly(even_so, held, jobs)
-    elif won is None and outrun is not None:
-        won = lawfully(outrun, held, jobs)
-    return won
-
-
-def together(action: Callable[..., None], some: Sequence[Runner], jobs: int, *args: Any) -> None:
-    """Let some runners do the same, each on a thread of its own; who takes longest begins.
-
-    One alone has all threads.
-    """
-    some = sorted(some, key=lambda runner: -len(runner.places))
-    in_threads(lambda runner: action(runner, *args), some, jobs)
-
-
-def lap_of(seconds: float, bare: Runner, field: Sequence[Runner]) -> Lap:
-    """Return where all are after a horizon."""
-    return Lap(seconds, bare.place(), tuple(runner.place() for runner in field))
-
-
-def with_(bare: Runner, field: Sequence[Runner]) -> list[Runner]:
-    """Return the field, and the model as it is beside it."""
-    return [*field, *([] if bare in field else [bare])]
-
-
-def with_effect(
-    trial: Trial, values: Mapping[str, float], start: BalanceFit, known: Known
-) -> Runner:
-    """Enter an effect of some shape, from nothing and from what the balances make of it.
-
-    What they know of the drive they know beside the effect: without it they have taken up a
-    part of it elsewhere.
-    """
-    name, own = trial.name, unknowns_of(trial.name)
-    bare = dict.fromkeys(CATALOGUE[name].amplitudes, 0.0)
-    model = start.model.with_effect(name, **{**values, **bare})
-    unknowns = (*start.unknowns, *own)
-    if values != trial.fit.model.effects[name]:
-        return entrant(name, model, unknowns, beside(known, model, own), ())
-    known = loosened(meshes_from(start, trial.fit))
-    entered = entrant(name, model, unknowns, known, (known.mean,))
-    entered.told = trial.evidence
-    return entered
-
-
-def meshes_from(start: BalanceFit | Fit, fit: BalanceFit) -> BalanceFit:
-    """Take the damping of meshes and gaps, which balances do not tell, from another fit.
-
-    That of the meshes as it follows the rest of the drive.
-    """
-    p, covariance = fit.p.copy(), fit.covariance.copy()
-    names = [k.name for k in start.unknowns if k.effect is None]
-    if GAP_DAMPING in names:
-        j = names.index(GAP_DAMPING)
-        p[j] = start.p[j]
-        tie(covariance, j, variance=start.covariance[j, j])
-    if DAMPING in names:
-        j = names.index(DAMPING)
-        rest = [i for i in range(len(names)) if i != j]
-        with_rest = start.covariance[rest, j]
-        slopes = np.zeros(p.size)
-        slopes[rest] = np.linalg.solve(start.covariance[np.ix_(rest, rest)], with_rest)
-        p[j] = start.p[j] + slopes[rest] @ (p[rest] - start.p[rest])
-        tie(covariance, j, slopes, start.covariance[j, j] - slopes[rest] @ with_rest)
-    return replace(fit, p=p, covariance=covariance)
-
-
-def beside(known: Known, model: Model, own: Sequence[Unknown]) -> Known:
-    """Add an effect's unknowns, of which only the likely size is known."""
-    width = np.array([k.prior if np.isfinite(k.prior) else SHAPE_WIDTH for k in own])
-    centre = np.where([np.isfinite(k.prior) for k in own], 0.0, position(model, own))
-    n = known.mean.size
-    precision = np.zeros((n + len(own),) * 2)
-    precision[:n, :n] = known.precision
-    precision[n:, n:] = np.diag(width**-2.0)
-    return Known(np.concatenate([known.mean, centre]), precision)
-
-
-def shaped(
-    trial: Trial,
-    start: BalanceFit,
-    known: Known,
-    records: Sequence[Record],
-    jobs: int,
-    *,
-    scan: bool = True,
-) -> list[Runner]:
-    """Enter an effect in the shape that the balances like best, and in others they may not see.
-
-    They average over orders beyond 25 Hz, and without motor encoders do not tell which motor.
-    Where there are many others, and no scan is wanted, they stay out.
-    """
-    told = trial.fit.model.effects[trial.name]
-    first = with_effect(trial, told, start, known)
-    fixed = FIXED_SHAPES.get(trial.name, ())
-    banks = [p for p in CATALOGUE[trial.name].parameters if p.name in fixed]
-    others = [
-        with_effect(trial, {**told, p.name: value}, start, known)
-        for p in banks
-        for value in p.bank
-        if value != told[p.name]
-    ]
-    if not scan and len(others) > SCAN[0][-1]:
-        return [first]
-    for seconds, iterations, most in SCAN:
-        if len(others) <= SCAN[-1][-1]:
-            break
-        parts = [cut(rec, seconds) for rec in records]
-        together(Runner.steps_down, others, jobs, parts, iterations)
-        others = sorted(others, key=lambda one: one.cost)[:most]
-    return [first, *others]
-
-
-def entrant(
-    name: str | None,
-    model: Model,
-    unknowns: Sequence[Unknown],
-    known: Known,
-    others: Sequence[Floats],
-) -> Runner:
-    """Enter a model that starts from its own values and from others."""
-    low, high = ([getattr(k, end) for k in unknowns] for end in ("low", "high"))
-    starts = [np.clip(p, low, high) for p in (position(model, unknowns), *others)]
-    precision = known.precision + TINY * np.eye(len(unknowns))
-    covariance = np.asarray(np.linalg.inv(precision), np.float64)
-    known = Known(known.mean, precision)
-    return Runner(model, tuple(unknowns), known, starts, covariance, stalled=ROUGH, name=name)
+    return running.winner(held)

@@ -14,7 +14,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import loosened
 from dmptm_ctrl.diagnosis.finish import MARGIN, OUT
-from dmptm_ctrl.diagnosis.race import (
+from dmptm_ctrl.diagnosis.runners import (
     Runner,
     entrant,
     meshes_from,

@@ -25,9 +25,9 @@ from dmptm_ctrl.diagnosis.landings import (
     of_all_logs,
     within,
 )
-from dmptm_ctrl.diagnosis.race import Runner, beside, together
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual
+from dmptm_ctrl.diagnosis.runners import Runner, beside, together
 from dmptm_ctrl.diagnosis.runoff import KEEPS_SECONDS, Run, horizons, lost, run, starts
 from dmptm_ctrl.diagnosis.trace import NEEDS_TWIST, WITHOUT_TWIST, unknowns_of
 from dmptm_ctrl.identify.balance import BalanceFit

@@ -147,9 +147,10 @@ def test_nothing_where_the_model_keeps_step():
     assert NAME not in shown.fit.model.effects
 
 
-def fit_of(counts, error):
+def fit_of(counts, error, damping=0.4):
     """A fit of pre-sliding of the ring gear, in counts of its encoder."""
-    model = Model().with_effect(NAME, ring_distance=counts * MATTERS / 4.0, reducer_distance=1e-6)
+    distances = {"ring_distance": counts * MATTERS / 4.0, "reducer_distance": 1e-6}
+    model = Model().with_effect(NAME, **distances, damping=damping)
     unknowns = unknowns_of(NAME)
     scales = np.array([u.scale for u in unknowns])
     errors = np.where([u.name == "ring_distance" for u in unknowns], error * MATTERS / 4.0, 1e-7)
@@ -174,3 +175,15 @@ def test_a_refit_that_knows_less_takes_no_name_away_but_one_that_finds_less_does
     assert matters(before, unsure)
     assert not matters(unsure)
     assert not matters(before, small)
+
+
+@pytest.mark.parametrize(
+    ("then", "damping", "told"),
+    [
+        ((4.65, 4.33), 1.46, False),  # a rig that lacks nothing, with gears of another law
+        ((6.57, 1.17), 1.46, True),
+        ((4.65, 4.33), 0.3, True),
+    ],
+)
+def test_bristles_that_creep_are_known_by_every_fit(then, damping, told):
+    assert matters(fit_of(8.19, 0.44, damping), fit_of(*then, damping)) is told

@@ -157,6 +157,9 @@ def diagnosed(
         variables = astray(before.model, held)
         decision.unexplained = Unexplained.without_curve(variables)
     predicted = speed_error(after.model, held, jobs)
+    final = refined(measured, decision, after, predicted["rmse"], jobs)
+    if as_any_friction(decision, after, final) and predicted["rmse"] > without["rmse"]:
+        after, final, predicted = before, before, without  # what has no name has to help
     error = {
         "unit": "deg/s",
         "bandwidth_hz": 30,
@@ -164,8 +167,6 @@ def diagnosed(
         "before": without,
         "after": predicted,
     }
-    final = refined(measured, decision, after, predicted["rmse"], jobs)
-    as_any_friction(decision, after, final)
     effects = tuple(
         sorted(
             [
@@ -199,10 +200,15 @@ def diagnosed(
     )
 
 
-def as_any_friction(decision: Decision, *fits: Fit) -> None:
-    """Take its name from pre-sliding that is no more than any friction gives way."""
-    if not at_rest.matters(*fits):
-        decision.found = [found for found in decision.found if found.name != at_rest.NAME]
+def as_any_friction(decision: Decision, *fits: Fit) -> bool:
+    """Take its name from pre-sliding that is no more than any friction gives way.
+
+    Returns whether nothing that was found is left.
+    """
+    if at_rest.matters(*fits) or not decision.is_found(at_rest.NAME):
+        return False
+    decision.found = [found for found in decision.found if found.name != at_rest.NAME]
+    return not decision.found
 
 
 def of_little(decision: Decision, after: Fit, jobs: int) -> Fit:

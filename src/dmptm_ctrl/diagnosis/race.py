@@ -75,7 +75,11 @@ class Field:
     @property
     def all(self) -> list[Runner]:
         """The field, and the model as it is beside it."""
-        return [*self.runners, *([] if self.bare in self.runners else [self.bare])]
+        return self.with_bare(self.runners)
+
+    def with_bare(self, some: Sequence[Runner]) -> list[Runner]:
+        """Return some runners, and the model as it is beside them."""
+        return [*some, *([] if self.bare in some else [self.bare])]
 
     def sort(self) -> None:
         """Let the best come first."""
@@ -130,8 +134,7 @@ class Field:
             return
         told = sorted(self.runners, key=lambda runner: -runner.told)[:SCATTERED]
         ahead = sorted(self.runners, key=lambda runner: runner.cost)[:SCATTERED]
-        some = [*dict.fromkeys((*told, *ahead))]
-        some += [] if self.bare in some else [self.bare]
+        some = self.with_bare([*dict.fromkeys((*told, *ahead))])
         if horizon == SCATTER_SECONDS:
             together(Runner.scatters, some, self.jobs, records, self.jobs)
         else:
@@ -153,8 +156,7 @@ class Field:
 
     def look_around(self, even: bool) -> list[Runner]:
         """Let the best that are not well try other starts; return those that may begin again."""
-        best = self.runners[:TRIED]
-        best += [] if self.bare in best else [self.bare]
+        best = self.with_bare(self.runners[:TRIED])
         late = [one for one in best if even and self.is_behind(one)]
         uneasy = [one for one in best if one.level > UNEASY or one in late]
         together(Runner.search, uneasy, self.jobs)

@@ -1,5 +1,9 @@
 """A new effect costs one recompile, and that is said."""
 
+import gc
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +59,52 @@ def test_says_once_that_it_compiles(tmp_path, monkeypatch, capsys):
         said = capsys.readouterr().err
         assert said.startswith(expected)
         assert bool(said) == bool(expected)
+
+
+class Remains:
+    """What only the garbage collector removes, where Python goes on to another thread."""
+
+    def __init__(self):
+        self.own = self
+
+    def __del__(self):
+        for _ in range(100):
+            pass
+
+
+@pytest.fixture
+def busy_collector():
+    """A garbage collector that interrupts all that makes objects, and threads that take turns."""
+    every, before = sys.getswitchinterval(), gc.get_threshold()
+    sys.setswitchinterval(1e-6)
+    gc.set_threshold(50)
+    yield
+    sys.setswitchinterval(every)
+    gc.set_threshold(*before)
+
+
+@pytest.mark.usefixtures("busy_collector")
+def test_threads_that_ask_at_once_for_an_engine_wait_for_one_that_writes_it():
+    threads = 4
+    together = Barrier(threads)
+    written = []
+
+    @compose.per_catalogue
+    def text(_):
+        written.append(compose.source())
+        return written[-1]
+
+    def asked(_):
+        for _ in range(100):
+            Remains()
+        together.wait()
+        compose.plain_engine.__wrapped__()
+        return text()
+
+    with ThreadPoolExecutor(threads) as pool:
+        texts = list(pool.map(asked, range(threads)))
+    assert len(written) == 1
+    assert texts == written * threads
 
 
 def test_same_engine_while_the_catalogue_is_the_same():

@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
-from threading import Lock
+from threading import RLock
 from types import ModuleType
 from typing import Any, TypeVar
 
@@ -27,7 +27,9 @@ from dmptm_ctrl.simulate import elementary
 from dmptm_ctrl.simulate.slope_chains import slope_source
 
 NARROW, WIDE = 8, 16  # lanes
-_LOADING = Lock()
+# one thread writes an engine at a time: where two parse at once Python 3.11.0 to 3.11.7 counts
+# their depths together and fails (CPython issue 106905)
+_LOADING = RLock()
 _T = TypeVar("_T")
 
 # per site: name of the chain, its arguments, neutral result, how one effect changes it
@@ -408,7 +410,7 @@ def cache_folder() -> Path:
 
 
 def _load(key: str, text: str, effects: Mapping[str, object] = CATALOGUE) -> ModuleType:
-    with _LOADING:  # threads may ask for it at once
+    with _LOADING:
         return _loaded(key, text, len(effects))
 
 
@@ -438,15 +440,18 @@ def per_catalogue(function: Callable[..., _T]) -> Callable[..., _T]:
     """Keep what a function returns for as long as the catalogue has the same effects.
 
     A fit asks hundred thousands of times. The effects are told apart by identity, for to compare
-    all their numbers takes longer than what is asked for.
+    all their numbers takes longer than what is asked for. Threads that ask at once get one answer.
     """
     known: dict[tuple[Any, ...], tuple[tuple[Effect, ...], _T]] = {}
 
     def found(*args: int) -> _T:
         key = (*map(id, CATALOGUE.values()), *args)
         if key not in known:
-            effects = tuple(CATALOGUE.values())  # kept too, or another may get an identity
-            known[key] = effects, function(effects, *args)
+            with _LOADING:
+                if key not in known:
+                    # the effects too, or another may get an identity
+                    effects = tuple(CATALOGUE.values())
+                    known[key] = effects, function(effects, *args)
         return known[key][1]
 
     return found
@@ -467,8 +472,9 @@ def plain_engine() -> ModuleType:
 
     It is `march` alone, and the same when the catalogue changes.
     """
-    text = plain_source()
-    return _load("plain_" + _key(text, {}), text, {})
+    with _LOADING:
+        text = plain_source()
+        return _load("plain_" + _key(text, {}), text, {})
 
 
 @per_catalogue

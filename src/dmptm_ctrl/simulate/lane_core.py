@@ -8,6 +8,7 @@ neutral parameters.
 import numpy as np
 from numba import njit
 
+from dmptm_ctrl.effects.stribeck import stribeck_law
 from dmptm_ctrl.simulate.control_core import M_LEFT, M_RIGHT, MEMORY, command
 from dmptm_ctrl.simulate.core import MIN_COMPLIANCE, UNKNOWN, aged, bristles_of, held_average
 from dmptm_ctrl.simulate.elementary import wide
@@ -160,8 +161,13 @@ def fill(s, lane, x0, loop, h, dt, base, on, values):
         s[MOBILITY + row] = h / (
             base[4] if body == 2 else base[3] if elastic else base[3] + j_motor
         )
-        for k in range(9):
-            s[LAW + 3 * k * LANES + row] = base[(24 if body == 2 else 15) + k]
+        own = 24 if body == 2 else 15
+        full = stribeck_law(
+            *(base[own], base[own + 1], base[own + 2], base[own + 3], base[own + 4]),
+            *(base[own + 5], base[own + 6], base[own + 7], base[own + 8]),
+        )
+        for k in range(11):
+            s[LAW + 3 * k * LANES + row] = full[k]
         s[DISTANCE + row], s[AT_ONCE + row], s[BRISTLE_LAG + row] = bristles_of(
             presliding_law(body, on, values), s[MOBILITY + row], h, law(s, row, 1.0)
         )

@@ -10,7 +10,7 @@ from math import cos, exp
 from numba import njit
 
 from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
-from dmptm_ctrl.effects.stribeck import stribeck_law
+from dmptm_ctrl.effects.stribeck import Stribeck
 from dmptm_ctrl.simulate.core import UNKNOWN, aged, mesh_step, preslide, slide, stop
 from dmptm_ctrl.simulate.elementary import wide
 from dmptm_ctrl.simulate.lane_sites import (  # chains
@@ -51,22 +51,22 @@ P0, P1, P2, MOBILITY, SCALE, ADDED = (
     *range(66 * LANES, 75 * LANES, 3 * LANES),
 )
 BRISTLE, DISTANCE, NEW, STOPS = range(75 * LANES, 87 * LANES, 3 * LANES)
-LAW, DELTA = 87 * LANES, 111 * LANES  # 9 numbers, each of 3 bodies; the last of them
+LAW, DELTA = 87 * LANES, 111 * LANES  # 11 numbers, each of 3 bodies; the ninth of them
 # Set once per run. NOTHING stays zero.
-GAIN, J_MOTOR, DEAD, LATE, COMPLIANCE, SHAFT = range(114 * LANES, 120 * LANES, LANES)
-KP, KI, LIMIT, BIAS0, BIAS1, INTEGRAL, NOTHING = range(120 * LANES, 127 * LANES, LANES)
-N1, N2, TEETH, K_M, K_A, PHASE, GAP0, GAP1 = range(127 * LANES, 135 * LANES, LANES)
+GAIN, J_MOTOR, DEAD, LATE, COMPLIANCE, SHAFT = range(120 * LANES, 126 * LANES, LANES)
+KP, KI, LIMIT, BIAS0, BIAS1, INTEGRAL, NOTHING = range(126 * LANES, 133 * LANES, LANES)
+N1, N2, TEETH, K_M, K_A, PHASE, GAP0, GAP1 = range(133 * LANES, 141 * LANES, LANES)
 # Bodies: age of the contact in the middle of the step, slip that makes it new; share of viscous
 # friction that presliding does not hold back, lag of its bristles.
-AGE, RENEW, AT_ONCE, BRISTLE_LAG = range(135 * LANES, 147 * LANES, 3 * LANES)
-OUT = 147 * LANES
+AGE, RENEW, AT_ONCE, BRISTLE_LAG = range(141 * LANES, 153 * LANES, 3 * LANES)
+OUT = 153 * LANES
 VALUES = OUT + COLUMNS * LANES
 
 
 @njit
 def law(s, row, exponent):
     """Friction law in a row of the bodies."""
-    return stribeck_law(
+    return Stribeck(
         s[LAW + row],
         s[LAW + 3 * LANES + row],
         s[LAW + 6 * LANES + row],
@@ -76,6 +76,8 @@ def law(s, row, exponent):
         s[LAW + 18 * LANES + row],
         s[LAW + 21 * LANES + row],
         exponent,
+        s[LAW + 27 * LANES + row],
+        s[LAW + 30 * LANES + row],
     )
 
 

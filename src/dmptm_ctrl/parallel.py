@@ -43,6 +43,12 @@ def in_threads(function: Callable[[T], R], items: Iterable[T], jobs: int) -> lis
         return _THREAD.crew.share(function, items)
 
 
+def free(jobs: int) -> int:
+    """Return how many of `jobs` threads are there now for what this one shares out."""
+    own = getattr(_THREAD, "crew", None)
+    return jobs if own is None else min(jobs, 1 + max(own.idle, 0))
+
+
 @contextmanager
 def crew(jobs: int) -> Iterator[None]:
     """Keep threads for all that this one shares out; begun anew for each takes as long as a run."""

@@ -136,10 +136,10 @@ class Drives:
 
     def __call__(self, several: Sequence[Floats]) -> Stacked:
         """Return ``place(model, unknowns, p).arrays()`` of several `p`."""
-        numbers = self._centre + np.array(several) * self._scale
-        base, on, values = self._all
-        bases, rows = (np.repeat(x[None], len(several), axis=0) for x in (base, values))
-        flags = np.repeat(on[None], len(several), axis=0)
+        numbers = self._centre + np.asarray(several) * self._scale
+        count = len(several)
+        bases, flags, rows = (np.empty((count, x.size), x.dtype) for x in self._all)
+        bases[:], flags[:], rows[:] = self._all
         for table, (which, columns) in ((bases, self._bases), (rows, self._values)):
             if columns:
                 table[:, columns] = numbers[:, which]

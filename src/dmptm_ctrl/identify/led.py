@@ -8,7 +8,7 @@ import numpy as np
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
-from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.parallel import free, in_threads
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import BODIES, FINE_SUBSTEPS, OUTPUTS, observer_gains
 from dmptm_ctrl.simulate.compose import NARROW, layout
@@ -17,7 +17,7 @@ from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Stacked, stacked
 # Of a run in the first tenth of a second, where names are told by a few landings: the next ones
 # grow what a coarser scheme misses there.
 EARLY_SECONDS, EARLY_SUBSTEPS = 0.1, 32
-AT_ONCE = 64  # runs of one call, in groups of lanes
+AT_ONCE = 256  # runs of one call, in groups of lanes
 THREADED = 60_000  # steps of all runs, about 1 ms, of which threads take longer than they save
 SPEED = (OUTPUTS.index("omega_L"),)
 LEAD_HZ = 6.0  # of the observer that leads a run to where it is let go
@@ -64,7 +64,7 @@ class Bench:
         timed = self.led and acts(drives, lambda e: "time" in e.depends_on)
         groups = [_Runs(alike, drives, substeps, compares) for alike in self.groups(timed)]
         steps = sum(one.count * one.alike.u.shape[2] * one.how["substeps"] for one in groups)
-        jobs = jobs if steps > THREADED else 1
+        jobs = free(jobs) if steps > THREADED else 1
         tasks = [(one, some) for one in groups for some in one.shares(jobs)]
         done = iter(in_threads(lambda task: task[0].run(task[1]), tasks, jobs))
         runs = []

@@ -13,8 +13,8 @@ from dmptm_ctrl.simulate.law import NO_LAWS, Law
 from dmptm_ctrl.simulate.model import Arrays, Floats, Model, stacked
 
 BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
-_OPEN = np.zeros(5)
-FEW = 64  # drives for which a second loop is not worth being compiled
+_OPEN = 5  # numbers of a loop, all zero of a run that is open
+FEW = 256  # drives for which a second loop is not worth being compiled
 LINE = 8  # doubles in a cache line
 _NO_ROWS = np.zeros((0, 0))
 _NO_DRIVE = np.zeros((0, 2, 0))
@@ -68,9 +68,9 @@ class Task(NamedTuple):
 
 
 def _aligned(size: int) -> Floats:
-    """Zeros that begin where a cache line does: no vector register's row lies in two of them."""
-    room = np.zeros(size + LINE - 1)
-    first = -(room.ctypes.data // room.itemsize) % LINE
+    """Room that begins where a cache line does: no vector register's row lies in two of them."""
+    room = np.empty(size + LINE - 1)
+    first = -(room.__array_interface__["data"][0] // room.itemsize) % LINE
     return room[first : first + size]
 
 
@@ -164,8 +164,9 @@ def march_many(
         begin=begin,
     )
     count = len(arrays)
-    starts = np.array(np.broadcast_to(x0, (count, 6)), float, order="C")
-    kept, _ = _all(task, arrays, starts, np.tile(_OPEN, (count, 1)), jobs)
+    rows = x0 if x0.shape == (count, 6) else np.broadcast_to(x0, (count, 6))
+    starts = np.ascontiguousarray(rows, float)
+    kept, _ = _all(task, arrays, starts, np.zeros((count, _OPEN)), jobs)
     return kept.transpose(0, 2, 1)
 
 
@@ -232,7 +233,7 @@ def simulate_batch(
     design = None
     if loop is None:
         drive = _rows("inputs", inputs, count, (2, n))
-        target, measured, loops = _NO_ROWS, _NO_ROWS, np.tile(_OPEN, (count, 1))
+        target, measured, loops = _NO_ROWS, _NO_ROWS, np.zeros((count, _OPEN))
     else:
         drive = np.zeros((0, 2, n))
         target = _rows("inputs", inputs, count, (n,))

@@ -31,6 +31,7 @@ from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.remarks import remarks
 from dmptm_ctrl.diagnosis.report import (
     Diagnosis,
+    NamedEffect,
     named,
     provenance,
     ranking,
@@ -134,32 +135,16 @@ def diagnosed(
         lambda: augment(measured.fit, left.base, declared, beside=own, jobs=jobs),
         jobs,
     )
-    after = before
-    if decision.after is not left:
-        after = refit(decision, jobs)
-    after = of_little(decision, after, jobs)
     held = measured.held_logs
     without = speed_error(before.model.without(model.effects), held, jobs)
-    after = told_apart(decision, after, jobs, seed)
-    after = sobered(decision, without["rmse"], after, held, jobs)
-    after = rested(decision, after, jobs)
-    after = in_step(decision, after, jobs, seed)
-    after = uncovered(decision, without["rmse"], after, held, jobs, seed)
-    if met_by_landings(decision):  # beside it another one may show
-        after = in_step(decision, after, jobs, seed)
-    as_any_friction(decision, after)
-    nothing = not decision.found and not model.effects and decision.unexplained is None
-    certain = [found for found in decision.withdrawn if found.evidence > CERTAIN]
-    if nothing and certain:  # something is there that acts as they do, and is none of them
-        effect = CATALOGUE[max(certain, key=lambda found: found.evidence).name]
-        decision.unexplained = Unexplained.without_curve(effect.depends_on)
-    elif nothing and without["rmse"] > ASTRAY:
-        variables = astray(before.model, held)
-        decision.unexplained = Unexplained.without_curve(variables)
+    after = traced(decision, before, without["rmse"], jobs, seed)
+    without_a_name(decision, before.model, without["rmse"])
     predicted = speed_error(after.model, held, jobs)
     final = refined(measured, decision, after, predicted["rmse"], jobs)
-    if as_any_friction(decision, after, final) and predicted["rmse"] > without["rmse"]:
-        after, final, predicted = before, before, without  # what has no name has to help
+    if as_any_friction(decision, after, final):
+        take_its_name(decision)
+        if not decision.found and predicted["rmse"] > without["rmse"]:
+            after, final, predicted = before, before, without  # what has no name has to help
     error = {
         "unit": "deg/s",
         "bandwidth_hz": 30,
@@ -167,24 +152,15 @@ def diagnosed(
         "before": without,
         "after": predicted,
     }
-    effects = tuple(
-        sorted(
-            [
-                named(found, final, all_explained=decision.unexplained is None)
-                for found in decision.found
-            ]
-            + [unnamed(tables) for tables in (decision.tables,) if tables is not None]
-            + [sensor_effect(name, sensors, final) for name in model.effects],
-            key=lambda e: -e.probability,
-        )
-    )
+    effects = effects_of(decision, final)
+    effects += [sensor_effect(name, sensors, final) for name in model.effects]
     verdict = "explained" if effects else "none"
     if decision.unexplained is not None:
         verdict = "unknown"
     untestable = () if measured.has_motor_encoders else NEEDS_MOTOR_ENCODERS
     return Diagnosis(
         verdict=verdict,
-        effects=effects,
+        effects=tuple(sorted(effects, key=lambda e: -e.probability)),
         ranking=ranking(decision, untestable, sensors.errors),
         depends_on=decision.unexplained.variables if decision.unexplained else (),
         error=error,
@@ -200,15 +176,56 @@ def diagnosed(
     )
 
 
-def as_any_friction(decision: Decision, *fits: Fit) -> bool:
-    """Take its name from pre-sliding that is no more than any friction gives way.
+def traced(decision: Decision, before: Fit, without: float, jobs: int, seed: int) -> Fit:
+    """Add what free runs tell to what the balances have told; return the fit with all of it.
 
-    Returns whether nothing that was found is left.
+    `without` is the error on held-out logs of the model as it is.
     """
-    if at_rest.matters(*fits) or not decision.is_found(at_rest.NAME):
-        return False
+    held = decision.before.measured.held_logs
+    after = before if decision.after is decision.before else refit(decision, jobs)
+    after = of_little(decision, after, jobs)
+    after = told_apart(decision, after, jobs, seed)
+    after = sobered(decision, without, after, held, jobs)
+    after = rested(decision, after, jobs)
+    after = in_step(decision, after, jobs, seed)
+    after = uncovered(decision, without, after, held, jobs, seed)
+    if met_by_landings(decision):  # beside it another one may show
+        after = in_step(decision, after, jobs, seed)
+    if as_any_friction(decision, after):
+        take_its_name(decision)
+    return after
+
+
+def without_a_name(decision: Decision, model: Model, without: float) -> None:
+    """Say what is there and has no name, where nothing was found in a model that goes astray."""
+    measured = decision.before.measured
+    sensors = decision.before.base.model.effects
+    if decision.found or sensors or decision.unexplained is not None:
+        return
+    certain = [found for found in decision.withdrawn if found.evidence > CERTAIN]
+    if certain:  # something is there that acts as they do, and is none of them
+        effect = CATALOGUE[max(certain, key=lambda found: found.evidence).name]
+        decision.unexplained = Unexplained.without_curve(effect.depends_on)
+    elif without > ASTRAY:
+        variables = astray(model, measured.held_logs)
+        decision.unexplained = Unexplained.without_curve(variables)
+
+
+def effects_of(decision: Decision, fit: Fit) -> list[NamedEffect]:
+    """Describe what was found, with a name and without."""
+    explained = decision.unexplained is None
+    effects = [named(found, fit, all_explained=explained) for found in decision.found]
+    return effects + ([] if decision.tables is None else [unnamed(decision.tables)])
+
+
+def as_any_friction(decision: Decision, *fits: Fit) -> bool:
+    """Whether pre-sliding that was found is no more than any friction gives way."""
+    return decision.is_found(at_rest.NAME) and not at_rest.matters(*fits)
+
+
+def take_its_name(decision: Decision) -> None:
+    """Leave pre-sliding in the model, as that of any friction."""
     decision.found = [found for found in decision.found if found.name != at_rest.NAME]
-    return not decision.found
 
 
 def of_little(decision: Decision, after: Fit, jobs: int) -> Fit:

@@ -125,13 +125,12 @@ class Runner(Seeker):
         fresh = self.afresh(rng=self.rng)
         fresh.scatter(records, jobs)
         fresh.closer(ROUNDS)
-        for p in fresh.different(len(self.places)):
-            self.pursue(p)
+        self.pursue(*fresh.different(len(self.places)))
 
     def steps_down(self, records: Sequence[Record], iterations: int) -> None:
         """Go a few steps down from where it is, without a look around."""
         steps = Steps(records, self.model, self.unknowns, self.known, 1, ROUGH)
-        self.places = [steps.descend(self.places[0], iterations)]
+        self.places = [steps.descend(self.places[0], iterations)[0]]
         self.cost = float(steps.costs(steps.residuals(self.places), self.places)[0])
 
     def place(self) -> Place:

@@ -81,8 +81,7 @@ def at_first(records: Sequence[Record], done: Fit, known: Known, jobs: int) -> F
     """Covariance of the unknowns, as the slopes over the starts of logs tell it."""
     starts = [cut(rec, FIRST_SECONDS) for rec in records]
     steps = Steps(starts, done.model, done.unknowns, known, jobs, ROUGH)
-    steps.descend(done.p, 1)
-    return steps.covariance
+    return steps.descend(done.p, 1)[1]
 
 
 def step(

@@ -18,6 +18,7 @@ import numpy as np
 from dmptm_ctrl.identify.fit import Drives, Fit, Known, Unknown, place, position
 from dmptm_ctrl.identify.led import EARLY_SECONDS, Bench
 from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import SUBSTEPS
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -196,7 +197,6 @@ class Steps:
     def __post_init__(self) -> None:
         self.bench = Bench(self.records)
         self.drives = Drives(self.model, self.unknowns)
-        self.covariance: Floats = np.zeros(0)  # of the last step
         self.low = np.array([k.low for k in self.unknowns])
         self.high = np.array([k.high for k in self.unknowns])
         # few impacts grow what coarse steps miss: they tell as well where it goes down
@@ -230,8 +230,8 @@ class Steps:
         runs = self.residuals([p, *ends], SUBSTEPS if self.early else None)
         return np.linalg.pinv(ends - p, rcond=SINGULAR) @ (runs[1:] - runs[0])
 
-    def descend(self, p: Floats, iterations: int = ITERATIONS) -> Floats:
-        """Go down from `p` for as long as it pays."""
+    def descend(self, p: Floats, iterations: int = ITERATIONS) -> tuple[Floats, Floats]:
+        """Go down from `p` for as long as it pays: place, and covariance of the last step."""
         known = self.known.precision + TINY * np.eye(p.size)
         spread = np.asarray(np.linalg.inv(known)) if self.spread is None else self.spread
         reach = REACH
@@ -241,7 +241,7 @@ class Steps:
             slopes = self.slopes(p, reach * axes(spread))
             w = NEWS / (1.0 + r**2 / FREEDOM)
             normal = (slopes * w) @ slopes.T + known
-            self.covariance = np.asarray(np.linalg.inv(normal), np.float64)
+            covariance = np.asarray(np.linalg.inv(normal), np.float64)
             uphill = (slopes * w) @ r + self.known.precision @ (p - self.known.mean)
             damped = normal + DAMPINGS[:, None, None] * np.diag(np.diag(normal))
             moves = np.linalg.solve(damped, uphill[:, None])[..., 0]
@@ -251,14 +251,14 @@ class Steps:
             best, before = int(np.argmin(costs)), cost
             gain = cost - costs[best]
             # what is missed says how far off the values may be
-            spread = self.covariance * max(1.0, float(loss(r).mean()) / NOISE_LEVEL)
+            spread = covariance * max(1.0, float(loss(r).mean()) / NOISE_LEVEL)
             if gain > 0.0:
                 p, r, cost = tried[best], missed[best], costs[best]
             if gain < self.stalled * before:
                 if gain > 0.0 or reach < NEAREST:
                     break
                 reach *= NEARER
-        return p
+        return p, covariance
 
 
 def axes(spread: Floats, most: float = FARTHEST) -> Floats:
@@ -299,8 +299,7 @@ class Seeker:
         """Fit to records of one horizon."""
         self.prepare(records, jobs, self.covariance)
         self.found: list[tuple[float, Floats, Floats, float]] = []
-        for start in self.places:
-            self.pursue(start)
+        self.pursue(*self.places)
 
     def prepare(self, records: Sequence[Record], jobs: int, spread: Floats | None) -> None:
         """Take what goes down on some records, and the same in coarse steps."""
@@ -314,17 +313,25 @@ class Seeker:
             records, self.model, self.unknowns, self.known, jobs, self.stalled, spread=spread
         )
 
-    def pursue(self, start: Floats) -> None:
-        """Go down from a start; keep the best two places."""
-        if self.steps.early and self.steps.levels([start])[0] > UNEASY:
-            start = self.rough.descend(start)
-        p = self.steps.descend(start)
-        missed = self.steps.residuals([p])
-        cost, level = float(self.steps.costs(missed, [p])[0]), float(loss(missed).mean())
-        self.found.append((cost, p, self.steps.covariance, level))
+    def pursue(self, *starts: Floats) -> None:
+        """Go down from some starts, at once where threads are free; keep the best two places."""
+        self.found += in_threads(self.reached, starts, self.steps.jobs)
         self.found.sort(key=lambda found: found[0])
         self.cost, _, _, self.level = self.found[0]
         self.places = [found[1] for found in self.found[:2]]
+
+    def reached(self, start: Floats) -> tuple[float, Floats, Floats, float]:
+        """Go down from a start: cost, place, covariance there, mean loss per sample."""
+        if self.steps.early and self.steps.levels([start])[0] > UNEASY:
+            start, _ = self.rough.descend(start)
+        p, covariance = self.steps.descend(start)
+        missed = self.steps.residuals([p])
+        cost = float(self.steps.costs(missed, [p])[0])
+        return cost, p, covariance, float(loss(missed).mean())
+
+    def down(self, starts: Sequence[Floats], iterations: int) -> list[Floats]:
+        """Go down from some starts by so many coarse steps at most."""
+        return in_threads(lambda p: self.rough.descend(p, iterations)[0], starts, self.steps.jobs)
 
     def scatter(self, records: Sequence[Record], jobs: int) -> None:
         """Begin anew from the best of many places that are known to be possible."""
@@ -336,9 +343,8 @@ class Seeker:
     def spread(self, drawn: Sequence[Floats]) -> None:
         """Go down from the best of many places, too."""
         for follow, iterations in FOLLOWED:
-            drawn = [self.rough.descend(p, iterations) for p in self.nearest(drawn, follow)]
-        for p in drawn:
-            self.pursue(p)
+            drawn = self.down(self.nearest(drawn, follow), iterations)
+        self.pursue(*drawn)
 
     def nearest(self, drawn: Sequence[Floats], count: int) -> list[Floats]:
         """Return the best of many places."""
@@ -361,8 +367,7 @@ class Seeker:
         """Try other starts, drawn from what the last horizon left open."""
         spread, best = axes(self.covariance, np.inf), self.places[0]
         drawn = [self.about(best, SIZES[i % len(SIZES)], spread) for i in range(DRAWS)]
-        for p in self.nearest(drawn, PURSUED):
-            self.pursue(p)
+        self.pursue(*self.nearest(drawn, PURSUED))
 
     def about(self, p: Floats, size: float, spread: Floats) -> Floats:
         """Draw a place about another, `size` times as far as the axes of `spread` reach."""
@@ -380,9 +385,8 @@ class Seeker:
                 for size in CLOSER
                 for _ in range(DRAWS)
             ]
-            followed = [self.rough.descend(p, 2) for p in self.nearest(drawn, AGAIN)]
-            for p in self.nearest(followed, CENTRES):
-                self.pursue(p)
+            followed = self.down(self.nearest(drawn, AGAIN), 2)
+            self.pursue(*self.nearest(followed, CENTRES))
 
     def anew(self, open_values: int, count: int, sizes: Sequence[float]) -> list[Floats]:
         """Draw the last values anew about each place; the others stay."""

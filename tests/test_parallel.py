@@ -4,7 +4,7 @@ from threading import Barrier, Event, Lock, get_ident
 
 import pytest
 
-from dmptm_ctrl.parallel import at_once, crew, in_threads
+from dmptm_ctrl.parallel import at_once, crew, free, in_threads
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 5])
@@ -57,6 +57,22 @@ def test_no_more_are_at_work_than_said():
     with crew(2):
         in_threads(lambda _: [work(k) for k in range(5)], range(40), 2)
     assert 1 <= most[0] <= 2
+
+
+def test_free_threads_are_those_that_have_nothing_to_do():
+    assert free(3) == 3
+    met = Barrier(2, timeout=10.0)
+
+    def seen(_):
+        met.wait()
+        found = free(2)
+        met.wait()
+        return found
+
+    with crew(2):
+        assert free(2) == 2
+        assert free(1) == 1
+        assert in_threads(seen, range(2), 2) == [1, 1]
 
 
 def test_an_error_is_the_caller_s():

@@ -10,11 +10,12 @@ from dmptm_ctrl import diagnose, load_log
 from dmptm_ctrl.diagnosis.at_rest import presliding
 from dmptm_ctrl.diagnosis.decide import Decision
 from dmptm_ctrl.diagnosis.diagnose import uncovered
+from dmptm_ctrl.diagnosis.giving import giving_or_not
 from dmptm_ctrl.diagnosis.landings import enter, landings, race_first, variants
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.trace import unknowns_of
+from dmptm_ctrl.diagnosis.trace import trace, unknowns_of
 from dmptm_ctrl.diagnosis.unseen import by_all_logs, by_impacts, outlasting, unseen
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.lock import LOST, UNEASY, Locked
@@ -79,6 +80,24 @@ def test_friction_that_hardly_gives_may_be_motors_that_differ():
     assert found.fit.horizon >= 0.1
     size = found.fit.model.effects[found.name]["error"]
     assert size == pytest.approx(truth[found.name]["left_share"], rel=0.1)
+
+
+def test_where_neither_law_of_friction_meets_the_landings_both_are_tried():
+    """A gap that varies is missed as friction that gives would be, and balances tell nothing."""
+    before, left, truth = fitted(800100026, (("backlash_variation", 0.5),), "load")
+    rested = presliding(left, 2)
+    assert rested.gives
+    assert not rested.doubtful
+    start = rattled(left.measured.fit, left.base, left.measured.drive, 2)
+    trials = trace(left, only=("cogging", "position_dependent_friction"))
+    law = giving_or_not(left.measured.fit, start, trials, 2)
+    assert not law.told
+    found = unseen(left, before, rested=replace(rested, sticks=law.sticks, told=law.told))
+    assert found.name == "backlash_variation"
+    values = found.fit.model.effects[found.name]
+    drive = found.fit.model.drive
+    share = np.hypot(values["cosine"], values["sine"]) / np.mean([drive["gap_l"], drive["gap_r"]])
+    assert share == pytest.approx(truth[found.name]["share"], rel=0.2)
 
 
 def test_landings_of_all_logs_tell_nothing_under_another_law_of_the_flanks():

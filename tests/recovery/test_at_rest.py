@@ -1,6 +1,7 @@
 """Pre-sliding told by the first tenth of a second, on rigs of another program with bristles."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from dmptm_ctrl.diagnosis.at_rest import (
     MATTERS,
     NAME,
     SHARE,
+    AtRest,
     a_little,
     matters,
     presliding,
@@ -103,10 +105,20 @@ def test_beside_an_offset_the_nearer_law_goes_on(friction, sticking):
     assert presliding(left, 2).gives
     records = left.measured.fit
     begun = rattled(records, left.base, left.measured.drive, 2)
-    start, (trial,), sticks = giving_or_not(records, begun, trace(left, only=(name,)), 2)
-    assert sticks == sticking
-    for fit in (start, trial.fit):
+    law = giving_or_not(records, begun, trace(left, only=(name,)), 2)
+    assert law.sticks == sticking
+    assert law.told
+    (trial,) = law.trials
+    for fit in (law.start, trial.fit):
         assert (NAME in fit.model.effects) != sticking
+
+
+def test_what_helps_much_is_doubtful_where_nothing_meets_the_landings_beside_it():
+    helps = AtRest(200.0, 100.0, (0.7, 0.5), Fit(Model(paper_drive()), (), np.zeros(0), np.eye(0)))
+    assert helps.gives
+    assert not helps.doubtful
+    assert replace(helps, told=False).doubtful
+    assert not replace(helps, told=False, sticks=True).doubtful
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])

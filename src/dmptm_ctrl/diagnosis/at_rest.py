@@ -70,6 +70,8 @@ class AtRest:
         Seconds for which it keeps step where the model without it does not; 0 if neither does.
     sticks : bool
         Whether what is missed there is something else, beside which friction sticks.
+    told : bool
+        Whether anything, beside friction that sticks or gives, meets the first landings.
     """
 
     gain: float
@@ -78,6 +80,7 @@ class AtRest:
     fit: Fit
     in_step: float = 0.0
     sticks: bool = False
+    told: bool = True
 
     @property
     def evidence(self) -> float:
@@ -92,8 +95,11 @@ class AtRest:
 
     @property
     def doubtful(self) -> bool:
-        """Whether it helps less than where friction gives, so that something else may be it."""
-        return self.gives and max(self.shares) < SHARE
+        """Whether it helps less than where friction gives, so that something else may be it.
+
+        Or whether nothing meets the first landings beside it, however much it helps.
+        """
+        return self.gives and (max(self.shares) < SHARE or not self.told)
 
     @property
     def convincing(self) -> bool:

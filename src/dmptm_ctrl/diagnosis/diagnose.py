@@ -313,8 +313,9 @@ def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
     start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
     resting = decision.at_rest
     if resting is not None and resting.gives:  # or delays and lags would do for it
-        start, field, sticks = giving_or_not(measured.fit, start, field, jobs)
-        decision.at_rest = replace(resting, sticks=sticks)
+        law = giving_or_not(measured.fit, start, field, jobs)
+        start, field = law.start, law.trials
+        decision.at_rest = replace(resting, sticks=law.sticks, told=law.told)
     for found in met_by_landings(decision):
         others = (t for t in field if t.name != found.name)
         field = [replace(t, fit=with_found(t.fit, found, after.model, base)) for t in others]

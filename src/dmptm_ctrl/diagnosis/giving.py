@@ -5,21 +5,43 @@ What lets the drive leave rest early, as an offset does, is missed there as givi
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from dmptm_ctrl.diagnosis.at_rest import softened
 from dmptm_ctrl.diagnosis.augment import loosened
 from dmptm_ctrl.diagnosis.runners import Runner, entrant, shaped, together
 from dmptm_ctrl.diagnosis.trace import Trial
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.lock import HORIZONS, cut
+from dmptm_ctrl.identify.lock import HORIZONS, LOST, cut
 from dmptm_ctrl.identify.records import Record
 
 FIRST = HORIZONS[:2]  # in which who has the right law of friction loses no step
 
 
+class Giving(NamedTuple):
+    """What a model starts from, as friction gives or sticks.
+
+    Attributes
+    ----------
+    start : BalanceFit
+        The model as it is.
+    trials : list of Trial
+        The effects that may be there.
+    sticks : bool
+        Whether friction sticks.
+    told : bool
+        Whether anyone meets the first landings; else neither law does.
+    """
+
+    start: BalanceFit
+    trials: list[Trial]
+    sticks: bool
+    told: bool
+
+
 def giving_or_not(
     records: Sequence[Record], start: BalanceFit, trials: Sequence[Trial], jobs: int
-) -> tuple[BalanceFit, list[Trial], bool]:
+) -> Giving:
     """Let friction give a little, unless one meets the first landings better where it sticks.
 
     Parameters
@@ -28,25 +50,19 @@ def giving_or_not(
         Of the model as it is, with friction that sticks.
     trials : sequence of Trial
         The effects that may be there.
-
-    Returns
-    -------
-    start : BalanceFit
-    trials : list of Trial
-    sticks : bool
     """
     behind = len(start.unknowns)
     soft = [replace(trial, fit=softened(trial.fit, behind)) for trial in trials]
     of_soft = softened(start, behind)
-    if at_first(records, start, trials, jobs) < at_first(records, of_soft, soft, jobs):
-        return start, [*trials], True
-    return of_soft, soft, False
+    stuck, gave = (at_first(records, *law, jobs) for law in ((start, trials), (of_soft, soft)))
+    sticks, told = stuck.cost < gave.cost, min(stuck.level, gave.level) < LOST
+    return Giving(start, [*trials], True, told) if sticks else Giving(of_soft, soft, False, told)
 
 
 def at_first(
     records: Sequence[Record], start: BalanceFit, trials: Sequence[Trial], jobs: int
-) -> float:
-    """Return what the nearest of all costs over the first hundredths of a second."""
+) -> Runner:
+    """Return the nearest of all over the first hundredths of a second."""
     known = loosened(start)
     field = [entrant(None, start.model, start.unknowns, known, ())]
     for trial in trials:
@@ -55,4 +71,4 @@ def at_first(
         together(Runner.go, field, jobs, [cut(rec, seconds) for rec in records], jobs)
         for runner in field:
             runner.settle()
-    return min(runner.cost for runner in field)
+    return min(field, key=lambda runner: runner.cost)

@@ -4,7 +4,7 @@ import pytest
 from tests.recovery.test_race import measured_rig
 
 from dmptm_ctrl.diagnosis.decide import FIRST
-from dmptm_ctrl.diagnosis.diagnose import KEEPS_SECONDS
+from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS
 from dmptm_ctrl.diagnosis.race import race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.trace import trace

@@ -9,7 +9,7 @@ from tests.recovery.test_unseen import fitted
 from dmptm_ctrl import diagnose, load_log
 from dmptm_ctrl.diagnosis.at_rest import presliding
 from dmptm_ctrl.diagnosis.decide import Decision
-from dmptm_ctrl.diagnosis.diagnose import uncovered
+from dmptm_ctrl.diagnosis.free_runs import uncovered
 from dmptm_ctrl.diagnosis.giving import giving_or_not
 from dmptm_ctrl.diagnosis.landings import enter, landings, race_first, variants
 from dmptm_ctrl.diagnosis.measure import measure

@@ -10,7 +10,7 @@ from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.curves import Curve
 from dmptm_ctrl.diagnosis.decide import FIRST, Decision
-from dmptm_ctrl.diagnosis.diagnose import in_step, may_ring, met_by_landings, uncovered
+from dmptm_ctrl.diagnosis.free_runs import in_step, may_ring, met_by_landings, uncovered
 from dmptm_ctrl.diagnosis.landings import FIRST_SECONDS, PLACES_OF_ALL, landings, race_first
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error

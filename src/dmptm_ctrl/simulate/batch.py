@@ -164,8 +164,7 @@ def march_many(
         begin=begin,
     )
     count = len(arrays)
-    rows = x0 if x0.shape == (count, 6) else np.broadcast_to(x0, (count, 6))
-    starts = np.ascontiguousarray(rows, float)
+    starts = np.ascontiguousarray(np.broadcast_to(x0, (count, 6)), float)
     kept, _ = _all(task, arrays, starts, np.zeros((count, _OPEN)), jobs)
     return kept.transpose(0, 2, 1)
 

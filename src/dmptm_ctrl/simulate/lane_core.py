@@ -8,7 +8,6 @@ neutral parameters.
 import numpy as np
 from numba import njit
 
-from dmptm_ctrl.effects.stribeck import stribeck_law
 from dmptm_ctrl.simulate.control_core import M_LEFT, M_RIGHT, MEMORY, command
 from dmptm_ctrl.simulate.core import MIN_COMPLIANCE, UNKNOWN, aged, bristles_of, held_average
 from dmptm_ctrl.simulate.elementary import wide
@@ -116,6 +115,7 @@ from dmptm_ctrl.simulate.lane_stages_core import (
     to_middle,
     twist,
 )
+from dmptm_ctrl.simulate.row_step_core import law_of
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
     aged_friction,
@@ -128,8 +128,9 @@ from dmptm_ctrl.simulate.sites import (  # chains
 
 
 @njit
-def fill(s, lane, x0, loop, h, dt, base, on, values):
+def fill(s, lane, x0, loop, h, dt, bases, drive, on, values):
     """Put one drive into a lane: its numbers, its start, what follows from both."""
+    base = bases[drive]
     for k in range(values.size):
         s[VALUES + k * LANES + lane] = values[k]
     for k in range(5):
@@ -161,13 +162,9 @@ def fill(s, lane, x0, loop, h, dt, base, on, values):
         s[MOBILITY + row] = h / (
             base[4] if body == 2 else base[3] if elastic else base[3] + j_motor
         )
-        own = 24 if body == 2 else 15
-        full = stribeck_law(
-            *(base[own], base[own + 1], base[own + 2], base[own + 3], base[own + 4]),
-            *(base[own + 5], base[own + 6], base[own + 7], base[own + 8]),
-        )
+        own = law_of(bases, drive, 24 if body == 2 else 15)
         for k in range(11):
-            s[LAW + 3 * k * LANES + row] = full[k]
+            s[LAW + 3 * k * LANES + row] = own[k]
         s[DISTANCE + row], s[AT_ONCE + row], s[BRISTLE_LAG + row] = bristles_of(
             presliding_law(body, on, values), s[MOBILITY + row], h, law(s, row, 1.0)
         )
@@ -467,7 +464,7 @@ def march_groups(
             k = min(first + lane, count - 1)
             for effect in range(used.size):
                 used[effect] |= on[k, effect]
-            fill(s, lane, x0[k], loops[k], h, dt, base[k], on[k], values[k])
+            fill(s, lane, x0[k], loops[k], h, dt, base, k, on[k], values[k])
             pick[0, lane] = k if u.shape[0] > 1 else 0
             pick[1, lane] = k if target.shape[0] > 1 else 0
             pick[2, lane] = k if measured.shape[0] > 1 else 0

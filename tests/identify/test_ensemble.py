@@ -1,12 +1,24 @@
 """Drives drawn from what is known tell, all together, where the whole logs lead."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
+from dmptm_ctrl.diagnosis.augment import missed
 from dmptm_ctrl.identify import ensemble
-from dmptm_ctrl.identify.ensemble import CHANCE, FREEDOM, NEWS, SHARPER, smoothed, step
+from dmptm_ctrl.identify.ensemble import (
+    BELIEVED,
+    CHANCE,
+    FREEDOM,
+    NEWS,
+    SCHEME,
+    SHARPER,
+    WORSE,
+    smoothed,
+    step,
+)
 from dmptm_ctrl.identify.fit import Fit, Known, drive_unknowns, place, position
 from dmptm_ctrl.identify.records import record
 from dmptm_ctrl.signals import Log
@@ -74,25 +86,28 @@ def astray(plant):
 
 
 def test_friction_of_the_way_back():
-    """Of most drives: found, and what is claimed of all values together is what they miss.
+    """Of most drives: found, and the last draw's width holds what all values together miss.
 
     One drive proves little: after many bounces it is rounding that decides where it lands, and
-    with that whether a step sees far enough.
+    with that whether a step sees far enough. Of machines that are run by another program the true
+    values lie 1 to 2 widths off; these are run by the same.
     """
     surely, misses, left = [], [], []
     for seed in range(1, 13):
         plant = drawn(seed)
         start, known = astray(plant)
-        done = smoothed(logged(plant, seed + 1), start, known, 2)[-1]
+        logs = logged(plant, seed + 1)
+        begun = missed(start.model, logs), start
+        *_, (_, done) = smoothed(logs, begun, known, partial(missed, records=logs), 2)
         off = done.p - plant[1]
         misses.append(off / np.sqrt(np.diag(done.covariance)))
         surely += [abs(x) for k, x in zip(start.unknowns, off, strict=True) if k.name in WRONG]
         left.append(np.linalg.norm(off) / np.linalg.norm(start.p - plant[1]))
         np.testing.assert_allclose(done.p, position(done.model, start.unknowns), atol=1e-12)
-    assert np.median(left) < 0.25
-    assert np.median(surely) < 0.2 * OFF  # of 40 drives, whatever rounds otherwise: 0.15
-    assert np.sqrt(np.mean(np.square(misses))) < 2.0
-    assert np.median(np.abs(misses)) > 0.2
+    assert np.median(left) < 0.2
+    assert np.median(surely) < 0.15 * OFF
+    assert np.sqrt(np.mean(np.square(misses))) < 1.0
+    assert np.median(np.abs(misses)) > 0.05
 
 
 def test_threads_and_seed_decide_nothing_else(plant, records):
@@ -114,34 +129,37 @@ def linear(plant, records, monkeypatch):
     slopes = rng.standard_normal((len(unknowns), blocks))
     truth = 0.01 * rng.standard_normal(len(unknowns))
     hidden = np.zeros(blocks)  # scatter that no unknown tells
+    coarse = np.zeros(blocks)  # what longer steps miss
     known = Known(np.zeros(len(unknowns)), np.eye(len(unknowns)))
-    fit = Fit(Model(), unknowns, np.zeros(len(unknowns)), 1e-2 * np.eye(len(unknowns)))
+    fit = Fit(Model(), unknowns, np.zeros(len(unknowns)), 3e-2 * np.eye(len(unknowns)))
 
     def compared(_, drives, jobs, substeps):
         chance = np.random.default_rng(6).standard_normal((len(drives), blocks))
-        return (truth - drives) @ slopes + hidden * chance
+        missed = (truth - drives) @ slopes + hidden * chance
+        return missed + coarse if substeps == FINE_SUBSTEPS else missed
 
     monkeypatch.setattr(ensemble, "compared", compared)
     monkeypatch.setattr(ensemble, "arrays_at", lambda model, unknowns, p: np.array(p))
     monkeypatch.setattr(ensemble, "UNIT", ensemble.SPEED_UNIT)
-    return fit, known, slopes, truth, hidden
+    return fit, known, slopes, truth, hidden, coarse
 
 
 def test_of_linear_runs_it_is_the_closed_form(linear, records):
-    fit, known, slopes, truth, _ = linear
+    fit, known, slopes, truth, *_ = linear
     p, covariance = step(records[:1], fit, known, 1, np.random.default_rng(0))
     w = NEWS / (1.0 + (truth @ slopes) ** 2 / FREEDOM)
     normal = (slopes * w) @ slopes.T + np.eye(p.size)
     np.testing.assert_allclose(p, np.linalg.solve(normal, (slopes * w) @ (truth @ slopes)))
-    np.testing.assert_allclose(covariance, np.linalg.inv(normal), atol=1e-12)
-    vague = replace(fit, covariance=np.eye(p.size))  # 150 times as much: more than one step may
+    believed = BELIEVED * (slopes * w) @ slopes.T + np.eye(p.size)
+    np.testing.assert_allclose(covariance, np.linalg.inv(believed), atol=1e-12)
+    vague = replace(fit, covariance=np.eye(p.size))  # far more than one step may narrow
     _, covariance = step(records[:1], vague, known, 1, np.random.default_rng(0))
     np.testing.assert_allclose(covariance, np.eye(p.size) / SHARPER, atol=1e-12)
 
 
 def test_what_is_chance_is_not_learnt(linear, records):
     """Blocks that scatter whatever the values are tell nothing: only the others count."""
-    fit, known, slopes, truth, hidden = linear
+    fit, known, slopes, truth, hidden, _ = linear
     hidden[::2] = 30.0 * np.sqrt(CHANCE)
     p, _ = step(records[:1], fit, known, 1, np.random.default_rng(0))
     others = slopes[:, 1::2]
@@ -150,8 +168,26 @@ def test_what_is_chance_is_not_learnt(linear, records):
     np.testing.assert_allclose(p, np.linalg.solve(normal, (others * w) @ (truth @ others)))
 
 
+def test_what_the_scheme_misses_counts_as_chance(linear, records):
+    fit, known, slopes, truth, _, coarse = linear
+    coarse[::2] = 0.7
+    p, _ = step(records[:1], fit, known, 1, np.random.default_rng(0))
+    w = 1.0 / (1.0 + (SCHEME * coarse) ** 2)
+    w = NEWS * w / (1.0 + w * (truth @ slopes) ** 2 / FREEDOM)
+    normal = (slopes * w) @ slopes.T + np.eye(p.size)
+    np.testing.assert_allclose(p, np.linalg.solve(normal, (slopes * w) @ (truth @ slopes)))
+
+
+def test_steps_that_make_it_worse_are_not_taken(plant, records):
+    start, known = astray(plant)
+    ever = iter(0.9 * WORSE * np.array([1.0, 3.0, 2.0, 4.0, 3.0]))
+    taken = smoothed(records, (0.0, start), known, lambda model: next(ever), 2)
+    np.testing.assert_allclose([miss for miss, _ in taken], 0.9 * WORSE * np.array([0, 1, 2, 3]))
+    assert taken[0][1] is start
+
+
 def test_values_stay_within_their_bounds(linear, records):
-    fit, known, _, truth, _ = linear
+    fit, known, _, truth, *_ = linear
     tight = tuple(replace(k, low=-1e-3, high=1e-3) for k in fit.unknowns)
     p, _ = step(records[:1], replace(fit, unknowns=tight), known, 1, np.random.default_rng(0))
     assert np.abs(truth).max() > 1e-3

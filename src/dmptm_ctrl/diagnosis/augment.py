@@ -25,9 +25,7 @@ NOT_NEWS = 2.0
 FIRM_SECONDS = 0.2  # a lock that holds for so long needs no other fit beside it
 AGAIN = 0.5  # share of a horizon that was reached, from which other logs begin
 NOISE = np.deg2rad(0.01)  # rad/s, of a gyro below 30 Hz
-# Over whole logs at most; how many may come to less than the fall of the sum of the logs'
-# logarithms that is worth more; of how many the mean is tried.
-TURNS, PATIENCE, WORTH, LAST = 2, 2, 0.25, 2
+LAST = 3  # steps over whole logs, of which the mean is tried
 RUNS = 8  # of which the expected motion is the mean, where models are compared
 ITERATIONS = 2  # from the values of balances and the rattle; more moved nothing on held-out logs
 
@@ -108,21 +106,13 @@ def nearest(tried: Sequence[Fit], records: Sequence[Record], jobs: int) -> tuple
 
 
 def onto_whole(records: Sequence[Record], begun: tuple[float, Fit], known: Known, jobs: int) -> Fit:
-    """Go on over whole logs as long as it meets them better than it began.
+    """Go on over whole logs, to where they are met best.
 
-    What a turn has learnt brings later bounces within reach of the next, which begins anew with
-    the little that the first bounces tell: what a turn knows in the end is too much. Where each
-    comes out is partly chance, which their mean has less of.
+    Where a step comes out is partly chance, which the mean of the last has less of.
     """
-    tried, turns = [begun], [begun[1]]
-    for turn in range(TURNS):
-        turns.append(smoothed(records, turns[-1], known, jobs, turn)[-1])
-        tried.append((missed(turns[-1].model, records, jobs), turns[-1]))
-        misses = [miss for miss, _ in tried]
-        if min(misses[-PATIENCE:]) > min(misses[:-PATIENCE], default=np.inf) - WORTH:
-            break
+    tried = smoothed(records, begun, known, lambda model: missed(model, records, jobs), jobs)
     done = begun[1]
-    mean = moved(done, np.mean([one.p for one in turns[-LAST:]], axis=0))
+    mean = moved(done, np.mean([one.p for _, one in tried[-LAST:]], axis=0))
     tried.append((missed(mean.model, records, jobs), mean))
     best = min(tried, key=lambda one: one[0])[1]
     return replace(done, model=best.model, p=best.p)

@@ -18,7 +18,7 @@ from dmptm_ctrl.diagnosis.decide import (
     withdraw,
 )
 from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS, WINS_SECONDS
-from dmptm_ctrl.diagnosis.giving import giving_or_not
+from dmptm_ctrl.diagnosis.giving import Giving, giving_or_not
 from dmptm_ctrl.diagnosis.landings import BY_IMPACTS
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import speed_error
@@ -60,16 +60,23 @@ def traced(decision: Decision, before: Fit, without: float, jobs: int, seed: int
 
     `without` is the error on held-out logs of the model as it is.
     """
-    held = decision.before.measured.held_logs
+    measured = decision.before.measured
+    held = measured.held_logs
     after = before if decision.after is decision.before else refit(decision, jobs)
     after = of_little(decision, after, jobs)
     after = told_apart(decision, after, jobs, seed)
     after = sobered(decision, without, after, held, jobs)
     after = rested(decision, after, jobs)
-    after = in_step(decision, after, jobs, seed)
+    law = law_of_friction(decision, jobs) if may_race(decision, after) else None
+    # where neither law of friction meets the first landings, who races loses step there
+    later = law is not None and not law.told and not measured.has_motor_encoders
+    if law is not None and not later:
+        after = in_step(decision, after, law, jobs, seed)
     after = uncovered(decision, without, after, held, jobs, seed)
-    if met_by_landings(decision):  # beside it another one may show
-        after = in_step(decision, after, jobs, seed)
+    if met_by_landings(decision) and may_race(decision, after):  # beside it another one may show
+        after = in_step(decision, after, law_of_friction(decision, jobs), jobs, seed)
+    elif later and law is not None and may_race(decision, after):
+        after = in_step(decision, after, law, jobs, seed)
     if as_any_friction(decision, after):
         take_its_name(decision)
     return after
@@ -155,24 +162,33 @@ def sobered(decision: Decision, without: float, after: Fit, held: Sequence[Log],
     return after
 
 
-def in_step(decision: Decision, after: Fit, jobs: int, seed: int) -> Fit:
+def may_race(decision: Decision, after: Fit) -> bool:
+    """Whether free runs may tell of another effect."""
+    if len(decision.found) == MAX_EFFECTS or decision.unexplained is not None:
+        return False
+    # beside another effect a law that is not quite the model's is not told from a faint one
+    return not decision.found or after.horizon < BESIDE_SECONDS
+
+
+def law_of_friction(decision: Decision, jobs: int) -> Giving:
+    """Tell what those start from that race: as friction gives, where it may, or sticks."""
+    measured, base = decision.before.measured, decision.after.base
+    start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
+    resting = decision.at_rest
+    if resting is None or not resting.gives:
+        return Giving(start, [*field], True, True)
+    law = giving_or_not(measured.fit, start, field, jobs)  # or delays and lags would do for it
+    decision.at_rest = replace(resting, sticks=law.sticks, told=law.told)
+    return law
+
+
+def in_step(decision: Decision, after: Fit, law: Giving, jobs: int, seed: int) -> Fit:
     """Add an effect that the balances do not see, but free runs from rest do.
 
     What has been found and the balances do not see either runs along, of any size.
     """
-    full = len(decision.found) == MAX_EFFECTS
-    if full or decision.unexplained is not None:
-        return after
     measured, base = decision.before.measured, decision.after.base
-    # beside another effect a law that is not quite the model's is not told from a faint one
-    if decision.found and after.horizon >= BESIDE_SECONDS:
-        return after
-    start, field = rattled(measured.fit, base, measured.drive, jobs), decision.rest
-    resting = decision.at_rest
-    if resting is not None and resting.gives:  # or delays and lags would do for it
-        law = giving_or_not(measured.fit, start, field, jobs)
-        start, field = law.start, law.trials
-        decision.at_rest = replace(resting, sticks=law.sticks, told=law.told)
+    start, field = law.start, law.trials
     for found in met_by_landings(decision):
         others = (t for t in field if t.name != found.name)
         field = [replace(t, fit=with_found(t.fit, found, after.model, base)) for t in others]
@@ -280,8 +296,12 @@ def uncovered(
     model = Model(beside.base.model.drive, shown.fit.model.effects)
     left = replace(beside, base=replace(beside.base, model=model))
     decision.after = left
+    rested = decision.at_rest
     if shown.name != AGEING:
         decision.found.append(by_step(shown, left.base))
+        if rested is not None and not rested.told:  # the law beside which it was found is
+            sticks = at_rest.NAME not in shown.fit.model.effects
+            decision.at_rest = replace(rested, sticks=sticks, told=True)
     fit = refit(decision, jobs, shown.fit)
     error = speed_error(fit.model, held, jobs)["rmse"]
     better = error <= without
@@ -290,7 +310,7 @@ def uncovered(
         lasting = shown.everywhere or shown.meets
         better |= lasting and error <= WORSE * without + LITTLE
         if not better:  # another one of its kind can meet the first landings too
-            decision.after = before
+            decision.after, decision.at_rest = before, rested
             decision.found.pop()
             return after
         decision.unexplained = decision.tables = None

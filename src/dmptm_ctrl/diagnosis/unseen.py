@@ -150,20 +150,22 @@ def unseen(
             return aged
     if not left.measured.has_motor_encoders:
         gives = rested is not None and rested.gives
-        start = softened(base, len(base.unknowns)) if gives else base
+        start, other = (softened(base, len(base.unknowns)) if gives else base), base
+        if rested is not None and gives and not rested.told:  # neither law: the declared one first
+            start, other = other, start
         ahead = horizons(FIRST_SECONDS[-1], before.horizon)
         meets = any(level(before.model, left.measured.fit, h, jobs) < DOUBTFUL for h in ahead)
         if meets and start.model.effects.keys() == before.model.effects.keys():
             start = replace(start, model=before.model)  # from where the first ones are met
         landed = landings(left, start, jobs, seed, none_tells=meets)
-        turns = not gives  # a friction law of another kind lets no model meet the reversals
+        turns = start is base  # a friction law of another kind lets no model meet the reversals
         found: Shown | Fit | None = by_all_logs(landed, jobs, seed, turns=turns)
         if found is None:
             found = by_impacts(landed, jobs, seed, turns=turns)
         doubtful = rested is not None and rested.doubtful
-        if doubtful and found is None and landed.alone.level > LOST:  # friction may stick
-            landed = landings(left, base, jobs, seed, among=landed.nearest(ONCE_MORE))
-            found = by_impacts(landed, jobs, seed)
+        if doubtful and found is None and landed.alone.level > LOST:  # it may be the other law
+            landed = landings(left, other, jobs, seed, among=landed.nearest(ONCE_MORE))
+            found = by_impacts(landed, jobs, seed, turns=other is base)
         if isinstance(found, Fit) and found.horizon <= before.horizon:
             found = None
         if isinstance(found, Shown) and size(found.fit.model, found.name) < SMALLEST:

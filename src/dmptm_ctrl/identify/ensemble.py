@@ -116,7 +116,7 @@ def step(
     jobs: int,
     rng: np.random.Generator,
 ) -> tuple[Floats, Floats]:
-    """Draw drives from what is known, and learn from all of them: values, and the next draw's."""
+    """Draw drives from what is known; what all teach: values, and covariance of the next draw."""
     low = np.array([k.low for k in done.unknowns])
     high = np.array([k.high for k in done.unknowns])
     k = done.p.size

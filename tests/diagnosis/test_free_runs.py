@@ -1,0 +1,82 @@
+"""In which order free runs are asked, and beside which law of friction."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dmptm_ctrl.diagnosis import free_runs, unseen
+from dmptm_ctrl.diagnosis.at_rest import NAME, AtRest
+from dmptm_ctrl.diagnosis.decide import Decision
+from dmptm_ctrl.diagnosis.giving import Giving
+from dmptm_ctrl.identify.balance import BalanceFit
+from dmptm_ctrl.identify.fit import Fit, drive_unknowns
+from dmptm_ctrl.simulate.model import Model
+
+UNKNOWNS = drive_unknowns(Model())
+ASTRAY = Fit(Model(), UNKNOWNS, np.zeros(len(UNKNOWNS)), np.eye(len(UNKNOWNS)), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("told", "encoders", "order"),
+    [
+        (True, False, ["race", "landings"]),
+        (False, False, ["landings", "race"]),  # who races loses step at the first landings
+        (False, True, ["race", "landings"]),  # the balances see what landings would tell
+    ],
+)
+def test_landings_go_first_where_neither_law_of_friction_is_told(
+    told, encoders, order, monkeypatch
+):
+    asked = []
+
+    def asks(what):
+        def one(decision, *arguments):
+            asked.append(what)
+            return ASTRAY
+
+        return one
+
+    for name in ("of_little", "told_apart", "rested"):
+        monkeypatch.setattr(free_runs, name, lambda decision, after, *arguments: after)
+    monkeypatch.setattr(free_runs, "sobered", lambda decision, without, after, *arguments: after)
+    law = Giving(None, [], False, told)
+    monkeypatch.setattr(free_runs, "law_of_friction", lambda decision, jobs: law)
+    monkeypatch.setattr(free_runs, "in_step", asks("race"))
+    monkeypatch.setattr(free_runs, "uncovered", asks("landings"))
+    left = SimpleNamespace(
+        measured=SimpleNamespace(has_motor_encoders=encoders, held_logs=()),
+        base=SimpleNamespace(unknowns=UNKNOWNS),
+    )
+    free_runs.traced(Decision(left, left), ASTRAY, 0.1, 1, 0)
+    assert asked == order
+
+
+@pytest.mark.parametrize(
+    ("rested", "laws"),
+    [
+        (AtRest(100.0, 100.0, (0.1, 0.1), ASTRAY), ["gives", "sticks"]),  # it helps little
+        (AtRest(100.0, 100.0, (0.6, 0.6), ASTRAY), ["gives"]),
+        (AtRest(100.0, 100.0, (0.6, 0.6), ASTRAY, told=False), ["sticks", "gives"]),
+        (None, ["sticks"]),
+    ],
+)
+def test_law_of_friction_beside_which_landings_are_tried(rested, laws, monkeypatch):
+    tried = []
+
+    def landings(left, base, *arguments, **options):
+        tried.append("gives" if NAME in base.model.effects else "sticks")
+        alone = SimpleNamespace(level=1.0)
+        return SimpleNamespace(alone=alone, nearest=lambda count: [])
+
+    n = len(UNKNOWNS)
+    base = BalanceFit(Model(), UNKNOWNS, np.zeros(n), 0.0, [], [], np.zeros((0, n)), np.eye(n))
+    monkeypatch.setattr(unseen, "landings", landings)
+    monkeypatch.setattr(unseen, "rattled", lambda records, fit, *arguments: fit)
+    for name in ("by_all_logs", "by_impacts"):
+        monkeypatch.setattr(unseen, name, lambda *arguments, **options: None)
+    measured = SimpleNamespace(fit=(), held=(), has_motor_encoders=False, drive=None)
+    monkeypatch.setattr(unseen, "level", lambda *arguments: 1.0)
+    left = SimpleNamespace(measured=measured, base=base)
+    assert unseen.unseen(left, ASTRAY, rested=rested, alone=False) is None
+    assert tried == laws

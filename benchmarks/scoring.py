@@ -171,9 +171,10 @@ def summarise(lines):
         ),
         "hidden_error_left": spread(error_left(x) for x in lines),
         "hidden_error_left_above_chance": spread(error_left(x, "chance") for x in lines),
-        "hidden_error_left_by_friction": {
-            law: spread(error_left(x) for x in lines if x["laws"].get("friction") == law)
-            for law in sorted({x["laws"]["friction"] for x in lines if x.get("laws")})
+        "hidden_error_left_by_law": {
+            f"{kind} {law}": spread(error_left(x) for x in lines if x["laws"].get(kind) == law)
+            for kind in ("friction", "contact")
+            for law in sorted({x["laws"][kind] for x in lines if x.get("laws")})
         },
         "seconds": spread(x["seconds"] for x in lines),
         "missed": [missed(x) for x in lines if not right(x)],
@@ -232,9 +233,9 @@ def report(summary):
         above = summary["hidden_error_left_above_chance"]
         if above:
             rows.append(f"  above what is chance  {above['median']:.3f} of {above['of']}")
-        for law, left in summary["hidden_error_left_by_friction"].items():
+        for law, left in summary["hidden_error_left_by_law"].items():
             if left:
-                rows.append(f"  friction {law:12s} {left['median']:.3f} of {left['of']}")
+                rows.append(f"  {law:21s} {left['median']:.3f} of {left['of']}")
     if summary["seconds"]:
         median, most, last = (summary["seconds"][key] for key in ("median", "p90", "max"))
         rows.append(

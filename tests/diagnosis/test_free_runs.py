@@ -52,6 +52,7 @@ def test_landings_go_first_where_neither_law_of_friction_is_told(
     assert asked == order
 
 
+@pytest.mark.parametrize("missed", [1.0, 0.2])  # 0.2: the first landings are met
 @pytest.mark.parametrize(
     ("rested", "laws"),
     [
@@ -61,8 +62,8 @@ def test_landings_go_first_where_neither_law_of_friction_is_told(
         (None, ["sticks"]),
     ],
 )
-def test_law_of_friction_beside_which_landings_are_tried(rested, laws, monkeypatch):
-    tried = []
+def test_law_of_friction_beside_which_landings_are_tried(rested, laws, missed, monkeypatch):
+    tried, turned = [], []
 
     def landings(left, base, *arguments, **options):
         tried.append("gives" if NAME in base.model.effects else "sticks")
@@ -73,10 +74,11 @@ def test_law_of_friction_beside_which_landings_are_tried(rested, laws, monkeypat
     base = BalanceFit(Model(), UNKNOWNS, np.zeros(n), 0.0, [], [], np.zeros((0, n)), np.eye(n))
     monkeypatch.setattr(unseen, "landings", landings)
     monkeypatch.setattr(unseen, "rattled", lambda records, fit, *arguments: fit)
-    for name in ("by_all_logs", "by_impacts"):
-        monkeypatch.setattr(unseen, name, lambda *arguments, **options: None)
+    monkeypatch.setattr(unseen, "by_all_logs", lambda *arguments, **options: None)
+    monkeypatch.setattr(unseen, "by_impacts", lambda *arguments, turns: turned.append(turns))
     measured = SimpleNamespace(fit=(), held=(), has_motor_encoders=False, drive=None)
-    monkeypatch.setattr(unseen, "level", lambda *arguments: 1.0)
+    monkeypatch.setattr(unseen, "level", lambda *arguments: missed)
     left = SimpleNamespace(measured=measured, base=base)
     assert unseen.unseen(left, ASTRAY, rested=rested, alone=False) is None
     assert tried == laws
+    assert turned == [law == "sticks" for law in laws]  # only then reversals tell

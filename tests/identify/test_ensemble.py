@@ -86,11 +86,11 @@ def astray(plant):
 
 
 def test_friction_of_the_way_back():
-    """Of most drives: found, and the last draw's width holds what all values together miss.
+    """Of most drives: found, and what is claimed of all values together is what they miss.
 
     One drive proves little: after many bounces it is rounding that decides where it lands, and
-    with that whether a step sees far enough. Of machines that are run by another program the true
-    values lie 1 to 2 widths off; these are run by the same.
+    with that whether a step sees far enough. The draws are wider than the claim, by what is not
+    believed of machines that another program runs.
     """
     surely, misses, left = [], [], []
     for seed in range(1, 13):
@@ -100,14 +100,14 @@ def test_friction_of_the_way_back():
         begun = missed(start.model, logs), start
         *_, (_, done) = smoothed(logs, begun, known, partial(missed, records=logs), 2)
         off = done.p - plant[1]
-        misses.append(off / np.sqrt(np.diag(done.covariance)))
+        misses.append(off / np.sqrt(BELIEVED * np.diag(done.covariance)))
         surely += [abs(x) for k, x in zip(start.unknowns, off, strict=True) if k.name in WRONG]
         left.append(np.linalg.norm(off) / np.linalg.norm(start.p - plant[1]))
         np.testing.assert_allclose(done.p, position(done.model, start.unknowns), atol=1e-12)
     assert np.median(left) < 0.2
     assert np.median(surely) < 0.15 * OFF
-    assert np.sqrt(np.mean(np.square(misses))) < 1.0
-    assert np.median(np.abs(misses)) > 0.05
+    assert np.sqrt(np.mean(np.square(misses))) < 2.0
+    assert np.median(np.abs(misses)) > 0.2
 
 
 def test_threads_and_seed_decide_nothing_else(plant, records):

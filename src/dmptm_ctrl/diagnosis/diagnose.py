@@ -5,10 +5,7 @@ from collections.abc import Iterable
 from os import PathLike
 
 from dmptm_ctrl.diagnosis.augment import augment
-from dmptm_ctrl.diagnosis.decide import (
-    Decision,
-    decide,
-)
+from dmptm_ctrl.diagnosis.decide import Decision, decide
 from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.free_runs import (
     LITTLE,

@@ -67,16 +67,19 @@ def traced(decision: Decision, before: Fit, without: float, jobs: int, seed: int
     after = told_apart(decision, after, jobs, seed)
     after = sobered(decision, without, after, held, jobs)
     after = rested(decision, after, jobs)
-    law = law_of_friction(decision, jobs) if may_race(decision, after) else None
-    # where neither law of friction meets the first landings, who races loses step there
-    later = law is not None and not law.told and not measured.has_motor_encoders
-    if law is not None and not later:
-        after = in_step(decision, after, law, jobs, seed)
+    later = None  # the law of friction of a race that comes after the landings
+    if may_race(decision, after):
+        law = law_of_friction(decision, jobs)
+        if law.told or measured.has_motor_encoders:
+            after = in_step(decision, after, law, jobs, seed)
+        else:  # neither law meets the first landings: who races loses step there
+            later = law
     after = uncovered(decision, without, after, held, jobs, seed)
-    if met_by_landings(decision) and may_race(decision, after):  # beside it another one may show
-        after = in_step(decision, after, law_of_friction(decision, jobs), jobs, seed)
-    elif later and law is not None and may_race(decision, after):
-        after = in_step(decision, after, law, jobs, seed)
+    if may_race(decision, after):
+        if met_by_landings(decision):  # beside it another one may show
+            later = law_of_friction(decision, jobs)
+        if later is not None:
+            after = in_step(decision, after, later, jobs, seed)
     if as_any_friction(decision, after):
         take_its_name(decision)
     return after
@@ -296,12 +299,12 @@ def uncovered(
     model = Model(beside.base.model.drive, shown.fit.model.effects)
     left = replace(beside, base=replace(beside.base, model=model))
     decision.after = left
-    rested = decision.at_rest
+    resting = decision.at_rest
     if shown.name != AGEING:
         decision.found.append(by_step(shown, left.base))
-        if rested is not None and not rested.told:  # the law beside which it was found is
+        if resting is not None and not resting.told:  # the law beside which it was found is
             sticks = at_rest.NAME not in shown.fit.model.effects
-            decision.at_rest = replace(rested, sticks=sticks, told=True)
+            decision.at_rest = replace(resting, sticks=sticks, told=True)
     fit = refit(decision, jobs, shown.fit)
     error = speed_error(fit.model, held, jobs)["rmse"]
     better = error <= without
@@ -310,7 +313,7 @@ def uncovered(
         lasting = shown.everywhere or shown.meets
         better |= lasting and error <= WORSE * without + LITTLE
         if not better:  # another one of its kind can meet the first landings too
-            decision.after, decision.at_rest = before, rested
+            decision.after, decision.at_rest = before, resting
             decision.found.pop()
             return after
         decision.unexplained = decision.tables = None

@@ -153,12 +153,12 @@ def unseen(
         start, other = (softened(base, len(base.unknowns)) if gives else base), base
         if rested is not None and gives and not rested.told:  # neither law: the declared one first
             start, other = other, start
+        turns = start is base  # a friction law of another kind lets no model meet the reversals
         ahead = horizons(FIRST_SECONDS[-1], before.horizon)
         meets = any(level(before.model, left.measured.fit, h, jobs) < DOUBTFUL for h in ahead)
         if meets and start.model.effects.keys() == before.model.effects.keys():
             start = replace(start, model=before.model)  # from where the first ones are met
         landed = landings(left, start, jobs, seed, none_tells=meets)
-        turns = start is base  # a friction law of another kind lets no model meet the reversals
         found: Shown | Fit | None = by_all_logs(landed, jobs, seed, turns=turns)
         if found is None:
             found = by_impacts(landed, jobs, seed, turns=turns)

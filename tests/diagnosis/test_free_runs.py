@@ -1,5 +1,6 @@
 """In which order free runs are asked, and beside which law of friction."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from dmptm_ctrl.diagnosis import free_runs, unseen
 from dmptm_ctrl.diagnosis.at_rest import NAME, AtRest
 from dmptm_ctrl.diagnosis.decide import Decision
 from dmptm_ctrl.diagnosis.giving import Giving
+from dmptm_ctrl.diagnosis.landings import FIRST_SECONDS
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Fit, drive_unknowns
 from dmptm_ctrl.simulate.model import Model
@@ -79,6 +81,7 @@ def test_law_of_friction_beside_which_landings_are_tried(rested, laws, missed, m
     measured = SimpleNamespace(fit=(), held=(), has_motor_encoders=False, drive=None)
     monkeypatch.setattr(unseen, "level", lambda *arguments: missed)
     left = SimpleNamespace(measured=measured, base=base)
-    assert unseen.unseen(left, ASTRAY, rested=rested, alone=False) is None
+    before = replace(ASTRAY, horizon=FIRST_SECONDS[-1])
+    assert unseen.unseen(left, before, rested=rested, alone=False) is None
     assert tried == laws
     assert turned == [law == "sticks" for law in laws]  # only then reversals tell

@@ -443,15 +443,19 @@ def per_catalogue(function: Callable[..., _T]) -> Callable[..., _T]:
     all their numbers takes longer than what is asked for. Threads that ask at once get one answer.
     """
     known: dict[tuple[Any, ...], tuple[tuple[Effect, ...], _T]] = {}
+    last: dict[tuple[int, ...], tuple[tuple[Effect, ...], _T]] = {}
 
     def found(*args: int) -> _T:
-        key = (*map(id, CATALOGUE.values()), *args)
-        if key not in known:
-            with _LOADING:
-                if key not in known:
-                    # the effects too, or another may get an identity
-                    effects = tuple(CATALOGUE.values())
-                    known[key] = effects, function(effects, *args)
+        effects = tuple(CATALOGUE.values())
+        kept = last.get(args)
+        if kept is not None and kept[0] == effects:  # compares those first that are the same
+            return kept[1]
+        key = (*map(id, effects), *args)
+        with _LOADING:
+            if key not in known:
+                # the effects too, or another may get an identity
+                known[key] = effects, function(effects, *args)
+            last[args] = known[key]
         return known[key][1]
 
     return found

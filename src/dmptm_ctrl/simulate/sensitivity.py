@@ -25,7 +25,7 @@ from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
 from dmptm_ctrl.simulate.compose import engine, layout, per_catalogue
 from dmptm_ctrl.simulate.elementary import cached
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model, stacked
+from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model, Stacked
 from dmptm_ctrl.simulate.slope_chains import deciding_fields
 
 # Share of a parameter's size: truncation and rounding, grown by the run, are both far below 1 %
@@ -85,19 +85,17 @@ class _Place(NamedTuple):
     step: float
     effect: str  # or "" for the drive
 
-    def move(self, arrays: Arrays, ways: float = 1.0) -> Arrays:
-        """Copy of the arrays with the parameter moved by some steps."""
-        base, on, values = arrays
+    def move(self, rows: Stacked, row: int, ways: float = 1.0) -> None:
+        """Move the parameter by some steps in one of the rows."""
         if not self.effect:
-            base = base.copy()
-            base[self.slot] += ways * self.step
-            return base, on, values
-        on, values = on.copy(), values.copy()
-        values[self.slot] += ways * self.step
+            rows.base[row, self.slot] += ways * self.step
+            return
+        rows.values[row, self.slot] += ways * self.step
         number, first = layout()[self.effect]
         parameters = CATALOGUE[self.effect].parameters
-        on[number] = any(not p.bank and values[first + k] for k, p in enumerate(parameters))
-        return base, on, values
+        values = rows.values[row, first : first + len(parameters)]
+        acts = (x and not p.bank for p, x in zip(parameters, values, strict=True))
+        rows.on[row, number] = any(acts)
 
 
 def _place(model: Model, name: str, values: Floats) -> _Place:
@@ -190,12 +188,16 @@ def simulate_with_sensitivities(
     return Sensitivities(time, outputs, tuple(parameters), derivatives, exists)
 
 
-def _drives(arrays: Arrays, places: Sequence[_Place]) -> list[Arrays]:
+def _drives(arrays: Arrays, places: Sequence[_Place]) -> Stacked:
     """Numbers of a model, with each parameter moved, with all of them moved the other way."""
-    back = arrays
-    for place in places:
-        back = place.move(back, -1.0)
-    return [arrays, *(place.move(arrays) for place in places), back]
+    base, on, values = arrays
+    many = len(places) + 2
+    copies = base[None].repeat(many, 0), on[None].repeat(many, 0), values[None].repeat(many, 0)
+    rows = Stacked(*copies)
+    for j, place in enumerate(places):
+        place.move(rows, 1 + j)
+        place.move(rows, -1, -1.0)
+    return rows
 
 
 def _plain(arrays: Arrays, places: Sequence[_Place]) -> bool:
@@ -220,6 +222,14 @@ def _known(effects: tuple[Effect, ...]) -> _Known:
         [SITES.index(effect.site) for effect in effects for _ in effect.parameters],
         np.array([[effect.site == site for effect in effects] for site in KINDS], np.uint8),
     )
+
+
+@per_catalogue
+def _needed(_: tuple[Effect, ...], varied: bool, *used: int) -> tuple[bool | None, ...]:
+    """Per kind of sites whether the loop needs it, for effects by their positions."""
+    count = _known().kinds[:, list(used)].sum(axis=1)
+    count[WITH_MESHES] += varied
+    return tuple(True if some else None for some in count)
 
 
 def _way(arrays: Arrays, places: Sequence[_Place]) -> Callable[..., int] | None:
@@ -253,57 +263,58 @@ def _smooth(
     return True
 
 
-@per_catalogue
-def _moved(_: tuple[Effect, ...], *slots: int) -> NDArray[np.int64]:
-    """Changes and numbers of the effects that these move, by site, behind where each site begins.
+class _Moved(NamedTuple):
+    """Changes and numbers of the effects that these move, by site."""
 
-    `slots` of each change, -1 of a change of the drive's numbers.
-    """
+    rows: NDArray[np.int64]  # (3, …) behind where each site begins
+    places: tuple[NDArray[np.int64], NDArray[np.int64]]  # change and number of each
+
+
+@per_catalogue
+def _moved(_: tuple[Effect, ...], *slots: int) -> _Moved:
+    """Of each change the number of an effect, -1 of a change of the drive's numbers."""
     sites, ends = _known().sites, len(SITES) + 1
     found = sorted((sites[slot], j, slot) for j, slot in enumerate(slots) if slot >= 0)
     begins = [(ends + sum(site < at for site, _, _ in found), 0, 0) for at in range(ends)]
     rows = np.array([*begins, *((0, j, slot) for _, j, slot in found)], np.int64)
-    return np.ascontiguousarray(rows.T)
+    rows = np.ascontiguousarray(rows.T)
+    return _Moved(rows, (rows[1, ends:], rows[2, ends:]))
 
 
 def _by_kernels(
     given: tuple[Any, ...],
-    drives: Sequence[Arrays],
+    drives: Stacked,
     places: Sequence[_Place],
     steps: Floats,
     results: Sequence[Floats],
 ) -> int:
     """Go along by `tangent_site_core`; the sample from which the other way is another one."""
-    rows = stacked(drives)
-    bases, values = rows.base, rows.values
-    loop, known = engine(), _known()
+    bases, values, loop = drives.base, drives.values, engine()
     moved = _moved(*(place.slot if place.effect else -1 for place in places))
     fixed, room = np.zeros((len(drives), loop.FIXED)), np.zeros((3, loop.STATE))
-    s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(loop.R_MOVES + moved.shape[1])
-    on, ends = rows.on.max(axis=0), len(SITES) + 1
-    used = known.kinds @ on
-    used[WITH_MESHES] += np.count_nonzero(bases[:, VARIED])
-    kinds = (True if count else None for count in used)
+    first, own = loop.R_MOVES + len(SITES) + 1, values[1:-1] - values[0]
+    s, r = np.zeros(loop.SIZE_WITH_SITES), np.zeros(first + moved.places[0].size)
+    on = np.bitwise_or.reduce(drives.on)
     r[: loop.R_VALUES], r[loop.R_VALUES : loop.R_OWN] = on, values[0]
-    r[loop.R_MOVES + ends :] = (values[1:-1] - values[0])[tuple(moved[1:, ends:])]
+    r[first:] = own[moved.places]
+    kinds = _needed(bool(bases[:, VARIED].any()), *on.nonzero()[0].tolist())
     return int(
         loop.march_site_tangents(
-            *given, bases, values, on, moved, steps, s, fixed, room, r, *results, *kinds
+            *given, bases, values, on, moved.rows, steps, s, fixed, room, r, *results, *kinds
         )
     )
 
 
 def _by_slopes(
     given: tuple[Any, ...],
-    drives: Sequence[Arrays],
+    drives: Stacked,
     _: Sequence[_Place],
     steps: Floats,
     results: Sequence[Floats],
 ) -> int:
     """The same by `tangent_core`."""
-    bases = np.array([base for base, _, _ in drives])
     many = None if steps.size <= FEW else True  # two loops, compiled as they are needed
-    return int(engine().march_tangents(*given, bases, steps, *results, many))
+    return int(engine().march_tangents(*given, drives.base, steps, *results, many))
 
 
 def _along(

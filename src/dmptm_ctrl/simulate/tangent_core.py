@@ -10,7 +10,7 @@ kernels, which are linear in their torques; no physics is written here.
 import numpy as np
 from numba import njit
 
-from dmptm_ctrl.effects.backlash import Backlash, mesh_torque, region_torque
+from dmptm_ctrl.effects.backlash import Backlash, mesh_region, mesh_torque, region_torque
 from dmptm_ctrl.effects.stribeck import Stribeck, breakaway_torque, sliding_torque, stribeck_law
 from dmptm_ctrl.simulate.core import (
     UNKNOWN,
@@ -19,7 +19,9 @@ from dmptm_ctrl.simulate.core import (
 )
 
 CHANGES = 16  # side by side: fifteen parameters, and all of them the other way
-MARGIN = 1e-4  # of a torque: nearer to another branch than this, a step is taken anew
+# Of a torque, for a mesh of what its whole gap would take: nearer to another branch than this, a
+# step is taken anew.
+MARGIN = 1e-4
 # Of a change, by which those of both ways may differ and count as the same; of the state
 APART, ROUNDING = 1e-3, 1e-11
 
@@ -111,7 +113,13 @@ def stays(z, z_rate, torque, region, p, margin):
     """Whether a mesh is where it was in Eq. 21, and by a margin of torque not elsewhere."""
     if region == 0.0:
         side = 1.0 if z >= 0.0 else -1.0
-        return side * region_torque(z, z_rate, side, p) < -margin
+        if side * region_torque(z, z_rate, side, p) < -margin:
+            return True
+        if side * z_rate <= 0.0:
+            return False
+        gap = p.half_gap - margin / p.stiffness
+        smaller = Backlash(p.stiffness, p.damping, p.gap_damping, gap)
+        return mesh_region(z, z_rate, smaller) == 0.0  # not there yet, though torque would push
     push = region * torque
     return push > margin and push - region * z_rate * (p.damping + p.gap_damping) >= margin
 

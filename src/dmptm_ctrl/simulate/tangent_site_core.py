@@ -141,7 +141,6 @@ from dmptm_ctrl.simulate.tangent_core import (
     DV0,
     DV1,
     DV2,
-    MARGIN,
     NO_SLOPES,
     RESTING,
     changed_numbers,
@@ -153,6 +152,10 @@ from dmptm_ctrl.simulate.tangent_core import (
     smooth_body,
     used,
 )
+
+# As `MARGIN`, where it is known how far the changes are: of the gap's torque at least, and times
+# what they move torques of meshes at a sample. In a vector loop that sum would take longer.
+LEAST_MARGIN, TIMES = 1e-5, 10.0
 
 
 @njit
@@ -276,7 +279,9 @@ def march_site_tangents(
     gain = n1 * (base[0] * base[1])
     mobility_3, mobility_l = fixed[0, F_MOB3], fixed[0, F_MOBL]
     stiff, damping, ease = fixed[0, F_STIFF], fixed[0, F_DAMP], fixed[0, F_EASE]
-    margin = MARGIN * base[8] * max(base[13], base[14], 0.0)
+    least = LEAST_MARGIN * base[8] * max(base[13], base[14], 0.0)
+    by_twist, by_rate = TIMES * base[8], TIMES * (base[11] + base[12])
+    margin = least
     reducer, bearing = law_of(bases, 0, 15), law_of(bases, 0, 24)
     bristles0, bristles1 = bristles_in(fixed, 0, 0), bristles_in(fixed, 0, 1)
     bristles2 = bristles_in(fixed, 0, 2)
@@ -313,6 +318,7 @@ def march_site_tangents(
             mesh_r = plain_mesh(q1 - n2 * q2, v1 - n2 * v2, region1, mesh1, m1, n2, moving)
         anew0 = apart or not is_same(mesh_l, region0, margin)
         anew1 = apart or not is_same(mesh_r, region1, margin)
+        margin = least
         for j in range(-1, width):
             row = 1 + j
             dq0, dq1, dq2, dv0, dv1, dv2, da0, da1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -320,6 +326,8 @@ def march_site_tangents(
                 dq0, dq1, dq2 = s[DQ0 + j], s[DQ1 + j], s[DQ2 + j]
                 dv0, dv1, dv2 = s[DV0 + j], s[DV1 + j], s[DV2 + j]
                 da0, da1 = (s[D_A0 + j], s[D_A1 + j]) if elastic else (dq0, dq1)
+                margin += by_twist * (abs(dq0 - n2 * dq2) + abs(dq1 - n2 * dq2))
+                margin += by_rate * (abs(dv0 - n2 * dv2) + abs(dv1 - n2 * dv2))
             angle, speed = q2 + dq2, v2 + dv2
             if late:
                 back_by = int(fixed[row, F_LATE])

@@ -20,32 +20,36 @@ ASTRAY = Fit(Model(), UNKNOWNS, np.zeros(len(UNKNOWNS)), np.eye(len(UNKNOWNS)), 
 
 
 @pytest.mark.parametrize(
-    ("told", "encoders", "order"),
+    ("told", "encoders", "stuck", "order"),
     [
-        (True, False, ["race", "landings"]),
-        (False, False, ["landings", "race"]),  # who races loses step at the first landings
-        (False, True, ["race", "landings"]),  # the balances see what landings would tell
+        (True, False, False, ["race, or to where it is stuck", "landings"]),
+        # to begin anew takes longest, and is seldom won
+        (True, False, True, ["race, or to where it is stuck", "landings", "race"]),
+        (False, False, False, ["landings", "race"]),  # who races loses step at the first landings
+        (False, True, True, ["race", "landings"]),  # the balances see what landings would tell
     ],
 )
-def test_landings_go_first_where_neither_law_of_friction_is_told(
-    told, encoders, order, monkeypatch
-):
+def test_in_which_order_landings_are_asked(told, encoders, stuck, order, monkeypatch):
     asked = []
+    racing = SimpleNamespace(ended=False)
 
-    def asks(what):
-        def one(decision, *arguments):
-            asked.append(what)
-            return ASTRAY
+    def races(decision, after, racing, jobs, *, pauses=False):
+        asked.append("race, or to where it is stuck" if pauses else "race")
+        racing.ended = not (pauses and stuck)
+        return ASTRAY
 
-        return one
+    def lands(decision, *arguments):
+        asked.append("landings")
+        return ASTRAY
 
     for name in ("of_little", "told_apart", "rested"):
         monkeypatch.setattr(free_runs, name, lambda decision, after, *arguments: after)
     monkeypatch.setattr(free_runs, "sobered", lambda decision, without, after, *arguments: after)
     law = Giving(None, [], False, told)
     monkeypatch.setattr(free_runs, "law_of_friction", lambda decision, jobs: law)
-    monkeypatch.setattr(free_runs, "in_step", asks("race"))
-    monkeypatch.setattr(free_runs, "uncovered", asks("landings"))
+    monkeypatch.setattr(free_runs, "entered", lambda *arguments: racing)
+    monkeypatch.setattr(free_runs, "in_step", races)
+    monkeypatch.setattr(free_runs, "uncovered", lands)
     left = SimpleNamespace(
         measured=SimpleNamespace(has_motor_encoders=encoders, held_logs=()),
         base=SimpleNamespace(unknowns=UNKNOWNS),

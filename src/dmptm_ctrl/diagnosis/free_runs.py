@@ -22,7 +22,7 @@ from dmptm_ctrl.diagnosis.giving import Giving, giving_or_not
 from dmptm_ctrl.diagnosis.landings import BY_IMPACTS
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.race import race
+from dmptm_ctrl.diagnosis.race import Race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.runoff import run_off
@@ -67,11 +67,12 @@ def traced(decision: Decision, before: Fit, without: float, jobs: int, seed: int
     after = told_apart(decision, after, jobs, seed)
     after = sobered(decision, without, after, held, jobs)
     after = rested(decision, after, jobs)
-    later = None  # the law of friction of a race that comes after the landings
+    racing = later = None
     if may_race(decision, after):
         law = law_of_friction(decision, jobs)
         if law.told or measured.has_motor_encoders:
-            after = in_step(decision, after, law, jobs, seed)
+            racing = entered(decision, after, law, jobs, seed)
+            after = in_step(decision, after, racing, jobs, pauses=not measured.has_motor_encoders)
         else:  # neither law meets the first landings: who races loses step there
             later = law
     after = uncovered(decision, without, after, held, jobs, seed)
@@ -79,7 +80,9 @@ def traced(decision: Decision, before: Fit, without: float, jobs: int, seed: int
         if met_by_landings(decision):  # beside it another one may show
             later = law_of_friction(decision, jobs)
         if later is not None:
-            after = in_step(decision, after, later, jobs, seed)
+            racing = entered(decision, after, later, jobs, seed)
+        if racing is not None and not racing.ended:  # what takes longest, and is seldom won then
+            after = in_step(decision, after, racing, jobs)
     if as_any_friction(decision, after):
         take_its_name(decision)
     return after
@@ -185,8 +188,8 @@ def law_of_friction(decision: Decision, jobs: int) -> Giving:
     return law
 
 
-def in_step(decision: Decision, after: Fit, law: Giving, jobs: int, seed: int) -> Fit:
-    """Add an effect that the balances do not see, but free runs from rest do.
+def entered(decision: Decision, after: Fit, law: Giving, jobs: int, seed: int) -> Race:
+    """Let those start that the balances do not see, but free runs from rest do.
 
     What has been found and the balances do not see either runs along, of any size.
     """
@@ -198,7 +201,15 @@ def in_step(decision: Decision, after: Fit, law: Giving, jobs: int, seed: int) -
         start = with_found(start, found, after.model, base)
     logs, scan = (measured.fit, measured.held), not decision.found
     enough = BESIDE_SECONDS if decision.found else np.inf
-    shown = race(*logs, start, field, scan=scan, enough=enough, jobs=jobs, seed=seed)
+    return Race(*logs, start, field, scan=scan, enough=enough, jobs=jobs, seed=seed)
+
+
+def in_step(
+    decision: Decision, after: Fit, racing: Race, jobs: int, *, pauses: bool = False
+) -> Fit:
+    """Add who wins a race; `pauses` as of :meth:`Race.run`."""
+    measured, base = decision.before.measured, decision.after.base
+    shown = racing.run(pauses=pauses)
     if shown is None:
         return after
     unknowns = (*base.unknowns, *unknowns_of(shown.name))

@@ -9,6 +9,7 @@ torque. On a machine with other laws of friction or contact none does.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -90,11 +91,19 @@ class Field:
         """Lowest of the field's."""
         return min(runner.level for runner in self.runners)
 
-    def lap(self, horizon: float, fitted: Sequence[Record], enough: float) -> bool:
-        """Run a lap of so many seconds; whether there is another one to run."""
-        records = [cut(rec, horizon) for rec in fitted]
+    def set_off(self, records: Sequence[Record]) -> None:
+        """Begin a lap: all go, and those that wait where they are needed."""
         together(Runner.go, self.all, self.jobs, records, self.jobs)
         self.late_ones_join(records)
+
+    def stuck(self, horizon: float) -> bool:
+        """Whether no one meets the first landings well: some begin anew then."""
+        return self.level > DOUBTFUL and SCATTER_SECONDS <= horizon <= WAY_SECONDS
+
+    def lap(
+        self, horizon: float, records: Sequence[Record], fitted: Sequence[Record], enough: float
+    ) -> bool:
+        """Run a lap of so many seconds to its end; whether there is another one to run."""
         self.begin_anew(horizon, records)
         self.cross()
         even = horizon >= EVEN_SECONDS
@@ -130,7 +139,7 @@ class Field:
 
     def begin_anew(self, horizon: float, records: Sequence[Record]) -> None:
         """Draw places at random for some, where no one meets the first landings well."""
-        if self.level <= DOUBTFUL or not SCATTER_SECONDS <= horizon <= WAY_SECONDS:
+        if not self.stuck(horizon):
             return
         told = sorted(self.runners, key=lambda runner: -runner.told)[:SCATTERED]
         ahead = sorted(self.runners, key=lambda runner: runner.cost)[:SCATTERED]
@@ -209,18 +218,8 @@ class Field:
         return won
 
 
-def race(
-    fitted: Sequence[Record],
-    held: Sequence[Record],
-    start: BalanceFit,
-    trials: Sequence[Trial],
-    *,
-    scan: bool = True,
-    enough: float = np.inf,
-    jobs: int = 2,
-    seed: int = 0,
-) -> Raced | None:
-    """Let effects run against the model as it is.
+class Race:
+    """Effects that run against the model as it is.
 
     Parameters
     ----------
@@ -232,18 +231,63 @@ def race(
         Whether other orders are tried, which takes seconds.
     enough : float
         Seconds for which the model as it is keeps step if it lacks nothing that is looked for.
+
+    Attributes
+    ----------
+    ended : bool
     """
-    known = loosened(start)
-    bare = entrant(None, start.model, start.unknowns, known, ())
-    runners = [bare]
-    for trial in trials:
-        runners += shaped(trial, start, known, fitted, jobs, scan=scan)
-    for i, runner in enumerate(runners):
-        runner.rng = np.random.default_rng([seed, i])
-    # no step from nothing finds those
-    waiting = [one for one in runners if one.name is not None and bent(one.name)]
-    running = Field(bare, runners, waiting, jobs)
-    for horizon in HORIZONS:
-        if not running.lap(horizon, fitted, enough):
-            break
-    return running.winner(held)
+
+    def __init__(
+        self,
+        fitted: Sequence[Record],
+        held: Sequence[Record],
+        start: BalanceFit,
+        trials: Sequence[Trial],
+        *,
+        scan: bool = True,
+        enough: float = np.inf,
+        jobs: int = 2,
+        seed: int = 0,
+    ) -> None:
+        self.fitted, self.held, self.enough = fitted, held, enough
+        known = loosened(start)
+        bare = entrant(None, start.model, start.unknowns, known, ())
+        runners = [bare]
+        for trial in trials:
+            runners += shaped(trial, start, known, fitted, jobs, scan=scan)
+        for i, runner in enumerate(runners):
+            runner.rng = np.random.default_rng([seed, i])
+        # no step from nothing finds those
+        waiting = [one for one in runners if one.name is not None and bent(one.name)]
+        self.running = Field(bare, runners, waiting, jobs)
+        self._ahead = [*HORIZONS]
+        self._begun: Sequence[Record] | None = None  # records of a lap that some have begun
+
+    @property
+    def ended(self) -> bool:
+        """Whether there is no lap left to run."""
+        return not self._ahead
+
+    def run(self, *, pauses: bool = False) -> Raced | None:
+        """Run to the end, or until some would begin anew; return who has won, if anyone."""
+        while self._ahead:
+            horizon, running = self._ahead[0], self.running
+            if self._begun is None:
+                self._begun = [cut(rec, horizon) for rec in self.fitted]
+                running.set_off(self._begun)
+            if pauses and running.stuck(horizon):
+                return None
+            goes_on = running.lap(horizon, self._begun, self.fitted, self.enough)
+            self._begun, self._ahead = None, self._ahead[1:] if goes_on else []
+        return self.running.winner(self.held)
+
+
+def race(
+    fitted: Sequence[Record],
+    held: Sequence[Record],
+    start: BalanceFit,
+    trials: Sequence[Trial],
+    **how: Any,
+) -> Raced | None:
+    """Let effects run against the model as it is to the end, see :class:`Race`."""
+    return Race(fitted, held, start, trials, **how).run()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dmptm_ctrl.diagnosis.predict import JOGGED, TOGETHER, expected
+from dmptm_ctrl.diagnosis.predict import TOGETHER, expected
 from dmptm_ctrl.simulate.compiled import rest
 from dmptm_ctrl.simulate.model import Model
 
@@ -36,9 +36,9 @@ def test_mean_of_runs_that_differ_in_their_meshes():
     model = Model()
     x0 = rest(model, 0.1)
     single = expected(model, VOLTS, x0, DT, runs=1)
-    share = 0.003 * np.random.default_rng(0).standard_normal((1, len(JOGGED)))[0]
+    share = 0.003 * np.random.default_rng(0).standard_normal((1, 2))[0]
     other = model.with_values(
-        **{k: model.drive[k] * (1.0 + x) for k, x in zip(JOGGED, share, strict=True)}
+        **{k: model.drive[k] * (1.0 + x) for k, x in zip(("k_m", "c"), share, strict=True)}
     )
     both = 0.5 * (single + expected(other, VOLTS, x0, DT, runs=1))
     np.testing.assert_allclose(expected(model, VOLTS, x0, DT, runs=2), both, rtol=1e-6, atol=1e-9)

@@ -7,6 +7,7 @@ from os import PathLike
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import Decision, decide
 from dmptm_ctrl.diagnosis.experiment import next_experiment
+from dmptm_ctrl.diagnosis.flanks import damp_by_depth
 from dmptm_ctrl.diagnosis.free_runs import (
     LITTLE,
     as_any_friction,
@@ -26,12 +27,13 @@ from dmptm_ctrl.diagnosis.report import (
     ranking,
     unnamed,
 )
-from dmptm_ctrl.diagnosis.residual import closed, residual
+from dmptm_ctrl.diagnosis.residual import Residual, closed, residual
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.sensors import cross_check, sensor_effect, with_sensors
 from dmptm_ctrl.diagnosis.unknown import Unexplained, astray
 from dmptm_ctrl.drive import Drive, paper_drive
-from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.effects import CATALOGUE, LAWS
+from dmptm_ctrl.identify.damping import damping_by_depth
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.parallel import at_once, crew, small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
@@ -96,14 +98,21 @@ def diagnosed(
     if model.effects:
         measured = measured.started(model)
     left = residual(measured, model, jobs=jobs)
-    own = beside_balances(left.base, measured)
-    decision, before = at_once(
-        lambda: decide(left, skip=tuple(sensors.values), jobs=jobs),
-        lambda: augment(measured.fit, left.base, declared, beside=own, jobs=jobs),
-        jobs,
-    )
+
+    def begun(left: Residual) -> tuple[Decision, Fit]:
+        own = beside_balances(left.base, measured)
+        return at_once(
+            lambda: decide(left, skip=tuple(sensors.values), jobs=jobs),
+            lambda: augment(measured.fit, left.base, declared, beside=own, jobs=jobs),
+            jobs,
+        )
+
+    decision, before = begun(left)
     held = measured.held_logs
-    without = speed_error(before.model.without(model.effects), held, jobs)
+    as_declared = without = speed_error(before.model.without(model.effects), held, jobs)
+    if decision.unexplained is None and damp_by_depth(decision.after, jobs):
+        decision, before = begun(residual(measured, damping_by_depth(left.base.model), jobs=jobs))
+        without = speed_error(before.model.without(model.effects), held, jobs)
     after = traced(decision, before, without["rmse"], jobs, seed)
     without_a_name(decision, before.model, without["rmse"])
     predicted = speed_error(after.model, held, jobs)
@@ -116,7 +125,7 @@ def diagnosed(
         "unit": "deg/s",
         "bandwidth_hz": 30,
         "on": "held-out logs",
-        "before": without,
+        "before": as_declared,
         "after": predicted,
     }
     effects = effects_of(decision, final)
@@ -146,7 +155,7 @@ def diagnosed(
 def without_a_name(decision: Decision, model: Model, without: float) -> None:
     """Say what is there and has no name, where nothing was found in a model that goes astray."""
     measured = decision.before.measured
-    sensors = decision.before.base.model.effects
+    sensors = decision.before.base.model.without(LAWS).effects
     if decision.found or sensors or decision.unexplained is not None:
         return
     certain = [found for found in decision.withdrawn if found.evidence > CERTAIN]
@@ -182,7 +191,8 @@ def refined(measured: Measured, decision: Decision, after: Fit, error: float, jo
     also = turned(decision, everything, after.model)
     beside, drive = beside_balances(base, measured), measured.drive
     # a drive that lacks nothing has told all there is by its first bounces
-    onward = bool(decision.found or decision.tables or decision.before.base.model.effects)
+    sensors = decision.before.base.model.without(LAWS).effects
+    onward = bool(decision.found or decision.tables or sensors)
     final = augment(
         everything, start, drive, beside=beside, near=after, also=also, onward=onward, jobs=jobs
     )

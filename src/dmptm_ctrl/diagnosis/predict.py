@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
+from dmptm_ctrl.identify.damping import damped, damping_of
 from dmptm_ctrl.identify.led import SPEED
 from dmptm_ctrl.identify.records import RING_COUNT, true_angle
 from dmptm_ctrl.parallel import in_threads
@@ -22,9 +23,10 @@ from dmptm_ctrl.simulate.model import Floats, Model
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
 ORDER = 4
 RUNS = 16
-JOGGED = ("k_m", "c")  # meshes decide when a pinion leaves its flank
 TOGETHER = 100_000  # samples of a log, up to which the runs are held at once: 100 MB
-SPREAD = 0.003  # standard deviation of their change; no fit knows them more finely
+# Standard deviation of how stiffness and damping of the meshes change, which decide when a pinion
+# leaves its flank; no fit knows them more finely.
+SPREAD = 0.003
 
 
 def free_run(
@@ -81,14 +83,12 @@ def expected(
         SI.
     """
     rng = np.random.default_rng(0)
-    shares = SPREAD * rng.standard_normal((runs - 1, len(JOGGED)))
+    shares = 1.0 + SPREAD * rng.standard_normal((runs - 1, 2))
     aside = count * np.concatenate([[0.0], rng.uniform(-0.5, 0.5, runs - 1)])
     starts = x0 + np.multiply.outer(aside, rest(model, 1.0))
-    jogged = [
-        {k: model.drive[k] * (1.0 + x) for k, x in zip(JOGGED, share, strict=True)}
-        for share in shares
-    ]
-    arrays = [model.arrays(), *(model.with_values(**values).arrays() for values in jogged)]
+    stiffness, damping = model.drive["k_m"], damping_of(model)
+    jogged = [damped(model.with_values(k_m=stiffness * a), damping * b) for a, b in shares]
+    arrays = [model.arrays(), *(other.arrays() for other in jogged)]
     if runs > 1 and u.shape[1] <= TOGETHER:
         many = march_many(arrays, u, starts, dt, substeps=substeps, columns=columns)
         return np.asarray(many.mean(axis=0))

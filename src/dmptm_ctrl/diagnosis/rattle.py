@@ -17,13 +17,14 @@ from scipy.stats import chi2
 
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
+from dmptm_ctrl.identify.damping import damped, damping_of, is_damping, possible
 from dmptm_ctrl.identify.fit import Unknown, position
 from dmptm_ctrl.identify.led import side_by_side
 from dmptm_ctrl.identify.records import Record, block_mean
 from dmptm_ctrl.simulate.compiled import SUBSTEPS
 from dmptm_ctrl.simulate.model import Floats, Model, stacked
 
-DAMPING, GAP_DAMPING = "c", "c_f"
+GAP_DAMPING = "c_f"
 VALUES = 9  # of the damping, even on a logarithmic scale
 FINER = 101  # values between which the powers are interpolated
 BANDS_HZ = ((30.0, 120.0), (120.0, 400.0))  # about the two modes
@@ -55,11 +56,11 @@ def rattled(records: Sequence[Record], start: BalanceFit, declared: Drive, jobs:
     if GAP_DAMPING in names:
         model = model.with_values(**{GAP_DAMPING: declared[GAP_DAMPING]})
         tie(covariance, names.index(GAP_DAMPING))
-    if DAMPING in names:
-        j = names.index(DAMPING)
+    found = [j for j, k in enumerate(start.unknowns) if is_damping(k)]
+    for j in found:
         rattle = Rattle(records, declared, jobs)
         value, error = rattle.damping(model)
-        model = model.with_values(**{DAMPING: value})
+        model = damped(model, value)
         others = [i for i, name in enumerate(names) if name in BESIDE]
         sigmas = np.sqrt(covariance[others, others])
         relative = value / start.unknowns[j].scale
@@ -111,14 +112,14 @@ class Rattle:
         return np.concatenate(told, axis=1)
 
     def damping(self, model: Model) -> tuple[float, float]:
-        """Return the meshes' damping [N·m·s/rad] and its relative standard deviation."""
-        low, high = self.declared.quantities[DAMPING].range
+        """Return the meshes' damping, as `damping_of`, and its relative standard deviation."""
+        low, high, declared = possible(model, self.declared)
         scale = np.log(np.geomspace(max(low, 1e-3 * high), high, VALUES))
-        off = self.ratios([model.with_values(**{DAMPING: float(np.exp(x))}) for x in scale])
+        off = self.ratios([damped(model, float(np.exp(x))) for x in scale])
         fine = np.linspace(scale[0], scale[-1], FINER)
         off = np.array([np.interp(fine, scale, column) for column in off.T])
         scatter = np.maximum(np.sqrt(np.mean(off**2, axis=0).min()), LEAST)
-        expected = np.log(self.declared[DAMPING])
+        expected = np.log(declared)
         cost = np.sum((off / scatter) ** 2, axis=0) + ((fine - expected) / PRIOR) ** 2
         weight = np.exp(-0.5 * (cost - cost.min()))
         weight /= weight.sum()
@@ -128,12 +129,16 @@ class Rattle:
     def slopes(self, model: Model, others: Sequence[Unknown], sigmas: Floats) -> Floats:
         """Relative change of the damping, per unit of others, that leaves the power as it is."""
 
+        def between(ends: Sequence[Model]) -> Floats:
+            first, second = self.ratios(ends)
+            return np.asarray(first - second)
+
         def either(name: str, by: float) -> Floats:
             value = model.drive[name]
-            ends = self.ratios([model.with_values(**{name: value + x}) for x in (by, -by)])
-            return np.asarray(ends[0] - ends[1])
+            return between([model.with_values(**{name: value + x}) for x in (by, -by)])
 
-        own = either(DAMPING, STEP * model.drive[DAMPING]) / STEP
+        value = damping_of(model)
+        own = between([damped(model, value * (1.0 + x)) for x in (STEP, -STEP)]) / STEP
         apart = np.maximum(sigmas, APART)
         rows = [either(k.name, k.scale * d) / d for k, d in zip(others, apart, strict=True)]
         return np.array([-(own @ row) / (own @ own) for row in rows])

@@ -4,13 +4,24 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.decide import Decision
+from dmptm_ctrl.identify.damping import by_depth
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.identify.windows import STIFFNESS
 
 
 def remarks(decision: Decision, final: Fit) -> tuple[str, ...]:
     """Say what is in the model, or shows in the logs, without a name."""
-    return (*softness(decision, final), *slipping(decision))
+    return (*flanks(final), *softness(decision, final), *slipping(decision))
+
+
+def flanks(final: Fit) -> tuple[str, ...]:
+    """Say that the flanks follow another law than the declared one."""
+    if not by_depth(final.model):
+        return ()
+    return (
+        "the flanks damp by how deep they are pressed, not from the touch on as in Eq. 21: with "
+        "this law the model meets the first landings, and it is in the augmented model",
+    )
 
 
 def softness(decision: Decision, final: Fit) -> tuple[str, ...]:

@@ -12,10 +12,11 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.augment import loosened
 from dmptm_ctrl.diagnosis.finish import Place
-from dmptm_ctrl.diagnosis.rattle import DAMPING, GAP_DAMPING, tie
+from dmptm_ctrl.diagnosis.rattle import GAP_DAMPING, tie
 from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, SATURATED, Trial, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
+from dmptm_ctrl.identify.damping import is_damping
 from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
 from dmptm_ctrl.identify.lock import HORIZONS, ROUGH, TINY, Seeker, Steps, cut, walk
 from dmptm_ctrl.identify.records import Record
@@ -173,13 +174,13 @@ def meshes_from(start: BalanceFit | Fit, fit: BalanceFit) -> BalanceFit:
     That of the meshes as it follows the rest of the drive.
     """
     p, covariance = fit.p.copy(), fit.covariance.copy()
-    names = [k.name for k in start.unknowns if k.effect is None]
+    of_drive = [k for k in start.unknowns if k.effect is None or is_damping(k)]
+    names = [k.name for k in of_drive]
     if GAP_DAMPING in names:
         j = names.index(GAP_DAMPING)
         p[j] = start.p[j]
         tie(covariance, j, variance=start.covariance[j, j])
-    if DAMPING in names:
-        j = names.index(DAMPING)
+    for j in (j for j, k in enumerate(of_drive) if is_damping(k)):
         rest = [i for i in range(len(names)) if i != j]
         with_rest = start.covariance[rest, j]
         slopes = np.zeros(p.size)

@@ -16,6 +16,7 @@ from dmptm_ctrl.effects.drive_delay import DRIVE_DELAY
 from dmptm_ctrl.effects.drive_offset import DRIVE_OFFSET
 from dmptm_ctrl.effects.drive_saturation import DRIVE_SATURATION
 from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
+from dmptm_ctrl.effects.flank_damping import FLANK_DAMPING
 from dmptm_ctrl.effects.load_dependent_friction import LOAD_DEPENDENT_FRICTION
 from dmptm_ctrl.effects.local_spot import LOCAL_SPOT
 from dmptm_ctrl.effects.mesh_error import MESH_ERROR
@@ -52,6 +53,7 @@ CATALOGUE: dict[str, Effect] = {
         RING_GEAR_ECCENTRICITY,
         BACKLASH_VARIATION,
         MESH_ERROR,
+        FLANK_DAMPING,
         LOAD_DEPENDENT_FRICTION,
         POSITION_DEPENDENT_FRICTION,
         LOCAL_SPOT,
@@ -112,4 +114,7 @@ TABLES = (
     UNKNOWN_MOTOR.name,
 )
 
-__all__ = ["CATALOGUE", "TABLES", "register"]
+# Another law of what a drive has anyway: told by what the model leaves, never named as a lack.
+LAWS = (FLANK_DAMPING.name,)
+
+__all__ = ["CATALOGUE", "LAWS", "TABLES", "register"]

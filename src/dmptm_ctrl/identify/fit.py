@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.damping import FLANKS, OF_FLANKS, by_depth, damped, damping_of
 from dmptm_ctrl.identify.records import Record, difference, predict, settled
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_many
@@ -69,13 +70,21 @@ class Unknown:
 
 
 def drive_unknowns(model: Model) -> tuple[Unknown, ...]:
-    """Return the free parameters of the drive, centred on their declared ranges."""
+    """Return the free parameters of the drive, centred on their declared ranges.
+
+    With flanks that damp by depth, their damping as well.
+    """
     unknowns = []
     for name in model.drive.free:
         low, high = model.drive.quantities[name].range
         unknowns.append(
             Unknown(None, name, 0.5 * (low + high), 0.5 * (high - low), -1.0, 1.0, PRIOR_SHARE)
         )
+    if by_depth(model):
+        (own,) = (p for p in CATALOGUE[FLANKS].parameters if p.name == OF_FLANKS)
+        usual = 4.0 * own.step  # about the middle of what is possible, see `identify.damping`
+        most = own.high / usual - 1.0
+        unknowns.append(Unknown(FLANKS, OF_FLANKS, usual, usual, -1.0, most, PRIOR_SHARE))
     return tuple(unknowns)
 
 
@@ -178,9 +187,9 @@ def bend(x: Floats) -> Floats:
 
 def jogged(model: Model, by: float) -> list[Model]:
     """Return models with meshes a little other: some times `by`, relative."""
-    k_m, c = model.drive["k_m"], model.drive["c"]
+    k_m, c = model.drive["k_m"], damping_of(model)
     return [
-        model.with_values(k_m=k_m * (1.0 + by * a), c=c * (1.0 + by * b))
+        damped(model.with_values(k_m=k_m * (1.0 + by * a)), c * (1.0 + by * b))
         for a, b in ((1.0, 2.0), (-1.0, 3.0), (2.0, -3.0), (-2.0, -2.0))
     ]
 

@@ -22,6 +22,7 @@ from scipy.linalg import solve_toeplitz
 from scipy.signal import cont2discrete, freqz, lfilter
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.damping import DAMPING, FLANKS, LOADED
 from dmptm_ctrl.identify.motion import GYRO_NOISE, WINDOW_SECONDS, Motion, hann, odd_span, smooth
 from dmptm_ctrl.simulate.compose import engine, layout
 from dmptm_ctrl.simulate.elementary import cached
@@ -73,7 +74,7 @@ class Ripple:
     @cached_property
     def driven(self) -> Floats:
         """Fast part of the speed that the commanded voltages give the declared drive, (n,)."""
-        base, _, _ = self.motion.declared.arrays()
+        base = loaded(self.motion.declared.arrays())
         torque = float(np.prod(base[GAIN])) * np.repeat(self.motion.rec.u.sum(0), FINER)
         return self.fast(self.speed(torque, base[ANSWER].tobytes()))
 
@@ -125,7 +126,7 @@ class Ripple:
         Of its effects those in :data:`FAST` count: no other may live on what they leave. What
         was computed lately is kept: most that a fit moves changes nothing here.
         """
-        base, on, values = arrays
+        base, on, values = loaded(arrays), *arrays[1:]
         acts = on * fast_ones(tuple(CATALOGUE))
         needed, own = np.zeros_like(base), np.zeros_like(values)
         if acts.any():
@@ -162,7 +163,7 @@ class Ripple:
         own, crossed : (most,) arrays, real and complex
             Each motor's with itself, left with right.
         """
-        base, _, _ = self.motion.declared.arrays()
+        base = loaded(self.motion.declared.arrays())
         answer = answers(base[ANSWER].tobytes(), self.motion.rec.dt)
         row = np.zeros(self.used.size)
         row[self.used] = weights * missing
@@ -204,6 +205,16 @@ def fast_ones(names: tuple[str, ...]) -> NDArray[np.uint8]:
 def fast_places(names: tuple[str, ...]) -> list[tuple[int, int, int]]:
     """Index of each of these effects, its first slot, and how many it has."""
     return [(*layout()[n], len(CATALOGUE[n].parameters)) for n in names if n in FAST]
+
+
+def loaded(arrays: Arrays) -> Floats:
+    """Numbers of a drive; flanks that damp by depth damp as they do when loaded."""
+    base, on, values = arrays
+    index, first = layout()[FLANKS]
+    if on[index]:
+        base = base.copy()
+        base[BASE.index(DAMPING)] += values[first] * LOADED
+    return base
 
 
 @lru_cache(KEPT)

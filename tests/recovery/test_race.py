@@ -32,7 +32,7 @@ from dmptm_ctrl.diagnosis.finish import (
     told_from_friction,
 )
 from dmptm_ctrl.diagnosis.measure import measure
-from dmptm_ctrl.diagnosis.race import BEHIND, SCATTER_SECONDS, race
+from dmptm_ctrl.diagnosis.race import BEHIND, SCATTER_SECONDS, Race, race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.runners import SCAN, beside, entrant, shaped
@@ -42,7 +42,7 @@ from dmptm_ctrl.effects.torque_constant_mismatch import OPPOSITE
 from dmptm_ctrl.identify.fit import declared, drive_unknowns, position
 from dmptm_ctrl.identify.fit import place as placed
 from dmptm_ctrl.identify.led import TWIST_UNIT
-from dmptm_ctrl.identify.lock import DOUBTFUL, LOST, UNEASY, Steps, cut, level
+from dmptm_ctrl.identify.lock import DOUBTFUL, HORIZONS, LOST, UNEASY, Steps, cut, level
 from dmptm_ctrl.identify.records import predict
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
@@ -141,7 +141,10 @@ def test_faint_one_where_the_model_as_it_is_keeps_step_too():
     [(5500014, "karnopp", "eq21", 0.6), (5500017, "lugre", "hunt_crossley", 0.15)],
 )
 def test_ends_where_no_one_can_win(seed, friction, contact, longest, monkeypatch):
-    """Nothing lacks: the laws are the model's, which keeps step, or others that none meets."""
+    """Nothing lacks: the laws are the model's, which keeps step, or others that none meets.
+
+    There some would begin anew: a race that pauses before goes on from where it was.
+    """
     measured, left, _ = measured_rig((), friction, seed, contact=contact)
     seconds = []
 
@@ -151,8 +154,13 @@ def test_ends_where_no_one_can_win(seed, friction, contact, longest, monkeypatch
 
     monkeypatch.setattr("dmptm_ctrl.diagnosis.race.cut", noted)
     start = rattled(measured.fit, left.base, measured.drive, 2)
-    assert race(measured.fit, measured.held, start, trace(left, only=SOME)) is None
-    assert max(seconds) == longest
+    racing = Race(measured.fit, measured.held, start, trace(left, only=SOME))
+    assert racing.run(pauses=True) is None
+    assert racing.ended is (contact == "eq21")
+    assert racing.run() is None
+    assert racing.ended
+    laps = [h for h in HORIZONS if h <= longest]
+    assert seconds == [h for h in laps for _ in measured.fit]  # none is begun twice
 
 
 def test_who_lost_the_way_goes_on_from_the_leader():

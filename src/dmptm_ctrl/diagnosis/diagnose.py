@@ -33,10 +33,10 @@ from dmptm_ctrl.diagnosis.sensors import cross_check, sensor_effect, with_sensor
 from dmptm_ctrl.diagnosis.unknown import Unexplained, astray
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE, LAWS
-from dmptm_ctrl.identify.damping import damping_by_depth
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.parallel import at_once, crew, small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
+from dmptm_ctrl.simulate.damping import damping_by_depth
 from dmptm_ctrl.simulate.model import Model
 
 # deg/s on held-out logs; the worst of 39 rigs that lack nothing has 0.17. No balance may

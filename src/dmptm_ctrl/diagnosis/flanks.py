@@ -12,10 +12,10 @@ from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual, residual
 from dmptm_ctrl.diagnosis.runoff import Run, run, starts
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.damping import damping_by_depth
 from dmptm_ctrl.identify.fit import drive_unknowns
 from dmptm_ctrl.identify.lock import UNEASY, Seeker, cut
 from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.simulate.damping import damping_by_depth
 
 FIRST_SECONDS = (0.03, 0.05, 0.07, 0.1)  # of each log, one after another
 # Of what Eq. 21 misses there, on fitted and on held-out logs, that the right law leaves at most,

@@ -17,11 +17,11 @@ from scipy.stats import chi2
 
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.damping import damped, damping_of, is_damping, possible
-from dmptm_ctrl.identify.fit import Unknown, position
+from dmptm_ctrl.identify.fit import Unknown, is_damping, position
 from dmptm_ctrl.identify.led import side_by_side
 from dmptm_ctrl.identify.records import Record, block_mean
 from dmptm_ctrl.simulate.compiled import SUBSTEPS
+from dmptm_ctrl.simulate.damping import damped, damping_of, possible
 from dmptm_ctrl.simulate.model import Floats, Model, stacked
 
 GAP_DAMPING = "c_f"
@@ -56,8 +56,7 @@ def rattled(records: Sequence[Record], start: BalanceFit, declared: Drive, jobs:
     if GAP_DAMPING in names:
         model = model.with_values(**{GAP_DAMPING: declared[GAP_DAMPING]})
         tie(covariance, names.index(GAP_DAMPING))
-    found = [j for j, k in enumerate(start.unknowns) if is_damping(k)]
-    for j in found:
+    for j in (j for j, k in enumerate(start.unknowns) if is_damping(k)):
         rattle = Rattle(records, declared, jobs)
         value, error = rattle.damping(model)
         model = damped(model, value)

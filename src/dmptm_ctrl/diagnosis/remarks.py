@@ -4,9 +4,9 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.decide import Decision
-from dmptm_ctrl.identify.damping import by_depth
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.identify.windows import STIFFNESS
+from dmptm_ctrl.simulate.damping import by_depth
 
 
 def remarks(decision: Decision, final: Fit) -> tuple[str, ...]:

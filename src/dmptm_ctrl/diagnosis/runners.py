@@ -16,8 +16,7 @@ from dmptm_ctrl.diagnosis.rattle import GAP_DAMPING, tie
 from dmptm_ctrl.diagnosis.trace import FIXED_SHAPES, SATURATED, Trial, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.damping import is_damping
-from dmptm_ctrl.identify.fit import Fit, Known, Unknown, position
+from dmptm_ctrl.identify.fit import Fit, Known, Unknown, is_damping, position
 from dmptm_ctrl.identify.lock import HORIZONS, ROUGH, TINY, Seeker, Steps, cut, walk
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads

@@ -13,12 +13,12 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.damping import FLANKS, OF_FLANKS, by_depth, damped, damping_of
 from dmptm_ctrl.identify.records import Record, difference, predict, settled
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_many
 from dmptm_ctrl.simulate.compiled import BODIES, observer_gains
 from dmptm_ctrl.simulate.compose import layout
+from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, OF_FLANKS, by_depth, damped, damping_of
 from dmptm_ctrl.simulate.model import BASE, Floats, Model, Stacked, stacked
 
 CORRELATION_SECONDS = 0.1  # how long a model error lasts: samples closer than this are not news
@@ -82,10 +82,15 @@ def drive_unknowns(model: Model) -> tuple[Unknown, ...]:
         )
     if by_depth(model):
         (own,) = (p for p in CATALOGUE[FLANKS].parameters if p.name == OF_FLANKS)
-        usual = 4.0 * own.step  # about the middle of what is possible, see `identify.damping`
+        usual = 4.0 * own.step  # about the middle of what is possible, see `simulate.damping`
         most = own.high / usual - 1.0
         unknowns.append(Unknown(FLANKS, OF_FLANKS, usual, usual, -1.0, most, PRIOR_SHARE))
     return tuple(unknowns)
+
+
+def is_damping(unknown: Unknown) -> bool:
+    """Whether an unknown is the damping of the meshes, by either law of their flanks."""
+    return (unknown.effect, unknown.name) in ((None, DAMPING), (FLANKS, OF_FLANKS))
 
 
 def effect_unknowns(name: str) -> tuple[Unknown, ...]:

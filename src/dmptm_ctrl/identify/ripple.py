@@ -22,9 +22,9 @@ from scipy.linalg import solve_toeplitz
 from scipy.signal import cont2discrete, freqz, lfilter
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.damping import DAMPING, FLANKS, LOADED
 from dmptm_ctrl.identify.motion import GYRO_NOISE, WINDOW_SECONDS, Motion, hann, odd_span, smooth
 from dmptm_ctrl.simulate.compose import engine, layout
+from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, LOADED
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
 

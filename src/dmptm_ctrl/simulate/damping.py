@@ -4,13 +4,9 @@ Eq. 21 damps by c from the touch on, flanks that damp by depth by another number
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.simulate.model import Model
-
-if TYPE_CHECKING:
-    from dmptm_ctrl.identify.fit import Unknown
 
 DAMPING = "c"
 FLANKS, OF_FLANKS = "flank_damping", "damping"
@@ -22,11 +18,6 @@ LOADED, SPREAD = 5.0, 2.0
 def by_depth(model: Model) -> bool:
     """Whether the flanks of a model damp by depth."""
     return FLANKS in model.effects
-
-
-def is_damping(unknown: "Unknown") -> bool:
-    """Whether an unknown is the damping, by either law."""
-    return (unknown.effect, unknown.name) in ((None, DAMPING), (FLANKS, OF_FLANKS))
 
 
 def damping_of(model: Model) -> float:

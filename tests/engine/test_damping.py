@@ -3,20 +3,21 @@
 import numpy as np
 import pytest
 
+from dmptm_ctrl.design.draws import one_plant
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.damping import (
+from dmptm_ctrl.identify.fit import drive_unknowns, is_damping, place, position
+from dmptm_ctrl.identify.ripple import loaded
+from dmptm_ctrl.simulate.compiled import OUTPUTS, march
+from dmptm_ctrl.simulate.damping import (
     LOADED,
     by_depth,
     damped,
     damping_by_depth,
     damping_of,
-    is_damping,
     possible,
 )
-from dmptm_ctrl.identify.fit import drive_unknowns, place, position
-from dmptm_ctrl.identify.ripple import loaded
-from dmptm_ctrl.simulate.compiled import OUTPUTS, march
 from dmptm_ctrl.simulate.model import BASE, Model
+from dmptm_ctrl.simulate.model_file import from_toml, to_toml
 
 EQ21 = Model(paper_drive())
 BY_DEPTH = damping_by_depth(EQ21)
@@ -91,3 +92,12 @@ def test_a_ripple_meets_the_damping_of_loaded_flanks():
     assert loaded(EQ21.arrays())[there] == 3.0
     assert loaded(BY_DEPTH.arrays())[there] == pytest.approx(3.0, rel=1e-12)
     assert BY_DEPTH.arrays()[0][there] == 0.0  # not changed
+
+
+def test_goes_into_a_file_and_through_draws():
+    """What flanks do not have does not come back from a file, nor from a draw of the drive."""
+    again = from_toml(to_toml(BY_DEPTH))
+    assert again.effects == BY_DEPTH.effects
+    drawn = one_plant(again, 1.0, 0, 0)
+    assert again.drive["c"] == drawn.drive["c"] == 0.0
+    assert drawn.drive["k_m"] != again.drive["k_m"]

@@ -11,6 +11,7 @@ from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.curves import Curve
 from dmptm_ctrl.diagnosis.decide import FIRST, Decision
 from dmptm_ctrl.diagnosis.free_runs import (
+    entered,
     in_step,
     law_of_friction,
     may_ring,
@@ -146,7 +147,8 @@ def test_beside_what_meets_the_landings_another_one_is_raced():
     fit = uncovered(decision, without, before, held, 2, 0)
     assert [found.name for found in decision.found] == ["torque_constant_mismatch"]
     assert [found.name for found in met_by_landings(decision)] == ["torque_constant_mismatch"]
-    fit = in_step(decision, fit, law_of_friction(decision, 2), 2, 0)
+    racing = entered(decision, fit, law_of_friction(decision, 2), 2, 0)
+    fit = in_step(decision, fit, racing, 2)
     assert {found.name for found in decision.found} == {name for name, _ in effects}
     assert speed_error(fit.model, held)["rmse"] < 0.5 * without
     told = fit.model.effects
@@ -162,7 +164,8 @@ def test_a_faint_ripple_without_motor_encoders_is_told_by_the_race():
     before, left, truth = fitted(440100014, (("cogging", 0.5),), "load")
     decision = Decision(left, left, rest=trace(left, only=("cogging", "mesh_error", "unbalance")))
     assert max(trial.evidence for trial in decision.rest) < FIRST
-    fit = in_step(decision, before, law_of_friction(decision, 2), 2, 0)
+    racing = entered(decision, before, law_of_friction(decision, 2), 2, 0)
+    fit = in_step(decision, before, racing, 2)
     assert [found.name for found in decision.found] == ["cogging"]
     assert before.horizon < 0.1 < 0.6 < fit.horizon
     told, true = fit.model.effects["cogging"], truth["cogging"]

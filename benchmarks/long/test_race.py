@@ -5,7 +5,7 @@ from tests.recovery.test_race import measured_rig
 
 from dmptm_ctrl.diagnosis.decide import FIRST
 from dmptm_ctrl.diagnosis.finish import KEEPS_SECONDS
-from dmptm_ctrl.diagnosis.race import race
+from dmptm_ctrl.diagnosis.race import Race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.trace import trace
 from dmptm_ctrl.parallel import small_matrices
@@ -20,7 +20,7 @@ def test_what_shows_after_the_model_as_it_is_has_kept_step_for_long():
     trials = trace(left, only=(name, "torque_constant_mismatch"))
     assert max(trial.evidence for trial in trials) < FIRST
     start = rattled(measured.fit, left.base, measured.drive, 2)
-    winner = race(measured.fit, measured.held, start, trials)
+    winner = Race(measured.fit, measured.held, start, trials).run()
     assert winner.name == name
     assert winner.seconds > KEEPS_SECONDS
     share = winner.model.effects[name]["coefficient"] / told[name]["coefficient"]

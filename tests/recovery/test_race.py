@@ -32,7 +32,7 @@ from dmptm_ctrl.diagnosis.finish import (
     told_from_friction,
 )
 from dmptm_ctrl.diagnosis.measure import measure
-from dmptm_ctrl.diagnosis.race import BEHIND, SCATTER_SECONDS, Race, race
+from dmptm_ctrl.diagnosis.race import BEHIND, SCATTER_SECONDS, Race
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.runners import SCAN, beside, entrant, shaped
@@ -69,7 +69,7 @@ def raced(effects, friction, only=SOME):
     measured, left, told = measured_rig(effects, friction)
     trials = trace(left, only=only)
     start = rattled(measured.fit, left.base, measured.drive, 2)
-    return trials, race(measured.fit, measured.held, start, trials), told
+    return trials, Race(measured.fit, measured.held, start, trials).run(), told
 
 
 def test_offset_that_hides_in_the_preload():
@@ -106,7 +106,9 @@ def test_what_keeps_step_worse_than_noise_lets_it_lacks_something():
     start = rattled(measured.fit, left.base, measured.drive, 2)
     assert level(start.model, measured.fit, 0.1, 2) > DOUBTFUL
     # whether it finds its way is chance, too; another one never wins
-    several = [race(measured.fit, measured.held, start, trials, seed=seed) for seed in range(3)]
+    several = [
+        Race(measured.fit, measured.held, start, trials, seed=seed).run() for seed in range(3)
+    ]
     won = [winner for winner in several if winner is not None]
     assert won
     assert {winner.name for winner in won} == {name}
@@ -126,7 +128,7 @@ def test_faint_one_where_the_model_as_it_is_keeps_step_too():
         trials = trace(left, only=only)
         assert max(trial.evidence for trial in trials) < FAINT
         start = rattled(measured.fit, left.base, measured.drive, 2)
-        winner = race(measured.fit, measured.held, start, trials)
+        winner = Race(measured.fit, measured.held, start, trials).run()
         if not effects:
             assert winner is None
             continue
@@ -220,7 +222,7 @@ def test_a_limit_that_one_log_reaches_at_its_first_reversal():
     measured, left, told = measured_rig(((name, 1.0),), "karnopp", 3682345426, "paper", "eq21")
     trials = trace(left, only=only)
     start = rattled(measured.fit, left.base, measured.drive, 2)
-    winner = race(measured.fit, measured.held, start, trials)
+    winner = Race(measured.fit, measured.held, start, trials).run()
     assert winner.name == name
     assert winner.seconds >= KEEPS_SECONDS
     limit = 1.0 / winner.model.effects[name]["inverse_limit"]
@@ -380,7 +382,7 @@ def test_an_offset_of_both_motors_is_told_by_all_bounces_of_long_runs():
         (("drive_offset", 1.0),), "karnopp", 550100033, logs="paper", contact="eq21"
     )
     start = rattled(measured.fit, left.base, measured.drive, 2)
-    winner = race(measured.fit, measured.held, start, trace(left, only=SOME))
+    winner = Race(measured.fit, measured.held, start, trace(left, only=SOME)).run()
     assert winner.name == "drive_offset"
     assert winner.seconds >= 0.6
     assert not told_from_friction(winner.model, winner.name)

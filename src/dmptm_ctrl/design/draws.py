@@ -3,7 +3,6 @@
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.damping import DAMPING, by_depth
 from dmptm_ctrl.simulate.model import BASE, Model
 
 DECLARED = 1.0  # share of the declared ranges: nothing but the declaration is known
@@ -57,8 +56,7 @@ def one_plant(model: Model, uncertainty: float, seed: int, index: int) -> Model:
     for name in BASE:
         quantity = model.drive.quantities[name]
         u = rng.uniform(-1.0, 1.0)
-        # a damping that flanks do not have does not vary
-        if quantity.is_free and not (name == DAMPING and by_depth(model)):
+        if quantity.is_free:
             share = CONTACT_SHARE if name in CONTACT and uncertainty > 0.0 else uncertainty
             values[name] = _moved(model.drive[name], quantity.range, share * u)
     for static, coulomb in _PAIRED:  # breakaway is not below sliding

@@ -155,8 +155,7 @@ def diagnosed(
 def without_a_name(decision: Decision, model: Model, without: float) -> None:
     """Say what is there and has no name, where nothing was found in a model that goes astray."""
     measured = decision.before.measured
-    sensors = decision.before.base.model.without(LAWS).effects
-    if decision.found or sensors or decision.unexplained is not None:
+    if decision.found or of_sensors(decision) or decision.unexplained is not None:
         return
     certain = [found for found in decision.withdrawn if found.evidence > CERTAIN]
     if certain:  # something is there that acts as they do, and is none of them
@@ -165,6 +164,11 @@ def without_a_name(decision: Decision, model: Model, without: float) -> None:
     elif without > ASTRAY:
         variables = astray(model, measured.held_logs)
         decision.unexplained = Unexplained.without_curve(variables)
+
+
+def of_sensors(decision: Decision) -> tuple[str, ...]:
+    """Return the errors of sensors that the model had from the start."""
+    return tuple(decision.before.base.model.without(LAWS).effects)
 
 
 def effects_of(decision: Decision, fit: Fit) -> list[NamedEffect]:
@@ -191,8 +195,7 @@ def refined(measured: Measured, decision: Decision, after: Fit, error: float, jo
     also = turned(decision, everything, after.model)
     beside, drive = beside_balances(base, measured), measured.drive
     # a drive that lacks nothing has told all there is by its first bounces
-    sensors = decision.before.base.model.without(LAWS).effects
-    onward = bool(decision.found or decision.tables or sensors)
+    onward = bool(decision.found or decision.tables or of_sensors(decision))
     final = augment(
         everything, start, drive, beside=beside, near=after, also=also, onward=onward, jobs=jobs
     )

@@ -8,6 +8,7 @@ in the model without a name.
 from collections.abc import Sequence
 
 from dmptm_ctrl.diagnosis.at_rest import entered, softened
+from dmptm_ctrl.diagnosis.landings import FIRST_SECONDS
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.residual import Residual, residual
 from dmptm_ctrl.diagnosis.runoff import Run, run, starts
@@ -17,7 +18,6 @@ from dmptm_ctrl.identify.lock import UNEASY, Seeker, cut
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.damping import damping_by_depth
 
-FIRST_SECONDS = (0.03, 0.05, 0.07, 0.1)  # of each log, one after another
 # Of what Eq. 21 misses there, on fitted and on held-out logs, that the right law leaves at most,
 # and by how much less that is. On rigs of benchmarks/rigs that lack nothing (seed 8401) flanks that
 # do damp by depth leave 0.1 to 0.6 and gain 60 and more; all others are met worse by that law.

@@ -9,7 +9,6 @@ torque. On a machine with other laws of friction or contact none does.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -280,14 +279,3 @@ class Race:
             goes_on = running.lap(horizon, self._begun, self.fitted, self.enough)
             self._begun, self._ahead = None, self._ahead[1:] if goes_on else []
         return self.running.winner(self.held)
-
-
-def race(
-    fitted: Sequence[Record],
-    held: Sequence[Record],
-    start: BalanceFit,
-    trials: Sequence[Trial],
-    **how: Any,
-) -> Raced | None:
-    """Let effects run against the model as it is to the end, see :class:`Race`."""
-    return Race(fitted, held, start, trials, **how).run()

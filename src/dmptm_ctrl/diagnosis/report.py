@@ -16,7 +16,7 @@ from dmptm_ctrl.diagnosis.summary import correlated, correlation_lines, paramete
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.trace import Trial
 from dmptm_ctrl.diagnosis.verdict import verdict_dict
-from dmptm_ctrl.effects import CATALOGUE, LAWS, TABLES
+from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.atomic import output_folder
@@ -290,7 +290,7 @@ def ranking(
     chosen = {f.name: f for f in decision.found}
     rows = []
     for name, effect in CATALOGUE.items():
-        if name in (*TABLES, *LAWS):
+        if name in NO_CANDIDATES:
             continue
         trial = decision.trials.get(name)
         value = trial.evidence if trial is not None else 0.0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.effects import CATALOGUE, LAWS, TABLES
+from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
 from dmptm_ctrl.identify.balance import STALLED, Balance, BalanceFit, columns, fit_balance
 from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
 from dmptm_ctrl.identify.ripple import FAST, order_gains
@@ -359,7 +359,7 @@ def settled(trace: Trace, trial: Trial) -> Trial:
 def candidates(trace: Trace, skip: Iterable[str]) -> list[str]:
     """Effects that the balances can show; `skip` are left out."""
     twisted = any(mo.rec.twist is not None for mo in trace.balance.motions)
-    out = {*skip, *trace.base.model.effects, *BY_SENSORS, *BY_SIMULATOR, *TABLES, *LAWS}
+    out = {*skip, *trace.base.model.effects, *BY_SENSORS, *BY_SIMULATOR, *NO_CANDIDATES}
     if not twisted:
         out |= {*WITHOUT_TWIST}
     return [name for name in CATALOGUE if name not in out]

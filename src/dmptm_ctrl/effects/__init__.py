@@ -116,5 +116,6 @@ TABLES = (
 
 # Another law of what a drive has anyway: told by what the model leaves, never named as a lack.
 LAWS = (FLANK_DAMPING.name,)
+NO_CANDIDATES = (*TABLES, *LAWS)  # in the catalogue, but no candidates
 
-__all__ = ["CATALOGUE", "LAWS", "TABLES", "register"]
+__all__ = ["CATALOGUE", "LAWS", "NO_CANDIDATES", "TABLES", "register"]

@@ -40,10 +40,14 @@ def possible(model: Model, declared: Drive) -> tuple[float, float, float]:
     return low / LOADED / SPREAD, high / LOADED * SPREAD, declared[DAMPING] / LOADED
 
 
+def undamped(drive: Drive) -> Drive:
+    """Return a drive whose flanks do not damp from the touch on; no fit and no draw moves that."""
+    none = replace(drive.quantities[DAMPING], value=0.0, low=0.0, high=0.0)
+    return Drive({**drive.quantities, DAMPING: none}, drive.name)
+
+
 def damping_by_depth(model: Model) -> Model:
     """Return a model with flanks that damp by depth, as much as its own do when loaded."""
     drive = model.drive
-    none = replace(drive.quantities[DAMPING], value=0.0, low=0.0, high=0.0)
     given = {OF_FLANKS: drive[DAMPING] / LOADED, "ratio": drive["N_2"], "stiffness": drive["k_m"]}
-    flat = Model(Drive({**drive.quantities, DAMPING: none}, drive.name), model.effects)
-    return flat.with_effect(FLANKS, **given)
+    return Model(undamped(drive), model.effects).with_effect(FLANKS, **given)

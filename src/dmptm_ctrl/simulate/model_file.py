@@ -10,6 +10,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, undamped
 from dmptm_ctrl.simulate.model import BASE, Model
 
 KIND = "dual-motor"
@@ -79,7 +80,10 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
         raise LogError(f"{name}: [effects] must hold one table per effect")
     tables = {key: finite_numbers(name, f"effects.{key}", table) for key, table in effects.items()}
     try:
-        return Model(declared.with_values(**values), tables)
+        found = declared.with_values(**values)
+        if FLANKS in tables and found[DAMPING] == 0.0:
+            found = undamped(found)
+        return Model(found, tables)
     except KeyError as error:
         raise LogError(f"{name}: {error.args[0]}") from None
 

@@ -26,9 +26,9 @@ def profiled(logs, jobs):
     profile = cProfile.Profile()
     side_by_side, lanes = [], batch._lanes
 
-    def counted(size, task, arrays, *rest):
+    def counted(task, arrays, *rest):
         side_by_side.append(len(arrays))
-        return lanes(size, task, arrays, *rest)
+        return lanes(task, arrays, *rest)
 
     start = time.perf_counter()
     with patch.object(batch, "_lanes", counted):

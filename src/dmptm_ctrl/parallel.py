@@ -30,17 +30,29 @@ def small_matrices(function: Callable[P, R]) -> Callable[P, R]:
     return alone
 
 
-def in_threads(function: Callable[[T], R], items: Iterable[T], jobs: int) -> list[R]:
+def in_threads(
+    function: Callable[[T], R],
+    items: Iterable[T],
+    jobs: int,
+    size: Callable[[T], float] | None = None,
+) -> list[R]:
     """Call a function, most of which is compiled, for each item, at once on `jobs` threads.
 
     On one of them what is called does its own one after another, the cores are taken, unless
-    others of them have nothing left to do.
+    others of them have nothing left to do. By `size` the largest begin first: none is left for
+    one core alone.
     """
     items = list(items)
     if min(jobs, len(items)) <= 1:
         return [function(item) for item in items]
     with crew(jobs):
-        return _THREAD.crew.share(function, items)
+        if size is None:
+            return _THREAD.crew.share(function, items)
+        order = sorted(range(len(items)), key=lambda i: -size(items[i]))
+        done = dict(
+            zip(order, _THREAD.crew.share(function, [items[i] for i in order]), strict=True)
+        )
+        return [done[i] for i in range(len(items))]
 
 
 def free(jobs: int) -> int:

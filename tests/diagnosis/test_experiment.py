@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from dmptm_ctrl.diagnosis.experiment import SAMPLE_TIME, SECONDS, apart, next_experiment
+from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model
 
 LARGEST = 0.8  # V
@@ -60,4 +61,5 @@ def test_nothing_contested_needs_no_experiment():
 def test_a_model_is_not_told_from_itself():
     model = Model()
     volts = alike(LARGEST * np.ones(500))
-    assert apart(model, model, volts, SAMPLE_TIME, True) == 0.0
+    one, other = (march(m.arrays(), volts, rest(m, 0.0), SAMPLE_TIME) for m in (model, model))
+    assert apart(one, other, SAMPLE_TIME, True) == 0.0

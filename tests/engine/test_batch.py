@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.lookup import BRAKING, SPEED, WAVE, WIDEST
 from dmptm_ctrl.simulate import simulate_batch
-from dmptm_ctrl.simulate.batch import BATCH_OUTPUTS, march_many
+from dmptm_ctrl.simulate.batch import BATCH_OUTPUTS, march_any, march_many
 from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, Loop, close_loop, march, observer_gains
 from dmptm_ctrl.simulate.model import Model
 
@@ -114,6 +114,26 @@ def test_observer_and_extra_torques(name):
         [march(a, u, STATE, DT, measured=m, **options) for a, m in zip(arrays, angle, strict=True)]
     )
     assert_same(march_many(arrays, u, STATE, DT, measured=angle, **options), expected)
+
+
+@pytest.mark.parametrize("count", [1, 4, 5, 16, 18])
+@pytest.mark.parametrize("own", [False, True])
+def test_any_number_one_by_one_where_lanes_would_be_empty(count, own):
+    """Alone, all in lanes, or some of each; with voltages and angles in common, or of their own."""
+    model = Model().with_effect("reducer_compliance", **visible("reducer_compliance"))
+    arrays = [model.with_values(c=1.0 + 0.3 * k).arrays() for k in range(count)]
+    many = count if own else 1
+    u = np.array([voltages(1.2, 12.0 + k, 0.15) for k in range(many)])
+    angle = 0.1 + np.outer(1e-3 * (1 + np.arange(many)), np.sin(40.0 * TIME[: TIME.size // 2]))
+    starts = STATE + np.outer(1e-3 * np.arange(count), [1, 1, 0, 0, 0, 0])
+    options = {"observer": observer_gains(2.0, DT), "substeps": 4, "begin": 0.37}
+    columns = (1, 6)
+    found = march_any(arrays, u, starts, DT, measured=angle, columns=columns, **options)
+    assert found.shape == (count, TIME.size, len(columns))
+    for k, run in enumerate(found):
+        j = k if own else 0
+        alone = march(arrays[k], u[j], starts[k], DT, measured=angle[j], **options)
+        assert_same(run[None], alone[None][..., columns])
 
 
 def test_let_go_and_late():

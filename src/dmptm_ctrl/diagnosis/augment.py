@@ -125,8 +125,7 @@ def missed(model: Model, records: Sequence[Record], jobs: int = 1) -> float:
         run = expected(model, rec.u, rec.x0, rec.dt, runs=RUNS, substeps=SUBSTEPS, columns=SPEED)
         return float(np.mean(low_pass(rec.omega - run[:, 0], rec.dt) ** 2))
 
-    # the longest begin first: none is left for one core alone
-    squares = in_threads(square, sorted(records, key=lambda rec: -rec.omega.size), jobs)
+    squares = in_threads(square, records, jobs, lambda rec: rec.omega.size)
     return float(np.sum(np.log(np.array(squares) + NOISE**2)))
 
 

@@ -218,7 +218,7 @@ def groups_of(balance: Balance, scale: Scale) -> list[Group]:
             for b in bases(mo, scale)
         ]
 
-    made = in_threads(means, balance.motions, balance.jobs)
+    made = in_threads(means, balance.motions, balance.jobs, lambda mo: mo.rec.omega.size)
     return [
         group._replace(
             parts=[signs(e.kind, made[e.motion][g].parts, e.used) for e in balance.equations]

@@ -148,7 +148,7 @@ def diagnosed(
         fitted=final,
         provenance=provenance(measured, measured.logs, seed, time.perf_counter() - start),
         warnings=tuple(dict.fromkeys((*notes, *measured.warnings, *remarks(decision, final)))),
-        experiment=next_experiment(decision, measured.has_motor_encoders),
+        experiment=next_experiment(decision, measured.has_motor_encoders, jobs),
     )
 
 

@@ -14,8 +14,9 @@ import pandas as pd
 from dmptm_ctrl.diagnosis.decide import Decision
 from dmptm_ctrl.diagnosis.predict import low_pass
 from dmptm_ctrl.identify.fit import CORRELATION_SECONDS, FLOOR
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import march, rest
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.model import Floats
 
 EXPERIMENT_FILE = "next_experiment.csv"
 SECONDS = 20.0
@@ -110,23 +111,27 @@ class Experiment:
         }
 
 
-def apart(one: Model, other: Model, volts: Floats, dt: float, twist: bool) -> float:
-    """Expected log-likelihood ratio times two between two models on voltages."""
-    runs = [march(m.arrays(), volts, rest(m, 0.0), dt) for m in (one, other)]
-    misses = [low_pass(runs[0][:, 1] - runs[1][:, 1], dt) / FLOOR["speed"]]
+def apart(one: Floats, other: Floats, dt: float, twist: bool) -> float:
+    """Expected log-likelihood ratio times two between two models, from runs on the same voltages.
+
+    Columns as of :func:`~dmptm_ctrl.simulate.compiled.march`.
+    """
+    misses = [low_pass(one[:, 1] - other[:, 1], dt) / FLOOR["speed"]]
     if twist:
-        misses += [(runs[0][:, k] - runs[1][:, k]) / FLOOR["twist_l"] for k in (6, 7)]
-    news = volts.shape[1] * dt / CORRELATION_SECONDS
+        misses += [(one[:, k] - other[:, k]) / FLOOR["twist_l"] for k in (6, 7)]
+    news = len(one) * dt / CORRELATION_SECONDS
     return float(sum(news * np.mean(np.minimum(np.abs(m), BENT) ** 2) for m in misses))
 
 
-def next_experiment(decision: Decision, twist: bool) -> Experiment | None:
+def next_experiment(decision: Decision, twist: bool, jobs: int = 1) -> Experiment | None:
     """Choose the signal that best tells the first effect from its rivals.
 
     Parameters
     ----------
     twist : bool
         Whether there are motor encoders.
+    jobs : int
+        Threads. The result does not depend on it.
 
     Returns
     -------
@@ -143,17 +148,20 @@ def next_experiment(decision: Decision, twist: bool) -> Experiment | None:
     motions = [*decision.before.balance.motions, *decision.before.held.motions]
     largest = max(float(np.abs(mo.rec.u).max()) for mo in motions)
     time: Floats = SAMPLE_TIME * np.arange(round(SECONDS / SAMPLE_TIME), dtype=np.float64)
-    own, *others = models.values()
 
-    def told(volts: Floats, dt: float) -> float:
-        return min(apart(own, other, volts, dt, twist) for other in others)
+    def told(task: tuple[Floats, float]) -> float:
+        volts, dt = task
+        own, *others = (march(m.arrays(), volts, rest(m, 0.0), dt) for m in models.values())
+        return min(apart(own, other, dt, twist) for other in others)
 
     signals = {name: largest * np.array(wave(time)) for name, (_, wave) in SIGNALS.items()}
     for volts in signals.values():
         np.clip(volts, -largest, largest, out=volts)
-    gains = {name: told(volts, SAMPLE_TIME) for name, volts in signals.items()}
+    planned = [(volts, SAMPLE_TIME) for volts in signals.values()]
+    done = in_threads(told, planned + [(mo.rec.u, mo.rec.dt) for mo in motions], jobs)
+    gains = dict(zip(signals, done, strict=False))  # first of all
     best = max(gains, key=lambda name: gains[name])
     seconds = sum(mo.rec.dt * mo.rec.theta.size for mo in motions)
-    so_far = sum(told(mo.rec.u, mo.rec.dt) for mo in motions) * SECONDS / seconds
+    so_far = sum(done[len(signals) :]) * SECONDS / seconds
     description = SIGNALS[best][0]
     return Experiment(best, description, tuple(models), gains[best], so_far, signals[best])

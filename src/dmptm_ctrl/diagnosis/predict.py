@@ -15,7 +15,7 @@ from dmptm_ctrl.identify.led import SPEED
 from dmptm_ctrl.identify.records import RING_COUNT, true_angle
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.batch import march_many
+from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, OUTPUTS, march, rest
 from dmptm_ctrl.simulate.damping import damped, damping_of
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -90,7 +90,7 @@ def expected(
     jogged = [damped(model.with_values(k_m=stiffness * a), damping * b) for a, b in shares]
     arrays = [model.arrays(), *(other.arrays() for other in jogged)]
     if runs > 1 and u.shape[1] <= TOGETHER:
-        many = march_many(arrays, u, starts, dt, substeps=substeps, columns=columns)
+        many = march_any(arrays, u, starts, dt, substeps=substeps, columns=columns)
         return np.asarray(many.mean(axis=0))
     total = march(arrays[0], u, starts[0], dt, substeps=substeps)
     for other, start in zip(arrays[1:], starts[1:], strict=True):
@@ -159,7 +159,7 @@ def speed_error(model: Model, logs: Sequence[Log], jobs: int = 1) -> dict[str, f
     dict
         `rmse` [deg/s], `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
     """
-    pairs = in_threads(lambda log: speeds(model, log), logs, jobs)
+    pairs = in_threads(lambda log: speeds(model, log), logs, jobs, lambda log: log.time.size)
     seen = np.concatenate([p[0] for p in pairs])
     run = np.concatenate([p[1] for p in pairs])
     rmse = float(np.sqrt(np.mean((seen - run) ** 2)))

@@ -127,19 +127,14 @@ class Rattle:
 
     def slopes(self, model: Model, others: Sequence[Unknown], sigmas: Floats) -> Floats:
         """Relative change of the damping, per unit of others, that leaves the power as it is."""
-
-        def between(ends: Sequence[Model]) -> Floats:
-            first, second = self.ratios(ends)
-            return np.asarray(first - second)
-
-        def either(name: str, by: float) -> Floats:
-            value = model.drive[name]
-            return between([model.with_values(**{name: value + x}) for x in (by, -by)])
-
         value = damping_of(model)
-        own = between([damped(model, value * (1.0 + x)) for x in (STEP, -STEP)]) / STEP
         apart = np.maximum(sigmas, APART)
-        rows = [either(k.name, k.scale * d) / d for k, d in zip(others, apart, strict=True)]
+        ends = [damped(model, value * (1.0 + x)) for x in (STEP, -STEP)]
+        for k, d in zip(others, apart, strict=True):
+            here, by = model.drive[k.name], k.scale * d
+            ends += [model.with_values(**{k.name: here + x}) for x in (by, -by)]
+        off = self.ratios(ends)  # all at once: they fill the lanes
+        own, *rows = (off[::2] - off[1::2]) / np.array([STEP, *apart])[:, None]
         return np.array([-(own @ row) / (own @ own) for row in rows])
 
 

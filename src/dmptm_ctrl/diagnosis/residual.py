@@ -70,7 +70,7 @@ def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: i
     for tells in (model, declared) if simulated else (model,):
         runs = Misfit(records, LEAD_HZ, jobs).runs(tells) if simulated else None
         fast = simulated and any(name in FAST for name in model.effects)
-        balance = Balance(motions(records, model, runs), declared, jobs, fast)
+        balance = Balance(motions(records, model, runs, jobs), declared, jobs, fast)
         if balance.equations:
             break
     else:

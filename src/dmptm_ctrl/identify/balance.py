@@ -24,6 +24,7 @@ from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
 from dmptm_ctrl.identify.ripple import Ripple
 from dmptm_ctrl.identify.windows import Windowed, frictions
 from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats, Model
 
 FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a window
@@ -178,15 +179,19 @@ def _robust_scale(windows: bytes) -> float:
     """The same; weights and loss ask for that of the same windows in turn."""
     e = np.frombuffer(windows)
     s = max(1.4826 * _median(np.abs(e)), 1e-9)
-    square, ratio = e**2, np.empty_like(e)
+    counted = np.empty_like(e)
     for _ in range(SCALE_STEPS):  # expectation–maximisation
-        np.divide(e, s, out=ratio)
-        np.square(ratio, out=ratio)
-        np.add(ratio, FREEDOM, out=ratio)
-        np.divide(FREEDOM + 1.0, ratio, out=ratio)
-        np.multiply(ratio, square, out=ratio)
-        s = max(sqrt(np.add.reduce(ratio) / e.size), 1e-9)
+        _count(e, s, counted)
+        s = max(sqrt(np.add.reduce(counted) / e.size), 1e-9)
     return s
+
+
+@cached(nogil=True)
+def _count(e: Floats, s: float, out: Floats) -> None:
+    """Write squares, each by how much it counts at a scale."""
+    for i in range(e.size):
+        ratio = e[i] / s
+        out[i] = (FREEDOM + 1.0) / (ratio * ratio + FREEDOM) * (e[i] * e[i])
 
 
 def _median(x: Floats) -> float:

@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import Record, difference, predict, settled
 from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.batch import march_many
+from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.compiled import BODIES, observer_gains
 from dmptm_ctrl.simulate.compose import layout
 from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, OF_FLANKS, by_depth, damped, damping_of
@@ -222,7 +222,12 @@ class Misfit:
     def runs(self, model: Model) -> list[Floats]:
         """Simulate every record."""
         arrays = model.arrays()
-        return [predict(rec, arrays, self.bandwidth_hz) for rec in self.records]
+        return in_threads(
+            lambda rec: predict(rec, arrays, self.bandwidth_hz),
+            self.records,
+            self.jobs,
+            lambda rec: rec.omega.size,
+        )
 
     def differences(self, models: Sequence[Model]) -> list[list[Floats]]:
         """Return measured minus simulated of several models per record, (channels, blocks)."""
@@ -232,7 +237,7 @@ class Misfit:
         def some(task: tuple[Record, int]) -> list[Floats]:  # runs take memory
             rec, first = task
             led = observer_gains(self.bandwidth_hz, rec.dt) if self.bandwidth_hz > 0 else None
-            runs = march_many(
+            runs = march_any(
                 drives[first : first + AT_ONCE],
                 rec.u,
                 rec.x0,

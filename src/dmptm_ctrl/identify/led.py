@@ -9,9 +9,9 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import RING_COUNT, Record, block_mean
 from dmptm_ctrl.parallel import free, in_threads
-from dmptm_ctrl.simulate.batch import march_many
+from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.compiled import BODIES, FINE_SUBSTEPS, OUTPUTS, observer_gains
-from dmptm_ctrl.simulate.compose import NARROW, layout
+from dmptm_ctrl.simulate.compose import engine, layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Stacked, stacked
 
 # Of a run in the first tenth of a second, where names are told by a few landings: the next ones
@@ -135,7 +135,8 @@ class _Runs:
 
     def shares(self, jobs: int) -> list[range]:
         """Share the runs out to threads, in groups of lanes that are full."""
-        size = min(AT_ONCE, NARROW * -(-self.count // (NARROW * jobs)))
+        lanes = engine().LANES
+        size = min(AT_ONCE, lanes * -(-self.count // (lanes * jobs)))
         return [range(k, min(k + size, self.count)) for k in range(0, self.count, size)]
 
     def run(self, some: range) -> Floats:
@@ -144,7 +145,7 @@ class _Runs:
         alike, own = self.alike, self.drives[drive]
         measured = alike.theta[record] if alike.theta.size else None
         u, x0 = alike.u[record], alike.x0[record]
-        runs = march_many(own, u, x0, alike.dt, measured=measured, **self.how)
+        runs = march_any(own, u, x0, alike.dt, measured=measured, **self.how)
         return runs.transpose(0, 2, 1)
 
 

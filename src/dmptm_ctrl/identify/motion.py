@@ -14,6 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import RING_COUNT, Record
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compose import engine
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -273,8 +274,15 @@ def at_sites(names: tuple[str, ...], sites: tuple[str, ...]) -> Any:
 
 
 def motions(
-    records: Sequence[Record], model: Model, runs: Sequence[Floats] | None = None
+    records: Sequence[Record],
+    model: Model,
+    runs: Sequence[Floats] | None = None,
+    jobs: int = 1,
 ) -> tuple[Motion, ...]:
     """Prepare several records."""
     given = [None] * len(records) if runs is None else list(runs)
-    return tuple(motion(rec, model, run) for rec, run in zip(records, given, strict=True))
+    pairs = list(zip(records, given, strict=True))
+    done = in_threads(
+        lambda pair: motion(pair[0], model, pair[1]), pairs, jobs, lambda pair: pair[0].omega.size
+    )
+    return tuple(done)

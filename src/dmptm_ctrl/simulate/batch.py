@@ -1,20 +1,22 @@
-"""Many drives at once: 8 or 16 per vector loop, such groups over the cores."""
+"""Many drives at once: 16 per vector loop, such groups over the cores."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.parallel import each
-from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, Loop, rest
-from dmptm_ctrl.simulate.compose import NARROW, WIDE, engine
+from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, SUBSTEPS, Loop, march, rest
+from dmptm_ctrl.simulate.compose import engine
 from dmptm_ctrl.simulate.law import NO_LAWS, Law
 from dmptm_ctrl.simulate.model import Arrays, Floats, Model, stacked
 
 BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
 _OPEN = 5  # numbers of a loop, all zero of a run that is open
-FEW = 256  # drives for which a second loop is not worth being compiled
+# Drives left over by full groups, which one after another take the plain loop less than lanes of
+# which most are empty: these take as long as four or five, however many are in them.
+ALONE = 4
 LINE = 8  # doubles in a cache line
 _NO_ROWS = np.zeros((0, 0))
 _NO_DRIVE = np.zeros((0, 2, 0))
@@ -75,17 +77,16 @@ def _aligned(size: int) -> Floats:
 
 
 def _lanes(
-    lanes: int,
     task: Task,
     arrays: Sequence[Arrays],
     x0: Floats,
     loops: Floats,
 ) -> tuple[Floats, Floats]:
     """Run any number of drives, as many at once as there are lanes."""
-    loop = engine(lanes)
+    loop = engine()
     count = len(arrays)
     rows = stacked(arrays)
-    room = _aligned(loop.VALUES + rows.values.shape[1] * lanes)
+    room = _aligned(loop.VALUES + rows.values.shape[1] * loop.LANES)
     laws = NO_LAWS if task.design is None else loops
     kept = -(-task.samples // task.every) if task.columns.size else 0
     out = np.empty((count, task.columns.size, kept))
@@ -102,11 +103,11 @@ def _all(
     task: Task, arrays: Sequence[Arrays], x0: Floats, loops: Floats, n_jobs: int
 ) -> tuple[Floats, Floats]:
     """Run any number of drives in groups of lanes, on threads or joblib's backend."""
-    size = NARROW if len(arrays) <= FEW else WIDE
+    size = engine().LANES
     if n_jobs == 1 or len(arrays) <= size:
-        return _lanes(size, task, arrays, x0, loops)
+        return _lanes(task, arrays, x0, loops)
     groups = [slice(k, k + size) for k in range(0, len(arrays), size)]
-    parts = ((size, task.rows(g), arrays[g], x0[g], loops[g]) for g in groups)
+    parts = ((task.rows(g), arrays[g], x0[g], loops[g]) for g in groups)
     # threads: the loop does not hold the interpreter's lock
     done = list(each(_lanes, parts, n_jobs, prefer="threads"))
     outs, stats = zip(*done, strict=True)
@@ -167,6 +168,69 @@ def march_many(
     starts = np.ascontiguousarray(np.broadcast_to(x0, (count, 6)), float)
     kept, _ = _all(task, arrays, starts, np.zeros((count, _OPEN)), jobs)
     return kept.transpose(0, 2, 1)
+
+
+def march_any(
+    arrays: Sequence[Arrays],
+    u: Floats,
+    x0: Floats,
+    dt: float,
+    *,
+    measured: Floats | None = None,
+    columns: Sequence[int] = range(len(OUTPUTS)),
+    **options: Any,
+) -> Floats:
+    """Run any number of drives: :func:`march_many`, and one by one those that fill no lanes.
+
+    Parameters
+    ----------
+    arrays, u, x0, dt, measured
+        As for :func:`march_many`.
+    columns : sequence of int
+        Which of :data:`~.compiled.OUTPUTS` to keep.
+    **options
+        What both take: substeps, observer, lead_substeps, extra, begin.
+
+    Returns
+    -------
+    (batch, n, len(columns)) array
+        SI.
+    """
+    count = len(arrays)
+    alone = count % engine().LANES
+    if not 0 < alone <= ALONE:
+        alone = 0
+    inputs = u if u.ndim == 3 else u[None]
+    angles = None if measured is None else np.atleast_2d(measured)
+    starts = np.broadcast_to(x0, (count, 6))
+
+    def own(rows: Floats, k: int) -> Floats:
+        return np.asarray(rows[k if len(rows) > 1 else 0])
+
+    together = count - alone
+    out = np.empty((count, len(columns), inputs.shape[2]))
+    if together:
+        some = slice(together)
+        led = angles[some] if angles is not None and len(angles) > 1 else angles
+        given = inputs[some] if len(inputs) > 1 else inputs
+        runs = march_many(
+            arrays[some], given, starts[some], dt, measured=led, columns=columns, **options
+        )
+        if not alone:
+            return runs
+        out[some] = runs.transpose(0, 2, 1)
+    for k in range(together, count):
+        run = march(
+            arrays[k],
+            own(inputs, k),
+            starts[k],
+            dt,
+            measured=None if angles is None else own(angles, k),
+            meshes=max(columns) >= BODIES,
+            **options,
+        )
+        out[k] = run.T[[*columns]]
+    return out.transpose(0, 2, 1)
 
 
 def simulate_batch(

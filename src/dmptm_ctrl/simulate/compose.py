@@ -26,7 +26,6 @@ from dmptm_ctrl.effects.lookup import looked_up
 from dmptm_ctrl.simulate import elementary
 from dmptm_ctrl.simulate.slope_chains import slope_source
 
-NARROW, WIDE = 8, 16  # lanes
 # one thread writes an engine at a time: where two parse at once Python 3.11.0 to 3.11.7 counts
 # their depths together and fails (CPython issue 106905)
 _LOADING = RLock()
@@ -461,13 +460,9 @@ def per_catalogue(function: Callable[..., _T]) -> Callable[..., _T]:
     return found
 
 
-def engine(lanes: int = NARROW) -> ModuleType:
-    """Return the compiled engine module for the catalogue as it is now.
-
-    `lanes` is the number of drives in its vector loop: :data:`NARROW` for few, :data:`WIDE`
-    for many, where one drive's arithmetic fills the waits of another's.
-    """
-    return _engine(lanes)
+def engine() -> ModuleType:
+    """Return the compiled engine module for the catalogue as it is now."""
+    return _engine()
 
 
 @cache
@@ -483,8 +478,8 @@ def plain_engine() -> ModuleType:
 
 @per_catalogue
 @cache
-def _engine(_: tuple[Effect, ...], lanes: int) -> ModuleType:
-    text = source().replace(f"\nLANES = {NARROW} ", f"\nLANES = {lanes} ")
+def _engine(_: tuple[Effect, ...]) -> ModuleType:
+    text = source()
     return _load(_key(text), text)
 
 

@@ -23,7 +23,9 @@ from dmptm_ctrl.simulate.lane_sites import (  # chains
     motor_lanes,
 )
 
-LANES = 8  # one vector register of doubles with AVX-512, two with AVX2; or 16, see `compose.py`
+# Two vector registers of doubles with AVX-512: one drive's arithmetic fills the waits of another's,
+# and 16 take 1.55 times as long as 8.
+LANES = 16
 CALM = 3.0  # instead of a region: nothing to look at again
 COLUMNS = 10  # outputs of a run, and the two voltages
 TORQUE_L, TORQUE_R = 4, 5  # of these

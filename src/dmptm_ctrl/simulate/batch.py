@@ -204,31 +204,28 @@ def march_any(
     angles = None if measured is None else np.atleast_2d(measured)
     starts = np.broadcast_to(x0, (count, 6))
 
-    def own(rows: Floats, k: int) -> Floats:
-        return np.asarray(rows[k if len(rows) > 1 else 0])
+    def of(rows: Floats, some: slice) -> Floats:
+        return rows[some] if len(rows) > 1 else rows  # one for all
+
+    def given(some: slice) -> tuple[Floats, Floats | None]:
+        return of(inputs, some), None if angles is None else of(angles, some)
 
     together = count - alone
     out = np.empty((count, len(columns), inputs.shape[2]))
     if together:
         some = slice(together)
-        led = angles[some] if angles is not None and len(angles) > 1 else angles
-        given = inputs[some] if len(inputs) > 1 else inputs
+        volts, led = given(some)
         runs = march_many(
-            arrays[some], given, starts[some], dt, measured=led, columns=columns, **options
+            arrays[some], volts, starts[some], dt, measured=led, columns=columns, **options
         )
         if not alone:
             return runs
         out[some] = runs.transpose(0, 2, 1)
+    meshes = max(columns) >= BODIES
     for k in range(together, count):
-        run = march(
-            arrays[k],
-            own(inputs, k),
-            starts[k],
-            dt,
-            measured=None if angles is None else own(angles, k),
-            meshes=max(columns) >= BODIES,
-            **options,
-        )
+        (volts,), led = given(slice(k, k + 1))
+        lead = None if led is None else led[0]
+        run = march(arrays[k], volts, starts[k], dt, measured=lead, meshes=meshes, **options)
         out[k] = run.T[[*columns]]
     return out.transpose(0, 2, 1)
 

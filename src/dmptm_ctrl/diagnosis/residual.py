@@ -10,7 +10,6 @@ from dmptm_ctrl.identify.balance import Balance, BalanceFit, fit_balance, loss, 
 from dmptm_ctrl.identify.fit import Misfit, Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.motion import motions
 from dmptm_ctrl.identify.records import Record
-from dmptm_ctrl.identify.ripple import FAST
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.model import Model
 
@@ -69,8 +68,7 @@ def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: i
     # a model that never touches with both is wrong about it: the declared one then tells
     for tells in (model, declared) if simulated else (model,):
         runs = Misfit(records, LEAD_HZ, jobs).runs(tells) if simulated else None
-        fast = simulated and any(name in FAST for name in model.effects)
-        balance = Balance(motions(records, model, runs, jobs), declared, jobs, fast)
+        balance = Balance(motions(records, model, runs, jobs), declared, jobs, simulated)
         if balance.equations:
             break
     else:

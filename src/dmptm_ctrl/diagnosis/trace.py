@@ -40,6 +40,7 @@ SIZES = {  # effects without a slope at zero, or far from linear: multiples of `
 ESSENTIAL = {"cable_spring": "stiffness"}  # without it, a constant torque
 DIFFERENT = 5.0  # standard errors
 SATURATED = (0.5, 0.7, 0.85, 0.95)  # of the largest voltage, where a limit is looked for
+SMALL = 3.0  # steps
 STARTS = 2  # best shapes that are fitted
 # Evidence of a first step from nothing, nearly all that there is, below which no more are taken;
 # a second effect of a tenth of what it needs has that much.
@@ -288,8 +289,10 @@ def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     if len(shapes) > STARTS:
         gains = [trace.gain(effect_columns(trace, effect, values)) for values in shapes]
         shapes = [shapes[i] for i in best(np.array(gains), STARTS, 1)]
-    # From no effect at all, so that the first step moves the drive and the effect together.
-    return [{**values, **dict.fromkeys(effect.amplitudes, 0.0)} for values in shapes]
+    # From a small one: where it may act one way only, from none there is no way down.
+    own = effect.amplitudes
+    small = {p.name: SMALL * p.step for p in effect.parameters if p.name in own and p.low >= 0.0}
+    return [{**values, **dict.fromkeys(own, 0.0), **small} for values in shapes]
 
 
 def bent(name: str) -> bool:
@@ -324,7 +327,7 @@ def try_effect(trace: Trace, name: str) -> Trial:
                 model,
                 (*trace.base.unknowns, *unknowns_of(name)),
                 jacobian=trace.base.jacobian,
-                worth=STALLED if bent(name) else WORTH,
+                worth=STALLED,
             )
         )
     return tried(trace, name, min(fits, key=lambda f: f.loss))

@@ -30,6 +30,7 @@ from dmptm_ctrl.simulate.model import Floats, Model
 FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a window
 MIN_WINDOWS = 8  # of a log and equation; fewer tell nothing about their own scatter
 FREEDOM = 4.0  # of Student's t: how a window may scatter, bursts and rattle included
+GAUSSIAN = 1e6  # the same, where every window counts in full
 SCALE_STEPS = 12
 RECENT = 256  # scales kept: of all equations of a few fits at a time
 # N·m, rad/s for ripple; friction laws, and a sensor's noise, are not known more finely
@@ -37,6 +38,8 @@ FLOOR = {"total": 0.1, "chain": 0.4, "ripple": 0.5 * GYRO_NOISE}
 # Difference steps, in scales of an unknown; small for what enters a phase or an exponent.
 PROBES = {"drive": 0.1, "amplitude": 1.0, "shape": 0.02}
 ITERATIONS = 8
+# Share and damping of a step, tried in turn: along a bent valley only a damped step is downhill.
+STEPS = ((1.0, 0.0), (0.5, 0.0), (1.0, 0.01), (1.0, 0.1), (1.0, 1.0), (1.0, 10.0))
 STALLED = 0.5  # fall of the loss that ends the iterations
 # Share of the windows that are independent: they overlap by half, and the wobble of a pinion
 # on its flank lasts for several. Not read off the misfit, which a missing effect correlates.
@@ -161,37 +164,37 @@ def reducer_compliance(model: Model) -> float:
     return float(model.effects.get("reducer_compliance", {}).get("compliance", 0.0))
 
 
-def scatter(parts: Sequence[Floats], kinds: Sequence[str]) -> list[float]:
+def scatter(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREEDOM) -> list[float]:
     """How far the windows, or samples, of each equation scatter."""
     return [
-        float(np.hypot(robust_scale(part), FLOOR[role_of(kind)]))
+        float(np.hypot(robust_scale(part, freedom), FLOOR[role_of(kind)]))
         for part, kind in zip(parts, kinds, strict=True)
     ]
 
 
-def robust_scale(e: Floats) -> float:
-    """Most likely scale about zero of Student's t with :data:`FREEDOM` degrees."""
-    return _robust_scale(e.tobytes())
+def robust_scale(e: Floats, freedom: float = FREEDOM) -> float:
+    """Most likely scale about zero of Student's t."""
+    return _robust_scale(e.tobytes(), freedom)
 
 
 @lru_cache(RECENT)
-def _robust_scale(windows: bytes) -> float:
+def _robust_scale(windows: bytes, freedom: float) -> float:
     """The same; weights and loss ask for that of the same windows in turn."""
     e = np.frombuffer(windows)
     s = max(1.4826 * _median(np.abs(e)), 1e-9)
     counted = np.empty_like(e)
     for _ in range(SCALE_STEPS):  # expectation–maximisation
-        _count(e, s, counted)
+        _count(e, s, freedom, counted)
         s = max(sqrt(np.add.reduce(counted) / e.size), 1e-9)
     return s
 
 
 @cached(nogil=True)
-def _count(e: Floats, s: float, out: Floats) -> None:
+def _count(e: Floats, s: float, freedom: float, out: Floats) -> None:
     """Write squares, each by how much it counts at a scale."""
     for i in range(e.size):
         ratio = e[i] / s
-        out[i] = (FREEDOM + 1.0) / (ratio * ratio + FREEDOM) * (e[i] * e[i])
+        out[i] = (freedom + 1.0) / (ratio * ratio + freedom) * (e[i] * e[i])
 
 
 def _median(x: Floats) -> float:
@@ -241,31 +244,35 @@ class BalanceFit:
         return weights(self.parts, self.kinds)
 
 
-def weights(parts: Sequence[Floats], kinds: Sequence[str]) -> Floats:
+def weights(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREEDOM) -> Floats:
     """Square roots of what each window counts: its equation's scale, bent, and news."""
     return np.concatenate(
         [
-            np.sqrt(NEWS[role_of(kind)] * (FREEDOM + 1.0) / (FREEDOM + (part / sigma) ** 2)) / sigma
-            for part, kind, sigma in zip(parts, kinds, scatter(parts, kinds), strict=True)
+            np.sqrt(NEWS[role_of(kind)] * (freedom + 1.0) / (freedom + (part / sigma) ** 2)) / sigma
+            for part, kind, sigma in zip(parts, kinds, scatter(parts, kinds, freedom), strict=True)
         ]
     )
 
 
-def surprise(parts: Sequence[Floats], kinds: Sequence[str]) -> float:
+def surprise(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREEDOM) -> float:
     """Twice the negative log-likelihood of Student's t, each equation at its own scale."""
     total = 0.0
-    for part, kind, s in zip(parts, kinds, scatter(parts, kinds), strict=True):
-        tail = (FREEDOM + 1.0) * np.mean(np.log1p((part / s) ** 2 / FREEDOM))
+    for part, kind, s in zip(parts, kinds, scatter(parts, kinds, freedom), strict=True):
+        tail = (freedom + 1.0) * np.mean(np.log1p((part / s) ** 2 / freedom))
         total += NEWS[role_of(kind)] * part.size * float(2.0 * np.log(s) + tail)
     return total
 
 
 def loss(
-    parts: Sequence[Floats], kinds: Sequence[str], unknowns: Sequence[Unknown], p: Floats
+    parts: Sequence[Floats],
+    kinds: Sequence[str],
+    unknowns: Sequence[Unknown],
+    p: Floats,
+    freedom: float = FREEDOM,
 ) -> float:
     """Scale-free misfit plus the prior's."""
     prior = sum((x / k.prior) ** 2 for x, k in zip(p, unknowns, strict=True))
-    return surprise(parts, kinds) + float(prior)
+    return surprise(parts, kinds, freedom) + float(prior)
 
 
 def role_of(kind: str) -> str:
@@ -303,6 +310,7 @@ def fit_balance(
     *,
     jacobian: Floats | None = None,
     worth: float = STALLED,
+    freedom: float = FREEDOM,
 ) -> BalanceFit:
     """Fit unknowns by Gauss–Newton with weights that follow the misfit.
 
@@ -312,6 +320,8 @@ def fit_balance(
         Of the first j unknowns, kept as it is (the drive's are nearly constant).
     worth : float
         Fall of the loss by the first step, below which there is no second.
+    freedom : float
+        Of Student's t; the larger, the more an outlier counts.
     """
     unknowns = tuple(unknowns)
     low = np.array([k.low for k in unknowns])
@@ -320,7 +330,7 @@ def fit_balance(
     model = place(model, unknowns, p)
     kinds = balance.kinds
     parts = balance.missing(model)
-    value = loss(parts, kinds, unknowns, p)
+    value = loss(parts, kinds, unknowns, p, freedom)
     kept = 0 if jacobian is None else jacobian.shape[1]
     jac = np.empty((sum(map(len, parts)), 0))
     for k in range(ITERATIONS):
@@ -328,14 +338,14 @@ def fit_balance(
         if k == 0 or kept < len(unknowns):
             fresh = columns(balance, model, unknowns[kept:], e)
             jac = fresh if jacobian is None else np.hstack([jacobian, fresh])
-        w = weights(parts, kinds)
-        step = bounded_step(w * e, -w[:, None] * jac, p, unknowns, 0.0)
+        w = weights(parts, kinds, freedom)
         gain = 0.0
-        for shrink in (1.0, 0.5, 0.2):
+        for shrink, damping in STEPS:
+            step = bounded_step(w * e, -w[:, None] * jac, p, unknowns, damping)
             trial = np.clip(p + shrink * step, low, high)
             moved = place(model, unknowns, trial)
             tried = balance.missing(moved)
-            cost = loss(tried, kinds, unknowns, trial)
+            cost = loss(tried, kinds, unknowns, trial, freedom)
             if cost < value:
                 gain = value - cost
                 p, model, parts, value = trial, moved, tried, cost
@@ -346,3 +356,14 @@ def fit_balance(
     prior = np.array([1.0 / k.prior**2 + 1e-9 for k in unknowns])
     covariance = np.asarray(np.linalg.inv(weighted.T @ weighted + np.diag(prior)), np.float64)
     return BalanceFit(model, unknowns, p, value, parts, kinds, jac, covariance)
+
+
+def settled_fit(balance: Balance, model: Model, unknowns: Sequence[Unknown]) -> BalanceFit:
+    """Fit to the end, from here and from where outliers count in full; return the better.
+
+    A robust loss has several minima: windows that one effect cannot follow pass for outliers.
+    """
+    here = fit_balance(balance, model, unknowns)
+    whole = fit_balance(balance, model, unknowns, freedom=GAUSSIAN)
+    there = fit_balance(balance, whole.model, unknowns)
+    return min(here, there, key=lambda one: one.loss)

@@ -1,0 +1,334 @@
+"""Choose the effects that a model needs: forward steps, sets, deletion, rivals.
+
+Evidence is the fall of −2 log-likelihood on the fitted logs plus that on the held-out logs, on
+which nothing is fitted. One acceptance level holds for every effect, place and drive.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+# Evidence from which an effect is accepted. The largest of the whole catalogue on drives that
+# lack nothing stays below it, whatever their friction and contact laws: benchmarks/calibrate.py.
+LEVEL = 90.0
+# Evidence that held-out logs may speak against an effect that they do not excite.
+SLACK = 10.0
+# Evidence per unit of log-odds between rivals; fitted by benchmarks/calibrate.py.
+TEMPERATURE = 15.0
+MOST = 16  # effects; a drive that seems to need more is not explained by effects
+SET_STARTS = 12  # candidates from which pairs and triples are formed
+SET_TRIALS = 3  # sets that are fitted where no single effect is accepted
+RIVALS = 3  # candidates that may take the place of an effect
+HOPE = 0.3  # share of what an effect explains that a rival can explain, to first order
+DOUBTFUL = 3.0  # levels; an effect of more by its standard errors is not taken out to be tested
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One effect, or a set of effects, fitted beside a model.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        ``name@place`` of each effect.
+    gain, held_gain : float
+        Fall of −2 log-likelihood on the fitted and on the held-out logs.
+    fitted : object
+        What the evidence needs to go on from here.
+    objection : str
+        Why the fitted values are impossible; empty where they are not.
+    """
+
+    keys: tuple[str, ...]
+    gain: float
+    held_gain: float
+    fitted: Any
+    objection: str = ""
+
+    @property
+    def evidence(self) -> float:
+        """Fall of −2 log-likelihood on all logs."""
+        return self.gain + self.held_gain
+
+    @property
+    def acceptable(self) -> bool:
+        """Whether the logs demand it, held-out ones do not object, and its values are possible."""
+        needed = LEVEL * len(self.keys)
+        return self.evidence > needed and self.held_gain > -SLACK and not self.objection
+
+
+class State(Protocol):
+    """A model fitted to the fitted logs."""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Effects that were added, ``name@place``."""
+
+    @property
+    def loss(self) -> float:
+        """−2 log-likelihood of the fitted logs."""
+
+    @property
+    def held_loss(self) -> float:
+        """−2 log-likelihood of the held-out logs."""
+
+    @property
+    def target(self) -> Floats:
+        """Weighted residual, the model's own parameters projected out, (m,)."""
+
+
+class Evidence(Protocol):
+    """What a kind of balance offers to the selection."""
+
+    def candidates(self, state: State, only: Sequence[str] | None = None) -> list[Candidate]:
+        """Fit every effect at every place beside a model."""
+
+    def columns(self, state: State, candidate: Candidate) -> Floats:
+        """Weighted change of the residual per amplitude, (m, k), projected as the target is."""
+
+    def together(self, state: State, candidates: Sequence[Candidate]) -> Candidate:
+        """Fit several effects beside a model."""
+
+    def adopt(self, state: State, candidate: Candidate) -> State:
+        """Put a candidate into the model and fit to the end, on the same rows."""
+
+    def closed(self, state: State) -> State:
+        """Prepare the rows anew, as the model has it now, and fit again."""
+
+    def without(self, state: State, key: str) -> State:
+        """Take an effect out and fit the rest again."""
+
+    def wald(self, state: State, key: str) -> float:
+        """Square of an effect's amplitudes in standard errors: its evidence, to second order."""
+
+    def share(self, without: State, state: State, key: str) -> Floats:
+        """What an effect changes of the residual, weighted, the other parameters projected out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """An effect of the selected model.
+
+    Attributes
+    ----------
+    key : str
+    gain, held_gain : float
+        Rise of −2 log-likelihood when it alone is left out and the rest is refitted.
+    rivals : tuple of Candidate
+        What could take its place, best first.
+    without : State
+        The model refitted without it.
+    """
+
+    key: str
+    gain: float
+    held_gain: float
+    rivals: tuple[Candidate, ...]
+    without: Any
+
+    @property
+    def evidence(self) -> float:
+        """Evidence of the effect beside all others."""
+        return self.gain + self.held_gain
+
+    @property
+    def probability(self) -> float:
+        """Probability of the name, from its evidence against that of its rivals and of none."""
+        against = [LEVEL, *(r.evidence for r in self.rivals if not r.objection)]
+        odds = np.exp(np.clip((np.array(against) - self.evidence) / TEMPERATURE, -50.0, 50.0))
+        return float(1.0 / (1.0 + odds.sum()))
+
+    @property
+    def confusable_with(self) -> tuple[str, ...]:
+        """Keys of rivals that the logs hardly tell from it."""
+        near = self.evidence - 4.0 * TEMPERATURE
+        return tuple(r.keys[0] for r in self.rivals if r.evidence > near and not r.objection)
+
+
+@dataclass(eq=False)
+class Selection:
+    """The selected effects and the way to them.
+
+    Attributes
+    ----------
+    base, final : State
+        The declared model fitted inside its ranges, and the model with the effects.
+    entries : list of Entry
+        The effects, most evidence first.
+    first, rest : list of Candidate
+        All candidates beside the declared model, and beside the final one.
+    path : list of str
+        The steps in words.
+    """
+
+    base: Any
+    final: Any
+    entries: list[Entry] = field(default_factory=list)
+    first: list[Candidate] = field(default_factory=list)
+    rest: list[Candidate] = field(default_factory=list)
+    path: list[str] = field(default_factory=list)
+
+
+def select_effects(
+    evidence: Evidence, base: State, say: Callable[[str], None] = lambda _: None
+) -> Selection:
+    """Select effects until no candidate and no small set of them is acceptable.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    base : State
+        The declared model, fitted.
+    say : callable
+        Hears each step.
+
+    Returns
+    -------
+    Selection
+    """
+    selection = Selection(base, base)
+    state = base
+    seen: set[frozenset[str]] = {frozenset(base.keys)}
+
+    def step(text: str) -> None:
+        selection.path.append(text)
+        say(text)
+
+    while len(state.keys) < MOST:
+        candidates = ranked(evidence.candidates(state))
+        selection.first = selection.first or candidates
+        selection.rest = candidates
+        able = [c for c in candidates if c.acceptable]
+        # what helps on held-out logs goes before what they do not excite
+        able.sort(key=lambda c: c.held_gain <= 0.0)
+        chosen = able[0] if able else best_set(evidence, state, candidates)
+        if chosen is None:
+            break
+        state = evidence.closed(evidence.adopt(state, chosen))
+        step(f"+ {', '.join(chosen.keys)}: {chosen.gain:.0f} fitted, {chosen.held_gain:.0f} held out")
+        state = pruned(evidence, state, step)
+        if frozenset(state.keys) in seen:
+            break
+        seen.add(frozenset(state.keys))
+    return compared(evidence, selection, state, step)
+
+
+def ranked(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates, most evidence first."""
+    return sorted(candidates, key=lambda c: -c.evidence)
+
+
+def best_set(
+    evidence: Evidence, state: State, candidates: Sequence[Candidate]
+) -> Candidate | None:
+    """Return the best acceptable pair or triple of effects that hide each other.
+
+    Joint gains are found to first order from the candidates' columns; the best sets are fitted.
+    """
+    able = sorted((c for c in candidates if not c.objection), key=lambda c: -c.gain)[:SET_STARTS]
+    columns = {c.keys: evidence.columns(state, c) for c in able}
+    target = state.target
+    tried: list[tuple[float, tuple[Candidate, ...]]] = []
+    for size in (2, 3):
+        for group in combinations(able, size):
+            joint = explained(target, np.hstack([columns[c.keys] for c in group]))
+            alone = max(explained(target, columns[c.keys]) for c in group)
+            if joint - alone > LEVEL * (size - 1):
+                tried.append((joint - LEVEL * size, group))
+    tried.sort(key=lambda one: -one[0])
+    fitted = [evidence.together(state, group) for _, group in tried[:SET_TRIALS]]
+    able_sets = [c for c in fitted if c.acceptable]
+    return max(able_sets, key=lambda c: c.evidence - LEVEL * len(c.keys), default=None)
+
+
+def explained(target: Floats, columns: Floats) -> float:
+    """Square of a vector that columns can take up, to rounding."""
+    size = np.linalg.norm(columns, axis=0)
+    good = size > 0
+    q, r = np.linalg.qr(columns[:, good] / size[good])
+    clear = np.abs(np.diag(r)) > np.sqrt(np.finfo(float).eps)
+    return float(np.sum((q[:, clear].T @ target) ** 2))
+
+
+def pruned(evidence: Evidence, state: State, step: Callable[[str], None]) -> State:
+    """Delete effects that the others have made superfluous, weakest first."""
+    while len(state.keys) > 1:
+        wald = {key: evidence.wald(state, key) for key in state.keys}
+        doubtful = [key for key in state.keys if wald[key] < DOUBTFUL * LEVEL]
+        left_out = {key: evidence.without(state, key) for key in doubtful}
+        worth = {key: cost(state, one) for key, one in left_out.items()}
+        weakest = min(worth, key=lambda key: worth[key], default=None)
+        if weakest is None or worth[weakest] > LEVEL:
+            return state
+        step(f"- {weakest}: {worth[weakest]:.0f}")
+        state = left_out[weakest]
+    return state
+
+
+def cost(state: State, without: State) -> float:
+    """Rise of −2 log-likelihood on all logs."""
+    return without.loss - state.loss + without.held_loss - state.held_loss
+
+
+def compared(
+    evidence: Evidence, selection: Selection, state: State, step: Callable[[str], None]
+) -> Selection:
+    """Compare each effect with what could take its place, or stand beside it; the best stays."""
+    for _ in range(MOST):
+        entries = []
+        for key in state.keys:
+            without = evidence.without(state, key)
+            rivals = rivals_of(evidence, selection, state, without, key)
+            better = other_way(evidence, state, without, key, rivals)
+            if better is not None:
+                step(f"{key} → {', '.join(k for k in better.keys if k not in state.keys)}")
+                state = pruned(evidence, better, step)
+                break
+            gain, held = without.loss - state.loss, without.held_loss - state.held_loss
+            entries.append(Entry(key, gain, held, tuple(rivals), without))
+        else:
+            break
+    selection.entries = sorted(entries, key=lambda e: -e.evidence)
+    selection.final = state
+    return selection
+
+
+def other_way(
+    evidence: Evidence, state: State, without: State, key: str, rivals: Sequence[Candidate]
+) -> State | None:
+    """Return a better model with a rival in an effect's place, or added before it.
+
+    A fit that begins with one effect may bend all others to it, so that an effect which acts
+    alike is not found beside it; begun with the rival, it is.
+    """
+    worth = cost(state, without)
+    for rival in (r for r in rivals if r.acceptable):
+        if rival.evidence > worth:
+            return evidence.adopt(without, rival)
+        first = evidence.adopt(without, rival)
+        for second in evidence.candidates(first, [key]):
+            if second.acceptable and rival.evidence + second.evidence > worth + LEVEL:
+                return evidence.adopt(first, second)
+    return None
+
+
+def rivals_of(
+    evidence: Evidence, selection: Selection, state: State, without: State, key: str
+) -> list[Candidate]:
+    """Fit what could take an effect's place: what explains much of the same, to first order."""
+    own = evidence.share(without, state, key)
+    size = float(own @ own)
+    alike: dict[str, float] = {}
+    for one in selection.first:
+        (other,) = one.keys
+        if other in without.keys or other == key or one.objection:
+            continue
+        alike[other] = explained(own, evidence.columns(without, one)) / max(size, 1e-300)
+    likely = sorted((k for k in alike if alike[k] > HOPE), key=lambda k: -alike[k])[:RIVALS]
+    return ranked(evidence.candidates(without, likely)) if likely else []

@@ -15,7 +15,7 @@ from types import MappingProxyType
 import control as ct
 import numpy as np
 
-from dmptm_ctrl.drive.parameters import Drive, Quantity, paper_drive, viscous_mean
+from dmptm_ctrl.drive.parameters import Drive, Quantity, paper_drive, physical, viscous_mean
 from dmptm_ctrl.drive.train import GearTrain, Joint
 
 SHEAR_MODULUS = 8.0e10  # Pa, steel
@@ -78,6 +78,7 @@ def nine_dof_parameters(drive: Drive | None = None, **overrides: float) -> dict[
         An unknown name, or a value that is not positive (not negative for a damping).
     """
     drive = paper_drive() if drive is None else drive
+    drive.check()
     known = (*NINE_DOF_DEFAULTS, *OPTIONAL)
     for key in overrides:
         if key not in known:
@@ -97,10 +98,7 @@ def nine_dof_parameters(drive: Drive | None = None, **overrides: float) -> dict[
         **p,
     }
     for key, value in p.items():
-        damping = key.startswith("D_")
-        if not (value >= 0.0 if damping else value > 0.0):
-            wanted = "zero or more" if damping else "more than zero"
-            raise ValueError(f"9-DOF parameter {key} is {value:g}, it must be {wanted}")
+        physical(f"9-DOF parameter {key}", value, zero=key.startswith("D_"))
     return p
 
 
@@ -150,7 +148,7 @@ def nine_dof_ss(
     *,
     inputs: str = "voltage",
     outputs: Sequence[str] = ("omega_L",),
-    states: str = "angles",
+    states: str = "twists",
     **overrides: float,
 ) -> ct.StateSpace:
     """Return the 9-DOF model as a state-space system.

@@ -1,17 +1,22 @@
 """The drive as python-control blocks, one per component, joined by their signal names.
 
 No physics here: each block calls the kernels of its site. Blocks are pure functions of
-(t, x, u, params), finite at zero, without memory besides their states.
+(t, x, u, params), finite at zero, without memory besides their states. Of `params` they take
+values of the declared drive and of the loop by name, and refuse other names.
 
 Friction with real sticking inside an ODE (Karnopp, J. Dyn. Sys. 107 (1985) 100): below
 :data:`REST_SPEED` a body counts as resting; its friction then takes the value that balances
 the net torque, as long as the breakaway torque allows, and the body does not move: angle
 and speed keep their values. There is no smoothed sign, so nothing creeps. What the band
-costs is a residual speed below REST_SPEED.
+costs is a residual speed below REST_SPEED. A body without dry friction never rests, so that
+``control.linearize`` at rest finds its viscous friction.
 
 A dead time in an ODE is a Padé approximation (order :data:`PADE_ORDER`); the compiled
 simulator and the reference have it exactly.
 """
+
+from collections.abc import Mapping
+from typing import Any
 
 import control as ct
 import numpy as np
@@ -26,6 +31,47 @@ REST_SPEED = 1e-5  # rad/s; a hundredth of the gyro's noise, far above a solver'
 PADE_ORDER = 4  # phase error below 1° up to ω T_d = 4.5 rad
 MAX_STEP = 0.01  # s; so that no turn of the motion is stepped over
 SIDES = ("l", "r")
+
+
+class Given:
+    """A model and its loop, with values replaced by the `params` of a simulation."""
+
+    def __init__(self, model: Model | None, loop: Loop | None = None) -> None:
+        self.model, self.loop = model, loop
+        self.sites = None if model is None else Sites(model)
+        self._names = (*(() if model is None else model.drive), *(() if loop is None else Loop._fields))
+        self._varied: dict[tuple[tuple[str, float], ...], Given] = {}
+
+    def at(self, params: Mapping[str, float]) -> Any:
+        """Return it with the values of `params`.
+
+        Raises
+        ------
+        ValueError
+            A name that neither the drive nor the loop has, or a value that no drive has.
+        """
+        if not params:
+            return self
+        key = tuple(sorted(params.items()))
+        if key not in self._varied:
+            for name in params:
+                if name not in self._names:
+                    raise ValueError(
+                        f"params: the blocks have no {name!r}; they have "
+                        f"{', '.join(self._names)}; an effect belongs to model.with_effect(…), "
+                        "the params of a block of your own to that block"
+                    )
+            model, loop = self.model, self.loop
+            if model is not None:
+                model = model.with_values(**{k: v for k, v in key if k in model.drive})
+            if loop is not None:
+                loop = loop._replace(**{k: v for k, v in key if k in Loop._fields})
+            self._varied[key] = Given(model, loop)
+        return self._varied[key]
+
+
+def _given(model: "Model | Given") -> Any:
+    return model if isinstance(model, Given) else Given(model)
 
 
 class _Delay:
@@ -50,26 +96,29 @@ class _Delay:
         return np.linalg.solve(self.A, -self.B * u) if self.order else np.zeros(0)
 
 
-def drive_block(model: Model, side: int, *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
+def drive_block(
+    model: Model | Given, side: int, *, pade_order: int = PADE_ORDER
+) -> ct.NonlinearIOSystem:
     """Return the drive of one motor: dead time, static effects, lag.
 
     Input u_left or u_right [V], output voltage_l or voltage_r [V], what the motor gets.
     """
-    sites = Sites(model)
-    late, lagged = _Delay(sites.voltage_delay, pade_order), sites.lag > 0.0
+    given = _given(model)
+    late, lagged = _Delay(given.sites.voltage_delay, pade_order), given.sites.lag > 0.0
     order = late.order
 
-    def target(t, x, u):
+    def target(sites, t, x, u):
         return sites.drive_voltage(late.output(x[:order], float(u[0])), t, side)
 
     def update(t, x, u, params):
+        sites = given.at(params).sites
         rate = late.rate(x[:order], u[0])
         if lagged:
-            rate = np.append(rate, sites.lag_rate(x[order], target(t, x, u), side))
+            rate = np.append(rate, sites.lag_rate(x[order], target(sites, t, x, u), side))
         return rate
 
     def output(t, x, u, params):
-        return [x[order] if lagged else target(t, x, u)]
+        return [x[order] if lagged else target(given.at(params).sites, t, x, u)]
 
     return ct.NonlinearIOSystem(
         update,
@@ -94,15 +143,16 @@ def drive_states(
     return {f"{block}_{name}": float(x) for name, x in states.items()}
 
 
-def mesh_block(model: Model, side: int) -> ct.NonlinearIOSystem:
+def mesh_block(model: Model | Given, side: int) -> ct.NonlinearIOSystem:
     """Return the mesh of one pinion with the ring gear, without states.
 
     Inputs theta_3, omega_3 of the pinion and ring_angle, ring_speed; outputs torque
     [N·m], positive drives the ring gear, and z = θ3 − N2 θL [rad].
     """
-    sites, s = Sites(model), SIDES[side]
+    given, s = _given(model), SIDES[side]
 
     def output(t, x, u, params):
+        sites = given.at(params).sites
         theta, omega, ring_angle, ring_speed = u.tolist()
         torque = sites.mesh_torque(theta, omega, ring_angle, ring_speed, side)
         return [torque, theta - sites.n2 * ring_angle]
@@ -140,9 +190,10 @@ def body_rates(
     if abs(omega) <= REST_SPEED:
         direction = 1.0 if net > 0.0 else -1.0
         most = sites.holding(body, direction, theta, omega, t, carried, age)
-        if most > 0.0 and abs(net) <= most:
-            return [0.0, 0.0, *older]
-        return [omega, (net - direction * most) / inertia, *older]
+        if most > 0.0:
+            if abs(net) <= most:
+                return [0.0, 0.0, *older]
+            return [omega, (net - direction * most) / inertia, *older]
     direction = 1.0 if omega > 0.0 else -1.0
     friction = direction * sites.sliding(body, direction, theta, omega, t, carried, age)
     return [omega, (net - friction) / inertia, *older]
@@ -154,24 +205,24 @@ def friction_states(sites: Sites, body: int) -> list[str]:
     return ["friction"] * presliding + ["age"] * ageing
 
 
-def chain_block(model: Model, side: int) -> ct.NonlinearIOSystem:
+def chain_block(model: Model | Given, side: int) -> ct.NonlinearIOSystem:
     """Return motor, reducer and pinion of one side, with the reducer's friction.
 
     Inputs voltage [V] and torque of the mesh [N·m]; outputs theta_m, omega_m of the motor,
     theta_3, omega_3 of the pinion [rad, rad/s]. The motor has states of its own where the
     reducer is compliant.
     """
-    sites, s = Sites(model), SIDES[side]
-    elastic = sites.compliance > 0.0
-    own = friction_states(sites, side)
+    given, s = _given(model), SIDES[side]
+    elastic = given.sites.compliance > 0.0
+    own = friction_states(given.sites, side)
     body = 2 + len(own)  # states of the pinion
-    inertia = sites.pinion_inertia + (0.0 if elastic else sites.motor_inertia)
 
     def motor(x):
         return x[body : body + 2] if elastic else x[:2]
 
     def update(t, x, u, params):
-        x, u = x.tolist(), u.tolist()
+        sites, x, u = given.at(params).sites, x.tolist(), u.tolist()
+        inertia = sites.pinion_inertia + (0.0 if elastic else sites.motor_inertia)
         theta, omega = motor(x)
         drive = sites.motor_torque(u[0], sites.n1 * theta, sites.n1 * omega, t, side)
         if not elastic:
@@ -185,7 +236,8 @@ def chain_block(model: Model, side: int) -> ct.NonlinearIOSystem:
 
     def output(t, x, u, params):
         theta, omega = motor(x)
-        return [sites.n1 * theta, sites.n1 * omega, x[0], x[1]]
+        n1 = given.at(params).sites.n1
+        return [n1 * theta, n1 * omega, x[0], x[1]]
 
     states = ["theta", "omega", *own]
     return ct.NonlinearIOSystem(
@@ -198,16 +250,16 @@ def chain_block(model: Model, side: int) -> ct.NonlinearIOSystem:
     )
 
 
-def ring_block(model: Model) -> ct.NonlinearIOSystem:
+def ring_block(model: Model | Given) -> ct.NonlinearIOSystem:
     """Return the ring gear with its friction and the load's effects.
 
     Inputs torque_l, torque_r [N·m] at the pinions; outputs ring_angle [rad], ring_speed
     [rad/s], the true ones.
     """
-    sites = Sites(model)
+    given = _given(model)
 
     def update(t, x, u, params):
-        x, u = x.tolist(), u.tolist()
+        sites, x, u = given.at(params).sites, x.tolist(), u.tolist()
         net = sites.n2 * (u[0] + u[1]) + sites.load_torque(x[0], x[1], t)
         carried = abs(u[0]) + abs(u[1])
         return body_rates(sites, RING, t, x, net, carried, sites.ring_inertia)
@@ -217,17 +269,18 @@ def ring_block(model: Model) -> ct.NonlinearIOSystem:
         lambda t, x, u, params: x[:2],
         inputs=["torque_l", "torque_r"],
         outputs=["ring_angle", "ring_speed"],
-        states=["theta", "omega", *friction_states(sites, RING)],
+        states=["theta", "omega", *friction_states(given.sites, RING)],
         name="ring",
     )
 
 
-def sensor_block(model: Model, *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
+def sensor_block(model: Model | Given, *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
     """Return the sensors: ring_angle, ring_speed in, the readings theta_L, omega_L out."""
-    sites = Sites(model)
-    late = _Delay(sites.speed_delay, pade_order)
+    given = _given(model)
+    late = _Delay(given.sites.speed_delay, pade_order)
 
     def output(t, x, u, params):
+        sites = given.at(params).sites
         return sites.reading(float(u[0]), late.output(x, float(u[1])), t)
 
     return ct.NonlinearIOSystem(
@@ -240,14 +293,17 @@ def sensor_block(model: Model, *, pade_order: int = PADE_ORDER) -> ct.NonlinearI
     )
 
 
-def pi_block(loop: Loop) -> ct.NonlinearIOSystem:
+def pi_block(loop: Loop | Given) -> ct.NonlinearIOSystem:
     """Return the PI speed loop in continuous time, G_c = kp + ki/s, with clip and preload.
 
     Inputs ref, omega_L [rad/s], outputs u_left, u_right [V]; state ∫(ref − omega_L) dt.
     Source: paper section 4.3; sampled at 1 kHz in the rig, see `compiled.close_loop`.
     """
 
+    given = loop if isinstance(loop, Given) else Given(None, loop)
+
     def output(t, x, u, params):
+        loop = given.at(params).loop
         common = loop.kp * (u[0] - u[1]) + loop.ki * x[0]
         common = min(max(common, -loop.limit), loop.limit)
         return [common + loop.bias_l, common + loop.bias_r]
@@ -283,21 +339,24 @@ def to_blocks(
 
     Notes
     -----
-    :func:`initial_state` gives its state at rest or in motion. With
+    ``params={"k_m": 3e4}`` in ``control.input_output_response`` and the like replaces values
+    of the declared drive, and kp, ki, limit, bias_l, bias_r of the loop; other names raise
+    ValueError. :func:`initial_state` gives its state at rest or in motion. With
     ``control.input_output_response`` set ``solve_ivp_kwargs={"max_step": dt}`` for inputs
     sampled at dt, or short pulses are stepped over; it draws inputs as straight lines
     between samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
     """
+    given = Given(model, loop)
     blocks = [
-        *(drive_block(model, side, pade_order=pade_order) for side in (0, 1)),
-        *(chain_block(model, side) for side in (0, 1)),
-        *(mesh_block(model, side) for side in (0, 1)),
-        ring_block(model),
-        sensor_block(model, pade_order=pade_order),
+        *(drive_block(given, side, pade_order=pade_order) for side in (0, 1)),
+        *(chain_block(given, side) for side in (0, 1)),
+        *(mesh_block(given, side) for side in (0, 1)),
+        ring_block(given),
+        sensor_block(given, pade_order=pade_order),
     ]
     inputs, outputs = ["u_left", "u_right"], list(OUTPUTS)
     if loop is not None:
-        blocks.append(pi_block(loop))
+        blocks.append(pi_block(given))
         inputs, outputs = ["ref"], [*outputs, "u_left", "u_right"]
     return ct.interconnect(
         blocks,

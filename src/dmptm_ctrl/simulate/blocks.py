@@ -15,7 +15,7 @@ A dead time in an ODE is a Padé approximation (order :data:`PADE_ORDER`); the c
 simulator and the reference have it exactly.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import control as ct
@@ -33,11 +33,31 @@ MAX_STEP = 0.01  # s; so that no turn of the motion is stepped over
 SIDES = ("l", "r")
 
 
+def refuse_unknown(params: Iterable[str], known: Sequence[str], others: Sequence[str]) -> None:
+    """Refuse names of `params` that are neither of the blocks nor of others beside them.
+
+    python-control hands the params of every block to all blocks of a system.
+
+    Raises
+    ------
+    ValueError
+    """
+    for name in params:
+        if name not in known and name not in others:
+            raise ValueError(
+                f"params: the blocks have no {name!r}; they have {', '.join(known)}; an effect "
+                "belongs to model.with_effect(…); if it is of a block of your own, build ours "
+                f"with others=({name!r},)"
+            )
+
+
 class Given:
     """A model and its loop, with values replaced by the `params` of a simulation."""
 
-    def __init__(self, model: Model | None, loop: Loop | None = None) -> None:
-        self.model, self.loop = model, loop
+    def __init__(
+        self, model: Model | None, loop: Loop | None = None, others: Sequence[str] = ()
+    ) -> None:
+        self.model, self.loop, self.others = model, loop, others
         self.sites = None if model is None else Sites(model)
         self._names = (*(() if model is None else model.drive), *(() if loop is None else Loop._fields))
         self._varied: dict[tuple[tuple[str, float], ...], Given] = {}
@@ -54,13 +74,7 @@ class Given:
             return self
         key = tuple(sorted(params.items()))
         if key not in self._varied:
-            for name in params:
-                if name not in self._names:
-                    raise ValueError(
-                        f"params: the blocks have no {name!r}; they have "
-                        f"{', '.join(self._names)}; an effect belongs to model.with_effect(…), "
-                        "the params of a block of your own to that block"
-                    )
+            refuse_unknown(params, self._names, self.others)
             model, loop = self.model, self.loop
             if model is not None:
                 model = model.with_values(**{k: v for k, v in key if k in model.drive})
@@ -319,7 +333,11 @@ def pi_block(loop: Loop | Given) -> ct.NonlinearIOSystem:
 
 
 def to_blocks(
-    model: Model, *, loop: Loop | None = None, pade_order: int = PADE_ORDER
+    model: Model,
+    *,
+    loop: Loop | None = None,
+    pade_order: int = PADE_ORDER,
+    others: Sequence[str] = (),
 ) -> ct.InterconnectedSystem:
     """Return the drive as python-control blocks joined by name.
 
@@ -330,6 +348,8 @@ def to_blocks(
         Close the speed loop, in continuous time.
     pade_order : int
         Order of the Padé approximation of a drive or sensor delay.
+    others : sequence of str
+        Names of `params` that belong to blocks of your own beside these.
 
     Returns
     -------
@@ -346,7 +366,7 @@ def to_blocks(
     sampled at dt, or short pulses are stepped over; it draws inputs as straight lines
     between samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
     """
-    given = Given(model, loop)
+    given = Given(model, loop, others)
     blocks = [
         *(drive_block(given, side, pade_order=pade_order) for side in (0, 1)),
         *(chain_block(given, side) for side in (0, 1)),

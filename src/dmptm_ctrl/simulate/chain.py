@@ -261,10 +261,11 @@ def linear_chain(
     Returns
     -------
     StateSpace
-        Inputs: those of the rig. States: ``q_BODY`` and ``v_BODY`` of each rigid group,
-        ``lag_INPUT``. Where a train turns freely and none of its angles is an output,
-        ``spring_LINK``, the torque in each link's spring, takes the place of ``q_BODY``; so
-        ``dcgain``, ``margin`` and ``step_info`` are right as they come.
+        Inputs: those of the rig. States: ``q_BODY`` [rad or m] of each rigid group of bodies
+        that a torque by angle holds; of a train that turns freely ``spring_LINK``, the torque in
+        each link's spring, and one ``q_BODY`` only where an angle of it is an output;
+        ``v_BODY``; ``lag_INPUT``. So ``dcgain``, ``margin``, ``bandwidth`` and ``step_info`` are
+        right as they come.
 
     Raises
     ------
@@ -286,8 +287,7 @@ def linear_chain(
     angles = {
         layout.coordinate[layout.sensor_body[s.name]] for s in sensors if s.measures == "position"
     }
-    held = angles | set(np.flatnonzero(grounded).tolist())
-    into, force, names = _positions(model, held, grounded)
+    into, force, read, names = _positions(model, angles, grounded)
     push = np.zeros((n, inputs))
     for j, name in enumerate(layout.inputs):
         body = layout.input_body[name]
@@ -314,8 +314,10 @@ def linear_chain(
     for row, sensor in enumerate(sensors):
         body = layout.sensor_body[sensor.name]
         group = layout.coordinate[body]
-        speed = sensor.measures == "speed"
-        c[row, m + group if speed else names.index(f"q_{leads[group]}")] = layout.ratio[body]
+        if sensor.measures == "speed":
+            c[row, m + group] = layout.ratio[body]
+        else:
+            c[row, :m] = layout.ratio[body] * read[group]
     return control.ss(
         a, b, c, np.zeros((c.shape[0], inputs)),
         states=[*names, *(f"v_{x}" for x in leads), *(f"lag_{layout.inputs[j]}" for j in lagging)],
@@ -342,40 +344,45 @@ def _leads(model: ChainModel) -> list[str]:
 
 
 def _positions(
-    model: ChainModel, held: set[int], grounded: Floats
-) -> tuple[Floats, Floats, list[str]]:
-    """Return rates of the position states over the speeds, the forces that they make, names.
+    model: ChainModel, angles: set[int], grounded: Floats
+) -> tuple[Floats, Floats, Floats, list[str]]:
+    """Return rates of the position states over the speeds, the forces that they make,
+    the coordinates over them, and their names.
 
-    A train of which no angle is in `held` has the torques of its springs as states, exactly one
-    less than its coordinates: the angle of the whole train is left out without any rounding.
+    A train that nothing holds has the torques of its springs as states, one less than its
+    coordinates: the angle of the whole train is left out without any rounding. Where it is
+    asked for it comes first, so that python-control finds its pole at 0 exactly.
     """
     plant, layout = model.plant(), model.layout
     n = layout.coordinates
-    train = np.arange(n)  # coordinates joined by links have one number
     rows = [_row(plant, k) for k in range(plant.link_gap.size)]
+    train = np.arange(n)  # coordinates joined by links have one number
     for b in rows:
         joined = np.isin(train, train[b != 0.0])
         train[joined] = train[joined].min()
-    fixed = {int(train[g]) for g in held}
-    into: list[Floats] = []
-    force: list[Floats] = []
-    names: list[str] = []
-    stiffness, _ = _matrices(plant)
-    stiffness += np.diag(grounded)
-    leads = _leads(model)
-    for g in range(n):
-        if train[g] in fixed:
-            into.append(np.eye(n)[g])
-            force.append(stiffness[:, g])
-            names.append(f"q_{leads[g]}")
-    for k, b in enumerate(rows):
-        spring = plant.link_values[k, 1]
-        if spring > 0.0 and train[b != 0.0][0] not in fixed:
-            into.append(spring * b)
-            force.append(b)
-            names.append(f"spring_{layout.links[k]}")
-    shape = len(names), n
-    return np.reshape(into, shape), np.reshape(force, shape).T, names
+    stiffness = _matrices(plant)[0] + np.diag(grounded)
+    leads, unit = _leads(model), np.eye(n)
+    found: list[tuple[Floats, Floats, Floats, str]] = []  # rate, force, coordinates, name
+    for root in np.unique(train):
+        own = np.flatnonzero(train == root)
+        links = [k for k, b in enumerate(rows) if b[own].any()]
+        springs = [float(plant.link_values[k, 1]) for k in links]
+        asked = bool(angles & set(own.tolist()))
+        if grounded[own].any() or (asked and 0.0 in springs):
+            found += [(unit[g], stiffness[:, g], unit[g], f"q_{leads[g]}") for g in own]
+            continue
+        turn = np.zeros((n, own.size))
+        turn[own] = np.linalg.inv(np.vstack([unit[root], *(rows[k] for k in links)])[:, own])
+        if asked:
+            found.insert(0, (unit[root], np.zeros(n), turn[:, 0], f"q_{leads[root]}"))
+        found += [
+            (spring * rows[k], rows[k], turn[:, i] / spring, f"spring_{layout.links[k]}")
+            for i, (k, spring) in enumerate(zip(links, springs, strict=True), 1)
+            if spring > 0.0
+        ]
+    shape = len(found), n
+    into, force, read = (np.reshape([x[i] for x in found], shape) for i in range(3))  # type: ignore[misc]
+    return into, force.T, read.T, [x[3] for x in found]
 
 
 def _slopes(model: ChainModel, position: Mapping[str, float] | None) -> tuple[Floats, Floats]:

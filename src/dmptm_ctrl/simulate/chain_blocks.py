@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import control as ct
 import numpy as np
 
-from dmptm_ctrl.simulate.blocks import REST_SPEED
+from dmptm_ctrl.simulate.blocks import REST_SPEED, refuse_unknown
 from dmptm_ctrl.simulate.chain_compose import engine
 from dmptm_ctrl.simulate.chain_model import ChainModel, check_physical
 from dmptm_ctrl.simulate.chain_plant import Plant
@@ -21,12 +21,14 @@ from dmptm_ctrl.simulate.chain_plant import Plant
 TINY = 1e-300  # a speed that has a direction and no size
 
 
-def chain_blocks(model: ChainModel) -> ct.InterconnectedSystem:
+def chain_blocks(model: ChainModel, *, others: Sequence[str] = ()) -> ct.InterconnectedSystem:
     """Return a chain as one block per group of bodies, link, input and sensor.
 
     Parameters
     ----------
     model : ChainModel
+    others : sequence of str
+        Names of `params` that belong to blocks of your own beside these.
 
     Returns
     -------
@@ -41,7 +43,7 @@ def chain_blocks(model: ChainModel) -> ct.InterconnectedSystem:
         inertia that is not positive, a negative stiffness, a value that is not finite.
     """
     check_physical(model)
-    given, plant, layout = _Given(model), model.plant(), model.layout
+    given, plant, layout = _Given(model, others), model.plant(), model.layout
     blocks: list[ct.NonlinearIOSystem] = []
     torques: list[list[str]] = [[] for _ in range(layout.coordinates)]
     loads: list[list[str]] = [[] for _ in layout.bodies]
@@ -68,22 +70,17 @@ def chain_blocks(model: ChainModel) -> ct.InterconnectedSystem:
 class _Given:
     """The plant of a model, with declared quantities replaced by the `params` of a simulation."""
 
-    def __init__(self, model: ChainModel) -> None:
-        self.model, self.layout = model, model.layout
+    def __init__(self, model: ChainModel, others: Sequence[str]) -> None:
+        self.model, self.layout, self.others = model, model.layout, others
         self._plants = {(): model.plant()}
         self._refuse(self._plants[()])
 
     def plant(self, params: Mapping[str, float]) -> Plant:
         key = tuple(sorted(params.items())) if params else ()
         if key not in self._plants:
-            for name in params:
-                if name not in self.model.quantities:
-                    raise ValueError(
-                        f"params: the blocks have no {name!r}; they have "
-                        f"{', '.join(self.model.quantities)}; an effect belongs to "
-                        "model.with_effect(…), the params of a block of your own to that block"
-                    )
-            model = self.model.with_values(params)
+            refuse_unknown(params, list(self.model.quantities), self.others)
+            own = {k: v for k, v in params.items() if k in self.model.quantities}
+            model = self.model.with_values(own)
             check_physical(model)
             self._refuse(model.plant())
             self._plants[key] = model.plant()

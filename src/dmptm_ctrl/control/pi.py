@@ -149,7 +149,7 @@ def sampled_drive(plant: ct.StateSpace, sample_time: float) -> ct.StateSpace:
     return ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), sample_time, "zoh")
 
 
-def sampled_pi(kp: float, ki: float, sample_time: float) -> ct.TransferFunction:
+def sampled_pi(kp: float, ki: float, sample_time: float) -> ct.StateSpace:
     """Return the PI as it runs, in z: the error is summed after it is read.
 
     Parameters
@@ -158,7 +158,8 @@ def sampled_pi(kp: float, ki: float, sample_time: float) -> ct.TransferFunction:
     ki : float [V/rad]
     sample_time : float [s]
     """
-    return ct.tf([kp + ki * sample_time, -kp], [1.0, -1.0], sample_time)
+    step = ki * sample_time
+    return ct.ss([[1.0]], [[1.0]], [[step]], [[kp + step]], sample_time, states=["sum"])
 
 
 def outside_poles(open_loop: ct.StateSpace) -> NDArray[np.complex128]:

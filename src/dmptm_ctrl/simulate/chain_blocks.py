@@ -72,7 +72,7 @@ class _Given:
 
     def __init__(self, model: ChainModel, others: Sequence[str]) -> None:
         self.model, self.layout, self.others = model, model.layout, others
-        self._plants = {(): model.plant()}
+        self._plants: dict[tuple[tuple[str, float], ...], Plant] = {(): model.plant()}
         self._refuse(self._plants[()])
 
     def plant(self, params: Mapping[str, float]) -> Plant:

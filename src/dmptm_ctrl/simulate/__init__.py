@@ -71,7 +71,8 @@ def simulate(
         :mod:`~dmptm_ctrl.simulate.reference` with every switch located.
     **options
         `substeps` (int, steps per sample) of "compiled"; `rtol` of "reference";
-        `rtol`, `atol`, `pade_order` of "blocks".
+        `rtol`, `atol`, `pade_order` of "blocks", and `contact`: its "two_state" is the law
+        that paper Eq. 21 stands for.
 
     Returns
     -------
@@ -107,7 +108,7 @@ def _simulated(
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
     known = {"compiled": ("substeps",), "reference": ("rtol",)}.get(
-        method, ("rtol", "atol", "pade_order")
+        method, ("rtol", "atol", "pade_order", "contact")
     )
     for key in options:
         if key not in known:

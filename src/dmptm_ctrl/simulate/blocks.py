@@ -15,14 +15,15 @@ A dead time in an ODE is a Padé approximation (order :data:`PADE_ORDER`); the c
 simulator and the reference have it exactly.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
+from dmptm_ctrl.effects.backlash import gap_rate, twist_torque
+from dmptm_ctrl.simulate.block_params import Given, given_of
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites
@@ -31,64 +32,7 @@ REST_SPEED = 1e-5  # rad/s; a hundredth of the gyro's noise, far above a solver'
 PADE_ORDER = 4  # phase error below 1° up to ω T_d = 4.5 rad
 MAX_STEP = 0.01  # s; so that no turn of the motion is stepped over
 SIDES = ("l", "r")
-
-
-def refuse_unknown(params: Iterable[str], known: Sequence[str], others: Sequence[str]) -> None:
-    """Refuse names of `params` that are neither of the blocks nor of others beside them.
-
-    python-control hands the params of every block to all blocks of a system.
-
-    Raises
-    ------
-    ValueError
-    """
-    for name in params:
-        if name not in known and name not in others:
-            raise ValueError(
-                f"params: the blocks have no {name!r}; they have {', '.join(known)}; an effect "
-                "belongs to model.with_effect(…); if it is of a block of your own, build ours "
-                f"with others=({name!r},)"
-            )
-
-
-class Given:
-    """A model and its loop, with values replaced by the `params` of a simulation."""
-
-    def __init__(
-        self, model: Model | None, loop: Loop | None = None, others: Sequence[str] = ()
-    ) -> None:
-        self.model, self.loop, self.others = model, loop, others
-        self.sites = None if model is None else Sites(model)
-        self._names = (
-            *(() if model is None else model.drive),
-            *(() if loop is None else Loop._fields),
-        )
-        self._varied: dict[tuple[tuple[str, float], ...], Given] = {}
-
-    def at(self, params: Mapping[str, float]) -> Any:
-        """Return it with the values of `params`.
-
-        Raises
-        ------
-        ValueError
-            A name that neither the drive nor the loop has, or a value that no drive has.
-        """
-        if not params:
-            return self
-        key = tuple(sorted(params.items()))
-        if key not in self._varied:
-            refuse_unknown(params, self._names, self.others)
-            model, loop = self.model, self.loop
-            if model is not None:
-                model = model.with_values(**{k: v for k, v in key if k in model.drive})
-            if loop is not None:
-                loop = loop._replace(**{k: v for k, v in key if k in Loop._fields})
-            self._varied[key] = Given(model, loop)
-        return self._varied[key]
-
-
-def _given(model: "Model | Given") -> Any:
-    return model if isinstance(model, Given) else Given(model)
+CONTACTS = ("memoryless", "two_state")
 
 
 class _Delay:
@@ -120,7 +64,7 @@ def drive_block(
 
     Input u_left or u_right [V], output voltage_l or voltage_r [V], what the motor gets.
     """
-    given = _given(model)
+    given = given_of(model)
     late, lagged = _Delay(given.sites.voltage_delay, pade_order), given.sites.lag > 0.0
     order = late.order
 
@@ -160,13 +104,21 @@ def drive_states(
     return {f"{block}_{name}": float(x) for name, x in states.items()}
 
 
-def mesh_block(model: Model | Given, side: int) -> ct.NonlinearIOSystem:
-    """Return the mesh of one pinion with the ring gear, without states.
+def mesh_block(
+    model: Model | Given, side: int, *, contact: str = "memoryless"
+) -> ct.NonlinearIOSystem:
+    """Return the mesh of one pinion with the ring gear.
 
     Inputs theta_3, omega_3 of the pinion and ring_angle, ring_speed; outputs torque
-    [N·m], positive drives the ring gear, and z = θ3 − N2 θL [rad].
+    [N·m], positive drives the ring gear, and z = θ3 − N2 θL [rad]. With the two-state contact
+    law the position in the gap [rad] is a state; the other law has none.
+
+    Raises
+    ------
+    ValueError
+        A contact law that does not exist; the two-state law without any damping.
     """
-    given, s = _given(model), SIDES[side]
+    given, s = given_of(model), SIDES[side]
 
     def output(t, x, u, params):
         sites = given.at(params).sites
@@ -174,11 +126,26 @@ def mesh_block(model: Model | Given, side: int) -> ct.NonlinearIOSystem:
         torque = sites.mesh_torque(theta, omega, ring_angle, ring_speed, side)
         return [torque, theta - sites.n2 * ring_angle]
 
+    def placed(x, u, params):
+        z, rate, law = given.at(params).sites.mesh(*u.tolist(), side)
+        return min(max(float(x[0]), -law.half_gap), law.half_gap), z, rate, law
+
+    def two_state(t, x, u, params):
+        angles = u.tolist()
+        n2 = given.at(params).sites.n2
+        return [twist_torque(*placed(x, u, params)), angles[0] - n2 * angles[2]]
+
+    if contact not in CONTACTS:
+        raise ValueError(f"contact is {contact!r}; it must be one of {', '.join(CONTACTS)}")
+    stateful = contact == "two_state"
+    if stateful and given.model.drive["c"] + given.model.drive["c_f"] <= 0.0:
+        raise ValueError("c + c_f is 0: nothing tells where in its gap an undamped tooth is")
     return ct.NonlinearIOSystem(
-        None,
-        output,
+        (lambda t, x, u, params: [gap_rate(*placed(x, u, params))]) if stateful else None,
+        two_state if stateful else output,
         inputs=[f"theta_3{s}", f"omega_3{s}", "ring_angle", "ring_speed"],
         outputs=[f"torque_{s}", f"z_{s}"],
+        states=["position"] if stateful else None,
         name=f"mesh_{s}",
     )
 
@@ -229,7 +196,7 @@ def chain_block(model: Model | Given, side: int) -> ct.NonlinearIOSystem:
     theta_3, omega_3 of the pinion [rad, rad/s]. The motor has states of its own where the
     reducer is compliant.
     """
-    given, s = _given(model), SIDES[side]
+    given, s = given_of(model), SIDES[side]
     elastic = given.sites.compliance > 0.0
     own = friction_states(given.sites, side)
     body = 2 + len(own)  # states of the pinion
@@ -273,7 +240,7 @@ def ring_block(model: Model | Given) -> ct.NonlinearIOSystem:
     Inputs torque_l, torque_r [N·m] at the pinions; outputs ring_angle [rad], ring_speed
     [rad/s], the true ones.
     """
-    given = _given(model)
+    given = given_of(model)
 
     def update(t, x, u, params):
         sites, x, u = given.at(params).sites, x.tolist(), u.tolist()
@@ -293,7 +260,7 @@ def ring_block(model: Model | Given) -> ct.NonlinearIOSystem:
 
 def sensor_block(model: Model | Given, *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
     """Return the sensors: ring_angle, ring_speed in, the readings theta_L, omega_L out."""
-    given = _given(model)
+    given = given_of(model)
     late = _Delay(given.sites.speed_delay, pade_order)
 
     def output(t, x, u, params):
@@ -339,6 +306,7 @@ def to_blocks(
     *,
     loop: Loop | None = None,
     pade_order: int = PADE_ORDER,
+    contact: str = "memoryless",
     others: Sequence[str] = (),
 ) -> ct.InterconnectedSystem:
     """Return the drive as python-control blocks joined by name.
@@ -350,6 +318,9 @@ def to_blocks(
         Close the speed loop, in continuous time.
     pade_order : int
         Order of the Padé approximation of a drive or sensor delay.
+    contact : {"memoryless", "two_state"}
+        Contact law of the meshes: paper Eq. 21, or its two-state original, which has the
+        position in each gap as a state.
     others : sequence of str
         Names of `params` that belong to blocks of your own beside these.
 
@@ -372,7 +343,7 @@ def to_blocks(
     blocks = [
         *(drive_block(given, side, pade_order=pade_order) for side in (0, 1)),
         *(chain_block(given, side) for side in (0, 1)),
-        *(mesh_block(given, side) for side in (0, 1)),
+        *(mesh_block(given, side, contact=contact) for side in (0, 1)),
         ring_block(given),
         sensor_block(given, pade_order=pade_order),
     ]
@@ -406,6 +377,9 @@ def initial_state(model: Model, sys: ct.InterconnectedSystem, x0: ArrayLike) -> 
     for side, s in enumerate(SIDES):
         known[f"chain_{s}_theta"] = known[f"chain_{s}_theta_motor"] = bodies[side]
         known[f"chain_{s}_omega"] = known[f"chain_{s}_omega_motor"] = bodies[3 + side]
+        twist = bodies[side] - model.drive["N_2"] * bodies[2]
+        half_gap = model.drive[f"gap_{s}"]
+        known[f"mesh_{s}_position"] = min(max(twist, -half_gap), half_gap)
     stored = [label for label in sys.state_labels if label.startswith("sensor_delay")]
     late = _Delay(Sites(model).speed_delay, len(stored))
     known.update(zip(stored, late.settled(bodies[5]), strict=True))
@@ -421,18 +395,19 @@ def run(
     rtol: float = 1e-6,
     atol: float = 1e-9,
     pade_order: int = PADE_ORDER,
+    contact: str = "memoryless",
 ) -> Floats:
     """Run :func:`to_blocks` on held voltages, restarted at each of their jumps.
 
     Parameters and result as of :func:`dmptm_ctrl.simulate.reference.simulate`; `rtol`,
-    `atol` [rad, rad/s] of SciPy's RK45.
+    `atol` [rad, rad/s] of SciPy's RK45; `contact` as of :func:`to_blocks`.
 
     Raises
     ------
     RuntimeError
         The integrator gave up.
     """
-    sys = to_blocks(model, pade_order=pade_order)
+    sys = to_blocks(model, pade_order=pade_order, contact=contact)
     state = initial_state(model, sys, x0)
     n = u.shape[1]
     out = np.empty((n, len(OUTPUTS)))

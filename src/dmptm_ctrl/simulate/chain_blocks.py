@@ -13,7 +13,8 @@ from collections.abc import Mapping, Sequence
 import control as ct
 import numpy as np
 
-from dmptm_ctrl.simulate.blocks import REST_SPEED, refuse_unknown
+from dmptm_ctrl.simulate.block_params import refuse_unknown
+from dmptm_ctrl.simulate.blocks import REST_SPEED
 from dmptm_ctrl.simulate.chain_compose import engine
 from dmptm_ctrl.simulate.chain_model import ChainModel, check_physical
 from dmptm_ctrl.simulate.chain_plant import Plant

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.drive import baseline_drive, three_dof_ss
+from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.blocks import initial_state, ring_block, to_blocks
 from dmptm_ctrl.simulate.compiled import Loop
 from dmptm_ctrl.simulate.model import Model
@@ -103,3 +104,12 @@ def test_at_rest_with_the_default_step():
     a = found.A[np.ix_(order, order)]
     np.testing.assert_allclose(a, known.A, rtol=1e-5, atol=1e-5 * np.abs(known.A[3:, 3:]).max())
     np.testing.assert_allclose(found.B[order], known.B, rtol=1e-5)
+
+
+def test_effects_of_negative_size_are_refused():
+    model = Model().with_effect("cable_spring", stiffness=-8.0)
+    for use in (to_blocks, lambda m: simulate(m, [0.0, 1e-3], np.zeros((2, 2)))):
+        with pytest.raises(ValueError, match="cable_spring: stiffness is -8; it must be zero or"):
+            use(model)
+    with pytest.raises(ValueError, match="cable_spring: stiffness is NaN"):
+        Model().with_effect("cable_spring", stiffness=np.nan)

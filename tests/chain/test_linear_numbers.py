@@ -9,6 +9,7 @@ from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.simulate.chain import chain_modes, linear_chain, modes_text, simulate_chain
 from dmptm_ctrl.simulate.chain_blocks import chain_blocks
 from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.linear import linearize
 
 ARM = """
 name = "arm"
@@ -63,6 +64,33 @@ def test_poles_of_an_arm(text, position, stiffness):
     assert ct.dcgain(angle) == pytest.approx(1.0 / stiffness, rel=1e-9)
     hertz = np.sqrt(max(stiffness, 0.0) / 0.02) / (2 * np.pi)
     assert chain_modes(model, position={"arm": position}) == pytest.approx([hertz], rel=1e-8)
+
+
+def test_linearize_takes_rigs_too():
+    rig = parse_rig(HANGING)
+    for model in (rig, ChainModel(rig)):
+        poles = linearize(model, {"arm": 1.0}, outputs=["angle"]).poles()
+        expected = np.roots([0.02, 0.05, np.cos(1.0)])
+        assert np.sort_complex(poles) == pytest.approx(np.sort_complex(expected), rel=1e-8)
+    with pytest.raises(ValueError, match="a mapping of body to position"):
+        linearize(rig, np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("stiffness = 8.0", "stiffness = -8.0", "stiffness is -8; it must be zero or more"),
+        ("offset = 0.3", "offset = nan", "offset is nan; it must be a finite number"),
+        ('"0.02 kg m^2"', '"-0.02 kg m^2"', "inertia: -0.02 kg·m² is negative"),
+        ('"0.02 kg m^2"', "0", "inertia of 0 cannot be"),
+    ],
+)
+def test_rig_check_refuses_what_no_machine_has(tmp_path, capsys, old, new, said):
+    (tmp_path / "rig.toml").write_text(SPRING.replace(old, new))
+    assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "rig.toml, line " in error
 
 
 def test_rig_check_says_the_modes(tmp_path, capsys):
@@ -168,6 +196,8 @@ def test_refusals_name_what_there_is():
         linear_chain(model, position={"arm": 0.0})
     with pytest.raises(ValueError, match="stiffness of cable_spring@load is no number"):
         linear_chain(model.with_effect(Placed("cable_spring", "load", {"stiffness": np.nan})))
+    with pytest.raises(ValueError, match="stiffness of cable_spring@load is -8; it must be zero"):
+        linear_chain(model.with_effect(Placed("cable_spring", "load", {"stiffness": -8.0})))
 
 
 def test_params_in_block_simulation():

@@ -25,9 +25,7 @@ def pi_controller(kp: float, ki: float) -> ct.StateSpace:
     ValueError
         A gain that is not finite.
     """
-    for name, gain in (("kp", kp), ("ki", ki)):
-        if not np.isfinite(gain):
-            raise ValueError(f"{name} is {gain}; it must be a finite number")
+    _finite(kp, ki)
     return ct.ss(
         [[0.0]],
         [[1.0]],
@@ -157,7 +155,13 @@ def sampled_pi(kp: float, ki: float, sample_time: float) -> ct.StateSpace:
     kp : float [V/(rad/s)]
     ki : float [V/rad]
     sample_time : float [s]
+
+    Raises
+    ------
+    ValueError
+        A gain that is not finite.
     """
+    _finite(kp, ki)
     step = ki * sample_time
     return ct.ss([[1.0]], [[1.0]], [[step]], [[kp + step]], sample_time, states=["sum"])
 
@@ -177,3 +181,9 @@ def loop_response(plant: ct.StateSpace, omega: float, sample_time: float) -> com
     x = omega * sample_time
     hold = 1.0 if x == 0.0 else (1.0 - np.exp(-1j * x)) / (1j * x)
     return complex(plant(1j * omega) * hold)
+
+
+def _finite(kp: float, ki: float) -> None:
+    for name, gain in (("kp", kp), ("ki", ki)):
+        if not np.isfinite(gain):
+            raise ValueError(f"{name} is {gain}; it must be a finite number")

@@ -85,7 +85,7 @@ def simulate(
     ------
     ValueError
         Shapes that do not fit, uneven or too few time points, values that are not finite,
-        a method that does not exist.
+        an effect of negative size, a method that does not exist.
     TypeError
         An option that the method does not have.
     """
@@ -103,6 +103,7 @@ def _simulated(
     options: dict[str, Any],
 ) -> "control.TimeResponseData":
     from dmptm_ctrl.simulate.compiled import OUTPUTS, rest
+    from dmptm_ctrl.simulate.model import refuse_negative
     from dmptm_ctrl.simulate.response import response
 
     if method not in METHODS:
@@ -113,6 +114,7 @@ def _simulated(
     for key in options:
         if key not in known:
             raise TypeError(f"method {method!r} has no option {key!r}; it has {', '.join(known)}")
+    refuse_negative(model)
     substeps = options.get("substeps", 1)
     if int(substeps) != substeps or substeps < 1:
         raise ValueError(f"substeps is {substeps!r}; needs a whole number of at least 1")

@@ -25,7 +25,7 @@ from scipy.integrate import solve_ivp
 from dmptm_ctrl.effects.backlash import gap_rate, twist_torque
 from dmptm_ctrl.simulate.block_params import Given, given_of
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.model import Floats, Model, refuse_negative
 from dmptm_ctrl.simulate.plain import RING, Sites
 
 REST_SPEED = 1e-5  # rad/s; a hundredth of the gyro's noise, far above a solver's tolerance
@@ -330,6 +330,11 @@ def to_blocks(
         Inputs u_left, u_right [V], or ref [rad/s] with a loop; outputs
         :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, and u_left, u_right with a loop.
 
+    Raises
+    ------
+    ValueError
+        A contact law that does not exist, or an effect of negative size.
+
     Notes
     -----
     ``params={"k_m": 3e4}`` in ``control.input_output_response`` and the like replaces values
@@ -339,6 +344,7 @@ def to_blocks(
     sampled at dt, or short pulses are stepped over; it draws inputs as straight lines
     between samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
     """
+    refuse_negative(model)
     given = Given(model, loop, others)
     blocks = [
         *(drive_block(given, side, pade_order=pade_order) for side in (0, 1)),

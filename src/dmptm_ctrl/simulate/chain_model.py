@@ -292,12 +292,13 @@ def check_physical(model: ChainModel) -> None:
             positive = kind == "inertia" or kind.startswith("stribeck_speed")
             physical(f"{model.rig.name}: {key}", value, quantity.unit, zero=not positive)
     for effect in model.effects:
-        for name, value in effect.values.items():
+        for parameter in CHAIN_CATALOGUE[effect.name].keep:
+            value = effect.values.get(parameter.name, 0.0)
+            what = f"{model.rig.name}: {parameter.name} of {effect.key}"
             if isnan(value):
-                raise ValueError(
-                    f"{model.rig.name}: {name} of {effect.key} is no number; fit the model first, "
-                    "or set a value"
-                )
+                raise ValueError(f"{what} is no number; fit the model first, or set a value")
+            if parameter.low == 0.0 > value:  # a magnitude
+                raise ValueError(f"{what} is {value:g}; it must be zero or more")
 
 
 def _joint(model: ChainModel, name: str) -> _Joint:

@@ -1,15 +1,18 @@
 """Linear models of the drive about a steady turn under preload."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import root
 
+from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.blocks import REST_SPEED, SIDES, drive_states, initial_state, to_blocks
+from dmptm_ctrl.simulate.chain import linear_chain
+from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.compiled import OUTPUTS
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites, mesh_region
@@ -97,24 +100,26 @@ def turning(
 
 
 def linearize(
-    model: Model,
-    x0: ArrayLike | None = None,
+    model: Model | ChainModel | Rig,
+    x0: ArrayLike | Mapping[str, float] | None = None,
     u0: ArrayLike | None = None,
     *,
-    outputs: Sequence[str] = ("omega_L",),
+    outputs: Sequence[str] | None = None,
 ) -> ct.StateSpace:
-    """Return the linear model of the drive about a state.
-
-    For a rig of any shape see :func:`~dmptm_ctrl.simulate.chain.linear_chain`.
+    """Return the linear model of a drive about a state.
 
     Parameters
     ----------
-    model : Model
+    model : Model, ChainModel or Rig
+        Of a rig of any shape: :func:`~dmptm_ctrl.simulate.chain.linear_chain`.
     x0 : (6,) array, optional
-        θ3l, θ3r, θL [rad] and their speeds [rad/s]; by default :func:`turning`.
+        θ3l, θ3r, θL [rad] and their speeds [rad/s]; by default :func:`turning`. Of a rig of
+        any shape a mapping of body to position [rad or m], by default 0.
     u0 : (2,) array, optional [V]
-    outputs : sequence of str
-        Of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`.
+        Of a dual-motor model only.
+    outputs : sequence of str, optional
+        Of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`, by default ``omega_L``; of a rig of any
+        shape its sensors, by default all.
 
     Returns
     -------
@@ -129,7 +134,7 @@ def linearize(
     Raises
     ------
     ValueError
-        An output that does not exist.
+        An output that does not exist; voltages for a rig of any shape.
 
     Warns
     -----
@@ -137,6 +142,14 @@ def linearize(
         A mesh is in its gap, where it has no stiffness and the model poles at the origin;
         or a body is held by friction, where it does not move at all.
     """
+    if not isinstance(model, Model):
+        if u0 is not None or not isinstance(x0, Mapping | None):
+            raise ValueError(
+                "a rig of any shape is linearised at x0, a mapping of body to position"
+            )
+        chain = ChainModel(model) if isinstance(model, Rig) else model
+        return linear_chain(chain, outputs=outputs, position=x0)
+    outputs = ("omega_L",) if outputs is None else outputs
     for name in outputs:
         if name not in OUTPUTS:
             raise ValueError(f"no output {name!r}; there are {', '.join(OUTPUTS)}")

@@ -67,6 +67,22 @@ def stacked(arrays: Sequence[Arrays]) -> Stacked:
     return Stacked(*(np.array(rows) for rows in zip(*arrays, strict=True)))
 
 
+def refuse_negative(model: "Model") -> None:
+    """Refuse effects whose size is negative where it is a magnitude, such as a stiffness.
+
+    Raises
+    ------
+    ValueError
+    """
+    for name, values in model.effects.items():
+        for parameter in CATALOGUE[name].parameters:
+            value = values.get(parameter.name, 0.0)
+            if parameter.low == 0.0 > value:
+                raise ValueError(
+                    f"effect {name}: {parameter.name} is {value:g}; it must be zero or more"
+                )
+
+
 @dataclass(frozen=True)
 class Model:
     """A declared drive and the effects added to it.

@@ -103,6 +103,16 @@ def test_closed_loop_as_it_comes(name):
     assert ct.step_info(closed)["SteadyStateValue"] == pytest.approx(1.0, rel=1e-9)
 
 
+@pytest.mark.parametrize("name", MODELS)
+def test_angles_that_nothing_reads_are_left_out(name):
+    """Also of models that have them as states: one angle goes, and no other state."""
+    build, train = MODELS[name]
+    plant = common_mode(build(states="angles"))
+    assert plant.nstates == 2 * len(train.bodies) - 1
+    assert ct.dcgain(plant) == pytest.approx(STEADY, rel=1e-6)
+    assert ct.margin(plant)[:2] == pytest.approx(ct.margin(common_mode(build()))[:2], rel=1e-4)
+
+
 def test_one_output_of_a_plant_with_angles():
     """The speed alone does not depend on the angle: `common_mode` leaves it out."""
     plant = three_dof_ss(outputs=("theta_L", "omega_L"))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 OUTSIDE = 1.0 + 1e-6  # of a pole in z; nearer to the circle it is rounding
+EVEN = 5  # rounds that leave rows and columns of equal size
 RIGID = 1e-11  # singular value of an angle that nothing reads over the largest: rounding
 
 
@@ -89,9 +90,16 @@ def without_rigid_angle(sys: ct.StateSpace) -> ct.StateSpace:
     """
     if sys.nstates == 0 or sys.isdtime(strict=True):
         return sys
-    size = np.abs(sys.A).max(axis=0) + np.abs(sys.C).max(axis=0)
-    size[size == 0.0] = 1.0
-    _, values, vectors = np.linalg.svd(np.vstack([sys.A / size * size[:, None], sys.C / size]))
+    seen = np.vstack([sys.A, sys.C])
+    seen = seen[np.abs(seen).max(axis=1) > 0.0]
+    size = np.ones(sys.nstates)
+    for _ in range(EVEN):  # rows and columns of one size: stiff shafts beside slow bodies
+        seen = seen / np.abs(seen).max(axis=1, keepdims=True)
+        column = np.abs(seen).max(axis=0)
+        column[column == 0.0] = 1.0
+        seen, size = seen / column, size * column
+    _, values, vectors = np.linalg.svd(seen)
+    values = np.append(values, np.zeros(sys.nstates - values.size))
     unseen = vectors[values <= RIGID * values[0]].T / size[:, None]
     gone = qr(unseen.T, pivoting=True)[2][: unseen.shape[1]] if unseen.size else np.array([], int)
     keep = np.setdiff1d(np.arange(sys.nstates), gone)

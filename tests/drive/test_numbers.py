@@ -10,16 +10,24 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from dmptm_ctrl.control import close_speed_loop, common_mode
+from dmptm_ctrl.control import assess_pi, close_speed_loop, common_mode, pi_controller
+from dmptm_ctrl.control.sections import notch
 from dmptm_ctrl.drive import (
     GearTrain,
     Joint,
+    Tooth,
     baseline_drive,
+    mesh_damping,
+    mesh_damping_ratio,
+    mesh_torsion,
     nine_dof_ss,
     nine_dof_train,
+    pair_stiffness,
     paper_drive,
+    reduced_pinion_inertia,
     three_dof_ss,
     three_dof_train,
+    tooth_stiffness,
 )
 from dmptm_ctrl.simulate.linear import linearize
 from dmptm_ctrl.simulate.model import Model
@@ -173,6 +181,27 @@ def test_an_own_train_is_refused_alike(inertia, stiffness, said):
             1.0,
             {},
         )
+
+
+REFUSED = [
+    (lambda: tooth_stiffness(Tooth(-0.002, 20, 0.01)), "module is -0.002"),
+    (lambda: pair_stiffness(Tooth(0.002, 20, 0.01), Tooth(0.002, np.nan, 0.01)), "teeth is nan"),
+    (lambda: mesh_damping(0.03, -3.6e4, 0.25, 2.5, 8.25), "stiffness is -36000"),
+    (lambda: mesh_damping(0.03, 3.6e4, 0.0, 2.5, 8.25), "pinion is 0"),
+    (lambda: mesh_damping_ratio(1.0, 3.6e4, 0.25, np.inf, 8.25), "ring is inf"),
+    (lambda: mesh_torsion(np.nan, 0.02), "stiffness is nan"),
+    (lambda: reduced_pinion_inertia(25, -2e-4, 0, 0.1, 0), "j_m is -0.0002 kg·m²"),
+    (lambda: baseline_drive(speed=0.0), "speed of the baseline's sine is 0 rad/s"),
+    (lambda: pi_controller(np.nan, 1.0), "kp is nan"),
+    (lambda: assess_pi(three_dof_ss(), 1.0, np.inf), "ki is inf"),
+    (lambda: notch(60.0, np.nan, 0.5), "all must be > 0"),
+]
+
+
+@pytest.mark.parametrize(("call", "said"), REFUSED)
+def test_one_sentence_for_each_nonsense(call, said):
+    with pytest.raises(ValueError, match=said):
+        call()
 
 
 def test_the_baseline_differs():

@@ -15,7 +15,14 @@ from types import MappingProxyType
 import control as ct
 import numpy as np
 
-from dmptm_ctrl.drive.parameters import Drive, Quantity, paper_drive, physical, viscous_mean
+from dmptm_ctrl.drive.parameters import (
+    Drive,
+    Quantity,
+    paper_drive,
+    physical,
+    positive,
+    viscous_mean,
+)
 from dmptm_ctrl.drive.train import GearTrain, Joint
 
 SHEAR_MODULUS = 8.0e10  # Pa, steel
@@ -23,6 +30,7 @@ SHEAR_MODULUS = 8.0e10  # Pa, steel
 
 def shaft_stiffness(diameter: float, length: float) -> float:
     """Torsional stiffness [N·m/rad] of a solid steel shaft; diameter and length in m."""
+    positive(diameter=diameter, length=length)
     return SHEAR_MODULUS * pi * diameter**4 / 32.0 / length
 
 
@@ -195,7 +203,15 @@ def reduced_pinion_inertia(
     Returns
     -------
     float [kg·m²]
+
+    Raises
+    ------
+    ValueError
+        A ratio that is not positive, an inertia that is negative, a number that is not finite.
     """
+    positive(n1=n1)
+    for name, inertia in (("j_m", j_m), ("j_1", j_1), ("j_2", j_2), ("j_3", j_3)):
+        physical(name, inertia, "kg·m²", zero=True)
     if as_printed:
         return n1**2 * j_m + j_1 + j_2 + j_3
     return n1**2 * (j_m + j_1) + j_2 + j_3

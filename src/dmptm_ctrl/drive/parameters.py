@@ -39,6 +39,17 @@ def physical(what: str, value: float, unit: str = "", *, zero: bool = False) -> 
         raise ValueError(f"{what} is {value:g}{unit and ' '}{unit}; it must be {wanted} and finite")
 
 
+def positive(**values: float) -> None:
+    """Refuse arguments that are not positive and finite, by their names.
+
+    Raises
+    ------
+    ValueError
+    """
+    for name, value in values.items():
+        physical(name, value)
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A declared number: value, unit, how far the truth may be from it, and who says so.

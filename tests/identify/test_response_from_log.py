@@ -102,6 +102,9 @@ def test_closed_loop_by_way_of_the_set_point():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         from_log(run, "ref", "y", lines=TONES, segment=10.0)  # of the loop: nothing to warn of
+    named = log(u, y, speed_setpoint=ref)
+    with pytest.warns(UserWarning, match="taken by way of speed_setpoint"):
+        from_log(named, "u", "y", lines=TONES, segment=10.0)
     still = log(u - 4.0 * ref, noise, ref=np.zeros(ref.size))
     with pytest.warns(UserWarning, match="ref stands still"):
         from_log(still, "u", "y")

@@ -5,6 +5,7 @@ function of the whole drive). Multisine: many frequencies at once with random ph
 (the best linear approximation, Pintelon & Schoukens, System Identification, 2nd ed., ch. 3).
 """
 
+import re
 import warnings
 from collections.abc import Sequence
 from math import pi
@@ -20,7 +21,8 @@ from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop, close_loop, march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
 
 SETTLE_SECONDS = 2.0  # seven time constants of the rigid drive against viscous friction
-SET_POINTS = ("ref", "reference")  # channels that only a closed loop has
+# names of channels that only a closed loop has
+SET_POINT = re.compile(r"(^|_)(ref|reference|set_?point|target|demand|soll)(_|$)", re.IGNORECASE)
 NEGLIGIBLE = 1e-6  # of the excitation's power: above the window's leakage, below any line meant
 CHANCE = 0.05  # that one line of a log passes without any response
 MIN_SAMPLES = 8  # per period; below, the held input is no sine
@@ -238,7 +240,7 @@ def from_log(
     """
     names = (input,) if isinstance(input, str) else tuple(input)
     u, y, dt = np.mean([log[n] for n in names], axis=0), log[output], log.sample_time
-    x = _excitation(log, names, u)
+    x = _excitation(log, names, output, u)
     if np.ptp(x) == 0.0:
         raise ValueError(f"{log.name}: {'+'.join(names)} does not move; nothing is excited")
     period = None if lines is not None else _period(x)
@@ -279,10 +281,10 @@ def from_log(
     return _pack(2.0 * pi * f[keep], values, coherence[keep], (label, output), log.name)
 
 
-def _excitation(log: Log, names: tuple[str, ...], u: Floats) -> Floats:
+def _excitation(log: Log, names: tuple[str, ...], output: str, u: Floats) -> Floats:
     """Signal that moves the drive: the set point of a loop, else the input."""
-    for point in SET_POINTS:
-        if point not in log or point in names:
+    for point in log:
+        if point in (*names, output) or not SET_POINT.search(point):
             continue
         ref = log[point]
         label = "+".join(names)

@@ -6,8 +6,11 @@ import pytest
 
 from dmptm_ctrl import data
 from dmptm_ctrl.cli import main
+from dmptm_ctrl.diagnosis.ladder_files import chain_to_toml
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.reproduce.compare import linear_models
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
 
@@ -65,6 +68,17 @@ def test_own_model_file_and_rig_of_two_motors(tmp_path):
     late = np.angle(models["mine, linearised"](s) / models["3-DOF"](s))
     assert late == pytest.approx(-abs(s) * 2e-3, abs=0.03)
     assert "paper, linearised" in linear_models(data.PAPER_RIG)
+
+
+def test_model_of_a_diagnosis(tmp_path):
+    """A model.toml of a drive of another shape: fitted values, not those of its rig file."""
+    rig = parse_rig(ARM)
+    text = chain_to_toml(ChainModel(rig).with_values({"body.arm.viscous": 0.2}), rig.text)
+    (tmp_path / "model.toml").write_text(text)
+    own = linear_models(tmp_path / "model.toml")["arm: w over torque"]
+    assert np.sort_complex(own.poles()) == pytest.approx(
+        np.sort_complex(np.roots([0.02, 0.2, 8.0])), rel=1e-8
+    )
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ def test_in_a_run():
     [
         ({"stiffness": 1.0}, "the blocks have no 'stiffness'; they have K_d, K_M,"),
         ({"kp": 1.0}, "the blocks have no 'kp'"),  # no loop there
-        ({"J_L": -1.0}, "J_L is -1 kg·m²; it must be more than zero"),
+        ({"J_L": -1.0}, "J_L is -1 kg·m², it must be more than zero"),
     ],
 )
 def test_others_are_refused(params, said):

@@ -176,9 +176,9 @@ def test_free_train_as_it_comes():
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"body.load.inertia": -1.0}, "body.load.inertia is -1 kg·m²; it must be more than zero"),
+        ({"body.load.inertia": -1.0}, "body.load.inertia is -1 kg·m², it must be more than zero"),
         ({"body.load.inertia": 0.0}, "body.load.inertia is 0"),
-        ({"link.s.stiffness": -40.0}, "link.s.stiffness is -40 N·m/rad; it must be zero or more"),
+        ({"link.s.stiffness": -40.0}, "link.s.stiffness is -40 N·m/rad, it must be zero or more"),
         ({"body.load.viscous": np.inf}, "declared unknown|body.load.viscous is inf"),
         ({"link.s.ratio": 0.0}, "link.s.ratio is 0"),
     ],

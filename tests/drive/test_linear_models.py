@@ -152,7 +152,7 @@ def test_printed_reduced_inertia_is_not_the_limit():
         (lambda: three_dof_ss(inputs="amps"), "voltage, torque"),
         (lambda: three_dof_ss(states="modal"), "angles or twists"),
         (lambda: nine_dof_ss(K_99=1.0), "no 9-DOF parameter 'K_99'"),
-        (lambda: nine_dof_ss(K_01=0.0), "K_01 is 0; it must be more than zero"),
+        (lambda: nine_dof_ss(K_01=0.0), "K_01 is 0, it must be more than zero"),
         (lambda: nine_dof_ss(J_1=1.0), "J_2 is -"),
     ],
 )

@@ -145,7 +145,7 @@ def test_linearised_drive_as_it_comes():
 
 
 BAD = [
-    ({"J_L": 0.0}, r"J_L is 0 kg·m²; it must be more than zero"),
+    ({"J_L": 0.0}, r"J_L is 0 kg·m², it must be more than zero"),
     ({"J_m": -2e-4}, r"J_m is -0.0002"),
     ({"J_L": float("nan")}, r"J_L is nan"),
     ({"k_m": -1.0}, r"k_m is -1 N·m/rad"),

@@ -107,5 +107,5 @@ def test_model_of_nonsense(tmp_path):
     text = to_toml(Model()).replace("K_M = 0.13", "K_M = -0.13")
     assert "-0.13" in text
     (tmp_path / "model.toml").write_text(text)
-    with pytest.raises(LogError, match=r"model\.toml: .*K_M is -0\.13 N·m/A; it must be more than"):
+    with pytest.raises(LogError, match=r"model\.toml: .*K_M is -0\.13 N·m/A, it must be more than"):
         linear_models(tmp_path / "model.toml")

@@ -36,7 +36,7 @@ def physical(what: str, value: float, unit: str = "", *, zero: bool = False) -> 
     """
     if not (0.0 <= value < inf if zero else 0.0 < value < inf):
         wanted = "zero or more" if zero else "more than zero"
-        raise ValueError(f"{what} is {value:g}{unit and ' '}{unit}; it must be {wanted} and finite")
+        raise ValueError(f"{what} is {value:g}{unit and ' '}{unit}, it must be {wanted} and finite")
 
 
 def positive(**values: float) -> None:

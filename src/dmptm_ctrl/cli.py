@@ -178,6 +178,71 @@ def resonances(
         print(f"written to {out}")
 
 
+_Own = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="[FILE]", help="Your drive: a rig.toml, or a model.toml of a diagnosis."
+    ),
+]
+_Input = Annotated[str | None, typer.Option("--input", help="Input of your rig; else its first.")]
+_Output = Annotated[
+    str | None, typer.Option("--output", help="Sensor of your rig; else its first speed.")
+]
+
+
+@app.command()
+def bode(
+    file: _Own = None,
+    out: Annotated[Path, typer.Option(help="Picture: .png, .svg or .pdf.")] = Path("bode.png"),
+    input: _Input = None,
+    output: _Output = None,
+    low: Annotated[float, typer.Option(min=1e-6, help="From this frequency [Hz].")] = 0.1,
+    high: Annotated[float, typer.Option(min=1e-6, help="To this one [Hz].")] = 1000.0,
+) -> None:
+    """Draw 9-DOF, 3-DOF and existing model and your own drive in one Bode plot."""
+    if not low < high:
+        raise typer.BadParameter(f"--low {low:g} must be below --high {high:g}")
+    models = _models(file, input, output)
+    from dmptm_ctrl.reproduce import compare
+
+    figure, rows = compare.bode(models, low, high)
+    _save_picture(figure, out)
+    print(f"{_printable(compare.table(compare.BODE_HEADER, rows))}\n\nwritten: {out}")
+
+
+@app.command()
+def step(
+    file: _Own = None,
+    out: Annotated[Path, typer.Option(help="Picture: .png, .svg or .pdf.")] = Path("step.png"),
+    input: _Input = None,
+    output: _Output = None,
+    seconds: Annotated[float, typer.Option(min=1e-6, help="Length of the picture.")] = 2.0,
+) -> None:
+    """Draw the step of 9-DOF, 3-DOF and existing model and your own drive in one picture."""
+    models = _models(file, input, output)
+    from dmptm_ctrl.reproduce import compare
+
+    figure, rows = compare.step(models, seconds)
+    _save_picture(figure, out)
+    print(f"{_printable(compare.table(compare.STEP_HEADER, rows))}\n\nwritten: {out}")
+
+
+def _models(file: Path | None, input: str | None, output: str | None) -> dict[str, Any]:
+    import warnings
+
+    import matplotlib
+
+    from dmptm_ctrl.reproduce.compare import linear_models
+
+    matplotlib.use("Agg")  # no windows
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always", UserWarning)
+        models = linear_models(file, input=input, output=output)
+    for warning in said:
+        print(f"warning: {_printable(str(warning.message))}", file=sys.stderr)
+    return models
+
+
 def _assignment(text: str) -> tuple[str, float]:
     name, equals, value = text.partition("=")
     if not equals:
@@ -236,12 +301,20 @@ def rig_check(
     print(_printable(rig_text(rig)))
     print(modes_text(rig))
     if figure is not None:
-        picture = plot_rig(rig).get_figure(root=True)
-        assert picture is not None
-        try:
-            picture.savefig(figure, dpi=150)
-        except ValueError:  # matplotlib's word for an ending that it does not know
-            raise typer.BadParameter(f"{figure.name}: call the figure .png, .svg or .pdf") from None
+        _save_picture(plot_rig(rig).get_figure(root=True), figure)
+
+
+def _save_picture(picture: Any, path: Path) -> None:
+    """Write a figure, whole or not at all."""
+    from io import BytesIO
+
+    from dmptm_ctrl.signals.atomic import write_atomic
+
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise typer.BadParameter(f"{path.name}: call the figure .png, .svg or .pdf")
+    content = BytesIO()
+    picture.savefig(content, dpi=150, format=path.suffix[1:].lower())
+    write_atomic(path, content.getvalue())
 
 
 @rig_app.command("init")

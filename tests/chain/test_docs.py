@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dmptm_ctrl.cli import main
@@ -34,6 +35,23 @@ def test_mistake_is_named_as_the_page_says(tmp_path, capsys):
     main(["rig", "check", str(file)])
     said = capsys.readouterr().err
     assert "rig.toml, line 4: [body.motor] inertia: 'kg' is of another quantity than kg·m²" in said
+
+
+def test_linear_model_of_the_page(tmp_path, monkeypatch, capsys):
+    """The program runs, on a hanging arm: J s² + B s + cos(0.5) at the angle it says."""
+    rig = (
+        '[body.arm]\ninertia = 0.02\nviscous = 0.05\n[input.m]\ncolumn = "T_Nm"\n'
+        '[sensor.angle]\ncolumn = "q_rad"\n[effect.unbalance]\nsine = -1.0\n'
+    )
+    (tmp_path / "rig.toml").write_text(rig)
+    monkeypatch.chdir(tmp_path)
+    (program,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    names: dict = {}
+    exec(program, names)
+    assert np.sort_complex(names["plant"].poles()) == pytest.approx(
+        np.sort_complex(np.roots([0.02, 0.05, np.cos(0.5)])), rel=1e-8
+    )
+    assert "SettlingTime" in capsys.readouterr().out
 
 
 def test_declared_effect_of_the_page(tmp_path):

@@ -41,7 +41,7 @@ def test_no_mode_is_near():
 def test_without_gap_and_dry_friction_it_is_the_linear_loop():
     """The integral's torque on the whole inertia: amplitude is immaterial."""
     linear = Model().with_values(**DRY, **CLOSED)
-    held = sampled_drive(three_dof_ss(linear.drive, states="twists"), DT)
+    held = sampled_drive(three_dof_ss(linear.drive), DT)
     z = np.exp(2j * np.pi * HZ * DT)
     loop = held(z) * (KP + KI * DT * z / (z - 1))
     for amplitude in (5 * DEG, 15 * DEG):

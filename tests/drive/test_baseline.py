@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from dmptm_ctrl.drive import baseline_drive, paper_drive, three_dof_ss
+from dmptm_ctrl.drive import baseline_drive, paper_drive
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model
 
@@ -9,12 +9,6 @@ from dmptm_ctrl.simulate.model import Model
 def run(drive, u, *, motors=None):
     model = Model(drive)
     return march(model.arrays(), u, rest(model, 0.0, motors=motors), 1e-3)
-
-
-def test_same_linear_model_in_contact():
-    """Dead zone and dry friction have no linear part: same StateSpace in contact."""
-    ours, theirs = three_dof_ss(paper_drive()), three_dof_ss(baseline_drive())
-    np.testing.assert_allclose(theirs.A, ours.A)
 
 
 def test_no_torque_in_the_gap():

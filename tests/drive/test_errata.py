@@ -144,7 +144,7 @@ def test_mesh_damping():
         torque_per_volt=1.0,
         readouts={},
     )
-    pair = [s for s in train.to_ss(states="twists").poles() if s.imag > 0]
+    pair = [s for s in train.to_ss().poles() if s.imag > 0]
     assert -pair[0].real / abs(pair[0]) == pytest.approx(zeta, rel=1e-9)
     metres = mesh_damping_as_printed(zeta, k, j3, jl, 0.02, 0.165)
     millimetres = mesh_damping_as_printed(zeta, k, j3, jl, 20.0, 165.0)

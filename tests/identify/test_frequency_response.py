@@ -17,7 +17,7 @@ HZ = [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]
 
 def sampled(omega, dt=1e-3):
     """Linear model with held input, at z = e^{jωT}, by python-control."""
-    plant = common_mode(three_dof_ss(LINEAR, states="twists"))
+    plant = common_mode(three_dof_ss(LINEAR))
     held = ct.c2d(ct.ss(plant.A, plant.B, plant.C, plant.D), dt, "zoh")
     return np.array([complex(held(np.exp(1j * w * dt))) for w in omega])
 

@@ -12,7 +12,7 @@ from dmptm_ctrl.plots.linear import bode_compare, response_plot, simplification_
 from dmptm_ctrl.plots.mesh import dead_zone_plot, tooth_plot
 from dmptm_ctrl.plots.paper import amplitude_styles, experiment_plot, friction_plot
 
-PLANT = common_mode(three_dof_ss(states="twists"))
+PLANT = common_mode(three_dof_ss())
 
 
 @pytest.fixture(autouse=True)

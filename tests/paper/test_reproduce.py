@@ -94,6 +94,25 @@ def test_resonance_where_the_paper_saw_it(made, page):
         assert float(row["peak gain"]) > 1.2
 
 
+def test_one_loop_for_figures_18_and_19(made, page):
+    """What one pair of gains gives: no 5.5 Hz with the rig's, ringing steps with the others."""
+    rows = table(made, "one_loop")
+    by = {(r["gains"], r["model"], r["amplitude [deg/s]"]): r for r in rows}
+    assert len(by) == 10
+    rig, resonant = dict.fromkeys(r["gains"] for r in rows)
+    measured = made[1].campaign["closed_square_10"]["omega_L"]
+    over = float(by[rig, "the rig itself", "10"]["overshoot of the square [%]"])
+    assert over < 100 * (np.abs(measured).max() / np.deg2rad(10) - 1)  # of means, not of samples
+    for model in ("proposed", "existing"):
+        slow, fast = by[rig, model, "10"], by[resonant, model, "10"]
+        assert float(slow["peak gain"]) < float(fast["peak gain"])
+        assert float(fast["resonance [Hz]"]) == pytest.approx(5.5, rel=0.15)
+        key = "overshoot of the square [%]"
+        assert float(fast[key]) > float(slow[key]) + 10
+    assert "Fitted to the same logs it has one as well" in page
+    assert "would have the printed value" in page
+
+
 def test_parameters_lie_at_the_true_ones(made):
     """One run each: nearly all within two standard errors, none beyond four."""
     misses = []

@@ -94,4 +94,7 @@ def test_picture_of_the_modes():
     ]
     drawn = panels[1].lines[-1].get_ydata()
     np.testing.assert_allclose(drawn, [1.0, 0.0, -1.0], atol=1e-9)
+    (hands,) = panels[1].collections[1:]  # of the wheels; the first are the stems
+    turned = np.arctan2(hands.U, hands.V) / (np.pi / 3)  # from upright
+    np.testing.assert_allclose(turned, [1.0, 0.0, -1.0], atol=1e-9)
     plt.close("all")

@@ -18,7 +18,7 @@ def test_linear_drive_against_python_control():
     drive = baseline_drive().with_values(gap_l=0.0, gap_r=0.0)
     kp, ki, dt = 0.05 / DEG, 2.0 / DEG, 1e-3
     found = check_loop(Model(drive), Loop(kp, ki, 100.0), 10 * DEG, window=dt)
-    plant = common_mode(three_dof_ss(drive, states="twists"))
+    plant = common_mode(three_dof_ss(drive))
     held = ct.c2d(ct.ss(plant.A, plant.B, plant.C, plant.D), dt, "zoh")
     controller = ct.ss(ct.tf([kp + ki * dt, -kp], [1, -1], dt))
     step = ct.step_response(ct.feedback(held * controller, 1), found.time)
@@ -31,7 +31,7 @@ def test_linear_drive_against_python_control():
 
 @pytest.mark.parametrize("speed", [1.0, 10.0, 15.0])
 def test_tuned_loop_is_good_on_the_nonlinear_drive(speed):
-    gains = tune_pi(three_dof_ss(states="twists"), 5.0, 60.0)
+    gains = tune_pi(three_dof_ss(), 5.0, 60.0)
     found = check_loop(Model(), Loop(gains.kp, gains.ki, 10.0), speed * DEG)
     assert found.overshoot < 0.2
     assert found.settling_time < 0.7
@@ -40,7 +40,7 @@ def test_tuned_loop_is_good_on_the_nonlinear_drive(speed):
 
 def test_limit_cycle_that_the_linear_model_does_not_show():
     """20 Hz with 60° is stable by 9 dB without gaps; with them the pinions hammer on."""
-    gains = tune_pi(three_dof_ss(states="twists"), 20.0, 60.0)
+    gains = tune_pi(three_dof_ss(), 20.0, 60.0)
     assert gains.gain_margin_db > 9
     loop = Loop(gains.kp, gains.ki, 10.0)
     short, long = (check_loop(Model(), loop, 10 * DEG, duration=d) for d in (12.0, 48.0))

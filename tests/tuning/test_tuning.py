@@ -7,7 +7,7 @@ from dmptm_ctrl.control.tuning import gains_at
 from dmptm_ctrl.drive import three_dof_ss
 
 DEG = np.pi / 180
-PLANT = three_dof_ss(states="twists", outputs=("omega_L", "tau_l"))
+PLANT = three_dof_ss(outputs=("omega_L", "tau_l"))
 
 
 def test_closed_form_gains_cross_one_with_the_margin():

@@ -6,8 +6,11 @@ u = kp e + ki ∫ e dt,   e = ref − ω_L, the same voltage on both motors
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr
 
-OUTSIDE = 1.0 + 1e-6  # a rigid angle that nothing reads stays at z = 1
+OUTSIDE = 1.0 + 1e-6  # of a pole in z; nearer to the circle it is rounding
+EVEN = 5  # rounds that leave rows and columns of equal size
+RIGID = 1e-11  # singular value of an angle that nothing reads over the largest: rounding
 
 
 def pi_controller(kp: float, ki: float) -> ct.StateSpace:
@@ -17,7 +20,13 @@ def pi_controller(kp: float, ki: float) -> ct.StateSpace:
     ----------
     kp : float [V/(rad/s)]
     ki : float [V/rad]
+
+    Raises
+    ------
+    ValueError
+        A gain that is not finite.
     """
+    _finite(kp, ki)
     return ct.ss(
         [[0.0]],
         [[1.0]],
@@ -39,6 +48,11 @@ def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
         Two voltages in.
     output : str
 
+    Returns
+    -------
+    StateSpace
+        Without the angle of the whole drive where `output` does not depend on it.
+
     Raises
     ------
     ValueError
@@ -49,15 +63,57 @@ def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
     if output not in plant.output_labels:
         raise ValueError(f"no output {output!r}; the plant has {', '.join(plant.output_labels)}")
     row = plant.output_labels.index(output)
+    return without_rigid_angle(
+        ct.ss(
+            plant.A,
+            plant.B.sum(axis=1, keepdims=True),
+            plant.C[[row]],
+            plant.D[[row]].sum(axis=1, keepdims=True),
+            states=plant.state_labels,
+            inputs=["u"],
+            outputs=[output],
+            name=plant.name,
+        )
+    )
+
+
+def without_rigid_angle(sys: ct.StateSpace) -> ct.StateSpace:
+    """Return a system without the angle of the whole drive, where no output and no rate sees it.
+
+    Such an angle v has A v = 0 and C v = 0. The largest state of it is left out, and the others
+    are counted from it; the numbers of the rest stay as they are.
+
+    Parameters
+    ----------
+    sys : StateSpace
+        In continuous time; others are returned as they are.
+    """
+    if sys.nstates == 0 or sys.isdtime(strict=True):
+        return sys
+    seen = np.vstack([sys.A, sys.C])
+    seen = seen[np.abs(seen).max(axis=1) > 0.0]
+    size = np.ones(sys.nstates)
+    for _ in range(EVEN):  # rows and columns of one size: stiff shafts beside slow bodies
+        seen = seen / np.abs(seen).max(axis=1, keepdims=True)
+        column = np.abs(seen).max(axis=0)
+        column[column == 0.0] = 1.0
+        seen, size = seen / column, size * column
+    _, values, vectors = np.linalg.svd(seen)
+    values = np.append(values, np.zeros(sys.nstates - values.size))
+    unseen = vectors[values <= RIGID * values[0]].T / size[:, None]
+    gone = qr(unseen.T, pivoting=True)[2][: unseen.shape[1]] if unseen.size else np.array([], int)
+    keep = np.setdiff1d(np.arange(sys.nstates), gone)
+    from_it = np.linalg.solve(unseen[gone].T, unseen[keep].T).T  # rows: kept states
     return ct.ss(
-        plant.A,
-        plant.B.sum(axis=1, keepdims=True),
-        plant.C[[row]],
-        plant.D[[row]].sum(axis=1, keepdims=True),
-        states=plant.state_labels,
-        inputs=["u"],
-        outputs=[output],
-        name=plant.name,
+        sys.A[np.ix_(keep, keep)] - from_it @ sys.A[np.ix_(gone, keep)],
+        sys.B[keep] - from_it @ sys.B[gone],
+        sys.C[:, keep],
+        sys.D,
+        states=[sys.state_labels[i] for i in keep],
+        inputs=sys.input_labels,
+        outputs=sys.output_labels,
+        name=sys.name,
+        dt=sys.dt,
     )
 
 
@@ -99,7 +155,7 @@ def sampled_drive(plant: ct.StateSpace, sample_time: float) -> ct.StateSpace:
     return ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), sample_time, "zoh")
 
 
-def sampled_pi(kp: float, ki: float, sample_time: float) -> ct.TransferFunction:
+def sampled_pi(kp: float, ki: float, sample_time: float) -> ct.StateSpace:
     """Return the PI as it runs, in z: the error is summed after it is read.
 
     Parameters
@@ -107,8 +163,15 @@ def sampled_pi(kp: float, ki: float, sample_time: float) -> ct.TransferFunction:
     kp : float [V/(rad/s)]
     ki : float [V/rad]
     sample_time : float [s]
+
+    Raises
+    ------
+    ValueError
+        A gain that is not finite.
     """
-    return ct.tf([kp + ki * sample_time, -kp], [1.0, -1.0], sample_time)
+    _finite(kp, ki)
+    step = ki * sample_time
+    return ct.ss([[1.0]], [[1.0]], [[step]], [[kp + step]], sample_time, states=["sum"])
 
 
 def outside_poles(open_loop: ct.StateSpace) -> NDArray[np.complex128]:
@@ -126,3 +189,9 @@ def loop_response(plant: ct.StateSpace, omega: float, sample_time: float) -> com
     x = omega * sample_time
     hold = 1.0 if x == 0.0 else (1.0 - np.exp(-1j * x)) / (1j * x)
     return complex(plant(1j * omega) * hold)
+
+
+def _finite(kp: float, ki: float) -> None:
+    for name, gain in (("kp", kp), ("ki", ki)):
+        if not np.isfinite(gain):
+            raise ValueError(f"{name} is {gain}; it must be a finite number")

@@ -1,6 +1,7 @@
 """Second-order sections of a controller: notch and lead, continuous and sampled."""
 
-from math import pi, tan
+from collections.abc import Sequence
+from math import inf, pi, tan
 
 import control as ct
 
@@ -24,7 +25,7 @@ def notch(hz: float, depth: float, width: float) -> ct.TransferFunction:
     ValueError
         A number that is not positive.
     """
-    if min(hz, depth, width) <= 0.0:
+    if not all(0.0 < x < inf for x in (hz, depth, width)):
         raise ValueError(f"notch at {hz:g} Hz, depth {depth:g}, width {width:g}: all must be > 0")
     omega = 2.0 * pi * hz
     return ct.tf(
@@ -42,10 +43,12 @@ def sampled_notch(hz: float, depth: float, width: float, sample_time: float) -> 
     Raises
     ------
     ValueError
-        A centre that is not below half the sample rate.
+        A centre that is not below half the sample rate, a depth or width that is not positive.
     """
     if not 0.0 < hz < 0.5 / sample_time:
         raise ValueError(f"notch at {hz:g} Hz is not below half the sample rate")
+    if not (0.0 < depth < inf and 0.0 < width < inf):
+        raise ValueError(f"notch with depth {depth:g}, width {width:g}: both must be > 0")
     g = tan(pi * hz * sample_time)
     scale = 1.0 + 2.0 * width * g + g * g
     even = 2.0 * (g * g - 1.0) / scale
@@ -56,3 +59,27 @@ def sampled_notch(hz: float, depth: float, width: float, sample_time: float) -> 
         even,
         (1.0 - 2.0 * width * g + g * g) / scale,
     )
+
+
+def in_series(
+    first: ct.StateSpace, sections: Sequence[Section], sample_time: float
+) -> ct.StateSpace:
+    """Return a sampled system with second-order sections behind it.
+
+    As states and not as one polynomial: of three sections far below the sample rate its
+    coefficients leave the eighth digit open, of six none.
+
+    Parameters
+    ----------
+    first : StateSpace
+        In z at the sample time.
+    sections : sequence of (b0, b1, b2, a1, a2)
+    sample_time : float [s]
+    """
+    for b0, b1, b2, a1, a2 in sections:
+        own = ct.ss(
+            [[-a1, 1.0], [-a2, 0.0]], [[b1 - a1 * b0], [b2 - a2 * b0]], [[1.0, 0.0]], [[b0]],
+            sample_time,
+        )  # fmt: skip
+        first = own * first
+    return first

@@ -15,7 +15,6 @@ from dmptm_ctrl.control.tuning import GRID, SAMPLE_TIME, PiTuning, assess_pi, ga
 
 SLOWEST_HZ = 0.3  # below, a loop is not worth closing
 STEPS = 400  # of the search for the crossover; 1.3 % each
-RIGID = 1e-11  # singular value of a rigid angle over the largest: rounding
 NEGLIGIBLE = 1e-5
 MOST_STATES = 6  # of a plant for synthesis, whose equations are worse conditioned with each state
 CLEAR = 3.0  # crossovers up, from where on no resonance may come near gain 1, whatever its phase
@@ -231,7 +230,7 @@ def linear_reference(
     ArithmeticError
         The synthesis fails, or ends above what the PI reaches.
     """
-    drive = essential(without_rigid_angle(common_mode(plant)))
+    drive = essential(common_mode(plant))
     crossover = 2.0 * np.pi * gains.crossover_hz
     w1 = ct.ss(ct.tf([0.5, crossover], [1.0, WEIGHT_FLOOR * crossover]))
     w2 = ct.ss(ct.tf([1.0 / (volts_per_error * gains.kp)], [1.0]))
@@ -245,19 +244,6 @@ def linear_reference(
     if optimal > reached:
         raise ArithmeticError("the synthesis has no answer: its equations are ill-conditioned here")
     return LinearReference(best, optimal, reached)
-
-
-def without_rigid_angle(sys: ct.StateSpace) -> ct.StateSpace:
-    """Return a system without the angle of the whole drive, where no output and no rate sees it.
-
-    Such an angle v has A v = 0 and C v = 0; what is orthogonal to it is a system by itself.
-    """
-    size = np.abs(sys.A).max(axis=0) + np.abs(sys.C).max(axis=0)
-    size[size == 0.0] = 1.0
-    a, b, c = sys.A / size * size[:, None], sys.B * size[:, None], sys.C / size
-    _, values, vectors = np.linalg.svd(np.vstack([a, c]))
-    keep = vectors[values > RIGID * values[0]].T
-    return ct.ss(keep.T @ a @ keep, keep.T @ b, c @ keep, sys.D)
 
 
 def essential(sys: ct.StateSpace) -> ct.StateSpace:

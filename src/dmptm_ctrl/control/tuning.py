@@ -19,7 +19,7 @@ from dmptm_ctrl.control.pi import (
     sampled_drive,
     sampled_pi,
 )
-from dmptm_ctrl.control.sections import Section
+from dmptm_ctrl.control.sections import Section, in_series
 
 SAMPLE_TIME = 1e-3  # s; the rig's loop, physics section 5
 MARGIN_SLACK_DEG = 5.0  # between the sum of a sampled integrator and an integral
@@ -145,10 +145,8 @@ def assess_pi(
         The loop is unstable.
     """
     held = sampled_drive(plant, sample_time)
-    controller = sampled_pi(kp, ki, sample_time)
-    for b0, b1, b2, a1, a2 in sections:
-        controller = ct.tf([b0, b1, b2], [1.0, a1, a2], sample_time) * controller
-    unstable = outside_poles(held * ct.ss(controller))
+    controller = in_series(sampled_pi(kp, ki, sample_time), sections, sample_time)
+    unstable = outside_poles(held * controller)
     if unstable.size:
         hz = np.abs(np.angle(unstable)) / (2.0 * pi * sample_time)
         raise ValueError(

@@ -10,8 +10,9 @@ import control as ct
 import tomlkit
 
 from dmptm_ctrl.control.pi import pi_controller, sampled_pi
-from dmptm_ctrl.control.sections import notch, sampled_notch
+from dmptm_ctrl.control.sections import in_series, notch, sampled_notch
 from dmptm_ctrl.design.draws import slow_friction
+from dmptm_ctrl.drive.parameters import physical
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import write_atomic
 from dmptm_ctrl.signals.toml_text import parse_toml
@@ -60,7 +61,7 @@ class Controller(Design):
         Added on the left motor, taken off on the right.
     sample_time : float [s]
     notches : tuple of Notch
-        Up to two.
+        Up to two in the simulated loop; any number in the equations and transfer functions.
     distance : float [rad]
         Over which the friction fed forward builds up, at the ring gear, where `model` does not
         say it.
@@ -77,6 +78,12 @@ class Controller(Design):
     distance: float = 0.0
     relief_from: float = 0.0
     relief_to: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in UNITS:
+            if math.isnan(getattr(self, name)):
+                raise ValueError(f"{name} of the controller is NaN; it must be a number")
+        physical("sample_time of the controller", self.sample_time, "s")
 
     def law(self) -> Law:
         """Return it as the compiled simulator takes it."""
@@ -98,45 +105,65 @@ class Controller(Design):
             sys = ct.ss(notch(part.hz, part.depth, part.width)) * sys
         return ct.ss(sys.A, sys.B, sys.C, sys.D, inputs=["error"], outputs=["u"], name="feedback")
 
-    def to_discrete(self) -> ct.TransferFunction:
-        """Return the feedback part as it runs: a transfer function in z at the sample time."""
+    def to_discrete(self) -> ct.StateSpace:
+        """Return the feedback part as it runs, in z at the sample time: ``error`` to ``u``."""
         dt = self.sample_time
-        sys = sampled_pi(self.kp, self.ki, dt)
-        for part in self.notches:
-            b0, b1, b2, a1, a2 = sampled_notch(part.hz, part.depth, part.width, dt)
-            sys = ct.tf([b0, b1, b2], [1.0, a1, a2], dt) * sys
-        return ct.tf(sys, inputs=["error"], outputs=["u"], name="feedback")
+        parts = [sampled_notch(n.hz, n.depth, n.width, dt) for n in self.notches]
+        sys = in_series(sampled_pi(self.kp, self.ki, dt), parts, dt)
+        return ct.ss(sys, inputs=["error"], outputs=["u"], name="feedback")
 
     def equations(self) -> str:
-        """Return the difference equations of one sample k as text, with their numbers."""
-        dt = self.sample_time
+        """Return the difference equations of one sample k as text, with their numbers.
+
+        All but the line of the feed-forward can be run as they stand: ``x[k]`` is the value of
+        this sample, ``x[k-1]`` that of the last one, 0 before the first;
+        ``clip(x, low, high)`` limits. Numbers have all their digits, so the feedback is that of
+        :meth:`to_discrete`.
+        """
+        dt, limit = _full(self.sample_time), _full(self.limit)
+        top = _full(self.acceleration)
         lines = [
-            f"every {dt:g} s:",
-            f"a[k] = clip((ref[k] − ref[k−1])/{dt:g}, ±{self.acceleration:.6g})",
-            f"e[k] = ref[k] − {self.late:.6g} a[k] − omega_L[k]",
-            f"I[k] = I[k−1] + {dt:g} e[k]",
-            f"v[k] = {self.kp:.6g} e[k] + {self.ki:.6g} I[k]",
+            f"every {dt} s:",
+            f"a[k] = clip((ref[k] - ref[k-1])/{dt}, -{top}, {top})",
+            f"e[k] = ref[k] - {_full(self.late)}*a[k] - omega_L[k]",
+            f"I[k] = I[k-1] + {dt}*e[k]",
+            f"v[k] = {_full(self.kp)}*e[k] + {_full(self.ki)}*I[k]",
         ]
-        for part in self.notches:
-            b0, b1, b2, a1, a2 = sampled_notch(part.hz, part.depth, part.width, dt)
+        last = "v"
+        for i, part in enumerate(self.notches, 1):
+            row = sampled_notch(part.hz, part.depth, part.width, self.sample_time)
+            b0, b1, b2, a1, a2 = (_full(x) for x in row)
+            new = "w" if i == len(self.notches) else f"w{i}"
             lines.append(
-                f"v[k] ← w[k] = {b0:.9g} v[k] {b1:+.9g} v[k−1] {b2:+.9g} v[k−2] "
-                f"{-a1:+.9g} w[k−1] {-a2:+.9g} w[k−2]"
+                f"{new}[k] = {b0}*{last}[k] + {b1}*{last}[k-1] + {b2}*{last}[k-2] "
+                f"- {a1}*{new}[k-1] - {a2}*{new}[k-2]"
             )
-        forward = (
-            f"f_s[k] = volts of the model at omega = ref[k] + {self.lead:.6g} a[k]: "
-            f"{self.inertia:g} × inertia + {self.friction:g} × friction "
-            f"− {self.effects:g} × torques of motor and load effects"
+            last = new
+        lines.append(
+            f"f_s[k] = volts of the model at omega = ref[k] + {_full(self.lead)}*a[k], s = left, "
+            f"right: {self.inertia:g} × inertia + {self.friction:g} × friction "
+            f"- {self.effects:g} × torques of motor and load effects"
         )
-        lines += [
-            forward,
-            f"wanted_left = v[k] {self.preload:+.6g} + f_left[k], "
-            f"wanted_right = v[k] {-self.preload:+.6g} + f_right[k]",
-            f"u_s[k] = clip({'inverse of the drive of ' * self.invert}wanted_s, ±{self.limit:g})",
-        ]
+        press = _full(self.preload)
+        if self.relief_to > self.relief_from:
+            span = _full(self.relief_to - self.relief_from)
+            lines.append(
+                f"p[k] = {press}*clip(({_full(self.relief_to)} - "
+                f"abs({last}[k] + 0.5*(f_left[k] + f_right[k])))/{span}, 0.0, 1.0)"
+            )
+            press = "p[k]"
+        inner = "inverse of the drive of wanted_s[k]" if self.invert else "wanted_s[k]"
+        for side, sign in (("left", "+"), ("right", "-")):
+            own = inner.replace("_s[", f"_{side}[")
+            lines += [
+                f"wanted_{side}[k] = {last}[k] {sign} {press} + f_{side}[k]",
+                f"u_{side}[k] = clip({own}, -{limit}, {limit})",
+            ]
         if self.tracking > 0.0 and self.ki > 0.0:
-            back = self.tracking * dt / self.ki
-            lines.append(f"I[k] ← I[k] + {back:.6g} × mean over the motors of (u_s − wanted_s)")
+            back = _full(0.5 * self.tracking * self.sample_time / self.ki)
+            got = "drive of u_{0}[k]" if self.invert else "u_{0}[k]"
+            lost = " + ".join(f"{got} - wanted_{{0}}[k]".format(s) for s in ("left", "right"))
+            lines.append(f"I[k] = I[k] + {back}*({lost})")
         return "\n".join(lines)
 
     def to_toml(self) -> str:
@@ -171,6 +198,12 @@ class Controller(Design):
     def save(self, file: str | PathLike[str]) -> None:
         """Write the controller file, whole or not at all."""
         write_atomic(Path(file), self.to_toml())
+
+
+def _full(value: float) -> str:
+    """Shortest text that reads back as the same number, in brackets where it is negative."""
+    text = repr(float(value))
+    return f"({text})" if text.startswith("-") else text
 
 
 def read_controller(file: str | PathLike[str]) -> Controller:

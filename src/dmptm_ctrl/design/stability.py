@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -70,8 +69,7 @@ def stability_map(
     end = runs.outputs[:, 0, round((1.0 - WATCHED) * time.size) :]
     held = sampled_drive(linear_plant(model), sample_time)
     stable = [
-        outside_poles(held * ct.ss(sampled_pi(loop.kp, loop.ki, sample_time))).size == 0
-        for loop in loops
+        outside_poles(held * sampled_pi(loop.kp, loop.ki, sample_time)).size == 0 for loop in loops
     ]
     shape = kps.size, kis.size
     return StabilityMap(

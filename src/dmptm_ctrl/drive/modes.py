@@ -98,7 +98,7 @@ def _kind(train: GearTrain, omega: float, shape: Floats) -> str:
 
 
 def _damping_ratios(train: GearTrain, omega: Floats) -> Floats:
-    poles = linalg.eigvals(train.to_ss(states="twists").A)
+    poles = linalg.eigvals(train.to_ss().A)
     pairs = poles[poles.imag > 0.0]
     ratios = np.zeros_like(omega)
     for i in np.flatnonzero(omega):

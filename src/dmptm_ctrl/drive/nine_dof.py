@@ -15,7 +15,14 @@ from types import MappingProxyType
 import control as ct
 import numpy as np
 
-from dmptm_ctrl.drive.parameters import Drive, Quantity, paper_drive, viscous_mean
+from dmptm_ctrl.drive.parameters import (
+    Drive,
+    Quantity,
+    paper_drive,
+    physical,
+    positive,
+    viscous_mean,
+)
 from dmptm_ctrl.drive.train import GearTrain, Joint
 
 SHEAR_MODULUS = 8.0e10  # Pa, steel
@@ -23,6 +30,7 @@ SHEAR_MODULUS = 8.0e10  # Pa, steel
 
 def shaft_stiffness(diameter: float, length: float) -> float:
     """Torsional stiffness [N·m/rad] of a solid steel shaft; diameter and length in m."""
+    positive(diameter=diameter, length=length)
     return SHEAR_MODULUS * pi * diameter**4 / 32.0 / length
 
 
@@ -78,6 +86,7 @@ def nine_dof_parameters(drive: Drive | None = None, **overrides: float) -> dict[
         An unknown name, or a value that is not positive (not negative for a damping).
     """
     drive = paper_drive() if drive is None else drive
+    drive.check()
     known = (*NINE_DOF_DEFAULTS, *OPTIONAL)
     for key in overrides:
         if key not in known:
@@ -97,10 +106,7 @@ def nine_dof_parameters(drive: Drive | None = None, **overrides: float) -> dict[
         **p,
     }
     for key, value in p.items():
-        damping = key.startswith("D_")
-        if not (value >= 0.0 if damping else value > 0.0):
-            wanted = "zero or more" if damping else "more than zero"
-            raise ValueError(f"9-DOF parameter {key} is {value:g}, it must be {wanted}")
+        physical(f"9-DOF parameter {key}", value, zero=key.startswith("D_"))
     return p
 
 
@@ -150,7 +156,7 @@ def nine_dof_ss(
     *,
     inputs: str = "voltage",
     outputs: Sequence[str] = ("omega_L",),
-    states: str = "angles",
+    states: str = "twists",
     **overrides: float,
 ) -> ct.StateSpace:
     """Return the 9-DOF model as a state-space system.
@@ -197,7 +203,15 @@ def reduced_pinion_inertia(
     Returns
     -------
     float [kg·m²]
+
+    Raises
+    ------
+    ValueError
+        A ratio that is not positive, an inertia that is negative, a number that is not finite.
     """
+    positive(n1=n1)
+    for name, inertia in (("j_m", j_m), ("j_1", j_1), ("j_2", j_2), ("j_3", j_3)):
+        physical(name, inertia, "kg·m²", zero=True)
     if as_printed:
         return n1**2 * j_m + j_1 + j_2 + j_3
     return n1**2 * (j_m + j_1) + j_2 + j_3

@@ -8,13 +8,46 @@ Source: Zheng et al. 2022, doi:10.21203/rs.3.rs-1546754/v1 ("the paper").
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import pi
+from math import inf, isfinite, pi
 from types import MappingProxyType
 
 from dmptm_ctrl.drive.errata import ERRATA
 
 ARCMIN = pi / (180 * 60)  # rad
 DEG = pi / 180  # rad
+
+
+def physical(what: str, value: float, unit: str = "", *, zero: bool = False) -> None:
+    """Refuse a number that no machine has.
+
+    Parameters
+    ----------
+    what : str
+        Names it in the message.
+    value : float
+    unit : str
+    zero : bool
+        Whether it may be zero.
+
+    Raises
+    ------
+    ValueError
+        Negative, not finite, or zero without `zero`.
+    """
+    if not (0.0 <= value < inf if zero else 0.0 < value < inf):
+        wanted = "zero or more" if zero else "more than zero"
+        raise ValueError(f"{what} is {value:g}{unit and ' '}{unit}, it must be {wanted} and finite")
+
+
+def positive(**values: float) -> None:
+    """Refuse arguments that are not positive and finite, by their names.
+
+    Raises
+    ------
+    ValueError
+    """
+    for name, value in values.items():
+        physical(name, value)
 
 
 @dataclass(frozen=True)
@@ -111,7 +144,23 @@ class Drive(Mapping[str, float]):
         """Names of the parameters whose declaration is a range."""
         return tuple(k for k, q in self.quantities.items() if q.is_free)
 
+    def check(self) -> None:
+        """Refuse values that no drive has.
 
+        Raises
+        ------
+        ValueError
+            A number that is not finite; an inertia, stiffness, ratio or gain that is not
+            positive. J_2, what the pinion side adds to N1² J_m, may be zero.
+        """
+        for name, quantity in self.quantities.items():
+            if name in _POSITIVE:
+                physical(f"{self.name}: {name}", quantity.value, quantity.unit, zero=name == "J_2")
+            elif not isfinite(quantity.value):
+                raise ValueError(f"{self.name}: {name} is {quantity.value}; it must be finite")
+
+
+_POSITIVE = ("K_d", "K_M", "J_m", "J_2", "J_L", "N_1", "N_2", "k_m")
 _FRICTION_TOL = 0.12  # declared spread of friction and gaps from rig to rig
 _INERTIA_TOL = 0.06
 _STIFFNESS_TOL = 0.10

@@ -106,10 +106,11 @@ def hankel_values(system: ct.StateSpace) -> NDArray[np.float64]:
 def _balanced_units(train: GearTrain, scale: NDArray[np.float64]) -> ct.StateSpace:
     """Speeds with `scale`d outputs and states in √J, the roots of their energies.
 
-    In radians the Gramians of stiff shafts and soft speeds differ by 1e10, and lose digits.
+    In other units the Gramians of stiff shafts and soft speeds differ by decades and lose digits.
     """
-    system = train.to_ss(outputs=OUTPUTS, states="twists")
-    energy = np.sqrt(np.concatenate([[j.stiffness for j in train.joints], train.inertia]))
+    system = train.to_ss(outputs=OUTPUTS)
+    compliance = [1.0 / j.stiffness for j in train.joints]
+    energy = np.sqrt(np.concatenate([compliance, train.inertia]))
     return ct.ss(
         energy[:, None] * system.A / energy,
         energy[:, None] * system.B,

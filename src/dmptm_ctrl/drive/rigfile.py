@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from math import inf, pi
+from math import inf, isfinite, pi
 from os import PathLike
 from pathlib import Path
 from typing import Any, NoReturn
@@ -400,6 +400,9 @@ class _Reader(TableReader):
                 continue
             if not isinstance(value, int | float) or isinstance(value, bool):
                 self._fail(where, key, f"{key} = {value!r}: parameters of an effect are SI numbers")
+            if not isfinite(value) or (key == "stiffness" and value < 0):
+                wanted = "zero or more" if key == "stiffness" else "a finite number"
+                self._fail(where, key, f"{key} is {value:g}; it must be {wanted}")
             values[key] = Quantity(float(value), "", 0.0, "rig file")
         return DeclaredEffect(name, on, values)
 

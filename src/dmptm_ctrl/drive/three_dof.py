@@ -21,8 +21,14 @@ def three_dof_train(drive: Drive | None = None) -> GearTrain:
     ----------
     drive : Drive, optional
         The paper's by default.
+
+    Raises
+    ------
+    ValueError
+        An inertia, stiffness, ratio or gain that no drive has, see :meth:`Drive.check`.
     """
     drive = paper_drive() if drive is None else drive
+    drive.check()
     n1, n2 = drive["N_1"], drive["N_2"]
     j3, d3 = pinion_inertia(drive), viscous_mean(drive, "3")
     meshes = {"tau_l": [1.0, 0.0, -n2], "tau_r": [0.0, 1.0, -n2]}
@@ -45,7 +51,7 @@ def three_dof_ss(
     *,
     inputs: str = "voltage",
     outputs: Sequence[str] = ("omega_L",),
-    states: str = "angles",
+    states: str = "twists",
 ) -> ct.StateSpace:
     """Return the 3-DOF model as a state-space system.
 
@@ -58,13 +64,13 @@ def three_dof_ss(
     outputs : sequence of str
         ``theta_…`` [rad] and ``omega_…`` [rad/s] of 3l, 3r, L, ml, mr; ``tau_l``, ``tau_r``
         [N·m], the mesh torques at the pinions.
-    states : {"angles", "twists"}
+    states : {"twists", "angles"}
         See :meth:`GearTrain.to_ss`.
 
     Raises
     ------
     ValueError
-        A name that does not exist.
+        A name that does not exist, or a value that no drive has.
 
     Source
     ------

@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 from scipy.integrate import quad
 
+from dmptm_ctrl.drive.parameters import positive
+
 STEEL_YOUNG = 2.06e11  # Pa, ISO 6336-1
 STEEL_POISSON = 0.3
 DEDENDUM = 1.25  # of the module, ISO 53 profile A
@@ -28,6 +30,16 @@ class Tooth(NamedTuple):
     young: float = STEEL_YOUNG  # Pa
     poisson: float = STEEL_POISSON
     pressure_angle: float = pi / 9  # rad, 20°
+
+    def check(self) -> None:
+        """Refuse a tooth that cannot be.
+
+        Raises
+        ------
+        ValueError
+            A number that is not positive and finite.
+        """
+        positive(**self._asdict())
 
     @property
     def pitch_radius(self) -> float:
@@ -101,7 +113,13 @@ def tooth_stiffness(tooth: Tooth, *, as_printed: bool = False) -> float:
     Returns
     -------
     float [N/m]
+
+    Raises
+    ------
+    ValueError
+        A tooth with a number that is not positive and finite.
     """
+    tooth.check()
     top = tooth.section(tooth.pitch_radius)[0]
     root = tooth.section(tooth.root_radius)[0]
 
@@ -138,7 +156,8 @@ def pair_stiffness(one: Tooth, other: Tooth, *, complete: bool = False) -> float
     Raises
     ------
     ValueError
-        Teeth of different module, pressure angle or face width.
+        Teeth of different module, pressure angle or face width, or a number of one that is not
+        positive and finite.
 
     Source
     ------
@@ -148,6 +167,8 @@ def pair_stiffness(one: Tooth, other: Tooth, *, complete: bool = False) -> float
     for name in ("module", "pressure_angle", "face_width"):
         if getattr(one, name) != getattr(other, name):
             raise ValueError(f"teeth of different {name} do not mesh")
+    one.check()
+    other.check()
     if not complete:
         return 1.0 / (1.0 / tooth_stiffness(one) + 1.0 / tooth_stiffness(other))
     contact = sum(2.0 * (1.0 - t.poisson**2) / (pi * t.young * t.face_width) for t in (one, other))
@@ -195,11 +216,17 @@ def iso_single_stiffness(teeth_1: float, teeth_2: float, face_width: float) -> f
     -------
     float [N/m]
 
+    Raises
+    ------
+    ValueError
+        An argument that is not positive and finite.
+
     Source
     ------
     ISO 6336-1, method B: q' = 0.04723 + 0.15551/z1 + 0.25791/z2 [mm·µm/N]; the standard
     multiplies by 0.8 (C_M) to meet measurements.
     """
+    positive(teeth_1=teeth_1, teeth_2=teeth_2, face_width=face_width)
     flexibility = 0.04723 + 0.15551 / teeth_1 + 0.25791 / teeth_2  # mm·µm/N
     return 1e9 / flexibility * face_width  # 1 N/(mm·µm) is 1e9 N/m per metre
 
@@ -216,12 +243,19 @@ def mesh_torsion(stiffness: float, pitch_radius: float) -> float:
     Returns
     -------
     float [N·m/rad]
+
+    Raises
+    ------
+    ValueError
+        An argument that is not positive and finite.
     """
+    positive(stiffness=stiffness, pitch_radius=pitch_radius)
     return stiffness * pitch_radius**2
 
 
 def damping_inertia(pinion: float, ring: float, n2: float) -> float:
     """Reduced inertia [kg·m²] of pinion and ring gear seen at the pinion, in Eq. 24."""
+    positive(pinion=pinion, ring=ring, n2=n2)
     return pinion * ring / (ring + n2**2 * pinion)
 
 
@@ -241,7 +275,13 @@ def mesh_damping(ratio: float, stiffness: float, pinion: float, ring: float, n2:
     Returns
     -------
     float [N·m·s/rad]
+
+    Raises
+    ------
+    ValueError
+        An argument that is not positive and finite.
     """
+    positive(ratio=ratio, stiffness=stiffness)
     return 2.0 * ratio * sqrt(stiffness * damping_inertia(pinion, ring, n2))
 
 
@@ -262,7 +302,13 @@ def mesh_damping_ratio(
     Returns
     -------
     float
+
+    Raises
+    ------
+    ValueError
+        An argument that is not positive and finite.
     """
+    positive(damping=damping)
     return damping / mesh_damping(1.0, stiffness, pinion, ring, n2)
 
 
@@ -284,6 +330,12 @@ def mesh_damping_as_printed(
     Returns
     -------
     float [N·m²·s/rad]
+
+    Raises
+    ------
+    ValueError
+        An argument that is not positive and finite.
     """
+    positive(ratio=ratio, stiffness=stiffness, pinion=pinion, ring=ring, r3=r3, r_ring=r_ring)
     reduced = r3**2 * r_ring**2 * pinion * ring / (r3**2 * pinion + r_ring**2 * ring)
     return 2.0 * ratio * sqrt(stiffness * reduced)

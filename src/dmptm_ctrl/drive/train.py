@@ -6,11 +6,14 @@ to stiffness and damping, so that M q̈ + D q̇ + K q = E T (paper Eqs. 1 to 18)
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import NamedTuple
 
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
+
+from dmptm_ctrl.drive.parameters import physical
 
 Floats = NDArray[np.float64]
 
@@ -56,6 +59,12 @@ class GearTrain:
         K_d K_M, Eq. 3.
     readouts : mapping of str to (n,) array
         Angles that are no coordinate, such as the motors of a rigid reducer.
+
+    Raises
+    ------
+    ValueError
+        An inertia or stiffness that is not positive, a damping that is negative, a number that
+        is not finite.
     """
 
     name: str
@@ -66,6 +75,15 @@ class GearTrain:
     drives: Floats
     torque_per_volt: float
     readouts: dict[str, Floats]
+
+    def __post_init__(self) -> None:
+        for body, inertia, viscous in zip(self.bodies, self.inertia, self.viscous, strict=True):
+            physical(f"{self.name}: inertia of {body}", inertia, "kg·m²")
+            if not isfinite(viscous):  # as the slope of friction at a speed it can be negative
+                raise ValueError(f"{self.name}: viscous friction of {body} must be finite")
+        for joint in self.joints:
+            physical(f"{self.name}: stiffness of joint {joint.name}", joint.stiffness)
+            physical(f"{self.name}: damping of joint {joint.name}", joint.damping, zero=True)
 
     @property
     def mass(self) -> Floats:
@@ -101,7 +119,7 @@ class GearTrain:
         *,
         inputs: str = "voltage",
         outputs: Sequence[str] = ("omega_L",),
-        states: str = "angles",
+        states: str = "twists",
     ) -> ct.StateSpace:
         """Return the train as a state-space system.
 
@@ -111,34 +129,41 @@ class GearTrain:
             Motor voltages [V] or torques at the motor shafts [N·m], left and right.
         outputs : sequence of str
             Of :attr:`outputs`: angles [rad], speeds [rad/s], joint torques [N·m].
-        states : {"angles", "twists"}
-            Angles and speeds (2n states), or joint twists and speeds (2n − 1, without the
-            rigid body's angle, so that norms of stable systems are finite).
+        states : {"twists", "angles"}
+            The ring gear's angle only where an output is an angle, joint twists, speeds; or
+            all angles and speeds. A twist is counted as the torque [N·m] (force [N] at a mesh
+            of radii) that its spring makes of it. Without that angle, which no speed or torque
+            depends on, ``dcgain``, ``margin``, ``bandwidth`` and ``step_info`` are right as
+            they come.
 
         Raises
         ------
         ValueError
-            An input kind, output or state kind that does not exist.
+            An input kind, output or state kind that does not exist; twists of joints that are
+            not one less than the bodies.
         """
         a, b, c = self.matrices(inputs=inputs, outputs=outputs, states=states)
-        angles = [f"theta_{body}" for body in self.bodies]
-        twists = [f"twist_{joint.name}" for joint in self.joints]
+        names = [f"theta_{body}" for body in self.bodies]
+        if states == "twists":
+            turns = names[-1:] if _has_angle(outputs) else []
+            names = [*turns, *(f"spring_{joint.name}" for joint in self.joints)]
         return ct.ss(
             a,
             b,
             c,
             np.zeros((len(outputs), 2)),
-            states=[
-                *(angles if states == "angles" else twists),
-                *(f"omega_{body}" for body in self.bodies),
-            ],
+            states=[*names, *(f"omega_{body}" for body in self.bodies)],
             inputs=list(INPUTS[inputs]),
             outputs=list(outputs),
             name=self.name,
         )
 
     def matrices(
-        self, *, inputs: str = "voltage", outputs: Sequence[str] = ("omega_L",), states: str
+        self,
+        *,
+        inputs: str = "voltage",
+        outputs: Sequence[str] = ("omega_L",),
+        states: str = "twists",
     ) -> tuple[Floats, Floats, Floats]:
         """Return A, B and C of :meth:`to_ss` as arrays, for work in loops."""
         if inputs not in INPUTS:
@@ -146,31 +171,44 @@ class GearTrain:
         if states not in ("angles", "twists"):
             raise ValueError(f"states is {states!r}, it must be angles or twists")
         rows = np.array([j.row for j in self.joints])
-        position = np.eye(len(self.bodies)) if states == "angles" else rows
-        springs = rows if states == "angles" else np.eye(len(self.joints))
+        stiffness = np.array([j.stiffness for j in self.joints])
+        n = len(self.bodies)
+        if states == "angles":
+            position = angles = np.eye(n)
+            springs = stiffness[:, None] * rows
+        else:
+            if len(self.joints) != n - 1:
+                raise ValueError(
+                    f"{self.name} has {len(self.joints)} joints for {n} bodies; twists need one "
+                    'joint less than bodies: use states="angles"'
+                )
+            # the ring gear's angle first: python-control then finds its pole at 0 exactly
+            k = int(_has_angle(outputs))
+            ring = np.eye(n)[n - 1 :]
+            position = np.vstack([ring[:k], stiffness[:, None] * rows])
+            springs = np.eye(n - 1, n - 1 + k, k)
+            angles = np.linalg.inv(np.vstack([ring, rows]))[:, 1 - k :]
+            angles[:, k:] /= stiffness
         m = position.shape[0]
-        pull = rows.T @ (np.array([j.stiffness for j in self.joints])[:, None] * springs)
         solve = 1.0 / self.inertia[:, None]
         gain = self.torque_per_volt if inputs == "voltage" else 1.0
-        a = np.block([[np.zeros((m, m)), position], [-solve * pull, -solve * self.damping]])
+        a = np.block(
+            [[np.zeros((m, m)), position], [-solve * (rows.T @ springs), -solve * self.damping]]
+        )
         b = np.vstack([np.zeros((m, 2)), gain * solve * self.drives])
-        c = np.array([self._output_row(name, states, springs) for name in outputs])
+        c = np.array([self._output_row(name, angles, springs) for name in outputs])
         return a, b, c
 
-    def _output_row(self, name: str, states: str, springs: Floats) -> Floats:
-        zero = np.zeros(springs.shape[1])
+    def _output_row(self, name: str, angles: Floats, springs: Floats) -> Floats:
         for joint, spring in zip(self.joints, springs, strict=True):
             if name == joint.name:
-                twist, rate = joint.stiffness * spring, joint.damping * joint.row
-                return joint.lever * np.concatenate([twist, rate])
+                return joint.lever * np.concatenate([spring, joint.damping * joint.row])
         kind, _, body = name.partition("_")
         if kind in ("theta", "omega") and (body in self.bodies or body in self.readouts):
             row = self.angle_row(body)
             if kind == "omega":
-                return np.concatenate([zero, row])
-            if states == "angles":
-                return np.concatenate([row, np.zeros(len(self.bodies))])
-            raise ValueError(f"output {name!r}: states='twists' has no absolute angles")
+                return np.concatenate([np.zeros(springs.shape[1]), row])
+            return np.concatenate([row @ angles, np.zeros(len(self.bodies))])
         raise ValueError(f"no output {name!r} in {self.name}; it has {', '.join(self.outputs)}")
 
     def angle_row(self, body: str) -> Floats:
@@ -178,3 +216,7 @@ class GearTrain:
         if body in self.bodies:
             return np.eye(len(self.bodies))[self.bodies.index(body)]
         return self.readouts[body]
+
+
+def _has_angle(outputs: Sequence[str]) -> bool:
+    return any(name.startswith("theta_") for name in outputs)

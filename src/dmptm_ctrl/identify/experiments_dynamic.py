@@ -154,7 +154,7 @@ def _predict(drive: Drive, values: dict[str, float], d: _Lines) -> NDArray[np.co
         **{name: values[name] for name in FITTED},
         **{f"{b}_{s}": values[b] for b in SLOPES for s in ("plus", "minus")},
     )
-    a, b, c = three_dof_train(changed).matrices(outputs=SPEEDS, states="twists")
+    a, b, c = three_dof_train(changed).matrices(outputs=SPEEDS)
     poles, vectors = np.linalg.eig(a)
     pushed = np.linalg.solve(vectors, b) @ d.u  # (states, k)
     kept = np.exp(poles * d.dt)

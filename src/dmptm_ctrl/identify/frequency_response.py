@@ -5,6 +5,8 @@ function of the whole drive). Multisine: many frequencies at once with random ph
 (the best linear approximation, Pintelon & Schoukens, System Identification, 2nd ed., ch. 3).
 """
 
+import re
+import warnings
 from collections.abc import Sequence
 from math import pi
 from typing import NamedTuple
@@ -12,13 +14,17 @@ from typing import NamedTuple
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import csd, welch
+from scipy.signal.windows import blackmanharris, hann
 
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop, close_loop, march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
 
 SETTLE_SECONDS = 2.0  # seven time constants of the rigid drive against viscous friction
+# names of channels that only a closed loop has
+SET_POINT = re.compile(r"(^|_)(ref|reference|set_?point|target|demand|soll)(_|$)", re.IGNORECASE)
+NEGLIGIBLE = 1e-6  # of the excitation's power: above the window's leakage, below any line meant
+CHANCE = 0.05  # that one line of a log passes without any response
 MIN_SAMPLES = 8  # per period; below, the held input is no sine
 
 
@@ -191,7 +197,14 @@ def from_log(
     lines: ArrayLike | None = None,
     min_coherence: float = 0.0,
 ) -> FrequencyResponse:
-    """Estimate a response from a log by averaged spectra (H1).
+    """Estimate a response from a log, only where the log excites it.
+
+    With `lines`, sines of exactly these frequencies are fitted to segments. Without, a
+    periodic excitation is cut into its periods, whose lines are exact; any other into
+    segments, where lines that chance alone could give are left out, too.
+
+    In closed loop, the set point is the excitation: the response is that of the output to it
+    over that of the input to it, which noise in the loop does not bias.
 
     Parameters
     ----------
@@ -201,41 +214,156 @@ def from_log(
     output : str
         A channel.
     segment : float [s]
-        Length of the Hann-windowed segments, half overlapping; its inverse is the resolution.
+        Length of the windowed, overlapping segments; its inverse is the resolution.
     lines : (k,) array_like [Hz], optional
-        Keep the spectral lines nearest to these, for a log that excites a few.
+        Frequencies of the excitation, for a log that excites a few.
     min_coherence : float
         Leave out lines below.
+
+    Returns
+    -------
+    FrequencyResponse
+        Its coherence is that of the output with the excitation.
 
     Raises
     ------
     LogError
         A missing channel or uneven time.
     ValueError
-        A log shorter than two segments, or no line left.
+        A log shorter than two segments, lines closer than a segment resolves or not below half
+        the sample rate, or no line left.
+
+    Warns
+    -----
+    UserWarning
+        The log is of a closed loop, or a frequency of `lines` is not excited.
     """
     names = (input,) if isinstance(input, str) else tuple(input)
-    u = np.mean([log[n] for n in names], axis=0)
-    y = log[output]
-    dt = log.sample_time
-    n = round(segment / dt)
+    u, y, dt = np.mean([log[n] for n in names], axis=0), log[output], log.sample_time
+    x = _excitation(log, names, output, u)
+    if np.ptp(x) == 0.0:
+        raise ValueError(f"{log.name}: {'+'.join(names)} does not move; nothing is excited")
+    period = None if lines is not None else _period(x)
+    n = round(segment / dt) if period is None else period
     if u.size < 2 * n:
         raise ValueError(f"{log.name}: {log.duration:.3g} s are no two segments of {segment:g} s")
-    f, s_uy = csd(u, y, 1.0 / dt, nperseg=n)
-    s_uu, s_yy = (welch(x, 1.0 / dt, nperseg=n)[1] for x in (u, y))
-    keep = np.arange(1, f.size - 1)
     if lines is not None:
-        nearest = np.abs(np.subtract.outer(np.asarray(lines, float), f)).argmin(axis=1)
-        keep = np.unique(nearest[nearest > 0])
+        f = _asked(log.name, lines, segment, dt)
+        spectra = _fitted((x, u, y), f * dt, n)
+    elif period is not None:
+        f = np.arange(1, (n + 1) // 2) / (n * dt)
+        first = u.size % n if u.size < 3 * n else n  # of three periods the first may settle
+        whole = [v[first:][: (u.size - first) // n * n].reshape(-1, n) for v in (x, u, y)]
+        spectra = [np.fft.rfft(v)[:, 1 : f.size + 1] for v in whole]
+    else:
+        f, spectra = _windowed((x, u, y), n, dt)
+    own, drive, out = spectra
+    power, cross = np.mean(np.abs(own) ** 2, axis=0), np.mean(out * own.conj(), axis=0)
+    through = np.mean(drive * own.conj(), axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        coherence = np.abs(s_uy) ** 2 / (s_uu * s_yy)
-    keep = keep[np.nan_to_num(coherence[keep]) >= min_coherence]
-    keep = keep[s_uu[keep] > 0.0]
-    if keep.size == 0:
+        coherence = np.abs(cross) ** 2 / (power * np.mean(np.abs(out) ** 2, axis=0))
+    coherence = np.nan_to_num(coherence)
+    total = power.sum() if lines is None else 0.5 * float(np.var(x))
+    keep = _excited(power, total)
+    if lines is not None and not keep.all():
+        silent = ", ".join(f"{hz:g}" for hz in f[~keep])
+        warnings.warn(
+            f"{log.name}: nothing excites {silent} Hz; left out", UserWarning, stacklevel=2
+        )
+    if lines is None and period is None:
+        independent = u.size // n
+        keep &= coherence > 1.0 - (CHANCE / keep.sum()) ** (1.0 / (independent - 1))
+    keep &= (coherence >= min_coherence) & (np.abs(through) > 0.0)
+    if not keep.any():
         raise ValueError(f"{log.name}: no line from {'+'.join(names)} to {output} is left")
-    values = s_uy[keep] / s_uu[keep]
+    values = cross[keep] / through[keep]
     label = "+".join(names)
     return _pack(2.0 * pi * f[keep], values, coherence[keep], (label, output), log.name)
+
+
+def _excitation(log: Log, names: tuple[str, ...], output: str, u: Floats) -> Floats:
+    """Signal that moves the drive: the set point of a loop, else the input."""
+    for point in log:
+        if point in (*names, output) or not SET_POINT.search(point):
+            continue
+        ref = log[point]
+        label = "+".join(names)
+        if np.ptp(ref) > 0.0:
+            said = f"the response of {label} is taken by way of {point}"
+        else:
+            said = f"{point} stands still, so from {label} it is the controller's as well"
+        warnings.warn(f"{log.name} is of a closed loop; {said}", UserWarning, stacklevel=3)
+        return ref if np.ptp(ref) > 0.0 else u
+    return u
+
+
+def _excited(power: Floats, total: float) -> NDArray[np.bool_]:
+    """Whether a line carries the excitation: the weakest that hold a millionth do not."""
+    order = np.argsort(power)
+    keep = np.empty(power.size, bool)
+    keep[order] = np.cumsum(power[order]) > NEGLIGIBLE * total
+    return keep
+
+
+def _period(x: Floats) -> int | None:
+    """Samples after which a signal repeats itself, at least once; None if it does not."""
+    n = x.size
+    x = x - x.mean()
+    spectrum = np.fft.rfft(x, 2 * n)
+    lagged = np.fft.irfft(np.abs(spectrum) ** 2)[: n // 2 + 1]  # Σ x[i] x[i + lag]
+    sums = np.concatenate([[0.0], np.cumsum(x**2)])
+    lag = np.arange(n // 2 + 1)
+    change = (sums[n - lag] + sums[n] - sums[lag] - 2.0 * lagged) / (n - lag)
+    apart = np.flatnonzero(change > np.var(x))
+    if apart.size == 0:
+        return None
+    alike = np.flatnonzero(change[apart[0] :] <= 2.0 * NEGLIGIBLE * np.var(x)) + apart[0]
+    if alike.size == 0:
+        return None
+    run = alike[: np.argmax(np.append(np.diff(alike) > 1, True)) + 1]
+    return int(run[change[run].argmin()])
+
+
+def _asked(name: str, lines: ArrayLike, segment: float, dt: float) -> Floats:
+    f = np.unique(np.atleast_1d(np.asarray(lines, float)))
+    if not (f.size and f[0] > 0.0 and f[-1] < 0.5 / dt):
+        raise ValueError(f"{name}: lines must be above 0 and below {0.5 / dt:g} Hz")
+    nearest = min(f[0], *np.diff(f)) if f.size > 1 else f[0]
+    if nearest * segment < 1.0:
+        raise ValueError(
+            f"{name}: lines {nearest:.3g} Hz apart, or from 0, need segments of at least "
+            f"{1.0 / nearest:.3g} s, not {segment:g}"
+        )
+    return f
+
+
+def _segments(signals: Sequence[Floats], n: int, step: int) -> list[Floats]:
+    """Overlapping pieces of signals, (pieces, n) each, without their means."""
+    pieces = [np.lib.stride_tricks.sliding_window_view(v, n)[::step] for v in signals]
+    return [p - p.mean(axis=1, keepdims=True) for p in pieces]
+
+
+def _fitted(signals: Sequence[Floats], cycles: Floats, n: int) -> list[NDArray[np.complex128]]:
+    """Amplitudes of sines in segments by weighted least squares, (segments, lines) each."""
+    phase = 2.0 * pi * np.outer(np.arange(n), cycles)
+    root = np.sqrt(hann(n, sym=False))[:, None]
+    basis = np.hstack([np.cos(phase), -np.sin(phase), np.ones((n, 1))])
+    k = cycles.size
+    found = []
+    for pieces in _segments(signals, n, max(n // 2, 1)):
+        fit = np.linalg.lstsq(root * basis, root * pieces.T, rcond=None)[0]
+        found.append(0.5 * (fit[:k] + 1j * fit[k : 2 * k]).T)
+    return found
+
+
+def _windowed(
+    signals: Sequence[Floats], n: int, dt: float
+) -> tuple[Floats, list[NDArray[np.complex128]]]:
+    """Frequencies and spectra of segments under a window that leaks less than is negligible."""
+    window = blackmanharris(n, sym=False)
+    pieces = _segments(signals, n, max(n // 3, 1))
+    hz: Floats = np.fft.rfftfreq(n, dt)[1:-1].astype(np.float64)
+    return hz, [np.fft.rfft(window * p)[:, 1:-1] for p in pieces]
 
 
 def _average(inputs: NDArray, outputs: NDArray) -> tuple[NDArray[np.complex128], Floats]:

@@ -60,6 +60,7 @@ def bode_compare(
             grid=False,
             label=label,
             wrap_phase=False,
+            initial_phase=-np.pi / 4,  # a spring's +90° and a free body's −180° as they are
             **style,
         )
     panels[0, 0].set_title(title)

@@ -4,6 +4,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 
 from dmptm_ctrl.drive.modes import Modes
 from dmptm_ctrl.plots.style import STYLES, axes
@@ -16,10 +17,13 @@ NAMES = {
     "L": "ring gear",
 }
 COLUMNS = 3
+HAND = np.pi / 3  # turn of a wheel's hand at the largest amplitude; upright is at rest
 
 
 def mode_plot(modes: Modes, *, ax: Any = None, Hz: bool = True) -> np.ndarray:
     """Draw each mode: left chain, ring gear, right chain, from outside to the middle.
+
+    Above the amplitudes stands each body as a wheel, its hand turned as the mode turns it.
 
     Parameters
     ----------
@@ -53,16 +57,29 @@ def mode_plot(modes: Modes, *, ax: Any = None, Hz: bool = True) -> np.ndarray:
     ):
         panel.axhline(0.0, color="0.7", linewidth=0.8)
         panel.vlines(x, 0.0, turn[order], color="0.6", linewidth=1.0)
+        _wheels(panel, x, turn[order])
         panel.plot(x, turn[order], marker="o", markersize=4, **STYLES["proposed"])
         value = f"{omega / (2 * np.pi):.4g} Hz" if Hz else f"{omega:.4g} rad/s"
         panel.set_title(f"{kind}, {value}", fontsize=9)
         panel.set_xticks(x, labels, fontsize=7, rotation=90 if len(order) > 3 else 0)
-        panel.set_ylim(-1.15, 1.15)
+        panel.set_ylim(-1.15, 2.0)
+        panel.set_yticks((-1, 0, 1))
         panel.tick_params(labelbottom=True)
     for i, panel in enumerate(panels):
         if i % COLUMNS == 0:
             panel.set_ylabel("angle over that of\nthe rigid turn", fontsize=8)
     return panels
+
+
+def _wheels(panel: Axes, x: np.ndarray, turn: np.ndarray) -> None:
+    height = np.full(x.size, 1.55)
+    panel.plot(x, height, "o", markersize=13, markerfacecolor="white", markeredgecolor="0.5")
+    angle = HAND * turn
+    panel.quiver(
+        x, height, np.sin(angle), np.cos(angle), angles="uv", scale_units="inches",
+        scale=1.0 / 0.085, width=0.012, headwidth=1, headlength=0,
+        headaxislength=0, color=STYLES["existing"]["color"], zorder=3,
+    )  # fmt: skip
 
 
 def _along(bodies: tuple[str, ...]) -> list[int]:

@@ -103,9 +103,9 @@ def bode_and_step(context: Context) -> list[Item]:
     """9-DOF, 3-DOF and existing model, open and closed loop."""
     existing = context.validation[1]["existing"][0]
     plants = {
-        "9-DOF": nine_dof_ss(context.drive, states="twists"),
-        "3-DOF": three_dof_ss(context.drive, states="twists"),
-        "existing": three_dof_ss(existing, states="twists"),
+        "9-DOF": nine_dof_ss(context.drive),
+        "3-DOF": three_dof_ss(context.drive),
+        "existing": three_dof_ss(existing),
     }
     gains = tune_pi(plants["3-DOF"], GENTLE_HZ, GENTLE_MARGIN)
     opened = {n: common_mode(p) for n, p in plants.items()}

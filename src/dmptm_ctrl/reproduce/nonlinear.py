@@ -152,7 +152,7 @@ def _friction_picture(points: FrictionPoints, fit: dict[str, Estimate], what: st
 
 def tuning(context: Context) -> list[Item]:
     """PI gains from bandwidth and phase margin, checked on the nonlinear drive."""
-    plant = three_dof_ss(context.drive, states="twists")
+    plant = three_dof_ss(context.drive)
     rows, runs = [], {}
     for hz, margin in ((2.0, 60.0), (5.0, 60.0), (5.0, 75.0), (20.0, 60.0)):
         gains = tune_pi(plant, hz, margin)

@@ -71,7 +71,8 @@ def simulate(
         :mod:`~dmptm_ctrl.simulate.reference` with every switch located.
     **options
         `substeps` (int, steps per sample) of "compiled"; `rtol` of "reference";
-        `rtol`, `atol`, `pade_order` of "blocks".
+        `rtol`, `atol`, `pade_order` of "blocks", and `contact`: its "two_state" is the law
+        that paper Eq. 21 stands for.
 
     Returns
     -------
@@ -84,7 +85,7 @@ def simulate(
     ------
     ValueError
         Shapes that do not fit, uneven or too few time points, values that are not finite,
-        a method that does not exist.
+        an effect of negative size, a method that does not exist.
     TypeError
         An option that the method does not have.
     """
@@ -102,16 +103,18 @@ def _simulated(
     options: dict[str, Any],
 ) -> "control.TimeResponseData":
     from dmptm_ctrl.simulate.compiled import OUTPUTS, rest
+    from dmptm_ctrl.simulate.model import refuse_negative
     from dmptm_ctrl.simulate.response import response
 
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
     known = {"compiled": ("substeps",), "reference": ("rtol",)}.get(
-        method, ("rtol", "atol", "pade_order")
+        method, ("rtol", "atol", "pade_order", "contact")
     )
     for key in options:
         if key not in known:
             raise TypeError(f"method {method!r} has no option {key!r}; it has {', '.join(known)}")
+    refuse_negative(model)
     substeps = options.get("substeps", 1)
     if int(substeps) != substeps or substeps < 1:
         raise ValueError(f"substeps is {substeps!r}; needs a whole number of at least 1")

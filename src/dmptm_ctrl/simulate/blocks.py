@@ -1,31 +1,38 @@
 """The drive as python-control blocks, one per component, joined by their signal names.
 
 No physics here: each block calls the kernels of its site. Blocks are pure functions of
-(t, x, u, params), finite at zero, without memory besides their states.
+(t, x, u, params), finite at zero, without memory besides their states. Of `params` they take
+values of the declared drive and of the loop by name, and refuse other names.
 
 Friction with real sticking inside an ODE (Karnopp, J. Dyn. Sys. 107 (1985) 100): below
 :data:`REST_SPEED` a body counts as resting; its friction then takes the value that balances
 the net torque, as long as the breakaway torque allows, and the body does not move: angle
 and speed keep their values. There is no smoothed sign, so nothing creeps. What the band
-costs is a residual speed below REST_SPEED.
+costs is a residual speed below REST_SPEED. A body without dry friction never rests, so that
+``control.linearize`` at rest finds its viscous friction.
 
 A dead time in an ODE is a Padé approximation (order :data:`PADE_ORDER`); the compiled
 simulator and the reference have it exactly.
 """
+
+from collections.abc import Sequence
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
+from dmptm_ctrl.effects.backlash import gap_rate, twist_torque
+from dmptm_ctrl.simulate.block_params import Given, given_of
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.model import Floats, Model, refuse_negative
 from dmptm_ctrl.simulate.plain import RING, Sites
 
 REST_SPEED = 1e-5  # rad/s; a hundredth of the gyro's noise, far above a solver's tolerance
 PADE_ORDER = 4  # phase error below 1° up to ω T_d = 4.5 rad
 MAX_STEP = 0.01  # s; so that no turn of the motion is stepped over
 SIDES = ("l", "r")
+CONTACTS = ("memoryless", "two_state")
 
 
 class _Delay:
@@ -50,26 +57,29 @@ class _Delay:
         return np.linalg.solve(self.A, -self.B * u) if self.order else np.zeros(0)
 
 
-def drive_block(model: Model, side: int, *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
+def drive_block(
+    model: Model | Given, side: int, *, pade_order: int = PADE_ORDER
+) -> ct.NonlinearIOSystem:
     """Return the drive of one motor: dead time, static effects, lag.
 
     Input u_left or u_right [V], output voltage_l or voltage_r [V], what the motor gets.
     """
-    sites = Sites(model)
-    late, lagged = _Delay(sites.voltage_delay, pade_order), sites.lag > 0.0
+    given = given_of(model)
+    late, lagged = _Delay(given.sites.voltage_delay, pade_order), given.sites.lag > 0.0
     order = late.order
 
-    def target(t, x, u):
+    def target(sites, t, x, u):
         return sites.drive_voltage(late.output(x[:order], float(u[0])), t, side)
 
     def update(t, x, u, params):
+        sites = given.at(params).sites
         rate = late.rate(x[:order], u[0])
         if lagged:
-            rate = np.append(rate, sites.lag_rate(x[order], target(t, x, u), side))
+            rate = np.append(rate, sites.lag_rate(x[order], target(sites, t, x, u), side))
         return rate
 
     def output(t, x, u, params):
-        return [x[order] if lagged else target(t, x, u)]
+        return [x[order] if lagged else target(given.at(params).sites, t, x, u)]
 
     return ct.NonlinearIOSystem(
         update,
@@ -94,24 +104,48 @@ def drive_states(
     return {f"{block}_{name}": float(x) for name, x in states.items()}
 
 
-def mesh_block(model: Model, side: int) -> ct.NonlinearIOSystem:
-    """Return the mesh of one pinion with the ring gear, without states.
+def mesh_block(
+    model: Model | Given, side: int, *, contact: str = "memoryless"
+) -> ct.NonlinearIOSystem:
+    """Return the mesh of one pinion with the ring gear.
 
     Inputs theta_3, omega_3 of the pinion and ring_angle, ring_speed; outputs torque
-    [N·m], positive drives the ring gear, and z = θ3 − N2 θL [rad].
+    [N·m], positive drives the ring gear, and z = θ3 − N2 θL [rad]. With the two-state contact
+    law the position in the gap [rad] is a state; the other law has none.
+
+    Raises
+    ------
+    ValueError
+        A contact law that does not exist; the two-state law without any damping.
     """
-    sites, s = Sites(model), SIDES[side]
+    given, s = given_of(model), SIDES[side]
 
     def output(t, x, u, params):
+        sites = given.at(params).sites
         theta, omega, ring_angle, ring_speed = u.tolist()
         torque = sites.mesh_torque(theta, omega, ring_angle, ring_speed, side)
         return [torque, theta - sites.n2 * ring_angle]
 
+    def placed(x, u, params):
+        z, rate, law = given.at(params).sites.mesh(*u.tolist(), side)
+        return min(max(float(x[0]), -law.half_gap), law.half_gap), z, rate, law
+
+    def two_state(t, x, u, params):
+        angles = u.tolist()
+        n2 = given.at(params).sites.n2
+        return [twist_torque(*placed(x, u, params)), angles[0] - n2 * angles[2]]
+
+    if contact not in CONTACTS:
+        raise ValueError(f"contact is {contact!r}; it must be one of {', '.join(CONTACTS)}")
+    stateful = contact == "two_state"
+    if stateful and given.model.drive["c"] + given.model.drive["c_f"] <= 0.0:
+        raise ValueError("c + c_f is 0: nothing tells where in its gap an undamped tooth is")
     return ct.NonlinearIOSystem(
-        None,
-        output,
+        (lambda t, x, u, params: [gap_rate(*placed(x, u, params))]) if stateful else None,
+        two_state if stateful else output,
         inputs=[f"theta_3{s}", f"omega_3{s}", "ring_angle", "ring_speed"],
         outputs=[f"torque_{s}", f"z_{s}"],
+        states=["position"] if stateful else None,
         name=f"mesh_{s}",
     )
 
@@ -140,9 +174,10 @@ def body_rates(
     if abs(omega) <= REST_SPEED:
         direction = 1.0 if net > 0.0 else -1.0
         most = sites.holding(body, direction, theta, omega, t, carried, age)
-        if most > 0.0 and abs(net) <= most:
-            return [0.0, 0.0, *older]
-        return [omega, (net - direction * most) / inertia, *older]
+        if most > 0.0:
+            if abs(net) <= most:
+                return [0.0, 0.0, *older]
+            return [omega, (net - direction * most) / inertia, *older]
     direction = 1.0 if omega > 0.0 else -1.0
     friction = direction * sites.sliding(body, direction, theta, omega, t, carried, age)
     return [omega, (net - friction) / inertia, *older]
@@ -154,24 +189,24 @@ def friction_states(sites: Sites, body: int) -> list[str]:
     return ["friction"] * presliding + ["age"] * ageing
 
 
-def chain_block(model: Model, side: int) -> ct.NonlinearIOSystem:
+def chain_block(model: Model | Given, side: int) -> ct.NonlinearIOSystem:
     """Return motor, reducer and pinion of one side, with the reducer's friction.
 
     Inputs voltage [V] and torque of the mesh [N·m]; outputs theta_m, omega_m of the motor,
     theta_3, omega_3 of the pinion [rad, rad/s]. The motor has states of its own where the
     reducer is compliant.
     """
-    sites, s = Sites(model), SIDES[side]
-    elastic = sites.compliance > 0.0
-    own = friction_states(sites, side)
+    given, s = given_of(model), SIDES[side]
+    elastic = given.sites.compliance > 0.0
+    own = friction_states(given.sites, side)
     body = 2 + len(own)  # states of the pinion
-    inertia = sites.pinion_inertia + (0.0 if elastic else sites.motor_inertia)
 
     def motor(x):
         return x[body : body + 2] if elastic else x[:2]
 
     def update(t, x, u, params):
-        x, u = x.tolist(), u.tolist()
+        sites, x, u = given.at(params).sites, x.tolist(), u.tolist()
+        inertia = sites.pinion_inertia + (0.0 if elastic else sites.motor_inertia)
         theta, omega = motor(x)
         drive = sites.motor_torque(u[0], sites.n1 * theta, sites.n1 * omega, t, side)
         if not elastic:
@@ -185,7 +220,8 @@ def chain_block(model: Model, side: int) -> ct.NonlinearIOSystem:
 
     def output(t, x, u, params):
         theta, omega = motor(x)
-        return [sites.n1 * theta, sites.n1 * omega, x[0], x[1]]
+        n1 = given.at(params).sites.n1
+        return [n1 * theta, n1 * omega, x[0], x[1]]
 
     states = ["theta", "omega", *own]
     return ct.NonlinearIOSystem(
@@ -198,16 +234,16 @@ def chain_block(model: Model, side: int) -> ct.NonlinearIOSystem:
     )
 
 
-def ring_block(model: Model) -> ct.NonlinearIOSystem:
+def ring_block(model: Model | Given) -> ct.NonlinearIOSystem:
     """Return the ring gear with its friction and the load's effects.
 
     Inputs torque_l, torque_r [N·m] at the pinions; outputs ring_angle [rad], ring_speed
     [rad/s], the true ones.
     """
-    sites = Sites(model)
+    given = given_of(model)
 
     def update(t, x, u, params):
-        x, u = x.tolist(), u.tolist()
+        sites, x, u = given.at(params).sites, x.tolist(), u.tolist()
         net = sites.n2 * (u[0] + u[1]) + sites.load_torque(x[0], x[1], t)
         carried = abs(u[0]) + abs(u[1])
         return body_rates(sites, RING, t, x, net, carried, sites.ring_inertia)
@@ -217,17 +253,18 @@ def ring_block(model: Model) -> ct.NonlinearIOSystem:
         lambda t, x, u, params: x[:2],
         inputs=["torque_l", "torque_r"],
         outputs=["ring_angle", "ring_speed"],
-        states=["theta", "omega", *friction_states(sites, RING)],
+        states=["theta", "omega", *friction_states(given.sites, RING)],
         name="ring",
     )
 
 
-def sensor_block(model: Model, *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
+def sensor_block(model: Model | Given, *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
     """Return the sensors: ring_angle, ring_speed in, the readings theta_L, omega_L out."""
-    sites = Sites(model)
-    late = _Delay(sites.speed_delay, pade_order)
+    given = given_of(model)
+    late = _Delay(given.sites.speed_delay, pade_order)
 
     def output(t, x, u, params):
+        sites = given.at(params).sites
         return sites.reading(float(u[0]), late.output(x, float(u[1])), t)
 
     return ct.NonlinearIOSystem(
@@ -240,14 +277,16 @@ def sensor_block(model: Model, *, pade_order: int = PADE_ORDER) -> ct.NonlinearI
     )
 
 
-def pi_block(loop: Loop) -> ct.NonlinearIOSystem:
+def pi_block(loop: Loop | Given) -> ct.NonlinearIOSystem:
     """Return the PI speed loop in continuous time, G_c = kp + ki/s, with clip and preload.
 
     Inputs ref, omega_L [rad/s], outputs u_left, u_right [V]; state ∫(ref − omega_L) dt.
     Source: paper section 4.3; sampled at 1 kHz in the rig, see `compiled.close_loop`.
     """
+    given = loop if isinstance(loop, Given) else Given(None, loop)
 
     def output(t, x, u, params):
+        loop = given.at(params).loop
         common = loop.kp * (u[0] - u[1]) + loop.ki * x[0]
         common = min(max(common, -loop.limit), loop.limit)
         return [common + loop.bias_l, common + loop.bias_r]
@@ -263,7 +302,12 @@ def pi_block(loop: Loop) -> ct.NonlinearIOSystem:
 
 
 def to_blocks(
-    model: Model, *, loop: Loop | None = None, pade_order: int = PADE_ORDER
+    model: Model,
+    *,
+    loop: Loop | None = None,
+    pade_order: int = PADE_ORDER,
+    contact: str = "memoryless",
+    others: Sequence[str] = (),
 ) -> ct.InterconnectedSystem:
     """Return the drive as python-control blocks joined by name.
 
@@ -274,6 +318,11 @@ def to_blocks(
         Close the speed loop, in continuous time.
     pade_order : int
         Order of the Padé approximation of a drive or sensor delay.
+    contact : {"memoryless", "two_state"}
+        Contact law of the meshes: paper Eq. 21, or its two-state original, which has the
+        position in each gap as a state.
+    others : sequence of str
+        Names of `params` that belong to blocks of your own beside these.
 
     Returns
     -------
@@ -281,23 +330,32 @@ def to_blocks(
         Inputs u_left, u_right [V], or ref [rad/s] with a loop; outputs
         :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, and u_left, u_right with a loop.
 
+    Raises
+    ------
+    ValueError
+        A contact law that does not exist, or an effect of negative size.
+
     Notes
     -----
-    :func:`initial_state` gives its state at rest or in motion. With
+    ``params={"k_m": 3e4}`` in ``control.input_output_response`` and the like replaces values
+    of the declared drive, and kp, ki, limit, bias_l, bias_r of the loop; other names raise
+    ValueError. :func:`initial_state` gives its state at rest or in motion. With
     ``control.input_output_response`` set ``solve_ivp_kwargs={"max_step": dt}`` for inputs
     sampled at dt, or short pulses are stepped over; it draws inputs as straight lines
     between samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
     """
+    refuse_negative(model)
+    given = Given(model, loop, others)
     blocks = [
-        *(drive_block(model, side, pade_order=pade_order) for side in (0, 1)),
-        *(chain_block(model, side) for side in (0, 1)),
-        *(mesh_block(model, side) for side in (0, 1)),
-        ring_block(model),
-        sensor_block(model, pade_order=pade_order),
+        *(drive_block(given, side, pade_order=pade_order) for side in (0, 1)),
+        *(chain_block(given, side) for side in (0, 1)),
+        *(mesh_block(given, side, contact=contact) for side in (0, 1)),
+        ring_block(given),
+        sensor_block(given, pade_order=pade_order),
     ]
     inputs, outputs = ["u_left", "u_right"], list(OUTPUTS)
     if loop is not None:
-        blocks.append(pi_block(loop))
+        blocks.append(pi_block(given))
         inputs, outputs = ["ref"], [*outputs, "u_left", "u_right"]
     return ct.interconnect(
         blocks,
@@ -325,6 +383,9 @@ def initial_state(model: Model, sys: ct.InterconnectedSystem, x0: ArrayLike) -> 
     for side, s in enumerate(SIDES):
         known[f"chain_{s}_theta"] = known[f"chain_{s}_theta_motor"] = bodies[side]
         known[f"chain_{s}_omega"] = known[f"chain_{s}_omega_motor"] = bodies[3 + side]
+        twist = bodies[side] - model.drive["N_2"] * bodies[2]
+        half_gap = model.drive[f"gap_{s}"]
+        known[f"mesh_{s}_position"] = min(max(twist, -half_gap), half_gap)
     stored = [label for label in sys.state_labels if label.startswith("sensor_delay")]
     late = _Delay(Sites(model).speed_delay, len(stored))
     known.update(zip(stored, late.settled(bodies[5]), strict=True))
@@ -340,18 +401,19 @@ def run(
     rtol: float = 1e-6,
     atol: float = 1e-9,
     pade_order: int = PADE_ORDER,
+    contact: str = "memoryless",
 ) -> Floats:
     """Run :func:`to_blocks` on held voltages, restarted at each of their jumps.
 
     Parameters and result as of :func:`dmptm_ctrl.simulate.reference.simulate`; `rtol`,
-    `atol` [rad, rad/s] of SciPy's RK45.
+    `atol` [rad, rad/s] of SciPy's RK45; `contact` as of :func:`to_blocks`.
 
     Raises
     ------
     RuntimeError
         The integrator gave up.
     """
-    sys = to_blocks(model, pade_order=pade_order)
+    sys = to_blocks(model, pade_order=pade_order, contact=contact)
     state = initial_state(model, sys, x0)
     n = u.shape[1]
     out = np.empty((n, len(OUTPUTS)))

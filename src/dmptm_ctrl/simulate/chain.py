@@ -1,6 +1,6 @@
 """Simulate chains and branched trains: compiled, linear, and as python-control blocks."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import ceil
 from typing import Any
 
@@ -8,14 +8,27 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dmptm_ctrl.drive.rig import Controller, Rig
+from dmptm_ctrl.drive.parameters import physical
+from dmptm_ctrl.drive.rig import Controller, Rig, Sensor
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.chain_compose import engine
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.chain_model import ChainModel, check_physical, declared_effects
 from dmptm_ctrl.simulate.chain_plant import Floats, Plant
+
+__all__ = [
+    "ChainRun",
+    "chain_modes",
+    "declared_effects",
+    "linear_chain",
+    "march",
+    "modes_text",
+    "simulate_chain",
+    "substeps_for",
+]
 
 STEPS_PER_RADIAN = 8.0  # of the fastest mode, and of the fastest decay
 MAX_SUBSTEPS = 400
+STEP = 2.0**-13  # rad or m; of slopes: far below the shortest tooth or cogging period
 STILL = 1e-6  # of the fastest mode; slower is the rigid one
 CONSERVATIVE = ("inertia", "stiffness", "ratio", "gain", "stribeck_speed", "stribeck_exponent")
 _OPEN = np.zeros(7)
@@ -178,7 +191,13 @@ def simulate_chain(
     -------
     TimeResponseData
         One output per sensor of the rig, SI.
+
+    Raises
+    ------
+    ValueError
+        A value that is unknown or that no machine has.
     """
+    check_physical(model)
     time = np.asarray(timepts, float)
     u = np.atleast_2d(np.asarray(inputs, float))
     run = march(model, u, float(time[1] - time[0]), **options)
@@ -194,16 +213,22 @@ def simulate_chain(
     )
 
 
+def _row(plant: Plant, k: int) -> Floats:
+    """Twist of a link over the coordinates."""
+    first, second = plant.link_body[k]
+    b: Floats = np.zeros(plant.inertia.size)
+    b[plant.body_coordinate[first]] += plant.body_ratio[first]
+    b[plant.body_coordinate[second]] -= plant.link_values[k, 0] * plant.body_ratio[second]
+    return b
+
+
 def _matrices(plant: Plant) -> tuple[Floats, Floats]:
     """Stiffness and damping of the coordinates: each link adds a rank-one block k b bᵀ."""
     n = plant.inertia.size
     stiffness, damping = np.zeros((n, n)), np.zeros((n, n))
     for k in range(plant.link_gap.size):
-        first, second = plant.link_body[k]
-        ratio, spring, damper = plant.link_values[k, :3]
-        b = np.zeros(n)
-        b[plant.body_coordinate[first]] += plant.body_ratio[first]
-        b[plant.body_coordinate[second]] -= ratio * plant.body_ratio[second]
+        _, spring, damper = plant.link_values[k, :3]
+        b = _row(plant, k)
         stiffness += spring * np.outer(b, b)
         damping += damper * np.outer(b, b)
     for b_index, group in enumerate(plant.body_coordinate):
@@ -212,86 +237,237 @@ def _matrices(plant: Plant) -> tuple[Floats, Floats]:
     return stiffness, damping
 
 
-def linear_chain(model: ChainModel) -> control.StateSpace:
-    """Return the linear model of a chain in contact: springs, dampers, viscous friction.
+def linear_chain(
+    model: ChainModel,
+    *,
+    outputs: Sequence[str] | None = None,
+    position: Mapping[str, float] | None = None,
+) -> control.StateSpace:
+    """Return the linear model of a chain in contact.
 
-    Coulomb friction, gaps, delays and saturation are not in it; current lags are.
+    In it: springs and dampers of links, viscous friction, current lags, and the slopes of
+    torques that depend on an angle (cable springs, gravity, cogging) where all stands still at
+    `position`. Not in it: dry friction, gaps, delays, saturation.
+
+    Parameters
+    ----------
+    model : ChainModel
+        ``ChainModel(load_rig("rig.toml"))`` has all that the file declares.
+    outputs : sequence of str, optional
+        Sensors of the rig; by default all.
+    position : mapping of body to float, optional
+        Where it is linearised [rad or m]; 0 for bodies not named.
 
     Returns
     -------
     StateSpace
-        Inputs: those of the rig. Outputs: its sensors. States: coordinates, speeds, lags.
+        Inputs: those of the rig. States: ``q_BODY`` [rad or m] of each rigid group of bodies
+        that a torque by angle holds; of a train that turns freely ``spring_LINK``, the torque in
+        each link's spring, and one ``q_BODY`` only where an angle of it is an output;
+        ``v_BODY``; ``lag_INPUT``. So ``dcgain``, ``margin``, ``bandwidth`` and ``step_info`` are
+        right as they come.
+
+    Raises
+    ------
+    ValueError
+        A sensor or body that the rig does not have; a value that is unknown or that no machine
+        has.
     """
+    check_physical(model)
     plant, layout = model.plant(), model.layout
+    sensors = _chosen(model, outputs)
     n, inputs = layout.coordinates, len(layout.inputs)
-    stiffness, damping = _matrices(plant)
-    for e in range(plant.friction_place.shape[0]):
-        effect = [x for x in model.effects if _site(x.name) == "friction"][e]
+    _, damping = _matrices(plant)
+    grounded, lossy = _slopes(model, position)
+    damping += np.diag(lossy)
+    for effect in model.effects:
         if effect.name == "viscous_friction":
             group, r = layout.coordinate[effect.on], layout.ratio[effect.on]
             damping[group, group] += r**2 * effect.values["coefficient"]
+    angles = {
+        layout.coordinate[layout.sensor_body[s.name]] for s in sensors if s.measures == "position"
+    }
+    into, force, read, names = _positions(model, angles, grounded)
     push = np.zeros((n, inputs))
     for j, name in enumerate(layout.inputs):
         body = layout.input_body[name]
         push[layout.coordinate[body], j] = layout.ratio[body] * plant.input_values[j, 0]
     inverse = 1.0 / plant.inertia[:, None]
     lagging = [j for j in range(inputs) if plant.input_values[j, 2] > 0]
-    size = 2 * n + len(lagging)
+    m = len(names)
+    size = m + n + len(lagging)
     a, b = np.zeros((size, size)), np.zeros((size, inputs))
-    a[:n, n : 2 * n] = np.eye(n)
-    a[n : 2 * n, :n] = -inverse * stiffness
-    a[n : 2 * n, n : 2 * n] = -inverse * damping
+    speeds = slice(m, m + n)
+    a[:m, speeds] = into
+    a[speeds, :m] = -inverse * force
+    a[speeds, speeds] = -inverse * damping
     for j in range(inputs):
         if j in lagging:
-            k = 2 * n + lagging.index(j)
+            k = m + n + lagging.index(j)
             tau = plant.input_values[j, 2]
-            a[n : 2 * n, k] = (inverse * push)[:, j]
+            a[speeds, k] = (inverse * push)[:, j]
             a[k, k], b[k, j] = -1.0 / tau, 1.0 / tau
         else:
-            b[n : 2 * n, j] = (inverse * push)[:, j]
-    c = np.zeros((len(model.rig.sensors), size))
-    for row, sensor in enumerate(model.rig.sensors):
+            b[speeds, j] = (inverse * push)[:, j]
+    leads = _leads(model)
+    c = np.zeros((len(sensors), size))
+    for row, sensor in enumerate(sensors):
         body = layout.sensor_body[sensor.name]
-        column = layout.coordinate[body] + (n if sensor.measures == "speed" else 0)
-        c[row, column] = layout.ratio[body]
+        group = layout.coordinate[body]
+        if sensor.measures == "speed":
+            c[row, m + group] = layout.ratio[body]
+        else:
+            c[row, :m] = layout.ratio[body] * read[group]
     return control.ss(
         a, b, c, np.zeros((c.shape[0], inputs)),
-        inputs=list(layout.inputs), outputs=[s.name for s in model.rig.sensors],
-        name=model.rig.name.replace(" ", "_"),
+        states=[*names, *(f"v_{x}" for x in leads), *(f"lag_{layout.inputs[j]}" for j in lagging)],
+        inputs=list(layout.inputs), outputs=[s.name for s in sensors],
+        name=model.rig.name.replace(" ", "_").replace(".", "_"),
     )  # fmt: skip
 
 
-def _site(name: str) -> str:
-    from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+def _chosen(model: ChainModel, outputs: Sequence[str] | None) -> list[Sensor]:
+    by_name = {s.name: s for s in model.rig.sensors}
+    chosen = list(by_name) if outputs is None else list(outputs)
+    for name in chosen:
+        if name not in by_name:
+            raise ValueError(f"no sensor {name!r} in {model.rig.name}; it has {', '.join(by_name)}")
+    return [by_name[name] for name in chosen]
 
-    return CHAIN_CATALOGUE[name].site
+
+def _leads(model: ChainModel) -> list[str]:
+    """Body of each group whose angle is the coordinate itself."""
+    coordinate = model.layout.coordinate
+    first = {group: body for body, group in reversed(coordinate.items())}
+    ones = {g: b for b, g in coordinate.items() if model.layout.ratio[b] == 1.0}
+    return [ones.get(g, first[g]) for g in range(model.layout.coordinates)]
+
+
+def _positions(
+    model: ChainModel, angles: set[int], grounded: Floats
+) -> tuple[Floats, Floats, Floats, list[str]]:
+    """Return the position states: rates over the speeds, forces, coordinates, names.
+
+    A train that nothing holds has the torques of its springs as states, one less than its
+    coordinates: the angle of the whole train is left out without any rounding. Where it is
+    asked for it comes first, so that python-control finds its pole at 0 exactly.
+    """
+    plant, layout = model.plant(), model.layout
+    n = layout.coordinates
+    rows = [_row(plant, k) for k in range(plant.link_gap.size)]
+    train = np.arange(n)  # coordinates joined by links have one number
+    for b in rows:
+        joined = np.isin(train, train[b != 0.0])
+        train[joined] = train[joined].min()
+    stiffness = _matrices(plant)[0] + np.diag(grounded)
+    leads, unit = _leads(model), np.eye(n)
+    found: list[tuple[Floats, Floats, Floats, str]] = []  # rate, force, coordinates, name
+    for root in np.unique(train):
+        own = np.flatnonzero(train == root)
+        links = [k for k, b in enumerate(rows) if b[own].any()]
+        springs = [float(plant.link_values[k, 1]) for k in links]
+        asked = bool(angles & set(own.tolist()))
+        if grounded[own].any() or (asked and 0.0 in springs):
+            found += [(unit[g], stiffness[:, g], unit[g], f"q_{leads[g]}") for g in own]
+            continue
+        turn = np.zeros((n, own.size))
+        turn[own] = np.linalg.inv(np.vstack([unit[root], *(rows[k] for k in links)])[:, own])
+        if asked:
+            found.insert(0, (unit[root], np.zeros(n), turn[:, 0], f"q_{leads[root]}"))
+        found += [
+            (spring * rows[k], rows[k], turn[:, i] / spring, f"spring_{layout.links[k]}")
+            for i, (k, spring) in enumerate(zip(links, springs, strict=True), 1)
+            if spring > 0.0
+        ]
+    shape = len(found), n
+    into, force, read = (np.reshape([x[i] for x in found], shape) for i in range(3))
+    return into, force.T, read.T, [x[3] for x in found]
+
+
+def _slopes(model: ChainModel, position: Mapping[str, float] | None) -> tuple[Floats, Floats]:
+    """Stiffness and damping that effects give each coordinate at rest at `position`."""
+    plant, layout = model.plant(), model.layout
+    q = np.zeros(layout.coordinates)
+    for body, value in (position or {}).items():
+        if body not in layout.coordinate:
+            bodies = ", ".join(layout.bodies)
+            raise ValueError(f"position: no body {body!r} in {model.rig.name}; it has {bodies}")
+        physical(f"position of {body}", abs(value), zero=True)
+        q[layout.coordinate[body]] = value / layout.ratio[body]
+    stiffness, damping = np.zeros(q.size), np.zeros(q.size)
+    torque = engine().effect_torque
+    for place, values in zip(plant.torque_place, plant.torque_values, strict=True):
+        kind, index = int(place[0]), int(place[1])
+        group, r = int(plant.body_coordinate[index]), float(plant.body_ratio[index])
+        at = r * float(q[group])
+        stiffness[group] -= r**2 * _slope(lambda x: torque(kind, x, 0.0, 0.0, values), at)  # noqa: B023
+        damping[group] -= r**2 * _slope(lambda v: torque(kind, at, v, 0.0, values), 0.0)  # noqa: B023
+    return stiffness, damping
+
+
+def _slope(function: Callable[[float], float], at: float) -> float:
+    """Derivative by five points; of a polynomial to the fourth degree it is exact."""
+    near, far = (function(at + k * STEP) - function(at - k * STEP) for k in (1, 2))
+    return (8.0 * near - far) / (12.0 * STEP)
 
 
 def modes_text(rig: Rig) -> str:
     """Return the modes of a declared rig as a line of text; or what must be known for them."""
     try:
-        model = ChainModel(rig, tuple(declared_effects(rig)))
-        losses = [k for k in model.quantities if k.rpartition(".")[2] not in CONSERVATIVE]
+        model = ChainModel(rig)
+        losses = [k for k in model.quantities if not k.rpartition(".")[2].startswith(CONSERVATIVE)]
         model = model.with_values(dict.fromkeys(losses, 0.0))
-        modes = chain_modes(model)
+        squares = _squares(model, None)
+        grounded, _ = _slopes(model, None)
     except ValueError as error:
         return f"modes: not computed; {error.args[0]}"
     except (KeyError, ZeroDivisionError) as error:
         raise LogError(f"{rig.source}: {error.args[0]}") from None
-    least = STILL * modes.max(initial=0.0)
-    return "modes: " + ", ".join(f"{f:.4g} Hz" if f > least else "0 (rigid body)" for f in modes)
+    still = STILL**2 * np.abs(squares).max(initial=0.0)
+    text = "modes: " + ", ".join(_mode(square, still) for square in squares)
+    if grounded.any():
+        place = model.layout.coordinate
+        by = [e.key for e in model.effects if e.on in place and grounded[place[e.on]]]
+        text += f"; linearised with all angles 0, with {', '.join(by)}"
+    return text
 
 
-def declared_effects(rig: Rig) -> list[Placed]:
-    """Return the effects that a rig file declares, as models have them."""
-    return [Placed(e.name, e.on, {k: q.value for k, q in e.values.items()}) for e in rig.effects]
+def _mode(square: float, still: float) -> str:
+    if abs(square) <= still:
+        return "0 (rigid body)"
+    if square < 0.0:
+        return f"unstable, grows e-fold in {1.0 / np.sqrt(-square):.3g} s"
+    return f"{np.sqrt(square) / (2 * np.pi):.4g} Hz"
 
 
-def chain_modes(model: ChainModel) -> Floats:
-    """Undamped natural frequencies of a chain in contact [Hz], ascending; 0 is the rigid one."""
+def chain_modes(model: ChainModel, *, position: Mapping[str, float] | None = None) -> Floats:
+    """Undamped natural frequencies of a chain in contact.
+
+    Parameters
+    ----------
+    model : ChainModel
+    position : mapping of body to float, optional
+        Where torques that depend on an angle are linearised [rad or m]; 0 for bodies not named.
+
+    Returns
+    -------
+    (n,) array [Hz]
+        Ascending; 0 is the rigid body's, or a mode that such a torque makes unstable.
+
+    Raises
+    ------
+    ValueError
+        As :func:`linear_chain`.
+    """
+    return np.sqrt(np.maximum(_squares(model, position), 0.0)) / (2 * np.pi)
+
+
+def _squares(model: ChainModel, position: Mapping[str, float] | None) -> Floats:
+    """Squares of the undamped frequencies [rad²/s²], ascending."""
     from scipy.linalg import eigh
 
+    check_physical(model)
     plant = model.plant()
     stiffness, _ = _matrices(plant)
-    squares = eigh(stiffness, np.diag(plant.inertia), eigvals_only=True)
-    return np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
+    grounded, _ = _slopes(model, position)
+    return eigh(stiffness + np.diag(grounded), np.diag(plant.inertia), eigvals_only=True)

@@ -3,12 +3,12 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import cos, isfinite, sin
+from math import cos, isfinite, isnan, sin
 from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.drive.parameters import Quantity
+from dmptm_ctrl.drive.parameters import Quantity, physical
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects.shaft_compliance import ShaftCompliance, spring
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
@@ -80,6 +80,11 @@ def declared(rig: Rig) -> dict[str, Quantity]:
     return found
 
 
+def declared_effects(rig: Rig) -> list[Placed]:
+    """Return the effects that a rig file declares, as models have them."""
+    return [Placed(e.name, e.on, {k: q.value for k, q in e.values.items()}) for e in rig.effects]
+
+
 @dataclass(frozen=True)
 class ChainModel:
     """A rig, values of its declared quantities, and effects added to it.
@@ -88,6 +93,7 @@ class ChainModel:
     ----------
     rig : Rig
     effects : tuple of Placed
+        Left out: those that the rig declares.
     values : mapping
         By the keys of `declared`; what is left out has the declared value.
 
@@ -99,10 +105,12 @@ class ChainModel:
     """
 
     rig: Rig
-    effects: tuple[Placed, ...] = ()
+    effects: tuple[Placed, ...] = None  # type: ignore[assignment]
     values: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.effects is None:
+            object.__setattr__(self, "effects", tuple(declared_effects(self.rig)))
         for effect in self.effects:
             if effect.name not in CHAIN_CATALOGUE:
                 known = ", ".join(CHAIN_CATALOGUE)
@@ -234,8 +242,10 @@ def _build(model: ChainModel) -> tuple[Plant, Layout]:
     masses = np.zeros(count)
     for name in bodies:
         masses[coordinate[name]] += ratio[name] ** 2 * inertia[name]
-    if (masses <= 0).any():
-        raise ValueError("a body has no inertia; it must be positive")
+    for group, mass in enumerate(masses):
+        if not mass > 0:
+            tied = ", ".join(name for name in bodies if coordinate[name] == group)
+            raise ValueError(f"{rig.name}: inertia of {tied} is {mass:g}; it must be positive")
     distance = np.zeros(count)
     for effect in model.effects:
         if effect.name == "presliding":
@@ -259,6 +269,36 @@ def _build(model: ChainModel) -> tuple[Plant, Layout]:
         *_placed(model, ("friction",), index),
     )
     return plant, layout
+
+
+def check_physical(model: ChainModel) -> None:
+    """Refuse declared values and effects that no machine has.
+
+    Raises
+    ------
+    ValueError
+        An inertia that is not positive, a stiffness, damping or time that is negative, an
+        unknown or any other value that is not finite.
+    """
+    for key, quantity in model.quantities.items():
+        kind = key.rpartition(".")[2]
+        if kind == "gain" and key not in model.values:  # an unknown one counts as 1
+            continue
+        value = model.value(key)
+        if kind in ("ratio", "gain"):
+            if value == 0.0:
+                raise ValueError(f"{model.rig.name}: {key} is 0; it must be another number")
+        else:
+            positive = kind == "inertia" or kind.startswith("stribeck_speed")
+            physical(f"{model.rig.name}: {key}", value, quantity.unit, zero=not positive)
+    for effect in model.effects:
+        for parameter in CHAIN_CATALOGUE[effect.name].keep:
+            value = effect.values.get(parameter.name, 0.0)
+            what = f"{model.rig.name}: {parameter.name} of {effect.key}"
+            if isnan(value):
+                raise ValueError(f"{what} is no number; fit the model first, or set a value")
+            if parameter.low == 0.0 > value:  # a magnitude
+                raise ValueError(f"{what} is {value:g}; it must be zero or more")
 
 
 def _joint(model: ChainModel, name: str) -> _Joint:

@@ -1,13 +1,19 @@
 """Linear models of the drive about a steady turn under preload."""
 
 import warnings
+from collections.abc import Mapping, Sequence
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import root
 
+from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.blocks import REST_SPEED, SIDES, drive_states, initial_state, to_blocks
+from dmptm_ctrl.simulate.chain import linear_chain
+from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.compiled import OUTPUTS
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites, mesh_region
 
@@ -94,23 +100,41 @@ def turning(
 
 
 def linearize(
-    model: Model, x0: ArrayLike | None = None, u0: ArrayLike | None = None
+    model: Model | ChainModel | Rig,
+    x0: ArrayLike | Mapping[str, float] | None = None,
+    u0: ArrayLike | None = None,
+    *,
+    outputs: Sequence[str] | None = None,
 ) -> ct.StateSpace:
-    """Return the linear model of the drive about a state.
+    """Return the linear model of a drive about a state.
 
     Parameters
     ----------
-    model : Model
+    model : Model, ChainModel or Rig
+        Of a rig of any shape: :func:`~dmptm_ctrl.simulate.chain.linear_chain`.
     x0 : (6,) array, optional
-        θ3l, θ3r, θL [rad] and their speeds [rad/s]; by default :func:`turning`.
+        θ3l, θ3r, θL [rad] and their speeds [rad/s]; by default :func:`turning`. Of a rig of
+        any shape a mapping of body to position [rad or m], by default 0.
     u0 : (2,) array, optional [V]
+        Of a dual-motor model only.
+    outputs : sequence of str, optional
+        Of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`, by default ``omega_L``; of a rig of any
+        shape its sensors, by default all.
 
     Returns
     -------
     StateSpace
         Signals and states named as in :func:`~dmptm_ctrl.simulate.blocks.to_blocks`. With
         both meshes closed, everything moving and no further effects it is the 3-DOF model
-        of paper Eq. 17 with the slope of the friction as damping.
+        of paper Eq. 17 with the slope of the friction as damping. Where nothing depends on the
+        angle of the whole drive and no output is an angle, ``twist_l`` and ``twist_r`` [rad at
+        the pinion] take the place of three angles; so ``dcgain``, ``margin`` and ``step_info``
+        are right as they come.
+
+    Raises
+    ------
+    ValueError
+        An output that does not exist; voltages for a rig of any shape.
 
     Warns
     -----
@@ -118,6 +142,17 @@ def linearize(
         A mesh is in its gap, where it has no stiffness and the model poles at the origin;
         or a body is held by friction, where it does not move at all.
     """
+    if not isinstance(model, Model):
+        if u0 is not None or not isinstance(x0, Mapping | None):
+            raise ValueError(
+                "a rig of any shape is linearised at x0, a mapping of body to position"
+            )
+        chain = ChainModel(model) if isinstance(model, Rig) else model
+        return linear_chain(chain, outputs=outputs, position=x0)
+    outputs = ("omega_L",) if outputs is None else outputs
+    for name in outputs:
+        if name not in OUTPUTS:
+            raise ValueError(f"no output {name!r}; there are {', '.join(OUTPUTS)}")
     if x0 is None:
         x0, volts = turning(model)
     else:
@@ -147,7 +182,51 @@ def linearize(
                 UserWarning,
                 stacklevel=2,
             )
-    return linear
+    rows = [linear.output_labels.index(name) for name in outputs]
+    a, b, c, d = linear.A, linear.B, linear.C[rows], linear.D[rows]
+    labels = list(linear.state_labels)
+    if _turns_freely(model) and not any(name.startswith("theta_") for name in outputs):
+        a, b, c, labels = _without_angle(a, b, c, labels, model.drive["N_2"])
+    return ct.ss(
+        a, b, c, d, states=labels, inputs=linear.input_labels, outputs=list(outputs),
+        name="drive_linear",
+    )  # fmt: skip
+
+
+def _turns_freely(model: Model) -> bool:
+    """Whether nothing in a model depends on the angle of the whole drive."""
+    acting = (
+        CATALOGUE[name]
+        for name, values in model.effects.items()
+        if any(values.get(a, 0.0) != 0.0 for a in CATALOGUE[name].amplitudes)
+    )
+    by_angle = any("theta" in x for effect in acting for x in effect.depends_on)
+    return model.drive["k_a"] == 0.0 and not by_angle
+
+
+def _without_angle(
+    a: Floats, b: Floats, c: Floats, labels: list[str], n2: float
+) -> tuple[Floats, Floats, Floats, list[str]]:
+    """Count the angles of the chains from the ring gear's, and leave that one out.
+
+    By the structure of the drive nothing depends on the turn of all bodies together; the
+    columns of differences that would say so are rounding.
+    """
+    size = len(labels)
+    ring = labels.index("ring_theta")
+    new = np.eye(size)  # new states over old ones
+    for i, label in enumerate(labels):
+        if label.startswith("chain_") and "_theta" in label:
+            new[i, ring] = -n2
+    old = 2.0 * np.eye(size) - new  # its inverse: the ring gear's angle is added again
+    keep = [i for i in range(size) if i != ring]
+    named = {f"chain_{s}_theta": f"twist_{s}" for s in SIDES}
+    return (
+        (new @ a @ old)[np.ix_(keep, keep)],
+        (new @ b)[keep],
+        (c @ old)[:, keep],
+        [named.get(labels[i], labels[i]) for i in keep],
+    )
 
 
 def _sustained(model: Model, sites: Sites, state: Floats, labels: list[str], u0: Floats) -> Floats:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isnan
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -66,6 +67,22 @@ def stacked(arrays: Sequence[Arrays]) -> Stacked:
     return Stacked(*(np.array(rows) for rows in zip(*arrays, strict=True)))
 
 
+def refuse_negative(model: "Model") -> None:
+    """Refuse effects whose size is negative where it is a magnitude, such as a stiffness.
+
+    Raises
+    ------
+    ValueError
+    """
+    for name, values in model.effects.items():
+        for parameter in CATALOGUE[name].parameters:
+            value = values.get(parameter.name, 0.0)
+            if parameter.low == 0.0 > value:
+                raise ValueError(
+                    f"effect {name}: {parameter.name} is {value:g}; it must be zero or more"
+                )
+
+
 @dataclass(frozen=True)
 class Model:
     """A declared drive and the effects added to it.
@@ -81,12 +98,15 @@ class Model:
     ------
     KeyError
         An effect that is not in the catalogue, or a parameter that it does not have.
+    ValueError
+        A value that no drive has, see :meth:`~dmptm_ctrl.drive.Drive.check`, or that is NaN.
     """
 
     drive: Drive = field(default_factory=paper_drive)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.drive.check()
         for name, parameters in self.effects.items():
             if name not in CATALOGUE:
                 known = ", ".join(CATALOGUE)
@@ -95,6 +115,8 @@ class Model:
             for key in parameters:
                 if key not in has:
                     raise KeyError(f"effect {name!r} has no parameter {key!r}; it has {has}")
+                if isnan(parameters[key]):
+                    raise ValueError(f"effect {name}: {key} is NaN; it must be a number")
 
     def with_effect(self, name: str, **parameters: float) -> "Model":
         """Return the model with an effect added or replaced."""

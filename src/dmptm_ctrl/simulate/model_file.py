@@ -84,7 +84,7 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
         if FLANKS in tables and found[DAMPING] == 0.0:
             found = undamped(found)
         return Model(found, tables)
-    except KeyError as error:
+    except (KeyError, ValueError) as error:
         raise LogError(f"{name}: {error.args[0]}") from None
 
 

@@ -1,0 +1,168 @@
+"""Linear models in one picture: ``dmptm bode`` and ``dmptm step``."""
+
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import control as ct
+import numpy as np
+from matplotlib.figure import Figure
+
+from dmptm_ctrl.control import common_mode
+from dmptm_ctrl.design.linear import linear_plant
+from dmptm_ctrl.diagnosis.ladder_files import is_chain, read_chain
+from dmptm_ctrl.drive import Drive, baseline_drive, nine_dof_ss, paper_drive, three_dof_ss
+from dmptm_ctrl.drive.rig_dual import dual_motor
+from dmptm_ctrl.drive.rigfile import load_rig
+from dmptm_ctrl.plots.linear import bode_compare, step_compare
+from dmptm_ctrl.reproduce.items import figure_of
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.simulate.chain import linear_chain
+from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model_file import KIND as DUAL
+from dmptm_ctrl.simulate.model_file import read_model
+
+Row = tuple[str, ...]
+BODE_HEADER = (
+    "model",
+    "states",
+    "gain at rest",
+    "-3 dB [Hz]",
+    "gain margin [dB]",
+    "phase margin [deg]",
+)
+STEP_HEADER = ("model", "steady", "rise [s]", "settling [s]", "overshoot [%]")
+
+
+def linear_models(
+    file: Path | None = None, *, input: str | None = None, output: str | None = None
+) -> dict[str, ct.StateSpace]:
+    """Return linear models by label, one input and one output each.
+
+    Parameters
+    ----------
+    file : path, optional
+        A rig.toml, or a model.toml of a diagnosis. If it is of a dual-motor drive, all models
+        are of that drive; else it stands beside the paper's.
+    input, output : str, optional
+        Input and sensor of a rig of another shape. By default its first input and its first
+        speed sensor, or first sensor.
+
+    Returns
+    -------
+    dict of str to StateSpace
+        9-DOF, 3-DOF and existing model from one voltage [V] on both motors to the ring gear's
+        speed [rad/s]; and what `file` describes, linearised.
+
+    Raises
+    ------
+    LogError
+        A file that cannot be read or has values that are unknown; a name that it does not have.
+    """
+    drive, own = paper_drive(), None
+    if file is not None:
+        try:
+            drive, own = _own(file, input, output)
+        except LogError:
+            raise
+        except (KeyError, ValueError) as error:
+            raise LogError(f"{file.name}: {error.args[0]}") from None
+    models: dict[str, ct.StateSpace] = {}
+    build: list[tuple[str, Callable[[], ct.StateSpace]]] = [
+        ("9-DOF", lambda: nine_dof_ss(drive)),
+        ("3-DOF", lambda: three_dof_ss(drive)),
+        ("existing", lambda: three_dof_ss(baseline_drive(drive))),
+    ]
+    for label, make in build:
+        try:
+            models[label] = common_mode(make())
+        except ValueError as error:  # our 9-DOF defaults do not fit every drive
+            warnings.warn(f"no {label} model: {error}", UserWarning, stacklevel=2)
+    return models if own is None else {**models, **own}
+
+
+def _own(
+    file: Path, input: str | None, output: str | None
+) -> tuple[Drive, dict[str, ct.StateSpace]]:
+    """Return the dual-motor drive of a file, or the paper's; and its own linear model."""
+    if is_chain(file):
+        return paper_drive(), _chain(file, read_chain(file)[0], input, output)
+    if _is_dual(file):
+        model = read_model(file)
+        return model.drive, {f"{file.stem}, linearised": common_mode(linear_plant(model))}
+    rig = load_rig(file)
+    drive = dual_motor(rig)
+    if drive is not None:
+        return drive, {f"{rig.name}, linearised": common_mode(linear_plant(Model(drive)))}
+    return paper_drive(), _chain(file, ChainModel(rig), input, output)
+
+
+def _is_dual(file: Path) -> bool:
+    try:
+        return parse_toml(file.read_text(encoding="utf-8"), file.name).get("kind") == DUAL
+    except (OSError, UnicodeDecodeError, LogError):
+        return False
+
+
+def _chain(
+    file: Path, model: ChainModel, input: str | None, output: str | None
+) -> dict[str, ct.StateSpace]:
+    sensors, inputs = model.rig.sensors, model.layout.inputs
+    source = input or inputs[0]
+    if source not in inputs:
+        raise LogError(f"{file.name}: no input {source!r}; it has {', '.join(inputs)}")
+    speeds = [s for s in sensors if s.measures == "speed"]
+    seen = output or (speeds or list(sensors))[0].name
+    plant = linear_chain(model, outputs=[seen])
+    return {f"{model.rig.name}: {seen} over {source}": plant[seen, source]}
+
+
+def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Figure, list[Row]]:
+    """Return a Bode plot over a band [Hz], and python-control's numbers of each model."""
+    plot = bode_compare(models, omega_limits=(low, high), title="Linear models [SI]")
+    rows: list[Row] = []
+    for label, system in models.items():
+        gain, phase, _, _ = ct.margin(system)
+        rows.append(
+            (
+                label,
+                str(system.nstates),
+                _said(ct.dcgain(system)),
+                _said(ct.bandwidth(system) / (2.0 * np.pi)),
+                f"{20.0 * np.log10(gain):.1f}",
+                f"{phase:.1f}",
+            )
+        )
+    return figure_of(plot.axes[0, 0]), rows
+
+
+def step(models: dict[str, ct.StateSpace], seconds: float) -> tuple[Figure, list[Row]]:
+    """Return steps of height 1, and python-control's numbers of each model."""
+    plot = step_compare(models, seconds, unit="output [SI]", title="Step of 1 (V, N·m, …)")
+    rows: list[Row] = []
+    for label, system in models.items():
+        if np.isfinite(ct.dcgain(system)) and system.poles().real.max() < 0.0:
+            info = ct.step_info(system)
+            keys = ("SteadyStateValue", "RiseTime", "SettlingTime", "Overshoot")
+            rows.append((label, *(_said(info[k]) for k in keys)))
+        else:
+            rows.append((label, *["–"] * 4))
+    return figure_of(plot.axes[0, 0]), rows
+
+
+def _said(value: Any) -> str:
+    number = float(value)
+    return f"{number:.4g}" if np.isfinite(number) else "–"
+
+
+def table(header: Row, rows: Sequence[Row]) -> str:
+    """Return rows of text in columns."""
+    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
+    lines = (
+        "  ".join(cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in pairs)
+        for pairs in (enumerate(zip(row, widths, strict=True)) for row in (header, *rows))
+    )
+    return "\n".join(line.rstrip() for line in lines)

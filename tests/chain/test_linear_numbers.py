@@ -1,0 +1,221 @@
+"""Linear models of rig files: declared springs and gravity, python-control's own numbers."""
+
+import control as ct
+import numpy as np
+import pytest
+
+from dmptm_ctrl.cli import main
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.simulate.chain import chain_modes, linear_chain, modes_text, simulate_chain
+from dmptm_ctrl.simulate.chain_blocks import chain_blocks
+from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.linear import linearize
+
+ARM = """
+name = "arm"
+[body.arm]
+inertia = "0.02 kg m^2"
+viscous = "0.05 N m s/rad"
+[input.torque]
+column = "u"
+unit = "N m"
+gain = 1
+[sensor.angle]
+column = "q"
+unit = "rad"
+[sensor.speed]
+column = "w"
+unit = "rad/s"
+[effect.{effect}]
+on = "arm"
+{values}
+"""
+SPRING = ARM.format(effect="cable_spring", values="stiffness = 8.0\noffset = 0.3")
+HANGING = ARM.format(effect="unbalance", values="cosine = 0.0\nsine = -1.0")
+
+
+def two(stiffness="40", extra=""):
+    return (
+        "[body.motor]\ninertia = 0.01\nviscous = 0.02\n[body.load]\ninertia = 0.3\nviscous = 0.5\n"
+        f'[shaft.s]\nbetween = ["motor", "load"]\nratio = 5\nstiffness = {stiffness}\n'
+        'damping = 0.01\n[input.m]\ncolumn = "u_V"\nbody = "motor"\ngain = "0.5 N m/V"\n'
+        '[sensor.w]\ncolumn = "w_rad_s"\nbody = "load"\n'
+        '[sensor.q]\ncolumn = "q_rad"\nbody = "load"\n' + extra
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "position", "stiffness"),
+    [
+        (SPRING, 0.0, 8.0),
+        (SPRING, 1.3, 8.0),
+        (HANGING, 0.0, 1.0),  # −d/dq of −sin q
+        (HANGING, 1.0, np.cos(1.0)),
+        (HANGING, np.pi, -1.0),  # upright: it falls
+    ],
+)
+def test_poles_of_an_arm(text, position, stiffness):
+    """J s² + B s + k = 0, by hand."""
+    model = ChainModel(parse_rig(text))
+    system = linear_chain(model, position={"arm": position})
+    expected = np.roots([0.02, 0.05, stiffness])
+    assert np.sort_complex(system.poles()) == pytest.approx(np.sort_complex(expected), rel=1e-8)
+    angle = linear_chain(model, outputs=["angle"], position={"arm": position})
+    assert ct.dcgain(angle) == pytest.approx(1.0 / stiffness, rel=1e-9)
+    hertz = np.sqrt(max(stiffness, 0.0) / 0.02) / (2 * np.pi)
+    assert chain_modes(model, position={"arm": position}) == pytest.approx([hertz], rel=1e-8)
+
+
+def test_linearize_takes_rigs_too():
+    rig = parse_rig(HANGING)
+    for model in (rig, ChainModel(rig)):
+        poles = linearize(model, {"arm": 1.0}, outputs=["angle"]).poles()
+        expected = np.roots([0.02, 0.05, np.cos(1.0)])
+        assert np.sort_complex(poles) == pytest.approx(np.sort_complex(expected), rel=1e-8)
+    with pytest.raises(ValueError, match="a mapping of body to position"):
+        linearize(rig, np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("stiffness = 8.0", "stiffness = -8.0", "stiffness is -8; it must be zero or more"),
+        ("offset = 0.3", "offset = nan", "offset is nan; it must be a finite number"),
+        ('"0.02 kg m^2"', '"-0.02 kg m^2"', "inertia: -0.02 kg·m² is negative"),
+        ('"0.02 kg m^2"', "0", "inertia of 0 cannot be"),
+    ],
+)
+def test_rig_check_refuses_what_no_machine_has(tmp_path, capsys, old, new, said):
+    (tmp_path / "rig.toml").write_text(SPRING.replace(old, new))
+    assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "rig.toml, line " in error
+
+
+def test_rig_check_says_the_modes(tmp_path, capsys):
+    for text, hertz in ((SPRING, "3.183 Hz"), (HANGING, "1.125 Hz")):
+        (tmp_path / "rig.toml").write_text(text)
+        assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 0
+        said = capsys.readouterr().out
+        assert f"modes: {hertz}; linearised with all angles 0" in said
+    upright = HANGING.replace("sine = -1.0", "sine = 1.0")
+    assert "modes: unstable, grows e-fold in 0.141 s" in modes_text(parse_rig(upright))
+
+
+def test_small_swing_of_the_simulated_arm_is_the_linear_one():
+    """The compiled loop and the linear model with gravity, over a swing of a milliradian."""
+    time = 1e-3 * np.arange(2000)
+    push = np.where(time < 0.1, 1e-3, 0.0)
+    model = ChainModel(parse_rig(HANGING))
+    nonlinear = simulate_chain(model, time, push, substeps=8)
+    held = ct.c2d(linear_chain(model), 1e-3, "zoh")
+    linear = np.asarray(ct.forced_response(held, time, push).outputs)
+    off = np.abs(np.asarray(nonlinear.outputs) - linear).max(axis=1)
+    assert (off < 1e-3 * np.abs(linear).max(axis=1)).all()
+
+
+@pytest.mark.parametrize("text", [SPRING, HANGING, two()])
+def test_blocks_linearised_at_rest_with_the_default_step(text):
+    """Without dry friction nothing sticks: A, B of the blocks are those of the linear model."""
+    model = ChainModel(parse_rig(text))
+    blocks = chain_blocks(model)
+    at_rest = np.zeros(blocks.nstates)
+    found = ct.linearize(blocks, at_rest, 0.0)
+    known = linear_chain(model)
+    s = 2j * np.pi * np.array([0.1, 1.0, 4.0])
+    np.testing.assert_allclose(found(s), known(s), rtol=1e-4)
+    if text == SPRING:
+        np.testing.assert_allclose(found.A, [[0.0, 1.0], [-400.0, -2.5]], rtol=1e-4, atol=1e-4)
+
+
+def test_with_dry_friction_it_holds():
+    model = ChainModel(
+        parse_rig(two(extra="")), (Placed("coulomb_friction", "motor", {"level": 0.1}),)
+    )
+    blocks = chain_blocks(model)
+    assert blocks.dynamics(0.0, np.zeros(4), [0.1]) == pytest.approx(np.zeros(4))
+    assert blocks.dynamics(0.0, np.zeros(4), [0.4])[1] == pytest.approx((0.2 - 0.1) / 0.01)
+
+
+def test_free_train_as_it_comes():
+    """Steady speed by the viscous friction; −3 dB and margins by the equations of motion."""
+    model = ChainModel(parse_rig(two()))
+    plant = linear_chain(model, outputs=["w"])
+    assert plant.state_labels == ["spring_s", "v_motor", "v_load"]
+    # torque 0.5 N·m at the motor: 5 times that at the load, friction 0.5 + 25 · 0.02
+    assert ct.dcgain(plant) == pytest.approx(2.5 / 1.0, rel=1e-9)
+
+    def response(w):
+        b = np.array([1.0, -5.0])
+        stiff = (40.0 + 0.01j * w) * np.outer(b, b)
+        dynamic = stiff + 1j * w * np.diag([0.02, 0.5]) - w**2 * np.diag([0.01, 0.3])
+        return 1j * w * np.linalg.solve(dynamic, [0.5, 0.0])[1]
+
+    w = np.geomspace(0.01, 1e3, 200_001)
+    values = np.array([response(x) for x in w[::100]])
+    np.testing.assert_allclose(plant(1j * w[::100]), values, rtol=1e-8)
+    falls = ct.bandwidth(plant)
+    assert abs(response(falls)) == pytest.approx(2.5 * 10 ** (-3 / 20), rel=1e-6)
+    gain, phase, at, over = ct.margin(plant)
+    assert response(at).imag == pytest.approx(0.0, abs=1e-6 * abs(response(at)))
+    assert gain == pytest.approx(1 / abs(response(at)), rel=1e-6)
+    assert abs(response(over)) == pytest.approx(1.0, rel=1e-6)
+    beyond = 180 + np.degrees(np.angle(response(over)))
+    assert np.cos(np.radians(phase - beyond)) == pytest.approx(1.0, abs=1e-9)
+    info = ct.step_info(plant)
+    assert info["SteadyStateValue"] == pytest.approx(2.5)
+    assert info["SettlingTime"] == pytest.approx(3.912 * (0.3 + 25 * 0.01) / 1.0, rel=0.02)
+    angle = linear_chain(model, outputs=["q"])
+    assert angle.state_labels == ["q_motor", "spring_s", "v_motor", "v_load"]
+    assert np.isinf(ct.dcgain(angle))
+    np.testing.assert_allclose(angle(1j * w[::100]), values / (1j * w[::100]), rtol=1e-7)
+
+
+@pytest.mark.parametrize("build", [linear_chain, chain_modes, chain_blocks])
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"body.load.inertia": -1.0}, "body.load.inertia is -1 kg·m², it must be more than zero"),
+        ({"body.load.inertia": 0.0}, "body.load.inertia is 0"),
+        ({"link.s.stiffness": -40.0}, "link.s.stiffness is -40 N·m/rad, it must be zero or more"),
+        ({"body.load.viscous": np.inf}, "declared unknown|body.load.viscous is inf"),
+        ({"link.s.ratio": 0.0}, "link.s.ratio is 0"),
+    ],
+)
+def test_what_no_machine_has_is_refused(build, values, said):
+    with pytest.raises(ValueError, match=said):
+        build(ChainModel(parse_rig(two())).with_values(values))
+
+
+def test_refusals_name_what_there_is():
+    model = ChainModel(parse_rig(two()))
+    with pytest.raises(ValueError, match="no sensor 'v' in rig; it has w, q"):
+        linear_chain(model, outputs=["v"])
+    with pytest.raises(ValueError, match="no body 'arm' in rig; it has motor, load"):
+        linear_chain(model, position={"arm": 0.0})
+    with pytest.raises(ValueError, match="stiffness of cable_spring@load is no number"):
+        linear_chain(model.with_effect(Placed("cable_spring", "load", {"stiffness": np.nan})))
+    with pytest.raises(ValueError, match="stiffness of cable_spring@load is -8; it must be zero"):
+        linear_chain(model.with_effect(Placed("cable_spring", "load", {"stiffness": -8.0})))
+
+
+def test_params_in_block_simulation():
+    """As the blocks of a model with that value; other names are refused."""
+    model = ChainModel(parse_rig(two()))
+    time, x0 = np.linspace(0.0, 0.5, 51), np.zeros(4)
+    drive = np.ones(time.size)
+
+    def run(system, **more):
+        return ct.input_output_response(
+            system, time, drive, x0, solve_ivp_kwargs={"rtol": 1e-8, "atol": 1e-10}, **more
+        ).outputs
+
+    value = {"body.load.inertia": 0.6}
+    honoured = run(chain_blocks(model), params=value)
+    np.testing.assert_allclose(honoured, run(chain_blocks(model.with_values(value))), rtol=1e-6)
+    assert np.abs(honoured - run(chain_blocks(model))).max() > 0.1
+    with pytest.raises(ValueError, match=r"the blocks have no 'inertia'; they have body\.motor"):
+        run(chain_blocks(model), params={"inertia": 0.6})
+    with pytest.raises(ValueError, match="more than zero"):
+        run(chain_blocks(model), params={"body.load.inertia": -0.6})

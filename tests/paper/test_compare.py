@@ -1,0 +1,111 @@
+"""`dmptm bode` and `dmptm step`: four models in one picture, with python-control's numbers."""
+
+import matplotlib.image as image
+import numpy as np
+import pytest
+
+from dmptm_ctrl import data
+from dmptm_ctrl.cli import main
+from dmptm_ctrl.diagnosis.ladder_files import chain_to_toml
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.reproduce.compare import linear_models
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model_file import to_toml
+
+ARM = """
+name = "arm"
+[body.arm]
+inertia = 0.02
+viscous = 0.05
+[input.torque]
+column = "u"
+unit = "N m"
+gain = 1
+[sensor.q]
+column = "q"
+unit = "rad"
+[sensor.w]
+column = "w"
+unit = "rad/s"
+[effect.cable_spring]
+on = "arm"
+stiffness = 8.0
+offset = 0.0
+"""
+
+
+@pytest.mark.parametrize("command", ["bode", "step"])
+def test_command(tmp_path, capsys, command):
+    (tmp_path / "rig.toml").write_text(ARM)
+    out = tmp_path / "picture.png"
+    assert main([command, str(tmp_path / "rig.toml"), "--out", str(out), "--output", "q"]) == 0
+    said = capsys.readouterr().out
+    rows = {line.split("  ")[0]: line.split() for line in said.splitlines()}
+    assert {"9-DOF", "3-DOF", "existing", "arm: q over torque"} < set(rows)
+    at_rest = -4  # column
+    assert float(rows["3-DOF"][at_rest]) == pytest.approx(1.208, abs=1e-3)
+    assert float(rows["arm: q over torque"][at_rest]) == pytest.approx(1 / 8)
+    assert float(rows["existing"][at_rest]) < 0.5  # its friction stands in for the dry one
+    if command == "step":  # overshoot of J s² + B s + k: exp(−π ζ/√(1 − ζ²))
+        zeta = 0.05 / (2 * np.sqrt(0.02 * 8))
+        over = 100 * np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2))
+        assert float(rows["arm: q over torque"][-1]) == pytest.approx(over, rel=0.02)
+    assert image.imread(out).std() > 0.05
+
+
+def test_own_model_file_and_rig_of_two_motors(tmp_path):
+    model = Model().with_values(J_L=4.0).with_effect("drive_delay", delay=2e-3)
+    (tmp_path / "mine.toml").write_text(to_toml(model))
+    models = linear_models(tmp_path / "mine.toml")
+    assert list(models) == ["9-DOF", "3-DOF", "existing", "mine, linearised"]
+    s = 2j * np.pi * 20.0  # far above friction: all are the inertia of that very drive
+    inertia = 4.0 + 2 * 8.25**2 * 0.25
+    expected = 2 * 25 * 8.25 * 0.39 / (inertia * s)
+    for label in ("3-DOF", "mine, linearised"):
+        assert abs(models[label](s)) == pytest.approx(abs(expected), rel=0.03)
+    late = np.angle(models["mine, linearised"](s) / models["3-DOF"](s))
+    assert late == pytest.approx(-abs(s) * 2e-3, abs=0.03)
+    assert "paper, linearised" in linear_models(data.PAPER_RIG)
+
+
+def test_model_of_a_diagnosis(tmp_path):
+    """A model.toml of a drive of another shape: fitted values, not those of its rig file."""
+    rig = parse_rig(ARM)
+    text = chain_to_toml(ChainModel(rig).with_values({"body.arm.viscous": 0.2}), rig.text)
+    (tmp_path / "model.toml").write_text(text)
+    own = linear_models(tmp_path / "model.toml")["arm: w over torque"]
+    assert np.sort_complex(own.poles()) == pytest.approx(
+        np.sort_complex(np.roots([0.02, 0.2, 8.0])), rel=1e-8
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["rig.toml", "--output", "v"], "rig.toml: no sensor 'v' in arm; it has q, w"),
+        (["rig.toml", "--input", "u"], "rig.toml: no input 'u'; it has torque"),
+        (["none.toml"], "no such rig file"),
+        (["rig.toml", "--out", "picture.xyz"], "picture.xyz: call the figure .png, .svg or .pdf"),
+        (["rig.toml", "--low", "10", "--high", "1"], "--low 10 must be below --high 1"),
+        (["open.toml"], "open.toml: body.arm.viscous is declared unknown"),
+    ],
+)
+def test_refusals(tmp_path, monkeypatch, capsys, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rig.toml").write_text(ARM)
+    (tmp_path / "open.toml").write_text(ARM.replace("viscous = 0.05", 'viscous = "unknown"'))
+    assert main(["bode", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+    assert not list(tmp_path.glob("*.p*"))
+
+
+def test_model_of_nonsense(tmp_path):
+    text = to_toml(Model()).replace("K_M = 0.13", "K_M = -0.13")
+    assert "-0.13" in text
+    (tmp_path / "model.toml").write_text(text)
+    with pytest.raises(LogError, match=r"model\.toml: .*K_M is -0\.13 N·m/A, it must be more than"):
+        linear_models(tmp_path / "model.toml")

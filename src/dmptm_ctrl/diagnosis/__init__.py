@@ -1,7 +1,7 @@
-"""From a measured log to the effect that the model lacks."""
+"""From a measured log to the effects that the model lacks, and what each is worth."""
 
-from dmptm_ctrl.diagnosis.diagnose import diagnose
 from dmptm_ctrl.diagnosis.predict import predict
 from dmptm_ctrl.diagnosis.report import Diagnosis
+from dmptm_ctrl.diagnosis.run import diagnose
 
 __all__ = ["Diagnosis", "diagnose", "predict"]

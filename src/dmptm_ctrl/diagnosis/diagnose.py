@@ -1,27 +1,18 @@
-"""The sentence: measure → residual → trace → augment → report."""
+"""The diagnosis of the dual-motor drive: screen → sensors → balance → selection → budget."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from os import PathLike
 
-from dmptm_ctrl.diagnosis.augment import augment
-from dmptm_ctrl.diagnosis.decide import Decision, decide
+from dmptm_ctrl.diagnosis.budget import verdict_of
+from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.experiment import next_experiment
-from dmptm_ctrl.diagnosis.flanks import damp_by_depth
-from dmptm_ctrl.diagnosis.free_runs import (
-    LITTLE,
-    as_any_friction,
-    beside_balances,
-    take_its_name,
-    traced,
-    turned,
-)
+from dmptm_ctrl.diagnosis.judge import judge
 from dmptm_ctrl.diagnosis.measure import Measured, measure
-from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.remarks import remarks
+from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import (
     Diagnosis,
-    NamedEffect,
+    declared_dict,
     named,
     provenance,
     ranking,
@@ -29,34 +20,34 @@ from dmptm_ctrl.diagnosis.report import (
 )
 from dmptm_ctrl.diagnosis.residual import Residual, closed, residual
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
+from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import cross_check, sensor_effect, with_sensors
-from dmptm_ctrl.diagnosis.unknown import Unexplained, astray
+from dmptm_ctrl.diagnosis.tables import in_tables
+from dmptm_ctrl.diagnosis.unknown import unexplained
 from dmptm_ctrl.drive import Drive, paper_drive
-from dmptm_ctrl.effects import CATALOGUE, LAWS
 from dmptm_ctrl.identify.fit import Fit
-from dmptm_ctrl.parallel import at_once, crew, small_matrices
+from dmptm_ctrl.parallel import crew, small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
-from dmptm_ctrl.simulate.damping import damping_by_depth
 from dmptm_ctrl.simulate.model import Model
 
-# deg/s on held-out logs; the worst of 39 rigs that lack nothing has 0.17. No balance may
-# close so well that a model which predicts no better is right.
-ASTRAY = 0.45
-# Evidence of a name that free runs speak against, by which something is there all the same: ten
-# times what balances find on rigs that lack nothing.
-CERTAIN = 300.0
-NEEDS_MOTOR_ENCODERS = ("pinion_runout", "ring_gear_eccentricity")
+NEEDS_MOTOR_ENCODERS = (
+    "pinion_runout",
+    "ring_gear_eccentricity",
+    "backlash_variation",
+    "reducer_compliance",
+)
 
 
 @small_matrices
-def diagnose(
+def diagnose_dual(
     logs: str | PathLike[str] | Iterable[Log],
     drive: Drive | None = None,
     *,
     jobs: int = 2,
     seed: int = 0,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
-    """Find the physical effect that the declared model lacks.
+    """Find what the declared model of a dual-motor drive lacks.
 
     Parameters
     ----------
@@ -68,7 +59,9 @@ def diagnose(
     jobs : int
         Threads. The result does not depend on it.
     seed : int
-        Of the starts that are tried where the model loses step; kept in the provenance.
+        Kept in the provenance; nothing is drawn at random.
+    tell : callable
+        Hears each step of the selection.
 
     Returns
     -------
@@ -81,13 +74,16 @@ def diagnose(
         Logs that cannot be read, lack a channel or are not of one rig.
     """
     with crew(jobs):
-        return diagnosed(logs, drive or paper_drive(), jobs, seed)
+        return _diagnosed(logs, drive or paper_drive(), jobs, seed, tell)
 
 
-def diagnosed(
-    logs: str | PathLike[str] | Iterable[Log], declared: Drive, jobs: int, seed: int
+def _diagnosed(
+    logs: str | PathLike[str] | Iterable[Log],
+    declared: Drive,
+    jobs: int,
+    seed: int,
+    tell: Callable[[str], None],
 ) -> Diagnosis:
-    """Diagnose on threads that are kept."""
     start = time.perf_counter()
     if isinstance(logs, str | PathLike):
         logs = load_logs(logs, max_rows=READ_ROWS)
@@ -97,108 +93,61 @@ def diagnosed(
     model = with_sensors(Model(declared), sensors)
     if model.effects:
         measured = measured.started(model)
-    left = residual(measured, model, jobs=jobs)
-
-    def begun(left: Residual) -> tuple[Decision, Fit]:
-        own = beside_balances(left.base, measured)
-        return at_once(
-            lambda: decide(left, skip=tuple(sensors.values), jobs=jobs),
-            lambda: augment(measured.fit, left.base, declared, beside=own, jobs=jobs),
-            jobs,
-        )
-
-    decision, before = begun(left)
-    held = measured.held_logs
-    as_declared = without = speed_error(before.model.without(model.effects), held, jobs)
-    if decision.unexplained is None and damp_by_depth(decision.after, jobs):
-        decision, before = begun(residual(measured, damping_by_depth(left.base.model), jobs=jobs))
-        without = speed_error(before.model.without(model.effects), held, jobs)
-    after = traced(decision, before, without["rmse"], jobs, seed)
-    without_a_name(decision, before.model, without["rmse"])
-    predicted = speed_error(after.model, held, jobs)
-    final = refined(measured, decision, after, predicted["rmse"], jobs)
-    if as_any_friction(decision, after, final):
-        take_its_name(decision)
-        if not decision.found and predicted["rmse"] > without["rmse"]:
-            after, final, predicted = before, before, without  # what has no name has to help
-    error = {
-        "unit": "deg/s",
-        "bandwidth_hz": 30,
-        "on": "held-out logs",
-        "before": as_declared,
-        "after": predicted,
-    }
-    effects = effects_of(decision, final)
-    effects += [sensor_effect(name, sensors, final) for name in model.effects]
-    verdict = "explained" if effects else "none"
-    if decision.unexplained is not None:
-        verdict = "unknown"
-    untestable = () if measured.has_motor_encoders else NEEDS_MOTOR_ENCODERS
+    base = DualState(residual(measured, model, jobs=jobs))
+    evidence = DualEvidence(measured, tuple(sensors.values), jobs)
+    selection = select_effects(evidence, base, tell)
+    left = selection.final.left
+    rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
+    rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)
+    before = simulated(measured, base.left, declared, jobs)
+    after = simulated(measured, tables.left if tables else left, declared, jobs)
+    judged = judge(measured, selection, sensors, (before, after), tables, rest, jobs)
+    final = on_all_logs(measured, tables.left if tables else left, after, declared, jobs)
+    effects = [named(e, final, judged.share_of(e.key)) for e in selection.entries]
+    effects += [
+        sensor_effect(name, sensors, final, judged.share_of(name)) for name in model.effects
+    ]
+    curve = [] if tables is None else [unnamed(tables, judged.unexplained_share)]
+    material = any(e.material for e in effects)
     return Diagnosis(
-        verdict=verdict,
-        effects=tuple(sorted(effects, key=lambda e: -e.probability)),
-        ranking=ranking(decision, untestable, sensors.errors),
-        depends_on=decision.unexplained.variables if decision.unexplained else (),
-        error=error,
+        verdict=verdict_of(judged.errors, material, rest is not None),
+        effects=(*sorted(effects, key=lambda e: -e.share), *curve),
+        budget=judged.rows,
+        ranking=ranking(
+            selection,
+            () if measured.has_motor_encoders else NEEDS_MOTOR_ENCODERS,
+            sensors.errors,
+            tuple(model.effects),
+        ),
+        depends_on=rest.variables if rest is not None else (),
+        error=judged.error,
+        errors=judged.errors,
         declared=before.model,
         augmented=final.model,
         measured=measured,
-        decision=decision,
+        selection=selection,
         fits=(before, after),
         fitted=final,
+        declared_values=declared_dict(final, declared),
         provenance=provenance(measured, measured.logs, seed, time.perf_counter() - start),
-        warnings=tuple(dict.fromkeys((*notes, *measured.warnings, *remarks(decision, final)))),
-        experiment=next_experiment(decision, measured.has_motor_encoders, jobs),
+        warnings=tuple(dict.fromkeys((*notes, *measured.warnings))),
+        experiment=next_experiment(selection, measured, jobs),
     )
 
 
-def without_a_name(decision: Decision, model: Model, without: float) -> None:
-    """Say what is there and has no name, where nothing was found in a model that goes astray."""
-    measured = decision.before.measured
-    if decision.found or of_sensors(decision) or decision.unexplained is not None:
-        return
-    certain = [found for found in decision.withdrawn if found.evidence > CERTAIN]
-    if certain:  # something is there that acts as they do, and is none of them
-        effect = CATALOGUE[max(certain, key=lambda found: found.evidence).name]
-        decision.unexplained = Unexplained.without_curve(effect.depends_on)
-    elif without > ASTRAY:
-        variables = astray(model, measured.held_logs)
-        decision.unexplained = Unexplained.without_curve(variables)
+def simulated(measured: Measured, left: Residual, declared: Drive, jobs: int) -> Fit:
+    """Return a fit of the balances with the damping of the meshes, which only ringing shows."""
+    done = rattled(measured.fit, left.base, declared, jobs)
+    return Fit(done.model, done.unknowns, done.p, done.covariance)
 
 
-def of_sensors(decision: Decision) -> tuple[str, ...]:
-    """Return the errors of sensors that the model had from the start."""
-    return tuple(decision.before.base.model.without(LAWS).effects)
-
-
-def effects_of(decision: Decision, fit: Fit) -> list[NamedEffect]:
-    """Describe what was found, with a name and without."""
-    explained = decision.unexplained is None
-    effects = [named(found, fit, all_explained=explained) for found in decision.found]
-    return effects + ([] if decision.tables is None else [unnamed(decision.tables)])
-
-
-def refined(measured: Measured, decision: Decision, after: Fit, error: float, jobs: int) -> Fit:
-    """Refit the verdict's model on all logs: its honest `error` is known, now predict best.
-
-    Not where the model is known to lack something: more logs would lead it as far astray.
-    """
-    if decision.unexplained is not None and decision.tables is None:
-        return after
-    everything = (*measured.fit, *(rec for rec in measured.held if rec not in measured.fit))
-    base = decision.after.base
-    declared = Model(measured.drive)
+def on_all_logs(measured: Measured, left: Residual, after: Fit, declared: Drive, jobs: int) -> Fit:
+    """Refit the selected model on all logs: its held-out error is known, now it predicts best."""
+    everything = (*measured.fit, *(r for r in measured.held if r not in measured.fit))
+    base = left.base
     try:
-        _, start = closed(everything, base.model, declared, base.unknowns, jobs)
-    except LogError:  # with what keeping step has added no window may be left
+        _, done = closed(everything, base.model, Model(measured.drive), base.unknowns, jobs)
+    except LogError:  # no window may be left where the fitted model decides which pinions touch
         return after
-    also = turned(decision, everything, after.model)
-    beside, drive = beside_balances(base, measured), measured.drive
-    # a drive that lacks nothing has told all there is by its first bounces
-    onward = bool(decision.found or decision.tables or of_sensors(decision))
-    final = augment(
-        everything, start, drive, beside=beside, near=after, also=also, onward=onward, jobs=jobs
-    )
-    # it has seen these logs, the other one has not: where it misses more it went astray
-    worse = speed_error(final.model, measured.held_logs, jobs)["rmse"] > error + LITTLE
-    return after if worse else final
+    done = rattled(everything, done, declared, jobs)
+    return Fit(done.model, done.unknowns, done.p, done.covariance)

@@ -3,17 +3,43 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, residual
-from dmptm_ctrl.diagnosis.select import Candidate, Floats
+from dmptm_ctrl.diagnosis.select import LEVEL, Candidate, Floats
 from dmptm_ctrl.diagnosis.trace import Trace, Trial, effect_columns, trace, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.balance import BalanceFit, fit_balance, settled_fit
+from dmptm_ctrl.identify.balance import (
+    BalanceFit,
+    correlation_lengths,
+    fit_balance,
+    settled_fit,
+    surprises,
+)
 
 Keys = tuple[str, ...]
+
+
+class Told(NamedTuple):
+    """−2 log-likelihood per equation, rows of each that count as one, and the prior's part."""
+
+    surprises: Floats
+    lengths: Floats
+    prior: float
+
+
+def told(parts: Sequence[Floats], kinds: Sequence[str], prior: float) -> Told:
+    """Return what the residuals of all equations say."""
+    return Told(surprises(parts, kinds), correlation_lengths(parts, kinds), prior)
+
+
+def fall(smaller: Told, larger: Told) -> float:
+    """Fall of −2 log-likelihood by the larger model, per independent row as it leaves them."""
+    change = (smaller.surprises - larger.surprises) / larger.lengths
+    return float(np.sum(change)) + smaller.prior - larger.prior
 
 
 def key_of(name: str) -> str:
@@ -40,25 +66,38 @@ class DualState:
     left: Residual
     keys: Keys = ()
 
-    @property
-    def loss(self) -> float:
-        """−2 log-likelihood of the fitted logs."""
-        return self.left.base.loss
+    @cached_property
+    def fitted(self) -> Told:
+        """What the fitted logs say of the model."""
+        base = self.left.base
+        prior = sum((x / k.prior) ** 2 for x, k in zip(base.p, base.unknowns, strict=True))
+        return told(base.parts, base.kinds, float(prior))
 
-    @property
-    def held_loss(self) -> float:
-        """−2 log-likelihood of the held-out logs."""
-        return self.left.held_base
+    @cached_property
+    def held(self) -> Told:
+        """What the held-out logs say of it."""
+        return told(self.left.held.missing(self.left.base.model), self.left.held.kinds, 0.0)
 
     @cached_property
     def trace(self) -> Trace:
         """What is left, with what the model's parameters could explain projected out."""
         return Trace(self.left)
 
+    @cached_property
+    def independence(self) -> Floats:
+        """Square root of the share of each row of the fitted logs that is independent."""
+        sizes = [part.size for part in self.left.base.parts]
+        return np.sqrt(np.repeat(1.0 / self.fitted.lengths, sizes))
+
+    def independent(self, rows: Floats) -> Floats:
+        """Weighted rows, (m,) or (m, k), in units in which an independent one counts one."""
+        count = self.independence.size
+        return (rows[:count].T * self.independence).T
+
     @property
     def target(self) -> Floats:
         """Weighted residual, projected, (m,)."""
-        return self.trace.target
+        return self.independent(self.trace.target)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +120,27 @@ class DualEvidence:
     def candidates(self, state: DualState, only: Sequence[str] | None = None) -> list[Candidate]:
         """Fit every effect that balances can show beside a model."""
         names = None if only is None else [name_of(key) for key in only]
-        trials = trace(state.left, self.skip, names)
-        return [self._candidate((t,), t.gain, t.held_gain) for t in trials]
+        # beside the declared model all are fitted: the report says what each could have been
+        least = LEVEL / 2.0 if state.keys and only is None else 0.0
+        found = trace(state.left, self.skip, names, least)
+        return [self._candidate(state, (t,)) for t in found]
 
-    def _candidate(self, trials: tuple[Trial, ...], gain: float, held: float) -> Candidate:
+    def _candidate(self, state: DualState, trials: tuple[Trial, ...]) -> Candidate:
         keys = tuple(key_of(t.name) for t in trials)
+        there = DualState(replace(state.left, base=trials[0].fit))
+        gain, held = self.gains(state, there)
         return Candidate(keys, gain, held, trials, next(filter(None, map(objection, trials)), ""))
+
+    def gains(self, smaller: DualState, larger: DualState) -> tuple[float, float]:
+        """Fall of −2 log-likelihood on the fitted and on the held-out logs."""
+        return fall(smaller.fitted, larger.fitted), fall(smaller.held, larger.held)
+
+    def ratio(self, state: DualState) -> float:
+        """Windows of the fitted logs over those of the held-out ones."""
+        counts = (sum(int(e.used.sum()) for e in b.equations) for b in (
+            state.left.balance, state.left.held))  # fmt: skip
+        fitted, held = counts
+        return fitted / max(held, 1)
 
     def columns(self, state: DualState, candidate: Candidate) -> Floats:
         """Weighted change of the residual per amplitude, projected, (m, k)."""
@@ -94,7 +148,7 @@ class DualEvidence:
         effect = CATALOGUE[trial.name]
         values = trial.fit.model.effects[trial.name]
         shapes = {k: values[k] for k in effect.shapes if k in values}
-        return state.trace.project(effect_columns(state.trace, effect, shapes))
+        return state.independent(state.trace.project(effect_columns(state.trace, effect, shapes)))
 
     def together(self, state: DualState, candidates: Sequence[Candidate]) -> Candidate:
         """Fit several effects beside a model."""
@@ -105,9 +159,7 @@ class DualEvidence:
             model = model.with_effect(trial.name, **trial.fit.model.effects[trial.name])
             unknowns = (*unknowns, *unknowns_of(trial.name))
         fit = fit_balance(state.left.balance, model, unknowns)
-        gain = state.loss - fit.loss
-        held = state.held_loss - state.left.held_loss(fit.model)
-        return self._candidate(tuple(Trial(n, gain, held, fit) for n in names), gain, held)
+        return self._candidate(state, tuple(Trial(n, 0.0, 0.0, fit) for n in names))
 
     def adopt(self, state: DualState, candidate: Candidate) -> DualState:
         """Put a candidate into the model and fit to the end, on the same windows."""
@@ -131,28 +183,26 @@ class DualEvidence:
         left = replace(state.left, base=fit)
         return DualState(left, tuple(k for k in state.keys if k != key))
 
-
     def wald(self, state: DualState, key: str) -> float:
         """Square of an effect's amplitudes in standard errors."""
         base = state.left.base
         own = own_places(base, name_of(key))
         p, covariance = base.p[own], base.covariance[np.ix_(own, own)]
-        return float(p @ np.linalg.pinv(covariance) @ p)
+        whole = float(np.mean(state.independence**2))
+        return whole * float(p @ np.linalg.pinv(covariance) @ p)
 
     def share(self, without: DualState, state: DualState, key: str) -> Floats:
         """What an effect changes of the residual, weighted, the others projected out."""
         base = state.left.base
         own = own_places(base, name_of(key))
         changed = without.left.base.weights * (base.jacobian[:, own] @ base.p[own])
-        return without.trace.project(changed)
+        return without.independent(without.trace.project(changed))
 
 
 def own_places(fit: BalanceFit, name: str) -> list[int]:
     """Places of an effect's amplitudes among the unknowns."""
     amplitudes = CATALOGUE[name].amplitudes
-    return [
-        j for j, k in enumerate(fit.unknowns) if k.effect == name and k.name in amplitudes
-    ]
+    return [j for j, k in enumerate(fit.unknowns) if k.effect == name and k.name in amplitudes]
 
 
 def objection(trial: Trial) -> str:

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dmptm_ctrl.diagnosis.decide import Decision
+from dmptm_ctrl.diagnosis.dual import name_of
+from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import low_pass
+from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.identify.fit import CORRELATION_SECONDS, FLOOR
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import march, rest
@@ -123,13 +125,13 @@ def apart(one: Floats, other: Floats, dt: float, twist: bool) -> float:
     return float(sum(news * np.mean(np.minimum(np.abs(m), BENT) ** 2) for m in misses))
 
 
-def next_experiment(decision: Decision, twist: bool, jobs: int = 1) -> Experiment | None:
-    """Choose the signal that best tells the first effect from its rivals.
+def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> Experiment | None:
+    """Choose the signal that best separates an effect from its rivals.
 
     Parameters
     ----------
-    twist : bool
-        Whether there are motor encoders.
+    selection : Selection
+    measured : Measured
     jobs : int
         Threads. The result does not depend on it.
 
@@ -138,14 +140,20 @@ def next_experiment(decision: Decision, twist: bool, jobs: int = 1) -> Experimen
     Experiment or None
         None where nothing was found, or nothing else comes near.
     """
-    contested = [found for found in decision.found if found.confusable_with]
+    contested = [entry for entry in selection.entries if entry.confusable_with]
     if not contested:
         return None
-    found = max(contested, key=lambda f: len(f.confusable_with))
-    # both as they were fitted beside the same model, so that only the effect differs
-    models = {found.name: found.trial.fit.model}
-    models |= {t.name: t.fit.model for t in found.rivals if t.name in found.confusable_with}
-    motions = [*decision.before.balance.motions, *decision.before.held.motions]
+    entry = max(contested, key=lambda e: len(e.confusable_with))
+    # rivals are fitted beside the same other effects, so that only the effect differs
+    models = {name_of(entry.key): selection.final.left.base.model}
+    models |= {
+        name_of(r.keys[0]): r.fitted[0].fit.model
+        for r in entry.rivals
+        if r.keys[0] in entry.confusable_with
+    }
+    twist = measured.has_motor_encoders
+    left = selection.base.left
+    motions = [*left.balance.motions, *left.held.motions]
     largest = max(float(np.abs(mo.rec.u).max()) for mo in motions)
     time: Floats = SAMPLE_TIME * np.arange(round(SECONDS / SAMPLE_TIME), dtype=np.float64)
 

@@ -11,7 +11,13 @@ from dmptm_ctrl.diagnosis.figures import folded, overlays
 from dmptm_ctrl.diagnosis.quality import correlations, orders
 from dmptm_ctrl.diagnosis.summary import correlated
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.plots.diagnosis import Evidence, Overlay, plot_evidence, plot_overlay
+from dmptm_ctrl.plots.diagnosis import (
+    Evidence,
+    Overlay,
+    plot_budget,
+    plot_evidence,
+    plot_overlay,
+)
 from dmptm_ctrl.plots.gaps import animated_uri, busiest, gap_motion
 from dmptm_ctrl.plots.page import data_uri, environment, number, words
 from dmptm_ctrl.plots.quality import Correlation, Orders, plot_correlation, plot_orders
@@ -20,9 +26,9 @@ if TYPE_CHECKING:
     from dmptm_ctrl.diagnosis.report import Diagnosis
 
 VERDICTS = {
-    "none": "nothing is missing",
-    "explained": "an effect is missing",
-    "unknown": "something unlisted is missing",
+    "none": "as good as these logs show",
+    "explained": "effects found",
+    "unknown": "something is not explained",
 }
 READ_EVIDENCE = (
     "Points are means over bins, bars ± 2 standard errors; samples at rest are left out. A curve "
@@ -84,6 +90,7 @@ def render(diagnosis: "Diagnosis") -> str:
                 }
                 for log in logs
             ],
+            budget_figure=budget_figure(diagnosis),
             evidence=evidence,
             evidence_figure=evidence_figure(evidence),
             read=READ_EVIDENCE if evidence.effect else READ_NOTHING,
@@ -106,7 +113,7 @@ def render(diagnosis: "Diagnosis") -> str:
 
 
 def action(diagnosis: "Diagnosis") -> str:
-    """Return what to do about the verdict, in one or two sentences."""
+    """Return what to do about the result, in one or two sentences."""
     before, after = diagnosis.error["before"]["rmse"], diagnosis.error["after"]["rmse"]
     if diagnosis.verdict == "none":
         return (
@@ -115,11 +122,12 @@ def action(diagnosis: "Diagnosis") -> str:
         )
     fall = f"the error on logs that it was not fitted to goes from {number(before)} to "
     fall += f"{number(after)} deg/s"
-    rivals = [name for effect in diagnosis.effects for name in effect.confusable_with]
+    material = [e for e in diagnosis.effects if e.material]
+    rivals = [name for e in material for name in e.confusable_with]
     if diagnosis.verdict == "unknown":
         first = f"Use model.toml for prediction ({fall}), but look for the cause on the rig."
     else:
-        where = " and ".join(f"{e.location} ({sizes(e.parameters)})" for e in diagnosis.effects)
+        where = "; ".join(f"{e.location} ({sizes(e.parameters)})" for e in material[:TOLD])
         first = f"Look at: {where}. Use model.toml for control design: {fall}."
     if rivals:
         first += f" Before a repair, rule out {', '.join(map(words, dict.fromkeys(rivals)))}."
@@ -174,6 +182,13 @@ def overlay_figure(overlay: Overlay) -> str:
     figure = Figure(figsize=(8.6, 4.0), layout="constrained")
     panels = figure.subplots(2, sharex=True, gridspec_kw={"height_ratios": [3, 2]})
     plot_overlay(overlay, ax=panels, title="")
+    return data_uri(figure)
+
+
+def budget_figure(diagnosis: "Diagnosis") -> str:
+    """Return the picture of the error budget as a data URI."""
+    figure = Figure(figsize=(8.6, 0.8 + 0.36 * len(diagnosis.budget)), layout="constrained")
+    plot_budget(diagnosis, ax=figure.subplots())
     return data_uri(figure)
 
 

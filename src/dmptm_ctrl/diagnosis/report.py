@@ -1,4 +1,4 @@
-"""Fifth step: the verdict as an object, as text, as JSON and as files."""
+"""The result of a diagnosis: as an object, as text, as JSON and as files."""
 
 import json
 from collections.abc import Sequence
@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis import at_rest
-from dmptm_ctrl.diagnosis.decide import Decision, Found
+from dmptm_ctrl.diagnosis.budget import MATERIAL, Errors, Row, table_lines
+from dmptm_ctrl.diagnosis.dual import key_of, name_of
 from dmptm_ctrl.diagnosis.experiment import EXPERIMENT_FILE, Experiment
 from dmptm_ctrl.diagnosis.measure import Measured
+from dmptm_ctrl.diagnosis.select import Candidate, Entry, Selection
 from dmptm_ctrl.diagnosis.summary import correlated, correlation_lines, parameter_lines, versions
 from dmptm_ctrl.diagnosis.tables import Tables
-from dmptm_ctrl.diagnosis.trace import Trial
-from dmptm_ctrl.diagnosis.verdict import verdict_dict
+from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.signals import Log
@@ -23,13 +23,23 @@ from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
 
+SCHEMA = 2
 CLOCK = 1e-5  # s: a time is not known more finely than a hundredth of a usual sample
-UNNAMED = "unknown"  # name of what lookup tables stand for, in the contract of diagnosis.json
+UNNAMED = "unknown"  # name of what lookup tables stand for
+HEADLINE = 0.5  # probability from which a name stands in the sentence
+OUTSIDE = 2.0  # standard errors from which a fitted value left its declared range
+DIGITS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class NamedEffect:
-    """An effect that was added to the model."""
+    """An effect that was added to the model.
+
+    Attributes
+    ----------
+    share : float
+        Of the error budget; 2 % and more is material.
+    """
 
     name: str
     location: str
@@ -37,6 +47,12 @@ class NamedEffect:
     parameters: dict[str, dict[str, Any]]
     confusable_with: tuple[str, ...]
     evidence: str
+    share: float = 0.0
+
+    @property
+    def material(self) -> bool:
+        """Whether it moves the budget."""
+        return self.share >= MATERIAL
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of diagnosis.json."""
@@ -44,6 +60,7 @@ class NamedEffect:
             "name": self.name,
             "location": self.location,
             "probability": self.probability,
+            "material": self.material,
             "parameters": self.parameters,
             "confusable_with": list(self.confusable_with),
             "evidence": self.evidence,
@@ -52,73 +69,118 @@ class NamedEffect:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What the declared model lacks.
+    """What the declared model lacks, and what each part of it is worth.
 
     Attributes
     ----------
     verdict : "none", "explained" or "unknown"
     effects : tuple of NamedEffect
-        In order of probability.
+        In order of their share of the budget.
+    budget : tuple of Row
+        Contribution of each effect, what is not explained, and the floor, on held-out logs.
     ranking : list of dict
-        Every catalogue entry: name, score, status, reveals, and the smallest amplitude
-        that these logs could have shown.
+        Every catalogue entry: name, location, score, status, reveals.
     depends_on : tuple of str
+        Variables of what is not explained.
     error : dict
-        Held-out speed error below 30 Hz before and after [deg/s].
+        Held-out errors before, after and floor: speed, torque, horizon.
+    errors : Errors
     declared, augmented : Model
         Fitted without and with the effects; `augmented.to_blocks()` gives python-control.
     measured : Measured
-    decision : Decision
+    selection : Selection
     fits : (Fit, Fit)
         Before and after, fitted on the fitted logs only: those that `error` is of.
     fitted : Fit
         Of `augmented`, on all logs.
+    declared_values : dict
+        Declared and fitted value of each parameter of the drive.
     provenance : dict
     experiment : Experiment or None
-        That would tell an effect from what it may be confused with.
+        That would separate an effect from what it may be confused with.
     """
 
     verdict: str
     effects: tuple[NamedEffect, ...]
+    budget: tuple[Row, ...]
     ranking: list[dict[str, Any]]
     depends_on: tuple[str, ...]
     error: dict[str, Any]
+    errors: Errors
     declared: Model
     augmented: Model
     measured: Measured
-    decision: Decision
+    selection: Selection
     fits: tuple[Fit, Fit]
     fitted: Fit
+    declared_values: dict[str, dict[str, Any]]
     provenance: dict[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     experiment: Experiment | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of diagnosis.json: plain types, no NaN."""
-        return verdict_dict(
-            self.verdict,
-            self.effects,
-            ranking=self.ranking,
-            depends_on=self.depends_on,
-            error=self.error,
-            provenance=self.provenance,
-            warnings=self.warnings,
-            next_experiment=self.experiment.to_dict() if self.experiment else None,
-        )
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "effects": [effect.to_dict() for effect in self.effects],
+            "budget": [row.to_dict() for row in self.budget],
+            "ranking": self.ranking,
+            "depends_on": list(self.depends_on),
+            "error": self.error,
+            "declared": self.declared_values,
+            "next_experiment": self.experiment.to_dict() if self.experiment else None,
+            "provenance": self.provenance,
+            "warnings": list(self.warnings),
+        }
+
+    @property
+    def outside(self) -> tuple[str, ...]:
+        """Parameters whose fitted values sit on or beyond a bound of the declared range."""
+        return tuple(k for k, v in self.declared_values.items() if v["outside"])
+
+    def sentence(self) -> str:
+        """Return the result in one sentence that says no more than the budget."""
+        speed = {k: self.error[k]["speed"]["rmse"] for k in ("before", "after", "floor")}
+        left = f"{speed['after']:.{DIGITS}g} deg/s are left on held-out logs"
+        sure = [
+            e.name.replace("_", " ")
+            for e in self.effects
+            if e.name != UNNAMED and e.material and e.probability >= HEADLINE
+        ]
+        names = ", ".join(sure)
+        if self.verdict == "none":
+            return (
+                "The declared model is as good as these logs can show: its error on held-out logs, "
+                f"{speed['before']:.{DIGITS}g} deg/s, is near the floor."
+            )
+        if self.verdict == "explained":
+            share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
+            return f"The declared model lacks {names or 'small effects'}: {share}; {left}."
+        on = f"; it depends on {', '.join(self.depends_on)}" if self.depends_on else ""
+        if names:
+            share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
+            return f"Found {names}: {share}. The rest is unknown{on}; {left}."
+        return f"The declared model lacks something unknown{on}; {left}."
 
     def summary(self) -> str:
-        """Return the verdict as a text: sentence, errors, parameters with standard errors."""
-        lines = [self.sentence(), ""]
-        before, after = self.error["before"], self.error["after"]
-        lines.append(
-            f"speed error on {self.error['on']}, below {self.error['bandwidth_hz']} Hz: "
+        """Return the result as text: sentence, budget, effects, parameters."""
+        lines = [self.sentence(), "", "error budget on held-out logs (share of the mean square)"]
+        lines += table_lines(self.budget, ("deg/s", "N·m"))
+        before, after = (self.error[k]["speed"] for k in ("before", "after"))
+        lines += [
+            "",
+            f"speed error on held-out logs, below {before['bandwidth_hz']:g} Hz: "
             f"{before['rmse']:.3f} → {after['rmse']:.3f} deg/s "
-            f"(fit {before['fit_percent']:.1f} → {after['fit_percent']:.1f} %)"
-        )
+            f"(fit {before['fit_percent']:.1f} → {after['fit_percent']:.1f} %)",
+        ]
+        if self.outside:
+            lines.append("at or outside the declared range: " + ", ".join(self.outside))
         for effect in self.effects:
+            kind = "" if effect.material else ", immaterial"
             lines += [
                 "",
-                f"{effect.name} ({effect.location}), probability {effect.probability:.2f}",
+                f"{effect.name} ({effect.location}), probability {effect.probability:.2f}{kind}",
             ]
             if effect.name != UNNAMED:  # a table is to be drawn, not read
                 for name, p in effect.parameters.items():
@@ -126,35 +188,17 @@ class Diagnosis:
                     lines.append(line.rstrip())
             lines.append(f"  {effect.evidence}")
             if effect.confusable_with:
-                lines.append("  not told from: " + ", ".join(effect.confusable_with))
+                lines.append("  cannot be told from: " + ", ".join(effect.confusable_with))
         if self.experiment is not None:
             lines += [
                 "",
-                f"to tell {' from '.join(self.experiment.against[:2])}: "
+                f"next experiment, to separate {' from '.join(self.experiment.against[:2])}: "
                 f"{self.experiment.description}, {EXPERIMENT_FILE}",
             ]
         lines += ["", *parameter_lines(self.fitted, self.measured.drive)]
         lines += correlation_lines(correlated(self.fitted))
-        bounds = self.fitted.at_bounds
-        if bounds:
-            lines += ["", "at the edge of the declared range: " + ", ".join(bounds)]
         lines += [f"warning: {text}" for text in self.warnings]
         return "\n".join(lines)
-
-    def sentence(self) -> str:
-        """Return the verdict in one sentence."""
-        if self.verdict == "none":
-            return (
-                "The declared model explains the logs within its uncertainty; nothing is missing."
-            )
-        names = " and ".join(
-            effect.name.replace("_", " ") for effect in self.effects if effect.name != UNNAMED
-        )
-        if self.verdict == "explained":
-            return f"The declared model lacks: {names}."
-        on = ", ".join(self.depends_on) or "nothing that was measured"
-        known = f" besides {names}" if names else ""
-        return f"Something that is on no list is missing{known}; it depends on {on}."
 
     def plot(self, **options: Any) -> Any:
         """Draw measured, before and after on each held-out log; see `plots.diagnosis`."""
@@ -205,51 +249,35 @@ def estimate(value: float, se: float, unit: str) -> dict[str, Any]:
     return {"value": float(value), "se": float(np.hypot(se, floor)), "unit": unit}
 
 
-# Where something no name stands for is left, a name may only stand in for it: of the ten effects
-# of the catalogue that campaigns named on such rigs, five were right (one more of each: Laplace).
-STANDS_IN = 6.0 / 12.0
-
-
-def named(found: Found, after: Fit, *, all_explained: bool) -> NamedEffect:
-    """Describe an accepted effect with the values of the final fit."""
-    effect = CATALOGUE[found.name]
+def named(entry: Entry, after: Fit, share: float) -> NamedEffect:
+    """Describe a selected effect with the values of the final fit."""
+    effect = CATALOGUE[name_of(entry.key)]
     parameters, absent = {}, effect.absent()
     for p in effect.parameters:
         try:
-            value, se = after.value(found.name, p.name)
-        except KeyError:  # found by search, not by fit: a whole-numbered order
-            value, se = after.model.effects[found.name].get(p.name, absent[p.name]), 0.0
+            value, se = after.value(effect.name, p.name)
+        except KeyError:  # a whole number, found by search
+            value, se = after.model.effects[effect.name].get(p.name, absent[p.name]), 0.0
         parameters[p.name] = estimate(value, se, p.unit)
-    trial = found.trial
-    how = "It supplies the torque or twist that is missing"
-    if found.in_step > 0.0:
-        how = (
-            f"With it the model meets every bounce of the first {found.in_step:g} s of each log, "
-            "without it it loses step"
-        )
     sentence = (
-        f"{how}: log-likelihood ratio {trial.gain:.0f} "
-        f"on the fitted logs and {trial.held_gain:.0f} on the held-out ones, together "
-        f"{found.evidence:.0f} where {found.threshold:.0f} is needed"
+        f"Without it −2 log-likelihood rises by {entry.gain:.0f} on the fitted logs and "
+        f"{entry.held_gain:.0f} on the held-out ones, the rest refitted"
     )
-    if found.rivals:
-        second = found.rivals[0]
-        sentence += f"; the next best, {second.name}, reaches {second.evidence:.0f}"
-    if found.out_of_step:
-        several = ", ".join(found.out_of_step)
-        sentence += f"; simulated in its place from the start of each log, {several} lost step"
-    sentence += "."
+    if entry.rivals:
+        second = entry.rivals[0]
+        sentence += f"; in its place {name_of(second.keys[0])} would give {second.evidence:.0f}"
     return NamedEffect(
-        found.name,
+        effect.name,
         effect.location,
-        found.probability * (1.0 if all_explained else STANDS_IN),
+        entry.probability,
         parameters,
-        found.confusable_with,
-        sentence,
+        tuple(name_of(key) for key in entry.confusable_with),
+        sentence + ".",
+        share,
     )
 
 
-def unnamed(tables: Tables) -> NamedEffect:
+def unnamed(tables: Tables, share: float) -> NamedEffect:
     """Describe the curves of an effect that is on no list."""
     parameters = {}
     for name in tables.names:
@@ -266,13 +294,34 @@ def unnamed(tables: Tables) -> NamedEffect:
         float(min(0.99, evidence / (evidence + 10.0 * len(tables.errors) ** 0.5))),
         parameters,
         (),
-        f"A curve over {', '.join(tables.variables)}: log-likelihood ratio "
-        f"{tables.gain:.0f} on the fitted logs and {tables.held_gain:.0f} on the held-out ones.",
+        f"A curve over {', '.join(tables.variables)}: −2 log-likelihood falls by "
+        f"{tables.gain:.0f} on the fitted logs and by {tables.held_gain:.0f} on the held-out ones.",
+        share,
     )
 
 
-def detectable(trial: Trial) -> dict[str, dict[str, Any]]:
+def declared_dict(fit: Fit, drive: Drive) -> dict[str, dict[str, Any]]:
+    """Return declared value and range beside the fitted value of each parameter of the drive."""
+    rows = {}
+    for k, p in zip(fit.unknowns, fit.p, strict=True):
+        if k.effect is not None:
+            continue
+        value, se = fit.value(None, k.name)
+        quantity = drive.quantities[k.name]
+        rows[k.name] = {
+            "declared": quantity.value,
+            "range": [float(x) for x in quantity.range],
+            "fitted": value,
+            "se": se,
+            "unit": quantity.unit,
+            "outside": bool(min(p - k.low, k.high - p) < 1e-6),
+        }
+    return rows
+
+
+def detectable(candidate: Candidate) -> dict[str, dict[str, Any]]:
     """Smallest amplitudes that these logs could have shown: three standard errors."""
+    (trial,) = candidate.fitted
     effect = CATALOGUE[trial.name]
     sizes = {}
     errors = np.sqrt(np.diag(trial.fit.covariance))
@@ -284,43 +333,61 @@ def detectable(trial: Trial) -> dict[str, dict[str, Any]]:
 
 
 def ranking(
-    decision: Decision, untestable: Sequence[str], sensors: dict[str, dict[str, float]]
+    selection: Selection,
+    untestable: Sequence[str],
+    sensors: dict[str, dict[str, float]],
+    found: Sequence[str],
 ) -> list[dict[str, Any]]:
-    """Status of every catalogue entry, best first."""
-    chosen = {f.name: f for f in decision.found}
+    """Status of every catalogue entry, best first.
+
+    Parameters
+    ----------
+    untestable : sequence of str
+        Effects that these logs cannot show.
+    sensors : mapping
+        Effect of a sensor → standard errors of its amplitudes.
+    found : sequence of str
+        Effects of sensors that are in the model.
+    """
+    entries = {e.key: e for e in selection.entries}
+    beside = {c.keys[0]: c for c in selection.rest}
+    alone = {c.keys[0]: c for c in selection.first}
+    rivals = {key for e in selection.entries for key in e.confusable_with}
     rows = []
     for name, effect in CATALOGUE.items():
         if name in NO_CANDIDATES:
             continue
-        trial = decision.trials.get(name)
-        value = trial.evidence if trial is not None else 0.0
-        if decision.at_rest is not None and name == at_rest.NAME:
-            value = decision.at_rest.evidence
-        if name in chosen:
-            value = chosen[name].evidence
-        status = "supported" if name in chosen else "rejected"
-        simulated = decision.at_rest is not None and name == at_rest.NAME
-        tried = trial is not None or name in sensors or simulated
-        if status == "rejected" and (name in untestable or not tried):
-            status = "not testable with these logs"
-        row: dict[str, Any] = {
-            "name": name,
-            "score": float(np.nan_to_num(value)),
-            "status": status,
-            "reveals": effect.reveals,
-        }
-        if trial is not None:
-            row["detectable"] = detectable(trial)
-        if simulated:
-            row["detectable"] = {"ring_distance": {"value": at_rest.MATTERS, "unit": "rad"}}
+        key = key_of(name)
+        row: dict[str, Any] = {"name": name, "location": effect.location, "reveals": effect.reveals}
+        if key in entries or name in found:
+            row["status"] = "supported"
+            row["score"] = entries[key].evidence if key in entries else float("inf")
+        elif key in beside or key in alone:
+            candidate = beside.get(key, alone.get(key))
+            assert candidate is not None
+            row["status"], row["score"] = "rejected", candidate.evidence
+            row["reason"] = candidate.objection or (
+                "other effects explain the same as well"
+                if key in rivals or alone[key].acceptable
+                else "too little evidence beside what was found"
+            )
+        elif name in sensors:
+            row["status"], row["score"] = "rejected", 0.0
+        else:
+            row["status"], row["score"] = "not testable with these logs", 0.0
+        if name in untestable and row["status"] == "rejected" and key not in beside:
+            row["status"] = "not testable with these logs"
+        if key in alone:
+            row["detectable"] = detectable(beside.get(key, alone[key]))
         if name in sensors:
             row["detectable"] = {
-                key: {
+                k: {
                     "value": 3.0 * se,
-                    "unit": next(p.unit for p in effect.parameters if p.name == key),
+                    "unit": next(p.unit for p in effect.parameters if p.name == k),
                 }
-                for key, se in sensors[name].items()
+                for k, se in sensors[name].items()
             }
+        row["score"] = float(np.clip(row["score"], -1e9, 1e9))
         rows.append(row)
     return sorted(rows, key=lambda row: (row["status"] != "supported", -row["score"]))
 

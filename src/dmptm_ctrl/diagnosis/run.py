@@ -1,18 +1,21 @@
 """What the command line calls: files in, results out."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from dmptm_ctrl.diagnosis.diagnose import diagnose
+from dmptm_ctrl.diagnosis.diagnose import diagnose_dual
 from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
 from dmptm_ctrl.diagnosis.ladder_files import is_chain
 from dmptm_ctrl.diagnosis.ladder_predict import predict_chain_file
 from dmptm_ctrl.diagnosis.predict import RUNS, predict
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
+from dmptm_ctrl.drive import Drive
+from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.signals import LogError, load_log, load_logs
@@ -20,6 +23,55 @@ from dmptm_ctrl.simulate.model_file import read_model
 
 SPEED_FORMAT = "%.7g"  # finer than any sensor here
 CHUNK_ROWS = 100_000  # text of so many is in memory at once
+
+
+def diagnose(
+    logs: str | PathLike[str] | Iterable[Any],
+    rig: Rig | Drive | str | PathLike[str] | None = None,
+    *,
+    jobs: int = 2,
+    seed: int = 0,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Any:
+    """Find what a declared drive lacks, and what each part of it is worth.
+
+    Parameters
+    ----------
+    logs : folder, log files, or Logs of one drive
+    rig : rig file, Rig or Drive, optional
+        The declared model with its tolerances; the paper's drive by default.
+    jobs : int
+        Threads. The result does not depend on it.
+    seed : int
+        Kept in the provenance.
+    tell : callable
+        Hears what is being done.
+
+    Returns
+    -------
+    Diagnosis
+        `.verdict`, `.effects`, `.budget`, `.summary()`, `.augmented`, `.save(folder)`.
+
+    Raises
+    ------
+    LogError
+        Bad input, in one sentence.
+    """
+    if rig is None or isinstance(rig, Drive):
+        if isinstance(logs, str | PathLike):
+            logs = load_logs(logs, max_rows=READ_ROWS)
+        elif (paths := list(logs)) and all(isinstance(p, str | PathLike) for p in paths):
+            logs = load_logs(paths, max_rows=READ_ROWS)
+        else:
+            logs = paths
+        return diagnose_dual(logs, rig, jobs=jobs, seed=seed, tell=tell)
+    declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
+    drive = dual_motor(declared)
+    if drive is None:
+        return diagnose_chain(logs, declared, jobs=jobs, seed=seed, tell=tell)
+    options = {"max_rows": READ_ROWS, "sample_time": declared.data.sample_time}
+    campaign = load_logs(logs, dual_columns(declared), **options)
+    return diagnose_dual(campaign, drive, jobs=jobs, seed=seed, tell=tell)
 
 
 def diagnose_files(
@@ -38,15 +90,7 @@ def diagnose_files(
         Bad input, in one sentence.
     """
     source = paths[0] if len(paths) == 1 else list(paths)
-    if rig is None:
-        return diagnose(load_logs(source, max_rows=READ_ROWS), jobs=jobs, seed=seed)
-    declared = load_rig(rig)
-    drive = dual_motor(declared)
-    if drive is not None:
-        options = {"max_rows": READ_ROWS, "sample_time": declared.data.sample_time}
-        campaign = load_logs(source, dual_columns(declared), **options)
-        return diagnose(campaign, drive, jobs=jobs, seed=seed)
-    return diagnose_chain(source, declared, jobs=jobs, seed=seed, tell=tell)
+    return diagnose(source, rig, jobs=jobs, seed=seed, tell=tell)
 
 
 def predict_file(log: Path, model: Path, *, single: bool = False) -> Iterator[str]:

@@ -108,7 +108,7 @@ def with_sensors(model: Model, sensors: SensorCheck) -> Model:
     return model
 
 
-def sensor_effect(name: str, sensors: SensorCheck, final: Fit) -> NamedEffect:
+def sensor_effect(name: str, sensors: SensorCheck, final: Fit, share: float) -> NamedEffect:
     """Describe a sensor effect found by the cross-check, with the values of the model."""
     effect = CATALOGUE[name]
     parameters = {}
@@ -129,4 +129,5 @@ def sensor_effect(name: str, sensors: SensorCheck, final: Fit) -> NamedEffect:
         (),
         f"Speed sensor and ring encoder disagree by it by {largest:.0f} standard errors, "
         "whatever the drive does.",
+        share,
     )

@@ -6,7 +6,9 @@ from itertools import product
 
 import numpy as np
 
+from dmptm_ctrl.diagnosis.bursts import BURSTS
 from dmptm_ctrl.diagnosis.residual import Residual, residual
+from dmptm_ctrl.diagnosis.unknown import CURVE, Unexplained
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.lookup import (
@@ -88,6 +90,26 @@ class Tables:
     def evidence(self) -> float:
         """Fall of the loss on all logs."""
         return self.gain + self.held_gain
+
+
+def in_tables(
+    left: Residual, what: Unexplained, jobs: int
+) -> tuple[Unexplained | None, Tables | None]:
+    """Put what has no name into tables, where any can stand for it.
+
+    What comes by the clock may be the log's excitation, and what moves the voltage may be its
+    answer to what comes by the clock: the held-out logs decide.
+    """
+    curve = what.curve
+    by_curve = None if curve is None else tabulate(left, curve.variables, jobs, order=curve.order)
+    period = what.bursts.period
+    by_clock = clock_table(left, period, jobs) if period > 0.0 else None
+    best = max(one.held_gain if one else 0.0 for one in (curve, by_curve))
+    if by_clock is not None and by_clock.held_gain > best and by_clock.evidence > CURVE:
+        return replace(what, variables=by_clock.variables, curve=None), by_clock
+    if curve is None and what.bursts.share < BURSTS and what.slips == 0.0:
+        return None, None
+    return what, by_curve
 
 
 def tabulate(

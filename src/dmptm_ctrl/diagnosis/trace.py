@@ -313,13 +313,18 @@ def ringing(names: Iterable[str]) -> tuple[Unknown, ...]:
     )
 
 
-def try_effect(trace: Trace, name: str) -> Trial:
-    """Fit an effect from its best starts."""
+def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
+    """Fit an effect from its best starts; None where it explains too little to first order."""
     effect = CATALOGUE[name]
     if name in FAST:
         trace = trace.fast
+    begun = starts(trace, effect)
+    if least > 0.0 and not bent(name):
+        shapes = [{k: v for k, v in one.items() if k in effect.shapes} for one in begun]
+        if max(trace.gain(effect_columns(trace, effect, one)) for one in shapes) < least:
+            return None
     fits = []
-    for values in starts(trace, effect):
+    for values in begun:
         model = trace.base.model.with_effect(name, **values)
         fits.append(
             fit_balance(
@@ -369,15 +374,22 @@ def candidates(trace: Trace, skip: Iterable[str]) -> list[str]:
 
 
 def trace(
-    left: Residual, skip: Iterable[str] = (), only: Sequence[str] | None = None
+    left: Residual,
+    skip: Iterable[str] = (),
+    only: Sequence[str] | None = None,
+    least: float = 0.0,
 ) -> list[Trial]:
-    """Fit testable effects, all or some, beside the model of `left`; most evidence first."""
+    """Fit testable effects, all or some, beside the model of `left`; most evidence first.
+
+    Those that explain less than `least` to first order are left out.
+    """
     trace = Trace(left)
     names = candidates(trace, skip)
     if only is not None:
         names = [name for name in names if name in only]
     names.sort(key=lambda name: name not in SEARCHES)  # what takes longest begins first
-    done = in_threads(lambda name: try_effect(trace, name), names, trace.balance.jobs)
+    tries = in_threads(lambda name: try_effect(trace, name, least), names, trace.balance.jobs)
+    done = [t for t in tries if t is not None]
     done.sort(key=lambda t: -t.evidence)
     done[:FINALISTS] = [settled(trace, t) if t.gain > WORTH else t for t in done[:FINALISTS]]
     return sorted(done, key=lambda t: -t.evidence)

@@ -9,15 +9,10 @@ at for themselves.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from dmptm_ctrl.diagnosis.bursts import BURSTS, Bursts, bursts, telling
+from dmptm_ctrl.diagnosis.bursts import BURSTS, Bursts, bursts
 from dmptm_ctrl.diagnosis.curves import Curve, curves
-from dmptm_ctrl.diagnosis.predict import speeds
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.slip import SLIP, wanders
-from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.model import Model
 
 CURVE = 60.0  # evidence of a curve; well above the best of all curves on rigs without any
 HELD = 8.0  # of it on the held-out logs: a curve has many knots
@@ -27,22 +22,6 @@ ALIKE = 0.7  # share of the best curve's evidence from which another is named wi
 # The same for one that predicts held-out logs so many times as well: most of the evidence is
 # of the fitted logs, on which a curve may bend as it likes.
 ALIKE_HELD, BETTER_HELD = 0.5, 2.0
-FAR = 0.1  # share of the samples of free runs that count as far off
-
-
-def astray(model: Model, logs: Sequence[Log]) -> tuple[str, ...]:
-    """Return what the largest errors of free runs depend on, the two most telling variables."""
-    errors, values = [], []
-    for log in logs:
-        seen, run = speeds(model, log)
-        errors.append(np.abs(seen - run))
-        u = np.array([log["u_left"], log["u_right"]])
-        rate = np.abs(np.gradient(u, log.sample_time, axis=1)).max(0)
-        turn = np.mod(log["theta_L"], 2 * np.pi)
-        values.append(np.array([turn, log["omega_L"], np.abs(u).mean(0), rate]))
-    error, table = np.concatenate(errors), np.concatenate(values, axis=1)
-    flag = error > np.quantile(error, 1.0 - FAR)
-    return tuple(telling(("theta_L", "omega_L", "u", "du_dt"), table, flag, 2))
 
 
 @dataclass(frozen=True)
@@ -68,15 +47,8 @@ class Unexplained:
     beyond_names: bool
     slips: float = 0.0
 
-    @classmethod
-    def without_curve(cls, variables: tuple[str, ...]) -> "Unexplained":
-        """Name the variables only: the balances gave no curve."""
-        return cls(variables, None, Bursts(0.0, ()), beyond_names=False)
 
-
-def unexplained(
-    before: Residual, after: Residual, named: float, *, leave: float = 1.0
-) -> Unexplained | None:
+def unexplained(before: Residual, after: Residual, named: float) -> Unexplained | None:
     """Tell whether something is left that no name stands for.
 
     Parameters
@@ -85,15 +57,12 @@ def unexplained(
         Without and with the named effects; the same where none was found.
     named : float
         Evidence of the named effects together.
-    leave : float
-        Factor on what may be left: more, where a named effect acts near rest, which the
-        balances do not follow.
     """
     told = curves(after)
-    left = significant(told, max(leave * CURVE, CURVE_SHARE * named))
+    left = significant(told, max(CURVE, CURVE_SHARE * named))
     shots = bursts(after)
     by_the_clock = after is before and shots.period > 0.0
-    few = left is None and shots.share < leave * BURSTS and not by_the_clock
+    few = left is None and shots.share < BURSTS and not by_the_clock
     slips = wanders(before, after) if few else 0.0
     if few and slips == 0.0:
         return None

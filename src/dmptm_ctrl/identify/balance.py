@@ -263,6 +263,32 @@ def surprise(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FRE
     return total
 
 
+def surprises(parts: Sequence[Floats], kinds: Sequence[str]) -> Floats:
+    """The same of each equation, as if its windows were independent but for their overlap."""
+    return np.array([surprise([part], [kind]) for part, kind in zip(parts, kinds, strict=True)])
+
+
+def correlation_lengths(parts: Sequence[Floats], kinds: Sequence[str]) -> Floats:
+    """Windows of each equation that count as one, as what is left of them correlates.
+
+    1 + 2 Σ ρ up to the first ρ that is not positive. A law that is only nearly right is wrong
+    alike in neighbouring windows; counted as independent, they would speak for any effect.
+    Overlap is in :data:`NEWS` already.
+    """
+    lengths = []
+    for part, kind, sigma in zip(parts, kinds, scatter(parts, kinds), strict=True):
+        x = part / sigma
+        x = x / np.sqrt(1.0 + x * x / FREEDOM)
+        n = x.size
+        power = np.abs(np.fft.rfft(x - x.mean(), 2 * n)) ** 2
+        rho = np.fft.irfft(power)[:n]
+        rho = rho / rho[0] if rho[0] > 0.0 else rho
+        ends = np.flatnonzero(rho <= 0.0)
+        whole = 1.0 + 2.0 * float(np.sum(rho[1 : ends[0] if ends.size else n]))
+        lengths.append(max(1.0, NEWS[role_of(kind)] * whole))
+    return np.array(lengths)
+
+
 def loss(
     parts: Sequence[Floats],
     kinds: Sequence[str],

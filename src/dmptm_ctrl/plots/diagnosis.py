@@ -27,6 +27,14 @@ DIRECTIONS: dict[str, dict[str, Any]] = {  # filled against hollow: told apart i
 }
 
 
+BUDGET: dict[str, dict[str, Any]] = {
+    "": {"color": "#0b3c6f"},
+    "shared": {"color": "#8fb0d3", "hatch": "///"},
+    "not explained": {"color": "#c0641a", "hatch": "xx"},
+    "floor": {"color": "0.8"},
+}
+
+
 @dataclass(frozen=True, eq=False)
 class Overlay:
     """Ring-gear speed on one log, (n,) arrays [s, deg/s], all of the same bandwidth."""
@@ -144,6 +152,35 @@ def plot_diagnosis(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     for i, overlay in enumerate(overlays):
         plot_overlay(overlay, ax=panels[:, i])
     return panels
+
+
+def plot_budget(diagnosis: Any, *, ax: Any = None) -> Axes:
+    """Draw the error budget: a bar per effect, then what is not explained, and the floor.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis, or sequence of budget rows
+    ax : Axes, optional
+
+    Returns
+    -------
+    Axes
+    """
+    rows = list(getattr(diagnosis, "budget", diagnosis))
+    panel: Axes = axes(ax, 1, figsize=(7.0, 0.7 + 0.34 * len(rows)))[0, 0]
+    for i, row in enumerate(rows):
+        style = BUDGET.get(row.name, BUDGET[""])
+        panel.barh(i, 100.0 * row.share, height=0.65, edgecolor="0.2", linewidth=0.6, **style)
+        panel.text(
+            100.0 * row.share + 1.0, i, f"{100.0 * row.share:.1f} %", va="center", fontsize=9
+        )
+    labels = [f"{r.name} @ {r.location}".rstrip(" @").replace("_", " ") for r in rows]
+    panel.set_yticks(range(len(rows)), labels, fontsize=9)
+    panel.invert_yaxis()
+    most = max((100.0 * r.share for r in rows), default=100.0)
+    panel.set(xlim=(0.0, 1.15 * max(most, 1.0)), xlabel="share of the mean square error [%]")
+    panel.grid(axis="x", alpha=0.3)
+    return panel
 
 
 def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:

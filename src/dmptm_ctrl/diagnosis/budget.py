@@ -1,0 +1,161 @@
+"""The error budget: what each effect is worth on held-out logs, what is left, and the verdict.
+
+Every equation of the balance counts in units of its own scatter under the final model, so that
+torques and twists add up. A share is what this mean square rises by when one effect alone is left
+out and the rest is refitted, over the removable mean square, before less floor.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+NONE = 1.5  # times its floor that the error before may be where nothing is missing
+EXPLAINED = 0.8  # share of the removable mean square that named effects take at least
+MATERIAL = 0.02  # share of the removable mean square from which an effect matters
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Held-out mean squares in units of the final model's scatter.
+
+    Attributes
+    ----------
+    before, after, floor : float
+        Of the declared model refitted inside its ranges, of the augmented model, and of what
+        neither an effect nor a curve predicts.
+    """
+
+    before: float
+    after: float
+    floor: float
+
+    @property
+    def removable(self) -> float:
+        """Mean square that a better model could remove."""
+        return max(self.before - self.floor, 0.0)
+
+    @property
+    def within_floor(self) -> bool:
+        """Whether the declared model is as good as any."""
+        return sqrt(self.before) <= NONE * sqrt(self.floor)
+
+    @property
+    def explained(self) -> float:
+        """Share of the removable mean square that the named effects take."""
+        if self.removable <= 0.0:
+            return 1.0
+        return min(max(self.before - self.after, 0.0) / self.removable, 1.0)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the budget.
+
+    Attributes
+    ----------
+    name, location : str
+    speed_rms, torque_rms : float or None
+        What the held-out error rises by without it, root mean square, in the drive's own units;
+        None where it does not act on that quantity.
+    share : float
+        Of the removable mean square; of the mean square before for the last two rows.
+    depends_on : tuple of str
+    """
+
+    name: str
+    location: str
+    speed_rms: float | None
+    torque_rms: float | None
+    share: float
+    depends_on: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of diagnosis.json."""
+        return {
+            "name": self.name,
+            "location": self.location,
+            "speed_rms": self.speed_rms,
+            "torque_rms": self.torque_rms,
+            "share": self.share,
+            "depends_on": list(self.depends_on),
+        }
+
+
+def verdict_of(errors: Errors, material: bool, curve: bool) -> str:
+    """Return "none", "explained" or "unknown".
+
+    Parameters
+    ----------
+    errors : Errors
+    material : bool
+        Whether any named effect is material.
+    curve : bool
+        Whether a curve without a name is needed.
+    """
+    if not material and errors.within_floor:
+        return "none" if not curve else "unknown"
+    if material and errors.explained >= EXPLAINED:
+        return "explained"
+    return "unknown"
+
+
+def closed_rows(
+    rows: Sequence[Row],
+    errors: Errors,
+    left: tuple[float | None, float | None],
+    floor: tuple[float | None, float | None],
+    depends_on: tuple[str, ...],
+) -> list[Row]:
+    """Scale shares to the whole and add what is shared, not explained, and the floor.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Of the effects, shares of the removable mean square.
+    errors : Errors
+    left, floor : (speed, torque)
+        Root mean squares of what is not explained, and of the floor.
+    depends_on : tuple of str
+        Variables of what is not explained.
+    """
+    whole = max(errors.before, errors.floor, 1e-300)
+    unexplained = max(errors.after - errors.floor, 0.0) / whole
+    named = max(1.0 - unexplained - errors.floor / whole, 0.0)
+    total = sum(r.share for r in rows)
+    removable = errors.removable / whole
+    scale = removable if total * removable <= named else named / max(total, 1e-300)
+    done = [Row(r.name, r.location, r.speed_rms, r.torque_rms, r.share * scale, r.depends_on)
+            for r in rows]  # fmt: skip
+    shared = named - sum(r.share for r in done)
+    if len(rows) > 1 and shared > MATERIAL:
+        done.append(Row("shared", "several of these effects", None, None, shared))
+    done.sort(key=lambda r: -r.share)
+    done.append(Row("not explained", "", *left, unexplained, depends_on))
+    done.append(Row("floor", "", *floor, errors.floor / whole))
+    return done
+
+
+def table_lines(rows: Sequence[Row], units: tuple[str, str]) -> list[str]:
+    """Return the budget as lines of text.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+    units : (speed, torque)
+        Empty where the drive has no such column.
+    """
+    wide = max(len(f"{r.name} @ {r.location}".rstrip(" @")) for r in rows)
+    speed, torque = units
+    lines = []
+    for r in rows:
+        name = f"{r.name} @ {r.location}".rstrip(" @").replace("_", " ")
+        parts = [f"  {name:{wide}}"]
+        for value, unit in ((r.speed_rms, speed), (r.torque_rms, torque)):
+            if unit:
+                parts.append(f"{'–':>9}" if value is None else f"{value:9.3g} {unit}")
+        parts.append(f"{100.0 * r.share:5.1f} %")
+        if r.depends_on:
+            parts.append(", ".join(r.depends_on))
+        lines.append("  ".join(parts))
+    return lines

@@ -1,0 +1,250 @@
+"""What the models of a diagnosis are worth on held-out logs: free runs, balance, short horizons."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dmptm_ctrl.diagnosis.budget import Errors, Row, closed_rows
+from dmptm_ctrl.diagnosis.dual import DualState, name_of
+from dmptm_ctrl.diagnosis.measure import Measured
+from dmptm_ctrl.diagnosis.predict import BANDWIDTH_HZ, free_run, low_pass, speed_error
+from dmptm_ctrl.diagnosis.residual import Residual
+from dmptm_ctrl.diagnosis.select import Selection
+from dmptm_ctrl.diagnosis.sensors import SensorCheck
+from dmptm_ctrl.diagnosis.tables import Tables
+from dmptm_ctrl.diagnosis.unknown import Unexplained
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.balance import scatter
+from dmptm_ctrl.identify.fit import Fit, place
+from dmptm_ctrl.identify.records import Record, predict
+from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.simulate.compiled import march
+from dmptm_ctrl.simulate.model import Floats, Model
+
+HORIZON = 0.2  # s, of a short prediction
+OBSERVER_HZ = 5.0  # of the observer from which short predictions start
+TWINS = 8  # drives within the standard errors of the fit, whose scatter no fit can remove
+NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
+UNIT = "deg/s"
+TORQUE = "N·m"
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Errors and budget of a diagnosis.
+
+    Attributes
+    ----------
+    errors : Errors
+    rows : tuple of Row
+    error : dict
+        The entry of diagnosis.json.
+    """
+
+    errors: Errors
+    rows: tuple[Row, ...]
+    error: dict[str, Any]
+
+    def share_of(self, key: str) -> float:
+        """Share of an effect in the budget."""
+        name = name_of(key)
+        return next((r.share for r in self.rows if r.name == name), 0.0)
+
+    @property
+    def unexplained_share(self) -> float:
+        """Share of what no effect explains."""
+        return next(r.share for r in self.rows if r.name == "not explained")
+
+
+def judge(
+    measured: Measured,
+    selection: Selection,
+    sensors: SensorCheck,
+    fits: tuple[Fit, Fit],
+    tables: Tables | None,
+    rest: Unexplained | None,
+    jobs: int,
+) -> Judged:
+    """Judge the models before and after, and each effect by leaving it out."""
+    base: DualState = selection.base
+    final: DualState = selection.final
+    best = final.left if tables is None else tables.left
+    scale = np.array(scatter(best.held.missing(best.base.model), best.held.kinds))
+    before, after, floor = (mean_square(one, scale) for one in (base.left, final.left, best))
+    errors = Errors(before, after, min(floor, after))
+    declared, augmented = fits
+    fixed = tuple(base.left.base.model.effects)  # of the sensors
+    logs = measured.held_logs
+    bare = declared.model.without(fixed)
+    speed = {
+        "before": speed_error(bare, logs, jobs),
+        "after": speed_error(augmented.model, logs, jobs),
+    }
+    twins = twin_scatter(augmented, measured, jobs)
+    speed["floor"] = {"rmse": min(twins, *(one["rmse"] for one in speed.values()))}
+    names = ("before", "after", "floor")
+    torque = {
+        name: torque_error(left, measured)
+        for name, left in zip(names, (base.left, final.left, best), strict=True)
+    }
+    horizons = dict(
+        zip(names[:2], (horizon(m, measured.held, jobs) for m in (bare, augmented.model)),
+            strict=True)
+    )  # fmt: skip
+    horizons["floor"] = min(noise_floor(measured.held), *horizons.values())
+    rows = [
+        effect_row(e.key, e.without, final, errors, scale, augmented, measured, speed, jobs)
+        for e in selection.entries
+    ]
+    rows += [sensor_row(name, augmented.model, speed, logs, jobs) for name in fixed]
+    left = (
+        rise(speed["after"]["rmse"], speed["floor"]["rmse"]),
+        rise(torque["after"]["rmse"], torque["floor"]["rmse"]),
+    )
+    depends_on = rest.variables if rest is not None else ()
+    closed = closed_rows(
+        rows, errors, left, (speed["floor"]["rmse"], torque["floor"]["rmse"]), depends_on
+    )
+    error: dict[str, Any] = {"on": "held-out logs", "unit": UNIT, "bandwidth_hz": BANDWIDTH_HZ}
+    for name in names:
+        error[name] = {
+            "speed": {**speed[name], "unit": UNIT, "bandwidth_hz": BANDWIDTH_HZ},
+            "torque": {**torque[name], "unit": TORQUE},
+            "horizon": {"rmse": horizons[name], "unit": UNIT, "seconds": HORIZON},
+            **speed[name],
+            "unit": UNIT,
+        }
+    return Judged(errors, tuple(closed), error)
+
+
+def rise(one: float, other: float) -> float:
+    """Root of a difference of squares, not below nothing."""
+    return float(np.sqrt(max(one**2 - other**2, 0.0)))
+
+
+def mean_square(left: Residual, scale: Floats) -> float:
+    """Mean square of the held-out balances, each in units of its scale."""
+    parts = left.held.missing(left.base.model)
+    squares = [np.square(part / s) for part, s in zip(parts, scale, strict=True)]
+    return float(np.mean(np.concatenate(squares)))
+
+
+def torque_error(left: Residual, measured: Measured) -> dict[str, float]:
+    """Root mean square of what the balance at the ring gear misses, and over the drive's torque."""
+    parts = left.held.missing(left.base.model)
+    pairs = list(zip(left.held.equations, parts, strict=True))
+    missing = np.concatenate([part for e, part in pairs if e.kind == "total"])
+    drive = left.base.model.drive
+    gain = drive["N_1"] * drive["N_2"] * drive["K_d"] * drive["K_M"]
+    pushes = [
+        gain * np.sum(mo.mean(mo.rec.u), axis=0)[e.used]
+        for e, mo in ((e, left.held.motions[e.motion]) for e, _ in pairs if e.kind == "total")
+    ]
+    size = float(np.sqrt(np.mean(np.concatenate(pushes) ** 2)))
+    rmse = float(np.sqrt(np.mean(missing**2)))
+    return {"rmse": rmse, "percent": 100.0 * rmse / max(size, 1e-300)}
+
+
+def horizon(model: Model, records: Sequence[Record], jobs: int) -> float:
+    """Root mean square of short predictions of the speed, each from an observed state [deg/s]."""
+
+    def miss(rec: Record) -> tuple[float, int]:
+        led = predict(rec, model.arrays(), OBSERVER_HZ)
+        n1 = model.drive["N_1"]
+        angles = np.array([led[:, 2] / n1, led[:, 3] / n1, led[:, 0]])
+        rates = np.array([*(np.gradient(a, rec.dt) for a in angles[:2]), led[:, 1]])
+        span = max(2, round(HORIZON / rec.dt))
+        total, count = 0.0, 0
+        seen = low_pass(rec.omega, rec.dt)
+        for first in range(span, rec.omega.size - span, span):
+            x0 = np.concatenate([angles[:, first], rates[:, first]])
+            part = rec.u[:, first : first + span]
+            run = march(model.arrays(), part, x0, rec.dt, begin=first * rec.dt, meshes=False)
+            total += float(np.sum((seen[first : first + span] - run[:, 1]) ** 2))
+            count += span
+        return total, count
+
+    done = in_threads(miss, records, jobs, lambda rec: rec.omega.size)
+    return float(np.rad2deg(np.sqrt(sum(d[0] for d in done) / max(sum(d[1] for d in done), 1))))
+
+
+def noise_floor(records: Sequence[Record]) -> float:
+    """Noise of the speed below the band of the prediction [deg/s], from its fastest part."""
+    return float(np.rad2deg(np.sqrt(np.mean([noise_below(r.omega, r.dt) ** 2 for r in records]))))
+
+
+def noise_below(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> float:
+    """Standard deviation of white noise below a bandwidth, in the unit of the signal.
+
+    The second difference of a smooth motion is small, that of white noise is √6 times it; the
+    median leaves impacts out.
+    """
+    rough = np.diff(signal, 2)
+    white = float(np.median(np.abs(rough))) / NORMAL_MEDIAN / np.sqrt(6.0)
+    return white * float(np.sqrt(min(2.0 * bandwidth_hz * dt, 1.0)))
+
+
+def twin_scatter(fit: Fit, measured: Measured, jobs: int) -> float:
+    """Scatter of free runs of drives within the standard errors of a fit, and noise [deg/s]."""
+    rng = np.random.default_rng(0)
+    values, vectors = np.linalg.eigh(fit.covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    low, high = (np.array([getattr(k, end) for k in fit.unknowns]) for end in ("low", "high"))
+    draws = [
+        np.clip(fit.p + root @ rng.standard_normal(fit.p.size), low, high) for _ in range(TWINS)
+    ]
+    models = [place(fit.model, fit.unknowns, p) for p in draws]
+
+    def spread(log: Any) -> tuple[float, int]:
+        runs = [
+            low_pass(free_run(m, log, runs=1, columns=(1,))[:, 0], log.sample_time) for m in models
+        ]
+        table = np.array(runs)
+        return float(np.sum(np.var(table, axis=0, ddof=1))), table.shape[1]
+
+    done = in_threads(spread, measured.held_logs, jobs, lambda log: log.time.size)
+    variance = sum(d[0] for d in done) / max(sum(d[1] for d in done), 1)
+    return float(np.hypot(np.rad2deg(np.sqrt(variance)), noise_floor(measured.held)))
+
+
+def effect_row(
+    key: str,
+    without: DualState,
+    final: DualState,
+    errors: Errors,
+    scale: Floats,
+    augmented: Fit,
+    measured: Measured,
+    speed: Mapping[str, Mapping[str, float]],
+    jobs: int,
+) -> Row:
+    """What the held-out errors rise by when one effect is left out and the rest refitted."""
+    name = name_of(key)
+    effect = CATALOGUE[name]
+    left = replace(without.left, held=final.left.held)
+    lost = mean_square(left, scale) - errors.after
+    share = max(lost, 0.0) / max(errors.removable, 1e-300)
+    torque = rise(torque_error(left, measured)["rmse"], torque_error(final.left, measured)["rmse"])
+    damping = {k: augmented.model.drive[k] for k in ("c", "c_f")}
+    model = left.base.model.with_values(**damping)
+    slower = speed_error(model, measured.held_logs, jobs)["rmse"]
+    return Row(
+        name,
+        effect.location,
+        rise(slower, speed["after"]["rmse"]),
+        torque,
+        min(share, 1.0),
+        effect.depends_on,
+    )
+
+
+def sensor_row(
+    name: str, model: Model, speed: Mapping[str, Mapping[str, float]], logs: Any, jobs: int
+) -> Row:
+    """What the error of the readings rises by without an error of a sensor."""
+    lost = rise(speed_error(model.without([name]), logs, jobs)["rmse"], speed["after"]["rmse"])
+    span = speed["before"]["rmse"] ** 2 - speed["floor"]["rmse"] ** 2
+    share = min(lost**2 / span, 1.0) if span > 0.0 else 0.0
+    return Row(name, CATALOGUE[name].location, lost, None, share, CATALOGUE[name].depends_on)

@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -255,7 +256,9 @@ def _assignment(text: str) -> tuple[str, float]:
 
 @log_app.command("info")
 def log_info(
-    file: Annotated[Path, typer.Argument(help="Log: .csv, .csv.gz, .txt, .mat, .parquet, .mf4")],
+    file: Annotated[
+        Path, typer.Argument(help="Log: text of any kind, .mat, .parquet, .mf4, .json, …")
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
     resample: Annotated[
         bool, typer.Option("--resample", help="Put an uneven clock on even steps.")
@@ -267,7 +270,9 @@ def log_info(
     """Show what is in a log, and what it can and cannot tell."""
     from dmptm_ctrl.drive.rigfile import load_rig
     from dmptm_ctrl.signals import load_log
-    from dmptm_ctrl.signals.info import describe
+    from dmptm_ctrl.signals.checks import MIN_SAMPLES
+    from dmptm_ctrl.signals.errors import ColumnsError
+    from dmptm_ctrl.signals.info import describe, list_columns
 
     if rig is not None:
         from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
@@ -278,9 +283,17 @@ def log_info(
             labels=drive.labels(),
             declared=drive.declared_names(),
             effects=CHAIN_CATALOGUE,
+            inputs=[source.channel for source in drive.inputs],
         )
     else:
-        info = describe(load_log(file, resample=resample))
+        try:
+            info = describe(load_log(file, resample=resample))
+        except ColumnsError as error:  # names that say nothing to us: list them
+            info = list_columns(file)
+            if info.samples < MIN_SAMPLES:
+                raise
+            note = f"{error}; a rig.toml says what they are: log info FILE --rig rig.toml"
+            info = replace(info, warnings=(*info.warnings, note))
     if as_json:
         print(json.dumps(info.to_dict(), indent=2, ensure_ascii=False))
     else:
@@ -359,7 +372,7 @@ def _show(info: "LogInfo") -> None:
     for warning in info.warnings:
         console.print(f"warning: {_plain(warning)}")
     if info.excitation is None:
-        console.print("No input (V, A, N or Nm) with a motion in this log: nothing to diagnose.")
+        console.print("No input and no motion known in this log: nothing to diagnose.")
         return
     can = [row.effect for row in info.testable if row.testable]
     console.print(f"\n[bold]Can tell about[/bold] {', '.join(can) or 'nothing'}")

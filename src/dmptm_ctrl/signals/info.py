@@ -2,13 +2,17 @@
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.signals.clock import seconds_of
+from dmptm_ctrl.signals.errors import NotALogError
+from dmptm_ctrl.signals.loaders import read_table
 from dmptm_ctrl.signals.log import Log
-from dmptm_ctrl.signals.units import door_column
+from dmptm_ctrl.signals.units import door_column, named_unit
 
 Array = NDArray[np.float64]
 
@@ -82,6 +86,7 @@ def describe(
     labels: Mapping[str, str] | None = None,
     declared: Collection[str] = (),
     effects: Collection[str] | None = None,
+    inputs: Collection[str] | None = None,
 ) -> LogInfo:
     """Say what is in a log and what it can and cannot tell.
 
@@ -95,6 +100,8 @@ def describe(
         Effects that the drive's model has already: of no interest.
     effects : collection of str, optional
         Those that the drive can have; by default all that are known.
+    inputs : collection of str, optional
+        Channels that drive it; by default those in units of voltage, current, force and torque.
 
     Returns
     -------
@@ -107,7 +114,7 @@ def describe(
     LogError
         Uneven time.
     """
-    excitation = _excitation(log)
+    excitation = _excitation(log, inputs)
     return LogInfo(
         name=log.name,
         samples=len(log),
@@ -126,7 +133,10 @@ def _channel(log: Log, channel: str, labels: Mapping[str, str]) -> ChannelInfo:
     if channel in labels:
         unit = column.removeprefix(channel).strip("_")
         column = f"{labels[channel]} [{unit}]" if unit else labels[channel]
-    values = log[channel] / factor
+    return _figures(column, log[channel] / factor)
+
+
+def _figures(column: str, values: Array) -> ChannelInfo:
     steps = np.abs(np.diff(values))
     # Conversion to SI and back leaves steps of 1e-16 of the value between equal readings.
     real = steps[steps > 1e-12 * max(1.0, float(np.abs(values).max()))]
@@ -135,8 +145,9 @@ def _channel(log: Log, channel: str, labels: Mapping[str, str]) -> ChannelInfo:
     return ChannelInfo(column, float(values.min()), float(values.max()), rms, resolution)
 
 
-def _excitation(log: Log) -> Excitation | None:
-    inputs = [c for c in log if log.units[c] in INPUT_UNITS and c != "ref"]
+def _excitation(log: Log, inputs: Collection[str] | None) -> Excitation | None:
+    driving = [c for c in log if log.units[c] in INPUT_UNITS and c != "ref"]
+    inputs = driving if inputs is None else [c for c in inputs if c in log]
     positions = [c for c in log if log.units[c] in ("rad", "m")]
     speeds = [c for c in log if log.units[c] in ("rad/s", "m/s") and c != "ref"]
     load = [c for c in positions if c == "theta_L"] or positions
@@ -248,3 +259,41 @@ def _testable(
         lacks = tuple(words for words, met in needs if not met(excitation))
         results.append(Testability(effect, not lacks, lacks))
     return tuple(results)
+
+
+def list_columns(path: Path) -> LogInfo:
+    """Columns of any readable file, whatever they are called.
+
+    Raises
+    ------
+    LogError
+        Not readable, or no table of numbers in it.
+    """
+    kept: list[str] = []
+    stated: dict[str, str] = {}
+
+    def choose(names: list[str], units: Mapping[str, str]) -> list[str]:
+        kept[:] = names
+        stated.update(units)
+        return names
+
+    table = read_table(path, choose)
+    channels = []
+    samples = 0
+    for name, values in table.columns.items():
+        column = np.asarray(values)
+        if column.dtype.kind in "mM":
+            column, _ = seconds_of(column, 1.0)
+        if column.dtype.kind not in "fiub" or column.ndim != 1:
+            continue
+        samples = max(samples, column.size)
+        good = column[np.isfinite(column)].astype(np.float64)
+        if good.size:
+            unit = stated.get(name, "")
+            label = name if not unit or named_unit(name)[1] else f"{name} [{unit}]"
+            channels.append(_figures(label, good))
+    if not channels:
+        raise NotALogError(f"{path.name}: no columns of numbers")
+    return LogInfo(
+        path.name, samples, 0.0, table.period or 0.0, None, tuple(channels), None, (), table.notes
+    )

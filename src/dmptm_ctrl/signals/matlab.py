@@ -9,9 +9,10 @@ import numpy as np
 
 from dmptm_ctrl.signals.apart import Signal, read_apart
 from dmptm_ctrl.signals.columns import Choose, Table
-from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.errors import NotALogError
 
 MAX_WIDTH = 64  # columns of one array that are taken apart
+_OBJECT = 0xDD000000  # begins the reference to an object, which only MATLAB can follow
 
 
 def read_matlab(path: Path, choose: Choose) -> Table:
@@ -38,7 +39,7 @@ def read_matlab(path: Path, choose: Choose) -> Table:
     """
     found, meta = read_apart(path)
     if not found:
-        raise LogError(
+        raise NotALogError(
             f"{path.name}: no signals in the file; objects such as timeseries must be saved as "
             "structures: s.time_s = ts.Time"
         )
@@ -108,6 +109,8 @@ def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[S
 def _array(path: tuple[str, ...], value: Any, unit: str | None) -> Iterator[Signal]:
     array = np.squeeze(np.asarray(value))
     if array.dtype.kind not in "fiub" or array.size < 2 or array.ndim > 2:
+        return
+    if array.dtype == np.uint32 and array.flat[0] == _OBJECT:
         return
     if array.ndim == 1:
         yield Signal(path, array, unit)

@@ -28,7 +28,7 @@ from dmptm_ctrl.signals.layout import (
 CHUNK_ROWS = 200_000  # text of one chunk is in memory at once, about 20 MB
 MAX_LINE = 1 << 20  # bytes; a line longer than this is no row of numbers
 MAX_BYTES = 20 << 30  # unpacked; guards against archives that unpack without end
-SAMPLES = (400, 20_000)  # lines looked at before the first row of numbers is found
+SAMPLES = (1000, 20_000)  # lines looked at before the first row of numbers is found
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _FIELD = "\x1f"  # between the fields that pandas gets
@@ -252,7 +252,7 @@ def _long_table(path: Path, encoding: str, layout: Layout, choose: Choose) -> Ta
     values: dict[str, list[float]] = {}
     rows = _Rows(path, encoding, layout)
     for _, line in rows:
-        name, text = line.split(_FIELD)[:2]
+        name, text = line.split(None if layout.dialect.separator == " " else _FIELD)[:2]
         value = layout.dialect.number(text.strip())
         values.setdefault(name.strip().rstrip(":="), []).append(np.nan if value is None else value)
     length = max(map(len, values.values()))

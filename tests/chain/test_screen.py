@@ -29,7 +29,7 @@ def frames(bad=lambda table: table, *, all_of_them=False):
 
 def looked_at(tables, rig=RIG):
     """What the diagnosis does with them before it begins."""
-    logs = [rig._load(table, name=name) for name, table in tables.items()]
+    logs = [rig.load(table, name=name) for name, table in tables.items()]
     kept, warnings = screen_chain(rig, logs)
     strange = other_scale(rig, balance_of(rig, kept))
     if strange:

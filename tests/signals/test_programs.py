@@ -85,6 +85,27 @@ def formatted(separator, write, quote=""):
     return separator.join("tuq") + "\n" + "\n".join(lines) + "\n"
 
 
+def each(form):
+    """A line of each row."""
+    return "".join(form.format(*row) for row in zip(T, U, Q, strict=True))
+
+
+def french(value):
+    return f"{value:,.5f}".replace(",", "\u202f").replace(".", ",")
+
+
+def with_state():
+    """A column of words, quoted where they hold the separator."""
+    states = ("RUN" if i % 7 else '"IDLE, ok"' for i in range(ROWS))
+    lines = (f"{a:.5f},{s},{b:.5f},{c:.5f}\n" for a, s, b, c in zip(T, states, U, Q, strict=True))
+    return "t,state,u,q\n" + "".join(lines)
+
+
+def numbered():
+    lines = (f'"{i + 1}" {r}' for i, r in enumerate(rows(" ", T, U, Q).splitlines(keepends=True)))
+    return '"t" "u" "q"\n' + "".join(lines)
+
+
 FRAME = pd.DataFrame({"t": T, "u": U, "q": Q})
 PREAMBLE = "Drive;AX-01\nSample rate;100 Hz\nComment;a;b\n\n"
 HALSCOPE = "Sampling period is 10000000 ns \n" + "".join(
@@ -108,7 +129,7 @@ LAYOUTS = {
     "quoted thousands by commas": formatted(",", lambda v: f"{v:,.5f}", '"'),
     "German thousands": formatted(";", german),
     "Swiss thousands": formatted(";", swiss),
-    "French thousands": formatted(";", lambda v: f"{v:,.5f}".replace(",", "\u202f").replace(".", ",")),
+    "French thousands": formatted(";", french),
     "all quoted": quoted(),
     "all quoted by semicolons": quoted(delimiter=";"),
     "CR LF": table().replace("\n", "\r\n"),
@@ -131,15 +152,13 @@ LAYOUTS = {
     "numpy": "# written by savetxt\n# t u q\n" + rows(" ", T, U, Q),
     "percent before the names": "%t,u,q\n" + rows(",", T, U, Q),
     "index of pandas": FRAME.to_csv(),
-    "R": '"t" "u" "q"\n'
-    + "".join(f'"{i + 1}" {a:.5f} {b:.5f} {c:.5f}\n' for i, (a, b, c) in enumerate(FRAME.to_numpy())),
+    "R": numbered(),
     "description below names": "t;u;q\nTime since start;Motor torque;Angle\n" + rows(";", T, U, Q),
-    "text column": "t,state,u,q\n"
-    + "".join(f"{a:.5f},{'RUN' if i % 7 else 'IDLE, ok'!r:s},{b:.5f},{c:.5f}\n".replace("'IDLE, ok'", '"IDLE, ok"')
-              for i, (a, b, c) in enumerate(FRAME.to_numpy())),
-    "empty column": "t,x,u,q\n" + "".join(f"{a:.5f},,{b:.5f},{c:.5f}\n" for a, b, c in FRAME.to_numpy()),
-    "TwinCAT": "Name\tYT Scope Project\nFile\tC:\\run.svdx\nStarttime of export\t132959733843760000\t"
-    "Monday, 2. May 2022\n\n\nName\tu\tName\tq\nSymbolName\tMAIN.u\tSymbolName\tMAIN.q\n"
+    "text column": with_state(),
+    "empty column": "t,x,u,q\n" + each("{:.5f},,{:.5f},{:.5f}\n"),
+    "TwinCAT": "Name\tYT Scope Project\nFile\tC:\\run.svdx\n"
+    "Starttime of export\t132959733843760000\tMonday, 2. May 2022\n\n\n"
+    "Name\tu\tName\tq\nSymbolName\tMAIN.u\tSymbolName\tMAIN.q\n"
     "NetId\t5.1.2.3.1.1\tNetId\t5.1.2.3.1.1\nPort\t851\tPort\t851\n"
     "Data-Type\tREAL64\tData-Type\tREAL64\nSampleTime[ms]\t10\tSampleTime[ms]\t10\n\n"
     + rows("\t", 1e3 * T, U, 1e3 * T, Q, decimal=",") + "EOF\n",
@@ -147,20 +166,19 @@ LAYOUTS = {
     "***End_of_Header***\n\nChannels\t2\nSamples\t240\t240\nDate\t2020/01/01\t2020/01/01\n"
     "Y_Unit_Label\tNm\trad\nX_Dimension\tTime\tTime\nDelta_X\t0.01\t0.01\n***End_of_Header***\n"
     "t\tu\tq\tComment\n" + rows("\t", T, U, Q),
-    "Tektronix": "Model,MSO4104\nFirmware Version,2.8\n\nPoint Format,Y,\nHorizontal Units,S,\n"
-    "Sample Interval,0.01,\nRecord Length,240,\nVertical Units,V,\n\n\nt,u,q\n" + rows(",", T, U, Q),
+    "Tektronix": "Model,MSO4104\nFirmware Version,2.8\n\nPoint Format,Y,\n"
+    "Horizontal Units,S,\nSample Interval,0.01,\nRecord Length,240,\nVertical Units,V,\n\n\n"
+    "t,u,q\n" + rows(",", T, U, Q),
     "Keysight": "t,u,q\nsecond,Nm,radian\n" + rows(",", T, U, Q),
     "LeCroy": "LECROYHDO4054,12345,Waveform\nSegments,1,SegmentSize,240\nSegment,TrigTime,Time\n"
     "#1,12-Nov-2020 10:00:00,0\nt,u,q\n" + rows(",", T, U, Q),
     "clock before each channel": "t,u,t,q\n" + rows(",", T, U, T, Q),
     "clocks of other names": "t,u,Time CH2,q\n" + rows(",", T, U, T, Q),
-    "name=value": "".join(f"t={a:.5f} u={b:.5f} q={c:.5f}\n" for a, b, c in FRAME.to_numpy()),
-    "name: value": "".join(f"t: {a:.5f}, u: {b:.5f}, q: {c:.5f}\n" for a, b, c in FRAME.to_numpy()),
-    "name:value by tabs": "".join(f"t:{a:.5f}\tu:{b:.5f}\tq:{c:.5f}\n" for a, b, c in FRAME.to_numpy()),
-    "name value": "".join(f"t {a:.5f} u {b:.5f} q {c:.5f}\n" for a, b, c in FRAME.to_numpy()),
-    "a name and a value per line": "".join(
-        f"t {a:.5f}\nu {b:.5f}\nq {c:.5f}\n" for a, b, c in FRAME.to_numpy()
-    ),
+    "name=value": each("t={:.5f} u={:.5f} q={:.5f}\n"),
+    "name: value": each("t: {:.5f}, u: {:.5f}, q: {:.5f}\n"),
+    "name:value by tabs": each("t:{:.5f}\tu:{:.5f}\tq:{:.5f}\n"),
+    "name value": each("t {:.5f} u {:.5f} q {:.5f}\n"),
+    "a name and a value per line": each("t {:.5f}\nu {:.5f}\nq {:.5f}\n"),
     "halscope": HALSCOPE,
     "JSON columns": json.dumps(FRAME.to_dict("list")),
     "JSON records": FRAME.to_json(orient="records"),
@@ -196,21 +214,35 @@ def test_any_extension(tmp_path, name):
 
 
 LINES = table().splitlines(keepends=True)
+ALL = slice(None)
+
+
+def inserted(*lines):
+    return "".join([*LINES[:100], *lines, *LINES[100:]])
+
+
+def replaced(begin, end, cells):
+    """Lines of the file with other cells after their time."""
+    other = (line.split(",")[0] + cells for line in LINES[begin:end])
+    return "".join([*LINES[:begin], *other, *LINES[end:]])
+
+
 LEFT_OUT = {  # content, rows that stay, what is said
     "cut last line": ("".join(LINES[:-1]) + LINES[-1][:9], slice(0, -1), "line 241"),
-    "cut last number": ("".join(LINES[:-1]) + LINES[-1].rstrip()[:-2], slice(0, -1), "line 241"),
+    "cut last number": ("".join(LINES).rstrip()[:-2], slice(0, -1), "line 241"),
     "cut last exponent": ("".join(LINES[:-1]) + "2.39,1.0,1.2e", slice(0, -1), "line 241"),
-    "comment at the end": ("".join(LINES) + "# stopped by operator\n", slice(None), "line 242"),
-    "EOF": ("".join(LINES) + "EOF\n", slice(None), "line 242"),
-    "comment in the middle": ("".join([*LINES[:100], "# marker, 2, 3\n", *LINES[100:]]), slice(None), "line 101"),
-    "words in the middle": ("".join([*LINES[:100], "connection lost\n", *LINES[100:]]), slice(None), "line 101"),
-    "header again": ("".join([*LINES[:100], LINES[0], *LINES[100:]]), slice(None), "line 101"),
-    "header and units again": ("".join([*LINES[:100], LINES[0], "s,Nm,rad\n", *LINES[100:]]), slice(None), "lines 101, 102"),
-    "empty cells at the start": ("".join([LINES[0], *(s.split(",")[0] + ",,\n" for s in LINES[1:6]), *LINES[6:]]), slice(5, None), "first 5 rows"),
-    "NaN at the start": ("".join([LINES[0], *(s.split(",")[0] + ",NaN,nan\n" for s in LINES[1:6]), *LINES[6:]]), slice(5, None), "no value for u and q"),
-    "n/a at the end": ("".join([*LINES[:-3], *(s.split(",")[0] + ",1.0,n/a\n" for s in LINES[-3:])]), slice(0, -3), "last 3 rows"),
-    "NULL at the start": ("".join([LINES[0], *(s.split(",")[0] + ",NULL,NULL\n" for s in LINES[1:3]), *LINES[3:]]), slice(2, None), "first 2 rows"),
-}  # fmt: skip
+    "comment at the end": ("".join(LINES) + "# stopped by operator\n", ALL, "line 242"),
+    "EOF": ("".join(LINES) + "EOF\n", ALL, "line 242"),
+    "comment in the middle": (inserted("# marker, 2, 3\n"), ALL, "line 101"),
+    "words in the middle": (inserted("connection lost\n"), ALL, "line 101"),
+    "header again": (inserted(LINES[0]), ALL, "line 101"),
+    "header and units again": (inserted(LINES[0], "s,Nm,rad\n"), ALL, "lines 101, 102"),
+    "cut line and header again": (inserted("0.99,1", "\n", LINES[0]), ALL, "line 101"),
+    "empty cells at the start": (replaced(1, 6, ",,\n"), slice(5, None), "first 5 rows"),
+    "NaN at the start": (replaced(1, 6, ",NaN,nan\n"), slice(5, None), "no value for u and q"),
+    "NULL at the start": (replaced(1, 3, ",NULL,NULL\n"), slice(2, None), "first 2 rows"),
+    "n/a at the end": (replaced(-3, ROWS + 1, ",1.0,n/a\n"), slice(0, -3), "last 3 rows"),
+}
 
 
 @pytest.mark.parametrize("kind", LEFT_OUT)
@@ -234,10 +266,10 @@ def test_a_column_sampled_more_rarely(tmp_path):
 
 def test_a_slower_channel_on_a_clock_of_its_own(tmp_path):
     """TwinCAT: each channel with its clock; the slower one ends after half of the lines."""
-    lines = [
-        f"{1e3 * a:.1f}\t{b:.5f}\t" + (f"{1e3 * T[2 * i]:.1f}\t{Q[2 * i]:.5f}" if 2 * i < ROWS else "\t")
-        for i, (a, b) in enumerate(zip(T, U, strict=True))
-    ]  # fmt: skip
+    slow = [f"{1e3 * a:.1f}\t{b:.5f}" for a, b in zip(T[::2], Q[::2], strict=True)]
+    slow += ["\t"] * (ROWS - len(slow))
+    fast = (f"{1e3 * a:.1f}\t{b:.5f}" for a, b in zip(T, U, strict=True))
+    lines = ["\t".join(pair) for pair in zip(fast, slow, strict=True)]
     head = "Name\tu\tName\tq\nSampleTime[ms]\t10\tSampleTime[ms]\t20\n"
     log = read(tmp_path, head + "\n".join(lines), rig(data='time = { column = "t", unit = "ms" }'))
     assert log.sample_time == pytest.approx(STEP)

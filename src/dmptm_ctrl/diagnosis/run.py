@@ -15,7 +15,8 @@ from dmptm_ctrl.diagnosis.predict import RUNS, predict
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
-from dmptm_ctrl.signals import LogError, load_log, load_logs
+from dmptm_ctrl.signals import Campaign, LogError, load_log, load_logs
+from dmptm_ctrl.signals.loaders import gather
 from dmptm_ctrl.simulate.model_file import read_model
 
 SPEED_FORMAT = "%.7g"  # finer than any sensor here
@@ -43,9 +44,13 @@ def diagnose_files(
     declared = load_rig(rig)
     drive = dual_motor(declared)
     if drive is not None:
-        options = {"max_rows": READ_ROWS, "sample_time": declared.data.sample_time}
-        campaign = load_logs(source, dual_columns(declared), **options)
-        return diagnose(campaign, drive, jobs=jobs, seed=seed)
+        columns = dual_columns(declared)
+        logs, left_out = gather(
+            source,
+            lambda one, **name: declared.load(one, columns, max_rows=READ_ROWS, **name),
+            declared.ignores,
+        )
+        return diagnose(Campaign(logs, tuple(left_out)), drive, jobs=jobs, seed=seed)
     return diagnose_chain(source, declared, jobs=jobs, seed=seed, tell=tell)
 
 

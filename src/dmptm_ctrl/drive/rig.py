@@ -12,7 +12,6 @@ from typing import Any
 
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.signals import Column, Log, LogError, TextFormat, load_log
-from dmptm_ctrl.signals.errors import ColumnsError
 from dmptm_ctrl.signals.loaders import gather, stem
 
 DEFAULT_TOLERANCE = 0.3  # of a declared value that does not state one; documented in rig_toml.md
@@ -327,7 +326,7 @@ class Rig:
             As `load_log`; no log, or two of one name.
         """
         loaded, left_out = gather(
-            sources, lambda s, **o: self._load(s, max_rows=max_rows, **o), self._ignored
+            sources, lambda s, **o: self.load(s, max_rows=max_rows, **o), self.ignores
         )
         if told is not None:
             told += left_out
@@ -339,11 +338,20 @@ class Rig:
             raise LogError(f"two logs are named {twice}; rename one")
         return tuple(sorted(loaded, key=lambda log: log.name))
 
-    def _load(self, source: Any, **options: Any) -> Log:
+    def load(self, source: Any, columns: Mapping[str, Column] | None = None, **options: Any) -> Log:
+        """Load one log as ``[data]`` says, by default with the rig's own channels.
+
+        Raises
+        ------
+        LogError
+            As `load_log`.
+        """
         if isinstance(source, Log):
             return self._checked(source)
-        columns = self.columns()
-        options.setdefault("required", [c.channel for c in columns.values() if c.channel != "time"])
+        if columns is None:
+            columns = self.columns()
+            required = [c.channel for c in columns.values() if c.channel != "time"]
+            options.setdefault("required", required)
         name = options.get("name") or stem(Path(source).name)
         return load_log(
             source, columns, sample_time=self.data.sample_time, resample="if needed",
@@ -359,21 +367,13 @@ class Rig:
             As `load_log`.
         """
         try:
-            return self._load(source)
-        except ColumnsError:
+            return self.load(source)
+        except LogError:
             drives = {i.column for i in self.inputs}
             columns = {
                 k: c for k, c in self.columns().items() if k in drives or c.channel == "time"
             }
-            return load_log(
-                source,
-                columns,
-                required=[i.channel for i in self.inputs],
-                sample_time=self.data.sample_time,
-                resample="if needed",
-                how=self.data.text,
-                window=self.data.window(stem(Path(source).name)),
-            )
+            return self.load(source, columns, required=[i.channel for i in self.inputs])
 
     def _checked(self, log: Log) -> Log:
         need = [c.channel for c in self.columns().values() if c.channel != "time"]
@@ -390,7 +390,8 @@ class Rig:
         high = float(log.time[-1]) if stop is None else low + stop
         return log.segment(low + (start or 0.0), high)
 
-    def _ignored(self, path: Path) -> bool:
+    def ignores(self, path: Path) -> bool:
+        """Whether a file is under ``[data] ignore``."""
         return any(fnmatchcase(path.name, p) for p in self.data.ignore)
 
     def roles(self, names: Iterable[str]) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ MAX_BRIDGED = 10
 DAY = 86400.0  # s
 COARSE = 0.05  # of the steps are another multiple of a coarse clock's tick than most
 # Counters of 16 and 32 bits run over, also where they are printed in thousandths; so do days.
+_DURATION = re.compile(r"(-?\d+ days?\s+)?\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?$")
 ROUNDS = (*(2.0**b * 10.0**-e for b in (16, 32) for e in (0, 3, 6)), DAY, 1e3 * DAY)
 
 
@@ -44,22 +46,18 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
     first = next((str(v).strip() for v in values if isinstance(v, str) and v.strip()), "")
     text = values.where(values.notna(), None).str.strip().str.replace(",", ".", regex=False)
     try:
-        if re.match(r"-?\d+ days?", first) or (
-            ":" in first
-            and not re.search(r"[-/A-Za-z]", first)
-            and not re.match(r"\d+\.\d+\.\d", first)
-        ):
+        if _DURATION.match(first):
             if first.count(":") == 3:  # 09:27:03:010
                 text = text.str.replace(r":(\d+)$", r".\1", regex=True)
-            elif first.count(":") == 1:
+            elif first.count(":") == 1:  # 27:03.010
                 text = "00:" + text
             times = pd.to_timedelta(text)
         elif re.match(r"\d{4}\D|\d{8}T", first):
-            times = pd.to_datetime(
-                text.str.replace("/", "-", regex=False), format="ISO8601", utc=True
-            )
+            iso = text.str.replace("/", "-", regex=False)
+            times = pd.to_datetime(iso, format="ISO8601", utc=True)
         else:
-            times = pd.to_datetime(text, dayfirst="." in first.split(":")[0], utc=True)
+            form = _format_of(first.replace(",", "."))
+            times = pd.to_datetime(text, format=form, utc=True)
     except (ValueError, OverflowError) as error:
         raise LogError(
             f"{source}: column {column!r} holds no times as {first!r} all through"
@@ -68,6 +66,18 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
     back = np.diff(since) < -np.timedelta64(12, "h")  # midnight
     since[1:] += np.cumsum(back) * np.timedelta64(24, "h")
     return since
+
+
+def _format_of(text: str) -> str:
+    """Format of a date whose day or month comes first; with dots the day does."""
+    for day in ("%d.%m.%Y", "%d.%m.%y", "%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y", "%d-%m-%Y", "%m/%d/%y"):
+        for clock in ("%H:%M:%S.%f", "%H:%M:%S", "%I:%M:%S.%f %p", "%I:%M:%S %p", "%H:%M"):
+            try:
+                datetime.strptime(text, f"{day} {clock}")
+            except ValueError:
+                continue
+            return f"{day} {clock}"
+    return "mixed"
 
 
 def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
@@ -165,7 +175,7 @@ def _spread(time: Array, channels: Mapping[str, Array], known: float | None) -> 
         return None  # rows that occur twice
     usual = float(np.median(step))
     odd = np.abs(step - usual) > 0.25 * ticks.min()
-    if odd.mean() < COARSE:
+    if usual > 0 and odd.mean() < COARSE:
         return None
     index = np.arange(time.size, dtype=np.float64)
     rate, offset = np.polyfit(index, time, 1)

@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 BITS = (8, 10, 12, 13, 14, 16, 18, 20, 24, 32)
 WHOLE = 1e-6  # counts are whole numbers within this
 SLACK = 8  # counts; a counter may be read in two parts, or count to one less
-CALM = 0.25  # of the change that is left when a reading is taken with its sign
+CALM = 0.5  # of the change that is left when a reading is taken with its sign
 
 
 def whole_numbers(values: Array) -> bool:
@@ -57,17 +57,15 @@ def unwrapped_counts(source: str, column: str, values: Array) -> tuple[Array, st
         return values, ""
     for bits in BITS:
         size = 2.0**bits
-        for round_ in (size, size - 1):
-            left = step[far] - round_ * np.sign(step[far])
-            if span < size and (np.abs(left) <= max(1.5 * usual, SLACK)).all():
-                turns = np.zeros(step.size)
-                turns[far] = np.sign(step[far])
-                result = values.copy()
-                result[good] = reading - round_ * np.concatenate([[0.0], np.cumsum(turns)])
-                return result, (
-                    f"{column} is a {bits} bit counter that ran over {int(far.sum())} times and "
-                    "was unwrapped"
-                )
+        left = step[far] - size * np.sign(step[far])
+        if span < size and (np.abs(left) <= max(1.5 * usual, SLACK)).all():
+            turns = np.where(far, np.sign(step), 0.0)
+            result = values.copy()
+            result[good] = reading - size * np.concatenate([[0.0], np.cumsum(turns)])
+            return result, (
+                f"{column} is a {bits} bit counter that ran over {int(far.sum())} times and was "
+                "unwrapped"
+            )
     if far.sum() == 1 or float(np.ptp(np.abs(step[far]))) > 4 * usual + SLACK:
         row = int(np.flatnonzero(good)[np.argmax(far) + 1])
         raise LogError(
@@ -89,8 +87,9 @@ def with_sign(column: str, values: Array) -> tuple[Array, str]:
         if not size / 2 < reading.max() < size:
             continue
         signed = np.where(reading >= size / 2, reading - size, reading)
-        change = np.abs(np.diff(reading)).sum()
-        if 0 < np.abs(np.diff(signed)).sum() < CALM * change:
+        step, calm = np.abs(np.diff(reading)), np.abs(np.diff(signed))
+        crosses = signed.max() > 0 and (step > size / 2).any()
+        if crosses and calm.max() < size / 2 and calm.sum() < CALM * step.sum():
             result = values.copy()
             result[good] = signed
             return result, (

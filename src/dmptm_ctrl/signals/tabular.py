@@ -19,10 +19,10 @@ def from_frame(frame: Any) -> Table:
     """
     try:
         names = [str(column) for column in frame.columns]
-        columns = {name: frame.iloc[:, i].to_numpy() for i, name in enumerate(names)}
+        columns = {name: _values(frame.iloc[:, i]) for i, name in enumerate(names)}
         if frame.index.name is not None:
             names.append(str(frame.index.name))
-            columns.setdefault(names[-1], frame.index.to_numpy())
+            columns.setdefault(names[-1], _values(frame.index.to_series()))
     except AttributeError:
         raise LogError(f"a log is a path or a DataFrame, not {type(frame).__name__}") from None
     twice = [name for name in names if names.count(name) > 1]
@@ -31,6 +31,12 @@ def from_frame(frame: Any) -> Table:
             f"column {twice[0]!r} of the data frame occurs {names.count(twice[0])} times"
         )
     return Table(columns, {}, {})
+
+
+def _values(column: Any) -> Any:
+    """Values of a column; dates with a time zone become such without."""
+    zone = getattr(column.dtype, "tz", None)
+    return (column.dt.tz_convert(None) if zone is not None else column).to_numpy()
 
 
 def read_parquet(path: Path, choose: Choose, max_rows: int | None = None) -> Table:

@@ -293,6 +293,8 @@ class _Rows:
             for _ in range(layout.first):
                 next(stream, None)
             for number, line in enumerate(stream, start=layout.first + 1):
+                if '"' in line and line.count(separator) == fields - 1:
+                    line = line.replace('"', "")  # nothing in the quotes separates
                 plain = simple and line[0] in _PLAIN and '"' not in line
                 if plain and not blanks and line.count(separator) == fields - 1:
                     row = line.replace(separator, _FIELD)

@@ -17,7 +17,7 @@ MAX_BRIDGED = 10
 DAY = 86400.0  # s
 COARSE = 0.05  # of the steps are another multiple of a coarse clock's tick than most
 # Counters of 16 and 32 bits run over, also where they are printed in thousandths; so do days.
-_DURATION = re.compile(r"(-?\d+ days?\s+)?\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?$")
+_DURATION = re.compile(r"(-?\d+ days?\s+)?\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?$|\S+ (sec|ms|min|hr)$")
 ROUNDS = (*(2.0**b * 10.0**-e for b in (16, 32) for e in (0, 3, 6)), DAY, 1e3 * DAY)
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from dmptm_ctrl.signals.columns import CLOCK
 from dmptm_ctrl.signals.errors import LogError, NotALogError
-from dmptm_ctrl.signals.units import named_unit, parse_unit
+from dmptm_ctrl.signals.units import Unit, named_unit, parse_unit
 
 COMMENT = ("#", "%", "//", "!")
 SEPARATORS = (";", "\t", ",", "|", " ")
@@ -41,16 +41,15 @@ MISSING = frozenset(
         "-1.#qnan",
     ]
 )
+_FORTRAN = re.compile(r"[-+]?[\d.]+[dD][-+]?\d+")
 WORDS = frozenset(("true", "false"))
 _PAIR = re.compile(r"(?<![\w.-])([A-Za-z_][\w.\[\]()/-]*)\s*[=:]\s*(?=[-+.\d])")
 ODD = str.maketrans({"\xa0": "", "\u202f": "", "\u2009": "", "’": "'", "−": "-", "\ufeff": ""})
 _SEP_LINE = re.compile(r'\ufeff?"?sep=(.)"?\s*$')
 _TYPE = re.compile(r"(?i)(l?real|[us]?[dls]?int|float|double|bool|lword|dword|word)\d*$")
 _TIME_NAME = re.compile(r"(?i)(time|zeit|uhrzeit|timestamp|x_value|t)(\W|_|\d|$)")
-_PERIOD = re.compile(
-    r"(?i)(?P<what>sampl\w*[ _-]?(?:time|period|interval|rate|frequency)|delta_x|abtastzeit)"
-    r"\s*(?P<unit>\[\w+\]|\(\w+\))?[\s:=;,\t]*(?:is\s+)?(?P<value>[-+\d.,eE]+)\s*(?P<after>[a-zA-Zµ]*)"
-)
+_PERIOD = re.compile(r"(?i)sampl\w*[ _-]?(time|period|interval|rate|frequency)|delta_x|abtastzeit")
+_AMOUNT = re.compile(r"[\s:=\"]*(?:is\s+)?([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ]*)")
 
 
 @dataclass(frozen=True)
@@ -117,17 +116,21 @@ class Dialect(NamedTuple):
             cell = cell.replace(self.decimal, ".")
         if "_" in cell:
             return None
+        if _FORTRAN.fullmatch(cell):
+            cell = cell.upper().replace("D", "E")
         try:
             return float(cell)
         except ValueError:
             return None
 
 
-# A date, a time of day, or both; pandas' "0 days 00:00:01".
+# MATLAB's "0.01 sec"; a date, a time of day, or both; pandas' "0 days 00:00:01".
+DURATION = r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)? (?:sec|ms|min|hr)"
 _CLOCK_TEXT = r"\d{1,2}:\d{2}(:\d{2})?([.,:]\d{1,9})?\s*([AaPp][Mm])?(Z|[-+]\d{2}:?\d{2})?"
 _DATE_TEXT = r"(\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.](\d{1,2}|[A-Za-z]{3})[-/.]\d{2,4})"
 TIME = re.compile(
-    rf"(-?\d+ days?\s+)?{_CLOCK_TEXT}|{_DATE_TEXT}([T ,]+{_CLOCK_TEXT})?|\d{{8}}T\d{{6}}\S*"
+    rf"{DURATION}|(-?\d+ days?\s+)?{_CLOCK_TEXT}|{_DATE_TEXT}([T ,]+{_CLOCK_TEXT})?"
+    r"|\d{8}T\d{6}\S*"
 )
 
 
@@ -150,6 +153,8 @@ class Layout:
         In each row; those after the last column are empty.
     period : float or None
         Time between samples that the preamble states [s].
+    steps : (start, increment) or None
+        Of the clock, where the first column counts the samples [s].
     long : bool
         Each row is a name and its value.
     """
@@ -161,6 +166,7 @@ class Layout:
     kinds: list[str]
     fields: int
     period: float | None = None
+    steps: tuple[float, float] | None = None
     long: bool = False
 
 
@@ -235,7 +241,7 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> _Block | 
     rows = [
         (i, dialect.split(s))
         for i, s in enumerate(lines)
-        if i >= start and s.strip() and not s.lstrip().startswith(COMMENT)
+        if i >= start and not s.lstrip().startswith(COMMENT)
     ]
     kinds = [[dialect.kind(cell) for cell in row] for _, row in rows]
     fields = Counter(len(k) for k in kinds if "number" in k).most_common(1)
@@ -272,7 +278,8 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> _Block | 
         for c, kind in enumerate(row[: len(column)])
         if ok and kind and not constant[c]
     )
-    share = 1 - (cells["text"] + len(rows) - begin - len(body)) / max(sum(cells.values()), 1)
+    others = sum(any(row) for _, row in rows[begin:]) - len(body)
+    share = 1 - (cells["text"] + others) / max(sum(cells.values()), 1)
     above = {len(_trimmed(dialect.split(bare(s)))) for s in lines[start:first]}
     told = len(column) in above or how.header is not None
     return _Block(
@@ -323,7 +330,7 @@ def _named(
     nothing = [""] * block.width
     layout = Layout(
         nothing, nothing, block.dialect, block.first, block.kinds, block.fields,
-        _period(lines[: block.first]),
+        _period(lines[: block.first], block.dialect),
     )  # fmt: skip
     long = block.kinds == ["text", "number"] and not block.constant[0]
     if long and len({r[0] for r in block.rows}) <= len(block.rows) / 4:
@@ -413,7 +420,22 @@ def _from_rows(rows: list[list[str]], plain: Layout, wanted: Collection[str]) ->
             period = next((m for s in said if (m := re.search(r"\[(\w+)\]", next(iter(s))))), None)
             for c in places:
                 names[c], units[c] = CLOCK, period[1] if period else "s"
-    return replace(plain, names=names, units=units)
+    return replace(plain, names=names, units=units, steps=_steps(names, others, plain.dialect))
+
+
+def _steps(
+    names: list[str], others: list[list[str]], dialect: Dialect
+) -> tuple[float, float] | None:
+    """Start and increment that oscilloscopes write beside the names of their channels."""
+    place = {name.lower(): c for c, name in enumerate(names)}
+    for row in others:
+        start, step = (
+            dialect.number(row[place[key]]) if key in place else None
+            for key in ("start", "increment")
+        )
+        if start is not None and step is not None and step > 0:
+            return start, step
+    return None
 
 
 def _is_unit(text: str) -> bool:
@@ -437,20 +459,26 @@ def is_clock_name(name: str) -> bool:
     return bool(_TIME_NAME.match(name.strip())) or name == CLOCK
 
 
-def _period(preamble: Sequence[str]) -> float | None:
+def _period(preamble: Sequence[str], dialect: Dialect) -> float | None:
     """Time between samples that the lines above the table state [s]."""
     for line in preamble:
-        match = _PERIOD.search(line)
-        if match is None:
+        name = _PERIOD.search(line)
+        if name is None:
             continue
+        cells = dialect.split(line)
+        if len(cells) > 1 and _PERIOD.match(cells[0]) and dialect.number(cells[1]) is not None:
+            value, unit = dialect.number(cells[1]), named_unit(cells[0])[1]
+            unit = unit or (cells[2] if len(cells) > 2 and _is_unit(cells[2]) else "")
+        elif amount := _AMOUNT.match(line[name.end() :]):
+            value, unit = Dialect(" ").number(amount[1]), amount[2]
+        else:
+            continue
+        rate = "rate" in name[0].lower() or "freq" in name[0].lower()
         try:
-            value = float(match["value"].replace(",", ".").rstrip("."))
-            unit = parse_unit((match["unit"] or match["after"] or "s").strip("[]()"))
-        except (ValueError, LogError):
+            known = parse_unit(unit) if unit else Unit("Hz" if rate else "s", 1.0)
+        except LogError:
             continue
-        if unit.symbol == "Hz" and value > 0:
-            return 1 / (value * unit.factor)
-        rate = re.search(r"(?i)rate|freq", match["what"])
-        if unit.symbol == "s" and value > 0:
-            return 1 / value if rate else value * unit.factor
+        if value is not None and value > 0 and known.symbol in ("Hz", "s", ""):
+            amount_si = value * known.factor
+            return 1 / amount_si if rate or known.symbol == "Hz" else amount_si
     return None

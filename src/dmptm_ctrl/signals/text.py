@@ -32,6 +32,7 @@ SAMPLES = (1000, 20_000)  # lines looked at before the first row of numbers is f
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _FIELD = "\x1f"  # between the fields that pandas gets
+_NOTHING = "\0\x1a \t\r\n"  # of lines that say nothing
 _PLAIN = frozenset("0123456789+-. \t;,|")  # what rows of numbers begin with
 
 
@@ -135,6 +136,8 @@ def _encoding(path: Path) -> str:
     """UTF-8 or -16; else the Latin letters of older programs, for ° and µ in names."""
     with _open(path) as stream:
         head = stream.peek(1 << 16)[: 1 << 16]
+    if head[:64].count(0) < 8:  # a file that was to grow, and was not closed
+        head = head.rstrip(b"\0")
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
     if b"\0" in head:
@@ -182,6 +185,8 @@ def _table(
     read = sorted({*used, *(max((k for k in clocks if k < c), default=c) for c in used)})
     rows = _Rows(path, encoding, layout)
     data = rows.read({c: names[c] for c in read}, sys.maxsize if max_rows is None else max_rows)
+    if layout.steps is not None and 0 in data:
+        data[0] = layout.steps[0] + layout.steps[1] * data[0]
     columns, own = _one_each(path.name, names, chosen, data, sorted({*clocks} & {*read}))
     units = {n: u for n, u in zip(names, layout.units, strict=True) if u}
     return Table(columns, units, {}, tuple(rows.notes()), own, layout.period)
@@ -280,7 +285,7 @@ class _Rows:
             held = (number, row)
             lately.append(line)
         if held is not None and self._is_cut(lately):
-            self._leave_out("rows cut short", held[0])
+            self._leave_out("incomplete rows", [held[0]])
         elif held is not None:
             yield held
 
@@ -288,7 +293,7 @@ class _Rows:
         layout = self._layout
         separator, fields = layout.dialect.separator, layout.fields
         blanks, simple = separator == " ", not layout.dialect.pairs
-        short: tuple[int, str] | None = None
+        odd: list[tuple[int, str, str]] = []  # no rows, unless a row follows
         with _lines(self._path, self._encoding) as stream:
             for _ in range(layout.first):
                 next(stream, None)
@@ -297,34 +302,43 @@ class _Rows:
                     line = line.replace('"', "")  # nothing in the quotes separates
                 plain = simple and line[0] in _PLAIN and '"' not in line
                 if plain and not blanks and line.count(separator) == fields - 1:
-                    row = line.replace(separator, _FIELD)
+                    row, what = line.replace(separator, _FIELD), ""
                 elif plain and blanks and len(line.split()) == fields:
-                    row = line
-                elif not line.strip():
+                    row, what = line, ""
+                elif not line.strip(_NOTHING):
                     continue
                 else:
-                    row, lacks = self._judged(number, line)
-                    if lacks:
-                        self._refuse_short(short)
-                        short = (number, line)
-                        continue
-                if not row:  # a text after it: the program was stopped there
-                    if short is not None:
-                        self._leave_out("rows cut short", short[0])
-                    short = None
+                    row, what = self._judged(number, line)
+                if what == "odd":
+                    odd.append((number, line, row))
                     continue
-                self._refuse_short(short)
-                short = None
-                yield number, line, row
-        if short is not None:
-            self._leave_out("rows cut short", short[0])
+                if what:  # a text after it: the program was stopped there
+                    self._leave_out("incomplete rows", [n for n, _, _ in odd])
+                    self._leave_out(what, [number])
+                else:
+                    yield from map(self._row_of, odd)
+                    yield number, line, row
+                odd.clear()
+        self._leave_out("incomplete rows", [n for n, _, _ in odd])
 
-    def _judged(self, number: int, line: str) -> tuple[str, bool]:
-        """Row as pandas gets it, or "" and whether it is a row cut short."""
+    def _row_of(self, odd: tuple[int, str, str]) -> tuple[int, str, str]:
+        """Row of an odd line between others: one of another width is a mistake."""
+        if odd[2]:
+            return odd
+        count = len(self._layout.dialect.split(odd[1]))
+        raise LogError(
+            f"{self._path.name}: line {odd[0]} has {count} values, the header names "
+            f"{len(self._layout.kinds)} columns"
+        )
+
+    def _judged(self, number: int, line: str) -> tuple[str, str]:
+        """Row as pandas gets it, and what it is if it is no row of numbers.
+
+        "odd": a row that lacks values or holds words, as at the end of a file.
+        """
         layout = self._layout
         if line.lstrip().startswith(COMMENT):
-            self._leave_out("comments", number)
-            return "", False
+            return "", "comments"
         cells = layout.dialect.split(line)
         while len(cells) > layout.fields and not cells[-1]:
             cells.pop()
@@ -334,30 +348,18 @@ class _Rows:
             if of != "text"
         ]
         if not any(kind in ("number", "time") for kind in kinds) and any(kinds):
-            self._leave_out("text", number)
-            return "", False
-        if len(cells) > layout.fields:
-            raise LogError(
-                f"{self._path.name}: line {number} has {len(cells)} values, the header names "
-                f"{len(layout.kinds)} columns"
-            )
-        if len(cells) < layout.fields:
-            return "", True
+            return "", "text"
+        if len(cells) != layout.fields:
+            return "", "odd"
         if layout.dialect.separator == " ":
-            return " ".join(cell.replace(" ", "_") or "nan" for cell in cells) + "\n", False
-        return _FIELD.join(cells) + "\n", False
+            row = " ".join(cell.replace(" ", "_") or "nan" for cell in cells) + "\n"
+        else:
+            row = _FIELD.join(cells) + "\n"
+        return row, "odd" if "text" in kinds else ""
 
-    def _leave_out(self, what: str, number: int) -> None:
-        self._left_out.setdefault(what, []).append(number)
-
-    def _refuse_short(self, short: tuple[int, str] | None) -> None:
-        """A row that lacks values is cut short where a program stopped; else it is a mistake."""
-        if short is not None:
-            count = len(self._layout.dialect.split(short[1]))
-            raise LogError(
-                f"{self._path.name}: line {short[0]} has {count} values, the header names "
-                f"{len(self._layout.kinds)} columns"
-            )
+    def _leave_out(self, what: str, numbers: list[int]) -> None:
+        if numbers:
+            self._left_out.setdefault(what, []).extend(numbers)
 
     def notes(self) -> list[str]:
         """What was left out, and where."""

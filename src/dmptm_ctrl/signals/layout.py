@@ -268,7 +268,13 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> _Block | 
     if not runs:
         return None
     enough = min(STEADY, max(stop - begin for begin, stop in runs))
-    begin = next(b for b, stop in runs if stop - b >= enough)
+    steady = next(b for b, stop in runs if stop - b >= enough)
+    begin = steady
+    for i in range(steady - 1, -1, -1):  # blank lines between alike rows part nothing
+        if good[i] and kinds[i] == kinds[steady]:
+            begin = i
+        elif any(kinds[i]):
+            break
     first = rows[begin][0]
     body = [row for (_, row), ok in zip(rows[begin:], good[begin:], strict=True) if ok]
     constant = ["" if of != "text" else _same([r[c] for r in body]) for c, of in enumerate(column)]

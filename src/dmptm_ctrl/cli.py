@@ -360,10 +360,8 @@ def _show(info: "LogInfo") -> None:
     from rich.table import Table
 
     console = Console(highlight=False, soft_wrap=True)
-    console.print(
-        f"[bold]{_plain(info.name)}[/bold]: {info.samples} samples, {info.duration:.6g} s "
-        f"at {1 / info.sample_time:.6g} Hz"
-    )
+    rate = f", {info.duration:.6g} s at {1 / info.sample_time:.6g} Hz" if info.duration else ""
+    console.print(f"[bold]{_plain(info.name)}[/bold]: {info.samples} samples{rate}")
     table = Table("channel", "min", "max", "rms", "resolution", box=None)
     for channel in info.channels:
         numbers = (channel.low, channel.high, channel.rms, channel.resolution)

@@ -225,10 +225,18 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
         return ""
     if len(rig.inputs) > 1 and not all(is_known(i.gain) for i in rig.inputs):
         return ""
+    columns = " and ".join(i.column for i in rig.inputs)
+    each = {m.name: _inertia(rig, balance.only([m.name]), turns) for m in balance.motions}
+    wrong = [name for name, (found, se, out) in each.items() if found < -SURE * se and out < 0]
     inertia, se, energy = _inertia(rig, balance, turns)
+    if 0 < len(wrong) < len(each):
+        raise LogError(
+            f"{', '.join(wrong)}: {columns} or {_column(rig, point.name)} counts the other way "
+            f"than in the other logs: an inertia of {each[wrong[0]][0]:.3g} "
+            f"{_inertia_unit(rig, point.body)} at {point.body}"
+        )
     if inertia > -SURE * se:
         return ""
-    columns = " and ".join(i.column for i in rig.inputs)
     said = (
         f"the logs show an inertia of {inertia:.3g} {_inertia_unit(rig, point.body)} at "
         f"{point.body}: {columns} or {_column(rig, point.name)} counts the other way (sign = -1 "

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
+from dmptm_ctrl.signals.errors import ColumnsError, LogError
 from dmptm_ctrl.signals.units import (
     CANONICAL,
     SUFFIXES,
@@ -113,8 +113,7 @@ def resolve(
     mapping = _as_named(names, dict(mapping or {}))
     missing = [column for column in mapping if column not in names]
     if missing:
-        kind = NotALogError if len(missing) == len(mapping) else ColumnsError
-        raise kind(f"{source}: no column {missing[0]!r}; it has {_listed(names)}")
+        raise ColumnsError(f"{source}: no column {missing[0]!r}; it has {_listed(names)}")
     targets: dict[str, Target] = {}
     ignored = []
     contradictions = []

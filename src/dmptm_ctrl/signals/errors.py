@@ -15,5 +15,5 @@ class NotALogError(LogError):
     """A file that is no log at all: empty, too short, notes, a picture."""
 
 
-class ColumnsError(LogError):
+class ColumnsError(NotALogError):
     """A table of numbers whose columns do not say which channels they are."""

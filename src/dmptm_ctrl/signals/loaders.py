@@ -300,6 +300,9 @@ def read_table(
     try:
         if extension in readers:
             return readers[extension](path, choose)
+        with path.open("rb") as stream:
+            if stream.read(4) == b"MDF ":  # also called .mdf and .dat
+                return read_mdf(path, choose)
         if extension == ".parquet":
             return read_parquet(path, choose, max_rows)
         return read_text(path, choose, max_rows, how, wanted)

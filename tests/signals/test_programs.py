@@ -7,6 +7,8 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.signals import LogError
@@ -321,7 +323,9 @@ def test_bad_keys(key, message):
 
 def test_units_of_the_file_that_contradict(tmp_path):
     log = read(tmp_path, "t,u,q\ns,mNm,deg\n" + rows(",", T, U, Q))
-    assert any("'u' is in mNm by the file, 1000 times" in w for w in log.warnings)
+    assert any(
+        "'u' is in mNm by the file; the unit that you give is 1000 times" in w for w in log.warnings
+    )
     assert any("'q' is in deg by the file" in w for w in log.warnings)
     assert read(tmp_path, "t,u,q\ns,Nm,rad\n" + rows(",", T, U, Q)).warnings == ()
     # texts that are no units say nothing
@@ -345,6 +349,52 @@ def test_decimal_comma_that_shows_late(tmp_path):
         tmp_path, "t;u;q\n" + still + moving, rig(data='time = { column = "t", unit = "ms" }')
     )
     np.testing.assert_allclose(log["in_u"][1000:], U, atol=1e-9)
+
+
+def test_full_time_stamps_of_twincat(tmp_path):
+    """A clock without a name in ticks of 100 ns since 1601, whatever the label says."""
+    ticks = 133_000_000_000_000_000 + (1e7 * T).round().astype(np.int64)
+    lines = "".join(f"{t}\t{b:.5f}\t{t}\t{c:.5f}\n" for t, b, c in zip(ticks, U, Q, strict=True))
+    head = "Name\tu\tName\tq\nSampleTime[ms]\t10\tSampleTime[ms]\t10\n"
+    log = read(tmp_path, head + lines, rig(data='time = { column = "t", unit = "ticks" }'))
+    is_the_run(log)
+    assert log.warnings == ()
+
+
+finite = st.floats(-1e9, 1e9, allow_nan=False).map(lambda v: float(f"{v:.6g}"))
+
+
+DIALECTS = [(",", "."), (";", "."), (";", ","), ("\t", ","), (" ", "."), ("|", ".")]
+PREAMBLES = ["", "Drive AX\n", "Date;2024-01-01\n\n", "# made by a test\n", "a,b\n1,2\n"]
+QUIET = settings(
+    max_examples=25,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+
+
+@QUIET
+@given(
+    values=st.lists(st.tuples(finite, finite), min_size=100, max_size=120),
+    dialect=st.sampled_from(DIALECTS),
+    preamble=st.sampled_from(PREAMBLES),
+    units=st.booleans(),
+    trailing=st.booleans(),
+    form=st.sampled_from(["{!r}", "{:.6e}", "{:+.9g}"]),
+)
+def test_any_values_in_any_dialect(tmp_path, values, dialect, preamble, units, trailing, form):
+    """What is written comes back to the last bit of what the text says."""
+    separator, decimal = dialect
+    end = separator * (trailing and separator != " ") + "\n"
+    cells = [(form.format(a), form.format(b)) for a, b in values]
+    lines = [separator.join(f"{c}".replace(".", decimal) for c in (f"{i * 0.01:.2f}", *row))
+             for i, row in enumerate(cells)]  # fmt: skip
+    head = separator.join("tuq") + end + (separator.join(["s", "Nm", "rad"]) + end) * units
+    log = read(tmp_path, preamble + head + end.join([*lines, ""]))
+    np.testing.assert_array_equal(log["in_u"], [float(a) for a, _ in cells])
+    np.testing.assert_array_equal(log["out_q"], [float(b) for _, b in cells])
 
 
 def test_ros_nanoseconds(tmp_path):

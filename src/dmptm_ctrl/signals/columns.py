@@ -120,7 +120,7 @@ def resolve(
     for column in names:
         if column in mapping:
             targets[column] = _mapped(column, mapping[column], source)
-            if column in units and (other := _other_unit(targets[column], units[column])):
+            if other := _other_unit(mapping[column], units.get(column, "")):
                 contradictions.append(f"column {column!r} {other}")
         else:
             target = _by_name(column, units.get(column), source, strict=not mapping)
@@ -152,21 +152,23 @@ def _as_named(names: Sequence[str], mapping: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _other_unit(target: Target, stated: str) -> str:
+def _other_unit(target: Any, stated: str) -> str:
     """How a unit that the file states contradicts the one that is used; empty if it does not."""
+    split = split_column(target) if isinstance(target, str) else None
     try:
         unit = parse_unit(stated)
+        used = split[1] if split is not None else parse_unit(target[1])
     except LogError:
         return ""
-    size = abs(target.factor)
-    if not unit.symbol or (unit.symbol == target.symbol and abs(unit.factor / size - 1) < 1e-3):
+    ratio = used.factor / unit.factor
+    if not unit.symbol or (unit.symbol == used.symbol and abs(ratio - 1) < 1e-3):
         return ""
-    if unit.symbol == target.symbol:
+    if unit.symbol == used.symbol:
         return (
-            f"is in {stated} by the file, {size / unit.factor:.6g} times that by what you say; "
-            "what you say is taken: mend unit or scale if the file is right"
+            f"is in {stated} by the file; the unit that you give is {ratio:.6g} times that, and "
+            "is taken"
         )
-    return f"is in {stated} by the file, in {target.symbol or 'no unit'} by what you say"
+    return f"is in {stated} by the file, and taken in {used.symbol or 'no unit'} as you say"
 
 
 def _mapped(column: str, target: Any, source: str) -> Target:

@@ -16,6 +16,7 @@ COMMENT = ("#", "%", "//", "!")
 SEPARATORS = (";", "\t", ",", "|", " ")
 # decimal sign, sign between thousands; the plainest that reads everything is taken
 NUMBERS = ((".", ""), (",", ""), (".", ","), (",", "."), (".", "'"), (".", " "), (",", " "))
+FILE_TIME = 1e16  # a clock without a name that reads more counts ticks since 1601
 STEADY = 10  # rows of one kind in a row that are the table and no part of the preamble
 MISSING = frozenset(
     [
@@ -45,7 +46,7 @@ _FORTRAN = re.compile(r"[-+]?[\d.]+[dD][-+]?\d+")
 WORDS = frozenset(("true", "false"))
 _PAIR = re.compile(r"(?<![\w.-])([A-Za-z_][\w.\[\]()/-]*)\s*[=:]\s*(?=[-+.\d])")
 ODD = str.maketrans({"\xa0": "", "\u202f": "", "\u2009": "", "’": "'", "−": "-", "\ufeff": ""})
-_SEP_LINE = re.compile(r'\ufeff?"?sep=(.)"?\s*$')
+_SEP_LINE = re.compile(r'(?i)\ufeff?"?sep=(.)"?\s*$')
 _TYPE = re.compile(r"(?i)(l?real|[us]?[dls]?int|float|double|bool|lword|dword|word)\d*$")
 _TIME_NAME = re.compile(r"(?i)(time|zeit|uhrzeit|timestamp|x_value|t)(\W|_|\d|$)")
 _PERIOD = re.compile(r"(?i)sampl\w*[ _-]?(time|period|interval|rate|frequency)|delta_x|abtastzeit")
@@ -355,7 +356,13 @@ def _named(
                 f"row has {block.width} values; if another line holds the names, write its number "
                 "in [data] of the rig file, as in header = 3, or header = 0 for none"
             )
-    return _from_rows([_fitted(r, block.width) for r in rows], layout, wanted)
+    found = _from_rows([_fitted(r, block.width) for r in rows], layout, wanted)
+    ticks = [block.dialect.number(cell) or 0.0 for cell in block.rows[0][: block.width]]
+    units = [
+        "ticks" if name == CLOCK and value > FILE_TIME else unit
+        for name, unit, value in zip(found.names, found.units, ticks, strict=True)
+    ]
+    return replace(found, units=units)
 
 
 def _candidates(lines: Sequence[str], block: _Block) -> list[list[str]]:

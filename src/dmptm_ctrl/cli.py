@@ -3,7 +3,6 @@
 import json
 import os
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -269,10 +268,7 @@ def log_info(
 ) -> None:
     """Show what is in a log, and what it can and cannot tell."""
     from dmptm_ctrl.drive.rigfile import load_rig
-    from dmptm_ctrl.signals import load_log
-    from dmptm_ctrl.signals.checks import MIN_SAMPLES
-    from dmptm_ctrl.signals.errors import ColumnsError
-    from dmptm_ctrl.signals.info import describe, list_columns
+    from dmptm_ctrl.signals.info import describe, describe_file
 
     if rig is not None:
         from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
@@ -286,14 +282,7 @@ def log_info(
             inputs=[source.channel for source in drive.inputs],
         )
     else:
-        try:
-            info = describe(load_log(file, resample=resample))
-        except ColumnsError as error:  # names that say nothing to us: list them
-            info = list_columns(file)
-            if info.samples < MIN_SAMPLES:
-                raise
-            note = f"{error}; a rig.toml says what they are: log info FILE --rig rig.toml"
-            info = replace(info, warnings=(*info.warnings, note))
+        info = describe_file(file, resample=resample)
     if as_json:
         print(json.dumps(info.to_dict(), indent=2, ensure_ascii=False))
     else:

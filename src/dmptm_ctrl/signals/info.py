@@ -1,16 +1,18 @@
 """What is in a log, and which effects it can tell anything about."""
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.clock import seconds_of
-from dmptm_ctrl.signals.errors import NotALogError
-from dmptm_ctrl.signals.loaders import read_table
+from dmptm_ctrl.signals.columns import Table, resolve
+from dmptm_ctrl.signals.errors import ColumnsError
+from dmptm_ctrl.signals.loaders import load_log, read_table
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.units import door_column, named_unit
 
@@ -261,39 +263,52 @@ def _testable(
     return tuple(results)
 
 
-def list_columns(path: Path) -> LogInfo:
-    """Columns of any readable file, whatever they are called.
+def describe_file(path: Path, *, resample: bool = False) -> LogInfo:
+    """Say what is in a file without a rig; columns whose names say nothing are listed, too.
 
     Raises
     ------
     LogError
-        Not readable, or no table of numbers in it.
+        Not readable, no table of numbers in it, or a log that contradicts itself.
     """
-    kept: list[str] = []
+    try:
+        info = describe(load_log(path, resample=resample))
+    except ColumnsError as error:
+        found, table, _ = _columns_of(path)
+        samples = max((len(values) for values in table.columns.values()), default=0)
+        if samples < MIN_SAMPLES:
+            raise
+        notes = (*table.notes, str(error))
+        period = table.period or 0.0
+        return LogInfo(
+            path.name, samples, 0.0, period, None, tuple(found.values()), None, (), notes
+        )
+    if not any(warning.startswith("ignored ") for warning in info.warnings):
+        return info
+    found, table, stated = _columns_of(path)
+    known, _ = resolve(list(table.columns), None, stated, path.name)
+    others = tuple(channel for name, channel in found.items() if name not in known)
+    return replace(info, channels=(*info.channels, *others))
+
+
+def _columns_of(path: Path) -> tuple[dict[str, ChannelInfo], Table, dict[str, str]]:
+    """Columns of numbers of any readable file, whatever they are called."""
     stated: dict[str, str] = {}
 
     def choose(names: list[str], units: Mapping[str, str]) -> list[str]:
-        kept[:] = names
         stated.update(units)
         return names
 
     table = read_table(path, choose)
-    channels = []
-    samples = 0
+    found = {}
     for name, values in table.columns.items():
         column = np.asarray(values)
         if column.dtype.kind in "mM":
             column, _ = seconds_of(column, 1.0)
         if column.dtype.kind not in "fiub" or column.ndim != 1:
             continue
-        samples = max(samples, column.size)
         good = column[np.isfinite(column)].astype(np.float64)
         if good.size:
-            unit = stated.get(name, "")
-            label = name if not unit or named_unit(name)[1] else f"{name} [{unit}]"
-            channels.append(_figures(label, good))
-    if not channels:
-        raise NotALogError(f"{path.name}: no columns of numbers")
-    return LogInfo(
-        path.name, samples, 0.0, table.period or 0.0, None, tuple(channels), None, (), table.notes
-    )
+            unit = "" if named_unit(name)[1] else stated.get(name, "")
+            found[name] = _figures(f"{name} [{unit}]" if unit else name, good)
+    return found, table, stated

@@ -2,8 +2,8 @@
 
 from dmptm_ctrl.signals.campaign import Campaign
 from dmptm_ctrl.signals.columns import Column
+from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import LogError, MissingChannelError
-from dmptm_ctrl.signals.layout import TextFormat
 from dmptm_ctrl.signals.loaders import find_logs, load_log, load_logs
 from dmptm_ctrl.signals.log import Log
 

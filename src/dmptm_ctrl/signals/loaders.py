@@ -15,9 +15,9 @@ from dmptm_ctrl.signals.campaign import Campaign
 from dmptm_ctrl.signals.clock import mended, resampled, seconds_of
 from dmptm_ctrl.signals.columns import Choose, Mapped, Table, Target, resolve
 from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign
+from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
 from dmptm_ctrl.signals.holes import on_one_clock, without_holes
-from dmptm_ctrl.signals.layout import TextFormat
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
 from dmptm_ctrl.signals.mdf import read_mdf
@@ -301,8 +301,11 @@ def read_table(
         if extension in readers:
             return readers[extension](path, choose)
         with path.open("rb") as stream:
-            if stream.read(4) == b"MDF ":  # also called .mdf and .dat
-                return read_mdf(path, choose)
+            head = stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
+        if head.startswith(b"MDF "):  # also called .mdf and .dat
+            return read_mdf(path, choose)
+        if head.startswith(b"{") and extension != ".parquet":  # JSON by another name
+            return read_json(path, choose)
         if extension == ".parquet":
             return read_parquet(path, choose, max_rows)
         return read_text(path, choose, max_rows, how, wanted)

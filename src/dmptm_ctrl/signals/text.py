@@ -14,16 +14,10 @@ import numpy as np
 
 from dmptm_ctrl.signals.clock import times_of
 from dmptm_ctrl.signals.columns import Choose, Table
+from dmptm_ctrl.signals.dialect import COMMENT, MISSING, ODD, Layout, TextFormat
 from dmptm_ctrl.signals.errors import LogError, NotALogError
-from dmptm_ctrl.signals.layout import (
-    COMMENT,
-    MISSING,
-    ODD,
-    Layout,
-    TextFormat,
-    find_layout,
-    is_clock_name,
-)
+from dmptm_ctrl.signals.header import is_clock_name
+from dmptm_ctrl.signals.layout import find_layout
 
 CHUNK_ROWS = 200_000  # text of one chunk is in memory at once, about 20 MB
 MAX_LINE = 1 << 20  # bytes; a line longer than this is no row of numbers

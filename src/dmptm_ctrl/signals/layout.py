@@ -41,7 +41,7 @@ def find_layout(
         best = max([*([best] if best else []), *blocks], key=lambda b: b.score, default=None)
         if best is not None and best.score[0] > 0.99:
             break
-    if best is None:
+    if best is None or (best.score[0] < 0.5 and len(best.rows) < STEADY):  # prose
         what = "no rows of numbers" if any(s.strip() for s in lines) else "the file is empty"
         raise NotALogError(f"{source}: {what}")
     return named(lines, best, source, how, wanted)

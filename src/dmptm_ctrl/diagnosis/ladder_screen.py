@@ -52,6 +52,7 @@ def screen_chain(rig: Rig, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tuple[
     """
     distinct, warnings = without_duplicates(tuple(logs))
     kept, useless = [], []
+    told: set[str] = set()  # factors that all logs show are said once
     for log in distinct:
         notes = refuse_other_units(rig, log)
         if why := nothing_in(rig, log):
@@ -59,6 +60,8 @@ def screen_chain(rig: Rig, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tuple[
             continue
         short, cuts = cut(log, MAX_ROWS)
         kept.append(short)
+        notes = [note for note in notes if note.partition(" times ")[2] not in told]
+        told |= {note.partition(" times ")[2] for note in notes}
         warnings += [f"{log.name}: {note}" for note in (*cuts, *notes, *generates(rig, log))]
     if not kept:
         raise LogError(f"nothing to diagnose: {'; '.join(useless)}")
@@ -212,8 +215,8 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
     Returns
     -------
     str
-        A warning where the inertia is negative but the drive puts energy in, as a soft shaft
-        within a body makes it; empty if nothing is wrong.
+        A warning where the inertia is negative but the drive puts energy in, or where a spring
+        lies between drive and sensor, as resonances make it; empty if nothing is wrong.
 
     Raises
     ------
@@ -242,7 +245,8 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
         f"{point.body}: {columns} or {_column(rig, point.name)} counts the other way (sign = -1 "
         "in the rig file)"
     )
-    if energy < 0 or all(link.rigid for link in rig.links):
+    ways = [_path(rig, point.body, i.body) for i in rig.inputs]
+    if energy < 0 and all(way is not None and way.rigid for way in ways):
         raise LogError(said)
     return said
 
@@ -333,29 +337,31 @@ def _declared(rig: Rig, turns: dict[str, float]) -> tuple[float, float, float]:
 def _inertia(rig: Rig, balance: Balance, turns: dict[str, float]) -> tuple[float, float, float]:
     """Inertia at the first point, its standard error, and the energy that goes in.
 
-    A gain that is not known counts as 1.
+    A gain that is not known counts as 1. Energy with and without the mean torque, the lesser:
+    a weight that is let down gives energy, too.
     """
     name = balance.points[0].name
     rows, target = [], []
-    energy = 0.0
+    energy, without = 0.0, 0.0
     for motion in balance.motions:
         keep = motion.moving
         q, v, a = (part[name] for part in (motion.q, motion.v, motion.a))
         gains = {i.name: i.gain.value if is_known(i.gain) else 1.0 for i in rig.inputs}
         torque = np.sum([gains[i.name] * turns[i.body] * motion.u[i.name] for i in rig.inputs], 0)
         energy += float(torque @ v)
+        without += float((torque - torque.mean()) @ v)
         signals = (a, v, np.sign(v), q - q.mean())
         rows.append(np.column_stack([motion.reduce(s)[keep] for s in signals]))
         target.append(motion.reduce(torque)[keep])
     table, push = np.concatenate(rows), np.concatenate(target)
     size = np.linalg.norm(table, axis=0)
     if len(push) <= table.shape[1] or np.any(size == 0):
-        return 0.0, np.inf, energy
+        return 0.0, np.inf, 0.0
     inverse = np.linalg.pinv((table / size).T @ (table / size))
     found = inverse @ ((table / size).T @ push)
     left = push - table / size @ found
     se = float(np.sqrt(inverse[0, 0] * np.mean(left**2)) / size[0])
-    return float(found[0] / size[0]), se, energy
+    return float(found[0] / size[0]), se, min(energy, without)
 
 
 def _turns(rig: Rig, body: str) -> dict[str, float]:

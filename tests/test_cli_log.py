@@ -77,7 +77,11 @@ def test_wrong_usage(capsys, arguments, message):
         ("run.csv", b"", "the file is empty"),
         ("run.csv", b"time_s,theta_L_dge\n0,1\n", "ends in no known unit"),
         ("run.csv.gz", gzip.compress(b"time_s,x_m\n0,1\n" * 99)[:40], "damaged or cut short"),
-        ("run.csv", b"time_s,x_m\n0,nan\n" + b"".join(b"%d,1\n" % i for i in range(1, 200)), "NaN"),
+        (
+            "run.csv",
+            b"time_s,x_m\n0,1\n1,nan\n" + b"".join(b"%d,1\n" % i for i in range(2, 200)),
+            "NaN",
+        ),
         ("run.csv", b"time_s,a\x1b[31mb_m,x\ry\n0,1,2\n", "run.csv"),
         ("run.xlsx", b"PK", "not a log by its name"),
         ("run.mat", b"MATLAB 5.0 MAT-file", "not a readable .mat file"),

@@ -255,7 +255,9 @@ def _assignment(text: str) -> tuple[str, float]:
 
 @log_app.command("info")
 def log_info(
-    file: Annotated[Path, typer.Argument(help="Log: .csv, .csv.gz, .txt, .mat, .parquet, .mf4")],
+    file: Annotated[
+        Path, typer.Argument(help="Log: text of any kind, .mat, .parquet, .mf4, .json, …")
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
     resample: Annotated[
         bool, typer.Option("--resample", help="Put an uneven clock on even steps.")
@@ -266,8 +268,7 @@ def log_info(
 ) -> None:
     """Show what is in a log, and what it can and cannot tell."""
     from dmptm_ctrl.drive.rigfile import load_rig
-    from dmptm_ctrl.signals import load_log
-    from dmptm_ctrl.signals.info import describe
+    from dmptm_ctrl.signals.info import describe, describe_file
 
     if rig is not None:
         from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
@@ -278,9 +279,10 @@ def log_info(
             labels=drive.labels(),
             declared=drive.declared_names(),
             effects=CHAIN_CATALOGUE,
+            inputs=[source.channel for source in drive.inputs],
         )
     else:
-        info = describe(load_log(file, resample=resample))
+        info = describe_file(file, resample=resample)
     if as_json:
         print(json.dumps(info.to_dict(), indent=2, ensure_ascii=False))
     else:
@@ -347,10 +349,8 @@ def _show(info: "LogInfo") -> None:
     from rich.table import Table
 
     console = Console(highlight=False, soft_wrap=True)
-    console.print(
-        f"[bold]{_plain(info.name)}[/bold]: {info.samples} samples, {info.duration:.6g} s "
-        f"at {1 / info.sample_time:.6g} Hz"
-    )
+    rate = f", {info.duration:.6g} s at {1 / info.sample_time:.6g} Hz" if info.duration else ""
+    console.print(f"[bold]{_plain(info.name)}[/bold]: {info.samples} samples{rate}")
     table = Table("channel", "min", "max", "rms", "resolution", box=None)
     for channel in info.channels:
         numbers = (channel.low, channel.high, channel.rms, channel.resolution)
@@ -359,7 +359,7 @@ def _show(info: "LogInfo") -> None:
     for warning in info.warnings:
         console.print(f"warning: {_plain(warning)}")
     if info.excitation is None:
-        console.print("No input (V, A, N or Nm) with a motion in this log: nothing to diagnose.")
+        console.print("No input and no motion known in this log: nothing to diagnose.")
         return
     can = [row.effect for row in info.testable if row.testable]
     console.print(f"\n[bold]Can tell about[/bold] {', '.join(can) or 'nothing'}")

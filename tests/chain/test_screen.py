@@ -6,7 +6,12 @@ import pytest
 from tests.chain.truth import Bench, Machine
 
 from dmptm_ctrl.cli import main
-from dmptm_ctrl.diagnosis.ladder_screen import other_scale, screen_chain
+from dmptm_ctrl.diagnosis.ladder_screen import (
+    other_scale,
+    refuse_no_gain,
+    refuse_reversed,
+    screen_chain,
+)
 from dmptm_ctrl.diagnosis.screen import MAX_ROWS
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
@@ -29,7 +34,7 @@ def frames(bad=lambda table: table, *, all_of_them=False):
 
 def looked_at(tables, rig=RIG):
     """What the diagnosis does with them before it begins."""
-    logs = [rig._load(table, name=name) for name, table in tables.items()]
+    logs = [rig.load(table, name=name) for name, table in tables.items()]
     kept, warnings = screen_chain(rig, logs)
     strange = other_scale(rig, balance_of(rig, kept))
     if strange:
@@ -128,3 +133,142 @@ def test_at_the_command_line(tmp_path, capsys):
     assert said.count("\n") == 1
     assert "changes 57.3 times what w" in said
     assert sorted(tmp_path.rglob("*")) == before
+
+
+# -- signs, ratios, scales of a whole rig -------------------------------------------------------
+
+T = 0.002 * np.arange(4000)
+
+
+def geared(ratio=10.0, noise=0.0, soft=False, **factors):
+    """Motor and load on a gear, by hand: J a = u - b v - Fc sign(v), seen by both encoders."""
+    rng = np.random.default_rng(5)
+    tables = {}
+    for k, (f1, f2) in enumerate([(0.7, 1.9), (0.5, 2.7)]):
+        q = 2.0 * np.sin(2 * np.pi * f1 * T) + 0.3 * np.sin(2 * np.pi * f2 * T + k)
+        v, a = np.gradient(q, T), np.gradient(np.gradient(q, T), T)
+        u = 0.004 * a + 0.002 * v + 0.01 * np.sign(v)
+        twist = 0.002 * u if soft else 0.0
+        columns = {"t": T, "u": u, "m": q, "l": q / ratio - twist}
+        for name, factor in factors.items():
+            columns[name] = factor * columns[name]
+        for name in ("m", "l"):
+            columns[name] = columns[name] + noise * rng.normal(size=T.size)
+        tables[f"run{k}"] = pd.DataFrame(columns)
+    return tables
+
+
+SENSOR = '[sensor.{s}]\ncolumn = "{s}"\nunit = "rad"\nbody = "{body}"\n'
+
+
+def geared_rig(
+    ratio, *, unit="N m", gain="gain = 1", inertia="0.002 kg m^2", shaft="rigid", sensors="ml",
+    sign=1,
+):  # fmt: skip
+    body = {"m": "motor", "l": "load"}
+    return parse_rig(
+        f"""
+[body.motor]
+inertia = "{inertia}"
+[body.load]
+inertia = "{"0.2 kg m^2" if inertia != "unknown" else "unknown"}"
+[shaft.gear]
+between = ["motor", "load"]
+ratio = {ratio}
+stiffness = "{shaft}"
+[input.u]
+column = "u"
+unit = "{unit}"
+body = "motor"
+sign = {sign}
+{gain}
+[data]
+time = "t_s"
+"""
+        + "".join(SENSOR.format(s=s, body=body[s]) for s in sensors)
+    )
+
+
+def judged(tables, rig):
+    """Everything that the diagnosis asks before it begins."""
+    tables = {n: t.rename(columns={"t": "t_s"}) for n, t in tables.items()}
+    kept, warnings = screen_chain(rig, [rig.load(t, name=n) for n, t in tables.items()])
+    balance = balance_of(rig, kept)
+    refuse_no_gain(rig, balance)
+    found = [refuse_reversed(rig, balance), other_scale(rig, balance)]
+    return [*warnings, *filter(None, found)]
+
+
+def test_nothing_is_said_of_a_geared_rig_that_is_right():
+    for soft in (False, True):
+        for shaft in ("rigid", "unknown"):
+            rig = geared_rig(10, shaft=shaft)
+            assert judged(geared(soft=soft, noise=1e-5), rig) == []
+    assert judged(geared(), geared_rig(10, inertia="unknown", gain="")) == []
+
+
+@pytest.mark.parametrize("shaft", ["rigid", "unknown"])
+def test_ratio_the_wrong_way_round(shaft):
+    said = (
+        r"m moves (9.98|10) times what l does, where \[shaft.gear\] says 0.1: .*the wrong way round"
+    )
+    with pytest.raises(LogError, match=said):
+        judged(geared(soft=shaft != "rigid"), geared_rig(0.1, shaft=shaft))
+
+
+def test_ratio_that_is_wrong_otherwise():
+    with pytest.raises(LogError, match="m moves 10 times what l does, where .* says 25"):
+        judged(geared(), geared_rig(25))
+    with pytest.raises(LogError, match="m moves -10 times .* counts the other way"):
+        judged(geared(l=-1), geared_rig(10))
+    with pytest.raises(LogError, match="radians and degrees are mixed up"):
+        judged(geared(m=1 / DEG), geared_rig(10))
+
+
+def test_ratio_the_wrong_way_round_by_the_inertia_alone():
+    """One encoder: the load's inertia is 10 000 times that which the logs show."""
+    rig = geared_rig(0.1, sensors="m")
+    with pytest.raises(LogError, match="perhaps the ratio of gear is the wrong way round"):
+        strange = judged(geared(), rig)
+        raise LogError(strange[0])
+
+
+@pytest.mark.parametrize("sensors", ["m", "ml", "l"])
+@pytest.mark.parametrize("inertia", ["0.002 kg m^2", "unknown"])
+@pytest.mark.parametrize("shaft", ["rigid", "unknown"])
+def test_torque_that_counts_the_other_way(sensors, inertia, shaft):
+    if sensors == "l" and shaft == "unknown":
+        return  # the far side of a spring may go against the torque
+    rig = geared_rig(10, sensors=sensors, inertia=inertia, shaft=shaft)
+    value = "-0.4" if sensors == "l" else "-0.004"
+    with pytest.raises(LogError, match=rf"inertia of {value}.* u or . counts the other way \(sign"):
+        judged(geared(u=-1, noise=1e-6), rig)
+    mended = geared_rig(10, sensors=sensors, inertia=inertia, shaft=shaft, sign=-1)
+    assert judged(geared(u=-1, noise=1e-6), mended) == []
+
+
+def test_one_log_that_counts_the_other_way_is_named():
+    tables = geared()
+    tables["run1"]["u"] *= -1
+    with pytest.raises(LogError, match=r"^run1: u or m counts the other way .* inertia of -0.004"):
+        judged(tables, geared_rig(10, sensors="m"))
+
+
+def test_a_factor_between_two_sensors_is_told():
+    (said,) = judged(geared(l=1.2), geared_rig(10))  # of both logs once
+    assert "m moves 8.333 times what l does, where 10 is right" in said
+    assert said.startswith("run0")
+
+
+@pytest.mark.parametrize(
+    ("unit", "counts"), [("1", 500.0), ("counts", 500.0), ("percent", 40.0), ("V", 24.0)]
+)
+def test_inertia_beside_an_input_without_gain(unit, counts):
+    """A torque of 0.002 N·m per count makes 500 of an inertia of 1."""
+    rig = geared_rig(10, unit=unit, gain="", sensors="m")
+    shown = f"{0.004 * counts:.2g}"
+    said = rf"has no gain.*inertia of {shown}\d* at motor.*with this inertia {str(1 / counts)[:5]}"
+    with pytest.raises(LogError, match=said):
+        judged(geared(u=counts), rig)
+    assert judged(geared(u=counts), geared_rig(10, unit=unit, gain=f"gain = {1 / counts}")) == []
+    assert judged(geared(u=counts), geared_rig(10, unit=unit, gain="", inertia="unknown")) == []

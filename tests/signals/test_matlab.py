@@ -202,3 +202,18 @@ def test_missing_library_is_named(tmp_path, monkeypatch):
     path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(600))
     with pytest.raises(ImportError, match=r"pip install 'dmptm-ctrl\[mat73\]'"):
         matlab.find_signals(path)
+
+
+def test_timeseries_on_clocks_of_their_own(tmp_path):
+    """Three series on two clocks: the slower one is interpolated to the faster."""
+    fast, slow = 0.01 * np.arange(400), 0.04 * np.arange(100)
+    series = {
+        name: {"Time": time, "Data": 2.0 * time, "Name": name}
+        for name, time in (("u_V", slow), ("x_m", fast), ("y_m", fast.copy()))
+    }
+    savemat(tmp_path / "run.mat", series)
+    log = load_log(tmp_path / "run.mat")
+    assert log.sample_time == pytest.approx(0.01)
+    for channel in ("u", "x", "y"):
+        np.testing.assert_allclose(log[channel], 2.0 * log.time, atol=1e-12)
+    assert any("u_V on another clock" in w for w in log.warnings)

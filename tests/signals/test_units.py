@@ -19,6 +19,7 @@ WRITTEN_OUT = {
     "m": "meter", "mm": "millimeter", "um": "micrometer",
     "m_s": "meter / second", "mm_s": "millimeter / second", "m_s2": "meter / second**2",
     "g": "standard_gravity", "Hz": "hertz", "W": "watt", "K": "kelvin",
+    "ns": "nanosecond", "percent": "percent",
 }  # fmt: skip
 
 
@@ -65,6 +66,12 @@ def test_column_without_a_unit(column):
         ("inch", "m", 0.0254),
         ("rev/min", "rad/s", math.pi / 30),
         ("", "", 1.0),
+        ("%", "%", 1.0),
+        ("PWM", "", 1.0),
+        ("counts", "", 1.0),
+        ("ticks", "s", 1e-7),
+        ("Volt", "V", 1.0),
+        ("1/min", "rad/s", math.pi / 30),
     ],
 )
 def test_unit_from_an_expression(text, symbol, factor):
@@ -74,7 +81,7 @@ def test_unit_from_an_expression(text, symbol, factor):
 
 
 @pytest.mark.parametrize(
-    "text", ["foo", "degC", "lb", "%", "9**9**9**9", "__import__('os')", "m" * 1000, "deg/", "/s"]
+    "text", ["foo", "degC", "lb", "9**9**9**9", "__import__('os')", "m" * 1000, "deg/", "/s"]
 )
 def test_what_is_no_unit_of_a_drive(text):
     with pytest.raises(LogError, match="unit"):

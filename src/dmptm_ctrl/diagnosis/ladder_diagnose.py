@@ -16,7 +16,12 @@ from dmptm_ctrl.diagnosis.ladder_report import (
     standard_errors,
     torque_unit,
 )
-from dmptm_ctrl.diagnosis.ladder_screen import other_scale, screen_chain
+from dmptm_ctrl.diagnosis.ladder_screen import (
+    other_scale,
+    refuse_no_gain,
+    refuse_reversed,
+    screen_chain,
+)
 from dmptm_ctrl.diagnosis.ladder_standing import standing
 from dmptm_ctrl.diagnosis.ladder_unknown import unexplained
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
@@ -71,11 +76,17 @@ def diagnose_chain(
     started = time.perf_counter()
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
     _refuse_floating(declared)
-    loaded, warnings = screen_chain(declared, declared.read(logs, max_rows=READ_ROWS))
+    left_out: list[str] = []
+    read = declared.read(logs, max_rows=READ_ROWS, told=left_out)
+    loaded, warnings = screen_chain(declared, read)
+    warnings = (*left_out, *warnings)
     late = late_sensors(declared, loaded)
     balance = balance_of(declared, loaded, late={k: v.delay for k, v in late.items()})
     balance, short = _long_enough(balance)
     warnings = (*warnings, *short)
+    refuse_no_gain(declared, balance)
+    if turned := refuse_reversed(declared, balance):
+        warnings = (*warnings, turned)
     if strange := other_scale(declared, balance):
         if all(link.rigid for link in declared.links):
             raise LogError(strange)

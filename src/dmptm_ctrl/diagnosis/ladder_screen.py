@@ -1,19 +1,32 @@
 """Before the ladder of any rig: which logs can be used, and which mistakes show at once."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.screen import MAX_ROWS, STRANGE, VAGUE, cut
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
+from dmptm_ctrl.drive.rig_tables import si_symbol
 from dmptm_ctrl.identify.chain_free import Floats
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.signals.campaign import without_duplicates
-from dmptm_ctrl.signals.plausible import MISTAKES, refuse_factor, travelled
+from dmptm_ctrl.signals.plausible import (
+    MISTAKES,
+    NAMED,
+    SAME_UNIT,
+    motion_ratio,
+    refuse_factor,
+    travelled,
+)
+from dmptm_ctrl.signals.plausible import SURE as SURE_PAIR
 
 LEAN = 0.3  # correlation of drive and speed that tells the sign of the motors' power
 SURE = 10.0  # standard errors of an inertia that contradicts its declaration
+KINEMATIC = 0.99  # correlation above which one position follows another through a soft link
+TOLD = 1.05  # factor between two sensors of one motion that a good pair does not have
 HIDDEN = 20.0  # times less: behind a soft shaft, a load hides that much of the inertia, not more
 
 
@@ -39,14 +52,17 @@ def screen_chain(rig: Rig, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tuple[
     """
     distinct, warnings = without_duplicates(tuple(logs))
     kept, useless = [], []
+    told: set[str] = set()  # factors that all logs show are said once
     for log in distinct:
-        refuse_other_units(rig, log)
+        notes = refuse_other_units(rig, log)
         if why := nothing_in(rig, log):
             useless.append(f"{log.name} {why}")
             continue
-        short, notes = cut(log, MAX_ROWS)
+        short, cuts = cut(log, MAX_ROWS)
         kept.append(short)
-        warnings += [f"{log.name}: {note}" for note in (*notes, *generates(rig, log))]
+        notes = [note for note in notes if note.partition(" times ")[2] not in told]
+        told |= {note.partition(" times ")[2] for note in notes}
+        warnings += [f"{log.name}: {note}" for note in (*cuts, *notes, *generates(rig, log))]
     if not kept:
         raise LogError(f"nothing to diagnose: {'; '.join(useless)}")
     return tuple(kept), (*warnings, *(f"left out: {text}" for text in useless))
@@ -73,26 +89,95 @@ def nothing_in(rig: Rig, log: Log) -> str:
     return ""
 
 
-def refuse_other_units(rig: Rig, log: Log) -> None:
-    """Refuse position and speed sensors of one body that differ in unit or sign."""
-    for speed, angle in _pairs(rig):
-        refuse_factor(
-            log,
-            log[angle.channel],
-            travelled(log, speed.channel),
-            f"{angle.column} ({angle.unit}) changes",
-            f"{speed.column} ({speed.unit}) adds up to",
-            detrend=True,
+def refuse_other_units(rig: Rig, log: Log) -> list[str]:
+    """Refuse sensors of one body, or across links, that differ in unit, sign or ratio.
+
+    Returns
+    -------
+    list of str
+        Factors that a sensor's gain may have: told, not refused.
+    """
+    notes = []
+    for one, other, path in _pairs(rig):
+        y, x = _travel(log, one), path.ratio * _travel(log, other)
+        slope, correlation = motion_ratio(log, y, x)
+        if abs(correlation) < (SURE_PAIR if path.rigid else KINEMATIC):
+            continue
+        what = "adds up to" if other.measures == "speed" else "does"
+        if not path.links:
+            this = f"{one.column} ({one.unit}) changes"
+            expected = f"{other.column} ({other.unit}) {what}"
+            refuse_factor(log, y, x, this, expected, detrend=True)
+        elif not SAME_UNIT[0] <= slope <= SAME_UNIT[1]:
+            raise LogError(f"{log.name}: {_other_ratio(one, other, path, slope)}")
+        if path.rigid and not 1 / TOLD < abs(slope) < TOLD and abs(correlation) > KINEMATIC:
+            notes.append(
+                f"{one.column} moves {slope * path.ratio:.4g} times what {other.column} {what}, "
+                f"where {path.ratio:.4g} is right: one of the two has another scale"
+            )
+    return notes
+
+
+class _Path(NamedTuple):
+    """How one body moves with another."""
+
+    ratio: float  # turns of the first per turn of the second
+    links: tuple[str, ...]
+    rigid: bool
+
+
+def _other_ratio(one: Sensor, other: Sensor, path: _Path, slope: float) -> str:
+    """Sentence about a ratio that the logs contradict."""
+    shown = slope * path.ratio
+    if abs(np.log(abs(shown * path.ratio))) < np.log(NAMED) and shown > 0:
+        why = (
+            "the ratio is the wrong way round; it is turns of the first body per turn of the second"
         )
+    elif abs(np.log(abs(slope))) < np.log(NAMED):
+        why = "one of the two counts the other way (sign = -1), or the ratio is negative"
+    else:
+        near = [text for f, text in MISTAKES.items() if 1 / NAMED < slope / f < NAMED]
+        why = near[0] if near else "a wrong ratio or unit"
+    said = " and ".join(path.links)
+    return (
+        f"{one.column} moves {shown:.3g} times what {other.column} does, where {said} "
+        f"say{'s' * (len(path.links) == 1)} {path.ratio:.3g}: {why}"
+    )
 
 
-def _pairs(rig: Rig) -> Iterator[tuple[Sensor, Sensor]]:
-    for speed in rig.sensors:
-        for angle in rig.sensors:
-            if (speed.measures, angle.measures) == ("speed", "position") and (
-                speed.body == angle.body
+def _travel(log: Log, sensor: Sensor) -> Floats:
+    if sensor.measures == "speed":
+        return travelled(log, sensor.channel)
+    return log[sensor.channel]
+
+
+def _pairs(rig: Rig) -> Iterator[tuple[Sensor, Sensor, _Path]]:
+    """Sensors that must agree, a position before a speed."""
+    ordered = sorted(rig.sensors, key=lambda s: s.measures != "position")
+    for i, one in enumerate(ordered):
+        for other in ordered[i + 1 :]:
+            path = _path(rig, one.body, other.body)
+            if path is not None:
+                yield one, other, path
+
+
+def _path(rig: Rig, body: str, to: str) -> _Path | None:
+    """Way through links of known ratio; None where there is none."""
+    paths = {body: _Path(1.0, (), True)}
+    for _ in rig.links:
+        for link in rig.links:
+            if not is_known(link.ratio):
+                continue
+            for here, there, step in (
+                (link.first, link.second, link.ratio.value),
+                (link.second, link.first, 1 / link.ratio.value),
             ):
-                yield speed, angle
+                if here in paths and there not in paths:
+                    before = paths[here]
+                    name = f"[{'mesh' if link.mesh else 'shaft'}.{link.name}]"
+                    links, rigid = (*before.links, name), before.rigid and link.rigid
+                    paths[there] = _Path(before.ratio * step, links, rigid)
+    return paths.get(to)
 
 
 def generates(rig: Rig, log: Log) -> list[str]:
@@ -104,14 +189,17 @@ def generates(rig: Rig, log: Log) -> list[str]:
     notes = []
     for source in rig.inputs:
         for sensor in rig.sensors:
-            if sensor.body != source.body or sensor.measures != "speed":
+            if sensor.body != source.body:
                 continue
             u, v = log[source.channel], log[sensor.channel]
+            if sensor.measures == "position":
+                v = np.gradient(v)
             if max(lean(u, v), lean(u - u.mean(), v - v.mean())) < -LEAN:
                 notes.append(
                     f"{sensor.column} goes against {source.column} over the whole log: one of "
                     "them may count the other way (sign = -1 in the rig file)"
                 )
+                break
     return notes
 
 
@@ -119,6 +207,90 @@ def lean(u: Floats, v: Floats) -> float:
     """Return the cosine between two signals, 0 where one is zero."""
     size = np.sqrt(float(u @ u) * float(v @ v))
     return float(u @ v) / size if size > 0 else 0.0
+
+
+def refuse_reversed(rig: Rig, balance: Balance) -> str:
+    """Refuse inputs that count against the motion: a negative inertia, and energy that comes out.
+
+    Returns
+    -------
+    str
+        A warning where the inertia is negative but the drive puts energy in, or where a spring
+        lies between drive and sensor, as resonances make it; empty if nothing is wrong.
+
+    Raises
+    ------
+    LogError
+    """
+    point = balance.points[0]
+    turns = _turns(rig, point.body)
+    if any(i.body not in turns for i in rig.inputs):
+        return ""
+    if len(rig.inputs) > 1 and not all(is_known(i.gain) for i in rig.inputs):
+        return ""
+    columns = " and ".join(i.column for i in rig.inputs)
+    each = {m.name: _inertia(rig, balance.only([m.name]), turns) for m in balance.motions}
+    wrong = [name for name, (found, se, out) in each.items() if found < -SURE * se and out < 0]
+    inertia, se, energy = _inertia(rig, balance, turns)
+    if 0 < len(wrong) < len(each):
+        raise LogError(
+            f"{', '.join(wrong)}: {columns} or {_column(rig, point.name)} counts the other way "
+            f"than in the other logs: an inertia of {each[wrong[0]][0]:.3g} "
+            f"{_inertia_unit(rig, point.body)} at {point.body}"
+        )
+    if inertia > -SURE * se:
+        return ""
+    said = (
+        f"the logs show an inertia of {inertia:.3g} {_inertia_unit(rig, point.body)} at "
+        f"{point.body}: {columns} or {_column(rig, point.name)} counts the other way (sign = -1 "
+        "in the rig file)"
+    )
+    ways = [_path(rig, point.body, i.body) for i in rig.inputs]
+    if energy < 0 and all(way is not None and way.rigid for way in ways):
+        raise LogError(said)
+    return said
+
+
+def _column(rig: Rig, sensor: str) -> str:
+    return next(s.column for s in rig.sensors if s.name == sensor)
+
+
+def _inertia_unit(rig: Rig, body: str) -> str:
+    """Unit of an inertia; per unit of the input where its gain is not known."""
+    linear = rig.body(body).linear
+    if all(is_known(i.gain) for i in rig.inputs):
+        return "kg" if linear else "kg·m²"
+    source = rig.inputs[0]
+    unit = "per unit" if si_symbol(source.unit) == "" else f"{si_symbol(source.unit)}"
+    return f"({unit} of {source.column})/({'m' if linear else 'rad'}/s²)"
+
+
+def refuse_no_gain(rig: Rig, balance: Balance) -> None:
+    """Refuse an inertia in kg·m² that the logs contradict, beside an input of unknown gain.
+
+    Raises
+    ------
+    LogError
+        With the inertia in units of the input, and the gain that would make it fit.
+    """
+    source = rig.inputs[0]
+    point = balance.points[0]
+    turns = _turns(rig, point.body)
+    known = all(is_known(b.inertia) for b in rig.bodies)
+    if len(rig.inputs) > 1 or is_known(source.gain) or not known or len(turns) < len(rig.bodies):
+        return
+    inertia, se, _ = _inertia(rig, balance, turns)
+    low, value, high = _declared(rig, turns)
+    if inertia < SURE * se or low / VAGUE < inertia < VAGUE * high:
+        return
+    body = rig.body(point.body)
+    raise LogError(
+        f"[input.{source.name}] has no gain, so that torques count in the unit of {source.column}; "
+        f"in it the logs show an inertia of {inertia:.3g} at {point.body}, where the rig file "
+        f"declares {value:.3g} {'kg' if body.linear else 'kg·m²'}: give the gain (with this "
+        f"inertia {value / inertia:.3g} {body.force_unit} per "
+        f"{si_symbol(source.unit) or 'unit'}), or write that the inertia is unknown"
+    )
 
 
 def other_scale(rig: Rig, balance: Balance) -> str:
@@ -133,43 +305,63 @@ def other_scale(rig: Rig, balance: Balance) -> str:
     known = [b.inertia for b in rig.bodies] + [i.gain for i in rig.inputs]
     if len(turns) < len(rig.bodies) or not all(is_known(q) for q in known):
         return ""
-    inertia, se = _inertia(rig, balance, turns)
+    inertia, se, _ = _inertia(rig, balance, turns)
+    low, value, high = _declared(rig, turns)
+    if inertia < SURE * se or low / HIDDEN < inertia < STRANGE * high:
+        return ""
+    ratio = inertia / value
+    near = [why for f, why in MISTAKES.items() if 1.0 / VAGUE < ratio * f < VAGUE]
+    for link in rig.links:
+        other = replace(link, ratio=replace(link.ratio, value=1 / link.ratio.value))
+        inverted = replace(rig, links=tuple(other if k is link else k for k in rig.links))
+        if 1.0 / VAGUE < inertia / _declared(inverted, _turns(inverted, point.body))[1] < VAGUE:
+            near = [f"the ratio of {link.name} is the wrong way round", *near]
+    perhaps = f": perhaps {near[0]}" if near else ""  # the commonest first
+    return (
+        f"the logs show an inertia of {inertia:.3g} {_inertia_unit(rig, point.body)} at "
+        f"{point.body}, {ratio:.3g} times what the rig file declares{perhaps}; mend units and "
+        "gains in the rig file, or the inertia"
+    )
+
+
+def _declared(rig: Rig, turns: dict[str, float]) -> tuple[float, float, float]:
+    """Least, declared and greatest inertia of all bodies, as the first point feels it."""
     low, value, high = (
         sum(turns[b.name] ** 2 * x for b, x in zip(rig.bodies, ends, strict=True))
         for ends in zip(*((b.inertia.range[0], b.inertia.value, b.inertia.range[1])
                           for b in rig.bodies), strict=True)
     )  # fmt: skip
-    if inertia < SURE * se or low / HIDDEN < inertia < STRANGE * high:
-        return ""
-    ratio = inertia / value
-    near = [why for f, why in MISTAKES.items() if 1.0 / VAGUE < ratio * f < VAGUE]
-    perhaps = f": perhaps {near[0]}" if near else ""  # the commonest first
-    unit = "kg" if rig.body(point.body).linear else "kg·m²"
-    return (
-        f"the logs show an inertia of {inertia:.3g} {unit} at {point.body}, {ratio:.3g} times what "
-        f"the rig file declares{perhaps}; mend units and gains in the rig file, or the inertia"
-    )
+    return low, value, high
 
 
-def _inertia(rig: Rig, balance: Balance, turns: dict[str, float]) -> tuple[float, float]:
-    """Inertia at the first point, and its standard error."""
+def _inertia(rig: Rig, balance: Balance, turns: dict[str, float]) -> tuple[float, float, float]:
+    """Inertia at the first point, its standard error, and the energy that goes in.
+
+    A gain that is not known counts as 1. Energy with and without the mean torque, the lesser:
+    a weight that is let down gives energy, too.
+    """
     name = balance.points[0].name
     rows, target = [], []
+    energy, without = 0.0, 0.0
     for motion in balance.motions:
         keep = motion.moving
         q, v, a = (part[name] for part in (motion.q, motion.v, motion.a))
-        torque = np.sum([i.gain.value * turns[i.body] * motion.u[i.name] for i in rig.inputs], 0)
+        gains = {i.name: i.gain.value if is_known(i.gain) else 1.0 for i in rig.inputs}
+        torque = np.sum([gains[i.name] * turns[i.body] * motion.u[i.name] for i in rig.inputs], 0)
+        energy += float(torque @ v)
+        without += float((torque - torque.mean()) @ v)
         signals = (a, v, np.sign(v), q - q.mean())
         rows.append(np.column_stack([motion.reduce(s)[keep] for s in signals]))
         target.append(motion.reduce(torque)[keep])
     table, push = np.concatenate(rows), np.concatenate(target)
     size = np.linalg.norm(table, axis=0)
     if len(push) <= table.shape[1] or np.any(size == 0):
-        return 0.0, np.inf
+        return 0.0, np.inf, 0.0
     inverse = np.linalg.pinv((table / size).T @ (table / size))
     found = inverse @ ((table / size).T @ push)
     left = push - table / size @ found
-    return float(found[0] / size[0]), float(np.sqrt(inverse[0, 0] * np.mean(left**2)) / size[0])
+    se = float(np.sqrt(inverse[0, 0] * np.mean(left**2)) / size[0])
+    return float(found[0] / size[0]), se, min(energy, without)
 
 
 def _turns(rig: Rig, body: str) -> dict[str, float]:

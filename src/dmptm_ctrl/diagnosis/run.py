@@ -18,7 +18,8 @@ from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
-from dmptm_ctrl.signals import LogError, load_log, load_logs
+from dmptm_ctrl.signals import Campaign, LogError, load_log, load_logs
+from dmptm_ctrl.signals.loaders import gather
 from dmptm_ctrl.simulate.model_file import read_model
 
 SPEED_FORMAT = "%.7g"  # finer than any sensor here
@@ -69,8 +70,13 @@ def diagnose(
     drive = dual_motor(declared)
     if drive is None:
         return diagnose_chain(logs, declared, jobs=jobs, seed=seed, tell=tell)
-    options = {"max_rows": READ_ROWS, "sample_time": declared.data.sample_time}
-    campaign = load_logs(logs, dual_columns(declared), **options)
+    columns = dual_columns(declared)
+    read, left_out = gather(
+        logs,
+        lambda one, **name: declared.load(one, columns, max_rows=READ_ROWS, **name),
+        declared.ignores,
+    )
+    campaign = Campaign(read, tuple(left_out))
     return diagnose_dual(campaign, drive, jobs=jobs, seed=seed, tell=tell)
 
 

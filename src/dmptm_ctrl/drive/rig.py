@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from math import inf, isfinite, nan
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.drive.parameters import Quantity
-from dmptm_ctrl.signals import Column, Log, LogError, find_logs, load_log
+from dmptm_ctrl.signals import Column, Log, LogError, TextFormat, load_log
+from dmptm_ctrl.signals.loaders import gather, stem
 
 DEFAULT_TOLERANCE = 0.3  # of a declared value that does not state one; documented in rig_toml.md
 
@@ -200,6 +200,14 @@ class DeclaredEffect:
     values: Mapping[str, Quantity]
 
 
+def _of_log(values: Mapping[str, float], name: str) -> float | None:
+    """Value of a log by its name, else by the first pattern that fits."""
+    exact = values.get(name)
+    return exact if exact is not None else next(
+        (v for pattern, v in values.items() if fnmatchcase(name, pattern)), None
+    )  # fmt: skip
+
+
 @dataclass(frozen=True)
 class DataSpec:
     """How logs come in.
@@ -212,6 +220,10 @@ class DataSpec:
         Of logs without a time column [s].
     fit, held_out : tuple of str
         Patterns of log names; empty leaves the choice to the diagnosis.
+    start, stop : mapping of pattern to float
+        Part of the logs that is used [s].
+    text : TextFormat
+        Layout of text files.
     """
 
     time: tuple[str, str] | None = None
@@ -219,8 +231,13 @@ class DataSpec:
     fit: tuple[str, ...] = ()
     held_out: tuple[str, ...] = ()
     ignore: tuple[str, ...] = ()
-    start: float | None = None
-    stop: float | None = None
+    start: Mapping[str, float] = field(default_factory=dict)
+    stop: Mapping[str, float] = field(default_factory=dict)
+    text: TextFormat = field(default_factory=TextFormat)
+
+    def window(self, name: str) -> tuple[float | None, float | None]:
+        """Part of a log that is used [s], from its first sample; None: its end."""
+        return _of_log(self.start, name), _of_log(self.stop, name)
 
 
 @dataclass(frozen=True)
@@ -281,16 +298,21 @@ class Rig:
             names.add("backlash")
         return names
 
-    def read(self, sources: Any, *, max_rows: int | None = None) -> tuple[Log, ...]:
+    def read(
+        self, sources: Any, *, max_rows: int | None = None, told: list[str] | None = None
+    ) -> tuple[Log, ...]:
         """Load logs of this rig.
 
         Parameters
         ----------
         sources : path, or several paths, DataFrames or Logs
-            A folder stands for all logs in it, but those under ``[data] ignore``. Logs that
-            have the rig's channels already are taken as they are.
+            A folder stands for all logs in it, but those under ``[data] ignore``; files that
+            are no logs are left out. Logs that have the rig's channels already are taken as
+            they are.
         max_rows : int, optional
             Rows of a file after this many are not read, with a warning.
+        told : list of str, optional
+            Gets a sentence about each file that was left out.
 
         Returns
         -------
@@ -303,36 +325,38 @@ class Rig:
         LogError
             As `load_log`; no log, or two of one name.
         """
-        single = isinstance(sources, str | PathLike | Log) or hasattr(sources, "columns")
-        logs: list[Log] = []
-        for source in [sources] if single else sources:
-            if isinstance(source, str | PathLike):
-                files = [f for f in find_logs(source) if not self._ignored(f)]
-                logs += [self._load(f, max_rows=max_rows) for f in files]
-            elif isinstance(source, Log):
-                logs.append(self._checked(source))
-            else:
-                logs.append(self._load(source, name=f"table{len(logs) + 1}"))
-        if not logs:
+        loaded, left_out = gather(
+            sources, lambda s, **o: self.load(s, max_rows=max_rows, **o), self.ignores
+        )
+        if told is not None:
+            told += left_out
+        if not loaded:
             raise LogError("no logs: every file is under [data] ignore of the rig file")
-        names = [log.name for log in logs]
+        names = [log.name for log in loaded]
         twice = next((n for n in names if names.count(n) > 1), None)
         if twice is not None:
             raise LogError(f"two logs are named {twice}; rename one")
-        return tuple(sorted(logs, key=lambda log: log.name))
+        return tuple(sorted(loaded, key=lambda log: log.name))
 
-    def _load(self, source: Any, **options: Any) -> Log:
-        columns = self.columns()
-        need = [c.channel for c in columns.values() if c.channel != "time"]
-        options |= {"required": need, "sample_time": self.data.sample_time}
-        try:
-            log = load_log(source, columns, **options)
-        except LogError as first:
-            try:  # a clock that is merely uneven can be mended
-                log = load_log(source, columns, resample=True, **options)
-            except LogError:
-                raise first from None
-        return self._cut(log)
+    def load(self, source: Any, columns: Mapping[str, Column] | None = None, **options: Any) -> Log:
+        """Load one log as ``[data]`` says, by default with the rig's own channels.
+
+        Raises
+        ------
+        LogError
+            As `load_log`.
+        """
+        if isinstance(source, Log):
+            return self._checked(source)
+        if columns is None:
+            columns = self.columns()
+            required = [c.channel for c in columns.values() if c.channel != "time"]
+            options.setdefault("required", required)
+        name = options.get("name") or stem(Path(source).name)
+        return load_log(
+            source, columns, sample_time=self.data.sample_time, resample="if needed",
+            window=self.data.window(name), how=self.data.text, **options,
+        )  # fmt: skip
 
     def read_inputs(self, source: Any) -> Log:
         """Load one log for a prediction: the sensors' columns may be missing.
@@ -343,20 +367,13 @@ class Rig:
             As `load_log`.
         """
         try:
-            return self._load(source)
+            return self.load(source)
         except LogError:
             drives = {i.column for i in self.inputs}
             columns = {
                 k: c for k, c in self.columns().items() if k in drives or c.channel == "time"
             }
-            return self._cut(
-                load_log(
-                    source,
-                    columns,
-                    required=[i.channel for i in self.inputs],
-                    sample_time=self.data.sample_time,
-                )
-            )
+            return self.load(source, columns, required=[i.channel for i in self.inputs])
 
     def _checked(self, log: Log) -> Log:
         need = [c.channel for c in self.columns().values() if c.channel != "time"]
@@ -366,15 +383,15 @@ class Rig:
         return self._cut(log)
 
     def _cut(self, log: Log) -> Log:
-        if self.data.start is None and self.data.stop is None:
+        start, stop = self.data.window(log.name)
+        if start is None and stop is None:
             return log
-        low = float(log.time[0]) + (self.data.start or 0.0)
-        high = float(log.time[-1])
-        if self.data.stop is not None:
-            high = min(high, float(log.time[0]) + self.data.stop)
-        return log.segment(low, high)
+        low = float(log.time[0])
+        high = float(log.time[-1]) if stop is None else low + stop
+        return log.segment(low + (start or 0.0), high)
 
-    def _ignored(self, path: Path) -> bool:
+    def ignores(self, path: Path) -> bool:
+        """Whether a file is under ``[data] ignore``."""
         return any(fnmatchcase(path.name, p) for p in self.data.ignore)
 
     def roles(self, names: Iterable[str]) -> dict[str, str]:

@@ -34,11 +34,20 @@ _RUN_TOGETHER = (  # written without a space, pint reads them as something else
     (r"\bkgcm", "kg*cm"),
     (r"\bgcm", "g*cm"),
     (r"\brevs?\b|\brevolutions?\b", "turn"),
+    (r"%", "percent"),
+    (r"\b(?:pwm|PWM|lsb|LSB|digits?|inc|increments?|ticks?)\b", "count"),  # a number, to pint
 )
 COUNTS = ("count", "counts", "tick", "ticks", "inc", "increments", "pulses", "steps")
 _PER_TURN = re.compile(
     rf"^\s*(\d+\.?\d*(?:[eE]\d+)?)\s*(?:{'|'.join(COUNTS)})\s*(?:/|per)\s*(\w+)\s*$"
 )
+_COUNTED = re.compile(rf"\s*(?:{'|'.join(COUNTS)})\s*(?:(?:/|per\b|_)\s*(s|ms|us|min))?\s*", re.I)
+
+
+def counted_per(unit: str) -> str | None:
+    """Unit of time in "counts/s", "" for "counts"; None for what is not counted."""
+    match = _COUNTED.fullmatch(unit)
+    return None if match is None else match[1] or ""
 
 
 # What pint may see: its parser would compute 9**9**9 to the end.

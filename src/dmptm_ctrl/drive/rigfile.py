@@ -22,10 +22,10 @@ from dmptm_ctrl.drive.rig import (
     unknown,
 )
 from dmptm_ctrl.drive.rig_tables import RigError, TableReader, si_symbol, suffix_unit
-from dmptm_ctrl.drive.rig_units import COUNTS, UnitError, counts
-from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.drive.rig_units import UnitError, counted_per, counts, factor
+from dmptm_ctrl.signals import LogError, TextFormat
 from dmptm_ctrl.signals.toml_text import parse_toml
-from dmptm_ctrl.signals.units import split_column
+from dmptm_ctrl.signals.units import TICKS, split_column
 
 _NAMED = ("body", "shaft", "mesh", "input", "sensor", "effect")
 _TOP = ("name", "body", "shaft", "mesh", "input", "sensor", "controller", "effect", "data")
@@ -55,7 +55,11 @@ _SENSOR = (
     *("noise", "absolute"),
 )
 _CONTROLLER = ("kind", "input", "sensor", "kp", "ki", "kv", "reference", "unit", "limit")
-_DATA = ("time", "sample_time", "sample_rate", "fit", "held_out", "ignore", "start", "stop")
+_DATA = (
+    *("time", "sample_time", "sample_rate", "fit", "held_out", "ignore", "start", "stop"),
+    *("header", "separator", "decimal", "skip"),
+)
+_SEPARATORS = {"tab": "\t", "blank": " ", "space": " ", "comma": ",", "semicolon": ";"}
 _MEASURES = {
     "position": "position", "angle": "position", "speed": "speed", "velocity": "speed",
 }  # fmt: skip
@@ -295,8 +299,10 @@ class _Reader(TableReader):
         if given is not None and given not in _MEASURES:
             self._fail(where, "measures", 'measures = "position" or "speed"')
         step = self._count(where, raw, body)
-        if step is not None and str(raw.get("unit", "")).lower() in COUNTS:
-            unit, symbol, scale = body.angle_unit, body.angle_unit, step
+        counted = counted_per(str(raw.get("unit", "")))
+        if step is not None and counted is not None:
+            unit = symbol = body.angle_unit + ("" if counted == "" else "/s")
+            scale = step / (factor(counted, "s") if counted else 1.0)
         else:
             unit, symbol = self._column_unit(where, raw, column)
             scale = 1.0
@@ -333,7 +339,7 @@ class _Reader(TableReader):
             self._fail(where, key, f"{error}; write '8192 {turn}'")
         if step is None and given is not None:
             self._fail(where, "counts_per_rev", "counts_per_rev is a number, such as 8192")
-        if step is None and str(raw.get("unit", "")).lower() in COUNTS:
+        if step is None and counted_per(str(raw.get("unit", ""))) is not None:
             self._fail(
                 where, "unit", f"counts of what size? Add resolution = '8192 {turn}' (a quadrature "
                 "encoder counts four times its lines)",
@@ -418,15 +424,14 @@ class _Reader(TableReader):
         elif isinstance(time, dict):
             column = self._text(where, time, "column")
             time = (column, str(time.get("unit", "s")))
-            self._check_unit(where, "time", time[1], "s")
+            if time[1].lower() not in TICKS:
+                self._check_unit(where, "time", time[1], "s")
         elif time is not None:
             self._fail(where, "time", 'time = "t" or { column = "t", unit = "ms" }')
         step = self._number(where, raw, "sample_time", "s")
         rate = self._number(where, raw, "sample_rate", "Hz")
         if rate is not None and step is None:
             step = Quantity(1 / rate.value, "s", 0.0, "sample_rate")
-        start = self._number(where, raw, "start", "s")
-        stop = self._number(where, raw, "stop", "s")
         names = {}
         for key in ("fit", "held_out", "ignore"):
             value = raw.get(key, [])
@@ -436,8 +441,29 @@ class _Reader(TableReader):
             names[key] = tuple(value)
         return DataSpec(
             time, step.value if step else None, names["fit"], names["held_out"], names["ignore"],
-            start.value if start else None, stop.value if stop else None,
+            self._per_log(raw, "start"), self._per_log(raw, "stop"), self._text_format(raw),
         )  # fmt: skip
+
+    def _per_log(self, raw: dict[str, Any], key: str) -> dict[str, float]:
+        """Seconds for all logs, or in a table for some: start = { run_a = 1.5 }."""
+        given = raw.get(key, {})
+        table = given if isinstance(given, dict) else {"*": given}
+        return {str(n): self._read("data", key, v, "s").value for n, v in table.items()}
+
+    def _text_format(self, raw: dict[str, Any]) -> TextFormat:
+        where = "data"
+        for key in ("header", "skip"):
+            value = raw.get(key, 0)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+                self._fail(where, key, f"{key} = {value!r} is no number of lines")
+        separator, decimal = raw.get("separator"), raw.get("decimal")
+        if separator is not None:
+            separator = _SEPARATORS.get(str(separator).lower(), separator)
+            if not isinstance(separator, str) or len(separator) != 1 or separator in "0123456789.":
+                self._fail(where, "separator", 'separator = ";", ",", "|", "tab" or "blank"')
+        if decimal not in (None, ".", ","):
+            self._fail(where, "decimal", 'decimal = "." or ","')
+        return TextFormat(raw.get("header"), separator, decimal, raw.get("skip", 0))
 
     # -- parts -------------------------------------------------------------------------------
 

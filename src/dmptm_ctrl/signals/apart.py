@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.errors import LogError, NotALogError
 
 MAX_BYTES = 16 << 30  # memory of the reading process; guards against files that unpack endlessly
 MAX_SECONDS = 600
@@ -42,7 +42,7 @@ def read_apart(path: Path) -> tuple[list[Signal], dict[str, Any]]:
         Not there, or not allowed.
     """
     path.open("rb").close()
-    unreadable = LogError(f"{path.name}: not a readable {path.suffix} file, or damaged")
+    unreadable = NotALogError(f"{path.name}: not a readable {path.suffix} file, or damaged")
     try:
         child = subprocess.run(
             # -P: no module from the folder that the user happens to be in

@@ -11,11 +11,14 @@ Array = NDArray[np.float64]
 MIN_SAMPLES = 100  # fewer tell nothing about a drive
 HUGE = 1e30
 SHORTEST_STEP = 1e-9  # s, faster than anything that samples a drive
+LONGEST_STEP = 60.0  # s, slower than anything that samples a drive
 GAP_STEPS = 1.5  # a step longer than this many usual ones has lost samples
 
 
-def finite(source: str, column: str, values: Array) -> None:
+def finite(source: str, column: str, values: Array, above: int = 0) -> None:
     """Refuse NaN, infinity and numbers so large that their squares would overflow.
+
+    `above` rows were left out before the first value.
 
     Raises
     ------
@@ -29,7 +32,7 @@ def finite(source: str, column: str, values: Array) -> None:
         value = values[row]
         kind = "infinite" if np.isinf(value) else f"{value:.3g}, no measured value,"
         kind = "missing (NaN)" if np.isnan(value) else kind
-        raise LogError(f"{source}: {column} is {kind} in row {row + 1}{more}")
+        raise LogError(f"{source}: {column} is {kind} in row {above + row + 1}{more}")
 
 
 def even_time(source: str, time: Array) -> None:
@@ -84,4 +87,11 @@ def usual_step(source: str, step: Array) -> float:
     usual = float(np.median(step))
     if usual < SHORTEST_STEP:
         raise LogError(f"{source}: time steps of {usual:.3g} s; time must be in seconds")
+    if usual > LONGEST_STEP:
+        units = {"ms": 1e-3, "us": 1e-6, "ticks": 1e-7, "ns": 1e-9}
+        near = next((u for u, f in units.items() if usual * f < 0.5), "ns")
+        raise LogError(
+            f"{source}: time steps of {usual:.3g} s are no log of a drive; perhaps the clock is in "
+            f'{near}: time = {{ column = "…", unit = "{near}" }} in [data] of the rig file'
+        )
     return usual

@@ -1,17 +1,209 @@
-"""Clocks that do not tick evenly."""
+"""Clocks: dates and ticks as seconds, and clocks that do not tick evenly."""
 
+import re
 from collections.abc import Mapping
+from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.signals.checks import usual_step
+from dmptm_ctrl.signals.checks import even_time, usual_step
 from dmptm_ctrl.signals.errors import LogError
 
 Array = NDArray[np.float64]
 
 # Bridged by a straight line; over more than this at 1 kHz a drive does something unseen.
 MAX_BRIDGED = 10
+DAY = 86400.0  # s
+COARSE = 0.05  # of the steps are another multiple of a coarse clock's tick than most
+# Counters of 16 and 32 bits run over, also where they are printed in thousandths; so do days.
+_DURATION = re.compile(r"(-?\d+ days?\s+)?\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?$|\S+ (sec|ms|min|hr)$")
+ROUNDS = (*(2.0**b * 10.0**-e for b in (16, 32) for e in (0, 3, 6)), DAY, 1e3 * DAY)
+
+
+def times_of(texts: NDArray, source: str, column: str) -> NDArray:
+    """Dates or times of day as time since the first one.
+
+    Parameters
+    ----------
+    texts : (n,) array of str
+        ISO dates, dates with day or month first, times of day; NaN where there is none.
+    source, column : str
+        For messages.
+
+    Returns
+    -------
+    (n,) array of timedelta64[ns]
+
+    Raises
+    ------
+    LogError
+        Not all of one form.
+    """
+    import pandas as pd
+
+    values = pd.Series(texts, dtype=object)
+    first = next((str(v).strip() for v in values if isinstance(v, str) and v.strip()), "")
+    text = values.where(values.notna(), None).str.strip().str.replace(",", ".", regex=False)
+    try:
+        if _DURATION.match(first):
+            if first.count(":") == 3:  # 09:27:03:010
+                text = text.str.replace(r":(\d+)$", r".\1", regex=True)
+            elif first.count(":") == 1:  # 27:03.010
+                text = "00:" + text
+            times = pd.to_timedelta(text)
+        elif re.match(r"\d{4}\D|\d{8}T", first):
+            iso = text.str.replace("/", "-", regex=False)
+            times = pd.to_datetime(iso, format="ISO8601", utc=True)
+        else:
+            form = _format_of(first.replace(",", "."))
+            times = pd.to_datetime(text, format=form, utc=True)
+    except (ValueError, OverflowError) as error:
+        raise LogError(
+            f"{source}: column {column!r} holds no times as {first!r} all through"
+        ) from error
+    since = (times - times.dropna().iloc[0]).to_numpy("timedelta64[ns]").copy()
+    back = np.diff(since) < -np.timedelta64(12, "h")  # midnight
+    since[1:] += np.cumsum(back) * np.timedelta64(24, "h")
+    return since
+
+
+def _format_of(text: str) -> str:
+    """Format of a date whose day or month comes first; with dots the day does."""
+    for day in ("%d.%m.%Y", "%d.%m.%y", "%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y", "%d-%m-%Y", "%m/%d/%y"):
+        for clock in ("%H:%M:%S.%f", "%H:%M:%S", "%I:%M:%S.%f %p", "%I:%M:%S %p", "%H:%M"):
+            try:
+                datetime.strptime(text, f"{day} {clock}")
+            except ValueError:
+                continue
+            return f"{day} {clock}"
+    return "mixed"
+
+
+def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
+    """Time [s] from a column of numbers, dates or differences of time; what was mended.
+
+    Whole numbers beyond 2^53 and dates are counted from the first row: as floats they would
+    lose their last digits.
+    """
+    if values.dtype.kind in "mM":
+        since = values - values[~np.isnat(values)][:1]
+        return since.astype("timedelta64[ns]").astype(np.float64) * 1e-9 + _nan_where(values), ""
+    if values.dtype.kind in "iu" and values.size and abs(int(values[0])) > 2**53:
+        values = values - values[0]
+    raw = values.astype(np.float64)
+    step = np.diff(raw)
+    falls = np.flatnonzero(step < 0)
+    if falls.size and falls.size < 0.05 * raw.size:
+        usual = float(np.median(step))
+        for size in ROUNDS:
+            if usual > 0 and (np.abs(step[falls] + size - usual) < max(0.5 * usual, 1e-3)).all():
+                raw = raw.copy()
+                raw[1:] += size * np.cumsum(step < 0)
+                return raw * factor, f"the clock ran over {falls.size} times at {size:.10g}"
+    return raw * factor, ""
+
+
+def _nan_where(values: NDArray) -> Array:
+    return np.where(np.isnat(values), np.nan, 0.0)
+
+
+def mended(
+    source: str, time: Array, channels: Mapping[str, Array], sample_time: float | None = None
+) -> tuple[Array, dict[str, Array], list[str]]:
+    """Put samples on an even clock, by the way that fits what is wrong; nothing if it is even.
+
+    A coarse clock is replaced by an even one, of a run that was started again the longer part
+    is taken; else as `resampled`.
+
+    Parameters
+    ----------
+    source : str
+        Name of the file, for messages.
+    time : (n,) array [s]
+    channels : mapping of str to (n,) array
+    sample_time : float, optional
+        Time between samples, if it is known [s].
+
+    Returns
+    -------
+    time, channels
+    notes : list of str
+        What was done.
+
+    Raises
+    ------
+    LogError
+        As `checks.even_time`, if it cannot be mended.
+    """
+    channels = dict(channels)
+    try:
+        even_time(source, time)
+    except LogError as error:
+        if (even := _spread(time, channels, sample_time)) is not None:
+            tick = float(np.diff(np.unique(time)).min())
+            return even, channels, [
+                f"the clock is coarse, its steps of {tick:.4g} s are not those of the samples: "
+                f"they were spread evenly, one each {even[1] - even[0]:.6g} s; if the rate is "
+                "known, give sample_rate in [data] of the rig file"
+            ]  # fmt: skip
+        notes = []
+        if (part := _longest_run(time)) is not None:
+            notes = [
+                f"time starts anew: rows {part.start + 1} to {part.stop} of {time.size} are used"
+            ]
+            time, channels = time[part], {c: v[part] for c, v in channels.items()}
+        try:
+            time, channels, done = resampled(source, time, channels)
+        except LogError:
+            raise LogError(
+                f"{error}; or say in [data] of the rig file which part is good (start, stop), or "
+                "leave out time there and give sample_rate"
+            ) from None
+        return time, channels, notes + done
+    return time, channels, []
+
+
+def _spread(time: Array, channels: Mapping[str, Array], known: float | None) -> Array | None:
+    """Even time where stamps are multiples of a tick that is no part of the sample time."""
+    step = np.diff(time)
+    ticks = step[step > 0]
+    if (step < 0).any() or ticks.size < 2:
+        return None
+    again = np.flatnonzero(step == 0)
+    if again.size and all((v[again] == v[again + 1]).all() for v in channels.values()):
+        return None  # rows that occur twice
+    usual = float(np.median(step))
+    odd = np.abs(step - usual) > 0.25 * ticks.min()
+    if usual > 0 and odd.mean() < COARSE:
+        return None
+    index = np.arange(time.size, dtype=np.float64)
+    rate, offset = np.polyfit(index, time, 1)
+    left = time - offset - rate * index
+    if np.abs(left).max() > ticks.max():
+        return None
+    jitter = np.unique(np.round(step / ticks.min(), 1)).size
+    if jitter > 6:  # steps of any length: a clock that jitters, not a coarse one
+        return None
+    se = float(np.std(left)) * np.sqrt(12 / float(time.size) ** 3)
+    if known is not None and abs(known - rate) < 10 * se + 1e-3 * rate:
+        rate = known
+    else:  # the roundest number that fits
+        rate = next(
+            (r for d in range(1, 8) if abs((r := float(f"{rate:.{d}g}")) - rate) < 3 * se), rate
+        )
+    return float(time[0]) + rate * index
+
+
+def _longest_run(time: Array) -> slice | None:
+    """Longest part between falls of the clock, where they are few: a logger started again."""
+    falls = np.flatnonzero(np.diff(time) < 0) + 1
+    if not falls.size or falls.size > 0.01 * time.size:
+        return None
+    if any(time[f] > time[0] + 0.5 * (time[f - 1] - time[0]) for f in falls):
+        return None  # rows out of order
+    edges = [0, *falls.tolist(), time.size]
+    return max(map(slice, edges[:-1], edges[1:]), key=lambda part: part.stop - part.start)
 
 
 def resampled(

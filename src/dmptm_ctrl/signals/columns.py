@@ -1,15 +1,17 @@
 """From columns as a file names them to channels in SI."""
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.errors import ColumnsError, LogError
 from dmptm_ctrl.signals.units import (
     CANONICAL,
     SUFFIXES,
     expected_symbol,
+    named_unit,
     parse_unit,
     split_column,
 )
@@ -45,13 +47,35 @@ Choose = Callable[[list[str], Mapping[str, str]], list[str]]
 
 
 class Table(NamedTuple):
-    """What a file holds: columns by their own names, the file's units where it states them."""
+    """What a file holds.
+
+    Parameters
+    ----------
+    columns : dict
+        By their own names.
+    units : dict
+        Where the file states them.
+    meta : dict
+    notes : tuple of str
+        What was left out.
+    clocks : dict
+        Times of the columns that have another clock than the table's.
+    period : float, optional
+        Time between samples that the file states [s].
+    """
 
     columns: dict[str, Any]
     units: dict[str, str]
     meta: dict[str, Any]
+    notes: tuple[str, ...] = ()
+    clocks: Mapping[str, Any] = MappingProxyType({})
+    period: float | None = None
 
 
+CLOCK = "(clock)"  # a clock without a name of its own
+
+
+_CLOCKS = ("t", "time", "zeit", "timestamp")
 Mapped = Mapping[str, "Column | tuple | str"]
 
 
@@ -86,15 +110,18 @@ def resolve(
         have one name or go to one channel.
     """
     _refuse_duplicates(names, source)
-    mapping = mapping or {}
+    mapping = _as_named(names, dict(mapping or {}))
     missing = [column for column in mapping if column not in names]
     if missing:
-        raise LogError(f"{source}: no column {missing[0]!r}; it has {_listed(names)}")
+        raise ColumnsError(f"{source}: no column {missing[0]!r}; it has {_listed(names)}")
     targets: dict[str, Target] = {}
     ignored = []
+    contradictions = []
     for column in names:
         if column in mapping:
             targets[column] = _mapped(column, mapping[column], source)
+            if other := _other_unit(mapping[column], units.get(column, "")):
+                contradictions.append(f"column {column!r} {other}")
         else:
             target = _by_name(column, units.get(column), source, strict=not mapping)
             if target is None or (mapping and target.channel not in CANONICAL):
@@ -102,12 +129,46 @@ def resolve(
             else:
                 targets[column] = target
     _refuse_wrong(targets, source)
-    warnings = []
+    warnings = contradictions
     if ignored and not mapping:
         warnings.append(
             f"ignored {_listed(ignored)}: no unit in the name, as in theta_L_deg or current_A"
         )
     return targets, warnings
+
+
+def _as_named(names: Sequence[str], mapping: dict[str, Any]) -> dict[str, Any]:
+    """Mapping with the names as the file has them: ``q [deg]`` where it says ``q``."""
+    found = {}
+    for column, target in mapping.items():
+        if column not in names:
+            alike = [n for n in names if n.strip() == column.strip()]
+            alike = alike or [n for n in names if named_unit(n)[0] == column]
+            alike = alike or [n for n in names if named_unit(column)[0] == n]
+            if not alike and not isinstance(target, str) and target[0] == "time":
+                alike = [n for n in names if n == CLOCK]
+            column = alike[0] if len(alike) == 1 else column
+        found[column] = target
+    return found
+
+
+def _other_unit(target: Any, stated: str) -> str:
+    """How a unit that the file states contradicts the one that is used; empty if it does not."""
+    split = split_column(target) if isinstance(target, str) else None
+    try:
+        unit = parse_unit(stated)
+        used = split[1] if split is not None else parse_unit(target[1])
+    except LogError:
+        return ""
+    ratio = used.factor / unit.factor
+    if not unit.symbol or (unit.symbol == used.symbol and abs(ratio - 1) < 1e-3):
+        return ""
+    if unit.symbol == used.symbol:
+        return (
+            f"is in {stated} by the file; the unit that you give is {ratio:.6g} times that, and "
+            "is taken"
+        )
+    return f"is in {stated} by the file, and taken in {used.symbol or 'no unit'} as you say"
 
 
 def _mapped(column: str, target: Any, source: str) -> Target:
@@ -130,7 +191,9 @@ def _by_name(column: str, stated: str | None, source: str, *, strict: bool) -> T
             unit = parse_unit(stated)
         except LogError:
             return None
-        return Target(column, unit.symbol, unit.factor)
+        name = named_unit(column)[0]
+        clock = column == CLOCK or (unit.symbol == "s" and name.lower() in _CLOCKS)
+        return Target("time" if clock else name, unit.symbol, unit.factor)
     split = split_column(column)
     if split is not None:
         channel, unit = split
@@ -138,7 +201,7 @@ def _by_name(column: str, stated: str | None, source: str, *, strict: bool) -> T
             return Target(channel, unit.symbol, unit.factor)
     if strict and _is_canonical(column):
         known = [c for c in CANONICAL if column == c or column.startswith(f"{c}_")]
-        raise LogError(
+        raise ColumnsError(
             f"{source}: column {column!r} ends in no known unit; write {known[-1]}_UNIT "
             f"with one of {', '.join(_suffixes_of(known[-1]))}"
         )

@@ -1,18 +1,24 @@
 """What is in a log, and which effects it can tell anything about."""
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.signals.checks import MIN_SAMPLES
+from dmptm_ctrl.signals.clock import seconds_of
+from dmptm_ctrl.signals.columns import Table, resolve
+from dmptm_ctrl.signals.errors import ColumnsError
+from dmptm_ctrl.signals.loaders import load_log, read_table
 from dmptm_ctrl.signals.log import Log
-from dmptm_ctrl.signals.units import door_column
+from dmptm_ctrl.signals.units import door_column, named_unit
 
 Array = NDArray[np.float64]
 
-INPUT_UNITS = ("V", "A", "N·m", "N")
+INPUT_UNITS = ("V", "A", "N·m", "N", "%")
 DECLARED = "nothing: the rig file declares it"
 REST_SHARE = 0.02  # of the greatest speed; slower is at rest
 SMOOTH = 0.02  # s, moving average before counting reversals: longer than gyro noise lives
@@ -82,6 +88,7 @@ def describe(
     labels: Mapping[str, str] | None = None,
     declared: Collection[str] = (),
     effects: Collection[str] | None = None,
+    inputs: Collection[str] | None = None,
 ) -> LogInfo:
     """Say what is in a log and what it can and cannot tell.
 
@@ -95,6 +102,8 @@ def describe(
         Effects that the drive's model has already: of no interest.
     effects : collection of str, optional
         Those that the drive can have; by default all that are known.
+    inputs : collection of str, optional
+        Channels that drive it; by default those in units of voltage, current, force and torque.
 
     Returns
     -------
@@ -107,7 +116,7 @@ def describe(
     LogError
         Uneven time.
     """
-    excitation = _excitation(log)
+    excitation = _excitation(log, inputs)
     return LogInfo(
         name=log.name,
         samples=len(log),
@@ -126,7 +135,10 @@ def _channel(log: Log, channel: str, labels: Mapping[str, str]) -> ChannelInfo:
     if channel in labels:
         unit = column.removeprefix(channel).strip("_")
         column = f"{labels[channel]} [{unit}]" if unit else labels[channel]
-    values = log[channel] / factor
+    return _figures(column, log[channel] / factor)
+
+
+def _figures(column: str, values: Array) -> ChannelInfo:
     steps = np.abs(np.diff(values))
     # Conversion to SI and back leaves steps of 1e-16 of the value between equal readings.
     real = steps[steps > 1e-12 * max(1.0, float(np.abs(values).max()))]
@@ -135,8 +147,9 @@ def _channel(log: Log, channel: str, labels: Mapping[str, str]) -> ChannelInfo:
     return ChannelInfo(column, float(values.min()), float(values.max()), rms, resolution)
 
 
-def _excitation(log: Log) -> Excitation | None:
-    inputs = [c for c in log if log.units[c] in INPUT_UNITS and c != "ref"]
+def _excitation(log: Log, inputs: Collection[str] | None) -> Excitation | None:
+    driving = [c for c in log if log.units[c] in INPUT_UNITS and c != "ref"]
+    inputs = driving if inputs is None else [c for c in inputs if c in log]
     positions = [c for c in log if log.units[c] in ("rad", "m")]
     speeds = [c for c in log if log.units[c] in ("rad/s", "m/s") and c != "ref"]
     load = [c for c in positions if c == "theta_L"] or positions
@@ -248,3 +261,54 @@ def _testable(
         lacks = tuple(words for words, met in needs if not met(excitation))
         results.append(Testability(effect, not lacks, lacks))
     return tuple(results)
+
+
+def describe_file(path: Path, *, resample: bool = False) -> LogInfo:
+    """Say what is in a file without a rig; columns whose names say nothing are listed, too.
+
+    Raises
+    ------
+    LogError
+        Not readable, no table of numbers in it, or a log that contradicts itself.
+    """
+    try:
+        info = describe(load_log(path, resample=resample))
+    except ColumnsError as error:
+        found, table, _ = _columns_of(path)
+        samples = max((len(values) for values in table.columns.values()), default=0)
+        if samples < MIN_SAMPLES:
+            raise
+        notes = (*table.notes, str(error))
+        period = table.period or 0.0
+        return LogInfo(
+            path.name, samples, 0.0, period, None, tuple(found.values()), None, (), notes
+        )
+    if not any(warning.startswith("ignored ") for warning in info.warnings):
+        return info
+    found, table, stated = _columns_of(path)
+    known, _ = resolve(list(table.columns), None, stated, path.name)
+    others = tuple(channel for name, channel in found.items() if name not in known)
+    return replace(info, channels=(*info.channels, *others))
+
+
+def _columns_of(path: Path) -> tuple[dict[str, ChannelInfo], Table, dict[str, str]]:
+    """Columns of numbers of any readable file, whatever they are called."""
+    stated: dict[str, str] = {}
+
+    def choose(names: list[str], units: Mapping[str, str]) -> list[str]:
+        stated.update(units)
+        return names
+
+    table = read_table(path, choose)
+    found = {}
+    for name, values in table.columns.items():
+        column = np.asarray(values)
+        if column.dtype.kind in "mM":
+            column, _ = seconds_of(column, 1.0)
+        if column.dtype.kind not in "fiub" or column.ndim != 1:
+            continue
+        good = column[np.isfinite(column)].astype(np.float64)
+        if good.size:
+            unit = "" if named_unit(name)[1] else stated.get(name, "")
+            found[name] = _figures(f"{name} [{unit}]" if unit else name, good)
+    return found, table, stated

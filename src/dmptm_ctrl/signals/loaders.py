@@ -1,24 +1,28 @@
 """From files and tables to logs."""
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from dmptm_ctrl.signals import checks
+from dmptm_ctrl.signals.bags import read_bag
 from dmptm_ctrl.signals.campaign import Campaign
-from dmptm_ctrl.signals.clock import resampled
-from dmptm_ctrl.signals.columns import Mapped, Table, resolve
-from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.clock import mended, resampled, seconds_of
+from dmptm_ctrl.signals.columns import Choose, Mapped, Table, Target, resolve
+from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign
+from dmptm_ctrl.signals.dialect import TextFormat
+from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
+from dmptm_ctrl.signals.holes import on_one_clock, without_holes
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
 from dmptm_ctrl.signals.mdf import read_mdf
 from dmptm_ctrl.signals.plausible import refuse_inconsistent, suspects, unwrapped
-from dmptm_ctrl.signals.tabular import from_frame, read_parquet
+from dmptm_ctrl.signals.tabular import from_frame, read_json, read_parquet
 from dmptm_ctrl.signals.text import read_text
 
 if TYPE_CHECKING:
@@ -26,8 +30,13 @@ if TYPE_CHECKING:
 
 Source = str | PathLike[str]
 
-TEXT = (".csv", ".csv.gz", ".txt", ".txt.gz", ".tsv", ".tsv.gz", ".dat")
-EXTENSIONS = (*TEXT, ".mat", ".parquet", ".mf4")
+PACKED = (".mat", ".parquet", ".mf4", ".json", ".mcap", ".bag")
+OTHER = (  # what stands beside logs in a folder and is none by its name
+    *(".toml", ".md", ".rst", ".html", ".htm", ".xml", ".yaml", ".yml", ".ini", ".cfg"),
+    *(".png", ".jpg", ".jpeg", ".svg", ".gif", ".bmp", ".pdf", ".zip", ".7z", ".tar", ".rar"),
+    *(".py", ".pyc", ".m", ".mlx", ".ipynb", ".slx", ".mdl", ".c", ".h", ".exe", ".dll"),
+    *(".xlsx", ".xls", ".ods", ".docx", ".doc", ".pptx", ".odt", ".bak", ".tmp", ".lock"),
+)
 
 
 def load_log(
@@ -37,17 +46,19 @@ def load_log(
     name: str | None = None,
     required: Sequence[str] = (),
     sample_time: float | None = None,
-    resample: bool = False,
+    resample: bool | Literal["if needed"] = False,
     ratio: float | None = None,
     max_rows: int | None = None,
+    window: tuple[float | None, float | None] = (None, None),
+    how: TextFormat | None = None,
 ) -> Log:
     """Read one log and check it.
 
     Parameters
     ----------
     source : path or DataFrame
-        .csv, .txt, .tsv, .dat (plain or gzip), .mat, .parquet, .mf4. Columns are called
-        NAME_UNIT: ``theta_L_deg``, ``omega_L_deg_s``, ``u_left_V``.
+        Text of any extension (plain or gzip), .mat, .parquet, .mf4, .json, .mcap, .bag. Columns
+        are called NAME_UNIT: ``theta_L_deg``, ``omega_L_deg_s``, ``u_left_V``.
     columns : mapping, optional
         For files that name theirs otherwise: column -> ``"theta_L_deg"``, or
         ``("theta_L", "deg")``, or ``("theta_L", "deg", -1.0)`` with a factor, such as a sign.
@@ -58,13 +69,18 @@ def load_log(
         Channels that must be there.
     sample_time : float, optional
         For a file without a time column [s].
-    resample : bool
+    resample : bool or "if needed"
         Sort shuffled rows, interpolate a jittery clock to even steps and bridge gaps of up to
-        ten samples; else refuse them.
+        ten samples; else refuse them. "if needed": only of logs that are not even, and mend
+        coarse clocks, too.
     ratio : float, optional
         Motor turns per turn of the ring gear, to check motor angles against theta_L.
     max_rows : int, optional
         Rows after this many are not read, with a warning: bounds the memory.
+    window : (start, stop)
+        Part that is used, from the log's first sample [s]; the rest is not checked.
+    how : TextFormat, optional
+        Layout of a text file, where it cannot be guessed.
 
     Returns
     -------
@@ -81,23 +97,30 @@ def load_log(
     if isinstance(source, str | PathLike):
         path = Path(source)
         title = path.name
-        table, ignored, digest = _read(path, columns, max_rows)
+        table, ignored, digest = _read(path, columns, max_rows, how)
     else:
         title = name or "data frame"
         table, ignored, digest = from_frame(source), [], None
     if max_rows is not None:
         ignored += _cut(table, max_rows)
-    channels, units, notes = _channels(table, columns, title)
-    notes = [*ignored, *notes]
+    time, channels, units, notes = _channels(table, columns, title, sample_time, window, resample)
+    notes = list(dict.fromkeys([*ignored, *table.notes, *notes]))
     _require(required, channels, title)
-    time = _time(channels, sample_time, title)
-    if resample:
+    if time.size < checks.MIN_SAMPLES:
+        raise NotALogError(
+            f"{title}: {time.size} sample{'s' * (time.size != 1)}, "
+            f"at least {checks.MIN_SAMPLES} are needed"
+        )
+    if resample == "if needed":
+        time, channels, done = mended(title, time, channels, sample_time)
+        notes += done
+    elif resample:
         time, channels, done = resampled(title, time, channels)
         notes += done
     checks.even_time(title, time)
     notes += _unwrap(channels, units)
     log = Log(
-        name=name or _stem(title), time=time, channels=channels, sha256=digest, meta=table.meta,
+        name=name or stem(title), time=time, channels=channels, sha256=digest, meta=table.meta,
         units=units,
     )  # fmt: skip
     refuse_inconsistent(log, ratio)
@@ -127,17 +150,62 @@ def load_logs(
     LogError
         As `load_log`; also an empty folder, and logs of different rigs.
     """
-    if isinstance(sources, str | PathLike):
-        sources = [sources]
-    logs = []
-    for source in sources:
+
+    def load(source: Any, **name: Any) -> Log:
+        return source if isinstance(source, Log) else load_log(source, columns, **name, **options)
+
+    logs, left_out = gather(sources, load)
+    return Campaign(logs, tuple(left_out))
+
+
+def gather(
+    sources: Any, load: Callable[..., Log], ignored: Callable[[Path], bool] = lambda _: False
+) -> tuple[tuple[Log, ...], list[str]]:
+    """Logs of folders, files, tables; stray files of a folder are left out.
+
+    Parameters
+    ----------
+    sources : path, DataFrame or Log, or several
+    load : callable
+        Reads one, with ``name=`` for a table.
+    ignored : callable
+        Whether a file is to be passed over in silence.
+
+    Returns
+    -------
+    logs : tuple of Log
+    warnings : list of str
+        What was left out.
+
+    Raises
+    ------
+    LogError
+        As `load`; no log at all.
+    """
+    single = isinstance(sources, str | PathLike | Log) or hasattr(sources, "columns")
+    logs: list[Log] = []
+    left_out: list[str] = []
+    first: NotALogError | None = None
+    for source in [sources] if single else sources:
         if isinstance(source, Log):
-            logs.append(source)
-        elif isinstance(source, str | PathLike):
-            logs += [load_log(path, columns, **options) for path in find_logs(source)]
+            logs.append(load(source))
+        elif not isinstance(source, str | PathLike):
+            logs.append(load(source, name=f"table{len(logs) + 1}"))
         else:
-            logs.append(load_log(source, columns, name=f"table{len(logs) + 1}", **options))
-    return Campaign(tuple(logs))
+            for path in find_logs(source):
+                if ignored(path):
+                    continue
+                try:
+                    logs.append(load(path))
+                except NotALogError as error:
+                    if not Path(source).is_dir():
+                        raise
+                    first = first or error
+                    left_out.append(f"left out: {error}")
+    if not logs and first is not None:
+        more = f", and {len(left_out) - 1} more files are no logs" if len(left_out) > 1 else ""
+        raise NotALogError(f"{first}{more}")
+    return tuple(logs), left_out
 
 
 def find_logs(source: Source) -> list[Path]:
@@ -161,21 +229,20 @@ def find_logs(source: Source) -> list[Path]:
     path = Path(source)
     if not path.is_dir():
         return [path]
-    found = sorted(p for p in path.iterdir() if p.is_file() and _extension(p) in EXTENSIONS)
+    files = [p for p in path.iterdir() if p.is_file() and not p.name.startswith((".", "~"))]
+    found = sorted(p for p in files if not p.name.lower().endswith(OTHER))
     if not found:
-        raise LogError(f"no logs in {path.name or path}: no file ends in {', '.join(EXTENSIONS)}")
+        raise LogError(f"no logs in {path.name or path}: no file of text or one of {_PACKED}")
     return found
 
 
-def _extension(path: Path) -> str:
-    """Longest known extension that a file's name ends in."""
-    lower = path.name.lower()
-    return max((e for e in EXTENSIONS if lower.endswith(e)), key=len, default="")
+_PACKED = ", ".join(PACKED)
 
 
-def _stem(title: str) -> str:
-    extension = _extension(Path(title))
-    return title[: -len(extension)] if extension else title
+def stem(title: str) -> str:
+    """Name of a log from its file's."""
+    stem = title[:-3] if title.lower().endswith(".gz") else title
+    return stem.rpartition(".")[0] or stem
 
 
 def _cut(table: Table, max_rows: int) -> list[str]:
@@ -188,30 +255,60 @@ def _cut(table: Table, max_rows: int) -> list[str]:
     return [f"the first {max_rows} rows are read; there are more"]
 
 
-def _read(path: Path, columns: Mapped | None, max_rows: int | None) -> tuple[Table, list[str], str]:
+def _read(
+    path: Path, columns: Mapped | None, max_rows: int | None, how: TextFormat | None
+) -> tuple[Table, list[str], str]:
     """Columns in use, warnings about those that are not, and the file's SHA-256."""
-    if not path.exists():
-        raise LogError(f"no such file: {path}")
-    if path.is_dir():
-        raise LogError(f"{path.name} is a folder, not a log")
-    extension = _extension(path)
-    if not extension:
-        raise LogError(f"{path.name}: not a log by its name, which ends in {', '.join(EXTENSIONS)}")
-
     ignored: list[str] = []
 
     def choose(names: list[str], units: Mapping[str, str]) -> list[str]:
         targets, ignored[:] = resolve(names, columns, units, path.name)
         return list(targets)
 
-    reader = {".mat": read_matlab, ".mf4": read_mdf}
+    # one row more, so that the cut is noticed
+    most = None if max_rows is None else max_rows + 1
+    return read_table(path, choose, most, how, list(columns or ())), ignored, _sha256(path)
+
+
+def read_table(
+    path: Path,
+    choose: Choose,
+    max_rows: int | None = None,
+    how: TextFormat | None = None,
+    wanted: Collection[str] = (),
+) -> Table:
+    """Read the chosen columns of a file of any format.
+
+    Raises
+    ------
+    LogError
+        No such file, not readable, no table in it.
+    """
+    if not path.exists():
+        raise LogError(f"no such file: {path}")
+    if path.is_dir():
+        raise LogError(f"{path.name} is a folder, not a log")
+    if path.name.lower().endswith(OTHER):
+        raise NotALogError(
+            f"{path.name}: not a log by its name; logs are files of text or one of {_PACKED}"
+        )
+    readers = {
+        ".mat": read_matlab, ".mf4": read_mdf, ".json": read_json, ".mcap": read_bag,
+        ".bag": read_bag, ".db3": read_bag,
+    }  # fmt: skip
+    extension = path.suffix.lower()
     try:
-        if extension in reader:
-            return reader[extension](path, choose), ignored, _sha256(path)
-        stream = read_parquet if extension == ".parquet" else read_text
-        # one row more, so that the cut is noticed
-        most = None if max_rows is None else max_rows + 1
-        return stream(path, choose, most), ignored, _sha256(path)
+        if extension in readers:
+            return readers[extension](path, choose)
+        with path.open("rb") as stream:
+            head = stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
+        if head.startswith(b"MDF "):  # also called .mdf and .dat
+            return read_mdf(path, choose)
+        if head.startswith(b"{") and extension != ".parquet":  # JSON by another name
+            return read_json(path, choose)
+        if extension == ".parquet":
+            return read_parquet(path, choose, max_rows)
+        return read_text(path, choose, max_rows, how, wanted)
     except OSError as error:
         raise LogError(f"{path.name}: {error.strerror or 'not readable'}") from error
 
@@ -222,29 +319,92 @@ def _sha256(path: Path) -> str:
 
 
 def _channels(
-    table: Table, columns: Mapped | None, title: str
-) -> tuple[dict[str, Any], dict[str, str], list[str]]:
-    """Channels in SI, their units, and warnings."""
+    table: Table,
+    columns: Mapped | None,
+    title: str,
+    sample_time: float | None,
+    window: tuple[float | None, float | None],
+    resample: bool | Literal["if needed"],
+) -> tuple[Any, dict[str, Any], dict[str, str], list[str]]:
+    """Time [s], channels in SI without holes, their units, and warnings."""
     targets, notes = resolve(list(table.columns), columns, table.units, title)
-    clock = next((c for c, target in targets.items() if target.channel == "time"), None)
-    rows = len(table.columns[clock]) if clock else None
-    channels, units = {}, {}
+    labels = {target.channel: column for column, target in targets.items()}
+    time, more = _time(table, targets, sample_time, title)
+    notes += more
+    channels, units, clocks = {}, {}, {}
+    factors = {target.channel: target.factor for target in targets.values()}
     for column, target in targets.items():
+        if target.channel == "time":
+            continue
         values = _floats(table.columns.pop(column), column, title)
-        if rows is None:
-            rows = values.size
-        if values.size != rows:
+        if time is not None and column not in table.clocks and values.size != time.size:
             if column in (columns or {}):
                 raise LogError(
-                    f"{title}: column {column!r} has {values.size} values, the others {rows}"
+                    f"{title}: column {column!r} has {values.size} values, the others {time.size}"
                 )
-            notes.append(f"ignored {column!r}: {values.size} values, the others have {rows}")
+            notes.append(f"ignored {column!r}: {values.size} values, the others have {time.size}")
             continue
-        checks.finite(title, column, values)
+        if target.symbol in ("rad", "m"):
+            values, note = unwrapped_counts(title, column, values)
+        else:
+            values, note = with_sign(column, values)
+        notes += [note] if note else []
         channels[target.channel] = values if target.factor == 1.0 else values * target.factor
         units[target.channel] = target.symbol
-    units.pop("time", None)
-    return channels, units, notes
+        if column in table.clocks:
+            clocks[target.channel], _ = seconds_of(table.clocks[column], _factor_of_time(targets))
+    if time is None:
+        if not channels:
+            raise ColumnsError(f"{title}: no columns with a unit in their names")
+        time = float(sample_time or table.period or 0) * np.arange(
+            len(next(iter(channels.values())))
+        )
+    time, channels, done = on_one_clock(time, channels, clocks, labels)
+    notes += done
+    if window != (None, None) and np.isfinite(time).any():
+        since = time - time[np.isfinite(time)][0]
+        low, high = window[0] or 0.0, np.inf if window[1] is None else window[1]
+        keep = (since >= low - 1e-9) & (since <= high + 1e-9)
+        time, channels = time[keep], {c: v[keep] for c, v in channels.items()}
+        if not keep.any():
+            raise LogError(
+                f"{title}: no sample from {low:.6g} to {high:.6g} s, the log is "
+                f"{np.nanmax(since):.6g} s long"
+            )
+    rows, filled, done = without_holes({"time": time, **channels}, labels, bridge=bool(resample))
+    notes += done
+    for channel, values in filled.items():
+        filled[channel] = values[rows]
+        read = filled[channel] / factors.get(channel, 1.0)  # as the file has it
+        checks.finite(title, labels.get(channel, channel), read, rows.start)
+    return filled.pop("time"), filled, units, notes
+
+
+def _time(
+    table: Table, targets: dict[str, Target], sample_time: float | None, title: str
+) -> tuple[Any, list[str]]:
+    """Time [s]; None where the samples are counted."""
+    clock = next((c for c, target in targets.items() if target.channel == "time"), None)
+    if clock is not None:
+        values = np.asarray(table.columns.pop(clock))
+        if values.dtype.kind not in "mMiu":
+            values = _floats(values, clock, title)
+        time, note = seconds_of(values, targets[clock].factor)
+        return time, [f"{clock}: {note}"] if note else []
+    if sample_time is None and table.period is None:
+        raise ColumnsError(
+            f"{title}: no time column; call it time_s, give the sample time, or say in a rig.toml "
+            "what each column is (dmptm rig init makes one)"
+        )
+    if sample_time is not None and not sample_time > checks.SHORTEST_STEP:
+        raise LogError(f"{title}: sample time {sample_time} s is not positive")
+    if sample_time is None:
+        return None, [f"no time column: the samples are {table.period:.6g} s apart by the preamble"]
+    return None, []
+
+
+def _factor_of_time(targets: Mapping[str, Target]) -> float:
+    return next((t.factor for t in targets.values() if t.channel == "time"), 1.0)
 
 
 def _floats(values: Any, column: str, title: str) -> Any:
@@ -274,29 +434,6 @@ def _unwrap(channels: dict[str, Any], units: Mapping[str, str]) -> list[str]:
 def _require(required: Sequence[str], channels: Any, title: str) -> None:
     missing = [channel for channel in required if channel not in channels]
     if missing:
-        there = [channel for channel in channels if channel != "time"]
         raise LogError(
-            f"{title}: no column for {', '.join(missing)}; it has {', '.join(there) or 'none'}"
+            f"{title}: no column for {', '.join(missing)}; it has {', '.join(channels) or 'none'}"
         )
-
-
-def _time(channels: dict[str, Any], sample_time: float | None, title: str) -> Any:
-    if "time" in channels:
-        time = channels.pop("time")
-    elif sample_time is None:
-        raise LogError(
-            f"{title}: no time column; call it time_s, give the sample time, or say in a rig.toml "
-            "what each column is (dmptm rig init makes one)"
-        )
-    elif not sample_time > checks.SHORTEST_STEP:
-        raise LogError(f"{title}: sample time {sample_time} s is not positive")
-    elif not channels:
-        raise LogError(f"{title}: no columns with a unit in their names")
-    else:
-        time = sample_time * np.arange(len(next(iter(channels.values()))))
-    if time.size < checks.MIN_SAMPLES:
-        raise LogError(
-            f"{title}: {time.size} sample{'s' * (time.size != 1)}, "
-            f"at least {checks.MIN_SAMPLES} are needed"
-        )
-    return time

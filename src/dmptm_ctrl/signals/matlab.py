@@ -9,9 +9,10 @@ import numpy as np
 
 from dmptm_ctrl.signals.apart import Signal, read_apart
 from dmptm_ctrl.signals.columns import Choose, Table
-from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.errors import NotALogError
 
 MAX_WIDTH = 64  # columns of one array that are taken apart
+_OBJECT = 0xDD000000  # begins the reference to an object, which only MATLAB can follow
 
 
 def read_matlab(path: Path, choose: Choose) -> Table:
@@ -38,15 +39,23 @@ def read_matlab(path: Path, choose: Choose) -> Table:
     """
     found, meta = read_apart(path)
     if not found:
-        raise LogError(
+        raise NotALogError(
             f"{path.name}: no signals in the file; objects such as timeseries must be saved as "
             "structures: s.time_s = ts.Time"
         )
+    times = {s.clock: s.values for s in found if s.is_time}
+    main = max(times, key=lambda c: len(times[c]), default=0)
+    found = [s for s in found if not s.is_time or s.clock == main]
     names = _short_names([signal.path for signal in found])
     units = {n: s.unit for n, s in zip(names, found, strict=True) if s.unit}
     kept = set(choose(names, units))
     columns = {n: s.values for n, s in zip(names, found, strict=True) if n in kept}
-    return Table(columns, units, meta)
+    clocks = {
+        n: times[s.clock]
+        for n, s in zip(names, found, strict=True)
+        if n in kept and s.clock in times and s.clock != main
+    }
+    return Table(columns, units, meta, (), clocks)
 
 
 def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
@@ -109,6 +118,8 @@ def _array(path: tuple[str, ...], value: Any, unit: str | None) -> Iterator[Sign
     array = np.squeeze(np.asarray(value))
     if array.dtype.kind not in "fiub" or array.size < 2 or array.ndim > 2:
         return
+    if array.dtype == np.uint32 and array.flat[0] == _OBJECT:
+        return
     if array.ndim == 1:
         yield Signal(path, array, unit)
         return
@@ -123,33 +134,36 @@ def _dspace(path: tuple[str, ...], record: Mapping[str, Any]) -> Iterator[Signal
     """Recording of dSPACE ControlDesk: axes X, signals Y with Name, Data and Unit."""
     for axis in _structs(record["X"]):
         for found in _array((*path, "time_s"), axis.get("Data"), "s"):
-            yield found._replace(is_time=True)
+            yield found._replace(is_time=True, clock=id(record))
     for signal in _structs(record["Y"]):
         # Names are paths into the model: "Model Root"/"Plant"/"omega_L"
         name = tuple(p.strip().strip('"') for p in str(signal.get("Name", "Y")).split("/"))
         unit = signal.get("Unit")
-        yield from _array((*path, *name), signal.get("Data"), unit if _text(unit) else None)
+        for found in _array((*path, *name), signal.get("Data"), unit if _text(unit) else None):
+            yield found._replace(clock=id(record))
 
 
 def _simulink(path: tuple[str, ...], log: Mapping[str, Any]) -> Iterator[Signal]:
     """Simulink's structure with time: time, signals.values, signals.label."""
     for found in _array((*path, "time_s"), log["time"], "s"):
-        yield found._replace(is_time=True)
+        yield found._replace(is_time=True, clock=id(log))
     for index, signal in enumerate(_structs(log["signals"]), start=1):
         label = signal.get("label")
         name = str(label) if _text(label) else f"signal{index}"
-        yield from _array((*path, name), signal.get("values"), None)
+        for found in _array((*path, name), signal.get("values"), None):
+            yield found._replace(clock=id(log))
 
 
 def _timeseries(path: tuple[str, ...], series: Mapping[str, Any]) -> Iterator[Signal]:
     """Fields of a timeseries: Time, Data, Name, DataInfo.Units."""
     for found in _array((*path, "time_s"), series["Time"], "s"):
-        yield found._replace(is_time=True)
+        yield found._replace(is_time=True, clock=id(series))
     info = series.get("DataInfo")
     unit = info.get("Units") if isinstance(info, Mapping) else None
     name = series.get("Name")
     own = (*path[:-1], str(name)) if _text(name) and name != "unnamed" else path
-    yield from _array(own or ("Data",), series["Data"], unit if _text(unit) else None)
+    for found in _array(own or ("Data",), series["Data"], unit if _text(unit) else None):
+        yield found._replace(clock=id(series))
 
 
 def _text(value: Any) -> bool:
@@ -169,13 +183,18 @@ def _structs(value: Any) -> list[Mapping[str, Any]]:
 
 
 def _one_clock(found: list[Signal]) -> list[Signal]:
-    """Drop clocks that tick like one before: each timeseries brings its own."""
-    kept: list[Signal] = []
+    """Make clocks that tick alike one: each timeseries brings its own."""
+    times: dict[int, Any] = {}
+    same: dict[int, int] = {}
+    kept = []
     for signal in found:
-        clocks = [other for other in kept if other.is_time]
-        if signal.is_time and any(np.array_equal(signal.values, c.values) for c in clocks):
-            continue
-        kept.append(signal)
+        if signal.is_time:
+            alike = (c for c, t in times.items() if np.array_equal(t, signal.values))
+            same[signal.clock] = next(alike, signal.clock)
+            if same[signal.clock] in times:
+                continue
+            times[signal.clock] = signal.values
+        kept.append(signal._replace(clock=same.get(signal.clock, signal.clock)))
     return kept
 
 

@@ -16,17 +16,17 @@ def read_mdf(path: Path, choose: Choose) -> Table:
     ----------
     path : Path
     choose : callable
-        Gets the channels and their units, returns those to keep; they must be on one clock.
+        Gets the channels and their units, returns those to keep.
 
     Returns
     -------
     Table
-        The time of the clock is the column time_s.
+        The time of the clock that ticks most often is the column time_s.
 
     Raises
     ------
     LogError
-        Not readable, asammdf is not installed, channels on several clocks.
+        Not readable, or asammdf is not installed.
     """
     found, meta = read_apart(path)
     times = {signal.clock: signal.values for signal in found if signal.is_time}
@@ -37,15 +37,10 @@ def read_mdf(path: Path, choose: Choose) -> Table:
         raise LogError(
             f"{path.name}: none of its channels has a unit; it has {', '.join(signals) or 'none'}"
         )
-    first = signals[chosen[0]]
-    for name in chosen:
-        if signals[name].clock != first.clock:
-            raise LogError(
-                f"{path.name}: {chosen[0]} and {name} are on different clocks; resample the file "
-                "to one (asammdf: MDF.resample), or map only columns of one clock"
-            )
+    main = max((signals[name].clock for name in chosen), key=lambda c: len(times[c]))
     columns = {name: signals[name].values for name in chosen}
-    return Table({"time_s": times[first.clock], **columns}, units, meta)
+    clocks = {n: times[signals[n].clock] for n in chosen if signals[n].clock != main}
+    return Table({"time_s": times[main], **columns}, units, meta, (), clocks)
 
 
 def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:

@@ -87,7 +87,7 @@ def suspects(log: Log) -> list[str]:
     if log.has("theta_L", "omega_L") and not found:
         travel = travelled(log)
         moves = max(np.ptp(log["theta_L"]), np.ptp(travel)) > NOTICEABLE
-        if moves and abs(_ratio(log, log["theta_L"], travel, detrend=True)[1]) < SURE:
+        if moves and abs(motion_ratio(log, log["theta_L"], travel, detrend=True)[1]) < SURE:
             found.append("omega_L does not follow theta_L: a foreign or failing sensor")
     return found
 
@@ -123,8 +123,11 @@ def _slope(y: Array, x: Array) -> tuple[float, float]:
     return xy / xx, xy / np.sqrt(xx * yy)
 
 
-def _ratio(log: Log, y: Array, x: Array, *, detrend: bool) -> tuple[float, float]:
-    """As `_slope`, or without trends where that is surer: a gyro's bias adds up to a ramp."""
+def motion_ratio(log: Log, y: Array, x: Array, *, detrend: bool = True) -> tuple[float, float]:
+    """Ratio of y to x and their correlation.
+
+    Also without trends, where that is surer: a gyro's bias adds up to a ramp.
+    """
     plain = _slope(y, x)
     if not detrend:
         return plain
@@ -144,7 +147,7 @@ def refuse_factor(
     log: Log, y: Array, x: Array, this: str, expected: str, *, detrend: bool = False
 ) -> None:
     """Refuse y that is not about 1 times x where their correlation tells."""
-    slope, correlation = _ratio(log, y, x, detrend=detrend)
+    slope, correlation = motion_ratio(log, y, x, detrend=detrend)
     if abs(correlation) < SURE:
         return
     if slope < 0:

@@ -1,67 +1,91 @@
-"""Columns of numbers in text files: CSV, tab or blank separated, plain or gzip."""
+"""Columns of numbers in text files, plain or gzip, as programs write them."""
 
 import gzip
 import io
+import itertools
 import sys
-import warnings
 import zlib
+from collections import deque
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 
+from dmptm_ctrl.signals.clock import times_of
 from dmptm_ctrl.signals.columns import Choose, Table
-from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.dialect import COMMENT, MISSING, ODD, Layout, TextFormat
+from dmptm_ctrl.signals.errors import LogError, NotALogError
+from dmptm_ctrl.signals.header import is_clock_name
+from dmptm_ctrl.signals.layout import find_layout
 
 CHUNK_ROWS = 200_000  # text of one chunk is in memory at once, about 20 MB
 MAX_LINE = 1 << 20  # bytes; a line longer than this is no row of numbers
 MAX_BYTES = 20 << 30  # unpacked; guards against archives that unpack without end
+SAMPLES = (1000, 20_000)  # lines looked at before the first row of numbers is found
 
 _GZIP_MAGIC = b"\x1f\x8b"
-_COMMENT = ("#", "%")
+_FIELD = "\x1f"  # between the fields that pandas gets
+_NOTHING = "\0\x1a \t\r\n"  # of lines that say nothing
+_PLAIN = frozenset("0123456789+-. \t;,|")  # what rows of numbers begin with
 
 
-class _Layout(NamedTuple):
-    names: list[str]
-    separator: str
-    decimal: str
-    skip: int  # lines before the first row of numbers
-
-
-def read_text(path: Path, choose: Choose, max_rows: int | None = None) -> Table:
+def read_text(
+    path: Path,
+    choose: Choose,
+    max_rows: int | None = None,
+    how: TextFormat | None = None,
+    wanted: Collection[str] = (),
+) -> Table:
     """Read columns of numbers from a text file, a chunk at a time.
 
     Parameters
     ----------
     path : Path
-        Plain or gzip, by content rather than by extension. The first line that is no comment
-        names the columns; without one they are called column1, column2, …
+        Plain or gzip, by content rather than by extension.
     choose : callable
-        Gets the names, returns those to read; what the other columns hold does not matter.
+        Gets the names and units, returns those to read; what the others hold does not matter.
+        Columns without a name are called column1, column2, …
     max_rows : int, optional
         Rows after this many are not read.
+    how : TextFormat, optional
+        Where the layout cannot be guessed.
+    wanted : collection of str
+        Columns that tell which of several lines of names is meant.
 
     Returns
     -------
     Table
-        Columns as float64, read-only.
+        Columns as float64, read-only; times as timedelta64.
 
     Raises
     ------
     LogError
-        Not readable, no header and no mapping, rows of different width, text or nothing where a
-        number should be; the message gives row (first row of numbers = 1) and column.
+        Not readable, no names, rows of different width, text where a number should be; the
+        message gives line and column.
     """
+    how = how or TextFormat()
     try:
-        with _open(path) as stream:
-            layout = _layout(stream, path.name)
-        chosen = choose(layout.names, {})
-        with _open(path) as stream:
-            return Table(_columns(stream, layout, chosen, path.name, max_rows), {}, {})
+        encoding = _encoding(path)
+        sample = _sample(path, encoding, how, wanted)
+        layout = find_layout(sample, path.name, how, wanted)
+        try:
+            return _table(path, encoding, layout, choose, max_rows)
+        except _CellError as error:  # the first rows may say too little of how numbers are written
+            again = find_layout([*sample, *error.lines], path.name, how, wanted)
+            if again == layout:
+                raise
+            return _table(path, encoding, again, choose, max_rows)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise LogError(f"{path.name}: the gzip archive is damaged or cut short") from error
+        raise NotALogError(f"{path.name}: the gzip archive is damaged or cut short") from error
     except OSError as error:
         raise LogError(f"{path.name}: {error.strerror or error}") from error
+
+
+class _CellError(LogError):
+    """A field that is no number; carries its line."""
+
+    lines: tuple[str, ...] = ()
 
 
 class _Guarded(io.RawIOBase):
@@ -80,7 +104,9 @@ class _Guarded(io.RawIOBase):
         newline = max(data.rfind(b"\n"), data.rfind(b"\r"))
         self._line = self._line + len(data) if newline < 0 else len(data) - newline - 1
         if self._line > MAX_LINE or self._total > MAX_BYTES:
-            raise LogError(f"{self._name}: no rows of numbers, a line runs over {MAX_LINE} bytes")
+            raise NotALogError(
+                f"{self._name}: no rows of numbers, a line runs over {MAX_LINE} bytes"
+            )
         buffer[: len(data)] = data
         return len(data)
 
@@ -96,151 +122,329 @@ def _open(path: Path) -> io.BufferedReader:
     return io.BufferedReader(_Guarded(gzip.open(raw) if packed else raw, path.name), 1 << 16)
 
 
-def _layout(stream: io.BufferedReader, source: str) -> _Layout:
-    """Names, separator and decimal sign from the first lines."""
-    header, comment, skip = "", "", 0
-    rows: list[str] = []
-    while len(rows) < 1:
-        raw = stream.readline(MAX_LINE)
-        if not raw:
-            break
-        line = _decode(raw, source).strip()
-        if line.startswith(_COMMENT):
-            comment, skip = line.lstrip("#% \t"), skip + 1
-        elif not line and not header:
-            skip += 1
-        elif line and not header and not _numeric(line):
-            header, skip = line, skip + 1
-        elif line:
-            rows.append(line)
-        elif not rows:
-            skip += 1
-    if not rows:
-        raise LogError(f"{source}: {'no rows below the header' if header else 'the file is empty'}")
-    separator = _separator(header or rows[0])
-    width = len(_split(rows[0], separator))
-    if not header and len(_split(comment, _separator(comment))) == width and comment:
-        names = _split(comment, _separator(comment))
-    elif header:
-        names = _split(header, separator)
-    else:
-        names = [f"column{i + 1}" for i in range(width)]
-    if len(names) != width:
-        raise LogError(
-            f"{source}: the header names {len(names)} columns, the first row has {width} values"
-        )
-    comma = separator != "," and "," in rows[0] and "." not in rows[0]
-    return _Layout(names, separator, "," if comma else ".", skip)
+def _lines(path: Path, encoding: str) -> io.TextIOWrapper:
+    return io.TextIOWrapper(_open(path), encoding=encoding, errors="replace")
 
 
-def _decode(raw: bytes, source: str) -> str:
-    if raw.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in raw:
-        raise LogError(f"{source}: not a text file in UTF-8; save it as CSV in UTF-8")
+def _encoding(path: Path) -> str:
+    """UTF-8 or -16; else the Latin letters of older programs, for ° and µ in names."""
+    with _open(path) as stream:
+        head = stream.peek(1 << 16)[: 1 << 16]
+    if head[:64].count(0) < 8:  # a file that was to grow, and was not closed
+        head = head.rstrip(b"\0")
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    if b"\0" in head:
+        half = len(head) // 4
+        for encoding, zeros in (("utf-16-le", head[1::2]), ("utf-16-be", head[::2])):
+            if zeros.count(0) > half:
+                return encoding
+        raise NotALogError(f"{path.name}: not a text file; save it as CSV in UTF-8")
     try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return raw.decode("latin-1")  # names with ° or µ from older programs
+        head[: max(len(head) - 3, 0) or None].decode("utf-8")
+    except UnicodeDecodeError as error:
+        if error.start < len(head) - 6:
+            return "cp1252"
+    return "utf-8-sig"
 
 
-def _separator(line: str) -> str:
-    return next((sign for sign in ";\t," if sign in line), r"\s+")
+def _sample(path: Path, encoding: str, how: TextFormat, wanted: Collection[str]) -> list[str]:
+    """As many of the first lines as show rows of numbers."""
+    lines: list[str] = []
+    with _lines(path, encoding) as stream:
+        for count in SAMPLES:
+            lines += itertools.islice(stream, count + how.skip)
+            try:
+                layout = find_layout(lines, path.name, how, wanted)
+            except LogError:
+                continue
+            if len(lines) > 2 * layout.first:
+                break
+    return lines
 
 
-def _split(line: str, separator: str) -> list[str]:
-    fields = line.split() if separator == r"\s+" else line.split(separator)
-    return [field.strip().strip('"').strip() for field in fields]
+def _table(
+    path: Path, encoding: str, layout: Layout, choose: Choose, max_rows: int | None
+) -> Table:
+    names = [name or f"column{c + 1}" for c, name in enumerate(layout.names)]
+    if layout.long:
+        return _long_table(path, encoding, layout, choose)
+    chosen = choose(
+        list(dict.fromkeys(names)),
+        {n: u for n, u in zip(names, layout.units, strict=True) if u},
+    )
+    clocks = [c for c, n in enumerate(names) if is_clock_name(n) and layout.kinds[c] != "text"]
+    clocks += [c for c, n in enumerate(names) if n in chosen and names.count(n) > 1]
+    used = [c for c, n in enumerate(names) if n in chosen]
+    read = sorted({*used, *(max((k for k in clocks if k < c), default=c) for c in used)})
+    rows = _Rows(path, encoding, layout)
+    data = rows.read({c: names[c] for c in read}, sys.maxsize if max_rows is None else max_rows)
+    if layout.steps is not None and 0 in data:
+        data[0] = layout.steps[0] + layout.steps[1] * data[0]
+    columns, own = _one_each(path.name, names, chosen, data, sorted({*clocks} & {*read}))
+    units = {n: u for n, u in zip(names, layout.units, strict=True) if u}
+    return Table(columns, units, {}, tuple(rows.notes()), own, layout.period)
 
 
-def _numeric(line: str) -> bool:
-    """Whether every field is a number or empty: such a line is a row, not a header."""
-    fields = _split(line, _separator(line))
-    numbers = [field for field in fields if _number(field.replace(",", "."))]
-    return bool(numbers) and all(_number(f.replace(",", ".")) or not f for f in fields)
-
-
-def _number(field: str) -> bool:
-    try:
-        float(field)
-    except ValueError:
-        return False
-    return True
-
-
-def _columns(
-    stream: io.BufferedReader,
-    layout: _Layout,
-    chosen: list[str],
-    source: str,
-    max_rows: int | None,
-) -> dict[str, Any]:
-    lines = _Lines(stream, layout)
-    # One letter for what nobody wants: its text is cut, its place is counted.
-    kinds = [(f"f{i}", "f8" if n in chosen else "S1") for i, n in enumerate(layout.names)]
-    place = {name: f"f{layout.names.index(name)}" for name in chosen}
-    parts: dict[str, list[Any]] = {name: [] for name in chosen}
-    left = sys.maxsize if max_rows is None else max_rows
-    while left > 0:
-        wanted = min(CHUNK_ROWS, left)
-        chunk = _chunk(lines, kinds, layout, source, wanted)
-        for name in chosen:
-            parts[name].append(chunk[place[name]].copy())
-        left -= chunk.size if chunk.size == wanted else left
-    columns = {}
-    for name in chosen:
-        columns[name] = np.concatenate(parts.pop(name))
-        columns[name].flags.writeable = False
-    return columns
-
-
-class _Lines:
-    """Lines below the header; the last one given is the one a parser stumbled on."""
-
-    def __init__(self, stream: io.BufferedReader, layout: _Layout) -> None:
-        for _ in range(layout.skip):
-            stream.readline()
-        self._text = io.TextIOWrapper(stream, encoding="latin-1")
-        self._comma = layout.decimal == ","
-        self.number, self.line = layout.skip, ""
-
-    def __iter__(self) -> "_Lines":
-        return self
-
-    def __next__(self) -> str:
-        self.line = next(self._text)
-        self.number += 1
-        return self.line.replace(",", ".") if self._comma else self.line
-
-
-def _chunk(
-    lines: _Lines, kinds: list[tuple[str, str]], layout: _Layout, source: str, rows: int
-) -> Any:
-    separator = None if layout.separator == r"\s+" else layout.separator
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # "input contained no data" at the end
-        try:
-            return np.loadtxt(
-                lines,
-                dtype=kinds,
-                delimiter=separator,
-                comments=None,
-                quotechar='"',
-                ndmin=1,
-                max_rows=rows,
+def _one_each(
+    source: str, names: list[str], chosen: list[str], data: dict[int, Any], clocks: list[int]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Columns by name, and the clocks of those that have another than the first."""
+    columns: dict[str, Any] = {}
+    own: dict[str, Any] = {}
+    for c, values in sorted(data.items()):
+        name = names[c]
+        if name not in chosen:
+            continue
+        if name not in columns:
+            columns[name] = values
+        elif not _increases(values) and not _equal(values, columns[name]):
+            raise LogError(
+                f"{source}: column {name!r} occurs {names.count(name)} times with different values"
             )
-        except (ValueError, OverflowError) as error:
-            raise LogError(f"{source}: {_trouble(lines, kinds, layout)}") from error
+    main = next((c for c in clocks if names[c] in chosen and _increases(data[c])), None)
+    if main is None:
+        return columns, own
+    for c, name in enumerate(names):
+        clock = max((k for k in clocks if k <= c), default=main)
+        if name not in columns or c not in data or c in clocks:
+            continue
+        if _increases(data[clock]) and not _same_clock(data[main], data[clock]):
+            own[name] = data[clock]
+    return columns, own
 
 
-def _trouble(lines: _Lines, kinds: list[tuple[str, str]], layout: _Layout) -> str:
-    """What is wrong with the line that the parser stumbled on."""
-    where = f"line {lines.number}"
-    fields = _split(lines.line.rstrip("\r\n"), layout.separator)
-    if len(fields) != len(layout.names):
-        return f"{where} has {len(fields)} values, the header names {len(layout.names)} columns"
-    for field, name, (_, kind) in zip(fields, layout.names, kinds, strict=True):
-        if kind == "f8" and not field:
-            return f"{where} has no value for {name}"
-        if kind == "f8" and not _number(field.replace(layout.decimal, ".")):
-            second = "; a second line of headers is to be deleted" if lines.number == 2 else ""
-            return f"{where}: {name} is {field[:40]!r}, not a number{second}"
-    return f"{where} is no row of numbers"
+def _increases(values: Any) -> bool:
+    if values.dtype.kind == "O":
+        return False
+    steps = np.diff(values[~np.isnan(values)])
+    return steps.size > 0 and bool((steps >= steps[:1] * 0).all()) and bool(steps.any())
+
+
+def _equal(one: Any, other: Any) -> bool:
+    if one.dtype.kind == "O" or one.dtype != other.dtype:
+        return bool((one == other).all())
+    return bool(np.array_equal(one, other, equal_nan=True))
+
+
+def _same_clock(main: Any, other: Any) -> bool:
+    """Whether two columns tick together, be it in other units."""
+    if _equal(main, other):
+        return True
+    if main.dtype != other.dtype or main.dtype.kind == "m":
+        return False
+    both = np.isfinite(main) & np.isfinite(other)
+    if not both.any() or (np.isfinite(main) != np.isfinite(other)).any():
+        return False
+    x, y = main[both] - main[both][0], other[both] - other[both][0]
+    if not x.any():
+        return False
+    rate = float(x @ y) / float(x @ x)
+    step = abs(float(x[-1])) / max(x.size - 1, 1)
+    same_unit = abs(rate - 1) < 1e-3
+    shift = abs(float(other[both][0] - main[both][0])) if same_unit else 0.0
+    return bool(np.abs(y - rate * x).max() <= 0.01 * abs(rate) * step and shift <= 0.01 * step)
+
+
+def _long_table(path: Path, encoding: str, layout: Layout, choose: Choose) -> Table:
+    """Rows of one name and one value each: a column per name."""
+    values: dict[str, list[float]] = {}
+    rows = _Rows(path, encoding, layout)
+    for _, line in rows:
+        name, text = line.split(None if layout.dialect.separator == " " else _FIELD)[:2]
+        value = layout.dialect.number(text.strip())
+        values.setdefault(name.strip().rstrip(":="), []).append(np.nan if value is None else value)
+    length = max(map(len, values.values()))
+    full = {n: v for n, v in values.items() if len(v) >= length - 1}
+    shortest = min(map(len, full.values()))
+    chosen = choose(list(full), {})
+    columns = {n: np.array(full[n][:shortest]) for n in chosen}
+    return Table(columns, {}, {}, tuple(rows.notes()), {}, layout.period)
+
+
+class _Rows:
+    """Rows of numbers of a file; remembers what else stands between them."""
+
+    def __init__(self, path: Path, encoding: str, layout: Layout) -> None:
+        self._path, self._encoding, self._layout = path, encoding, layout
+        self._left_out: dict[str, list[int]] = {}
+
+    def __iter__(self) -> Iterator[tuple[int, str]]:
+        """Line number and fields, between which stands ``_FIELD`` (or a blank)."""
+        held: tuple[int, str] | None = None  # the last row may be cut
+        lately: deque[str] = deque(maxlen=50)
+        for number, line, row in self._all():
+            if held is not None:
+                yield held
+            held = (number, row)
+            lately.append(line)
+        if held is not None and self._is_cut(lately):
+            self._leave_out("incomplete rows", [held[0]])
+        elif held is not None:
+            yield held
+
+    def _all(self) -> Iterator[tuple[int, str, str]]:
+        layout = self._layout
+        separator, fields = layout.dialect.separator, layout.fields
+        blanks, simple = separator == " ", not layout.dialect.pairs
+        odd: list[tuple[int, str, str]] = []  # no rows, unless a row follows
+        with _lines(self._path, self._encoding) as stream:
+            for _ in range(layout.first):
+                next(stream, None)
+            for number, line in enumerate(stream, start=layout.first + 1):
+                if '"' in line and line.count(separator) == fields - 1:
+                    line = line.replace('"', "")  # nothing in the quotes separates
+                plain = simple and line[0] in _PLAIN and '"' not in line
+                if plain and not blanks and line.count(separator) == fields - 1:
+                    row, what = line.replace(separator, _FIELD), ""
+                elif plain and blanks and len(line.split()) == fields:
+                    row, what = line, ""
+                elif not line.strip(_NOTHING):
+                    continue
+                else:
+                    row, what = self._judged(number, line)
+                if what == "odd":
+                    odd.append((number, line, row))
+                    continue
+                if what:  # a text after it: the program was stopped there
+                    self._leave_out("incomplete rows", [n for n, _, _ in odd])
+                    self._leave_out(what, [number])
+                else:
+                    yield from map(self._row_of, odd)
+                    yield number, line, row
+                odd.clear()
+        self._leave_out("incomplete rows", [n for n, _, _ in odd])
+
+    def _row_of(self, odd: tuple[int, str, str]) -> tuple[int, str, str]:
+        """Row of an odd line between others: one of another width is a mistake."""
+        if odd[2]:
+            return odd
+        count = len(self._layout.dialect.split(odd[1]))
+        raise LogError(
+            f"{self._path.name}: line {odd[0]} has {count} values, the header names "
+            f"{len(self._layout.kinds)} columns"
+        )
+
+    def _judged(self, number: int, line: str) -> tuple[str, str]:
+        """Row as pandas gets it, and what it is if it is no row of numbers.
+
+        "odd": a row that lacks values or holds words, as at the end of a file.
+        """
+        layout = self._layout
+        if line.lstrip().startswith(COMMENT):
+            return "", "comments"
+        cells = layout.dialect.split(line)
+        while len(cells) > layout.fields and not cells[-1]:
+            cells.pop()
+        kinds = [
+            layout.dialect.kind(cell)
+            for cell, of in zip(cells, layout.kinds, strict=False)
+            if of != "text"
+        ]
+        if not any(kind in ("number", "time") for kind in kinds) and any(kinds):
+            return "", "text"
+        if len(cells) != layout.fields:
+            return "", "odd"
+        if layout.dialect.separator == " ":
+            row = " ".join(cell.replace(" ", "_") or "nan" for cell in cells) + "\n"
+        else:
+            row = _FIELD.join(cells) + "\n"
+        return row, "odd" if "text" in kinds else ""
+
+    def _leave_out(self, what: str, numbers: list[int]) -> None:
+        if numbers:
+            self._left_out.setdefault(what, []).extend(numbers)
+
+    def notes(self) -> list[str]:
+        """What was left out, and where."""
+        return [
+            f"left out {what} in line{'s' * (len(where) > 1)} {_listed(where)}"
+            for what, where in self._left_out.items()
+        ]
+
+    def read(self, places: dict[int, str], most: int) -> dict[int, Any]:
+        """Values of some columns, by position."""
+        parts: dict[int, list[Any]] = {c: [] for c in places}
+        rows = itertools.islice(self, most)
+        while chunk := list(itertools.islice(rows, CHUNK_ROWS)):
+            frame = self._parsed(chunk, list(places))
+            for c, name in places.items():
+                parts[c].append(self._column(frame[c], name, c, chunk))
+        columns = {}
+        for c, name in places.items():
+            values = np.concatenate(parts.pop(c)) if parts[c] else np.empty(0)
+            if self._layout.kinds[c] == "time":
+                values = times_of(values, self._path.name, name)
+            values.flags.writeable = False
+            columns[c] = values
+        return columns
+
+    def _parsed(self, chunk: list[tuple[int, str]], places: list[int]) -> Any:
+        import pandas as pd
+
+        dialect, layout = self._layout.dialect, self._layout
+        older = tuple(map(int, pd.__version__.split(".")[:2])) < (3, 1)  # rounds a little otherwise
+        exact = {"float_precision": "round_trip"} if older else {}
+        text = "".join([row for _, row in chunk])
+        if not text.isascii():
+            text = text.translate(ODD)
+        return pd.read_csv(
+            io.StringIO(text),
+            sep=r"\s+" if dialect.separator == " " else _FIELD,
+            header=None,
+            names=range(layout.fields),
+            usecols=places,
+            dtype={c: str for c in places if layout.kinds[c] != "number"},
+            decimal=dialect.decimal,
+            thousands=dialect.thousands or None,
+            na_values=[*MISSING, *(m.upper() for m in MISSING)],
+            skipinitialspace=True,
+            quoting=3,  # csv.QUOTE_NONE
+            low_memory=False,
+            **exact,
+        )
+
+    def _column(self, column: Any, name: str, place: int, chunk: list[tuple[int, str]]) -> Any:
+        """One column of a chunk as numbers; times and texts stay text."""
+        if self._layout.kinds[place] != "number":
+            return column.to_numpy(dtype=object)
+        if column.dtype.kind in "fiub":
+            return column.to_numpy(dtype=np.int64 if column.dtype.kind in "iu" else np.float64)
+        texts = column.to_numpy(dtype=object)
+        dialect = self._layout.dialect
+        values = np.full(texts.size, np.nan)
+        for row, cell in enumerate(texts):
+            if isinstance(cell, bool | int | float):
+                values[row] = cell
+                continue
+            kind = dialect.kind(cell.strip())
+            if kind == "number":
+                number = dialect.number(cell.strip())
+                values[row] = cell.strip().lower() == "true" if number is None else number
+            elif kind:
+                error = _CellError(
+                    f"{self._path.name}: line {chunk[row][0]}: {name} is {cell[:40]!r}, "
+                    "not a number"
+                )
+                near = chunk[max(0, row - 200) : row + 200]
+                error.lines = tuple(line.replace(_FIELD, dialect.separator) for _, line in near)
+                raise error
+        return values
+
+    def _is_cut(self, lately: Sequence[str]) -> bool:
+        """Whether the last row of a file lacks a part of its last number."""
+        dialect, kinds = self._layout.dialect, self._layout.kinds
+        ends = [dialect.split(line)[len(kinds) - 1] for line in lately]
+        if kinds[-1] != "number":
+            return False
+        if dialect.kind(ends[-1]) == "text":
+            return True
+        if lately[-1].endswith(("\n", "\r")) or len(ends) < 10:
+            return False
+        decimals = [len(end.partition(dialect.decimal)[2]) for end in ends]
+        return len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]
+
+
+def _listed(lines: list[int]) -> str:
+    shown = ", ".join(map(str, lines[:4]))
+    return f"{shown} and {len(lines) - 4} more" if len(lines) > 4 else shown

@@ -22,6 +22,7 @@ SUFFIXES: dict[str, Unit] = {
     "s": Unit("s", 1.0),
     "ms": Unit("s", 1e-3),
     "us": Unit("s", 1e-6),
+    "ns": Unit("s", 1e-9),
     "min": Unit("s", 60.0),
     "V": Unit("V", 1.0),
     "mV": Unit("V", 1e-3),
@@ -56,7 +57,21 @@ SUFFIXES: dict[str, Unit] = {
     "Hz": Unit("Hz", 1.0),
     "W": Unit("W", 1.0),
     "K": Unit("K", 1.0),
+    "percent": Unit("%", 1.0),  # of what, the gain says
 }
+
+TICKS = ("ticks", "tick", "100ns", "100 ns", "filetime")  # of a clock: 100 ns on Windows
+_NUMBERS = (  # a signal in such is a number; its gain says what it stands for
+    *("", "1", "-", "count", "counts", "inc", "incr", "increments", "lsb", "digit", "digits"),
+    *("pwm", "raw", "steps", "pulses", "bool", "none"),
+)
+_SPELLINGS = {
+    "%": "percent", "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A",
+    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us",
+    "degree": "deg", "degrees": "deg", "grad": "deg", "°": "deg", "u/min": "rpm", "1/min": "rpm",
+    "min-1": "rpm", "min^-1": "rpm", "min⁻¹": "rpm", "upm": "rpm", "nmm": "mNm", "n.m": "Nm",
+    "newton": "N", "radian": "rad", "radians": "rad", "meter": "m", "metre": "m",
+}  # fmt: skip
 
 CANONICAL = ("time", "u_left", "u_right", "theta_L", "omega_L", "theta_ml", "theta_mr", "ref")
 
@@ -95,9 +110,35 @@ def parse_unit(text: str) -> Unit:
     suffix = plain.replace("/", "_").replace("*", "").replace("^", "")
     if suffix in SUFFIXES:
         return SUFFIXES[suffix]
-    if plain in ("", "1", "-"):
+    if plain.lower() in TICKS:
+        return Unit("s", 1e-7)
+    if plain.lower() in _NUMBERS:
         return Unit("", 1.0)
+    if plain.lower() in _SPELLINGS:
+        return SUFFIXES[_SPELLINGS[plain.lower()]]
     return _parse_with_pint(plain)
+
+
+_IN_BRACKETS = re.compile(r"(?P<name>.*?\S)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()]*)\))\s*$")
+_AFTER_WORD = re.compile(r"(?P<name>.*\S)(?:\s+/|\s+in|,)\s+(?P<unit>\S+)$")
+
+
+def named_unit(column: str) -> tuple[str, str]:
+    """Split ``q [deg]``, ``q (deg)``, ``q / deg`` or ``q in deg``; the unit may be empty.
+
+    Brackets that hold no unit, as in ``motor (left)`` or ``q[0]``, belong to the name.
+    """
+    match = _IN_BRACKETS.match(column)
+    unit = "" if match is None else match["a"] or match["b"] or ""
+    if match is None and (match := _AFTER_WORD.match(column)):
+        unit = match["unit"]
+    if match is None or not unit.strip() or unit.strip().isdigit():
+        return column, ""
+    try:
+        parse_unit(unit)
+    except LogError:
+        return column, ""
+    return match["name"], unit.strip()
 
 
 # What pint may see: products and quotients of names with exponents of one digit. Its parser

@@ -1,0 +1,184 @@
+"""How the rows of a text file are written."""
+
+import csv
+import re
+from dataclasses import dataclass
+from typing import NamedTuple
+
+COMMENT = ("#", "%", "//", "!")
+MISSING = frozenset(
+    [
+        "",
+        "nan",
+        "-nan",
+        "na",
+        "n/a",
+        "#n/a",
+        "#na",
+        "<na>",
+        "null",
+        "none",
+        "-",
+        "--",
+        "---",
+        "n. def.",
+        "#nv",
+        "#value!",
+        "#div/0!",
+        "-1.#ind",
+        "1.#ind",
+        "1.#qnan",
+        "-1.#qnan",
+    ]
+)
+WORDS = frozenset(("true", "false"))
+ODD = str.maketrans({"\xa0": "", "\u202f": "", "\u2009": "", "’": "'", "−": "-", "\ufeff": ""})
+_FORTRAN = re.compile(r"[-+]?[\d.]+[dD][-+]?\d+")
+_PAIR = re.compile(r"(?<![\w.-])([A-Za-z_][\w.\[\]()/-]*)\s*[=:]\s*(?=[-+.\d])")
+
+
+@dataclass(frozen=True)
+class TextFormat:
+    """What a user says about a text file, where it cannot be guessed.
+
+    Attributes
+    ----------
+    header : int or None
+        Line of the names, the first is 1; 0: there is none.
+    separator, decimal : str or None
+    skip : int
+        Lines to leave out at the beginning.
+    """
+
+    header: int | None = None
+    separator: str | None = None
+    decimal: str | None = None
+    skip: int = 0
+
+
+class Dialect(NamedTuple):
+    """How the fields of a row are written."""
+
+    separator: str
+    decimal: str = "."
+    thousands: str = ""
+    pairs: bool = False  # name and value side by side
+
+    def split(self, line: str) -> list[str]:
+        """Fields of a line, without their quotes and the blanks around them."""
+        if self.pairs:
+            line = _PAIR.sub(rf"\1{self.separator}", line)
+        line = line.rstrip("\r\n").translate(ODD)
+        if self.separator == " ":
+            line = " ".join(line.split())
+        if '"' not in line:
+            fields = line.split(self.separator)
+        else:
+            try:
+                fields = next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))
+            except (csv.Error, StopIteration):
+                fields = line.split(self.separator)
+        return [field.strip().strip('"').strip() for field in fields]
+
+    def kind(self, cell: str) -> str:
+        """Kind of a field: "number", "time", "" (no value) or "text"."""
+        if cell.lower() in MISSING:
+            return ""
+        if self.number(cell) is not None or cell.lower() in WORDS:
+            return "number"
+        return "time" if TIME.fullmatch(cell) else "text"
+
+    def number(self, cell: str) -> float | None:
+        """Value of a field, None if it is no number."""
+        if self.thousands and self.thousands in cell:
+            whole, _, part = cell.partition(self.decimal)
+            if not re.fullmatch(rf"[-+]?\d{{1,3}}({re.escape(self.thousands)}\d{{3}})+", whole):
+                return None
+            cell = whole.replace(self.thousands, "") + self.decimal * bool(part) + part
+        if self.decimal != ".":
+            if "." in cell:
+                return None
+            cell = cell.replace(self.decimal, ".")
+        if "_" in cell:
+            return None
+        if _FORTRAN.fullmatch(cell):
+            cell = cell.upper().replace("D", "E")
+        try:
+            return float(cell)
+        except ValueError:
+            return None
+
+
+# MATLAB's "0.01 sec"; a date, a time of day, or both; pandas' "0 days 00:00:01".
+DURATION = r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)? (?:sec|ms|min|hr)"
+_CLOCK_TEXT = r"\d{1,2}:\d{2}(:\d{2})?([.,:]\d{1,9})?\s*([AaPp][Mm])?(Z|[-+]\d{2}:?\d{2})?"
+_DATE_TEXT = r"(\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.](\d{1,2}|[A-Za-z]{3})[-/.]\d{2,4})"
+TIME = re.compile(
+    rf"{DURATION}|(-?\d+ days?\s+)?{_CLOCK_TEXT}|{_DATE_TEXT}([T ,]+{_CLOCK_TEXT})?"
+    r"|\d{8}T\d{6}\S*"
+)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a text file is to be read.
+
+    Attributes
+    ----------
+    names : list of str
+        Of each column, "" where nothing says.
+    units : list of str
+        As the file states them, "" where it does not.
+    dialect : Dialect
+    first : int
+        Lines above the first row of numbers.
+    kinds : list of str
+        Of each column: "number", "time" or "text".
+    fields : int
+        In each row; those after the last column are empty.
+    period : float or None
+        Time between samples that the preamble states [s].
+    steps : (start, increment) or None
+        Of the clock, where the first column counts the samples [s].
+    long : bool
+        Each row is a name and its value.
+    """
+
+    names: list[str]
+    units: list[str]
+    dialect: Dialect
+    first: int
+    kinds: list[str]
+    fields: int
+    period: float | None = None
+    steps: tuple[float, float] | None = None
+    long: bool = False
+
+
+class Block(NamedTuple):
+    """Rows of one shape under one dialect."""
+
+    score: tuple[float, bool, int]
+    dialect: Dialect
+    first: int
+    fields: int
+    kinds: list[str]
+    constant: list[str]  # text of the columns that say the same in each row
+    rows: list[list[str]]
+
+    @property
+    def width(self) -> int:
+        return len(self.kinds)
+
+
+def trimmed(fields: list[str]) -> list[str]:
+    """Fields without the empty ones at the end."""
+    while len(fields) > 1 and not fields[-1]:
+        fields = fields[:-1]
+    return fields
+
+
+def bare(line: str) -> str:
+    """Line without the sign of a comment."""
+    plain = line.strip("\ufeff\r\n").lstrip()
+    return plain.lstrip("#%!/ ") if plain.startswith(COMMENT) else line

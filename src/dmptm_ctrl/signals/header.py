@@ -1,0 +1,193 @@
+"""What the columns of a text file are called, and in which units they are."""
+
+import itertools
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+from dmptm_ctrl.signals.columns import CLOCK
+from dmptm_ctrl.signals.dialect import Block, Dialect, Layout, TextFormat, bare, trimmed
+from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.units import Unit, named_unit, parse_unit
+
+FILE_TIME = 1e16  # a clock without a name that reads more counts ticks since 1601
+SEP_LINE = re.compile(r'(?i)\ufeff?"?sep=(.)"?\s*$')
+_TYPE = re.compile(r"(?i)(l?real|[us]?[dls]?int|float|double|bool|lword|dword|word)\d*$")
+_TIME_NAME = re.compile(r"(?i)(time|zeit|uhrzeit|timestamp|x_value|t)(\W|_|\d|$)")
+_PERIOD = re.compile(r"(?i)sampl\w*[ _-]?(time|period|interval|rate|frequency)|delta_x|abtastzeit")
+_AMOUNT = re.compile(r"[\s:=\"]*(?:is\s+)?([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ]*)")
+
+
+def named(
+    lines: Sequence[str], block: Block, source: str, how: TextFormat, wanted: Collection[str]
+) -> Layout:
+    """Layout with names and units from the lines above the first row of numbers.
+
+    Raises
+    ------
+    LogError
+        Names that do not fit the rows.
+    """
+    nothing = [""] * block.width
+    layout = Layout(
+        nothing, nothing, block.dialect, block.first, block.kinds, block.fields,
+        _period(lines[: block.first], block.dialect),
+    )  # fmt: skip
+    long = block.kinds == ["text", "number"] and not block.constant[0]
+    if long and len({r[0] for r in block.rows}) <= len(block.rows) / 4:
+        return replace(layout, names=["name", "value"], long=True)
+    values = [c for c, kind in enumerate(block.kinds) if kind != "text"]
+    if all(c and block.constant[c - 1] for c in values):
+        return replace(layout, names=["", *(n.rstrip(":=") for n in block.constant[:-1])])
+    if how.header is not None:
+        rows = [trimmed(block.dialect.split(bare(s))) for s in lines[: how.header][-1:]]
+    else:
+        rows = _candidates(lines, block)
+        last = next((s for s in lines[: block.first][::-1] if s.strip() and bare(s) is s), "")
+        if not rows and last and not SEP_LINE.match(last):
+            raise LogError(
+                f"{source}: the header names {len(block.dialect.split(last))} columns, the first "
+                f"row has {block.width} values; if another line holds the names, write its number "
+                "in [data] of the rig file, as in header = 3, or header = 0 for none"
+            )
+    found = _from_rows([_fitted(r, block.width) for r in rows], layout, wanted)
+    ticks = [block.dialect.number(cell) or 0.0 for cell in block.rows[0][: block.width]]
+    units = [
+        "ticks" if name == CLOCK and value > FILE_TIME else unit
+        for name, unit, value in zip(found.names, found.units, ticks, strict=True)
+    ]
+    return replace(found, units=units)
+
+
+def _candidates(lines: Sequence[str], block: Block) -> list[list[str]]:
+    """Rows of text above the table that have as many fields, the nearest first."""
+    used = max(c for c, kind in enumerate(block.kinds) if kind != "text") + 1
+    found: dict[tuple[bool, bool], list[list[str]]] = {}
+    for line in reversed(lines[: block.first]):
+        if not line.strip() or SEP_LINE.match(line):
+            continue
+        fields = trimmed(block.dialect.split(bare(line)))
+        comment, short = bare(line) is not line, len(fields) < used
+        fits = len(fields) == block.width if comment else not short
+        fits = fits or (len(fields) == block.width - 1 and _counts_rows(block))
+        if fits and any(block.dialect.kind(f) == "text" for f in fields):
+            found.setdefault((comment, short), []).append(fields)
+    # names without the sign of a comment, as many as columns, come first
+    return found[min(found)] if found else []
+
+
+def _counts_rows(block: Block) -> bool:
+    """Whether the first column numbers or names the rows, as R writes it without a name."""
+    if block.kinds[0] == "text":
+        return True
+    first = [block.dialect.number(r[0]) for r in block.rows]
+    return len(first) > 2 and all(
+        a is not None and b is not None and b - a == 1 for a, b in itertools.pairwise(first)
+    )
+
+
+def _fitted(row: list[str], width: int) -> list[str]:
+    """As many names as columns; one less: the first column counts the rows."""
+    if len(row) == width - 1 and width > 1:
+        return ["", *row]
+    if len(row) == 2 * width and len({*row[::2]}) == 1:
+        return row[1::2]  # clocks that were not exported still have their labels
+    return (row + [""] * width)[:width]
+
+
+def _from_rows(rows: list[list[str]], plain: Layout, wanted: Collection[str]) -> Layout:
+    if not rows:
+        return plain
+    alike = {w.strip() for w in wanted}
+
+    def worth(row: list[str]) -> tuple[int, int, bool]:
+        """Known names, little that is no name, the label of such rows."""
+        names = [named_unit(n)[0] for n in row]
+        known = len(alike & ({*row} | {*names}))
+        given = [n for n in row if n]
+        others = sum(_is_unit(n) or bool(_TYPE.match(n)) for n in given)
+        others += sum(plain.dialect.kind(n) != "text" for n in given)
+        return known, len({*given}) - len(given) - others, row[0].lower() == "name"
+
+    best = max(rows, key=worth)
+    others = [r for r in rows if r is not best]
+    units = [named_unit(n)[1] for n in best]
+    for row in others:
+        texts = [n for n in row if n and plain.dialect.number(n) is None]
+        if texts and sum(_is_unit(n) for n in texts) > len(texts) / 2:
+            units = [
+                u or (n.strip("[]()") if _is_unit(n) else "")
+                for u, n in zip(units, row, strict=True)
+            ]
+    twice = {n for n in best if n and best.count(n) > 1}
+    names = list(best)
+    # Labels of rows stand where clocks have no name: "Name", "Data-Type", "SampleTime[ms]".
+    for name in twice | {n for n in best[:1] if n.lower() == "name"}:
+        places = [c for c, n in enumerate(best) if n == name]
+        said = [{r[c] for c in places} for r in others]
+        if places[0] == 0 and said and all(len(s) == 1 for s in said):
+            period = next((m for s in said if (m := re.search(r"\[(\w+)\]", next(iter(s))))), None)
+            for c in places:
+                names[c], units[c] = CLOCK, period[1] if period else "s"
+    return replace(plain, names=names, units=units, steps=_steps(names, others, plain.dialect))
+
+
+def _steps(
+    names: list[str], others: list[list[str]], dialect: Dialect
+) -> tuple[float, float] | None:
+    """Start and increment that oscilloscopes write beside the names of their channels."""
+    place = {name.lower(): c for c, name in enumerate(names)}
+    for row in others:
+        start, step = (
+            dialect.number(row[place[key]]) if key in place else None
+            for key in ("start", "increment")
+        )
+        if start is not None and step is not None and step > 0:
+            return start, step
+    return None
+
+
+def _is_unit(text: str) -> bool:
+    """Whether a field is a unit, also in brackets."""
+    inside = text.strip()
+    bracket = inside[:1] + inside[-1:] in ("[]", "()")
+    inside = inside.strip("[]()").strip()
+    if not inside:
+        return bracket
+    if len(inside) > 12 or (len(inside) == 1 and inside.isupper() and inside not in "NAVWK"):
+        return False
+    try:
+        parse_unit(inside)
+    except LogError:
+        return bracket and len(inside) <= 8
+    return True
+
+
+def is_clock_name(name: str) -> bool:
+    """Whether a column is called as clocks are: t, time_s, Time CH2, Zeit."""
+    return bool(_TIME_NAME.match(name.strip())) or name == CLOCK
+
+
+def _period(preamble: Sequence[str], dialect: Dialect) -> float | None:
+    """Time between samples that the lines above the table state [s]."""
+    for line in preamble:
+        name = _PERIOD.search(line)
+        if name is None:
+            continue
+        cells = dialect.split(line)
+        if len(cells) > 1 and _PERIOD.match(cells[0]) and dialect.number(cells[1]) is not None:
+            value, unit = dialect.number(cells[1]), named_unit(cells[0])[1]
+            unit = unit or (cells[2] if len(cells) > 2 and _is_unit(cells[2]) else "")
+        elif amount := _AMOUNT.match(line[name.end() :]):
+            value, unit = Dialect(" ").number(amount[1]), amount[2]
+        else:
+            continue
+        rate = "rate" in name[0].lower() or "freq" in name[0].lower()
+        try:
+            known = parse_unit(unit) if unit else Unit("Hz" if rate else "s", 1.0)
+        except LogError:
+            continue
+        if value is not None and value > 0 and known.symbol in ("Hz", "s", ""):
+            amount_si = value * known.factor
+            return 1 / amount_si if rate or known.symbol == "Hz" else amount_si
+    return None

@@ -1,0 +1,125 @@
+"""Values that are not there: at either end, between rarer samples, on another clock."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.signals.clock import MAX_BRIDGED
+
+Array = NDArray[np.float64]
+
+RARE = 2  # a column sampled more rarely has a value in every second row at most
+EVEN_HOLES = 2.5  # the longest hole of such a column, in usual ones
+
+
+def on_one_clock(
+    time: Array,
+    channels: Mapping[str, Array],
+    clocks: Mapping[str, Array],
+    labels: Mapping[str, str],
+) -> tuple[Array, dict[str, Array], list[str]]:
+    """Bring channels with clocks of their own to the clock that ticks most often.
+
+    Parameters
+    ----------
+    time : (n,) array [s]
+        May hold NaN.
+    channels : mapping of str to array
+    clocks : mapping of str to array [s]
+        Of the channels that are not on `time`; as long as their channel.
+    labels : mapping of str to str
+        What the file calls the channels.
+
+    Returns
+    -------
+    time, channels
+        NaN where a channel has no value yet or no more.
+    notes : list of str
+    """
+    if not clocks:
+        return time, dict(channels), []
+    # The densest; of equals the table's own.
+    main = max([time, *clocks.values()], key=lambda t: int(np.isfinite(t).sum()))
+    main = main[np.isfinite(main)]
+    result, moved = {}, []
+    for name, values in channels.items():
+        own = clocks.get(name, time)
+        good = np.isfinite(own) & np.isfinite(values)
+        t, v = own[good], values[good]
+        if np.array_equal(t, main):
+            result[name] = v
+            continue
+        result[name] = np.interp(main, t, v, left=np.nan, right=np.nan) if t.size else main * np.nan
+        moved.append(labels.get(name, name))
+    notes = []
+    if moved:
+        notes = [
+            f"{_listed(moved)} on {'another clock' if len(moved) == 1 else 'other clocks'}: "
+            "interpolated to the clock that ticks most often"
+        ]
+    return main, result, notes
+
+
+def without_holes(
+    channels: Mapping[str, Array], labels: Mapping[str, str], *, bridge: bool
+) -> tuple[slice, dict[str, Array], list[str]]:
+    """Fill columns sampled more rarely; leave out rows at either end that are not complete.
+
+    Parameters
+    ----------
+    channels : mapping of str to (n,) array
+        All that a row must have, time included.
+    labels : mapping of str to str
+        What the file calls them.
+    bridge : bool
+        Also fill holes of up to ten rows between.
+
+    Returns
+    -------
+    rows : slice
+        Those that are complete, but for holes between.
+    channels : dict
+        Filled; of all rows.
+    notes : list of str
+    """
+    filled: dict[str, Array] = {}
+    notes = []
+    for name, values in channels.items():
+        filled[name] = values
+        there = np.flatnonzero(~np.isnan(values))
+        if there.size in (0, values.size):
+            continue
+        gaps = np.diff(there)
+        inner = values[there[0] : there[-1] + 1]
+        holes = int(np.isnan(inner).sum())
+        usual = float(np.median(gaps)) if gaps.size else 0.0
+        label = labels.get(name, name)
+        if name != "time" and usual >= RARE and gaps.max() <= EVEN_HOLES * usual:
+            notes.append(f"{label} has a value in every {usual:g}th row only and was interpolated")
+        elif not (bridge and holes and gaps.max() <= MAX_BRIDGED + 1 and name != "time"):
+            continue
+        else:
+            notes.append(
+                f"{label} lacks {holes} values, at most {gaps.max() - 1} in a row: bridged"
+            )
+        filled[name] = np.interp(
+            np.arange(values.size), there, values[there], left=np.nan, right=np.nan
+        )
+    complete = np.flatnonzero(~np.any([np.isnan(v) for v in filled.values()], axis=0))
+    size = next(iter(filled.values())).size
+    if not complete.size or complete.size == size:
+        return slice(0, size), filled, notes
+    rows = slice(int(complete[0]), int(complete[-1]) + 1)
+    for what, part in (("first", slice(0, rows.start)), ("last", slice(rows.stop, size))):
+        count = part.stop - part.start
+        if count:
+            lacking = [labels.get(n, n) for n, v in filled.items() if np.isnan(v[part]).any()]
+            gone = "1 row was" if count == 1 else f"{count} rows were"
+            notes.append(f"the {what} {gone} left out: no value for {_listed(lacking)}")
+    return rows, filled, notes
+
+
+def _listed(names: list[Any]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -1,0 +1,140 @@
+"""Where the rows of numbers are in a text file."""
+
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+
+from dmptm_ctrl.signals.dialect import COMMENT, Block, Dialect, Layout, TextFormat, bare, trimmed
+from dmptm_ctrl.signals.errors import NotALogError
+from dmptm_ctrl.signals.header import SEP_LINE, named
+
+SEPARATORS = (";", "\t", ",", "|", " ")
+# decimal sign, sign between thousands; the plainest that reads everything is taken
+NUMBERS = ((".", ""), (",", ""), (".", ","), (",", "."), (".", "'"), (".", " "), (",", " "))
+STEADY = 10  # rows of one kind in a row that are the table and no part of the preamble
+
+
+def find_layout(
+    lines: Sequence[str], source: str, how: TextFormat, wanted: Collection[str] = ()
+) -> Layout:
+    """Find the table in the first lines of a file.
+
+    Parameters
+    ----------
+    lines : sequence of str
+    source : str
+        Name of the file, for messages.
+    how : TextFormat
+    wanted : collection of str
+        Columns that tell which of several lines of names is meant.
+
+    Raises
+    ------
+    NotALogError
+        No row of numbers.
+    LogError
+        Names that do not fit the rows.
+    """
+    best = None
+    for dialects in _dialects(lines, how):
+        blocks = [b for d in dialects if (b := _block(lines, d, how)) is not None]
+        # of equals, the first
+        best = max([*([best] if best else []), *blocks], key=lambda b: b.score, default=None)
+        if best is not None and best.score[0] > 0.99:
+            break
+    if best is None or (best.score[0] < 0.5 and len(best.rows) < STEADY):  # prose
+        what = "no rows of numbers" if any(s.strip() for s in lines) else "the file is empty"
+        raise NotALogError(f"{source}: {what}")
+    return named(lines, best, source, how, wanted)
+
+
+def _dialects(lines: Sequence[str], how: TextFormat) -> Iterator[list[Dialect]]:
+    """Ways to write numbers, the usual ones first."""
+    declared = next((m[1] for s in lines[:3] if (m := SEP_LINE.match(s))), None)
+    chosen = how.separator or declared
+    separators = (chosen,) if chosen else SEPARATORS
+    usual = [n for n in NUMBERS if how.decimal in (None, n[0])]
+    plain = [Dialect(s, *n) for s in separators for n in usual if not n[1] and n[0] != s]
+    yield plain
+    quoted = [Dialect(s, s) for s in separators if s == "," and how.decimal in (None, s)]
+    yield quoted + [
+        Dialect(s, *n) for s in separators for n in usual if n[1] and n[1] != s.strip(",")
+    ]
+    yield [d._replace(pairs=True) for d in plain]
+
+
+def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | None:
+    """Rows of the commonest shape; None where no column holds numbers."""
+    start = max(how.skip, how.header or 0)
+    rows = [
+        (i, dialect.split(s))
+        for i, s in enumerate(lines)
+        if i >= start and not s.lstrip().startswith(COMMENT)
+    ]
+    kinds = [[dialect.kind(cell) for cell in row] for _, row in rows]
+    fields = Counter(len(k) for k in kinds if "number" in k).most_common(1)
+    if not fields:
+        return None
+    width = fields[0][0]
+    alike = [k for k in kinds if len(k) == width and "number" in k]
+    column = [_kind_of([k[c] for k in alike if k[c]]) for c in range(width)]
+    while column and column[-1] == "":
+        column.pop()
+    if "number" not in column:
+        return None
+    column = [kind or "number" for kind in column]
+
+    def regular(kind: list[str]) -> bool:
+        return (
+            len(kind) == width
+            and any(x in ("number", "time") for x in kind)
+            and not any(x == "text" != of for x, of in zip(kind, column, strict=False))
+        )
+
+    good = [regular(k) for k in kinds]
+    runs = _runs(good)
+    if not runs:
+        return None
+    enough = min(STEADY, max(stop - begin for begin, stop in runs))
+    steady = next(b for b, stop in runs if stop - b >= enough)
+    begin = steady
+    for i in range(steady - 1, -1, -1):  # blank lines between alike rows part nothing
+        if good[i] and kinds[i] == kinds[steady]:
+            begin = i
+        elif any(kinds[i]):
+            break
+    first = rows[begin][0]
+    body = [row for (_, row), ok in zip(rows[begin:], good[begin:], strict=True) if ok]
+    constant = ["" if of != "text" else _same([r[c] for r in body]) for c, of in enumerate(column)]
+    cells = Counter(
+        kind
+        for row, ok in zip(kinds[begin:], good[begin:], strict=True)
+        for c, kind in enumerate(row[: len(column)])
+        if ok and kind and not constant[c]
+    )
+    others = sum(any(row) for _, row in rows[begin:]) - len(body)
+    share = 1 - (cells["text"] + others) / max(sum(cells.values()), 1)
+    above = {len(trimmed(dialect.split(bare(s)))) for s in lines[start:first]}
+    told = len(column) in above or how.header is not None
+    return Block(
+        (round(share, 2), told, len(column)), dialect, first, width, column, constant, body
+    )
+
+
+def _kind_of(cells: list[str]) -> str:
+    """Kind of most cells of a column; "" where all are empty."""
+    counted = Counter(cells)
+    if not counted:
+        return ""
+    if counted["text"] > 0.1 * len(cells):
+        return "text"
+    return "time" if counted["time"] > counted["number"] else "number"
+
+
+def _same(texts: list[str]) -> str:
+    return texts[0] if len(set(texts)) == 1 else ""
+
+
+def _runs(good: list[bool]) -> list[tuple[int, int]]:
+    """Begin and end of each run of rows of numbers."""
+    edges = [i for i in range(len(good) + 1) if (i and good[i - 1]) != (i < len(good) and good[i])]
+    return list(zip(edges[::2], edges[1::2], strict=True))

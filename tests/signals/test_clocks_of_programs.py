@@ -1,0 +1,185 @@
+"""Clocks as programs write them: dates, ticks, roll-over, coarse and irregular stamps."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.signals import LogError
+
+ROWS = 300
+STEP = 0.01
+INDEX = np.arange(ROWS)
+T = STEP * INDEX
+U = np.sin(3 * T)
+Q = np.cos(2 * T)
+
+
+def rig(unit="s", more=""):
+    return parse_rig(f"""
+[body.a]
+inertia = "0.02 kg m^2"
+[input.u]
+column = "u"
+unit = "N m"
+[sensor.q]
+column = "q"
+unit = "rad"
+[data]
+time = {{ column = "t", unit = "{unit}" }}
+{more}
+""")
+
+
+def stamps(time):
+    return pd.Timestamp("2025-11-09T23:59:59Z") + pd.to_timedelta(np.round(1e6 * time), unit="us")
+
+
+TEXTS = {
+    "ISO, Z": lambda s: s.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z",
+    "ISO, blank": lambda s: s.strftime("%Y-%m-%d %H:%M:%S.%f"),
+    "ISO, zone": lambda s: s.strftime("%Y-%m-%dT%H:%M:%S.%f+01:00"),
+    "ISO, decimal comma": lambda s: s.strftime("%Y-%m-%d %H:%M:%S,%f")[:-3],
+    "ISO, slashes": lambda s: s.strftime("%Y/%m/%d %H:%M:%S.%f"),
+    "basic ISO": lambda s: s.strftime("%Y%m%dT%H%M%S.%f"),
+    "German": lambda s: s.strftime("%d.%m.%Y %H:%M:%S.%f"),
+    "American": lambda s: s.strftime("%m/%d/%Y %I:%M:%S.%f %p"),
+    "time of day": lambda s: s.strftime("%H:%M:%S.%f")[:-3],
+    "time of day, colon": lambda s: s.strftime("%H:%M:%S:%f")[:-3],
+    "minutes": lambda s: f"{(s.minute + 1) % 60:02d}:{s.second:02d}.{s.microsecond // 1000:03d}",
+    "timedelta of pandas": lambda s: "0 days " + s.strftime("%H:%M:%S.%f"),
+}
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_text(tmp_path, kind):
+    moments = stamps(T)  # over midnight
+    if kind in ("minutes", "timedelta of pandas"):  # they know no day
+        moments = moments + pd.Timedelta(hours=5)
+    frame = pd.DataFrame({"t": [TEXTS[kind](m) for m in moments], "u": U, "q": Q})
+    frame.to_csv(tmp_path / "run.csv", index=False, sep=";" if "comma" in kind else ",")
+    (log,) = rig("ms").read(tmp_path / "run.csv")  # a date is a date, whatever the unit
+    np.testing.assert_allclose(log.time, T, atol=1e-9)
+    np.testing.assert_allclose(log["in_u"], U, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "kind", ["datetime64", "with a zone", "timedelta64", "index", "parquet", "json"]
+)
+def test_dates_of_tables(tmp_path, kind):
+    frame = pd.DataFrame({"t": stamps(T).tz_localize(None), "u": U, "q": Q})
+    source = frame
+    if kind == "with a zone":
+        frame["t"] = stamps(T)
+    elif kind == "timedelta64":
+        frame["t"] = pd.to_timedelta(T, unit="s")
+    elif kind == "index":
+        source = frame.set_index("t")
+    elif kind == "parquet":
+        pytest.importorskip("pyarrow")
+        source = tmp_path / "run.parquet"
+        frame.to_parquet(source)
+    elif kind == "json":
+        source = tmp_path / "run.json"
+        frame.to_json(source, orient="records", date_format="iso", date_unit="ms")
+    (log,) = rig().read(source)
+    np.testing.assert_allclose(log.time, T, atol=1e-9)
+
+
+NUMBERS = {  # column, unit
+    "ms": (1e3 * T, "ms"),
+    "us": (1e6 * T, "us"),
+    "ns": ((1e9 * T).round().astype(np.int64), "ns"),
+    "Unix ns": (1_760_000_000_000_000_000 + (1e9 * T).round().astype(np.int64), "ns"),
+    "Unix s": (1_760_000_000 + T, "s"),
+    "ticks": ((1e7 * T).round().astype(np.int64), "ticks"),
+    "file time": (133_000_000_000_000_000 + (1e7 * T).round().astype(np.int64), "100 ns"),
+    "32 bits of us": (((1e6 * T).astype(np.int64) + 2**32 - 500_000) % 2**32, "us"),
+    "32 bits of ms": (((1e3 * T).round().astype(np.int64) + 2**32 - 500) % 2**32, "ms"),
+    "32 bits with a sign": (
+        ((1e6 * T).round().astype(np.int64) + 2**31 - 500_000 + 2**31) % 2**32 - 2**31, "us",
+    ),
+    "16 bits of ms": (((1e3 * T).round().astype(np.int64) + 2**16 - 500) % 2**16, "ms"),
+    "32 bits of us in ms": (
+        np.round(1e-3 * (((1e6 * T).round().astype(np.int64) + 2**32 - 500_000) % 2**32), 3), "ms",
+    ),
+    "seconds of the day": (np.round((86399.0 + T) % 86400.0, 3), "s"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", NUMBERS)
+@pytest.mark.parametrize("by_file", [True, False])
+def test_numbers(tmp_path, kind, by_file):
+    values, unit = NUMBERS[kind]
+    source = pd.DataFrame({"t": values, "u": U, "q": Q})
+    if by_file:
+        source.to_csv(tmp_path / "run.csv", index=False)
+        source = tmp_path / "run.csv"
+    (log,) = rig(unit).read(source)
+    assert log.sample_time == pytest.approx(STEP, rel=1e-4)
+    np.testing.assert_allclose(log["out_q"], Q, atol=1e-9)
+    if "bits" in kind or "day" in kind:
+        assert any("ran over 1 times" in w for w in log.warnings), log.warnings
+
+
+def coarse(tick, step):
+    return np.round(np.floor(step * INDEX / tick + 1e-9) * tick, 3)
+
+
+@pytest.mark.parametrize(
+    ("tick", "step"),
+    [(0.015625, 0.01), (0.016, 0.002), (0.015625, 0.02), (0.001, 0.0015), (1.0, 0.01)],
+)
+def test_coarse_clock(tick, step):
+    """The stamps of a clock that ticks in steps of its own."""
+    frame = pd.DataFrame({"t": coarse(tick, step), "u": U, "q": Q})
+    (log,) = rig().read(frame)
+    assert len(log) == ROWS
+    # a clock that ticks 3 times within the log tells the rate no better than this
+    assert log.sample_time == pytest.approx(step, rel=1e-3 + 0.5 * tick / (step * ROWS))
+    np.testing.assert_allclose(log["out_q"], Q, atol=1e-12)
+    assert any("clock is coarse" in w and "sample_rate" in w for w in log.warnings)
+
+
+def test_coarse_clock_of_a_known_rate():
+    frame = pd.DataFrame({"t": coarse(0.5, STEP), "u": U, "q": Q})
+    (log,) = rig(more='sample_rate = "100 Hz"').read(frame)
+    assert log.sample_time == STEP
+
+
+def test_jitter_and_lost_rows_are_mended():
+    time = T + np.random.default_rng(1).uniform(-0.003, 0.003, ROWS)
+    keep = np.delete(INDEX, [50, 51, 52, 200])
+    (log,) = rig().read(
+        pd.DataFrame({"t": time, "u": np.sin(3 * time), "q": Q})[["t", "u", "q"]].iloc[keep]
+    )
+    error = np.abs(log["in_u"] - np.sin(3 * log.time)).max()
+    assert error < (3 * 0.046) ** 2 / 8  # of a straight line over three lost rows and jitter
+    assert any("resampled to even steps" in w for w in log.warnings)
+
+
+def test_rows_that_occur_twice_are_no_coarse_clock():
+    frame = pd.DataFrame({"t": T, "u": U, "q": Q}).loc[lambda f: f.index.repeat(2)]
+    (log,) = rig().read(frame)
+    assert len(log) == ROWS
+    assert any("repeated rows dropped" in w for w in log.warnings)
+
+
+def test_logger_started_again():
+    time = np.concatenate([T[:100], T[:200]])
+    (log,) = rig().read(pd.DataFrame({"t": time, "u": U, "q": Q}))
+    np.testing.assert_allclose(log["in_u"], U[100:], atol=1e-12)
+    assert any("time starts anew: rows 101 to 300 of 300" in w for w in log.warnings)
+
+
+@pytest.mark.parametrize(
+    ("time", "unit", "message"),
+    [
+        (np.where(INDEX > 150, T + 3.0, T), "s", "start, stop"),
+        (1e9 * T, "s", 'unit = "ns"'),
+        (T, "ns", "time must be in seconds"),
+    ],
+)
+def test_what_cannot_be_mended_names_a_key(time, unit, message):
+    with pytest.raises(LogError, match=message):
+        rig(unit).read(pd.DataFrame({"t": time, "u": U, "q": Q}))

@@ -1,0 +1,123 @@
+"""Counters of few bits."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dmptm_ctrl import LogError
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign
+
+T = 1e-3 * np.arange(4000)
+
+
+def rig(sensor, unit_of_input="1"):
+    return parse_rig(f"""
+[body.a]
+inertia = "unknown"
+[input.u]
+column = "u"
+unit = "{unit_of_input}"
+[sensor.q]
+column = "q"
+{sensor}
+[data]
+time = {{ column = "t", unit = "s" }}
+""")
+
+
+COUNTS = 'unit = "counts"\ncounts_per_rev = 10000'
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16, 24, 32])
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize("lacking", [0, 1])  # some counters jump by one less
+def test_unwrapped(bits, signed, lacking):
+    size = 2**bits
+    true = np.round(1.7 * size * np.sin(2 * np.pi * 0.5 * T) + 0.3 * size)
+    read = true % size
+    if lacking:
+        true = np.round(1.7 * size * T + 0.3 * size)
+        read = true % (size - 1)
+    if signed:
+        read = np.where(read >= size // 2, read - size + lacking, read)
+    values, note = unwrapped_counts("f", "q", read)
+    # one count less per turn is not told from the counter's own size
+    np.testing.assert_allclose(values - values[0], true - true[0], rtol=0, atol=7 * lacking)
+    assert f"{bits} bit counter" in note
+
+
+@given(st.integers(0, 2**16 - 1), st.integers(1, 20), st.integers(1, 6))
+def test_any_start(start, speed, turns):
+    true = start + np.cumsum(np.round(speed * 40 * np.sin(np.linspace(0, 2 * np.pi * turns, 3000))))
+    values, _ = unwrapped_counts("f", "q", true % 2**16)
+    np.testing.assert_array_equal(np.diff(values), np.diff(true))
+
+
+def test_what_is_no_counter_is_left_alone():
+    square = np.where(np.sin(20 * T) > 0, 60000.0, 0.0)
+    for values in (np.round(5e4 * T), square, np.sin(T), np.full(50, 3.0)):
+        same, note = unwrapped_counts("f", "q", values)
+        assert same is values
+        assert note == ""
+
+
+def test_one_jump_by_any_number_is_refused():
+    values = np.round(300 * np.sin(T)) + np.where(T > 2, 12345, 0)
+    with pytest.raises(LogError, match=r"f: q jumps by 12345 in row 2002"):
+        unwrapped_counts("f", "q", values)
+
+
+@pytest.mark.parametrize("bits", [8, 16, 32])
+def test_signed_read_as_unsigned(bits):
+    true = np.round(0.3 * 2**bits * np.sin(3 * T))
+    values, note = with_sign("u", true % 2**bits)
+    np.testing.assert_array_equal(values, true)
+    assert f"{bits} bits with a sign" in note
+    for good in (np.abs(true), np.round(2.0**bits * T / 4.1), 0.5 * (true % 2**bits)):
+        assert with_sign("u", good)[1] == ""
+
+
+def test_through_a_rig():
+    true = np.round(1e5 * np.sin(2 * T))
+    u = np.round(900 * np.cos(2 * T))
+    frame = pd.DataFrame({"t": T, "u": u % 2**16, "q": true % 2**16})
+    (log,) = rig(COUNTS).read(frame)
+    np.testing.assert_allclose(log["out_q"] - log["out_q"][0], 2 * np.pi / 1e4 * (true - true[0]))
+    np.testing.assert_array_equal(log["in_u"], u)
+    assert len(log.warnings) >= 2
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_second"), [("counts/s", 1.0), ("counts/ms", 1e3), ("inc / min", 1 / 60)]
+)
+def test_counts_per_second(unit, per_second):
+    sensor = f'unit = "{unit}"\ncounts_per_rev = 8192'
+    a_rig = rig(sensor, "percent")
+    assert a_rig.sensors[0].measures == "speed"
+    (log,) = a_rig.read(pd.DataFrame({"t": T, "u": 50 * np.sin(T), "q": 1000.5 * np.cos(T)}))
+    expected = 1000.5 * np.cos(T) * per_second / 8192 * 2 * np.pi
+    np.testing.assert_allclose(log["out_q"], expected, rtol=1e-12)
+    assert log["in_u"].max() == pytest.approx(50.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("unit", "gain"),
+    [("percent", "0.5 N m/percent"), ("%", "0.5 N m/%"), ("pwm", "0.5 N m/pwm"), ("counts", "0.5"),
+     ("1", "0.5 N m/count"), ("PWM", 0.5)],
+)  # fmt: skip
+def test_gain_of_inputs_that_are_numbers(unit, gain):
+    text = gain if isinstance(gain, float) else f'"{gain}"'
+    a_rig = parse_rig(f"""
+[body.a]
+inertia = "1 kg m^2"
+[input.u]
+column = "u"
+unit = "{unit}"
+gain = {text}
+[sensor.q]
+column = "q_rad"
+""")
+    assert a_rig.inputs[0].gain.value == 0.5

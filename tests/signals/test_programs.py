@@ -1,0 +1,406 @@
+"""Logs as programs write them: the same run in many layouts, read without help."""
+
+import csv
+import io
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.signals import LogError
+
+ROWS = 240
+STEP = 0.01  # s
+T = STEP * np.arange(ROWS)
+U = np.round(1.3 * np.sin(9.0 * T), 5)
+Q = np.round(1500.0 * np.sin(2.1 * T) ** 3, 5)  # four digits before the point: thousands show
+
+RIG = """
+[body.a]
+inertia = "0.02 kg m^2"
+[input.u]
+column = "{u}"
+unit = "N m"
+[sensor.q]
+column = "{q}"
+unit = "rad"
+[data]
+{data}
+"""
+
+
+def rig(u="u", q="q", data='time = { column = "t", unit = "s" }'):
+    return parse_rig(RIG.format(u=u, q=q, data=data))
+
+
+def rows(separator, *columns, digits=5, decimal=".", end="\n"):
+    """Lines of numbers."""
+    table = (f"{v:.{digits}f}".replace(".", decimal) for r in zip(*columns, strict=True) for v in r)
+    cells = iter(table)
+    count = len(columns)
+    return "".join(
+        separator.join(next(cells) for _ in range(count)) + end for _ in range(len(columns[0]))
+    )
+
+
+def table(separator=",", decimal=".", header=("t", "u", "q"), **how):
+    return separator.join(header) + "\n" + rows(separator, T, U, Q, decimal=decimal, **how)
+
+
+def read(tmp_path, content, a_rig=None, name="run.csv", encoding="utf-8"):
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode(encoding))
+    (log,) = (a_rig or rig()).read(path)
+    return log
+
+
+def is_the_run(log, part=slice(None), u=U, q=Q):
+    np.testing.assert_allclose(log["in_u"], u[part], atol=1e-9)
+    np.testing.assert_allclose(log["out_q"], q[part], atol=1e-9)
+    np.testing.assert_allclose(log.time - log.time[0], T[: len(log)], atol=1e-8)
+
+
+def quoted(**how):
+    stream = io.StringIO()
+    writer = csv.writer(stream, quoting=csv.QUOTE_ALL, **how)
+    writer.writerow(["t", "u", "q"])
+    writer.writerows([f"{a:.5f}", f"{b:.5f}", f"{c:.5f}"] for a, b, c in zip(T, U, Q, strict=True))
+    return stream.getvalue()
+
+
+def swiss(value):
+    return f"{value:,.5f}".replace(",", "'")
+
+
+def german(value):
+    return f"{value:,.5f}".translate(str.maketrans(",.", ".,"))
+
+
+def formatted(separator, write, quote=""):
+    lines = (
+        separator.join(f"{quote}{write(v)}{quote}" for v in r) for r in zip(T, U, Q, strict=True)
+    )
+    return separator.join("tuq") + "\n" + "\n".join(lines) + "\n"
+
+
+def each(form):
+    """A line of each row."""
+    return "".join(form.format(*row) for row in zip(T, U, Q, strict=True))
+
+
+def french(value):
+    return f"{value:,.5f}".replace(",", "\u202f").replace(".", ",")
+
+
+def with_state():
+    """A column of words, quoted where they hold the separator."""
+    states = ("RUN" if i % 7 else '"IDLE, ok"' for i in range(ROWS))
+    lines = (f"{a:.5f},{s},{b:.5f},{c:.5f}\n" for a, s, b, c in zip(T, states, U, Q, strict=True))
+    return "t,state,u,q\n" + "".join(lines)
+
+
+def numbered():
+    lines = (f'"{i + 1}" {r}' for i, r in enumerate(rows(" ", T, U, Q).splitlines(keepends=True)))
+    return '"t" "u" "q"\n' + "".join(lines)
+
+
+FRAME = pd.DataFrame({"t": T, "u": U, "q": Q})
+PREAMBLE = "Drive;AX-01\nSample rate;100 Hz\nComment;a;b\n\n"
+HALSCOPE = "Sampling period is 10000000 ns \n" + "".join(
+    f"\nu {u:+.14f} q {q:+.14f} " for u, q in zip(U, Q, strict=True)
+)
+LAYOUTS = {
+    "comma": table(),
+    "semicolon": table(";"),
+    "tab": table("\t"),
+    "bar": table("|"),
+    "blanks": table(" "),
+    "blanks in columns": "  t   u    q\n"
+    + "".join(f"{a:10.5f}  {b:10.5f} {c:12.5f}\n" for a, b, c in zip(T, U, Q, strict=True)),
+    "comma and blank": table(", "),
+    "decimal comma": table(";", ","),
+    "decimal comma by tabs": table("\t", ","),
+    "decimal comma by blanks": table(" ", ","),
+    "quoted decimal comma by commas": formatted(",", lambda v: f"{v:.5f}".replace(".", ","), '"'),
+    "whole numbers first": "t;u;q\n0;0;0\n" + rows(";", T, U, Q, decimal=",").split("\n", 1)[1],
+    "thousands": formatted(";", lambda v: f"{v:,.5f}"),
+    "quoted thousands by commas": formatted(",", lambda v: f"{v:,.5f}", '"'),
+    "German thousands": formatted(";", german),
+    "Swiss thousands": formatted(";", swiss),
+    "French thousands": formatted(";", french),
+    "all quoted": quoted(),
+    "all quoted by semicolons": quoted(delimiter=";"),
+    "CR LF": table().replace("\n", "\r\n"),
+    "CR alone": table().replace("\n", "\r"),
+    "no end of line": table().rstrip("\n"),
+    "trailing separators": table(";").replace("\n", ";\n"),
+    "trailing separators of rows": "t;u;q\n" + rows(";", T, U, Q, end=";\n"),
+    "blank lines": table().replace("\n", "\n\n"),
+    "Excel's sep=": "sep=;\n" + table(";"),
+    "quoted sep=": '"sep=;"\n' + table(";"),
+    "preamble": PREAMBLE + table(";"),
+    "long preamble": "".join(f"Setting {i};{i}\n" for i in range(150)) + table(";"),
+    "preamble of numbers": "Gain,1.5,2.5\nOffset,0,0\n1,2,3\n" + table(),
+    "units row": "t,u,q\ns,Nm,rad\n" + rows(",", T, U, Q),
+    "units row in brackets": "t;u;q\n[s];[Nm];[rad]\n" + rows(";", T, U, Q),
+    "units above names": "(s);(Nm);(rad)\nt;u;q\n" + rows(";", T, U, Q),
+    "types and units": "t,u,q\nfloat,float,double\ns,N*m,rad\n" + rows(",", T, U, Q),
+    "units in names": table(header=("t [s]", "u [Nm]", "q [rad]")),
+    "units in round brackets": table(header=("t (s)", "u (Nm)", "q (rad)")),
+    "numpy": "# written by savetxt\n# t u q\n" + rows(" ", T, U, Q),
+    "percent before the names": "%t,u,q\n" + rows(",", T, U, Q),
+    "index of pandas": FRAME.to_csv(),
+    "R": numbered(),
+    "description below names": "t;u;q\nTime since start;Motor torque;Angle\n" + rows(";", T, U, Q),
+    "text column": with_state(),
+    "empty column": "t,x,u,q\n" + each("{:.5f},,{:.5f},{:.5f}\n"),
+    "TwinCAT": "Name\tYT Scope Project\nFile\tC:\\run.svdx\n"
+    "Starttime of export\t132959733843760000\tMonday, 2. May 2022\n\n\n"
+    "Name\tu\tName\tq\nSymbolName\tMAIN.u\tSymbolName\tMAIN.q\n"
+    "NetId\t5.1.2.3.1.1\tNetId\t5.1.2.3.1.1\nPort\t851\tPort\t851\n"
+    "Data-Type\tREAL64\tData-Type\tREAL64\nSampleTime[ms]\t10\tSampleTime[ms]\t10\n\n"
+    + rows("\t", 1e3 * T, U, 1e3 * T, Q, decimal=",") + "EOF\n",
+    "LabVIEW": "LabVIEW Measurement\nWriter_Version\t2\nSeparator\tTab\nDecimal_Separator\t.\n"
+    "***End_of_Header***\n\nChannels\t2\nSamples\t240\t240\nDate\t2020/01/01\t2020/01/01\n"
+    "Y_Unit_Label\tNm\trad\nX_Dimension\tTime\tTime\nDelta_X\t0.01\t0.01\n***End_of_Header***\n"
+    "t\tu\tq\tComment\n" + rows("\t", T, U, Q),
+    "Tektronix": "Model,MSO4104\nFirmware Version,2.8\n\nPoint Format,Y,\n"
+    "Horizontal Units,S,\nSample Interval,0.01,\nRecord Length,240,\nVertical Units,V,\n\n\n"
+    "t,u,q\n" + rows(",", T, U, Q),
+    "Keysight": "t,u,q\nsecond,Nm,radian\n" + rows(",", T, U, Q),
+    "LeCroy": "LECROYHDO4054,12345,Waveform\nSegments,1,SegmentSize,240\nSegment,TrigTime,Time\n"
+    "#1,12-Nov-2020 10:00:00,0\nt,u,q\n" + rows(",", T, U, Q),
+    "clock before each channel": "t,u,t,q\n" + rows(",", T, U, T, Q),
+    "clocks of other names": "t,u,Time CH2,q\n" + rows(",", T, U, T, Q),
+    "name=value": each("t={:.5f} u={:.5f} q={:.5f}\n"),
+    "name: value": each("t: {:.5f}, u: {:.5f}, q: {:.5f}\n"),
+    "name:value by tabs": each("t:{:.5f}\tu:{:.5f}\tq:{:.5f}\n"),
+    "name value": each("t {:.5f} u {:.5f} q {:.5f}\n"),
+    "a name and a value per line": each("t {:.5f}\nu {:.5f}\nq {:.5f}\n"),
+    "halscope": HALSCOPE,
+    "JSON columns": json.dumps(FRAME.to_dict("list")),
+    "JSON records": FRAME.to_json(orient="records"),
+    "JSON lines": FRAME.to_json(orient="records", lines=True),
+    "JSON split": FRAME.to_json(orient="split"),
+    "JSON by index": FRAME.to_json(),
+    "JSON below a key": json.dumps({"name": "run", "data": FRAME.to_dict("list")}),
+    "JSON, nested records": json.dumps({"log": {"rows": FRAME.to_dict("records")}}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_layout(tmp_path, layout):
+    name = "run.json" if layout.startswith("JSON") else "run.csv"
+    time = 'time = { column = "t", unit = "ms" }' if layout == "TwinCAT" else None
+    a_rig = (
+        rig(data="" if layout == "halscope" else time) if time or layout == "halscope" else rig()
+    )
+    log = read(tmp_path, LAYOUTS[layout], a_rig, name)
+    is_the_run(log)
+    assert not [w for w in log.warnings if "ignored" in w]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "cp1252"])
+def test_encoding(tmp_path, encoding):
+    log = read(tmp_path, table(header=("t", "µ °", "q")), rig(u="µ °"), encoding=encoding)
+    is_the_run(log)
+
+
+@pytest.mark.parametrize("name", ["run.log", "run.asc", "run.out", "run.lvm", "run", "RUN.TXT"])
+def test_any_extension(tmp_path, name):
+    assert read(tmp_path, table(), name=name).name in ("run", "RUN")
+
+
+LINES = table().splitlines(keepends=True)
+ALL = slice(None)
+
+
+def inserted(*lines):
+    return "".join([*LINES[:100], *lines, *LINES[100:]])
+
+
+def replaced(begin, end, cells):
+    """Lines of the file with other cells after their time."""
+    other = (line.split(",")[0] + cells for line in LINES[begin:end])
+    return "".join([*LINES[:begin], *other, *LINES[end:]])
+
+
+LEFT_OUT = {  # content, rows that stay, what is said
+    "cut last line": ("".join(LINES[:-1]) + LINES[-1][:9], slice(0, -1), "line 241"),
+    "cut last number": ("".join(LINES).rstrip()[:-2], slice(0, -1), "line 241"),
+    "cut last exponent": ("".join(LINES[:-1]) + "2.39,1.0,1.2e", slice(0, -1), "line 241"),
+    "comment at the end": ("".join(LINES) + "# stopped by operator\n", ALL, "line 242"),
+    "EOF": ("".join(LINES) + "EOF\n", ALL, "line 242"),
+    "comment in the middle": (inserted("# marker, 2, 3\n"), ALL, "line 101"),
+    "words in the middle": (inserted("connection lost\n"), ALL, "line 101"),
+    "header again": (inserted(LINES[0]), ALL, "line 101"),
+    "header and units again": (inserted(LINES[0], "s,Nm,rad\n"), ALL, "lines 101, 102"),
+    "cut line and header again": (inserted("0.99,1", "\n", LINES[0]), ALL, "line 101"),
+    "empty cells at the start": (replaced(1, 6, ",,\n"), slice(5, None), "first 5 rows"),
+    "NaN at the start": (replaced(1, 6, ",NaN,nan\n"), slice(5, None), "no value for u and q"),
+    "NULL at the start": (replaced(1, 3, ",NULL,NULL\n"), slice(2, None), "first 2 rows"),
+    "n/a at the end": (replaced(-3, ROWS + 1, ",1.0,n/a\n"), slice(0, -3), "last 3 rows"),
+}
+
+
+@pytest.mark.parametrize("kind", LEFT_OUT)
+def test_left_out(tmp_path, kind):
+    content, part, said = LEFT_OUT[kind]
+    log = read(tmp_path, content)
+    is_the_run(log, part)
+    assert any(said in w and "left out" in w for w in log.warnings), log.warnings
+
+
+def test_a_column_sampled_more_rarely(tmp_path):
+    slow = "".join(
+        f"{a:.5f},{b:.5f},{f'{c:.5f}' if i % 4 == 0 else ''}\n"
+        for i, (a, b, c) in enumerate(FRAME.to_numpy())
+    )
+    log = read(tmp_path, "t,u,q\n" + slow)
+    assert len(log) == ROWS - 3  # after the last value nothing is known
+    assert np.abs(log["out_q"] - Q[:-3]).max() < 1.1e4 * (4 * STEP) ** 2 / 8 * 2.1**2
+    assert any("every 4th row" in w for w in log.warnings)
+
+
+def test_a_slower_channel_on_a_clock_of_its_own(tmp_path):
+    """TwinCAT: each channel with its clock; the slower one ends after half of the lines."""
+    slow = [f"{1e3 * a:.1f}\t{b:.5f}" for a, b in zip(T[::2], Q[::2], strict=True)]
+    slow += ["\t"] * (ROWS - len(slow))
+    fast = (f"{1e3 * a:.1f}\t{b:.5f}" for a, b in zip(T, U, strict=True))
+    lines = ["\t".join(pair) for pair in zip(fast, slow, strict=True)]
+    head = "Name\tu\tName\tq\nSampleTime[ms]\t10\tSampleTime[ms]\t20\n"
+    log = read(tmp_path, head + "\n".join(lines), rig(data='time = { column = "t", unit = "ms" }'))
+    assert log.sample_time == pytest.approx(STEP)
+    np.testing.assert_allclose(log["out_q"][::2], Q[::2], atol=1e-9)
+    np.testing.assert_allclose(log["in_u"], U[: len(log)], atol=1e-9)
+    assert any("another clock" in w for w in log.warnings)
+
+
+KEYS = {
+    "header": ("a,b,c\nt,u,q\nx,y,z\n" + rows(",", T, U, Q), "header = 2"),
+    "no header": (rows(",", T, U, Q), "header = 0"),
+    "separator and decimal": (table(";", ","), 'separator = ";"\ndecimal = ","'),
+    "separator by word": (table("\t"), 'separator = "tab"'),
+    "another separator": (table("~"), 'separator = "~"'),
+    "skip": ("1,2,3\n" * 30 + table(), "skip = 30"),
+}
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_keys_of_the_rig_file(tmp_path, key):
+    content, keys = KEYS[key]
+    names = ("column1", "column2", "column3") if key == "no header" else ("t", "u", "q")
+    data = f'time = {{ column = "{names[0]}", unit = "s" }}\n{keys}'
+    is_the_run(read(tmp_path, content, rig(names[1], names[2], data)))
+
+
+def test_start_and_stop_of_single_logs(tmp_path):
+    """What is left out is not checked."""
+    data = 'time = { column = "t", unit = "s" }\nstart = { "run" = 0.5, "*" = 1.0 }\nstop = "2 s"'
+    bad = "".join([LINES[0], LINES[1], "0.01,bad,0\n".replace("bad", ""), *LINES[3:]])
+    log = read(tmp_path, bad, rig(data=data))
+    assert (log.time[0], log.time[-1]) == (pytest.approx(0.5), pytest.approx(2.0))
+    log = read(tmp_path, table(), rig(data=data), "other.csv")
+    assert log.time[0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("header = -1", "line 11.*header = -1 is no number of lines"),
+        ('separator = "ab"', 'separator = ";"'),
+        ('decimal = ";"', 'decimal = "."'),
+    ],
+)
+def test_bad_keys(key, message):
+    with pytest.raises(LogError, match=message):
+        rig(data=key)
+
+
+def test_units_of_the_file_that_contradict(tmp_path):
+    log = read(tmp_path, "t,u,q\ns,mNm,deg\n" + rows(",", T, U, Q))
+    assert any(
+        "'u' is in mNm by the file; the unit that you give is 1000 times" in w for w in log.warnings
+    )
+    assert any("'q' is in deg by the file" in w for w in log.warnings)
+    assert read(tmp_path, "t,u,q\ns,Nm,rad\n" + rows(",", T, U, Q)).warnings == ()
+    # texts that are no units say nothing
+    assert read(tmp_path, "t,u,q\nfirst,channel,A\n" + rows(",", T, U, Q)).warnings == ()
+
+
+def test_rows_of_another_width_in_the_middle_are_refused(tmp_path):
+    for line in ("0.5,1.0\n", "0.5,1.0,2.0,3.0\n"):
+        with pytest.raises(LogError, match="line 101 has"):
+            read(tmp_path, "".join([*LINES[:100], line, *LINES[100:]]))
+
+
+def test_decimal_comma_that_shows_late(tmp_path):
+    """The machine stands still for longer than the lines looked at first."""
+    still = "".join(f"{i};0;0\n" for i in range(1000))
+    moving = "".join(
+        f"{1000 + i};{b:.5f};{c:.5f}\n".replace(".", ",")
+        for i, (_, b, c) in enumerate(FRAME.to_numpy())
+    )
+    log = read(
+        tmp_path, "t;u;q\n" + still + moving, rig(data='time = { column = "t", unit = "ms" }')
+    )
+    np.testing.assert_allclose(log["in_u"][1000:], U, atol=1e-9)
+
+
+def test_full_time_stamps_of_twincat(tmp_path):
+    """A clock without a name in ticks of 100 ns since 1601, whatever the label says."""
+    ticks = 133_000_000_000_000_000 + (1e7 * T).round().astype(np.int64)
+    lines = "".join(f"{t}\t{b:.5f}\t{t}\t{c:.5f}\n" for t, b, c in zip(ticks, U, Q, strict=True))
+    head = "Name\tu\tName\tq\nSampleTime[ms]\t10\tSampleTime[ms]\t10\n"
+    log = read(tmp_path, head + lines, rig(data='time = { column = "t", unit = "ticks" }'))
+    is_the_run(log)
+    assert log.warnings == ()
+
+
+finite = st.floats(-1e9, 1e9, allow_nan=False).map(lambda v: float(f"{v:.6g}"))
+
+
+DIALECTS = [(",", "."), (";", "."), (";", ","), ("\t", ","), (" ", "."), ("|", ".")]
+PREAMBLES = ["", "Drive AX\n", "Date;2024-01-01\n\n", "# made by a test\n", "a,b\n1,2\n"]
+QUIET = settings(
+    max_examples=25,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+
+
+@QUIET
+@given(
+    values=st.lists(st.tuples(finite, finite), min_size=100, max_size=120),
+    dialect=st.sampled_from(DIALECTS),
+    preamble=st.sampled_from(PREAMBLES),
+    units=st.booleans(),
+    trailing=st.booleans(),
+    form=st.sampled_from(["{!r}", "{:.6e}", "{:+.9g}"]),
+)
+def test_any_values_in_any_dialect(tmp_path, values, dialect, preamble, units, trailing, form):
+    """What is written comes back to the last bit of what the text says."""
+    separator, decimal = dialect
+    end = separator * (trailing and separator != " ") + "\n"
+    cells = [(form.format(a), form.format(b)) for a, b in values]
+    lines = [separator.join(f"{c}".replace(".", decimal) for c in (f"{i * 0.01:.2f}", *row))
+             for i, row in enumerate(cells)]  # fmt: skip
+    head = separator.join("tuq") + end + (separator.join(["s", "Nm", "rad"]) + end) * units
+    log = read(tmp_path, preamble + head + end.join([*lines, ""]))
+    np.testing.assert_array_equal(log["in_u"], [float(a) for a, _ in cells])
+    np.testing.assert_array_equal(log["out_q"], [float(b) for _, b in cells])
+
+
+def test_ros_nanoseconds(tmp_path):
+    time = 1_600_000_000_123_456_789 + (T * 1e9).astype(np.int64)
+    lines = "".join(f"{a},{b:.5f},{c:.5f}\n" for a, b, c in zip(time, U, Q, strict=True))
+    data = 'time = { column = "time", unit = "ns" }'
+    log = read(tmp_path, "%time,field.u,field.q\n" + lines, rig("field.u", "field.q", data))
+    is_the_run(log)
+    assert log.sample_time == pytest.approx(STEP, rel=1e-9)

@@ -66,6 +66,21 @@ def paper(rng):
     }
 
 
+def mixed(rng):
+    """Three logs for judging predictions: sines and steps, in voltage and speed, and a turn."""
+    phases = rng.uniform(-np.pi, np.pi, (2, len(MULTISINE_HZ)))
+    start = rng.uniform(-20, 20, 3) * DEG
+    steps = square(0.45, rng.uniform(0.3, 0.5), 10)
+    wish = 9.0 * square(1.0, rng.uniform(0.2, 0.4), 10) + sine(5.0, rng.uniform(0.8, 1.4), 10)
+    return {
+        "held_open_mix": Experiment(
+            False, steps + multisine(phases[0], 0.6 * _MULTISINE_V, 10), start[0], 0.05
+        ),
+        "held_closed_mix": Experiment(True, wish, start[1]),
+        "held_turn_back": Experiment(True, turn(-15.0, 26, reverse=25.0), start[2]),
+    }
+
+
 def others(rng, count, prefix="other"):
     """Experiments of the same kinds at other amplitudes, phases, frequencies and angles."""
     kinds = ("open_sine", "open_square", "open_multisine", "closed_sine", "closed_square")

@@ -1,0 +1,3 @@
+"""Drives of other shapes; to come."""
+
+EFFECTS, UNKNOWN, ALIKE = {}, {}, ()

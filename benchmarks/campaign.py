@@ -88,7 +88,7 @@ def made(case):
     if not path.exists():
         case.folder.parent.mkdir(parents=True, exist_ok=True)
         label = orders.make(case.order, case.folder.parent)
-        path.write_text(json.dumps(plain(label), indent=1) + "\n", encoding="utf-8")
+        write_json(label, path)
     return json.loads(path.read_text(encoding="utf-8"))
 
 
@@ -141,11 +141,27 @@ def speed(signal, dt, per_time):
     return sosfiltfilt(low, np.gradient(signal, dt) if per_time else signal)
 
 
+def make(cases, jobs, scheduler=None, show=print):
+    """Make the rigs that are not there, and labels.json: a folder for --handed."""
+    from dmptm_ctrl.parallel import each
+
+    with cluster.where(scheduler):
+        labels = dict(zip((c.id for c in cases), each(made, ((c,) for c in cases), jobs)))
+    if cases:
+        write_json(labels, cases[0].folder.parent / "labels.json")
+    for name, label in labels.items():
+        show(f"{name:28s}{label['lacks']:10s}{' + '.join(label['things'])[:100]}")
+
+
+def write_json(content, path):
+    text = json.dumps(plain(content), indent=1, allow_nan=False) + "\n"
+    path.write_text(text, encoding="utf-8")
+
+
 def run(cases, out, jobs, threads, scheduler=None, show=print):
     """Examine what has no line yet."""
     from dmptm_ctrl.parallel import each
 
-    out.mkdir(parents=True, exist_ok=True)
     path = out / "results.jsonl"
     there = read(path)
     todo = [case for case in cases if case.id not in there]
@@ -187,8 +203,7 @@ def summary_of(out):
     """Write summary.json, summary.txt and the pictures; returns the table."""
     scores = [score(line) for line in read(out / "results.jsonl").values()]
     summary = summarise(scores)
-    text = json.dumps(summary, indent=1, allow_nan=False) + "\n"
-    (out / "summary.json").write_text(text, encoding="utf-8")
+    write_json(summary, out / "summary.json")
     (out / "summary.txt").write_text(report(summary) + "\n", encoding="utf-8")
     pictures(scores, summary, out)
     return report(summary)
@@ -204,6 +219,7 @@ def main():
     parser.add_argument("--effects", nargs="+", help="one rig for each of these instead")
     parser.add_argument("--strengths", type=float, nargs="+", default=[1.0])
     parser.add_argument("--only", nargs="+", help="only the rigs of these names")
+    parser.add_argument("--make", action="store_true", help="only make the rigs")
     parser.add_argument("--again", action="store_true", help="only score what is there again")
     parser.add_argument("--threads", type=int, default=1, help="of each diagnosis")
     cluster.add_arguments(parser, jobs=1)
@@ -219,6 +235,11 @@ def main():
             )
         )
         cases = [case for case in cases if not asked.only or case.id in asked.only]
+        asked.out.mkdir(parents=True, exist_ok=True)
+        if asked.kind:
+            make(cases, asked.jobs, asked.scheduler, print if asked.make else lambda line: None)
+        if asked.make:
+            return
         run(cases, asked.out, asked.jobs, asked.threads, asked.scheduler)
     print("\n" + summary_of(asked.out))
 

@@ -309,7 +309,7 @@ def quantise(angle, count):
 
 def write_log(log, path):
     """Gzip CSV with the decimals of DECIMALS; the same log gives the same bytes."""
-    row = ",".join(f"%.{DECIMALS[name]}f" for name in log.columns) + "\n"
+    row = ",".join(f"%.{DECIMALS.get(name, 7)}f" for name in log.columns) + "\n"
     text = "".join(row % values for values in zip(*(log[c] for c in log.columns), strict=True))
     with open(path, "wb") as raw, gzip.GzipFile(fileobj=raw, mode="wb", mtime=0) as packed:
         packed.write((",".join(log.columns) + "\n" + text).encode())

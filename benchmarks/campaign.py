@@ -146,7 +146,8 @@ def make(cases, jobs, scheduler=None, show=print):
     from dmptm_ctrl.parallel import each
 
     with cluster.where(scheduler):
-        labels = dict(zip((c.id for c in cases), each(made, ((c,) for c in cases), jobs)))
+        labels = list(each(made, ((case,) for case in cases), jobs))
+    labels = {case.id: label for case, label in zip(cases, labels, strict=True)}
     if cases:
         write_json(labels, cases[0].folder.parent / "labels.json")
     for name, label in labels.items():

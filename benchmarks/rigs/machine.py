@@ -26,7 +26,7 @@ class Machine(NamedTuple):
     coulomb: float = 0.0
     rise_at_rest: float = 0.0  # static less Coulomb friction
     stribeck_speed: float = 1.0
-    asymmetry: float = 0.0
+    asymmetry: float = 0.0  # all friction more (+) or less (-) in the positive direction
     j2: float = 0.0
     b2: float = 0.0
     stiffness: float = 0.0
@@ -102,8 +102,14 @@ def friction_level(p, q, v, t, shaft):
     level += p.spot * np.exp(-0.5 * x * x) + p.load_friction * abs(shaft)
     if p.sector != 0.0 and abs(wrap(q - p.sector_place)) < p.sector_half:
         level += p.sector
+    return max(0.0, level) * friction_factor(p, v, t)
+
+
+@njit(cache=True)
+def friction_factor(p, v, t):
+    """What direction and temperature make of the first body's friction, dry and viscous."""
     way = 1.0 + p.asymmetry if v > 0.0 else 1.0 - p.asymmetry
-    return max(0.0, way * level) * (1.0 + p.warm * np.exp(-t / p.warm_time))
+    return way * (1.0 + p.warm * np.exp(-t / p.warm_time))
 
 
 @njit(cache=True)
@@ -207,7 +213,7 @@ def simulate(p, loop, reference, dt, q0, step):
             outside += p.vibration * np.cos(p.vibration_rate * t + p.vibration_phase)
             outside -= p.quadratic * v * abs(v)
             push = current - shaft + p.cogging * np.cos(p.cogging_order * q1 + p.cogging_phase)
-            push -= p.b1 * (1.0 + p.warm * np.exp(-t / p.warm_time)) * v1
+            push -= friction_factor(p, v1, t) * p.b1 * v1
             if p.j2 > 0.0:
                 v2 += h * (p.ratio * shaft + outside - p.b2 * v2) / p.j2
                 q2 += h * v2

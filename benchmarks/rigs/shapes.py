@@ -161,7 +161,6 @@ class Drive(NamedTuple):
     shape: str
     machine: Machine
     lacking: dict  # name -> fields that it sets
-    whole: tuple  # name -> "coulomb_friction" and "shaft_compliance" are fields of the machine
     scale: Scale
     dt: float
     encoders: tuple  # counts per turn or metre
@@ -195,7 +194,7 @@ def draw(seed, names, grown=None):
         "smooth": 1e-3 * speed,
     }  # fmt: skip
     stribeck = rng.random() < 0.3
-    if stribeck and "stribeck_friction" not in names:
+    if stribeck and not {"coulomb_friction", "stribeck_friction"} & set(names):
         fields |= {"rise_at_rest": rng.uniform(0.3, 0.6) * coulomb, "stribeck_speed": 0.05 * speed}
     gap = rng.random() < 0.5 and shape == "gear" and "backlash" not in names
     ratio = 1.0
@@ -234,7 +233,7 @@ def draw(seed, names, grown=None):
     if _LATE & set(names):
         dt = min(dt, 1e-3)
     drive = Drive(
-        shape, Machine(**fields), lacking, (stribeck, gap), scale, dt,
+        shape, Machine(**fields), lacking, scale, dt,
         counts[:1] if alone else counts, 2e-3 * speed if shape == "gimbal" else 0.0,
     )  # fmt: skip
     return drive

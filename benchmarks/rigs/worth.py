@@ -67,9 +67,12 @@ def label(rig, twins=TWINS):
     for key, (name, main) in recipe.things().items():
         found = errors(runs(recipe.record(without=(key,))[0]), truth)
         rise = {channel: found[channel] - floor[channel] for channel in found}
-        things[key] = {"name": name, "main": main, "material": bool(
-            any(rise[c] >= max(SEEN[c], CHANCE * spread[c]) for c in rise if encoders or c != ERROR)
-        )} | {f"rise_{channel}": round(float(value), 4) for channel, value in rise.items()}  # fmt: skip
+        seen = {channel for channel in rise if encoders or channel != ERROR}
+        things[key] = {
+            "name": name,
+            "main": main,
+            "material": any(rise[c] >= max(SEEN[c], CHANCE * spread[c]) for c in seen),
+        } | {f"rise_{channel}": round(float(value), 4) for channel, value in rise.items()}
     bare = errors(runs(recipe.record(without=tuple(recipe.things()))[0]), truth)
     named = [name for name, main in recipe.things().values() if main and name]
     made = rig.label

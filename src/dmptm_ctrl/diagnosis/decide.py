@@ -3,7 +3,7 @@
 Evidence is a log-likelihood ratio (times two) of the balances on fitted and held-out logs
 together. It is never judged by a p value: a model that is only nearly true reaches any. The
 thresholds lie above the best evidence in the whole catalogue on rigs that lack nothing, and
-beside the first effect on rigs that lack one (`benchmarks/blind.py`).
+beside the first effect on rigs that lack one (`benchmarks/campaign.py`).
 """
 
 from collections.abc import Sequence

@@ -103,42 +103,41 @@ def dmptm(*arguments):
 def predicted(logs, model, rig):
     """Errors of the speed on logs never handed out, of free runs whole and at their start.
 
-    In deg/s below BAND for the dual drive; in % of the speed's rms for a rig with a file.
+    In deg/s below BAND for the dual drive; for a rig with a file in % of the speed's rms, mean
+    square over its sensors, of which positions are differentiated.
     """
-    squares, sizes = np.zeros(2), np.zeros(2)
+    columns = sensors_of(rig)
+    squares, sizes = (np.zeros((2, len(columns))) for _ in range(2))
     with tempfile.TemporaryDirectory() as folder:
         for path in logs:
             to = Path(folder) / "predicted.csv"
             done = dmptm("predict", path, "--model", model, "--out", to)
             if done.returncode != 0:
                 return {"free": None, "horizon": None, "message": done.stderr.strip()[-500:]}
-            column, per_time, unit = judged_column(rig)
             measured, run = pd.read_csv(path), pd.read_csv(to)
-            clock = measured.columns[0]
-            dt = float(np.median(np.diff(measured[clock])))
-            true, ours = (speed(t[column].to_numpy(float), dt, per_time) for t in (measured, run))
-            n = min(true.size, round(HORIZON / dt))
-            for i, part in enumerate((slice(None), slice(n))):
-                size = true[part] if unit == "%" else np.ones_like(true[part])
-                squares[i] += np.sum((ours - true)[part] ** 2)
-                sizes[i] += np.sum(size**2)
-    error = np.sqrt(squares / sizes) * (100.0 if unit == "%" else 1.0)
+            dt = float(np.median(np.diff(measured[measured.columns[0]])))
+            n = round(HORIZON / dt)
+            for k, (column, position) in enumerate(columns):
+                true, ours = (speed(t[column].to_numpy(), dt, position) for t in (measured, run))
+                for i, part in enumerate((slice(None), slice(n))):
+                    squares[i, k] += np.sum((ours - true)[part] ** 2)
+                    sizes[i, k] += np.sum(true[part] ** 2) if rig.exists() else true[part].size
+    error = np.sqrt(np.mean(squares / sizes, axis=1)) * (100.0 if rig.exists() else 1.0)
+    unit = "%" if rig.exists() else "deg/s"
     return {"free": float(error[0]), "horizon": float(error[1]), "unit": unit}
 
 
-def judged_column(rig):
-    """(column, whether it must be differentiated, unit of the error): the speed, if measured."""
+def sensors_of(rig):
+    """(column, whether it is a position) of the sensors whose speeds are compared."""
     if not rig.exists():
-        return "omega_L_deg_s", False, "deg/s"
+        return [("omega_L_deg_s", False)]
     sensors = tomllib.loads(rig.read_text(encoding="utf-8"))["sensor"].values()
-    speeds = [s["column"] for s in sensors if s["unit"] in SPEEDS]
-    first = next(iter(sensors))["column"]
-    return (speeds[0], False, "%") if speeds else (first, True, "%")
+    return [(s["column"], s["unit"] not in SPEEDS) for s in sensors]
 
 
-def speed(signal, dt, per_time):
+def speed(signal, dt, position):
     low = butter(4, min(BAND, 0.2 / dt), fs=1 / dt, output="sos")
-    return sosfiltfilt(low, np.gradient(signal, dt) if per_time else signal)
+    return sosfiltfilt(low, np.gradient(signal, dt) if position else signal)
 
 
 def make(cases, jobs, scheduler=None, show=print):

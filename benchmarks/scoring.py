@@ -177,8 +177,8 @@ def covered(effects, parameters):
     for effect in effects:
         truth = parameters.get(effect["name"], {})
         for theirs, (ours, factor) in SAME.get(effect["name"], {}).items():
-            if theirs in truth and ours in effect["parameters"]:
-                found = effect["parameters"][ours]
+            found = effect["parameters"].get(ours, {})
+            if theirs in truth and found.get("se") is not None:
                 flags.append(abs(found["value"] - factor * truth[theirs]) <= NINETY * found["se"])
     return flags
 
@@ -271,6 +271,7 @@ def summarise(scores):
         "budget_off": spread(x for j in scores for x in j["budget_off"]),
         "covered": proportion(flag for j in scores for flag in j["covered"]),
         "error_left": spread(j["left"] for j in scores),
+        "first_second": spread(j["horizon"] for j in scores),
         "worse_than_without": proportion(j["worse"] for j in scores if j["worse"] is not None),
         "over_floor_where_right": spread(j["over_floor"] for j in right),
         "seconds": spread(j["seconds"] for j in scores),
@@ -326,6 +327,7 @@ def report(summary):
         rows.append(f"  stated {b['stated']:.2f}: right {b['right']:.2f} of {b['of']}")
     line("budget: stated less true share", summary["budget_off"])
     line("held-out error left, share of the effects'", summary["error_left"])
+    line("held-out error of the first second", summary["first_second"])
     row("held-out error worse than without the effects", summary["worse_than_without"])
     line("held-out error over floor, where right", summary["over_floor_where_right"])
     row("intervals of 90 % that hold the truth", summary["covered"])

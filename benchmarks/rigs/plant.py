@@ -48,7 +48,7 @@ def derivative(time, y, dy, p, m, volts, mode, decide):
     """Rates of the state; with `decide`, bodies at rest may break away first."""
     ring, ring_speed = y[ANGLE + RING], y[SPEED + RING]
     warmth = math.exp(-time / p.warm_time) if p.warm_time > 0.0 else 0.0
-    fluid = 1.0 + p.viscous_drift * m[AGE]
+    fluid = 1.0 + p.viscous_drift * (m[AGE] - 0.5)
     lag = p.lag + p.loop_lag
     load = 0.0
     for i in range(2):

@@ -88,12 +88,13 @@ def test_budget_and_intervals():
 
 
 def test_predictions():
-    """The effects' own error is sqrt(0.1^2 + 0.99 + 0.08), the floor 0.1."""
+    """The effects' own error is sqrt(floor^2 + 0.99 + 0.08), the floor 0.1 and the gyro's noise."""
+    floor = (0.1**2 + 0.05**2 * 30 / 500) ** 0.5
     line = {"id": "r1", "label": LABEL, "seconds": 1.0, "held": {"free": 0.2, "horizon": 0.1}}
     line["diagnosis"] = {"verdict": "explained", "effects": []}
     found = score(line)
-    assert found["left"] == pytest.approx(0.1 / (1.08**0.5 - 0.1))
-    assert found["over_floor"] == pytest.approx(2)
+    assert found["left"] == pytest.approx((0.2 - floor) / ((floor**2 + 1.07) ** 0.5 - floor))
+    assert found["over_floor"] == pytest.approx(0.2 / floor)
     assert not found["worse"]
     line["held"]["free"] = None
     assert score(line)["left"] is None

@@ -2,7 +2,7 @@
 
 dask scheduler
 PYTHONPATH=benchmarks dask worker tcp://HOST:8786 --nworkers 4 --nthreads 1
-python benchmarks/blind.py --out DIR --scheduler tcp://HOST:8786
+python benchmarks/campaign.py --kind dual --out DIR --scheduler tcp://HOST:8786
 """
 
 from contextlib import nullcontext

@@ -1,6 +1,6 @@
 """Torque between a pinion and the ring gear's teeth, at the pinion, in N·m.
 
-Four laws for the same gap, because no one knows which a real mesh obeys. Each
+Five laws for the same gap, because no one knows which a real mesh obeys. Each
 returns (torque, rate of the position in the gap); only `two_state` has the latter.
 Positive torque drives the ring gear. Source: Eq. 21 and the physical model behind
 it (Nordin & Gutman, Automatica 38 (2002) 1633): elastic tooth (k, c) in series
@@ -11,7 +11,7 @@ import math
 
 from numba import njit
 
-from rigs.layout import EQ21, HUNT_CROSSLEY, TWO_STATE
+from rigs.layout import EQ21, HUNT_CROSSLEY, QUADRATIC, TWO_STATE
 
 # Deflection at which Hunt-Crossley damping equals the linear damping: that of a
 # mesh torque of 5 N·m, which is usual here.
@@ -86,6 +86,17 @@ def hunt_crossley(z, rate, gap, k, c, cf):
 
 
 @njit(inline="always")
+def quadratic(z, rate, gap, k, c, cf):
+    """Spring that stiffens: by a half where the torque is usual; pushes and never pulls."""
+    depth = abs(z) - gap
+    if depth <= 0.0:
+        return cf * rate
+    side = math.copysign(1.0, z)
+    elastic = k * depth * (1.0 + 0.5 * depth * k / _USUAL_TORQUE)
+    return side * max(0.0, elastic + side * c * rate)
+
+
+@njit(inline="always")
 def mesh_torque(z, rate, place, gap, law, k, c, cf, touch=0.0):
     if law == TWO_STATE:
         return two_state(z, rate, place, gap, k, c, cf, touch)
@@ -93,4 +104,6 @@ def mesh_torque(z, rate, place, gap, law, k, c, cf, touch=0.0):
         return eq21(z, rate, gap, k, c, cf), 0.0
     if law == HUNT_CROSSLEY:
         return hunt_crossley(z, rate, gap, k, c, cf), 0.0
+    if law == QUADRATIC:
+        return quadratic(z, rate, gap, k, c, cf), 0.0
     return kelvin_voigt(z, rate, gap, k, c, cf), 0.0

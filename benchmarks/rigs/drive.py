@@ -8,6 +8,8 @@ from rigs.geometry import wrap
 from rigs.layout import PLAYED, SAG_UNTIL, SLEWED
 from rigs.nominal import REDUCER_RATIO
 
+USUAL_ORDERS = (6.0, 12.0)  # of cogging, per motor turn
+
 
 @njit(inline="always")
 def amplifier(p, m, side, u, time, step):
@@ -59,4 +61,8 @@ def motor_torque(p, side, voltage, angle, speed):
     torque = gain * voltage
     if p.cog_amplitude[side] != 0.0:
         torque += p.cog_amplitude[side] * math.cos(p.cog_order * angle + p.cog_phase[side])
+    if p.usual_cogging > 0.0:
+        for i in range(2):
+            turned = USUAL_ORDERS[i] * angle + p.usual_cogging_phase[side, i]
+            torque += p.usual_cogging * math.cos(turned)
     return REDUCER_RATIO * torque

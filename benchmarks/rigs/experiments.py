@@ -66,6 +66,22 @@ def paper(rng):
     }
 
 
+def mixed(rng):
+    """Three logs for judging predictions: sines and steps of voltage, sines of speed, a turn."""
+    phases = rng.uniform(-np.pi, np.pi, (2, len(MULTISINE_HZ)))
+    start = rng.uniform(-20, 20, 3) * DEG
+    steps = square(0.45, rng.uniform(0.3, 0.5), 10)
+    lines = rng.uniform((0.3, 0.8, 1.4), (0.8, 1.4, 2.5))
+    wish = sum(sine(7.0, line, 10) for line in lines)
+    return {
+        "held_open_mix": Experiment(
+            False, steps + multisine(phases[0], 0.6 * _MULTISINE_V, 10), start[0], 0.05
+        ),
+        "held_closed_mix": Experiment(True, wish, start[1]),
+        "held_turn_back": Experiment(True, turn(-15.0, 26), start[2]),
+    }
+
+
 def others(rng, count, prefix="other"):
     """Experiments of the same kinds at other amplitudes, phases, frequencies and angles."""
     kinds = ("open_sine", "open_square", "open_multisine", "closed_sine", "closed_square")

@@ -9,7 +9,7 @@ import math
 from numba import njit
 
 from rigs.layout import SLIPPED
-from rigs.nominal import PINION_SPACING, PINION_TEETH, RING_RATIO
+from rigs.nominal import PINION_SPACING, PINION_TEETH, RING_RATIO, RING_TEETH
 
 
 @njit(inline="always")
@@ -37,7 +37,34 @@ def twist(p, m, side, pinion, ring, pinion_speed, ring_speed):
         angle = PINION_TEETH * pinion + p.tooth_phase[side]
         z += p.tooth_error * math.cos(angle)
         rate -= p.tooth_error * math.sin(angle) * PINION_TEETH * pinion_speed
+    if p.stiffness_ripple > 0.0:  # comes with the pitch errors: both belong to the teeth
+        e, slope = pitch_error(p.pinion_pitch[side], PINION_TEETH, pinion)
+        z += e
+        rate += slope * pinion_speed
+        e, slope = pitch_error(p.ring_pitch, RING_TEETH, ring + side * PINION_SPACING)
+        z += e
+        rate += slope * ring_speed
     return z, rate
+
+
+@njit(inline="always")
+def pitch_error(errors, teeth, angle):
+    """(error, its slope over the angle): from tooth to tooth along half a cosine wave."""
+    place = angle * teeth / (2.0 * math.pi)
+    tooth = math.floor(place)
+    here, there = errors[int(tooth) % teeth], errors[int(tooth + 1.0) % teeth]
+    turned = math.pi * (place - tooth)
+    slope = 0.25 * teeth * (there - here) * math.sin(turned)
+    return here + 0.5 * (there - here) * (1.0 - math.cos(turned)), slope
+
+
+@njit(inline="always")
+def mesh_stiffness(p, side, pinion):
+    """Ripples at tooth passing."""
+    if p.stiffness_ripple == 0.0:
+        return p.stiffness
+    turned = PINION_TEETH * pinion + p.stiffness_phase[side]
+    return p.stiffness * (1.0 + p.stiffness_ripple * math.cos(turned))
 
 
 @njit(inline="always")

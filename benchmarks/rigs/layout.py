@@ -5,17 +5,27 @@ A record of zeros has no effects: every effect is off while its fields are zero.
 
 import numpy as np
 
+from rigs.nominal import PINION_TEETH, RING_TEETH
+
 LEFT, RIGHT, RING = 0, 1, 2
 
-KARNOPP, LUGRE, TANH = 0, 1, 2
-FRICTION_LAWS = {"karnopp": KARNOPP, "lugre": LUGRE, "tanh": TANH}
+# "stribeck" is Karnopp's sticking with another exponent in the Stribeck curve.
+KARNOPP, LUGRE, TANH, SLIP_ELEMENTS = 0, 1, 2, 3
+FRICTION_LAWS = {
+    "karnopp": KARNOPP,
+    "lugre": LUGRE,
+    "tanh": TANH,
+    "gms": SLIP_ELEMENTS,
+    "stribeck": KARNOPP,
+}
 
-EQ21, TWO_STATE, KELVIN_VOIGT, HUNT_CROSSLEY = 0, 1, 2, 3
+EQ21, TWO_STATE, KELVIN_VOIGT, HUNT_CROSSLEY, QUADRATIC = 0, 1, 2, 3, 4
 CONTACT_LAWS = {
     "eq21": EQ21,
     "two_state": TWO_STATE,
     "kelvin_voigt": KELVIN_VOIGT,
     "hunt_crossley": HUNT_CROSSLEY,
+    "quadratic": QUADRATIC,
 }
 
 # State vector: three bodies first; the rest stays zero unless its physics is on.
@@ -41,7 +51,10 @@ HOOKED = 11  # 1 while the hook is engaged
 SLIPPED = 12  # rad that the pinion turned on its hub, left, right
 TOOTH = 14  # N·m, mesh torque at the start of the step, left, right
 PLAYED = 16  # V, output of the play in the drive, left, right
-MEMORY = 18
+AGE = 18  # share of the log that is over
+ANCHOR = 19  # rad, where the springs of the slip elements are held, per body and element
+ELEMENTS = 5
+MEMORY = ANCHOR + 3 * ELEMENTS
 
 DETENTS = 24
 
@@ -72,6 +85,13 @@ FIELDS = [
     # sensors
     ("gyro_gain_error", "f8"), ("gyro_delay", "f8"),
     ("encoder_eccentricity", "f8"), ("encoder_phase", "f8"),
+    # ordinary imperfections, see ordinary.py
+    ("exponent", "f8"), ("loop_lag", "f8"), ("viscous_drift", "f8"),
+    ("usual_cogging", "f8"), ("usual_cogging_phase", "f8", (2, 2)),
+    ("pinion_pitch", "f8", (2, PINION_TEETH)), ("ring_pitch", "f8", RING_TEETH),
+    ("stiffness_ripple", "f8"), ("stiffness_phase", "f8", 2),
+    ("gyro_bandwidth", "f8"), ("gyro_bias", "f8"),
+    ("interpolation", "f8"), ("interpolation_phase", "f8"),
     # on nobody's list, see unknowns.py
     ("cut_period", "f8"), ("cut_length", "f8"), ("cut_start", "f8"), ("cut_motor", "i8"),
     ("dwell_rise", "f8"), ("dwell_time", "f8"),

@@ -12,7 +12,7 @@ ARCMIN = DEG / 60
 
 REDUCER_RATIO = 25.0  # N1, Table 1
 RING_RATIO = 8.25  # N2 = 165/20 teeth, Table 1
-PINION_TEETH = 20  # z3, Table 1
+PINION_TEETH, RING_TEETH = 20, 165  # z3 and its partner, Table 1
 TORQUE_PER_VOLT = 3.0 * 0.13  # K_d K_M, N·m/V at one motor, Table 1
 MOTOR_INERTIA = REDUCER_RATIO**2 * 2e-4  # N1^2 Jm, kg·m² at the pinion, Table 1
 PINION_INERTIA = MOTOR_INERTIA + 0.125  # kg·m², Table 1

@@ -13,11 +13,14 @@ from numba import njit
 from rigs.contact import mesh_torque, tolerance
 from rigs.drive import amplifier, motor_torque
 from rigs.friction import breakaway, friction
-from rigs.geometry import half_gap, soft_flank, twist
+from rigs.geometry import half_gap, mesh_stiffness, soft_flank, twist
 from rigs.layout import (
+    AGE,
+    ANCHOR,
     ANGLE,
     BRISTLE,
     CURRENT,
+    ELEMENTS,
     GAP,
     KARNOPP,
     MEMORY,
@@ -36,6 +39,7 @@ from rigs.ring import external_torque, extra_friction, remember
 
 SAMPLE = 1e-3  # s, period of the loop and of the log
 CLIP = 10.0  # V, limit of the controller's output
+ENCODER_LINES = 2048  # signal periods per turn of the ring gear's encoder
 _HISTORY = 4096  # fine steps of speed kept for a late gyro
 
 
@@ -44,21 +48,24 @@ def derivative(time, y, dy, p, m, volts, mode, decide):
     """Rates of the state; with `decide`, bodies at rest may break away first."""
     ring, ring_speed = y[ANGLE + RING], y[SPEED + RING]
     warmth = math.exp(-time / p.warm_time) if p.warm_time > 0.0 else 0.0
+    fluid = 1.0 + p.viscous_drift * (m[AGE] - 0.5)
+    lag = p.lag + p.loop_lag
     load = 0.0
     for i in range(2):
         pinion, speed = y[ANGLE + i], y[SPEED + i]
         z, rate = twist(p, m, i, pinion, ring, speed, ring_speed)
         gap = half_gap(p, i, ring)
         z, rate = soft_flank(p, z, rate, gap)
-        law, k, c, cf = p.contact, p.stiffness, p.damping, p.gap_damping
+        law, c, cf = p.contact, p.damping, p.gap_damping
+        k = mesh_stiffness(p, i, pinion)
         tooth, dy[GAP + i] = mesh_torque(z, rate, y[GAP + i], gap, law, k, c, cf, tolerance(p))
         if decide:
             m[TOOTH + i] = tooth
         load += RING_RATIO * tooth
 
         voltage = volts[i]
-        if p.lag > 0.0:
-            dy[CURRENT + i] = (voltage - y[CURRENT + i]) / p.lag
+        if lag > 0.0:
+            dy[CURRENT + i] = (voltage - y[CURRENT + i]) / lag
             voltage = y[CURRENT + i]
         inertia = p.pinion_inertia
         if p.reducer_stiffness > 0.0:
@@ -78,8 +85,9 @@ def derivative(time, y, dy, p, m, volts, mode, decide):
         if decide and p.law[i] == KARNOPP and mode[i] == 0.0:
             mode[i] = breakaway(p, i, net, scale, extra)
         drag, dy[BRISTLE + i] = friction(
-            p, i, inertia, speed, net, mode[i], y[BRISTLE + i], scale, extra
-        )
+            p, m, i, inertia, pinion, speed, net, mode[i], y[BRISTLE + i],
+            scale, fluid, extra, decide,
+        )  # fmt: skip
         dy[ANGLE + i] = speed
         dy[SPEED + i] = (net - drag) / inertia
 
@@ -92,8 +100,9 @@ def derivative(time, y, dy, p, m, volts, mode, decide):
     if decide and p.law[RING] == KARNOPP and mode[RING] == 0.0:
         mode[RING] = breakaway(p, RING, net, scale, extra)
     drag, dy[BRISTLE + RING] = friction(
-        p, RING, p.ring_inertia, ring_speed, net, mode[RING], y[BRISTLE + RING], scale, extra
-    )
+        p, m, RING, p.ring_inertia, ring, ring_speed, net, mode[RING], y[BRISTLE + RING],
+        scale, fluid, extra, decide,
+    )  # fmt: skip
     dy[ANGLE + RING] = ring_speed
     dy[SPEED + RING] = (net - drag) / p.ring_inertia
     if p.slosh_inertia != 0.0:
@@ -168,14 +177,20 @@ def record_log(p, signal, closed, gains, preload, start, noise, substeps):
     y[ANGLE + RING] = y[SLOSH_ANGLE] = start
     for i in range(2):
         y[ANGLE + i] = y[MOTOR_ANGLE + i] = RING_RATIO * start
+    for j in range(ELEMENTS):
+        m[ANCHOR + ELEMENTS * RING + j] = start
+        for i in range(2):
+            m[ANCHOR + ELEMENTS * i + j] = RING_RATIO * start
     history = np.zeros(_HISTORY)
+    filtered = 0.0
     step = SAMPLE / substeps
     late_gyro = min(_HISTORY - 1, round(p.gyro_delay / step))
     late_drive = round(p.delay / step)
+    kept = math.exp(-2.0 * math.pi * p.gyro_bandwidth * step) if p.gyro_bandwidth > 0.0 else 0.0
     integral = 0.0
     fine = 0
     for k in range(n):
-        gyro = (1.0 + p.gyro_gain_error) * history[(fine - late_gyro) % _HISTORY] + noise[k]
+        gyro = (1.0 + p.gyro_gain_error) * filtered + p.gyro_bias + noise[k]
         command = signal[k]
         if closed:
             error = signal[k] - gyro * 180.0 / math.pi
@@ -187,12 +202,16 @@ def record_log(p, signal, closed, gains, preload, start, noise, substeps):
         if p.encoder_eccentricity != 0.0:
             turned = y[ANGLE + RING] + p.encoder_phase
             out[2, k] += p.encoder_eccentricity * math.cos(turned)
+        if p.interpolation != 0.0:
+            turned = ENCODER_LINES * y[ANGLE + RING] + p.interpolation_phase
+            out[2, k] += p.interpolation * math.cos(turned)
         out[3, k] = gyro
         motor = MOTOR_ANGLE if p.reducer_stiffness > 0.0 else ANGLE
         out[4, k] = REDUCER_RATIO * y[motor]
         out[5, k] = REDUCER_RATIO * y[motor + 1]
         for _ in range(substeps):
             time = fine * step
+            m[AGE] = time / (n * SAMPLE)
             effective = fine - late_drive
             for i in range(2):
                 u = out[i, effective // substeps] if effective >= 0 else 0.0
@@ -201,4 +220,6 @@ def record_log(p, signal, closed, gains, preload, start, noise, substeps):
             remember(p, m, y[ANGLE + RING], y[SPEED + RING], step)
             fine += 1
             history[fine % _HISTORY] = y[SPEED + RING]
+            seen = history[(fine - late_gyro) % _HISTORY]
+            filtered = seen + kept * (filtered - seen)
     return out

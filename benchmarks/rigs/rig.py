@@ -1,11 +1,12 @@
 """Draw a rig, run its experiments, write its logs."""
 
+import copy
 import gzip
 import json
 import math
 import shutil
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from rigs import experiments, nominal
 from rigs.catalogue import KNOWN
 from rigs.layout import CONTACT_LAWS, FRICTION_LAWS, RECORD
 from rigs.nominal import DEG
+from rigs.ordinary import CONTACT, FRICTION, LAW_NAMES, ORDINARY, PLAIN, laws_that_show
 from rigs.plant import SAMPLE, record_log
 from rigs.unknowns import UNKNOWN
 
@@ -36,6 +38,62 @@ DECIMALS = {
 }
 
 
+# The laws that are drawn where nobody asks for one.
+DRAWN_FRICTION = ("karnopp", "lugre", "tanh")
+DRAWN_CONTACT = ("eq21", "two_state", "kelvin_voigt", "hunt_crossley")
+
+
+@dataclass
+class Recipe:
+    """What a rig is made of: `record` builds it again, whole or with something left out."""
+
+    seed: int
+    plant: np.random.Generator
+    effects: tuple
+    laws: dict
+    spread: float | None
+    meshes: tuple
+    ordinary: bool
+
+    def record(self, without=(), meshes=(1.0, 1.0)):
+        """(record, what each effect drew); `without` names effects, ordinary things and laws."""
+        laws = {k: PLAIN[k] if law_key(k, v) in without else v for k, v in self.laws.items()}
+        record = draw_plant(copy.deepcopy(self.plant), laws, self.spread)
+        record["stiffness"] *= self.meshes[0] * meshes[0]
+        record["damping"] *= self.meshes[1] * meshes[1]
+        p = record.view(np.recarray)[0]
+        drawn = {}
+        for name, strength in self.effects:
+            draw = KNOWN[name] if name in KNOWN else UNKNOWN[name][0]
+            if name not in without:
+                drawn[name] = plain(draw(p, stream(name, self.seed), strength))
+        if self.ordinary:
+            exponent = laws_that_show(p, stream("laws", self.seed))
+            p.exponent = exponent if laws["friction"] == "stribeck" else 0.0
+            for key, (add, _) in ORDINARY.items():
+                if self.key_of(key) not in without:
+                    add(p, stream(f"ordinary {key}", self.seed))
+        return record, drawn
+
+    def key_of(self, ordinary):
+        """A main effect of the same name keeps its own."""
+        return f"usual_{ordinary}" if ordinary in dict(self.effects) else ordinary
+
+    def things(self):
+        """Key of each thing that can be left out: (name in a diagnosis or None, main)."""
+        found = {n: (n if n in KNOWN else None, True) for n, _ in self.effects}
+        if self.ordinary:
+            found |= {self.key_of(key): (name, False) for key, (_, name) in ORDINARY.items()}
+            for kind, law in self.laws.items():
+                if law != PLAIN[kind]:
+                    found[law_key(kind, law)] = (LAW_NAMES.get(law), False)
+        return found
+
+
+def law_key(kind, law):
+    return f"law_{law}" if kind == "friction" else f"contact_{law}"
+
+
 @dataclass
 class Rig:
     """One rig: `label` says what is wrong with it, `logs` and `hidden` are tables."""
@@ -44,6 +102,8 @@ class Rig:
     logs: dict
     hidden: dict
     record: np.ndarray = field(repr=False)  # of layout.RECORD, one element
+    recipe: Recipe = field(repr=False)
+    experiments: dict = field(repr=False)  # of the hidden logs
 
     def save(self, folder):
         """Write the logs and label.json into a new folder, hidden logs into hidden/."""
@@ -66,6 +126,7 @@ def make_rig(
     step=FINE_STEP,
     noise_seed=None,
     meshes=(1.0, 1.0),
+    ordinary=False,
 ):
     """Draw a rig of the paper's kind and run its experiments.
 
@@ -78,11 +139,12 @@ def make_rig(
         Names of `KNOWN` or `UNKNOWN`; strength 1 is typical, 0 is off.
     sensors : {"all", "load"}, optional
         With or without motor encoders; drawn if left out.
-    friction : {"karnopp", "lugre", "tanh"}, optional
-    contact : {"eq21", "two_state", "kelvin_voigt", "hunt_crossley"}, optional
+    friction : {"karnopp", "lugre", "tanh", "gms", "stribeck"}, optional
+    contact : {"eq21", "two_state", "kelvin_voigt", "hunt_crossley", "quadratic"}, optional
         Drawn if left out.
-    hidden_logs : int
-        Further logs at other amplitudes and phases, kept for scoring predictions.
+    hidden_logs : int or "mixed"
+        Further logs at other amplitudes and phases, kept for scoring predictions;
+        or the three mixed ones of `experiments.mixed`.
     logs : {"paper", "other"} or collection of str
         The ten usual logs, ten others, or only these of the usual ones.
     spread : float, optional
@@ -93,6 +155,8 @@ def make_rig(
         Measures the same rig once more, with other noise.
     meshes : (float, float)
         Factors on the stiffness and the damping of what was drawn.
+    ordinary : bool
+        With the imperfections of `rigs.ordinary`, and laws of friction and contact from there.
 
     Returns
     -------
@@ -102,40 +166,38 @@ def make_rig(
     streams = np.random.SeedSequence(seed).spawn(3)
     plant, starts, later = (np.random.default_rng(s) for s in streams)
     laws = {
-        "friction": friction or str(plant.choice(list(FRICTION_LAWS))),
-        "contact": contact or str(plant.choice(list(CONTACT_LAWS))),
+        "friction": friction or str(plant.choice(FRICTION if ordinary else DRAWN_FRICTION)),
+        "contact": contact or str(plant.choice(CONTACT if ordinary else DRAWN_CONTACT)),
     }
     drawn_sensors = str(plant.choice(["all", "load"]))
     sensors = sensors or drawn_sensors
-    record = draw_plant(plant, laws, spread)
-    record["stiffness"] *= meshes[0]
-    record["damping"] *= meshes[1]
+    recipe = Recipe(seed, plant, tuple(effects), laws, spread, meshes, ordinary)
+    record, drawn = recipe.record()
     label = {
         "effects": [title(name) for name, _ in effects],
         "sensors": sensors,
         "seed": seed,
         "depends_on": depends_on(effects),
         "strengths": dict(effects),
-        "effect_parameters": {},
+        "effect_parameters": drawn,
         "laws": laws,
     }
-    label["plant"] = plain({n: record[0][n] for n in RECORD.names if np.any(record[0][n])})
-    p = record.view(np.recarray)[0]
-    for name, strength in effects:
-        rng = stream(name, seed)
-        draw = KNOWN[name] if name in KNOWN else UNKNOWN[name][0]
-        label["effect_parameters"][name] = plain(draw(p, rng, strength))
+    bare = replace(recipe, effects=(), ordinary=False).record()[0][0]
+    label["plant"] = plain({n: bare[n] for n in RECORD.names if np.any(bare[n])})
 
     ten = experiments.others(starts, 10) if logs == "other" else experiments.paper(starts)
     if logs not in ("paper", "other"):
         ten = {name: ten[name] for name in logs}
-    hidden = experiments.others(later, hidden_logs, "hidden")
+    if hidden_logs == "mixed":
+        hidden = experiments.mixed(later)
+    else:
+        hidden = experiments.others(later, hidden_logs, "hidden")
 
     def measure(tables):
         noise = seed if noise_seed is None else noise_seed
         return {n: run(record, e, stream(n, noise), sensors, step) for n, e in tables.items()}
 
-    return Rig(label, measure(ten), measure(hidden), record)
+    return Rig(label, measure(ten), measure(hidden), record, recipe, hidden)
 
 
 def stream(name, seed):
@@ -247,7 +309,7 @@ def quantise(angle, count):
 
 def write_log(log, path):
     """Gzip CSV with the decimals of DECIMALS; the same log gives the same bytes."""
-    row = ",".join(f"%.{DECIMALS[name]}f" for name in log.columns) + "\n"
+    row = ",".join(f"%.{DECIMALS.get(name, 7)}f" for name in log.columns) + "\n"
     text = "".join(row % values for values in zip(*(log[c] for c in log.columns), strict=True))
     with open(path, "wb") as raw, gzip.GzipFile(fileobj=raw, mode="wb", mtime=0) as packed:
         packed.write((",".join(log.columns) + "\n" + text).encode())

@@ -1,26 +1,32 @@
-"""Names found on benches whose truth is known, simulated by other means than the package's.
+"""Names found on drives whose truth is known, simulated by another program than the package.
 
-The benches are a few of `benchmarks/benches.py`, which tries many.
+`benchmarks/campaign.py --kind shapes` tries many.
 """
 
-import pytest
-from benchmarks.benches import try_one
+import sys
+from pathlib import Path
 
-pytest.importorskip("pyarrow")  # the benches' logs are .parquet files
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from campaign import Case, examine
+from scoring import score
+
+from rigs import orders
 
 
 @pytest.mark.parametrize(
-    "case",
+    ("seed", "names"),
     [
-        "null_declared",  # seven short runs, nothing missing
-        "cable",  # one short run in which two effects hide each other
-        "backlash",  # a geared load, an encoder on each side
-        "drift",  # friction and offset differ from run to run
+        (1, ()),
+        (2, ("coulomb_friction", "cable_spring")),
+        (8, ("backlash",)),
+        (4, ("drive_dead_band",)),
     ],
 )
-def test_names_what_is_missing_and_nothing_else(case):
-    row = try_one(case, 0)
-    assert "error" not in row, row["error"]
-    assert row["missed"] == []
-    assert row["false"] == []
-    assert row["after"] <= row["before"]
+def test_names_what_is_missing_and_nothing_else(seed, names, tmp_path):
+    order = orders.Order("rig", "shapes", seed, "", names)
+    found = score(examine(Case("rig", order, tmp_path / "rigs" / "rig"), tmp_path, 1))
+    assert found["outcome"] == "right"
+    assert not found["worse"]

@@ -221,7 +221,7 @@ def test_predict_is_better_on_a_log_never_seen(written, tmp_path):
 
 @pytest.mark.skipif(not BLIND.is_dir(), reason="no ../shared/blind")
 def test_rig_of_another_program(tmp_path):
-    """One that lacks nothing; `benchmarks/blind.py --logs ../shared/blind` runs them all."""
+    """One that lacks nothing; `benchmarks/campaign.py --handed ../shared/blind` runs them all."""
     out = tmp_path / "out"
     assert main(["diagnose", str(BLIND / "d01"), "--out", str(out), "--quiet"]) == 0
     found = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))

@@ -3,7 +3,7 @@
 The rigs are those of benchmarks/rigs: another program than `dmptm_ctrl`, in fixed fine steps
 of 25 µs, here with LuGre friction (bristles) or a tanh in place of real sticking. Four short
 logs and one more keep this in the time of a check; more of them are in `benchmarks/long`, whole
-rigs are for `benchmarks/blind.py`.
+rigs are for `benchmarks/campaign.py`.
 """
 
 import sys
@@ -59,7 +59,7 @@ def test_nothing_lacks():
 
 
 def nothing_lacks(seed, friction, sensors, more):
-    """False alarms in number are counted by `benchmarks/blind.py --only null`."""
+    """False alarms in number are counted by `benchmarks/campaign.py`."""
     found = diagnosed(seed, [], friction, sensors, more)
     assert found.verdict == "none"
     assert found.effects == ()

@@ -1,4 +1,4 @@
-"""Drawing, effects, file format and campaigns of the rigs."""
+"""Drawing, effects and file format of the dual rigs."""
 
 import gzip
 import json
@@ -11,7 +11,7 @@ from rigs.nominal import DEG
 from rigs.rig import draw_plant, run, stream, write_log
 from scipy.signal import butter, sosfiltfilt
 
-from rigs import KNOWN, UNKNOWN, campaign, experiments, make_rig
+from rigs import KNOWN, UNKNOWN, experiments, make_rig
 
 BLIND = Path(__file__).parents[3] / "shared" / "blind"
 LAWS = {"friction": "karnopp", "contact": "two_state"}
@@ -144,33 +144,6 @@ def test_others_differ_from_the_paper_and_from_each_other():
     logs = experiments.others(rng, 7)
     assert len({e.signal.tobytes() for e in logs.values()}) == 7
     assert {e.closed for e in logs.values()} == {True, False}
-
-
-def test_a_plan_is_balanced_and_starts_the_same():
-    plan = campaign.plan(7, 100)
-    kinds = [order.kind for order in plan]
-    counted = [kinds.count(k) for k in ("null", "single", "pair", "unknown")]
-    assert counted == [30, 50, 10, 10]
-    assert campaign.plan(7, 30) == plan[:30]
-    assert campaign.plan(8, 30) != plan[:30]
-    assert {order.effects[0][0] for order in plan if order.kind == "single"} == set(KNOWN)
-
-
-def test_a_campaign_goes_on_where_it_stopped(tmp_path, monkeypatch):
-    made = []
-
-    def make(order, folder, hidden):
-        made.append(order.id)
-        return {"seed": order.seed, "effects": []}
-
-    monkeypatch.setattr(campaign, "make", make)
-    campaign.run(7, 2, tmp_path, report=made.append)
-    made.clear()
-    campaign.run(7, 3, tmp_path, report=lambda line: None)
-    assert made == ["r0003"]
-    assert sorted(json.loads((tmp_path / "labels.json").read_text())) == ["r0001", "r0002", "r0003"]
-    with pytest.raises(ValueError, match="another campaign"):
-        campaign.run(8, 3, tmp_path, report=lambda line: None)
 
 
 def decimals(line):

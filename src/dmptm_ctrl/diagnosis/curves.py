@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.identify.balance import Balance, columns, loss, surprise
+from dmptm_ctrl.identify.balance import Balance, columns, correlation_lengths, surprises
 from dmptm_ctrl.identify.motion import Motion, first_difference, smooth
 from dmptm_ctrl.identify.windows import CARRIED_SECONDS, STIFFNESS, carried, evened, frictions
 from dmptm_ctrl.parallel import in_threads
@@ -264,15 +264,21 @@ def curves(left: Residual) -> list[Curve]:
         normal = weighted.T @ weighted
         step = np.linalg.solve(normal + np.diag(ridge), -(weighted.T @ (w * base.missing)) - pull)
         moved = split(base.missing + both @ step, base.parts)
-        after = loss(moved, base.kinds, base.unknowns, base.p + step[: prior.size])
         there = known + np.hstack([held_jac, np.concatenate(held.parts)]) @ step
-        held_gain = left.held_base - surprise(split(there, held_parts), left.held.kinds)
+        gain = fall(base.parts, moved, base.kinds)
+        held_gain = fall(held_parts, split(there, held_parts), left.held.kinds)
         price = 2.0 * (freedom(normal, ridge) - used)
-        evidence = base.loss - after + held_gain - price
+        evidence = gain + held_gain - price
         return Curve(group.variables, evidence, held_gain, group.order)
 
     found = in_threads(told, list(zip(fitted, judged, strict=True)), left.balance.jobs)
     return sorted(found, key=lambda c: -c.evidence)
+
+
+def fall(before: Sequence[Floats], after: Sequence[Floats], kinds: Sequence[str]) -> float:
+    """Fall of −2 log-likelihood, per independent row of what is left after."""
+    change = surprises(before, kinds) - surprises(after, kinds)
+    return float(np.sum(change / correlation_lengths(after, kinds)))
 
 
 def freedom(normal: Floats, ridge: Floats) -> float:

@@ -127,9 +127,15 @@ class DualEvidence:
 
     def _candidate(self, state: DualState, trials: tuple[Trial, ...]) -> Candidate:
         keys = tuple(key_of(t.name) for t in trials)
-        there = DualState(replace(state.left, base=trials[0].fit))
-        gain, held = self.gains(state, there)
-        return Candidate(keys, gain, held, trials, next(filter(None, map(objection, trials)), ""))
+        why = next(filter(None, map(objection, trials)), "")
+        one = Candidate(keys, 0.0, 0.0, trials, why)
+        gain, held = self.gains(state, self.beside(state, one))
+        return replace(one, gain=gain, held_gain=held)
+
+    def beside(self, state: DualState, candidate: Candidate) -> DualState:
+        """Return the model with a candidate, as it was fitted."""
+        left = replace(state.left, base=candidate.fitted[0].fit)
+        return DualState(left, (*state.keys, *candidate.keys))
 
     def gains(self, smaller: DualState, larger: DualState) -> tuple[float, float]:
         """Fall of −2 log-likelihood on the fitted and on the held-out logs."""
@@ -164,7 +170,7 @@ class DualEvidence:
     def adopt(self, state: DualState, candidate: Candidate) -> DualState:
         """Put a candidate into the model and fit to the end, on the same windows."""
         fit = candidate.fitted[0].fit
-        done = settled_fit(state.left.balance, fit.model, fit.unknowns)
+        done = settled_fit(state.left.balance, fit.model, fit.unknowns, fit.jacobian)
         return DualState(replace(state.left, base=done), (*state.keys, *candidate.keys))
 
     def closed(self, state: DualState) -> DualState:
@@ -178,8 +184,10 @@ class DualEvidence:
     def without(self, state: DualState, key: str) -> DualState:
         """Take an effect out and fit the rest again, on the same windows."""
         name, base = name_of(key), state.left.base
-        unknowns = tuple(k for k in base.unknowns if k.effect != name)
-        fit = settled_fit(state.left.balance, base.model.without([name]), unknowns)
+        kept = [j for j, k in enumerate(base.unknowns) if k.effect != name]
+        unknowns = tuple(base.unknowns[j] for j in kept)
+        model, slopes = base.model.without([name]), base.jacobian[:, kept]
+        fit = settled_fit(state.left.balance, model, unknowns, slopes)
         left = replace(state.left, base=fit)
         return DualState(left, tuple(k for k in state.keys if k != key))
 

@@ -16,7 +16,7 @@ from dmptm_ctrl.diagnosis.sensors import SensorCheck
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.unknown import Unexplained
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.balance import scatter
+from dmptm_ctrl.identify.balance import FREEDOM, scatter
 from dmptm_ctrl.identify.fit import Fit, place
 from dmptm_ctrl.identify.records import Record, predict
 from dmptm_ctrl.parallel import in_threads
@@ -70,9 +70,11 @@ def judge(
     """Judge the models before and after, and each effect by leaving it out."""
     base: DualState = selection.base
     final: DualState = selection.final
-    best = final.left if tables is None else tables.left
-    scale = np.array(scatter(best.held.missing(best.base.model), best.held.kinds))
-    before, after, floor = (mean_square(one, scale) for one in (base.left, final.left, best))
+    # all on the rows of the final model: where no encoder shows it, it decides which pinions touch
+    first = replace(base.left, held=final.left.held)
+    best = final.left if tables is None else replace(tables.left, held=final.left.held)
+    scale = Scale.of(best)
+    before, after, floor = (mean_square(one, scale) for one in (first, final.left, best))
     errors = Errors(before, after, min(floor, after))
     declared, augmented = fits
     fixed = tuple(base.left.base.model.effects)  # of the sensors
@@ -87,7 +89,7 @@ def judge(
     names = ("before", "after", "floor")
     torque = {
         name: torque_error(left, measured)
-        for name, left in zip(names, (base.left, final.left, best), strict=True)
+        for name, left in zip(names, (first, final.left, best), strict=True)
     }
     horizons = dict(
         zip(names[:2], (horizon(m, measured.held, jobs) for m in (bare, augmented.model)),
@@ -124,11 +126,35 @@ def rise(one: float, other: float) -> float:
     return float(np.sqrt(max(one**2 - other**2, 0.0)))
 
 
-def mean_square(left: Residual, scale: Floats) -> float:
-    """Mean square of the held-out balances, each in units of its scale."""
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """Scatter of each held-out equation under the final model, and what each row counts.
+
+    What no model predicts, such as the windows of impacts, counts little: by the weights of
+    Student's t under the final model, the same for every model that is judged.
+    """
+
+    sizes: Floats
+    weights: Sequence[Floats]
+
+    @classmethod
+    def of(cls, left: Residual) -> "Scale":
+        """Scale of the model that leaves least."""
+        parts = left.held.missing(left.base.model)
+        sizes = np.array(scatter(parts, left.held.kinds))
+        weights = [
+            (FREEDOM + 1.0) / (FREEDOM + (part / s) ** 2)
+            for part, s in zip(parts, sizes, strict=True)
+        ]
+        return cls(sizes, weights)
+
+
+def mean_square(left: Residual, scale: Scale) -> float:
+    """Weighted mean square of the held-out balances, each in units of its scale."""
     parts = left.held.missing(left.base.model)
-    squares = [np.square(part / s) for part, s in zip(parts, scale, strict=True)]
-    return float(np.mean(np.concatenate(squares)))
+    rows = zip(parts, scale.sizes, scale.weights, strict=True)
+    total = sum(float(w @ np.square(part / s)) for part, s, w in rows)
+    return total / float(sum(w.sum() for w in scale.weights))
 
 
 def torque_error(left: Residual, measured: Measured) -> dict[str, float]:
@@ -214,7 +240,7 @@ def effect_row(
     without: DualState,
     final: DualState,
     errors: Errors,
-    scale: Floats,
+    scale: Scale,
     augmented: Fit,
     measured: Measured,
     speed: Mapping[str, Mapping[str, float]],

@@ -148,7 +148,12 @@ class Diagnosis:
             for e in self.effects
             if e.name != UNNAMED and e.material and e.probability >= HEADLINE
         ]
-        names = ", ".join(sure)
+        either = [
+            " or ".join(name.replace("_", " ") for name in (e.name, *e.confusable_with))
+            for e in self.effects
+            if e.name != UNNAMED and e.material and e.probability < HEADLINE and e.confusable_with
+        ]
+        names = ", ".join([*sure, *either])
         if self.verdict == "none":
             return (
                 "The declared model is as good as these logs can show: its error on held-out logs, "

@@ -6,7 +6,7 @@ acceptance level holds for every effect, place and drive.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Protocol
 
@@ -97,6 +97,9 @@ class Evidence(Protocol):
 
     def adopt(self, state: Any, candidate: Candidate) -> Any:
         """Put a candidate into the model and fit to the end, on the same rows."""
+
+    def beside(self, state: Any, candidate: Candidate) -> Any:
+        """Return the model with a candidate, as it was fitted."""
 
     def closed(self, state: Any) -> Any:
         """Prepare the rows anew, as the model has it now, and fit again."""
@@ -279,13 +282,15 @@ def compared(
         entries = []
         for key in state.keys:
             without = evidence.without(state, key)
-            rivals = rivals_of(evidence, selection, state, without, key)
-            better = other_way(evidence, state, without, key, rivals)
+            gains = evidence.gains(without, state)
+            able = rivals_of(evidence, selection, state, without, key)
+            rivals = ranked([in_place(evidence, without, state, gains, c) for c in able])
+            better = other_way(evidence, state, without, key, gains, rivals)
             if better is not None:
                 step(f"{key} → {', '.join(k for k in better.keys if k not in state.keys)}")
                 state = pruned(evidence, better, step)
                 break
-            entries.append(Entry(key, *evidence.gains(without, state), tuple(rivals), without))
+            entries.append(Entry(key, *gains, tuple(rivals), without))
         else:
             break
     selection.entries = sorted(entries, key=lambda e: -e.evidence)
@@ -293,22 +298,36 @@ def compared(
     return selection
 
 
+def in_place(
+    evidence: Evidence, without: State, state: State, gains: tuple[float, float], one: Candidate
+) -> Candidate:
+    """Return a rival with its evidence counted on the same rows as that of the effect."""
+    short = evidence.gains(evidence.beside(without, one), state)
+    return replace(one, gain=gains[0] - short[0], held_gain=gains[1] - short[1])
+
+
 def other_way(
-    evidence: Evidence, state: State, without: State, key: str, rivals: Sequence[Candidate]
+    evidence: Evidence,
+    state: State,
+    without: State,
+    key: str,
+    gains: tuple[float, float],
+    rivals: Sequence[Candidate],
 ) -> State | None:
     """Return a better model with a rival in an effect's place, or added before it.
 
     A fit that begins with one effect may bend all others to it, so that an effect which acts
     alike is not found beside it; begun with the rival, it is.
     """
-    worth = sum(evidence.gains(without, state))
     for rival in (r for r in rivals if r.acceptable):
-        if rival.evidence > worth:
-            return evidence.adopt(without, rival)
         first = evidence.adopt(without, rival)
+        if rival.evidence > sum(gains):
+            return first
         for second in evidence.candidates(first, [key]):
-            if second.acceptable and rival.evidence + second.evidence > worth + LEVEL:
-                return evidence.adopt(first, second)
+            if second.acceptable:
+                both = evidence.adopt(first, second)
+                if sum(evidence.gains(state, both)) > LEVEL:
+                    return both
     return None
 
 
@@ -325,4 +344,4 @@ def rivals_of(
             continue
         alike[other] = explained(own, evidence.columns(without, one)) / max(size, 1e-300)
     likely = sorted((k for k in alike if alike[k] > HOPE), key=lambda k: -alike[k])[:RIVALS]
-    return ranked(evidence.candidates(without, likely)) if likely else []
+    return evidence.candidates(without, likely) if likely else []

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from dmptm_ctrl.diagnosis.bursts import BURSTS, Bursts, bursts
 from dmptm_ctrl.diagnosis.curves import Curve, curves
 from dmptm_ctrl.diagnosis.residual import Residual
+from dmptm_ctrl.diagnosis.select import LEVEL
 from dmptm_ctrl.diagnosis.slip import SLIP, wanders
 
-CURVE = 60.0  # evidence of a curve; well above the best of all curves on rigs without any
+CURVE = LEVEL  # evidence of a curve, less the price of its knots: that of any effect
 HELD = 8.0  # of it on the held-out logs: a curve has many knots
 # What a named effect leaves because its form is only nearly right is small beside it.
 CURVE_SHARE = 0.1

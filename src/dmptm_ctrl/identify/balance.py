@@ -384,12 +384,26 @@ def fit_balance(
     return BalanceFit(model, unknowns, p, value, parts, kinds, jac, covariance)
 
 
-def settled_fit(balance: Balance, model: Model, unknowns: Sequence[Unknown]) -> BalanceFit:
+def settled_fit(
+    balance: Balance,
+    model: Model,
+    unknowns: Sequence[Unknown],
+    jacobian: Floats | None = None,
+) -> BalanceFit:
     """Fit to the end, from here and from where outliers count in full; return the better.
 
     A robust loss has several minima: windows that one effect cannot follow pass for outliers.
+    Both ways share slopes, which change little; the end is fitted with its own.
+
+    Parameters
+    ----------
+    jacobian : (m, k) array, optional
+        Slopes of all unknowns near the model.
     """
-    here = fit_balance(balance, model, unknowns)
-    whole = fit_balance(balance, model, unknowns, freedom=GAUSSIAN)
-    there = fit_balance(balance, whole.model, unknowns)
-    return min(here, there, key=lambda one: one.loss)
+    if jacobian is None:
+        jacobian = columns(balance, model, unknowns, np.concatenate(balance.missing(model)))
+    here = fit_balance(balance, model, unknowns, jacobian=jacobian)
+    whole = fit_balance(balance, model, unknowns, jacobian=jacobian, freedom=GAUSSIAN)
+    there = fit_balance(balance, whole.model, unknowns, jacobian=jacobian)
+    best = min(here, there, key=lambda one: one.loss)
+    return fit_balance(balance, best.model, unknowns)

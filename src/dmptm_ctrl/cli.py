@@ -131,6 +131,25 @@ def tune(
 
 
 @app.command()
+def export(
+    model: Annotated[Path, typer.Argument(help="model.toml of diagnose, controller.toml of tune.")],
+    to: Annotated[str, typer.Option(help="c, st (IEC 61131-3), fmu (FMI 2.0) or python.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("export"),
+    real: Annotated[str, typer.Option(help="Numbers of c and st: double or float.")] = "double",
+    sample_time: Annotated[
+        float | None, typer.Option(help="Of a plant [s]; 0.001 if not given.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No summary.")] = False,
+) -> None:
+    """Write a model or a controller as a program where users run it."""
+    from dmptm_ctrl.export.run import export_file
+
+    names = export_file(model, to, out, real=real, sample_time=sample_time)
+    if not quiet:
+        print(f"written to {out}: {', '.join(names)}")
+
+
+@app.command()
 def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for page, figures, tables.")] = Path(
         "reproduction"

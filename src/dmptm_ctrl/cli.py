@@ -131,6 +131,37 @@ def tune(
 
 
 @app.command()
+def check(
+    logs: Annotated[list[Path], typer.Argument(help="A folder of new logs, or the files.")],
+    model: Annotated[Path, typer.Option(help="model.toml, as diagnose writes it.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for check.json and, of dated logs, trend.png.")
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share by which an entry may differ.")
+    ] = 0.05,
+    jobs: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No summary.")] = False,
+) -> int:
+    """Is the machine still the one that a model describes? Exit code 0: yes, 1: no."""
+    import matplotlib
+
+    from dmptm_ctrl.check.run import check as run_check
+    from dmptm_ctrl.signals.atomic import check_folder
+
+    matplotlib.use("Agg")  # no windows
+    if out is not None:
+        check_folder(out)
+    source = logs[0] if len(logs) == 1 else logs
+    found = run_check(source, model, tolerance=tolerance, jobs=jobs)
+    if out is not None:
+        found.save(out)
+    if not quiet:
+        print(_printable(found.summary()))
+    return 0 if found.same else 1
+
+
+@app.command()
 def export(
     model: Annotated[Path, typer.Argument(help="model.toml of diagnose, controller.toml of tune.")],
     to: Annotated[str, typer.Option(help="c, st (IEC 61131-3), fmu (FMI 2.0) or python.")],
@@ -408,8 +439,8 @@ def main(arguments: list[str] | None = None) -> int:
     Returns
     -------
     int
-        0: done; 2: bad input, one line on stderr; 70: an error of the program itself;
-        130: interrupted.
+        0: done; 1: `check` found a change; 2: bad input, one line on stderr; 70: an error of the
+        program itself; 130: interrupted.
     """
     try:
         result = app(arguments, prog_name="dmptm", standalone_mode=False)

@@ -164,7 +164,7 @@ def check(
 @app.command()
 def export(
     model: Annotated[Path, typer.Argument(help="model.toml of diagnose, controller.toml of tune.")],
-    to: Annotated[str, typer.Option(help="c, st (IEC 61131-3), fmu (FMI 2.0) or python.")],
+    to: Annotated[str, typer.Option(help="c, st, fmu, python, table or mujoco.")],
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("export"),
     real: Annotated[str, typer.Option(help="Numbers of c and st: double or float.")] = "double",
     sample_time: Annotated[

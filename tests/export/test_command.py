@@ -57,7 +57,7 @@ def test_writes(files, source, to, names, capsys):
         (["model.toml", "--to", "ladder"], "--to ladder: no such target; there are c, st, fmu"),
         (["model.toml", "--to", "c", "--real", "half"], "--real half: no such type"),
         (["model.toml", "--to", "c", "--sample-time", "0"], "must lie between 0 and 1 s"),
-        (["controller.toml", "--to", "fmu"], "an FMU is of a plant"),
+        (["controller.toml", "--to", "fmu"], "fmu is of a plant"),
         (["controller.toml", "--to", "c", "--sample-time", "0.01"], "its own sample time"),
     ],
 )

@@ -10,11 +10,13 @@ from dmptm_ctrl.diagnosis.ladder_files import is_chain, read_chain
 from dmptm_ctrl.export.c_source import REALS, c_header, c_source
 from dmptm_ctrl.export.controller import controller_program, provenance
 from dmptm_ctrl.export.fmu import write_fmu
+from dmptm_ctrl.export.mujoco import mujoco_joint, mujoco_text
 from dmptm_ctrl.export.plant import plant_program
 from dmptm_ctrl.export.program import Program
 from dmptm_ctrl.export.python_program import python_program
 from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.export.stepping import origin
+from dmptm_ctrl.export.tables import write_tables
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.signals.toml_text import parse_toml
@@ -37,7 +39,7 @@ def export_file(
     ----------
     source : path
         model.toml of `dmptm diagnose` or controller.toml of `dmptm tune`.
-    target : {"c", "st", "fmu", "python"}
+    target : {"c", "st", "fmu", "python", "table", "mujoco"}
     out : path
         Folder; files of other names in it stay.
     real : {"double", "float"}
@@ -65,8 +67,9 @@ def export_file(
     if isinstance(model, Controller):
         if sample_time is not None:
             raise LogError(f"{source.name}: a controller has its own sample time; leave it out")
-        if target == "fmu":
-            raise LogError(f"{source.name}: an FMU is of a plant; export a controller to c or st")
+        if target not in OF_CONTROLLER:
+            kinds = ", ".join(OF_CONTROLLER)
+            raise LogError(f"{source.name}: a controller goes to {kinds}; {target} is of a plant")
     step = sample_time or SAMPLE_TIME
     with output_folder(out) as folder:
         TARGETS[target](model, source, step, real, folder)
@@ -116,9 +119,21 @@ def _to_python(model: Any, source: Path, _: float, __: str, folder: Path) -> Non
     (folder / name).write_text(python_program(model, source), encoding="utf-8")
 
 
+def _to_table(model: Any, source: Path, _: float, __: str, folder: Path) -> None:
+    write_tables(model, source, folder)
+
+
+def _to_mujoco(model: Any, source: Path, _: float, __: str, folder: Path) -> None:
+    text = mujoco_text(mujoco_joint(model), source)
+    (folder / "joint.xml").write_text(text, encoding="ascii")
+
+
+OF_CONTROLLER = ("c", "st", "python")
 TARGETS: dict[str, Callable[[Any, Path, float, str, Path], None]] = {
     "c": _to_c,
     "st": _to_st,
     "fmu": _to_fmu,
     "python": _to_python,
+    "table": _to_table,
+    "mujoco": _to_mujoco,
 }

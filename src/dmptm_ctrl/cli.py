@@ -181,6 +181,34 @@ def export(
 
 
 @app.command()
+def experiment(
+    signals: Annotated[Path, typer.Argument(help="next_experiment.csv of diagnose.")],
+    to: Annotated[str, typer.Option(help="csv, c or st (IEC 61131-3).")] = "csv",
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("experiment"),
+    model: Annotated[Path | None, typer.Option(help="model.toml; tells speed and travel.")] = None,
+    max_signal: Annotated[
+        float, typer.Option(min=0.0, help="Of each input [V, or its SI unit].")
+    ] = float("inf"),
+    max_speed: Annotated[float, typer.Option(min=0.0, help="Of the load [rad/s or m/s].")] = float(
+        "inf"
+    ),
+    max_travel: Annotated[
+        float, typer.Option(min=0.0, help="Of the load from its start [rad or m].")
+    ] = float("inf"),
+    sample_time: Annotated[float | None, typer.Option(help="Of the rig [s].")] = None,
+    real: Annotated[str, typer.Option(help="Numbers of c and st: double or float.")] = "double",
+) -> None:
+    """Write the next experiment ready to run, inside the limits of the rig."""
+    from dmptm_ctrl.export.experiment import Limits
+    from dmptm_ctrl.export.run import export_experiment
+
+    limits = Limits(max_signal, max_speed, max_travel)
+    options: dict[str, Any] = {"model": model, "real": real, "sample_time": sample_time}
+    names = export_experiment(signals, to, out, limits=limits, **options)
+    print(f"written to {out}: {', '.join(names)}")
+
+
+@app.command()
 def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for page, figures, tables.")] = Path(
         "reproduction"

@@ -9,6 +9,7 @@ from dmptm_ctrl.design.controller import Controller, read_controller
 from dmptm_ctrl.diagnosis.ladder_files import is_chain, read_chain
 from dmptm_ctrl.export.c_source import REALS, c_header, c_source
 from dmptm_ctrl.export.controller import controller_program, provenance
+from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
 from dmptm_ctrl.export.fmu import write_fmu
 from dmptm_ctrl.export.mujoco import mujoco_joint, mujoco_text
 from dmptm_ctrl.export.plant import plant_program
@@ -59,10 +60,7 @@ def export_file(
     """
     if target not in TARGETS:
         raise LogError(f"--to {target}: no such target; there are {', '.join(TARGETS)}")
-    if real not in REALS:
-        raise LogError(f"--real {real}: no such type; there are {', '.join(REALS)}")
-    if sample_time is not None and not 0.0 < sample_time < 1.0:
-        raise LogError(f"--sample-time {sample_time:g}: must lie between 0 and 1 s")
+    _check_numbers(real, sample_time)
     model = _read(source)
     if isinstance(model, Controller):
         if sample_time is not None:
@@ -74,6 +72,69 @@ def export_file(
     with output_folder(out) as folder:
         TARGETS[target](model, source, step, real, folder)
         return sorted(p.name for p in folder.iterdir())
+
+
+def export_experiment(
+    source: Path,
+    target: str,
+    out: Path,
+    *,
+    limits: Limits,
+    model: Path | None = None,
+    real: str = "double",
+    sample_time: float | None = None,
+) -> list[str]:
+    """Write a planned experiment ready to run.
+
+    Parameters
+    ----------
+    source : path
+        next_experiment.csv of `dmptm diagnose`, or a table like it.
+    target : {"csv", "c", "st"}
+    out : path
+        Folder; files of other names in it stay.
+    limits : Limits
+    model : path, optional
+        model.toml, by which speed and travel are told.
+    real : {"double", "float"}
+        Of C and Structured Text.
+    sample_time : float, optional
+        Of the rig [s]; by default the table's.
+
+    Returns
+    -------
+    list of str
+        Names of the files.
+
+    Raises
+    ------
+    LogError
+        Files that cannot be used, or limits that cannot be kept; nothing is written.
+    """
+    if target not in OF_EXPERIMENT:
+        raise LogError(f"--to {target}: an experiment goes to {', '.join(OF_EXPERIMENT)}")
+    _check_numbers(real, sample_time)
+    plant = None if model is None else _read(model)
+    if isinstance(plant, Controller):
+        raise LogError(f"--model {source.name}: that is a controller; give a model.toml")
+    table = within(read_signals(source), limits, model=plant, sample_time=sample_time)
+    program = experiment_program(table, source)
+    with output_folder(out) as folder:
+        if target == "csv":
+            text = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+            (folder / f"{program.name}.csv").write_text(text, encoding="utf-8")
+        elif target == "c":
+            _write_c(program, real, folder)
+        else:
+            (folder / f"{program.name}.st").write_text(st_source(program, real), encoding="ascii")
+        return sorted(p.name for p in folder.iterdir())
+
+
+def _check_numbers(real: str, sample_time: float | None) -> None:
+    if real not in REALS:
+        raise LogError(f"--real {real}: no such type; there are {', '.join(REALS)}")
+    if sample_time is not None and not 0.0 < sample_time < 1.0:
+        raise LogError(f"--sample-time {sample_time:g}: must lie between 0 and 1 s")
 
 
 def _read(source: Path) -> Any:
@@ -99,7 +160,10 @@ def _program(model: Any, source: Path, step: float) -> Program:
 
 
 def _to_c(model: Any, source: Path, step: float, real: str, folder: Path) -> None:
-    program = _program(model, source, step)
+    _write_c(_program(model, source, step), real, folder)
+
+
+def _write_c(program: Program, real: str, folder: Path) -> None:
     for ending, text in ((".h", c_header(program, real)), (".c", c_source(program, real))):
         (folder / f"{program.name}{ending}").write_text(text, encoding="ascii")
 
@@ -128,6 +192,7 @@ def _to_mujoco(model: Any, source: Path, _: float, __: str, folder: Path) -> Non
     (folder / "joint.xml").write_text(text, encoding="ascii")
 
 
+OF_EXPERIMENT = ("csv", "c", "st")
 OF_CONTROLLER = ("c", "st", "python")
 TARGETS: dict[str, Callable[[Any, Path, float, str, Path], None]] = {
     "c": _to_c,

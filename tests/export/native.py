@@ -3,15 +3,17 @@
 import ctypes
 import math
 import re
-import shutil
 import subprocess
 from types import SimpleNamespace
 
 import pytest
 
-COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+from dmptm_ctrl.export.c_source import c_header, c_source
+from dmptm_ctrl.export.native import FLAGS, compiler
+
+COMPILER = compiler()
+STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
-REAL = {"double": ctypes.c_double, "float": ctypes.c_float}
 
 
 def compile_c(folder, name, source, header=None):
@@ -21,33 +23,13 @@ def compile_c(folder, name, source, header=None):
     file = folder / f"{name}.c"
     file.write_text(source, encoding="ascii")
     library = folder / f"lib{name}_{len(list(folder.iterdir()))}.so"  # one of a name loads once
-    flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
-    flags += ["-shared", "-fPIC"]
-    subprocess.run([COMPILER, *flags, str(file), "-o", str(library), "-lm"], check=True)
+    subprocess.run([COMPILER, *STRICT, *FLAGS, str(file), "-o", str(library), "-lm"], check=True)
     return ctypes.CDLL(str(library))
 
 
-def c_stepper(library, program, real="double", start=()):
-    """Function of the inputs that gives the outputs of one step."""
-    number = REAL[real]
-    state = ctypes.create_string_buffer(1 << 16)
-    init = getattr(library, f"{program.name}_init")
-    init.argtypes = [ctypes.c_void_p]
-    init(state)
-    step = getattr(library, f"{program.name}_step")
-    count = len(program.outputs)
-    step.argtypes = [
-        ctypes.c_void_p,
-        *[number] * len(program.inputs),
-        *[ctypes.POINTER(number)] * count,
-    ]
-    results = [number() for _ in range(count)]
-
-    def stepped(*values):
-        step(state, *values, *(ctypes.byref(r) for r in results))
-        return [r.value for r in results]
-
-    return stepped
+def warns_of_nothing(folder, program, real="double"):
+    """Compile a program's C as strictly as the compiler can."""
+    compile_c(folder, program.name, c_source(program, real), c_header(program, real))
 
 
 WORDS = {"AND": "and", "OR": "or", "NOT": "not", "TRUE": "True", "FALSE": "False", "MOD": "%"}

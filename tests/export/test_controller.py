@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from tests.export.native import c_stepper, compile_c, needs_compiler, st_stepper
+from tests.export.native import needs_compiler, st_stepper, warns_of_nothing
 
 from dmptm_ctrl.design.controller import Controller, Notch
 from dmptm_ctrl.export.c_source import c_header, c_source
 from dmptm_ctrl.export.controller import controller_program
+from dmptm_ctrl.export.native import Compiled
 from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.simulate.model import Model
 
@@ -74,8 +75,8 @@ def expected(controller, rows):
 def test_c_gives_the_voltages_of_the_simulated_loop(name, real, tmp_path):
     controller = CONTROLLERS[name]
     program = controller_program(controller)
-    library = compile_c(tmp_path, "controller", c_source(program, real), c_header(program, real))
-    step = c_stepper(library, program, real)
+    warns_of_nothing(tmp_path, program, real)
+    step = Compiled(program, real)
     rows = readings(real)
     found = np.array([step(*row) for row in rows])
     true = expected(controller, rows)

@@ -3,12 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
-from tests.export.native import c_stepper, compile_c, needs_compiler, st_stepper
+from tests.export.native import needs_compiler, st_stepper, warns_of_nothing
 from tests.export.test_plant import rig_model
 
 from dmptm_ctrl.cli import main
-from dmptm_ctrl.export.c_source import c_header, c_source
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
+from dmptm_ctrl.export.native import Compiled
 from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate import simulate
@@ -51,10 +51,9 @@ def test_rig_of_another_shape():
 def test_c_and_structured_text_give_the_samples_and_then_nothing(tmp_path):
     table = within(TABLE, Limits(), sample_time=0.1)
     program = experiment_program(table)
-    library = compile_c(tmp_path, program.name, c_source(program), c_header(program))
-    steps = c_stepper(library, program), st_stepper(
-        st_source(program), [p.name for p in program.outputs]
-    )  # fmt: skip
+    warns_of_nothing(tmp_path, program)
+    block = st_stepper(st_source(program), [p.name for p in program.outputs])
+    steps = Compiled(program), block
     for step in steps:
         rows = np.array([step() for _ in range(len(table) + 3)])
         np.testing.assert_array_equal(rows[: len(table), 0], table.u_left_V)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from tests.export.native import c_stepper, compile_c, needs_compiler, st_stepper
+from tests.export.native import needs_compiler, st_stepper, warns_of_nothing
 
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.export.c_source import c_header, c_source
+from dmptm_ctrl.export.native import Compiled
 from dmptm_ctrl.export.plant import plant_program
 from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.simulate import simulate
@@ -70,8 +70,8 @@ def visible(name):
 
 
 def c_run(program, inputs, folder, real="double"):
-    library = compile_c(folder, program.name, c_source(program, real), c_header(program, real))
-    step = c_stepper(library, program, real)
+    warns_of_nothing(folder, program, real)
+    step = Compiled(program, real)
     return np.array([step(*row) for row in np.transpose(inputs)])
 
 

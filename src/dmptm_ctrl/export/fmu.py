@@ -2,8 +2,6 @@
 
 import hashlib
 import platform
-import shutil
-import subprocess
 import sys
 import tempfile
 import zipfile
@@ -13,11 +11,9 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import dmptm_ctrl
 from dmptm_ctrl.export.c_source import c_header, c_source
+from dmptm_ctrl.export.native import shared_library
 from dmptm_ctrl.export.program import Port, Program, ascii_text
-from dmptm_ctrl.signals import LogError
 
-COMPILERS = ("cc", "gcc", "clang")
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC")
 _BASE = {  # unit -> exponents of SI base units
     "rad": {"rad": 1},
     "rad/s": {"rad": 1, "s": -1},
@@ -58,7 +54,7 @@ def write_fmu(program: Program, sample_time: float, file: Path) -> None:
     description = _description(program, sample_time, guid, list(sources))
     sources["fmi2.c"] = sources["fmi2.c"].replace("@GUID@", guid)
     with tempfile.TemporaryDirectory() as folder:
-        binary = _compiled(Path(folder), name, sources)
+        binary = shared_library(Path(folder), name, sources)
         entries = {
             "modelDescription.xml": description.encode(),
             **{f"sources/{key}": text.encode() for key, text in sources.items()},
@@ -67,27 +63,6 @@ def write_fmu(program: Program, sample_time: float, file: Path) -> None:
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for key, content in entries.items():
             archive.writestr(zipfile.ZipInfo(key, _YEAR), content, zipfile.ZIP_DEFLATED)
-
-
-def _compiled(folder: Path, name: str, sources: dict[str, str]) -> Path:
-    compiler = next((found for c in COMPILERS if (found := shutil.which(c))), None)
-    if compiler is None:
-        raise LogError(
-            f"no C compiler found ({', '.join(COMPILERS)}); an FMU needs one for its binary; "
-            "install one, or export with --to c"
-        )
-    for key, text in sources.items():
-        (folder / key).write_text(text, encoding="ascii")
-    ending = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-    binary = folder / f"{name}{ending}"
-    texts = [str(folder / key) for key in sources if key.endswith(".c")]
-    done = subprocess.run(
-        [compiler, *FLAGS, *texts, "-o", str(binary), "-lm"], capture_output=True, text=True
-    )
-    if done.returncode != 0:
-        first = (done.stderr.strip().splitlines() or ["no message"])[0]
-        raise LogError(f"{compiler} did not compile the FMU: {first}")
-    return binary
 
 
 def _platform() -> str:

@@ -1,9 +1,11 @@
 """How often `dmptm check` raises a false alarm, and how often it finds what has moved.
 
-    python benchmarks/check.py [--machines 20] [--reruns 10] [--seed 1]
+    python benchmarks/check.py [--machines 20] [--reruns 10] [--seed 1] [--sensors all|load]
+    python benchmarks/check.py --trend docs/images/trend.png
 
 Each machine is drawn inside the declared ranges, has cogging and an unbalance, is fitted on one
-campaign of four logs with motor encoders, and checked on others: unchanged, and with one change.
+campaign of four logs, and checked on others: unchanged, and with one change. Gaps show with motor
+encoders only.
 """
 
 import argparse
@@ -13,6 +15,7 @@ import numpy as np
 
 from dmptm_ctrl.check.evidence import evidence_of, only_own
 from dmptm_ctrl.check.moved import entries_of, find_moved, information_of
+from dmptm_ctrl.check.run import check
 from dmptm_ctrl.diagnosis.residual import closed
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.fit import drive_unknowns, effect_unknowns
@@ -128,26 +131,56 @@ def checked(model, errors, logs):
     return find_moved(information_of(evidence, errors), entries_of(evidence.parameters))
 
 
+def load_only(logs):
+    """The logs without motor encoders."""
+    kept = ("u_left", "u_right", "theta_L", "omega_L")
+    return [Log(log.name, log.time, {k: log[k] for k in kept}) for log in logs]
+
+
+def draw_trend(file, seed):
+    """Picture of a ring gear whose friction grows by a quarter in half a year."""
+    rng = np.random.default_rng([seed, 0])
+    truth = machine(rng)
+    model, errors = fitted(truth, campaign(truth, rng))
+    logs = []
+    for month, growth in enumerate((1.0, 1.01, 1.05, 1.11, 1.18, 1.25), start=1):
+        names = ("TLs_plus", "TLc_plus", "TLs_minus", "TLc_minus")
+        worn = truth.with_values(**{n: growth * truth.drive[n] for n in names})
+        for log in campaign(worn, rng):
+            name = f"2026-{month:02d}-01_{log.name}"
+            logs.append(Log(name, log.time, {k: log[k] for k in log.channels}))
+    found = check(logs, model, errors=errors)
+    print(found.summary())
+    found.plot().get_figure().savefig(file, dpi=110, bbox_inches="tight")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--machines", type=int, default=20)
     parser.add_argument("--reruns", type=int, default=10)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--sensors", choices=("all", "load"), default="all")
+    parser.add_argument("--trend", help="picture to draw instead")
     asked = parser.parse_args()
+    if asked.trend:
+        draw_trend(asked.trend, asked.seed)
+        return
+    seen = load_only if asked.sensors == "load" else list
+    changes = [k for k in CHANGES if asked.sensors == "all" or "gap" not in k]
     alarms, runs, found, named = 0, 0, dict.fromkeys(CHANGES, 0), dict.fromkeys(CHANGES, 0)
     began = time.time()
     for k in range(asked.machines):
         rng = np.random.default_rng([asked.seed, k])
         truth = machine(rng)
-        model, errors = fitted(truth, campaign(truth, rng))
+        model, errors = fitted(truth, seen(campaign(truth, rng)))
         for _ in range(asked.reruns):
-            moved, _ = checked(model, errors, campaign(truth, rng))
+            moved, _ = checked(model, errors, seen(campaign(truth, rng)))
             runs += 1
             if moved:
                 alarms += 1
                 print("false alarm:", "; ".join(c.text() for c in moved), flush=True)
-        for what in CHANGES:
-            moved, alone = checked(model, errors, campaign(changed(truth, what), rng))
+        for what in changes:
+            moved, alone = checked(model, errors, seen(campaign(changed(truth, what), rng)))
             found[what] += bool(moved)
             first = moved[0].entry.name if moved else "-"
             named[what] += first == what
@@ -155,7 +188,7 @@ def main():
                 own = next(c for c in alone if c.entry.name == what)
                 print(f"{what}: first {first}; alone {own.text()}", flush=True)
     print(f"{runs} checks of unchanged machines: {alarms} false alarms")
-    for what in CHANGES:
+    for what in changes:
         print(
             f"{what} x {CHANGES[what]}: found {found[what]}, named first {named[what]} "
             f"of {asked.machines}"

@@ -187,6 +187,22 @@ def information_of(evidence: Evidence, errors: Mapping[str, float]) -> Informati
     )
 
 
+def beside(
+    information: Information, entries: Sequence[Entry], moved: Sequence[Entry]
+) -> list[Change]:
+    """Return every entry refitted beside those that moved, which are free."""
+    found = []
+    for entry in entries:
+        rest = information
+        for other in moved:
+            if other.name != entry.name:
+                rest = rest.without(other)
+        change = rest.change(entry)
+        if change is not None:
+            found.append(change)
+    return found
+
+
 def threshold(count: int) -> float:
     """Standard errors beyond which one of `count` entries counts as moved."""
     return float(norm.isf(0.5 * FALSE_ALARMS / max(count, 1)))

@@ -12,6 +12,8 @@ from dmptm_ctrl.check.evidence import AnyModel, Evidence, evidence_of, only_own
 from dmptm_ctrl.check.moved import (
     TOLERANCE,
     Change,
+    Information,
+    beside,
     entries_of,
     find_moved,
     information_of,
@@ -45,7 +47,7 @@ class Check:
     logs : tuple of str
         Names of the logs that decide.
     trend : dict of datetime to list of Change
-        Every entry per date, where the logs' names have dates.
+        Every entry per date, where the logs' names have dates; beside what moved at any date.
     """
 
     moved: list[Change]
@@ -102,17 +104,28 @@ class Check:
             ],
         }
 
-    def save(self, folder: Path) -> None:
-        """Write check.json, and trend.png where there are dates."""
+    def plot(self, *, ax: Any = None) -> Any:
+        """Draw the entries over the dates of the logs.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+
+        Returns
+        -------
+        Axes
+        """
         from dmptm_ctrl.plots.trend import plot_trend
 
+        return plot_trend(list(self.trend), _series(self.trend), ax=ax)
+
+    def save(self, folder: Path) -> None:
+        """Write check.json, and trend.png where there are dates."""
         with output_folder(folder) as out:
             text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
             (out / "check.json").write_text(text + "\n", encoding="utf-8")
             if len(self.trend) > 1:
-                figure = plot_trend(list(self.trend), _series(self.trend)).get_figure(root=True)
-                assert figure is not None
-                figure.savefig(out / "trend.png", dpi=150)
+                self.plot().get_figure(root=True).savefig(out / "trend.png", dpi=150)
 
 
 def check(
@@ -163,26 +176,32 @@ def check(
         date = date_of(log.name)
         if date is not None:
             dated.setdefault(date, []).append(log)
-    newest = dated[max(dated)] if dated else list(loaded)
-    evidence, moved, alone = _found(model, newest, errors or {}, tolerance, jobs)
-    trend = {}
-    if len(dated) > 1:
-        for date in sorted(dated):
-            same = dated[date] is newest
-            trend[date] = alone if same else _found(
-                model, dated[date], errors or {}, tolerance, jobs
-            )[2]  # fmt: skip
-    names = tuple(log.name for log in newest)
+    told = {date: _told(model, dated[date], errors or {}, jobs) for date in sorted(dated)}
+    if not told:
+        told = {datetime.min: _told(model, list(loaded), errors or {}, jobs)}
+    entries = {date: entries_of(evidence.parameters) for date, (evidence, _) in told.items()}
+    found = {
+        date: find_moved(information, entries[date], tolerance)
+        for date, (_, information) in told.items()
+    }
+    newest = max(told)
+    moved, alone = found[newest]
+    ever = {c.entry.name: c.entry for changes, _ in found.values() for c in changes}
+    trend = {
+        date: beside(information, entries[date], list(ever.values()))
+        for date, (_, information) in told.items()
+        if len(told) > 1
+    }
+    evidence = told[newest][0]
+    names = tuple(log.name for log in dated.get(newest, loaded))
     return Check(moved, alone, evidence.torque_rms, floor, evidence.unit, names, trend)
 
 
-def _found(
-    model: AnyModel, logs: Sequence[Log], errors: Mapping[str, float], tolerance: float, jobs: int
-) -> tuple[Evidence, list[Change], list[Change]]:
+def _told(
+    model: AnyModel, logs: Sequence[Log], errors: Mapping[str, float], jobs: int
+) -> tuple[Evidence, Information]:
     evidence = only_own(evidence_of(model, logs, jobs))
-    information = information_of(evidence, errors)
-    moved, alone = find_moved(information, entries_of(evidence.parameters), tolerance)
-    return evidence, moved, alone
+    return evidence, information_of(evidence, errors)
 
 
 def date_of(name: str) -> datetime | None:

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 
 from dmptm_ctrl.plots.style import SEQUENCE, axes
 
-SHOWN = 8  # entries: those that move most, in their standard errors
-MARKERS = "osD^v<>p"
+SHOWN = 6  # entries: those that move most, in their standard errors
+MARKERS = "osD^v<"
 
 
 def plot_trend(

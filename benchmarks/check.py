@@ -4,8 +4,8 @@
     python benchmarks/check.py --trend docs/images/trend.png
 
 Each machine is drawn inside the declared ranges, has cogging and an unbalance, is fitted on one
-campaign of four logs, and checked on others: unchanged, and with one change. Gaps show with motor
-encoders only.
+campaign of four logs, and checked on others: unchanged, and with one change. Gaps and cogging
+show with motor encoders only.
 """
 
 import argparse
@@ -37,6 +37,7 @@ CHANGES = {
     "gap of the left mesh": 1.2,
     "cogging": 2.0,
 }
+SEEN_AT_THE_RING = ("friction of the ring gear",)
 
 
 def machine(rng):
@@ -166,7 +167,7 @@ def main():
         draw_trend(asked.trend, asked.seed)
         return
     seen = load_only if asked.sensors == "load" else list
-    changes = [k for k in CHANGES if asked.sensors == "all" or "gap" not in k]
+    changes = [k for k in CHANGES if asked.sensors == "all" or k in SEEN_AT_THE_RING]
     alarms, runs, found, named = 0, 0, dict.fromkeys(CHANGES, 0), dict.fromkeys(CHANGES, 0)
     began = time.time()
     for k in range(asked.machines):

@@ -1,8 +1,10 @@
 """What has moved: by hand, and against a fit by another method."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import t as student
 
 from dmptm_ctrl.check.evidence import Evidence, Parameter, only_own
 from dmptm_ctrl.check.moved import (
@@ -28,7 +30,7 @@ def evidence(rng, change, model_error=0.0, rows=400):
     """Residual of a machine that differs by `change`, of a model that is off by `model_error`."""
     slopes = rng.standard_normal((rows, len(KEYS)))
     left = rng.standard_normal(rows) - slopes @ (np.asarray(change) + model_error)
-    return Evidence(left, slopes, parameters(), 1.0, "N·m")
+    return Evidence(left, slopes, parameters(), np.arange(rows), 1.0, "N·m")
 
 
 def test_change_and_error_are_those_of_least_squares():
@@ -56,7 +58,8 @@ def test_the_model_s_own_errors_widen_it_as_the_whole_covariance_says():
     column = found.slopes @ np.array([0, 0, 0, 3.0, 4.0])
     told = column @ np.linalg.solve(whole, column)
     expected = -column @ np.linalg.solve(whole, found.left) / told
-    change = information_of(found, {}).change(entry)
+    information = information_of(found, {})
+    change = replace(information, scores=0.0 * information.scores).change(entry)
     assert change.change == pytest.approx(expected, rel=1e-6)
     assert change.se == pytest.approx(told**-0.5, rel=1e-6)
 
@@ -75,9 +78,23 @@ def test_errors_are_as_large_as_said():
     np.testing.assert_allclose(scatter, 1.0, atol=0.2)
 
 
+def test_rows_that_are_wrong_alike_count_once():
+    """Ten equal rows a stretch: errors that took them for ten would be a third of the scatter."""
+    rng = np.random.default_rng(8)
+    sizes = []
+    for _ in range(300):
+        one = evidence(rng, np.zeros(len(KEYS)), rows=60)
+        slopes, left = np.repeat(one.slopes, 10, axis=0), np.repeat(one.left, 10)
+        found = replace(one, slopes=slopes, left=left, stretch=np.repeat(np.arange(60), 10))
+        information = information_of(found, dict.fromkeys(KEYS, 1e-9))
+        sizes.append([information.change(e).errors for e in entries_of(found.parameters)])
+    np.testing.assert_allclose(np.std(sizes, axis=0), 1.0, atol=0.25)
+
+
 def test_false_alarms_are_shared_among_the_entries():
-    for count in (1, 12):
-        assert 2 * count * norm.sf(threshold(count)) == pytest.approx(FALSE_ALARMS)
+    for count, stretches in ((1, 10), (12, 40)):
+        tail = student.sf(threshold(count, stretches), stretches - 1)
+        assert 2 * count * tail == pytest.approx(FALSE_ALARMS)
 
 
 def test_names_one_change_and_then_another():
@@ -106,7 +123,7 @@ def test_what_belongs_to_a_log_is_no_change():
     slopes = rng.standard_normal((300, 2))
     left = rng.standard_normal(300) - 5.0 * slopes[:, 1]
     of_log = Parameter("log.zero", "", 0.0, 1.0, np.inf, own=False)
-    found = only_own(Evidence(left, slopes, (parameters()[2], of_log), 1.0, "N·m"))
+    found = only_own(Evidence(left, slopes, (parameters()[2], of_log), np.arange(300), 1.0, "N·m"))
     assert [p.key for p in found.parameters] == ["J_L"]
     assert find_moved(information_of(found, {}), entries_of(found.parameters))[0] == []
     assert np.std(found.left) == pytest.approx(1.0, abs=0.1)

@@ -20,7 +20,7 @@ from dmptm_ctrl.identify.chain_fit import ROWS_PER_NEWS, State, jacobian, residu
 from dmptm_ctrl.identify.chain_free import free_parameters, scales_of
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
-from dmptm_ctrl.identify.records import record, started
+from dmptm_ctrl.identify.records import Record, record, started
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 from dmptm_ctrl.simulate.chain_model import ChainModel
@@ -45,7 +45,7 @@ class Parameter:
     prior : float
         Standard deviation of what is declared about it, in scales; infinite for nothing.
     own : bool
-        Whether it is the machine's; else it belongs to a log.
+        Whether it is the machine's, and these logs can tell it; else it is free in the balance.
     """
 
     key: str
@@ -74,6 +74,8 @@ class Evidence:
     slopes : (m, k) array
         Per scale of each parameter.
     parameters : tuple of Parameter
+    stretch : (m,) array of int
+        Which second of which log and equation a row is of: within one, rows may be wrong alike.
     torque_rms : float
         Residual of the whole drive's balance, robust against bursts.
     unit : str
@@ -83,6 +85,7 @@ class Evidence:
     left: Floats
     slopes: Floats
     parameters: tuple[Parameter, ...]
+    stretch: NDArray[np.int64]
     torque_rms: float
     unit: str
 
@@ -120,19 +123,38 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
         or parts
     )
     values = [_value(model, k) for k in unknowns]
+    seconds = [rec.dt * rec.omega.size for rec in records]
+    sizes = [(p.size, seconds[e.motion]) for p, e in zip(parts, balance.equations, strict=True)]
     return Evidence(
         weight * left,
         weight[:, None] * slopes,
         tuple(
             Parameter(
                 k.name if k.effect is None else f"{k.effect}.{k.name}",
-                _unit(model, k), value, k.scale, float(k.prior),
+                _unit(model, k), value, k.scale, float(k.prior), _shows(k, records),
             )
             for k, value in zip(unknowns, values, strict=True)
         ),
+        _stretches(sizes),
         float(1.4826 * np.median(np.abs(total))),
         "N·m",
     )  # fmt: skip
+
+
+def _stretches(parts: Sequence[tuple[int, float]]) -> NDArray[np.int64]:
+    """Number the stretches of one second in parts of so many rows and seconds."""
+    found, first = [], 0
+    for rows, seconds in parts:
+        count = max(int(seconds), 1)
+        found.append(first + np.arange(rows) * count // max(rows, 1))
+        first += count
+    return np.concatenate(found)
+
+
+def _shows(unknown: Unknown, records: Sequence[Record]) -> bool:
+    """Whether a log can tell it; where a motor is in its gap, no ring gear's sensor says."""
+    turns = unknown.effect is not None and "theta_m" in CATALOGUE[unknown.effect].depends_on
+    return not turns or all(rec.twist is not None for rec in records)
 
 
 def _moves(unknown: Unknown) -> bool:
@@ -211,6 +233,13 @@ def _of_chain(model: ChainModel, logs: Sequence[Log], jobs: int) -> Evidence:
         weight * flat,
         weight[:, None] * columns,
         tuple(parameters),
+        _stretches(
+            [
+                (part.shape[1], motion.dt * motion.time.size)
+                for part, motion in zip(left, balance.motions, strict=True)
+                for _ in range(count)
+            ]
+        ),
         float(np.sqrt(np.mean(first**2))),
         "N" if linear else "N·m",
     )

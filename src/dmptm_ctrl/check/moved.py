@@ -3,6 +3,9 @@
 With residual e, slopes J and the model's own covariance P, the residual of an unchanged machine
 has the covariance V = 1 + J P Jᵀ. A change d of an entry along v adds −J v d. So
 d = −vᵀg / vᵀHv with g = Jᵀ V⁻¹ e, H = Jᵀ V⁻¹ J, and its standard error is (vᵀHv)^(−1/2).
+Rows of one second may be wrong alike: where the scores of these stretches scatter by more than
+rows of their own would, the standard error grows as much (the cluster-robust one of Liang & Zeger,
+Biometrika 73 (1986) 13).
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,14 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import t as student
 
 from dmptm_ctrl.check.evidence import Evidence, Parameter
 
 Floats = NDArray[np.float64]
 FALSE_ALARMS = 0.01  # of checks of an unchanged machine, over all entries together
 LARGE = 1e6  # scales, standard deviation of what is not known at all
-LEAST = 1e-9  # information below which the logs say nothing of an entry
 MOST = 4  # entries named in one check
 TOLERANCE = 0.05  # of an entry's value: a change within it is none
 
@@ -127,23 +129,41 @@ def _group(parameter: Parameter) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """g and H of this module's head, in scales of the parameters."""
+    """g and H of this module's head, in scales of the parameters.
+
+    Attributes
+    ----------
+    rows : (k, k) array
+        Jᵀ J.
+    scores : (stretches, k) array
+        Jᵀ r of each stretch, r what is left once every parameter is free.
+    seen : (k, k) array
+        V⁻¹ J v is J (seen v).
+    """
 
     parameters: tuple[Parameter, ...]
     gradient: Floats
     square: Floats
+    rows: Floats
+    scores: Floats
+    seen: Floats
 
     def vector(self, entry: Entry) -> Floats:
         """Direction of an entry."""
         return np.array([entry.along.get(p.key, 0.0) / p.scale for p in self.parameters])
 
     def change(self, entry: Entry) -> Change | None:
-        """Refit an entry alone; None where the logs say nothing of it."""
+        """Refit an entry alone; None where the logs tell it no finer than its own size."""
         v = self.vector(entry)
         told = float(v @ self.square @ v)
-        if not told * entry.size**2 > LEAST:
+        if not told * entry.size**2 > 1.0:
             return None
-        return Change(entry, -float(v @ self.gradient) / told, told**-0.5)
+        w = self.seen @ v
+        single, alike = float(w @ self.rows @ w), float(np.sum((self.scores @ w) ** 2))
+        variance = 1.0 / told + max(alike - single, 0.0) / told**2
+        if variance > entry.size**2:
+            return None
+        return Change(entry, -float(v @ self.gradient) / told, variance**0.5)
 
     def without(self, entry: Entry) -> "Information":
         """Return what is left once an entry is free."""
@@ -154,6 +174,9 @@ class Information:
             self.parameters,
             self.gradient - h * (float(v @ self.gradient) / told),
             self.square - np.outer(h, h) / told,
+            self.rows,
+            self.scores,
+            self.seen - np.outer(self.seen @ v, h) / told,
         )
 
 
@@ -180,10 +203,15 @@ def information_of(evidence: Evidence, errors: Mapping[str, float]) -> Informati
     )
     known = own * np.outer(told / sd, told / sd)
     inner = np.linalg.inv(np.linalg.inv(known) + square)
+    rest = e - j @ (own @ gradient)
+    first = np.flatnonzero(np.diff(evidence.stretch, prepend=-1))
     return Information(
         evidence.parameters,
         gradient - square @ inner @ gradient,
         square - square @ inner @ square,
+        square,
+        np.add.reduceat(j * rest[:, None], first, axis=0),
+        np.eye(len(square)) - inner @ square,
     )
 
 
@@ -203,9 +231,12 @@ def beside(
     return found
 
 
-def threshold(count: int) -> float:
-    """Standard errors beyond which one of `count` entries counts as moved."""
-    return float(norm.isf(0.5 * FALSE_ALARMS / max(count, 1)))
+def threshold(count: int, stretches: int) -> float:
+    """Standard errors beyond which one of `count` entries counts as moved.
+
+    The errors themselves are known from `stretches` stretches of the logs: Student's t.
+    """
+    return float(student.isf(0.5 * FALSE_ALARMS / max(count, 1), max(stretches - 1, 1)))
 
 
 def find_moved(
@@ -216,7 +247,7 @@ def find_moved(
     An entry counts beside others only for what these leave.
     """
     alone = [c for entry in entries if (c := information.change(entry)) is not None]
-    limit = threshold(len(alone))
+    limit = threshold(len(alone), len(information.scores))
     moved: list[Change] = []
     rest = information
     while len(moved) < MOST:

@@ -17,7 +17,6 @@ from dmptm_ctrl.check.moved import (
     entries_of,
     find_moved,
     information_of,
-    threshold,
 )
 from dmptm_ctrl.diagnosis.ladder_files import is_chain, read_chain
 from dmptm_ctrl.signals import Log, load_logs
@@ -83,11 +82,7 @@ class Check:
                 "run dmptm diagnose on these logs"
             )
         else:
-            limit = threshold(len(self.alone))
-            lines.append(
-                f"still the same machine: none of {len(self.alone)} entries moved "
-                f"(limit: {limit:.2f} standard errors beyond the tolerance)"
-            )
+            lines.append(f"still the same machine: none of {len(self.alone)} entries moved")
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:

@@ -16,10 +16,10 @@ from dmptm_ctrl.diagnosis.residual import balances
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import columns as dual_columns
 from dmptm_ctrl.identify.balance import role_of, weights
-from dmptm_ctrl.identify.chain_fit import ROWS_PER_NEWS, State, jacobian, residuals
-from dmptm_ctrl.identify.chain_free import free_parameters, scales_of
+from dmptm_ctrl.identify.chain_fit import ROWS_PER_NEWS, State, fit_chain, jacobian, residuals
+from dmptm_ctrl.identify.chain_free import Free, free_parameters, log_parameters, scales_of
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
-from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.records import Record, record, started
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
@@ -188,22 +188,27 @@ def _settled(left: Floats, slopes: Floats, prior: Floats, weigh: object) -> Floa
     for _ in range(ROUNDS):
         weight = weigh(rest)  # type: ignore[operator]
         j = weight[:, None] * slopes
-        square = j.T @ j + np.diag(1.0 / np.maximum(LOOSE * prior, 1.0) ** 2)
+        square = j.T @ j + np.diag(np.clip(LOOSE * prior, 1.0, LARGE) ** -2.0)
         rest = left - slopes @ np.linalg.solve(square, j.T @ (weight * left))
     return np.asarray(weigh(rest))  # type: ignore[operator]
 
 
+LARGE = 1e3  # scales, standard deviation of what is not known at all
+PLACES = 8  # of a zero, tried in one period
 ROUNDS = 3
 LOOSE = 10.0  # of the declared ranges: a worn machine may leave them
 
 
 def _of_chain(model: ChainModel, logs: Sequence[Log], jobs: int) -> Evidence:
-    balance = balance_of(model.rig, logs)
-    state = State(model)
-    frees = tuple(free_parameters(model, balance, scales_of(balance)))
-    left, drive = residuals(state, balance)
-    if sum(float(np.abs(part).max(initial=0.0)) > 0.0 for part in drive) == 0:
+    sensors = [s.channel for s in model.rig.sensors]
+    if not any(np.ptp(log[channel]) > 0.0 for log in logs for channel in sensors):
         raise LogError("nothing to check: the drive does not move in these logs")
+    balance = balance_of(model.rig, logs)
+    of_logs = [log_parameters(model, balance, m.name, "") for m in balance.motions]
+    state = _zeroed(State(model), balance, of_logs)
+    machine = free_parameters(model, balance, scales_of(balance), nuisances=False)
+    frees = (*machine, *(free for frees in of_logs for free in frees))
+    left, _ = residuals(state, balance)
     slopes = jacobian(state, balance, frees, left, jobs=jobs)
     count = left[0].shape[0]
     sizes = [part.shape[1] for part in left]
@@ -243,6 +248,26 @@ def _of_chain(model: ChainModel, logs: Sequence[Log], jobs: int) -> Evidence:
         float(np.sqrt(np.mean(first**2))),
         "N" if linear else "N·m",
     )
+
+
+def _zeroed(state: State, balance: Balance, of_logs: Sequence[Sequence[Free]]) -> State:
+    """Find where each log's encoder has its zero: any angle, so that slopes alone would not do."""
+    for motion, frees in zip(balance.motions, of_logs, strict=True):
+        alone = balance.only([motion.name])
+        for free in frees:
+            if free.kind != "zero":
+                continue
+            effect = next(e for e in state.model.effects if e.key == free.name)
+            turn = 2.0 * np.pi / effect.values.get("order", 1.0)
+            tried = [state.moved([free], [turn * k / PLACES]) for k in range(PLACES)]
+            state = min(tried, key=lambda one: _misfit(one, alone))
+    flat = [free for frees in of_logs for free in frees]
+    return fit_chain(state, balance, frees=flat).state if flat else state
+
+
+def _misfit(state: State, balance: Balance) -> float:
+    left, _ = residuals(state, balance)
+    return float(sum(np.sum(part**2) for part in left))
 
 
 def only_own(evidence: Evidence) -> Evidence:

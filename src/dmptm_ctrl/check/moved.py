@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from dmptm_ctrl.check.evidence import Evidence, Parameter
+from dmptm_ctrl.check.evidence import LARGE, Evidence, Parameter
 
 Floats = NDArray[np.float64]
 FALSE_ALARMS = 0.01  # of checks of an unchanged machine, over all entries together
-LARGE = 1e6  # scales, standard deviation of what is not known at all
 MOST = 4  # entries named in one check
 TOLERANCE = 0.05  # of an entry's value: a change within it is none
 
@@ -244,7 +243,8 @@ def find_moved(
 ) -> tuple[list[Change], list[Change]]:
     """Return what has moved, the clearest first, and every entry refitted alone.
 
-    An entry counts beside others only for what these leave.
+    An entry counts beside others only for what these leave. A factor goes before a single
+    amplitude.
     """
     alone = [c for entry in entries if (c := information.change(entry)) is not None]
     limit = threshold(len(alone), len(information.scores))
@@ -256,7 +256,7 @@ def find_moved(
         clear = [c for c in tried if c is not None and c.beyond(tolerance) > limit]
         if not clear:
             break
-        best = max(clear, key=lambda c: abs(c.errors))
+        best = max(clear, key=lambda c: (not c.entry.unit, abs(c.errors)))
         moved.append(best)
         rest = rest.without(best.entry)
     return moved, alone

@@ -134,31 +134,22 @@ def tune(
 def check(
     logs: Annotated[list[Path], typer.Argument(help="A folder of new logs, or the files.")],
     model: Annotated[Path, typer.Option(help="model.toml, as diagnose writes it.")],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for check.json and, of dated logs, trend.png.")
-    ] = None,
-    tolerance: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Share by which an entry may differ.")
-    ] = 0.05,
+    out: Annotated[Path | None, typer.Option(help="Folder for check.json and trend.png.")] = None,
+    tolerance: Annotated[float, typer.Option(help="Share by which an entry may differ.")] = 0.05,
     jobs: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
     quiet: Annotated[bool, typer.Option("--quiet", help="No summary.")] = False,
 ) -> int:
     """Is the machine still the one that a model describes? Exit code 0: yes, 1: no."""
-    import matplotlib
+    from dmptm_ctrl.check.run import check_files
 
-    from dmptm_ctrl.check.run import check as run_check
-    from dmptm_ctrl.signals.atomic import check_folder
-
-    matplotlib.use("Agg")  # no windows
-    if out is not None:
-        check_folder(out)
-    source = logs[0] if len(logs) == 1 else logs
-    found = run_check(source, model, tolerance=tolerance, jobs=jobs)
-    if out is not None:
-        found.save(out)
+    found = check_files(logs, model, out, tolerance=tolerance, jobs=jobs)
     if not quiet:
         print(_printable(found.summary()))
     return 0 if found.same else 1
+
+
+_REAL = Annotated[str, typer.Option(help="Numbers of c and st: double or float.")]
+_STEP = Annotated[float | None, typer.Option(help="Time between samples of the program [s].")]
 
 
 @app.command()
@@ -166,18 +157,14 @@ def export(
     model: Annotated[Path, typer.Argument(help="model.toml of diagnose, controller.toml of tune.")],
     to: Annotated[str, typer.Option(help="c, st, fmu, python, table or mujoco.")],
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("export"),
-    real: Annotated[str, typer.Option(help="Numbers of c and st: double or float.")] = "double",
-    sample_time: Annotated[
-        float | None, typer.Option(help="Of a plant [s]; 0.001 if not given.")
-    ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No summary.")] = False,
+    real: _REAL = "double",
+    sample_time: _STEP = None,
 ) -> None:
     """Write a model or a controller as a program where users run it."""
     from dmptm_ctrl.export.run import export_file
 
     names = export_file(model, to, out, real=real, sample_time=sample_time)
-    if not quiet:
-        print(f"written to {out}: {', '.join(names)}")
+    print(f"written to {out}: {', '.join(names)}")
 
 
 @app.command()
@@ -185,18 +172,12 @@ def experiment(
     signals: Annotated[Path, typer.Argument(help="next_experiment.csv of diagnose.")],
     to: Annotated[str, typer.Option(help="csv, c or st (IEC 61131-3).")] = "csv",
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("experiment"),
-    model: Annotated[Path | None, typer.Option(help="model.toml; tells speed and travel.")] = None,
-    max_signal: Annotated[
-        float, typer.Option(min=0.0, help="Of each input [V, or its SI unit].")
-    ] = float("inf"),
-    max_speed: Annotated[float, typer.Option(min=0.0, help="Of the load [rad/s or m/s].")] = float(
-        "inf"
-    ),
-    max_travel: Annotated[
-        float, typer.Option(min=0.0, help="Of the load from its start [rad or m].")
-    ] = float("inf"),
-    sample_time: Annotated[float | None, typer.Option(help="Of the rig [s].")] = None,
-    real: Annotated[str, typer.Option(help="Numbers of c and st: double or float.")] = "double",
+    model: Annotated[Path | None, typer.Option(help="model.toml: tells speed, travel.")] = None,
+    max_signal: Annotated[float, typer.Option(help="Of an input [V or SI].")] = float("inf"),
+    max_speed: Annotated[float, typer.Option(help="Of the load [rad/s or m/s].")] = float("inf"),
+    max_travel: Annotated[float, typer.Option(help="Of the load [rad or m].")] = float("inf"),
+    sample_time: _STEP = None,
+    real: _REAL = "double",
 ) -> None:
     """Write the next experiment ready to run, inside the limits of the rig."""
     from dmptm_ctrl.export.experiment import Limits

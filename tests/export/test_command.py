@@ -11,6 +11,7 @@ from tests.export.test_plant import RIG, TIME, VOLTS, rig_model
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.design.controller import Controller, Notch
 from dmptm_ctrl.diagnosis.ladder_files import chain_to_toml
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
 
@@ -70,11 +71,26 @@ def test_bad_input_is_one_line_and_nothing_written(files, arguments, message, ca
     assert not out.exists()
 
 
+def test_an_effect_that_is_no_scalar_arithmetic_is_refused_in_one_line(files, monkeypatch, capsys):
+    def halved(theta_L, omega_L, t, p):
+        while theta_L > 1.0:
+            theta_L = 0.5 * theta_L
+        return theta_L
+
+    kernel = CATALOGUE["unbalance"]._replace(kernel=halved)
+    monkeypatch.setitem(CATALOGUE, "unbalance", kernel)
+    out = files / "out"
+    assert main(["export", str(files / "model.toml"), "--to", "c", "--out", str(out)]) == 2
+    line = capsys.readouterr().err
+    assert "model.toml: an effect has no program: cannot follow a While" in line
+    assert not out.exists()
+
+
 def test_controller_as_python_control(files):
     main(["export", str(files / "controller.toml"), "--to", "python", "--out", str(files / "out")])
     found = runpy.run_path(str(files / "out" / "controller.py"))["feedback"]
     true = CONTROLLER.to_discrete()
-    assert isinstance(found, ct.TransferFunction)
+    assert isinstance(found, ct.StateSpace)
     assert found.dt == CONTROLLER.sample_time
     z = np.exp(1j * np.linspace(0.1, 3.0, 20))
     np.testing.assert_allclose(found(z), true(z), rtol=1e-12)

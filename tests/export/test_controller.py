@@ -110,6 +110,12 @@ def test_structured_text_is_of_the_language(name, real):
     assert items[0].name == "controller"
 
 
+def test_a_controller_without_a_limit_has_none():
+    free = controller_program(Controller(12.0, 60.0, np.inf))
+    assert "INFINITY" not in c_source(free)
+    assert st_source(free).count("MIN(") == 0
+
+
 def test_only_what_it_uses_is_in_it():
     plain = c_source(controller_program(CONTROLLERS["pi"]))
     assert "section" not in plain

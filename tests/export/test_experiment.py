@@ -91,6 +91,8 @@ def test_bad_tables(text, message, tmp_path):
 
 
 def test_limits_that_need_a_model_or_cannot_be_kept(tmp_path):
+    with pytest.raises(LogError, match="a limit is not positive"):
+        within(TABLE, Limits(signal=0.0))
     with pytest.raises(LogError, match="need a model"):
         within(TABLE, Limits(speed=1.0))
     with pytest.raises(LogError, match="1 signals, and the model has 2"):

@@ -243,8 +243,8 @@ def find_moved(
 ) -> tuple[list[Change], list[Change]]:
     """Return what has moved, the clearest first, and every entry refitted alone.
 
-    An entry counts beside others only for what these leave. A factor goes before a single
-    amplitude.
+    An entry counts beside others only for what these leave. A factor goes before a
+    single amplitude where it is enough.
     """
     alone = [c for entry in entries if (c := information.change(entry)) is not None]
     limit = threshold(len(alone), len(information.scores))
@@ -256,7 +256,13 @@ def find_moved(
         clear = [c for c in tried if c is not None and c.beyond(tolerance) > limit]
         if not clear:
             break
-        best = max(clear, key=lambda c: (not c.entry.unit, abs(c.errors)))
+        best = max(clear, key=lambda c: abs(c.errors))
+        for whole in clear:  # all amplitudes by one factor, where that is enough
+            if whole.entry.unit == "" and best.entry.name.startswith(f"{whole.entry.name}."):
+                left = rest.without(whole.entry).change(best.entry)
+                if left is None or left.beyond(tolerance) <= limit:
+                    best = whole
+                    break
         moved.append(best)
         rest = rest.without(best.entry)
     return moved, alone

@@ -19,8 +19,8 @@ from dmptm_ctrl.check.moved import (
     information_of,
 )
 from dmptm_ctrl.diagnosis.ladder_files import is_chain, read_chain
-from dmptm_ctrl.signals import Log, load_logs
-from dmptm_ctrl.signals.atomic import output_folder
+from dmptm_ctrl.signals import Log, LogError, load_logs
+from dmptm_ctrl.signals.atomic import check_folder, output_folder
 from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.model_file import read_model
 
@@ -190,6 +190,29 @@ def check(
     evidence = told[newest][0]
     names = tuple(log.name for log in dated.get(newest, loaded))
     return Check(moved, alone, evidence.torque_rms, floor, evidence.unit, names, trend)
+
+
+def check_files(
+    logs: Sequence[Path], model: Path, out: Path | None, *, tolerance: float, jobs: int
+) -> Check:
+    """Check log files, and write the result to a folder if there is to be one.
+
+    Raises
+    ------
+    LogError
+        Logs, a model file or a tolerance that cannot be used; nothing is written.
+    """
+    import matplotlib
+
+    if not 0.0 <= tolerance <= 1.0:
+        raise LogError(f"--tolerance {tolerance:g}: must lie between 0 and 1")
+    if out is not None:
+        check_folder(out)
+    found = check(logs[0] if len(logs) == 1 else logs, model, tolerance=tolerance, jobs=jobs)
+    if out is not None:
+        matplotlib.use("Agg")  # no windows
+        found.save(out)
+    return found
 
 
 def _told(

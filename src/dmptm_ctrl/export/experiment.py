@@ -98,6 +98,8 @@ def within(
     clock = np.arange(time[0], time[-1] + 0.5 * dt, dt)
     rows = np.clip(np.searchsorted(time, clock + 1e-9, side="right") - 1, 0, time.size - 1)
     names = [c for c in table.columns if c != TIME]
+    if not min(limits.signal, limits.speed, limits.travel) > 0.0:
+        raise LogError("a limit is not positive; no signal keeps it")
     signals = np.clip(table[names].to_numpy(float).T[:, rows], -limits.signal, limits.signal)
     if min(limits.speed, limits.travel) < inf:
         if model is None:

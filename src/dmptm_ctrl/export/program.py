@@ -259,6 +259,9 @@ def _simple(op: str, a: Any, b: Any = None) -> Any:
         return b if _is(a, 1) else a if _is(b, 1) else None
     if op == "mod" and _is(b, 1):
         return 0
+    if op in ("min", "max"):
+        beyond = math.inf if op == "min" else -math.inf
+        return a if known(b) and b == beyond else b if known(a) and a == beyond else None
     if op == "neg" and isinstance(a, Op) and a.op == "neg":
         return a.args[0]
     if op in ("and", "or"):

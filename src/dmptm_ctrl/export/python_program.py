@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.diagnosis.code import rebuilding_code
 from dmptm_ctrl.export.controller import provenance
@@ -12,9 +14,11 @@ from dmptm_ctrl.simulate.chain_model import ChainModel
 _CONTROLLER = """\
 import control as ct
 
-feedback = ct.tf(
-    {num!r},
-    {den!r},
+feedback = ct.ss(
+    {a!r},
+    {b!r},
+    {c!r},
+    {d!r},
     {dt!r},  # s
     inputs=["error"],  # rad/s
     outputs=["u"],  # V
@@ -51,9 +55,9 @@ def python_program(model: Any, source: Path) -> str:
     """
     if isinstance(model, Controller):
         sys = model.to_discrete()
-        num, den = (list(map(float, part[0][0])) for part in (sys.num, sys.den))
+        a, b, c, d = (np.asarray(part, float).tolist() for part in (sys.A, sys.B, sys.C, sys.D))
         head = "".join(f"# {line}\n" for line in provenance(model, source))
-        return head + "\n" + _CONTROLLER.format(num=num, den=den, dt=model.sample_time)
+        return head + "\n" + _CONTROLLER.format(a=a, b=b, c=c, d=d, dt=model.sample_time)
     head = "".join(f"# {line}\n" for line in origin(source))
     if isinstance(model, ChainModel):
         return head + "\n" + _RIG.format(text=source.read_text(encoding="utf-8"))

@@ -12,6 +12,7 @@ from dmptm_ctrl.export.controller import controller_program, provenance
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
 from dmptm_ctrl.export.fmu import write_fmu
 from dmptm_ctrl.export.mujoco import mujoco_joint, mujoco_text
+from dmptm_ctrl.export.places import NotScalar
 from dmptm_ctrl.export.plant import plant_program
 from dmptm_ctrl.export.program import Program
 from dmptm_ctrl.export.python_program import python_program
@@ -70,7 +71,10 @@ def export_file(
             raise LogError(f"{source.name}: a controller goes to {kinds}; {target} is of a plant")
     step = sample_time or SAMPLE_TIME
     with output_folder(out) as folder:
-        TARGETS[target](model, source, step, real, folder)
+        try:
+            TARGETS[target](model, source, step, real, folder)
+        except NotScalar as error:  # a user's own effect
+            raise LogError(f"{source.name}: an effect has no program: {error}") from None
         return sorted(p.name for p in folder.iterdir())
 
 

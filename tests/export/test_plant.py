@@ -139,6 +139,20 @@ def test_rig_of_another_shape(name, tmp_path):
     close(c_run(plant_program(model, DT), u, tmp_path), np.atleast_2d(true).T)
 
 
+@needs_compiler
+def test_names_that_no_program_can_have(tmp_path):
+    """Two sensors whose names become one, and signs that would end a comment."""
+    text = RIG.replace("[sensor.angle]", '[sensor."θ*/"]').replace(
+        "[sensor.speed]", '[sensor."ω*/"]'
+    )
+    model = ChainModel(parse_rig(text, "rig.toml"))
+    program = plant_program(model, DT)
+    assert len({p.name for p in (*program.inputs, *program.outputs)}) == 3
+    assert st_source(program).isascii()
+    u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None]
+    close(c_run(program, u, tmp_path), simulate_chain(model, TIME, u).outputs.T)
+
+
 def test_structured_text_of_a_plant():
     model = Model().with_effect("drive_delay", delay=2.6e-3)
     program = plant_program(model, DT)

@@ -4,7 +4,7 @@ A balance's residual is whitened, so that its rows are independent and of unit v
 has slopes by each parameter of the model.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 
@@ -117,7 +117,7 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
     left = np.concatenate(parts)
     slopes = dual_columns(balance, model, unknowns, left)
     prior = np.array([k.prior for k in unknowns])
-    weight = _settled(left, slopes, prior, lambda rest: _dual_weights(balance, parts, rest))
+    weight = _settled(left, slopes, prior, lambda rest: _dual_weights(balance.kinds, parts, rest))
     total = np.concatenate(
         [part for part, kind in zip(parts, balance.kinds, strict=True) if role_of(kind) == "total"]
         or parts
@@ -174,23 +174,25 @@ def _unit(model: Model, unknown: Unknown) -> str:
     return next(p.unit for p in CATALOGUE[unknown.effect].parameters if p.name == unknown.name)
 
 
-def _dual_weights(balance: object, parts: Sequence[Floats], rest: Floats) -> Floats:
+def _dual_weights(kinds: Sequence[str], parts: Sequence[Floats], rest: Floats) -> Floats:
     edges = np.cumsum([part.size for part in parts])[:-1]
-    return weights(np.split(rest, edges), balance.kinds)  # type: ignore[attr-defined]
+    return weights(np.split(rest, edges), kinds)
 
 
-def _settled(left: Floats, slopes: Floats, prior: Floats, weigh: object) -> Floats:
+def _settled(
+    left: Floats, slopes: Floats, prior: Floats, weigh: Callable[[Floats], Floats]
+) -> Floats:
     """Weights by what is left once every parameter has moved as it likes.
 
     By the residual itself a machine that has changed would look noisy.
     """
     rest = left
     for _ in range(ROUNDS):
-        weight = weigh(rest)  # type: ignore[operator]
+        weight = weigh(rest)
         j = weight[:, None] * slopes
         square = j.T @ j + np.diag(np.clip(LOOSE * prior, 1.0, LARGE) ** -2.0)
         rest = left - slopes @ np.linalg.solve(square, j.T @ (weight * left))
-    return np.asarray(weigh(rest))  # type: ignore[operator]
+    return weigh(rest)
 
 
 LARGE = 1e3  # scales, standard deviation of what is not known at all

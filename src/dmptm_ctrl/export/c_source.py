@@ -1,12 +1,10 @@
 """A program as C99: one header, one source, no allocation and nothing but the C library's maths."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from dmptm_ctrl.export.program import (
     BOOL,
-    FUNCTIONS,
     INT,
     REAL,
     Array,
@@ -196,7 +194,7 @@ def c_header(program: Program, real: str = "double") -> str:
             f"void {name}_init({name}_state *state);",
             "",
             "/* Call once per sample.",
-            *(f" *   {p.name} [{p.unit}]: {p.text}" for p in (*program.inputs, *program.outputs)),
+            *(f" *   {line}" for line in _safe(map(_said, (*program.inputs, *program.outputs)))),
             " */",
             f"{_signature(program, real)};",
             "",
@@ -304,7 +302,7 @@ def c_function(
     lines += [f"    (void){key};" for key in (*free, *pointers, "in")]
     lines += printer.lines(program.body)
     lines += [f"    out[{k}] = {printer.text(v)};" for k, v in enumerate(program.results)]
-    tables = [_table(a, printer) for a in replace(program, body=program.body).tables()]
+    tables = [_table(a, printer) for a in program.tables()]
     more = "".join(f", const {real} *{p}" for p in pointers)
     return "\n".join(
         [
@@ -333,9 +331,17 @@ def _signature(program: Program, real: str) -> str:
     return f"void {program.name}_step(\n    " + ",\n    ".join(parts) + ")"
 
 
+def _said(port: Port) -> str:
+    return f"{port.name} [{port.unit}]: {port.text}"
+
+
+def _safe(lines: Iterable[str]) -> list[str]:
+    """Lines that end no comment."""
+    return [ascii_text(line).replace("*/", "* /").replace("/*", "/ *") for line in lines]
+
+
 def _comment(notes: list[str]) -> list[str]:
-    clean = [ascii_text(line).replace("*/", "* /").replace("/*", "/ *") for line in notes]
-    return ["/*", *(f" * {line}".rstrip() for line in clean), " */"] if clean else []
+    return ["/*", *(f" * {line}".rstrip() for line in _safe(notes)), " */"] if notes else []
 
 
 def _helpers(text: str) -> list[str]:
@@ -358,6 +364,3 @@ def _table(array: Array, printer: CPrinter) -> str:
         for k in range(0, len(values), 4)
     ]
     return "\n".join([f"static const {printer.real} {array.id}[{array.size}] = {{", *rows, "};"])
-
-
-__all__ = ["FUNCTIONS", "REALS", "CPrinter", "c_function", "c_header", "c_source"]

@@ -1,6 +1,6 @@
 """A planned experiment ready to run: inside the rig's limits, as CSV, C or Structured Text."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
 
@@ -160,8 +160,7 @@ def experiment_program(table: pd.DataFrame, source: Path | None = None) -> Progr
     tracer = Tracer()
     ports = [Port(_word(n), n.rpartition("_")[2], f"signal {n}") for n in names]
     ports.append(Port("running", "1", "1 while the experiment lasts, then 0"))
-    for port in ports:
-        tracer.fresh(port.name)
+    ports = [replace(p, name=tracer.fresh(p.name).id) for p in ports]
     samples = counter(tracer)
     body, results = [], []
     for port, name in zip(ports, names, strict=False):

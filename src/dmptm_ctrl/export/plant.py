@@ -5,6 +5,7 @@ alone knows how these loops are built.
 """
 
 import ast
+from dataclasses import replace
 from math import ceil
 from typing import Any
 
@@ -151,8 +152,8 @@ def _chain_program(model: ChainModel, dt: float, name: str, notes: list[str]) ->
         for s in rig.sensors
     ]
     inputs = [tracer.fresh(p.name) for p in ports]
-    for port in outputs:
-        tracer.fresh(port.name)
+    ports = [replace(p, name=n.id) for p, n in zip(ports, inputs, strict=True)]
+    outputs = [replace(p, name=tracer.fresh(p.name).id) for p in outputs]
     late = plant.input_values[:, 1] / dt
     signals, keeping = zip(
         *(march.signal(n, float(d)) for n, d in zip(inputs, late, strict=True)), strict=True

@@ -131,6 +131,65 @@ def tune(
 
 
 @app.command()
+def check(
+    logs: Annotated[list[Path], typer.Argument(help="A folder of new logs, or the files.")],
+    model: Annotated[Path, typer.Option(help="model.toml, as diagnose writes it.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for check.json and trend.png.")] = None,
+    tolerance: Annotated[float, typer.Option(help="Share by which an entry may differ.")] = 0.05,
+    jobs: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No summary.")] = False,
+) -> int:
+    """Is the machine still the one that a model describes? Exit code 0: yes, 1: no."""
+    from dmptm_ctrl.check.run import check_files
+
+    found = check_files(logs, model, out, tolerance=tolerance, jobs=jobs)
+    if not quiet:
+        print(_printable(found.summary()))
+    return 0 if found.same else 1
+
+
+_REAL = Annotated[str, typer.Option(help="Numbers of c and st: double or float.")]
+_STEP = Annotated[float | None, typer.Option(help="Time between samples of the program [s].")]
+
+
+@app.command()
+def export(
+    model: Annotated[Path, typer.Argument(help="model.toml of diagnose, controller.toml of tune.")],
+    to: Annotated[str, typer.Option(help="c, st, fmu, python, table or mujoco.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("export"),
+    real: _REAL = "double",
+    sample_time: _STEP = None,
+) -> None:
+    """Write a model or a controller as a program where users run it."""
+    from dmptm_ctrl.export.run import export_file
+
+    names = export_file(model, to, out, real=real, sample_time=sample_time)
+    print(f"written to {out}: {', '.join(names)}")
+
+
+@app.command()
+def experiment(
+    signals: Annotated[Path, typer.Argument(help="next_experiment.csv of diagnose.")],
+    to: Annotated[str, typer.Option(help="csv, c or st (IEC 61131-3).")] = "csv",
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("experiment"),
+    model: Annotated[Path | None, typer.Option(help="model.toml: tells speed, travel.")] = None,
+    max_signal: Annotated[float, typer.Option(help="Of an input [V or SI].")] = float("inf"),
+    max_speed: Annotated[float, typer.Option(help="Of the load [rad/s or m/s].")] = float("inf"),
+    max_travel: Annotated[float, typer.Option(help="Of the load [rad or m].")] = float("inf"),
+    sample_time: _STEP = None,
+    real: _REAL = "double",
+) -> None:
+    """Write the next experiment ready to run, inside the limits of the rig."""
+    from dmptm_ctrl.export.experiment import Limits
+    from dmptm_ctrl.export.run import export_experiment
+
+    limits = Limits(max_signal, max_speed, max_travel)
+    options: dict[str, Any] = {"model": model, "real": real, "sample_time": sample_time}
+    names = export_experiment(signals, to, out, limits=limits, **options)
+    print(f"written to {out}: {', '.join(names)}")
+
+
+@app.command()
 def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for page, figures, tables.")] = Path(
         "reproduction"
@@ -389,8 +448,8 @@ def main(arguments: list[str] | None = None) -> int:
     Returns
     -------
     int
-        0: done; 2: bad input, one line on stderr; 70: an error of the program itself;
-        130: interrupted.
+        0: done; 1: `check` found a change; 2: bad input, one line on stderr; 70: an error of the
+        program itself; 130: interrupted.
     """
     try:
         result = app(arguments, prog_name="dmptm", standalone_mode=False)

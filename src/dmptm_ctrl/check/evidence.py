@@ -1,0 +1,290 @@
+"""What new logs say about a model, as linear algebra: the one place that knows the balances.
+
+A balance's residual is whitened, so that its rows are independent and of unit variance, and
+has slopes by each parameter of the model.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.diagnosis.measure import MIN_SAMPLES
+from dmptm_ctrl.diagnosis.residual import balances
+from dmptm_ctrl.effects import CATALOGUE, TABLES
+from dmptm_ctrl.identify.balance import columns as dual_columns
+from dmptm_ctrl.identify.balance import role_of, weights
+from dmptm_ctrl.identify.chain_fit import ROWS_PER_NEWS, State, fit_chain, jacobian, residuals
+from dmptm_ctrl.identify.chain_free import Free, free_parameters, log_parameters, scales_of
+from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
+from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
+from dmptm_ctrl.identify.records import Record, record, started
+from dmptm_ctrl.signals import Log, LogError
+from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.model import Model
+
+Floats = NDArray[np.float64]
+AnyModel = Model | ChainModel
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a model.
+
+    Attributes
+    ----------
+    key : str
+        Of the drive its own name, of an effect ``effect.parameter``.
+    value : float
+        In the model, SI.
+    scale : float
+        Unit of the slopes.
+    prior : float
+        Standard deviation of what is declared about it, in scales; infinite for nothing.
+    own : bool
+        Whether it is the machine's, and these logs can tell it; else it is free in the balance.
+    """
+
+    key: str
+    unit: str
+    value: float
+    scale: float
+    prior: float
+    own: bool = True
+
+    @property
+    def effect(self) -> str:
+        """Effect that it belongs to; empty for the drive."""
+        return self.key.rpartition(".")[0] if "@" in self.key or self.key in _OF_EFFECTS else ""
+
+
+_OF_EFFECTS = frozenset(f"{e.name}.{p.name}" for e in CATALOGUE.values() for p in e.parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Whitened residual of new logs.
+
+    Attributes
+    ----------
+    left : (m,) array
+    slopes : (m, k) array
+        Per scale of each parameter.
+    parameters : tuple of Parameter
+    stretch : (m,) array of int
+        Which second of which log and equation a row is of: within one, rows may be wrong alike.
+    torque_rms : float
+        Residual of the whole drive's balance, robust against bursts.
+    unit : str
+        Of it.
+    """
+
+    left: Floats
+    slopes: Floats
+    parameters: tuple[Parameter, ...]
+    stretch: NDArray[np.int64]
+    torque_rms: float
+    unit: str
+
+
+def evidence_of(model: AnyModel, logs: Iterable[Log], jobs: int = 1) -> Evidence:
+    """Return what logs say about a model.
+
+    Raises
+    ------
+    LogError
+        Logs that are too short, or in which the drive does not move.
+    """
+    logs = tuple(logs)
+    for log in logs:
+        if len(log) < MIN_SAMPLES:
+            raise LogError(f"{log.name}: {len(log)} samples; a check needs at least {MIN_SAMPLES}")
+    if isinstance(model, ChainModel):
+        return _of_chain(model, logs, jobs)
+    return _of_dual(model, logs, jobs)
+
+
+def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
+    records = tuple(started(record(log, model.drive), model) for log in logs)
+    balance = balances(records, model, model, jobs)
+    unknowns: list[Unknown] = list(drive_unknowns(model))
+    for name in model.effects:
+        unknowns += [k for k in effect_unknowns(name) if name not in TABLES and _moves(k)]
+    parts = balance.missing(model)
+    left = np.concatenate(parts)
+    slopes = dual_columns(balance, model, unknowns, left)
+    prior = np.array([k.prior for k in unknowns])
+    weight = _settled(left, slopes, prior, lambda rest: _dual_weights(balance.kinds, parts, rest))
+    total = np.concatenate(
+        [part for part, kind in zip(parts, balance.kinds, strict=True) if role_of(kind) == "total"]
+        or parts
+    )
+    values = [_value(model, k) for k in unknowns]
+    seconds = [rec.dt * rec.omega.size for rec in records]
+    sizes = [(p.size, seconds[e.motion]) for p, e in zip(parts, balance.equations, strict=True)]
+    return Evidence(
+        weight * left,
+        weight[:, None] * slopes,
+        tuple(
+            Parameter(
+                k.name if k.effect is None else f"{k.effect}.{k.name}",
+                _unit(model, k), value, k.scale, float(k.prior), _shows(k, records),
+            )
+            for k, value in zip(unknowns, values, strict=True)
+        ),
+        _stretches(sizes),
+        float(1.4826 * np.median(np.abs(total))),
+        "N·m",
+    )  # fmt: skip
+
+
+def _stretches(parts: Sequence[tuple[int, float]]) -> NDArray[np.int64]:
+    """Number the stretches of one second in parts of so many rows and seconds."""
+    found, first = [], 0
+    for rows, seconds in parts:
+        count = max(int(seconds), 1)
+        found.append(first + np.arange(rows) * count // max(rows, 1))
+        first += count
+    return np.concatenate(found)
+
+
+def _shows(unknown: Unknown, records: Sequence[Record]) -> bool:
+    """Whether a log can tell it; where a motor is in its gap, no ring gear's sensor says."""
+    turns = unknown.effect is not None and "theta_m" in CATALOGUE[unknown.effect].depends_on
+    return not turns or all(rec.twist is not None for rec in records)
+
+
+def _moves(unknown: Unknown) -> bool:
+    assert unknown.effect is not None
+    return unknown.name in CATALOGUE[unknown.effect].amplitudes
+
+
+def _value(model: Model, unknown: Unknown) -> float:
+    if unknown.effect is None:
+        return float(model.drive[unknown.name])
+    return float(model.effects[unknown.effect].get(unknown.name, 0.0))
+
+
+def _unit(model: Model, unknown: Unknown) -> str:
+    if unknown.effect is None:
+        return model.drive.quantities[unknown.name].unit
+    return next(p.unit for p in CATALOGUE[unknown.effect].parameters if p.name == unknown.name)
+
+
+def _dual_weights(kinds: Sequence[str], parts: Sequence[Floats], rest: Floats) -> Floats:
+    edges = np.cumsum([part.size for part in parts])[:-1]
+    return weights(np.split(rest, edges), kinds)
+
+
+def _settled(
+    left: Floats, slopes: Floats, prior: Floats, weigh: Callable[[Floats], Floats]
+) -> Floats:
+    """Weights by what is left once every parameter has moved as it likes.
+
+    By the residual itself a machine that has changed would look noisy.
+    """
+    rest = left
+    for _ in range(ROUNDS):
+        weight = weigh(rest)
+        j = weight[:, None] * slopes
+        square = j.T @ j + np.diag(np.clip(LOOSE * prior, 1.0, LARGE) ** -2.0)
+        rest = left - slopes @ np.linalg.solve(square, j.T @ (weight * left))
+    return weigh(rest)
+
+
+LARGE = 1e3  # scales, standard deviation of what is not known at all
+PLACES = 8  # of a zero, tried in one period
+ROUNDS = 3
+LOOSE = 10.0  # of the declared ranges: a worn machine may leave them
+
+
+def _of_chain(model: ChainModel, logs: Sequence[Log], jobs: int) -> Evidence:
+    sensors = [s.channel for s in model.rig.sensors]
+    if not any(np.ptp(log[channel]) > 0.0 for log in logs for channel in sensors):
+        raise LogError("nothing to check: the drive does not move in these logs")
+    balance = balance_of(model.rig, logs)
+    of_logs = [log_parameters(model, balance, m.name, "") for m in balance.motions]
+    state = _zeroed(State(model), balance, of_logs)
+    machine = free_parameters(model, balance, scales_of(balance), nuisances=False)
+    frees = (*machine, *(free for frees in of_logs for free in frees))
+    left, _ = residuals(state, balance)
+    slopes = jacobian(state, balance, frees, left, jobs=jobs)
+    count = left[0].shape[0]
+    sizes = [part.shape[1] for part in left]
+    flat = np.concatenate([part.ravel() for part in left])
+    columns = np.concatenate([part.reshape(-1, len(frees)) for part in slopes])
+    equation = np.concatenate([np.repeat(np.arange(count), n) for n in sizes])
+
+    def weigh(rest: Floats) -> Floats:
+        level = np.array([np.sqrt(np.mean(rest[equation == e] ** 2)) or 1.0 for e in range(count)])
+        return 1.0 / (level[equation] * np.sqrt(ROWS_PER_NEWS))
+
+    prior = np.array([inf if f.prior is None else f.prior[1] / f.scale for f in frees])
+    weight = _settled(flat, columns, prior, weigh)
+    units = {key: q.unit for key, q in model.quantities.items()}
+    parameters = []
+    for free, sd in zip(frees, prior, strict=True):
+        unit = units.get(free.owner, "")
+        if free.kind == "effect":
+            keep = CHAIN_CATALOGUE[free.owner.partition("@")[0]].keep
+            unit = next(p.unit for p in keep if p.name == free.name)
+        own = free.kind in ("value", "effect")
+        value = state.get(free) if own else 0.0
+        parameters.append(Parameter(free.label, unit, value, free.scale, float(sd), own))
+    first = np.concatenate([part[0] for part in left])
+    linear = model.rig.body(model.rig.inputs[0].body).linear
+    return Evidence(
+        weight * flat,
+        weight[:, None] * columns,
+        tuple(parameters),
+        _stretches(
+            [
+                (part.shape[1], motion.dt * motion.time.size)
+                for part, motion in zip(left, balance.motions, strict=True)
+                for _ in range(count)
+            ]
+        ),
+        float(np.sqrt(np.mean(first**2))),
+        "N" if linear else "N·m",
+    )
+
+
+def _zeroed(state: State, balance: Balance, of_logs: Sequence[Sequence[Free]]) -> State:
+    """Find where each log's encoder has its zero: any angle, so that slopes alone would not do."""
+    for motion, frees in zip(balance.motions, of_logs, strict=True):
+        alone = balance.only([motion.name])
+        for free in frees:
+            if free.kind != "zero":
+                continue
+            effect = next(e for e in state.model.effects if e.key == free.name)
+            turn = 2.0 * np.pi / effect.values.get("order", 1.0)
+            tried = [state.moved([free], [turn * k / PLACES]) for k in range(PLACES)]
+            state = min(tried, key=lambda one: _misfit(one, alone))
+    flat = [free for frees in of_logs for free in frees]
+    return fit_chain(state, balance, frees=flat).state if flat else state
+
+
+def _misfit(state: State, balance: Balance) -> float:
+    left, _ = residuals(state, balance)
+    return float(sum(np.sum(part**2) for part in left))
+
+
+def only_own(evidence: Evidence) -> Evidence:
+    """Return the evidence with what belongs to single logs left free and out of sight."""
+    own = [k for k, p in enumerate(evidence.parameters) if p.own]
+    other = [k for k, p in enumerate(evidence.parameters) if not p.own]
+    if not other:
+        return evidence
+    q, _ = np.linalg.qr(evidence.slopes[:, other])
+    left = evidence.left - q @ (q.T @ evidence.left)
+    slopes = evidence.slopes[:, own]
+    slopes = slopes - q @ (q.T @ slopes)
+    return replace(
+        evidence,
+        left=left,
+        slopes=slopes,
+        parameters=tuple(evidence.parameters[k] for k in own),
+    )

@@ -1,0 +1,268 @@
+"""Which entry of a model has moved: each alone, with what the model itself did not know.
+
+With residual e, slopes J and the model's own covariance P, the residual of an unchanged machine
+has the covariance V = 1 + J P Jᵀ. A change d of an entry along v adds −J v d. So
+d = −vᵀg / vᵀHv with g = Jᵀ V⁻¹ e, H = Jᵀ V⁻¹ J, and its standard error is (vᵀHv)^(−1/2).
+Rows of one second may be wrong alike: where the scores of these stretches scatter by more than
+rows of their own would, the standard error grows as much (the cluster-robust one of Liang & Zeger,
+Biometrika 73 (1986) 13).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from dmptm_ctrl.check.evidence import LARGE, Evidence, Parameter
+
+Floats = NDArray[np.float64]
+FALSE_ALARMS = 0.01  # of checks of an unchanged machine, over all entries together
+MOST = 4  # entries named in one check
+TOLERANCE = 0.05  # of an entry's value: a change within it is none
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A direction in which a machine changes.
+
+    Attributes
+    ----------
+    along : mapping of parameter key to float
+        Change of each parameter [SI] per unit of the entry.
+    value : float
+        Of the entry in the model; 1 where it is a factor.
+    unit : str
+        Empty for a factor.
+    size : float
+        What the change is compared with: its own value, or of one of several amplitudes that of
+        all together.
+    """
+
+    name: str
+    along: Mapping[str, float]
+    value: float
+    unit: str
+    size: float
+
+
+@dataclass(frozen=True)
+class Change:
+    """An entry, refitted alone on new logs.
+
+    Attributes
+    ----------
+    entry : Entry
+    change, se : float
+        In the entry's unit; the standard error has the model's own in it.
+    """
+
+    entry: Entry
+    change: float
+    se: float
+
+    @property
+    def errors(self) -> float:
+        """Change in standard errors."""
+        return self.change / self.se
+
+    def beyond(self, tolerance: float) -> float:
+        """Standard errors by which the change is larger than a share of the entry's size."""
+        return max(abs(self.change) - tolerance * self.entry.size, 0.0) / self.se
+
+    def text(self) -> str:
+        """Return the change as a line of text."""
+        entry = self.entry
+        if not entry.unit:
+            size = f"{100.0 * self.change:+.3g} % ± {100.0 * self.se:.2g} %"
+        else:
+            new = entry.value + self.change
+            size = f"{entry.value:.4g} → {new:.4g} ± {self.se:.2g} {entry.unit}"
+        return f"{entry.name}: {size} ({self.errors:+.1f} standard errors)"
+
+
+def entries_of(parameters: Sequence[Parameter]) -> tuple[Entry, ...]:
+    """Return the entries of a model.
+
+    Numbers that mean one thing for both directions, or the amplitudes of an effect, change by one
+    factor. The amplitudes change alone as well: an effect can turn its phase.
+    """
+    groups: dict[str, list[Parameter]] = {}
+    for p in parameters:
+        groups.setdefault(_group(p), []).append(p)
+    found = []
+    for name, members in groups.items():
+        along = {p.key: p.value for p in members if p.value != 0.0}
+        if along:
+            found.append(Entry(name, along, 1.0, "", 1.0))
+        size = float(np.linalg.norm([p.value for p in members]))
+        if members[0].effect and len(members) > 1 and len({p.unit for p in members}) == 1:
+            found += [Entry(p.key, {p.key: 1.0}, p.value, p.unit or "1", size) for p in members]
+    return tuple(found)
+
+
+_DUAL = {
+    "TL": "friction of the ring gear",
+    "T3": "friction of the reducers",
+    "BL": "viscous friction of the ring gear",
+    "B3": "viscous friction of the reducers",
+    "WL": "Stribeck speed of the ring gear",
+    "W3": "Stribeck speed of the reducers",
+    "gap_l": "gap of the left mesh",
+    "gap_r": "gap of the right mesh",
+}
+
+
+def _group(parameter: Parameter) -> str:
+    if parameter.effect:
+        return parameter.effect
+    key = parameter.key
+    if key.startswith("body.") and not key.endswith("inertia"):
+        body, _, name = key.removeprefix("body.").rpartition(".")
+        stem = name.removesuffix("_plus").removesuffix("_minus")
+        word = "friction" if stem in ("coulomb", "static") else stem.replace("_", " ")
+        return f"{word} of {body}"
+    return _DUAL.get(key if key.startswith("gap") else key[:2], key)
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """g and H of this module's head, in scales of the parameters.
+
+    Attributes
+    ----------
+    rows : (k, k) array
+        Jᵀ J.
+    scores : (stretches, k) array
+        Jᵀ r of each stretch, r what is left once every parameter is free.
+    seen : (k, k) array
+        V⁻¹ J v is J (seen v).
+    """
+
+    parameters: tuple[Parameter, ...]
+    gradient: Floats
+    square: Floats
+    rows: Floats
+    scores: Floats
+    seen: Floats
+
+    def vector(self, entry: Entry) -> Floats:
+        """Direction of an entry."""
+        return np.array([entry.along.get(p.key, 0.0) / p.scale for p in self.parameters])
+
+    def change(self, entry: Entry) -> Change | None:
+        """Refit an entry alone; None where the logs tell it no finer than its own size."""
+        v = self.vector(entry)
+        told = float(v @ self.square @ v)
+        if not told * entry.size**2 > 1.0:
+            return None
+        w = self.seen @ v
+        single, alike = float(w @ self.rows @ w), float(np.sum((self.scores @ w) ** 2))
+        variance = 1.0 / told + max(alike - single, 0.0) / told**2
+        if variance > entry.size**2:
+            return None
+        return Change(entry, -float(v @ self.gradient) / told, variance**0.5)
+
+    def without(self, entry: Entry) -> "Information":
+        """Return what is left once an entry is free."""
+        v = self.vector(entry)
+        h = self.square @ v
+        told = float(v @ h)
+        return Information(
+            self.parameters,
+            self.gradient - h * (float(v @ self.gradient) / told),
+            self.square - np.outer(h, h) / told,
+            self.rows,
+            self.scores,
+            self.seen - np.outer(self.seen @ v, h) / told,
+        )
+
+
+def information_of(evidence: Evidence, errors: Mapping[str, float]) -> Information:
+    """Return what logs say, given what the model does not know.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    errors : mapping of parameter key to float
+        Standard errors of the model's parameters [SI]. One that is not there is as uncertain
+        as logs like these leave it.
+    """
+    j, e = evidence.slopes, evidence.left
+    square, gradient = j.T @ j, j.T @ e
+    prior = np.array([min(p.prior, LARGE) for p in evidence.parameters])
+    own = np.linalg.inv(square + np.diag(prior**-2.0))
+    sd = np.sqrt(np.diag(own))
+    told = np.array(
+        [
+            errors.get(p.key, s * p.scale) / p.scale
+            for p, s in zip(evidence.parameters, sd, strict=True)
+        ]
+    )
+    known = own * np.outer(told / sd, told / sd)
+    inner = np.linalg.inv(np.linalg.inv(known) + square)
+    rest = e - j @ (own @ gradient)
+    first = np.flatnonzero(np.diff(evidence.stretch, prepend=-1))
+    return Information(
+        evidence.parameters,
+        gradient - square @ inner @ gradient,
+        square - square @ inner @ square,
+        square,
+        np.add.reduceat(j * rest[:, None], first, axis=0),
+        np.eye(len(square)) - inner @ square,
+    )
+
+
+def beside(
+    information: Information, entries: Sequence[Entry], moved: Sequence[Entry]
+) -> list[Change]:
+    """Return every entry refitted beside those that moved, which are free."""
+    found = []
+    for entry in entries:
+        rest = information
+        for other in moved:
+            if other.name != entry.name:
+                rest = rest.without(other)
+        change = rest.change(entry)
+        if change is not None:
+            found.append(change)
+    return found
+
+
+def threshold(count: int, stretches: int) -> float:
+    """Standard errors beyond which one of `count` entries counts as moved.
+
+    The errors themselves are known from `stretches` stretches of the logs: Student's t.
+    """
+    return float(student.isf(0.5 * FALSE_ALARMS / max(count, 1), max(stretches - 1, 1)))
+
+
+def find_moved(
+    information: Information, entries: Sequence[Entry], tolerance: float = TOLERANCE
+) -> tuple[list[Change], list[Change]]:
+    """Return what has moved, the clearest first, and every entry refitted alone.
+
+    An entry counts beside others only for what these leave. A factor goes before a
+    single amplitude where it is enough.
+    """
+    alone = [c for entry in entries if (c := information.change(entry)) is not None]
+    limit = threshold(len(alone), len(information.scores))
+    moved: list[Change] = []
+    rest = information
+    while len(moved) < MOST:
+        names = {m.entry.name for m in moved}
+        tried = [rest.change(c.entry) for c in alone if c.entry.name not in names]
+        clear = [c for c in tried if c is not None and c.beyond(tolerance) > limit]
+        if not clear:
+            break
+        best = max(clear, key=lambda c: abs(c.errors))
+        for whole in clear:  # all amplitudes by one factor, where that is enough
+            if whole.entry.unit == "" and best.entry.name.startswith(f"{whole.entry.name}."):
+                left = rest.without(whole.entry).change(best.entry)
+                if left is None or left.beyond(tolerance) <= limit:
+                    best = whole
+                    break
+        moved.append(best)
+        rest = rest.without(best.entry)
+    return moved, alone

@@ -1,0 +1,296 @@
+"""What the command line calls: logs and a model file in, what has moved out."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from dmptm_ctrl.check.evidence import AnyModel, Evidence, evidence_of, only_own
+from dmptm_ctrl.check.moved import (
+    TOLERANCE,
+    Change,
+    Information,
+    beside,
+    entries_of,
+    find_moved,
+    information_of,
+)
+from dmptm_ctrl.diagnosis.ladder_files import is_chain, read_chain
+from dmptm_ctrl.signals import Log, LogError, load_logs
+from dmptm_ctrl.signals.atomic import check_folder, output_folder
+from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.model_file import read_model
+
+ABOVE_FLOOR = 1.5  # times the recorded error, as in the verdict "none" of the diagnosis
+_DATE = re.compile(r"(20\d\d)[-_]?(\d\d)[-_]?(\d\d)(?:[T_-](\d\d)[-_:]?(\d\d)(?:[-_:]?(\d\d))?)?")
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """New logs against a model.
+
+    Attributes
+    ----------
+    moved : list of Change
+        Entries that changed by more than the tolerance, the clearest first.
+    alone : list of Change
+        Every entry, refitted alone.
+    torque_rms : float
+        Residual of the torque balance on the new logs.
+    floor : float or None
+        The same as the diagnosis of the model left it, where it is recorded.
+    unit : str
+    logs : tuple of str
+        Names of the logs that decide.
+    trend : dict of datetime to list of Change
+        Every entry per date, where the logs' names have dates; beside what moved at any date.
+    """
+
+    moved: list[Change]
+    alone: list[Change]
+    torque_rms: float
+    floor: float | None
+    unit: str
+    logs: tuple[str, ...]
+    trend: dict[datetime, list[Change]]
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether more is left than the model's own diagnosis left, and no entry says why."""
+        above = self.floor is not None and self.torque_rms > ABOVE_FLOOR * self.floor
+        return above and not self.moved
+
+    @property
+    def same(self) -> bool:
+        """Whether it is the machine that the model describes."""
+        return not self.moved and not self.unexplained
+
+    def summary(self) -> str:
+        """Return the result as text."""
+        lines = [f"logs: {', '.join(self.logs)}"]
+        of = "" if self.floor is None else f"; recorded for the model: {self.floor:.3g}"
+        lines.append(f"residual of the torque balance: {self.torque_rms:.3g} {self.unit}{of}")
+        if self.moved:
+            lines.append("the machine has changed:")
+            lines += [f"  {change.text()}" for change in self.moved]
+        elif self.unexplained:
+            lines.append(
+                "the machine has changed, and no entry of the model says how; "
+                "run dmptm diagnose on these logs"
+            )
+        else:
+            lines.append(f"still the same machine: none of {len(self.alone)} entries moved")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as plain data for a JSON file."""
+        return {
+            "same": self.same,
+            "moved": [_row(c) for c in self.moved],
+            "entries": [_row(c) for c in self.alone],
+            "residual": {"torque_rms": self.torque_rms, "floor": self.floor, "unit": self.unit},
+            "logs": list(self.logs),
+            "trend": [
+                {"date": date.isoformat(), "entries": [_row(c) for c in changes]}
+                for date, changes in self.trend.items()
+            ],
+        }
+
+    def plot(self, *, ax: Any = None) -> Any:
+        """Draw the entries over the dates of the logs.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+
+        Returns
+        -------
+        Axes
+        """
+        from dmptm_ctrl.plots.trend import plot_trend
+
+        return plot_trend(list(self.trend), _series(self.trend), ax=ax)
+
+    def save(self, folder: Path) -> None:
+        """Write check.json, and trend.png where there are dates."""
+        with output_folder(folder) as out:
+            text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+            (out / "check.json").write_text(text + "\n", encoding="utf-8")
+            if len(self.trend) > 1:
+                self.plot().get_figure(root=True).savefig(out / "trend.png", dpi=150)
+
+
+def check(
+    logs: Any,
+    model: AnyModel | str | Path,
+    *,
+    errors: Mapping[str, float] | None = None,
+    floor: float | None = None,
+    tolerance: float = TOLERANCE,
+    jobs: int = 2,
+) -> Check:
+    """Check whether logs are of the machine that a model describes.
+
+    Parameters
+    ----------
+    logs : folder, files or Logs
+    model : Model, ChainModel or path of a model.toml
+        Of a file, a diagnosis.json beside it gives `errors` and `floor`.
+    errors : mapping of parameter key to float, optional
+        Standard errors of the model's parameters [SI]. A parameter that is not there is taken
+        as uncertain as these logs would leave it.
+    floor : float, optional
+        Residual of the torque balance that the model's own diagnosis left.
+    tolerance : float
+        Share of an entry's value by which it may differ.
+    jobs : int
+        Threads; nothing depends on it.
+
+    Returns
+    -------
+    Check
+        Of logs with dates in their names, those of the newest date decide.
+
+    Raises
+    ------
+    LogError
+        Logs or a model file that cannot be used.
+    """
+    if isinstance(model, str | Path):
+        path = Path(model)
+        recorded = _recorded(path.with_name("diagnosis.json"))
+        errors = {**_errors(recorded), **(errors or {})}
+        floor = _floor(recorded) if floor is None else floor
+        model = read_chain(path)[0] if is_chain(path) else read_model(path)
+    loaded = _loaded(model, logs)
+    dated: dict[datetime, list[Log]] = {}
+    for log in loaded:
+        date = date_of(log.name)
+        if date is not None:
+            dated.setdefault(date, []).append(log)
+    told = {date: _told(model, dated[date], errors or {}, jobs) for date in sorted(dated)}
+    if not told:
+        told = {datetime.min: _told(model, list(loaded), errors or {}, jobs)}
+    entries = {date: entries_of(evidence.parameters) for date, (evidence, _) in told.items()}
+    found = {
+        date: find_moved(information, entries[date], tolerance)
+        for date, (_, information) in told.items()
+    }
+    newest = max(told)
+    moved, alone = found[newest]
+    ever = {c.entry.name: c.entry for changes, _ in found.values() for c in changes}
+    trend = {
+        date: beside(information, entries[date], list(ever.values()))
+        for date, (_, information) in told.items()
+        if len(told) > 1
+    }
+    evidence = told[newest][0]
+    names = tuple(log.name for log in dated.get(newest, loaded))
+    return Check(moved, alone, evidence.torque_rms, floor, evidence.unit, names, trend)
+
+
+def check_files(
+    logs: Sequence[Path], model: Path, out: Path | None, *, tolerance: float, jobs: int
+) -> Check:
+    """Check log files, and write the result to a folder if there is to be one.
+
+    Raises
+    ------
+    LogError
+        Logs, a model file or a tolerance that cannot be used; nothing is written.
+    """
+    import matplotlib
+
+    if not 0.0 <= tolerance <= 1.0:
+        raise LogError(f"--tolerance {tolerance:g}: must lie between 0 and 1")
+    if out is not None:
+        check_folder(out)
+    found = check(logs[0] if len(logs) == 1 else logs, model, tolerance=tolerance, jobs=jobs)
+    if out is not None:
+        matplotlib.use("Agg")  # no windows
+        found.save(out)
+    return found
+
+
+def _told(
+    model: AnyModel, logs: Sequence[Log], errors: Mapping[str, float], jobs: int
+) -> tuple[Evidence, Information]:
+    evidence = only_own(evidence_of(model, logs, jobs))
+    return evidence, information_of(evidence, errors)
+
+
+def date_of(name: str) -> datetime | None:
+    """Date in the name of a log; None where there is none."""
+    found = _DATE.search(name)
+    if found is None:
+        return None
+    try:
+        return datetime(*(int(part) for part in found.groups() if part))  # type: ignore[arg-type]
+    except (ValueError, TypeError):
+        return None
+
+
+def _loaded(model: AnyModel, logs: Any) -> Sequence[Log]:
+    sources = [logs] if isinstance(logs, str | Path | Log) else list(logs)
+    if isinstance(model, ChainModel):
+        return model.rig.read(sources)
+    if sources and all(isinstance(source, Log) for source in sources):
+        return [source for source in sources if isinstance(source, Log)]
+    return tuple(load_logs(sources[0] if len(sources) == 1 else sources))
+
+
+def _recorded(file: Path) -> dict[str, Any]:
+    """Content of a diagnosis.json; empty where there is none that can be read."""
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _errors(recorded: Mapping[str, Any]) -> dict[str, float]:
+    """Standard errors by the keys of `evidence.Parameter`."""
+    found = {}
+    for name, entry in recorded.get("declared", {}).items():
+        if isinstance(entry, dict) and entry.get("se"):
+            found[name] = float(entry["se"])
+    for effect in recorded.get("effects", []):
+        for name, entry in effect.get("parameters", {}).items():
+            if entry.get("se"):
+                for owner in (effect["name"], f"{effect['name']}@{effect.get('location')}"):
+                    found[f"{owner}.{name}"] = float(entry["se"])
+    return found
+
+
+def _floor(recorded: Mapping[str, Any]) -> float | None:
+    """Torque error that the diagnosis left on held-out logs."""
+    error = recorded.get("error", {})
+    after = error.get("after", {})
+    if isinstance(after.get("torque"), dict):
+        return after["torque"].get("rmse")
+    return after.get("rmse") if error.get("unit") in ("N", "N·m") else None
+
+
+def _row(change: Change) -> dict[str, Any]:
+    return {
+        "name": change.entry.name,
+        "value": change.entry.value,
+        "change": change.change,
+        "se": change.se,
+        "unit": change.entry.unit or "1",
+        "standard_errors": change.errors,
+    }
+
+
+def _series(trend: Mapping[datetime, list[Change]]) -> dict[str, list[tuple[float, float]]]:
+    """Percent and standard error per date of the entries that the logs of every date show."""
+    found: dict[str, list[tuple[float, float]]] = {}
+    for changes in trend.values():
+        for change in changes:
+            size = change.entry.size
+            row = (100.0 * change.change / size, 100.0 * change.se / size)
+            found.setdefault(change.entry.name, []).append(row)
+    return {name: rows for name, rows in found.items() if len(rows) == len(trend)}

@@ -1,0 +1,1 @@
+"""Controllers and plants where users run them: C, Structured Text, FMU, python-control."""

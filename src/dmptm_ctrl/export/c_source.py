@@ -1,0 +1,366 @@
+"""A program as C99: one header, one source, no allocation and nothing but the C library's maths."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+from dmptm_ctrl.export.program import (
+    BOOL,
+    INT,
+    REAL,
+    Array,
+    Assign,
+    For,
+    If,
+    Item,
+    Name,
+    Op,
+    Port,
+    Program,
+    Store,
+    ascii_text,
+    known,
+    prune,
+)
+from dmptm_ctrl.export.trace import follow, function_tree
+from dmptm_ctrl.export.tracer import Tracer
+
+REALS = ("double", "float")
+_LEVEL = {
+    "or": 1, "and": 2, "==": 3, "!=": 3, "<": 4, "<=": 4, ">": 4, ">=": 4,
+    "+": 5, "-": 5, "*": 6, "/": 6, "mod": 6,
+}  # fmt: skip
+_SIGN = {"or": "||", "and": "&&", "mod": "%"}
+_UNARY, _ATOM = 7, 9
+
+
+class _Choice(NamedTuple):
+    test: Any
+    first: Any
+    second: Any
+
+
+def _chosen(block: list[Any]) -> list[Any]:
+    """Give the block with C's ternary in place of a branch that only sets one new name."""
+    found: list[Any] = []
+    for item in block:
+        last = found[-1] if found else None
+        if isinstance(item, If) and isinstance(last, Assign) and last.value is None:
+            sides = [side[0] for side in (item.body, item.orelse) if len(side) == 1]
+            if len(sides) == 2 and all(
+                isinstance(s, Assign) and s.name == last.name and not s.declare for s in sides
+            ):
+                choice = _Choice(item.condition, sides[0].value, sides[1].value)
+                found[-1] = Assign(last.name, choice)
+                continue
+        found.append(item)
+    return found
+
+
+class CPrinter:
+    """Prints expressions and statements."""
+
+    def __init__(self, real: str, state: set[str]) -> None:
+        if real not in REALS:
+            raise ValueError(f"real is {real!r}; it must be one of {', '.join(REALS)}")
+        self.real, self.state = real, state
+        self.suffix = "f" if real == "float" else ""
+
+    def kind(self, kind: str) -> str:
+        """C's type of a kind."""
+        return {REAL: self.real, INT: "int32_t", BOOL: "bool"}[kind]
+
+    def text(self, value: Any, above: int = 0) -> str:
+        """Text of an expression, in brackets where what is around it binds more."""
+        text, level = self._parts(value)
+        return f"({text})" if level < above else text
+
+    def _parts(self, value: Any) -> tuple[str, int]:
+        if known(value):
+            text = self.number(value)
+            return text, _UNARY if text.startswith("-") else _ATOM
+        if isinstance(value, Name):
+            return self.name(value.id), _ATOM
+        if isinstance(value, _Choice):
+            test, a, b = (self.text(v, 1) for v in (value.test, value.first, value.second))
+            return f"{test} ? {a} : {b}", 0
+        if isinstance(value, Item):
+            return f"{self.name(value.array.id)}[{self.text(value.index)}]", _ATOM
+        return self._operation(value)
+
+    def _operation(self, value: Op) -> tuple[str, int]:
+        op, args = value.op, value.args
+        if op == "mod":  # as Python's, of the divisor's sign
+            a, n = self.text(args[0], _LEVEL["*"]), self.text(args[1], _UNARY)
+            if isinstance(args[0], Name) and args[0].counts:
+                return f"{a} % {n}", _LEVEL["*"]
+            return f"({a} % {n} + {n}) % {n}", _LEVEL["*"]
+        if op in _LEVEL:
+            level = _LEVEL[op]
+            sign = _SIGN.get(op, op)
+            return f"{self.text(args[0], level)} {sign} {self.text(args[1], level + 1)}", level
+        if op == "neg":
+            return f"-{self.text(args[0], _UNARY + 1)}", _UNARY
+        if op == "not":
+            return f"!{self.text(args[0], _UNARY + 1)}", _UNARY
+        if op == "real":
+            inner = args[0]
+            if isinstance(inner, Op) and inner.op == "floor":
+                return self._function("floor", inner.args), _ATOM
+            return f"({self.real}){self.text(inner, _UNARY)}", _UNARY
+        if op == "trunc":
+            return f"(int32_t){self.text(args[0], _UNARY)}", _UNARY
+        if op == "floor":
+            return f"(int32_t){self._function('floor', args)}", _UNARY
+        if value.kind == INT and op in ("min", "max"):
+            return f"{op}_int({self.text(args[0])}, {self.text(args[1])})", _ATOM
+        if value.kind == INT and op == "abs":
+            return f"abs_int({self.text(args[0])})", _ATOM
+        names = {"min": "fmin", "max": "fmax", "abs": "fabs"}
+        return self._function(names.get(op, op), args), _ATOM
+
+    def _function(self, name: str, args: tuple[Any, ...]) -> str:
+        return f"{name}{self.suffix}({', '.join(self.text(a) for a in args)})"
+
+    def name(self, name: str) -> str:
+        """Name of a variable; of one that is kept, in the state."""
+        return f"state->{name}" if name in self.state else name
+
+    def number(self, value: float) -> str:
+        """Text of a number that comes back to the last bit."""
+        if isinstance(value, bool):
+            return "true" if value else "false"
+        if isinstance(value, int):
+            return str(value)
+        if value != value:
+            return "NAN"
+        if value in (float("inf"), float("-inf")):
+            return "INFINITY" if value > 0 else "-INFINITY"
+        return repr(float(value)) + self.suffix
+
+    def lines(self, block: list[Any], depth: int = 1) -> list[str]:
+        """Lines of statements."""
+        pad = "    " * depth
+        found: list[str] = []
+        for item in _chosen(block):
+            if isinstance(item, Assign):
+                kind = f"{self.kind(item.name.kind)} " if item.declare else ""
+                to = self.name(item.name.id)
+                value = "" if item.value is None else f" = {self.text(item.value)}"
+                found.append(f"{pad}{kind}{to}{value};")
+            elif isinstance(item, Store):
+                place = f"{self.name(item.array.id)}[{self.text(item.index)}]"
+                found.append(f"{pad}{place} = {self.text(item.value)};")
+            elif isinstance(item, If):
+                found.append(f"{pad}if ({self.text(item.condition)}) {{")
+                found += self.lines(item.body, depth + 1)
+                if item.orelse:
+                    found.append(f"{pad}}} else {{")
+                    found += self.lines(item.orelse, depth + 1)
+                found.append(f"{pad}}}")
+            elif isinstance(item, For):
+                k = item.name.id
+                found.append(f"{pad}for (int32_t {k} = 0; {k} < {self.text(item.count)}; {k}++) {{")
+                found += self.lines(item.body, depth + 1)
+                found.append(f"{pad}}}")
+        return found
+
+
+def c_header(program: Program, real: str = "double") -> str:
+    """Return the header: the state, and the two functions that work on it."""
+    name = program.name
+    guard = f"{name.upper()}_H"
+    printer = CPrinter(real, set())
+    fields = [f"    {printer.kind(n.kind)} {n.id};" for n, _ in program.state]
+    fields += [f"    {real} {a.id}[{a.size}];" for a, _ in program.arrays]
+    fields = fields or ["    char unused;"]
+    return "\n".join(
+        [
+            *_comment(program.notes),
+            f"#ifndef {guard}",
+            f"#define {guard}",
+            "",
+            "#include <stdbool.h>",
+            "#include <stdint.h>",
+            "",
+            "#ifdef __cplusplus",
+            'extern "C" {',
+            "#endif",
+            "",
+            "typedef struct {",
+            *fields,
+            f"}} {name}_state;",
+            "",
+            "/* Call once before the first step. */",
+            f"void {name}_init({name}_state *state);",
+            "",
+            "/* Call once per sample.",
+            *(f" *   {line}" for line in _safe(map(_said, (*program.inputs, *program.outputs)))),
+            " */",
+            f"{_signature(program, real)};",
+            "",
+            "#ifdef __cplusplus",
+            "}",
+            "#endif",
+            "",
+            f"#endif /* {guard} */",
+            "",
+        ]
+    )
+
+
+def c_source(program: Program, real: str = "double") -> str:
+    """Return the source that belongs to :func:`c_header`."""
+    name = program.name
+    state = {n.id for n, _ in program.state} | {a.id for a, _ in program.arrays}
+    printer = CPrinter(real, state)
+    first = [
+        f"    state->{n.id} = {printer.number(_as(n.kind, value))};" for n, value in program.state
+    ]
+    for array, value in program.arrays:
+        first.append(f"    for (int32_t k = 0; k < {array.size}; k++) {{")
+        first += [f"        state->{array.id}[k] = {printer.number(float(value))};", "    }"]
+    first = first or ["    state->unused = 0;"]
+    body = printer.lines(program.body)
+    body += [f"    *{p.name} = {printer.text(v)};" for p, v in
+             zip(program.outputs, program.results, strict=True)]  # fmt: skip
+    body += [f"    state->{n.id} = {printer.text(v)};" for n, v in program.after]
+    unused = [] if state else ["    (void)state;"]
+    text = "\n".join(body)
+    unused += [f"    (void){p.name};" for p in program.inputs if f"{p.name}" not in text]
+    return "\n".join(
+        [
+            *_comment(program.notes),
+            f'#include "{name}.h"',
+            "",
+            "#include <math.h>",
+            "",
+            *_helpers(text),
+            *(_table(a, printer) for a in program.tables()),
+            "",
+            f"void {name}_init({name}_state *state) {{",
+            *first,
+            "}",
+            "",
+            f"{_signature(program, real)} {{",
+            *unused,
+            *body,
+            "}",
+            "",
+        ]
+    )
+
+
+def c_function(
+    function: Callable[..., Any],
+    name: str,
+    *,
+    known_arguments: Mapping[str, Any] | None = None,
+    records: Mapping[str, tuple[str, ...]] | None = None,
+    real: str = "double",
+) -> str:
+    """Return a scalar Python function as a C function ``void name(const real *in, real *out)``.
+
+    Parameters
+    ----------
+    function : callable
+        Pure: scalar arithmetic, branches, loops over ranges, calls of the same kind.
+    known_arguments : mapping
+        Argument → its value; the function is written for these.
+    records : mapping
+        Argument → its field names; the argument is a NamedTuple, read from an array of its own
+        in the order of `records`, behind `in`.
+    real : {"double", "float"}
+
+    Raises
+    ------
+    NotScalar
+        Source that is more than that.
+    """
+    records, given = records or {}, known_arguments or {}
+    tracer = Tracer()
+    args: list[Any] = []
+    free: list[str] = []
+    pointers = []
+    body: list[Any] = []
+    for argument in function_tree(getattr(function, "py_func", function)).args.args:
+        key = argument.arg
+        if key in given:
+            args.append(given[key])
+        elif key in records:
+            array = Array(tracer.fresh(f"{key}_values").id, len(records[key]), None, records[key])
+            pointers.append(array.id)
+            args.append(array)
+        else:
+            args.append(tracer.fresh(key))
+            free.append(args[-1].id)
+    with tracer.collected(body):
+        result = follow(tracer, function, args)
+    results = list(result) if isinstance(result, tuple) else [result]
+    program = prune(Program(name, [], [Port("", "", "")] * len(results), results, [], body, []))
+    printer = CPrinter(real, set())
+    lines = [f"    {real} {key} = in[{k}];" for k, key in enumerate(free)]
+    lines += [f"    (void){key};" for key in (*free, *pointers, "in")]
+    lines += printer.lines(program.body)
+    lines += [f"    out[{k}] = {printer.text(v)};" for k, v in enumerate(program.results)]
+    tables = [_table(a, printer) for a in program.tables()]
+    more = "".join(f", const {real} *{p}" for p in pointers)
+    return "\n".join(
+        [
+            "#include <math.h>",
+            "#include <stdbool.h>",
+            "#include <stdint.h>",
+            "",
+            *_helpers("\n".join(lines)),
+            *tables,
+            f"void {name}(const {real} *in, {real} *out{more}) {{",
+            *lines,
+            "}",
+            "",
+        ]
+    )
+
+
+def _as(kind: str, value: Any) -> Any:
+    return {REAL: float, INT: int, BOOL: bool}[kind](value)
+
+
+def _signature(program: Program, real: str) -> str:
+    parts = [f"{program.name}_state *state"]
+    parts += [f"{real} {p.name}" for p in program.inputs]
+    parts += [f"{real} *{p.name}" for p in program.outputs]
+    return f"void {program.name}_step(\n    " + ",\n    ".join(parts) + ")"
+
+
+def _said(port: Port) -> str:
+    return f"{port.name} [{port.unit}]: {port.text}"
+
+
+def _safe(lines: Iterable[str]) -> list[str]:
+    """Lines that end no comment."""
+    return [ascii_text(line).replace("*/", "* /").replace("/*", "/ *") for line in lines]
+
+
+def _comment(notes: list[str]) -> list[str]:
+    return ["/*", *(f" * {line}".rstrip() for line in _safe(notes)), " */"] if notes else []
+
+
+def _helpers(text: str) -> list[str]:
+    found = []
+    for name, body in (
+        ("min_int", "a < b ? a : b"),
+        ("max_int", "a > b ? a : b"),
+    ):
+        if f"{name}(" in text:
+            found += [f"static int32_t {name}(int32_t a, int32_t b) {{ return {body}; }}", ""]
+    if "abs_int(" in text:
+        found += ["static int32_t abs_int(int32_t a) { return a < 0 ? -a : a; }", ""]
+    return found
+
+
+def _table(array: Array, printer: CPrinter) -> str:
+    values = array.values or ()
+    rows = [
+        "    " + ", ".join(printer.number(v) for v in values[k : k + 4]) + ","
+        for k in range(0, len(values), 4)
+    ]
+    return "\n".join([f"static const {printer.real} {array.id}[{array.size}] = {{", *rows, "};"])

@@ -1,0 +1,194 @@
+"""A planned experiment ready to run: inside the rig's limits, as CSV, C or Structured Text."""
+
+from dataclasses import dataclass, replace
+from math import inf
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from dmptm_ctrl.export.program import Array, Assign, If, Item, Name, Port, Program, make
+from dmptm_ctrl.export.stepping import counter, finished, origin
+from dmptm_ctrl.export.tracer import Tracer
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.chain import march as march_chain
+from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.compiled import march, rest
+from dmptm_ctrl.simulate.model import Floats, Model
+
+HALVINGS = 12  # of the factor that brings a signal inside its limits
+TIME = "time_s"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a rig can take.
+
+    Attributes
+    ----------
+    signal : float
+        Largest magnitude of each input [V, or the input's SI unit].
+    speed : float
+        Largest speed of the load [rad/s or m/s].
+    travel : float
+        Largest distance of the load from where it starts [rad or m].
+    """
+
+    signal: float = inf
+    speed: float = inf
+    travel: float = inf
+
+
+def read_signals(file: Path) -> pd.DataFrame:
+    """Read a table of signals over time, as next_experiment.csv.
+
+    Raises
+    ------
+    LogError
+        No such file, no column time_s, uneven times, or a value that is no finite number.
+    """
+    try:
+        table = pd.read_csv(file, comment="#")
+        values = table.to_numpy(float)
+    except (OSError, ValueError):
+        raise LogError(f"{file.name}: no readable table of signals there") from None
+    if TIME not in table.columns or table.shape[1] < 2 or len(table) < 2:
+        raise LogError(f"{file.name}: needs a column {TIME}, one per signal, and two rows or more")
+    if not np.isfinite(values).all():
+        row = int(np.argmin(np.isfinite(values).all(axis=1)))
+        raise LogError(f"{file.name}, row {row + 1}: a value that is no finite number")
+    steps = np.diff(table[TIME].to_numpy(float))
+    if steps.min() <= 0.0 or np.ptp(steps) > 1e-6 * steps.mean() + 1e-9:
+        raise LogError(f"{file.name}: the times are not evenly spaced")
+    return table
+
+
+def within(
+    table: pd.DataFrame,
+    limits: Limits,
+    *,
+    model: Model | ChainModel | None = None,
+    sample_time: float | None = None,
+) -> pd.DataFrame:
+    """Return signals at a sample time, made smaller until a rig can take them.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Column time_s and one per input of the model, in its order.
+    limits : Limits
+    model : Model or ChainModel, optional
+        Tells speed and travel by simulation from rest; needed where these are limited.
+    sample_time : float, optional
+        Of the rig [s]; by default the table's. Signals are held from sample to sample.
+
+    Returns
+    -------
+    DataFrame
+        The same columns; all signals by one factor smaller where speed or travel ask for it.
+
+    Raises
+    ------
+    LogError
+        Limits of speed or travel without a model, another number of signals than the model has
+        inputs, or limits that no signal of this shape keeps.
+    """
+    time = table[TIME].to_numpy(float)
+    dt = sample_time or float(time[1] - time[0])
+    clock = np.arange(time[0], time[-1] + 0.5 * dt, dt)
+    rows = np.clip(np.searchsorted(time, clock + 1e-9, side="right") - 1, 0, time.size - 1)
+    names = [c for c in table.columns if c != TIME]
+    if not min(limits.signal, limits.speed, limits.travel) > 0.0:
+        raise LogError("a limit is not positive; no signal keeps it")
+    signals = np.clip(table[names].to_numpy(float).T[:, rows], -limits.signal, limits.signal)
+    if min(limits.speed, limits.travel) < inf:
+        if model is None:
+            raise LogError("limits of speed and travel need a model: give --model model.toml")
+        signals = _smaller(signals, dt, limits, model)
+    columns: dict[str, Floats] = {TIME: clock - clock[0]}
+    columns |= dict(zip(names, signals, strict=True))
+    return pd.DataFrame(columns)
+
+
+def _smaller(signals: Floats, dt: float, limits: Limits, model: Model | ChainModel) -> Floats:
+    inputs = len(model.layout.inputs) if isinstance(model, ChainModel) else 2
+    if len(signals) != inputs:
+        raise LogError(f"{len(signals)} signals, and the model has {inputs} inputs")
+
+    def keeps(factor: float) -> bool:
+        position, speed = _motion(model, factor * signals, dt)
+        far = float(np.abs(position - position[0]).max())
+        return bool(far <= limits.travel and np.abs(speed).max() <= limits.speed)
+
+    if keeps(1.0):
+        return signals
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if keeps(middle) else (low, middle)
+    if low == 0.0:
+        raise LogError("no signal of this shape keeps the limits; widen them")
+    return low * signals
+
+
+def _motion(model: Model | ChainModel, signals: Floats, dt: float) -> tuple[Floats, Floats]:
+    """Position and speed of the load."""
+    if isinstance(model, ChainModel):
+        run = march_chain(model, np.ascontiguousarray(signals), dt)
+        load = model.rig.bodies[-1].name
+        return run.position(load), run.speed(load)
+    out = march(model.arrays(), np.ascontiguousarray(signals), rest(model, 0.0), dt, meshes=False)
+    return out[:, 0], out[:, 1]
+
+
+def experiment_program(table: pd.DataFrame, source: Path | None = None) -> Program:
+    """Return a program that gives the signals one sample after the other, then 0.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From :func:`within`.
+    source : Path, optional
+        File that the signals were read from.
+
+    Returns
+    -------
+    Program
+        Outputs: the signals, and ``running``, 1 while they last.
+    """
+    names = [c for c in table.columns if c != TIME]
+    tracer = Tracer()
+    ports = [Port(_word(n), n.rpartition("_")[2], f"signal {n}") for n in names]
+    ports.append(Port("running", "1", "1 while the experiment lasts, then 0"))
+    ports = [replace(p, name=tracer.fresh(p.name).id) for p in ports]
+    samples = counter(tracer)
+    body, results = [], []
+    for port, name in zip(ports, names, strict=False):
+        values = tuple(float(v) for v in table[name])
+        array = Array(tracer.fresh(f"{port.name}_table").id, len(values), values)
+        value = tracer.fresh(f"{port.name}_now")
+        running = make("<", samples, len(values))
+        body += [
+            Assign(value, 0.0),
+            If(running, [Assign(value, Item(array, samples), declare=False)], []),
+        ]
+        results.append(value)
+    here = Name(tracer.fresh("lasts").id)
+    body += [
+        Assign(here, 0.0),
+        If(make("<", samples, len(table)), [Assign(here, 1.0, declare=False)], []),
+    ]
+    dt = float(table[TIME].iloc[1] - table[TIME].iloc[0])
+    notes = [
+        "Experiment that tells effects apart. Call the step once per sample.",
+        f"Sample time: {dt!r} s, {len(table)} samples.",
+        *origin(source),
+    ]
+    program = Program("next_experiment", [], ports, [*results, here], [], body, [], notes=notes)
+    return finished(tracer, program, samples, [])
+
+
+def _word(name: str) -> str:
+    """Name of a program's output: the column without its unit."""
+    stem = name.rpartition("_")[0] or name
+    return "".join(c if c.isascii() and c.isalnum() else "_" for c in stem).lower()

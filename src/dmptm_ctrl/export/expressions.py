@@ -1,0 +1,278 @@
+"""Values of expressions, in which some parts are numbers and others are names."""
+
+import ast
+from collections.abc import Callable, Mapping
+from math import isclose
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dmptm_ctrl.export.places import Cells, Latest, NotScalar, Range, Ring, Row, Signals
+from dmptm_ctrl.export.program import (
+    BOOL,
+    FUNCTIONS,
+    INT,
+    REAL,
+    Array,
+    Item,
+    Name,
+    Op,
+    kind_of,
+    known,
+    make,
+)
+from dmptm_ctrl.export.tracer import Tracer
+from dmptm_ctrl.simulate.elementary import borrowed
+
+_SIGNS: dict[type, str] = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=",
+    ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.Mod: "mod",
+}  # fmt: skip
+
+
+class Expressions:
+    """Values of expressions among the variables of one function."""
+
+    def __init__(
+        self, tracer: Tracer, env: dict[str, Any], names: Mapping[str, Any], title: str = "result"
+    ) -> None:
+        self.tracer, self.env, self.names, self.title = tracer, env, names, title
+
+    def split(self, test: Any, both: list[Callable[[], Any]], title: str) -> Any:
+        """Follow two ways, of which only the running program knows which is taken."""
+        raise NotImplementedError
+
+    def follow(self, function: Any, args: list[Any]) -> Any:
+        """Follow a call."""
+        raise NotImplementedError
+
+    def value(self, node: ast.expr) -> Any:
+        """Value of an expression."""
+        kind = type(node).__name__
+        method = getattr(self, f"_{kind.lower()}_value", None)
+        if method is None:
+            raise NotScalar(f"cannot follow a {kind} in line {node.lineno}")
+        return method(node)
+
+    def _constant_value(self, node: ast.Constant) -> Any:
+        return node.value
+
+    def _name_value(self, node: ast.Name) -> Any:
+        if node.id in self.env:
+            return self.env[node.id]
+        if node.id in self.names:
+            return plain(self.names[node.id])
+        builtins = self.names.get("__builtins__")
+        table = builtins if isinstance(builtins, dict) else vars(builtins)
+        if node.id in table:
+            return table[node.id]
+        raise NotScalar(f"{node.id} has no value on every way to line {node.lineno}")
+
+    def _tuple_value(self, node: ast.Tuple) -> Any:
+        return tuple(self._several(node.elts))
+
+    _list_value = _tuple_value
+
+    def _several(self, nodes: list[ast.expr]) -> list[Any]:
+        found: list[Any] = []
+        for node in nodes:
+            if isinstance(node, ast.Starred):
+                found += self.value(node.value)
+            else:
+                found.append(self.value(node))
+        return found
+
+    def _attribute_value(self, node: ast.Attribute) -> Any:
+        owner = self.value(node.value)
+        if isinstance(owner, Array) and node.attr in owner.fields:
+            return Item(owner, owner.fields.index(node.attr))
+        if isinstance(owner, Cells) and node.attr == "copy":
+            heap = self.tracer.heap
+            return _Method(self.tracer.cells([heap[id(owner), k] for k in range(owner.size)]))
+        if isinstance(owner, np.ndarray) and node.attr == "copy":
+            return _Method(self.tracer.cells([plain(v) for v in owner]))
+        return plain(getattr(owner, node.attr))
+
+    def _unaryop_value(self, node: ast.UnaryOp) -> Any:
+        value = self.value(node.operand)
+        if isinstance(node.op, ast.Not):
+            return make("not", value)
+        return value if isinstance(node.op, ast.UAdd) else make("neg", value)
+
+    def _binop_value(self, node: ast.BinOp) -> Any:
+        return self._binary(node.op, self.value(node.left), self.value(node.right))
+
+    def _binary(self, op: ast.operator, a: Any, b: Any) -> Any:
+        if isinstance(op, ast.Pow):
+            return self._power(a, b)
+        if type(op) not in _SIGNS:
+            raise NotScalar(f"no operation {type(op).__name__}")
+        if isinstance(op, ast.Mod) and REAL in (kind_of(a), kind_of(b)):
+            a, b = self.tracer.kept("dividend", a), self.tracer.kept("divisor", b)
+            return make("-", a, make("*", b, make("floor", make("/", a, b))))
+        return make(_SIGNS[type(op)], a, b)
+
+    def _power(self, base: Any, exponent: Any) -> Any:
+        if known(exponent) and not known(base):
+            if exponent == 2:
+                base = self.tracer.kept("base", base)
+                return make("*", base, base)
+            if exponent == 1:
+                return base
+            if isclose(exponent, 0.5, rel_tol=0.0):
+                return make("sqrt", base)
+        return make("pow", make("real", base), make("real", exponent))
+
+    def _compare_value(self, node: ast.Compare) -> Any:
+        left, result = self.value(node.left), True
+        for op, right_node in zip(node.ops, node.comparators, strict=True):
+            right = self.value(right_node)
+            result = make("and", result, make(_SIGNS[type(op)], left, right))
+            left = right
+        return result
+
+    def _boolop_value(self, node: ast.BoolOp) -> Any:
+        is_and = isinstance(node.op, ast.And)
+        value = self.value(node.values[0])
+        for other in node.values[1:]:
+            if known(value):
+                if bool(value) is not is_and:
+                    return value
+                value = self.value(other)
+                continue
+            value = self._logic(is_and, value, other)
+        return value
+
+    def _logic(self, is_and: bool, value: Any, other: ast.expr) -> Any:
+        """And, or; the second is looked at only where the first leaves it open."""
+        block: list[Any] = []
+        with self.tracer.collected(block):
+            right = self.value(other)
+        if not block:
+            return make("and" if is_and else "or", value, right)
+        stop = not is_and
+
+        def more() -> Any:
+            self.tracer.block += block
+            return right
+
+        ways: list[Callable[[], Any]] = [more, lambda: stop]
+        return self.split(value, ways if is_and else ways[::-1], "holds")
+
+    def _ifexp_value(self, node: ast.IfExp) -> Any:
+        test = self.value(node.test)
+        if known(test):
+            return self.value(node.body if test else node.orelse)
+        ways = [lambda: self.value(node.body), lambda: self.value(node.orelse)]
+        return self.split(test, ways, "choice")
+
+    def _slice_value(self, node: ast.Slice) -> slice:
+        parts = (node.lower, node.upper, node.step)
+        return slice(*(None if p is None else self.value(p) for p in parts))
+
+    def _subscript_value(self, node: ast.Subscript) -> Any:
+        return self.item(self.value(node.value), self.value(node.slice))
+
+    def item(self, owner: Any, index: Any) -> Any:
+        """Element of an array, a tuple or cells."""
+        if isinstance(owner, Cells) and known(index):
+            return self.tracer.heap[id(owner), int(index) % owner.size]
+        if isinstance(owner, Row):
+            return self.item(owner.cells, index[1])
+        if isinstance(owner, Signals):
+            if isinstance(index, tuple):
+                return self.item(owner.rings[index[0]], index[1])
+            return owner.rings[index]
+        if isinstance(owner, Latest):
+            return owner.value
+        if isinstance(owner, Ring):
+            if isinstance(index, slice):
+                return Ring(owner.array, index.stop)
+            return Item(owner.array, make("mod", index, owner.array.size))
+        if isinstance(owner, Array):
+            return Item(owner, index)
+        if isinstance(owner, tuple | np.ndarray) and not _symbolic(index):
+            return plain(owner[index])
+        if isinstance(owner, tuple | np.ndarray):
+            return self._looked_up(tuple(plain(v) for v in owner), index)
+        raise NotScalar(f"cannot read a {type(owner).__name__} at {index!r}")
+
+    def _looked_up(self, values: tuple[Any, ...], index: Any) -> Any:
+        if not all(known(v) for v in values):
+            raise NotScalar("a table of numbers that are not known")
+        first = 0
+        if isinstance(index, Op) and index.op == "+":
+            a, b = index.args
+            first, index = (a, b) if known(a) else (b, a) if known(b) else (0, index)
+        if isinstance(index, Op) and index.op == "+" and known(index.args[0]):
+            first, index = first + index.args[0], index.args[1]
+        table = self.tracer.table(tuple(float(v) for v in values))
+        return Item(table, make("+", index, first))
+
+    def _call_value(self, node: ast.Call) -> Any:
+        function = self.value(node.func)
+        args = self._several(node.args)
+        if isinstance(function, _Method):
+            return function.value
+        return _called(self, function, args)
+
+
+class _Method(NamedTuple):
+    """A method call without arguments whose value is known already."""
+
+    value: Any
+
+
+def _called(scope: Expressions, function: Any, args: list[Any]) -> Any:
+    name = getattr(function, "__name__", "")
+    module = getattr(function, "__module__", "") or ""
+    if function is range:
+        return Range(*(args if len(args) == 2 else (0, *args)))
+    if function in (float, int, bool, abs, min, max, len):
+        return _builtin(function, args)
+    if name in FUNCTIONS and (module == "math" or module.endswith("elementary")):
+        arg = make("real", args[0])
+        return make(name, arg)
+    if function is borrowed:
+        return args[0]
+    if function is np.zeros or function is np.full or function is np.empty:
+        value = args[1] if function is np.full else 0.0
+        return scope.tracer.cells([value] * int(args[0]))
+    if isinstance(function, type) and hasattr(function, "_fields"):
+        return function(*args)
+    if callable(function):
+        return scope.follow(function, args)
+    raise NotScalar(f"cannot call {function!r}")
+
+
+def _builtin(function: Any, args: list[Any]) -> Any:
+    if function is len:
+        return len(args[0])
+    if function is abs:
+        return make("abs", args[0])
+    if function in (min, max):
+        value = args[0]
+        for other in args[1:]:
+            value = make(function.__name__, value, other)
+        return value
+    if known(args[0]):
+        return function(args[0])
+    if function is float:
+        return make("real", args[0])
+    if function is int:
+        return args[0] if kind_of(args[0]) == INT else make("trunc", args[0])
+    return args[0] if kind_of(args[0]) == BOOL else make("!=", args[0], 0)
+
+
+def plain(value: Any) -> Any:
+    """Python's number in place of numpy's."""
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    return float(value) if isinstance(value, np.floating) else value
+
+
+def _symbolic(index: Any) -> bool:
+    parts = index if isinstance(index, tuple) else (index,)
+    return any(isinstance(p, Name | Op | Item) for p in parts)

@@ -1,0 +1,208 @@
+"""What the command line calls: a model or controller file in, files to run elsewhere out."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from dmptm_ctrl.design.controller import KIND as CONTROLLER
+from dmptm_ctrl.design.controller import Controller, read_controller
+from dmptm_ctrl.diagnosis.ladder_files import is_chain, read_chain
+from dmptm_ctrl.export.c_source import REALS, c_header, c_source
+from dmptm_ctrl.export.controller import controller_program, provenance
+from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
+from dmptm_ctrl.export.fmu import write_fmu
+from dmptm_ctrl.export.mujoco import mujoco_joint, mujoco_text
+from dmptm_ctrl.export.places import NotScalar
+from dmptm_ctrl.export.plant import plant_program
+from dmptm_ctrl.export.program import Program
+from dmptm_ctrl.export.python_program import python_program
+from dmptm_ctrl.export.st_source import st_source
+from dmptm_ctrl.export.stepping import origin
+from dmptm_ctrl.export.tables import write_tables
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.atomic import output_folder
+from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.simulate.model_file import read_model
+
+SAMPLE_TIME = 1e-3  # s, of a plant's program where none is given
+
+
+def export_file(
+    source: Path,
+    target: str,
+    out: Path,
+    *,
+    real: str = "double",
+    sample_time: float | None = None,
+) -> list[str]:
+    """Write a model or a controller as a program.
+
+    Parameters
+    ----------
+    source : path
+        model.toml of `dmptm diagnose` or controller.toml of `dmptm tune`.
+    target : {"c", "st", "fmu", "python", "table", "mujoco"}
+    out : path
+        Folder; files of other names in it stay.
+    real : {"double", "float"}
+        Of C and Structured Text.
+    sample_time : float, optional
+        Of a plant's program [s]; by default 1 ms. A controller has its own.
+
+    Returns
+    -------
+    list of str
+        Names of the files.
+
+    Raises
+    ------
+    LogError
+        No such file, target or number type; nothing is written.
+    """
+    if target not in TARGETS:
+        raise LogError(f"--to {target}: no such target; there are {', '.join(TARGETS)}")
+    _check_numbers(real, sample_time)
+    model = _read(source)
+    if isinstance(model, Controller):
+        if sample_time is not None:
+            raise LogError(f"{source.name}: a controller has its own sample time; leave it out")
+        if target not in OF_CONTROLLER:
+            kinds = ", ".join(OF_CONTROLLER)
+            raise LogError(f"{source.name}: a controller goes to {kinds}; {target} is of a plant")
+    step = sample_time or SAMPLE_TIME
+    with output_folder(out) as folder:
+        try:
+            TARGETS[target](model, source, step, real, folder)
+        except NotScalar as error:  # a user's own effect
+            raise LogError(f"{source.name}: an effect has no program: {error}") from None
+        return sorted(p.name for p in folder.iterdir())
+
+
+def export_experiment(
+    source: Path,
+    target: str,
+    out: Path,
+    *,
+    limits: Limits,
+    model: Path | None = None,
+    real: str = "double",
+    sample_time: float | None = None,
+) -> list[str]:
+    """Write a planned experiment ready to run.
+
+    Parameters
+    ----------
+    source : path
+        next_experiment.csv of `dmptm diagnose`, or a table like it.
+    target : {"csv", "c", "st"}
+    out : path
+        Folder; files of other names in it stay.
+    limits : Limits
+    model : path, optional
+        model.toml, by which speed and travel are told.
+    real : {"double", "float"}
+        Of C and Structured Text.
+    sample_time : float, optional
+        Of the rig [s]; by default the table's.
+
+    Returns
+    -------
+    list of str
+        Names of the files.
+
+    Raises
+    ------
+    LogError
+        Files that cannot be used, or limits that cannot be kept; nothing is written.
+    """
+    if target not in OF_EXPERIMENT:
+        raise LogError(f"--to {target}: an experiment goes to {', '.join(OF_EXPERIMENT)}")
+    _check_numbers(real, sample_time)
+    plant = None if model is None else _read(model)
+    if isinstance(plant, Controller):
+        raise LogError(f"--model {source.name}: that is a controller; give a model.toml")
+    table = within(read_signals(source), limits, model=plant, sample_time=sample_time)
+    program = experiment_program(table, source)
+    with output_folder(out) as folder:
+        if target == "csv":
+            text = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+            (folder / f"{program.name}.csv").write_text(text, encoding="utf-8")
+        elif target == "c":
+            _write_c(program, real, folder)
+        else:
+            (folder / f"{program.name}.st").write_text(st_source(program, real), encoding="ascii")
+        return sorted(p.name for p in folder.iterdir())
+
+
+def _check_numbers(real: str, sample_time: float | None) -> None:
+    if real not in REALS:
+        raise LogError(f"--real {real}: no such type; there are {', '.join(REALS)}")
+    if sample_time is not None and not 0.0 < sample_time < 1.0:
+        raise LogError(f"--sample-time {sample_time:g}: must lie between 0 and 1 s")
+
+
+def _read(source: Path) -> Any:
+    try:
+        kind = parse_toml(source.read_text(encoding="utf-8"), source.name).get("kind")
+    except (OSError, UnicodeDecodeError):
+        raise LogError(f"{source.name}: no readable model or controller file there") from None
+    if kind == CONTROLLER:
+        return read_controller(source)
+    return read_chain(source)[0] if is_chain(source) else read_model(source)
+
+
+def _program(model: Any, source: Path, step: float) -> Program:
+    if isinstance(model, Controller):
+        return controller_program(model, notes=provenance(model, source))
+    notes = [
+        "Drive as diagnosed.",
+        f"Sample time: {step!r} s. Call the step once per sample; inputs are held until the next.",
+        "Units: SI, angles in rad.",
+        *origin(source),
+    ]
+    return plant_program(model, step, notes=notes)
+
+
+def _to_c(model: Any, source: Path, step: float, real: str, folder: Path) -> None:
+    _write_c(_program(model, source, step), real, folder)
+
+
+def _write_c(program: Program, real: str, folder: Path) -> None:
+    for ending, text in ((".h", c_header(program, real)), (".c", c_source(program, real))):
+        (folder / f"{program.name}{ending}").write_text(text, encoding="ascii")
+
+
+def _to_st(model: Any, source: Path, step: float, real: str, folder: Path) -> None:
+    program = _program(model, source, step)
+    (folder / f"{program.name}.st").write_text(st_source(program, real), encoding="ascii")
+
+
+def _to_fmu(model: Any, source: Path, step: float, _: str, folder: Path) -> None:
+    program = _program(model, source, step)
+    write_fmu(program, step, folder / f"{program.name}.fmu")
+
+
+def _to_python(model: Any, source: Path, _: float, __: str, folder: Path) -> None:
+    name = "controller.py" if isinstance(model, Controller) else "plant.py"
+    (folder / name).write_text(python_program(model, source), encoding="utf-8")
+
+
+def _to_table(model: Any, source: Path, _: float, __: str, folder: Path) -> None:
+    write_tables(model, source, folder)
+
+
+def _to_mujoco(model: Any, source: Path, _: float, __: str, folder: Path) -> None:
+    text = mujoco_text(mujoco_joint(model), source)
+    (folder / "joint.xml").write_text(text, encoding="ascii")
+
+
+OF_EXPERIMENT = ("csv", "c", "st")
+OF_CONTROLLER = ("c", "st", "python")
+TARGETS: dict[str, Callable[[Any, Path, float, str, Path], None]] = {
+    "c": _to_c,
+    "st": _to_st,
+    "fmu": _to_fmu,
+    "python": _to_python,
+    "table": _to_table,
+    "mujoco": _to_mujoco,
+}

@@ -1,0 +1,79 @@
+"""A step of a controller or plant, made a program with its state."""
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import dmptm_ctrl
+from dmptm_ctrl.export.program import INT, Assign, If, Name, Program, known, make, prune
+from dmptm_ctrl.export.tracer import Tracer
+
+LAST_SAMPLE = 2**31 - 2  # the count of samples stays there
+
+
+def counter(tracer: Tracer) -> Name:
+    """Return the number of the sample, from 0."""
+    return replace(tracer.fresh("samples", INT), counts=True)
+
+
+def finished(
+    tracer: Tracer,
+    program: Program,
+    samples: Name,
+    carried: list[tuple[Name, Any, Any]],
+    *,
+    before: list[Any] | None = None,
+    once: list[Any] | None = None,
+) -> Program:
+    """Return a program with its state and without what nothing depends on.
+
+    Parameters
+    ----------
+    program : Program
+        With the body of one step.
+    samples : Name
+        From :func:`counter`.
+    carried : list of (name, value at the start, value behind the step)
+        Of :meth:`.trace.Scope.turning`. A start that depends on the first inputs is set in the
+        first step.
+    before, once : list of statements, optional
+        Ahead of the body in each step, and in the first step only.
+    """
+    state = [(name, old if known(old) else _zero(name)) for name, old, _ in carried]
+    first = [Assign(name, old, declare=False) for name, old, _ in carried if not known(old)]
+    after = [(name, new) for name, _, new in carried]
+    state.append((samples, 0))
+    after.append((samples, make("min", make("+", samples, 1), LAST_SAMPLE)))
+    lead = [If(make("==", samples, 0), [*(once or []), *first], [])] if first else []
+    body = [*(before or []), *lead, *program.body]
+    whole = replace(program, state=state, after=after, body=body, arrays=tracer.arrays)
+    return _separated(tracer, prune(whole))
+
+
+def _zero(name: Name) -> Any:
+    return 0.0 if name.kind == "real" else 0
+
+
+def _separated(tracer: Tracer, program: Program) -> Program:
+    """Return the program with new values of the state that none overwrites before it is read."""
+    kept = {name.id for name, _ in program.after}
+    body, found = list(program.body), []
+    for name, value in program.after:
+        if not known(value) and value != name and not (
+            isinstance(value, Name) and value.id not in kept
+        ):  # fmt: skip
+            spare = tracer.fresh(f"new_{name.id}", name.kind)
+            body.append(Assign(spare, value))
+            value = spare
+        found.append((name, value))
+    return replace(program, body=body, after=found)
+
+
+def origin(source: Path | None) -> list[str]:
+    """Return the comment lines that say what wrote a file, and from what."""
+    lines = [f"Written by dmptm-ctrl {dmptm_ctrl.__version__}."]
+    if source is not None:
+        digest = hashlib.sha256(source.read_bytes()).hexdigest()
+        lines.append(f"Source: {source.name}, SHA-256 {digest}.")
+    return lines

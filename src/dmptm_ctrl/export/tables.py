@@ -1,0 +1,118 @@
+"""What cancels friction, load and motor torques, as tables over speed and angle."""
+
+from collections.abc import Callable
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from dmptm_ctrl.export.stepping import origin
+from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+from dmptm_ctrl.simulate.chain_compose import engine, kind_of
+from dmptm_ctrl.simulate.chain_model import ChainModel, value_row
+from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.plain import RING, Sites
+
+SPEEDS = 101  # rows over speed, from backward to forward; the middle one is at rest
+ANGLES = 361  # rows over a turn, both ends included
+SPEED_RANGE = 2.0  # rad/s or m/s at the load, either way
+
+
+def compensation_tables(model: Model | ChainModel) -> dict[str, pd.DataFrame]:
+    """Return what a drive must give to cancel friction and the torques of effects.
+
+    Parameters
+    ----------
+    model : Model or ChainModel
+
+    Returns
+    -------
+    dict of str to DataFrame
+        ``friction`` over speed; ``load`` and ``motor`` over angle, where such effects are in
+        the model. Units are in the columns' names, SI. Everything is at time 0 and without torque
+        in the meshes. Of a dual-motor drive the voltages are those of each motor.
+    """
+    tables = _of_chain(model) if isinstance(model, ChainModel) else _of_dual(model)
+    return {name: table for name, table in tables.items() if not table.empty}
+
+
+def _of_dual(model: Model) -> dict[str, pd.DataFrame]:
+    sites = Sites(model)
+    n2, gain = sites.n2, sites.n1 * sites.gain  # N·m at the pinion per V
+    speed = np.linspace(-SPEED_RANGE, SPEED_RANGE, SPEEDS)
+
+    def friction(body: int, factor: float) -> Floats:
+        return _along(lambda w: _friction(sites, body, factor * w), speed)
+
+    ring, left, right = friction(RING, 1.0), friction(0, n2), friction(1, n2)
+    columns = {"speed_rad_s": speed, "ring_N_m": ring, "left_N_m": left, "right_N_m": right}
+    for side, own in (("left", left), ("right", right)):
+        columns[f"u_{side}_V"] = (ring / (2.0 * n2) + own) / gain
+    tables = {"friction": pd.DataFrame(columns), "load": pd.DataFrame(), "motor": pd.DataFrame()}
+    angle = np.linspace(0.0, 2 * pi, ANGLES)
+    if sites.has("load"):
+        torque = _along(lambda q: -sites.load_torque(q, 0.0, 0.0), angle)
+        tables["load"] = pd.DataFrame(
+            {"theta_L_rad": angle, "torque_N_m": torque, "u_V": torque / (2.0 * n2 * gain)}
+        )
+    if sites.has("motor"):
+        columns = {"theta_m_rad": angle}
+        for number, name in enumerate(("left", "right")):
+            torque = _along(lambda q, s=number: -sites.motor_torque(0.0, q, 0.0, 0.0, s), angle)
+            columns[f"torque_{name}_N_m"] = torque / sites.n1
+            columns[f"u_{name}_V"] = torque / gain
+        tables["motor"] = pd.DataFrame(columns)
+    return tables
+
+
+def _along(function: Callable[..., float], values: Floats) -> Floats:
+    return np.array([function(float(x)) for x in values])
+
+
+def _friction(sites: Sites, body: int, omega: float) -> float:
+    if omega == 0.0:
+        return 0.0
+    way = 1.0 if omega > 0.0 else -1.0
+    return way * float(sites.sliding(body, way, 0.0, omega, 0.0, 0.0))
+
+
+def _of_chain(model: ChainModel) -> dict[str, pd.DataFrame]:
+    loop, plant, layout = engine(), model.plant(), model.layout
+    speed = np.linspace(-SPEED_RANGE, SPEED_RANGE, SPEEDS)
+    angle = np.linspace(0.0, 2 * pi, ANGLES)
+    still = np.zeros(ANGLES)
+    friction, torques = {"speed_SI": speed}, {"position_SI": angle}
+    for k, body in enumerate(layout.bodies):
+        level, factor = np.empty(SPEEDS), np.ones(SPEEDS)
+        loop.law_along(speed, plant.law[k], level)
+        torque = np.zeros(ANGLES)
+        for effect in model.effects:
+            site = CHAIN_CATALOGUE[effect.name].site
+            kind, row = kind_of(effect.name), value_row(effect)
+            if effect.on == body and site == "friction":
+                f, added = np.empty(SPEEDS), np.empty(SPEEDS)
+                none = np.zeros(SPEEDS)
+                loop.friction_along(kind, none, speed, none, none, row, f, added)
+                factor *= f
+                level += np.sign(speed) * added
+            elif effect.on == body and site in ("motor", "load"):
+                own = np.empty(ANGLES)
+                loop.torque_along(kind, angle, still, still, row, own)
+                torque -= own
+        unit = "N" if any(b.name == body and b.linear for b in model.rig.bodies) else "N_m"
+        friction[f"{body}_{unit}"] = factor * level
+        if torque.any():
+            torques[f"{body}_{unit}"] = torque
+    return {
+        "friction": pd.DataFrame(friction),
+        "load": pd.DataFrame(torques if len(torques) > 1 else {}),
+    }
+
+
+def write_tables(model: Model | ChainModel, source: Path, folder: Path) -> None:
+    """Write each table as a CSV, with what wrote it in comment lines ahead."""
+    head = "".join(f"# {line}\n" for line in origin(source))
+    for name, table in compensation_tables(model).items():
+        text = head + table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+        (folder / f"{name}.csv").write_text(text, encoding="utf-8")

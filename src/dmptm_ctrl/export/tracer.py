@@ -1,0 +1,123 @@
+"""Names and cells of a calculation that is being traced, and the statements that are left."""
+
+from collections.abc import Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from dmptm_ctrl.export.places import Cells, Returned
+from dmptm_ctrl.export.program import REAL, Array, Assign, Item, Name, Op, kind_of, known, make
+from dmptm_ctrl.export.reserved import RESERVED
+
+
+class Tracer:
+    """Follows source and collects statements in `block`."""
+
+    def __init__(self, rings: tuple[str, ...] = ()) -> None:
+        self.rings = rings  # variables whose cells are read at places not known
+        self.block: list[Any] = []
+        self.heap: dict[tuple[int, int], Any] = {}
+        self._alive: list[Cells] = []  # so that no identity is given twice
+        self.taken: dict[str, int] = {}
+        self._tables: dict[tuple[float, ...], Array] = {}
+        self.arrays: list[tuple[Array, float]] = []
+
+    # names and cells
+
+    def fresh(self, base: str, kind: str = REAL) -> Name:
+        """Return a name that is not in use, whatever the case of its letters."""
+        base = base.strip("_").lower() or "x"
+        name = base
+        while name in RESERVED or name in self.taken:
+            self.taken[base] = count = self.taken.get(base, 0) + 1
+            name = f"{base}_{count + 1}"
+        self.taken.setdefault(name, 0)
+        return Name(name, kind)
+
+    def cells(self, values: Any, names: Mapping[int, str] | None = None) -> Cells:
+        """Return new cells with these values, called so in what is printed."""
+        made = Cells(values, names)
+        self._alive.append(made)
+        for k, value in enumerate(made.start):
+            self.heap[id(made), k] = value
+        return made
+
+    def title(self, place: tuple[int, int]) -> str:
+        """Name of a cell in what is printed."""
+        owner = next(c for c in self._alive if id(c) == place[0])
+        return owner.names.get(place[1], f"value_{place[1]}")
+
+    def array(self, base: str, size: int, first: float = 0.0) -> Array:
+        """Return an array that is kept from step to step."""
+        made = Array(self.fresh(base).id, size)
+        self.arrays.append((made, first))
+        return made
+
+    def table(self, values: tuple[float, ...]) -> Array:
+        """Return the constant table of these values."""
+        if values not in self._tables:
+            self._tables[values] = Array(self.fresh("table").id, len(values), values)
+        return self._tables[values]
+
+    # functions and statements
+
+    @contextmanager
+    def collected(self, into: list[Any]) -> Any:
+        """Collect statements there."""
+        before, self.block = self.block, into
+        try:
+            yield
+        finally:
+            self.block = before
+
+    def kept(self, name: str, value: Any) -> Any:
+        """Give an expression a name, so that it is computed once."""
+        if isinstance(value, tuple):
+            parts = [
+                self.kept(part, v) for part, v in zip(part_names(name, value), value, strict=True)
+            ]
+            return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+        if not isinstance(value, Op | Item):
+            return value
+        made = self.fresh(name, kind_of(value))
+        self.block.append(Assign(made, value))
+        return made
+
+
+class Merge:
+    """Gives what two branches leave different one name, set in each of them."""
+
+    def __init__(self, tracer: Tracer, body: list[Any], orelse: list[Any]) -> None:
+        self.tracer, self.ways = tracer, (body, orelse)
+        self.declared: list[Any] = []
+
+    def of(self, base: str, a: Any, b: Any) -> Any:
+        """Value behind both branches."""
+        if same(a, b):
+            return a
+        if isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
+            names = part_names(base, a)
+            parts = [self.of(n, x, y) for n, x, y in zip(names, a, b, strict=True)]
+            return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
+        scalar = all(known(v) or isinstance(v, Name | Op | Item) for v in (a, b))
+        if not scalar:
+            return None  # of no use behind the branches
+        kinds = {kind_of(a), kind_of(b)}
+        kind = next(iter(kinds)) if len(kinds) == 1 else REAL
+        name = self.tracer.fresh(base, kind)
+        self.declared.append(Assign(name, None))
+        for way, value in zip(self.ways, (a, b), strict=True):
+            way.append(Assign(name, make("real", value) if kind == REAL else value, declare=False))
+        return name
+
+
+def part_names(name: str, value: tuple[Any, ...]) -> list[str]:
+    fields = None if isinstance(value, Returned) else getattr(value, "_fields", None)
+    return [f"{name}_{f}" for f in fields] if fields else [name] * len(value)
+
+
+def same(a: Any, b: Any) -> bool:
+    if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):
+        return a is b
+    return bool(a is b or (type(a) is type(b) and a == b))

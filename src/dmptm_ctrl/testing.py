@@ -1,0 +1,137 @@
+"""Assertions for the tests of those who own a machine, with pytest or without.
+
+def test_last_night(logs="/data/logs/tonight"):
+assert_explained(logs, "model.toml")
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    import control
+
+    from dmptm_ctrl.check.run import Check
+    from dmptm_ctrl.simulate.model import Model
+
+
+def assert_explained(logs: Any, model: Any, *, tolerance: float = 0.05) -> "Check":
+    """Assert that logs are of the machine that a model describes.
+
+    Parameters
+    ----------
+    logs : folder, files or Logs
+    model : Model, ChainModel or path of a model.toml
+    tolerance : float
+        Share of its value by which an entry may differ.
+
+    Returns
+    -------
+    Check
+        What was found.
+
+    Raises
+    ------
+    AssertionError
+        Something has moved; the message says what, and by how many standard errors.
+    LogError
+        Logs or a model file that cannot be used.
+    """
+    from dmptm_ctrl.check.run import check
+
+    found = check(logs, model, tolerance=tolerance)
+    if not found.same:
+        raise AssertionError(found.summary())
+    return found
+
+
+def assert_margins(
+    loop: "control.TransferFunction | control.StateSpace",
+    *,
+    gain_db: float = 6.0,
+    phase_deg: float = 30.0,
+    peak: float | None = None,
+) -> None:
+    """Assert the margins of an open loop.
+
+    Parameters
+    ----------
+    loop : TransferFunction or StateSpace
+        Controller times plant, one input and one output, continuous or sampled.
+    gain_db, phase_deg : float
+        Least gain margin [dB] and phase margin [deg].
+    peak : float, optional
+        Largest sensitivity that is allowed.
+
+    Raises
+    ------
+    AssertionError
+        The closed loop is unstable, or a margin is smaller; the message says which.
+    """
+    import control as ct
+
+    closed = ct.feedback(loop, 1)
+    poles = closed.poles()
+    stable = np.all(np.abs(poles) < 1.0) if closed.isdtime(strict=True) else np.all(poles.real < 0)
+    if not stable:
+        raise AssertionError("the closed loop is unstable")
+    gain, phase, distance, *_ = ct.stability_margins(loop)
+    if 20.0 * np.log10(gain) < gain_db:
+        raise AssertionError(
+            f"gain margin is {20.0 * np.log10(gain):.3g} dB; it must be at least {gain_db:.3g} dB"
+        )
+    if phase < phase_deg:
+        raise AssertionError(
+            f"phase margin is {phase:.3g} deg; it must be at least {phase_deg:.3g} deg"
+        )
+    if peak is not None and not 1.0 / distance <= peak:
+        raise AssertionError(f"sensitivity peaks at {1.0 / distance:.3g}; {peak:.3g} is allowed")
+
+
+def assert_tracks(
+    controller: Any,
+    model: "Model",
+    reference: ArrayLike,
+    *,
+    rms: float,
+    noise: ArrayLike | None = None,
+) -> float:
+    """Assert that a controller follows a setpoint on a model.
+
+    Parameters
+    ----------
+    controller : Controller or path of a controller.toml
+    model : Model
+        The simulated machine.
+    reference : (n,) array_like [rad/s]
+        Setpoint of the ring gear's speed at the controller's sample time.
+    rms : float [rad/s]
+        Largest root mean square of the error that is allowed.
+    noise : (n,) array_like [rad/s], optional
+        On the speed reading.
+
+    Returns
+    -------
+    float
+        The error's root mean square [rad/s].
+
+    Raises
+    ------
+    AssertionError
+        The error is larger, or not finite.
+    LogError
+        No such controller file.
+    """
+    from dmptm_ctrl.design.controller import Controller, read_controller
+    from dmptm_ctrl.simulate.compiled import OUTPUTS, close_loop
+
+    if not isinstance(controller, Controller):
+        controller = read_controller(Path(controller))
+    target = np.asarray(reference, float)
+    _, out = close_loop(model, controller.law(), target, controller.sample_time, noise=noise)
+    error = float(np.sqrt(np.mean((target - out[:, OUTPUTS.index("omega_L")]) ** 2)))
+    if not error <= rms:
+        raise AssertionError(f"tracking error is {error:.4g} rad/s rms; {rms:.4g} is allowed")
+    return error

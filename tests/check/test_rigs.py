@@ -1,0 +1,76 @@
+"""Rig files: machines of an independent program, unchanged and changed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.chain.truth import Bench, Machine
+
+from dmptm_ctrl.check.evidence import evidence_of, only_own
+from dmptm_ctrl.check.moved import entries_of, find_moved, information_of
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.identify.chain_fit import State, fit_chain
+from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+
+MACHINE = Machine(fc=0.02, fs=0.02, cog=0.01, order=7.0, b1=4e-4)
+BENCH = Bench(MACHINE, sensors=("speed", "position"), zero=True, seconds=6.0)
+CHANGES = {
+    "coulomb_friction@motor": ({"fc": 0.024, "fs": 0.024}, 0.2),
+    "cogging@motor": ({"cog": 0.02}, 1.0),
+    # its back-EMF adds 2e-3 to the viscous friction of 4e-4
+    "viscous of motor": ({"b1": 8e-4}, 4.0 / 24.0),
+}
+
+
+def logs_of(bench, seed):
+    rig = parse_rig(bench.rig(), "rig.toml")
+    tables = bench.with_(seed=seed).logs()
+    logs = rig.read([pd.DataFrame(columns) for columns in tables.values()])
+    return rig, logs
+
+
+@pytest.fixture(scope="module")
+def model():
+    """A model fitted on logs of the unchanged machine."""
+    rig, logs = logs_of(BENCH, 1)
+    start = ChainModel(
+        rig,
+        (
+            Placed("coulomb_friction", "motor", {"level": 0.01}),
+            Placed("cogging", "motor", {"cosine": 0.005, "sine": 0.0, "order": 7.0}),
+        ),
+        {"body.motor.viscous": 5e-4},
+    )
+    return fit_chain(State(start), balance_of(rig, logs), iterations=20).model
+
+
+def checked(model, bench, seed):
+    _, logs = logs_of(bench, seed)
+    evidence = only_own(evidence_of(model, logs))
+    return find_moved(information_of(evidence, {}), entries_of(evidence.parameters))
+
+
+@pytest.mark.parametrize("seed", range(2, 8))
+def test_unchanged_machines_raise_no_alarm(model, seed):
+    moved, alone = checked(model, BENCH, seed)
+    assert [c.text() for c in moved] == []
+    assert {c.entry.name for c in alone} >= set(CHANGES)
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_change_is_found_with_its_size(model, name):
+    values, size = CHANGES[name]
+    bench = BENCH.with_(machine=replace(MACHINE, **values))
+    moved, _ = checked(model, bench, 9)
+    assert moved[0].entry.name == name
+    assert moved[0].change == pytest.approx(size, rel=0.25)
+
+
+def test_a_drive_at_rest_tells_nothing(model):
+    _, logs = logs_of(BENCH, 1)
+    still = [log.with_channels(**{c: np.zeros(len(log)) for c in log.channels}) for log in logs]
+    with pytest.raises(LogError, match="the drive does not move"):
+        evidence_of(model, still)

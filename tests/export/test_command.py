@@ -1,0 +1,123 @@
+"""`dmptm export`: files, messages, exit codes."""
+
+import runpy
+
+import control as ct
+import numpy as np
+import pytest
+from tests.export.native import needs_compiler
+from tests.export.test_plant import RIG, TIME, VOLTS, rig_model
+
+from dmptm_ctrl.cli import main
+from dmptm_ctrl.design.controller import Controller, Notch
+from dmptm_ctrl.diagnosis.ladder_files import chain_to_toml
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model_file import to_toml
+
+MODEL = Model().with_effect("unbalance", cosine=4.0)
+CONTROLLER = Controller(12.0, 60.0, notches=(Notch(60.0, 0.1, 0.5),), model=MODEL, effects=1.0)
+
+
+@pytest.fixture
+def files(tmp_path):
+    CONTROLLER.save(tmp_path / "controller.toml")
+    (tmp_path / "model.toml").write_text(to_toml(MODEL), encoding="utf-8")
+    (tmp_path / "rig_model.toml").write_text(chain_to_toml(rig_model(), RIG), encoding="utf-8")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("source", "to", "names"),
+    [
+        ("controller.toml", "c", ["controller.c", "controller.h"]),
+        ("controller.toml", "st", ["controller.st"]),
+        ("controller.toml", "python", ["controller.py"]),
+        ("model.toml", "c", ["plant.c", "plant.h"]),
+        ("model.toml", "st", ["plant.st"]),
+        ("model.toml", "python", ["plant.py"]),
+        ("rig_model.toml", "c", ["plant.c", "plant.h"]),
+        ("rig_model.toml", "python", ["plant.py"]),
+        pytest.param("rig_model.toml", "fmu", ["plant.fmu"], marks=needs_compiler),
+    ],
+)
+def test_writes(files, source, to, names, capsys):
+    out = files / "out"
+    before = (files / source).read_bytes()
+    assert main(["export", str(files / source), "--to", to, "--out", str(out)]) == 0
+    assert sorted(p.name for p in out.iterdir()) == names
+    written = capsys.readouterr().out
+    assert all(name in written for name in names)
+    assert (files / source).read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none.toml", "--to", "c"], "none.toml: no readable model or controller file"),
+        (["model.toml", "--to", "ladder"], "--to ladder: no such target; there are c, st, fmu"),
+        (["model.toml", "--to", "c", "--real", "half"], "--real half: no such type"),
+        (["model.toml", "--to", "c", "--sample-time", "0"], "must lie between 0 and 1 s"),
+        (["controller.toml", "--to", "fmu"], "fmu is of a plant"),
+        (["controller.toml", "--to", "c", "--sample-time", "0.01"], "its own sample time"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_written(files, arguments, message, capsys):
+    out = files / "out"
+    assert main(["export", str(files / arguments[0]), *arguments[1:], "--out", str(out)]) == 2
+    line = capsys.readouterr().err
+    assert message in line
+    assert line.count("\n") == 1
+    assert not out.exists()
+
+
+def test_an_effect_that_is_no_scalar_arithmetic_is_refused_in_one_line(files, monkeypatch, capsys):
+    def halved(theta_L, omega_L, t, p):
+        while theta_L > 1.0:
+            theta_L = 0.5 * theta_L
+        return theta_L
+
+    kernel = CATALOGUE["unbalance"]._replace(kernel=halved)
+    monkeypatch.setitem(CATALOGUE, "unbalance", kernel)
+    out = files / "out"
+    assert main(["export", str(files / "model.toml"), "--to", "c", "--out", str(out)]) == 2
+    line = capsys.readouterr().err
+    assert "model.toml: an effect has no program: cannot follow a While" in line
+    assert not out.exists()
+
+
+def test_controller_as_python_control(files):
+    main(["export", str(files / "controller.toml"), "--to", "python", "--out", str(files / "out")])
+    found = runpy.run_path(str(files / "out" / "controller.py"))["feedback"]
+    true = CONTROLLER.to_discrete()
+    assert isinstance(found, ct.StateSpace)
+    assert found.dt == CONTROLLER.sample_time
+    z = np.exp(1j * np.linspace(0.1, 3.0, 20))
+    np.testing.assert_allclose(found(z), true(z), rtol=1e-12)
+
+
+def test_rig_as_python_program_runs(files):
+    main(["export", str(files / "rig_model.toml"), "--to", "python", "--out", str(files / "out")])
+    found = runpy.run_path(str(files / "out" / "plant.py"))
+    assert found["model"].value("body.load.inertia") == 0.05
+    assert np.isfinite(found["response"].outputs).all()
+
+
+@needs_compiler
+def test_the_sample_time_of_a_plant_is_as_told(files):
+    from dmptm_ctrl.export.c_source import c_source
+    from dmptm_ctrl.export.native import Compiled
+    from dmptm_ctrl.export.plant import plant_program
+    from dmptm_ctrl.simulate import simulate
+
+    out = files / "out"
+    options = ["--to", "c", "--sample-time", "0.002", "--out", str(out)]
+    assert main(["export", str(files / "model.toml"), *options]) == 0
+    program = plant_program(MODEL, 2e-3)
+    begin = '#include "plant.h"'
+    written = (out / "plant.c").read_text("ascii")
+    assert written.split(begin)[1] == c_source(program).split(begin)[1]
+    step = Compiled(program)
+    found = np.array([step(*row) for row in VOLTS[:, :200].T])
+    true = simulate(MODEL, 2.0 * TIME[:200], VOLTS[:, :200]).outputs.T
+    np.testing.assert_allclose(found, true, rtol=0, atol=1e-9 * np.abs(true).max())

@@ -1,0 +1,102 @@
+"""An experiment inside the rig's limits, as CSV, C and Structured Text."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.export.native import needs_compiler, st_stepper, warns_of_nothing
+from tests.export.test_plant import rig_model
+
+from dmptm_ctrl.cli import main
+from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
+from dmptm_ctrl.export.native import Compiled
+from dmptm_ctrl.export.st_source import st_source
+from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate import simulate
+from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model_file import to_toml
+
+TIME = 1e-3 * np.arange(4000)
+SWEEP = 1.2 * np.sin(2 * np.pi * 0.4 * TIME)
+TABLE = pd.DataFrame({"time_s": TIME, "u_left_V": SWEEP + 0.2, "u_right_V": SWEEP - 0.2})
+
+
+def test_keeps_speed_and_travel_and_wastes_little():
+    free = simulate(Model(), TIME, TABLE[["u_left_V", "u_right_V"]].to_numpy().T).outputs
+    limits = Limits(1.3, 0.5 * np.abs(free[1]).max(), 0.6 * np.abs(free[0]).max())
+    found = within(TABLE, limits, model=Model())
+    u = found[["u_left_V", "u_right_V"]].to_numpy().T
+    out = simulate(Model(), TIME, u).outputs
+    assert np.abs(u).max() <= limits.signal
+    shares = np.abs(out[1]).max() / limits.speed, np.abs(out[0]).max() / limits.travel
+    assert max(shares) <= 1.0
+    assert max(shares) > 0.97
+    clipped = np.clip(TABLE.u_left_V, -1.3, 1.3)
+    factor = u[0] / clipped
+    np.testing.assert_allclose(factor, factor[0], rtol=1e-12)  # the shape stays
+
+
+def test_of_another_sample_time_it_is_held():
+    found = within(TABLE, Limits(), sample_time=2.5e-3)
+    np.testing.assert_allclose(np.diff(found.time_s), 2.5e-3)
+    np.testing.assert_array_equal(found.u_left_V[:4], TABLE.u_left_V[[0, 2, 5, 7]])
+
+
+def test_rig_of_another_shape():
+    table = pd.DataFrame({"time_s": TIME, "u_V": 6.0 * np.sin(2 * np.pi * TIME)})
+    found = within(table, Limits(speed=0.5), model=rig_model())
+    assert 0.0 < found.u_V.abs().max() < table.u_V.abs().max()
+
+
+@needs_compiler
+def test_c_and_structured_text_give_the_samples_and_then_nothing(tmp_path):
+    table = within(TABLE, Limits(), sample_time=0.1)
+    program = experiment_program(table)
+    warns_of_nothing(tmp_path, program)
+    block = st_stepper(st_source(program), [p.name for p in program.outputs])
+    steps = Compiled(program), block
+    for step in steps:
+        rows = np.array([step() for _ in range(len(table) + 3)])
+        np.testing.assert_array_equal(rows[: len(table), 0], table.u_left_V)
+        np.testing.assert_array_equal(rows[: len(table), 1], table.u_right_V)
+        np.testing.assert_array_equal(rows[:, 2], np.arange(len(rows)) < len(table))
+        assert not rows[len(table) :].any()
+
+
+@pytest.mark.parametrize("to", ["csv", "c", "st"])
+def test_command(to, tmp_path):
+    TABLE.to_csv(tmp_path / "next_experiment.csv", index=False)
+    (tmp_path / "model.toml").write_text(to_toml(Model()), encoding="utf-8")
+    out = tmp_path / "out"
+    limits = ["--model", str(tmp_path / "model.toml"), "--max-speed", "0.1", "--max-signal", "1"]
+    source = str(tmp_path / "next_experiment.csv")
+    assert main(["experiment", source, "--to", to, "--out", str(out), *limits]) == 0
+    names = {"c": {"next_experiment.c", "next_experiment.h"}}.get(to, {f"next_experiment.{to}"})
+    assert {p.name for p in out.iterdir()} == names
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,u\n0,1\n1,2\n", "needs a column time_s"),
+        ("time_s,u_V\n0,1\n1,nan\n2,1\n", "row 2: a value that is no finite number"),
+        ("time_s,u_V\n0,1\n1,1\n3,1\n", "the times are not evenly spaced"),
+        ("time_s,u_V\n0,1\n1,hello\n", "no readable table of signals"),
+    ],
+)
+def test_bad_tables(text, message, tmp_path):
+    file = tmp_path / "signals.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(LogError, match=message):
+        read_signals(file)
+
+
+def test_limits_that_need_a_model_or_cannot_be_kept(tmp_path):
+    with pytest.raises(LogError, match="a limit is not positive"):
+        within(TABLE, Limits(signal=0.0))
+    with pytest.raises(LogError, match="need a model"):
+        within(TABLE, Limits(speed=1.0))
+    with pytest.raises(LogError, match="1 signals, and the model has 2"):
+        within(TABLE[["time_s", "u_left_V"]], Limits(speed=1.0), model=Model())
+    pushed = Model().with_effect("unbalance", cosine=60.0)
+    with pytest.raises(LogError, match="no signal of this shape keeps the limits"):
+        within(TABLE, Limits(travel=1e-6), model=pushed)

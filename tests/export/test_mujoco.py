@@ -1,0 +1,69 @@
+"""MuJoCo's joint against the package's own simulator, where what is lost plays no part."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.export.test_plant import rig_model
+
+from dmptm_ctrl.export.mujoco import mujoco_joint, mujoco_text
+from dmptm_ctrl.simulate.chain import simulate_chain
+from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.compiled import march, rest
+from dmptm_ctrl.simulate.model import Model
+
+SOURCE = Path(__file__)
+
+
+def test_dual_motor_drive_by_hand():
+    model = Model().with_effect("drive_delay", delay=3e-3).with_effect("cogging", left_sine=0.01)
+    joint, d = mujoco_joint(model), model.drive
+    n = d["N_1"] * d["N_2"]
+    assert joint.armature == pytest.approx(2 * (n**2 * d["J_m"] + d["N_2"] ** 2 * d["J_2"]))
+    assert joint.frictionloss == pytest.approx(18.5 + 2 * 8.25 * 2.15)
+    gear = n * d["K_d"] * d["K_M"]
+    assert joint.actuators == (("left", gear, 3e-3, 0.0), ("right", gear, 3e-3, 0.0))
+    text = mujoco_text(joint, SOURCE)
+    assert "effect cogging" in text
+    assert "effect drive_delay" not in text
+    assert "backlash: half-gaps" in text
+
+
+def run(joint, signals, dt=1e-3):
+    mujoco = pytest.importorskip("mujoco")
+    text = mujoco_text(joint, SOURCE)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    speed = []
+    for row in signals.T:
+        speed.append(float(data.qvel[0]))
+        data.ctrl[:] = row
+        mujoco.mj_step(model, data)
+    return np.array(speed)
+
+
+def test_steady_speed_and_start_are_those_of_the_simulator():
+    model = Model()
+    u = np.full((2, 3000), 1.2)
+    own = march(model.arrays(), u, rest(model, 0.0), 1e-3)[:, 1]
+    found = run(mujoco_joint(model), u)
+    assert own[-1] > 0.2
+    # its friction is the mean of both directions and without Stribeck's part
+    assert found[-1] == pytest.approx(own[-1], rel=0.25)
+
+
+def test_rig_follows_where_nothing_is_lost():
+    rig = rig_model()
+    values = {
+        "body.load.static": 0.1, "body.motor.coulomb": 0.02, "link.belt.stiffness": 4000.0,
+        "link.belt.damping": 2.0,
+    }  # fmt: skip
+    stiff = ChainModel(
+        rig.rig, (Placed("current_lag", "voltage", {"time_constant": 0.02}),), values
+    )
+    time = 1e-3 * np.arange(1500)
+    u = 6.0 * np.sin(2 * np.pi * 1.0 * time)[None]
+    own = simulate_chain(stiff, time, u).outputs[1]
+    found = run(mujoco_joint(stiff), u)
+    assert np.abs(own).max() > 1.0
+    assert np.sqrt(np.mean((found - own) ** 2)) < 0.03 * np.abs(own).max()

@@ -1,0 +1,161 @@
+"""Exported plants against the simulator: every effect, and drives of other shapes."""
+
+import numpy as np
+import pytest
+from tests.export.native import needs_compiler, st_stepper, warns_of_nothing
+
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.export.native import Compiled
+from dmptm_ctrl.export.plant import plant_program
+from dmptm_ctrl.export.st_source import st_source
+from dmptm_ctrl.simulate import simulate
+from dmptm_ctrl.simulate.chain import simulate_chain
+from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.model import Model
+
+DT = 1e-3
+TIME = DT * np.arange(600)
+# preloaded: the meshes stay closed, and a last bit stays one
+VOLTS = 0.5 * np.sin(2 * np.pi * 3.0 * TIME) + np.array([[0.35], [-0.35]])
+SIZE = {"drive_delay": 2.6e-3, "sensor_delay": 1.4e-3, "current_lag": 4e-3}
+
+RIG = """\
+name = "two masses"
+
+[body.motor]
+inertia = "0.002 kg m^2"
+viscous = "0.002 N m s/rad"
+coulomb = "0.02 N m"
+
+[body.load]
+inertia = "0.05 kg m^2"
+viscous = "0.01 N m s/rad"
+coulomb = "0.1 N m"
+static = "0.15 N m"
+stribeck_speed = "0.1 rad/s"
+
+[shaft.belt]
+between = ["motor", "load"]
+ratio = 5
+stiffness = "40 N m/rad"
+damping = "0.02 N m s/rad"
+
+[input.voltage]
+column = "u_V"
+body = "motor"
+gain = "0.1 N m/V"
+delay = "1.7 ms"
+
+[sensor.angle]
+column = "theta_deg"
+body = "motor"
+
+[sensor.speed]
+column = "omega_deg_s"
+body = "load"
+"""
+
+
+def visible(name):
+    effect = CATALOGUE[name]
+    values = {p.name: 3.0 * p.step for p in effect.parameters if not p.bank}
+    if name in SIZE:
+        values = {effect.amplitudes[0]: SIZE[name]}
+    if name == "drive_saturation":
+        values = {"inverse_limit": 1.0 / 0.6}
+    if name == "reducer_compliance":
+        values = {"compliance": 1e-4, "damping": 0.1}
+    return Model().with_effect(name, **values)
+
+
+def c_run(program, inputs, folder, real="double"):
+    warns_of_nothing(folder, program, real)
+    step = Compiled(program, real)
+    return np.array([step(*row) for row in np.transpose(inputs)])
+
+
+def close(found, true, share=1e-9):
+    """Within a share of each signal's range."""
+    assert np.isfinite(true).all()
+    scale = np.abs(true).max(axis=0)
+    np.testing.assert_allclose(found / scale, true / scale, rtol=0, atol=share)
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["none", *CATALOGUE])
+def test_dual_motor_drive_with_each_effect(name, tmp_path):
+    model = Model() if name == "none" else visible(name)
+    true = simulate(model, TIME, VOLTS).outputs.T
+    if name != "none":
+        assert np.abs(true - simulate(Model(), TIME, VOLTS).outputs.T).max() > 0
+    close(c_run(plant_program(model, DT), VOLTS, tmp_path), true)
+
+
+@needs_compiler
+def test_starts_where_it_is_told(tmp_path):
+    from dmptm_ctrl.simulate.compiled import rest
+
+    model = Model().with_effect("unbalance", cosine=20.0)
+    true = simulate(model, TIME, VOLTS, rest(model, 0.7)).outputs.T
+    found = c_run(plant_program(model, DT, start=0.7), VOLTS, tmp_path)
+    close(found, true)
+    assert found[0, 0] == 0.7
+
+
+def rig_model(*effects):
+    return ChainModel(parse_rig(RIG, "rig.toml"), effects)
+
+
+RIG_EFFECTS = {
+    "none": (),
+    "cogging": (Placed("cogging", "motor", {"cosine": 0.02, "sine": 0.01, "order": 8.0}),),
+    "backlash": (Placed("backlash", "belt", {"half_gap": 2e-3}),),
+    "presliding": (Placed("presliding", "load", {"distance": 2e-3}),),
+    "sensors": (
+        Placed("sensor_delay", "speed", {"delay": 3.4e-3}),
+        Placed("sensor_gain", "speed", {"error": 0.05}),
+        Placed("encoder_eccentricity", "angle", {"cosine": 0.01, "sine": -0.02}),
+    ),
+    "lag": (Placed("current_lag", "voltage", {"time_constant": 4e-3}),),
+    "input": (
+        Placed("drive_dead_band", "voltage", {"width": 0.5}),
+        Placed("drive_saturation", "voltage", {"inverse_limit": 0.12}),
+        Placed("stribeck_friction", "motor", {"excess": 0.02, "speed": 0.5}),
+    ),
+}
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", RIG_EFFECTS)
+def test_rig_of_another_shape(name, tmp_path):
+    model = rig_model()
+    for effect in RIG_EFFECTS[name]:
+        model = model.with_effect(effect)
+    u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None] + 6.0 * (TIME > 0.2)
+    true = simulate_chain(model, TIME, u).outputs
+    plain = simulate_chain(rig_model(), TIME, u).outputs
+    assert name == "none" or np.abs(true - plain).max() > 1e-6
+    close(c_run(plant_program(model, DT), u, tmp_path), np.atleast_2d(true).T)
+
+
+@needs_compiler
+def test_names_that_no_program_can_have(tmp_path):
+    """Two sensors whose names become one, and signs that would end a comment."""
+    text = RIG.replace("[sensor.angle]", '[sensor."θ*/"]').replace(
+        "[sensor.speed]", '[sensor."ω*/"]'
+    )
+    model = ChainModel(parse_rig(text, "rig.toml"))
+    program = plant_program(model, DT)
+    assert len({p.name for p in (*program.inputs, *program.outputs)}) == 3
+    assert st_source(program).isascii()
+    u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None]
+    close(c_run(program, u, tmp_path), simulate_chain(model, TIME, u).outputs.T)
+
+
+def test_structured_text_of_a_plant():
+    model = Model().with_effect("drive_delay", delay=2.6e-3)
+    program = plant_program(model, DT)
+    step = st_stepper(st_source(program), [p.name for p in program.outputs])
+    found = np.array([step(*row) for row in VOLTS[:, :60].T])
+    close(found, simulate(model, TIME[:60], VOLTS[:, :60]).outputs.T)

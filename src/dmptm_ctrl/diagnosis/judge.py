@@ -70,9 +70,8 @@ def judge(
     """Judge the models before and after, and each effect by leaving it out."""
     base: DualState = selection.base
     final: DualState = selection.final
-    # all on the rows of the final model: where no encoder shows it, it decides which pinions touch
-    first = replace(base.left, held=final.left.held)
-    best = final.left if tables is None else replace(tables.left, held=final.left.held)
+    first = on_rows_of(final.left, base.left)
+    best = final.left if tables is None else on_rows_of(final.left, tables.left)
     scale = Scale.of(best)
     before, after, floor = (mean_square(one, scale) for one in (first, final.left, best))
     errors = Errors(before, after, min(floor, after))
@@ -128,20 +127,20 @@ def rise(one: float, other: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """Scatter of each held-out equation under the final model, and what each row counts.
+    """Scatter of each equation under the final model, and what each row counts.
 
     What no model predicts, such as the windows of impacts, counts little: by the weights of
     Student's t under the final model, the same for every model that is judged.
     """
 
-    sizes: Floats
+    sizes: Sequence[float]
     weights: Sequence[Floats]
 
     @classmethod
     def of(cls, left: Residual) -> "Scale":
         """Scale of the model that leaves least."""
-        parts = left.held.missing(left.base.model)
-        sizes = np.array(scatter(parts, left.held.kinds))
+        parts, kinds = all_parts(left)
+        sizes = scatter(parts, kinds)
         weights = [
             (FREEDOM + 1.0) / (FREEDOM + (part / s) ** 2)
             for part, s in zip(parts, sizes, strict=True)
@@ -149,10 +148,28 @@ class Scale:
         return cls(sizes, weights)
 
 
+def all_parts(left: Residual) -> tuple[list[Floats], list[str]]:
+    """What a model leaves of every equation of the fitted and the held-out logs.
+
+    Some experiments have no twin and are fitted; what only they excite counts as well.
+    """
+    parts = [*left.base.parts, *left.held.missing(left.base.model)]
+    return parts, [*left.base.kinds, *left.held.kinds]
+
+
+def on_rows_of(final: Residual, other: Residual) -> Residual:
+    """Another model on the rows of the final one.
+
+    Where no encoder shows it, the model decides which pinions touch and so which rows count.
+    """
+    model = other.base.model
+    base = replace(other.base, parts=final.balance.missing(model), kinds=final.balance.kinds)
+    return replace(other, balance=final.balance, held=final.held, base=base)
+
+
 def mean_square(left: Residual, scale: Scale) -> float:
-    """Weighted mean square of the held-out balances, each in units of its scale."""
-    parts = left.held.missing(left.base.model)
-    rows = zip(parts, scale.sizes, scale.weights, strict=True)
+    """Weighted mean square of all balances, each in units of its scale."""
+    rows = zip(all_parts(left)[0], scale.sizes, scale.weights, strict=True)
     total = sum(float(w @ np.square(part / s)) for part, s, w in rows)
     return total / float(sum(w.sum() for w in scale.weights))
 
@@ -249,7 +266,7 @@ def effect_row(
     """What the held-out errors rise by when one effect is left out and the rest refitted."""
     name = name_of(key)
     effect = CATALOGUE[name]
-    left = replace(without.left, held=final.left.held)
+    left = on_rows_of(final.left, without.left)
     lost = mean_square(left, scale) - errors.after
     share = max(lost, 0.0) / max(errors.removable, 1e-300)
     torque = rise(torque_error(left, measured)["rmse"], torque_error(final.left, measured)["rmse"])

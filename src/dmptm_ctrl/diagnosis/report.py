@@ -170,7 +170,11 @@ class Diagnosis:
 
     def summary(self) -> str:
         """Return the result as text: sentence, budget, effects, parameters."""
-        lines = [self.sentence(), "", "error budget on held-out logs (share of the mean square)"]
+        lines = [
+            self.sentence(),
+            "",
+            "error budget (share of the mean square of the balances, all logs)",
+        ]
         lines += table_lines(self.budget, ("deg/s", "N·m"))
         before, after = (self.error[k]["speed"] for k in ("before", "after"))
         lines += [

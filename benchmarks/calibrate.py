@@ -1,0 +1,88 @@
+"""Measure the largest evidence that any absent effect reaches on drives that lack nothing.
+
+    python benchmarks/calibrate.py --seeds 1000 --count 20 [--ordinary] --out FILE.jsonl
+
+Each rig has friction and contact laws drawn from all that `rigs` knows; with --ordinary also the
+imperfections of an ordinary machine, whose names do not count as absent. A line per rig: its laws,
+the evidence of every absent name that was selected, and the largest that was not. The acceptance
+level of `dmptm_ctrl.diagnosis.select` lies above what one drive in a hundred reaches.
+"""
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+from rigs.rig import make_rig
+
+from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, name_of
+from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.residual import residual
+from dmptm_ctrl.diagnosis.select import select_effects
+from dmptm_ctrl.diagnosis.sensors import cross_check, with_sensors
+from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.parallel import crew, small_matrices
+from dmptm_ctrl.signals import load_log
+from dmptm_ctrl.simulate.model import Model
+
+# What every ordinary machine has a little of; a lag and a dead time are one name here.
+ORDINARY = {
+    "mesh_error",
+    "pinion_runout",
+    "ring_gear_eccentricity",
+    "cogging",
+    "current_lag",
+    "drive_delay",
+    "sensor_delay",
+    "torque_constant_mismatch",
+    "thermal_drift",
+}
+
+
+@small_matrices
+def absent(seed, ordinary, jobs):
+    """Laws of a rig that lacks nothing, and the evidence of absent names."""
+    rig = make_rig(seed, (), ordinary=ordinary)
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    declared = paper_drive()
+    with crew(jobs):
+        measured = measure(logs, declared)
+        sensors = cross_check((*measured.fit, *measured.held))
+        model = with_sensors(Model(declared), sensors)
+        if model.effects:
+            measured = measured.started(model)
+        base = DualState(residual(measured, model, jobs=jobs))
+        found = select_effects(DualEvidence(measured, tuple(sensors.values), jobs), base)
+    own = ORDINARY if ordinary else set()
+    named = {name_of(e.key): round(e.evidence, 1) for e in found.entries}
+    rest = [c.evidence for c in found.rest if c.keys[0].partition("@")[0] not in own]
+    return {
+        "seed": seed,
+        "laws": rig.label["laws"],
+        "sensors": rig.label["sensors"],
+        "absent": {k: v for k, v in named.items() if k not in own},
+        "present": {k: v for k, v in named.items() if k in own},
+        "rest": round(max(rest, default=0.0), 1),
+    }
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, required=True, help="the first one")
+    parser.add_argument("--count", type=int, default=20)
+    parser.add_argument("--ordinary", action="store_true")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args()
+    with args.out.open("a", encoding="utf-8") as lines:
+        for seed in range(args.seeds, args.seeds + args.count):
+            start = time.perf_counter()
+            row = absent(seed, args.ordinary, args.jobs)
+            row["seconds"] = round(time.perf_counter() - start, 1)
+            lines.write(json.dumps(row) + "\n")
+            lines.flush()
+            print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main()

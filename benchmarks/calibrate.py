@@ -16,6 +16,7 @@ from pathlib import Path
 from rigs.rig import make_rig
 
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, name_of
+from dmptm_ctrl.diagnosis.judge import without_negligible
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.select import select_effects
@@ -52,9 +53,11 @@ def absent(seed, ordinary, jobs):
         if model.effects:
             measured = measured.started(model)
         base = DualState(residual(measured, model, jobs=jobs))
-        found = select_effects(DualEvidence(measured, tuple(sensors.values), jobs), base)
+        evidence = DualEvidence(measured, tuple(sensors.values), jobs)
+        found = select_effects(evidence, base)
     own = ORDINARY if ordinary else set()
-    named = {name_of(e.key): round(e.evidence, 1) for e in found.entries}
+        named = {name_of(e.key): round(e.evidence, 1) for e in found.entries}
+        left = without_negligible(evidence, found)
     rest = [c.evidence for c in found.rest if c.keys[0].partition("@")[0] not in own]
     return {
         "seed": seed,
@@ -62,6 +65,9 @@ def absent(seed, ordinary, jobs):
         "sensors": rig.label["sensors"],
         "absent": {k: v for k, v in named.items() if k not in own},
         "present": {k: v for k, v in named.items() if k in own},
+        "absent in the report": [
+            name_of(e.key) for e in left.entries if name_of(e.key) not in own
+        ],
         "rest": round(max(rest, default=0.0), 1),
     }
 

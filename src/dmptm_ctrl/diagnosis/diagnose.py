@@ -7,7 +7,7 @@ from os import PathLike
 from dmptm_ctrl.diagnosis.budget import verdict_of
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.experiment import next_experiment
-from dmptm_ctrl.diagnosis.judge import judge
+from dmptm_ctrl.diagnosis.judge import judge, without_negligible
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import (
@@ -95,7 +95,7 @@ def _diagnosed(
         measured = measured.started(model)
     base = DualState(residual(measured, model, jobs=jobs))
     evidence = DualEvidence(measured, tuple(sensors.values), jobs)
-    selection = select_effects(evidence, base, tell)
+    selection = without_negligible(evidence, select_effects(evidence, base, tell))
     left = selection.final.left
     rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
     rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)

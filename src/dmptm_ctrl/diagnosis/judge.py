@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import Errors, Row, closed_rows
-from dmptm_ctrl.diagnosis.dual import DualState, name_of
+from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE, Errors, Row, closed_rows
+from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, name_of
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import BANDWIDTH_HZ, free_run, low_pass, speed_error
 from dmptm_ctrl.diagnosis.residual import Residual
@@ -56,6 +56,24 @@ class Judged:
     def unexplained_share(self) -> float:
         """Share of what no effect explains."""
         return next(r.share for r in self.rows if r.name == "not explained")
+
+
+def without_negligible(evidence: DualEvidence, selection: Selection) -> Selection:
+    """Take out effects whose share is below what a nearly right law of friction imitates."""
+    final: DualState = selection.final
+    scale = Scale.of(final.left)
+    after = mean_square(final.left, scale)
+    before = mean_square(on_rows_of(final.left, selection.base.left), scale)
+    kept, state = [], final
+    for entry in selection.entries:
+        lost = mean_square(on_rows_of(final.left, entry.without.left), scale) - after
+        if lost >= NEGLIGIBLE * max(before - after, 0.0):
+            kept.append(entry)
+        else:
+            state = evidence.without(state, entry.key)
+            selection.path.append(f"- {entry.key}: negligible share")
+    selection.entries, selection.final = kept, state
+    return selection
 
 
 def judge(

@@ -4,8 +4,9 @@
 
 Each rig has friction and contact laws drawn from all that `rigs` knows; with --ordinary also the
 imperfections of an ordinary machine, whose names do not count as absent. A line per rig: its laws,
-the evidence of every absent name that was selected, and the largest that was not. The acceptance
-level of `dmptm_ctrl.diagnosis.select` lies above what one drive in a hundred reaches.
+the evidence of every absent name that was selected with the share by which what is left rises
+without it, and the largest evidence that was not selected. LEVEL of `diagnosis.select` and
+NEGLIGIBLE of `diagnosis.budget` lie above what one drive in a hundred reaches in both.
 """
 
 import argparse
@@ -16,7 +17,7 @@ from pathlib import Path
 from rigs.rig import make_rig
 
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, name_of
-from dmptm_ctrl.diagnosis.judge import without_negligible
+from dmptm_ctrl.diagnosis.judge import rises
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.select import select_effects
@@ -55,9 +56,11 @@ def absent(seed, ordinary, jobs):
         base = DualState(residual(measured, model, jobs=jobs))
         evidence = DualEvidence(measured, tuple(sensors.values), jobs)
         found = select_effects(evidence, base)
+        named = {
+            name_of(e.key): (round(e.evidence, 1), round(rise, 4))
+            for e, rise in zip(found.entries, rises(found), strict=True)
+        }
     own = ORDINARY if ordinary else set()
-        named = {name_of(e.key): round(e.evidence, 1) for e in found.entries}
-        left = without_negligible(evidence, found)
     rest = [c.evidence for c in found.rest if c.keys[0].partition("@")[0] not in own]
     return {
         "seed": seed,
@@ -65,9 +68,6 @@ def absent(seed, ordinary, jobs):
         "sensors": rig.label["sensors"],
         "absent": {k: v for k, v in named.items() if k not in own},
         "present": {k: v for k, v in named.items() if k in own},
-        "absent in the report": [
-            name_of(e.key) for e in left.entries if name_of(e.key) not in own
-        ],
         "rest": round(max(rest, default=0.0), 1),
     }
 

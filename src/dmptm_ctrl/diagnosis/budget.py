@@ -13,9 +13,9 @@ from typing import Any
 NONE = 1.5  # times its floor that the error before may be where nothing is missing
 EXPLAINED = 0.8  # share of the removable mean square that named effects take at least
 MATERIAL = 0.02  # share of the removable mean square from which an effect matters
-# Share below which a name may be no more than a law of friction that is only nearly right:
-# benchmarks/calibrate.py --ordinary prints what absent names reach.
-NEGLIGIBLE = 0.005
+# Share by which what is left must rise without an effect. A law of friction that is only nearly
+# right imitates effects below it: benchmarks/calibrate.py --ordinary.
+NEGLIGIBLE = 0.05
 
 
 @dataclass(frozen=True)

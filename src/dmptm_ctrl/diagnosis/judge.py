@@ -58,21 +58,27 @@ class Judged:
         return next(r.share for r in self.rows if r.name == "not explained")
 
 
-def without_negligible(evidence: DualEvidence, selection: Selection) -> Selection:
-    """Take out effects whose share is below what a nearly right law of friction imitates."""
+def rises(selection: Selection) -> list[float]:
+    """Share by which what is left of all balances rises without each effect."""
     final: DualState = selection.final
     scale = Scale.of(final.left)
     after = mean_square(final.left, scale)
-    before = mean_square(on_rows_of(final.left, selection.base.left), scale)
-    kept, state = [], final
-    for entry in selection.entries:
-        lost = mean_square(on_rows_of(final.left, entry.without.left), scale) - after
-        if lost >= NEGLIGIBLE * max(before - after, 0.0):
+    return [
+        mean_square(on_rows_of(final.left, e.without.left), scale) / after - 1.0
+        for e in selection.entries
+    ]
+
+
+def without_negligible(evidence: DualEvidence, selection: Selection) -> Selection:
+    """Take out effects that hardly change what is left, as a nearly right law imitates them."""
+    kept = []
+    for entry, rise_by in zip(selection.entries, rises(selection), strict=True):
+        if rise_by >= NEGLIGIBLE:
             kept.append(entry)
         else:
-            state = evidence.without(state, entry.key)
-            selection.path.append(f"- {entry.key}: negligible share")
-    selection.entries, selection.final = kept, state
+            selection.final = evidence.without(selection.final, entry.key)
+            selection.path.append(f"- {entry.key}: negligible")
+    selection.entries = kept
     return selection
 
 

@@ -15,7 +15,7 @@ EXPLAINED = 0.8  # share of the removable mean square that named effects take at
 MATERIAL = 0.02  # share of the removable mean square from which an effect matters
 # Share by which what is left must rise without an effect. A law of friction that is only nearly
 # right imitates effects below it: benchmarks/calibrate.py --ordinary.
-NEGLIGIBLE = 0.05
+NEGLIGIBLE = 0.1
 
 
 @dataclass(frozen=True)

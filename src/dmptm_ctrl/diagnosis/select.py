@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-# Evidence from which an effect is accepted. Chance gives more once in a hundred drives: 2 log of
-# 100 drives × 30 effects × 100 starts of an effect. Campaigns on null rigs check it.
-LEVEL = 25.0
+# Evidence from which an effect is accepted: above what any absent effect reaches on drives that
+# lack nothing, of all friction and contact laws, ordinary imperfections included
+# (benchmarks/calibrate.py).
+LEVEL = 50.0
 # Evidence by which held-out logs may speak against an effect that they do not excite.
 SLACK = 5.0
 # Evidence per unit of log-odds between rivals: 2 where the likelihood is right; laws that are

@@ -7,10 +7,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.parallel import each
-from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, SUBSTEPS, Loop, march, rest
+from dmptm_ctrl.simulate.compiled import (
+    BODIES,
+    OUTPUTS,
+    SUBSTEPS,
+    Loop,
+    controller_of,
+    march,
+    rest,
+)
 from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.dual import columns_seen, dual_plant, start
 from dmptm_ctrl.simulate.law import NO_LAWS, Law
+from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import Arrays, Floats, Model, stacked
+from dmptm_ctrl.simulate.run import Controller
 
 BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
 _OPEN = 5  # numbers of a loop, all zero of a run that is open
@@ -255,7 +266,7 @@ def simulate_batch(
     initial_state : (6,) or (batch, 6) array, optional
         As for :func:`~dmptm_ctrl.simulate.simulate`.
     loop : Loop, Law or sequence of either, optional
-        One for all, or one for each; Laws of one design model.
+        One for all, or one for each.
     noise : (n,) or (batch, n) array [rad/s], optional
         Added to the speed that the loop sees.
     outputs : sequence of str
@@ -290,61 +301,67 @@ def simulate_batch(
     for name in outputs:
         if name not in BATCH_OUTPUTS:
             raise ValueError(f"no output {name!r}; there are {', '.join(BATCH_OUTPUTS)}")
-    design = None
+    drive, target = np.zeros((1, 2, 0)), np.zeros((1, 1))
+    measured = _NO_ROWS
+    controllers = None
     if loop is None:
         drive = _rows("inputs", inputs, count, (2, n))
-        target, measured, loops = _NO_ROWS, _NO_ROWS, np.zeros((count, _OPEN))
     else:
-        drive = np.zeros((0, 2, n))
         target = _rows("inputs", inputs, count, (n,))
-        measured = _rows("noise", np.zeros(n) if noise is None else noise, count, (n,))
-        each: list[Loop | Law] = [loop] * count if isinstance(loop, Loop | Law) else list(loop)
-        if len(each) != count:
-            raise ValueError(f"loop has {len(each)} entries for {count} models")
-        loops, design = _loops(each)
+        if noise is not None:
+            measured = _rows("noise", noise, count, (n,))
+        controllers = _controllers(loop, count)
     if initial_state is None:
-        starts = np.array([rest(model, 0.0) for model in models])
+        states = np.array([rest(model, 0.0) for model in models])
     else:
-        starts = np.array(
-            np.broadcast_to(_rows("initial_state", initial_state, count, (6,)), (count, 6))
+        rows = _rows("initial_state", initial_state, count, (6,))
+        states = np.broadcast_to(rows, (count, 6))
+    plants = [dual_plant(model.arrays()) for model in models]
+    # columns of BATCH_OUTPUTS among what is seen, where compliant reducers are links too
+    seen = [columns_seen(plant) for plant in plants]
+    kept: list[Floats] = [np.empty(0)] * count
+    found: list[Floats] = [np.empty(0)] * count
+    for layout in {tuple(part) for part in seen}:
+        members = [k for k in range(count) if tuple(seen[k]) == layout]
+        common = Common(
+            (time[-1] - time[0]) / (n - 1),
+            substeps,
+            n,
+            drive,
+            target,
+            measured,
+            np.array([layout[BATCH_OUTPUTS.index(name)] for name in outputs], np.int64),
+            every,
+        ).of(members)
+        done = run_many(
+            [plants[k] for k in members],
+            [start(plants[k], states[k]) for k in members],
+            common,
+            None if controllers is None else [controllers[k] for k in members],
+            n_jobs=n_jobs,
         )
-    task = Task(
-        dt=(time[-1] - time[0]) / (n - 1),
-        substeps=substeps,
-        samples=n,
-        inputs=drive,
-        target=target,
-        measured=measured,
-        observer=np.zeros(3),
-        extra=np.zeros((0, 3)),
-        columns=np.array([BATCH_OUTPUTS.index(name) for name in outputs], np.int64),
-        every=every,
-        statistics=True,
-        design=design,
-    )
-    arrays = [model.arrays() for model in models]
-    kept, (least, greatest, total, squares) = _all(task, arrays, starts, loops, n_jobs)
+        for k, out, stats in zip(members, *done, strict=True):
+            kept[k], found[k] = out, stats[:, list(layout)]
+    least, greatest, total, squares = np.array(found).transpose(1, 0, 2)
     return Batch(
         time[::every] if outputs else time[:0],
-        kept,
+        np.array(kept),
         tuple(outputs),
-        least.T,
-        greatest.T,
-        total.T / n,
-        np.sqrt(squares.T / n),
+        least,
+        greatest,
+        total / n,
+        np.sqrt(squares / n),
     )
 
 
-def _loops(each: Sequence[Loop | Law]) -> tuple[Floats, Arrays | None]:
-    """Numbers of each loop, and the arrays of the model that all controllers share."""
-    laws = [loop for loop in each if isinstance(loop, Law)]
-    if not laws:
-        return np.array(each, float), None
-    if len(laws) < len(each):
+def _controllers(loop: Loop | Law | Sequence[Loop] | Sequence[Law], count: int) -> list[Controller]:
+    each: list[Loop | Law] = [loop] * count if isinstance(loop, Loop | Law) else list(loop)
+    if len(each) != count:
+        raise ValueError(f"loop has {len(each)} entries for {count} models")
+    if len({isinstance(one, Law) for one in each}) > 1:
         raise ValueError("loop mixes Loop and Law; give one kind")
-    if any(law.model is not laws[0].model for law in laws):
-        raise ValueError("loop holds Laws of different design models; run one batch for each")
-    return np.array([law.numbers() for law in laws]), laws[0].model.arrays()
+    known = {id(one): controller_of(one) for one in each}
+    return [known[id(one)] for one in each]
 
 
 def _rows(name: str, values: ArrayLike, count: int, shape: tuple[int, ...]) -> Floats:

@@ -8,6 +8,7 @@ neutral parameters.
 import numpy as np
 from numba import njit
 
+from dmptm_ctrl.effects.stribeck import stribeck_law
 from dmptm_ctrl.simulate.control_core import M_LEFT, M_RIGHT, MEMORY, command
 from dmptm_ctrl.simulate.core import MIN_COMPLIANCE, UNKNOWN, aged, bristles_of, held_average
 from dmptm_ctrl.simulate.elementary import wide
@@ -115,7 +116,6 @@ from dmptm_ctrl.simulate.lane_stages_core import (
     to_middle,
     twist,
 )
-from dmptm_ctrl.simulate.row_step_core import law_of
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
     aged_friction,
@@ -125,6 +125,22 @@ from dmptm_ctrl.simulate.sites import (  # chains
     speed_delay,
     voltage_delay,
 )
+
+
+@njit
+def law_of(bases, row, first):
+    """Friction law from a row of drives' numbers."""
+    return stribeck_law(
+        bases[row, first],
+        bases[row, first + 1],
+        bases[row, first + 2],
+        bases[row, first + 3],
+        bases[row, first + 4],
+        bases[row, first + 5],
+        bases[row, first + 6],
+        bases[row, first + 7],
+        bases[row, first + 8],
+    )
 
 
 @njit

@@ -464,7 +464,8 @@ def _placed(model: ChainModel, layout: Layout) -> tuple[tuple[Place, ...], Flags
     catalogue = tuple(CHAIN_CATALOGUE.values())
     parts = layout.inputs, layout.bodies, layout.links, sensors
     places, index = _all_places(tuple(map(id, catalogue)), parts)
-    on, values = np.zeros(len(index), np.uint8), _absent(places, len(index))
+    on = np.zeros(len(index), np.uint8)
+    values = np.array([v for p in places for v in p.effect.defaults()], float)
     for effect in model.effects:
         if effect.key in index:
             flag, first = index[effect.key]
@@ -490,11 +491,6 @@ def _all_places(
             places.append(Place(chain.effect, k, chain.told, len(places), first))
             first += len(chain.fields)
     return tuple(places), index
-
-
-def _absent(places: tuple[Place, ...], count: int) -> Floats:
-    """Numbers of all effects of a rig where none acts."""
-    return np.array([v for p in places[:count] for v in p.effect.defaults()], float)
 
 
 def value_row(effect: Placed) -> Floats:

@@ -101,7 +101,7 @@ def march(
     (n, 8) array
         Columns :data:`OUTPUTS`, SI; the first 4 without `meshes`.
     """
-    if measured is None:
+    if measured is None or observer is None:
         plant = dual_plant(arrays)
         structure = structure_for(plant)
         state = replace(start_state(structure, *start(plant, np.asarray(x0, float))), time=begin)

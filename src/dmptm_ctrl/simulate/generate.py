@@ -148,11 +148,11 @@ def step_text(s: Structure) -> str:
                 speed = f"0.5 * {text.lever(b)}(v{g} + new{g})"
                 text.add(f"age{b} = aged(age{b}, {speed}, h, slip{b})")
         text.add(f"p{g}, v{g} = v{g}, new{g}", f"q{g} = x{g} + 0.5 * h * v{g}")
-    text.add(f"return {_row(names.state)}")
+    text.add(f"return {row_text(names.state)}")
     return f"@njit\ndef step({', '.join(names.arguments)}):\n" + "\n".join(text.lines)
 
 
-def _row(names: Iterable[str]) -> str:
+def row_text(names: Iterable[str]) -> str:
     row = ", ".join(names)
     return f"({row},)"
 
@@ -340,7 +340,7 @@ def observe_text(s: Structure) -> str:
             text.add(f"{'w' if speed else 'a'}{i} = late{i}")
         text.effects(s.at("sensor", i), f"a{i}, w{i} = {{call}}", f"a{i}", f"w{i}", "t")
     seen = [f"{'w' if speed else 'a'}{i}" for i, (_, speed, _) in enumerate(s.sensors)]
-    text.add(f"return {_row(seen or ['0.0'])}")
+    text.add(f"return {row_text(seen or ['0.0'])}")
     given = [*names.state, *late, "t", *names.numbers, *names.switches]
     sensed = f"@njit\ndef readings({', '.join(given)}):\n" + "\n".join(text.lines)
     text = _Text(s)
@@ -355,91 +355,9 @@ def observe_text(s: Structure) -> str:
         # as the bodies turn, without what teeth add
         text.add(f"z{k} = {text.turned(first, 'q')} - n{k} * ({text.turned(second, 'q')})")
     torques = [f"{x}{k}" for x in "Tz" for k in range(len(s.links))]
-    text.add(f"return {_row(torques or ['0.0'])}")
+    text.add(f"return {row_text(torques or ['0.0'])}")
     given = [*names.state, "t", *names.numbers, *names.switches]
     return f"{sensed}\n\n\n@njit\ndef torques({', '.join(given)}):\n" + "\n".join(text.lines)
-
-
-def scalar_text(s: Structure) -> str:
-    """Text of the loop over samples of one drive; see `run.march` for its arguments."""
-    names = Names(s)
-    state, count = ", ".join(names.state), len(names.state)
-    inputs, links, g_all = len(s.inputs), len(s.links), range(s.coordinates)
-    late = [i for i, sensor in enumerate(s.sensors) if sensor[2]]
-    rows = "".join(f"    {name} = p[{i}]\n" for i, name in enumerate(names.numbers))
-    rows += "".join(f"    {name} = x[{i}]\n" for i, name in enumerate(names.state))
-    sensors = len(s.sensors)
-    lags = "".join(
-        f"        late{i} = read_late(ring, {n}, step0 + done, delays[{n}] / h)\n"
-        for n, i in enumerate(late)
-    )
-    plain = [*names.state, "t", *names.numbers, *names.switches]
-    observed = ", ".join([*names.state, *(f"late{i}" for i in late), *plain[len(names.state) :]])
-    out = "".join(f"        out[i, {c}] = seen[{c}]\n" for c in range(sensors))
-    if links:
-        out += f"        if out.shape[1] > {sensors}:\n"
-        out += f"            seen_ = torques({', '.join(plain)})\n"
-        out += "".join(
-            f"            out[i, {sensors + c}] = seen_[{c}]\n" for c in range(2 * links)
-        )
-    first_q = sensors + 2 * links
-    out += f"        if out.shape[1] > {first_q}:\n"
-    for c in g_all:
-        out += f"            out[i, {first_q + c}] = q{c}\n"
-        out += f"            out[i, {first_q + s.coordinates + c}] = v{c}\n"
-    y = "".join(f"            y[{i}] = seen[{i}]\n" for i in range(sensors))
-    given = "".join(
-        f"            xg{g} = given_q[{n}, i] + part * (given_q[{n}, after] - given_q[{n}, i])\n"
-        f"            sg{g} = given_v[{n}, i] + part * (given_v[{n}, after] - given_v[{n}, i])\n"
-        for n, g in enumerate(s.given)
-    )
-    set_given = "".join(
-        f"        q{g}, v{g} = given_q[{n}, i], given_v[{n}, i]\n" for n, g in enumerate(s.given)
-    )
-    signals = "".join(
-        f"            u{j} = u[{j}, at] if dead[{j}] <= 0.0 else held_average(u, {j}, "
-        f"at + k / substeps - dead[{j}], at + (k + 1) / substeps - dead[{j}], before)\n"
-        for j in range(inputs)
-    )
-    push = "".join(f"        push{g} = push[i, {g}] if pushed else 0.0\n" for g in g_all)
-    ring = "".join(
-        f"            ring[{n}, (step0 + done) % ring.shape[1]] = "
-        f"{' * '.join(filter(None, sensed(s, i)))}\n"
-        for n, i in enumerate(late)
-    )
-    return f"""\
-@njit
-def march(
-    x, p, on, e, u, first, before, dead, push, given_q, given_v, ring, delays, step0, begin,
-    dt, substeps, control, rule, memory, target, noise, closed, y, command, out,
-):
-    on, e, y, command = borrowed(on), borrowed(e), borrowed(y), borrowed(command)
-    rule, memory = borrowed(rule), borrowed(memory)
-    h = dt / substeps
-{rows}
-    pushed = push.shape[0] > 0
-    done = 0
-    for i in range(out.shape[0]):
-        t = begin + i * dt
-        at = first + i
-{set_given}{lags}        seen = readings({observed})
-{out}        if closed:
-{y}            added = noise[i] if noise.size > 0 else 0.0
-            control(i, t, dt, target[i], added, y, rule, memory, command)
-            for j in range({inputs}):
-                u[j, at] = command[j]
-{push}        for k in range(substeps):
-            middle = t + (k + 0.5) * h
-            part, after = (k + 0.5) / substeps, min(i + 1, out.shape[0] - 1)
-{signals}{given}            {state}, = step({_given(names, "middle")})
-            done += 1
-{ring}    x[:{count}] = {_row(names.state)}
-    return done
-"""
-
-
-def _given(names: Names, time: str) -> str:
-    return ", ".join(time if name == "t" else name for name in names.arguments)
 
 
 def sensed(s: Structure, i: int) -> tuple[str, str]:
@@ -447,16 +365,6 @@ def sensed(s: Structure, i: int) -> tuple[str, str]:
     b, speed, _ = s.sensors[i]
     g, sign, _ = s.bodies[b]
     return f"r{b}" if sign else "", f"{'v' if speed else 'q'}{g}"
-
-
-_LATE = """\
-@njit
-def read_late(ring, row, step, lag):
-    back = int(lag)
-    newer = ring[row, (step - back) % ring.shape[1]]
-    older = ring[row, (step - back - 1) % ring.shape[1]]
-    return newer + (lag - back) * (older - newer)
-"""
 
 
 def head_text(s: Structure) -> str:
@@ -483,14 +391,6 @@ def compiled(text: str, *entries: str) -> str:
     return text.replace("@njit\n", f"@njit({inner})\n")
 
 
-def source(s: Structure) -> str:
-    """Return the text of the scalar engine of a structure."""
-    parts = [head_text(s), _LATE, observe_text(s), step_text(s), scalar_text(s)]
-    text = "\n\n".join(parts)
-    # a state named as a coordinate's middle speed would hide it
-    return compiled(text, "march")
-
-
 class Engine(NamedTuple):
     """The compiled loop of a structure and the names of what it takes."""
 
@@ -499,11 +399,6 @@ class Engine(NamedTuple):
 
 
 _ENGINES: dict[tuple[int, str], Engine] = {}
-
-
-def scalar_engine(s: Structure) -> Engine:
-    """Return the compiled scalar loop of a structure, which `structure_of` gave."""
-    return engine_by(s, "scalar", source)
 
 
 def engine_by(s: Structure, kind: str, text: Callable[[Structure], str]) -> Engine:

@@ -130,17 +130,11 @@ from dmptm_ctrl.simulate.sites import (  # chains
 @njit
 def law_of(bases, row, first):
     """Friction law from a row of drives' numbers."""
+    k, r = first, bases
     return stribeck_law(
-        bases[row, first],
-        bases[row, first + 1],
-        bases[row, first + 2],
-        bases[row, first + 3],
-        bases[row, first + 4],
-        bases[row, first + 5],
-        bases[row, first + 6],
-        bases[row, first + 7],
-        bases[row, first + 8],
-    )
+        r[row, k], r[row, k + 1], r[row, k + 2], r[row, k + 3], r[row, k + 4], r[row, k + 5],
+        r[row, k + 6], r[row, k + 7], r[row, k + 8],
+    )  # fmt: skip
 
 
 @njit

@@ -9,8 +9,8 @@ import numpy as np
 from numba import cfunc, float64, int64, types
 
 from dmptm_ctrl.simulate.elementary import COMPILED
-from dmptm_ctrl.simulate.generate import scalar_engine
 from dmptm_ctrl.simulate.plant import Floats, Plant, Structure, numbers, structure_of
+from dmptm_ctrl.simulate.scalar import scalar_engine
 
 _ROW = float64[::1]
 SIGNATURE = types.void(int64, *[float64] * 4, *[_ROW] * 4)
@@ -245,10 +245,10 @@ def advance_by(
     for i in range(n):
         pushed = None if push is None else push[i : i + 1]
         # readings are those before the sample's own signals act
-        ahead = {"structure": structure, "push": pushed}
-        seen = advance(plant, state, nothing, dt, 1, columns=sensors, **ahead)
+        ahead = partial(advance, plant, structure=structure, push=pushed)
+        seen = ahead(state, nothing, dt, 1, columns=sensors)
         u[:, i] = law(state.time, float(target[i]), seen.rows[0])
-        done = advance(plant, state, u[:, i : i + 1], dt, substeps, **ahead)
+        done = ahead(state, u[:, i : i + 1], dt, substeps)
         out[i], state = done.rows[0], done.state
     return Motion(u, out, plant.size, state)
 

@@ -464,8 +464,7 @@ def _placed(model: ChainModel, layout: Layout) -> tuple[tuple[Place, ...], Flags
     catalogue = tuple(CHAIN_CATALOGUE.values())
     parts = layout.inputs, layout.bodies, layout.links, sensors
     places, index = _all_places(tuple(map(id, catalogue)), parts)
-    on = np.zeros(len(index), np.uint8)
-    values = np.array([v for p in places for v in p.effect.defaults()], float)
+    on, values = np.zeros(len(index), np.uint8), np.hstack([p.effect.defaults() for p in places])
     for effect in model.effects:
         if effect.key in index:
             flag, first = index[effect.key]

@@ -18,10 +18,11 @@ from dmptm_ctrl.simulate.compiled import (
 )
 from dmptm_ctrl.simulate.compose import engine
 from dmptm_ctrl.simulate.dual import columns_seen, dual_plant, start
+from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.law import NO_LAWS, Law
-from dmptm_ctrl.simulate.many import Common, run_many
+from dmptm_ctrl.simulate.many import Common, run_many, same_shape
 from dmptm_ctrl.simulate.model import Arrays, Floats, Model, stacked
-from dmptm_ctrl.simulate.run import Controller
+from dmptm_ctrl.simulate.plant import Flags
 
 BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
 _OPEN = 5  # numbers of a loop, all zero of a run that is open
@@ -303,45 +304,44 @@ def simulate_batch(
             raise ValueError(f"no output {name!r}; there are {', '.join(BATCH_OUTPUTS)}")
     drive, target = np.zeros((1, 2, 0)), np.zeros((1, 1))
     measured = _NO_ROWS
-    controllers = None
+    loops: list[Loop | Law] | None = None
     if loop is None:
         drive = _rows("inputs", inputs, count, (2, n))
     else:
         target = _rows("inputs", inputs, count, (n,))
         if noise is not None:
             measured = _rows("noise", noise, count, (n,))
-        controllers = _controllers(loop, count)
+        loops = _loops(loop, count)
     if initial_state is None:
         states = np.array([rest(model, 0.0) for model in models])
     else:
         rows = _rows("initial_state", initial_state, count, (6,))
         states = np.broadcast_to(rows, (count, 6))
-    plants = [dual_plant(model.arrays()) for model in models]
-    # columns of BATCH_OUTPUTS among what is seen, where compliant reducers are links too
-    seen = [columns_seen(plant) for plant in plants]
+    arrays = [model.arrays() for model in models]
+    plants = [dual_plant(own) for own in arrays]
     kept: list[Floats] = [np.empty(0)] * count
     found: list[Floats] = [np.empty(0)] * count
-    for layout in {tuple(part) for part in seen}:
-        members = [k for k in range(count) if tuple(seen[k]) == layout]
-        common = Common(
-            (time[-1] - time[0]) / (n - 1),
-            substeps,
-            n,
-            drive,
-            target,
-            measured,
-            np.array([layout[BATCH_OUTPUTS.index(name)] for name in outputs], np.int64),
-            every,
-        ).of(members)
-        done = run_many(
-            [plants[k] for k in members],
-            [start(plants[k], states[k]) for k in members],
-            common,
-            None if controllers is None else [controllers[k] for k in members],
-            n_jobs=n_jobs,
-        )
-        for k, out, stats in zip(members, *done, strict=True):
-            kept[k], found[k] = out, stats[:, list(layout)]
+    tasks: list[tuple[Any, ...]] = []
+    wanted = [BATCH_OUTPUTS.index(name) for name in outputs]
+    dt = (time[-1] - time[0]) / (n - 1)
+    whole = Common(dt, substeps, n, drive, target, measured, np.array(wanted, np.int64), every)
+    for members, acting, _ in same_shape(plants):
+        for first in range(0, len(members), LANES):
+            some = members[first : first + LANES]
+            own = None if loops is None else [loops[k] for k in some]
+            tasks.append(
+                (some, [arrays[k] for k in some], states[some], whole.of(some), own, acting)
+            )
+    # threads: the loop does not hold the interpreter's lock
+    alone = n_jobs == 1 or len(tasks) == 1
+    done = (
+        (_group(*task) for task in tasks)
+        if alone
+        else each(_group, tasks, n_jobs, prefer="threads")
+    )
+    for some, runs, statistics in done:
+        for k, out, stats in zip(some, runs, statistics, strict=True):
+            kept[k], found[k] = out, stats
     least, greatest, total, squares = np.array(found).transpose(1, 0, 2)
     return Batch(
         time[::every] if outputs else time[:0],
@@ -354,14 +354,35 @@ def simulate_batch(
     )
 
 
-def _controllers(loop: Loop | Law | Sequence[Loop] | Sequence[Law], count: int) -> list[Controller]:
+def _group(
+    some: list[int],
+    arrays: list[Arrays],
+    states: Floats,
+    common: Common,
+    loops: list[Loop | Law] | None,
+    acting: Flags,
+) -> tuple[list[int], list[Floats], list[Floats]]:
+    """Run drives of one shape, on whatever thread or machine."""
+    plants = [dual_plant(own) for own in arrays]
+    # where compliant reducers are links too, the outputs are elsewhere among what is seen
+    seen = np.array(columns_seen(plants[0]))
+    common = common._replace(columns=seen[common.columns])
+    starts = [start(plant, x0) for plant, x0 in zip(plants, states, strict=True)]
+    controllers = None
+    if loops is not None:
+        known = {id(one): controller_of(one) for one in loops}
+        controllers = [known[id(one)] for one in loops]
+    runs, stats = run_many(plants, starts, common, controllers, acting=acting)
+    return some, runs, [table[:, seen] for table in stats]
+
+
+def _loops(loop: Loop | Law | Sequence[Loop] | Sequence[Law], count: int) -> list[Loop | Law]:
     each: list[Loop | Law] = [loop] * count if isinstance(loop, Loop | Law) else list(loop)
     if len(each) != count:
         raise ValueError(f"loop has {len(each)} entries for {count} models")
     if len({isinstance(one, Law) for one in each}) > 1:
         raise ValueError("loop mixes Loop and Law; give one kind")
-    known = {id(one): controller_of(one) for one in each}
-    return [known[id(one)] for one in each]
+    return each
 
 
 def _rows(name: str, values: ArrayLike, count: int, shape: tuple[int, ...]) -> Floats:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.lanes import LANES, Rows, aligned, lane_engine
-from dmptm_ctrl.simulate.plant import Floats, Plant, Structure, numbers, structure_of
+from dmptm_ctrl.simulate.plant import Flags, Floats, Plant, Structure, numbers, structure_of
 from dmptm_ctrl.simulate.run import NOBODY, Controller
 
 _NO_ROWS = np.zeros((0, 0))
@@ -42,10 +42,13 @@ class Common(NamedTuple):
         return self._replace(**{k: t[list(some)] for k, t in tables.items() if len(t) > 1})
 
 
-def same_shape(plants: Sequence[Plant]) -> list[tuple[list[int], Structure]]:
+def same_shape(
+    plants: Sequence[Plant], acting: Flags | None = None
+) -> list[tuple[list[int], Flags, Structure]]:
     """Group plants that one structure can stand for: with all effects that act in any of them.
 
-    An effect changes nothing where its numbers are those of its absence.
+    An effect changes nothing where its numbers are those of its absence. With `acting` also those
+    that act in plants elsewhere.
     """
     groups: dict[tuple, list[int]] = {}
     for k, plant in enumerate(plants):
@@ -54,7 +57,9 @@ def same_shape(plants: Sequence[Plant]) -> list[tuple[list[int], Structure]]:
     found = []
     for members in groups.values():
         on = np.bitwise_or.reduce([plants[k].on for k in members])
-        found.append((members, structure_of(plants[members[0]]._replace(on=on), switched=False)))
+        on = on if acting is None else on | acting
+        structure = structure_of(plants[members[0]]._replace(on=on), switched=False)
+        found.append((members, on, structure))
     return found
 
 
@@ -64,6 +69,7 @@ def run_many(
     common: Common,
     controllers: Sequence[Controller] | None = None,
     *,
+    acting: Flags | None = None,
     n_jobs: int = 1,
     width: int = LANES,
 ) -> tuple[list[Floats], list[Floats]]:
@@ -76,8 +82,10 @@ def run_many(
     common : Common
     controllers : sequence of Controller, optional
         Of one function.
+    acting : array, optional
+        Flags of effects that a step is to have besides, for the same bits in all groups.
     n_jobs : int
-        Threads, −1 for one per core; else joblib's.
+        Threads, −1 for one per core.
     width : int
         Of the lanes, 16 or 8.
 
@@ -88,7 +96,7 @@ def run_many(
         Least, greatest, sum and sum of squares of all that is seen.
     """
     tasks = []
-    for members, structure in same_shape(plants):
+    for members, _, structure in same_shape(plants, acting):
         for first in range(0, len(members), width):
             some = members[first : first + width]
             rules = None if controllers is None else [controllers[k] for k in some]

@@ -22,7 +22,7 @@ from dmptm_ctrl.simulate.chains import (
     per_catalogue,
     slots,
 )
-from dmptm_ctrl.simulate.loading import key_of, load
+from dmptm_ctrl.simulate.loading import LOADING, key_of, load
 
 # per site of the inner loop: the same over lanes, from rows A to rows R of the work array
 _LANE_CHAINS: dict[str, tuple[str, str, str]] = {
@@ -254,8 +254,9 @@ def plain_engine() -> ModuleType:
 
     It is `march` alone, and the same when the catalogue changes.
     """
-    text = plain_source()
-    return _load("plain_" + _key(text, {}), text, {})
+    with LOADING:
+        text = plain_source()
+        return _load("plain_" + _key(text, {}), text, {})
 
 
 @per_catalogue

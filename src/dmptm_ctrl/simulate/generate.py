@@ -14,7 +14,7 @@ import numpy as np
 
 from dmptm_ctrl.effects import backlash, lookup, presliding, stribeck
 from dmptm_ctrl.simulate import elementary, step
-from dmptm_ctrl.simulate.loading import key_of, load
+from dmptm_ctrl.simulate.loading import LOADING, key_of, load
 from dmptm_ctrl.simulate.plant import (
     ELASTIC_IMPACT,
     GAP,
@@ -405,7 +405,8 @@ def engine_by(s: Structure, kind: str, text: Callable[[Structure], str]) -> Engi
     """Return an engine, written once for each structure."""
     key = id(s), kind
     if key not in _ENGINES:
-        _ENGINES[key] = Engine(engine_of(s, text(s), kind), Names(s))
+        with LOADING:
+            _ENGINES[key] = Engine(engine_of(s, text(s), kind), Names(s))
     return _ENGINES[key]
 
 

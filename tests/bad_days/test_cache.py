@@ -13,13 +13,13 @@ import sys
 import numpy as np
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.simulate import simulate_with_sensitivities
-from dmptm_ctrl.simulate.compose import cache_folder
+from dmptm_ctrl.simulate.loading import cache_folder
 from dmptm_ctrl.simulate.sensitivity import _judge
 
 code = main(["log", "info", sys.argv[1]])
 exists = np.zeros((1, 2), bool)
 one = np.ones(1)
-_judge(np.ones((1, 1, 2)), -np.ones((1, 2)), one, 0.0 * one, 0.1, 0, exists)  # a compiled call
+_judge(np.ones((1, 1, 2)), -np.ones((1, 2)), one, 0.0 * one, 0.1, exists)  # a compiled call
 with open(cache_folder() / "probe", "x"):
     pass
 print("code", code, "exists", exists.all())

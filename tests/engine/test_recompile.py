@@ -12,7 +12,7 @@ from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
 from dmptm_ctrl.effects import CATALOGUE, register
-from dmptm_ctrl.simulate import compose
+from dmptm_ctrl.simulate import compose, loading
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model
 
@@ -52,9 +52,9 @@ def test_an_effect_changes_the_engine_s_name_and_taking_it_back_restores_it(own_
 
 def test_says_once_that_it_compiles(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("DMPTM_CACHE_DIR", str(tmp_path))
-    for expected in ("Compiling the simulator for", ""):
-        compose._loaded.cache_clear()
-        module = compose._load("test_of_the_message", "answer = 42\n")
+    for expected in ("Compiling the simulator", ""):
+        loading._LOADED.pop("test_of_the_message", None)
+        module = loading.load("test_of_the_message", "answer = 42\n", "the simulator")
         assert module.answer == 42
         said = capsys.readouterr().err
         assert said.startswith(expected)

@@ -5,7 +5,9 @@ from pathlib import Path
 
 SETS = ("demo_rig", "null_rig", "axis")
 RIG_TEMPLATE = Path(str(files(__name__).joinpath("rig_template.toml")))  # commented
-PAPER_RIG = Path(str(files(__name__).joinpath("paper_rig.toml")))  # the built-in model as a file
+PAPER_RIG = Path(str(files(__name__).joinpath("paper_3dof.toml")))  # the built-in model as a file
+PAPER_9DOF = Path(str(files(__name__).joinpath("paper_9dof.toml")))  # shafts and wheels as bodies
+BASELINE = Path(str(files(__name__).joinpath("baseline.toml")))  # the three-inertia model
 
 
 def path(name: str) -> Path:

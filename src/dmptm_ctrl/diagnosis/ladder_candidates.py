@@ -11,9 +11,9 @@ from dmptm_ctrl.drive.rig import DECLARES
 from dmptm_ctrl.identify.chain_free import HARMONIC, Scales, absolute, on_slide, scales_of
 from dmptm_ctrl.identify.chain_motion import Motion
 from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_motion
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE, ChainEffect
-from dmptm_ctrl.simulate.chain_compose import engine, kind_of
-from dmptm_ctrl.simulate.chain_model import FAR, ChainModel, Placed, value_row
+from dmptm_ctrl.simulate.along import friction_along, torque_along
+from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE, ChainEffect, may_stand
+from dmptm_ctrl.simulate.chain_model import FAR, ChainModel, Placed
 
 Floats = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def _places(tangent: Tangent) -> Iterator[Iterator[Candidate]]:
                 continue
             if (name, body) in present and name != "cogging":
                 continue
-            if declared_already(model, name, body):
+            if declared_already(model, name, body) or not may_stand(chain, model.rig, body):
                 continue
             yield _body_effect(tangent, scales, chain, body)
 
@@ -195,7 +195,6 @@ def unit_columns(
 ) -> list[Floats]:
     """Derivative of the residual by each amplitude, per log (equations, rows, p)."""
     balance, model = tangent.balance, tangent.fit.model
-    loop = engine()
     reach = kinematic(model)[model.layout.coordinate[body]]
     r = model.layout.ratio[body]
     parts = []
@@ -205,18 +204,14 @@ def unit_columns(
             theta, omega = (f(balance, motion, model, body) for f in (_angle, _speed))
             columns = []
             for name in names:
-                row = value_row(Placed(chain.name, body, {**shapes, name: 1.0}))
-                out = np.empty_like(theta)
+                placed = Placed(chain.name, body, {**shapes, name: 1.0})
                 if chain.site == "friction":
-                    factor = np.empty_like(theta)
-                    load = sum(np.abs(u) for u in motion.u.values())
-                    loop.friction_along(
-                        kind_of(chain.name), theta, omega, motion.time, load, row, factor, out
-                    )
+                    load = np.sum([np.abs(u) for u in motion.u.values()], axis=0)
+                    _, out = friction_along(placed, theta, omega, motion.time, load)
                     slow = motion.rest_share * np.abs(omega).max(initial=0.0)
                     out = -np.sign(omega) * out * (np.abs(omega) > slow)
                 else:
-                    loop.torque_along(kind_of(chain.name), theta, omega, motion.time, row, out)
+                    out = torque_along(placed, theta, omega, motion.time)
                 columns.append(motion.reduce(reach * r * out) * motion.moving)
             balance.columns[key] = np.array(columns).T
         parts.append(balance.columns[key])

@@ -100,3 +100,17 @@ def gap_rate(position, z, z_rate, p):
 def twist_torque(position, z, z_rate, p):
     """Torque of the mesh [N·m] with the position in the gap as a state, k θs + c θ̇s."""
     return p.stiffness * (z - position) + p.damping * (z_rate - gap_rate(position, z, z_rate, p))
+
+
+@njit
+def impact_torque(z, z_rate, p):
+    """Torque of the mesh [N·m] by Hunt & Crossley: damping grows with the depth of contact.
+
+    k δ (1 + χ δ̇), δ the depth beyond the flank; teeth push, never pull. The record's damping is
+    χ [s/rad], its gap damping acts between the flanks.
+    Source: Hunt & Crossley, J. Appl. Mech. 42 (1975) 440, with exponent 1.
+    """
+    side = 1.0 if z >= 0.0 else -1.0
+    depth = side * z - p.half_gap
+    push = p.stiffness * depth * max(1.0 + p.damping * side * z_rate, 0.0)
+    return side * push if depth > 0.0 else p.gap_damping * z_rate

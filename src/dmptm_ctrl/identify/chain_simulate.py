@@ -76,7 +76,8 @@ def free_run(
     q_base = q0[base] / layout.ratio[base]
     position = {b: layout.ratio[b] * q_base * reach[g] for g, b in seen.items()}
     speed = {b: v0[b] for b in seen.values()}
-    return march(model, u, log.sample_time, position=position, speed=speed)
+    # a log begins in the midst of things: earlier signals were as its first
+    return march(model, u, log.sample_time, position=position, speed=speed, before=u[:, 0])
 
 
 def readings(model: ChainModel, log: Log, run: ChainRun) -> dict[str, Floats]:

@@ -24,10 +24,16 @@ from dmptm_ctrl.identify.chain_motion import (
     prepare,
 )
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.along import (
+    bristle_along,
+    drive_along,
+    friction_along,
+    law_along,
+    torque_along,
+)
 from dmptm_ctrl.simulate.chain import march, substeps_for
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_compose import engine, kind_of
-from dmptm_ctrl.simulate.chain_model import ChainModel, value_row
+from dmptm_ctrl.simulate.chain_model import ChainModel
 
 TINY = 1e-300  # a speed that has a direction and no size
 LEAST_DRIVE = 0.05  # of the logged signal gets through to a motor at least
@@ -168,7 +174,6 @@ def residual(
         body = layout.input_body[name]
         torque = plant.input_values[j, 0] * effective_input(model, motion, name)
         pushes.append((body, torque))
-        load[body] += np.abs(torque)
     if runs is not None:
         for k, name in enumerate(layout.links):
             first, second = (layout.bodies[i] for i in plant.link_body[k])
@@ -357,7 +362,7 @@ def _friction(
     nuisance: Nuisance,
 ) -> tuple[Floats, Floats]:
     """Friction, and load torques, of a coordinate, signed against the motion (to be overcome)."""
-    layout, plant, loop = model.layout, model.plant(), engine()
+    layout, plant = model.layout, model.plant()
     v = np.where(v == 0.0, TINY, v)  # friction at rest has a size, if no direction
     friction, other = np.zeros_like(v), np.zeros_like(v)
     for k, body in enumerate(layout.bodies):
@@ -367,28 +372,24 @@ def _friction(
         angle, omega = r * q, r * v
         level = np.zeros_like(v)
         if np.any(plant.law[k, [0, 1, 3, 4, 5, 7]]):
-            loop.law_along(omega, plant.law[k], level)
+            law_along(omega, plant.law[k], level)
         sign = np.sign(omega)
         factor = np.ones_like(v)
         for effect in model.effects:
             if effect.on != body:
                 continue
             chain = CHAIN_CATALOGUE[effect.name]
-            kind, row = kind_of(effect.name), value_row(effect)
             theta = angle + nuisance.zero.get(effect.key, 0.0)
             if chain.site == "friction":
-                f, added = np.empty_like(v), np.empty_like(v)
-                loop.friction_along(kind, theta, omega, motion.time, load[body], row, f, added)
+                f, added = friction_along(effect, theta, omega, motion.time, load[body])
                 factor *= f
                 level += sign * added
             elif chain.site in ("motor", "load"):
-                torque = np.empty_like(v)
-                loop.torque_along(kind, theta, omega, motion.time, row, torque)
-                other -= r * torque
+                other -= r * torque_along(effect, theta, omega, motion.time)
         friction += r * factor * level
     if plant.distance[group] > 0.0:
         built = np.empty_like(v)
-        loop.bristle_along(np.gradient(q), friction, plant.distance[group], built)
+        bristle_along(np.gradient(q), friction, plant.distance[group], built)
         friction = built
     return friction, other
 
@@ -407,13 +408,10 @@ def effective_input(model: ChainModel, motion: Motion, name: str) -> Floats:
     other side of the balance where there is one input (`_ahead`), and applied here where there
     are several.
     """
-    loop = engine()
     signal = motion.u[name]
     for effect in model.effects:
         if effect.on == name and CHAIN_CATALOGUE[effect.name].site == "drive":
-            out = np.empty_like(signal)
-            loop.drive_along(kind_of(effect.name), signal, motion.time, value_row(effect), out)
-            signal = out
+            signal = drive_along(effect, signal, motion.time)
     j = model.layout.inputs.index(name)
     _, dead, tau, limit = model.plant().input_values[j]
     if limit > 0:

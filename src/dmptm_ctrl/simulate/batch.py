@@ -7,10 +7,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.parallel import each
-from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, SUBSTEPS, Loop, march, rest
+from dmptm_ctrl.simulate.compiled import (
+    BODIES,
+    OUTPUTS,
+    SUBSTEPS,
+    Loop,
+    controller_of,
+    march,
+    rest,
+)
 from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.dual import columns_seen, dual_plant, start
+from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.law import NO_LAWS, Law
+from dmptm_ctrl.simulate.many import Common, run_many, same_shape
 from dmptm_ctrl.simulate.model import Arrays, Floats, Model, stacked
+from dmptm_ctrl.simulate.plant import Flags
 
 BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
 _OPEN = 5  # numbers of a loop, all zero of a run that is open
@@ -255,7 +267,7 @@ def simulate_batch(
     initial_state : (6,) or (batch, 6) array, optional
         As for :func:`~dmptm_ctrl.simulate.simulate`.
     loop : Loop, Law or sequence of either, optional
-        One for all, or one for each; Laws of one design model.
+        One for all, or one for each.
     noise : (n,) or (batch, n) array [rad/s], optional
         Added to the speed that the loop sees.
     outputs : sequence of str
@@ -290,61 +302,87 @@ def simulate_batch(
     for name in outputs:
         if name not in BATCH_OUTPUTS:
             raise ValueError(f"no output {name!r}; there are {', '.join(BATCH_OUTPUTS)}")
-    design = None
+    drive, target = np.zeros((1, 2, 0)), np.zeros((1, 1))
+    measured = _NO_ROWS
+    loops: list[Loop | Law] | None = None
     if loop is None:
         drive = _rows("inputs", inputs, count, (2, n))
-        target, measured, loops = _NO_ROWS, _NO_ROWS, np.zeros((count, _OPEN))
     else:
-        drive = np.zeros((0, 2, n))
         target = _rows("inputs", inputs, count, (n,))
-        measured = _rows("noise", np.zeros(n) if noise is None else noise, count, (n,))
-        each: list[Loop | Law] = [loop] * count if isinstance(loop, Loop | Law) else list(loop)
-        if len(each) != count:
-            raise ValueError(f"loop has {len(each)} entries for {count} models")
-        loops, design = _loops(each)
+        if noise is not None:
+            measured = _rows("noise", noise, count, (n,))
+        loops = _loops(loop, count)
     if initial_state is None:
-        starts = np.array([rest(model, 0.0) for model in models])
+        states = np.array([rest(model, 0.0) for model in models])
     else:
-        starts = np.array(
-            np.broadcast_to(_rows("initial_state", initial_state, count, (6,)), (count, 6))
-        )
-    task = Task(
-        dt=(time[-1] - time[0]) / (n - 1),
-        substeps=substeps,
-        samples=n,
-        inputs=drive,
-        target=target,
-        measured=measured,
-        observer=np.zeros(3),
-        extra=np.zeros((0, 3)),
-        columns=np.array([BATCH_OUTPUTS.index(name) for name in outputs], np.int64),
-        every=every,
-        statistics=True,
-        design=design,
-    )
+        rows = _rows("initial_state", initial_state, count, (6,))
+        states = np.broadcast_to(rows, (count, 6))
     arrays = [model.arrays() for model in models]
-    kept, (least, greatest, total, squares) = _all(task, arrays, starts, loops, n_jobs)
+    plants = [dual_plant(own) for own in arrays]
+    kept: list[Floats] = [np.empty(0)] * count
+    found: list[Floats] = [np.empty(0)] * count
+    tasks: list[tuple[Any, ...]] = []
+    wanted = [BATCH_OUTPUTS.index(name) for name in outputs]
+    dt = (time[-1] - time[0]) / (n - 1)
+    whole = Common(dt, substeps, n, drive, target, measured, np.array(wanted, np.int64), every)
+    for members, acting, _ in same_shape(plants):
+        for first in range(0, len(members), LANES):
+            some = members[first : first + LANES]
+            own = None if loops is None else [loops[k] for k in some]
+            tasks.append(
+                (some, [arrays[k] for k in some], states[some], whole.of(some), own, acting)
+            )
+    # threads: the loop does not hold the interpreter's lock
+    alone = n_jobs == 1 or len(tasks) == 1
+    done = (
+        (_group(*task) for task in tasks)
+        if alone
+        else each(_group, tasks, n_jobs, prefer="threads")
+    )
+    for some, runs, statistics in done:
+        for k, out, stats in zip(some, runs, statistics, strict=True):
+            kept[k], found[k] = out, stats
+    least, greatest, total, squares = np.array(found).transpose(1, 0, 2)
     return Batch(
         time[::every] if outputs else time[:0],
-        kept,
+        np.array(kept),
         tuple(outputs),
-        least.T,
-        greatest.T,
-        total.T / n,
-        np.sqrt(squares.T / n),
+        least,
+        greatest,
+        total / n,
+        np.sqrt(squares / n),
     )
 
 
-def _loops(each: Sequence[Loop | Law]) -> tuple[Floats, Arrays | None]:
-    """Numbers of each loop, and the arrays of the model that all controllers share."""
-    laws = [loop for loop in each if isinstance(loop, Law)]
-    if not laws:
-        return np.array(each, float), None
-    if len(laws) < len(each):
+def _group(
+    some: list[int],
+    arrays: list[Arrays],
+    states: Floats,
+    common: Common,
+    loops: list[Loop | Law] | None,
+    acting: Flags,
+) -> tuple[list[int], list[Floats], list[Floats]]:
+    """Run drives of one shape, on whatever thread or machine."""
+    plants = [dual_plant(own) for own in arrays]
+    # where compliant reducers are links too, the outputs are elsewhere among what is seen
+    seen = np.array(columns_seen(plants[0]))
+    common = common._replace(columns=seen[common.columns])
+    starts = [start(plant, x0) for plant, x0 in zip(plants, states, strict=True)]
+    controllers = None
+    if loops is not None:
+        known = {id(one): controller_of(one) for one in loops}
+        controllers = [known[id(one)] for one in loops]
+    runs, stats = run_many(plants, starts, common, controllers, acting=acting)
+    return some, runs, [table[:, seen] for table in stats]
+
+
+def _loops(loop: Loop | Law | Sequence[Loop] | Sequence[Law], count: int) -> list[Loop | Law]:
+    each: list[Loop | Law] = [loop] * count if isinstance(loop, Loop | Law) else list(loop)
+    if len(each) != count:
+        raise ValueError(f"loop has {len(each)} entries for {count} models")
+    if len({isinstance(one, Law) for one in each}) > 1:
         raise ValueError("loop mixes Loop and Law; give one kind")
-    if any(law.model is not laws[0].model for law in laws):
-        raise ValueError("loop holds Laws of different design models; run one batch for each")
-    return np.array([law.numbers() for law in laws]), laws[0].model.arrays()
+    return each
 
 
 def _rows(name: str, values: ArrayLike, count: int, shape: tuple[int, ...]) -> Floats:

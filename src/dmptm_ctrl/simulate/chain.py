@@ -1,6 +1,7 @@
 """Simulate chains and branched trains: compiled, linear, and as python-control blocks."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from math import ceil
 from typing import Any
 
@@ -11,9 +12,19 @@ from numpy.typing import ArrayLike
 from dmptm_ctrl.drive.parameters import physical
 from dmptm_ctrl.drive.rig import Controller, Rig, Sensor
 from dmptm_ctrl.signals import LogError
-from dmptm_ctrl.simulate.chain_compose import engine
 from dmptm_ctrl.simulate.chain_model import ChainModel, check_physical, declared_effects
-from dmptm_ctrl.simulate.chain_plant import Floats, Plant
+from dmptm_ctrl.simulate.parts import Parts
+from dmptm_ctrl.simulate.plant import Floats, Plant
+from dmptm_ctrl.simulate.rig_control import controller_of
+from dmptm_ctrl.simulate.run import Controller as RunController
+from dmptm_ctrl.simulate.run import (
+    Motion,
+    State,
+    advance,
+    advance_by,
+    start_state,
+    structure_for,
+)
 
 __all__ = [
     "ChainRun",
@@ -29,10 +40,9 @@ __all__ = [
 STEPS_PER_RADIAN = 8.0  # of the fastest mode, and of the fastest decay
 MAX_SUBSTEPS = 400
 STEP = 2.0**-13  # rad or m; of slopes: far below the shortest tooth or cogging period
+_NO_ROWS = np.zeros((0, 0))
 STILL = 1e-6  # of the fastest mode; slower is the rigid one
 CONSERVATIVE = ("inertia", "stiffness", "ratio", "gain", "stribeck_speed", "stribeck_exponent")
-_OPEN = np.zeros(7)
-_NO_MOTION = np.zeros((1, 0))
 
 
 class ChainRun:
@@ -43,48 +53,33 @@ class ChainRun:
     time : (n,) array [s]
     u : (inputs, n) array
         Signals of the inputs, as the controller gave them where a loop was closed.
+    state : State
+        From which another run goes on.
     """
 
-    def __init__(self, model: ChainModel, time: Floats, u: Floats, out: Floats) -> None:
-        self.model, self.time, self.u = model, time, u
-        self._out = out
-        self._count = model.layout.coordinates
+    def __init__(self, model: ChainModel, time: Floats, motion: Motion) -> None:
+        self.model, self.time, self.u = model, time, motion.u
+        self.state = motion.state
+        self._motion = motion
 
     def position(self, body: str) -> Floats:
         """Angle [rad] or position [m] of a body, (n,)."""
         layout = self.model.layout
-        return layout.ratio[body] * self._out[:, layout.coordinate[body]]
+        return layout.ratio[body] * self._motion.q[:, layout.coordinate[body]]
 
     def speed(self, body: str) -> Floats:
         """Speed of a body [rad/s or m/s], (n,)."""
         layout = self.model.layout
-        return layout.ratio[body] * self._out[:, self._count + layout.coordinate[body]]
+        return layout.ratio[body] * self._motion.v[:, layout.coordinate[body]]
 
     def link(self, name: str) -> Floats:
         """Torque [N·m] or force of a link at its first body, (n,)."""
-        return self._out[:, 2 * self._count + self.model.layout.links.index(name)]
+        return self._motion.links[:, self.model.layout.links.index(name)]
 
     def reading(self, sensor: str) -> Floats:
         """What a sensor would read, without noise and quantisation, (n,), SI."""
-        item = next(s for s in self.model.rig.sensors if s.name == sensor)
-        body = self.model.layout.sensor_body[sensor]
-        values = self.position(body) if item.measures == "position" else self.speed(body)
-        step = self.time[1] - self.time[0]
-        for effect in self.model.effects:
-            if effect.on != sensor:
-                continue
-            if effect.name == "sensor_delay":
-                late = self.time - effect.values["delay"]
-                values = np.interp(late, self.time, values)
-            if effect.name == "sensor_gain":
-                values = values * (1.0 + effect.values["error"])
-            if effect.name == "encoder_eccentricity":
-                angle = self.position(body)
-                values = values + (
-                    effect.values["cosine"] * np.cos(angle) + effect.values["sine"] * np.sin(angle)
-                )
-        del step
-        return values
+        names = [s.name for s in self.model.rig.sensors]
+        return self._motion.readings[:, names.index(sensor)]
 
 
 def substeps_for(plant: Plant, dt: float) -> int:
@@ -106,9 +101,12 @@ def march(
     speed: Mapping[str, float] | None = None,
     substeps: int | None = None,
     given: Mapping[str, tuple[Floats, Floats]] | None = None,
-    controller: Controller | None = None,
+    controller: Controller | RunController | Callable[..., Any] | None = None,
     reference: Floats | None = None,
     added: Floats | None = None,
+    before: Floats | None = None,
+    push: Mapping[str, Floats] | None = None,
+    state: State | None = None,
 ) -> ChainRun:
     """Run a chain.
 
@@ -126,8 +124,15 @@ def march(
         Steps per sample; by default what the fastest mode needs.
     given : mapping of body to (position, speed) arrays, optional
         Bodies whose motion is prescribed instead of computed.
-    controller, reference, added : Controller, (n,) array, (n,) array, optional
-        Closes the loop; `added` is put on the controller's output.
+    controller, reference, added : optional
+        A rig's controller, a :class:`~.run.Controller` or a Python ``law(t, target, y)``, (n,)
+        and (n,) arrays: closes the loop; `added` is put on the controller's output.
+    before : (inputs,) array, optional
+        Signals before the first sample, which dead times make act in the run; 0.
+    push : mapping of body to (n,) array, optional
+        Torques [N·m] or forces added on bodies.
+    state : State, optional
+        Of an earlier run of the same model, to go on from.
 
     Returns
     -------
@@ -135,41 +140,37 @@ def march(
     """
     plant, layout = model.plant(), model.layout
     n = u.shape[1]
-    q0, v0 = np.zeros(layout.coordinates), np.zeros(layout.coordinates)
-    for start, into in ((position, q0), (speed, v0)):
-        for body, value in (start or {}).items():
-            into[layout.coordinate[body]] = value / layout.ratio[body]
-    motion = _NO_MOTION, _NO_MOTION
+    motion = _NO_ROWS, _NO_ROWS
     if given:
-        flags = np.zeros(layout.coordinates, np.int64)
-        motion = np.zeros((layout.coordinates, n)), np.zeros((layout.coordinates, n))
-        for body, (q, v) in given.items():
-            group = layout.coordinate[body]
-            flags[group] = 1
-            motion[0][group], motion[1][group] = q / layout.ratio[body], v / layout.ratio[body]
-        plant = plant._replace(given=flags)
-    control_row = _OPEN
-    if controller is not None:
-        control_row = _control_row(model, controller)
-    zeros = np.zeros(n)
-    out: Floats = np.empty((n, 2 * layout.coordinates + len(layout.links)))
-    signal = np.array(u, np.float64, order="C")
-    engine().march(
-        plant, signal, dt, substeps or substeps_for(plant, dt), q0, v0, *motion, control_row,
-        zeros if reference is None else np.array(reference, float),
-        zeros if added is None else np.array(added, float), out,
-    )  # fmt: skip
-    time: Floats = dt * np.arange(n, dtype=np.float64)
-    return ChainRun(model, time, signal, out)
-
-
-def _control_row(model: ChainModel, controller: Controller) -> Floats:
-    layout = model.layout
-    body = layout.bodies.index(layout.sensor_body[controller.sensor])
-    kind = {"pi_speed": 1.0, "cascade": 2.0}[controller.kind]
-    gains = [controller.gains.get(k, 0.0) for k in ("kp", "ki", "kv")]
-    source = layout.inputs.index(controller.input)
-    return np.array([kind, source, body, *gains, controller.limit])
+        groups = sorted((layout.coordinate[body], body) for body in given)
+        plant = plant._replace(given=tuple(group for group, _ in groups))
+        rows = [[signal / layout.ratio[b] for signal in given[b]] for _, b in groups]
+        q, v = zip(*rows, strict=True)
+        motion = np.array(q, float), np.array(v, float)
+    structure = structure_for(plant)
+    if state is None:
+        q0, v0 = np.zeros(layout.coordinates), np.zeros(layout.coordinates)
+        for start, into in ((position, q0), (speed, v0)):
+            for body, value in (start or {}).items():
+                into[layout.coordinate[body]] = value / layout.ratio[body]
+        state = start_state(structure, q0, v0)
+    torque = None
+    if push:
+        torque = np.zeros((n, layout.coordinates))
+        for body, values in push.items():
+            torque[:, layout.coordinate[body]] += layout.ratio[body] * values
+    steps = substeps or substeps_for(plant, dt)
+    if callable(controller) and not isinstance(controller, RunController):
+        goal = np.zeros(n) if reference is None else reference
+        done = advance_by(plant, state, controller, goal, dt, steps, push=torque)
+    else:
+        law = controller_of(model, controller) if isinstance(controller, Controller) else controller
+        done = advance(
+            plant, state, u, dt, steps, structure=structure, before=before, push=torque,
+            controller=law, target=reference, noise=added, given=motion,
+        )  # fmt: skip
+    time: Floats = state.time + dt * np.arange(n, dtype=np.float64)
+    return ChainRun(model, time, done)
 
 
 def simulate_chain(
@@ -395,14 +396,16 @@ def _slopes(model: ChainModel, position: Mapping[str, float] | None) -> tuple[Fl
         physical(f"position of {body}", abs(value), zero=True)
         q[layout.coordinate[body]] = value / layout.ratio[body]
     stiffness, damping = np.zeros(q.size), np.zeros(q.size)
-    torque = engine().effect_torque
-    for place, values in zip(plant.torque_place, plant.torque_values, strict=True):
-        kind, index = int(place[0]), int(place[1])
-        group, r = int(plant.body_coordinate[index]), float(plant.body_ratio[index])
-        at = r * float(q[group])
-        stiffness[group] -= r**2 * _slope(lambda x: torque(kind, x, 0.0, 0.0, values), at)  # noqa: B023
-        damping[group] -= r**2 * _slope(lambda v: torque(kind, at, v, 0.0, values), 0.0)  # noqa: B023
+    parts = Parts(plant)
+    for b, (group, r) in enumerate(zip(parts.group, parts.ratio, strict=True)):
+        torque, at = partial(_torque, parts, b), r * float(q[group])
+        stiffness[group] -= r**2 * _slope(lambda x: torque(x, 0.0), at)  # noqa: B023
+        damping[group] -= r**2 * _slope(lambda v: torque(at, v), 0.0)  # noqa: B023
     return stiffness, damping
+
+
+def _torque(parts: Parts, body: int, theta: float, omega: float) -> float:
+    return float(parts.torque(body, 0.0, theta, omega, 0.0))
 
 
 def _slope(function: Callable[[float], float], at: float) -> float:

@@ -15,11 +15,9 @@ import numpy as np
 
 from dmptm_ctrl.simulate.block_params import refuse_unknown
 from dmptm_ctrl.simulate.blocks import REST_SPEED
-from dmptm_ctrl.simulate.chain_compose import engine
 from dmptm_ctrl.simulate.chain_model import ChainModel, check_physical
-from dmptm_ctrl.simulate.chain_plant import Plant
-
-TINY = 1e-300  # a speed that has a direction and no size
+from dmptm_ctrl.simulate.parts import Parts
+from dmptm_ctrl.simulate.plant import Plant
 
 
 def chain_blocks(model: ChainModel, *, others: Sequence[str] = ()) -> ct.InterconnectedSystem:
@@ -52,7 +50,6 @@ def chain_blocks(model: ChainModel, *, others: Sequence[str] = ()) -> ct.Interco
         body = int(plant.input_body[j])
         blocks.append(_input_block(given, j))
         torques[plant.body_coordinate[body]].append(f"{name}_torque")
-        loads[body].append(f"{name}_load")
     for k, name in enumerate(layout.links):
         blocks.append(_link_block(given, k))
         for end, body in enumerate(plant.link_body[k]):
@@ -69,57 +66,49 @@ def chain_blocks(model: ChainModel, *, others: Sequence[str] = ()) -> ct.Interco
 
 
 class _Given:
-    """The plant of a model, with declared quantities replaced by the `params` of a simulation."""
+    """The parts of a model, with declared quantities replaced by the `params` of a simulation."""
 
     def __init__(self, model: ChainModel, others: Sequence[str]) -> None:
         self.model, self.layout, self.others = model, model.layout, others
-        self._plants: dict[tuple[tuple[str, float], ...], Plant] = {(): model.plant()}
-        self._refuse(self._plants[()])
+        self._parts: dict[tuple[tuple[str, float], ...], Parts] = {(): Parts(model.plant())}
+        self._refuse(model.plant())
 
-    def plant(self, params: Mapping[str, float]) -> Plant:
+    def parts(self, params: Mapping[str, float]) -> Parts:
         key = tuple(sorted(params.items())) if params else ()
-        if key not in self._plants:
+        if key not in self._parts:
             refuse_unknown(params, list(self.model.quantities), self.others)
             own = {k: v for k, v in params.items() if k in self.model.quantities}
             model = self.model.with_values(own)
             check_physical(model)
             self._refuse(model.plant())
-            self._plants[key] = model.plant()
-        return self._plants[key]
+            self._parts[key] = Parts(model.plant())
+        return self._parts[key]
 
     def _refuse(self, plant: Plant) -> None:
         if np.any(plant.input_values[:, 1] > 0) or np.any(plant.distance > 0):
             raise ValueError(
                 "dead time and presliding have no block here; simulate with chain.march"
             )
-        if np.any((plant.input_values[:, 2] > 0) != (self._plants[()].input_values[:, 2] > 0)):
+        if np.any((plant.input_values[:, 2] > 0) != (self._parts[()].plant.input_values[:, 2] > 0)):
             raise ValueError("params: a lag cannot come or go; build the blocks of another model")
 
 
 def _input_block(given: _Given, j: int) -> ct.NonlinearIOSystem:
     """One motor: effects of the drive, limit, lag, gain."""
-    name = given.layout.inputs[j]
-    lagging = given.plant({}).input_values[j, 2] > 0
-    loop = engine()
-
-    def signal(plant, t, u):
-        value, limit = float(u[0]), plant.input_values[j, 3]
-        for place, values in zip(plant.drive_place, plant.drive_values, strict=True):
-            if place[1] == j:
-                value = loop.drive_signal(place[0], value, t, values)
-        return min(limit, max(-limit, value)) if limit > 0 else value
+    name, body = given.layout.inputs[j], given.parts({}).driven[j]
+    lagging = given.parts({}).inputs[j][2] > 0
 
     def update(t, x, u, params):
-        plant = given.plant(params)
-        return [(signal(plant, t, u) - x[0]) / plant.input_values[j, 2]] if lagging else []
+        parts = given.parts(params)
+        return [(parts.signal(j, float(u[0]), t) - x[0]) / parts.inputs[j][2]] if lagging else []
 
     def output(t, x, u, params):
-        plant = given.plant(params)
-        torque = plant.input_values[j, 0] * (x[0] if lagging else signal(plant, t, u))
-        return [plant.body_ratio[plant.input_body[j]] * torque, abs(torque)]
+        parts = given.parts(params)
+        acting = float(x[0]) if lagging else parts.signal(j, float(u[0]), t)
+        return [parts.ratio[body] * parts.inputs[j][0] * acting, acting]
 
     return ct.NonlinearIOSystem(
-        update, output, inputs=[name], outputs=[f"{name}_torque", f"{name}_load"],
+        update, output, inputs=[name], outputs=[f"{name}_torque", f"{name}_acting"],
         states=["lag"] if lagging else 0, name=f"input_{name}",
     )  # fmt: skip
 
@@ -127,18 +116,16 @@ def _input_block(given: _Given, j: int) -> ct.NonlinearIOSystem:
 def _link_block(given: _Given, k: int) -> ct.NonlinearIOSystem:
     """One shaft or mesh, without states."""
     name = given.layout.links[k]
-    ends = [int(b) for b in given.plant({}).link_body[k]]
-    groups = [int(given.plant({}).body_coordinate[b]) for b in ends]
-    loop = engine()
+    ends = given.parts({}).ends[k]
+    groups = [given.parts({}).group[b] for b in ends]
 
     def output(t, x, u, params):
-        plant = given.plant(params)
-        row = plant.link_values[k]
-        lever = plant.body_ratio[ends[0]], row[0] * plant.body_ratio[ends[1]]
+        parts = given.parts(params)
+        r1, r2 = (parts.ratio[b] for b in ends)
         q1, v1, q2, v2 = u.tolist()
-        z, rate = lever[0] * q1 - lever[1] * q2, lever[0] * v1 - lever[1] * v2
-        torque = loop.link_torque(z, rate, row, plant.link_gap[k])
-        return [-lever[0] * torque, lever[1] * torque, abs(torque), abs(row[0] * torque)]
+        torque = parts.link_torque(k, *parts.twist(k, r1 * q1, r1 * v1, r2 * q2, r2 * v2))
+        ratio = parts.links[k][0]
+        return [-r1 * torque, ratio * r2 * torque, abs(torque), abs(ratio * torque)]
 
     return ct.NonlinearIOSystem(
         None, output, inputs=[f"{s}_{g}" for g in groups for s in ("q", "v")],
@@ -151,32 +138,47 @@ def _body_block(
     given: _Given, group: int, torques: Sequence[str], loads: Sequence[Sequence[str]]
 ) -> ct.NonlinearIOSystem:
     """One group of rigidly joined bodies: inertia, friction, load torques."""
-    own = [b for b in range(len(loads)) if given.plant({}).body_coordinate[b] == group]
-    names = [*torques, *(name for b in own for name in loads[b])]
-    loop = engine()
+    parts = given.parts({})
+    own = [b for b in range(len(loads)) if parts.group[b] == group]
+    volts = {b: next((j for j, at in enumerate(parts.driven) if at == b), None) for b in own}
+    signals = [f"{given.layout.inputs[j]}_acting" for j in volts.values() if j is not None]
+    names = [*torques, *(name for b in own for name in loads[b]), *signals]
 
     def update(t, x, u, params):
-        plant, q, v = given.plant(params), float(x[0]), float(x[1])
+        parts, q, v = given.parts(params), float(x[0]), float(x[1])
         force = float(np.sum(u[: len(torques)]))
-        load, at = np.zeros(len(loads)), len(torques)
+        load, at = {}, len(torques)
         for b in own:
-            load[b] = np.sum(u[at : at + len(loads[b])])
+            load[b] = float(np.sum(u[at : at + len(loads[b])]))
             at += len(loads[b])
-        for place, values in zip(plant.torque_place, plant.torque_values, strict=True):
-            b = place[1]
-            if b in own:
-                r = plant.body_ratio[b]
-                force += r * loop.effect_torque(place[0], r * q, r * v, t, values)
+        for b in own:
+            acting = 0.0
+            if volts[b] is not None:
+                acting, at = float(u[at]), at + 1
+            r = parts.ratio[b]
+            force += r * parts.torque(b, acting, r * q, r * v, t)
         way = 1.0 if v > 0 else -1.0
         if abs(v) < REST_SPEED:
             push = 1.0 if force > 0 else -1.0
-            level = loop.friction_of(group, q, 0.0, push, True, t, load, plant)
+            level = rub(parts, push, q, 0.0, t, load, False)
             if level > 0.0:
                 if abs(force) <= level:
                     return [0.0, 0.0]
                 way = push
-        level = loop.friction_of(group, q, max(abs(v), TINY), way, False, t, load, plant)
-        return [v, (force - way * level) / plant.inertia[group]]
+        level = rub(parts, way, q, v, t, load, True)
+        return [v, (force - way * level) / parts.inertia[group]]
+
+    def rub(parts, way, q, v, t, load, moving):
+        whole = 0.0
+        for b in (b for b in own if parts.rubs(b)):
+            r = parts.ratio[b]
+            own_way = way if r > 0.0 else -way
+            if moving:
+                level = parts.sliding(b, own_way, r * q, r * v, t, load[b], 0.0)[0]
+            else:
+                level = parts.holding(b, own_way, r * q, t, load[b], 0.0)
+            whole += abs(r) * level
+        return whole
 
     return ct.NonlinearIOSystem(
         update, lambda t, x, u, params: x, inputs=names, outputs=[f"q_{group}", f"v_{group}"],
@@ -191,6 +193,6 @@ def _sensor_block(given: _Given, name: str) -> ct.NonlinearIOSystem:
     index = layout.bodies.index(body)
     signal = "q" if sensor.measures == "position" else "v"
     return ct.NonlinearIOSystem(
-        None, lambda t, x, u, params: given.plant(params).body_ratio[index] * u,
+        None, lambda t, x, u, params: given.parts(params).ratio[index] * u,
         inputs=[f"{signal}_{layout.coordinate[body]}"], outputs=[name], name=f"sensor_{name}",
     )  # fmt: skip

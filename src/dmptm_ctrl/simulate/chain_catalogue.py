@@ -9,6 +9,7 @@ from math import inf
 from typing import NamedTuple
 
 from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import backlash
 from dmptm_ctrl.effects.base_vibration import BASE_VIBRATION
 from dmptm_ctrl.effects.cable_spring import CABLE_SPRING
@@ -34,20 +35,23 @@ from dmptm_ctrl.effects.thermal_drift import THERMAL_DRIFT
 from dmptm_ctrl.effects.unbalance import UNBALANCE
 from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
 
-# site of the contract -> (where it acts, arguments of the generated call)
+# site of the contract -> where it acts
 SITES = {
-    "drive": ("input", "u, t, 0"),
-    "delay": ("input", "0"),
-    "lag": ("input", "u, 0"),
-    "motor": ("body", "0.0, theta, omega, t, 0"),  # bodies of a chain know no voltage
-    "load": ("body", "theta, omega, t"),
-    "friction": ("body", "theta, omega, t, load, 2"),
-    "presliding": ("body", "2"),
-    "shaft": ("body", "inertia"),
-    "gap": ("link", ""),
-    "sensor": ("sensor", "theta, omega, t"),
-    "sensor_delay": ("sensor", ""),
+    "drive": "input",
+    "delay": "input",
+    "lag": "input",
+    "motor": "body",
+    "load": "body",
+    "friction": "body",
+    "ageing": "body",
+    "presliding": "body",
+    "shaft": "body",
+    "mesh": "link",
+    "gap": "link",
+    "sensor": "sensor",
+    "sensor_delay": "sensor",
 }
+RING = 2  # `body` of kernels that act on the ring gear alone
 
 BACKLASH = Effect(
     name="backlash",
@@ -104,11 +108,14 @@ class ChainEffect(NamedTuple):
         Parameters that one place has, in its own naming.
     fields : tuple of int or float
         For each field of the kernel's parameters: which of `keep`, or a constant.
+    told : int
+        Side or body that the kernel is told.
     """
 
     effect: Effect
     keep: tuple[Parameter, ...]
     fields: tuple[int | float, ...]
+    told: int = RING
 
     @property
     def name(self) -> str:
@@ -128,7 +135,7 @@ class ChainEffect(NamedTuple):
     @property
     def place(self) -> str:
         """What it acts on: body, link, input or sensor."""
-        return SITES[self.effect.site][0]
+        return SITES[self.effect.site]
 
     @property
     def amplitudes(self) -> tuple[str, ...]:
@@ -136,14 +143,29 @@ class ChainEffect(NamedTuple):
         return tuple(p.name for p in self.keep if not p.bank)
 
     @property
+    def defaults(self) -> tuple[float, ...]:
+        """Parameters at which the effect is absent: zero amplitudes, mid-bank shapes."""
+        return tuple(p.bank[len(p.bank) // 2] if p.bank else 0.0 for p in self.keep)
+
+    @property
     def shapes(self) -> tuple[str, ...]:
         """Names of the parameters without meaning at zero effect."""
         return tuple(p.name for p in self.keep if p.bank)
 
 
+def may_stand(chain: ChainEffect, rig: Rig, part: str) -> bool:
+    """Whether an effect can do anything at a part of its kind: what links carry needs a link."""
+    if chain.place != "body" or "mesh_torque" not in chain.effect.depends_on:
+        return True
+    return any(part in (link.first, link.second) and not link.rigid for link in rig.links)
+
+
 def whole(effect: Effect) -> ChainEffect:
     """Return an effect whose parameters belong to one place as they are."""
-    return ChainEffect(effect, effect.parameters, tuple(range(len(effect.parameters))))
+    told = RING if effect.site in ("friction", "presliding", "ageing") else 0
+    if effect is LOAD_DEPENDENT_FRICTION:
+        told = 0  # its kernel acts on reducers
+    return ChainEffect(effect, effect.parameters, tuple(range(len(effect.parameters))), told)
 
 
 def _one_side(effect: Effect, names: dict[str, str]) -> ChainEffect:
@@ -157,7 +179,7 @@ def _one_side(effect: Effect, names: dict[str, str]) -> ChainEffect:
         fields.append(
             [k.name for k in keep].index(names[parameter.name]) if parameter.name in names else 0.0
         )
-    return ChainEffect(effect, tuple(keep), tuple(fields))
+    return ChainEffect(effect, tuple(keep), tuple(fields), RING if effect is PRESLIDING else 0)
 
 
 CHAIN_CATALOGUE: dict[str, ChainEffect] = {

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from math import cos, isfinite, isnan, sin
 from typing import NamedTuple
 
@@ -12,8 +12,7 @@ from dmptm_ctrl.drive.parameters import Quantity, physical
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects.shaft_compliance import ShaftCompliance, spring
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_compose import kind_of
-from dmptm_ctrl.simulate.chain_plant import PARAMETERS, Floats, Ints, Plant
+from dmptm_ctrl.simulate.plant import CALLED, GAP, LINEAR, Flags, Floats, Place, Plant
 
 LARGE_SPEED = 1e12  # rad/s or m/s, Stribeck speed of a law without Stribeck friction
 FAR = "_far"  # suffix of the body behind a compliance that splits a declared one
@@ -246,27 +245,31 @@ def _build(model: ChainModel) -> tuple[Plant, Layout]:
         if not mass > 0:
             tied = ", ".join(name for name in bodies if coordinate[name] == group)
             raise ValueError(f"{rig.name}: inertia of {tied} is {mass:g}; it must be positive")
-    distance = np.zeros(count)
+    index = {name: k for k, name in enumerate(bodies)}
+    bristles, lates = np.zeros((len(bodies), 3)), np.zeros(len(rig.sensors))
+    names = [s.name for s in rig.sensors]
     for effect in model.effects:
         if effect.name == "presliding":
-            group = coordinate[effect.on]
-            distance[group] = effect.values.get("distance", 0.0) / abs(ratio[effect.on])
-    index = {name: k for k, name in enumerate(bodies)}
+            bristles[index[effect.on], 0] = effect.values.get("distance", 0.0)
+        if effect.name == "sensor_delay":
+            lates[names.index(effect.on)] += effect.values.get("delay", 0.0)
     plant = Plant(
         masses,
-        distance,
-        np.zeros(count, np.int64),
         np.array([coordinate[b] for b in bodies], np.int64),
         np.array([ratio[b] for b in bodies]),
         np.array([_law(model, b) for b in bodies]),
+        np.array([_rubs(rig, b) for b in bodies], np.uint8),
+        bristles,
         np.array([[index[j.first], index[j.second]] for j in soft], np.int64).reshape(-1, 2),
         np.array([[j.ratio, *(j.row or ())] for j in soft]).reshape(-1, 5),
-        np.array([int(j.gap) for j in soft], np.int64),
+        np.array([GAP if j.gap else LINEAR for j in soft], np.int64),
+        np.ones(len(soft), np.uint8),
         np.array([index[input_body[i.name]] for i in rig.inputs], np.int64),
         np.array([_input_row(model, i.name) for i in rig.inputs]),
-        *_placed(model, ("drive",), {n: k for k, n in enumerate(layout.inputs)}),
-        *_placed(model, ("motor", "load"), index),
-        *_placed(model, ("friction",), index),
+        np.array([index[sensor_body[s.name]] for s in rig.sensors], np.int64),
+        np.array([s.measures == "speed" for s in rig.sensors], np.uint8),
+        lates,
+        *_placed(model, layout),
     )
     return plant, layout
 
@@ -299,6 +302,14 @@ def check_physical(model: ChainModel) -> None:
                 raise ValueError(f"{what} is no number; fit the model first, or set a value")
             if parameter.low == 0.0 > value:  # a magnitude
                 raise ValueError(f"{what} is {value:g}; it must be zero or more")
+
+
+def _rubs(rig: Rig, body: str) -> bool:
+    """Whether a body has a friction law: declared, or a motor's back-EMF."""
+    own = next((b for b in rig.bodies if b.name == body), None)
+    return (
+        own is None or bool(own.friction) or any(i.back_emf for i in rig.inputs if i.body == body)
+    )
 
 
 def _joint(model: ChainModel, name: str) -> _Joint:
@@ -447,27 +458,43 @@ def _input_row(model: ChainModel, name: str) -> list[float]:
     return row
 
 
-def _placed(
-    model: ChainModel, sites: tuple[str, ...], index: Mapping[str, int]
-) -> tuple[Ints, Floats]:
-    """Kinds and places, and values, of the effects at some sites."""
-    places: list[list[int]] = []
-    rows: list[Floats] = []
+def _placed(model: ChainModel, layout: Layout) -> tuple[tuple[Place, ...], Flags, Floats]:
+    """Every effect at every place where it may act; which of them do, and the numbers of all."""
+    sensors = tuple(s.name for s in model.rig.sensors)
+    catalogue = tuple(CHAIN_CATALOGUE.values())
+    parts = layout.inputs, layout.bodies, layout.links, sensors
+    places, index = _all_places(tuple(map(id, catalogue)), parts)
+    on, values = np.zeros(len(index), np.uint8), np.hstack([p.effect.defaults() for p in places])
     for effect in model.effects:
-        chain = CHAIN_CATALOGUE[effect.name]
-        if chain.site in sites:
-            places.append([kind_of(effect.name), index[effect.on]])
-            rows.append(value_row(effect))
-    return (
-        np.array(places, np.int64).reshape(-1, 2),
-        np.array(rows).reshape(-1, PARAMETERS),
-    )
+        if effect.key in index:
+            flag, first = index[effect.key]
+            row = value_row(effect)
+            on[flag], values[first : first + row.size] = 1, row
+    return places, on, values
+
+
+@cache
+def _all_places(
+    _: tuple[int, ...], parts: tuple[tuple[str, ...], ...]
+) -> tuple[tuple[Place, ...], dict[str, tuple[int, int]]]:
+    """Places of the catalogue's effects in a rig; where each one's flag and numbers are."""
+    named = dict(zip(("input", "body", "link", "sensor"), parts, strict=True))
+    places: list[Place] = []
+    index: dict[str, tuple[int, int]] = {}
+    first = 0
+    for chain in CHAIN_CATALOGUE.values():
+        if chain.site not in CALLED or chain.site == "lag":  # a lag is a number of its input
+            continue
+        for k, part in enumerate(named[chain.place]):
+            index[f"{chain.name}@{part}"] = len(places), first
+            places.append(Place(chain.effect, k, chain.told, len(places), first))
+            first += len(chain.fields)
+    return tuple(places), index
 
 
 def value_row(effect: Placed) -> Floats:
-    """Parameters of an effect as the loop takes them; what is left out is absent."""
-    row = np.zeros(PARAMETERS)
-    for k, parameter in enumerate(CHAIN_CATALOGUE[effect.name].keep):
-        default = parameter.bank[len(parameter.bank) // 2] if parameter.bank else 0.0
-        row[k] = effect.values.get(parameter.name, default)
-    return row
+    """Parameters of an effect as its kernel takes them; what is left out is absent."""
+    chain = CHAIN_CATALOGUE[effect.name]
+    named = zip(chain.keep, chain.defaults, strict=True)
+    row = [effect.values.get(p.name, default) for p, default in named]
+    return np.array([row[f] if isinstance(f, int) else f for f in chain.fields], float)

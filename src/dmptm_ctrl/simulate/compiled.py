@@ -1,13 +1,17 @@
 """The compiled simulator: the plant sampled at the log's rate, voltage held between samples."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.simulate.compose import engine, plain_engine
+from dmptm_ctrl.simulate.dual import columns, dual_plant, outputs, pi_loop, start
 from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.plant import Plant
+from dmptm_ctrl.simulate.run import Controller, advance, start_state, structure_for
 
 if TYPE_CHECKING:
     from dmptm_ctrl.simulate.law import Law
@@ -97,6 +101,21 @@ def march(
     (n, 8) array
         Columns :data:`OUTPUTS`, SI; the first 4 without `meshes`.
     """
+    if measured is None or observer is None:
+        plant = dual_plant(arrays)
+        structure = structure_for(plant)
+        state = replace(start_state(structure, *start(plant, np.asarray(x0, float))), time=begin)
+        done = advance(
+            plant,
+            state,
+            u,
+            dt,
+            substeps,
+            structure=structure,
+            push=_on_bodies(plant, extra),
+            columns=columns(plant, meshes),
+        )
+        return outputs(plant, done.rows, meshes)
     n = u.shape[1]
     out = np.empty((n, len(OUTPUTS) if meshes else BODIES))
     base, on, values = arrays
@@ -106,7 +125,7 @@ def march(
         arrays,  # of no controller's model
         np.empty(0),
         np.array([*(observer or (0.0, 0.0)), lead_substeps or substeps]),
-        np.empty(0) if measured is None else _own(measured),
+        _own(measured),
         _NONE if extra is None else _own(extra),
         _own(x0),
         begin,
@@ -118,6 +137,13 @@ def march(
         out,
     )
     return out
+
+
+def _on_bodies(plant: Plant, extra: Floats | None) -> Floats | None:
+    """Torques on the pinions and the ring gear as those on coordinates."""
+    if extra is None or plant.inertia.size == 3:
+        return extra
+    return np.hstack([extra, np.zeros((len(extra), plant.inertia.size - 3))])
 
 
 def observer_gains(bandwidth_hz: float, dt: float) -> tuple[float, float]:
@@ -158,27 +184,27 @@ def close_loop(
     out : (n, 8) array
         Columns :data:`OUTPUTS`, the first 4 without `meshes`; the speed without the noise.
     """
-    target = _own(np.asarray(reference, float))
-    seen = np.zeros_like(target) if noise is None else _own(np.asarray(noise, float))
-    u = np.zeros((2, target.size))
-    out = np.empty((target.size, len(OUTPUTS) if meshes else BODIES))
-    base, on, values = arrays = model.arrays()
-    design = arrays if isinstance(loop, Loop) else loop.model.arrays()
-    (engine if on.any() or design[1].any() else plain_engine)().march(
-        u,
-        np.array([*loop, 1.0]) if isinstance(loop, Loop) else loop.numbers(),
-        design,
-        target,
-        np.zeros(3),
-        seen,
-        _NONE if extra is None else _own(extra),
-        rest(model, theta_L),
-        0.0,
+    target = np.array(reference, float)
+    plant = dual_plant(model.arrays())
+    structure = structure_for(plant)
+    done = advance(
+        plant,
+        start_state(structure, *start(plant, rest(model, theta_L))),
+        np.zeros((2, target.size)),
         dt,
         substeps,
-        base,
-        on,
-        values,
-        out,
+        structure=structure,
+        push=_on_bodies(plant, extra),
+        controller=controller_of(loop),
+        target=target,
+        noise=None if noise is None else np.asarray(noise, float),
+        columns=columns(plant, meshes),
     )
-    return u, out
+    return done.u, outputs(plant, done.rows, meshes)
+
+
+def controller_of(loop: "Loop | Law") -> Controller:
+    """Return a speed loop as the compiled loop calls it."""
+    if isinstance(loop, Loop):
+        return Controller(pi_loop, np.array(loop), 1)
+    return loop.controller()

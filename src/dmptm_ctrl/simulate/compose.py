@@ -5,72 +5,25 @@ of everything it is made of: the loop, and each kernel. A changed kernel or a us
 effect gives another name, and so one recompile.
 """
 
-import ast
-import hashlib
-import importlib.util
-import inspect
-import os
-import re
-import sys
-import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
-from threading import RLock
 from types import ModuleType
-from typing import Any, TypeVar
 
 from dmptm_ctrl.contract import SITES, Effect
 from dmptm_ctrl.effects import CATALOGUE, backlash, lookup, presliding, stribeck
 from dmptm_ctrl.effects.lookup import looked_up
 from dmptm_ctrl.simulate import elementary
-from dmptm_ctrl.simulate.slope_chains import slope_source
+from dmptm_ctrl.simulate.chains import (
+    CHAINS,
+    body_of,
+    chain_text,
+    flags_text,
+    layout,
+    per_catalogue,
+    slots,
+)
+from dmptm_ctrl.simulate.loading import LOADING, key_of, load
 
-# one thread writes an engine at a time: where two parse at once Python 3.11.0 to 3.11.7 counts
-# their depths together and fails (CPython issue 106905)
-_LOADING = RLock()
-_T = TypeVar("_T")
-
-# per site: name of the chain, its arguments, neutral result, how one effect changes it
-_CHAINS: dict[str, tuple[str, str, str, str]] = {
-    "drive": ("drive_voltage", "u, t, side", "u", "u = {call}"),
-    "delay": ("voltage_delay", "", "0.0", "r += {call}"),
-    "lag": ("lag_relaxation", "u, side", "u, 0.0", "u, r = {call}"),
-    "motor": ("motor_torque", "u, theta_m, omega_m, t, side", "0.0", "r += {call}"),
-    "shaft": ("shaft_compliance", "inertia", "0.0, 0.0", "r = {call}"),
-    "mesh": (
-        "mesh_shift",
-        "theta_p, omega_p, theta_L, omega_L, side",
-        "0.0, 0.0, 0.0, 0.0",
-        "c = {call}; r = (r[0] + c[0], r[1] + c[1], r[2] + c[2], r[3] + c[3])",
-    ),
-    "friction": (
-        "friction_level",
-        "theta, omega, t, mesh_torque, body",
-        "1.0, 0.0",
-        "c = {call}; r = (r[0] * c[0], r[1] + c[1])",
-    ),
-    "presliding": (
-        "presliding_law",
-        "body",
-        "0.0, 0.0, 0.0",
-        "c = {call}; r = (r[0] + c[0], max(r[1], c[1]), max(r[2], c[2]))",
-    ),
-    "ageing": (
-        "aged_friction",
-        "age, body",
-        "0.0, 0.0",
-        "c = {call}; r = (r[0] + c[0], max(r[1], c[1]))",
-    ),
-    "load": ("load_torque", "theta_L, omega_L, t", "0.0", "r += {call}"),
-    "sensor": (
-        "sensor_reading",
-        "theta_L, omega_L, t",
-        "theta_L, omega_L",
-        "theta_L, omega_L = {call}",
-    ),
-    "sensor_delay": ("speed_delay", "", "0.0", "r += {call}"),
-}
 # per site of the inner loop: the same over lanes, from rows A to rows R of the work array
 _LANE_CHAINS: dict[str, tuple[str, str, str]] = {
     "drive": ("drive_lanes", "{A0}, t, side", "{A0} = {call}"),
@@ -113,7 +66,6 @@ _SAMPLE_ROWS = {
     "mesh_torque": "X_MESH",
 }
 _ROWS = ("A0", "A1", "A2", "A3", "R0", "R1")
-_KERNEL_ARGS = {"delay": "0", "lag": "u, side"}  # a delay is the same on both sides
 
 
 # kernels that the loop calls by itself
@@ -138,38 +90,12 @@ _INLINE = (
     *("aged", "bristles_of"),
     *("law", "plain_region", "level_stage"),
     *("section", "direction_of", "friction_along", "built_up", "feed_forward", "undone"),
-    *(
-        "stays",
-        "mesh_slopes",
-        "law_slopes",
-        "one_way",
-        "one_of",
-        "smooth_body",
-        "mesh_change",
-        "mesh_own",
-        *("frictions_own", "own_of_bodies", "moved_by"),
-        "law_own",
-    ),
-    *(
-        "change_along",
-        "mesh_along",
-        "meshes_along",
-        "plain_mesh",
-        "is_same",
-        "change_of_mesh",
-        "own_of",
-    ),
-    *("own_of_mesh", "volts_along", "load_slopes_of", "friction_slopes_of"),
-    "ageing_slopes_of",
-    *("bristling", "bristle_change", "grown", "older_by", "sliding", "with_level"),
-    *("without_level", "voltage_of", "level_of", "lagged", "law_of", "bristles_in", "law_in"),
-    *("keep_along", "own_by_slopes"),
-    *("row_step", "motor_step"),
+    "law_of",
 )
 # What Python calls; the rest is called by these alone and has no wrapper for Python, which
 # would be more text for the compiler than the function itself.
 _ENTRIES = (
-    *("march", "march_groups", "march_tangents", "march_site_tangents", "command"),
+    *("march", "march_groups", "command"),
     *("along", "sliding_along", "presliding_along", "readings"),
     *("presliding_law", "speed_delay"),
 )
@@ -202,45 +128,6 @@ from dmptm_ctrl.simulate.elementary import cos, exp, sin, FAST, borrowed, hosted
 """
 
 
-def _slots() -> dict[str, int]:
-    """Position of each effect's first parameter in the flat vector."""
-    position, slots = 0, {}
-    for name, effect in CATALOGUE.items():
-        slots[name] = position
-        position += len(effect.parameters)
-    return slots
-
-
-def _chain(site: str, effects: Mapping[str, Effect], rows: bool = False) -> str:
-    """Text of a site's chain; with `rows` of one of several drives, whose numbers are in a row."""
-    name, args, neutral, change = _CHAINS[site]
-    head = (
-        f"{name}_of({args + ', ' if args else ''}on, values, row)"
-        if rows
-        else (f"{name}({args + ', ' if args else ''}on, values)")
-    )
-    at = "row, " if rows else ""
-    lines = [f"@njit\ndef {head}:"]
-    in_place = change.startswith(("u = ", "theta_L, "))
-    if site == "lag":
-        lines.append("    r = 0.0")
-    elif not in_place:
-        lines.append(f"    r = {neutral}" if "," not in neutral else f"    r = ({neutral})")
-    slots = _slots()
-    for index, (key, effect) in enumerate(effects.items()):
-        if effect.site != site:
-            continue
-        first = slots[key]
-        values = ", ".join(f"values[{at}{first + j}]" for j in range(len(effect.parameters)))
-        passed = _KERNEL_ARGS.get(site, args)
-        call = f"kernel_{index}({passed + ', ' if passed else ''}Values_{index}({values}))"
-        lines.append(f"    if on[{index}]:")
-        lines += [f"        {part}" for part in change.format(call=call).split("; ")]
-    result = {"drive": "u", "lag": "u, r", "sensor": "theta_L, omega_L"}.get(site, "r")
-    lines.append(f"    return {result}")
-    return "\n".join(lines)
-
-
 def _vector_kernel(index: int, effect: Effect) -> str:
     """Name of an effect's kernel for several drives, or samples, at once."""
     calls = getattr(effect.kernel, "py_func", effect.kernel).__code__.co_names
@@ -256,12 +143,12 @@ def _lane_chain(site: str) -> str:
     if site == "lag":
         lines.append("    for lane in range(width):")
         lines.append("        s[R0 + lane], s[R1 + lane] = s[A0 + lane], 0.0")
-    slots = _slots()
+    first = slots()
     for index, (key, effect) in enumerate(CATALOGUE.items()):
         if effect.site != site:
             continue
         values = ", ".join(
-            f"s[VALUE_{slots[key] + j} + lane]" for j in range(len(effect.parameters))
+            f"s[VALUE_{first[key] + j} + lane]" for j in range(len(effect.parameters))
         )
         call = f"{_vector_kernel(index, effect)}({args.format(**rows)}, Values_{index}({values}))"
         lines += [f"    if on[{index}]:", "        for lane in range(width):"]
@@ -274,40 +161,19 @@ def _sample_chain(site: str) -> str:
     name, change = _SAMPLE_CHAINS[site]
     args = ", ".join(
         f"s[{_SAMPLE_ROWS[arg]} + i]" if arg in _SAMPLE_ROWS else "side"
-        for arg in _CHAINS[site][1].split(", ")
+        for arg in CHAINS[site][1].split(", ")
     )
     lines = [f"@njit\ndef {name}(s, width, side, on, values):"]
-    slots = _slots()
+    first = slots()
     for index, (key, effect) in enumerate(CATALOGUE.items()):
         if effect.site != site:
             continue
-        values = ", ".join(f"values[{slots[key] + j}]" for j in range(len(effect.parameters)))
+        values = ", ".join(f"values[{first[key] + j}]" for j in range(len(effect.parameters)))
         lines += [f"    if on[{index}]:", f"        p = Values_{index}({values})"]
         call = f"{_vector_kernel(index, effect)}({args}, p)"
         lines += ["        for i in range(width):"]
         lines += [f"            {part}" for part in change.format(call=call).split("; ")]
     return "\n".join([*lines, "    return"])
-
-
-def _flags(effects: Mapping[str, Effect]) -> str:
-    """Text of the function that tells which of the sites in the inner loop are in use."""
-    keys = list(effects)
-    tests = []
-    for site in ("drive", "motor", "mesh", "friction", "load", "sensor"):
-        terms = [f"on[{keys.index(k)}] > 0" for k, e in effects.items() if e.site == site]
-        tests.append(" or ".join(terms) or "False")
-    return (
-        "@njit\ndef active_sites(on):\n    return (\n"
-        + "".join(f"        {test},\n" for test in tests)
-        + "    )"
-    )
-
-
-def _body(name: str) -> str:
-    """Text of a loop module after its last import."""
-    text = Path(__file__).with_name(name).read_text(encoding="utf-8")
-    imports = [node for node in ast.parse(text).body if isinstance(node, ast.ImportFrom)]
-    return "".join(text.splitlines(keepends=True)[imports[-1].end_lineno :])
 
 
 def _loop(effects: Mapping[str, Effect]) -> str:
@@ -322,10 +188,10 @@ def _loop(effects: Mapping[str, Effect]) -> str:
         if (name := _vector_kernel(i, effect)) != f"kernel_{i}"
     )
     own = "\n".join(f"{name} = hosted({name})" for name in _OWN_KERNELS)
-    chains = "\n\n\n".join([_flags(effects), *(_chain(site, effects) for site in SITES)])
+    chains = "\n\n\n".join([flags_text(effects), *(chain_text(site, effects) for site in SITES)])
     return (
         f"{_HEAD}{own}\n{names}\n\n\n{chains}\n\n\n"
-        f"{_body('control_core.py')}\n\n{_body('core.py')}\n\n"
+        f"{body_of('control_core.py')}\n\n{body_of('core.py')}\n\n"
     )
 
 
@@ -336,22 +202,18 @@ def plain_source() -> str:
 
 def source() -> str:
     """Return the text of the engine for the catalogue as it is now."""
-    row_chains = "\n\n\n".join(_chain(site, CATALOGUE, rows=True) for site in SITES)
     lane_chains = "\n\n\n".join(_lane_chain(site) for site in _LANE_CHAINS)
     sample_chains = "\n\n\n".join(_sample_chain(site) for site in _SAMPLE_CHAINS)
-    lanes = _body("lane_stages_core.py")
+    lanes = body_of("lane_stages_core.py")
     cut = lanes.index("\n@njit\n")  # behind the constants that the chains need
     places = "".join(
         f"VALUE_{k} = VALUES + {k} * LANES\n"  # a constant each: less arithmetic to compile
         for k in range(sum(len(effect.parameters) for effect in CATALOGUE.values()))
     )
     return _compiled(
-        f"{_loop(CATALOGUE)}{_body('tangent_core.py')}\n\n"
-        f"{sample_chains}\n\n\n{_body('along_core.py')}\n\n"
-        f"{row_chains}\n\n\n{_body('row_step_core.py')}\n\n"
-        f"{slope_source(CATALOGUE, _slots())}\n\n\n{_body('bristle_core.py')}\n\n"
-        f"{_body('site_change_core.py')}\n\n{_body('tangent_site_core.py')}\n\n"
-        f"{lanes[:cut]}\n{places}\n\n{lane_chains}\n\n{lanes[cut:]}\n\n{_body('lane_core.py')}"
+        f"{_loop(CATALOGUE)}"
+        f"{sample_chains}\n\n\n{body_of('along_core.py')}\n\n"
+        f"{lanes[:cut]}\n{places}\n\n{lane_chains}\n\n{lanes[cut:]}\n\n{body_of('lane_core.py')}"
     )
 
 
@@ -367,8 +229,6 @@ def _compiled(text: str) -> str:
         text = text.replace(
             f"@njit\ndef {helper}(", f"@njit({options}, forceinline=True)\ndef {helper}("
         )
-    inline = f"@njit({options}, forceinline=True)\ndef "
-    text = re.sub(r"@njit\ndef (?=\w+_slopes_\d+\()", inline, text)
     return text.replace("@njit\n", f"@njit({options})\n")
 
 
@@ -376,88 +236,11 @@ _KERNELS = (backlash, lookup, presliding, stribeck, elementary)
 
 
 def _key(text: str, effects: Mapping[str, Effect] = CATALOGUE) -> str:
-    parts = [text, *(inspect.getsource(m) for m in _KERNELS)]
-    for effect in effects.values():
-        module = sys.modules.get(effect.kernel.__module__)
-        file = getattr(module, "__file__", None)
-        parts.append(Path(file).read_text(encoding="utf-8") if file else _cell(effect.kernel))
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
-
-
-def _cell(kernel: object) -> str:
-    """Source of a kernel defined in a notebook, or its bytecode where that is not kept."""
-    function = getattr(kernel, "py_func", kernel)
-    try:
-        return inspect.getsource(function)  # type: ignore[arg-type]
-    except OSError:
-        return repr(function.__code__.co_code)  # type: ignore[attr-defined]
-
-
-def cache_folder() -> Path:
-    """Folder of the compiled engine; a temporary one where nothing can be written."""
-    places = [os.environ.get("DMPTM_CACHE_DIR"), os.environ.get("XDG_CACHE_HOME")]
-    candidates = [Path(p) / "dmptm_ctrl" for p in places if p]
-    candidates.append(Path.home() / ".cache" / "dmptm_ctrl")
-    for folder in candidates:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder):
-                return folder
-        except OSError:
-            continue
-    return Path(tempfile.mkdtemp(prefix="dmptm_ctrl_"))
+    return key_of(text, _KERNELS, effects.values())
 
 
 def _load(key: str, text: str, effects: Mapping[str, object] = CATALOGUE) -> ModuleType:
-    with _LOADING:
-        return _loaded(key, text, len(effects))
-
-
-@cache
-def _loaded(key: str, text: str, effects: int) -> ModuleType:
-    file = cache_folder() / f"engine_{key}.py"
-    if not file.exists() or file.read_text(encoding="utf-8") != text:
-        if elementary.COMPILED:
-            sys.stderr.write(
-                f"Compiling the simulator for {effects or 'no'} effects, once for this catalogue "
-                "and kind of run; about ten seconds.\n"
-            )
-            sys.stderr.flush()
-        fresh = file.with_suffix(f".{os.getpid()}")
-        fresh.write_text(text, encoding="utf-8")
-        os.replace(fresh, file)
-    spec = importlib.util.spec_from_file_location(file.stem, file)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"cannot load the engine from {file.name}")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[file.stem] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def per_catalogue(function: Callable[..., _T]) -> Callable[..., _T]:
-    """Keep what a function returns for as long as the catalogue has the same effects.
-
-    A fit asks hundred thousands of times. The effects are told apart by identity, for to compare
-    all their numbers takes longer than what is asked for. Threads that ask at once get one answer.
-    """
-    known: dict[tuple[Any, ...], tuple[tuple[Effect, ...], _T]] = {}
-    last: dict[tuple[int, ...], tuple[tuple[Effect, ...], _T]] = {}
-
-    def found(*args: int) -> _T:
-        effects = tuple(CATALOGUE.values())
-        kept = last.get(args)
-        if kept is not None and kept[0] == effects:  # compares those first that are the same
-            return kept[1]
-        key = (*map(id, effects), *args)
-        with _LOADING:
-            if key not in known:
-                # the effects too, or another may get an identity
-                known[key] = effects, function(effects, *args)
-            last[args] = known[key]
-        return known[key][1]
-
-    return found
+    return load(key, text, f"the simulator for {len(effects) or 'no'} effects")
 
 
 def engine() -> ModuleType:
@@ -471,7 +254,7 @@ def plain_engine() -> ModuleType:
 
     It is `march` alone, and the same when the catalogue changes.
     """
-    with _LOADING:
+    with LOADING:
         text = plain_source()
         return _load("plain_" + _key(text, {}), text, {})
 
@@ -483,12 +266,4 @@ def _engine(_: tuple[Effect, ...]) -> ModuleType:
     return _load(_key(text), text)
 
 
-def layout() -> dict[str, tuple[int, int]]:
-    """Return, per effect, its index in `on` and its first slot in `values`."""
-    return _layout(tuple(CATALOGUE))
-
-
-@cache
-def _layout(names: tuple[str, ...]) -> dict[str, tuple[int, int]]:
-    slots = _slots()
-    return {name: (index, slots[name]) for index, name in enumerate(names)}
+__all__ = ["engine", "layout", "per_catalogue", "plain_engine", "plain_source", "source"]

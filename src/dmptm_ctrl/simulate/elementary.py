@@ -236,7 +236,22 @@ def hosted(
             names[name] = hosted(dict(instead).get(found, found), *instead)
         elif callable(found) and found in _INSTEAD:
             names[name] = _INSTEAD[found]
-    copy = FunctionType(
+    return njit(**OPTIONS, **INNER)(_copy(function, names))
+
+
+def _copy(function: FunctionType, names: dict[str, Any]) -> FunctionType:
+    """Return a function that finds other things under the names of its module."""
+    return FunctionType(
         function.__code__, names, function.__name__, function.__defaults__, function.__closure__
     )
-    return njit(**OPTIONS, **INNER)(copy)
+
+
+@cache
+def called(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the same kernel, not inline: many of which few are in use compile faster so."""
+    inline = hosted(kernel)
+    if inline is kernel:
+        return kernel
+    options = {**OPTIONS, **INNER, "forceinline": False}
+    function = inline.py_func  # type: ignore[attr-defined]
+    return njit(**options)(_copy(function, function.__globals__))

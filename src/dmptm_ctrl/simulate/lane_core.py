@@ -8,6 +8,7 @@ neutral parameters.
 import numpy as np
 from numba import njit
 
+from dmptm_ctrl.effects.stribeck import stribeck_law
 from dmptm_ctrl.simulate.control_core import M_LEFT, M_RIGHT, MEMORY, command
 from dmptm_ctrl.simulate.core import MIN_COMPLIANCE, UNKNOWN, aged, bristles_of, held_average
 from dmptm_ctrl.simulate.elementary import wide
@@ -115,7 +116,6 @@ from dmptm_ctrl.simulate.lane_stages_core import (
     to_middle,
     twist,
 )
-from dmptm_ctrl.simulate.row_step_core import law_of
 from dmptm_ctrl.simulate.sites import (  # chains
     active_sites,
     aged_friction,
@@ -125,6 +125,16 @@ from dmptm_ctrl.simulate.sites import (  # chains
     speed_delay,
     voltage_delay,
 )
+
+
+@njit
+def law_of(bases, row, first):
+    """Friction law from a row of drives' numbers."""
+    k, r = first, bases
+    return stribeck_law(
+        r[row, k], r[row, k + 1], r[row, k + 2], r[row, k + 3], r[row, k + 4], r[row, k + 5],
+        r[row, k + 6], r[row, k + 7], r[row, k + 8],
+    )  # fmt: skip
 
 
 @njit

@@ -6,14 +6,61 @@ from typing import Any
 
 import numpy as np
 
+from dmptm_ctrl.contract import Effect
+from dmptm_ctrl.effects import lookup, presliding, stribeck
 from dmptm_ctrl.simulate import control_core as core
-from dmptm_ctrl.simulate.compose import engine
-from dmptm_ctrl.simulate.model import Arrays, Floats, Model
+from dmptm_ctrl.simulate import elementary
+from dmptm_ctrl.simulate.chains import body_of, chain_text, flags_text, per_catalogue
+from dmptm_ctrl.simulate.loading import key_of, load
+from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
+from dmptm_ctrl.simulate.run import Controller
 
 PASS = (1.0, 0.0, 0.0, 0.0, 0.0)  # a section that changes nothing
 FAR = 1e9  # rad/s², no limit
 SECTIONS = 2
 NO_LAWS = np.zeros((0, 0))
+_SITES = ("drive", "motor", "friction", "presliding", "load", "sensor")  # what a law feeds forward
+_HEAD = """\
+from math import cos, exp, floor, log, sin, sqrt, tanh
+
+import numpy as np
+from functools import partial
+
+from numba import njit
+
+from dmptm_ctrl.effects import presliding, stribeck
+from dmptm_ctrl.simulate.elementary import exp, FAST, hosted
+from dmptm_ctrl.simulate.run import compiled_controller
+
+stribeck_law, sliding_torque = hosted(stribeck.stribeck_law), hosted(stribeck.sliding_torque)
+viscous_torque = hosted(stribeck.viscous_torque)
+build_up_distance = hosted(presliding.build_up_distance)
+"""
+_TAIL = """\
+@partial(compiled_controller, cache=True)
+def controller(i, t, dt, target, noise, y, rule, memory, u):
+    design = rule[{0}:{1}], rule[{1}:{2}], rule[{2}:]
+    command(target, y[0], y[1] + noise, y[2], y[3], t, dt, rule, memory, design)
+    u[0], u[1] = memory[M_LEFT], memory[M_RIGHT]
+"""
+
+
+@per_catalogue
+def law_engine(effects: tuple[Effect, ...]) -> Any:
+    """Return the compiled law for the catalogue as it is now."""
+    named = {effect.name: effect for effect in effects}
+    kernels = "\n".join(
+        f"kernel_{i} = hosted(EFFECTS[{i}].kernel)\nValues_{i} = EFFECTS[{i}].values"
+        for i, effect in enumerate(effects)
+        if effect.site in _SITES
+    )
+    chains = "\n\n\n".join([flags_text(named), *(chain_text(site, named) for site in _SITES)])
+    ends = core.L_SIZE, core.L_SIZE + len(BASE), core.L_SIZE + len(BASE) + len(effects)
+    text = "\n\n".join([_HEAD, kernels, chains, body_of("control_core.py"), _TAIL.format(*ends)])
+    options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST'
+    text = text.replace("@njit\n", f"@njit({options})\n")
+    key = key_of(text, (elementary, lookup, presliding, stribeck), effects)
+    return load(f"law_{key}", text, "the controllers of the dual-motor drive", EFFECTS=effects)
 
 
 @dataclass(frozen=True)
@@ -102,6 +149,12 @@ class Law(Design):
             ]
         )
 
+    def controller(self) -> Controller:
+        """Return the law as the compiled loop calls it."""
+        base, on, values = self.model.arrays()
+        rule = np.concatenate([self.numbers(), base, on, values])
+        return Controller(law_engine().controller, rule, core.MEMORY)
+
     def stepper(self, sample_time: float) -> "Stepper":
         """Return the controller as a difference equation to be advanced sample by sample."""
         return Stepper(self, sample_time)
@@ -117,7 +170,7 @@ class Stepper:
     def __init__(self, law: Law, sample_time: float) -> None:
         self._law, self._dt = law.numbers(), sample_time
         self._design: Arrays = law.model.arrays()
-        self._command = engine().command
+        self._command = law_engine().command
         self._memory = np.zeros(core.MEMORY)
         self._samples = 0
 

@@ -1,180 +1,230 @@
 """The slow, plain reference: SciPy's DOP853 at tight tolerance, every switch located.
 
-The drive is a hybrid system. Its *mode* says in which region of Eq. 21 each mesh is, and
-whether each body sticks (0) or which way it slides (±1). Within a mode the right-hand side
+A drive is a hybrid system. Its *mode* says in which region of its contact law each mesh is, and
+whether each coordinate sticks (0) or which way it slides (±1). Within a mode the right-hand side
 is smooth; after each step the mode is checked along the step's interpolant, and where it
 ends the run is cut there, by bisection, and continued in the mode that follows. Every jump
-of the held voltage, also a delayed one, is a restart.
+of the held signals, also a delayed one, is a restart.
 """
 
 from collections.abc import Iterator
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
 
-from dmptm_ctrl.simulate.model import Floats, Model
-from dmptm_ctrl.simulate.plain import RING, Sites, mesh_region, region_torque
+from dmptm_ctrl.effects import backlash, presliding
+from dmptm_ctrl.simulate.parts import Parts, mesh_region, region_torque, uncompiled
+from dmptm_ctrl.simulate.plant import ELASTIC_IMPACT, GAP, LINEAR, TWO_STATES, Floats, Plant
 
-# Angles of pinions and ring gear, their speeds; motors seen at the pinion, their speeds;
-# lagged voltages; presliding torques; ages of the contacts.
-STATES = 18
-ANGLE, SPEED, MOTOR, MOTOR_SPEED, LAGGED, BRISTLE, AGE = 0, 3, 6, 8, 10, 12, 15
-Hold = tuple[float, float, tuple[float, float]]  # start, end [s], voltages [V]
-ATOL = 1e-14  # rad, rad/s: 4e-10 N·m in the mesh
+if TYPE_CHECKING:
+    from dmptm_ctrl.simulate.model import Model
+
+Hold = tuple[float, float, list[float]]  # start, end [s], signals
+ATOL = 1e-14  # rad, rad/s: 4e-10 N·m in a mesh
 EVENT_TIME = 1e-12  # s, to which a switch is located
 CHECKS = (0.25, 0.5, 0.75, 1.0)  # of a step, where the mode is checked
-MAX_SWITCHES = 1000  # in one hold of the voltage; beyond, the mode chatters
+MAX_SWITCHES = 1000  # in one hold of the signals; beyond, the mode chatters
+_build_up_distance = uncompiled(presliding.build_up_distance)
+_fading = uncompiled(presliding.fading)
+
+
+class Exact(NamedTuple):
+    """Samples of a reference run; arrays as in :class:`~.run.Motion`."""
+
+    q: Floats
+    v: Floats
+    links: Floats
+    readings: Floats
 
 
 class _Hybrid:
-    """Right-hand side of the drive in its current mode, and the rules that change it."""
+    """Right-hand side of a plant in its current mode, and the rules that change it."""
 
-    def __init__(self, model: Model) -> None:
-        self.sites = Sites(model)
-        self.region = [0.0, 0.0]
-        self.motion = [0.0, 0.0, 0.0]
-        self.u = (0.0, 0.0)
+    def __init__(self, plant: Plant) -> None:
+        self.parts = Parts(plant)
+        self.plant = plant
+        n, bodies, links, inputs, _ = plant.size
+        self.n = n
+        # behind coordinates and speeds: lags, bristles, ages, places in gaps
+        self.lag, self.bristle = 2 * n, 2 * n + inputs
+        self.age, self.inside = 2 * n + inputs + bodies, 2 * n + inputs + 2 * bodies
+        self.size = self.inside + links
+        self.region = [0.0] * links
+        self.motion = [0.0] * n
+        self.u = [0.0] * inputs
+        self.bodies = [[b for b in range(bodies) if self.parts.group[b] == g] for g in range(n)]
+        self.rubbing = [[b for b in own if self.parts.rubs(b)] for own in self.bodies]
+        self.elastic = [
+            next((b for b in own if plant.bristles[b, 0] > 0.0), None) for own in self.bodies
+        ]
+        self.push = [0.0] * n
 
-    def start(self, x0: Floats) -> Floats:
-        y = np.zeros(STATES)
-        y[:6] = x0
-        y[MOTOR : MOTOR + 2] = x0[:2]
-        y[MOTOR_SPEED : MOTOR_SPEED + 2] = x0[3:5]
-        return y
+    def twist(self, y, k: int):
+        first, second = self.parts.ends[k]
+        motion = []
+        for b in (first, second):
+            g, r = self.parts.group[b], self.parts.ratio[b]
+            motion += [r * y[g], r * y[self.n + g]]
+        return self.parts.twist(k, *motion)
 
-    def mesh(self, y, side: int):
-        return self.sites.mesh(y[side], y[SPEED + side], y[RING], y[SPEED + RING], side)
+    def link_torque(self, y, k: int) -> float:
+        z, rate, law = self.twist(y, k)
+        if self.parts.laws_of_links[k] == GAP:
+            return region_torque(z, rate, self.region[k], law)
+        return self.parts.link_torque(k, z, rate, law, y[self.inside + k])
 
-    def mesh_torques(self, y) -> tuple[float, float]:
-        left, right = self.mesh(y, 0), self.mesh(y, 1)
-        return (
-            region_torque(left[0], left[1], self.region[0], left[2]),
-            region_torque(right[0], right[1], self.region[1], right[2]),
-        )
+    def acting(self, t: float, y, j: int) -> float:
+        if self.parts.lag(j, 0.0)[1] > 0.0:
+            return y[self.lag + j]
+        return self.parts.signal(j, self.u[j], t)
 
-    def net_torques(self, t: float, y) -> tuple[list[float], list[float], list[float]]:
-        """Torques on the bodies without friction, of the meshes, and on the motors."""
-        sites = self.sites
-        meshes = self.mesh_torques(y)
-        net, motors = [], []
-        for side in (0, 1):
-            voltage = y[LAGGED + side] if sites.lag > 0.0 else self.voltage(t, side)
-            theta, omega = y[MOTOR + side], y[MOTOR_SPEED + side]
-            torque = sites.motor_torque(voltage, sites.n1 * theta, sites.n1 * omega, t, side)
-            shaft = torque
-            if sites.compliance > 0.0:
-                shaft = (theta - y[side]) / sites.compliance
-                shaft += sites.shaft_damping * (omega - y[SPEED + side])
-            motors.append(torque - shaft)
-            net.append(shaft - meshes[side])
-        load = sites.load_torque(y[RING], y[SPEED + RING], t)
-        net.append(sites.n2 * (meshes[0] + meshes[1]) + load)
-        carried = [meshes[0], meshes[1], abs(meshes[0]) + abs(meshes[1])]
-        return net, carried, motors
+    def net_torques(self, t: float, y) -> tuple[list[float], list[float]]:
+        """Torques on coordinates without friction, and loads of the bearings of bodies."""
+        parts, n = self.parts, self.n
+        net = list(self.push)
+        torques = [self.link_torque(y, k) for k in range(len(parts.ends))]
+        volts: dict[int, float] = {}
+        for j, b in enumerate(parts.driven):
+            signal = self.acting(t, y, j)
+            volts.setdefault(b, signal)
+            net[parts.group[b]] += parts.ratio[b] * parts.inputs[j][0] * signal
+        for k, (first, second) in enumerate(parts.ends):
+            net[parts.group[first]] -= parts.ratio[first] * torques[k]
+            net[parts.group[second]] += parts.ratio[second] * parts.links[k][0] * torques[k]
+        for b, (g, r) in enumerate(zip(parts.group, parts.ratio, strict=True)):
+            net[g] += r * parts.torque(b, volts.get(b, 0.0), r * y[g], r * y[n + g], t)
+        return net, parts.loads(torques)
 
-    def voltage(self, t: float, side: int) -> float:
-        return self.sites.drive_voltage(self.u[side], t, side)
+    def friction(self, g: int, way: float, t: float, y, loads, moving: bool) -> tuple[float, float]:
+        """Magnitude of friction on a coordinate, and its part that presliding lets act at once."""
+        whole, at_once = 0.0, 0.0
+        parts = self.parts
+        for b in self.rubbing[g]:
+            r = parts.ratio[b]
+            given = way if r > 0.0 else -way, r * y[g]
+            rest = t, loads[b], y[self.age + b]
+            if moving:
+                level, viscous = parts.sliding(b, *given, r * y[self.n + g], *rest)
+                whole += abs(r) * level
+                at_once += abs(r) * viscous
+            else:
+                whole += abs(r) * parts.holding(b, *given, *rest)
+        return whole, at_once
 
     def __call__(self, t: float, state: Floats) -> list[float]:
         y = state.tolist()
-        sites = self.sites
-        net, carried, motors = self.net_torques(t, y)
-        rate = [0.0] * STATES
-        rigid = sites.compliance <= 0.0
-        for body in range(3):
-            omega, motion = y[SPEED + body], self.motion[body]
-            age = y[AGE + body]
-            inertia = sites.ring_inertia
-            if body != RING:
-                inertia = sites.pinion_inertia + (sites.motor_inertia if rigid else 0.0)
-            if sites.renewals[body] > 0.0:
-                rate[AGE + body] = sites.ageing(body, omega, age)
-            if sites.distances[body] > 0.0:
-                given = motion, y[body], omega, t, carried[body], age
-                at_once = motion * sites.at_once(body, *given)
-                friction = y[BRISTLE + body] + at_once
-                level = motion * sites.sliding(body, *given) - at_once
-                built_up = sites.build_up(body, omega, level, y[BRISTLE + body])
-                rate[BRISTLE + body] = built_up
-                friction += sites.bristle_damping(body, motion, omega, inertia, built_up)
-            elif motion == 0.0:
+        parts, n = self.parts, self.n
+        net, loads = self.net_torques(t, y)
+        rate = [0.0] * self.size
+        for g in range(n):
+            way, omega, b = self.motion[g], y[n + g], self.elastic[g]
+            for own in self.bodies[g]:
+                slip = parts.ageing(own, y[self.age + own])[1]
+                if slip > 0.0:
+                    rub = abs(parts.ratio[own] * omega) / slip
+                    rate[self.age + own] = 1.0 - rub * y[self.age + own]
+            if b is not None:
+                level, viscous = self.friction(g, way, t, y, loads, True)
+                distance, share, lag = parts.bristle(b)
+                law, at_once = parts.law(b), way * share * viscous
+                level = way * level - at_once
+                span = _build_up_distance(distance / abs(parts.ratio[b]), level, law)
+                built_up = abs(omega) * (level - y[self.bristle + b]) / span
+                rate[self.bristle + b] = built_up
+                rub = y[self.bristle + b] + at_once + lag * _fading(omega, way, law) * built_up
+            elif way == 0.0:
                 continue
             else:
-                level = sites.sliding(body, motion, y[body], omega, t, carried[body], age)
-                friction = motion * level
-            rate[body] = omega
-            rate[SPEED + body] = (net[body] - friction) / inertia
-        for side in (0, 1):
-            if rigid:
-                rate[MOTOR + side], rate[MOTOR_SPEED + side] = rate[side], rate[SPEED + side]
-            else:
-                rate[MOTOR + side] = y[MOTOR_SPEED + side]
-                rate[MOTOR_SPEED + side] = motors[side] / sites.motor_inertia
-            if sites.lag > 0.0:
-                aim = self.voltage(t, side)
-                rate[LAGGED + side] = sites.lag_rate(y[LAGGED + side], aim, side)
+                rub = way * self.friction(g, way, t, y, loads, True)[0]
+            rate[g] = omega
+            rate[n + g] = (net[g] - rub) / parts.inertia[g]
+        for j in range(len(self.u)):
+            aim, tau = parts.lag(j, parts.signal(j, self.u[j], t))
+            if tau > 0.0:
+                rate[self.lag + j] = (aim - y[self.lag + j]) / tau
+        for k, law_kind in enumerate(parts.laws_of_links):
+            if law_kind == TWO_STATES:
+                z, speed, law = self.twist(y, k)
+                rate[self.inside + k] = backlash.gap_rate(y[self.inside + k], z, speed, law)
         return rate
+
+    def where(self, y, k: int) -> float:
+        """Region of a link in its contact law, by which its torque is smooth."""
+        z, rate, law = self.twist(y, k)
+        kind = self.parts.laws_of_links[k]
+        if kind == GAP:
+            return float(mesh_region(z, rate, law))
+        if kind == ELASTIC_IMPACT:
+            return float(np.sign(z)) if abs(z) > law.half_gap else 0.0
+        if kind == TWO_STATES:
+            inside = y[self.inside + k]
+            return float(np.sign(inside)) if abs(inside) >= law.half_gap else 0.0
+        return 0.0
 
     def holds(self, t: float, state: Floats) -> bool:
         """Whether the mode is still the one that the kernels ask for."""
         y = state.tolist()
-        for side in (0, 1):
-            if mesh_region(*self.mesh(y, side)) != self.region[side]:
+        for k, kind in enumerate(self.parts.laws_of_links):
+            if kind != LINEAR and self.where(y, k) != self.region[k]:
                 return False
-        if any(self.motion[body] * y[SPEED + body] < 0.0 for body in range(3)):
+        if any(self.motion[g] * y[self.n + g] < 0.0 for g in range(self.n)):
             return False
         if 0.0 in self.motion:
-            net, carried, _ = self.net_torques(t, y)
-            for body in range(3):
-                if self.motion[body] == 0.0 and self.breaks(t, y, body, net, carried):
+            net, loads = self.net_torques(t, y)
+            for g in range(self.n):
+                if self.motion[g] == 0.0 and self.breaks(t, y, g, net, loads):
                     return False
         return True
 
-    def breaks(self, t: float, y, body: int, net, carried) -> bool:
-        """Whether the net torque on a body at rest is more than friction holds."""
-        direction = 1.0 if net[body] > 0.0 else -1.0
-        age = y[AGE + body]
-        most = self.sites.holding(body, direction, y[body], 0.0, t, carried[body], age)
-        return abs(net[body]) > most
+    def breaks(self, t: float, y, g: int, net, loads) -> bool:
+        """Whether the net torque on a coordinate at rest is more than friction holds."""
+        way = 1.0 if net[g] > 0.0 else -1.0
+        return abs(net[g]) > self.friction(g, way, t, y, loads, False)[0]
 
     def switch(self, t: float, state: Floats) -> None:
-        """Set the mode that the kernels ask for; a body that turns back is stopped first."""
-        for body in range(3):
-            if self.motion[body] * state[SPEED + body] < 0.0:
-                state[SPEED + body] = 0.0
-                if body != RING and self.sites.compliance <= 0.0:
-                    state[MOTOR_SPEED + body] = 0.0
+        """Set the mode that the kernels ask for; what turns back is stopped first."""
+        n = self.n
+        for g in range(n):
+            if self.motion[g] * state[n + g] < 0.0:
+                state[n + g] = 0.0
         y = state.tolist()
-        for side in (0, 1):
-            self.region[side] = mesh_region(*self.mesh(y, side))
-        net, carried, _ = self.net_torques(t, y)
-        for body in range(3):
-            omega = y[SPEED + body]
+        for k in range(len(self.region)):
+            self.region[k] = self.where(y, k)
+        net, loads = self.net_torques(t, y)
+        for g in range(n):
+            omega, b = y[n + g], self.elastic[g]
             if omega != 0.0:
-                self.motion[body] = 1.0 if omega > 0.0 else -1.0
-            elif self.sites.distances[body] > 0.0:
-                self.motion[body] = 1.0 if net[body] >= y[BRISTLE + body] else -1.0
-            elif self.breaks(t, y, body, net, carried):
-                self.motion[body] = 1.0 if net[body] > 0.0 else -1.0
+                self.motion[g] = 1.0 if omega > 0.0 else -1.0
+            elif b is not None:
+                self.motion[g] = 1.0 if net[g] >= y[self.bristle + b] else -1.0
+            elif self.breaks(t, y, g, net, loads):
+                self.motion[g] = 1.0 if net[g] > 0.0 else -1.0
             else:
-                self.motion[body] = 0.0
+                self.motion[g] = 0.0
 
 
-def _holds(u: Floats, dt: float, delay: float) -> Iterator[Hold]:
-    """Yield (start, end, voltages) of each stretch of constant voltage; zero before the log."""
-    n = u.shape[1]
-    starts = np.arange(n) * dt + delay
+def _holds(u: Floats, dt: float, delays: Floats, before: Floats) -> Iterator[Hold]:
+    """Yield (start, end, signals) of each stretch of constant signals."""
+    inputs, n = u.shape
     end = (n - 1) * dt
-    if delay > 0.0:
-        yield 0.0, min(delay, end), (0.0, 0.0)
-    first = 0
-    for i in range(1, n + 1):
-        if i == n or u[0, i] != u[0, first] or u[1, i] != u[1, first]:
-            stop = end if i == n else min(starts[i], end)
-            if stop > starts[first]:
-                yield float(starts[first]), float(stop), (u[0, first], u[1, first])
-            first = i
+    jumps = {0.0, end}
+    for j in range(inputs):
+        last = before[j] if delays[j] > 0.0 else u[j, 0]
+        for i in range(n):
+            if u[j, i] != last:
+                jumps.add(min(i * dt + float(delays[j]), end))
+            last = u[j, i]
+    times = sorted(jumps)
+    for start, stop in pairwise(times):
+        middle = 0.5 * (start + stop)
+        held = []
+        for j in range(inputs):
+            i = int(np.floor((middle - delays[j]) / dt))
+            held.append(float(u[j, min(i, n - 1)] if i >= 0 else before[j]))
+        yield start, stop, held
 
 
 class _Recorder:
@@ -182,87 +232,127 @@ class _Recorder:
 
     def __init__(self, hybrid: _Hybrid, n: int, dt: float) -> None:
         self.hybrid, self.dt = hybrid, dt
-        self.out = np.empty((n, 8))
-        self.late = np.empty(n)
-        self.next_row = 0
-        self.next_late = 0
+        plant, count = hybrid.plant, hybrid.n
+        _, _, links, _, sensors = plant.size
+        self.out = Exact(
+            np.empty((n, count)), np.empty((n, count)), np.empty((n, links)), np.empty((n, sensors))
+        )
+        self.late = np.empty((n, sensors))
+        self.next_row, self.next_late = 0, [0] * sensors
+        self.delays = plant.sensor_delay.tolist()
+
+    def _sensed(self, y, i: int) -> float:
+        plant, parts = self.hybrid.plant, self.hybrid.parts
+        b = int(plant.sensor_body[i])
+        at = parts.group[b] + (self.hybrid.n if plant.sensor_speed[i] else 0)
+        return parts.ratio[b] * y[at]
 
     def _row(self, i: int, y: Floats) -> None:
-        sites, theta = self.hybrid.sites, y[RING]
-        z = y[0] - sites.n2 * theta, y[1] - sites.n2 * theta
-        torques = [sites.mesh_torque(y[s], y[SPEED + s], theta, y[SPEED + RING], s) for s in (0, 1)]
-        motors = sites.n1 * y[MOTOR], sites.n1 * y[MOTOR + 1]
-        self.out[i] = theta, y[SPEED + RING], *motors, *torques, *z
+        n, hybrid = self.hybrid.n, self.hybrid
+        self.out.q[i], self.out.v[i] = y[:n], y[n : 2 * n]
+        values = y.tolist()
+        for k in range(self.out.links.shape[1]):
+            z, rate, law = hybrid.twist(values, k)
+            inside = values[hybrid.inside + k]
+            self.out.links[i, k] = hybrid.parts.link_torque(k, z, rate, law, inside)
 
     def first(self, y: Floats) -> None:
         self._row(0, y)
         self.next_row = 1
-        while self.next_late * self.dt <= self.hybrid.sites.speed_delay:
-            if self.next_late == self.late.size:
-                break
-            self.late[self.next_late] = y[SPEED + RING]
-            self.next_late += 1
+        for i, delay in enumerate(self.delays):
+            while self.next_late[i] < len(self.late) and self.next_late[i] * self.dt <= delay:
+                self.late[self.next_late[i], i] = self._sensed(y, i)
+                self.next_late[i] += 1
 
     def passed(self, t: float, at) -> None:
         """Take the rows up to time `t` from the interpolant `at`."""
         slack = 1e-9 * self.dt  # rounding of i·dt
-        while self.next_row < len(self.out) and self.next_row * self.dt <= t + slack:
+        while self.next_row < len(self.out.q) and self.next_row * self.dt <= t + slack:
             self._row(self.next_row, at(min(self.next_row * self.dt, t)))
             self.next_row += 1
-        delay = self.hybrid.sites.speed_delay
-        while self.next_late < self.late.size and self.next_late * self.dt - delay <= t + slack:
-            self.late[self.next_late] = at(min(self.next_late * self.dt - delay, t))[SPEED + RING]
-            self.next_late += 1
+        for i, delay in enumerate(self.delays):
+            while (
+                self.next_late[i] < len(self.late)
+                and self.next_late[i] * self.dt - delay <= t + slack
+            ):
+                row = self.next_late[i]
+                self.late[row, i] = self._sensed(at(min(row * self.dt - delay, t)), i)
+                self.next_late[i] += 1
 
-    def readings(self) -> Floats:
-        """Return the rows as the sensors give them."""
-        for i, row in enumerate(self.out):
-            row[0], row[1] = self.hybrid.sites.reading(row[0], self.late[i], i * self.dt)
+    def readings(self) -> Exact:
+        """Return the rows, readings as the sensors give them."""
+        plant, parts = self.hybrid.plant, self.hybrid.parts
+        for s, b in enumerate(plant.sensor_body):
+            r, g = parts.ratio[b], parts.group[b]
+            for i in range(len(self.late)):
+                read = [r * self.out.q[i, g], r * self.out.v[i, g]]
+                read[int(plant.sensor_speed[s])] = self.late[i, s]
+                for kernel, _, p in parts.at("sensor", s):
+                    read = list(kernel(*read, i * self.dt, p))
+                self.out.readings[i, s] = read[int(plant.sensor_speed[s])]
         return self.out
 
 
-def simulate(
-    model: Model, u: ArrayLike, x0: ArrayLike, dt: float, *, rtol: float = 1e-10
-) -> Floats:
-    """Run the plant open loop, slowly and exactly.
+def run_exactly(
+    plant: Plant,
+    u: ArrayLike,
+    q0: ArrayLike,
+    v0: ArrayLike,
+    dt: float,
+    *,
+    rtol: float = 1e-10,
+    before: ArrayLike | None = None,
+) -> Exact:
+    """Run a plant open loop, slowly and exactly.
 
     Parameters
     ----------
-    model : Model
-    u : (2, n) array [V]
+    plant : Plant
+    u : (inputs, n) array
         Held from each sample to the next.
-    x0 : (6,) array
-        θ3l, θ3r, θL [rad] and their speeds [rad/s]; motors turn with their pinions.
+    q0, v0 : (coordinates,) arrays
     dt : float
         Sample time [s].
     rtol : float
         Relative tolerance of the integrator.
-
-    Returns
-    -------
-    (n, 8) array
-        Columns :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`, SI.
+    before : (inputs,) array, optional
+        What the inputs were before the run; 0.
 
     Raises
     ------
     RuntimeError
         The integrator gave up, or the mode changes without end.
     """
-    volts = np.array(u, float, ndmin=2)
-    hybrid = _Hybrid(model)
-    y = hybrid.start(np.asarray(x0, float))
-    recorder = _Recorder(hybrid, volts.shape[1], dt)
+    signals = np.array(u, float, ndmin=2)
+    hybrid = _Hybrid(plant)
+    y = np.zeros(hybrid.size)
+    y[: hybrid.n], y[hybrid.n : 2 * hybrid.n] = q0, v0
+    recorder = _Recorder(hybrid, signals.shape[1], dt)
     recorder.first(y)
-    for begin, end, held in _holds(volts, dt, hybrid.sites.voltage_delay):
+    past = np.zeros(len(signals)) if before is None else np.asarray(before, float)
+    for begin, end, held in _holds(signals, dt, plant.input_values[:, 1], past):
         hybrid.u = held
         y = _through_hold(hybrid, begin, end, y, dt, rtol, recorder)
     return recorder.readings()
 
 
+def simulate(
+    model: "Model", u: ArrayLike, x0: ArrayLike, dt: float, *, rtol: float = 1e-10
+) -> Floats:
+    """Run the dual-motor drive: (n, 8) array of :data:`~.compiled.OUTPUTS`, see `run_exactly`."""
+    from dmptm_ctrl.simulate.dual import dual_plant, start
+
+    plant = dual_plant(model.arrays())
+    exact = run_exactly(plant, u, *start(plant, np.asarray(x0, float)), dt, rtol=rtol)
+    ratio = plant.link_values[:2, 0]
+    twists = exact.q[:, :2] - ratio * exact.q[:, 2:3]
+    return np.hstack([exact.readings, exact.links[:, :2], twists])
+
+
 def _through_hold(
     hybrid: _Hybrid, t: float, end: float, y: Floats, dt: float, rtol: float, recorder: _Recorder
 ) -> Floats:
-    """Run over one stretch of constant voltage; return the state at its end."""
+    """Run over one stretch of constant signals; return the state at its end."""
     switches = 0
     hybrid.switch(t, y)
     solver = _solver(hybrid, t, y, end, dt, rtol)

@@ -1,0 +1,418 @@
+"""Write the step of a structure as source text, and the loops around it.
+
+One scalar function `step` per structure: state, signals and numbers in, state out. The scalar
+loop and the loop over lanes call it; derivatives are written from its text. The file's name
+carries the hash of all that it is made of, so numba's cache on disk serves what is unchanged.
+"""
+
+import dis
+from collections.abc import Callable, Iterable
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+
+from dmptm_ctrl.effects import backlash, lookup, presliding, stribeck
+from dmptm_ctrl.simulate import elementary, step
+from dmptm_ctrl.simulate.loading import LOADING, key_of, load
+from dmptm_ctrl.simulate.plant import (
+    ELASTIC_IMPACT,
+    GAP,
+    LAW_FIELDS,
+    LINEAR,
+    TWO_STATES,
+    Place,
+    Structure,
+    number_names,
+)
+
+_OWN = (
+    *("aged", "at_once", "at_rest", "friction", "held_average", "lagged", "mesh_step", "preslide"),
+    "two_state_step",
+)
+_KERNELS = (
+    *(("backlash", n) for n in ("impact_torque", "mesh_torque", "twist_torque")),
+    ("stribeck", "breakaway_torque"),
+)
+_HEAD = """\
+from math import cos, exp, floor, sin
+
+import numpy as np
+from numba import njit
+
+from dmptm_ctrl.effects.backlash import Backlash
+from dmptm_ctrl.effects.stribeck import Stribeck
+from dmptm_ctrl.effects import backlash, stribeck
+from dmptm_ctrl.simulate import step as pieces
+from dmptm_ctrl.simulate.elementary import FAST, borrowed, called, hosted, wide
+
+TINY, UNKNOWN = pieces.TINY, pieces.UNKNOWN
+"""
+
+
+class Names:
+    """State, signals and numbers of a structure, in the order of the step's arguments."""
+
+    def __init__(self, s: Structure) -> None:
+        coordinates = range(s.coordinates)
+        self.state = [f"{x}{g}" for x in "qvp" for g in coordinates]
+        self.state += [f"s{k}" for k, link in enumerate(s.links) if link[2] in (GAP, TWO_STATES)]
+        self.state += [f"l{j}" for j, source in enumerate(s.inputs) if source[2]]
+        self.state += [f"f{b}_bristle" for b in s.bristles]
+        self.state += [f"age{b}" for b in range(len(s.bodies)) if s.at("ageing", b)]
+        self.signals = [f"u{j}" for j in range(len(s.inputs))]
+        self.signals += [f"push{g}" for g in coordinates]
+        for g in s.given:
+            self.signals += [f"xg{g}", f"sg{g}"]
+        self.numbers = number_names(s)
+        self.switches = ["on", "e"] if s.switched else []
+        self.arguments = [*self.state, *self.signals, "t", "h", *self.numbers, *self.switches]
+        # at zero, meshes that have been nowhere
+        meshes = {f"s{k}" for k, link in enumerate(s.links) if link[2] == GAP}
+        self.start = [step.UNKNOWN if name in meshes else 0.0 for name in self.state]
+
+
+class _Text:
+    """Lines of a function."""
+
+    def __init__(self, s: Structure) -> None:
+        self.s = s
+        self.lines: list[str] = []
+        self.numbers = {id(p): i for i, p in enumerate(s.places)}
+
+    def add(self, *lines: str) -> None:
+        self.lines += [f"    {line}" for line in lines]
+
+    def effects(self, places: Iterable[Place], change: str, *arguments: str) -> None:
+        """What places change: behind their flags, where they have some."""
+        for p in places:
+            indent = ""
+            if self.s.switched:
+                self.add(f"if on[{p.flag}]:")
+                indent = "    "
+            for part in change.format(call=self.call(p, *arguments)).split("; "):
+                self.add(indent + part)
+
+    def call(self, p: Place, *arguments: str) -> str:
+        e = "e[{}]" if self.s.switched else "e{}"
+        values = ", ".join(e.format(p.first + j) for j in range(len(p.effect.parameters)))
+        i = self.numbers[id(p)]
+        told = [] if p.effect.site in ("load", "sensor") else [str(p.told)]
+        return f"kernel_{i}({', '.join([*arguments, *told])}, Values_{i}({values}))"
+
+    def turned(self, body: int, name: str) -> str:
+        """Motion of a body by that of its coordinate."""
+        g, sign, _ = self.s.bodies[body]
+        return f"r{body} * {name}{g}" if sign else f"{name}{g}"
+
+    def lever(self, body: int) -> str:
+        return f"r{body} * " if self.s.bodies[body][1] else ""
+
+    def twist(self, k: int, at: str, speed: str) -> None:
+        """Twist of a link and its rate, and the record of its contact law."""
+        first, second, law, _ = self.s.links[k]
+        ends = [self.turned(b, x) for b in (first, second) for x in (at, speed)]
+        self.add(f"z{k} = {ends[0]} - n{k} * ({ends[2]})")
+        self.add(f"zr{k} = {ends[1]} - n{k} * ({ends[3]})")
+        meshes = self.s.at("mesh", k)
+        stiff, gap = f"k{k}", f"g{k}"
+        if meshes:
+            self.add(f"za{k}, zb{k}, zc{k}, zd{k} = 0.0, 0.0, 0.0, 0.0")
+            sums = (f"{x}{k} = {x}{k} + c[{i}]" for i, x in enumerate(("za", "zb", "zc", "zd")))
+            self.effects(meshes, "c = {call}; " + "; ".join(sums), *ends)
+            self.add(f"z{k} = z{k} + za{k}", f"zr{k} = zr{k} + zb{k}")
+            stiff, gap = f"k{k} + zd{k}", f"max(g{k} + zc{k}, 0.0)"
+        if law == LINEAR:
+            self.add(f"T{k} = ({stiff}) * z{k} + c{k} * zr{k}")
+        else:
+            self.add(f"law{k} = Backlash({stiff}, c{k}, f{k}, {gap})")
+
+
+def step_text(s: Structure) -> str:
+    """Text of the step."""
+    names, text = Names(s), _Text(s)
+    _middle(s, text)
+    _inputs(s, text)
+    _links(s, text)
+    for g in range(s.coordinates):
+        _forces(s, text, g)
+    for g in range(s.coordinates):
+        if g not in s.given:
+            _rub(s, text, g)
+    for g in range(s.coordinates):
+        if g in s.given:
+            text.add(f"q{g}, v{g}, p{g} = x{g}, o{g}, o{g}")
+            continue
+        for b in s.body_names(g):
+            if s.at("ageing", b):
+                speed = f"0.5 * {text.lever(b)}(v{g} + new{g})"
+                text.add(f"age{b} = aged(age{b}, {speed}, h, slip{b})")
+        text.add(f"p{g}, v{g} = v{g}, new{g}", f"q{g} = x{g} + 0.5 * h * v{g}")
+    text.add(f"return {row_text(names.state)}")
+    return f"@njit\ndef step({', '.join(names.arguments)}):\n" + "\n".join(text.lines)
+
+
+def row_text(names: Iterable[str]) -> str:
+    row = ", ".join(names)
+    return f"({row},)"
+
+
+def _middle(s: Structure, text: _Text) -> None:
+    """Coordinates and speeds in the middle of the step."""
+    for g in range(s.coordinates):
+        if g in s.given:
+            text.add(f"x{g} = xg{g}", f"o{g} = sg{g}")
+        else:
+            text.add(f"x{g} = q{g} + 0.5 * h * v{g}", f"o{g} = 1.5 * v{g} - 0.5 * p{g}")
+
+
+def _inputs(s: Structure, text: _Text) -> None:
+    for j, (_, limited, lags) in enumerate(s.inputs):
+        text.effects(s.at("drive", j), f"u{j} = {{call}}", f"u{j}", "t")
+        if limited:
+            text.add(f"u{j} = min(lim{j}, max(-lim{j}, u{j}))")
+        if lags:
+            text.add(f"time{j} = tau{j}")
+            text.effects(
+                s.at("lag", j), f"c = {{call}}; u{j} = c[0]; time{j} = time{j} + c[1]", f"u{j}"
+            )
+            guard = f"if time{j} > 0.0: " if s.switched else ""
+            text.add(f"{guard}u{j}, l{j} = lagged(l{j}, u{j}, time{j}, h)")
+        text.add(f"drive{j} = gain{j} * u{j}")
+
+
+def _links(s: Structure, text: _Text) -> None:
+    for k, (_, _, law, _) in enumerate(s.links):
+        text.twist(k, "x", "o")
+        if law == GAP:
+            text.add(f"T{k}, s{k} = mesh_step(z{k}, zr{k}, law{k}, s{k}, h)")
+        elif law == TWO_STATES:
+            text.add(f"T{k}, s{k} = two_state_step(z{k}, zr{k}, s{k}, law{k}, h)")
+        elif law == ELASTIC_IMPACT:
+            text.add(f"T{k} = impact_torque(z{k}, zr{k}, law{k})")
+
+
+def _forces(s: Structure, text: _Text, g: int) -> None:
+    """Net torque on a coordinate without friction."""
+    terms = [f"push{g}"]
+    bodies = s.body_names(g)
+    for j, (b, _, _) in enumerate(s.inputs):
+        if b in bodies:
+            terms.append(f"{text.lever(b)}drive{j}")
+    for k, (first, second, _, _) in enumerate(s.links):
+        if first in bodies:
+            terms.append(f"-{text.lever(first)}T{k}")
+        if second in bodies:
+            terms.append(f"{text.lever(second)}n{k} * T{k}")
+    text.add(f"force{g} = {' + '.join(terms)}".replace("+ -", "- "))
+    for b in bodies:
+        volts = next((f"u{j}" for j, source in enumerate(s.inputs) if source[0] == b), "0.0")
+        change = f"force{g} = force{g} + {text.lever(b)}{{call}}"
+        motion = text.turned(b, "x"), _speed(text, b)
+        text.effects(s.at("motor", b), change, volts, *motion, "t")
+        text.effects(s.at("load", b), change, *motion, "t")
+
+
+def _speed(text: _Text, body: int) -> str:
+    return text.turned(body, "o")
+
+
+def _load(s: Structure, text: _Text, body: int) -> str:
+    """What presses on the bearings of a body."""
+    terms = []
+    for k, (first, second, _, loads) in enumerate(s.links):
+        if loads and body in (first, second):
+            terms.append(f"T{k}" if body == first else f"n{k} * T{k}")
+    return " + ".join(f"abs({term})" for term in terms) or "0.0"
+
+
+def _uses_speed(p: Place) -> bool:
+    """Whether what a kernel of friction returns depends on the speed or its direction."""
+    code = getattr(p.effect.kernel, "py_func", p.effect.kernel).__code__
+    speed = code.co_varnames[1]
+    read = (i for i in dis.get_instructions(code) if i.opname.startswith("LOAD_FAST"))
+    return any(speed == i.argval or speed in np.atleast_1d(i.argval) for i in read)
+
+
+def _rub(s: Structure, text: _Text, g: int) -> None:
+    """Speed of a coordinate after friction of its bodies."""
+    bodies = [
+        b for b in s.body_names(g) if s.bodies[b][2] or s.at("friction", b) or s.at("ageing", b)
+    ]
+    if not bodies:
+        text.add(f"new{g} = v{g} + force{g} * m{g}")
+        return
+    bristle = next((b for b in s.bristles if b in bodies), None)
+    text.add(f"rest{g} = 1.0 if force{g} > 0.0 else -1.0")
+    if bristle is None:
+        text.add(f"way{g} = 1.0 if v{g} > 0.0 else -1.0")  # of no matter at rest
+    else:
+        text.add(f"way{g} = 1.0 if o{g} > 0.0 else -1.0")
+    text.add(f"level{g} = 0.0")
+    if bristle is not None:
+        text.add(f"once{g} = 0.0")
+    holds = [_rub_of_body(s, text, g, b, bristle) for b in bodies]
+    if bristle is None:
+        text.add(
+            f"new{g} = v{g} + force{g} * m{g} - level{g} * (way{g} * m{g})",
+            f"new{g} = at_rest("
+            f"v{g}, new{g}, way{g}, rest{g}, {' + '.join(holds)}, force{g}, m{g}"
+            f") if v{g} == 0.0 or new{g} * way{g} < 0.0 else new{g}",
+        )
+        return
+    b = bristle
+    distance = f"bd{b} / abs(r{b})" if s.bodies[b][1] else f"bd{b}"
+    text.add(
+        f"new{g}, f{b}_bristle = preslide("
+        f"v{g}, o{g}, force{g}, m{g}, h, way{g} * level{g} - once{g}, once{g}, "
+        f"f{b}_bristle, {distance}, bl{b}, law_{b})"
+    )
+
+
+def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None) -> str:
+    """Add the friction of one body while it slides; return the text of what holds at rest."""
+    _, sign, law = s.bodies[b]
+    lever = f"abs(r{b}) * " if sign else ""
+    flip = "-" if sign < 0 else ""
+    theta, load = text.turned(b, "x"), _load(s, text, b)
+    if law:
+        fields = [f"w{b}_{field}" for field in LAW_FIELDS]
+        if law == 1:
+            fields[LAW_FIELDS.index("exponent")] = "1.0"
+        text.add(f"law_{b} = Stribeck({', '.join(fields)})")
+    elif b == bristle:
+        text.add(f"law_{b} = Stribeck({', '.join(['0.0'] * 8 + ['1.0'] * 3)})")
+    text.add(
+        f"way_{b} = {flip}way{g}",
+        f"omega_{b} = {text.turned(b, 'o')}",
+        f"load_{b} = {load}",
+        f"scale_{b}, added_{b} = 1.0, 0.0",
+    )
+    if s.at("ageing", b):
+        text.add(f"slip{b} = 0.0")
+        places = s.at("ageing", b)
+        text.effects(places, f"slip{b} = max(slip{b}, {{call}}[1])", f"age{b}")
+        speed = f"0.5 * {text.lever(b)}(v{g} + o{g})"
+        text.add(f"middle{b} = aged(age{b}, {speed}, 0.5 * h, slip{b})")
+        text.effects(places, f"added_{b} = added_{b} + {{call}}[0]", f"middle{b}")
+    change = f"c = {{call}}; scale_{b} = scale_{b} * c[0]; added_{b} = added_{b} + c[1]"
+    places = s.at("friction", b)
+    same = [p for p in places if not _uses_speed(p)]
+    turning = [p for p in places if _uses_speed(p)]
+    text.effects(same, change, theta, f"omega_{b}", "t", f"load_{b}")
+    at_rest = f"scale_{b}", f"added_{b}"
+    if turning:
+        text.add(f"size_{b} = way_{b} * ({lever}max(o{g} * way{g}, 0.0) + TINY)")
+    if turning and bristle is None:
+        at_rest = f"scale0_{b}", f"added0_{b}"
+        text.add(
+            f"{', '.join(at_rest)} = scale_{b}, added_{b}",
+            f"omega0_{b} = {flip}rest{g} * TINY",
+        )
+        rest = f"c = {{call}}; {at_rest[0]} = {at_rest[0]} * c[0]; "
+        rest += f"{at_rest[1]} = {at_rest[1]} + c[1]"
+        text.effects(turning, rest, theta, f"omega0_{b}", "t", f"load_{b}")
+    text.effects(turning, change, theta, f"size_{b}", "t", f"load_{b}")
+    if law:
+        text.add(
+            f"level{g} = level{g} + {lever}"
+            f"friction(omega_{b}, way_{b}, scale_{b}, added_{b}, law_{b})"
+        )
+    else:
+        text.add(f"level{g} = level{g} + {lever}max(added_{b}, 0.0)")
+    if bristle is not None:
+        if law:
+            once = f"at_once(omega_{b}, way{g}, scale_{b}, bs{bristle}, law_{b})"
+            once = once.replace(f"way{g}", f"way_{b}")
+            text.add(f"once{g} = once{g} + {text.lever(b)}{once}")
+        return ""
+    held = f"{at_rest[0]} * breakaway_torque({flip}rest{g}, law_{b}) + {at_rest[1]}"
+    return f"{lever}max({held if law else at_rest[1]}, 0.0)"
+
+
+def observe_text(s: Structure) -> str:
+    """Text of what is seen at a sample: readings of sensors; torques and twists of links."""
+    names, text = Names(s), _Text(s)
+    late = [f"late{i}" for i, sensor in enumerate(s.sensors) if sensor[2]]
+    for i, (b, speed, is_late) in enumerate(s.sensors):
+        text.add(f"a{i}, w{i} = {text.turned(b, 'q')}, {text.turned(b, 'v')}")
+        if is_late:
+            text.add(f"{'w' if speed else 'a'}{i} = late{i}")
+        text.effects(s.at("sensor", i), f"a{i}, w{i} = {{call}}", f"a{i}", f"w{i}", "t")
+    seen = [f"{'w' if speed else 'a'}{i}" for i, (_, speed, _) in enumerate(s.sensors)]
+    text.add(f"return {row_text(seen or ['0.0'])}")
+    given = [*names.state, *late, "t", *names.numbers, *names.switches]
+    sensed = f"@njit\ndef readings({', '.join(given)}):\n" + "\n".join(text.lines)
+    text = _Text(s)
+    for k, (first, second, law, _) in enumerate(s.links):
+        text.twist(k, "q", "v")
+        if law == GAP:
+            text.add(f"T{k} = mesh_torque(z{k}, zr{k}, law{k})")
+        elif law == TWO_STATES:
+            text.add(f"T{k} = twist_torque(s{k}, z{k}, zr{k}, law{k})")
+        elif law == ELASTIC_IMPACT:
+            text.add(f"T{k} = impact_torque(z{k}, zr{k}, law{k})")
+        # as the bodies turn, without what teeth add
+        text.add(f"z{k} = {text.turned(first, 'q')} - n{k} * ({text.turned(second, 'q')})")
+    torques = [f"{x}{k}" for x in "Tz" for k in range(len(s.links))]
+    text.add(f"return {row_text(torques or ['0.0'])}")
+    given = [*names.state, "t", *names.numbers, *names.switches]
+    return f"{sensed}\n\n\n@njit\ndef torques({', '.join(given)}):\n" + "\n".join(text.lines)
+
+
+def sensed(s: Structure, i: int) -> tuple[str, str]:
+    """Names of the ratio and of the motion that a sensor sees; no name for a ratio of 1."""
+    b, speed, _ = s.sensors[i]
+    g, sign, _ = s.bodies[b]
+    return f"r{b}" if sign else "", f"{'v' if speed else 'q'}{g}"
+
+
+def head_text(s: Structure) -> str:
+    """Text of the names that the functions use."""
+    host = "called" if s.switched else "hosted"
+    lines = [_HEAD]
+    lines += [f"{name} = hosted(pieces.{name})" for name in _OWN]
+    lines += [f"{name} = hosted({module}.{name})" for module, name in _KERNELS]
+    for i in range(len(s.places)):
+        lines += [
+            f"kernel_{i} = {host}(EFFECTS[{i}].kernel)",
+            f"Values_{i} = EFFECTS[{i}].values",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def compiled(text: str, *entries: str) -> str:
+    """Text whose functions numba compiles; `entries` are called from Python, others inline."""
+    options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST'
+    inner = f"{options}, forceinline=True"
+    inner += "".join(f", {key}={value}" for key, value in elementary.INNER.items())
+    for entry in entries:
+        text = text.replace(f"@njit\ndef {entry}(", f"@njit({options})\ndef {entry}(")
+    return text.replace("@njit\n", f"@njit({inner})\n")
+
+
+class Engine(NamedTuple):
+    """The compiled loop of a structure and the names of what it takes."""
+
+    module: ModuleType
+    names: Names
+
+
+_ENGINES: dict[tuple[int, str], Engine] = {}
+
+
+def engine_by(s: Structure, kind: str, text: Callable[[Structure], str]) -> Engine:
+    """Return an engine, written once for each structure."""
+    key = id(s), kind
+    if key not in _ENGINES:
+        with LOADING:
+            _ENGINES[key] = Engine(engine_of(s, text(s), kind), Names(s))
+    return _ENGINES[key]
+
+
+def engine_of(s: Structure, text: str, kind: str) -> ModuleType:
+    """Return the module of a text written for a structure."""
+    modules = (backlash, lookup, presliding, stribeck, elementary, step)
+    effects = tuple(p.effect for p in s.places)
+    key = key_of(text, modules, effects)
+    return load(f"{kind}_{key}", text, f"{kind} runs of a drive of this shape", EFFECTS=effects)

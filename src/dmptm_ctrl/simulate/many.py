@@ -1,0 +1,174 @@
+"""Many plants at once: sixteen per vector loop, such groups over the cores."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.parallel import each
+from dmptm_ctrl.simulate.lanes import LANES, Rows, aligned, lane_engine
+from dmptm_ctrl.simulate.plant import Flags, Floats, Plant, Structure, numbers, structure_of
+from dmptm_ctrl.simulate.run import NOBODY, Controller
+
+_NO_ROWS = np.zeros((0, 0))
+
+
+class Common(NamedTuple):
+    """What is the same for all plants of a batch.
+
+    Attributes
+    ----------
+    u : (batch or 1, inputs, n) array
+        Signals of the inputs, held between samples; none of them under controllers.
+    columns : (c,) array of int
+        Kept of what is seen: readings, torques and twists of links, signals of inputs.
+    """
+
+    dt: float
+    substeps: int
+    samples: int
+    u: Floats
+    target: Floats  # (batch or 1, n)
+    noise: Floats  # (batch or 1, n), or none
+    columns: NDArray[np.int64]
+    every: int = 1
+    statistics: bool = True
+    begin: float = 0.0
+
+    def of(self, some: Sequence[int]) -> "Common":
+        """What some of the plants need of it."""
+        tables = {name: getattr(self, name) for name in ("u", "target", "noise")}
+        return self._replace(**{k: t[list(some)] for k, t in tables.items() if len(t) > 1})
+
+
+def same_shape(
+    plants: Sequence[Plant], acting: Flags | None = None
+) -> list[tuple[list[int], Flags, Structure]]:
+    """Group plants that one structure can stand for: with all effects that act in any of them.
+
+    An effect changes nothing where its numbers are those of its absence. With `acting` also those
+    that act in plants elsewhere.
+    """
+    groups: dict[tuple, list[int]] = {}
+    for k, plant in enumerate(plants):
+        bare = structure_of(plant._replace(on=np.zeros_like(plant.on)), switched=False)
+        groups.setdefault((id(bare), id(plant.places)), []).append(k)
+    found = []
+    for members in groups.values():
+        on = np.bitwise_or.reduce([plants[k].on for k in members])
+        on = on if acting is None else on | acting
+        structure = structure_of(plants[members[0]]._replace(on=on), switched=False)
+        found.append((members, on, structure))
+    return found
+
+
+def run_many(
+    plants: Sequence[Plant],
+    starts: Sequence[tuple[Floats, Floats]],
+    common: Common,
+    controllers: Sequence[Controller] | None = None,
+    *,
+    acting: Flags | None = None,
+    n_jobs: int = 1,
+    width: int = LANES,
+) -> tuple[list[Floats], list[Floats]]:
+    """Run plants open loop or each under its controller.
+
+    Parameters
+    ----------
+    plants : sequence of Plant
+    starts : sequence of (coordinates, speeds)
+    common : Common
+    controllers : sequence of Controller, optional
+        Of one function.
+    acting : array, optional
+        Flags of effects that a step is to have besides, for the same bits in all groups.
+    n_jobs : int
+        Threads, −1 for one per core.
+    width : int
+        Of the lanes, 16 or 8.
+
+    Returns
+    -------
+    outputs : list of (columns, kept samples) arrays
+    statistics : list of (4, seen) arrays
+        Least, greatest, sum and sum of squares of all that is seen.
+    """
+    tasks = []
+    for members, _, structure in same_shape(plants, acting):
+        for first in range(0, len(members), width):
+            some = members[first : first + width]
+            rules = None if controllers is None else [controllers[k] for k in some]
+            given = (
+                [plants[k] for k in some],
+                [starts[k] for k in some],
+                common.of(some),
+                rules,
+                width,
+            )
+            tasks.append((some, structure, *given))
+    outputs: list[Floats] = [np.empty(0)] * len(plants)
+    statistics: list[Floats] = [np.empty(0)] * len(plants)
+    for structure in {id(task[1]): task[1] for task in tasks}.values():
+        lane_engine(structure, width)
+    # threads: the loop does not hold the interpreter's lock
+    done = (
+        [_run(*t) for t in tasks]
+        if len(tasks) == 1
+        else each(_run, tasks, n_jobs, prefer="threads")
+    )
+    for some, out, stats in done:
+        for lane, k in enumerate(some):
+            outputs[k], statistics[k] = out[lane], stats[:, :, lane]
+    return outputs, statistics
+
+
+def _run(
+    some: list[int],
+    structure: Structure,
+    plants: list[Plant],
+    starts: list[tuple[Floats, Floats]],
+    common: Common,
+    controllers: list[Controller] | None,
+    width: int,
+) -> tuple[list[int], Floats, Floats]:
+    engine, rows = lane_engine(structure, width), Rows(structure, width)
+    h, lanes = common.dt / common.substeps, len(plants)
+    w = aligned(len(rows.all) * width)
+    table = w.reshape(-1, width)
+    for lane in range(width):  # those that are left over run along, and nobody looks
+        plant, (q, v) = plants[min(lane, lanes - 1)], starts[min(lane, lanes - 1)]
+        found = numbers(plant, engine.names.numbers, h)
+        state = dict(zip(engine.names.state, engine.names.start, strict=True))
+        for g in range(structure.coordinates):
+            state |= {f"q{g}": q[g], f"v{g}": v[g], f"p{g}": v[g]}
+        for name, value in (*zip(engine.names.numbers, found, strict=True), *state.items()):
+            table[rows.index[name], lane] = value
+    first = rows.index[rows.statistics[0]]
+    count = len(rows.seen)
+    table[first : first + count], table[first + count : first + 2 * count] = np.inf, -np.inf
+    padded = [plants[min(lane, lanes - 1)] for lane in range(width)]
+    dead = np.array([p.input_values[:, 1] / common.dt for p in padded]).T
+    delays = np.array([p.sensor_delay[p.sensor_delay > 0.0] for p in padded]).T
+    ring = np.zeros((len(delays), int(delays.max(initial=0.0) / h) + 2, width))
+    for n, i in enumerate(k for k, sensor in enumerate(structure.sensors) if sensor[2]):
+        b, speed, _ = structure.sensors[i]
+        name = f"{'v' if speed else 'q'}{structure.bodies[b][0]}"
+        ring[n] = table[rows.index[name]] * [p.body_ratio[b] for p in padded]
+    room = int(np.ceil(dead.max(initial=0.0))) + 2
+    inputs = len(structure.inputs)
+    kept = np.zeros((width, inputs, room))
+    law = NOBODY if controllers is None else controllers[0]
+    rules = np.array([c.rule for c in controllers] if controllers else [law.rule] * width)
+    kept_samples = -(-common.samples // common.every) if common.columns.size else 0
+    out = np.empty((lanes, common.columns.size, kept_samples))
+    engine.module.march_lanes(
+        w, lanes, common.u, kept, np.zeros(inputs), dead, _NO_ROWS, ring,
+        np.ascontiguousarray(delays), common.begin, common.dt, common.substeps, law.function,
+        rules, np.zeros((width, law.memory)), common.target, common.noise,
+        controllers is not None, np.zeros(max(len(structure.sensors), 1)), np.zeros(inputs),
+        common.columns, common.every, out, common.statistics,
+        common.samples,
+    )  # fmt: skip
+    return some, out, table[first:].reshape(4, count, width)

@@ -1,0 +1,161 @@
+"""The parts of a plant in plain Python, one by one: for the blocks and the reference.
+
+They call the same kernels as the generated step, and share no other code with it.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from dmptm_ctrl.effects import backlash, presliding, stribeck
+from dmptm_ctrl.effects.backlash import Backlash
+from dmptm_ctrl.effects.stribeck import stribeck_law
+from dmptm_ctrl.simulate.plant import CALLED, ELASTIC_IMPACT, GAP, LINEAR, TWO_STATES, Plant
+
+TINY = 1e-300  # a speed that has a direction and no size
+
+
+def uncompiled(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the plain Python function of a numba kernel."""
+    return getattr(kernel, "py_func", kernel)
+
+
+mesh_region, mesh_torque = backlash.mesh_region, backlash.mesh_torque
+region_torque = uncompiled(backlash.region_torque)
+_breakaway = uncompiled(stribeck.breakaway_torque)
+_sliding = uncompiled(stribeck.sliding_torque)
+_viscous = uncompiled(stribeck.viscous_torque)
+
+
+class Parts:
+    """What the kernels say about each part of a plant."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant = plant
+        self.laws = [stribeck_law(*row) for row in plant.law.tolist()]
+        self.ratio = plant.body_ratio.tolist()
+        self.group = plant.body_coordinate.tolist()
+        self.inertia = plant.inertia.tolist()
+        self.links = [tuple(row) for row in plant.link_values.tolist()]
+        self.ends = [tuple(row) for row in plant.link_body.tolist()]
+        self.laws_of_links = plant.link_gap.tolist()
+        self.inputs = [tuple(row) for row in plant.input_values.tolist()]
+        self.driven = plant.input_body.tolist()
+        self._acting: dict[tuple[str, int], list[tuple[Callable[..., Any], int, Any]]] = {}
+        for place in plant.places:
+            if place.effect.site in CALLED and plant.on[place.flag]:
+                count = len(place.effect.parameters)
+                row = plant.values[place.first : place.first + count].tolist()
+                found = self._acting.setdefault((place.effect.site, place.part), [])
+                values = place.effect.values(*row)
+                found.append((uncompiled(place.effect.kernel), place.told, values))
+
+    def at(self, site: str, index: int) -> list[tuple[Callable[..., Any], int, Any]]:
+        """Kernel, what it is told and its parameters, of the effects at a place."""
+        return self._acting.get((site, index), [])
+
+    def signal(self, j: int, u: float, t: float) -> float:
+        """Signal of an input after the effects on it and its limit."""
+        for kernel, told, p in self.at("drive", j):
+            u = kernel(u, t, told, p)
+        limit = self.inputs[j][3]
+        return min(limit, max(-limit, u)) if limit > 0.0 else u
+
+    def lag(self, j: int, u: float) -> tuple[float, float]:
+        """Where the acting signal of an input relaxes to, and its time constant [s]."""
+        tau = self.inputs[j][2]
+        for kernel, told, p in self.at("lag", j):
+            u, more = kernel(u, told, p)
+            tau += more
+        return u, tau
+
+    def twist(self, k: int, q1: float, v1: float, q2: float, v2: float):
+        """Twist of a link, its rate and its :class:`Backlash`, by the motion of its bodies."""
+        ratio, stiffness, damping, gap_damping, half_gap = self.links[k]
+        z, rate = q1 - ratio * q2, v1 - ratio * v2
+        for kernel, told, p in self.at("mesh", k):
+            shift = kernel(q1, v1, q2, v2, told, p)
+            z, rate = z + shift[0], rate + shift[1]
+            half_gap, stiffness = half_gap + shift[2], stiffness + shift[3]
+        return z, rate, Backlash(stiffness, damping, gap_damping, max(half_gap, 0.0))
+
+    def link_torque(self, k: int, z: float, rate: float, law: Backlash, inside: float = 0.0):
+        """Torque of a link at its first body [N·m]; `inside` is its place in the gap."""
+        kind = self.laws_of_links[k]
+        if kind == LINEAR:
+            return law.stiffness * z + law.damping * rate
+        if kind == GAP:
+            return mesh_torque(z, rate, law)
+        if kind == TWO_STATES:
+            return backlash.twist_torque(inside, z, rate, law)
+        assert kind == ELASTIC_IMPACT
+        return backlash.impact_torque(z, rate, law)
+
+    def torque(self, b: int, volts: float, theta: float, omega: float, t: float) -> float:
+        """Torque that effects add on a body [N·m]."""
+        added = 0.0
+        for kernel, told, p in self.at("motor", b):
+            added += kernel(volts, theta, omega, t, told, p)
+        for kernel, _, p in self.at("load", b):
+            added += kernel(theta, omega, t, p)
+        return added
+
+    def rubs(self, b: int) -> bool:
+        """Whether a body has any friction."""
+        kinds = (self.at(site, b) for site in ("friction", "ageing"))
+        return bool(self.plant.rubs[b]) or any(kinds)
+
+    def ageing(self, b: int, age: float) -> tuple[float, float]:
+        """Coulomb torque added at the age of a contact [N·m], slip that makes it new [rad]."""
+        added, slip = 0.0, 0.0
+        for kernel, told, p in self.at("ageing", b):
+            torque, distance = kernel(age, told, p)
+            added, slip = added + torque, max(slip, distance)
+        return added, slip
+
+    def level(self, b: int, theta: float, omega: float, t: float, load: float, age: float):
+        """Factor on the declared friction of a body, and Coulomb torque added [N·m]."""
+        scale, added = 1.0, self.ageing(b, age)[0]
+        for kernel, told, p in self.at("friction", b):
+            factor, more = kernel(theta, omega, t, load, told, p)
+            scale, added = scale * factor, added + more
+        return scale, added
+
+    def holding(self, b: int, way: float, theta: float, t: float, load: float, age: float) -> float:
+        """Largest friction of a body at rest against motion in a direction [N·m]."""
+        scale, added = self.level(b, theta, way * TINY, t, load, age)
+        law = _breakaway(way, self.laws[b]) if self.plant.rubs[b] else 0.0
+        return max(scale * law + added, 0.0)
+
+    def sliding(
+        self, b: int, way: float, theta: float, omega: float, t: float, load: float, age: float
+    ) -> tuple[float, float]:
+        """Magnitude of friction of a body in motion, and its viscous part [N·m]."""
+        scale, added = self.level(b, theta, way * max(omega * way, TINY), t, load, age)
+        if not self.plant.rubs[b]:
+            return max(added, 0.0), 0.0
+        law = self.laws[b]
+        return (
+            max(scale * _sliding(omega, way, law) + added, 0.0),
+            scale * _viscous(omega, way, law),
+        )
+
+    def bristle(self, b: int) -> tuple[float, float, float]:
+        """Relaxation distance [rad], share of viscous friction at once, lag [s] of a body."""
+        distance, share, damping = self.plant.bristles[b].tolist()
+        inertia = self.inertia[self.group[b]] / self.ratio[b] ** 2
+        return distance, share, presliding.bristle_lag(distance, damping, inertia, self.law(b))
+
+    def law(self, b: int) -> stribeck.Stribeck:
+        """Friction law of a body; one without friction where none is declared."""
+        if self.plant.rubs[b]:
+            return self.laws[b]
+        return stribeck_law(0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0)
+
+    def loads(self, torques: list[float]) -> list[float]:
+        """What links carry, which presses on the bearings of each body [N·m]."""
+        found = [0.0] * len(self.group)
+        for k, (first, second) in enumerate(self.ends):
+            if self.plant.link_load[k]:
+                found[first] += abs(torques[k])
+                found[second] += abs(self.links[k][0] * torques[k])
+        return found

@@ -1,0 +1,235 @@
+"""A drive as parts and numbers: what the generated step, blocks and reference are made from.
+
+A coordinate is what a rigid group of bodies shares; body b turns by ratio · coordinate.
+A link's twist is z = q_first − ratio · q_second; its torque acts −τ on the first body and
++ratio · τ on the second.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.contract import Effect
+from dmptm_ctrl.effects.presliding import bristle_lag
+from dmptm_ctrl.effects.stribeck import Stribeck, stribeck_law
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Flags = NDArray[np.uint8]
+
+LINEAR, GAP, TWO_STATES, ELASTIC_IMPACT = 0, 1, 2, 3  # contact laws of a link
+# sites whose kernels the step calls; those of the others become numbers of the plant
+CALLED = ("drive", "lag", "motor", "mesh", "friction", "ageing", "load", "sensor")
+LAW_FIELDS = Stribeck._fields
+NO_EFFECTS = np.zeros(0)
+NO_FLAGS = np.zeros(0, np.uint8)
+
+
+class Place(NamedTuple):
+    """An effect at a place of a plant.
+
+    Attributes
+    ----------
+    effect : Effect
+    part : int
+        Number of the input, body, link or sensor where it acts.
+    told : int
+        Side or body that the kernel is told.
+    flag, first : int
+        Where its flag and its first number stand in `Plant.on` and `Plant.values`; places
+        that share them are tied.
+    """
+
+    effect: Effect
+    part: int
+    told: int
+    flag: int
+    first: int
+
+
+class Plant(NamedTuple):
+    """Parts and numbers of a drive; the index of a part is the first axis."""
+
+    inertia: Floats  # (n,) kg·m² or kg, of the whole group
+    body_coordinate: Ints  # (bodies,)
+    body_ratio: Floats  # (bodies,)
+    law: Floats  # (bodies, 9) arguments of `stribeck_law`
+    rubs: Flags  # (bodies,) whether a friction law is declared
+    bristles: Floats  # (bodies, 3) relaxation distance, share at once, damping ratio
+    link_body: Ints  # (links, 2)
+    link_values: Floats  # (links, 5) ratio, stiffness, damping, gap damping, half-gap
+    link_gap: Ints  # (links,) contact law
+    link_load: Flags  # (links,) whether its torque presses on the bearings of its bodies
+    input_body: Ints  # (inputs,)
+    input_values: Floats  # (inputs, 4) gain, dead time, lag, limit (0 is none)
+    sensor_body: Ints  # (sensors,)
+    sensor_speed: Flags  # (sensors,) 1 where it measures speed
+    sensor_delay: Floats  # (sensors,) s
+    places: tuple[Place, ...] = ()
+    on: Flags = NO_FLAGS
+    values: Floats = NO_EFFECTS
+    given: tuple[int, ...] = ()  # coordinates whose motion is prescribed
+
+    @property
+    def distance(self) -> Floats:
+        """Relaxation distance of friction of each coordinate, 0 is none, (n,)."""
+        found = np.zeros(self.inertia.size)
+        for b, g in enumerate(self.body_coordinate):
+            found[g] += self.bristles[b, 0] / abs(self.body_ratio[b])
+        return found
+
+    @property
+    def size(self) -> tuple[int, int, int, int, int]:
+        """Numbers of coordinates, bodies, links, inputs and sensors."""
+        return (
+            self.inertia.size,
+            self.body_coordinate.size,
+            self.link_gap.size,
+            self.input_body.size,
+            self.sensor_body.size,
+        )
+
+
+class Structure(NamedTuple):
+    """What the text of a step depends on; numbers are none of it.
+
+    Attributes
+    ----------
+    switched : bool
+        Places are there to be switched on by a flag; else all of them act.
+    bodies : tuple of (coordinate, sign of the ratio or 0 for a ratio of 1, law)
+        `law` is 0 for no friction law, 1 for one, 2 for one with an exponent.
+    links : tuple of (first body, second body, contact law, whether it loads bearings)
+    inputs : tuple of (body, limited, lags)
+    sensors : tuple of (body, measures speed, may be late)
+    bristles : tuple of int
+        Bodies with presliding.
+    """
+
+    switched: bool
+    coordinates: int
+    bodies: tuple[tuple[int, int, int], ...]
+    links: tuple[tuple[int, int, int, bool], ...]
+    inputs: tuple[tuple[int, bool, bool], ...]
+    sensors: tuple[tuple[int, bool, bool], ...]
+    bristles: tuple[int, ...]
+    places: tuple[Place, ...]
+    given: tuple[int, ...]
+
+    def at(self, site: str, part: int) -> list[Place]:
+        """Places of a site at one part."""
+        return [p for p in self.places if p.effect.site == site and p.part == part]
+
+    def body_names(self, coordinate: int) -> list[int]:
+        """Bodies of a coordinate."""
+        return [b for b, part in enumerate(self.bodies) if part[0] == coordinate]
+
+
+_KNOWN: dict[tuple[Any, ...], "Structure"] = {}
+
+
+def structure_of(plant: Plant, *, switched: bool) -> Structure:
+    """Return the structure of a plant: with all its places behind flags, or those that act.
+
+    The same object each time: a fit asks often, and effects are long to compare.
+    """
+    bodies = tuple(
+        (int(g), 0 if r == 1.0 else 1 if r > 0.0 else -1, _law_kind(plant, b))
+        for b, (g, r) in enumerate(
+            zip(plant.body_coordinate.tolist(), plant.body_ratio.tolist(), strict=True)
+        )
+    )
+    lags = {p.part for p in plant.places if p.effect.site == "lag" and plant.on[p.flag]}
+    inputs = tuple(
+        (b, row[3] > 0.0, switched or row[2] > 0.0 or j in lags)
+        for j, (b, row) in enumerate(
+            zip(plant.input_body.tolist(), plant.input_values.tolist(), strict=True)
+        )
+    )
+    sensors = zip(
+        plant.sensor_body.tolist(),
+        (plant.sensor_speed > 0).tolist(),
+        (plant.sensor_delay > 0.0).tolist(),
+        strict=True,
+    )
+    links = zip(
+        *plant.link_body.T.tolist(),
+        plant.link_gap.tolist(),
+        (plant.link_load > 0).tolist(),
+        strict=True,
+    )
+    on = b"" if switched else plant.on.tobytes()
+    rest = (
+        plant.inertia.size, bodies, tuple(links), inputs, tuple(sensors),
+        tuple(np.flatnonzero(plant.bristles[:, 0] > 0.0).tolist()),
+    )  # fmt: skip
+    key = switched, id(plant.places), on, plant.given, *rest
+    if key not in _KNOWN:
+        places = [p for p in plant.places if p.effect.site in CALLED]
+        if not switched:
+            places = [p for p in places if plant.on[p.flag]]
+        found = Structure(switched, *rest, tuple(places), plant.given)
+        _ALIVE.append(plant.places)  # or another may get its identity
+        _KNOWN[key] = _SAME.setdefault(found, found)
+    return _KNOWN[key]
+
+
+_ALIVE: list[tuple[Place, ...]] = []
+_SAME: dict[Structure, Structure] = {}
+
+
+def _law_kind(plant: Plant, body: int) -> int:
+    if not plant.rubs[body]:
+        return 0
+    return 2 if plant.law[body, 8] != 1.0 else 1
+
+
+def number_names(structure: Structure) -> list[str]:
+    """Names of the numbers of a step, in the order of :func:`numbers`."""
+    names = [f"m{g}" for g in range(structure.coordinates)]
+    names += [f"r{b}" for b, (_, sign, _) in enumerate(structure.bodies) if sign]
+    for b, (_, _, law) in enumerate(structure.bodies):
+        if law:
+            names += [f"w{b}_{field}" for field in LAW_FIELDS]
+    for k, (_, _, gap, _) in enumerate(structure.links):
+        names += [f"n{k}", f"k{k}", f"c{k}"]
+        if gap:
+            names += [f"f{k}", f"g{k}"]
+    for j, (_, limited, lags) in enumerate(structure.inputs):
+        names += [f"gain{j}", *([f"lim{j}"] if limited else []), *([f"tau{j}"] if lags else [])]
+    for b in structure.bristles:
+        names += [f"bd{b}", f"bs{b}", f"bl{b}"]
+    if not structure.switched:
+        for p in structure.places:
+            names += [f"e{p.first + j}" for j in range(len(p.effect.parameters))]
+    return list(dict.fromkeys(names))
+
+
+def numbers(plant: Plant, names: Sequence[str], h: float) -> Floats:
+    """Return the numbers of a step of `h` seconds by their names."""
+    found: dict[str, float] = {}
+    for g, inertia in enumerate(plant.inertia.tolist()):
+        found[f"m{g}"] = h / inertia
+    ratios = plant.body_ratio.tolist()
+    for b, row in enumerate(plant.law.tolist()):
+        found[f"r{b}"] = ratios[b]
+        if plant.rubs[b]:
+            law = stribeck_law(*row)
+            found |= {f"w{b}_{name}": x for name, x in zip(LAW_FIELDS, law, strict=True)}
+    for k, (n, stiffness, damping, gap_damping, gap) in enumerate(plant.link_values.tolist()):
+        found[f"n{k}"], found[f"k{k}"], found[f"c{k}"] = n, stiffness, damping
+        found[f"f{k}"], found[f"g{k}"] = gap_damping, gap
+    for j, (gain, _, lag, limit) in enumerate(plant.input_values.tolist()):
+        found[f"gain{j}"], found[f"lim{j}"], found[f"tau{j}"] = gain, limit, lag
+    for b, (distance, share, damping) in enumerate(plant.bristles.tolist()):
+        if distance > 0.0:
+            law = stribeck_law(*plant.law[b].tolist())
+            inertia = float(plant.inertia[plant.body_coordinate[b]]) / ratios[b] ** 2
+            lag = bristle_lag(distance, damping, inertia, law)
+            # so short a distance that a step cannot follow the body on it: no more than it takes
+            most = bristle_lag(distance, 0.5, inertia, law) ** 2 / h
+            found |= {f"bd{b}": distance, f"bs{b}": share, f"bl{b}": min(lag, most)}
+    values = plant.values
+    return np.array([found[n] if n in found else values[int(n[1:])] for n in names])

@@ -1,0 +1,43 @@
+"""Controllers of rig files as the compiled loop calls them."""
+
+from functools import partial
+
+import numpy as np
+
+from dmptm_ctrl.drive.rig import Controller
+from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.plant import Floats
+from dmptm_ctrl.simulate.run import Controller as RunController
+from dmptm_ctrl.simulate.run import compiled_controller
+
+
+@partial(compiled_controller, cache=True)
+def pi_speed(i, t, dt, target, added, y, rule, memory, u):
+    """Drive one input by the error of a speed; rule: sensor, input, limit, kp, ki."""
+    error = target - y[int(rule[0])]
+    memory[0] += error * dt
+    command = rule[3] * error + rule[4] * memory[0] + added
+    u[int(rule[1])] = min(max(command, -rule[2]), rule[2])
+
+
+@partial(compiled_controller, cache=True)
+def cascade(i, t, dt, target, added, y, rule, memory, u):
+    """Drive one input by position and speed; rule: sensor, input, limit, kp, kv."""
+    here = y[int(rule[0])]
+    if memory[2] == 0.0:
+        memory[0], memory[1], memory[2] = here, here, 1.0
+    speed = (here - memory[1]) / (2.0 * dt)  # 2-sample mean, then difference
+    memory[1], memory[0] = memory[0], here
+    command = rule[4] * (rule[3] * (target - here) - speed) + added
+    u[int(rule[1])] = min(max(command, -rule[2]), rule[2])
+
+
+def controller_of(model: ChainModel, controller: Controller) -> RunController:
+    """Return a rig's controller for the compiled loop."""
+    gains = controller.gains
+    sensor = [s.name for s in model.rig.sensors].index(controller.sensor)
+    source = model.layout.inputs.index(controller.input)
+    last = "ki" if controller.kind == "pi_speed" else "kv"
+    rule = [sensor, source, controller.limit, gains.get("kp", 0.0), gains.get(last, 0.0)]
+    numbers: Floats = np.array(rule, float)
+    return RunController(pi_speed if last == "ki" else cascade, numbers, 3)

@@ -1,0 +1,266 @@
+"""Run a plant: the scalar loop, its state, and what closes the loop."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import cfunc, float64, int64, types
+
+from dmptm_ctrl.simulate.elementary import COMPILED
+from dmptm_ctrl.simulate.plant import Floats, Plant, Structure, numbers, structure_of
+from dmptm_ctrl.simulate.scalar import scalar_engine
+
+_ROW = float64[::1]
+SIGNATURE = types.void(int64, *[float64] * 4, *[_ROW] * 4)
+_NO_ROWS = np.zeros((0, 0))
+_NOTHING, _NONE = np.zeros(1), np.zeros(0)
+
+
+class Controller(NamedTuple):
+    """A sampled controller as the compiled loop calls it.
+
+    Attributes
+    ----------
+    function : numba cfunc of SIGNATURE
+        ``f(i, t, dt, target, noise, y, rule, memory, u)`` writes the signals of the inputs into
+        `u`; `y` are the readings of the sensors.
+    rule : (m,) array
+        Its numbers.
+    memory : int
+        Room that it keeps from sample to sample.
+    """
+
+    function: Any
+    rule: Floats
+    memory: int
+
+
+def compiled_controller(function: Callable[..., None], *, cache: bool = False) -> Any:
+    """Compile a controller so that any loop can call it; `cache` it where there is a place."""
+    if not COMPILED:
+        return function
+    try:
+        return cfunc(SIGNATURE, cache=cache)(function)
+    except RuntimeError:  # installed read-only, no home
+        return cfunc(SIGNATURE)(function)
+
+
+@partial(compiled_controller, cache=True)
+def _open(i, t, dt, target, noise, y, rule, memory, u):
+    """Leave the inputs as they are."""
+
+
+NOBODY = Controller(_open, _NOTHING, 1)
+
+
+@dataclass(frozen=True)
+class State:
+    """What a run goes on from.
+
+    Attributes
+    ----------
+    values : (k,) array
+        By the names in `names`: coordinates q, their speeds v, those one step before p, and
+        what meshes, lags, bristles and contacts remember.
+    time : float
+        s
+    memory : (m,) array
+        Of the controller.
+    signals : (inputs, j) array
+        Latest signals, as many as dead times need.
+    late : (delayed sensors, j) array and steps
+        The same of late readings.
+    """
+
+    names: tuple[str, ...]
+    values: Floats
+    time: float = 0.0
+    memory: Floats = field(default_factory=lambda: np.zeros(0))
+    signals: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    late: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    steps: int = 0
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.values[self.names.index(name)])
+
+
+class Motion(NamedTuple):
+    """Samples of a run.
+
+    Attributes
+    ----------
+    u : (inputs, n) array
+        Signals of the inputs, as a controller gave them.
+    rows : (n, columns) array
+        Readings of sensors, torques of links at their first bodies, twists of links,
+        coordinates, their speeds; or the first of these columns.
+    size : tuple of int
+        Of the plant.
+    state : State
+        At the end of the last sample's interval, to go on from.
+    """
+
+    u: Floats
+    rows: Floats
+    size: tuple[int, int, int, int, int]
+    state: State
+
+    def _part(self, first: int, count: int) -> Floats:
+        return self.rows[:, first : first + count]
+
+    @property
+    def readings(self) -> Floats:
+        """(n, sensors) array."""
+        return self._part(0, self.size[4])
+
+    @property
+    def links(self) -> Floats:
+        """Torques, (n, links) array."""
+        return self._part(self.size[4], self.size[2])
+
+    @property
+    def q(self) -> Floats:
+        """Coordinates, (n, coordinates) array."""
+        return self._part(self.size[4] + 2 * self.size[2], self.size[0])
+
+    @property
+    def v(self) -> Floats:
+        """Their speeds, (n, coordinates) array."""
+        return self._part(self.size[4] + 2 * self.size[2] + self.size[0], self.size[0])
+
+
+def start_state(structure: Structure, q: Floats, v: Floats, **others: float) -> State:
+    """Return the state at given coordinates and speeds."""
+    names = scalar_engine(structure).names
+    values = np.array(names.start)
+    count = structure.coordinates
+    values[:count], values[count : 2 * count], values[2 * count : 3 * count] = q, v, v
+    for name, value in others.items():
+        values[names.state.index(name)] = value
+    return State(tuple(names.state), values)
+
+
+def structure_for(plant: Plant) -> Structure:
+    """Structure that a scalar run of a plant takes: with places only where one of them acts."""
+    return structure_of(plant, switched=bool(plant.on.any()))
+
+
+def advance(
+    plant: Plant,
+    state: State,
+    u: Floats,
+    dt: float,
+    substeps: int,
+    *,
+    structure: Structure | None = None,
+    before: Floats | None = None,
+    push: Floats | None = None,
+    given: tuple[Floats, Floats] = (_NO_ROWS, _NO_ROWS),
+    controller: Controller | None = None,
+    target: Floats | None = None,
+    noise: Floats | None = None,
+    columns: int | None = None,
+) -> Motion:
+    """Run a plant from a state over the samples of `u`.
+
+    Parameters
+    ----------
+    plant : Plant
+    state : State
+        As `start_state` or an earlier run gave it.
+    u : (inputs, n) array
+        Held from each sample to the next; under a controller its values do not matter.
+    dt, substeps
+        Sample time [s], steps per sample.
+    before : (inputs,) array, optional
+        What the inputs were before the run, for dead times; 0.
+    push : (n, coordinates) array, optional
+        Torques added.
+    given : (position, speed) of (given coordinates, n) arrays
+        Where the motion of coordinates is prescribed.
+    controller, target, noise : Controller, (n,) and (n,) arrays, optional
+        Closes the loop; what `noise` is added to is the controller's choice.
+    columns : int, optional
+        How many of the columns of `Motion.rows` are wanted; all.
+    """
+    structure = structure or structure_for(plant)
+    h, n = dt / substeps, u.shape[1]
+    dead = plant.input_values[:, 1] / dt
+    kept = state.signals.shape[1]
+    signals = np.hstack([state.signals, u]) if kept else np.asarray(u, float)
+    if controller is not None or not signals.flags.c_contiguous or not signals.flags.writeable:
+        signals = np.array(signals, order="C")
+    delays = plant.sensor_delay[plant.sensor_delay > 0.0]
+    ring = np.array(state.late)
+    x = np.array(state.values)
+    if ring.size == 0 and delays.size:
+        ring = _filled_ring(plant, structure, x, int(delays.max() / h) + 2)
+    law = NOBODY if controller is None else controller
+    memory = np.array(state.memory) if state.memory.size else np.zeros(law.memory)
+    count, _, links, inputs, sensors = plant.size
+    whole = sensors + 2 * links + 2 * count
+    out = np.empty((n, whole if columns is None else columns))
+    engine = scalar_engine(structure)
+    steps = engine.module.march(
+        x, numbers(plant, engine.names.numbers, h), plant.on, plant.values, signals, kept,
+        np.zeros(inputs) if before is None else np.array(before, float), dead,
+        _NO_ROWS if push is None else np.ascontiguousarray(push, float),
+        *(np.ascontiguousarray(g, float) for g in given), ring, delays, state.steps, state.time,
+        dt, substeps, law.function, law.rule, memory,
+        _NONE if target is None else np.array(target, float),
+        _NONE if noise is None else np.array(noise, float),
+        controller is not None, np.zeros(max(sensors, 1)), np.zeros(inputs), out,
+    )  # fmt: skip
+    used = int(np.ceil(dead.max(initial=0.0))) + 1 if dead.any() else 0
+    after = replace(
+        state, values=x, time=state.time + n * dt, memory=memory, late=ring,
+        steps=state.steps + steps, signals=signals[:, max(signals.shape[1] - used, 0) :],
+    )  # fmt: skip
+    if not used:
+        after = replace(after, signals=np.zeros((inputs, 0)))
+    return Motion(signals[:, kept:], out, plant.size, after)
+
+
+def advance_by(
+    plant: Plant,
+    state: State,
+    law: Callable[[float, float, Floats], Any],
+    target: Floats,
+    dt: float,
+    substeps: int,
+    *,
+    push: Floats | None = None,
+) -> Motion:
+    """Run a plant under a law in Python, ``law(t, target, y)``, one sample after the other.
+
+    See :func:`advance`; `y` are the readings of the sensors.
+    """
+    structure = structure_for(plant)
+    n, (count, _, links, inputs, sensors) = len(target), plant.size
+    nothing = np.zeros((inputs, 1))
+    u = np.empty((inputs, n))
+    out = np.empty((n, sensors + 2 * links + 2 * count))
+    for i in range(n):
+        pushed = None if push is None else push[i : i + 1]
+        # readings are those before the sample's own signals act
+        ahead = partial(advance, plant, structure=structure, push=pushed)
+        seen = ahead(state, nothing, dt, 1, columns=sensors)
+        u[:, i] = law(state.time, float(target[i]), seen.rows[0])
+        done = ahead(state, u[:, i : i + 1], dt, substeps)
+        out[i], state = done.rows[0], done.state
+    return Motion(u, out, plant.size, state)
+
+
+def _filled_ring(plant: Plant, structure: Structure, x: Floats, length: int) -> Floats:
+    """Readings before the run: those at its start."""
+    count = structure.coordinates
+    rows = []
+    for (b, speed, late), ratio in zip(
+        structure.sensors, plant.body_ratio[plant.sensor_body], strict=True
+    ):
+        if late:
+            g = structure.bodies[b][0]
+            rows.append(np.full(length, ratio * x[g + (count if speed else 0)]))
+    return np.array(rows)

@@ -1,0 +1,119 @@
+"""The loop over samples of one drive around its step, as source text."""
+
+from dmptm_ctrl.simulate.generate import (
+    Engine,
+    Names,
+    compiled,
+    engine_by,
+    head_text,
+    observe_text,
+    row_text,
+    sensed,
+    step_text,
+)
+from dmptm_ctrl.simulate.plant import Structure
+
+
+def scalar_text(s: Structure) -> str:
+    """Text of the loop over samples of one drive; see `run.march` for its arguments."""
+    names = Names(s)
+    state, count = ", ".join(names.state), len(names.state)
+    inputs, links, g_all = len(s.inputs), len(s.links), range(s.coordinates)
+    late = [i for i, sensor in enumerate(s.sensors) if sensor[2]]
+    rows = "".join(f"    {name} = p[{i}]\n" for i, name in enumerate(names.numbers))
+    rows += "".join(f"    {name} = x[{i}]\n" for i, name in enumerate(names.state))
+    sensors = len(s.sensors)
+    lags = "".join(
+        f"        late{i} = read_late(ring, {n}, step0 + done, delays[{n}] / h)\n"
+        for n, i in enumerate(late)
+    )
+    plain = [*names.state, "t", *names.numbers, *names.switches]
+    observed = ", ".join([*names.state, *(f"late{i}" for i in late), *plain[len(names.state) :]])
+    out = "".join(f"        out[i, {c}] = seen[{c}]\n" for c in range(sensors))
+    if links:
+        out += f"        if out.shape[1] > {sensors}:\n"
+        out += f"            seen_ = torques({', '.join(plain)})\n"
+        out += "".join(
+            f"            out[i, {sensors + c}] = seen_[{c}]\n" for c in range(2 * links)
+        )
+    first_q = sensors + 2 * links
+    out += f"        if out.shape[1] > {first_q}:\n"
+    for c in g_all:
+        out += f"            out[i, {first_q + c}] = q{c}\n"
+        out += f"            out[i, {first_q + s.coordinates + c}] = v{c}\n"
+    y = "".join(f"            y[{i}] = seen[{i}]\n" for i in range(sensors))
+    given = "".join(
+        f"            xg{g} = given_q[{n}, i] + part * (given_q[{n}, after] - given_q[{n}, i])\n"
+        f"            sg{g} = given_v[{n}, i] + part * (given_v[{n}, after] - given_v[{n}, i])\n"
+        for n, g in enumerate(s.given)
+    )
+    set_given = "".join(
+        f"        q{g}, v{g} = given_q[{n}, i], given_v[{n}, i]\n" for n, g in enumerate(s.given)
+    )
+    signals = "".join(
+        f"            u{j} = u[{j}, at] if dead[{j}] <= 0.0 else held_average(u, {j}, "
+        f"at + k / substeps - dead[{j}], at + (k + 1) / substeps - dead[{j}], before)\n"
+        for j in range(inputs)
+    )
+    push = "".join(f"        push{g} = push[i, {g}] if pushed else 0.0\n" for g in g_all)
+    ring = "".join(
+        f"            ring[{n}, (step0 + done) % ring.shape[1]] = "
+        f"{' * '.join(filter(None, sensed(s, i)))}\n"
+        for n, i in enumerate(late)
+    )
+    return f"""\
+@njit
+def march(
+    x, p, on, e, u, first, before, dead, push, given_q, given_v, ring, delays, step0, begin,
+    dt, substeps, control, rule, memory, target, noise, closed, y, command, out,
+):
+    on, e, y, command = borrowed(on), borrowed(e), borrowed(y), borrowed(command)
+    rule, memory = borrowed(rule), borrowed(memory)
+    h = dt / substeps
+{rows}
+    pushed = push.shape[0] > 0
+    done = 0
+    for i in range(out.shape[0]):
+        t = begin + i * dt
+        at = first + i
+{set_given}{lags}        seen = readings({observed})
+{out}        if closed:
+{y}            added = noise[i] if noise.size > 0 else 0.0
+            control(i, t, dt, target[i], added, y, rule, memory, command)
+            for j in range({inputs}):
+                u[j, at] = command[j]
+{push}        for k in range(substeps):
+            middle = t + (k + 0.5) * h
+            part, after = (k + 0.5) / substeps, min(i + 1, out.shape[0] - 1)
+{signals}{given}            {state}, = step({_given(names, "middle")})
+            done += 1
+{ring}    x[:{count}] = {row_text(names.state)}
+    return done
+"""
+
+
+def _given(names: Names, time: str) -> str:
+    return ", ".join(time if name == "t" else name for name in names.arguments)
+
+
+_LATE = """\
+@njit
+def read_late(ring, row, step, lag):
+    back = int(lag)
+    newer = ring[row, (step - back) % ring.shape[1]]
+    older = ring[row, (step - back - 1) % ring.shape[1]]
+    return newer + (lag - back) * (older - newer)
+"""
+
+
+def source(s: Structure) -> str:
+    """Return the text of the scalar engine of a structure."""
+    parts = [head_text(s), _LATE, observe_text(s), step_text(s), scalar_text(s)]
+    text = "\n\n".join(parts)
+    # a state named as a coordinate's middle speed would hide it
+    return compiled(text, "march")
+
+
+def scalar_engine(s: Structure) -> Engine:
+    """Return the compiled scalar loop of a structure, which `structure_of` gave."""
+    return engine_by(s, "scalar", source)

@@ -1,0 +1,100 @@
+"""Controllers of a user's own: compiled, in Python, of python-control; and runs that go on."""
+
+import control as ct
+import numpy as np
+import pytest
+
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.simulate.chain import march
+from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.control import sampled, simulate_with_controller
+from dmptm_ctrl.simulate.run import Controller, compiled_controller
+
+DT, KP, KI = 1e-3, 0.4, 3.0
+RIG = parse_rig("""
+name = "axis"
+[body.motor]
+inertia = 0.01
+coulomb = 0.05
+viscous = 0.02
+[body.load]
+inertia = 0.05
+viscous = 0.02
+[shaft.s]
+between = ["motor", "load"]
+stiffness = 400
+damping = 0.05
+[input.m]
+column = "u_V"
+body = "motor"
+gain = "0.5 N m/V"
+[sensor.speed]
+column = "w_rad_s"
+body = "motor"
+""")
+MODEL = ChainModel(RIG, (Placed("drive_delay", "m", {"delay": 0.0025}),))
+TARGET = 2.0 * np.sin(2 * np.pi * 1.5 * DT * np.arange(400))
+
+
+def pi(i, t, dt, target, added, y, rule, memory, u):
+    error = target - y[0]
+    memory[0] += error * dt
+    u[0] = rule[0] * error + rule[1] * memory[0]
+
+
+class Pi:
+    """The same in Python."""
+
+    total = 0.0
+
+    def __call__(self, t, target, y):
+        error = target - y[0]
+        self.total += error * DT
+        return KP * error + KI * self.total
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    law = Controller(compiled_controller(pi), np.array([KP, KI]), 1)
+    return simulate_with_controller(MODEL, law, TARGET, DT)
+
+
+def test_python_is_compiled(compiled):
+    run = simulate_with_controller(MODEL, Pi(), TARGET, DT)
+    np.testing.assert_allclose(run.u, compiled.u, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(run.speed("load"), compiled.speed("load"), rtol=0.0, atol=1e-12)
+    assert np.ptp(run.speed("load")) > 1.0
+
+
+def test_python_control_s_system_is_compiled(compiled):
+    """The integral with the sample's own error, as the function has it."""
+    z = ct.tf("z")
+    law = KP + KI * DT * z / (z - 1)
+    law = ct.tf(law.num, law.den, DT)
+    run = simulate_with_controller(MODEL, law, TARGET, DT)
+    np.testing.assert_allclose(run.u, compiled.u, rtol=0.0, atol=1e-9)
+    with pytest.raises(ValueError, match="the controller is continuous"):
+        sampled(ct.tf([1.0], [1.0, 1.0]))
+
+
+def test_a_run_goes_on_from_its_state(compiled):
+    """Bit for bit: what dead times and the controller remember is in the state."""
+    law = Controller(compiled_controller(pi), np.array([KP, KI]), 1)
+    first = simulate_with_controller(MODEL, law, TARGET[:150], DT)
+    second = simulate_with_controller(MODEL, law, TARGET[150:], DT, state=first.state)
+    both = np.concatenate([first.speed("load"), second.speed("load")])
+    np.testing.assert_array_equal(both, compiled.speed("load"))
+    assert second.time[0] == pytest.approx(0.15)
+    assert first.state["v0"] == second.speed("motor")[0]
+
+
+def test_a_torque_on_any_body_is_an_input():
+    """At constant speed friction carries it: viscous slope by hand."""
+    n = 6000
+    viscous = ChainModel(RIG).with_values({"body.motor.coulomb": 0.0})
+    run = march(viscous, np.zeros((1, n)), DT, push={"load": np.full(n, 0.2)})
+    assert run.speed("motor")[-1] == pytest.approx(0.2 / 0.04, rel=0.05)
+    both = march(
+        viscous, np.zeros((1, n)), DT, push={"load": np.full(n, 0.2), "motor": np.full(n, -0.2)}
+    )
+    assert abs(both.speed("motor")[-1]) < 1e-3

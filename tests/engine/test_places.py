@@ -1,0 +1,163 @@
+"""Every effect at every place where it may stand: it acts, and all runs of it agree."""
+
+import numpy as np
+import pytest
+
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.simulate.chain import march
+from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE, may_stand
+from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.many import Common, run_many
+from dmptm_ctrl.simulate.reference import run_exactly
+
+DT, SUBSTEPS = 1e-3, 256
+TIME = DT * np.arange(181)
+U = (1.4 * np.sin(2 * np.pi * 7.0 * TIME) + 0.2 * np.sin(2 * np.pi * 31.0 * TIME))[None]
+RIG = parse_rig("""
+name = "place"
+[body.motor]
+inertia = 0.002
+coulomb = 0.05
+static = 0.06
+stribeck_speed = 0.5
+viscous = 0.004
+[body.arm]
+inertia = 0.02
+coulomb = 0.04
+viscous = 0.03
+[mesh.gear]
+between = ["motor", "arm"]
+ratio = 3
+stiffness = 90
+damping = 0.02
+half_gap = 0.01
+gap_damping = 0.002
+[input.drive]
+column = "u_V"
+body = "motor"
+gain = "0.5 N m/V"
+limit = "1.5 V"
+[sensor.near]
+column = "w_rad_s"
+body = "motor"
+[sensor.far]
+column = "q_rad"
+body = "arm"
+""")
+# sizes that are clearly seen on this drive, where a tenth of the bound is not one
+SIZES = {
+    "drive_delay": {"delay": 0.0033},
+    "current_lag": {"time_constant": 0.004},
+    "sensor_delay": {"delay": 0.0033},
+    "shaft_compliance": {"share": 0.4, "antiresonance": 150.0, "damping_ratio": 0.05},
+    "backlash": {"half_gap": 0.02},
+    "presliding": {"distance": 0.004},
+    "friction_asymmetry": {"difference": 0.2},
+    "cogging": {"cosine": 0.03, "sine": 0.02, "order": 6.0},
+    "drive_saturation": {"inverse_limit": 1.0},
+    "drive_offset": {"offset": 0.1},
+}
+PARTS = {
+    "input": ["drive"],
+    "body": ["motor", "arm"],
+    "link": ["gear"],
+    "sensor": ["near", "far"],
+}
+
+
+def visible(chain):
+    if chain.name in SIZES:
+        return SIZES[chain.name]
+    return {
+        p.name: d if p.bank else 0.1 * min(p.high, 1.0)
+        for p, d in zip(chain.keep, chain.defaults, strict=True)
+    }
+
+
+def reads(chain, part):
+    """An effect on the reading of an angle is none on that of a speed."""
+    angle = part == "far"
+    return not (chain.name == "encoder_eccentricity" and not angle) and not (
+        chain.name == "sensor_gain" and angle
+    )
+
+
+CASES = {
+    f"{chain.name}@{part}": Placed(chain.name, part, visible(chain))
+    for chain in CHAIN_CATALOGUE.values()
+    for part in PARTS[chain.place]
+    if may_stand(chain, RIG, part) and reads(chain, part)
+}
+
+
+def model_of(case):
+    return ChainModel(RIG, (CASES[case],))
+
+
+def seen(run):
+    motor, arm = run.speed("motor"), run.speed("arm")
+    return np.array([run.reading("near"), run.reading("far"), motor, arm, run.link("gear")])
+
+
+def exact(model):
+    plant, layout = model.plant(), model.layout
+    zero = np.zeros(layout.coordinates)
+    found = run_exactly(plant, U, zero, zero, DT)
+    gear = found.links[:, layout.links.index("gear")]
+    speeds = [layout.ratio[b] * found.v[:, layout.coordinate[b]] for b in ("motor", "arm")]
+    return np.array([*found.readings.T, *speeds, gear])
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return seen(march(ChainModel(RIG), U, DT, substeps=SUBSTEPS))
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """Every case in a lane, those of one shape beside each other."""
+    models = [model_of(case) for case in CASES]
+    plants = [m.plant() for m in models]
+    starts = [(np.zeros(m.layout.coordinates),) * 2 for m in models]
+    none = np.zeros((0, 0))
+    common = Common(DT, SUBSTEPS, TIME.size, U[None], none, none, np.arange(3))
+    outputs, _ = run_many(plants, starts, common)
+    return dict(zip(CASES, outputs, strict=True))
+
+
+def apart(found, expected):
+    return np.sqrt(np.mean((found - expected) ** 2, axis=1)) / np.ptp(expected, axis=1)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_acts_and_is_the_same_in_every_run(case, plain, lanes):
+    model = model_of(case)
+    found = seen(march(model, U, DT, substeps=SUBSTEPS))
+    true = exact(model)
+    error, moved = apart(found, true), apart(found, plain)
+    assert moved.max() > 1e-3
+    assert error.max() < min(2e-3, 0.1 * moved.max()), error
+    side_by_side = np.array([found[0], found[1], found[4]])
+    assert apart(lanes[case], side_by_side).max() < 1e-7
+
+
+def test_friction_of_a_load_presses_on_bearings_of_meshes_alone():
+    assert "load_dependent_friction@arm" in CASES
+    alone = parse_rig(
+        'name = "one"\n[body.b]\ninertia = 1.0\n[input.m]\ncolumn = "u_V"\nbody = "b"\n'
+        'gain = "1 N m/V"\n[sensor.s]\ncolumn = "w_rad_s"\nbody = "b"\n'
+    )
+    assert not may_stand(CHAIN_CATALOGUE["load_dependent_friction"], alone, "b")
+
+
+ADDITIVE = [c for c in CASES if CASES[c].name not in ("backlash", "shaft_compliance")]
+
+
+@pytest.mark.parametrize("case", ADDITIVE)
+def test_at_zero_amplitude_nothing_changes(case, plain):
+    placed = CASES[case]
+    chain = CHAIN_CATALOGUE[placed.name]
+    absent = dict(zip((p.name for p in chain.keep), chain.defaults, strict=True))
+    model = ChainModel(RIG, (placed._replace(values=absent),))
+    run = seen(march(model, U, DT, substeps=SUBSTEPS))
+    assert apart(run, plain).max() < 1e-9

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.recovery.test_tables import LOGS, decided, halved, left_by, table, table_of
+from tests.recovery.test_tables import LOGS, decided, halved, left_by, table_of
 
 from dmptm_ctrl.diagnosis.tables import TORQUE, tabulate
 from dmptm_ctrl.drive import paper_drive
@@ -15,7 +15,7 @@ def test_ripple_in_proportion_to_the_voltage():
     assert decision.unexplained.variables[:2] == ("theta_L", "u")
     drive = paper_drive()
     ratio = drive["N_1"] * drive["N_2"]
-    _, places, knots = table(decision)
+    _, places, knots = table_of(decision.after)
     phase = true["order"] * places / ratio
     basis = np.column_stack([np.cos(phase), np.sin(phase)])
     size = np.hypot(*np.linalg.lstsq(basis, knots, rcond=None)[0])
@@ -39,12 +39,3 @@ def test_brake_in_a_sector_of_the_turn():
     outside = knots[away > 1.2 * true["half_width_deg"]]
     assert np.median(outside) - np.median(inside) == pytest.approx(true["N_m_s_rad"], rel=0.1)
     assert values["high"] - values["low"] < np.deg2rad(4.0 * true["half_width_deg"] + 60.0)
-
-
-def test_a_name_goes_before_a_curve_that_says_no_more(monkeypatch):
-    """Too little for a second effect, but with it no curve is needed."""
-    monkeypatch.setattr("dmptm_ctrl.diagnosis.decide.SECOND", np.inf)
-    effects = (("cogging", 3.0), ("drive_offset", 3.0))
-    decision, _ = decided(504, effects, "all", "eq21")
-    assert {found.name for found in decision.found} == {"cogging", "drive_offset"}
-    assert decision.unexplained is None

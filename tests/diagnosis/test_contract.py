@@ -1,18 +1,23 @@
 """The files and exit codes of `dmptm diagnose` and `dmptm predict` that others rely on."""
 
+import io
 import json
 import math
 import re
 import shutil
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+import dmptm_ctrl
 from dmptm_ctrl import data, load_log
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.diagnosis import predict
+from dmptm_ctrl.diagnosis.select import LEVEL
+from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
 from dmptm_ctrl.simulate.model_file import read_model
 
@@ -21,6 +26,11 @@ OTHER = data.path("null_rig")  # with
 BLIND = Path(__file__).parents[3] / "shared" / "blind"
 SHORT = ("open_sine_0v60", "open_sine_0v75", "closed_sine_10", "closed_sine_15")
 PREDICTED = ["time_s", "theta_L_deg", "omega_L_deg_s", "theta_ml_deg", "theta_mr_deg"]
+KEYS = {
+    *("schema", "verdict", "effects", "budget", "ranking", "depends_on", "error", "declared"),
+    "provenance",
+}
+ROW = {"name", "location", "speed_rms", "torque_rms", "share", "depends_on"}
 STATUS = {"supported", "rejected", "not testable with these logs"}
 VARIABLES = {
     "theta_L", "theta_m", "omega_L", "omega_m", "u", "du_dt", "mesh_torque", "time",
@@ -127,8 +137,10 @@ def written(tmp_path_factory):
     (folder / "logs").mkdir()
     for name in SHORT:
         shutil.copy(DEMO / f"{name}.csv.gz", folder / "logs")
-    arguments = ["diagnose", str(folder / "logs"), "--out", str(folder / "out"), "--quiet"]
-    assert main([*arguments, "--seed", "5"]) == 0
+    arguments = ["diagnose", str(folder / "logs"), "--out", str(folder / "out"), "--seed", "5"]
+    with redirect_stdout(io.StringIO()) as printed:
+        assert main(arguments) == 0
+    (folder / "printed.txt").write_text(printed.getvalue(), encoding="utf-8")
     return folder
 
 
@@ -136,41 +148,116 @@ def no_constant(text):
     raise AssertionError(f"{text} in diagnosis.json")
 
 
-def test_diagnosis_json(written):
+@pytest.fixture(scope="module")
+def found(written):
+    text = (written / "out" / "diagnosis.json").read_text(encoding="utf-8")
+    return json.loads(text, parse_constant=no_constant)
+
+
+def test_files_and_keys(written, found):
     names = {path.name for path in (written / "out").iterdir()}
     assert {"diagnosis.json", "model.toml", "report.html"} <= names
-    text = (written / "out" / "diagnosis.json").read_text(encoding="utf-8")
-    found = json.loads(text, parse_constant=no_constant)
-    assert found["schema"] == 1
+    assert KEYS <= set(found)
+    assert found["schema"] == 2
+    assert found["verdict"] in {"none", "explained", "unknown"}
     assert found["verdict"] == "explained"
+    assert set(found["depends_on"]) <= VARIABLES
+
+
+def test_effects(found):
     assert [effect["name"] for effect in found["effects"]] == ["unbalance"]
     for effect in found["effects"]:
         assert effect["location"] == CATALOGUE[effect["name"]].location
         assert 0.0 <= effect["probability"] <= 1.0
+        assert effect["material"] is True
         assert set(effect["confusable_with"]) <= set(CATALOGUE) - {effect["name"]}
-        assert effect["evidence"].strip()
+        assert effect["evidence"].endswith(".")
         declared = {p.name: p.unit for p in CATALOGUE[effect["name"]].parameters}
         assert {n: p["unit"] for n, p in effect["parameters"].items()} == declared
-        assert all({"value", "se"} <= set(p) for p in effect["parameters"].values())
-    assert {row["name"] for row in found["ranking"]} >= set(CATALOGUE) - set(NO_CANDIDATES)
+        for p in effect["parameters"].values():
+            assert set(p) == {"value", "se", "unit"}
+            assert p["se"] > 0.0
+
+
+def test_budget(found):
+    budget = found["budget"]
+    assert [row["name"] for row in budget[-2:]] == ["not explained", "floor"]
+    named = [row["name"] for row in budget[:-2] if row["name"] != "shared"]
+    assert named == [effect["name"] for effect in found["effects"]]
+    assert sum(row["share"] for row in budget) == pytest.approx(1.0, abs=1e-9)
+    shares = [row["share"] for row in budget[:-2]]
+    assert shares == sorted(shares, reverse=True)
+    for row in budget:
+        assert set(row) == ROW
+        assert set(row["depends_on"]) <= VARIABLES
+        assert all(row[key] is None or row[key] >= 0.0 for key in ("speed_rms", "torque_rms"))
+    assert budget[0]["depends_on"] == ["theta_L"]
+    assert budget[0]["speed_rms"] > budget[-1]["speed_rms"] > 0.0
+
+
+def test_ranking(found):
+    names = [row["name"] for row in found["ranking"]]
+    assert sorted(names) == sorted(set(CATALOGUE) - set(NO_CANDIDATES))
+    added = {effect["name"] for effect in found["effects"]}
+    rivals = {name for effect in found["effects"] for name in effect["confusable_with"]}
+    least = min(row["score"] for row in found["ranking"] if row["name"] in added)
     for row in found["ranking"]:
         assert row["status"] in STATUS
+        assert row["location"] == CATALOGUE[row["name"]].location
         assert row["reveals"].strip()
         assert isinstance(row["score"], float)
-    supported = {row["name"] for row in found["ranking"] if row["status"] == "supported"}
-    assert supported == {"unbalance"}
-    assert set(found["depends_on"]) <= VARIABLES
+        assert (row["status"] == "supported") == (row["name"] in added)
+        if row["status"] == "rejected" and row["score"] > LEVEL:
+            assert row["reason"].strip()
+        if row["status"].startswith("not testable"):
+            assert row["name"] not in rivals
+            assert row["score"] < least
 
 
-def test_error_and_provenance(written):
-    found = json.loads((written / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+def test_error(found):
     error = found["error"]
     assert (error["unit"], error["bandwidth_hz"], error["on"]) == ("deg/s", 30, "held-out logs")
+    for side in ("before", "after", "floor"):
+        told = error[side]
+        assert told["rmse"] == told["speed"]["rmse"] > 0.0
+        assert told["unit"] == told["speed"]["unit"] == "deg/s"
+        assert told["speed"]["bandwidth_hz"] == 30
+        assert told["torque"]["unit"] == "N·m"
+        assert told["torque"]["rmse"] > 0.0
+        assert 0.0 < told["torque"]["percent"] < 100.0
+        assert told["horizon"]["unit"] == "deg/s"
+        assert told["horizon"]["rmse"] > 0.0
+        assert told["horizon"]["seconds"] > 0.0
     for side in ("before", "after"):
-        assert set(error[side]) == {"rmse", "fit_percent", "pearson_r"}
-        assert -1.0 <= error[side]["pearson_r"] <= 1.0
+        speed = error[side]["speed"]
+        assert speed["fit_percent"] <= 100.0
+        assert -1.0 <= speed["pearson_r"] <= 1.0
+    for kind in ("speed", "torque", "horizon"):
+        before, after, floor = (error[s][kind]["rmse"] for s in ("before", "after", "floor"))
+        assert floor <= min(before, after)
     assert error["after"]["rmse"] < 0.5 * error["before"]["rmse"]
+    assert error["after"]["torque"]["rmse"] < 0.5 * error["before"]["torque"]["rmse"]
+
+
+def test_declared(found):
+    drive = paper_drive()
+    assert set(found["declared"]) == set(drive.free)
+    for name, told in found["declared"].items():
+        quantity = drive.quantities[name]
+        assert told["declared"] == quantity.value
+        assert told["range"] == list(quantity.range)
+        assert told["unit"] == quantity.unit
+        low, high = told["range"]
+        edge = 1e-5 * (high - low)
+        assert low - edge <= told["fitted"] <= high + edge
+        assert told["se"] > 0.0
+        inside = low + edge < told["fitted"] < high - edge
+        assert told["outside"] is not inside
+
+
+def test_provenance(found):
     origin = found["provenance"]
+    assert origin["version"] == dmptm_ctrl.__version__
     assert origin["seed"] == 5
     assert origin["seconds"] > 0
     logs = {log["name"]: log for log in origin["logs"]}
@@ -178,6 +265,15 @@ def test_error_and_provenance(written):
     assert {log["role"] for log in logs.values()} == {"fit", "held-out"}
     for name, log in logs.items():
         assert log["sha256"] == load_log(DEMO / f"{name}.csv.gz").sha256
+
+
+def test_what_is_printed_says_no_more_than_the_budget(written):
+    told = (written / "printed.txt").read_text(encoding="utf-8")
+    assert "nothing is missing" not in told
+    assert "unbalance" in told.splitlines()[0]
+    for line in ("not explained", "floor", "speed error on held-out logs"):
+        assert line in told
+    assert "nan" not in told
 
 
 def run_predict(log, written, out):

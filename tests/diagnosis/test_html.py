@@ -1,5 +1,6 @@
 """The report and the numbers behind its pictures, on a diagnosis whose truth is known."""
 
+import os
 import re
 import subprocess
 import sys
@@ -9,22 +10,27 @@ from functools import cache
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dmptm_ctrl.diagnosis.decide import Decision
+import dmptm_ctrl
+from dmptm_ctrl.diagnosis.budget import Errors, Row, closed_rows
+from dmptm_ctrl.diagnosis.dual import key_of
 from dmptm_ctrl.diagnosis.html import render
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, provenance, ranking
+from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, declared_dict, provenance, ranking
+from dmptm_ctrl.diagnosis.select import Candidate, Entry, Selection
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
 from dmptm_ctrl.identify.fit import Fit, drive_unknowns, effect_unknowns, position
-from dmptm_ctrl.plots.diagnosis import plot_diagnosis, plot_evidence
+from dmptm_ctrl.plots.diagnosis import plot_budget, plot_diagnosis, plot_evidence
 from dmptm_ctrl.plots.gaps import animate_gaps, busiest, gap_motion
-from dmptm_ctrl.plots.page import number
+from dmptm_ctrl.plots.page import number, words
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop, close_loop, march, rest
 from dmptm_ctrl.simulate.model import Model
@@ -50,6 +56,18 @@ def fitted(model, unknowns):
     return Fit(model, unknowns, p, 1e-4 * np.eye(p.size))
 
 
+def candidate(name, after):
+    """A candidate beside the declared model, as the selection keeps it."""
+    trial = SimpleNamespace(name=name, fit=after)
+    return Candidate((key_of(name),), 30.0, 8.0, (trial,), "its gain would lie beyond all bounds")
+
+
+def errors_of(model, logs):
+    """The entry of a model in `error`."""
+    speed = speed_error(model, logs)
+    return {**speed, "unit": "deg/s", "speed": {**speed, "unit": "deg/s", "bandwidth_hz": 30.0}}
+
+
 @cache
 def made(verdict):
     drive = paper_drive().with_values(c=5.5, c_f=0.25)
@@ -60,7 +78,7 @@ def made(verdict):
     measured = measure(logs, drive)
     before = fitted(bare, drive_unknowns(bare))
     after = before
-    effects = ()
+    effects, entries, rows = (), [], []
     if verdict != "none":
         after = fitted(full, (*before.unknowns, *effect_unknowns("unbalance")))
         values = {"cosine": COSINE, "sine": SINE}
@@ -72,34 +90,50 @@ def made(verdict):
                 {k: {"value": v, "se": 0.1, "unit": "N·m"} for k, v in values.items()},
                 ("cable_spring",),
                 "Adding it helps.",
+                0.7,
             ),
         )
-    decision = Decision(before, after)
-    rows = ranking(decision, ("mesh_error",), {})
-    rows[0]["detectable"] = {
-        p.name: {"value": 1e300, "unit": p.unit} for p in CATALOGUE[rows[0]["name"]].parameters
+        entries = [Entry(key_of("unbalance"), 300.0, 200.0, (), None)]
+        rows = [Row("unbalance", "ring gear", 0.4, 5.0, 1.0, ("theta_L",))]
+    errors = {
+        "none": Errors(1.1, 1.1, 1.0),
+        "explained": Errors(10.0, 1.5, 1.0),
+        "unknown": Errors(10.0, 5.0, 1.0),
+    }[verdict]
+    depends_on = ("theta_L",) if verdict == "unknown" else ()
+    unknowns = (*before.unknowns, *effect_unknowns("cogging"))
+    beside = candidate("cogging", fitted(bare.with_effect("cogging", order=6.0), unknowns))
+    selection = Selection(None, None, entries, [beside], [beside])
+    table = ranking(selection, ("mesh_error",), {}, ())
+    table[0]["detectable"] = {
+        p.name: {"value": 1e300, "unit": p.unit} for p in CATALOGUE[table[0]["name"]].parameters
     }
     held = [log for log in logs if log.name in {rec.name for rec in measured.held}]
+    floor = {"rmse": 0.01, "unit": "deg/s", "bandwidth_hz": 30.0}
     return Diagnosis(
-        verdict,
-        effects,
-        rows,
-        ("theta_L",) if verdict == "unknown" else (),
-        {
+        verdict=verdict,
+        effects=effects,
+        budget=tuple(closed_rows(rows, errors, (0.02, 0.3), (0.01, 0.1), depends_on)),
+        ranking=table,
+        depends_on=depends_on,
+        error={
             "unit": "deg/s",
-            "bandwidth_hz": 30,
+            "bandwidth_hz": 30.0,
             "on": "held-out logs",
-            "before": speed_error(bare, held),
-            "after": speed_error(after.model, held),
+            "before": errors_of(bare, held),
+            "after": errors_of(after.model, held),
+            "floor": {"rmse": 0.01, "unit": "deg/s", "speed": floor},
         },
-        bare,
-        after.model,
-        measured,
-        decision,
-        (before, after),
-        after,
-        provenance(measured, logs, 3, 1.5),
-        ("clipped <b>here</b>",),
+        errors=errors,
+        declared=bare,
+        augmented=after.model,
+        measured=measured,
+        selection=selection,
+        fits=(before, after),
+        fitted=after,
+        declared_values=declared_dict(after, drive),
+        provenance=provenance(measured, logs, 3, 1.5),
+        warnings=("clipped <b>here</b>",),
     )
 
 
@@ -209,6 +243,65 @@ def test_report_repeats_the_errors(diagnosis, parsed):
         assert number(diagnosis.error[which]["rmse"]) in parsed.text
 
 
+def test_the_budget_is_told_row_by_row(diagnosis, page, parsed):
+    """In the table, with a dash where a row has no figure, and as a picture with words."""
+    section = page.split('<h2 id="budget">')[1].split("</section>")[0]
+    lines = re.findall(r"<tr><th scope=\"row\">.*?</tr>", section)
+    cells = [re.findall(r">([^<]*)</t[hd]>", line) for line in lines]
+    assert [row[0] for row in cells] == [words(row.name) for row in diagnosis.budget]
+    assert [row[4] for row in cells] == [f"{100 * row.share:.1f}" for row in diagnosis.budget]
+    assert sum(float(row[4]) for row in cells) == pytest.approx(100.0, abs=0.2)
+    assert [row[2] for row in cells[-2:]] == ["0.02", "0.01"]
+    assert cells[-2][5] == ", ".join(diagnosis.depends_on)
+    assert 'alt="Error budget:' in page.split("<nav")[0]  # on the first screen
+
+
+def test_the_budget_is_drawn_as_it_is():
+    """Bars as long as the shares, each with its name; the text stays inside the axes."""
+    diagnosis = made("unknown")
+    figure = Figure(figsize=(8.6, 2.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    panel = plot_budget(diagnosis, ax=figure.subplots())
+    figure.canvas.draw()
+    bars = [bar.get_width() for bar in panel.patches]
+    assert bars == pytest.approx([100.0 * row.share for row in diagnosis.budget])
+    labels = [label.get_text() for label in panel.get_yticklabels()]
+    assert labels == ["unbalance @ ring gear", "not explained", "floor"]
+    whole, frame = figure.bbox, panel.get_window_extent()
+    for label in panel.get_yticklabels():
+        assert whole.containsx(label.get_window_extent().x0)
+    for text in panel.texts:
+        assert frame.containsx(text.get_window_extent().x1)
+    assert "%" in panel.get_xlabel()
+
+
+def test_what_left_its_declared_range_is_on_the_first_screen():
+    diagnosis = made("none")
+    values = {**diagnosis.declared_values}
+    assert diagnosis.outside == ()
+    values["J_L"] = {**values["J_L"], "outside": True}
+    first = render(replace(diagnosis, declared_values=values)).split("<nav")[0]
+    assert "At or outside the declared range: J_L." in first
+
+
+def test_an_effect_that_hardly_matters_is_called_so():
+    diagnosis = made("explained")
+    small = replace(diagnosis.effects[0], share=0.001)
+    assert "immaterial" in render(replace(diagnosis, effects=(small,)))
+    assert "immaterial" not in rendered("explained")
+
+
+def test_the_sentence_says_what_the_budget_says(diagnosis):
+    told = diagnosis.sentence()
+    assert {
+        "none": "is near the floor",
+        "explained": "lacks unbalance: 94 % of the removable error",  # (10 − 1.5)/(10 − 1)
+        "unknown": "Found unbalance: 56 % of the removable error. The rest is unknown; it depends "
+        "on theta_L",
+    }[diagnosis.verdict] in told
+    assert "nothing is missing" not in diagnosis.summary()
+
+
 def test_same_bytes_every_time():
     assert render(made("explained")) == rendered("explained")
 
@@ -226,7 +319,9 @@ def test_the_code_rebuilds_the_model(tmp_path):
         "np.savez('made.npz', base=base, on=on, values=values, states=made['plant'].nstates,\n"
         "         outputs=made['response'].outputs)\n"
     )
-    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
+    source = str(Path(dmptm_ctrl.__file__).parents[1])
+    environment = {**os.environ, "PYTHONPATH": source}
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True, env=environment)
     found = np.load(tmp_path / "made.npz")
     for got, wanted in zip(("base", "on", "values"), diagnosis.augmented.arrays(), strict=True):
         np.testing.assert_array_equal(found[got], wanted)

@@ -25,13 +25,15 @@ def fit():
 
 
 def test_a_fitted_error_of_an_encoder_is_reported_as_fitted(fit):
-    told = sensor_effect("encoder_eccentricity", SEEN, fit).parameters
+    told = sensor_effect("encoder_eccentricity", SEEN, fit, 0.4)
+    assert told.material
+    told = told.parameters
     for name, value in FITTED.items():
         assert told[name]["value"] == pytest.approx(value, rel=1e-12)
         assert told[name]["se"] == pytest.approx(fit.value("encoder_eccentricity", name)[1])
 
 
 def test_what_no_fit_tells_is_reported_as_the_sensors_tell_it(fit):
-    told = sensor_effect("sensor_gain", SEEN, fit).parameters["error"]
+    told = sensor_effect("sensor_gain", SEEN, fit, 0.0).parameters["error"]
     assert (told["value"], told["se"]) == (0.01, 1e-3)
     assert told["value"] == fit.model.effects["sensor_gain"]["error"]

@@ -11,10 +11,11 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from scipy.signal import freqz
 
 from dmptm_ctrl import load_log
-from dmptm_ctrl.diagnosis.decide import FIRST, SECOND, adopt
+from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, key_of
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.trace import Trace, fast_gains, trace
+from dmptm_ctrl.diagnosis.select import LEVEL
+from dmptm_ctrl.diagnosis.trace import Trace, fast_gains
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.motion import motion
 from dmptm_ctrl.identify.records import Record
@@ -103,17 +104,18 @@ def test_scan_is_the_regression(cogging):
 def test_names_it_without_motor_encoders(cogging):
     left, label = cogging
     told = label["effect_parameters"]["cogging"]
-    (trial,) = trace(left, only=("cogging",))
-    assert trial.evidence > FIRST
-    after = adopt(left.measured, trial, 2)
-    values = after.base.model.effects["cogging"]
+    evidence, base = DualEvidence(left.measured), DualState(left)
+    (found,) = evidence.candidates(base, [key_of("cogging")])
+    assert found.acceptable
+    after = evidence.closed(evidence.adopt(base, found))
+    values = after.left.base.model.effects["cogging"]
     assert values["order"] == told["order"]
     side = told["location"]
     size = np.hypot(values[f"{side}_cosine"], values[f"{side}_sine"])
     assert size == pytest.approx(told["amplitude_N_m"], rel=0.3)
     # nothing else lives on what it leaves
     others = ("base_vibration", "back_emf", "torque_constant_mismatch", "drive_delay")
-    assert all(t.evidence < 0.5 * SECOND for t in trace(after, only=others))
+    assert not any(c.acceptable for c in evidence.candidates(after, list(map(key_of, others))))
 
 
 def test_logs_without_noise_or_without_calm_tell_nothing_wrong():
@@ -136,5 +138,5 @@ def test_none_where_there_is_none(nothing):
     gains = fast_gains(Trace(nothing).fast, range(1, 97))
     # of 96 chances with four degrees of freedom each, 16 is exceeded in one rig of four
     assert gains.max() < 30.0
-    (trial,) = trace(nothing, only=("cogging",))
-    assert trial.evidence < 0.5 * FIRST
+    (found,) = DualEvidence(nothing.measured).candidates(DualState(nothing), [key_of("cogging")])
+    assert found.evidence < 0.5 * LEVEL

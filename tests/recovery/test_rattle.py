@@ -1,7 +1,5 @@
 """The meshes' damping of rigs of another program is told by how strongly they rattle."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,6 @@ from dmptm_ctrl.diagnosis.rattle import (
     tie,
 )
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.runners import meshes_from
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.records import record
 from dmptm_ctrl.simulate.model import Model
@@ -96,24 +93,3 @@ def test_an_unknown_that_follows_others():
     np.testing.assert_allclose(covariance[2, 2] - follows @ covariance[rest, 2], 0.3)
     tie(covariance, 2)
     assert not covariance[2, rest].any()
-
-
-def test_damping_follows_the_gaps_that_are_found_later():
-    """Of a fit whose left gap is 15 % too wide; the run rattles alike with both pairs."""
-    rig = make_rig(904, friction="karnopp", contact="two_state", sensors="all", logs=LOGS)
-    drive = paper_drive()
-    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
-    measured = measure(logs, drive)
-    start = residual(measured, Model(drive)).base
-    right = rattled(measured.fit, start, drive, 2)
-    (j,) = (j for j, k in enumerate(start.unknowns) if k.name == "gap_l")
-    wide = 1.15 * start.model.drive["gap_l"]
-    p = start.p.copy()
-    p[j] += 0.15 * start.model.drive["gap_l"] / start.unknowns[j].scale
-    wrong = rattled(
-        measured.fit, replace(start, model=start.model.with_values(gap_l=wide), p=p), drive, 2
-    )
-    (k,) = (k for k, unknown in enumerate(start.unknowns) if unknown.name == "c")
-    true, off = right.p[k], wrong.p[k] - right.p[k]
-    assert off > 0.0  # more damping, for the wider gap
-    assert abs(meshes_from(wrong, start).p[k] - true) < 0.3 * off

@@ -6,7 +6,7 @@ out and the rest is refitted, over the removable mean square, before less floor.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
 
@@ -122,17 +122,18 @@ def closed_rows(
     depends_on : tuple of str
         Variables of what is not explained.
     """
-    whole = max(errors.before, errors.floor, 1e-300)
+    whole = max(errors.before, errors.after, errors.floor, 1e-300)
     unexplained = max(errors.after - errors.floor, 0.0) / whole
     named = max(1.0 - unexplained - errors.floor / whole, 0.0)
     total = sum(r.share for r in rows)
-    removable = errors.removable / whole
-    scale = removable if total * removable <= named else named / max(total, 1e-300)
-    done = [Row(r.name, r.location, r.speed_rms, r.torque_rms, r.share * scale, r.depends_on)
-            for r in rows]  # fmt: skip
-    shared = named - sum(r.share for r in done)
-    if len(rows) > 1 and shared > MATERIAL:
-        done.append(Row("shared", "several of these effects", None, None, shared))
+    own = min(total * errors.removable / whole, named)
+    if len(rows) == 1 or named - own <= MATERIAL:
+        own = named  # too little to be told as shared
+    done = [
+        replace(r, share=own * (r.share / total if total > 0.0 else 1.0 / len(rows))) for r in rows
+    ]
+    if rows and own < named:
+        done.append(Row("shared", "several of these effects", None, None, named - own))
     done.sort(key=lambda r: -r.share)
     done.append(Row("not explained", "", *left, unexplained, depends_on))
     done.append(Row("floor", "", *floor, errors.floor / whole))

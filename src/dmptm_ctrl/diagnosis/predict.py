@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
-from dmptm_ctrl.identify.led import SPEED
 from dmptm_ctrl.identify.records import RING_COUNT, true_angle
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
@@ -20,6 +19,7 @@ from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, OUTPUTS, march, rest
 from dmptm_ctrl.simulate.damping import damped, damping_of
 from dmptm_ctrl.simulate.model import Floats, Model
 
+SPEED = (OUTPUTS.index("omega_L"),)
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
 ORDER = 4
 RUNS = 16

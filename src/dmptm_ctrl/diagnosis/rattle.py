@@ -15,11 +15,13 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import chi2
 
+from dmptm_ctrl.diagnosis.predict import SPEED
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
 from dmptm_ctrl.identify.fit import Unknown, is_damping, position
-from dmptm_ctrl.identify.led import side_by_side
 from dmptm_ctrl.identify.records import Record, block_mean
+from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.compiled import SUBSTEPS
 from dmptm_ctrl.simulate.damping import damped, damping_of, possible
 from dmptm_ctrl.simulate.model import Floats, Model, stacked
@@ -103,12 +105,16 @@ class Rattle:
     def ratios(self, models: Sequence[Model]) -> Floats:
         """Logarithm of simulated over measured power, (len(models), logs times bands)."""
         drives = stacked([model.arrays() for model in models])
-        rows: dict[int, Floats] = {}
-        for which, runs in side_by_side(self.records, drives, self.jobs, SUBSTEPS):
-            for i, several in zip(which, runs[..., 1], strict=True):
-                rows[i] = np.array([powers(speed, self.records[i].dt).mean(1) for speed in several])
-        told = [np.log((rows[i] + self.noise) / part.mean(1)) for i, part in enumerate(self.seen)]
-        return np.concatenate(told, axis=1)
+
+        def told(task: tuple[Record, Floats]) -> Floats:
+            rec, seen = task
+            runs = march_any(drives, rec.u, rec.x0, rec.dt, substeps=SUBSTEPS, columns=SPEED)
+            rows = np.array([powers(run[:, 0], rec.dt).mean(1) for run in runs])
+            return np.asarray(np.log((rows + self.noise) / seen.mean(1)))
+
+        pairs = list(zip(self.records, self.seen, strict=True))
+        done = in_threads(told, pairs, self.jobs, lambda task: task[0].omega.size)
+        return np.concatenate(done, axis=1)
 
     def damping(self, model: Model) -> tuple[float, float]:
         """Return the meshes' damping, as `damping_of`, and its relative standard deviation."""

@@ -7,7 +7,6 @@ effects, scaled by their `step`.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -17,20 +16,15 @@ from dmptm_ctrl.identify.records import Record, difference, predict, settled
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.compiled import BODIES, observer_gains
-from dmptm_ctrl.simulate.compose import layout
 from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, OF_FLANKS, by_depth, damped, damping_of
-from dmptm_ctrl.simulate.model import BASE, Floats, Model, Stacked, stacked
+from dmptm_ctrl.simulate.model import Floats, Model, stacked
 
 CORRELATION_SECONDS = 0.1  # how long a model error lasts: samples closer than this are not news
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
 # Standard deviation of an amplitude, as a share of its bound: where logs tell only the sum of
 # two (both motors' cogging without motor encoders), neither runs away.
 AMPLITUDE_SHARE = 0.3
-# Difference steps, in half-ranges, taken in turn: beyond the roughness of contact events, and
-# never the same twice, so that no event spoils a column for good.
-PROBES = (0.3, 0.15)
 AT_ONCE = 16  # models of one call
-DAMPINGS = (0.0, 1.0, 5.0, 30.0)  # of a step, relative to the diagonal; all are tried
 PERTURBATION = 0.01  # relative; well inside what is known of stiffness and damping
 BEND = 4.0  # standard deviations beyond which a speed residual counts by its logarithm only
 CAP = (
@@ -120,56 +114,6 @@ def place(model: Model, unknowns: Sequence[Unknown], p: Floats) -> Model:
         else:
             effects.setdefault(unknown.effect, {})[unknown.name] = value
     return Model(model.drive.with_values(**drive), effects)
-
-
-class Drives:
-    """Numbers of many drives that differ in some unknowns; no model is made of each.
-
-    Parameters
-    ----------
-    model : Model
-    unknowns : sequence of Unknown
-    """
-
-    def __init__(self, model: Model, unknowns: Sequence[Unknown]) -> None:
-        self._all = place(model, unknowns, position(model, unknowns)).arrays()
-        self._centre = np.array([k.centre for k in unknowns])
-        self._scale = np.array([k.scale for k in unknowns])
-        slots = layout()
-        own = [(j, k) for j, k in enumerate(unknowns) if k.effect is None]
-        others = [(j, k.effect, k.name) for j, k in enumerate(unknowns) if k.effect is not None]
-        self._bases = [j for j, _ in own], [BASE.index(k.name) for _, k in own]
-        self._values = (
-            [j for j, _, _ in others],
-            [slots[effect][1] + _place_in(effect, name) for _, effect, name in others],
-        )
-        self._switched = [
-            (slots[e][0], [slots[e][1] + _place_in(e, a) for a in CATALOGUE[e].amplitudes])
-            for e in dict.fromkeys(effect for _, effect, _ in others)
-        ]
-
-    def __call__(self, several: Sequence[Floats]) -> Stacked:
-        """Return ``place(model, unknowns, p).arrays()`` of several `p`."""
-        numbers = self._centre + np.asarray(several) * self._scale
-        count = len(several)
-        bases, flags, rows = (np.empty((count, x.size), x.dtype) for x in self._all)
-        bases[:], flags[:], rows[:] = self._all
-        for table, (which, columns) in ((bases, self._bases), (rows, self._values)):
-            if columns:
-                table[:, columns] = numbers[:, which]
-        for index, amplitudes in self._switched:
-            flags[:, index] = np.any(rows[:, amplitudes] != 0.0, axis=1)
-        return Stacked(bases, flags, rows)
-
-
-def arrays_at(model: Model, unknowns: Sequence[Unknown], several: Sequence[Floats]) -> Stacked:
-    """Return ``place(model, unknowns, p).arrays()`` of several `p`."""
-    return Drives(model, unknowns)(several)
-
-
-def _place_in(effect: str, parameter: str) -> int:
-    """Place of a parameter among its effect's."""
-    return [p.name for p in CATALOGUE[effect].parameters].index(parameter)
 
 
 def position(model: Model, unknowns: Sequence[Unknown]) -> Floats:
@@ -318,34 +262,15 @@ class Misfit:
         """Share of a block's square that counts as independent."""
         return min(1.0, rec.block * rec.dt / CORRELATION_SECONDS)
 
-    def columns(
-        self, model: Model, unknowns: Sequence[Unknown], r0: Floats, probe: float = PROBES[0]
-    ) -> Floats:
-        """Return d(−r)/dp by differences away from the bounds, (m, len(unknowns))."""
-        if not unknowns:
-            return np.empty((r0.size, 0))
-        p0 = position(model, unknowns)
-        steps = np.array([probe if unknown.effect is None else 1.0 for unknown in unknowns])
-        steps *= np.where(p0 + steps > [unknown.high for unknown in unknowns], -1.0, 1.0)
-        moved = [place(model, unknowns, p) for p in p0 + np.diag(steps)]
-        return np.asarray((r0 - self.vectors(moved)) / steps[:, None]).T
-
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted model with what is needed to judge it.
-
-    Attributes
-    ----------
-    horizon : float
-        Seconds over which it keeps step with the logs bounce by bounce; 0 if none, or not tried.
-    """
+    """A fitted model with what is needed to judge it."""
 
     model: Model
     unknowns: tuple[Unknown, ...]
     p: Floats
     covariance: Floats
-    horizon: float = 0.0
 
     def value(self, effect: str | None, name: str) -> tuple[float, float]:
         """Return value and standard error of one unknown, in its own unit."""
@@ -367,135 +292,16 @@ class Fit:
         )
 
 
-class Known(NamedTuple):
-    """What is known of the unknowns beforehand: a normal distribution."""
-
-    mean: Floats
-    precision: Floats
-
-    def cost(self, p: Floats) -> float:
-        """Return (p − mean)ᵀ precision (p − mean)."""
-        return float((p - self.mean) @ self.precision @ (p - self.mean))
-
-    def costs(self, several: Sequence[Floats]) -> Floats:
-        """The same of several `p`."""
-        off = np.array(several) - self.mean
-        return np.asarray(np.sum(off @ self.precision * off, axis=1))
-
-
-def declared(unknowns: Sequence[Unknown]) -> Known:
-    """Return what the declaration says: independent, about the middle of each range."""
-    s = np.array([k.prior for k in unknowns])
-    return Known(np.zeros(s.size), np.diag(np.where(np.isfinite(s), 1.0 / s**2, 0.0)))
-
-
 def bounded_step(
-    r: Floats,
-    jac: Floats,
-    p: Floats,
-    unknowns: Sequence[Unknown],
-    damping: float,
-    known: Known | None = None,
+    r: Floats, jac: Floats, p: Floats, unknowns: Sequence[Unknown], damping: float
 ) -> Floats:
-    """Return the bounded step δ of min ‖r − J δ‖² + known.cost(p + δ) + damping ‖δ‖²_diag."""
-    mean, precision = known or declared(unknowns)
+    """Return the bounded step δ of min ‖r − J δ‖² + ‖(p + δ)/prior‖² + damping ‖δ‖²_diag."""
+    precision = np.diag([1.0 / k.prior**2 for k in unknowns])
     # A weak pull keeps effects' parameters that the data say nothing about where they are.
     normal = jac.T @ jac + precision + 1e-6 * np.eye(p.size)
     normal += damping * np.diag(np.diag(normal))
     root = np.linalg.cholesky(normal).T
-    target = np.linalg.solve(root.T, jac.T @ r - precision @ (p - mean))
+    target = np.linalg.solve(root.T, jac.T @ r - precision @ p)
     low = np.minimum(np.array([k.low for k in unknowns]) - p, -1e-12)
     high = np.maximum(np.array([k.high for k in unknowns]) - p, 1e-12)
     return np.asarray(lsq_linear(root, target, (low, high), method="bvls").x)
-
-
-class Step(NamedTuple):
-    """An iterate of the fit."""
-
-    cost: float
-    p: Floats
-    model: Model
-    r: Floats
-
-
-def best_step(
-    misfit: Misfit,
-    model: Model,
-    unknowns: Sequence[Unknown],
-    p: Floats,
-    r: Floats,
-    jac: Floats,
-    cost: float,
-    known: Known,
-) -> Step:
-    """Try steps of all dampings; return the best, or where it is if none is better."""
-    low, high = [k.low for k in unknowns], [k.high for k in unknowns]
-
-    steps = in_threads(
-        lambda damping: bounded_step(r, jac, p, unknowns, damping, known), DAMPINGS, misfit.jobs
-    )
-    trials = [np.clip(p + step, low, high) for step in steps]
-    models = [place(model, unknowns, trial) for trial in trials]
-    missed = misfit.vectors(models)
-    costs = np.sum(missed**2, axis=1) + known.costs(trials)
-    tried = [Step(float(x), *rest) for x, *rest in zip(costs, trials, models, missed, strict=True)]
-    return min([Step(cost, p, model, r), *tried], key=lambda s: s.cost)
-
-
-def fit(
-    misfit: Misfit,
-    model: Model,
-    unknowns: Sequence[Unknown],
-    *,
-    iterations: int = 4,
-    tolerance: float = 1e-3,
-    known: Known | None = None,
-) -> Fit:
-    """Fit unknowns to records, from the values that `model` has.
-
-    Parameters
-    ----------
-    tolerance : float
-        Relative fall of the cost below which an iteration counts as stalled: columns are
-        taken anew, and the fit ends when those of each difference step have stalled.
-    known : Known, optional
-        What is known beforehand; by default the declared ranges.
-
-    Returns
-    -------
-    Fit
-    """
-    unknowns = tuple(unknowns)
-    known = known or declared(unknowns)
-    p = position(model, unknowns)
-    p = np.clip(p, [k.low for k in unknowns], [k.high for k in unknowns])
-    model = place(model, unknowns, p)
-    if misfit.weights is None:
-        misfit.weigh(model)
-    r = misfit.vector(model)
-    cost = float(r @ r) + known.cost(p)
-    jac: Floats | None = None
-    probe, fresh, stalled = 0, False, 0
-    for _ in range(iterations):
-        if jac is None:
-            jac = misfit.columns(model, unknowns, r, PROBES[probe % len(PROBES)])
-            probe, fresh = probe + 1, True
-        best = best_step(misfit, model, unknowns, p, r, jac, cost, known)
-        gain = cost - best.cost
-        if gain > 0.0:
-            change = best.p - p
-            update = (r - best.r - jac @ change) / float(change @ change)
-            jac = jac + np.outer(update, change)  # Broyden: columns follow for free
-            p, r, cost, model = best.p, best.r, best.cost, best.model
-        if gain < tolerance * cost:
-            stalled = stalled + 1 if fresh else stalled
-            if stalled == len(PROBES):
-                break
-            jac = None
-        else:
-            stalled = 0
-        fresh = False
-    if jac is None:
-        jac = misfit.columns(model, unknowns, r)
-    precision = jac.T @ jac + known.precision + 1e-9 * np.eye(p.size)
-    return Fit(model, unknowns, p, np.asarray(np.linalg.inv(precision), np.float64))

@@ -35,9 +35,6 @@ class Record:
         State at rest at the first reading.
     block : int
         Samples per block mean.
-    led : int
-        First samples, over which the simulated run is led by the measured angle; they are not
-        compared.
     """
 
     name: str
@@ -49,7 +46,6 @@ class Record:
     x0: Floats
     block: int
     time: Floats
-    led: int = 0
 
     @property
     def channels(self) -> tuple[str, ...]:

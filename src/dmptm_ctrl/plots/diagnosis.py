@@ -25,8 +25,6 @@ DIRECTIONS: dict[str, dict[str, Any]] = {  # filled against hollow: told apart i
         "markerfacecolor": "white",
     },
 }
-
-
 BUDGET: dict[str, dict[str, Any]] = {
     "": {"color": "#0b3c6f"},
     "shared": {"color": "#8fb0d3", "hatch": "///"},
@@ -180,6 +178,7 @@ def plot_budget(diagnosis: Any, *, ax: Any = None) -> Axes:
     most = max((100.0 * r.share for r in rows), default=100.0)
     panel.set(xlim=(0.0, 1.15 * max(most, 1.0)), xlabel="share of the mean square error [%]")
     panel.grid(axis="x", alpha=0.3)
+    panel.set_axisbelow(True)
     return panel
 
 

@@ -1,0 +1,126 @@
+"""The error budget adds up, and the verdict follows from it."""
+
+import numpy as np
+import pytest
+
+from dmptm_ctrl.diagnosis.budget import (
+    EXPLAINED,
+    MATERIAL,
+    NONE,
+    Errors,
+    Row,
+    closed_rows,
+    table_lines,
+    verdict_of,
+)
+
+SPEED, TORQUE = (0.2, 0.1), (3.0, 1.0)  # deg/s and N·m: not explained, floor
+
+
+def row(name, share, torque=1.0):
+    return Row(name, "ring gear", 0.5, torque, share, ("theta_L",))
+
+
+def closed(rows, errors):
+    left, floor = zip(SPEED, TORQUE, strict=True)
+    return closed_rows(rows, errors, left, floor, ("u",))
+
+
+def share_of(rows, name):
+    (found,) = (r.share for r in rows if r.name == name)
+    return found
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_shares_add_up_to_one(seed):
+    """Whatever the errors are, and however much the effects overlap or hide each other."""
+    rng = np.random.default_rng(seed)
+    before, after, floor = rng.uniform(0.0, 4.0, 3)
+    shares = rng.uniform(0.0, 1.5, seed % 5) * (seed % 3)
+    errors = Errors(max(before, after) if shares.size else after, after, min(floor, after))
+    rows = closed([row(f"e{i}", s) for i, s in enumerate(shares)], errors)
+    assert sum(r.share for r in rows) == pytest.approx(1.0, abs=1e-12)
+    assert all(0.0 <= r.share <= 1.0 for r in rows)
+    assert [r.name for r in rows[-2:]] == ["not explained", "floor"]
+    effects = [r.share for r in rows[:-2]]
+    assert effects == sorted(effects, reverse=True)
+
+
+def test_an_effect_alone_takes_all_that_its_model_takes():
+    """Mean squares 10 → 4 with a floor of 1: 60 % named, 30 % not explained, 10 % floor."""
+    rows = closed([row("cogging", 0.3)], Errors(10.0, 4.0, 1.0))
+    assert [r.share for r in rows] == pytest.approx([0.6, 0.3, 0.1])
+    assert (rows[1].speed_rms, rows[1].torque_rms) == (SPEED[0], TORQUE[0])
+    assert (rows[2].speed_rms, rows[2].torque_rms) == (SPEED[1], TORQUE[1])
+    assert rows[1].depends_on == ("u",)
+
+
+def test_effects_that_hide_each_other_share_the_rest():
+    """Left out one by one they cost 20 and 10 % of what is removable, together all of it."""
+    rows = closed([row("a", 0.1), row("b", 0.2)], Errors(11.0, 1.0, 1.0))
+    whole = 10.0 / 11.0
+    assert share_of(rows, "b") == pytest.approx(0.2 * whole)
+    assert share_of(rows, "a") == pytest.approx(0.1 * whole)
+    assert share_of(rows, "shared") == pytest.approx(0.7 * whole)
+
+
+def test_effects_that_overlap_are_scaled_alike():
+    """Each of them alone takes most of the same."""
+    rows = closed([row("a", 0.9), row("b", 0.6)], Errors(11.0, 1.0, 1.0))
+    assert {r.name for r in rows} == {"a", "b", "not explained", "floor"}
+    assert share_of(rows, "a") == pytest.approx(1.5 * share_of(rows, "b"))
+
+
+def test_without_effects_the_error_is_unexplained_or_floor():
+    rows = closed([], Errors(4.0, 4.0, 1.0))
+    assert [(r.name, r.share) for r in rows] == [("not explained", 0.75), ("floor", 0.25)]
+
+
+@pytest.mark.parametrize("worse", [0.0, 1e-300])
+def test_logs_without_any_error(worse):
+    rows = closed([], Errors(worse, worse, worse))
+    assert all(np.isfinite(r.share) for r in rows)
+
+
+def test_a_model_that_got_worse_explains_nothing():
+    errors = Errors(1.0, 2.0, 0.5)
+    assert errors.explained == 0.0
+    rows = closed([row("a", 0.5)], errors)
+    assert share_of(rows, "a") == 0.0
+    assert share_of(rows, "not explained") == pytest.approx(0.75)
+
+
+def test_none_only_near_the_floor():
+    """1.5 times the floor as root mean square is 2.25 times as mean square."""
+    near, far = Errors(NONE**2 * 0.999, 1.0, 1.0), Errors(NONE**2 * 1.001, 1.0, 1.0)
+    assert verdict_of(near, False, False) == "none"
+    assert verdict_of(near, False, True) == "unknown"  # a curve is needed
+    assert verdict_of(far, False, False) == "unknown"  # small effects do not explain it
+
+
+def test_explained_from_four_fifths():
+    """Removable is 10 − 1."""
+    enough, little = (Errors(10.0, 10.0 - 9.0 * (EXPLAINED + x), 1.0) for x in (0.001, -0.001))
+    assert enough.explained == pytest.approx(EXPLAINED + 0.001)
+    assert verdict_of(enough, True, False) == "explained"
+    assert verdict_of(enough, False, False) == "unknown"
+    assert verdict_of(little, True, True) == "unknown"
+
+
+def test_entries_are_plain():
+    told = row("cogging", 0.3, None).to_dict()
+    assert told == {
+        "name": "cogging", "location": "ring gear", "speed_rms": 0.5, "torque_rms": None,
+        "share": 0.3, "depends_on": ["theta_L"],
+    }  # fmt: skip
+
+
+def test_lines_of_text():
+    rows = closed([row("drive_offset", 1.0, None)], Errors(10.0, 1.0, 1.0))
+    lines = table_lines(rows, ("deg/s", "N·m"))
+    assert len(lines) == len(rows)
+    assert "drive offset @ ring gear" in lines[0]
+    assert "90.0 %" in lines[0]
+    assert "–" in lines[0]  # it does not act on the torque
+    assert "deg/s" not in table_lines(rows, ("", "N·m"))[0]
+    assert MATERIAL < EXPLAINED < 1.0 < NONE

@@ -1,0 +1,236 @@
+"""The selection on linear evidence with known noise, where every step can be told by hand."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import pytest
+
+from dmptm_ctrl.diagnosis.select import (
+    LEVEL,
+    SLACK,
+    TEMPERATURE,
+    Candidate,
+    Entry,
+    Selection,
+    compared,
+    explained,
+    select_effects,
+)
+
+ROWS, HELD = 400, 200
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Least squares of some columns on the fitted rows."""
+
+    data: "Linear"
+    keys: tuple[str, ...] = ()
+
+    @cached_property
+    def basis(self):
+        return np.column_stack([np.ones(ROWS), *(self.data.x[k] for k in self.keys)])
+
+    @cached_property
+    def values(self):
+        return np.linalg.lstsq(self.basis, self.data.y, rcond=None)[0]
+
+    @property
+    def target(self):
+        return self.data.y - self.basis @ self.values
+
+    @property
+    def squares(self):
+        """−2 log-likelihood of unit noise, on the fitted and the held-out rows."""
+        there = np.column_stack([np.ones(HELD), *(self.data.held_x[k] for k in self.keys)])
+        missed = self.data.held_y - there @ self.values
+        return float(self.target @ self.target), float(missed @ missed)
+
+    def project(self, columns):
+        return columns - self.basis @ np.linalg.lstsq(self.basis, columns, rcond=None)[0]
+
+
+class Linear:
+    """Evidence of columns beside a constant; objections by name."""
+
+    def __init__(self, x, y, held_x, held_y, objections=()):
+        self.x, self.y, self.held_x, self.held_y = x, y, held_x, held_y
+        self.objections = dict(objections)
+
+    def candidate(self, state, keys):
+        there = Model(self, (*state.keys, *keys))
+        said = next((self.objections[k] for k in keys if k in self.objections), "")
+        return Candidate(tuple(keys), *self.gains(state, there), there, said)
+
+    def candidates(self, state, only=None):
+        names = self.x if only is None else only
+        return [self.candidate(state, (k,)) for k in names if k not in state.keys]
+
+    def gains(self, smaller, larger):
+        pairs = zip(smaller.squares, larger.squares, strict=True)
+        return tuple(a - b for a, b in pairs)
+
+    def ratio(self, state):
+        return ROWS / HELD
+
+    def columns(self, state, candidate):
+        return state.project(np.column_stack([self.x[k] for k in candidate.keys]))
+
+    def together(self, state, candidates):
+        return self.candidate(state, [k for c in candidates for k in c.keys])
+
+    def adopt(self, state, candidate):
+        return Model(self, (*state.keys, *candidate.keys))
+
+    def closed(self, state):
+        return state
+
+    def without(self, state, key):
+        return Model(self, tuple(k for k in state.keys if k != key))
+
+    def wald(self, state, key):
+        j = 1 + state.keys.index(key)
+        covariance = np.linalg.inv(state.basis.T @ state.basis)
+        return float(state.values[j] ** 2 / covariance[j, j])
+
+    def share(self, without, state, key):
+        j = 1 + state.keys.index(key)
+        return without.project(state.basis[:, j] * state.values[j])
+
+
+def drawn(seed, made, true, *, names=10, flip=1.0, objections=()):
+    """Linear evidence: independent columns, some `made` of others, and noise of one.
+
+    `true` maps a name to its value; on the held-out rows it is `flip` times that.
+    """
+    rng = np.random.default_rng(seed)
+    parts = []
+    for rows, sign in ((ROWS, 1.0), (HELD, flip)):
+        x = {f"x{i}": rng.standard_normal(rows) for i in range(names)}
+        x |= {key: recipe(x, rng.standard_normal(rows)) for key, recipe in made.items()}
+        y = sign * sum((v * x[k] for k, v in true.items()), np.zeros(rows))
+        parts += [x, y + rng.standard_normal(rows)]
+    return Linear(*parts, objections)
+
+
+def selected(data):
+    return select_effects(data, Model(data))
+
+
+def keys(selection):
+    return {entry.key for entry in selection.entries}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_effect(seed):
+    data = drawn(seed, {}, {"x3": 0.6})
+    found = selected(data)
+    assert keys(found) == set(found.final.keys) == {"x3"}
+    (entry,) = found.entries
+    # the fall of the squares by simple regression: n r² var y
+    own = data.x["x3"] - data.x["x3"].mean()
+    told = float(own @ data.y) ** 2 / float(own @ own)
+    assert entry.gain == pytest.approx(told, rel=1e-9)
+    assert entry.probability > 0.99
+    assert len(found.first) == len(data.x)
+    assert "x3" not in {c.keys[0] for c in found.rest}
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_null_stays_null(seed):
+    found = selected(drawn(seed, {}, {}, names=30))
+    assert found.entries == []
+    assert found.final is found.base
+    assert found.path == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_effects_that_hide_each_other_are_found_as_a_pair(seed):
+    """x1 and its near twin, in opposite directions: alone each is worth a hundredth."""
+    data = drawn(seed, {"twin": lambda x, e: x["x1"] + 0.1 * e}, {"x1": 8.0, "twin": -8.0})
+    alone = [c for c in data.candidates(Model(data)) if c.keys[0] in ("x1", "twin")]
+    assert not any(c.acceptable for c in alone)
+    found = selected(data)
+    assert keys(found) == {"x1", "twin"}
+    assert found.path[0].startswith("+ ")
+    assert "x1" in found.path[0]
+    assert "twin" in found.path[0]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_later_effects_make_superfluous_is_deleted(seed):
+    """A mixture of both true ones explains most at first, and nothing in the end."""
+    mixture = {"both": lambda x, e: x["x1"] + x["x2"] + 0.7 * e}
+    found = selected(drawn(seed, mixture, {"x1": 2.0, "x2": 2.0}))
+    assert "both" in found.path[0]
+    assert keys(found) == {"x1", "x2"}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_rival_that_fits_better_takes_the_place(seed):
+    data = drawn(seed, {"like": lambda x, e: x["x1"] + 0.3 * e}, {"x1": 1.0})
+    base, begun = Model(data), Model(data, ("like",))
+    before = Selection(base, base, first=data.candidates(base))
+    steps = []
+    found = compared(data, before, begun, steps.append)
+    assert keys(found) == {"x1"}
+    assert any("like → x1" in step for step in steps)
+    (entry,) = found.entries
+    assert entry.rivals[0].keys == ("like",)
+    assert entry.evidence > entry.rivals[0].evidence
+
+
+def test_what_held_out_logs_contradict_is_not_accepted():
+    """As strong as can be on the fitted logs, of the other sign on the held-out ones."""
+    data = drawn(1, {}, {"x3": 1.0}, flip=-0.5)
+    (of_it,) = data.candidates(Model(data), ["x3"])
+    assert of_it.gain > 4.0 * LEVEL
+    assert of_it.held_gain < -SLACK
+    assert selected(data).entries == []
+
+
+def test_what_is_impossible_is_not_accepted():
+    data = drawn(1, {}, {"x3": 1.0}, objections={"x3": "it would lie beyond what is possible"})
+    found = selected(data)
+    assert found.entries == []
+    assert found.rest[0].keys == ("x3",)
+    assert found.rest[0].evidence > LEVEL
+
+
+def entry(evidence, *rivals, objection=""):
+    others = tuple(Candidate((f"r{i}",), r, 0.0, None, objection) for i, r in enumerate(rivals))
+    return Entry("own", evidence, 0.0, others, None)
+
+
+@pytest.mark.parametrize("evidence", [-1e9, 0.0, LEVEL, 1e3, 1e9])
+@pytest.mark.parametrize("rival", [-1e9, 0.0, LEVEL, 1e3, 1e9])
+def test_probability_is_between_none_and_one(evidence, rival):
+    found = entry(evidence, rival).probability
+    assert 0.0 <= found <= 1.0
+    assert found >= entry(evidence - 1.0, rival).probability
+
+
+def test_probability_against_its_closed_form():
+    """Odds are exp of the difference over the temperature; against chance, and each rival."""
+    odds = 3.0
+    alone = LEVEL + TEMPERATURE * np.log(odds)
+    assert entry(alone).probability == pytest.approx(odds / (1.0 + odds))
+    assert entry(500.0, 500.0).probability == pytest.approx(0.5)
+    assert entry(500.0, 500.0, 500.0).probability == pytest.approx(1.0 / 3.0)
+    assert entry(500.0, 500.0, objection="impossible").probability == pytest.approx(1.0)
+
+
+def test_confusable_are_those_that_come_near():
+    near, far = 500.0 - 3.0 * TEMPERATURE, 500.0 - 5.0 * TEMPERATURE
+    assert entry(500.0, near, far).confusable_with == ("r0",)
+
+
+def test_explained_is_the_projection():
+    rng = np.random.default_rng(4)
+    columns, target = rng.standard_normal((50, 3)), rng.standard_normal(50)
+    fitted = columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+    assert explained(target, columns) == pytest.approx(float(fitted @ fitted))
+    # what says the same twice, or nothing, explains no more
+    again = np.column_stack([columns, columns[:, 0], np.zeros(50), columns @ [1.0, 2.0, 3.0]])
+    assert explained(target, again) == pytest.approx(explained(target, columns), rel=1e-6)

@@ -9,12 +9,12 @@ rigs are for `benchmarks/campaign.py`.
 import sys
 
 import pytest
-
-from dmptm_ctrl import diagnose, load_log
-from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.augment import augment
 from dmptm_ctrl.diagnosis.decide import FIRST, SECOND, decide
 from dmptm_ctrl.diagnosis.free_runs import keeps_step, of_little
+
+from dmptm_ctrl import diagnose, load_log
+from dmptm_ctrl.diagnosis import at_rest
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.drive import paper_drive

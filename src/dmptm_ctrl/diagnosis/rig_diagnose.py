@@ -6,7 +6,7 @@ from dataclasses import replace
 from os import PathLike
 
 from dmptm_ctrl.diagnosis.rig_curves import accepted, better_without_names, curves, predicted
-from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, RigState
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, RigState, without_negligible
 from dmptm_ctrl.diagnosis.rig_report import RigDiagnosis, report_of
 from dmptm_ctrl.diagnosis.rig_screen import (
     other_scale,
@@ -94,7 +94,7 @@ def diagnose_rig(
         names = [m.name for m in balance.motions]
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
         as_read = _as_read(declared, whole, base, jobs)
-    selection = select_effects(evidence, base, say)
+    selection = without_negligible(evidence, select_effects(evidence, base, say))
     say("looking for curves in what is left")
     found = curves(selection.final)
     if selection.entries and (plain := better_without_names(selection)):

@@ -8,10 +8,11 @@ from math import isfinite, pi
 import numpy as np
 from scipy.signal import csd, welch
 
-from dmptm_ctrl.diagnosis.rig_candidates import trials, unit_columns
+from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE
+from dmptm_ctrl.diagnosis.rig_candidates import MAX_ORDER, SPOT_BINS, trials, unit_columns
 from dmptm_ctrl.diagnosis.rig_curves import curve_columns, variables_of
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
-from dmptm_ctrl.diagnosis.select import Candidate, Floats, ranked
+from dmptm_ctrl.diagnosis.select import Candidate, Floats, Selection, ranked
 from dmptm_ctrl.identify.chain_fit import (
     ChainFit,
     Likelihood,
@@ -71,11 +72,6 @@ class RigState:
     def held_left(self) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
         """Residual and drive on the held-out logs."""
         return residuals(self.held_state, self.held)
-
-    @cached_property
-    def held_loss(self) -> float:
-        """−2 log-likelihood of the held-out logs."""
-        return Likelihood(self.held, self.fit.likelihood.news).surprise(self.held_left[0])
 
     @cached_property
     def tangent(self) -> Tangent:
@@ -156,7 +152,7 @@ class RigEvidence:
         try:
             left, drive = residuals(there, self.logs)
         except (ValueError, ArithmeticError):
-            return Candidate((trial.key,), -np.inf, 0.0, ((trial,), there))
+            return Candidate((trial.key,), -np.inf, 0.0, ((trial,), fit), "cannot be simulated")
         loss = total_loss(there, fit.frees, left, fit.likelihood)
         rough = replace(fit, state=there, left=left, drive=drive, loss=loss)
         return self._candidate(state, (trial,), rough, look=False)
@@ -172,24 +168,52 @@ class RigEvidence:
             )  # fmt: skip
         except (ValueError, ArithmeticError) as error:
             keys = tuple(t.key for t in group)
-            return Candidate(keys, 0.0, 0.0, (group, there), f"cannot be simulated: {error}")
+            return Candidate(
+                keys, 0.0, 0.0, (tuple(group), state.fit), f"cannot be simulated: {error}"
+            )
         return self._candidate(state, tuple(group), fit)
 
     def _candidate(
         self, state: RigState, group: tuple[Trial, ...], fit: ChainFit, *, look: bool = True
     ) -> Candidate:
         keys = tuple(t.key for t in group)
-        after = RigState(fit, self.held, (*state.keys, *keys))
-        try:
-            held = state.held_loss - after.held_loss
-        except (ValueError, ArithmeticError):
-            held = -np.inf
-        gain = state.loss - fit.loss
-        if not isfinite(gain) or not isfinite(held):
-            gain, held = -np.inf, 0.0
         found = (objection(key, fit, state.fit) for key in keys)
         why = next(filter(None, found), "") if look else ""
-        return Candidate(keys, gain, held, (group, fit.state), why)
+        one = Candidate(keys, -np.inf, 0.0, (group, fit), why)
+        try:
+            gain, held = self.gains(state, self.beside(state, one))
+        except (ValueError, ArithmeticError):
+            return one
+        return replace(one, gain=gain, held_gain=held) if isfinite(gain + held) else one
+
+    def beside(self, state: RigState, candidate: Candidate) -> RigState:
+        """Return the model with a candidate, as it was fitted."""
+        return RigState(candidate.fitted[1], self.held, (*state.keys, *candidate.keys))
+
+    def gains(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
+        """Fall of −2 log-likelihood on the fitted and on the held-out logs.
+
+        On the fitted logs less what searches for the best shapes find anyway.
+        """
+        likelihood = larger.fit.likelihood
+        fitted = total_loss(smaller.fit.state, smaller.fit.frees, smaller.fit.left, likelihood)
+        more = sum(map(self._searched, larger.keys)) - sum(map(self._searched, smaller.keys))
+        held = Likelihood(self.held, likelihood.news)
+        fall = held.surprise(smaller.held_left[0]) - held.surprise(larger.held_left[0])
+        return fitted - larger.loss - more, fall
+
+    def _searched(self, key: str) -> float:
+        """Evidence that the best of all starts finds where there is none: 2 log of their number."""
+        name = key.partition("@")[0]
+        seconds = max(float(m.time[-1]) for m in self.logs.motions)
+        starts = {"cogging": MAX_ORDER, "local_spot": SPOT_BINS,
+                  "base_vibration": max(int(seconds * self.logs.bandwidth), 1)}  # fmt: skip
+        return 2.0 * float(np.log(starts.get(name, 1)))
+
+    def ratio(self, state: RigState) -> float:
+        """Rows of the fitted logs over those of the held-out ones."""
+        fitted, held = (sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held))
+        return fitted / max(held, 1)
 
     def columns(self, state: RigState, candidate: Candidate) -> Floats:
         """Weighted change of the residual per amplitude, projected, (m, k)."""
@@ -202,7 +226,7 @@ class RigEvidence:
 
     def adopt(self, state: RigState, candidate: Candidate) -> RigState:
         """Put a candidate into the model and fit to the end."""
-        found, news = candidate.fitted[1], state.fit.likelihood.news
+        found, news = candidate.fitted[1].state, state.fit.likelihood.news
         fit = fit_chain(found, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
         return RigState(fit, self.held, (*state.keys, *candidate.keys))
 
@@ -243,6 +267,33 @@ class RigEvidence:
         bare, _ = residuals(State(state.fit.model.without(gone), state.fit.state.logs), self.logs)
         change = [b - e for b, e in zip(bare, state.fit.left, strict=True)]
         return without.tangent.project(without.tangent.stack(change))
+
+
+def without_negligible(evidence: RigEvidence, selection: Selection) -> Selection:
+    """Take out effects that hardly change what is left, as a nearly right law imitates them."""
+    kept = []
+    for entry in selection.entries:
+        if rise(entry.without, selection.final) >= NEGLIGIBLE:
+            kept.append(entry)
+        else:
+            selection.final = evidence.without(selection.final, entry.key)
+            selection.path.append(f"- {entry.key}: negligible")
+    selection.entries = kept
+    return selection
+
+
+def rise(without: RigState, final: RigState) -> float:
+    """Share by which what is left of all balances rises without an effect."""
+    likelihood, held = final.fit.likelihood, Likelihood(final.held, final.fit.likelihood.news)
+    squares = [
+        sum(
+            float(p @ p) / scale**2
+            for side, left in ((likelihood, one.fit.left), (held, one.held_left[0]))
+            for p, scale in zip(side.parts(left), likelihood.scales(final.fit.left), strict=True)
+        )
+        for one in (without, final)
+    ]
+    return squares[0] / max(squares[1], 1e-300) - 1.0
 
 
 def independent(state: RigState) -> Floats:

@@ -236,7 +236,7 @@ KINDS = ("log_info", "predict_log", "predict_model", "predict_chain_model", "rig
 
 def axis_model_text(axis):
     """Model file of the bundled linear axis, as declared."""
-    from dmptm_ctrl.diagnosis.ladder_files import chain_to_toml
+    from dmptm_ctrl.diagnosis.rig_files import chain_to_toml
     from dmptm_ctrl.drive.rigfile import load_rig
     from dmptm_ctrl.simulate.chain import declared_effects
     from dmptm_ctrl.simulate.chain_model import ChainModel

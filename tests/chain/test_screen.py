@@ -6,7 +6,7 @@ import pytest
 from tests.chain.truth import Bench, Machine
 
 from dmptm_ctrl.cli import main
-from dmptm_ctrl.diagnosis.ladder_screen import (
+from dmptm_ctrl.diagnosis.rig_screen import (
     other_scale,
     refuse_no_gain,
     refuse_reversed,

@@ -10,7 +10,7 @@ from tests.export.test_plant import RIG, TIME, VOLTS, rig_model
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.design.controller import Controller, Notch
-from dmptm_ctrl.diagnosis.ladder_files import chain_to_toml
+from dmptm_ctrl.diagnosis.rig_files import chain_to_toml
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml

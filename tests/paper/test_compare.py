@@ -6,7 +6,7 @@ import pytest
 
 from dmptm_ctrl import data
 from dmptm_ctrl.cli import main
-from dmptm_ctrl.diagnosis.ladder_files import chain_to_toml
+from dmptm_ctrl.diagnosis.rig_files import chain_to_toml
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.reproduce.compare import linear_models
 from dmptm_ctrl.signals import LogError

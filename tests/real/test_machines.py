@@ -8,7 +8,7 @@ import pytest
 from scipy.io import loadmat
 from scipy.signal import butter, decimate, filtfilt
 
-from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
+from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
 from dmptm_ctrl.simulate.chain import march
 
@@ -20,7 +20,7 @@ EMPS_GAIN = 35.15065  # N/V, gtau in the files
 
 
 def diagnosed(name):
-    return diagnose_chain(REAL / name, RIGS / f"{name}.toml")
+    return diagnose_rig(REAL / name, RIGS / f"{name}.toml")
 
 
 def names(diagnosis):

@@ -4,7 +4,7 @@ from math import pi
 
 import pytest
 
-from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
+from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.drive.rigfile import RigError, parse_rig
 from dmptm_ctrl.signals import LogError
 
@@ -111,4 +111,4 @@ column = "b_rad"
 body = "load"
 """
     with pytest.raises(LogError, match="unknown inertia between coupling and gear, and no sensor"):
-        diagnose_chain([], parse_rig(text))
+        diagnose_rig([], parse_rig(text))

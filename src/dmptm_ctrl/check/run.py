@@ -18,7 +18,7 @@ from dmptm_ctrl.check.moved import (
     find_moved,
     information_of,
 )
-from dmptm_ctrl.diagnosis.ladder_files import is_chain, read_chain
+from dmptm_ctrl.diagnosis.rig_files import is_chain, read_chain
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.signals.atomic import check_folder, output_folder
 from dmptm_ctrl.simulate.chain_model import ChainModel

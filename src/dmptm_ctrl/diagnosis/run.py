@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.diagnosis.diagnose import diagnose_dual
-from dmptm_ctrl.diagnosis.ladder_diagnose import diagnose_chain
-from dmptm_ctrl.diagnosis.ladder_files import is_chain
-from dmptm_ctrl.diagnosis.ladder_predict import predict_chain_file
 from dmptm_ctrl.diagnosis.predict import RUNS, predict
+from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
+from dmptm_ctrl.diagnosis.rig_files import is_chain
+from dmptm_ctrl.diagnosis.rig_predict import predict_chain_file
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.drive.rig import Rig
@@ -69,7 +69,7 @@ def diagnose(
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
     drive = dual_motor(declared)
     if drive is None:
-        return diagnose_chain(logs, declared, jobs=jobs, seed=seed, tell=tell)
+        return diagnose_rig(logs, declared, jobs=jobs, seed=seed, tell=tell)
     columns = dual_columns(declared)
     read, left_out = gather(
         logs,

@@ -262,7 +262,7 @@ def explained(target: Floats, columns: Floats) -> float:
 
 def pruned(evidence: Evidence, state: State, step: Callable[[str], None]) -> State:
     """Delete effects that the others have made superfluous, weakest first."""
-    while len(state.keys) > 1:
+    while state.keys:
         wald = {key: evidence.wald(state, key) for key in state.keys}
         doubtful = [key for key in state.keys if wald[key] < DOUBTFUL * LEVEL]
         left_out = {key: evidence.without(state, key) for key in doubtful}

@@ -6,6 +6,7 @@ The speed sensor and the ring encoder see one motion, so
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -13,7 +14,7 @@ from scipy.signal import savgol_filter
 from dmptm_ctrl.diagnosis.report import NamedEffect, estimate
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit
-from dmptm_ctrl.identify.records import Record, block_mean
+from dmptm_ctrl.identify.records import block_mean
 from dmptm_ctrl.simulate.model import Floats, Model
 
 # The two sensors settle it without a model; what is left is that both are wrong alike.
@@ -45,15 +46,31 @@ class SensorCheck:
         return bool(size > SIGNIFICANT * error and size > MATTERS[name])
 
 
-def cross_check(records: Sequence[Record]) -> SensorCheck:
+class Reading(Protocol):
+    """A position and a speed of one motion."""
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+
+    @property
+    def theta(self) -> Floats:
+        """Position, (n,) [rad]."""
+
+    @property
+    def omega(self) -> Floats:
+        """Speed, (n,) [rad/s]."""
+
+
+def cross_check(records: Sequence[Reading], *, turns: bool = True) -> SensorCheck:
     """Regress the speed reading on the encoder's derivative over all records.
 
     A delay is linear only while it is short: the reading is moved by what was found, and
-    regressed again.
+    regressed again. Of what does not turn, no encoder is eccentric.
     """
     late = 0.0
     for _ in range(ROUNDS):
-        beta, se = regressed(records, late)
+        beta, se = regressed(records, late, turns)
         late += beta[1]
     beta[1] = late
     values: dict[str, dict[str, float]] = {}
@@ -64,7 +81,7 @@ def cross_check(records: Sequence[Record]) -> SensorCheck:
     return SensorCheck(values, errors)
 
 
-def regressed(records: Sequence[Record], late: float) -> tuple[Floats, Floats]:
+def regressed(records: Sequence[Reading], late: float, turns: bool = True) -> tuple[Floats, Floats]:
     """Estimates of :data:`NAMES` and their standard errors, the delay beyond `late` [s]."""
     left, right = [], []
     for rec in records:
@@ -80,8 +97,8 @@ def regressed(records: Sequence[Record], late: float) -> tuple[Floats, Floats]:
                 speed - rate,
                 rate,
                 -change,
-                rate * np.sin(rec.theta),
-                -rate * np.cos(rec.theta),
+                turns * rate * np.sin(rec.theta),
+                -turns * rate * np.cos(rec.theta),
                 np.ones_like(rate),
             ]
         )[:, span:-span]
@@ -96,7 +113,7 @@ def regressed(records: Sequence[Record], late: float) -> tuple[Floats, Floats]:
         miss = y - x @ beta
         scale = max(1.4826 * float(np.median(np.abs(miss))), 1e-12)
         weight = np.sqrt(1.0 / (1.0 + (miss / (2.0 * scale)) ** 2))
-    covariance = scale**2 * np.linalg.inv((x * weight[:, None]).T @ (x * weight[:, None]))
+    covariance = scale**2 * np.linalg.pinv((x * weight[:, None]).T @ (x * weight[:, None]))
     return beta[: len(NAMES)], np.sqrt(np.diag(covariance))[: len(NAMES)]
 
 

@@ -24,6 +24,12 @@ def load_friction(theta, omega, t, mesh_torque, body, p):
     return 1.0, p.coefficient * abs(mesh_torque)
 
 
+@njit
+def body_load_friction(theta, omega, t, load, body, p):
+    """The same on any body of a drive: `load` is what its links and motors put on it."""
+    return 1.0, p.coefficient * abs(load)
+
+
 LOAD_DEPENDENT_FRICTION = Effect(
     name="load_dependent_friction",
     site="friction",

@@ -29,7 +29,7 @@ _RIG = """\
 import control as ct
 import numpy as np
 
-from dmptm_ctrl.diagnosis.ladder_files import chain_from_toml
+from dmptm_ctrl.diagnosis.rig_files import chain_from_toml
 from dmptm_ctrl.simulate.chain import simulate_chain
 
 MODEL = r'''

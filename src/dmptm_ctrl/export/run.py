@@ -6,7 +6,7 @@ from typing import Any
 
 from dmptm_ctrl.design.controller import KIND as CONTROLLER
 from dmptm_ctrl.design.controller import Controller, read_controller
-from dmptm_ctrl.diagnosis.ladder_files import is_chain, read_chain
+from dmptm_ctrl.diagnosis.rig_files import is_chain, read_chain
 from dmptm_ctrl.export.c_source import REALS, c_header, c_source
 from dmptm_ctrl.export.controller import controller_program, provenance
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.export.stepping import origin
+from dmptm_ctrl.simulate.along import friction_along, law_along, torque_along
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_compose import engine, kind_of
-from dmptm_ctrl.simulate.chain_model import ChainModel, value_row
+from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites
 
@@ -78,28 +78,24 @@ def _friction(sites: Sites, body: int, omega: float) -> float:
 
 
 def _of_chain(model: ChainModel) -> dict[str, pd.DataFrame]:
-    loop, plant, layout = engine(), model.plant(), model.layout
+    plant, layout = model.plant(), model.layout
     speed = np.linspace(-SPEED_RANGE, SPEED_RANGE, SPEEDS)
     angle = np.linspace(0.0, 2 * pi, ANGLES)
     still = np.zeros(ANGLES)
     friction, torques = {"speed_SI": speed}, {"position_SI": angle}
     for k, body in enumerate(layout.bodies):
         level, factor = np.empty(SPEEDS), np.ones(SPEEDS)
-        loop.law_along(speed, plant.law[k], level)
+        law_along(speed, plant.law[k], level)
         torque = np.zeros(ANGLES)
         for effect in model.effects:
             site = CHAIN_CATALOGUE[effect.name].site
-            kind, row = kind_of(effect.name), value_row(effect)
             if effect.on == body and site == "friction":
-                f, added = np.empty(SPEEDS), np.empty(SPEEDS)
                 none = np.zeros(SPEEDS)
-                loop.friction_along(kind, none, speed, none, none, row, f, added)
+                f, added = friction_along(effect, none, speed, none, none)
                 factor *= f
                 level += np.sign(speed) * added
             elif effect.on == body and site in ("motor", "load"):
-                own = np.empty(ANGLES)
-                loop.torque_along(kind, angle, still, still, row, own)
-                torque -= own
+                torque -= torque_along(effect, angle, still, still)
         unit = "N" if any(b.name == body and b.linear for b in model.rig.bodies) else "N_m"
         friction[f"{body}_{unit}"] = factor * level
         if torque.any():

@@ -1,13 +1,16 @@
 """Fit a chain's parameters to the balance of torques, by Gauss–Newton with bounds.
 
-J = Σ (w · residual)² + Σ ((p − p0)/σ)², the second sum over declared ranges.
+What is lowered is −2 log-likelihood: each equation normal at its own scale, every row counted
+as the share of it that is independent; and Σ ((p − p0)/σ)² over declared ranges.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import isfinite
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from dmptm_ctrl.identify.chain_free import Floats, Free, free_parameters, scales_of
@@ -15,13 +18,14 @@ from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residu
 from dmptm_ctrl.parallel import in_threads, small_matrices
 from dmptm_ctrl.simulate.chain_model import ChainModel
 
-ROWS_PER_NEWS = 8.0  # rows of the balance that carry one independent piece of news
+NEWS = 0.125  # share of the rows that is independent, where nothing better is known
+LEAST_SCALE = 0.005  # of the torque; friction laws are not known more finely
+BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
 KINKS = {  # step of the finite differences, in scales: wide enough to pass a few kinks
     "drive_delay": 0.05, "current_lag": 0.05, "drive_dead_band": 0.05, "drive_saturation": 0.05,
     "backlash": 0.005,
 }  # fmt: skip
-STEADY = 0.05  # change of an equation's weight at which a fit has settled
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +84,10 @@ class ChainFit:
     drive : tuple of (rows,) arrays
         Driving torque per log.
     slopes : tuple of (equations, rows, free numbers) arrays
-        Derivatives of the residual per log.
-    weights : (equations,) array
-    cost : float
+        Derivatives of the residual per log, per scale of each number.
+    likelihood : Likelihood
+    loss : float
+        −2 log-likelihood, and the declared ranges.
     """
 
     state: State
@@ -90,23 +95,110 @@ class ChainFit:
     left: tuple[Floats, ...]
     drive: tuple[Floats, ...]
     slopes: tuple[Floats, ...]
-    weights: Floats
-    cost: float
+    likelihood: "Likelihood"
+    loss: float
 
     @property
     def model(self) -> ChainModel:
         """The fitted model."""
         return self.state.model
 
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance of the fitted numbers, in their scales.
+
+        Robust against residuals that correlate, or come in bursts: A⁻¹ (Σ_blocks s sᵀ) A⁻¹, with
+        s the score of a block, where that is more than A⁻¹.
+        """
+        likelihood = self.likelihood
+        weights = likelihood.weights(self.left)
+        rows = likelihood.stack(self.slopes) * weights[:, None]
+        extra = prior_rows(self.state, self.frees)[0]
+        inverse = np.linalg.pinv(rows.T @ rows + extra.T @ extra, rcond=1e-12)
+        products = rows * (weights * likelihood.stack(self.left))[:, None]
+        ids = likelihood.blocks(self.left[0].shape[0])
+        sums = np.array([np.bincount(ids, p) for p in products.T])
+        spread = inverse @ (sums @ sums.T) @ inverse if len(self.frees) else inverse
+        size = np.sqrt(np.maximum(np.diag(spread) / np.maximum(np.diag(inverse), 1e-300), 1.0))
+        return inverse * np.outer(size, size)
+
     @property
-    def misfit(self) -> float:
-        """Sum of the logarithms of each equation's residual, for fits of equal equations."""
-        return -float(np.sum(np.log(_weights(self.left))))
+    def errors(self) -> dict[str, float]:
+        """Standard errors of the fitted numbers by label."""
+        se = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return {f.label: float(s * f.scale) for f, s in zip(self.frees, se, strict=True)}
 
     @property
     def values(self) -> dict[str, float]:
         """Fitted numbers by label."""
         return {f.label: self.state.get(f) for f in self.frees}
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """How much the rows of a balance tell.
+
+    Attributes
+    ----------
+    balance : Balance
+    news : (equations,) array
+        Share of the rows of each equation that is independent.
+    """
+
+    balance: Balance
+    news: Floats
+
+    @cached_property
+    def floor(self) -> float:
+        """Least scale of an equation."""
+        return LEAST_SCALE * scales_of(self.balance).force
+
+    @cached_property
+    def moving(self) -> list[NDArray[np.bool_]]:
+        """Rows that count, per log."""
+        return [m.moving for m in self.balance.motions]
+
+    @cached_property
+    def price(self) -> float:
+        """What a fitted number costs: the logarithm of the number of independent rows.
+
+        Schwarz, Ann. Statist. 6 (1978) 461.
+        """
+        rows = sum(int(m.sum()) for m in self.moving)
+        return float(np.log(max(float(self.news[0]) * rows, 1.0)))
+
+    def parts(self, left: Sequence[Floats]) -> list[Floats]:
+        """Rows that count, (rows[, k]) per equation."""
+        return [
+            np.concatenate([part[e][use] for part, use in zip(left, self.moving, strict=True)])
+            for e in range(left[0].shape[0])
+        ]
+
+    def blocks(self, equations: int) -> NDArray[np.int64]:
+        """Block of every row, in the order of `stack`: equal numbers of rows on end."""
+        count = sum(int(m.sum()) for m in self.moving)
+        return np.tile(np.arange(count) * min(BLOCKS, max(count, 1)) // max(count, 1), equations)
+
+    def stack(self, left: Sequence[Floats]) -> Floats:
+        """Rows that count, equation after equation, (all rows[, k])."""
+        return np.concatenate(self.parts(left))
+
+    def scales(self, left: Sequence[Floats]) -> Floats:
+        """Scale of each equation, (equations,): its rms, and what no law is known below."""
+        squares = [float(np.mean(p**2)) if p.size else 1.0 for p in self.parts(left)]
+        return np.sqrt(np.array(squares) + self.floor**2)
+
+    def weights(self, left: Sequence[Floats]) -> Floats:
+        """Square roots of what each row counts, in the order of `stack`."""
+        counts = [len(p) for p in self.parts(left)]
+        return np.repeat(np.sqrt(self.news) / self.scales(left), counts)
+
+    def surprise(self, left: Sequence[Floats]) -> float:
+        """−2 log-likelihood, each equation at its own scale."""
+        s = self.scales(left)
+        counts = np.array([len(p) for p in self.parts(left)])
+        # the mean square over s² is left in: near the floor it still falls
+        return float(np.sum(self.news * counts * (2.0 * np.log(s) + 1.0 - (self.floor / s) ** 2)))
 
 
 def residuals(
@@ -164,7 +256,8 @@ def fit_chain(
     *,
     frees: Sequence[Free] | None = None,
     iterations: int = 6,
-    tolerance: float = 1e-4,
+    tolerance: float = 0.3,
+    news: Floats | None = None,
     jobs: int = 2,
 ) -> ChainFit:
     """Fit by Gauss–Newton.
@@ -179,7 +272,9 @@ def fit_chain(
     iterations : int
         At most.
     tolerance : float
-        Stops when the cost falls by less than this share.
+        Stops when −2 log-likelihood falls by less.
+    news : (equations,) array, optional
+        Share of the rows of each equation that is independent.
 
     Returns
     -------
@@ -190,39 +285,32 @@ def fit_chain(
         frees = free_parameters(state.model, balance, scales)
     frees = tuple(frees)
     left, drive = residuals(state, balance)
-    weights = _weights(left)
-    cost = _cost(state, frees, left, weights)
+    count = left[0].shape[0]
+    likelihood = Likelihood(balance, np.full(count, NEWS) if news is None else news)
+    loss = total_loss(state, frees, left, likelihood)
     slopes = jacobian(state, balance, frees, left, jobs=jobs)
-    for _ in range(iterations):
-        if not frees:
+    for _ in range(iterations if frees else 0):
+        better = _better(state, frees, left, slopes, likelihood, loss)
+        if better is None:
             break
-        better = _better(state, balance, frees, left, slopes, weights, cost)
-        gain = 0.0
-        if better is not None:
-            gain = 1.0 - better[3] / cost
-            state, left, drive, cost = better
-            frees = tuple(_rescaled(f, state) for f in frees)
-            slopes = jacobian(state, balance, frees, left, jobs=jobs)
+        gain = loss - better[3]
+        state, left, drive, loss = better
+        frees = tuple(_rescaled(f, state) for f in frees)
+        slopes = jacobian(state, balance, frees, left, jobs=jobs)
         if gain < tolerance:
-            # equations count by what is left of each, which has changed on the way
-            old, weights = weights, _weights(left)
-            share, share_old = weights / weights.sum(), old / old.sum()
-            if np.all(np.abs(share - share_old) <= STEADY * share_old):
-                break
-            cost = _cost(state, frees, left, weights)
-    return ChainFit(state, frees, left, drive, slopes, weights, cost)
+            break
+    return ChainFit(state, frees, left, drive, slopes, likelihood, loss)
 
 
 def _better(
     state: State,
-    balance: Balance,
     frees: Sequence[Free],
     left: Sequence[Floats],
     slopes: Sequence[Floats],
-    weights: Floats,
-    cost: float,
+    likelihood: Likelihood,
+    loss: float,
 ) -> tuple[State, tuple[Floats, ...], tuple[Floats, ...], float] | None:
-    """Return state, residual, drive and cost after a step that lowers the cost; else None.
+    """Return state, residual, drive and loss after a step that lowers the loss; else None.
 
     Where a whole step fails, numbers with kinks (a gap, a dead time) are left out of it.
     """
@@ -231,7 +319,7 @@ def _better(
         if used is smooth and (all(smooth) or not any(smooth)):
             continue
         own = [f for f, u in zip(frees, used, strict=True) if u]
-        step = _step_of(state, own, left, [p[..., used] for p in slopes], weights)
+        step = _step_of(state, own, left, [p[..., used] for p in slopes], likelihood)
         for shrink in (1.0, 0.3, 0.1, 0.03):
             values = [
                 float(np.clip(state.get(f) + shrink * f.scale * d, f.low, f.high))
@@ -239,12 +327,12 @@ def _better(
             ]
             trial = state.moved(own, values)
             try:
-                new_left, new_drive = residuals(trial, balance)
+                new_left, new_drive = residuals(trial, likelihood.balance)
             except (ValueError, ArithmeticError):
                 continue
-            new_cost = _cost(trial, frees, new_left, weights)
-            if isfinite(new_cost) and new_cost < cost:
-                return trial, new_left, new_drive, new_cost
+            new_loss = total_loss(trial, frees, new_left, likelihood)
+            if isfinite(new_loss) and new_loss < loss:
+                return trial, new_left, new_drive, new_loss
     return None
 
 
@@ -259,27 +347,24 @@ def _rescaled(free: Free, state: State) -> Free:
     return replace(free, scale=max(abs(state.get(free)), free.least) or free.scale)
 
 
-def _weights(left: Sequence[Floats]) -> Floats:
-    """1/rms of each equation."""
-    count = left[0].shape[0]
-    out = np.ones(count)
-    for e in range(count):
-        rms = float(np.sqrt(np.mean(np.concatenate([part[e] for part in left]) ** 2)))
-        out[e] = 1.0 / rms if rms > 0 else 1.0
-    return out
-
-
-def _news(left: Sequence[Floats]) -> float:
-    return 1.0 / ROWS_PER_NEWS
-
-
-def _cost(state: State, frees: Sequence[Free], left: Sequence[Floats], weights: Floats) -> float:
+def total_loss(
+    state: State, frees: Sequence[Free], left: Sequence[Floats], likelihood: Likelihood
+) -> float:
+    """−2 log-likelihood, the declared ranges, and the price of the numbers of effects."""
+    price = likelihood.price * sum(f.kind == "effect" for f in frees)
     with np.errstate(over="ignore", invalid="ignore"):  # an unstable trial is a costly one
-        total = sum(float(np.sum((weights[:, None] * part) ** 2)) for part in left) * _news(left)
-    for free in frees:
-        if free.prior is not None and free.prior[1] > 0:
-            total += ((state.get(free) - free.prior[0]) / free.prior[1]) ** 2
-    return total
+        return price + likelihood.surprise(left) + float(np.sum(prior_rows(state, frees)[1] ** 2))
+
+
+def prior_rows(state: State, frees: Sequence[Free]) -> tuple[Floats, Floats]:
+    """Rows of the declared ranges in a least-squares step, (k, frees), and their misfit, (k,)."""
+    known = [(j, f) for j, f in enumerate(frees) if f.prior is not None and f.prior[1] > 0]
+    rows, miss = np.zeros((len(known), len(frees))), np.zeros(len(known))
+    for k, (j, free) in enumerate(known):
+        assert free.prior is not None
+        rows[k, j] = free.scale / free.prior[1]
+        miss[k] = (state.get(free) - free.prior[0]) / free.prior[1]
+    return rows, miss
 
 
 def _step_of(
@@ -287,28 +372,19 @@ def _step_of(
     frees: Sequence[Free],
     left: Sequence[Floats],
     slopes: Sequence[Floats],
-    weights: Floats,
+    likelihood: Likelihood,
 ) -> Floats:
     """Bounded least-squares step, in scales."""
-    share = np.sqrt(_news(left))
-    rows = (
-        np.concatenate([(weights[:, None, None] * s).reshape(-1, len(frees)) for s in slopes])
-        * share
-    )
-    target = np.concatenate([(weights[:, None] * part).ravel() for part in left]) * share
+    weights = likelihood.weights(left)
+    rows = weights[:, None] * likelihood.stack(slopes)
+    target = weights * likelihood.stack(left)
     low = np.array([(f.low - state.get(f)) / f.scale for f in frees])
     high = np.array([(f.high - state.get(f)) / f.scale for f in frees])
-    extra_rows, extra_target = [], []
-    for j, free in enumerate(frees):
-        if free.prior is not None and free.prior[1] > 0:
-            row = np.zeros(len(frees))
-            row[j] = free.scale / free.prior[1]
-            extra_rows.append(row)
-            extra_target.append((state.get(free) - free.prior[0]) / free.prior[1])
+    extra, miss = prior_rows(state, frees)
     # A little of Levenberg's damping decides directions that the logs do not show.
     size = np.sqrt(np.mean(np.sum(rows**2, axis=0))) if rows.size else 1.0
-    rows = np.vstack([rows, *extra_rows, 1e-6 * size * np.eye(len(frees))])
-    target = np.concatenate([target, extra_target, np.zeros(len(frees))])
+    rows = np.vstack([rows, extra, 1e-6 * size * np.eye(len(frees))])
+    target = np.concatenate([target, miss, np.zeros(len(frees))])
     # Normal equations: numbers are scaled, and their condition is well below 1e8.
     square = rows.T @ rows
     values, vectors = np.linalg.eigh(square)

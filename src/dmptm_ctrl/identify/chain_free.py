@@ -16,6 +16,7 @@ Floats = NDArray[np.float64]
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
 HARMONIC = ("cogging", "unbalance", "position_dependent_friction")  # cosine and sine of the angle
 LEAST_SCALE = 0.01  # of the typical size of a quantity
+WIDEST = 0.1  # of the travel; of a local spot
 SHARES = 0.005, 0.99  # of the inertia behind a spring
 NOT_FITTED = ("ratio", "gain", "stribeck_exponent", "gap_damping", "limit")
 
@@ -143,6 +144,8 @@ def _effect_parameters(effect: Placed, model: ChainModel, scales: Scales) -> lis
             low, high = value / 4, value * 4
             if parameter.name == "place":
                 low, high = -inf, inf
+            if parameter.name == "width":
+                high = WIDEST * turn_or_travel(scales, linear)  # wider, it is everywhere
             size = 0.3 * abs(value)
         else:
             # a gap and a bristle are tiny beside the travel
@@ -167,6 +170,11 @@ def _effect_parameters(effect: Placed, model: ChainModel, scales: Scales) -> lis
     if effect.name == "shaft_compliance" and any(k.name == effect.on for k in model.rig.links):
         frees = [f for f in frees if f.name not in ("share", "far_viscous")]
     return frees
+
+
+def turn_or_travel(scales: Scales, linear: bool) -> float:
+    """Length over which places of a body are told apart [rad or m]."""
+    return scales.position if linear else min(scales.position, 2 * np.pi)
 
 
 def on_slide(model: ChainModel, body: str) -> bool:

@@ -90,7 +90,7 @@ def _springs(model: ChainModel, balance: Balance) -> ChainModel:
             spring = Spring(float(w), DAMPING_RATIO, far, far)
             start = model.with_values(spring_values(model, link.name, spring))
             fit = fit_chain(State(start), balance, iterations=3)
-            tried.append((fit.misfit, fit.model))
+            tried.append((fit.loss, fit.model))
         model = min(tried, key=lambda t: t[0])[1]
     return model
 

@@ -10,6 +10,8 @@ ones, driven by the same signals.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import isfinite
 
 import numpy as np
 from scipy.signal import lfilter
@@ -103,6 +105,21 @@ class Balance:
     motions: tuple[Motion, ...]
     columns: dict = field(default_factory=dict)  # what does not depend on the model, reduced
 
+    @cached_property
+    def heft(self) -> float:
+        """Torque per acceleration in the logs: turns accelerations into torques of their size.
+
+        No fitted inertia does: the smaller it got, the less would seem to be left.
+        """
+        first = self.points[0].name
+        gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in self.rig.inputs}
+        push = [np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in self.motions]
+        moved = [m.a[first] for m in self.motions]
+        force, acceleration = (
+            float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for x in (push, moved)
+        )
+        return force / acceleration if acceleration > 0 else 1.0
+
     def only(self, names: Sequence[str]) -> "Balance":
         """Return the balance of some of the logs."""
         kept = tuple(m for m in self.motions if m.name in names)
@@ -159,9 +176,10 @@ def residual(
     Returns
     -------
     left : (equations, rows) array
-        First the balance of all measured coordinates together, seen at the driven one; then
-        that of each further measured coordinate alone, as the torque that would take the same
-        acceleration of the whole drive.
+        One per point. First the balance of all measured coordinates together, seen at the
+        driven one; then what each further point accelerates otherwise than the model says, as
+        the torque that takes as much acceleration in these logs: by the torques on
+        its own coordinate, or, where a point before it shows that coordinate, than that one.
     drive : (rows,) array
         Driving torque or force of the first equation.
     """
@@ -180,7 +198,6 @@ def residual(
             load[first] += np.abs(runs[name])
             load[second] += np.abs(plant.link_values[k, 0] * runs[name])
     reach = kinematic(model)
-    whole = sum(r**2 * plant.inertia[group] for group, r in reach.items())
     total, push = np.zeros_like(motion.time), np.zeros_like(motion.time)
     single = []
     for group, (q, v, a) in measured.items():
@@ -201,7 +218,7 @@ def residual(
         total += reach[group] * need
         push += reach[group] * own
         # as acceleration: as a torque, no inertia and no spring would leave nothing
-        single.append((own - need) * whole / (reach[group] * plant.inertia[group]))
+        single.append((own - need) * balance.heft / (reach[group] * plant.inertia[group]))
     if len(layout.inputs) == 1:
         total = _ahead(total, motion, *plant.input_values[0, 1:3])
     logged = sum(
@@ -213,7 +230,18 @@ def residual(
     size = float(np.std(push))
     sent = float(np.std(logged))
     fair = sent / max(size, LEAST_DRIVE * sent) if sent > 0 else 1.0
-    equations = [fair * (push - total), *single[1:]]
+    alone = dict(zip(measured, single, strict=True))
+    equations = [fair * (push - total)]
+    for k, point in enumerate(balance.points):
+        body = layout.sensor_body[point.name]
+        group, r = layout.coordinate[body], layout.ratio[body]
+        before = {layout.coordinate[layout.sensor_body[p.name]] for p in balance.points[:k]}
+        if group in before:
+            # rigidly tied to a point before it: as fast, whatever moves them
+            apart = motion.a[point.name] / r - measured[group][2]
+            equations.append(apart * balance.heft / reach[group])
+        elif k > 0:
+            equations.append(alone[group])
     return np.array([motion.reduce(e) for e in equations]), motion.reduce(fair * push)
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from dmptm_ctrl.control import common_mode
 from dmptm_ctrl.design.linear import linear_plant
-from dmptm_ctrl.diagnosis.ladder_files import is_chain, read_chain
+from dmptm_ctrl.diagnosis.rig_files import is_chain, read_chain
 from dmptm_ctrl.drive import Drive, baseline_drive, nine_dof_ss, paper_drive, three_dof_ss
 from dmptm_ctrl.drive.rig_dual import dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig

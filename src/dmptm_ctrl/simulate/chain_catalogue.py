@@ -22,7 +22,10 @@ from dmptm_ctrl.effects.drive_offset import DRIVE_OFFSET
 from dmptm_ctrl.effects.drive_saturation import DRIVE_SATURATION
 from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
 from dmptm_ctrl.effects.friction_asymmetry import FRICTION_ASYMMETRY
-from dmptm_ctrl.effects.load_dependent_friction import LOAD_DEPENDENT_FRICTION
+from dmptm_ctrl.effects.load_dependent_friction import (
+    LOAD_DEPENDENT_FRICTION,
+    body_load_friction,
+)
 from dmptm_ctrl.effects.local_spot import LOCAL_SPOT
 from dmptm_ctrl.effects.position_dependent_friction import POSITION_DEPENDENT_FRICTION
 from dmptm_ctrl.effects.presliding import PRESLIDING
@@ -190,7 +193,7 @@ CHAIN_CATALOGUE: dict[str, ChainEffect] = {
         whole(FRICTION_ASYMMETRY),
         whole(STRIBECK_FRICTION),
         _one_side(PRESLIDING, {"ring_distance": "distance"}),
-        whole(LOAD_DEPENDENT_FRICTION),
+        whole(LOAD_DEPENDENT_FRICTION._replace(kernel=body_load_friction)),
         whole(POSITION_DEPENDENT_FRICTION),
         whole(LOCAL_SPOT),
         whole(THERMAL_DRIFT),

@@ -5,7 +5,7 @@ from os import PathLike
 import numpy as np
 import pandas as pd
 
-from dmptm_ctrl.diagnosis.ladder_files import read_chain
+from dmptm_ctrl.diagnosis.rig_files import read_chain
 from dmptm_ctrl.identify.chain_simulate import free_run, readings
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.units import parse_unit

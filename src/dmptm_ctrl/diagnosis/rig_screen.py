@@ -1,4 +1,4 @@
-"""Before the ladder of any rig: which logs can be used, and which mistakes show at once."""
+"""Before the diagnosis of any rig: which logs can be used, and which mistakes show at once."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -1,39 +1,31 @@
-"""Diagnose a rig of any shape: from logs and a rig file to the effects that it lacks."""
+"""Diagnose a rig of any shape: from logs and a rig file to the error budget."""
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from os import PathLike
 
-from dmptm_ctrl.diagnosis.ladder import Ladder, climb
-from dmptm_ctrl.diagnosis.ladder_judge import Errors, errors_of
-from dmptm_ctrl.diagnosis.ladder_report import (
-    ChainDiagnosis,
-    error_dict,
-    late_effect,
-    named_effect,
-    out_of_range,
-    ranking_of,
-    standard_errors,
-    torque_unit,
-)
-from dmptm_ctrl.diagnosis.ladder_screen import (
+from dmptm_ctrl.diagnosis.rig_curves import accepted, better_without_names, curves, predicted
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, RigState, without_negligible
+from dmptm_ctrl.diagnosis.rig_report import RigDiagnosis, report_of
+from dmptm_ctrl.diagnosis.rig_screen import (
     other_scale,
     refuse_no_gain,
     refuse_reversed,
     screen_chain,
 )
-from dmptm_ctrl.diagnosis.ladder_standing import standing
-from dmptm_ctrl.diagnosis.ladder_unknown import unexplained
+from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
+from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
-from dmptm_ctrl.identify.chain_fit import State, residuals
-from dmptm_ctrl.identify.chain_sensors import late_sensors
+from dmptm_ctrl.identify.chain_fit import State
+from dmptm_ctrl.identify.chain_start import rough_start
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.chain import declared_effects
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.chain_model import ChainModel
 
 MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
 HOLD_EVERY = 3
@@ -41,14 +33,14 @@ MIN_ROWS = 60  # of a log's balance; fewer tell nothing
 
 
 @small_matrices
-def diagnose_chain(
+def diagnose_rig(
     logs: str | PathLike[str] | Iterable[str | PathLike[str] | Log],
     rig: Rig | str | PathLike[str],
     *,
     seed: int = 0,
     jobs: int = 2,
     tell: Callable[[str], None] | None = None,
-) -> ChainDiagnosis:
+) -> RigDiagnosis:
     """Find what the declared model of a rig lacks.
 
     Parameters
@@ -65,7 +57,7 @@ def diagnose_chain(
 
     Returns
     -------
-    ChainDiagnosis
+    RigDiagnosis
         `.summary()`, `.to_dict()`, `.augmented`, `.plot()`, `.save(folder)`.
 
     Raises
@@ -73,16 +65,17 @@ def diagnose_chain(
     LogError
         Logs or a rig file that cannot be used; the message says why.
     """
-    started = time.perf_counter()
+    started, say = time.perf_counter(), tell or (lambda _: None)
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
     _refuse_floating(declared)
     left_out: list[str] = []
     read = declared.read(logs, max_rows=READ_ROWS, told=left_out)
     loaded, warnings = screen_chain(declared, read)
     warnings = (*left_out, *warnings)
-    late = late_sensors(declared, loaded)
-    balance = balance_of(declared, loaded, late={k: v.delay for k, v in late.items()})
-    balance, short = _long_enough(balance)
+    say("comparing the sensors")
+    faults = sensor_faults(declared, loaded)
+    right = [put_right(declared, log, faults) for log in loaded]
+    balance, short = _long_enough(balance_of(declared, right))
     warnings = (*warnings, *short)
     refuse_no_gain(declared, balance)
     if turned := refuse_reversed(declared, balance):
@@ -92,34 +85,48 @@ def diagnose_chain(
             raise LogError(strange)
         warnings = (*warnings, strange)  # a resonance may look like that
     fit_logs, held_logs, roles, on = split(declared, balance)
+    say("fitting the declared model")
     model = ChainModel(declared, tuple(declared_effects(declared)))
-    ladder = climb(model, fit_logs, held_logs, jobs=jobs, tell=tell)
-    errors = standard_errors(ladder.final, fit_logs)
-    stands = standing(ladder, jobs)
-    declared_keys = {e.key for e in model.effects}
-    effects = [
-        named_effect(e, ladder, stands, errors)
-        for e in ladder.final.model.effects
-        if e.key not in declared_keys
-    ] + [late_effect(item) for item in late.values()]
-    depends_on = unexplained(ladder)
-    verdict = "unknown" if depends_on else "explained" if effects else "none"
-    augmented = ladder.final.model
-    for name, item in late.items():
-        augmented = augmented.with_effect(Placed("sensor_delay", name, {"delay": item.delay}))
-    return ChainDiagnosis(
+    evidence = RigEvidence(fit_logs, held_logs, jobs)
+    base = evidence.base(State(rough_start(model, fit_logs)))
+    as_read = base
+    if faults:
+        names = [m.name for m in balance.motions]
+        whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
+        as_read = _as_read(declared, whole, base, jobs)
+    selection = without_negligible(evidence, select_effects(evidence, base, say))
+    say("looking for curves in what is left")
+    found = curves(selection.final)
+    if selection.entries and (plain := better_without_names(selection)):
+        selection, found = replace(selection, final=base, entries=[], rest=selection.first), plain
+    from dmptm_ctrl import __version__
+
+    provenance = {
+        "version": __version__,
+        "seed": seed,
+        "logs": [
+            {"name": log.name, "sha256": log.sha256 or "", "role": roles.get(log.name, "fit")}
+            for log in loaded
+        ],
+        "seconds": round(time.perf_counter() - started, 3),
+    }
+    return report_of(
         declared,
-        verdict,
-        tuple(sorted(effects, key=lambda e: -e.probability)),
-        ladder,
-        ranking_of(ladder, late),
-        depends_on,
-        error_of(ladder, on),
-        ladder.base.model,
-        augmented,
-        _provenance(loaded, roles, seed, time.perf_counter() - started),
-        (*_notes(loaded), *warnings, *out_of_range(ladder.final, fit_logs)),
+        selection,
+        as_read=as_read,
+        faults=faults,
+        curves=accepted(found),
+        floor=predicted(selection.final, found),
+        on=on,
+        provenance=provenance,
+        warnings=(*_notes(loaded), *warnings),
     )
+
+
+def _as_read(rig: Rig, balance: Balance, base: RigState, jobs: int) -> RigState:
+    """Return the declared model fitted to the logs as the sensors read them."""
+    logs, held, _, _ = split(rig, balance)
+    return RigEvidence(logs, held, jobs).refit(base)
 
 
 def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, dict[str, str], str]:
@@ -145,24 +152,6 @@ def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, dict[str, str],
         return balance.only(fit), balance.only(held), final, "held-out logs"
     part = "held-out stretches of every log, three tenths of it"
     return balance.part("fit"), balance.part("held-out"), dict.fromkeys(names, "fit"), part
-
-
-def error_of(ladder: Ladder, on: str) -> dict[str, object]:
-    """Errors of the balance on held-out data, as declared and in the end."""
-    first: Errors | None = ladder.rungs[0].held_before if ladder.rungs else None
-    left, drive = residuals(ladder.held_state, ladder.held_logs)
-    after = errors_of(left, drive)
-    if first is None:
-        base = State(ladder.base.model, ladder.held_state.logs)
-        first = errors_of(*residuals(base, ladder.held_logs))
-    return {
-        "unit": torque_unit(ladder.final.model.rig),
-        "bandwidth_hz": ladder.fit_logs.bandwidth,
-        "on": on,
-        "quantity": "torque or force of the drive against what the motion takes",
-        "before": error_dict(first),
-        "after": error_dict(after),
-    }
 
 
 def _long_enough(balance: Balance) -> tuple[Balance, tuple[str, ...]]:
@@ -204,19 +193,3 @@ def _refuse_floating(rig: Rig) -> None:
 
 def _notes(logs: Sequence[Log]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(f"{log.name}: {note}" for log in logs for note in log.warnings))
-
-
-def _provenance(
-    logs: Sequence[Log], roles: dict[str, str], seed: int, seconds: float
-) -> dict[str, object]:
-    from dmptm_ctrl import __version__
-
-    return {
-        "version": __version__,
-        "seed": seed,
-        "logs": [
-            {"name": log.name, "sha256": log.sha256 or "", "role": roles.get(log.name, "fit")}
-            for log in logs
-        ],
-        "seconds": round(seconds, 3),
-    }

@@ -1,4 +1,4 @@
-"""Pictures of a ladder of effects: the error per rung, and the torque on one log."""
+"""Pictures of an error budget, and of the torque on one log."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,8 +13,7 @@ from dmptm_ctrl.plots.style import STYLES, axes
 Floats = NDArray[np.float64]
 
 FITTED = {"color": "#9db4d0", "edgecolor": "#0b3c6f"}
-HELD = {"color": "#0b3c6f", "edgecolor": "#0b3c6f"}
-BAR = 0.38  # height; two stand on each rung
+BAR = 0.6  # height
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,35 +28,27 @@ class TorqueTrace:
     unit: str
 
 
-def plot_rungs(
-    rungs: Sequence[str], fitted: Sequence[float], held: Sequence[float], *, ax: Any = None
-) -> Axes:
-    """Draw the relative error after each rung, from the declared model downwards.
+def plot_budget(labels: Sequence[str], shares: Sequence[float], *, ax: Any = None) -> Axes:
+    """Draw an error budget as bars.
 
     Parameters
     ----------
-    rungs : sequence of str
-        Labels, the declared model first.
-    fitted, held : sequences of float
-        Error on fitted and on held-out data [% of the torque].
+    labels : sequence of str
+    shares : sequence of float
+        Of the mean square before [%].
     ax : Axes, optional
     """
-    panel = axes(ax, 1, figsize=(7.0, 0.8 + 0.45 * len(rungs)))[0, 0]
-    place = np.arange(len(rungs))
-    panel.barh(place - BAR / 2, fitted, BAR, label="fitted", **FITTED)
-    panel.barh(place + BAR / 2, held, BAR, label="held out", **HELD)
-    for x, y in [
-        *zip(fitted, place - BAR / 2, strict=True),
-        *zip(held, place + BAR / 2, strict=True),
-    ]:
+    panel = axes(ax, 1, figsize=(7.0, 0.8 + 0.35 * len(labels)))[0, 0]
+    place = np.arange(len(labels))
+    panel.barh(place, shares, BAR, **FITTED)
+    for x, y in zip(shares, place, strict=True):
         panel.annotate(
             f"{x:.3g}", (x, y), xytext=(3, 0), textcoords="offset points", va="center", fontsize=8
         )
-    panel.set_yticks(place, rungs)
+    panel.set_yticks(place, labels)
     panel.invert_yaxis()
-    panel.set_xlim(0, 1.15 * max([*fitted, *held, 1e-9]))
-    panel.set_xlabel("error [% of the torque]")
-    panel.legend(loc="lower right", fontsize=8)
+    panel.set_xlim(0, 1.15 * max([*shares, 1e-9]))
+    panel.set_xlabel("share of the mean square before [%]")
     panel.spines[["top", "right"]].set_visible(False)
     return panel
 

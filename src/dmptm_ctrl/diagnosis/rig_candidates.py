@@ -1,0 +1,461 @@
+"""What a drive of any shape may lack: every effect at every place, with starting values."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
+from dmptm_ctrl.drive.rig import DECLARES
+from dmptm_ctrl.identify.chain_fit import ChainFit, residuals
+from dmptm_ctrl.identify.chain_free import HARMONIC, absolute, on_slide, scales_of
+from dmptm_ctrl.identify.chain_motion import Motion
+from dmptm_ctrl.identify.chain_start import (
+    drive_of,
+    ends_of,
+    regress,
+    regress_gap,
+    spring_values,
+    unknown_inertias,
+)
+from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_motion
+from dmptm_ctrl.simulate.along import friction_along, torque_along
+from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE, ChainEffect
+from dmptm_ctrl.simulate.chain_model import FAR, ChainModel, Placed
+
+Floats = NDArray[np.float64]
+
+MAX_ORDER = 400  # per turn
+SCREENED = 6  # orders and places of a screening that are looked at closely
+LEAST_PERIODS = 3.0  # in the travel, or a spring or a slope would do as well
+DELAYS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample times
+LONGEST_DELAY = 0.2  # s
+BANDS = (0.01, 0.05, 0.15)  # dead bands, of the input's size
+LIMITS = (0.95, 0.8, 0.6, 0.4)  # saturations, of the input's peak
+SPEEDS = (0.01, 0.03, 0.06, 0.12, 0.25)  # Stribeck speeds, of the highest
+SIZES = (1e-5, 1e-4, 1e-3, 1e-2)  # bristles and gaps, of the travel
+WIDTHS = (0.003, 0.01, 0.03)  # local spots, of the travel
+SPOT_BINS = 2048
+HIDDEN_MODES = 14  # antiresonances tried
+SHARES = (0.25, 0.6)  # of the inertia behind a spring, tried
+SENSORS = {"sensor_gain", "encoder_eccentricity", "sensor_delay"}  # judged against each other
+
+
+# -- every place -------------------------------------------------------------------------------
+
+
+def trials(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
+    """Return every effect at every legal place, at the best of its starting values."""
+    model = tangent.fit.model
+    present = {e.key for e in model.effects}
+    found: list[Trial | None] = []
+
+    def wanted(name: str, place: str) -> bool:
+        key = f"{name}@{place}"
+        return key not in present and (only is None or key in only)
+
+    for source in model.rig.inputs:
+        for name, chain in CHAIN_CATALOGUE.items():
+            if chain.place == "input" and wanted(name, source.name):
+                found.append(_input_effect(tangent, name, source.name))
+    for body in distinct_bodies(tangent):
+        for name, chain in CHAIN_CATALOGUE.items():
+            if chain.place != "body" or name in SENSORS or name == "shaft_compliance":
+                continue
+            if wanted(name, body) and not declared_already(model, name, body):
+                found.append(_body_effect(tangent, chain, body))
+    for placed in (*_compliances(tangent), *_gaps(tangent)):
+        if wanted(placed[0][0].name, placed[0][0].on):
+            found.append(_finite(tangent, *placed))
+    return [t for t in found if t is not None]
+
+
+def declared_already(model: ChainModel, name: str, body: str) -> bool:
+    """Whether the rig declares what an effect would add to a body."""
+    if body.endswith(FAR):
+        return name == "viscous_friction"  # part of the compliance that made the body
+    friction = model.rig.body(body).friction
+    return any(k in friction for k in DECLARES.get(name, ()))
+
+
+def distinct_bodies(tangent: Tangent) -> list[str]:
+    """One body per measured coordinate; rigidly joined bodies cannot be told apart."""
+    _, bodies = measured_motion(tangent.fit.model, tangent.balance, tangent.balance.motions[0])
+    return list(bodies.values())
+
+
+def _input_effect(tangent: Tangent, name: str, on: str) -> Trial | None:
+    scales = scales_of(tangent.balance)
+    size, dt = scales.u[on], scales.dt
+    peak = max(float(np.abs(m.u[on]).max()) for m in tangent.balance.motions)
+    if name == "drive_offset":
+        return _finite(tangent, [Placed(name, on, {"offset": 0.02 * size})], scaled=True)
+    if name == "drive_dead_band":
+        return _finite(tangent, [Placed(name, on, {"width": s * size}) for s in BANDS])
+    if name == "drive_saturation":
+        values = [{"inverse_limit": 1.0 / (s * peak)} for s in LIMITS]
+        return _finite(tangent, [Placed(name, on, v) for v in values])
+    key = "delay" if name == "drive_delay" else "time_constant"
+    late = [d * dt for d in DELAYS if d * dt <= LONGEST_DELAY]
+    return _finite(tangent, [Placed(name, on, {key: v}) for v in late])
+
+
+def _body_effect(tangent: Tangent, chain: ChainEffect, body: str) -> Trial | None:
+    model, balance = tangent.fit.model, tangent.balance
+    name, slide = chain.name, on_slide(model, body)
+    if name == "load_dependent_friction":
+        return _finite(tangent, [Placed(name, body, {"coefficient": 0.02})], scaled=True)
+    if name in ("friction_asymmetry", "thermal_drift", "presliding"):
+        if not _rubs(model, body):
+            return None
+        if name == "friction_asymmetry":
+            values = [{"difference": 0.05}]
+        elif name == "thermal_drift":
+            longest = max(float(m.time[-1]) for m in balance.motions)
+            values = [{"rise": 0.05, "time_constant": s * longest} for s in (0.1, 0.3, 1.0)]
+        else:
+            travel = scales_of(balance).position
+            values = [{"distance": s * travel} for s in SIZES]
+        return _finite(
+            tangent, [Placed(name, body, v) for v in values], scaled=name != "presliding"
+        )
+    same = absolute(model, balance, body)
+    if name == "cogging":
+        shapes = [{"order": n} for n in _orders(tangent, body, slide)]
+        return _linear(tangent, chain, body, shapes, ("cosine", "sine"), same)
+    if name == "unbalance":
+        return None if slide else _linear(tangent, chain, body, [{}], None, same)
+    if name == "position_dependent_friction":
+        if slide:
+            return _linear(tangent, chain, body, [{}], ("sine",))
+        shapes = [{"order": float(n)} for n in (1, 2, 3, 4)]
+        return _linear(tangent, chain, body, shapes, ("cosine", "sine"), same)
+    if name == "stribeck_friction":
+        fastest = max(float(np.abs(_speed(balance, m, model, body)).max()) for m in balance.motions)
+        shapes = [{"speed": s * fastest} for s in SPEEDS]
+    elif name == "base_vibration":
+        shapes = [{"frequency": f} for f in _frequencies(tangent)]
+    elif name == "local_spot":
+        shapes = _spots(tangent, body)
+    else:
+        shapes = [{}]
+    return _linear(tangent, chain, body, shapes)
+
+
+def _rubs(model: ChainModel, body: str) -> bool:
+    """Whether a body has any friction that a factor could change."""
+    names = ("coulomb_friction", "viscous_friction", "stribeck_friction")
+    if any(e.on == body and e.name in names for e in model.effects):
+        return True
+    return not body.endswith(FAR) and bool(model.rig.body(body).friction)
+
+
+def _speed(balance: Balance, motion: Motion, model: ChainModel, body: str) -> Floats:
+    measured, _ = measured_motion(model, balance, motion)
+    layout = model.layout
+    return layout.ratio[body] * measured[layout.coordinate[body]][1]
+
+
+def _angle(balance: Balance, motion: Motion, model: ChainModel, body: str) -> Floats:
+    measured, _ = measured_motion(model, balance, motion)
+    layout = model.layout
+    return layout.ratio[body] * measured[layout.coordinate[body]][0]
+
+
+# -- by amplitude: linear ----------------------------------------------------------------------
+
+
+def unit_columns(
+    fit: ChainFit,
+    balance: Balance,
+    chain: ChainEffect,
+    body: str,
+    shapes: Mapping[str, float],
+    names: tuple[str, ...],
+) -> list[Floats]:
+    """Derivative of the residual by each amplitude, per log (equations, rows, p)."""
+    model = fit.model
+    reach = kinematic(model)[model.layout.coordinate[body]]
+    r = model.layout.ratio[body]
+    parts = []
+    for motion in balance.motions:
+        theta, omega = (f(balance, motion, model, body) for f in (_angle, _speed))
+        load = np.zeros_like(theta)  # what goes with it is tried at a finite size
+        slow = motion.rest_share * np.abs(omega).max(initial=0.0)
+        columns = []
+        for name in names:
+            placed = Placed(chain.name, body, {**shapes, name: 1.0})
+            if chain.site == "friction":
+                _, out = friction_along(placed, theta, omega, motion.time, load)
+                out = -np.sign(omega) * out * (np.abs(omega) > slow)
+            else:
+                out = torque_along(placed, theta, omega, motion.time)
+            columns.append(motion.reduce(reach * r * out))
+        parts.append(_in_equations(fit, balance, motion, body, np.array(columns).T))
+    return parts
+
+
+def _in_equations(
+    fit: ChainFit, balance: Balance, motion: Motion, body: str, column: Floats
+) -> Floats:
+    """A torque on a body appears in the first equation, and in that of its own coordinate."""
+    model = fit.model
+    layout, plant, reach = model.layout, model.plant(), kinematic(model)
+    group = layout.coordinate[body]
+    out = np.zeros((fit.left[0].shape[0], *column.shape))
+    out[0] = column
+    seen: list[int] = []
+    for k, point in enumerate(balance.points):
+        here = layout.coordinate[layout.sensor_body[point.name]]
+        if k > 0 and here == group and here not in seen:
+            out[k] = column * balance.heft / (reach[group] ** 2 * plant.inertia[group])
+        seen.append(here)
+    return out
+
+
+def _linear(
+    tangent: Tangent,
+    chain: ChainEffect,
+    body: str,
+    shapes: Sequence[Mapping[str, float]],
+    names: tuple[str, ...] | None = None,
+    same: bool = True,
+) -> Trial | None:
+    """Best of several shapes, amplitudes solved for; `same` where logs share the angle's zero."""
+    names = names or chain.amplitudes
+    logs = [m.name for m in tangent.balance.motions]
+    low = {p.name: p.low for p in chain.keep}
+    best: tuple[float, Trial] | None = None
+    for shape in shapes:
+        parts = unit_columns(tangent.fit, tangent.balance, chain, body, shape, names)
+        apart = not same and len(parts) > 1 and chain.name in HARMONIC
+        wide = _per_log(parts) if apart else parts
+        gain, amplitudes = tangent.score(wide)
+        pairs, zero = amplitudes.reshape(-1, len(names)), dict[str, float]()
+        if any(low[n] >= 0 and pairs[0][j] < 0 for j, n in enumerate(names)):
+            gain = 0.0  # friction that drives, a spring that pushes
+        if best is not None and gain <= best[0]:
+            continue
+        sizes = pairs[0]
+        if apart:
+            sizes, zero = _common_phase(pairs, logs, shape.get("order", 1.0))
+        sized = {n: max(float(a), 0.0) if low[n] >= 0 else float(a)
+                 for n, a in zip(names, sizes, strict=True)}  # fmt: skip
+        placed = Placed(chain.name, body, {**shape, **sized})
+        best = gain, Trial(placed, tuple(wide), names, zero)
+    return best[1] if best else None
+
+
+def _per_log(parts: Sequence[Floats]) -> list[Floats]:
+    wide = []
+    for k, part in enumerate(parts):
+        padded = np.zeros((*part.shape[:2], part.shape[2] * len(parts)))
+        padded[:, :, k * part.shape[2] : (k + 1) * part.shape[2]] = part
+        wide.append(padded)
+    return wide
+
+
+def _common_phase(pairs: Floats, logs: list[str], order: float) -> tuple[Floats, dict[str, float]]:
+    """One amplitude for all logs, and the shift of the angle in each after the first.
+
+    C cos n(θ + z) + S sin n(θ + z) has the complex amplitude (C − iS) e^{inz}.
+    """
+    complex_ = pairs[:, 0] - 1j * pairs[:, 1]
+    size = float(np.sqrt(np.mean(np.abs(complex_) ** 2)))
+    first = complex_[0] / (abs(complex_[0]) or 1.0) * size
+    zero = {
+        log: float(np.angle(c / first) / order) if first else 0.0
+        for log, c in zip(logs[1:], complex_[1:], strict=True)
+    }
+    return np.array([first.real, -first.imag]), zero
+
+
+def _rows_of(tangent: Tangent, log: int, body: str) -> tuple[Floats, Floats, Floats]:
+    """Angle, speed and weighted residual at the rows of a log's first equation that count."""
+    motion, model = tangent.balance.motions[log], tangent.fit.model
+    use = motion.moving
+    angle, speed = (
+        np.interp(motion.rows[use], motion.time, f(tangent.balance, motion, model, body))
+        for f in (_angle, _speed)
+    )
+    return angle, speed, tangent.fit.left[log][0][use]
+
+
+def _spots(tangent: Tangent, body: str) -> list[dict[str, float]]:
+    """Places at which friction is most unlike that around, by the residual over the angle."""
+    logs = [_rows_of(tangent, k, body) for k in range(len(tangent.balance.motions))]
+    angle, speed, left = (np.concatenate(x) for x in zip(*logs, strict=True))
+    if angle.size == 0 or np.ptp(angle) == 0:
+        return []
+    slide = on_slide(tangent.fit.model, body)
+    low, span = float(angle.min()), float(np.ptp(angle))
+    if not slide and span > 2 * np.pi:
+        angle, low, span = np.mod(angle, 2 * np.pi), 0.0, 2 * np.pi
+    place = np.minimum(((angle - low) / span * SPOT_BINS).astype(int), SPOT_BINS - 1)
+    push = np.bincount(place, -np.sign(speed) * left, SPOT_BINS)
+    count = np.bincount(place, minlength=SPOT_BINS).astype(float)
+    found: list[tuple[float, dict[str, float]]] = []
+    for width in WIDTHS:
+        half = int(3 * width * SPOT_BINS)
+        bump = np.exp(-0.5 * (np.arange(-half, half + 1) / (width * SPOT_BINS)) ** 2)
+        along = np.convolve(push, bump, "same")
+        gain = along**2 / np.maximum(np.convolve(count, bump**2, "same"), 1.0)
+        gain[along > 0] = 0.0  # a spot holds
+        k = int(np.argmax(gain))
+        found.append((gain[k], {"place": low + span * (k + 0.5) / SPOT_BINS,
+                                "width": width * span}))  # fmt: skip
+    return [shape for _, shape in sorted(found, key=lambda f: -f[0])]
+
+
+def _orders(tangent: Tangent, body: str, slide: bool) -> list[float]:
+    """Orders at which the residual repeats with the angle, by FFT over the angle."""
+    balance = tangent.balance
+    logs = [_rows_of(tangent, k, body) for k in range(len(balance.motions))]
+    span = max((float(np.ptp(a)) for a, _, _ in logs if a.size), default=0.0)
+    if span <= 0:
+        return []
+    bins = 16384
+    length = 2 * span if slide else 2 * np.pi
+    orders = 2 * np.pi * np.arange(bins // 2 + 1) / length
+    power = np.zeros(orders.size)
+    slow = np.inf
+    for (angle, speed, left), motion in zip(logs, balance.motions, strict=True):
+        place = (angle - angle.min(initial=0.0)) if slide else np.mod(angle, length)
+        sums = np.bincount((place / length * bins).astype(int) % bins, left, bins)
+        fastest = 2 * np.pi * motion.bandwidth / np.maximum(orders, 1e-12)
+        seen = np.searchsorted(np.sort(np.abs(speed)), fastest) / max(speed.size, 1)
+        power += np.abs(np.fft.rfft(sums)) ** 2 / (np.maximum(seen, 0.05) * max(speed.size, 1))
+        slow = min(slow, float(np.median(np.abs(speed))) if speed.size else slow)
+    lowest = LEAST_PERIODS * 2 * np.pi / span if slide else max(
+        LEAST_PERIODS * 2 * np.pi / span, 2.0
+    )  # fmt: skip
+    highest = orders[-1] / 2 if slide else MAX_ORDER
+    highest = min(highest, 4 * np.pi * balance.bandwidth / max(slow, 1e-9))
+    peak = np.zeros(power.size, bool)
+    peak[1:-1] = (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
+    usable = np.flatnonzero(peak & (orders >= lowest) & (orders <= highest))
+    return [float(orders[i]) for i in usable[np.argsort(-power[usable])][:SCREENED]]
+
+
+def _frequencies(tangent: Tangent) -> list[float]:
+    """Frequencies at which the residual repeats with the clock."""
+    motions = tangent.balance.motions
+    grid = np.linspace(0.0, 0.8 * tangent.balance.bandwidth, 2000)[1:]
+    total = np.zeros(grid.size)
+    for left, motion in zip(tangent.fit.left, motions, strict=True):
+        size = 4 * left.shape[1]
+        if size == 0:
+            continue
+        f = np.fft.rfftfreq(size, motion.dt * motion.step)
+        total += np.interp(grid, f, np.abs(np.fft.rfft(left[0] * motion.moving, size)) ** 2)
+    longest = max(float(m.time[-1]) for m in motions)
+    top = float(grid[int(np.argmax(total))])
+    return [max(top + d / longest, 0.1 / longest) for d in (-0.4, -0.2, 0.0, 0.2, 0.4)]
+
+
+# -- at finite sizes ---------------------------------------------------------------------------
+
+
+def _finite(
+    tangent: Tangent,
+    tries: Sequence[Placed],
+    values: Mapping[str, float] | None = None,
+    twist: Mapping[str, Mapping[str, float]] | None = None,
+    *,
+    scaled: bool = False,
+) -> Trial | None:
+    """Best of several finite sizes; `scaled` where the effect is linear in its amplitude."""
+    best: tuple[float, Trial] | None = None
+    target = tangent.target
+    for placed in tries:
+        trial = Trial(placed, (), (), {}, values or {}, twist or {})
+        try:
+            moved, _ = residuals(trial.placed_in(tangent.fit.state), tangent.balance)
+        except (ValueError, ArithmeticError):
+            continue
+        parts = tuple((m - e)[..., None] for m, e in zip(moved, tangent.fit.left, strict=True))
+        if not all(np.isfinite(p).all() for p in parts):
+            continue
+        change = tangent.project(tangent.stack(parts)[:, 0])
+        gain = float(target @ target - (target + change) @ (target + change))
+        if scaled:
+            chain = CHAIN_CATALOGUE[placed.name]
+            gain, (by,) = tangent.score(parts)
+            if by < 0 and any(p.low >= 0 for p in chain.keep if p.name in chain.amplitudes):
+                gain = by = 0.0
+            sized = {k: v * float(by) if k in chain.amplitudes else v
+                     for k, v in placed.values.items()}  # fmt: skip
+            placed = placed._replace(values=sized)
+        if best is None or gain > best[0]:
+            best = gain, replace(trial, placed=placed, columns=parts)
+    return best[1] if best else None
+
+
+Structure = tuple[list[Placed], Mapping[str, float], Mapping[str, Mapping[str, float]]]
+
+
+def _compliances(tangent: Tangent) -> Iterator[Structure]:
+    """Springs in rigid links; of a drive without links, in its body."""
+    model, balance = tangent.fit.model, tangent.balance
+    if any(e.name == "shaft_compliance" for e in model.effects):
+        return
+    duration = max(float(m.time[-1]) for m in balance.motions)
+    low = max(5.0 / duration, balance.bandwidth / 100.0)
+    modes = 2 * np.pi * np.geomspace(low, balance.bandwidth, HIDDEN_MODES)
+    for link in (k for k in model.rig.links if k.rigid):
+        ends = ends_of(model, balance, link.name)
+        if ends is None:
+            yield [_spring(link.name, 0.5, float(w)) for w in modes], {}, {}
+        else:
+            spring = regress(balance, *ends, drive_of(model, balance))
+            start = _spring(link.name, 0.5, spring.antiresonance, spring.damping_ratio)
+            yield [start], unknown_inertias(model, link.name, spring), {}
+    for body in () if model.rig.links else model.rig.bodies:
+        own = [p for p in balance.points if p.body == body.name]
+        far = tuple(s for p in own[1:] for s in p.sensors)
+        if far:
+            ends_here = (own[0].name, 1.0), (own[1].name, 1.0)
+            spring = regress(balance, *ends_here, drive_of(model, balance))
+            share = spring.far / (spring.near + spring.far)
+            start = _spring(body.name, share, spring.antiresonance, spring.damping_ratio, far)
+            yield [start], {}, {}
+            continue
+        sides = [(), own[0].sensors] if own else [()]  # the sensor may be behind the spring
+        yield [
+            _spring(body.name, share, float(w), 0.05, side)
+            for side in sides for w in modes for share in SHARES
+        ], {}, {}  # fmt: skip
+
+
+def _spring(
+    on: str, share: float, antiresonance: float, damping: float = 0.05, far: tuple[str, ...] = ()
+) -> Placed:
+    values = {"share": share, "antiresonance": antiresonance, "damping_ratio": damping}
+    return Placed("shaft_compliance", on, values, far)
+
+
+def _gaps(tangent: Tangent) -> Iterator[Structure]:
+    """Gaps in links that are not rigid."""
+    model, balance = tangent.fit.model, tangent.balance
+    declared = {k.name: k for k in model.rig.links}
+    seen = {model.layout.coordinate[model.layout.sensor_body[p.name]] for p in balance.points}
+    for link in model.layout.links:
+        if link in declared and declared[link].half_gap is not None:
+            continue
+        if 0 not in seen:
+            continue  # through a gap, the driven body's motion does not follow from the other's
+        ends = ends_of(model, balance, link) if link in declared else None
+        if ends is None:
+            travel = scales_of(balance).position
+            yield [Placed("backlash", link, {"half_gap": s * travel}) for s in SIZES], {}, {}
+            continue
+        if not all(p in m.angles for m in balance.motions for p, _ in ends):
+            continue  # an integrated speed drifts by more than a gap
+        gap = regress_gap(balance, *ends, drive_of(model, balance))
+        if gap.half_gap > 0:
+            values = {**unknown_inertias(model, link, gap.spring)}
+            values |= spring_values(model, link, gap.spring)
+            ratio = model.value(f"link.{link}.ratio")
+            twist = {log: {link: zero / ratio} for log, zero in gap.zero.items()}
+            yield [Placed("backlash", link, {"half_gap": gap.half_gap})], values, twist

@@ -1,0 +1,516 @@
+"""Evidence from the torque balance of a drive of any shape, for the selection of effects."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import isfinite, pi
+
+import numpy as np
+from scipy.signal import csd, welch
+
+from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE
+from dmptm_ctrl.diagnosis.rig_candidates import MAX_ORDER, SPOT_BINS, trials, unit_columns
+from dmptm_ctrl.diagnosis.rig_curves import curve_columns, variables_of
+from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
+from dmptm_ctrl.diagnosis.select import Candidate, Floats, Selection, ranked
+from dmptm_ctrl.identify.chain_fit import (
+    ChainFit,
+    Likelihood,
+    State,
+    fit_chain,
+    residuals,
+    total_loss,
+)
+from dmptm_ctrl.identify.chain_free import has_phase, log_parameters
+from dmptm_ctrl.identify.chain_motion import NOISE_SHARE
+from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
+from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+from dmptm_ctrl.simulate.chain_model import Placed
+
+SETTLE = 30  # iterations at most; an unsettled fit would lend its gain to the next effect
+FIRST = 6  # iterations of a candidate's fit
+FITTED = 4  # candidates that are fitted at each look; the others are judged to first order
+SURE = 3.0  # standard errors
+SHORTEST_LATE = 0.1  # sample times
+PERIODS = 3.0  # of what goes by the clock that the longest log must hold
+HARMONICS = 12  # of the input
+LINE = 0.3  # share of the input's power in one line, from which it is a wave
+DRIVEN = 0.5  # of what a spring changes must be coherent with the drive
+SEGMENTS = 8  # of a log, for a coherence
+SHORTEST_SEGMENT = 16  # rows
+STRUCTURES = "shaft_compliance", "backlash"
+
+
+@dataclass(frozen=True, eq=False)
+class RigState:
+    """A model fitted to balances of a drive of any shape.
+
+    Attributes
+    ----------
+    fit : ChainFit
+    held : Balance
+        Logs or stretches on which nothing is fitted but what belongs to a log alone.
+    keys : tuple of str
+        Effects that were added.
+    """
+
+    fit: ChainFit
+    held: Balance
+    keys: tuple[str, ...] = ()
+
+    @property
+    def loss(self) -> float:
+        """−2 log-likelihood of the fitted logs."""
+        return self.fit.loss
+
+    @cached_property
+    def held_state(self) -> State:
+        """The model with the encoder zeros and twists of the held-out logs."""
+        return held_state(self.fit, self.held)
+
+    @cached_property
+    def held_left(self) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
+        """Residual and drive on the held-out logs."""
+        return residuals(self.held_state, self.held)
+
+    @cached_property
+    def tangent(self) -> Tangent:
+        """What is left, with what the model's parameters could explain projected out."""
+        return Tangent(self.fit)
+
+    @property
+    def target(self) -> Floats:
+        """Weighted residual, projected, (m,)."""
+        return self.tangent.target
+
+    @cached_property
+    def trials(self) -> list[Trial]:
+        """Every effect at every place, with starting values."""
+        return trials(self.tangent)
+
+
+@dataclass(frozen=True, eq=False)
+class RigEvidence:
+    """Torque balances of the logs of a drive of any shape.
+
+    Parameters
+    ----------
+    logs, held : Balance
+        Logs, or stretches of them, that are fitted and that are not.
+    jobs : int
+        Threads; nothing depends on it.
+    """
+
+    logs: Balance
+    held: Balance
+    jobs: int = 2
+
+    def base(self, start: State) -> RigState:
+        """Fit the declared model, from rough values."""
+        fit = fit_chain(start, self.logs, jobs=self.jobs, iterations=SETTLE)
+        return self.closed(RigState(fit, self.held))
+
+    def refit(self, state: RigState) -> RigState:
+        """Fit a model that was fitted to other logs."""
+        news = state.fit.likelihood.news
+        fit = fit_chain(state.fit.state, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
+        return RigState(fit, self.held, state.keys)
+
+    def candidates(self, state: RigState, only: Sequence[str] | None = None) -> list[Candidate]:
+        """Fit every effect that balances can show beside a model.
+
+        The few that explain most are fitted; the others are judged to first order.
+        """
+        found = state.trials if only is None else trials(state.tangent, only)
+        steps = sorted(found, key=lambda t: -state.tangent.score(t.columns)[0])
+        if only is not None:
+            return [self._fitted(state, (t,), FIRST) for t in steps]
+        judged = [self._fitted(state, (t,), FIRST) for t in steps[:FITTED]]
+        rough = ranked([self._first_order(state, t) for t in steps[FITTED:]])
+        # none is chosen that was not fitted
+        while rough and rough[0].acceptable:
+            best = max((c.evidence for c in judged if c.acceptable), default=0.0)
+            if rough[0].evidence < best:
+                break
+            judged.append(self._fitted(state, rough.pop(0).fitted[0], FIRST))
+        return [*judged, *rough]
+
+    def _first_order(self, state: RigState, trial: Trial) -> Candidate:
+        """Judge a candidate with the model's parameters as they are after one linear step."""
+        there, fit, t = trial.placed_in(state.fit.state), state.fit, state.tangent
+        if fit.frees:
+            columns = t.stack(trial.columns)
+            change = columns @ t.score(trial.columns)[1] if trial.names else columns[:, 0]
+            size = np.linalg.norm(t.slopes, axis=0)
+            size[size == 0] = 1.0
+            move = np.linalg.lstsq(t.slopes / size, -(t.whole + change), rcond=1e-7)[0] / size
+            values = [
+                float(np.clip(there.get(f) + f.scale * d, f.low, f.high))
+                for f, d in zip(fit.frees, move, strict=True)
+            ]
+            there = there.moved(fit.frees, values)
+        try:
+            left, drive = residuals(there, self.logs)
+        except (ValueError, ArithmeticError):
+            return Candidate((trial.key,), -np.inf, 0.0, ((trial,), fit), "cannot be simulated")
+        loss = total_loss(there, fit.frees, left, fit.likelihood)
+        rough = replace(fit, state=there, left=left, drive=drive, loss=loss)
+        return self._candidate(state, (trial,), rough, look=False)
+
+    def _fitted(self, state: RigState, group: Sequence[Trial], iterations: int) -> Candidate:
+        there = state.fit.state
+        for trial in group:
+            there = trial.placed_in(there)
+        try:
+            fit = fit_chain(
+                there, self.logs, iterations=iterations, jobs=self.jobs,
+                news=state.fit.likelihood.news,
+            )  # fmt: skip
+        except (ValueError, ArithmeticError) as error:
+            keys = tuple(t.key for t in group)
+            return Candidate(
+                keys, 0.0, 0.0, (tuple(group), state.fit), f"cannot be simulated: {error}"
+            )
+        return self._candidate(state, tuple(group), fit)
+
+    def _candidate(
+        self, state: RigState, group: tuple[Trial, ...], fit: ChainFit, *, look: bool = True
+    ) -> Candidate:
+        keys = tuple(t.key for t in group)
+        found = (objection(key, fit, state.fit) for key in keys)
+        why = next(filter(None, found), "") if look else ""
+        one = Candidate(keys, -np.inf, 0.0, (group, fit), why)
+        try:
+            gain, held = self.gains(state, self.beside(state, one))
+        except (ValueError, ArithmeticError):
+            return one
+        return replace(one, gain=gain, held_gain=held) if isfinite(gain + held) else one
+
+    def beside(self, state: RigState, candidate: Candidate) -> RigState:
+        """Return the model with a candidate, as it was fitted."""
+        return RigState(candidate.fitted[1], self.held, (*state.keys, *candidate.keys))
+
+    def gains(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
+        """Fall of −2 log-likelihood on the fitted and on the held-out logs.
+
+        On the fitted logs less what searches for the best shapes find anyway.
+        """
+        likelihood = larger.fit.likelihood
+        fitted = total_loss(smaller.fit.state, smaller.fit.frees, smaller.fit.left, likelihood)
+        more = sum(map(self._searched, larger.keys)) - sum(map(self._searched, smaller.keys))
+        held = Likelihood(self.held, likelihood.news)
+        fall = held.surprise(smaller.held_left[0]) - held.surprise(larger.held_left[0])
+        return fitted - larger.loss - more, fall
+
+    def _searched(self, key: str) -> float:
+        """Evidence that the best of all starts finds where there is none: 2 log of their number."""
+        name = key.partition("@")[0]
+        seconds = max(float(m.time[-1]) for m in self.logs.motions)
+        starts = {"cogging": MAX_ORDER, "local_spot": SPOT_BINS,
+                  "base_vibration": max(int(seconds * self.logs.bandwidth), 1)}  # fmt: skip
+        return 2.0 * float(np.log(starts.get(name, 1)))
+
+    def ratio(self, state: RigState) -> float:
+        """Rows of the fitted logs over those of the held-out ones."""
+        fitted, held = (sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held))
+        return fitted / max(held, 1)
+
+    def columns(self, state: RigState, candidate: Candidate) -> Floats:
+        """Weighted change of the residual per amplitude, projected, (m, k)."""
+        (trial,) = candidate.fitted[0]
+        return state.tangent.project(state.tangent.stack(trial.columns))
+
+    def together(self, state: RigState, candidates: Sequence[Candidate]) -> Candidate:
+        """Fit several effects beside a model."""
+        return self._fitted(state, [c.fitted[0][0] for c in candidates], 2 * FIRST)
+
+    def adopt(self, state: RigState, candidate: Candidate) -> RigState:
+        """Put a candidate into the model and fit to the end."""
+        found, news = candidate.fitted[1].state, state.fit.likelihood.news
+        fit = fit_chain(found, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
+        return RigState(fit, self.held, (*state.keys, *candidate.keys))
+
+    def closed(self, state: RigState) -> RigState:
+        """Count anew how many rows are independent, and fit again."""
+        news = independent(state)
+        same = replace(state.fit, likelihood=Likelihood(self.logs, news))
+        return self.refit(replace(state, fit=same))
+
+    def without(self, state: RigState, key: str) -> RigState:
+        """Take an effect out, and what stands on it, and fit the rest again."""
+        gone = {key, *standing_on(state.fit, key)}
+        model = state.fit.model.without(gone)
+        logs = {
+            log: Nuisance(
+                {k: v for k, v in n.zero.items() if k not in gone},
+                {k: v for k, v in n.twist.items() if k in model.layout.links},
+            )
+            for log, n in state.fit.state.logs.items()
+        }
+        news = state.fit.likelihood.news
+        fit = fit_chain(State(model, logs), self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
+        return RigState(fit, self.held, tuple(k for k in state.keys if k not in gone))
+
+    def wald(self, state: RigState, key: str) -> float:
+        """Square of an effect's amplitudes in standard errors; 0 where only a refit tells."""
+        if key.partition("@")[0] in STRUCTURES:
+            return 0.0
+        own = amplitudes_of(state.fit, key)
+        p = np.array([state.fit.state.get(state.fit.frees[j]) for j in own])
+        scale = np.array([state.fit.frees[j].scale for j in own])
+        covariance = state.fit.covariance[np.ix_(own, own)] * np.outer(scale, scale)
+        return float(p @ np.linalg.pinv(covariance) @ p)
+
+    def share(self, without: RigState, state: RigState, key: str) -> Floats:
+        """What an effect changes of the residual, weighted, the others projected out."""
+        gone = {key, *standing_on(state.fit, key)}
+        bare, _ = residuals(State(state.fit.model.without(gone), state.fit.state.logs), self.logs)
+        change = [b - e for b, e in zip(bare, state.fit.left, strict=True)]
+        return without.tangent.project(without.tangent.stack(change))
+
+
+def without_negligible(evidence: RigEvidence, selection: Selection) -> Selection:
+    """Take out effects that hardly change what is left, as a nearly right law imitates them."""
+    kept = []
+    for entry in selection.entries:
+        if rise(entry.without, selection.final) >= NEGLIGIBLE:
+            kept.append(entry)
+        else:
+            selection.final = evidence.without(selection.final, entry.key)
+            selection.path.append(f"- {entry.key}: negligible")
+    selection.entries = kept
+    return selection
+
+
+def rise(without: RigState, final: RigState) -> float:
+    """Share by which what is left of all balances rises without an effect."""
+    likelihood, held = final.fit.likelihood, Likelihood(final.held, final.fit.likelihood.news)
+    squares = [
+        sum(
+            float(p @ p) / scale**2
+            for side, left in ((likelihood, one.fit.left), (held, one.held_left[0]))
+            for p, scale in zip(side.parts(left), likelihood.scales(final.fit.left), strict=True)
+        )
+        for one in (without, final)
+    ]
+    return squares[0] / max(squares[1], 1e-300) - 1.0
+
+
+def independent(state: RigState) -> Floats:
+    """Share of the rows of each equation that is independent.
+
+    From the correlation of what neither the parameters, nor any effect, nor any curve explains:
+    what is missing correlates too, and would hide itself.
+    """
+    tangent, likelihood = state.tangent, state.fit.likelihood
+    table = [tangent.slopes, *(tangent.stack(t.columns) for t in state.trials)]
+    for signal in variables_of(state.fit).values():
+        table.append(tangent.stack(curve_columns(state.fit, likelihood.balance, signal).parts))
+    columns = np.hstack(table)
+    size = np.linalg.norm(columns, axis=0)
+    good = np.isfinite(size) & (size > 0)
+    scaled = columns[:, good] / size[good]
+    square = scaled.T @ scaled + 1e-6 * np.eye(int(good.sum()))
+    rest = tangent.target - scaled @ np.linalg.solve(square, scaled.T @ tangent.target)
+    found, start = [], 0
+    for part in likelihood.parts(state.fit.left):
+        own = rest[start : start + len(part)]
+        start += len(part)
+        found.append(1.0 / correlation_length(own) if own.size > 2 else 1.0)
+    return np.array(found)
+
+
+def correlation_length(x: Floats) -> float:
+    """Rows that count as one: 1 + 2 Σ ρ, up to the first that is not positive."""
+    spectrum = np.fft.rfft(x, 2 * x.size)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[: x.size]
+    rho = covariance / covariance[0] if covariance[0] > 0 else 0.0 * covariance
+    ends = np.flatnonzero(rho <= 0)
+    return 1.0 + 2.0 * float(np.sum(rho[1 : ends[0] if ends.size else rho.size]))
+
+
+def standing_on(fit: ChainFit, key: str) -> set[str]:
+    """Effects that sit on a body or link that another effect makes."""
+    if not key.startswith("shaft_compliance"):
+        return set()
+    rig, layout = fit.model.rig, fit.model.layout
+    own = {b.name for b in rig.bodies} | {k.name for k in rig.links if not k.rigid}
+    made = (set(layout.bodies) | set(layout.links)) - own
+    return {e.key for e in fit.model.effects if e.key != key and e.on in made}
+
+
+def held_state(fit: ChainFit, held: Balance) -> State:
+    """Fit the twists and encoder zeros of logs that were not fitted, and nothing else."""
+    state, logs = fit.state, fit.likelihood.balance
+    known, reference = {m.name for m in logs.motions}, logs.motions[0].name
+    frees = [
+        free
+        for m in held.motions if m.name not in known
+        for free in log_parameters(state.model, held, m.name, reference)
+    ]  # fmt: skip
+    if not frees:
+        return state
+    new = {m.name for m in held.motions} - known
+    for effect in (e for e in state.model.effects if has_phase(state.model, held, e)):
+        state = _phases(fit, state, held, effect, new)
+    return fit_chain(state, held, frees=frees, iterations=4, jobs=1).state
+
+
+def _phases(fit: ChainFit, state: State, held: Balance, effect: Placed, new: set[str]) -> State:
+    """Encoder zeros of new logs, by the phase that a harmonic effect has there."""
+    logs, bare = dict(state.logs), State(state.model.without([effect.key]), state.logs)
+    left, _ = residuals(bare, held)
+    order = effect.values.get("order", 1.0)
+    chain, names = CHAIN_CATALOGUE[effect.name], ("cosine", "sine")
+    columns = unit_columns(fit, held, chain, effect.on, {"order": order}
+                           if "order" in effect.values else {}, names)  # fmt: skip
+    here = effect.values["cosine"] - 1j * effect.values["sine"]
+    for motion, column, miss in zip(held.motions, columns, left, strict=True):
+        if motion.name not in new or here == 0:
+            continue
+        use = motion.moving
+        c, s = np.linalg.lstsq(column[0][use], -miss[0][use], rcond=None)[0]
+        old = logs.get(motion.name, Nuisance())
+        shift = float(np.angle((c - 1j * s) / here) / order)
+        logs[motion.name] = Nuisance({**old.zero, effect.key: shift}, old.twist)
+    return replace(state, logs=logs)
+
+
+# -- what cannot be ----------------------------------------------------------------------------
+
+
+def amplitudes_of(fit: ChainFit, key: str) -> list[int]:
+    """Places of an effect's amplitudes among the fitted numbers.
+
+    A constant beside another amplitude does not make an effect: it would be an offset.
+    """
+    names = CHAIN_CATALOGUE[key.partition("@")[0]].amplitudes
+    names = tuple(n for n in names if n != "offset" or len(names) == 1)
+    return [
+        j for j, f in enumerate(fit.frees)
+        if f.kind == "effect" and f.owner == key and f.name in names
+    ]  # fmt: skip
+
+
+def objection(key: str, fit: ChainFit, before: ChainFit) -> str:
+    """Why the fitted values of an effect are impossible; empty where they are not."""
+    effect = next(e for e in fit.model.effects if e.key == key)
+    return (
+        _nothing(key, fit)
+        or _beyond(key, fit)
+        or _too_short(effect, fit)
+        or _by_the_drive(effect, fit)
+        or _unseen(effect, fit, before)
+        or _collapsed(fit, before)
+    )
+
+
+def _nothing(key: str, fit: ChainFit) -> str:
+    """An amplitude that does not differ from zero."""
+    if key.partition("@")[0] == "shaft_compliance":
+        return ""  # its absence is no value of its parameters
+    own = amplitudes_of(fit, key)
+    if not own:
+        effect = next(e for e in fit.model.effects if e.key == key)
+        return "" if any(effect.values.values()) else "no amplitude differs from zero"
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    if any(abs(fit.state.get(f := fit.frees[j])) > SURE * errors[j] * f.scale for j in own):
+        return ""
+    return "no amplitude differs from zero by three standard errors"
+
+
+def _beyond(key: str, fit: ChainFit) -> str:
+    for free in (f for f in fit.frees if f.kind == "effect" and f.owner == key):
+        value = fit.state.get(free)
+        if value != 0.0 and value in (free.low, free.high) and free.name != "share":
+            return f"{free.name} would lie beyond what is possible"
+    return ""
+
+
+def _too_short(effect: Placed, fit: ChainFit) -> str:
+    """A time far below a sample is the sampling itself."""
+    names = ("delay",) if effect.name == "drive_delay" else ("time_constant",)
+    if effect.name not in ("drive_delay", "current_lag"):
+        return ""
+    dt = fit.likelihood.balance.motions[0].dt
+    if effect.values[names[0]] > SHORTEST_LATE * dt:
+        return ""
+    return f"{names[0]} is shorter than a tenth of a sample"
+
+
+def _by_the_drive(effect: Placed, fit: ChainFit) -> str:
+    """What goes by the clock must last, and must not be the drive itself."""
+    motions = fit.likelihood.balance.motions
+    f = effect.values.get("frequency")
+    if f is None:
+        return ""
+    if f * max(float(m.time[-1]) for m in motions) < PERIODS:
+        return "the logs hold too few of its periods"
+    if all(_harmonic(f, u, m.dt) for m in motions for u in m.u.values()):
+        return "its frequency is a harmonic of the input"
+    return ""
+
+
+def _harmonic(f: float, u: Floats, dt: float) -> bool:
+    """Whether a frequency is a multiple of that of a wave that the input is."""
+    power = np.abs(np.fft.rfft(u - u.mean())) ** 2
+    power[0] = 0.0
+    top = int(np.argmax(power))
+    if top == 0 or power[max(top - 1, 1) : top + 2].sum() < LINE * power.sum():
+        return False
+    lines = f * u.size * dt / top  # in multiples of the wave
+    nearest = round(lines)
+    return 1 <= nearest <= HARMONICS and abs(lines - nearest) * top <= 1.0 + 0.5 * nearest
+
+
+def _unseen(effect: Placed, fit: ChainFit, before: ChainFit) -> str:
+    """A spring without a resonance that is seen, or that only filters a sensor's noise."""
+    if effect.name != "shaft_compliance":
+        return ""
+    layout, plant = fit.model.layout, fit.model.plant()
+    k = layout.links.index(effect.key if effect.key in layout.links else effect.on)
+    ratio, stiffness = plant.link_values[k, :2]
+    near, far = (plant.inertia[plant.body_coordinate[b]] for b in plant.link_body[k])
+    # a sensor on the driven side sees the antiresonance first
+    square = stiffness * (ratio**2 / far + (1 / near if effect.far else 0.0))
+    if square > (2 * pi * fit.likelihood.balance.bandwidth) ** 2:
+        return "its resonance lies above what the balance sees"
+    if effect.values["damping_ratio"] > 0.5:
+        return "it is damped so much that there is no resonance"
+    changes = [b - a for b, a in zip(before.left, fit.left, strict=True)]
+    drive = np.concatenate(fit.drive)
+    for e in range(fit.left[0].shape[0]):
+        rms = np.sqrt(np.mean(np.concatenate([c[e] for c in changes]) ** 2))
+        loud = rms > SURE * NOISE_SHARE * np.sqrt(np.mean(drive**2))
+        if loud or driven_share([c[e] for c in changes], fit.drive) >= DRIVEN:
+            return ""
+    return "what it changes is no more than noise, and does not follow from the drive"
+
+
+def driven_share(changes: Sequence[Floats], drive: Sequence[Floats]) -> float:
+    """Share of the power of signals that is coherent with the drive."""
+    driven = total = 0.0
+    for change, push in zip(changes, drive, strict=True):
+        length = change.size // SEGMENTS
+        if length < SHORTEST_SEGMENT:
+            continue
+        _, cross = csd(push, change, nperseg=length)
+        _, one = welch(push, nperseg=length)
+        _, two = welch(change, nperseg=length)
+        driven += float(np.sum(np.abs(cross) ** 2 / np.maximum(one, 1e-300)))
+        total += float(np.sum(two))
+    return driven / total if total > 0 else 1.0
+
+
+def _collapsed(fit: ChainFit, before: ChainFit) -> str:
+    """A declared inertia or stiffness that is gone."""
+    for free in fit.frees:
+        if free.kind != "value" or free.name not in ("inertia", "stiffness"):
+            continue
+        low, high = fit.model.quantities[free.owner].range
+        value, old = fit.state.get(free), before.model.value(free.owner)
+        known = isfinite(low) and isfinite(high) and free.prior is not None
+        least = low - (high - low) if known else 0.0
+        if value < max(least, 0.1 * low if known else 0.02 * old) and value < old:
+            return f"{free.owner} would collapse to {value:.3g}"
+    return ""

@@ -1,0 +1,134 @@
+"""An effect at a place, and the residual that it is held against."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.identify.chain_fit import ChainFit, State, prior_rows
+from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
+from dmptm_ctrl.simulate.chain_model import Placed
+
+Floats = NDArray[np.float64]
+Parts = tuple[Floats, ...]  # (equations, rows, k) per log
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """An effect at a place, and what it changes of the residual.
+
+    Attributes
+    ----------
+    placed : Placed
+        Its starting values.
+    columns : tuple of (equations, rows, k) arrays
+        Change of the residual per amplitude, or by the whole effect.
+    names : tuple of str
+        Amplitudes that the columns belong to; empty where they are the whole effect.
+    zero : dict of log to float
+        Shift of the angle in logs after the first.
+    values, twist : mapping
+        Declared quantities that change with it, and twists per log.
+    """
+
+    placed: Placed
+    columns: Parts
+    names: tuple[str, ...] = ()
+    zero: Mapping[str, float] = field(default_factory=dict)
+    values: Mapping[str, float] = field(default_factory=dict)
+    twist: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str:
+        """Name and place."""
+        return self.placed.key
+
+    def placed_in(self, state: State) -> State:
+        """Return a state with the effect in it, at its starting values."""
+        model = state.model.with_values(self.values).with_effect(self.placed)
+        logs = dict(state.logs)
+        for log in {*self.zero, *self.twist}:
+            old = logs.get(log, Nuisance())
+            zero = {**old.zero, self.key: self.zero[log]} if log in self.zero else old.zero
+            logs[log] = Nuisance(zero, {**old.twist, **self.twist.get(log, {})})
+        return State(model, logs)
+
+
+@dataclass(frozen=True, eq=False)
+class Tangent:
+    """Weighted residual of a fit, and what its parameters can change."""
+
+    fit: ChainFit
+
+    @property
+    def balance(self) -> Balance:
+        """Logs that were fitted."""
+        return self.fit.likelihood.balance
+
+    @cached_property
+    def weights(self) -> Floats:
+        """What each row counts; the last ones are the declared ranges."""
+        own = self.fit.likelihood.weights(self.fit.left)
+        return np.concatenate([own, np.ones(len(self._priors[1]))])
+
+    @cached_property
+    def _priors(self) -> tuple[Floats, Floats]:
+        return prior_rows(self.fit.state, self.fit.frees)
+
+    def stack(self, parts: Sequence[Floats]) -> Floats:
+        """Weight (equations, rows[, k]) per log and put them into one array, (m[, k])."""
+        rows = self.fit.likelihood.stack(parts)
+        still = np.zeros((len(self._priors[1]), *rows.shape[1:]))
+        return self.weights.reshape(-1, *[1] * (rows.ndim - 1)) * np.concatenate([rows, still])
+
+    @cached_property
+    def slopes(self) -> Floats:
+        """Weighted derivatives by the fitted numbers, (m, p)."""
+        table = self.stack(self.fit.slopes)
+        if table.shape[1]:
+            table[len(table) - len(self._priors[1]) :] = self._priors[0]
+        return table
+
+    @cached_property
+    def basis(self) -> Floats:
+        """Orthonormal basis of what the fitted numbers change, (m, p)."""
+        norm = np.linalg.norm(self.slopes, axis=0)
+        keep = norm > 1e-12 * norm.max(initial=0.0)
+        if not keep.any():
+            return self.slopes[:, :0]
+        u, s, _ = np.linalg.svd(self.slopes[:, keep] / norm[keep], full_matrices=False)
+        return u[:, s > 1e-7 * s.max()]
+
+    @cached_property
+    def whole(self) -> Floats:
+        """Weighted residual, (m,)."""
+        whole = self.stack(self.fit.left)
+        whole[len(whole) - len(self._priors[1]) :] = self._priors[1]
+        return whole
+
+    @cached_property
+    def target(self) -> Floats:
+        """Weighted residual, projected, (m,)."""
+        return self.project(self.whole)
+
+    def project(self, columns: Floats) -> Floats:
+        """Take out what the fitted numbers could do."""
+        return columns - self.basis @ (self.basis.T @ columns)
+
+    def score(self, parts: Sequence[Floats]) -> tuple[float, Floats]:
+        """Return the fall of −2 log-likelihood to first order, and the amplitudes."""
+        table = self.stack(parts)
+        size = np.linalg.norm(table, axis=0)
+        free = self.project(table)
+        norm = np.linalg.norm(free, axis=0)
+        good = norm > 1e-6 * np.maximum(size, 1e-300)
+        amplitudes = np.zeros(table.shape[1])
+        if not good.any():
+            return 0.0, amplitudes
+        u, s, vt = np.linalg.svd(free[:, good] / norm[good], full_matrices=False)
+        keep = s > 1e-4 * s[0]
+        along = u[:, keep].T @ self.target
+        amplitudes[good] = -(vt[keep].T @ (along / s[keep])) / norm[good]
+        return float(along @ along), amplitudes

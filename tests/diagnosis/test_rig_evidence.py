@@ -1,0 +1,179 @@
+"""Evidence for drives by rig.toml, on small machines that are simulated by other means."""
+
+import numpy as np
+import pytest
+from tests.chain.truth import Bench, Machine
+
+from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, split
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, correlation_length, objection
+from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
+from dmptm_ctrl.diagnosis.select import LEVEL
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.identify.chain_fit import Likelihood, State, fit_chain, residuals
+from dmptm_ctrl.identify.chain_start import rough_start
+from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+
+SMALL = {"seconds": 4.0, "dt": 2e-3, "kinds": (("steps", 6.0), ("sine", 5.0), ("chirp", 4.0))}
+
+
+def logs_of(bench, rig, change=lambda name, y: y):
+    channels = {i.column: i.channel for i in rig.inputs} | {
+        s.column: s.channel for s in rig.sensors
+    }
+    return [
+        Log(name, columns["t"], {channels[k]: change(k, v) for k, v in columns.items() if k != "t"})
+        for name, columns in bench.logs().items()
+    ]
+
+
+def prepared(bench):
+    rig = parse_rig(bench.rig(), "rig.toml")
+    logs, held, _, _ = split(rig, balance_of(rig, logs_of(bench, rig)))
+    evidence = RigEvidence(logs, held, 1)
+    return evidence, evidence.base(State(rough_start(ChainModel(rig), logs)))
+
+
+@pytest.fixture(scope="module")
+def rubbing():
+    return prepared(Bench(Machine(fc=0.03), **SMALL))
+
+
+def test_what_is_missing_has_more_evidence_than_the_level(rubbing):
+    evidence, base = rubbing
+    found = {c.keys[0]: c for c in evidence.candidates(base)}
+    friction = found["coulomb_friction@motor"]
+    assert friction.acceptable
+    assert friction.evidence > 10 * LEVEL
+    assert friction.evidence == max(c.evidence for c in found.values() if c.acceptable)
+
+
+def test_an_effect_is_taken_out_again_at_the_cost_of_putting_it_in(rubbing):
+    evidence, base = rubbing
+    (friction,) = evidence.candidates(base, ["coulomb_friction@motor"])
+    state = evidence.adopt(base, friction)
+    back = evidence.without(state, "coulomb_friction@motor")
+    assert back.keys == ()
+    assert back.loss == pytest.approx(base.loss, abs=1.0)
+    # to second order, the square in standard errors is the evidence; no block is far from normal
+    assert evidence.wald(state, "coulomb_friction@motor") > LEVEL
+    assert state.fit.errors["coulomb_friction@motor.level"] < 1e-3
+
+
+def test_share_is_what_the_effect_changes(rubbing):
+    evidence, base = rubbing
+    (friction,) = evidence.candidates(base, ["coulomb_friction@motor"])
+    state = evidence.adopt(base, friction)
+    share = evidence.share(base, state, "coulomb_friction@motor")
+    alike = share @ base.target / (np.linalg.norm(share) * np.linalg.norm(base.target))
+    assert abs(alike) > 0.9
+
+
+def test_loss_is_that_of_a_normal_distribution(rubbing):
+    evidence, base = rubbing
+    likelihood = Likelihood(evidence.logs, np.array([0.5]))
+    left, _ = residuals(base.fit.state, evidence.logs)
+    (rows,) = likelihood.parts(left)
+    s = np.hypot(np.sqrt(np.mean(rows**2)), likelihood.floor)
+    expected = 0.5 * np.sum(2 * np.log(s) + (rows / s) ** 2)
+    assert likelihood.surprise(left) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.8])
+def test_independent_rows_of_a_correlated_series(rho):
+    """AR(1): (1 + ρ)/(1 − ρ) rows count as one."""
+    noise = np.random.default_rng(1).normal(size=40_000)
+    x = np.empty_like(noise)
+    x[0] = noise[0]
+    for k in range(1, x.size):
+        x[k] = rho * x[k - 1] + noise[k]
+    assert correlation_length(x) == pytest.approx((1 + rho) / (1 - rho), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [
+        (Placed("cable_spring", "motor", {"stiffness": 0.0, "offset": 0.01}), "standard errors"),
+        (Placed("drive_delay", "drive", {"delay": 1e-5}), "tenth of a sample"),
+        (Placed("base_vibration", "motor", {"cosine": 0.0, "sine": 1.0, "frequency": 0.5}), "few"),
+    ],
+)
+def test_objections(rubbing, effect, words):
+    evidence, base = rubbing
+    state = State(base.fit.model.with_effect(effect))
+    fit = fit_chain(state, evidence.logs, iterations=0)
+    if effect.name == "cable_spring":
+        assert words in objection(effect.key, fit, base.fit)
+    else:
+        firm = fit.covariance * 1e-12  # as if it were certain
+        object.__setattr__(fit, "covariance", firm)
+        assert words in objection(effect.key, fit, base.fit)
+
+
+def test_a_vibration_at_a_harmonic_of_the_input_is_the_input():
+    bench = Bench(Machine(), kinds=(("sine", 5.0),), seconds=12.0, dt=2e-3)
+    evidence, base = prepared(bench)
+    for frequency, own in ((1.5, True), (1.72, False)):  # the sine has 0.5 Hz
+        effect = Placed(
+            "base_vibration", "motor", {"cosine": 1.0, "sine": 1.0, "frequency": frequency}
+        )
+        fit = fit_chain(State(base.fit.model.with_effect(effect)), evidence.logs, iterations=0)
+        object.__setattr__(fit, "covariance", fit.covariance * 1e-12)
+        assert ("harmonic" in objection(effect.key, fit, base.fit)) == own
+
+
+def test_sensors_of_one_motion_are_judged_before_any_dynamics():
+    bench = Bench(Machine(), sensors=("speed", "position"), counts=65536, **SMALL)
+    rig = parse_rig(bench.rig(), "rig.toml")
+    assert not sensor_faults(rig, logs_of(bench, rig))
+    wrong = logs_of(bench, rig, lambda k, y: 1.03 * y if k == "w" else y)
+    (fault,) = sensor_faults(rig, wrong)
+    assert fault.placed.key == "sensor_gain@speed"
+    assert fault.placed.values["error"] == pytest.approx(0.03, abs=3e-3)
+    right = put_right(rig, wrong[0], [fault])
+    assert np.std(right["out_speed"]) == pytest.approx(
+        np.std(wrong[0]["out_speed"]) / 1.03, rel=3e-3
+    )
+
+
+def test_two_effects_and_their_budget():
+    bench = Bench(Machine(fc=0.03, offset=0.6), **SMALL)
+    rig = parse_rig(bench.rig(), "rig.toml")
+    found = diagnose_rig(logs_of(bench, rig), rig, jobs=1)
+    assert {e.name for e in found.effects} == {"coulomb_friction", "drive_offset"}
+    content = found.to_dict()
+    assert content["schema"] == 2
+    assert found.verdict == "explained"
+    shares = [row["share"] for row in content["budget"]]
+    assert sum(shares) == pytest.approx(1.0, abs=0.02)
+    assert [row["name"] for row in content["budget"][-2:]] == ["not explained", "floor"]
+    offset = next(e for e in found.effects if e.name == "drive_offset")
+    assert offset.parameters["offset"]["value"] == pytest.approx(0.6, rel=0.05)  # V
+    assert "coulomb friction" in found.sentence()
+
+
+def test_nothing_is_named_where_nothing_is_missing():
+    bench = Bench(Machine(), **SMALL)
+    rig = parse_rig(bench.rig(), "rig.toml")
+    found = diagnose_rig(logs_of(bench, rig), rig, jobs=1)
+    assert found.verdict == "none"
+    assert not found.effects
+    assert found.error["before"]["rmse"] <= 1.5 * found.error["floor"]["rmse"]
+    assert not found.depends_on
+
+
+def test_what_is_on_no_list_is_unknown_with_its_variable():
+    """A torque by the speed that no effect has: a resonance of the mounting, say."""
+    bench = Bench(Machine(), **SMALL)
+    rig = parse_rig(bench.rig(), "rig.toml")
+    logs = []
+    for log in logs_of(bench, rig):
+        speed = log["out_speed"]
+        extra = 1.5 * np.exp(-(((np.abs(speed) - 60) / 15) ** 2))  # V, one way always
+        channels = {**log.channels, "in_drive": log["in_drive"] + extra}
+        logs.append(Log(log.name, log.time, channels))
+    found = diagnose_rig(logs, rig, jobs=1)
+    assert found.verdict == "unknown"
+    assert "omega:motor" in found.depends_on
+    assert "nothing is missing" not in found.summary()

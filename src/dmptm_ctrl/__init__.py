@@ -1,37 +1,146 @@
-"""Control-design workbench for dual-motor geared servo drives.
+"""Control-design workbench for geared servo drives.
 
-Public names load on first use, so that ``import dmptm_ctrl`` stays quick.
+Public names load on first use, so that ``import dmptm_ctrl`` stays quick. ``docs/api.md`` lists
+them in groups; ``help()`` on each gives units, shapes and errors.
 """
+# ruff: noqa: F401 (type checkers read the imports; at run time names load on first use)
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-# public name -> module that defines it
+# public name -> "module" or "module:name there", in the groups of docs/api.md
 _LAZY = {
-    "Campaign": "dmptm_ctrl.signals",
-    "Log": "dmptm_ctrl.signals",
-    "LogError": "dmptm_ctrl.signals",
-    "load_log": "dmptm_ctrl.signals",
-    "load_logs": "dmptm_ctrl.signals",
-    "diagnose": "dmptm_ctrl.diagnosis",
+    # models
+    "paper_drive": "drive.parameters",
+    "paper_rig": "drive.rig_dual",
+    "baseline": "drive.baseline:baseline_drive",
+    "Drive": "drive.parameters",
+    "load_rig": "drive.rigfile",
+    "Rig": "drive.rig",
+    "Model": "simulate.model",
+    "read_model": "simulate.model_file",
+    "register_effect": "effects:register",
+    # linear models
+    "three_dof": "drive.three_dof:three_dof_ss",
+    "nine_dof": "drive.nine_dof:nine_dof_ss",
+    "linearize": "simulate.linear",
+    "modes": "drive.modes:solve_modes",
+    "common_mode": "control.pi",
+    "pi_controller": "control.pi",
+    "close_speed_loop": "control.pi",
+    "margins": "control.tuning:assess_pi",
+    "bode_compare": "plots.linear",
+    "step_compare": "plots.linear",
+    # simulation
+    "simulate": "simulate",
+    "simulate_batch": "simulate.batch",
+    "simulate_with_sensitivities": "simulate.sensitivity",
+    "close_loop": "simulate.closed",
+    "Loop": "simulate.compiled",
+    # frequency responses and experiments
+    "stepped_sine": "identify.frequency_response",
+    "multisine": "identify.frequency_response",
+    "response_from_log": "identify.frequency_response:from_log",
+    "reverse_motion": "identify.experiments_steady",
+    "constant_speed": "identify.experiments_steady",
+    # control design
+    "tune_pi": "control.tuning",
+    "tune_controller": "design.tune",
+    "Aims": "design.tune",
+    "Controller": "design.controller",
+    "read_controller": "design.controller",
+    "impact": "design.impact",
+    "limit_cycles": "design.limit_cycle",
+    "smallest_preload": "design.preload",
+    "monte_carlo": "design.montecarlo",
+    "usual_duty": "design.duty",
+    # logs, diagnosis, and what follows
+    "load_log": "signals.loaders",
+    "load_logs": "signals.loaders",
+    "Log": "signals.log",
+    "Campaign": "signals.campaign",
+    "LogError": "signals.errors",
+    "diagnose": "diagnosis.run",
+    "Diagnosis": "diagnosis.report",
+    "predict": "diagnosis.predict",
+    "check": "check.run",
+    "export": "export.run:export_file",
+    # the paper
+    "reproduce": "reproduce.run",
 }
 
-__all__ = ["Campaign", "Log", "LogError", "__version__", "diagnose", "load_log", "load_logs"]
+__all__ = ["__version__", *_LAZY]
 
 if TYPE_CHECKING:
-    from dmptm_ctrl.diagnosis import diagnose
-    from dmptm_ctrl.signals import Campaign, Log, LogError, load_log, load_logs
+    from dmptm_ctrl.check.run import check
+    from dmptm_ctrl.control.pi import close_speed_loop, common_mode, pi_controller
+    from dmptm_ctrl.control.tuning import assess_pi as margins
+    from dmptm_ctrl.control.tuning import tune_pi
+    from dmptm_ctrl.design.controller import Controller, read_controller
+    from dmptm_ctrl.design.duty import usual_duty
+    from dmptm_ctrl.design.impact import impact
+    from dmptm_ctrl.design.limit_cycle import limit_cycles
+    from dmptm_ctrl.design.montecarlo import monte_carlo
+    from dmptm_ctrl.design.preload import smallest_preload
+    from dmptm_ctrl.design.tune import Aims, tune_controller
+    from dmptm_ctrl.diagnosis.predict import predict
+    from dmptm_ctrl.diagnosis.report import Diagnosis
+    from dmptm_ctrl.diagnosis.run import diagnose
+    from dmptm_ctrl.drive.baseline import baseline_drive as baseline
+    from dmptm_ctrl.drive.modes import solve_modes as modes
+    from dmptm_ctrl.drive.nine_dof import nine_dof_ss as nine_dof
+    from dmptm_ctrl.drive.parameters import Drive, paper_drive
+    from dmptm_ctrl.drive.rig import Rig
+    from dmptm_ctrl.drive.rig_dual import paper_rig
+    from dmptm_ctrl.drive.rigfile import load_rig
+    from dmptm_ctrl.drive.three_dof import three_dof_ss as three_dof
+    from dmptm_ctrl.effects import register as register_effect
+    from dmptm_ctrl.export.run import export_file as export
+    from dmptm_ctrl.identify.experiments_steady import constant_speed, reverse_motion
+    from dmptm_ctrl.identify.frequency_response import from_log as response_from_log
+    from dmptm_ctrl.identify.frequency_response import multisine, stepped_sine
+    from dmptm_ctrl.plots.linear import bode_compare, step_compare
+    from dmptm_ctrl.reproduce.run import reproduce
+    from dmptm_ctrl.signals.campaign import Campaign
+    from dmptm_ctrl.signals.errors import LogError
+    from dmptm_ctrl.signals.loaders import load_log, load_logs
+    from dmptm_ctrl.signals.log import Log
+    from dmptm_ctrl.simulate import simulate
+    from dmptm_ctrl.simulate.batch import simulate_batch
+    from dmptm_ctrl.simulate.closed import close_loop
+    from dmptm_ctrl.simulate.compiled import Loop
+    from dmptm_ctrl.simulate.linear import linearize
+    from dmptm_ctrl.simulate.model import Model
+    from dmptm_ctrl.simulate.model_file import read_model
+    from dmptm_ctrl.simulate.sensitivity import simulate_with_sensitivities
+
+
+class _Front(ModuleType):
+    """A package whose functions keep their names beside subpackages that are called alike.
+
+    Python binds an imported subpackage as an attribute; `simulate` is to stay the function.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (isinstance(value, ModuleType) and name in _LAZY):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Front
 
 
 def __getattr__(name: str) -> Any:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_LAZY[name]), name)
+    module, _, there = _LAZY[name].partition(":")
+    value = getattr(import_module(f"{__name__}.{module}"), there or name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_LAZY})
+    return sorted(__all__)

@@ -64,18 +64,29 @@ class Modes:
         return turns / turns[peak, range(turns.shape[1])]
 
 
-def solve_modes(train: GearTrain) -> Modes:
-    """Solve the generalised symmetric eigenproblem of a gear train.
+def solve_modes(train: GearTrain | Drive) -> Modes:
+    """Solve the generalised symmetric eigenproblem of a drive.
 
     Parameters
     ----------
-    train : GearTrain
+    train : GearTrain or Drive
+        A Drive stands for its 3-DOF model;
+        :func:`~dmptm_ctrl.drive.nine_dof.nine_dof_train` makes the 9-DOF one.
 
     Returns
     -------
     Modes
         Frequencies [Hz], shapes, damping ratios and classes.
+
+    Raises
+    ------
+    TypeError
+        Neither a GearTrain nor a Drive.
     """
+    if isinstance(train, Drive):
+        train = three_dof_train(train)
+    if not isinstance(train, GearTrain):
+        raise TypeError(f"modes takes a Drive or a GearTrain, not {type(train).__name__}")
     squares, shapes = linalg.eigh(train.stiffness, train.mass)
     omega = np.sqrt(np.clip(squares, 0.0, None))
     omega[omega < RIGID_RATIO * omega[-1]] = 0.0

@@ -2,12 +2,25 @@
 
 from dataclasses import replace
 
+from dmptm_ctrl.data import PAPER_RIG
 from dmptm_ctrl.drive.parameters import Drive, Quantity, paper_drive
 from dmptm_ctrl.drive.rig import Body, Input, Link, Rig
+from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.signals.columns import Column
 
 MOTOR_ANGLES = ("theta_ml", "theta_mr")
 _FRICTION = {"static": "T{}s", "coulomb": "T{}c", "stribeck_speed": "W{}", "viscous": "B{}"}
+
+
+def paper_rig() -> Rig:
+    """Return the paper's drive as bodies and links, from the rig file that comes with the package.
+
+    Returns
+    -------
+    Rig
+        Five bodies: two motors, two pinions, one ring gear.
+    """
+    return load_rig(PAPER_RIG)
 
 
 def dual_motor(rig: Rig) -> Drive | None:

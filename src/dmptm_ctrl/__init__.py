@@ -30,7 +30,6 @@ _LAZY = {
     "linearize": "simulate.linear",
     "modes": "drive.modes:solve_modes",
     "common_mode": "control.pi",
-    "pi_controller": "control.pi",
     "close_speed_loop": "control.pi",
     "margins": "control.tuning:assess_pi",
     "bode_compare": "plots.linear",
@@ -45,7 +44,6 @@ _LAZY = {
     "stepped_sine": "identify.frequency_response",
     "multisine": "identify.frequency_response",
     "response_from_log": "identify.frequency_response:from_log",
-    "reverse_motion": "identify.experiments_steady",
     "constant_speed": "identify.experiments_steady",
     # control design
     "tune_pi": "control.tuning",
@@ -57,12 +55,10 @@ _LAZY = {
     "limit_cycles": "design.limit_cycle",
     "smallest_preload": "design.preload",
     "monte_carlo": "design.montecarlo",
-    "usual_duty": "design.duty",
     # logs, diagnosis, and what follows
     "load_log": "signals.loaders",
     "load_logs": "signals.loaders",
     "Log": "signals.log",
-    "Campaign": "signals.campaign",
     "LogError": "signals.errors",
     "diagnose": "diagnosis.run",
     "Diagnosis": "diagnosis.report",
@@ -77,11 +73,10 @@ __all__ = ["__version__", *_LAZY]
 
 if TYPE_CHECKING:
     from dmptm_ctrl.check.run import check
-    from dmptm_ctrl.control.pi import close_speed_loop, common_mode, pi_controller
+    from dmptm_ctrl.control.pi import close_speed_loop, common_mode
     from dmptm_ctrl.control.tuning import assess_pi as margins
     from dmptm_ctrl.control.tuning import tune_pi
     from dmptm_ctrl.design.controller import Controller, read_controller
-    from dmptm_ctrl.design.duty import usual_duty
     from dmptm_ctrl.design.impact import impact
     from dmptm_ctrl.design.limit_cycle import limit_cycles
     from dmptm_ctrl.design.montecarlo import monte_carlo
@@ -100,12 +95,11 @@ if TYPE_CHECKING:
     from dmptm_ctrl.drive.three_dof import three_dof_ss as three_dof
     from dmptm_ctrl.effects import register as register_effect
     from dmptm_ctrl.export.run import export_file as export
-    from dmptm_ctrl.identify.experiments_steady import constant_speed, reverse_motion
+    from dmptm_ctrl.identify.experiments_steady import constant_speed
     from dmptm_ctrl.identify.frequency_response import from_log as response_from_log
     from dmptm_ctrl.identify.frequency_response import multisine, stepped_sine
     from dmptm_ctrl.plots.linear import bode_compare, step_compare
     from dmptm_ctrl.reproduce.run import reproduce
-    from dmptm_ctrl.signals.campaign import Campaign
     from dmptm_ctrl.signals.errors import LogError
     from dmptm_ctrl.signals.loaders import load_log, load_logs
     from dmptm_ctrl.signals.log import Log

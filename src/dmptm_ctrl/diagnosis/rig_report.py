@@ -281,8 +281,8 @@ def ranking_of(
     kept = {k.partition("@")[0] for k in final.keys}
     kept |= {f.placed.name for f in faults}
     best: dict[str, Candidate] = {}
-    for one in (*selection.rest, *selection.first):  # what it is worth beside the final model
-        best.setdefault(one.keys[0].partition("@")[0], one)
+    for seen in (*selection.rest, *selection.first):  # what it is worth beside the final model
+        best.setdefault(seen.keys[0].partition("@")[0], seen)
     rows = []
     for name, chain in CHAIN_CATALOGUE.items():
         entry = next((e for e in selection.entries if e.key.startswith(f"{name}@")), None)

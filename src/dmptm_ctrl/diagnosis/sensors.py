@@ -6,6 +6,7 @@ The speed sensor and the ring encoder see one motion, so
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -13,7 +14,7 @@ from scipy.signal import savgol_filter
 from dmptm_ctrl.diagnosis.report import NamedEffect, estimate
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit
-from dmptm_ctrl.identify.records import Record, block_mean
+from dmptm_ctrl.identify.records import block_mean
 from dmptm_ctrl.simulate.model import Floats, Model
 
 # The two sensors settle it without a model; what is left is that both are wrong alike.
@@ -31,6 +32,22 @@ NAMES = (
 MATTERS = {"sensor_gain": 0.003, "sensor_delay": 0.0007, "encoder_eccentricity": 5e-5}
 
 
+class Readings(Protocol):
+    """A position and a speed of one motion."""
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+
+    @property
+    def theta(self) -> Floats:
+        """Position [rad or m]."""
+
+    @property
+    def omega(self) -> Floats:
+        """Speed [rad/s or m/s]."""
+
+
 @dataclass(frozen=True)
 class SensorCheck:
     """Estimates of the sensor effects, SI, with standard errors."""
@@ -45,7 +62,7 @@ class SensorCheck:
         return bool(size > SIGNIFICANT * error and size > MATTERS[name])
 
 
-def cross_check(records: Sequence[Record], *, turns: bool = True) -> SensorCheck:
+def cross_check(records: Sequence[Readings], *, turns: bool = True) -> SensorCheck:
     """Regress the speed reading on the encoder's derivative over all records.
 
     A delay is linear only while it is short: the reading is moved by what was found, and
@@ -64,7 +81,9 @@ def cross_check(records: Sequence[Record], *, turns: bool = True) -> SensorCheck
     return SensorCheck(values, errors)
 
 
-def regressed(records: Sequence[Record], late: float, turns: bool = True) -> tuple[Floats, Floats]:
+def regressed(
+    records: Sequence[Readings], late: float, turns: bool = True
+) -> tuple[Floats, Floats]:
     """Estimates of :data:`NAMES` and their standard errors, the delay beyond `late` [s]."""
     left, right = [], []
     for rec in records:

@@ -34,14 +34,15 @@ def bench(tmp_path_factory):
 
 def test_diagnosis_names_the_friction(bench):
     found = json.loads((bench / "out" / "diagnosis.json").read_text())
-    assert found["schema"] == 1
+    assert found["schema"] == 2
     assert found["verdict"] == "explained"
     assert [e["name"] for e in found["effects"]] == ["coulomb_friction"]
     level = found["effects"][0]["parameters"]["level"]
     assert level["value"] == pytest.approx(0.03, rel=0.05)
     assert found["error"]["after"]["rmse"] < 0.5 * found["error"]["before"]["rmse"]
-    step = found["ladder"][0]
-    assert step["held_out"]["after"]["rmse"] < 0.5 * step["held_out"]["before"]["rmse"]
+    rows = {row["name"]: row for row in found["budget"]}
+    assert rows["coulomb_friction"]["share"] > 0.5
+    assert rows["coulomb_friction"]["torque_rms"] < found["error"]["before"]["rmse"]
     assert {row["status"] for row in found["ranking"]} <= {
         "supported", "rejected", "not testable with these logs",
     }  # fmt: skip

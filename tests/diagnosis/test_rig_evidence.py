@@ -5,7 +5,8 @@ import pytest
 from tests.chain.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, split
-from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, correlation_length, objection
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, correlation_length
+from dmptm_ctrl.diagnosis.rig_objections import objection
 from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
 from dmptm_ctrl.diagnosis.select import LEVEL
 from dmptm_ctrl.drive.rigfile import parse_rig

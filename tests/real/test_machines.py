@@ -59,8 +59,7 @@ def force_error(diagnosis, log):
 
 def test_emps_names_what_inertia_and_viscous_friction_lack(emps):
     assert {"coulomb_friction", "drive_offset", "friction_asymmetry"} <= set(names(emps))
-    held = [r.held_after.percent for r in emps.ladder.rungs]
-    assert held == sorted(held, reverse=True)  # every rung lowers the error on held-out data
+    assert emps.error["after"]["rmse"] < 0.3 * emps.error["before"]["rmse"]
     roles = {log["name"]: log["role"] for log in emps.provenance["logs"]}
     assert roles == {"DATA_EMPS": "fit", "DATA_EMPS_PULSES": "held-out"}
 

@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isfinite, pi
+from math import isfinite
 
 import numpy as np
-from scipy.signal import csd, welch
 
 from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE
 from dmptm_ctrl.diagnosis.rig_candidates import MAX_ORDER, SPOT_BINS, trials, unit_columns
 from dmptm_ctrl.diagnosis.rig_curves import curve_columns, variables_of
+from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.diagnosis.select import Candidate, Floats, Selection, ranked
 from dmptm_ctrl.identify.chain_fit import (
@@ -22,7 +22,6 @@ from dmptm_ctrl.identify.chain_fit import (
     total_loss,
 )
 from dmptm_ctrl.identify.chain_free import has_phase, log_parameters
-from dmptm_ctrl.identify.chain_motion import NOISE_SHARE
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 from dmptm_ctrl.simulate.chain_model import Placed
@@ -30,14 +29,6 @@ from dmptm_ctrl.simulate.chain_model import Placed
 SETTLE = 30  # iterations at most; an unsettled fit would lend its gain to the next effect
 FIRST = 6  # iterations of a candidate's fit
 FITTED = 4  # candidates that are fitted at each look; the others are judged to first order
-SURE = 3.0  # standard errors
-SHORTEST_LATE = 0.1  # sample times
-PERIODS = 3.0  # of what goes by the clock that the longest log must hold
-HARMONICS = 12  # of the input
-LINE = 0.3  # share of the input's power in one line, from which it is a wave
-DRIVEN = 0.5  # of what a spring changes must be coherent with the drive
-SEGMENTS = 8  # of a log, for a coherence
-SHORTEST_SEGMENT = 16  # rows
 STRUCTURES = "shaft_compliance", "backlash"
 
 
@@ -374,143 +365,3 @@ def _phases(fit: ChainFit, state: State, held: Balance, effect: Placed, new: set
         shift = float(np.angle((c - 1j * s) / here) / order)
         logs[motion.name] = Nuisance({**old.zero, effect.key: shift}, old.twist)
     return replace(state, logs=logs)
-
-
-# -- what cannot be ----------------------------------------------------------------------------
-
-
-def amplitudes_of(fit: ChainFit, key: str) -> list[int]:
-    """Places of an effect's amplitudes among the fitted numbers.
-
-    A constant beside another amplitude does not make an effect: it would be an offset.
-    """
-    names = CHAIN_CATALOGUE[key.partition("@")[0]].amplitudes
-    names = tuple(n for n in names if n != "offset" or len(names) == 1)
-    return [
-        j for j, f in enumerate(fit.frees)
-        if f.kind == "effect" and f.owner == key and f.name in names
-    ]  # fmt: skip
-
-
-def objection(key: str, fit: ChainFit, before: ChainFit) -> str:
-    """Why the fitted values of an effect are impossible; empty where they are not."""
-    effect = next(e for e in fit.model.effects if e.key == key)
-    return (
-        _nothing(key, fit)
-        or _beyond(key, fit)
-        or _too_short(effect, fit)
-        or _by_the_drive(effect, fit)
-        or _unseen(effect, fit, before)
-        or _collapsed(fit, before)
-    )
-
-
-def _nothing(key: str, fit: ChainFit) -> str:
-    """An amplitude that does not differ from zero."""
-    if key.partition("@")[0] == "shaft_compliance":
-        return ""  # its absence is no value of its parameters
-    own = amplitudes_of(fit, key)
-    if not own:
-        effect = next(e for e in fit.model.effects if e.key == key)
-        return "" if any(effect.values.values()) else "no amplitude differs from zero"
-    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    if any(abs(fit.state.get(f := fit.frees[j])) > SURE * errors[j] * f.scale for j in own):
-        return ""
-    return "no amplitude differs from zero by three standard errors"
-
-
-def _beyond(key: str, fit: ChainFit) -> str:
-    for free in (f for f in fit.frees if f.kind == "effect" and f.owner == key):
-        value = fit.state.get(free)
-        if value != 0.0 and value in (free.low, free.high) and free.name != "share":
-            return f"{free.name} would lie beyond what is possible"
-    return ""
-
-
-def _too_short(effect: Placed, fit: ChainFit) -> str:
-    """A time far below a sample is the sampling itself."""
-    names = ("delay",) if effect.name == "drive_delay" else ("time_constant",)
-    if effect.name not in ("drive_delay", "current_lag"):
-        return ""
-    dt = fit.likelihood.balance.motions[0].dt
-    if effect.values[names[0]] > SHORTEST_LATE * dt:
-        return ""
-    return f"{names[0]} is shorter than a tenth of a sample"
-
-
-def _by_the_drive(effect: Placed, fit: ChainFit) -> str:
-    """What goes by the clock must last, and must not be the drive itself."""
-    motions = fit.likelihood.balance.motions
-    f = effect.values.get("frequency")
-    if f is None:
-        return ""
-    if f * max(float(m.time[-1]) for m in motions) < PERIODS:
-        return "the logs hold too few of its periods"
-    if all(_harmonic(f, u, m.dt) for m in motions for u in m.u.values()):
-        return "its frequency is a harmonic of the input"
-    return ""
-
-
-def _harmonic(f: float, u: Floats, dt: float) -> bool:
-    """Whether a frequency is a multiple of that of a wave that the input is."""
-    power = np.abs(np.fft.rfft(u - u.mean())) ** 2
-    power[0] = 0.0
-    top = int(np.argmax(power))
-    if top == 0 or power[max(top - 1, 1) : top + 2].sum() < LINE * power.sum():
-        return False
-    lines = f * u.size * dt / top  # in multiples of the wave
-    nearest = round(lines)
-    return 1 <= nearest <= HARMONICS and abs(lines - nearest) * top <= 1.0 + 0.5 * nearest
-
-
-def _unseen(effect: Placed, fit: ChainFit, before: ChainFit) -> str:
-    """A spring without a resonance that is seen, or that only filters a sensor's noise."""
-    if effect.name != "shaft_compliance":
-        return ""
-    layout, plant = fit.model.layout, fit.model.plant()
-    k = layout.links.index(effect.key if effect.key in layout.links else effect.on)
-    ratio, stiffness = plant.link_values[k, :2]
-    near, far = (plant.inertia[plant.body_coordinate[b]] for b in plant.link_body[k])
-    # a sensor on the driven side sees the antiresonance first
-    square = stiffness * (ratio**2 / far + (1 / near if effect.far else 0.0))
-    if square > (2 * pi * fit.likelihood.balance.bandwidth) ** 2:
-        return "its resonance lies above what the balance sees"
-    if effect.values["damping_ratio"] > 0.5:
-        return "it is damped so much that there is no resonance"
-    changes = [b - a for b, a in zip(before.left, fit.left, strict=True)]
-    drive = np.concatenate(fit.drive)
-    for e in range(fit.left[0].shape[0]):
-        rms = np.sqrt(np.mean(np.concatenate([c[e] for c in changes]) ** 2))
-        loud = rms > SURE * NOISE_SHARE * np.sqrt(np.mean(drive**2))
-        if loud or driven_share([c[e] for c in changes], fit.drive) >= DRIVEN:
-            return ""
-    return "what it changes is no more than noise, and does not follow from the drive"
-
-
-def driven_share(changes: Sequence[Floats], drive: Sequence[Floats]) -> float:
-    """Share of the power of signals that is coherent with the drive."""
-    driven = total = 0.0
-    for change, push in zip(changes, drive, strict=True):
-        length = change.size // SEGMENTS
-        if length < SHORTEST_SEGMENT:
-            continue
-        _, cross = csd(push, change, nperseg=length)
-        _, one = welch(push, nperseg=length)
-        _, two = welch(change, nperseg=length)
-        driven += float(np.sum(np.abs(cross) ** 2 / np.maximum(one, 1e-300)))
-        total += float(np.sum(two))
-    return driven / total if total > 0 else 1.0
-
-
-def _collapsed(fit: ChainFit, before: ChainFit) -> str:
-    """A declared inertia or stiffness that is gone."""
-    for free in fit.frees:
-        if free.kind != "value" or free.name not in ("inertia", "stiffness"):
-            continue
-        low, high = fit.model.quantities[free.owner].range
-        value, old = fit.state.get(free), before.model.value(free.owner)
-        known = isfinite(low) and isfinite(high) and free.prior is not None
-        least = low - (high - low) if known else 0.0
-        if value < max(least, 0.1 * low if known else 0.02 * old) and value < old:
-            return f"{free.owner} would collapse to {value:.3g}"
-    return ""

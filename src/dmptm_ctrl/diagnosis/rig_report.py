@@ -281,12 +281,12 @@ def ranking_of(
     kept = {k.partition("@")[0] for k in final.keys}
     kept |= {f.placed.name for f in faults}
     best: dict[str, Candidate] = {}
-    for known in (*selection.rest, *selection.first):  # what it is worth beside the final model
-        best.setdefault(known.keys[0].partition("@")[0], known)
+    for seen in (*selection.rest, *selection.first):  # what it is worth beside the final model
+        best.setdefault(seen.keys[0].partition("@")[0], seen)
     rows = []
     for name, chain in CHAIN_CATALOGUE.items():
         entry = next((e for e in selection.entries if e.key.startswith(f"{name}@")), None)
-        one: Candidate | None = best.get(name)
+        one = best.get(name)
         score = entry.evidence if entry else one.evidence if one else 0.0
         status, reason = "rejected", ""
         if name in kept:

@@ -32,6 +32,22 @@ NAMES = (
 MATTERS = {"sensor_gain": 0.003, "sensor_delay": 0.0007, "encoder_eccentricity": 5e-5}
 
 
+class Readings(Protocol):
+    """A position and a speed of one motion."""
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+
+    @property
+    def theta(self) -> Floats:
+        """Position [rad or m]."""
+
+    @property
+    def omega(self) -> Floats:
+        """Speed [rad/s or m/s]."""
+
+
 @dataclass(frozen=True)
 class SensorCheck:
     """Estimates of the sensor effects, SI, with standard errors."""
@@ -46,23 +62,7 @@ class SensorCheck:
         return bool(size > SIGNIFICANT * error and size > MATTERS[name])
 
 
-class Reading(Protocol):
-    """A position and a speed of one motion."""
-
-    @property
-    def dt(self) -> float:
-        """Sample time [s]."""
-
-    @property
-    def theta(self) -> Floats:
-        """Position, (n,) [rad]."""
-
-    @property
-    def omega(self) -> Floats:
-        """Speed, (n,) [rad/s]."""
-
-
-def cross_check(records: Sequence[Reading], *, turns: bool = True) -> SensorCheck:
+def cross_check(records: Sequence[Readings], *, turns: bool = True) -> SensorCheck:
     """Regress the speed reading on the encoder's derivative over all records.
 
     A delay is linear only while it is short: the reading is moved by what was found, and
@@ -81,7 +81,9 @@ def cross_check(records: Sequence[Reading], *, turns: bool = True) -> SensorChec
     return SensorCheck(values, errors)
 
 
-def regressed(records: Sequence[Reading], late: float, turns: bool = True) -> tuple[Floats, Floats]:
+def regressed(
+    records: Sequence[Readings], late: float, turns: bool = True
+) -> tuple[Floats, Floats]:
     """Estimates of :data:`NAMES` and their standard errors, the delay beyond `late` [s]."""
     left, right = [], []
     for rec in records:

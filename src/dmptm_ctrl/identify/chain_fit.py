@@ -18,7 +18,7 @@ from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residu
 from dmptm_ctrl.parallel import in_threads, small_matrices
 from dmptm_ctrl.simulate.chain_model import ChainModel
 
-NEWS = 0.125  # share of the rows that is independent, where nothing better is known
+ROWS_PER_NEWS = 8.0  # rows that count as one, where nothing better is known
 LEAST_SCALE = 0.005  # of the torque; friction laws are not known more finely
 BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
@@ -286,7 +286,7 @@ def fit_chain(
     frees = tuple(frees)
     left, drive = residuals(state, balance)
     count = left[0].shape[0]
-    likelihood = Likelihood(balance, np.full(count, NEWS) if news is None else news)
+    likelihood = Likelihood(balance, np.full(count, 1.0 / ROWS_PER_NEWS) if news is None else news)
     loss = total_loss(state, frees, left, likelihood)
     slopes = jacobian(state, balance, frees, left, jobs=jobs)
     for _ in range(iterations if frees else 0):

@@ -16,7 +16,7 @@ from dmptm_ctrl.diagnosis.residual import balances
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import columns as dual_columns
 from dmptm_ctrl.identify.balance import role_of, weights
-from dmptm_ctrl.identify.chain_fit import NEWS, State, fit_chain, jacobian, residuals
+from dmptm_ctrl.identify.chain_fit import ROWS_PER_NEWS, State, fit_chain, jacobian, residuals
 from dmptm_ctrl.identify.chain_free import Free, free_parameters, log_parameters, scales_of
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
@@ -220,7 +220,7 @@ def _of_chain(model: ChainModel, logs: Sequence[Log], jobs: int) -> Evidence:
 
     def weigh(rest: Floats) -> Floats:
         level = np.array([np.sqrt(np.mean(rest[equation == e] ** 2)) or 1.0 for e in range(count)])
-        return np.sqrt(NEWS) / level[equation]
+        return 1.0 / (level[equation] * np.sqrt(ROWS_PER_NEWS))
 
     prior = np.array([inf if f.prior is None else f.prior[1] / f.scale for f in frees])
     weight = _settled(flat, columns, prior, weigh)

@@ -7,7 +7,7 @@ from math import isfinite
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE
+from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE, NONE
 from dmptm_ctrl.diagnosis.rig_candidates import MAX_ORDER, SPOT_BINS, trials, unit_columns
 from dmptm_ctrl.diagnosis.rig_curves import curve_columns, variables_of
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
@@ -271,6 +271,17 @@ def without_negligible(evidence: RigEvidence, selection: Selection) -> Selection
             selection.path.append(f"- {entry.key}: negligible")
     selection.entries = kept
     return selection
+
+
+def within_floor(selection: Selection) -> bool:
+    """Whether the declared model is near what all effects leave, in every equation, held out."""
+    base, final = selection.base, selection.final
+    held = Likelihood(final.held, final.fit.likelihood.news)
+    sides = (held.parts(one.held_left[0]) for one in (base, final))
+    return all(
+        np.linalg.norm(before) <= NONE * np.hypot(np.linalg.norm(after), held.floor)
+        for before, after in zip(*sides, strict=True)
+    )
 
 
 def rise(without: RigState, final: RigState) -> float:

@@ -279,7 +279,8 @@ def within_floor(selection: Selection) -> bool:
     held = Likelihood(final.held, final.fit.likelihood.news)
     sides = (held.parts(one.held_left[0]) for one in (base, final))
     return all(
-        np.linalg.norm(before) <= NONE * np.hypot(np.linalg.norm(after), held.floor)
+        np.linalg.norm(before)
+        <= NONE * np.hypot(np.linalg.norm(after), held.floor * np.sqrt(len(after)))
         for before, after in zip(*sides, strict=True)
     )
 

@@ -211,7 +211,7 @@ def report_of(
     verdict = "unknown"
     if effects and (explained >= EXPLAINED or before <= NONE**2 * floor):
         verdict = "explained"
-    elif not effects and before <= NONE**2 * floor:
+    elif not effects and not curves and before <= NONE**2 * floor:
         verdict = "none"
     depends_on = variables if verdict == "unknown" else ()
     augmented = final.fit.model

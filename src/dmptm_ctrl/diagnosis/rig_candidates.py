@@ -65,9 +65,17 @@ def trials(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
                 continue
             if wanted(name, body) and not declared_already(model, name, body):
                 found.append(_body_effect(tangent, chain, body))
-    for placed in (*_compliances(tangent), *_gaps(tangent)):
-        if wanted(placed[0][0].name, placed[0][0].on):
-            found.append(_finite(tangent, *placed))
+    return [t for t in found if t is not None]
+
+
+def structures(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
+    """Return springs and gaps, which change how many coordinates move, or cost most to try."""
+    present = {e.key for e in tangent.fit.model.effects}
+    found = [
+        _finite(tangent, tries, values, twist)
+        for tries, values, twist in (*_compliances(tangent), *_gaps(tangent))
+        if tries[0].key not in present and (only is None or tries[0].key in only)
+    ]
     return [t for t in found if t is not None]
 
 

@@ -6,7 +6,12 @@ from dataclasses import replace
 from os import PathLike
 
 from dmptm_ctrl.diagnosis.rig_curves import accepted, better_without_names, curves, predicted
-from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, RigState, without_negligible
+from dmptm_ctrl.diagnosis.rig_evidence import (
+    RigEvidence,
+    RigState,
+    within_floor,
+    without_negligible,
+)
 from dmptm_ctrl.diagnosis.rig_report import RigDiagnosis, report_of
 from dmptm_ctrl.diagnosis.rig_screen import (
     other_scale,
@@ -95,6 +100,8 @@ def diagnose_rig(
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
         as_read = _as_read(declared, whole, base, jobs)
     selection = without_negligible(evidence, select_effects(evidence, base, say))
+    if within_floor(selection):
+        selection = replace(selection, final=base, entries=[], rest=selection.first)
     say("looking for curves in what is left")
     found = curves(selection.final)
     if selection.entries and (plain := better_without_names(selection)):

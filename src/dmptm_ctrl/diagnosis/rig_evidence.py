@@ -7,8 +7,14 @@ from math import isfinite
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE
-from dmptm_ctrl.diagnosis.rig_candidates import MAX_ORDER, SPOT_BINS, trials, unit_columns
+from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE, NONE
+from dmptm_ctrl.diagnosis.rig_candidates import (
+    MAX_ORDER,
+    SPOT_BINS,
+    structures,
+    trials,
+    unit_columns,
+)
 from dmptm_ctrl.diagnosis.rig_curves import curve_columns, variables_of
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
@@ -112,10 +118,10 @@ class RigEvidence:
 
         The few that explain most are fitted; the others are judged to first order.
         """
-        found = state.trials if only is None else trials(state.tangent, only)
-        steps = sorted(found, key=lambda t: -state.tangent.score(t.columns)[0])
         if only is not None:
-            return [self._fitted(state, (t,), FIRST) for t in steps]
+            named = [*trials(state.tangent, only), *structures(state.tangent, only)]
+            return [self._fitted(state, (t,), FIRST) for t in named]
+        steps = sorted(state.trials, key=lambda t: -state.tangent.score(t.columns)[0])
         judged = [self._fitted(state, (t,), FIRST) for t in steps[:FITTED]]
         rough = ranked([self._first_order(state, t) for t in steps[FITTED:]])
         # none is chosen that was not fitted
@@ -124,6 +130,9 @@ class RigEvidence:
             if rough[0].evidence < best:
                 break
             judged.append(self._fitted(state, rough.pop(0).fitted[0], FIRST))
+        # a spring imitates much: it is tried when nothing plainer is missing
+        if not any(c.acceptable for c in judged):
+            judged += [self._fitted(state, (t,), FIRST) for t in structures(state.tangent)]
         return [*judged, *rough]
 
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:
@@ -271,6 +280,18 @@ def without_negligible(evidence: RigEvidence, selection: Selection) -> Selection
             selection.path.append(f"- {entry.key}: negligible")
     selection.entries = kept
     return selection
+
+
+def within_floor(selection: Selection) -> bool:
+    """Whether the declared model is near what all effects leave, in every equation, held out."""
+    base, final = selection.base, selection.final
+    held = Likelihood(final.held, final.fit.likelihood.news)
+    sides = (held.parts(one.held_left[0]) for one in (base, final))
+    return all(
+        np.linalg.norm(before)
+        <= NONE * np.hypot(np.linalg.norm(after), held.floor * np.sqrt(len(after)))
+        for before, after in zip(*sides, strict=True)
+    )
 
 
 def rise(without: RigState, final: RigState) -> float:

@@ -15,7 +15,7 @@ from dmptm_ctrl.simulate.chain_model import Placed
 SURE = 3.0  # standard errors
 SHORTEST_LATE = 0.1  # sample times
 PERIODS = 3.0  # of what goes by the clock that the longest log must hold
-HARMONICS = 12  # of the input
+RESOLVED = 1.5  # lines of a log's spectrum within which frequencies are one
 LINE = 0.3  # share of the input's power in one line, from which it is a wave
 DRIVEN = 0.5  # of what a spring changes must be coherent with the drive
 SEGMENTS = 8  # of a log, for a coherence
@@ -101,9 +101,10 @@ def _harmonic(f: float, u: Floats, dt: float) -> bool:
     top = int(np.argmax(power))
     if top == 0 or power[max(top - 1, 1) : top + 2].sum() < LINE * power.sum():
         return False
-    lines = f * u.size * dt / top  # in multiples of the wave
-    nearest = round(lines)
-    return 1 <= nearest <= HARMONICS and abs(lines - nearest) * top <= 1.0 + 0.5 * nearest
+    near = np.arange(max(top - 1, 1), min(top + 2, power.size))
+    wave = float(near @ power[near] / power[near].sum())  # in lines of the spectrum
+    nearest = round(f * u.size * dt / wave)
+    return nearest >= 1 and abs(f * u.size * dt - nearest * wave) <= RESOLVED
 
 
 def _unseen(effect: Placed, fit: ChainFit, before: ChainFit) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dmptm_ctrl.diagnosis.budget import EXPLAINED, MATERIAL, NONE
 from dmptm_ctrl.diagnosis.report import NamedEffect
 from dmptm_ctrl.diagnosis.rig_curves import Curve, mean_square
 from dmptm_ctrl.diagnosis.rig_evidence import RigState
@@ -24,9 +25,6 @@ from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
 
 SCHEMA = 2
-NEAR_FLOOR = 1.5  # times the floor; an error within it lacks nothing
-MOST = 0.8  # share of the removable mean square that named effects take where they explain it
-MATERIAL = 0.02  # share of the removable mean square
 LIKELY = 0.5  # probability from which a name is in the headline
 
 
@@ -211,9 +209,9 @@ def report_of(
     strong = (c.variable for c in curves if c.evidence > 0.5 * curves[0].evidence)
     variables = tuple(dict.fromkeys(strong))[:2]
     verdict = "unknown"
-    if effects and (explained >= MOST or before <= NEAR_FLOOR**2 * floor):
+    if effects and (explained >= EXPLAINED or before <= NONE**2 * floor):
         verdict = "explained"
-    elif not effects and before <= NEAR_FLOOR**2 * floor:
+    elif not effects and not curves and before <= NONE**2 * floor:
         verdict = "none"
     depends_on = variables if verdict == "unknown" else ()
     augmented = final.fit.model

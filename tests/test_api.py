@@ -96,7 +96,7 @@ def test_public_function_stays_beside_a_subpackage_of_its_name():
     import dmptm_ctrl.reproduce.run
     import dmptm_ctrl.simulate.batch
 
-    for name in ("simulate", "reproduce", "check", "export"):
+    for name in ("simulate", "reproduce", "check"):
         importlib.import_module(f"dmptm_ctrl.{name}")
         assert inspect.isfunction(getattr(dmptm_ctrl, name))
 

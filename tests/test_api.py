@@ -7,14 +7,16 @@ import pkgutil
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import dmptm_ctrl
 
-PACKAGES = ["dmptm_ctrl"] + [
+PACKAGES = [
     f"dmptm_ctrl.{module.name}" for module in pkgutil.iter_modules(dmptm_ctrl.__path__)
     if module.ispkg and module.name != "data"
 ]  # fmt: skip
+API = (Path(__file__).parents[1] / "docs" / "api.md").read_text(encoding="utf-8")
 RETURNS = re.compile(r"^(Returns|Yields)\n---|^(Return|Whether) ", re.MULTILINE)
 
 
@@ -30,8 +32,8 @@ def public_functions():
                 yield pytest.param(function, id=f"{package}.{name}")
 
 
-@pytest.mark.parametrize("function", list(public_functions()))
-def test_docstring_says_what_goes_in_and_out(function):
+def check_docstring(function):
+    """What goes in, what comes out and what is refused stands in the docstring."""
     text = inspect.getdoc(function) or ""
     signature = inspect.signature(function)
     if signature.parameters:
@@ -42,6 +44,11 @@ def test_docstring_says_what_goes_in_and_out(function):
         assert RETURNS.search(text), "no word on what is returned"
     if re.search(r"^\s+raise ", inspect.getsource(function), re.MULTILINE):
         assert "\nRaises\n---" in text
+
+
+@pytest.mark.parametrize("function", list(public_functions()))
+def test_docstring_says_what_goes_in_and_out(function):
+    check_docstring(function)
 
 
 def unknown_keywords():
@@ -64,6 +71,61 @@ def unknown_keywords():
         "load_log": lambda: load_log(log, nonsense=1.0),
         "simulate": lambda: simulate(model, [0.0, 0.001], [[0.0, 0.0]] * 2, nonsense=1.0),
     }
+
+
+@pytest.mark.parametrize("name", dmptm_ctrl.__all__[1:])
+def test_public_name_loads_explains_itself_and_is_listed(name):
+    found = getattr(dmptm_ctrl, name)
+    if inspect.isfunction(found):
+        check_docstring(found)
+        assert "\nReturns\n---" in inspect.getdoc(found)
+    elif not issubclass(found, Exception):
+        assert re.search(r"\n(Attributes|Parameters)\n---", inspect.getdoc(found))
+    assert re.search(rf"^\| `{name}[`(]", API, re.MULTILINE), "not in docs/api.md"
+
+
+def test_listed_names_exist_and_types_agree():
+    assert set(re.findall(r"^\| `(\w+)", API, re.MULTILINE)) == set(dmptm_ctrl.__all__[1:])
+    tree = ast.parse(Path(dmptm_ctrl.__file__).read_text(encoding="utf-8"))
+    (typed,) = (node for node in tree.body if isinstance(node, ast.If))
+    seen = {alias.asname or alias.name for node in typed.body for alias in node.names}
+    assert seen == set(dmptm_ctrl.__all__[1:])
+
+
+def test_public_function_stays_beside_a_subpackage_of_its_name():
+    import dmptm_ctrl.reproduce.run
+    import dmptm_ctrl.simulate.batch
+
+    for name in ("simulate", "reproduce", "check"):
+        importlib.import_module(f"dmptm_ctrl.{name}")
+        assert inspect.isfunction(getattr(dmptm_ctrl, name))
+
+
+def test_closed_loop_is_the_compiled_one_as_a_response():
+    from dmptm_ctrl.simulate import compiled
+
+    model, loop = dmptm_ctrl.Model(), dmptm_ctrl.Loop(4.6, 86.0, 10.0, 0.3, -0.3)
+    time = 0.5 + 1e-3 * np.arange(400)
+    reference = 0.17 * np.sin(np.pi * time)
+    run = dmptm_ctrl.close_loop(model, loop, time, reference)
+    u, out = compiled.close_loop(model, loop, reference, 1e-3)
+    np.testing.assert_allclose(run.outputs, np.vstack([out.T, u]), rtol=1e-6, atol=1e-9)
+    assert run.output_labels[-2:] == ["u_left", "u_right"]
+    np.testing.assert_array_equal(run.inputs[0], reference)
+
+
+def test_closed_loop_refuses_what_it_cannot_run_in_one_sentence():
+    model, loop = dmptm_ctrl.Model(), dmptm_ctrl.Loop(4.6, 86.0, 10.0)
+    slow = dmptm_ctrl.Controller(4.6, 86.0, limit=10.0, sample_time=2e-3)
+    time, reference = [0.0, 1e-3], [0.0, 0.1]
+    for arguments, said in [
+        ((loop, model, time, reference), "takes a Model first, not Loop"),
+        ((model, "PI", time, reference), "a Loop or a Controller second, not str"),
+        ((model, loop, time, [0.0]), r"reference has shape \(1,\); needs \(2,\)"),
+        ((model, slow, time, reference), "the controller's sample time is 0.002 s"),
+    ]:
+        with pytest.raises((TypeError, ValueError), match=said):
+            dmptm_ctrl.close_loop(*arguments)
 
 
 @pytest.mark.parametrize("name", list(unknown_keywords()))

@@ -1,6 +1,7 @@
 """The pages: all are in the contents, links lead somewhere, programs are programs."""
 
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -18,8 +19,9 @@ PROGRAMS = [
 
 
 def test_every_page_is_in_the_contents():
-    contents = re.search(r"```\{toctree\}(.*?)```", (DOCS / "index.md").read_text("utf-8"), re.S)[1]
-    listed = {line for line in contents.split("\n") if line and not line.startswith(":")}
+    contents = re.findall(r"```\{toctree\}(.*?)```", (DOCS / "index.md").read_text("utf-8"), re.S)
+    lines = "\n".join(contents).split("\n")
+    listed = {line for line in lines if line and not line.startswith(":")}
     assert listed == {page.stem for page in PAGES} - {"index"}
 
 
@@ -32,6 +34,22 @@ def test_links_lead_somewhere(page):
 @pytest.mark.parametrize("text", PROGRAMS)
 def test_programs_parse(text):
     ast.parse(text)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/workbench.md"])
+def test_programs_of_the_page_run(page, tmp_path):
+    """In a process of its own: figures, and files beside it."""
+    text = (DOCS.parent / page).read_text("utf-8")
+    program = "\n".join(re.findall(r"```python\n(.*?)```", text, re.S))
+    environment = {**os.environ, "MPLBACKEND": "Agg"}
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=tmp_path, env=environment)
+
+
+def test_readme_is_short_and_its_links_lead_somewhere():
+    text = (DOCS.parent / "README.md").read_text("utf-8")
+    assert len(text.splitlines()) <= 150
+    for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", text):
+        assert (DOCS.parent / target).exists(), target
 
 
 def test_the_effect_of_the_page_is_an_effect():

@@ -138,6 +138,13 @@ def assess_pi(
     kp : float [V/(rad/s)]
     ki : float [V/rad]
     sample_time : float [s]
+    sections : sequence of (b0, b1, b2, a1, a2)
+        Second-order difference equations behind the PI.
+
+    Returns
+    -------
+    PiTuning
+        Gains, crossover and bandwidth [Hz], phase margin [deg], gain margin [dB], peak.
 
     Raises
     ------

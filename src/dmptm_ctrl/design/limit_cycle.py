@@ -118,6 +118,10 @@ def limit_cycles(
     check : bool
         Whether to simulate.
 
+    Returns
+    -------
+    list of LimitCycle
+
     Raises
     ------
     ValueError

@@ -34,6 +34,10 @@ def baseline_drive(drive: Drive | None = None, *, speed: float = USUAL) -> Drive
     speed : float
         Amplitude of that sine at the ring gear [rad/s], by default the paper's 10 deg/s.
 
+    Returns
+    -------
+    Drive
+
     Raises
     ------
     ValueError

@@ -172,6 +172,10 @@ def nine_dof_ss(
     **overrides : float
         See :func:`nine_dof_parameters`.
 
+    Returns
+    -------
+    StateSpace
+
     Raises
     ------
     ValueError

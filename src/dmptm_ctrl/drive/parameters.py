@@ -98,6 +98,11 @@ class Drive(Mapping[str, float]):
 
     Every quantity of the plant is here; `drive["k"]` is a value, `drive.quantities["k"]`
     the value with unit, range and source.
+
+    Attributes
+    ----------
+    quantities : mapping of str to Quantity
+    name : str
     """
 
     quantities: Mapping[str, Quantity]

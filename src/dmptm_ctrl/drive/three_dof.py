@@ -67,6 +67,10 @@ def three_dof_ss(
     states : {"twists", "angles"}
         See :meth:`GearTrain.to_ss`.
 
+    Returns
+    -------
+    StateSpace
+
     Raises
     ------
     ValueError

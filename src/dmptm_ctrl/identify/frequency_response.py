@@ -160,6 +160,11 @@ def multisine(
     model, loop, offset, preload, output, sample_time, name
         As in :func:`stepped_sine`.
 
+    Returns
+    -------
+    FrequencyResponse
+        `response` as FrequencyResponseData, and `coherence`.
+
     Raises
     ------
     ValueError

@@ -92,7 +92,8 @@ def step_compare(
         Of the step, in the input's unit.
     ax : Axes, optional
     unit : str
-        Of the output after multiplication by `scale`, with its name.
+        Of the output, with its name.
+    title : str
 
     Returns
     -------

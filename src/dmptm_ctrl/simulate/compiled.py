@@ -30,7 +30,17 @@ _OPEN = np.zeros(6)
 
 
 class Loop(NamedTuple):
-    """PI speed loop at the sample rate, common to both motors, with preload."""
+    """PI speed loop at the sample rate, common to both motors, with preload.
+
+    Attributes
+    ----------
+    kp : float [V/(rad/s)]
+    ki : float [V/rad]
+    limit : float [V]
+        Clip of the common voltage.
+    bias_l, bias_r : float [V]
+        Added on the left and on the right motor.
+    """
 
     kp: float  # V/(rad/s)
     ki: float  # V/rad

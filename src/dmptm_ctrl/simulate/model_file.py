@@ -89,7 +89,15 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
 
 
 def read_model(path: str | PathLike[str]) -> Model:
-    """Read a model file.
+    """Read the model of a dual-motor drive from a model.toml.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    Model
 
     Raises
     ------

@@ -182,10 +182,28 @@ def better_without_names(selection: Selection) -> list[Curve]:
 
 
 def predicted(state: "RigState", found: Sequence[Curve]) -> float:
-    """Mean square that neither the model nor the best of all curves predicts, held out."""
-    squares = [mean_square(state.held_left[0], state.held)]
-    squares += [mean_square(c.left, state.held) for c in found]
-    return min(squares)
+    """Mean square that no model predicts, held out.
+
+    What neither the model nor the best curve takes, less what neighbouring rows share: the noise
+    of sensors is as large from row to row as over all rows, what a drive lacks is not.
+    """
+    lefts = [state.held_left[0], *(c.left for c in found)]
+    return min(mean_square(x, state.held) * noise_share(x, state.held) for x in lefts)
+
+
+def noise_share(left: Sequence[Floats], balance: Balance) -> float:
+    """Share of the first equation's mean square that neighbouring rows do not share."""
+    rows = [p[0] * m.moving for p, m in zip(left, balance.motions, strict=True)]
+    power = sum(float(x @ x) for x in rows)
+    shared = sum(float(x[1:] @ x[:-1]) for x in rows)
+    return 1.0 - max(shared, 0.0) / power if power > 0.0 else 1.0
+
+
+def curve_share(state: "RigState", found: Sequence[Curve]) -> float:
+    """Share of the held-out mean square that the best curve takes."""
+    before = mean_square(state.held_left[0], state.held)
+    after = min((mean_square(c.left, state.held) for c in found), default=before)
+    return max(1.0 - after / before, 0.0) if before > 0.0 else 0.0
 
 
 def mean_square(left: Sequence[Floats], balance: Balance) -> float:

@@ -5,7 +5,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from os import PathLike
 
-from dmptm_ctrl.diagnosis.rig_curves import accepted, better_without_names, curves, predicted
+from dmptm_ctrl.diagnosis.rig_curves import (
+    accepted,
+    better_without_names,
+    curve_share,
+    curves,
+    predicted,
+)
 from dmptm_ctrl.diagnosis.rig_evidence import (
     RigEvidence,
     RigState,
@@ -124,6 +130,8 @@ def diagnose_rig(
         faults=faults,
         curves=accepted(found),
         floor=predicted(selection.final, found),
+        nearest=tuple(c.variable for c in sorted(found, key=lambda c: -c.evidence)[:1]),
+        share_of_curves=curve_share(selection.final, accepted(found)),
         on=on,
         provenance=provenance,
         warnings=(*_notes(loaded), *warnings),

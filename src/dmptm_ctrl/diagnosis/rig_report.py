@@ -162,6 +162,8 @@ def report_of(
     faults: Sequence[SensorFault],
     curves: Sequence[Curve],
     floor: float,
+    share_of_curves: float,
+    nearest: tuple[str, ...],
     on: str,
     provenance: dict[str, Any],
     warnings: Sequence[str],
@@ -175,7 +177,11 @@ def report_of(
     curves : sequence of Curve
         Those that the logs demand, beside the effects.
     floor : float
-        Mean square that nothing predicts.
+        Mean square that no model predicts.
+    share_of_curves : float
+        Share of the held-out mean square that the best curve takes.
+    nearest : tuple of str
+        Variable of the best curve, demanded or not.
     """
     final: RigState = selection.final
     base: RigState = selection.base
@@ -211,9 +217,9 @@ def report_of(
     verdict = "unknown"
     if effects and (explained >= EXPLAINED or before <= NONE**2 * floor):
         verdict = "explained"
-    elif not effects and not curves and before <= NONE**2 * floor:
+    elif not effects and share_of_curves < 1.0 - EXPLAINED and before <= NONE**2 * floor:
         verdict = "none"
-    depends_on = variables if verdict == "unknown" else ()
+    depends_on = (variables or nearest) if verdict == "unknown" else ()
     augmented = final.fit.model
     for fault in faults:
         augmented = augmented.with_effect(fault.placed)

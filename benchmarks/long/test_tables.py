@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from tests.recovery.test_tables import LOGS, decided, halved, left_by, table_of
+from tests.recovery.test_tables import GAIN, LOGS, decided, halved, left_by, table_of
 
-from dmptm_ctrl.diagnosis.tables import TORQUE, tabulate
+from dmptm_ctrl.diagnosis.tables import HELD, TORQUE, tabulate
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects.lookup import DRAG
 
@@ -39,3 +39,14 @@ def test_brake_in_a_sector_of_the_turn():
     outside = knots[away > 1.2 * true["half_width_deg"]]
     assert np.median(outside) - np.median(inside) == pytest.approx(true["N_m_s_rad"], rel=0.1)
     assert values["high"] - values["low"] < np.deg2rad(4.0 * true["half_width_deg"] + 60.0)
+
+
+def test_motors_that_lose_torque_in_the_course_of_a_log():
+    left, true = left_by(504, (("fading_motors", 1.0),), "all", "kelvin_voigt")
+    share, tau = true["fading_motors"].values()
+    found = tabulate(left, ("time", "u"), 2)
+    _, places, knots = table_of(found.left)
+    lost = -GAIN * share * (1.0 - np.exp(-places / tau))
+    # a motor that is weaker all the time is friction and inertia as well: compare the course
+    np.testing.assert_allclose(knots - knots[-1], lost - lost[-1], atol=0.05 * GAIN * share)
+    assert found.held_gain > HELD

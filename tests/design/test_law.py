@@ -128,8 +128,14 @@ def test_lanes_are_the_scalar_loop():
 def test_refusals():
     with pytest.raises(ValueError, match="3 sections"):
         Law(1.0, 1.0, 1.0, sections=[(1.0, 0.0, 0.0, 0.0, 0.0)] * 3)
-    laws = [Law(1.0, 1.0, 1.0, model=m) for m in (Model(), STEER)]
-    with pytest.raises(ValueError, match="different design models"):
-        simulate_batch([Model()] * 2, TIME, SINE, loop=laws)
+    law = Law(1.0, 1.0, 1.0, model=Model())
     with pytest.raises(ValueError, match="mixes"):
-        simulate_batch([Model()] * 2, TIME, SINE, loop=[laws[0], Loop(1.0, 1.0, 1.0)])
+        simulate_batch([Model()] * 2, TIME, SINE, loop=[law, Loop(1.0, 1.0, 1.0)])
+
+
+def test_laws_of_different_design_models_in_one_batch():
+    laws = [Law(1.0, 1.0, 1.0, model=m) for m in (Model(), STEER)]
+    both = simulate_batch([Model()] * 2, TIME, SINE, loop=laws)
+    for k, law in enumerate(laws):
+        alone = simulate_batch([Model()], TIME, SINE, loop=law)
+        np.testing.assert_allclose(both.outputs[k], alone.outputs[0], rtol=1e-9, atol=1e-12)

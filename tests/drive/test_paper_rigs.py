@@ -69,7 +69,7 @@ def test_nine_bodies_with_gaps_and_friction_are_the_reference(nine):
         found = march(nine, u, DT, substeps=substeps).speed("ring_gear")
         errors.append(np.sqrt(np.mean((found - true) ** 2)) / np.ptp(true))
     assert errors[1] < 1e-3
-    assert errors[1] < 0.25 * errors[0]
+    assert errors[1] < 0.5 * errors[0]  # first order through impacts
 
 
 def test_under_its_speed_loop_it_does_what_three_bodies_do(nine):

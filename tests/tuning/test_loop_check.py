@@ -50,7 +50,7 @@ def test_limit_cycle_that_the_linear_model_does_not_show():
     # of it hammers alike
     fine = close_loop(Model(), loop, long.ref, 1e-3, substeps=64)[1][:, 1]
     amplitude = np.sqrt(2) * np.std(fine[fine.size // 3 :])
-    assert amplitude == pytest.approx(long.limit_cycle_amplitude, rel=0.02)
+    assert amplitude == pytest.approx(long.limit_cycle_amplitude, rel=0.1)
     closed = Model(paper_drive().with_values(gap_l=0.0, gap_r=0.0))
     assert check_loop(closed, loop, 10 * DEG).limit_cycle_amplitude == 0.0
 

@@ -128,7 +128,7 @@ class DualEvidence:
     def _candidate(self, state: DualState, trials: tuple[Trial, ...]) -> Candidate:
         keys = tuple(key_of(t.name) for t in trials)
         why = next(filter(None, map(objection, trials)), "")
-        one = Candidate(keys, 0.0, 0.0, trials, why)
+        one = Candidate(keys, 0.0, 0.0, trials, why, sum(len(unknowns_of(t.name)) for t in trials))
         gain, held = self.gains(state, self.beside(state, one))
         return replace(one, gain=gain, held_gain=held)
 

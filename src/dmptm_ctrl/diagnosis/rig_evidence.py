@@ -179,7 +179,8 @@ class RigEvidence:
         keys = tuple(t.key for t in group)
         found = (objection(key, fit, state.fit) for key in keys)
         why = next(filter(None, found), "") if look else ""
-        one = Candidate(keys, -np.inf, 0.0, (group, fit), why)
+        numbers = sum(len(CHAIN_CATALOGUE[k.partition("@")[0]].keep) for k in keys)
+        one = Candidate(keys, -np.inf, 0.0, (group, fit), why, numbers)
         try:
             gain, held = self.gains(state, self.beside(state, one))
         except (ValueError, ArithmeticError):

@@ -9,6 +9,7 @@ from scipy.signal import csd, welch
 from dmptm_ctrl.diagnosis.select import Floats
 from dmptm_ctrl.identify.chain_fit import ChainFit
 from dmptm_ctrl.identify.chain_motion import NOISE_SHARE
+from dmptm_ctrl.identify.inverse_dynamics import effective_input
 from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
 from dmptm_ctrl.simulate.chain_model import Placed
 
@@ -42,6 +43,7 @@ def objection(key: str, fit: ChainFit, before: ChainFit) -> str:
         _nothing(key, fit)
         or _beyond(key, fit)
         or _too_short(effect, fit)
+        or _takes_the_drive(effect, fit)
         or _by_the_drive(effect, fit)
         or _unseen(effect, fit, before)
         or _collapsed(fit, before)
@@ -68,6 +70,16 @@ def _beyond(key: str, fit: ChainFit) -> str:
         if value != 0.0 and value in (free.low, free.high) and free.name != "share":
             return f"{free.name} would lie beyond what is possible"
     return ""
+
+
+def _takes_the_drive(effect: Placed, fit: ChainFit) -> str:
+    """What takes most of the signal is no fault of an amplifier: the drive would not move."""
+    if CHAIN_CATALOGUE[effect.name].place != "input":
+        return ""
+    motions = fit.likelihood.balance.motions
+    signals = [(m.u[effect.on], effective_input(fit.model, m, effect.on)) for m in motions]
+    sent, acts = (float(np.std(np.concatenate([s[k] for s in signals]))) for k in (0, 1))
+    return "it would take most of the drive's signal" if acts < 0.5 * sent else ""
 
 
 def _too_short(effect: Placed, fit: ChainFit) -> str:

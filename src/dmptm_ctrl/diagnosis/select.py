@@ -46,6 +46,8 @@ class Candidate:
         What the evidence needs to go on from here.
     objection : str
         Why the fitted values are impossible; empty where they are not.
+    numbers : int
+        Of the effects together; of rivals that the logs hardly tell apart the simplest is named.
     """
 
     keys: tuple[str, ...]
@@ -53,6 +55,7 @@ class Candidate:
     held_gain: float
     fitted: Any
     objection: str = ""
+    numbers: int = 0
 
     @property
     def evidence(self) -> float:
@@ -211,7 +214,7 @@ def select_effects(
         able = [c for c in candidates if c.acceptable]
         # what both parts of the logs ask for goes before what only one of them does
         able.sort(key=lambda c: -min(c.gain, evidence.ratio(state) * c.held_gain))
-        chosen = able[0] if able else best_set(evidence, state, candidates)
+        chosen = simplest(able) if able else best_set(evidence, state, candidates)
         if chosen is None:
             break
         state = evidence.closed(evidence.adopt(state, chosen))
@@ -228,6 +231,12 @@ def select_effects(
 def ranked(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Candidates, most evidence first."""
     return sorted(candidates, key=lambda c: -c.evidence)
+
+
+def simplest(able: Sequence[Candidate]) -> Candidate:
+    """The first candidate, or of those that the logs hardly tell from it the simplest."""
+    near = able[0].evidence - 4.0 * TEMPERATURE
+    return min((c for c in able if c.evidence > near), key=lambda c: c.numbers)
 
 
 def best_set(evidence: Evidence, state: State, candidates: Sequence[Candidate]) -> Candidate | None:

@@ -92,7 +92,9 @@ def step_compare(
         Of the step, in the input's unit.
     ax : Axes, optional
     unit : str
-        Of the output, with its name.
+        Of the output after multiplication by `scale`, with its name.
+    scale : float
+        From the output's unit to `unit`.
     title : str
 
     Returns

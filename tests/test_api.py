@@ -114,6 +114,15 @@ def test_closed_loop_is_the_compiled_one_as_a_response():
     np.testing.assert_array_equal(run.inputs[0], reference)
 
 
+@pytest.mark.parametrize("kind", dmptm_ctrl._FIRST)
+def test_another_first_argument_is_refused_in_one_sentence(kind):
+    for name in dmptm_ctrl._FIRST[kind]:
+        function = getattr(dmptm_ctrl, name)
+        assert kind in str(next(iter(inspect.signature(function).parameters.values())).annotation)
+        with pytest.raises(TypeError, match=f"^{name} takes a {kind} as its first argument, not a"):
+            function(1.0, 2.0, 3.0)
+
+
 def test_closed_loop_refuses_what_it_cannot_run_in_one_sentence():
     model, loop = dmptm_ctrl.Model(), dmptm_ctrl.Loop(4.6, 86.0, 10.0)
     slow = dmptm_ctrl.Controller(4.6, 86.0, limit=10.0, sample_time=2e-3)

@@ -6,6 +6,7 @@ them in groups; ``help()`` on each gives units, shapes and errors.
 # ruff: noqa: F401 (type checkers read the imports; at run time names load on first use)
 
 import sys
+from functools import wraps
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -67,6 +68,16 @@ _LAZY = {
     "export": "export.run:export_file",
     # the paper
     "reproduce": "reproduce.run",
+}
+
+# what a function takes first; another kind is refused in one sentence
+_FIRST = {
+    "Drive": ("baseline", "three_dof", "nine_dof"),
+    "Model": (
+        *("simulate", "simulate_with_sensitivities", "stepped_sine", "multisine", "predict"),
+        *("tune_controller", "limit_cycles", "smallest_preload", "monte_carlo"),
+    ),
+    "StateSpace": ("common_mode", "close_speed_loop", "margins", "tune_pi"),
 }
 
 __all__ = ["__version__", *_LAZY]
@@ -132,8 +143,25 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, _, there = _LAZY[name].partition(":")
     value = getattr(import_module(f"{__name__}.{module}"), there or name)
+    for kind, names in _FIRST.items():
+        if name in names:
+            value = _taking(kind, name, value)
     globals()[name] = value
     return value
+
+
+def _taking(kind: str, name: str, function: Any) -> Any:
+    """Return the function, with a sentence for a first argument of another kind."""
+
+    @wraps(function)
+    def checked(*args: Any, **options: Any) -> Any:
+        kinds = {c.__name__ for c in type(args[0]).__mro__} if args else {kind}
+        if kind not in kinds and args[0] is not None:
+            given = type(args[0]).__name__
+            raise TypeError(f"{name} takes a {kind} as its first argument, not a {given}")
+        return function(*args, **options)
+
+    return checked
 
 
 def __dir__() -> list[str]:

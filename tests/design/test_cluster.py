@@ -66,12 +66,12 @@ def kill_one_at_work(client, folder, told):
 
 def test_a_worker_is_killed_in_the_middle(client, tmp_path):
     drive, plants = Model(), CHUNKS * CHUNK
-    here = monte_carlo(LOOP, drive, plants, aims=AIMS)
+    here = monte_carlo(drive, LOOP, plants, aims=AIMS)
     told = {}
     killer = threading.Thread(target=kill_one_at_work, args=(client, tmp_path, told), daemon=True)
     killer.start()
     with parallel_config(backend="dask"):
-        there = monte_carlo(LOOP, drive, plants, aims=AIMS, folder=tmp_path)
+        there = monte_carlo(drive, LOOP, plants, aims=AIMS, folder=tmp_path)
     killer.join()
     assert told["held"] >= 1
     assert told["kept"] < CHUNKS

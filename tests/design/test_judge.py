@@ -151,20 +151,20 @@ def test_monte_carlo_resumes_and_does_not_depend_on_jobs(tmp_path):
     aims = Aims(duty=SHORT)
     others = [LATE]
     count = CHUNK + 10
-    whole = monte_carlo(LOOP, DRIVE, count, effects=others, aims=aims)
-    monte_carlo(LOOP, DRIVE, CHUNK, effects=others, aims=aims, folder=tmp_path)
+    whole = monte_carlo(DRIVE, LOOP, count, effects=others, aims=aims)
+    monte_carlo(DRIVE, LOOP, CHUNK, effects=others, aims=aims, folder=tmp_path)
     first = tmp_path / f"{0:06d}-{CHUNK:06d}.npy"
     stamp = first.stat().st_mtime_ns
-    again = monte_carlo(LOOP, DRIVE, count, effects=others, aims=aims, n_jobs=2, folder=tmp_path)
+    again = monte_carlo(DRIVE, LOOP, count, effects=others, aims=aims, n_jobs=2, folder=tmp_path)
     assert first.stat().st_mtime_ns == stamp
     np.testing.assert_array_equal(again.errors, whole.errors)
     assert np.median(whole.errors[1::2]) > np.median(whole.errors[::2])  # the late ones
     with pytest.raises(ValueError, match="another run"):
-        monte_carlo(LOOP, DRIVE, count, aims=aims, folder=tmp_path)
+        monte_carlo(DRIVE, LOOP, count, aims=aims, folder=tmp_path)
 
 
 def test_refusals():
     with pytest.raises(ValueError, match="no effects"):
         impact(DRIVE, LOOP)
     with pytest.raises(ValueError, match="at least one plant"):
-        monte_carlo(LOOP, DRIVE, 0)
+        monte_carlo(DRIVE, LOOP, 0)

@@ -62,8 +62,8 @@ class MonteCarlo(NamedTuple):
 
 
 def monte_carlo(
-    controller: Controller,
     model: Model,
+    controller: Controller,
     count: int,
     *,
     uncertainty: float = DECLARED,
@@ -77,8 +77,8 @@ def monte_carlo(
 
     Parameters
     ----------
-    controller : Controller
     model : Model
+    controller : Controller
     count : int
     uncertainty : float
         See :func:`~dmptm_ctrl.design.draws.draw_plants`.

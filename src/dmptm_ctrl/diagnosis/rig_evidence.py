@@ -130,9 +130,7 @@ class RigEvidence:
             if rough[0].evidence < best:
                 break
             judged.append(self._fitted(state, rough.pop(0).fitted[0], FIRST))
-        # a spring imitates much: it is tried when nothing plainer is missing
-        if not any(c.acceptable for c in judged):
-            judged += [self._fitted(state, (t,), FIRST) for t in structures(state.tangent)]
+        judged += [self._fitted(state, (t,), FIRST) for t in structures(state.tangent)]
         return [*judged, *rough]
 
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:

@@ -117,6 +117,10 @@ RIG_EFFECTS = {
         Placed("sensor_gain", "speed", {"error": 0.05}),
         Placed("encoder_eccentricity", "angle", {"cosine": 0.01, "sine": -0.02}),
     ),
+    "two late sensors": (
+        Placed("sensor_delay", "speed", {"delay": 3.4e-3}),
+        Placed("sensor_delay", "angle", {"delay": 0.3e-3}),
+    ),
     "lag": (Placed("current_lag", "voltage", {"time_constant": 4e-3}),),
     "input": (
         Placed("drive_dead_band", "voltage", {"width": 0.5}),

@@ -180,14 +180,10 @@ class Expressions:
         if isinstance(owner, Row):
             return self.item(owner.cells, index[1])
         if isinstance(owner, Signals):
-            if isinstance(index, tuple):
-                return self.item(owner.rings[index[0]], index[1])
-            return owner.rings[index]
+            return self.item(owner.rings[index[0]], index[1])
         if isinstance(owner, Latest):
             return owner.value
         if isinstance(owner, Ring):
-            if isinstance(index, slice):
-                return Ring(owner.array, index.stop)
             return Item(owner.array, make("mod", index, owner.array.size))
         if isinstance(owner, Array):
             return Item(owner, index)

@@ -19,17 +19,10 @@ class Cells:
         self.names = names or {}
 
 
-class Ring:
-    """The last `array.size` samples of a signal, by the number of the sample.
+class Ring(NamedTuple):
+    """The last `array.size` samples of a signal, by the number of the sample."""
 
-    Attributes
-    ----------
-    size : int or expression
-        Samples that there are so far; none is beyond it.
-    """
-
-    def __init__(self, array: Array, size: Any = FOREVER) -> None:
-        self.array, self.size = array, size
+    array: Array
 
 
 class Latest(NamedTuple):
@@ -51,14 +44,15 @@ class Row(NamedTuple):
 
 
 class Signals(NamedTuple):
-    """Two-dimensional array of rings, one per signal."""
+    """Two-dimensional array of rings, one per signal, each with `size` samples."""
 
-    rings: tuple["Ring | Latest", ...]
+    rings: tuple["Ring | Latest | Array", ...]
+    size: int = FOREVER
 
     @property
     def shape(self) -> tuple[int, int]:
         """Signals and samples."""
-        return len(self.rings), FOREVER
+        return len(self.rings), self.size
 
 
 class Returned(NamedTuple):

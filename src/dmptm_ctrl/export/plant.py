@@ -1,7 +1,7 @@
 """An augmented model as a program: what the simulator runs, with the model's numbers put in.
 
-The step is the simulator's own, :mod:`.simulate.core` or :mod:`.simulate.chain_core`; this file
-alone knows how these loops are built.
+The loop over samples is the simulator's own, :mod:`.simulate.scalar`; this file alone knows how
+that loop is called.
 """
 
 import ast
@@ -12,17 +12,20 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.export.places import Latest, Ring, Row, Signals
-from dmptm_ctrl.export.program import Item, Name, Port, Program, Store, make
+from dmptm_ctrl.export.program import Name, Port, Program, Store, make
 from dmptm_ctrl.export.stepping import counter, finished
 from dmptm_ctrl.export.trace import Scope, function_tree
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.signals.units import parse_unit
-from dmptm_ctrl.simulate import chain_compose
 from dmptm_ctrl.simulate.chain import substeps_for
 from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
-from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.dual import dual_plant, outputs
+from dmptm_ctrl.simulate.dual import start as start_of
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.plant import Plant, numbers, structure_of
+from dmptm_ctrl.simulate.run import start_state
+from dmptm_ctrl.simulate.scalar import scalar_engine
 
 UNITS = ("rad", "rad/s", "rad", "rad", "N m", "N m", "rad", "rad")
 TEXTS = (
@@ -61,160 +64,108 @@ def plant_program(
     Program
         Its outputs are the readings at the sample's beginning; the step then goes on to the
         next sample. Inputs and outputs are SI.
+
+    Raises
+    ------
+    NotScalar
+        An effect whose kernel is more than scalar arithmetic, branches and loops.
     """
     if isinstance(model, ChainModel):
-        return _chain_program(model, sample_time, name, notes or [])
-    return _dual_program(model, sample_time, name, notes or [], start)
+        plant, steps = model.plant(), substeps_for(model.plant(), sample_time)
+        inputs, seen = _chain_ports(model)
+        q, v = np.zeros((2, plant.inertia.size))
+        columns = list(range(len(seen)))
+    else:
+        plant, steps = dual_plant(model.arrays()), SUBSTEPS
+        inputs, seen = _dual_ports()
+        q, v = start_of(plant, rest(model, start))
+        count, _, links, _, sensors = plant.size
+        every = np.arange(sensors + 2.0 * links + 2.0 * count)[None]
+        columns = [int(k) for k in outputs(plant, every)[0, : len(seen)]]
+    return _program(plant, q, v, sample_time, steps, inputs, seen, columns, name, notes or [])
 
 
-class _March:
-    """The loop over samples of an engine, followed for one sample."""
+def _program(
+    plant: Plant, q: Any, v: Any, dt: float, steps: int, inputs: list[Port], seen: list[Port],
+    columns: list[int], name: str, notes: list[str],
+) -> Program:  # fmt: skip
+    """Follow the loop over samples for one sample; `columns` are those of the ports seen."""
+    tracer = Tracer()
+    names = [tracer.fresh(p.name) for p in inputs]
+    inputs = [replace(p, name=n.id) for p, n in zip(inputs, names, strict=True)]
+    seen = [replace(p, name=tracer.fresh(p.name).id) for p in seen]
+    samples = counter(tracer)
+    dead = plant.input_values[:, 1] / dt
+    signals: list[Ring | Latest] = []
+    keeping: list[Any] = []
+    for port, late in zip(names, dead.tolist(), strict=True):
+        signals.append(_signal(tracer, samples, port, late, keeping))
 
-    def __init__(self, function: Any, loop_rings: tuple[str, ...] = ()) -> None:
-        function = getattr(function, "py_func", function)
-        tree = function_tree(function)
-        self.parameters = [a.arg for a in tree.args.args]
-        at = next(
-            k
-            for k, node in enumerate(tree.body)
-            if isinstance(node, ast.For) and getattr(node.target, "id", "") == "i"
-        )
-        loop = tree.body[at]
-        assert isinstance(loop, ast.For)
-        self.before, self.body = tree.body[:at], loop.body
-        self.tracer = Tracer(loop_rings)
-        self.names = function.__globals__
-        self.samples = counter(self.tracer)
+    structure = structure_of(plant, switched=False)
+    engine = scalar_engine(structure)
+    delays = plant.sensor_delay[plant.sensor_delay > 0.0]
+    back = int(delays.max(initial=0.0) / (dt / steps)) + 2
+    # a reading that is late is that of a body at rest where angles are 0, or of a speed
+    ring = Signals(tuple(tracer.array("past_reading", back) for _ in delays), back)
+    state = start_state(structure, q, v)
+    count, _, links, _, sensors = plant.size
+    row = tracer.cells([0.0] * (sensors + 2 * links + 2 * count))
+    given = {
+        "x": state.values, "p": numbers(plant, engine.names.numbers, dt / steps),
+        "on": plant.on, "e": plant.values,
+        "u": Signals(tuple(signals)), "first": 0, "before": np.zeros(len(names)), "dead": dead,
+        "push": np.zeros((0, 0)), "ring": ring, "delays": delays, "step0": 0, "begin": 0.0,
+        "dt": dt, "substeps": steps, "closed": False, "out": Row(row, row.size),
+    }  # fmt: skip
 
-    def signal(self, port: Name, late: float) -> tuple[Ring | Latest, list[Any]]:
-        """Return an input of which samples up to `late` ago are read, and what keeps them."""
-        if late <= 0.0:
-            return Latest(port), []
-        array = self.tracer.array(f"past_{port.id}", ceil(late) + 3)
-        place = make("mod", self.samples, array.size)
-        return Ring(array), [Store(array, place, port)]
+    tree = function_tree(getattr(engine.module.march, "py_func", engine.module.march))
+    loop = next(n for n in tree.body if isinstance(n, ast.For))
+    env = {a.arg: given.get(a.arg) for a in tree.args.args}
+    scope = Scope(tracer, env, vars(engine.module), "march")
+    scope.run(tree.body[: tree.body.index(loop)])
+    scope.env["i"] = samples
+    body: list[Any] = []
 
-    def follow(self, arguments: list[Any]) -> tuple[list[Any], list[Any], list[Any]]:
-        """Return statements of the first sample, those of each, and what they carry on."""
-        named = dict(zip(self.parameters, arguments, strict=True))
-        scope = Scope(self.tracer, named, self.names, "march")
-        once: list[Any] = []
-        with self.tracer.collected(once):
-            scope.run(self.before)
-        scope.env["i"] = self.samples
-        block: list[Any] = []
-        carried, _ = scope.turning(block, lambda: self._one(scope), keep=True)
-        return once, block, carried
+    def one() -> None:
+        scope.run(loop.body)
 
-    def _one(self, scope: Scope) -> None:
-        scope.run(self.body)
+    carried, _ = scope.turning(body, one, keep=True)
+    # steps are counted for the place in the ring alone
+    carried = [(n, a, make("mod", b, back) if n.id == "done" else b) for n, a, b in carried]
+    results = [tracer.heap[id(row), k] for k in columns]
+    program = Program(name, inputs, seen, results, [], body, [], notes=notes)
+    return finished(tracer, program, samples, carried, before=keeping)
 
 
-def _dual_program(model: Model, dt: float, name: str, notes: list[str], start: float) -> Program:
-    march = _March(engine().march, ("history",))
-    tracer = march.tracer
-    ports = [
-        Port("u_left", "V", "voltage of the left motor, held until the next step"),
-        Port("u_right", "V", "voltage of the right motor, held until the next step"),
+def _signal(
+    tracer: Tracer, samples: Name, port: Name, late: float, keeping: list[Any]
+) -> Ring | Latest:
+    """Return an input of which samples up to `late` ago are read; what keeps them is added."""
+    if late <= 0.0:
+        return Latest(port)
+    array = tracer.array(f"past_{port.id}", ceil(late) + 3)
+    keeping.append(Store(array, make("mod", samples, array.size), port))
+    return Ring(array)
+
+
+def _dual_ports() -> tuple[list[Port], list[Port]]:
+    inputs = [
+        Port(f"u_{side}", "V", f"voltage of the {side} motor, held until the next step")
+        for side in ("left", "right")
     ]
-    outputs = [
-        Port(n.lower(), unit, text) for n, unit, text in zip(OUTPUTS, UNITS, TEXTS, strict=True)
-    ]
-    inputs = [tracer.fresh(p.name) for p in ports]
-    for port in outputs:
-        tracer.fresh(port.name)
-    late = model.effects.get("drive_delay", {}).get("delay", 0.0) / dt
-    signals, keeping = zip(*(march.signal(n, late) for n in inputs), strict=True)
-    arrays = model.arrays()
-    row = tracer.cells([0.0] * len(OUTPUTS))
-    arguments = [
-        *(Signals(signals), np.zeros(6), arrays, np.zeros(0), np.zeros(3), np.zeros(0)),
-        *(np.zeros((0, 3)), rest(model, start), 0.0, dt, SUBSTEPS, *arrays),
-        Row(row, len(OUTPUTS)),
-    ]
-    once, body, carried = march.follow(arguments)
-    before = [s for part in keeping for s in part]
-    results = [tracer.heap[id(row), k] for k in range(len(OUTPUTS))]
-    program = Program(name, ports, outputs, results, [], body, [], notes=notes)
-    return finished(tracer, program, march.samples, carried, before=before, once=once)
+    named = zip(OUTPUTS, UNITS, TEXTS, strict=True)
+    return inputs, [Port(n.lower(), unit, text) for n, unit, text in named]
 
 
-def _chain_program(model: ChainModel, dt: float, name: str, notes: list[str]) -> Program:
-    march = _March(chain_compose.engine().march)
-    tracer, plant, layout = march.tracer, model.plant(), model.layout
-    rig = model.rig
-    ports = [
+def _chain_ports(model: ChainModel) -> tuple[list[Port], list[Port]]:
+    inputs = [
         Port(f"in_{_word(i.name)}", _si(i.unit), f"{i.name}, held until the next step")
-        for i in rig.inputs
+        for i in model.rig.inputs
     ]
-    outputs = [
+    return inputs, [
         Port(f"out_{_word(s.name)}", _unit(model, s.name), f"reading of {s.name}")
-        for s in rig.sensors
+        for s in model.rig.sensors
     ]
-    inputs = [tracer.fresh(p.name) for p in ports]
-    ports = [replace(p, name=n.id) for p, n in zip(ports, inputs, strict=True)]
-    outputs = [replace(p, name=tracer.fresh(p.name).id) for p in outputs]
-    late = plant.input_values[:, 1] / dt
-    signals, keeping = zip(
-        *(march.signal(n, float(d)) for n, d in zip(inputs, late, strict=True)), strict=True
-    )
-    n = layout.coordinates
-    row = tracer.cells([0.0] * (2 * n + len(layout.links)))
-    none = np.zeros((1, 0))
-    arguments = [
-        *(plant, Signals(signals), dt, substeps_for(plant, dt), np.zeros(n), np.zeros(n)),
-        *(none, none, np.zeros(7), np.zeros(0), np.zeros(0)),
-        Row(row, row.size),
-    ]
-    once, body, carried = march.follow(arguments)
-    before = [s for part in keeping for s in part]
-    with tracer.collected(body):
-        results = [
-            _reading(model, tracer, march.samples, [tracer.heap[id(row), k] for k in range(2 * n)],
-                     s.name, dt)
-            for s in rig.sensors
-        ]  # fmt: skip
-    program = Program(name, ports, outputs, results, [], body, [], notes=notes)
-    return finished(tracer, program, march.samples, carried, before=before, once=once)
-
-
-def _reading(
-    model: ChainModel, tracer: Tracer, samples: Name, motion: list[Any], sensor: str, dt: float
-) -> Any:
-    """What a sensor reads, as :meth:`.ChainRun.reading`; `motion` is coordinates and speeds."""
-    layout = model.layout
-    item = next(s for s in model.rig.sensors if s.name == sensor)
-    body = layout.sensor_body[sensor]
-    at, ratio = layout.coordinate[body], layout.ratio[body]
-    angle = tracer.kept("angle", make("*", ratio, motion[at]))
-    value = angle
-    if item.measures != "position":
-        value = make("*", ratio, motion[layout.coordinates + at])
-    for effect in model.effects:
-        if effect.on != sensor:
-            continue
-        if effect.name == "sensor_delay":
-            late = effect.values["delay"] / dt
-            value = _delayed(tracer, samples, tracer.kept("reading", value), late)
-        if effect.name == "sensor_gain":
-            value = make("*", value, 1.0 + effect.values["error"])
-        if effect.name == "encoder_eccentricity":
-            c, s = (effect.values[k] for k in ("cosine", "sine"))
-            wave = make("+", make("*", c, make("cos", angle)), make("*", s, make("sin", angle)))
-            value = make("+", value, wave)
-    return value
-
-
-def _delayed(tracer: Tracer, samples: Name, value: Any, late: float) -> Any:
-    """Signal `late` samples ago, between two of them; before the run its first value."""
-    back, share = int(late), late - int(late)
-    array = tracer.array("past_reading", back + 2)
-    tracer.block.append(Store(array, make("mod", samples, array.size), value))
-    newer, older = (
-        Item(array, make("mod", make("max", make("-", samples, k), 0), array.size))
-        for k in (back, back + 1)
-    )
-    return make("+", newer, make("*", share, make("-", older, newer)))
 
 
 def _word(name: str) -> str:

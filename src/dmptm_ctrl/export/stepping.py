@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import dmptm_ctrl
-from dmptm_ctrl.export.program import INT, Assign, If, Name, Program, known, make, prune
+from dmptm_ctrl.export.program import INT, Assign, Name, Program, known, make, prune
 from dmptm_ctrl.export.tracer import Tracer
 
 LAST_SAMPLE = 2**31 - 2  # the count of samples stays there
@@ -24,7 +24,6 @@ def finished(
     carried: list[tuple[Name, Any, Any]],
     *,
     before: list[Any] | None = None,
-    once: list[Any] | None = None,
 ) -> Program:
     """Return a program with its state and without what nothing depends on.
 
@@ -35,24 +34,17 @@ def finished(
     samples : Name
         From :func:`counter`.
     carried : list of (name, value at the start, value behind the step)
-        Of :meth:`.trace.Scope.turning`. A start that depends on the first inputs is set in the
-        first step.
-    before, once : list of statements, optional
-        Ahead of the body in each step, and in the first step only.
+        Of :meth:`.trace.Scope.turning`.
+    before : list of statements, optional
+        Ahead of the body in each step.
     """
-    state = [(name, old if known(old) else _zero(name)) for name, old, _ in carried]
-    first = [Assign(name, old, declare=False) for name, old, _ in carried if not known(old)]
+    state = [(name, old) for name, old, _ in carried]
     after = [(name, new) for name, _, new in carried]
     state.append((samples, 0))
     after.append((samples, make("min", make("+", samples, 1), LAST_SAMPLE)))
-    lead = [If(make("==", samples, 0), [*(once or []), *first], [])] if first else []
-    body = [*(before or []), *lead, *program.body]
+    body = [*(before or []), *program.body]
     whole = replace(program, state=state, after=after, body=body, arrays=tracer.arrays)
     return _separated(tracer, prune(whole))
-
-
-def _zero(name: Name) -> Any:
-    return 0.0 if name.kind == "real" else 0
 
 
 def _separated(tracer: Tracer, program: Program) -> Program:

@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any
 
 from dmptm_ctrl.export.expressions import Expressions
-from dmptm_ctrl.export.places import Cells, NotScalar, Range, Returned, Ring, Row
+from dmptm_ctrl.export.places import Cells, NotScalar, Range, Returned, Row, Signals
 from dmptm_ctrl.export.program import (
     BOOL,
     INT,
@@ -112,8 +112,6 @@ class Scope(Expressions):
     def assign(self, target: ast.expr, value: Any) -> None:
         """Bind a target to a value."""
         if isinstance(target, ast.Name):
-            if isinstance(value, Cells) and target.id in self.tracer.rings:
-                value = self.tracer.array(target.id, value.size, value.start[0])
             self.env[target.id] = self.tracer.kept(target.id, value)
         elif isinstance(target, ast.Tuple):
             # all values before any name gets one, as in a, b = b, a
@@ -131,12 +129,11 @@ class Scope(Expressions):
     def _put(self, container: Any, index: Any, value: Any) -> None:
         if isinstance(container, Row):
             container, index = container.cells, index[1]
+        if isinstance(container, Signals):
+            container, index = container.rings[index[0]], index[1]
         if isinstance(container, Cells) and known(index):
             place = id(container), int(index) % container.size
             self.tracer.heap[place] = self.tracer.kept(self.tracer.title(place), value)
-        elif isinstance(container, Ring):
-            index = make("mod", index, container.array.size)
-            self.tracer.block.append(Store(container.array, index, value))
         elif isinstance(container, Array) and container.values is None:
             self.tracer.block.append(Store(container, index, value))
         else:

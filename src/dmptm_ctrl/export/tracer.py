@@ -14,8 +14,7 @@ from dmptm_ctrl.export.reserved import RESERVED
 class Tracer:
     """Follows source and collects statements in `block`."""
 
-    def __init__(self, rings: tuple[str, ...] = ()) -> None:
-        self.rings = rings  # variables whose cells are read at places not known
+    def __init__(self) -> None:
         self.block: list[Any] = []
         self.heap: dict[tuple[int, int], Any] = {}
         self._alive: list[Cells] = []  # so that no identity is given twice

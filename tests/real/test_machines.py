@@ -49,7 +49,8 @@ def force_error(diagnosis, log):
     need = push - left[0]
     cut = (len(log) - need.size) // 2
     at = np.arange(need.size)
-    offset = sum(e.values["offset"] for e in diagnosis.augmented.effects if "offset" in e.values)
+    offsets = (e for e in diagnosis.augmented.effects if e.name == "drive_offset")
+    offset = sum(e.values["offset"] for e in offsets)
     # a held voltage acts, on the mean, half a sample after it is logged
     model = np.interp(at + 0.5, at, need) - EMPS_GAIN * offset
     measured = EMPS_GAIN * log["in_motor"][cut : len(log) - cut]

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from dmptm_ctrl import Campaign, Log, LogError, data, load_logs
+from dmptm_ctrl import Log, LogError, data, load_logs
+from dmptm_ctrl.signals import Campaign
 
 TIME = np.arange(500) * 1e-3
 

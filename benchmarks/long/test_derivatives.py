@@ -1,9 +1,9 @@
 """Derivatives by every effect of the catalogue against differences of whole runs."""
 
 import pytest
+from tests.engine.test_sensitivity import derivatives_are_differences
 
 from dmptm_ctrl.effects import CATALOGUE
-from tests.engine.test_sensitivity import derivatives_are_differences
 
 
 @pytest.mark.parametrize("name", CATALOGUE)

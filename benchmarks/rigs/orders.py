@@ -109,6 +109,8 @@ def shapes_orders(seed):
             one = {"single": names, "unknown": unknowns}.get(str(lacks))
             several = {"pair": 2, "triple": int(rng.integers(3, 5))}.get(str(lacks), 0)
             effects = (next(one),) if one else together(rng, list(shapes.EFFECTS), several)
+            while not shapes.fits(effects):  # no shape can have all of them
+                effects = together(rng, list(shapes.EFFECTS), several)
             yield Order(f"s{seed}-b{i:03d}", "shapes", 100_000 * seed + i, str(lacks), (*effects,))
 
 

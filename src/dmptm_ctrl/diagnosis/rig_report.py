@@ -92,7 +92,7 @@ class RigDiagnosis:
         before, after, floor = (self.error[k]["rmse"] for k in ("before", "after", "floor"))
         figures = f"{before:.3g} to {after:.3g} {self.error['unit']}, floor {floor:.3g}"
         if self.verdict == "none":
-            return "The error of the declared model is near its floor; no effect is missing."
+            return "The error of the declared model is near its floor; no effect was found."
         if self.verdict == "explained" and names:
             return f"The declared model lacks: {names} (error {figures})."
         on = ", ".join(self.depends_on)

@@ -306,13 +306,6 @@ def unknowns_of(name: str) -> tuple[Unknown, ...]:
     return tuple(k for k in effect_unknowns(name) if k.name not in fixed)
 
 
-def ringing(names: Iterable[str]) -> tuple[Unknown, ...]:
-    """Parameters of effects of which only the simulator tells."""
-    return tuple(
-        k for name in names for k in effect_unknowns(name) if k.name in BY_RINGING.get(name, ())
-    )
-
-
 def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
     """Fit an effect from its best starts; None where it explains too little to first order."""
     effect = CATALOGUE[name]

@@ -174,29 +174,6 @@ def _long_runs(flag: NDArray[np.bool_], shortest: float) -> Floats:
     return out
 
 
-def choose_sensors(rig: Rig, logs: Sequence[Log]) -> dict[str, Sight]:
-    """Choose, per sensor group, what gives the motion, and how far it reaches.
-
-    Returns
-    -------
-    dict of sensor name to Sight
-        One entry per body that is measured; bodies with sensors that disagree (a compliance
-        between them) are told apart by the diagnosis, which asks per sensor.
-    """
-    sights: dict[str, Sight] = {}
-    for body in rig.bodies:
-        own = [s for s in rig.sensors if s.body == body.name]
-        if not own:
-            continue
-        reach = {s.name: acceleration_bandwidth(s, logs) for s in own}
-        best = max(own, key=lambda s: reach[s.name])
-        angle = next((s for s in own if s.measures == "position"), None)
-        if best.measures == "position":
-            angle = best
-        sights[body.name] = Sight(best, angle, reach[best.name])
-    return sights
-
-
 def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> float:
     """Frequency up to which a sensor gives acceleration with little noise [Hz].
 
@@ -250,8 +227,8 @@ def prepare(
 
     Parameters
     ----------
-    sights : as from `choose_sensors`
-        Keys may be any names; they become those of the bodies in the motion.
+    sights : dict of name to Sight
+        The names become those of the points in the motion.
     bandwidth : float
         Of the balance [Hz].
     """

@@ -14,11 +14,11 @@ import time
 import numpy as np
 
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.simulate.chain import march
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
 from dmptm_ctrl.simulate.compiled import march as march_dual
 from dmptm_ctrl.simulate.compiled import rest
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_run import march
 
 DT, SUBSTEPS = 1e-3, 8
 TIME = DT * np.arange(20_000)
@@ -65,10 +65,10 @@ def main():
     for count in (1, 2, 3, 5, 9):
         for gaps in (False, True)[: 2 if count > 1 else 1]:
             name = f"{count} bodies{' with gaps' if gaps else ''}"
-            model = ChainModel(train(count, gaps))
+            model = RigModel(train(count, gaps))
             tasks[name] = lambda m=model: march(m, WAVE[None], DT, substeps=SUBSTEPS)
             bodies[name] = count
-    drag = ChainModel(train(3, True), (Placed("quadratic_drag", "b1", {"coefficient": 0.01}),))
+    drag = RigModel(train(3, True), (Placed("quadratic_drag", "b1", {"coefficient": 0.01}),))
     tasks["3 bodies with gaps and an effect"] = lambda: march(drag, WAVE[None], DT, substeps=8)
     bodies["3 bodies with gaps and an effect"] = 3
     for name, task in tasks.items():
@@ -81,7 +81,7 @@ def main():
     ratios = {name: x / cost["dual"] for name, x in cost.items()}
     for name, x in cost.items():
         print(f"{name:36s} {x:6.1f} ns per body and step, {ratios[name]:5.2f} of the dual drive's")
-    axis = ChainModel(train(1, False))
+    axis = RigModel(train(1, False))
     long = np.sin(0.01 * np.arange(LONG))[None]
     minutes = least({"axis": lambda: march(axis, long, DT)}, 3)["axis"]
     print(f"ten minutes of one body: {minutes:.3f} s")

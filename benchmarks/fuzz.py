@@ -236,13 +236,13 @@ KINDS = ("log_info", "predict_log", "predict_model", "predict_chain_model", "rig
 
 def axis_model_text(axis):
     """Model file of the bundled linear axis, as declared."""
-    from dmptm_ctrl.diagnosis.rig_files import chain_to_toml
+    from dmptm_ctrl.diagnosis.rig_files import rig_model_to_toml
     from dmptm_ctrl.drive.rigfile import load_rig
-    from dmptm_ctrl.simulate.chain import declared_effects
-    from dmptm_ctrl.simulate.chain_model import ChainModel
+    from dmptm_ctrl.simulate.rig_model import RigModel
+    from dmptm_ctrl.simulate.rig_run import declared_effects
 
     rig = load_rig(axis / "rig.toml")
-    return chain_to_toml(ChainModel(rig, tuple(declared_effects(rig))), rig.text)
+    return rig_model_to_toml(RigModel(rig, tuple(declared_effects(rig))), rig.text)
 
 
 def run(inputs, campaigns, seed):

@@ -330,14 +330,14 @@ def log_info(
     from dmptm_ctrl.signals.info import describe, describe_file
 
     if rig is not None:
-        from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+        from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 
         drive = load_rig(rig)
         info = describe(
             drive.read(file)[0],
             labels=drive.labels(),
             declared=drive.declared_names(),
-            effects=CHAIN_CATALOGUE,
+            effects=PLACED_CATALOGUE,
             inputs=[source.channel for source in drive.inputs],
         )
     else:
@@ -356,7 +356,7 @@ def rig_check(
     """Draw a rig file and print its modes; say what is wrong with it."""
     from dmptm_ctrl.drive.rigfile import load_rig
     from dmptm_ctrl.plots.rig import plot_rig, rig_text
-    from dmptm_ctrl.simulate.chain import modes_text
+    from dmptm_ctrl.simulate.rig_run import modes_text
 
     rig = load_rig(file)
     print(_printable(rig_text(rig)))

@@ -23,7 +23,7 @@ def assert_explained(logs: Any, model: Any, *, tolerance: float = 0.05) -> "Chec
     Parameters
     ----------
     logs : folder, files or Logs
-    model : Model, ChainModel or path of a model.toml
+    model : Model, RigModel or path of a model.toml
     tolerance : float
         Share of its value by which an entry may differ.
 

@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pandas as pd
 import pytest
-from tests.chain.truth import Bench, Machine
+from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.signals.atomic import output_folder

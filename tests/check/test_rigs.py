@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from tests.chain.truth import Bench, Machine
+from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.check.evidence import evidence_of, only_own
 from dmptm_ctrl.check.moved import entries_of, find_moved, information_of
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.identify.chain_fit import State, fit_chain
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.rig_fit import State, fit_rig
 from dmptm_ctrl.signals import LogError
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 MACHINE = Machine(fc=0.02, fs=0.02, cog=0.01, order=7.0, b1=4e-4)
 BENCH = Bench(MACHINE, sensors=("speed", "position"), zero=True, seconds=6.0)
@@ -36,7 +36,7 @@ def logs_of(bench, seed):
 def model():
     """A model fitted on logs of the unchanged machine."""
     rig, logs = logs_of(BENCH, 1)
-    start = ChainModel(
+    start = RigModel(
         rig,
         (
             Placed("coulomb_friction", "motor", {"level": 0.01}),
@@ -44,7 +44,7 @@ def model():
         ),
         {"body.motor.viscous": 5e-4},
     )
-    return fit_chain(State(start), balance_of(rig, logs), iterations=20).model
+    return fit_rig(State(start), balance_of(rig, logs), iterations=20).model
 
 
 def checked(model, bench, seed):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.chain.truth import Bench, Machine
+from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, correlation_length
@@ -10,11 +10,11 @@ from dmptm_ctrl.diagnosis.rig_objections import objection
 from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
 from dmptm_ctrl.diagnosis.select import LEVEL
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.identify.chain_fit import Likelihood, State, fit_chain, residuals
-from dmptm_ctrl.identify.chain_start import rough_start
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.rig_fit import Likelihood, State, fit_rig, residuals
+from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 SMALL = {"seconds": 4.0, "dt": 2e-3, "kinds": (("steps", 6.0), ("sine", 5.0), ("chirp", 4.0))}
 
@@ -33,7 +33,7 @@ def prepared(bench):
     rig = parse_rig(bench.rig(), "rig.toml")
     logs, held, _, _ = split(rig, balance_of(rig, logs_of(bench, rig)))
     evidence = RigEvidence(logs, held, 1)
-    return evidence, evidence.base(State(rough_start(ChainModel(rig), logs)))
+    return evidence, evidence.base(State(rough_start(RigModel(rig), logs)))
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_independent_rows_of_a_correlated_series(rho):
 def test_objections(rubbing, effect, words):
     evidence, base = rubbing
     state = State(base.fit.model.with_effect(effect))
-    fit = fit_chain(state, evidence.logs, iterations=0)
+    fit = fit_rig(state, evidence.logs, iterations=0)
     if effect.name == "cable_spring":
         assert words in objection(effect.key, fit, base.fit)
     else:
@@ -119,7 +119,7 @@ def test_a_vibration_at_a_harmonic_of_the_input_is_the_input():
         effect = Placed(
             "base_vibration", "motor", {"cosine": 1.0, "sine": 1.0, "frequency": frequency}
         )
-        fit = fit_chain(State(base.fit.model.with_effect(effect)), evidence.logs, iterations=0)
+        fit = fit_rig(State(base.fit.model.with_effect(effect)), evidence.logs, iterations=0)
         object.__setattr__(fit, "covariance", fit.covariance * 1e-12)
         assert ("harmonic" in objection(effect.key, fit, base.fit)) == own
 

@@ -8,12 +8,12 @@ from dmptm_ctrl.drive import baseline_drive
 from dmptm_ctrl.drive.modes import solve_modes
 from dmptm_ctrl.drive.nine_dof import nine_dof_train
 from dmptm_ctrl.drive.rigfile import load_rig
-from dmptm_ctrl.simulate.chain import chain_modes, linear_chain, march
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.compiled import Loop, close_loop, controller_of, rest
 from dmptm_ctrl.simulate.compiled import march as march_dual
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.reference import run_exactly
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import linear_rig, march, rig_modes
 
 DT = 1e-3
 SHAFTS = ("motor_left", "motor_right", "bevel_left", "bevel_right", "pinion_left", "pinion_right")
@@ -21,12 +21,12 @@ SHAFTS = ("motor_left", "motor_right", "bevel_left", "bevel_right", "pinion_left
 
 @pytest.fixture(scope="module")
 def nine():
-    return ChainModel(load_rig(data.PAPER_9DOF))
+    return RigModel(load_rig(data.PAPER_9DOF))
 
 
 @pytest.fixture(scope="module")
 def three():
-    return ChainModel(load_rig(data.PAPER_RIG))
+    return RigModel(load_rig(data.PAPER_RIG))
 
 
 def stiffer(model, factor):
@@ -40,13 +40,13 @@ def stiffer(model, factor):
 
 def test_modes_are_those_of_the_matrices_put_together_from_the_paper(nine):
     known = solve_modes(nine_dof_train()).omega / (2 * np.pi)
-    assert chain_modes(nine) == pytest.approx(known, rel=1e-9, abs=1e-3)
+    assert rig_modes(nine) == pytest.approx(known, rel=1e-9, abs=1e-3)
 
 
 def test_modes_go_to_those_of_three_bodies_as_shafts_stiffen(nine, three):
     """Springs in series: what is left of them falls with the inverse of the factor."""
-    limit = chain_modes(three)[1:]
-    apart = [np.abs(chain_modes(stiffer(nine, f))[1:3] / limit - 1.0).max() for f in (1e2, 1e3)]
+    limit = rig_modes(three)[1:]
+    apart = [np.abs(rig_modes(stiffer(nine, f))[1:3] / limit - 1.0).max() for f in (1e2, 1e3)]
     assert apart[1] < 2e-3
     assert apart[0] / apart[1] == pytest.approx(10.0, rel=0.1)
 
@@ -89,7 +89,7 @@ def test_linear_model_of_nine_bodies_is_that_of_three_at_low_frequency(nine, thr
     """Below all shafts; friction of the file is the mean of both directions in both."""
     for hertz in (0.5, 3.0):
         s = 2j * np.pi * hertz
-        assert linear_chain(nine)(s) == pytest.approx(linear_chain(three)(s), rel=0.02)
+        assert linear_rig(nine)(s) == pytest.approx(linear_rig(three)(s), rel=0.02)
 
 
 def test_the_three_inertia_model_as_a_file_is_the_built_in_one():
@@ -99,6 +99,6 @@ def test_the_three_inertia_model_as_a_file_is_the_built_in_one():
     u = np.array([push + 0.2, push - 0.2])
     built_in = Model(baseline_drive())
     one = march_dual(built_in.arrays(), u, rest(built_in, 0.0), DT)[:, 1]
-    other = march(ChainModel(load_rig(data.BASELINE)), u, DT, substeps=8).speed("ring_gear")
+    other = march(RigModel(load_rig(data.BASELINE)), u, DT, substeps=8).speed("ring_gear")
     assert np.abs(one).max() > 0.05
     assert np.abs(other - one).max() < 1e-6 * np.abs(one).max()

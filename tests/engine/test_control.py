@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.simulate.chain import march
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
 from dmptm_ctrl.simulate.control import sampled, simulate_with_controller
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_run import march
 from dmptm_ctrl.simulate.run import Controller, compiled_controller
 
 DT, KP, KI = 1e-3, 0.4, 3.0
@@ -32,7 +32,7 @@ gain = "0.5 N m/V"
 column = "w_rad_s"
 body = "motor"
 """)
-MODEL = ChainModel(RIG, (Placed("drive_delay", "m", {"delay": 0.0025}),))
+MODEL = RigModel(RIG, (Placed("drive_delay", "m", {"delay": 0.0025}),))
 TARGET = 2.0 * np.sin(2 * np.pi * 1.5 * DT * np.arange(400))
 
 
@@ -91,7 +91,7 @@ def test_a_run_goes_on_from_its_state(compiled):
 def test_a_torque_on_any_body_is_an_input():
     """At constant speed friction carries it: viscous slope by hand."""
     n = 6000
-    viscous = ChainModel(RIG).with_values({"body.motor.coulomb": 0.0})
+    viscous = RigModel(RIG).with_values({"body.motor.coulomb": 0.0})
     run = march(viscous, np.zeros((1, n)), DT, push={"load": np.full(n, 0.2)})
     assert run.speed("motor")[-1] == pytest.approx(0.2 / 0.04, rel=0.05)
     both = march(

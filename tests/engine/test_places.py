@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.simulate.chain import march
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE, may_stand
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
 from dmptm_ctrl.simulate.many import Common, run_many
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, may_stand
 from dmptm_ctrl.simulate.reference import run_exactly
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_run import march
 
 DT, SUBSTEPS = 1e-3, 256
 TIME = DT * np.arange(181)
@@ -84,14 +84,14 @@ def reads(chain, part):
 
 CASES = {
     f"{chain.name}@{part}": Placed(chain.name, part, visible(chain))
-    for chain in CHAIN_CATALOGUE.values()
+    for chain in PLACED_CATALOGUE.values()
     for part in PARTS[chain.place]
     if may_stand(chain, RIG, part) and reads(chain, part)
 }
 
 
 def model_of(case):
-    return ChainModel(RIG, (CASES[case],))
+    return RigModel(RIG, (CASES[case],))
 
 
 def seen(run):
@@ -110,7 +110,7 @@ def exact(model):
 
 @pytest.fixture(scope="module")
 def plain():
-    return seen(march(ChainModel(RIG), U, DT, substeps=SUBSTEPS))
+    return seen(march(RigModel(RIG), U, DT, substeps=SUBSTEPS))
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +147,7 @@ def test_friction_of_a_load_presses_on_bearings_of_meshes_alone():
         'name = "one"\n[body.b]\ninertia = 1.0\n[input.m]\ncolumn = "u_V"\nbody = "b"\n'
         'gain = "1 N m/V"\n[sensor.s]\ncolumn = "w_rad_s"\nbody = "b"\n'
     )
-    assert not may_stand(CHAIN_CATALOGUE["load_dependent_friction"], alone, "b")
+    assert not may_stand(PLACED_CATALOGUE["load_dependent_friction"], alone, "b")
 
 
 ADDITIVE = [c for c in CASES if CASES[c].name not in ("backlash", "shaft_compliance")]
@@ -156,8 +156,8 @@ ADDITIVE = [c for c in CASES if CASES[c].name not in ("backlash", "shaft_complia
 @pytest.mark.parametrize("case", ADDITIVE)
 def test_at_zero_amplitude_nothing_changes(case, plain):
     placed = CASES[case]
-    chain = CHAIN_CATALOGUE[placed.name]
+    chain = PLACED_CATALOGUE[placed.name]
     absent = dict(zip((p.name for p in chain.keep), chain.defaults, strict=True))
-    model = ChainModel(RIG, (placed._replace(values=absent),))
+    model = RigModel(RIG, (placed._replace(values=absent),))
     run = seen(march(model, U, DT, substeps=SUBSTEPS))
     assert apart(run, plain).max() < 1e-9

@@ -12,10 +12,10 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import CATALOGUE, backlash, presliding, stribeck
 from dmptm_ctrl.export.c_source import c_function
 from dmptm_ctrl.export.places import NotScalar
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 
 DRAWS = 300
-KERNELS = {e.name: e for e in (*CATALOGUE.values(), *(c.effect for c in CHAIN_CATALOGUE.values()))}
+KERNELS = {e.name: e for e in (*CATALOGUE.values(), *(c.effect for c in PLACED_CATALOGUE.values()))}
 SIDES = {"side": (0, 1), "body": (0, 1, 2)}
 POSITIVE = ("inertia", "age")
 OTHER = {

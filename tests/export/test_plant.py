@@ -10,9 +10,9 @@ from dmptm_ctrl.export.native import Compiled
 from dmptm_ctrl.export.plant import plant_program
 from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.simulate import simulate
-from dmptm_ctrl.simulate.chain import simulate_chain
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_run import simulate_rig
 
 DT = 1e-3
 TIME = DT * np.arange(600)
@@ -104,7 +104,7 @@ def test_starts_where_it_is_told(tmp_path):
 
 
 def rig_model(*effects):
-    return ChainModel(parse_rig(RIG, "rig.toml"), effects)
+    return RigModel(parse_rig(RIG, "rig.toml"), effects)
 
 
 RIG_EFFECTS = {
@@ -137,8 +137,8 @@ def test_rig_of_another_shape(name, tmp_path):
     for effect in RIG_EFFECTS[name]:
         model = model.with_effect(effect)
     u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None] + 6.0 * (TIME > 0.2)
-    true = simulate_chain(model, TIME, u).outputs
-    plain = simulate_chain(rig_model(), TIME, u).outputs
+    true = simulate_rig(model, TIME, u).outputs
+    plain = simulate_rig(rig_model(), TIME, u).outputs
     assert name == "none" or np.abs(true - plain).max() > 1e-6
     close(c_run(plant_program(model, DT), u, tmp_path), np.atleast_2d(true).T)
 
@@ -149,12 +149,12 @@ def test_names_that_no_program_can_have(tmp_path):
     text = RIG.replace("[sensor.angle]", '[sensor."θ*/"]').replace(
         "[sensor.speed]", '[sensor."ω*/"]'
     )
-    model = ChainModel(parse_rig(text, "rig.toml"))
+    model = RigModel(parse_rig(text, "rig.toml"))
     program = plant_program(model, DT)
     assert len({p.name for p in (*program.inputs, *program.outputs)}) == 3
     assert st_source(program).isascii()
     u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None]
-    close(c_run(program, u, tmp_path), simulate_chain(model, TIME, u).outputs.T)
+    close(c_run(program, u, tmp_path), simulate_rig(model, TIME, u).outputs.T)
 
 
 def test_structured_text_of_a_plant():

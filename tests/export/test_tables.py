@@ -6,9 +6,9 @@ from tests.export.test_plant import rig_model
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.export.tables import compensation_tables
-from dmptm_ctrl.simulate.chain_model import Placed
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
+from dmptm_ctrl.simulate.rig_model import Placed
 
 MODEL = (
     Model()

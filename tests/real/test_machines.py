@@ -10,7 +10,7 @@ from scipy.signal import butter, decimate, filtfilt
 
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
-from dmptm_ctrl.simulate.chain import march
+from dmptm_ctrl.simulate.rig_run import march
 
 RIGS = Path(__file__).parent
 REAL = Path(__file__).parents[3] / "shared" / "real"

@@ -16,18 +16,18 @@ from dmptm_ctrl.diagnosis.residual import balances
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import columns as dual_columns
 from dmptm_ctrl.identify.balance import role_of, weights
-from dmptm_ctrl.identify.chain_fit import ROWS_PER_NEWS, State, fit_chain, jacobian, residuals
-from dmptm_ctrl.identify.chain_free import Free, free_parameters, log_parameters, scales_of
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
+from dmptm_ctrl.identify.free_parameters import Free, free_parameters, log_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.records import Record, record, started
+from dmptm_ctrl.identify.rig_fit import ROWS_PER_NEWS, State, fit_rig, jacobian, residuals
 from dmptm_ctrl.signals import Log, LogError
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 Floats = NDArray[np.float64]
-AnyModel = Model | ChainModel
+AnyModel = Model | RigModel
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,8 @@ def evidence_of(model: AnyModel, logs: Iterable[Log], jobs: int = 1) -> Evidence
     for log in logs:
         if len(log) < MIN_SAMPLES:
             raise LogError(f"{log.name}: {len(log)} samples; a check needs at least {MIN_SAMPLES}")
-    if isinstance(model, ChainModel):
-        return _of_chain(model, logs, jobs)
+    if isinstance(model, RigModel):
+        return _of_rig(model, logs, jobs)
     return _of_dual(model, logs, jobs)
 
 
@@ -201,7 +201,7 @@ ROUNDS = 3
 LOOSE = 10.0  # of the declared ranges: a worn machine may leave them
 
 
-def _of_chain(model: ChainModel, logs: Sequence[Log], jobs: int) -> Evidence:
+def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
     sensors = [s.channel for s in model.rig.sensors]
     if not any(np.ptp(log[channel]) > 0.0 for log in logs for channel in sensors):
         raise LogError("nothing to check: the drive does not move in these logs")
@@ -229,7 +229,7 @@ def _of_chain(model: ChainModel, logs: Sequence[Log], jobs: int) -> Evidence:
     for free, sd in zip(frees, prior, strict=True):
         unit = units.get(free.owner, "")
         if free.kind == "effect":
-            keep = CHAIN_CATALOGUE[free.owner.partition("@")[0]].keep
+            keep = PLACED_CATALOGUE[free.owner.partition("@")[0]].keep
             unit = next(p.unit for p in keep if p.name == free.name)
         own = free.kind in ("value", "effect")
         value = state.get(free) if own else 0.0
@@ -264,7 +264,7 @@ def _zeroed(state: State, balance: Balance, of_logs: Sequence[Sequence[Free]]) -
             tried = [state.moved([free], [turn * k / PLACES]) for k in range(PLACES)]
             state = min(tried, key=lambda one: _misfit(one, alone))
     flat = [free for frees in of_logs for free in frees]
-    return fit_chain(state, balance, frees=flat).state if flat else state
+    return fit_rig(state, balance, frees=flat).state if flat else state
 
 
 def _misfit(state: State, balance: Balance) -> float:

@@ -18,11 +18,11 @@ from dmptm_ctrl.check.moved import (
     find_moved,
     information_of,
 )
-from dmptm_ctrl.diagnosis.rig_files import is_chain, read_chain
+from dmptm_ctrl.diagnosis.rig_files import is_rig_model, read_rig_model
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.signals.atomic import check_folder, output_folder
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.model_file import read_model
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 ABOVE_FLOOR = 1.5  # times the recorded error, as in the verdict "none" of the diagnosis
 _DATE = re.compile(r"(20\d\d)[-_]?(\d\d)[-_]?(\d\d)(?:[T_-](\d\d)[-_:]?(\d\d)(?:[-_:]?(\d\d))?)?")
@@ -137,7 +137,7 @@ def check(
     Parameters
     ----------
     logs : folder, files or Logs
-    model : Model, ChainModel or path of a model.toml
+    model : Model, RigModel or path of a model.toml
         Of a file, a diagnosis.json beside it gives `errors` and `floor`.
     errors : mapping of parameter key to float, optional
         Standard errors of the model's parameters [SI]. A parameter that is not there is taken
@@ -164,7 +164,7 @@ def check(
         recorded = _recorded(path.with_name("diagnosis.json"))
         errors = {**_errors(recorded), **(errors or {})}
         floor = _floor(recorded) if floor is None else floor
-        model = read_chain(path)[0] if is_chain(path) else read_model(path)
+        model = read_rig_model(path)[0] if is_rig_model(path) else read_model(path)
     loaded = _loaded(model, logs)
     dated: dict[datetime, list[Log]] = {}
     for log in loaded:
@@ -235,7 +235,7 @@ def date_of(name: str) -> datetime | None:
 
 def _loaded(model: AnyModel, logs: Any) -> Sequence[Log]:
     sources = [logs] if isinstance(logs, str | Path | Log) else list(logs)
-    if isinstance(model, ChainModel):
+    if isinstance(model, RigModel):
         return model.rig.read(sources)
     if sources and all(isinstance(source, Log) for source in sources):
         return [source for source in sources if isinstance(source, Log)]

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.drive.rig import DECLARES
-from dmptm_ctrl.identify.chain_fit import ChainFit, residuals
-from dmptm_ctrl.identify.chain_free import HARMONIC, absolute, on_slide, scales_of
-from dmptm_ctrl.identify.chain_motion import Motion
-from dmptm_ctrl.identify.chain_start import (
+from dmptm_ctrl.identify.free_parameters import HARMONIC, absolute, on_slide, scales_of
+from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_motion
+from dmptm_ctrl.identify.measured_motion import Motion
+from dmptm_ctrl.identify.rig_fit import RigFit, residuals
+from dmptm_ctrl.identify.rig_start import (
     drive_of,
     ends_of,
     regress,
@@ -19,10 +20,9 @@ from dmptm_ctrl.identify.chain_start import (
     spring_values,
     unknown_inertias,
 )
-from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_motion
 from dmptm_ctrl.simulate.along import friction_along, torque_along
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE, ChainEffect
-from dmptm_ctrl.simulate.chain_model import FAR, ChainModel, Placed
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, PlacedEffect
+from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
 
 Floats = NDArray[np.float64]
 
@@ -56,11 +56,11 @@ def trials(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
         return key not in present and (only is None or key in only)
 
     for source in model.rig.inputs:
-        for name, chain in CHAIN_CATALOGUE.items():
+        for name, chain in PLACED_CATALOGUE.items():
             if chain.place == "input" and wanted(name, source.name):
                 found.append(_input_effect(tangent, name, source.name))
     for body in distinct_bodies(tangent):
-        for name, chain in CHAIN_CATALOGUE.items():
+        for name, chain in PLACED_CATALOGUE.items():
             if chain.place != "body" or name in SENSORS or name == "shaft_compliance":
                 continue
             if wanted(name, body) and not declared_already(model, name, body):
@@ -79,7 +79,7 @@ def structures(tangent: Tangent, only: Sequence[str] | None = None) -> list[Tria
     return [t for t in found if t is not None]
 
 
-def declared_already(model: ChainModel, name: str, body: str) -> bool:
+def declared_already(model: RigModel, name: str, body: str) -> bool:
     """Whether the rig declares what an effect would add to a body."""
     if body.endswith(FAR):
         return name == "viscous_friction"  # part of the compliance that made the body
@@ -109,7 +109,7 @@ def _input_effect(tangent: Tangent, name: str, on: str) -> Trial | None:
     return _finite(tangent, [Placed(name, on, {key: v}) for v in late])
 
 
-def _body_effect(tangent: Tangent, chain: ChainEffect, body: str) -> Trial | None:
+def _body_effect(tangent: Tangent, chain: PlacedEffect, body: str) -> Trial | None:
     model, balance = tangent.fit.model, tangent.balance
     name, slide = chain.name, on_slide(model, body)
     if name == "load_dependent_friction":
@@ -151,7 +151,7 @@ def _body_effect(tangent: Tangent, chain: ChainEffect, body: str) -> Trial | Non
     return _linear(tangent, chain, body, shapes)
 
 
-def _rubs(model: ChainModel, body: str) -> bool:
+def _rubs(model: RigModel, body: str) -> bool:
     """Whether a body has any friction that a factor could change."""
     names = ("coulomb_friction", "viscous_friction", "stribeck_friction")
     if any(e.on == body and e.name in names for e in model.effects):
@@ -159,13 +159,13 @@ def _rubs(model: ChainModel, body: str) -> bool:
     return not body.endswith(FAR) and bool(model.rig.body(body).friction)
 
 
-def _speed(balance: Balance, motion: Motion, model: ChainModel, body: str) -> Floats:
+def _speed(balance: Balance, motion: Motion, model: RigModel, body: str) -> Floats:
     measured, _ = measured_motion(model, balance, motion)
     layout = model.layout
     return layout.ratio[body] * measured[layout.coordinate[body]][1]
 
 
-def _angle(balance: Balance, motion: Motion, model: ChainModel, body: str) -> Floats:
+def _angle(balance: Balance, motion: Motion, model: RigModel, body: str) -> Floats:
     measured, _ = measured_motion(model, balance, motion)
     layout = model.layout
     return layout.ratio[body] * measured[layout.coordinate[body]][0]
@@ -175,9 +175,9 @@ def _angle(balance: Balance, motion: Motion, model: ChainModel, body: str) -> Fl
 
 
 def unit_columns(
-    fit: ChainFit,
+    fit: RigFit,
     balance: Balance,
-    chain: ChainEffect,
+    chain: PlacedEffect,
     body: str,
     shapes: Mapping[str, float],
     names: tuple[str, ...],
@@ -205,7 +205,7 @@ def unit_columns(
 
 
 def _in_equations(
-    fit: ChainFit, balance: Balance, motion: Motion, body: str, column: Floats
+    fit: RigFit, balance: Balance, motion: Motion, body: str, column: Floats
 ) -> Floats:
     """A torque on a body appears in the first equation, and in that of its own coordinate."""
     model = fit.model
@@ -224,7 +224,7 @@ def _in_equations(
 
 def _linear(
     tangent: Tangent,
-    chain: ChainEffect,
+    chain: PlacedEffect,
     body: str,
     shapes: Sequence[Mapping[str, float]],
     names: tuple[str, ...] | None = None,
@@ -388,7 +388,7 @@ def _finite(
         change = tangent.project(tangent.stack(parts)[:, 0])
         gain = float(target @ target - (target + change) @ (target + change))
         if scaled:
-            chain = CHAIN_CATALOGUE[placed.name]
+            chain = PLACED_CATALOGUE[placed.name]
             gain, (by,) = tangent.score(parts)
             if by < 0 and any(p.low >= 0 for p in chain.keep if p.name in chain.amplitudes):
                 gain = by = 0.0

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dmptm_ctrl.diagnosis.select import LEVEL, Floats, Selection
-from dmptm_ctrl.identify.chain_fit import ChainFit, Likelihood
-from dmptm_ctrl.identify.chain_motion import Motion
 from dmptm_ctrl.identify.inverse_dynamics import Balance, measured_motion
+from dmptm_ctrl.identify.measured_motion import Motion
+from dmptm_ctrl.identify.rig_fit import Likelihood, RigFit
 
 if TYPE_CHECKING:
     from dmptm_ctrl.diagnosis.rig_evidence import RigState
@@ -60,7 +60,7 @@ class Curve:
 KINDS = "torque", "friction", "gain"
 
 
-def variables_of(fit: ChainFit) -> dict[str, Signal]:
+def variables_of(fit: RigFit) -> dict[str, Signal]:
     """Signals that a residual may depend on, by name."""
     balance, model = fit.likelihood.balance, fit.model
     layout = model.layout
@@ -107,14 +107,14 @@ def _rested(speed: Floats, dt: float) -> Floats:
     return out
 
 
-def knots_of(fit: ChainFit, signal: Signal) -> Floats:
+def knots_of(fit: RigFit, signal: Signal) -> Floats:
     """Knots over the range of a variable, by its quantiles half, evenly half."""
     every = np.concatenate([signal(m) for m in fit.likelihood.balance.motions])
     low, high = np.quantile(every, [EDGES, 1 - EDGES])
     return np.linspace(low, high, KNOTS) if high > low else np.zeros(0)
 
 
-def curve_columns(fit: ChainFit, balance: Balance, signal: Signal) -> Columns:
+def curve_columns(fit: RigFit, balance: Balance, signal: Signal) -> Columns:
     """Change of the residual by the value at each knot, per log."""
     knots, count = knots_of(fit, signal), fit.left[0].shape[0]
     gains = fit.model.plant().input_values[:, 0]

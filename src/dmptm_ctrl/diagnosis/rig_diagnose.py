@@ -23,20 +23,20 @@ from dmptm_ctrl.diagnosis.rig_screen import (
     other_scale,
     refuse_no_gain,
     refuse_reversed,
-    screen_chain,
+    screen_rig,
 )
 from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
-from dmptm_ctrl.identify.chain_fit import State
-from dmptm_ctrl.identify.chain_start import rough_start
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
+from dmptm_ctrl.identify.rig_fit import State
+from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
-from dmptm_ctrl.simulate.chain import declared_effects
-from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import declared_effects
 
 MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
 HOLD_EVERY = 3
@@ -81,7 +81,7 @@ def diagnose_rig(
     _refuse_floating(declared)
     left_out: list[str] = []
     read = declared.read(logs, max_rows=READ_ROWS, told=left_out)
-    loaded, warnings = screen_chain(declared, read)
+    loaded, warnings = screen_rig(declared, read)
     warnings = (*left_out, *warnings)
     say("comparing the sensors")
     faults = sensor_faults(declared, loaded)
@@ -97,7 +97,7 @@ def diagnose_rig(
         warnings = (*warnings, strange)  # a resonance may look like that
     fit_logs, held_logs, roles, on = split(declared, balance)
     say("fitting the declared model")
-    model = ChainModel(declared, tuple(declared_effects(declared)))
+    model = RigModel(declared, tuple(declared_effects(declared)))
     evidence = RigEvidence(fit_logs, held_logs, jobs)
     base = evidence.base(State(rough_start(model, fit_logs)))
     as_read = base

@@ -19,18 +19,18 @@ from dmptm_ctrl.diagnosis.rig_curves import curve_columns, variables_of
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.diagnosis.select import Candidate, Floats, Selection, ranked
-from dmptm_ctrl.identify.chain_fit import (
-    ChainFit,
+from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
+from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
+from dmptm_ctrl.identify.rig_fit import (
     Likelihood,
+    RigFit,
     State,
-    fit_chain,
+    fit_rig,
     residuals,
     total_loss,
 )
-from dmptm_ctrl.identify.chain_free import has_phase, log_parameters
-from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_model import Placed
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.rig_model import Placed
 
 SETTLE = 30  # iterations at most; an unsettled fit would lend its gain to the next effect
 FIRST = 6  # iterations of a candidate's fit
@@ -44,14 +44,14 @@ class RigState:
 
     Attributes
     ----------
-    fit : ChainFit
+    fit : RigFit
     held : Balance
         Logs or stretches on which nothing is fitted but what belongs to a log alone.
     keys : tuple of str
         Effects that were added.
     """
 
-    fit: ChainFit
+    fit: RigFit
     held: Balance
     keys: tuple[str, ...] = ()
 
@@ -104,13 +104,13 @@ class RigEvidence:
 
     def base(self, start: State) -> RigState:
         """Fit the declared model, from rough values."""
-        fit = fit_chain(start, self.logs, jobs=self.jobs, iterations=SETTLE)
+        fit = fit_rig(start, self.logs, jobs=self.jobs, iterations=SETTLE)
         return self.closed(RigState(fit, self.held))
 
     def refit(self, state: RigState) -> RigState:
         """Fit a model that was fitted to other logs."""
         news = state.fit.likelihood.news
-        fit = fit_chain(state.fit.state, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
+        fit = fit_rig(state.fit.state, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
         return RigState(fit, self.held, state.keys)
 
     def candidates(self, state: RigState, only: Sequence[str] | None = None) -> list[Candidate]:
@@ -160,7 +160,7 @@ class RigEvidence:
         for trial in group:
             there = trial.placed_in(there)
         try:
-            fit = fit_chain(
+            fit = fit_rig(
                 there, self.logs, iterations=iterations, jobs=self.jobs,
                 news=state.fit.likelihood.news,
             )  # fmt: skip
@@ -172,12 +172,12 @@ class RigEvidence:
         return self._candidate(state, tuple(group), fit)
 
     def _candidate(
-        self, state: RigState, group: tuple[Trial, ...], fit: ChainFit, *, look: bool = True
+        self, state: RigState, group: tuple[Trial, ...], fit: RigFit, *, look: bool = True
     ) -> Candidate:
         keys = tuple(t.key for t in group)
         found = (objection(key, fit, state.fit) for key in keys)
         why = next(filter(None, found), "") if look else ""
-        numbers = sum(len(CHAIN_CATALOGUE[k.partition("@")[0]].keep) for k in keys)
+        numbers = sum(len(PLACED_CATALOGUE[k.partition("@")[0]].keep) for k in keys)
         one = Candidate(keys, -np.inf, 0.0, (group, fit), why, numbers)
         try:
             gain, held = self.gains(state, self.beside(state, one))
@@ -226,7 +226,7 @@ class RigEvidence:
     def adopt(self, state: RigState, candidate: Candidate) -> RigState:
         """Put a candidate into the model and fit to the end."""
         found, news = candidate.fitted[1].state, state.fit.likelihood.news
-        fit = fit_chain(found, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
+        fit = fit_rig(found, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
         return RigState(fit, self.held, (*state.keys, *candidate.keys))
 
     def closed(self, state: RigState) -> RigState:
@@ -247,7 +247,7 @@ class RigEvidence:
             for log, n in state.fit.state.logs.items()
         }
         news = state.fit.likelihood.news
-        fit = fit_chain(State(model, logs), self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
+        fit = fit_rig(State(model, logs), self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
         return RigState(fit, self.held, tuple(k for k in state.keys if k not in gone))
 
     def wald(self, state: RigState, key: str) -> float:
@@ -340,7 +340,7 @@ def correlation_length(x: Floats) -> float:
     return 1.0 + 2.0 * float(np.sum(rho[1 : ends[0] if ends.size else rho.size]))
 
 
-def standing_on(fit: ChainFit, key: str) -> set[str]:
+def standing_on(fit: RigFit, key: str) -> set[str]:
     """Effects that sit on a body or link that another effect makes."""
     if not key.startswith("shaft_compliance"):
         return set()
@@ -350,7 +350,7 @@ def standing_on(fit: ChainFit, key: str) -> set[str]:
     return {e.key for e in fit.model.effects if e.key != key and e.on in made}
 
 
-def held_state(fit: ChainFit, held: Balance) -> State:
+def held_state(fit: RigFit, held: Balance) -> State:
     """Fit the twists and encoder zeros of logs that were not fitted, and nothing else."""
     state, logs = fit.state, fit.likelihood.balance
     known, reference = {m.name for m in logs.motions}, logs.motions[0].name
@@ -364,15 +364,15 @@ def held_state(fit: ChainFit, held: Balance) -> State:
     new = {m.name for m in held.motions} - known
     for effect in (e for e in state.model.effects if has_phase(state.model, held, e)):
         state = _phases(fit, state, held, effect, new)
-    return fit_chain(state, held, frees=frees, iterations=4, jobs=1).state
+    return fit_rig(state, held, frees=frees, iterations=4, jobs=1).state
 
 
-def _phases(fit: ChainFit, state: State, held: Balance, effect: Placed, new: set[str]) -> State:
+def _phases(fit: RigFit, state: State, held: Balance, effect: Placed, new: set[str]) -> State:
     """Encoder zeros of new logs, by the phase that a harmonic effect has there."""
     logs, bare = dict(state.logs), State(state.model.without([effect.key]), state.logs)
     left, _ = residuals(bare, held)
     order = effect.values.get("order", 1.0)
-    chain, names = CHAIN_CATALOGUE[effect.name], ("cosine", "sine")
+    chain, names = PLACED_CATALOGUE[effect.name], ("cosine", "sine")
     columns = unit_columns(fit, held, chain, effect.on, {"order": order}
                            if "order" in effect.values else {}, names)  # fmt: skip
     here = effect.values["cosine"] - 1j * effect.values["sine"]

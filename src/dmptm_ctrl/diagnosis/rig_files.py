@@ -10,21 +10,21 @@ from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 KIND = "chain"
 SCHEMA = 1
 
 
-def chain_to_toml(
-    model: ChainModel, rig_text: str, zeros: Mapping[str, Mapping[str, float]] | None = None
+def rig_model_to_toml(
+    model: RigModel, rig_text: str, zeros: Mapping[str, Mapping[str, float]] | None = None
 ) -> str:
     """Return the text of a model file.
 
     Parameters
     ----------
-    model : ChainModel
+    model : RigModel
     rig_text : str
         The rig file that it was declared in; a model file is complete in itself.
     zeros : mapping of log to mapping of effect to float, optional
@@ -48,7 +48,7 @@ def chain_to_toml(
         table["on"] = effect.on
         if effect.far:
             table["far"] = list(effect.far)
-        units = {p.name: p.unit for p in CHAIN_CATALOGUE[effect.name].keep}
+        units = {p.name: p.unit for p in PLACED_CATALOGUE[effect.name].keep}
         for key, value in effect.values.items():
             item = tomlkit.item(float(value))
             item.comment(units[key] or "1")
@@ -64,14 +64,14 @@ def chain_to_toml(
     return tomlkit.dumps(document)
 
 
-def chain_from_toml(
+def rig_model_from_toml(
     text: str, name: str = "model.toml"
-) -> tuple[ChainModel, dict[str, dict[str, float]]]:
+) -> tuple[RigModel, dict[str, dict[str, float]]]:
     """Read the text of a model file.
 
     Returns
     -------
-    model : ChainModel
+    model : RigModel
     zeros : dict of log to dict of effect key to float
 
     Raises
@@ -101,7 +101,7 @@ def chain_from_toml(
         values_of = finite_numbers(name, f"effect {table['name']}", numbers)
         effects.append(Placed(table["name"], table["on"], values_of, tuple(map(str, far))))
     try:
-        model = ChainModel(rig, tuple(effects), values)
+        model = RigModel(rig, tuple(effects), values)
         model.plant()
     except (KeyError, ValueError) as error:
         raise LogError(f"{name}: {error.args[0]}") from None
@@ -109,17 +109,17 @@ def chain_from_toml(
     return model, zeros
 
 
-def read_chain(path: str | PathLike[str]) -> tuple[ChainModel, dict[str, dict[str, float]]]:
-    """Read a model file; see `chain_from_toml`."""
+def read_rig_model(path: str | PathLike[str]) -> tuple[RigModel, dict[str, dict[str, float]]]:
+    """Read a model file; see `rig_model_from_toml`."""
     file = Path(path)
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         raise LogError(f"{file.name}: no readable model file there") from None
-    return chain_from_toml(text, file.name)
+    return rig_model_from_toml(text, file.name)
 
 
-def is_chain(path: str | PathLike[str]) -> bool:
+def is_rig_model(path: str | PathLike[str]) -> bool:
     """Whether a model file is of a drive of any shape; False for what cannot be read."""
     try:
         return parse_toml(Path(path).read_text(encoding="utf-8"), "").get("kind") == KIND

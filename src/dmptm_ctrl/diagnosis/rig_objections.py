@@ -7,11 +7,11 @@ import numpy as np
 from scipy.signal import csd, welch
 
 from dmptm_ctrl.diagnosis.select import Floats
-from dmptm_ctrl.identify.chain_fit import ChainFit
-from dmptm_ctrl.identify.chain_motion import NOISE_SHARE
 from dmptm_ctrl.identify.inverse_dynamics import effective_input
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_model import Placed
+from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
+from dmptm_ctrl.identify.rig_fit import RigFit
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.rig_model import Placed
 
 SURE = 3.0  # standard errors
 SHORTEST_LATE = 0.1  # sample times
@@ -23,12 +23,12 @@ SEGMENTS = 8  # of a log, for a coherence
 SHORTEST_SEGMENT = 16  # rows
 
 
-def amplitudes_of(fit: ChainFit, key: str) -> list[int]:
+def amplitudes_of(fit: RigFit, key: str) -> list[int]:
     """Places of an effect's amplitudes among the fitted numbers.
 
     A constant beside another amplitude does not make an effect: it would be an offset.
     """
-    names = CHAIN_CATALOGUE[key.partition("@")[0]].amplitudes
+    names = PLACED_CATALOGUE[key.partition("@")[0]].amplitudes
     names = tuple(n for n in names if n != "offset" or len(names) == 1)
     return [
         j for j, f in enumerate(fit.frees)
@@ -36,7 +36,7 @@ def amplitudes_of(fit: ChainFit, key: str) -> list[int]:
     ]  # fmt: skip
 
 
-def objection(key: str, fit: ChainFit, before: ChainFit) -> str:
+def objection(key: str, fit: RigFit, before: RigFit) -> str:
     """Why the fitted values of an effect are impossible; empty where they are not."""
     effect = next(e for e in fit.model.effects if e.key == key)
     return (
@@ -50,7 +50,7 @@ def objection(key: str, fit: ChainFit, before: ChainFit) -> str:
     )
 
 
-def _nothing(key: str, fit: ChainFit) -> str:
+def _nothing(key: str, fit: RigFit) -> str:
     """An amplitude that does not differ from zero."""
     if key.partition("@")[0] == "shaft_compliance":
         return ""  # its absence is no value of its parameters
@@ -64,7 +64,7 @@ def _nothing(key: str, fit: ChainFit) -> str:
     return "no amplitude differs from zero by three standard errors"
 
 
-def _beyond(key: str, fit: ChainFit) -> str:
+def _beyond(key: str, fit: RigFit) -> str:
     for free in (f for f in fit.frees if f.kind == "effect" and f.owner == key):
         value = fit.state.get(free)
         if value != 0.0 and value in (free.low, free.high) and free.name != "share":
@@ -72,9 +72,9 @@ def _beyond(key: str, fit: ChainFit) -> str:
     return ""
 
 
-def _takes_the_drive(effect: Placed, fit: ChainFit) -> str:
+def _takes_the_drive(effect: Placed, fit: RigFit) -> str:
     """What takes most of the signal is no fault of an amplifier: the drive would not move."""
-    if CHAIN_CATALOGUE[effect.name].place != "input":
+    if PLACED_CATALOGUE[effect.name].place != "input":
         return ""
     motions = fit.likelihood.balance.motions
     signals = [(m.u[effect.on], effective_input(fit.model, m, effect.on)) for m in motions]
@@ -82,7 +82,7 @@ def _takes_the_drive(effect: Placed, fit: ChainFit) -> str:
     return "it would take most of the drive's signal" if acts < 0.5 * sent else ""
 
 
-def _too_short(effect: Placed, fit: ChainFit) -> str:
+def _too_short(effect: Placed, fit: RigFit) -> str:
     """A time far below a sample is the sampling itself."""
     names = ("delay",) if effect.name == "drive_delay" else ("time_constant",)
     if effect.name not in ("drive_delay", "current_lag"):
@@ -93,7 +93,7 @@ def _too_short(effect: Placed, fit: ChainFit) -> str:
     return f"{names[0]} is shorter than a tenth of a sample"
 
 
-def _by_the_drive(effect: Placed, fit: ChainFit) -> str:
+def _by_the_drive(effect: Placed, fit: RigFit) -> str:
     """What goes by the clock must last, and must not be the drive itself."""
     motions = fit.likelihood.balance.motions
     f = effect.values.get("frequency")
@@ -119,7 +119,7 @@ def _harmonic(f: float, u: Floats, dt: float) -> bool:
     return nearest >= 1 and abs(f * u.size * dt - nearest * wave) <= RESOLVED
 
 
-def _unseen(effect: Placed, fit: ChainFit, before: ChainFit) -> str:
+def _unseen(effect: Placed, fit: RigFit, before: RigFit) -> str:
     """A spring without a resonance that is seen, or that only filters a sensor's noise."""
     if effect.name != "shaft_compliance":
         return ""
@@ -158,7 +158,7 @@ def driven_share(changes: Sequence[Floats], drive: Sequence[Floats]) -> float:
     return driven / total if total > 0 else 1.0
 
 
-def _collapsed(fit: ChainFit, before: ChainFit) -> str:
+def _collapsed(fit: RigFit, before: RigFit) -> str:
     """A declared inertia or stiffness that is gone."""
     for free in fit.frees:
         if free.kind != "value" or free.name not in ("inertia", "stiffness"):

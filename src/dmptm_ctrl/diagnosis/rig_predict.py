@@ -5,14 +5,14 @@ from os import PathLike
 import numpy as np
 import pandas as pd
 
-from dmptm_ctrl.diagnosis.rig_files import read_chain
-from dmptm_ctrl.identify.chain_simulate import free_run, readings
+from dmptm_ctrl.diagnosis.rig_files import read_rig_model
+from dmptm_ctrl.identify.rig_simulate import free_run, readings
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.units import parse_unit
-from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 
-def predict_chain_file(log: str | PathLike[str], model: str | PathLike[str]) -> pd.DataFrame:
+def predict_rig_file(log: str | PathLike[str], model: str | PathLike[str]) -> pd.DataFrame:
     """Predict a log file with a model file that `diagnose` wrote for a rig file.
 
     Parameters
@@ -25,25 +25,25 @@ def predict_chain_file(log: str | PathLike[str], model: str | PathLike[str]) -> 
     Returns
     -------
     DataFrame
-        As `predict_chain`.
+        As `predict_rig`.
 
     Raises
     ------
     LogError
         A file that cannot be used; the message says why.
     """
-    chain, zeros = read_chain(model)
-    return predict_chain(chain, chain.rig.read_inputs(log), zeros)
+    chain, zeros = read_rig_model(model)
+    return predict_rig(chain, chain.rig.read_inputs(log), zeros)
 
 
-def predict_chain(
-    model: ChainModel, log: Log, zeros: dict[str, dict[str, float]] | None = None
+def predict_rig(
+    model: RigModel, log: Log, zeros: dict[str, dict[str, float]] | None = None
 ) -> pd.DataFrame:
     """Predict a log: one row per row of it.
 
     Parameters
     ----------
-    model : ChainModel
+    model : RigModel
     log : Log
         Of the model's rig.
     zeros : dict of log to dict of effect key to float, optional

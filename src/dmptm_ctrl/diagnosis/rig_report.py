@@ -13,16 +13,16 @@ from dmptm_ctrl.diagnosis.budget import EXPLAINED, MATERIAL, NONE
 from dmptm_ctrl.diagnosis.report import NamedEffect
 from dmptm_ctrl.diagnosis.rig_curves import Curve, mean_square
 from dmptm_ctrl.diagnosis.rig_evidence import RigState
-from dmptm_ctrl.diagnosis.rig_files import chain_to_toml
+from dmptm_ctrl.diagnosis.rig_files import rig_model_to_toml
 from dmptm_ctrl.diagnosis.rig_sensors import SensorFault
 from dmptm_ctrl.diagnosis.select import LEVEL, Candidate, Selection
 from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.identify.chain_fit import ChainFit
-from dmptm_ctrl.identify.chain_free import on_slide
+from dmptm_ctrl.identify.free_parameters import on_slide
+from dmptm_ctrl.identify.rig_fit import RigFit
 from dmptm_ctrl.signals.atomic import output_folder
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 SCHEMA = 2
 LIKELY = 0.5  # probability from which a name is in the headline
@@ -46,7 +46,7 @@ class RigDiagnosis:
     parameters : dict
         Declared quantities: declared, range, fitted, standard error.
     selection : Selection
-    declared, augmented : ChainModel
+    declared, augmented : RigModel
     """
 
     rig: Rig
@@ -59,8 +59,8 @@ class RigDiagnosis:
     error: dict[str, Any]
     parameters: dict[str, dict[str, Any]]
     selection: Selection
-    declared: ChainModel
-    augmented: ChainModel
+    declared: RigModel
+    augmented: RigModel
     provenance: dict[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
@@ -141,7 +141,7 @@ class RigDiagnosis:
         """Return the augmented model as the text of a file."""
         logs = self.selection.final.held_state.logs
         zeros = {log: dict(n.zero) for log, n in logs.items()}
-        return chain_to_toml(self.augmented, self.rig.text, zeros)
+        return rig_model_to_toml(self.augmented, self.rig.text, zeros)
 
     def save(self, folder: str | PathLike[str]) -> None:
         """Write diagnosis.json, model.toml and report.html, together or not at all."""
@@ -288,7 +288,7 @@ def ranking_of(
     for seen in (*selection.rest, *selection.first):  # what it is worth beside the final model
         best.setdefault(seen.keys[0].partition("@")[0], seen)
     rows = []
-    for name, chain in CHAIN_CATALOGUE.items():
+    for name, chain in PLACED_CATALOGUE.items():
         entry = next((e for e in selection.entries if e.key.startswith(f"{name}@")), None)
         one = best.get(name)
         score = entry.evidence if entry else one.evidence if one else 0.0
@@ -309,7 +309,7 @@ def ranking_of(
     return sorted(rows, key=lambda row: (row["status"] != "supported", -row["score"]))
 
 
-def declared_of(fit: ChainFit) -> dict[str, dict[str, Any]]:
+def declared_of(fit: RigFit) -> dict[str, dict[str, Any]]:
     """Return declared quantities: declared, range, fitted value, standard error, unit."""
     errors, found = fit.errors, {}
     for free in (f for f in fit.frees if f.kind == "value"):
@@ -331,7 +331,7 @@ def declared_of(fit: ChainFit) -> dict[str, dict[str, Any]]:
 def _sensor_effect(fault: SensorFault, rig: Rig) -> NamedEffect:
     """Describe what a sensor does."""
     values, errors = fault.placed.values, fault.errors
-    units = {p.name: p.unit for p in CHAIN_CATALOGUE[fault.placed.name].keep}
+    units = {p.name: p.unit for p in PLACED_CATALOGUE[fault.placed.name].keep}
     sure = max(abs(v) / max(errors[k], 1e-300) for k, v in values.items())
     return NamedEffect(
         fault.placed.name,
@@ -345,14 +345,14 @@ def _sensor_effect(fault: SensorFault, rig: Rig) -> NamedEffect:
 
 
 def effect_parameters(
-    effect: Placed, fit: ChainFit, errors: dict[str, float]
+    effect: Placed, fit: RigFit, errors: dict[str, float]
 ) -> dict[str, dict[str, Any]]:
     """Return the parameters of an effect in units that people read."""
     model = fit.model
     se = {k: errors.get(f"{effect.key}.{k}", 0.0) for k in effect.values}
     slide = on_slide(model, effect.on)
     found: dict[str, dict[str, Any]] = {}
-    for p in CHAIN_CATALOGUE[effect.name].keep:
+    for p in PLACED_CATALOGUE[effect.name].keep:
         value = effect.values.get(p.name)
         if value is None:
             continue
@@ -377,7 +377,7 @@ def effect_parameters(
 
 
 def _spring(
-    effect: Placed, model: ChainModel, se: dict[str, float], slide: bool
+    effect: Placed, model: RigModel, se: dict[str, float], slide: bool
 ) -> dict[str, dict[str, Any]]:
     """Stiffness, inertias and frequencies of a compliance."""
     w, dw = effect.values["antiresonance"], se.get("antiresonance", 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from dmptm_ctrl.diagnosis.screen import MAX_ROWS, STRANGE, VAGUE, cut
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
 from dmptm_ctrl.drive.rig_tables import si_symbol
-from dmptm_ctrl.identify.chain_free import Floats
+from dmptm_ctrl.identify.free_parameters import Floats
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.signals.campaign import without_duplicates
@@ -30,7 +30,7 @@ TOLD = 1.05  # factor between two sensors of one motion that a good pair does no
 HIDDEN = 20.0  # times less: behind a soft shaft, a load hides that much of the inertia, not more
 
 
-def screen_chain(rig: Rig, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tuple[str, ...]]:
+def screen_rig(rig: Rig, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tuple[str, ...]]:
     """Choose the logs of a rig of any shape that can be diagnosed.
 
     Parameters

@@ -7,10 +7,10 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
-from dmptm_ctrl.identify.chain_motion import on_time
+from dmptm_ctrl.identify.measured_motion import on_time
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.chain_model import Placed
+from dmptm_ctrl.simulate.rig_model import Placed
 
 
 @dataclass(frozen=True, eq=False)

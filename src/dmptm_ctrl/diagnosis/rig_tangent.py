@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.identify.chain_fit import ChainFit, State, prior_rows
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
-from dmptm_ctrl.simulate.chain_model import Placed
+from dmptm_ctrl.identify.rig_fit import RigFit, State, prior_rows
+from dmptm_ctrl.simulate.rig_model import Placed
 
 Floats = NDArray[np.float64]
 Parts = tuple[Floats, ...]  # (equations, rows, k) per log
@@ -60,7 +60,7 @@ class Trial:
 class Tangent:
     """Weighted residual of a fit, and what its parameters can change."""
 
-    fit: ChainFit
+    fit: RigFit
 
     @property
     def balance(self) -> Balance:

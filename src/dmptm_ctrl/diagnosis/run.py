@@ -11,8 +11,8 @@ import pandas as pd
 from dmptm_ctrl.diagnosis.diagnose import diagnose_dual
 from dmptm_ctrl.diagnosis.predict import RUNS, predict
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
-from dmptm_ctrl.diagnosis.rig_files import is_chain
-from dmptm_ctrl.diagnosis.rig_predict import predict_chain_file
+from dmptm_ctrl.diagnosis.rig_files import is_rig_model
+from dmptm_ctrl.diagnosis.rig_predict import predict_rig_file
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.drive.rig import Rig
@@ -107,8 +107,8 @@ def predict_file(log: Path, model: Path, *, single: bool = False) -> Iterator[st
     single : bool
         One run instead of the mean of several; that of a drive by rig.toml is one always.
     """
-    if is_chain(model):
-        table = predict_chain_file(log, model)
+    if is_rig_model(model):
+        table = predict_rig_file(log, model)
     else:
         table = predict(read_model(model), load_log(log), runs=1 if single else RUNS)
     _refuse_runaway(table, model.name)

@@ -11,10 +11,10 @@ from dmptm_ctrl.export.program import Array, Assign, If, Item, Name, Port, Progr
 from dmptm_ctrl.export.stepping import counter, finished, origin
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.signals import LogError
-from dmptm_ctrl.simulate.chain import march as march_chain
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import march as march_rig
 
 HALVINGS = 12  # of the factor that brings a signal inside its limits
 TIME = "time_s"
@@ -67,7 +67,7 @@ def within(
     table: pd.DataFrame,
     limits: Limits,
     *,
-    model: Model | ChainModel | None = None,
+    model: Model | RigModel | None = None,
     sample_time: float | None = None,
 ) -> pd.DataFrame:
     """Return signals at a sample time, made smaller until a rig can take them.
@@ -77,7 +77,7 @@ def within(
     table : DataFrame
         Column time_s and one per input of the model, in its order.
     limits : Limits
-    model : Model or ChainModel, optional
+    model : Model or RigModel, optional
         Tells speed and travel by simulation from rest; needed where these are limited.
     sample_time : float, optional
         Of the rig [s]; by default the table's. Signals are held from sample to sample.
@@ -110,8 +110,8 @@ def within(
     return pd.DataFrame(columns)
 
 
-def _smaller(signals: Floats, dt: float, limits: Limits, model: Model | ChainModel) -> Floats:
-    inputs = len(model.layout.inputs) if isinstance(model, ChainModel) else 2
+def _smaller(signals: Floats, dt: float, limits: Limits, model: Model | RigModel) -> Floats:
+    inputs = len(model.layout.inputs) if isinstance(model, RigModel) else 2
     if len(signals) != inputs:
         raise LogError(f"{len(signals)} signals, and the model has {inputs} inputs")
 
@@ -131,10 +131,10 @@ def _smaller(signals: Floats, dt: float, limits: Limits, model: Model | ChainMod
     return low * signals
 
 
-def _motion(model: Model | ChainModel, signals: Floats, dt: float) -> tuple[Floats, Floats]:
+def _motion(model: Model | RigModel, signals: Floats, dt: float) -> tuple[Floats, Floats]:
     """Position and speed of the load."""
-    if isinstance(model, ChainModel):
-        run = march_chain(model, np.ascontiguousarray(signals), dt)
+    if isinstance(model, RigModel):
+        run = march_rig(model, np.ascontiguousarray(signals), dt)
         load = model.rig.bodies[-1].name
         return run.position(load), run.speed(load)
     out = march(model.arrays(), np.ascontiguousarray(signals), rest(model, 0.0), dt, meshes=False)

@@ -8,8 +8,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from dmptm_ctrl.export.program import ascii_text
 from dmptm_ctrl.export.stepping import origin
 from dmptm_ctrl.identify.inverse_dynamics import kinematic
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 _KEPT = ("drive_delay", "current_lag", "back_emf", "viscous_friction", "coulomb_friction")
 
@@ -45,19 +45,19 @@ class Joint:
     lost: tuple[str, ...]
 
 
-def mujoco_joint(model: Model | ChainModel) -> Joint:
+def mujoco_joint(model: Model | RigModel) -> Joint:
     """Return a drive as one joint.
 
     Parameters
     ----------
-    model : Model or ChainModel
+    model : Model or RigModel
 
     Returns
     -------
     Joint
         Of the ring gear; of another drive that of the body that the last one in the file is.
     """
-    return _of_chain(model) if isinstance(model, ChainModel) else _of_dual(model)
+    return _of_rig(model) if isinstance(model, RigModel) else _of_dual(model)
 
 
 def _of_dual(model: Model) -> Joint:
@@ -85,7 +85,7 @@ def _of_dual(model: Model) -> Joint:
     )  # fmt: skip
 
 
-def _of_chain(model: ChainModel) -> Joint:
+def _of_rig(model: RigModel) -> Joint:
     plant, layout = model.plant(), model.layout
     reach = kinematic(model)
     last = model.rig.bodies[-1]

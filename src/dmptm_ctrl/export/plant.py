@@ -17,13 +17,13 @@ from dmptm_ctrl.export.stepping import counter, finished
 from dmptm_ctrl.export.trace import Scope, function_tree
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.signals.units import parse_unit
-from dmptm_ctrl.simulate.chain import substeps_for
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
 from dmptm_ctrl.simulate.dual import dual_plant, outputs
 from dmptm_ctrl.simulate.dual import start as start_of
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import Plant, numbers, structure_of
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import substeps_for
 from dmptm_ctrl.simulate.run import start_state
 from dmptm_ctrl.simulate.scalar import scalar_engine
 
@@ -41,7 +41,7 @@ TEXTS = (
 
 
 def plant_program(
-    model: Model | ChainModel,
+    model: Model | RigModel,
     sample_time: float,
     *,
     name: str = "plant",
@@ -52,7 +52,7 @@ def plant_program(
 
     Parameters
     ----------
-    model : Model or ChainModel
+    model : Model or RigModel
     sample_time : float [s]
         Inputs are held for so long.
     start : float
@@ -70,7 +70,7 @@ def plant_program(
     NotScalar
         An effect whose kernel is more than scalar arithmetic, branches and loops.
     """
-    if isinstance(model, ChainModel):
+    if isinstance(model, RigModel):
         plant, steps = model.plant(), substeps_for(model.plant(), sample_time)
         inputs, seen = _chain_ports(model)
         q, v = np.zeros((2, plant.inertia.size))
@@ -157,7 +157,7 @@ def _dual_ports() -> tuple[list[Port], list[Port]]:
     return inputs, [Port(n.lower(), unit, text) for n, unit, text in named]
 
 
-def _chain_ports(model: ChainModel) -> tuple[list[Port], list[Port]]:
+def _chain_ports(model: RigModel) -> tuple[list[Port], list[Port]]:
     inputs = [
         Port(f"in_{_word(i.name)}", _si(i.unit), f"{i.name}, held until the next step")
         for i in model.rig.inputs
@@ -178,7 +178,7 @@ def _si(unit: str) -> str:
     return parse_unit(unit).symbol.replace("·", " ") or "1"
 
 
-def _unit(model: ChainModel, sensor: str) -> str:
+def _unit(model: RigModel, sensor: str) -> str:
     item = next(s for s in model.rig.sensors if s.name == sensor)
     unit = model.rig.body(item.body).angle_unit
     return unit if item.measures == "position" else f"{unit}/s"

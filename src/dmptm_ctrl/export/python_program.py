@@ -9,7 +9,7 @@ from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.diagnosis.code import rebuilding_code
 from dmptm_ctrl.export.controller import provenance
 from dmptm_ctrl.export.stepping import origin
-from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 _CONTROLLER = """\
 import control as ct
@@ -29,16 +29,16 @@ _RIG = """\
 import control as ct
 import numpy as np
 
-from dmptm_ctrl.diagnosis.rig_files import chain_from_toml
-from dmptm_ctrl.simulate.chain import simulate_chain
+from dmptm_ctrl.diagnosis.rig_files import rig_model_from_toml
+from dmptm_ctrl.simulate.rig_run import simulate_rig
 
 MODEL = r'''
 {text}'''
 
-model, _ = chain_from_toml(MODEL)
+model, _ = rig_model_from_toml(MODEL)
 time = np.arange(0.0, 0.05, 1e-3)  # s
 signals = np.full((len(model.layout.inputs), time.size), 0.1)  # SI
-response = simulate_chain(model, time, signals)  # ct.TimeResponseData
+response = simulate_rig(model, time, signals)  # ct.TimeResponseData
 assert isinstance(response, ct.TimeResponseData)
 """
 
@@ -48,7 +48,7 @@ def python_program(model: Any, source: Path) -> str:
 
     Parameters
     ----------
-    model : Model, ChainModel or Controller
+    model : Model, RigModel or Controller
         Of a controller the feedback part, as it runs; what it feeds forward is in comments.
     source : path
         File that it was read from.
@@ -59,6 +59,6 @@ def python_program(model: Any, source: Path) -> str:
         head = "".join(f"# {line}\n" for line in provenance(model, source))
         return head + "\n" + _CONTROLLER.format(a=a, b=b, c=c, d=d, dt=model.sample_time)
     head = "".join(f"# {line}\n" for line in origin(source))
-    if isinstance(model, ChainModel):
+    if isinstance(model, RigModel):
         return head + "\n" + _RIG.format(text=source.read_text(encoding="utf-8"))
     return head + rebuilding_code(model)

@@ -9,22 +9,22 @@ import pandas as pd
 
 from dmptm_ctrl.export.stepping import origin
 from dmptm_ctrl.simulate.along import friction_along, law_along, torque_along
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plain import RING, Sites
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 SPEEDS = 101  # rows over speed, from backward to forward; the middle one is at rest
 ANGLES = 361  # rows over a turn, both ends included
 SPEED_RANGE = 2.0  # rad/s or m/s at the load, either way
 
 
-def compensation_tables(model: Model | ChainModel) -> dict[str, pd.DataFrame]:
+def compensation_tables(model: Model | RigModel) -> dict[str, pd.DataFrame]:
     """Return what a drive must give to cancel friction and the torques of effects.
 
     Parameters
     ----------
-    model : Model or ChainModel
+    model : Model or RigModel
 
     Returns
     -------
@@ -33,7 +33,7 @@ def compensation_tables(model: Model | ChainModel) -> dict[str, pd.DataFrame]:
         the model. Units are in the columns' names, SI. Everything is at time 0 and without torque
         in the meshes. Of a dual-motor drive the voltages are those of each motor.
     """
-    tables = _of_chain(model) if isinstance(model, ChainModel) else _of_dual(model)
+    tables = _of_rig(model) if isinstance(model, RigModel) else _of_dual(model)
     return {name: table for name, table in tables.items() if not table.empty}
 
 
@@ -77,7 +77,7 @@ def _friction(sites: Sites, body: int, omega: float) -> float:
     return way * float(sites.sliding(body, way, 0.0, omega, 0.0, 0.0))
 
 
-def _of_chain(model: ChainModel) -> dict[str, pd.DataFrame]:
+def _of_rig(model: RigModel) -> dict[str, pd.DataFrame]:
     plant, layout = model.plant(), model.layout
     speed = np.linspace(-SPEED_RANGE, SPEED_RANGE, SPEEDS)
     angle = np.linspace(0.0, 2 * pi, ANGLES)
@@ -88,7 +88,7 @@ def _of_chain(model: ChainModel) -> dict[str, pd.DataFrame]:
         law_along(speed, plant.law[k], level)
         torque = np.zeros(ANGLES)
         for effect in model.effects:
-            site = CHAIN_CATALOGUE[effect.name].site
+            site = PLACED_CATALOGUE[effect.name].site
             if effect.on == body and site == "friction":
                 none = np.zeros(SPEEDS)
                 f, added = friction_along(effect, none, speed, none, none)
@@ -106,7 +106,7 @@ def _of_chain(model: ChainModel) -> dict[str, pd.DataFrame]:
     }
 
 
-def write_tables(model: Model | ChainModel, source: Path, folder: Path) -> None:
+def write_tables(model: Model | RigModel, source: Path, folder: Path) -> None:
     """Write each table as a CSV, with what wrote it in comment lines ahead."""
     head = "".join(f"# {line}\n" for line in origin(source))
     for name, table in compensation_tables(model).items():

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
-from dmptm_ctrl.identify.chain_motion import (
+from dmptm_ctrl.identify.measured_motion import (
     Floats,
     Motion,
     Sight,
@@ -33,9 +33,9 @@ from dmptm_ctrl.simulate.along import (
     law_along,
     torque_along,
 )
-from dmptm_ctrl.simulate.chain import march, substeps_for
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import march, substeps_for
 
 TINY = 1e-300  # a speed that has a direction and no size
 LEAST_DRIVE = 0.05  # of the logged signal gets through to a motor at least
@@ -169,7 +169,7 @@ NONE = Nuisance()
 
 
 def residual(
-    model: ChainModel, balance: Balance, motion: Motion, nuisance: Nuisance = NONE
+    model: RigModel, balance: Balance, motion: Motion, nuisance: Nuisance = NONE
 ) -> tuple[Floats, Floats]:
     """Return what the model leaves, and the driving torque.
 
@@ -258,7 +258,7 @@ Moves = dict[int, tuple[Floats, Floats, Floats]]  # coordinate -> position, spee
 
 
 def measured_motion(
-    model: ChainModel, balance: Balance, motion: Motion, nuisance: Nuisance = NONE
+    model: RigModel, balance: Balance, motion: Motion, nuisance: Nuisance = NONE
 ) -> tuple[Moves, dict[int, str]]:
     """Return the motion of each measured coordinate, and the body that it was measured at.
 
@@ -284,7 +284,7 @@ def measured_motion(
 
 
 def _through_spring(
-    model: ChainModel,
+    model: RigModel,
     motion: Motion,
     found: Moves,
     bodies: Mapping[int, str],
@@ -319,7 +319,7 @@ def _through_spring(
 
 
 def _links(
-    model: ChainModel,
+    model: RigModel,
     motion: Motion,
     measured: Moves,
     nuisance: Nuisance,
@@ -358,12 +358,12 @@ def _links(
     return {name: run.link(name) for name in layout.links}
 
 
-def _second(model: ChainModel, link: str) -> str:
+def _second(model: RigModel, link: str) -> str:
     plant, layout = model.plant(), model.layout
     return layout.bodies[plant.link_body[layout.links.index(link), 1]]
 
 
-def kinematic(model: ChainModel) -> dict[int, float]:
+def kinematic(model: RigModel) -> dict[int, float]:
     """Motion of each coordinate per motion of the first, all links untwisted."""
     plant, layout = model.plant(), model.layout
     reach = {0: 1.0}
@@ -381,7 +381,7 @@ def kinematic(model: ChainModel) -> dict[int, float]:
 
 
 def _friction(
-    model: ChainModel,
+    model: RigModel,
     motion: Motion,
     group: int,
     q: Floats,
@@ -406,7 +406,7 @@ def _friction(
         for effect in model.effects:
             if effect.on != body:
                 continue
-            chain = CHAIN_CATALOGUE[effect.name]
+            chain = PLACED_CATALOGUE[effect.name]
             theta = angle + nuisance.zero.get(effect.key, 0.0)
             if chain.site == "friction":
                 f, added = friction_along(effect, theta, omega, motion.time, load[body])
@@ -429,7 +429,7 @@ def _at_rest(friction: Floats, needed: Floats, v: Floats, share: float) -> Float
     return np.where(rest, np.clip(needed, -level, level), friction)
 
 
-def effective_input(model: ChainModel, motion: Motion, name: str) -> Floats:
+def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
     """Signal of an input as it acts, at the samples, (n,): effects and limit applied.
 
     The logged signal is held from each sample to the next. Dead time and lag are undone on the
@@ -438,7 +438,7 @@ def effective_input(model: ChainModel, motion: Motion, name: str) -> Floats:
     """
     signal = motion.u[name]
     for effect in model.effects:
-        if effect.on == name and CHAIN_CATALOGUE[effect.name].site == "drive":
+        if effect.on == name and PLACED_CATALOGUE[effect.name].site == "drive":
             signal = drive_along(effect, signal, motion.time)
     j = model.layout.inputs.index(name)
     _, dead, tau, limit = model.plant().input_values[j]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from dmptm_ctrl.control import common_mode
 from dmptm_ctrl.design.linear import linear_plant
-from dmptm_ctrl.diagnosis.rig_files import is_chain, read_chain
+from dmptm_ctrl.diagnosis.rig_files import is_rig_model, read_rig_model
 from dmptm_ctrl.drive import Drive, baseline_drive, nine_dof_ss, paper_drive, three_dof_ss
 from dmptm_ctrl.drive.rig_dual import dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
@@ -19,11 +19,11 @@ from dmptm_ctrl.plots.linear import bode_compare, step_compare
 from dmptm_ctrl.reproduce.items import figure_of
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.toml_text import parse_toml
-from dmptm_ctrl.simulate.chain import linear_chain
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import KIND as DUAL
 from dmptm_ctrl.simulate.model_file import read_model
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import linear_rig
 
 Row = tuple[str, ...]
 BODE_HEADER = (
@@ -88,8 +88,8 @@ def _own(
     file: Path, input: str | None, output: str | None
 ) -> tuple[Drive, dict[str, ct.StateSpace]]:
     """Return the dual-motor drive of a file, or the paper's; and its own linear model."""
-    if is_chain(file):
-        return paper_drive(), _chain(file, read_chain(file)[0], input, output)
+    if is_rig_model(file):
+        return paper_drive(), _chain(file, read_rig_model(file)[0], input, output)
     if _is_dual(file):
         model = read_model(file)
         return model.drive, {f"{file.stem}, linearised": common_mode(linear_plant(model))}
@@ -97,7 +97,7 @@ def _own(
     drive = dual_motor(rig)
     if drive is not None:
         return drive, {f"{rig.name}, linearised": common_mode(linear_plant(Model(drive)))}
-    return paper_drive(), _chain(file, ChainModel(rig), input, output)
+    return paper_drive(), _chain(file, RigModel(rig), input, output)
 
 
 def _is_dual(file: Path) -> bool:
@@ -108,7 +108,7 @@ def _is_dual(file: Path) -> bool:
 
 
 def _chain(
-    file: Path, model: ChainModel, input: str | None, output: str | None
+    file: Path, model: RigModel, input: str | None, output: str | None
 ) -> dict[str, ct.StateSpace]:
     sensors, inputs = model.rig.sensors, model.layout.inputs
     source = input or inputs[0]
@@ -116,7 +116,7 @@ def _chain(
         raise LogError(f"{file.name}: no input {source!r}; it has {', '.join(inputs)}")
     speeds = [s for s in sensors if s.measures == "speed"]
     seen = output or (speeds or list(sensors))[0].name
-    plant = linear_chain(model, outputs=[seen])
+    plant = linear_rig(model, outputs=[seen])
     return {f"{model.rig.name}: {seen} over {source}": plant[seen, source]}
 
 

@@ -9,11 +9,11 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import lookup
 from dmptm_ctrl.effects.stribeck import sliding_torque, stribeck_law
 from dmptm_ctrl.simulate import elementary
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_model import Placed, value_row
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.loading import key_of, load
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import Floats
+from dmptm_ctrl.simulate.rig_model import Placed, value_row
 
 # site -> arguments of the kernel, results
 _CALLS = {
@@ -47,7 +47,7 @@ def _loop(effect: Effect, told: int) -> ModuleType:
 
 
 def _run(placed: Placed, a: Floats, b: Floats, c: Floats, t: Floats) -> tuple[Floats, Floats]:
-    chain = CHAIN_CATALOGUE[placed.name]
+    chain = PLACED_CATALOGUE[placed.name]
     out, more = np.empty_like(a, float), np.empty_like(a, float)
     rows = (np.ascontiguousarray(x, np.float64) for x in (a, b, c, t))
     _loop(chain.effect, chain.told).along(*rows, value_row(placed), out, more)

@@ -189,7 +189,7 @@ def friction_states(sites: Sites, body: int) -> list[str]:
     return ["friction"] * presliding + ["age"] * ageing
 
 
-def chain_block(model: Model | Given, side: int) -> ct.NonlinearIOSystem:
+def rig_block(model: Model | Given, side: int) -> ct.NonlinearIOSystem:
     """Return motor, reducer and pinion of one side, with the reducer's friction.
 
     Inputs voltage [V] and torque of the mesh [N·m]; outputs theta_m, omega_m of the motor,
@@ -348,7 +348,7 @@ def to_blocks(
     given = Given(model, loop, others)
     blocks = [
         *(drive_block(given, side, pade_order=pade_order) for side in (0, 1)),
-        *(chain_block(given, side) for side in (0, 1)),
+        *(rig_block(given, side) for side in (0, 1)),
         *(mesh_block(given, side, contact=contact) for side in (0, 1)),
         ring_block(given),
         sensor_block(given, pade_order=pade_order),

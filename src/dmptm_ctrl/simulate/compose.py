@@ -13,7 +13,7 @@ from dmptm_ctrl.contract import SITES, Effect
 from dmptm_ctrl.effects import CATALOGUE, backlash, lookup, presliding, stribeck
 from dmptm_ctrl.effects.lookup import looked_up
 from dmptm_ctrl.simulate import elementary
-from dmptm_ctrl.simulate.chains import (
+from dmptm_ctrl.simulate.kernel_calls import (
     CHAINS,
     body_of,
     chain_text,

@@ -10,9 +10,9 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from dmptm_ctrl.simulate.chain import ChainRun, march
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.plant import Floats
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import RigRun, march
 from dmptm_ctrl.simulate.run import Controller
 
 Law = Callable[[float, float, Floats], Any]
@@ -49,17 +49,17 @@ def sampled(system: ct.LTI, reading: int | None = None) -> Law:
 
 
 def simulate_with_controller(
-    model: ChainModel,
+    model: RigModel,
     law: Law | Controller | ct.LTI,
     target: Floats,
     dt: float,
     **options: Any,
-) -> ChainRun:
+) -> RigRun:
     """Run a rig under a controller of one's own.
 
     Parameters
     ----------
-    model : ChainModel
+    model : RigModel
     law : callable, Controller or discrete system
         ``law(t, target, y)`` returns the signals of the inputs, one each or one number for a
         single input; `y` are the readings of the sensors, SI, in the order of the rig. A system
@@ -73,7 +73,7 @@ def simulate_with_controller(
 
     Returns
     -------
-    ChainRun
+    RigRun
         Another call goes on from its `state`.
 
     Raises

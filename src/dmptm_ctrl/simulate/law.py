@@ -10,7 +10,7 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import lookup, presliding, stribeck
 from dmptm_ctrl.simulate import control_core as core
 from dmptm_ctrl.simulate import elementary
-from dmptm_ctrl.simulate.chains import body_of, chain_text, flags_text, per_catalogue
+from dmptm_ctrl.simulate.kernel_calls import body_of, chain_text, flags_text, per_catalogue
 from dmptm_ctrl.simulate.loading import key_of, load
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
 from dmptm_ctrl.simulate.run import Controller

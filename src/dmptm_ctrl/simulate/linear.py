@@ -11,11 +11,11 @@ from scipy.optimize import root
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.blocks import REST_SPEED, SIDES, drive_states, initial_state, to_blocks
-from dmptm_ctrl.simulate.chain import linear_chain
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.compiled import OUTPUTS
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plain import RING, Sites, mesh_region
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import linear_rig
 
 TURN = np.deg2rad(10.0)  # rad/s, a speed of the paper's experiments
 PRELOAD = 0.3  # V; holds both meshes closed on opposite flanks at TURN
@@ -100,7 +100,7 @@ def turning(
 
 
 def linearize(
-    model: Model | ChainModel | Rig,
+    model: Model | RigModel | Rig,
     x0: ArrayLike | Mapping[str, float] | None = None,
     u0: ArrayLike | None = None,
     *,
@@ -110,8 +110,8 @@ def linearize(
 
     Parameters
     ----------
-    model : Model, ChainModel or Rig
-        Of a rig of any shape: :func:`~dmptm_ctrl.simulate.chain.linear_chain`.
+    model : Model, RigModel or Rig
+        Of a rig of any shape: :func:`~dmptm_ctrl.simulate.rig_run.linear_rig`.
     x0 : (6,) array, optional
         θ3l, θ3r, θL [rad] and their speeds [rad/s]; by default :func:`turning`. Of a rig of
         any shape a mapping of body to position [rad or m], by default 0.
@@ -147,8 +147,8 @@ def linearize(
             raise ValueError(
                 "a rig of any shape is linearised at x0, a mapping of body to position"
             )
-        chain = ChainModel(model) if isinstance(model, Rig) else model
-        return linear_chain(chain, outputs=outputs, position=x0)
+        chain = RigModel(model) if isinstance(model, Rig) else model
+        return linear_rig(chain, outputs=outputs, position=x0)
     outputs = ("omega_L",) if outputs is None else outputs
     for name in outputs:
         if name not in OUTPUTS:

@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 
 from dmptm_ctrl.drive.rig import Controller
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.plant import Floats
+from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import Controller as RunController
 from dmptm_ctrl.simulate.run import compiled_controller
 
@@ -32,7 +32,7 @@ def cascade(i, t, dt, target, added, y, rule, memory, u):
     u[int(rule[1])] = min(max(command, -rule[2]), rule[2])
 
 
-def controller_of(model: ChainModel, controller: Controller) -> RunController:
+def controller_of(model: RigModel, controller: Controller) -> RunController:
     """Return a rig's controller for the compiled loop."""
     gains = controller.gains
     sensor = [s.name for s in model.rig.sensors].index(controller.sensor)

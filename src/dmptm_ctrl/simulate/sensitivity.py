@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.chains import layout
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
 from dmptm_ctrl.simulate.dual import columns_seen, dual_plant, start
 from dmptm_ctrl.simulate.elementary import cached
+from dmptm_ctrl.simulate.kernel_calls import layout
 from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model

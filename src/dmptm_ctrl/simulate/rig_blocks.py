@@ -15,17 +15,17 @@ import numpy as np
 
 from dmptm_ctrl.simulate.block_params import refuse_unknown
 from dmptm_ctrl.simulate.blocks import REST_SPEED
-from dmptm_ctrl.simulate.chain_model import ChainModel, check_physical
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.plant import Plant
+from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
 
 
-def chain_blocks(model: ChainModel, *, others: Sequence[str] = ()) -> ct.InterconnectedSystem:
+def rig_blocks(model: RigModel, *, others: Sequence[str] = ()) -> ct.InterconnectedSystem:
     """Return a chain as one block per group of bodies, link, input and sensor.
 
     Parameters
     ----------
-    model : ChainModel
+    model : RigModel
     others : sequence of str
         Names of `params` that belong to blocks of your own beside these.
 
@@ -68,7 +68,7 @@ def chain_blocks(model: ChainModel, *, others: Sequence[str] = ()) -> ct.Interco
 class _Given:
     """The parts of a model, with declared quantities replaced by the `params` of a simulation."""
 
-    def __init__(self, model: ChainModel, others: Sequence[str]) -> None:
+    def __init__(self, model: RigModel, others: Sequence[str]) -> None:
         self.model, self.layout, self.others = model, model.layout, others
         self._parts: dict[tuple[tuple[str, float], ...], Parts] = {(): Parts(model.plant())}
         self._refuse(model.plant())

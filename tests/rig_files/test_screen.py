@@ -3,14 +3,14 @@
 import numpy as np
 import pandas as pd
 import pytest
-from tests.chain.truth import Bench, Machine
+from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.diagnosis.rig_screen import (
     other_scale,
     refuse_no_gain,
     refuse_reversed,
-    screen_chain,
+    screen_rig,
 )
 from dmptm_ctrl.diagnosis.screen import MAX_ROWS
 from dmptm_ctrl.drive.rigfile import parse_rig
@@ -35,7 +35,7 @@ def frames(bad=lambda table: table, *, all_of_them=False):
 def looked_at(tables, rig=RIG):
     """What the diagnosis does with them before it begins."""
     logs = [rig.load(table, name=name) for name, table in tables.items()]
-    kept, warnings = screen_chain(rig, logs)
+    kept, warnings = screen_rig(rig, logs)
     strange = other_scale(rig, balance_of(rig, kept))
     if strange:
         raise LogError(strange)
@@ -112,7 +112,7 @@ def test_long_logs_are_cut_and_long_files_not_read_whole(tmp_path):
     u, w = np.sin(2 * np.pi * time), -np.cos(2 * np.pi * time)
     rig = parse_rig(BENCH.with_(sensors=("speed",)).rig())
     log = Log("long", time, {"in_drive": u, "out_speed": w})
-    (short,), warnings = screen_chain(rig, [log])
+    (short,), warnings = screen_rig(rig, [log])
     assert len(short) == MAX_ROWS
     assert warnings[0].startswith("long: the first 29.9999 s of 30.0049 s are used")
     FRAMES[FIRST].to_csv(tmp_path / "run.csv", index=False)
@@ -192,7 +192,7 @@ time = "t_s"
 def judged(tables, rig):
     """Everything that the diagnosis asks before it begins."""
     tables = {n: t.rename(columns={"t": "t_s"}) for n, t in tables.items()}
-    kept, warnings = screen_chain(rig, [rig.load(t, name=n) for n, t in tables.items()])
+    kept, warnings = screen_rig(rig, [rig.load(t, name=n) for n, t in tables.items()])
     balance = balance_of(rig, kept)
     refuse_no_gain(rig, balance)
     found = [refuse_reversed(rig, balance), other_scale(rig, balance)]

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from dmptm_ctrl.identify.chain_free import Floats, Free, free_parameters, scales_of
+from dmptm_ctrl.identify.free_parameters import Floats, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
 from dmptm_ctrl.parallel import in_threads, small_matrices
-from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 ROWS_PER_NEWS = 8.0  # rows that count as one, where nothing better is known
 LEAST_SCALE = 0.005  # of the torque; friction laws are not known more finely
@@ -32,7 +32,7 @@ KINKS = {  # step of the finite differences, in scales: wide enough to pass a fe
 class State:
     """A model and what belongs to each log."""
 
-    model: ChainModel
+    model: RigModel
     logs: Mapping[str, Nuisance] = field(default_factory=dict)
 
     def nuisance(self, log: str) -> Nuisance:
@@ -72,7 +72,7 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class ChainFit:
+class RigFit:
     """A fitted chain.
 
     Attributes
@@ -99,7 +99,7 @@ class ChainFit:
     loss: float
 
     @property
-    def model(self) -> ChainModel:
+    def model(self) -> RigModel:
         """The fitted model."""
         return self.state.model
 
@@ -250,7 +250,7 @@ def _step(free: Free) -> float:
 
 
 @small_matrices
-def fit_chain(
+def fit_rig(
     state: State,
     balance: Balance,
     *,
@@ -259,7 +259,7 @@ def fit_chain(
     tolerance: float = 0.3,
     news: Floats | None = None,
     jobs: int = 2,
-) -> ChainFit:
+) -> RigFit:
     """Fit by Gauss–Newton.
 
     Parameters
@@ -278,7 +278,7 @@ def fit_chain(
 
     Returns
     -------
-    ChainFit
+    RigFit
     """
     scales = scales_of(balance)
     if frees is None:
@@ -299,7 +299,7 @@ def fit_chain(
         slopes = jacobian(state, balance, frees, left, jobs=jobs)
         if gain < tolerance:
             break
-    return ChainFit(state, frees, left, drive, slopes, likelihood, loss)
+    return RigFit(state, frees, left, drive, slopes, likelihood, loss)
 
 
 def _better(

@@ -100,7 +100,7 @@ REVEALS = {
 }
 
 
-class ChainEffect(NamedTuple):
+class PlacedEffect(NamedTuple):
     """An effect as one place of a drive has it.
 
     Attributes
@@ -156,22 +156,22 @@ class ChainEffect(NamedTuple):
         return tuple(p.name for p in self.keep if p.bank)
 
 
-def may_stand(chain: ChainEffect, rig: Rig, part: str) -> bool:
+def may_stand(chain: PlacedEffect, rig: Rig, part: str) -> bool:
     """Whether an effect can do anything at a part of its kind: what links carry needs a link."""
     if chain.place != "body" or "mesh_torque" not in chain.effect.depends_on:
         return True
     return any(part in (link.first, link.second) and not link.rigid for link in rig.links)
 
 
-def whole(effect: Effect) -> ChainEffect:
+def whole(effect: Effect) -> PlacedEffect:
     """Return an effect whose parameters belong to one place as they are."""
     told = RING if effect.site in ("friction", "presliding", "ageing") else 0
     if effect is LOAD_DEPENDENT_FRICTION:
         told = 0  # its kernel acts on reducers
-    return ChainEffect(effect, effect.parameters, tuple(range(len(effect.parameters))), told)
+    return PlacedEffect(effect, effect.parameters, tuple(range(len(effect.parameters))), told)
 
 
-def _one_side(effect: Effect, names: dict[str, str]) -> ChainEffect:
+def _one_side(effect: Effect, names: dict[str, str]) -> PlacedEffect:
     """Return an effect with parameters per side, reduced to one side.
 
     `names` maps the kernel's parameters to the chain's; the others are zero.
@@ -182,10 +182,10 @@ def _one_side(effect: Effect, names: dict[str, str]) -> ChainEffect:
         fields.append(
             [k.name for k in keep].index(names[parameter.name]) if parameter.name in names else 0.0
         )
-    return ChainEffect(effect, tuple(keep), tuple(fields), RING if effect is PRESLIDING else 0)
+    return PlacedEffect(effect, tuple(keep), tuple(fields), RING if effect is PRESLIDING else 0)
 
 
-CHAIN_CATALOGUE: dict[str, ChainEffect] = {
+PLACED_CATALOGUE: dict[str, PlacedEffect] = {
     chain.name: chain
     for chain in (
         whole(VISCOUS_FRICTION),
@@ -207,7 +207,7 @@ CHAIN_CATALOGUE: dict[str, ChainEffect] = {
         whole(DRIVE_SATURATION),
         whole(DRIVE_DELAY),
         whole(CURRENT_LAG),
-        ChainEffect(
+        PlacedEffect(
             SHAFT_COMPLIANCE,
             # friction of the declared body may sit on either side of the spring
             (*SHAFT_COMPLIANCE.parameters, Parameter("far_viscous", "N·m·s/rad", 0.0, inf, 1.0)),
@@ -221,7 +221,7 @@ CHAIN_CATALOGUE: dict[str, ChainEffect] = {
 }
 
 
-def register(chain: ChainEffect) -> ChainEffect:
+def register(chain: PlacedEffect) -> PlacedEffect:
     """Add a user's own effect for drives of any shape.
 
     Raises
@@ -229,9 +229,9 @@ def register(chain: ChainEffect) -> ChainEffect:
     ValueError
         A name that is taken, or a site that chains do not have.
     """
-    if chain.name in CHAIN_CATALOGUE:
+    if chain.name in PLACED_CATALOGUE:
         raise ValueError(f"effect {chain.name!r} is in the chain catalogue; choose another name")
     if chain.site not in SITES:
         raise ValueError(f"effect {chain.name!r}: chains have no site {chain.site!r}")
-    CHAIN_CATALOGUE[chain.name] = chain
+    PLACED_CATALOGUE[chain.name] = chain
     return chain

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from tests.chain.truth import Bench, Machine
+from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.cli import main
 

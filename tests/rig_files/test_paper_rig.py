@@ -10,11 +10,11 @@ from dmptm_ctrl.drive import paper_drive, three_dof_ss
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig, parse_rig
 from dmptm_ctrl.signals import load_log, load_logs
-from dmptm_ctrl.simulate.chain import chain_modes, linear_chain, march
-from dmptm_ctrl.simulate.chain_model import ChainModel
 from dmptm_ctrl.simulate.compiled import march as march_built_in
 from dmptm_ctrl.simulate.compiled import rest
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import linear_rig, march, rig_modes
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +32,12 @@ def test_declared_values_are_the_tables(rig):
 
 def test_modes(rig):
     """Physics of three bodies in closed form: 0, 60.4 and 230.9 Hz."""
-    assert chain_modes(ChainModel(rig)) == pytest.approx([0, 60.4, 230.9], abs=0.1)
+    assert rig_modes(RigModel(rig)) == pytest.approx([0, 60.4, 230.9], abs=0.1)
 
 
 def test_linear_model(rig):
     """Same response from both voltages to both readings."""
-    chain = linear_chain(ChainModel(rig))
+    chain = linear_rig(RigModel(rig))
     built_in = three_dof_ss(outputs=("theta_L", "omega_L"))
     for hertz in (0.1, 5.0, 60.4, 231.0, 900.0):
         s = 2j * np.pi * hertz
@@ -51,7 +51,7 @@ def test_motion_with_gaps_and_friction(rig):
     u = np.array([push + 0.2, push - 0.2])
     model = Model(paper_drive())
     one = march_built_in(model.arrays(), u, rest(model, 0.0), 1e-3)
-    other = march(ChainModel(rig), u, 1e-3, substeps=50)
+    other = march(RigModel(rig), u, 1e-3, substeps=50)
     size = np.abs(one[:, 1]).max()
     assert size > 0.05
     assert np.sqrt(np.mean((other.speed("ring_gear") - one[:, 1]) ** 2)) < 0.05 * size

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.identify.chain_fit import State, fit_chain
-from dmptm_ctrl.identify.chain_free import Floats, scales_of
+from dmptm_ctrl.identify.free_parameters import Floats, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.simulate.chain_model import ChainModel, link_sides
+from dmptm_ctrl.identify.rig_fit import State, fit_rig
+from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
 
 STIFF = 6  # antiresonances tried for a spring of which nothing is known
 LOWEST_MODE = 0.03  # of the bandwidth
@@ -47,7 +47,7 @@ class Spring(NamedTuple):
         return 2.0 * self.damping_ratio * self.antiresonance * self.far
 
 
-def rough_start(model: ChainModel, balance: Balance) -> ChainModel:
+def rough_start(model: RigModel, balance: Balance) -> RigModel:
     """Give every unknown quantity a value of the right order."""
     scales = scales_of(balance)
     values: dict[str, float] = {}
@@ -70,7 +70,7 @@ def rough_start(model: ChainModel, balance: Balance) -> ChainModel:
     return _springs(model.with_values(values), balance)
 
 
-def _springs(model: ChainModel, balance: Balance) -> ChainModel:
+def _springs(model: RigModel, balance: Balance) -> RigModel:
     """Start springs of unknown stiffness where the logs put them."""
     for link in model.rig.links:
         if link.stiffness is None or isfinite(link.stiffness.value):
@@ -89,13 +89,13 @@ def _springs(model: ChainModel, balance: Balance) -> ChainModel:
         for w in np.geomspace(LOWEST_MODE * top, HIGHEST_MODE * top, STIFF):
             spring = Spring(float(w), DAMPING_RATIO, far, far)
             start = model.with_values(spring_values(model, link.name, spring))
-            fit = fit_chain(State(start), balance, iterations=3)
+            fit = fit_rig(State(start), balance, iterations=3)
             tried.append((fit.loss, fit.model))
         model = min(tried, key=lambda t: t[0])[1]
     return model
 
 
-def spring_values(model: ChainModel, link: str, spring: Spring) -> dict[str, float]:
+def spring_values(model: RigModel, link: str, spring: Spring) -> dict[str, float]:
     """Stiffness and damping of a link, where they are declared unknown."""
     declared = model.quantities.get(f"link.{link}.stiffness")
     if declared is None or isfinite(declared.value):
@@ -110,7 +110,7 @@ def spring_values(model: ChainModel, link: str, spring: Spring) -> dict[str, flo
 Ends = tuple[tuple[str, float], tuple[str, float]]  # point and factor of its motion, near and far
 
 
-def ends_of(model: ChainModel, balance: Balance, link: str) -> Ends | None:
+def ends_of(model: RigModel, balance: Balance, link: str) -> Ends | None:
     """Return the points that are measured on both sides of a link; None where one is missing.
 
     The factors turn a point's motion into that of the link's first body.
@@ -124,7 +124,7 @@ def ends_of(model: ChainModel, balance: Balance, link: str) -> Ends | None:
     return (near.name, 1.0 / near_ratio[near.body]), (far.name, ratio / far_ratio[far.body])
 
 
-def drive_of(model: ChainModel, balance: Balance) -> list[Floats]:
+def drive_of(model: RigModel, balance: Balance) -> list[Floats]:
     """Return the driving torque per log, at the first input's body, unfiltered."""
     gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in model.rig.inputs}
     return [np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in balance.motions]
@@ -227,7 +227,7 @@ def _solve(rows: list[Floats], target: list[Floats]) -> Floats:
     return np.linalg.lstsq(table / size, np.concatenate(target), rcond=None)[0] / size
 
 
-def unknown_inertias(model: ChainModel, link: str, spring: Spring) -> dict[str, float]:
+def unknown_inertias(model: RigModel, link: str, spring: Spring) -> dict[str, float]:
     """Inertias on both sides of a link: as declared; the unknown ones as a spring says."""
     ratio = model.value(f"link.{link}.ratio")
     found: dict[str, float] = {}
@@ -237,7 +237,7 @@ def unknown_inertias(model: ChainModel, link: str, spring: Spring) -> dict[str, 
     return found
 
 
-def _shared(model: ChainModel, side: Mapping[str, float], whole: float) -> dict[str, float]:
+def _shared(model: RigModel, side: Mapping[str, float], whole: float) -> dict[str, float]:
     """Give what known inertias leave of a whole to the unknown ones, alike."""
     keys = {b: f"body.{b}.inertia" for b in side}
     free = [b for b in side if not isfinite(model.quantities[keys[b]].value)]

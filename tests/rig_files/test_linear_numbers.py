@@ -6,10 +6,10 @@ import pytest
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.simulate.chain import chain_modes, linear_chain, modes_text, simulate_chain
-from dmptm_ctrl.simulate.chain_blocks import chain_blocks
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
 from dmptm_ctrl.simulate.linear import linearize
+from dmptm_ctrl.simulate.rig_blocks import rig_blocks
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_run import linear_rig, modes_text, rig_modes, simulate_rig
 
 ARM = """
 name = "arm"
@@ -56,19 +56,19 @@ def two(stiffness="40", extra=""):
 )
 def test_poles_of_an_arm(text, position, stiffness):
     """J s² + B s + k = 0, by hand."""
-    model = ChainModel(parse_rig(text))
-    system = linear_chain(model, position={"arm": position})
+    model = RigModel(parse_rig(text))
+    system = linear_rig(model, position={"arm": position})
     expected = np.roots([0.02, 0.05, stiffness])
     assert np.sort_complex(system.poles()) == pytest.approx(np.sort_complex(expected), rel=1e-8)
-    angle = linear_chain(model, outputs=["angle"], position={"arm": position})
+    angle = linear_rig(model, outputs=["angle"], position={"arm": position})
     assert ct.dcgain(angle) == pytest.approx(1.0 / stiffness, rel=1e-9)
     hertz = np.sqrt(max(stiffness, 0.0) / 0.02) / (2 * np.pi)
-    assert chain_modes(model, position={"arm": position}) == pytest.approx([hertz], rel=1e-8)
+    assert rig_modes(model, position={"arm": position}) == pytest.approx([hertz], rel=1e-8)
 
 
 def test_linearize_takes_rigs_too():
     rig = parse_rig(HANGING)
-    for model in (rig, ChainModel(rig)):
+    for model in (rig, RigModel(rig)):
         poles = linearize(model, {"arm": 1.0}, outputs=["angle"]).poles()
         expected = np.roots([0.02, 0.05, np.cos(1.0)])
         assert np.sort_complex(poles) == pytest.approx(np.sort_complex(expected), rel=1e-8)
@@ -107,9 +107,9 @@ def test_small_swing_of_the_simulated_arm_is_the_linear_one():
     """The compiled loop and the linear model with gravity, over a swing of a milliradian."""
     time = 1e-3 * np.arange(2000)
     push = np.where(time < 0.1, 1e-3, 0.0)
-    model = ChainModel(parse_rig(HANGING))
-    nonlinear = simulate_chain(model, time, push, substeps=8)
-    held = ct.c2d(linear_chain(model), 1e-3, "zoh")
+    model = RigModel(parse_rig(HANGING))
+    nonlinear = simulate_rig(model, time, push, substeps=8)
+    held = ct.c2d(linear_rig(model), 1e-3, "zoh")
     linear = np.asarray(ct.forced_response(held, time, push).outputs)
     off = np.abs(np.asarray(nonlinear.outputs) - linear).max(axis=1)
     assert (off < 1e-3 * np.abs(linear).max(axis=1)).all()
@@ -118,11 +118,11 @@ def test_small_swing_of_the_simulated_arm_is_the_linear_one():
 @pytest.mark.parametrize("text", [SPRING, HANGING, two()])
 def test_blocks_linearised_at_rest_with_the_default_step(text):
     """Without dry friction nothing sticks: A, B of the blocks are those of the linear model."""
-    model = ChainModel(parse_rig(text))
-    blocks = chain_blocks(model)
+    model = RigModel(parse_rig(text))
+    blocks = rig_blocks(model)
     at_rest = np.zeros(blocks.nstates)
     found = ct.linearize(blocks, at_rest, 0.0)
-    known = linear_chain(model)
+    known = linear_rig(model)
     s = 2j * np.pi * np.array([0.1, 1.0, 4.0])
     np.testing.assert_allclose(found(s), known(s), rtol=1e-4)
     if text == SPRING:
@@ -130,18 +130,18 @@ def test_blocks_linearised_at_rest_with_the_default_step(text):
 
 
 def test_with_dry_friction_it_holds():
-    model = ChainModel(
+    model = RigModel(
         parse_rig(two(extra="")), (Placed("coulomb_friction", "motor", {"level": 0.1}),)
     )
-    blocks = chain_blocks(model)
+    blocks = rig_blocks(model)
     assert blocks.dynamics(0.0, np.zeros(4), [0.1]) == pytest.approx(np.zeros(4))
     assert blocks.dynamics(0.0, np.zeros(4), [0.4])[1] == pytest.approx((0.2 - 0.1) / 0.01)
 
 
 def test_free_train_as_it_comes():
     """Steady speed by the viscous friction; −3 dB and margins by the equations of motion."""
-    model = ChainModel(parse_rig(two()))
-    plant = linear_chain(model, outputs=["w"])
+    model = RigModel(parse_rig(two()))
+    plant = linear_rig(model, outputs=["w"])
     assert plant.state_labels == ["spring_s", "v_motor", "v_load"]
     # torque 0.5 N·m at the motor: 5 times that at the load, friction 0.5 + 25 · 0.02
     assert ct.dcgain(plant) == pytest.approx(2.5 / 1.0, rel=1e-9)
@@ -166,13 +166,13 @@ def test_free_train_as_it_comes():
     info = ct.step_info(plant)
     assert info["SteadyStateValue"] == pytest.approx(2.5)
     assert info["SettlingTime"] == pytest.approx(3.912 * (0.3 + 25 * 0.01) / 1.0, rel=0.02)
-    angle = linear_chain(model, outputs=["q"])
+    angle = linear_rig(model, outputs=["q"])
     assert angle.state_labels == ["q_motor", "spring_s", "v_motor", "v_load"]
     assert np.isinf(ct.dcgain(angle))
     np.testing.assert_allclose(angle(1j * w[::100]), values / (1j * w[::100]), rtol=1e-7)
 
 
-@pytest.mark.parametrize("build", [linear_chain, chain_modes, chain_blocks])
+@pytest.mark.parametrize("build", [linear_rig, rig_modes, rig_blocks])
 @pytest.mark.parametrize(
     ("values", "said"),
     [
@@ -185,24 +185,24 @@ def test_free_train_as_it_comes():
 )
 def test_what_no_machine_has_is_refused(build, values, said):
     with pytest.raises(ValueError, match=said):
-        build(ChainModel(parse_rig(two())).with_values(values))
+        build(RigModel(parse_rig(two())).with_values(values))
 
 
 def test_refusals_name_what_there_is():
-    model = ChainModel(parse_rig(two()))
+    model = RigModel(parse_rig(two()))
     with pytest.raises(ValueError, match="no sensor 'v' in rig; it has w, q"):
-        linear_chain(model, outputs=["v"])
+        linear_rig(model, outputs=["v"])
     with pytest.raises(ValueError, match="no body 'arm' in rig; it has motor, load"):
-        linear_chain(model, position={"arm": 0.0})
+        linear_rig(model, position={"arm": 0.0})
     with pytest.raises(ValueError, match="stiffness of cable_spring@load is no number"):
-        linear_chain(model.with_effect(Placed("cable_spring", "load", {"stiffness": np.nan})))
+        linear_rig(model.with_effect(Placed("cable_spring", "load", {"stiffness": np.nan})))
     with pytest.raises(ValueError, match="stiffness of cable_spring@load is -8; it must be zero"):
-        linear_chain(model.with_effect(Placed("cable_spring", "load", {"stiffness": -8.0})))
+        linear_rig(model.with_effect(Placed("cable_spring", "load", {"stiffness": -8.0})))
 
 
 def test_params_in_block_simulation():
     """As the blocks of a model with that value; other names are refused."""
-    model = ChainModel(parse_rig(two()))
+    model = RigModel(parse_rig(two()))
     time, x0 = np.linspace(0.0, 0.5, 51), np.zeros(4)
     drive = np.ones(time.size)
 
@@ -212,10 +212,10 @@ def test_params_in_block_simulation():
         ).outputs
 
     value = {"body.load.inertia": 0.6}
-    honoured = run(chain_blocks(model), params=value)
-    np.testing.assert_allclose(honoured, run(chain_blocks(model.with_values(value))), rtol=1e-6)
-    assert np.abs(honoured - run(chain_blocks(model))).max() > 0.1
+    honoured = run(rig_blocks(model), params=value)
+    np.testing.assert_allclose(honoured, run(rig_blocks(model.with_values(value))), rtol=1e-6)
+    assert np.abs(honoured - run(rig_blocks(model))).max() > 0.1
     with pytest.raises(ValueError, match=r"the blocks have no 'inertia'; they have body\.motor"):
-        run(chain_blocks(model), params={"inertia": 0.6})
+        run(rig_blocks(model), params={"inertia": 0.6})
     with pytest.raises(ValueError, match="more than zero"):
-        run(chain_blocks(model), params={"body.load.inertia": -0.6})
+        run(rig_blocks(model), params={"body.load.inertia": -0.6})

@@ -11,7 +11,7 @@ import numpy as np
 from dmptm_ctrl.drive.parameters import Quantity, physical
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects.shaft_compliance import ShaftCompliance, spring
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import CALLED, GAP, LINEAR, Flags, Floats, Place, Plant
 
 LARGE_SPEED = 1e12  # rad/s or m/s, Stribeck speed of a law without Stribeck friction
@@ -85,7 +85,7 @@ def declared_effects(rig: Rig) -> list[Placed]:
 
 
 @dataclass(frozen=True)
-class ChainModel:
+class RigModel:
     """A rig, values of its declared quantities, and effects added to it.
 
     Attributes
@@ -111,10 +111,10 @@ class ChainModel:
         if self.effects is None:
             object.__setattr__(self, "effects", tuple(declared_effects(self.rig)))
         for effect in self.effects:
-            if effect.name not in CHAIN_CATALOGUE:
-                known = ", ".join(CHAIN_CATALOGUE)
+            if effect.name not in PLACED_CATALOGUE:
+                known = ", ".join(PLACED_CATALOGUE)
                 raise KeyError(f"no effect {effect.name!r} for chains; there are {known}")
-            has = [p.name for p in CHAIN_CATALOGUE[effect.name].keep]
+            has = [p.name for p in PLACED_CATALOGUE[effect.name].keep]
             wrong = [key for key in effect.values if key not in has]
             if wrong:
                 raise KeyError(f"{effect.name} has no parameter {wrong[0]!r}; it has {has}")
@@ -140,21 +140,21 @@ class ChainModel:
             raise ValueError(f"{key} is declared unknown; fit the model first, or set a value")
         return value
 
-    def with_effect(self, effect: Placed) -> "ChainModel":
+    def with_effect(self, effect: Placed) -> "RigModel":
         """Return the model with an effect added, or replaced at its place."""
         others = tuple(e for e in self.effects if e.key != effect.key)
         return replace(self, effects=(*others, effect))
 
-    def without(self, keys: Iterable[str]) -> "ChainModel":
+    def without(self, keys: Iterable[str]) -> "RigModel":
         """Return the model without the effects of these keys."""
         gone = set(keys)
         return replace(self, effects=tuple(e for e in self.effects if e.key not in gone))
 
-    def with_values(self, values: Mapping[str, float]) -> "ChainModel":
+    def with_values(self, values: Mapping[str, float]) -> "RigModel":
         """Return the model with values of declared quantities replaced."""
         return replace(self, values={**self.values, **values})
 
-    def shifted(self, zeros: Mapping[str, float]) -> "ChainModel":
+    def shifted(self, zeros: Mapping[str, float]) -> "RigModel":
         """Return the model with harmonics of the angle counted from another zero.
 
         Parameters
@@ -217,7 +217,7 @@ class Layout(NamedTuple):
         return len(set(self.coordinate.values()))
 
 
-def _build(model: ChainModel) -> tuple[Plant, Layout]:
+def _build(model: RigModel) -> tuple[Plant, Layout]:
     rig = model.rig
     inertia = {b.name: model.value(f"body.{b.name}.inertia") for b in rig.bodies}
     joints = [_joint(model, link.name) for link in rig.links]
@@ -274,7 +274,7 @@ def _build(model: ChainModel) -> tuple[Plant, Layout]:
     return plant, layout
 
 
-def check_physical(model: ChainModel) -> None:
+def check_physical(model: RigModel) -> None:
     """Refuse declared values and effects that no machine has.
 
     Raises
@@ -295,7 +295,7 @@ def check_physical(model: ChainModel) -> None:
             positive = kind == "inertia" or kind.startswith("stribeck_speed")
             physical(f"{model.rig.name}: {key}", value, quantity.unit, zero=not positive)
     for effect in model.effects:
-        for parameter in CHAIN_CATALOGUE[effect.name].keep:
+        for parameter in PLACED_CATALOGUE[effect.name].keep:
             value = effect.values.get(parameter.name, 0.0)
             what = f"{model.rig.name}: {parameter.name} of {effect.key}"
             if isnan(value):
@@ -312,7 +312,7 @@ def _rubs(rig: Rig, body: str) -> bool:
     )
 
 
-def _joint(model: ChainModel, name: str) -> _Joint:
+def _joint(model: RigModel, name: str) -> _Joint:
     link = model.rig.link(name)
     row = None
     if not link.rigid:
@@ -358,7 +358,7 @@ def _soften(
     return [*joints, _Joint(effect.key, effect.on, far_body, 1.0, row, False)]
 
 
-def link_sides(model: ChainModel, link: str) -> tuple[dict[str, float], dict[str, float]]:
+def link_sides(model: RigModel, link: str) -> tuple[dict[str, float], dict[str, float]]:
     """Bodies rigidly tied to each end of a link, with their motion per motion of that end."""
     rest = [
         j for j in (_joint(model, k.name) for k in model.rig.links if k.name != link)
@@ -414,7 +414,7 @@ def _coordinates(
     return coordinate, ratio
 
 
-def _law(model: ChainModel, body: str) -> list[float]:
+def _law(model: RigModel, body: str) -> list[float]:
     """Fields of Stribeck for a body; back-EMF of its motors included."""
     if body.endswith(FAR) and all(b.name != body for b in model.rig.bodies):
         splits = (e for e in model.effects if e.name == "shaft_compliance" and e.on + FAR == body)
@@ -442,7 +442,7 @@ def _law(model: ChainModel, body: str) -> list[float]:
     return [*row, exponent]
 
 
-def _input_row(model: ChainModel, name: str) -> list[float]:
+def _input_row(model: RigModel, name: str) -> list[float]:
     """Gain, dead time, lag and limit of an input, effects included."""
     source = next(i for i in model.rig.inputs if i.name == name)
     gain = model.quantities[f"input.{name}.gain"].value
@@ -458,10 +458,10 @@ def _input_row(model: ChainModel, name: str) -> list[float]:
     return row
 
 
-def _placed(model: ChainModel, layout: Layout) -> tuple[tuple[Place, ...], Flags, Floats]:
+def _placed(model: RigModel, layout: Layout) -> tuple[tuple[Place, ...], Flags, Floats]:
     """Every effect at every place where it may act; which of them do, and the numbers of all."""
     sensors = tuple(s.name for s in model.rig.sensors)
-    catalogue = tuple(CHAIN_CATALOGUE.values())
+    catalogue = tuple(PLACED_CATALOGUE.values())
     parts = layout.inputs, layout.bodies, layout.links, sensors
     places, index = _all_places(tuple(map(id, catalogue)), parts)
     on, values = np.zeros(len(index), np.uint8), np.hstack([p.effect.defaults() for p in places])
@@ -482,7 +482,7 @@ def _all_places(
     places: list[Place] = []
     index: dict[str, tuple[int, int]] = {}
     first = 0
-    for chain in CHAIN_CATALOGUE.values():
+    for chain in PLACED_CATALOGUE.values():
         if chain.site not in CALLED or chain.site == "lag":  # a lag is a number of its input
             continue
         for k, part in enumerate(named[chain.place]):
@@ -494,7 +494,7 @@ def _all_places(
 
 def value_row(effect: Placed) -> Floats:
     """Parameters of an effect as its kernel takes them; what is left out is absent."""
-    chain = CHAIN_CATALOGUE[effect.name]
+    chain = PLACED_CATALOGUE[effect.name]
     named = zip(chain.keep, chain.defaults, strict=True)
     row = [effect.values.get(p.name, default) for p, default in named]
     return np.array([row[f] if isinstance(f, int) else f for f in chain.fields], float)

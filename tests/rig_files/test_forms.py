@@ -6,9 +6,9 @@ import pytest
 from scipy.signal import cont2discrete
 
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.simulate.chain import chain_modes, linear_chain, march
-from dmptm_ctrl.simulate.chain_blocks import chain_blocks
-from dmptm_ctrl.simulate.chain_model import ChainModel, Placed
+from dmptm_ctrl.simulate.rig_blocks import rig_blocks
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_run import linear_rig, march, rig_modes
 
 DT = 1e-3
 
@@ -42,8 +42,8 @@ DRIVE = np.where(TIME < 0.2, 1.0, -0.5)
 @pytest.mark.parametrize("name", TRAINS)
 def test_compiled_follows_the_exact_linear_response(name):
     """Held inputs: zero-order hold is exact; the step's error falls with its square."""
-    model = ChainModel(TRAINS[name])
-    system = linear_chain(model)
+    model = RigModel(TRAINS[name])
+    system = linear_rig(model)
     a, b, c, *_ = cont2discrete((system.A, system.B, system.C, system.D), DT, method="zoh")
     x, exact = np.zeros(a.shape[0]), []
     for u in DRIVE:
@@ -62,12 +62,12 @@ def test_compiled_follows_the_exact_linear_response(name):
 
 @pytest.mark.parametrize("name", TRAINS)
 def test_blocks_are_the_linear_model(name):
-    model = ChainModel(TRAINS[name])
-    blocks = chain_blocks(model)
+    model = RigModel(TRAINS[name])
+    blocks = rig_blocks(model)
     # linearised where everything moves: at rest friction would hold it
     moving = np.ones(blocks.nstates)
     linear = ct.linearize(blocks, moving, 1.0, eps=1e-6)
-    known = linear_chain(model)
+    known = linear_rig(model)
     for hertz in (0.3, 3.0, 30.0):
         s = 2j * np.pi * hertz
         assert linear(s) == pytest.approx(known(s), rel=1e-5)
@@ -80,13 +80,13 @@ def test_modes_of_a_chain_by_hand():
         text += f'[shaft.s{i}]\nbetween = ["b{i}", "b{j}"]\nstiffness = 50\ndamping = 0\n'
     text += '[input.m]\ncolumn = "u_V"\nbody = "b0"\n[sensor.s]\ncolumn = "q_rad"\nbody = "b2"\n'
     expected = np.sqrt(np.array([0, 1, 3]) * 50 / 0.02) / (2 * np.pi)
-    assert chain_modes(ChainModel(parse_rig(text))) == pytest.approx(expected, abs=1e-5)
+    assert rig_modes(RigModel(parse_rig(text))) == pytest.approx(expected, abs=1e-5)
 
 
 def test_friction_gap_and_cogging_in_blocks_and_compiled():
     """Every kernel of a nonlinear chain, in an ODE solver and in the compiled loop."""
     rig = train([(0, 1, 3, 400)], 2)
-    model = ChainModel(
+    model = RigModel(
         rig,
         (
             Placed("coulomb_friction", "b0", {"level": 0.05}),
@@ -97,7 +97,7 @@ def test_friction_gap_and_cogging_in_blocks_and_compiled():
     )
     drive = 1.5 * np.sin(2 * np.pi * 2 * TIME)
     run = march(model, drive[None], DT, substeps=40)
-    blocks = chain_blocks(model)
+    blocks = rig_blocks(model)
     held = ct.input_output_response(
         blocks, TIME, drive, np.zeros(blocks.nstates),
         solve_ivp_method="LSODA", solve_ivp_kwargs={"max_step": 2e-4, "rtol": 1e-7},
@@ -110,6 +110,6 @@ def test_friction_gap_and_cogging_in_blocks_and_compiled():
 
 
 def test_dead_time_has_no_block():
-    model = ChainModel(TRAINS["1 body"], (Placed("drive_delay", "m", {"delay": 0.01}),))
+    model = RigModel(TRAINS["1 body"], (Placed("drive_delay", "m", {"delay": 0.01}),))
     with pytest.raises(ValueError, match="dead time"):
-        chain_blocks(model)
+        rig_blocks(model)

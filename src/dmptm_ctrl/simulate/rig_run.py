@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from dmptm_ctrl.drive.parameters import physical
 from dmptm_ctrl.drive.rig import Controller, Rig, Sensor
 from dmptm_ctrl.signals import LogError
-from dmptm_ctrl.simulate.chain_model import ChainModel, check_physical, declared_effects
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.plant import Floats, Plant
 from dmptm_ctrl.simulate.rig_control import controller_of
+from dmptm_ctrl.simulate.rig_model import RigModel, check_physical, declared_effects
 from dmptm_ctrl.simulate.run import Controller as RunController
 from dmptm_ctrl.simulate.run import (
     Motion,
@@ -27,13 +27,13 @@ from dmptm_ctrl.simulate.run import (
 )
 
 __all__ = [
-    "ChainRun",
-    "chain_modes",
+    "RigRun",
     "declared_effects",
-    "linear_chain",
+    "linear_rig",
     "march",
     "modes_text",
-    "simulate_chain",
+    "rig_modes",
+    "simulate_rig",
     "substeps_for",
 ]
 
@@ -45,7 +45,7 @@ STILL = 1e-6  # of the fastest mode; slower is the rigid one
 CONSERVATIVE = ("inertia", "stiffness", "ratio", "gain", "stribeck_speed", "stribeck_exponent")
 
 
-class ChainRun:
+class RigRun:
     """Motion of a chain on a clock.
 
     Attributes
@@ -57,7 +57,7 @@ class ChainRun:
         From which another run goes on.
     """
 
-    def __init__(self, model: ChainModel, time: Floats, motion: Motion) -> None:
+    def __init__(self, model: RigModel, time: Floats, motion: Motion) -> None:
         self.model, self.time, self.u = model, time, motion.u
         self.state = motion.state
         self._motion = motion
@@ -93,7 +93,7 @@ def substeps_for(plant: Plant, dt: float) -> int:
 
 
 def march(
-    model: ChainModel,
+    model: RigModel,
     u: Floats,
     dt: float,
     *,
@@ -107,12 +107,12 @@ def march(
     before: Floats | None = None,
     push: Mapping[str, Floats] | None = None,
     state: State | None = None,
-) -> ChainRun:
+) -> RigRun:
     """Run a chain.
 
     Parameters
     ----------
-    model : ChainModel
+    model : RigModel
     u : (inputs, n) array
         Signals of the inputs, SI, held from each sample to the next.
     dt : float
@@ -136,7 +136,7 @@ def march(
 
     Returns
     -------
-    ChainRun
+    RigRun
     """
     plant, layout = model.plant(), model.layout
     n = u.shape[1]
@@ -170,17 +170,17 @@ def march(
             controller=law, target=reference, noise=added, given=motion,
         )  # fmt: skip
     time: Floats = state.time + dt * np.arange(n, dtype=np.float64)
-    return ChainRun(model, time, done)
+    return RigRun(model, time, done)
 
 
-def simulate_chain(
-    model: ChainModel, timepts: ArrayLike, inputs: ArrayLike, **options: Any
+def simulate_rig(
+    model: RigModel, timepts: ArrayLike, inputs: ArrayLike, **options: Any
 ) -> control.TimeResponseData:
     """Simulate a chain from rest.
 
     Parameters
     ----------
-    model : ChainModel
+    model : RigModel
     timepts : (n,) array_like [s]
         Evenly spaced.
     inputs : (n,) or (inputs, n) array_like
@@ -238,8 +238,8 @@ def _matrices(plant: Plant) -> tuple[Floats, Floats]:
     return stiffness, damping
 
 
-def linear_chain(
-    model: ChainModel,
+def linear_rig(
+    model: RigModel,
     *,
     outputs: Sequence[str] | None = None,
     position: Mapping[str, float] | None = None,
@@ -252,8 +252,8 @@ def linear_chain(
 
     Parameters
     ----------
-    model : ChainModel
-        ``ChainModel(load_rig("rig.toml"))`` has all that the file declares.
+    model : RigModel
+        ``RigModel(load_rig("rig.toml"))`` has all that the file declares.
     outputs : sequence of str, optional
         Sensors of the rig; by default all.
     position : mapping of body to float, optional
@@ -327,7 +327,7 @@ def linear_chain(
     )  # fmt: skip
 
 
-def _chosen(model: ChainModel, outputs: Sequence[str] | None) -> list[Sensor]:
+def _chosen(model: RigModel, outputs: Sequence[str] | None) -> list[Sensor]:
     by_name = {s.name: s for s in model.rig.sensors}
     chosen = list(by_name) if outputs is None else list(outputs)
     for name in chosen:
@@ -336,7 +336,7 @@ def _chosen(model: ChainModel, outputs: Sequence[str] | None) -> list[Sensor]:
     return [by_name[name] for name in chosen]
 
 
-def _leads(model: ChainModel) -> list[str]:
+def _leads(model: RigModel) -> list[str]:
     """Body of each group whose angle is the coordinate itself."""
     coordinate = model.layout.coordinate
     first = {group: body for body, group in reversed(coordinate.items())}
@@ -345,7 +345,7 @@ def _leads(model: ChainModel) -> list[str]:
 
 
 def _positions(
-    model: ChainModel, angles: set[int], grounded: Floats
+    model: RigModel, angles: set[int], grounded: Floats
 ) -> tuple[Floats, Floats, Floats, list[str]]:
     """Return the position states: rates over the speeds, forces, coordinates, names.
 
@@ -385,7 +385,7 @@ def _positions(
     return into, force.T, read.T, [x[3] for x in found]
 
 
-def _slopes(model: ChainModel, position: Mapping[str, float] | None) -> tuple[Floats, Floats]:
+def _slopes(model: RigModel, position: Mapping[str, float] | None) -> tuple[Floats, Floats]:
     """Stiffness and damping that effects give each coordinate at rest at `position`."""
     plant, layout = model.plant(), model.layout
     q = np.zeros(layout.coordinates)
@@ -417,7 +417,7 @@ def _slope(function: Callable[[float], float], at: float) -> float:
 def modes_text(rig: Rig) -> str:
     """Return the modes of a declared rig as a line of text; or what must be known for them."""
     try:
-        model = ChainModel(rig)
+        model = RigModel(rig)
         losses = [k for k in model.quantities if not k.rpartition(".")[2].startswith(CONSERVATIVE)]
         model = model.with_values(dict.fromkeys(losses, 0.0))
         squares = _squares(model, None)
@@ -443,12 +443,12 @@ def _mode(square: float, still: float) -> str:
     return f"{np.sqrt(square) / (2 * np.pi):.4g} Hz"
 
 
-def chain_modes(model: ChainModel, *, position: Mapping[str, float] | None = None) -> Floats:
+def rig_modes(model: RigModel, *, position: Mapping[str, float] | None = None) -> Floats:
     """Undamped natural frequencies of a chain in contact.
 
     Parameters
     ----------
-    model : ChainModel
+    model : RigModel
     position : mapping of body to float, optional
         Where torques that depend on an angle are linearised [rad or m]; 0 for bodies not named.
 
@@ -460,12 +460,12 @@ def chain_modes(model: ChainModel, *, position: Mapping[str, float] | None = Non
     Raises
     ------
     ValueError
-        As :func:`linear_chain`.
+        As :func:`linear_rig`.
     """
     return np.sqrt(np.maximum(_squares(model, position), 0.0)) / (2 * np.pi)
 
 
-def _squares(model: ChainModel, position: Mapping[str, float] | None) -> Floats:
+def _squares(model: RigModel, position: Mapping[str, float] | None) -> Floats:
     """Squares of the undamped frequencies [rad²/s²], ascending."""
     from scipy.linalg import eigh
 

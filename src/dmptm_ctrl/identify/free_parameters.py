@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.simulate.chain_catalogue import CHAIN_CATALOGUE
-from dmptm_ctrl.simulate.chain_model import FAR, ChainModel, Placed
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
 
 Floats = NDArray[np.float64]
 
@@ -102,7 +102,7 @@ def scales_of(balance: Balance) -> Scales:
 
 
 def free_parameters(
-    model: ChainModel, balance: Balance, scales: Scales, *, nuisances: bool = True
+    model: RigModel, balance: Balance, scales: Scales, *, nuisances: bool = True
 ) -> list[Free]:
     """Return what a fit may move: unknown and uncertain quantities, effects, and per-log terms."""
     frees = []
@@ -128,10 +128,10 @@ def free_parameters(
     return frees
 
 
-def _effect_parameters(effect: Placed, model: ChainModel, scales: Scales) -> list[Free]:
+def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[Free]:
     frees = []
     linear = on_slide(model, effect.on)
-    for parameter in CHAIN_CATALOGUE[effect.name].keep:
+    for parameter in PLACED_CATALOGUE[effect.name].keep:
         value = effect.values.get(parameter.name, 0.0)
         low, high, size = parameter.low, parameter.high, abs(value)
         if parameter.name == "order":
@@ -177,12 +177,12 @@ def turn_or_travel(scales: Scales, linear: bool) -> float:
     return scales.position if linear else min(scales.position, 2 * np.pi)
 
 
-def on_slide(model: ChainModel, body: str) -> bool:
+def on_slide(model: RigModel, body: str) -> bool:
     """Whether a body slides instead of turning."""
     return any(b.name == body.removesuffix(FAR) and b.linear for b in model.rig.bodies)
 
 
-def log_parameters(model: ChainModel, balance: Balance, log: str, reference: str) -> list[Free]:
+def log_parameters(model: RigModel, balance: Balance, log: str, reference: str) -> list[Free]:
     """Return what belongs to one log; phases are counted from those of the reference log."""
     frees = []
     layout = model.layout
@@ -198,13 +198,13 @@ def log_parameters(model: ChainModel, balance: Balance, log: str, reference: str
     return frees
 
 
-def has_phase(model: ChainModel, balance: Balance, effect: Placed) -> bool:
+def has_phase(model: RigModel, balance: Balance, effect: Placed) -> bool:
     """Whether an effect goes with the angle, of which each log has its own zero."""
     slope = effect.name == "position_dependent_friction" and on_slide(model, effect.on)
     return effect.name in HARMONIC and not slope and not absolute(model, balance, effect.on)
 
 
-def absolute(model: ChainModel, balance: Balance, body: str) -> bool:
+def absolute(model: RigModel, balance: Balance, body: str) -> bool:
     """Whether the angle of a body has the same zero in every log."""
     group = model.layout.coordinate[body]
     return any(

@@ -5,17 +5,17 @@ from collections.abc import Mapping
 import numpy as np
 
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.identify.chain_motion import Floats
 from dmptm_ctrl.identify.inverse_dynamics import kinematic
+from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.chain import ChainRun, march
-from dmptm_ctrl.simulate.chain_model import ChainModel
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import RigRun, march
 
 START = 12  # samples from which the first position and speed are taken
 MOVING = 0.02  # of the highest speed; slower at the start is at rest
 
 
-def initial(model: ChainModel, log: Log) -> tuple[dict[str, float], dict[str, float]]:
+def initial(model: RigModel, log: Log) -> tuple[dict[str, float], dict[str, float]]:
     """Return position and speed of every body at a log's first sample.
 
     Bodies without a sensor start in step with those that have one. A log that starts at rest,
@@ -54,11 +54,11 @@ def initial(model: ChainModel, log: Log) -> tuple[dict[str, float], dict[str, fl
 
 
 def free_run(
-    model: ChainModel,
+    model: RigModel,
     log: Log,
     *,
     start: tuple[Mapping[str, float], Mapping[str, float]] | None = None,
-) -> ChainRun:
+) -> RigRun:
     """Run a chain on a log's inputs, from its first sample.
 
     Angles of bodies on both sides of a spring may have zeros of their own: such a spring
@@ -80,7 +80,7 @@ def free_run(
     return march(model, u, log.sample_time, position=position, speed=speed, before=u[:, 0])
 
 
-def readings(model: ChainModel, log: Log, run: ChainRun) -> dict[str, Floats]:
+def readings(model: RigModel, log: Log, run: RigRun) -> dict[str, Floats]:
     """What each sensor would read on a log, its own zero kept, without noise."""
     found = {}
     for sensor in model.rig.sensors:

@@ -57,6 +57,8 @@ class Parameter(NamedTuple):
     bank : tuple of float
         Values to try for a parameter without meaning at zero effect (order,
         place, time constant); empty for an amplitude.
+    fixed : bool
+        Whether a fit leaves it at a value of its bank, such as a whole number.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Parameter(NamedTuple):
     high: float
     step: float
     bank: tuple[float, ...] = ()
+    fixed: bool = False
 
 
 class Effect(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, residual
-from dmptm_ctrl.diagnosis.select import LEVEL, Candidate, Floats
+from dmptm_ctrl.diagnosis.select import LEVEL, Candidate, Floats, Rows
 from dmptm_ctrl.diagnosis.trace import Trace, Trial, effect_columns, trace, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import (
@@ -21,6 +21,8 @@ from dmptm_ctrl.identify.balance import (
 )
 
 Keys = tuple[str, ...]
+
+LOOSE = 1e3  # scales of an unknown, for one of which nothing is declared
 
 
 class Told(NamedTuple):
@@ -155,11 +157,21 @@ class DualEvidence:
 
     def columns(self, state: DualState, candidate: Candidate) -> Floats:
         """Weighted change of the residual per amplitude, projected, (m, k)."""
-        (trial,) = candidate.fitted
-        effect = CATALOGUE[trial.name]
-        values = trial.fit.model.effects[trial.name]
-        shapes = {k: values[k] for k in effect.shapes if k in values}
-        return state.independent(state.trace.project(effect_columns(state.trace, effect, shapes)))
+        return state.independent(state.trace.project(_columns(state.trace, candidate)))
+
+    def rows(self, state: DualState, candidates: Sequence[Candidate]) -> Rows:
+        """Return the model and candidates to first order, every window by its weight."""
+        base, view = state.left.base, state.trace
+        weak = np.array([k.prior if np.isfinite(k.prior) else LOOSE for k in base.unknowns])
+        low, high = np.array([(k.low, k.high) for k in base.unknowns]).T - base.p
+        columns = {c.keys: np.pad(_columns(view, c), ((0, weak.size), (0, 0))) for c in candidates}
+        return Rows(
+            np.concatenate([base.weights * base.missing, base.p / weak]),
+            np.vstack([base.weights[:, None] * base.jacobian, np.diag(1.0 / weak)]),
+            low,
+            high,
+            columns,
+        )
 
     def together(self, state: DualState, candidates: Sequence[Candidate]) -> Candidate:
         """Fit several effects beside a model."""
@@ -210,6 +222,15 @@ class DualEvidence:
         own = own_places(base, name_of(key))
         changed = without.left.base.weights * (base.jacobian[:, own] @ base.p[own])
         return without.independent(without.trace.project(changed))
+
+
+def _columns(view: Trace, candidate: Candidate) -> Floats:
+    """Weighted change of the residual per amplitude, (m, k)."""
+    (trial,) = candidate.fitted
+    effect = CATALOGUE[trial.name]
+    values = trial.fit.model.effects[trial.name]
+    shapes = {k: values[k] for k in effect.shapes if k in values}
+    return effect_columns(view, effect, shapes)
 
 
 def own_places(fit: BalanceFit, name: str) -> list[int]:

@@ -218,7 +218,8 @@ def horizon(model: Model, records: Sequence[Record], jobs: int) -> float:
     """Root mean square of short predictions of the speed, each from an observed state [deg/s]."""
 
     def miss(rec: Record) -> tuple[float, int]:
-        led = predict(rec, model.arrays(), OBSERVER_HZ)
+        arrays = model.over(rec.omega.size * rec.dt).arrays()
+        led = predict(rec, arrays, OBSERVER_HZ)
         n1 = model.drive["N_1"]
         angles = np.array([led[:, 2] / n1, led[:, 3] / n1, led[:, 0]])
         rates = np.array([*(np.gradient(a, rec.dt) for a in angles[:2]), led[:, 1]])
@@ -228,7 +229,7 @@ def horizon(model: Model, records: Sequence[Record], jobs: int) -> float:
         for first in range(span, rec.omega.size - span, span):
             x0 = np.concatenate([angles[:, first], rates[:, first]])
             part = rec.u[:, first : first + span]
-            run = march(model.arrays(), part, x0, rec.dt, begin=first * rec.dt, meshes=False)
+            run = march(arrays, part, x0, rec.dt, begin=first * rec.dt, meshes=False)
             total += float(np.sum((seen[first : first + span] - run[:, 1]) ** 2))
             count += span
         return total, count

@@ -48,6 +48,7 @@ def free_run(
         SI; readings as the sensors would give, no noise.
     """
     u = np.array([log["u_left"], log["u_right"]])
+    model = model.over(u.shape[1] * log.sample_time)
     x0 = rest(model, true_angle(model, float(log["theta_L"][0])))
     return expected(model, u, x0, log.sample_time, runs=runs, count=RING_COUNT, columns=columns)
 

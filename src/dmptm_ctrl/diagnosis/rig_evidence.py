@@ -18,7 +18,7 @@ from dmptm_ctrl.diagnosis.rig_candidates import (
 from dmptm_ctrl.diagnosis.rig_curves import curve_columns, variables_of
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
-from dmptm_ctrl.diagnosis.select import Candidate, Floats, Selection, ranked
+from dmptm_ctrl.diagnosis.select import Candidate, Floats, Rows, Selection, ranked
 from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
 from dmptm_ctrl.identify.rig_fit import (
@@ -218,6 +218,17 @@ class RigEvidence:
         """Weighted change of the residual per amplitude, projected, (m, k)."""
         (trial,) = candidate.fitted[0]
         return state.tangent.project(state.tangent.stack(trial.columns))
+
+    def rows(self, state: RigState, candidates: Sequence[Candidate]) -> Rows:
+        """Return the model and candidates to first order."""
+        fit, tangent = state.fit, state.tangent
+        value = np.array([fit.state.get(f) for f in fit.frees])
+        scale = np.array([f.scale for f in fit.frees])
+        low, high = np.array([(f.low, f.high) for f in fit.frees]).reshape(-1, 2).T
+        columns = {c.keys: tangent.stack(c.fitted[0][0].columns) for c in candidates}
+        return Rows(
+            tangent.whole, tangent.slopes, (low - value) / scale, (high - value) / scale, columns
+        )
 
     def together(self, state: RigState, candidates: Sequence[Candidate]) -> Candidate:
         """Fit several effects beside a model."""

@@ -5,15 +5,18 @@ which nothing is fitted. Rows count by how independent they are under the larger
 acceptance level holds for every effect, place and drive.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import combinations
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 Floats = NDArray[np.float64]
+Keys = tuple[str, ...]  # name@place of effects
 
 # Evidence from which an effect is accepted: above what any absent effect reaches on drives that
 # lack nothing, of all friction and contact laws, ordinary imperfections included
@@ -25,8 +28,8 @@ SLACK = 5.0
 # only nearly right make it less sharp.
 TEMPERATURE = 4.0
 MOST = 16  # effects; a drive that seems to need more is not explained by effects
-SET_STARTS = 12  # candidates from which pairs and triples are formed
-SET_TRIALS = 3  # sets that are fitted where no single effect is accepted
+SET_BEAM = 12  # pairs that are made triples
+SET_TRIALS = 3  # pairs, and triples, that are fitted
 RIVALS = 3  # candidates that may take the place of an effect
 HOPE = 0.3  # share of what an effect explains that a rival can explain, to first order
 DOUBTFUL = 3.0  # levels; an effect of more by its standard errors is not taken out to be tested
@@ -81,6 +84,28 @@ class State(Protocol):
         """Weighted residual, the model's own parameters projected out, (m,)."""
 
 
+class Rows(NamedTuple):
+    """A model and candidates to first order: what is left is ``left + slopes @ d + columns @ a``.
+
+    Attributes
+    ----------
+    left : (m,) array
+        Weighted residual, and the misfit of the declared ranges.
+    slopes : (m, p) array
+        Its derivatives by the model's parameters.
+    low, high : (p,) arrays
+        How far each parameter can go.
+    columns : mapping of keys to (m, k) arrays
+        Its derivatives by the amplitudes of each candidate.
+    """
+
+    left: Floats
+    slopes: Floats
+    low: Floats
+    high: Floats
+    columns: Mapping[Keys, Floats]
+
+
 class Evidence(Protocol):
     """What a kind of balance offers to the selection."""
 
@@ -95,6 +120,9 @@ class Evidence(Protocol):
 
     def columns(self, state: Any, candidate: Candidate) -> Floats:
         """Weighted change of the residual per amplitude, (m, k), projected as the target is."""
+
+    def rows(self, state: Any, candidates: Sequence[Candidate]) -> Rows:
+        """Return a model and candidates to first order."""
 
     def together(self, state: Any, candidates: Sequence[Candidate]) -> Candidate:
         """Fit several effects beside a model."""
@@ -212,11 +240,11 @@ def select_effects(
         selection.first = selection.first or candidates
         selection.rest = candidates
         able = [c for c in candidates if c.acceptable]
-        # what both parts of the logs ask for goes before what only one of them does
-        able.sort(key=lambda c: -min(c.gain, evidence.ratio(state) * c.held_gain))
-        chosen = simplest(able) if able else best_set(evidence, state, candidates)
-        if chosen is None:
+        if not state.keys or not able:
+            able += [c for c in likely_sets(evidence, state, candidates) if c.acceptable]
+        if not able:
             break
+        chosen = best_of(able, evidence.ratio(state))
         state = evidence.closed(evidence.adopt(state, chosen))
         step(
             f"+ {', '.join(chosen.keys)}: {chosen.gain:.0f} fitted, {chosen.held_gain:.0f} held out"
@@ -233,31 +261,75 @@ def ranked(candidates: Sequence[Candidate]) -> list[Candidate]:
     return sorted(candidates, key=lambda c: -c.evidence)
 
 
-def simplest(able: Sequence[Candidate]) -> Candidate:
-    """The first candidate, or of those that the logs hardly tell from it the simplest."""
-    near = able[0].evidence - 4.0 * TEMPERATURE
-    return min((c for c in able if c.evidence > near), key=lambda c: c.numbers)
+def best_of(able: Sequence[Candidate], ratio: float) -> Candidate:
+    """The best candidate, or of those that the logs hardly tell from it the simplest.
 
-
-def best_set(evidence: Evidence, state: State, candidates: Sequence[Candidate]) -> Candidate | None:
-    """Return the best acceptable pair or triple of effects that hide each other.
-
-    Joint gains are found to first order from the candidates' columns; the best sets are fitted.
+    What both parts of the logs ask for goes before what only one of them does; each more effect
+    has to be worth its level.
     """
-    able = sorted((c for c in candidates if not c.objection), key=lambda c: -c.gain)[:SET_STARTS]
-    columns = {c.keys: evidence.columns(state, c) for c in able}
-    target = state.target
-    tried: list[tuple[float, tuple[Candidate, ...]]] = []
-    for size in (2, 3):
-        for group in combinations(able, size):
-            joint = explained(target, np.hstack([columns[c.keys] for c in group]))
-            alone = max(explained(target, columns[c.keys]) for c in group)
-            if joint - alone > LEVEL * (size - 1):
-                tried.append((joint - LEVEL * size, group))
-    tried.sort(key=lambda one: -one[0])
-    fitted = [evidence.together(state, group) for _, group in tried[:SET_TRIALS]]
-    able_sets = [c for c in fitted if c.acceptable]
-    return max(able_sets, key=lambda c: c.evidence - LEVEL * len(c.keys), default=None)
+
+    def worth(one: Candidate) -> float:
+        return min(one.gain, ratio * one.held_gain) - LEVEL * len(one.keys)
+
+    best = max(able, key=worth)
+    near = best.evidence - 4.0 * TEMPERATURE
+    alike = [c for c in able if c.evidence > near and len(c.keys) <= len(best.keys)]
+    return min(alike, key=lambda c: c.numbers)
+
+
+def likely_sets(
+    evidence: Evidence, state: State, candidates: Sequence[Candidate]
+) -> list[Candidate]:
+    """Fit the pairs and triples that may explain most; they may hide each other one by one.
+
+    Beside effects already, those alone that are more than their members to first order.
+    """
+    by_keys = {c.keys: c for c in candidates if np.isfinite(c.gain)}
+    gain = cache(joint_gain(evidence.rows(state, list(by_keys.values()))))
+    pairs = sorted(combinations(by_keys, 2), key=gain, reverse=True)
+    triples: set[tuple[Keys, ...]] = {
+        tuple(sorted({*pair, keys}))
+        for pair in pairs[:SET_BEAM]
+        for keys in by_keys
+        if keys not in pair
+    }
+    likely: list[tuple[Keys, ...]] = list(pairs[:SET_TRIALS])
+    likely += sorted(sorted(triples), key=gain, reverse=True)[:SET_TRIALS]
+
+    def more(group: tuple[Keys, ...]) -> float:
+        return gain(group) - max(gain((one,)) for one in group)
+
+    if state.keys:
+        likely = [g for g in likely if more(g) > LEVEL * (len(g) - 1)]
+    return [evidence.together(state, [by_keys[k] for k in group]) for group in likely]
+
+
+def joint_gain(rows: Rows) -> Callable[[tuple[Keys, ...]], float]:
+    """Return a function that gives the fall of −2 log-likelihood by a set, to first order.
+
+    The model's parameters move as far as they can go and no further: beyond its range one would
+    take up what a missing effect does.
+    """
+    names = list(rows.columns)
+    table = np.column_stack([rows.slopes, *rows.columns.values(), rows.left])
+    size = np.linalg.norm(table, axis=0)
+    size[size == 0.0] = 1.0
+    size[-1] = 1.0
+    r = np.asarray(np.linalg.qr(table / size, mode="r"), np.float64)
+    own = rows.slopes.shape[1]
+    ends = own + np.cumsum([0, *(rows.columns[n].shape[1] for n in names)])
+    places = {n: np.arange(ends[i], ends[i + 1]) for i, n in enumerate(names)}
+    low, high = rows.low * size[:own], rows.high * size[:own]
+    high = np.maximum(high, low + np.finfo(float).eps)
+
+    def left(group: tuple[Keys, ...]) -> float:
+        used = np.concatenate([np.arange(own), *(places[n] for n in group)])
+        free = np.full(used.size - own, np.inf)
+        bounds = np.concatenate([low, -free]), np.concatenate([high, free])
+        return 2.0 * float(lsq_linear(r[:, used], -r[:, -1], bounds, method="bvls").cost)
+
+    alone = left(())
+    return lambda group: alone - left(group)
 
 
 def explained(target: Floats, columns: Floats) -> float:

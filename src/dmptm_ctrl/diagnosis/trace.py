@@ -24,12 +24,6 @@ NEEDS_TWIST = ("pinion_runout", "ring_gear_eccentricity", "backlash_variation")
 WITHOUT_TWIST = (*NEEDS_TWIST, "reducer_compliance")  # unseen without motor encoders
 BY_SIMULATOR = ("presliding",)  # it acts near rest, where the balances do not look
 BY_SENSORS = ("sensor_gain", "sensor_delay", "encoder_eccentricity")
-FIXED_SHAPES = {  # whole numbers
-    "presliding": ("viscous_at_once",),
-    "cogging": ("order",),
-    "position_dependent_friction": ("order",),
-    "torque_constant_mismatch": ("pattern",),
-}
 # How fast a reducer's ringing dies out is over before a window is: left to the simulator.
 BY_RINGING = {"reducer_compliance": ("damping",)}
 SIZES = {  # effects without a slope at zero, or far from linear: multiples of `step` to start at
@@ -282,7 +276,7 @@ def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     if effect.name in SEARCHES:
         shapes = SEARCHES[effect.name](trace, effect)
     elif effect.shapes and effect.name not in BY_RINGING:
-        (shape,) = (p for p in effect.parameters if p.bank)
+        (shape,) = (p for p in effect.parameters if len(p.bank) > 1)
         shapes = [{shape.name: value} for value in shape.bank]
     else:
         shapes = [{}]
@@ -302,7 +296,7 @@ def bent(name: str) -> bool:
 
 def unknowns_of(name: str) -> tuple[Unknown, ...]:
     """Parameters of an effect that are fitted; whole numbers stay as they were found."""
-    fixed = (*FIXED_SHAPES.get(name, ()), *BY_RINGING.get(name, ()))
+    fixed = (*(p.name for p in CATALOGUE[name].parameters if p.fixed), *BY_RINGING.get(name, ()))
     return tuple(k for k in effect_unknowns(name) if k.name not in fixed)
 
 

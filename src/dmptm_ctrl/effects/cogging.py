@@ -32,6 +32,8 @@ def cogging_torque(u, theta_m, omega_m, t, side, p):
     return p.right_cosine * cos(phase) + p.right_sine * sin(phase)
 
 
+ORDERS = tuple(float(n) for n in range(1, 97))  # per turn of the motor
+
 COGGING = Effect(
     name="cogging",
     site="motor",
@@ -41,7 +43,7 @@ COGGING = Effect(
         Parameter("left_sine", "N·m", -0.1, 0.1, 0.005),
         Parameter("right_cosine", "N·m", -0.1, 0.1, 0.005),
         Parameter("right_sine", "N·m", -0.1, 0.1, 0.005),
-        Parameter("order", "1/turn", 1.0, 96.0, 1.0, tuple(float(n) for n in range(1, 97))),
+        Parameter("order", "1/turn", 1.0, 96.0, 1.0, ORDERS, fixed=True),
     ),
     values=Cogging,
     location="motors",

@@ -36,7 +36,7 @@ POSITION_DEPENDENT_FRICTION = Effect(
         Parameter("cosine", "N·m", -30.0, 30.0, 1.0),
         Parameter("sine", "N·m", -30.0, 30.0, 1.0),
         # the middle of a bank is the default
-        Parameter("order", "1/turn", 1.0, 4.0, 1.0, (4.0, 2.0, 1.0, 3.0)),
+        Parameter("order", "1/turn", 1.0, 4.0, 1.0, (4.0, 2.0, 1.0, 3.0), fixed=True),
     ),
     values=PositionDependentFriction,
     location="ring-gear bearing",

@@ -63,7 +63,7 @@ PRESLIDING = Effect(
     parameters=(
         Parameter("reducer_distance", "rad", 0.0, 0.02, 5e-4),
         Parameter("ring_distance", "rad", 0.0, 0.005, 1e-4),
-        Parameter("viscous_at_once", "", 0.0, 1.0, 0.5, (0.0, 1.0)),
+        Parameter("viscous_at_once", "", 0.0, 1.0, 0.5, (0.0, 1.0), fixed=True),
         Parameter("damping", "", 0.0, 2.0, 0.1),
     ),
     values=Presliding,

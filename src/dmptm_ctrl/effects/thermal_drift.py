@@ -1,10 +1,10 @@
 """Thermal drift: friction falls as the lubricant warms, at first fast, then slowly.
 
     declared friction × (1 + α exp(−t/τ)),
-    of the ring gear × (1 + (α + β) exp(−t/τ)) + b t |ω|
+    of the ring gear × (1 + (α + β) exp(−t/τ)) + b (t/T − ½) |ω|
 
-Viscosity may go on falling while dry friction stays: b is the trend of viscous friction alone, of
-the ring gear. t is the time since the log began.
+Viscosity may go on falling while dry friction stays: b is what viscous friction alone, of the
+ring gear, changes by over a log of length T, about its mean. t is the time since the log began.
 """
 
 from math import exp
@@ -20,8 +20,9 @@ class ThermalDrift(NamedTuple):
 
     rise: float  # relative, α
     ring_extra: float  # relative, β: lubricants differ
-    viscous_trend: float  # N·m/rad, b
+    viscous_trend: float  # N·m·s/rad, b
     time_constant: float  # s, τ
+    log_length: float  # s, T
 
 
 @njit
@@ -29,7 +30,7 @@ def thermal_factor(theta, omega, t, mesh_torque, body, p):
     """Factor on the declared friction and added friction torque."""
     rise = p.rise + p.ring_extra if body == 2 else p.rise
     trend = p.viscous_trend if body == 2 else 0.0
-    return 1.0 + rise * exp(-t / p.time_constant), trend * t * abs(omega)
+    return 1.0 + rise * exp(-t / p.time_constant), trend * (t / p.log_length - 0.5) * abs(omega)
 
 
 THERMAL_DRIFT = Effect(
@@ -39,8 +40,9 @@ THERMAL_DRIFT = Effect(
     parameters=(
         Parameter("rise", "", -0.5, 1.5, 0.05),
         Parameter("ring_extra", "", -1.5, 1.5, 0.05),
-        Parameter("viscous_trend", "N·m/rad", -5.0, 5.0, 0.05),
+        Parameter("viscous_trend", "N·m·s/rad", -50.0, 50.0, 1.0),
         Parameter("time_constant", "s", 0.5, 60.0, 1.0, (0.7, 1.5, 3.0, 6.0, 12.0, 25.0, 50.0)),
+        Parameter("log_length", "s", 0.1, 1e5, 10.0, (10.0,), fixed=True),
     ),
     values=ThermalDrift,
     location="all bearings and reducers",

@@ -33,7 +33,7 @@ TORQUE_CONSTANT_MISMATCH = Effect(
     kernel=mismatched_voltage,
     parameters=(
         Parameter("error", "", -0.5, 0.5, 0.02),
-        Parameter("pattern", "", LEFT, OPPOSITE, 1.0, (LEFT, RIGHT, OPPOSITE)),
+        Parameter("pattern", "", LEFT, OPPOSITE, 1.0, (LEFT, RIGHT, OPPOSITE), fixed=True),
     ),
     values=TorqueConstantMismatch,
     location="motors",

@@ -104,10 +104,10 @@ class Balance:
 
     @cached_property
     def alike(self) -> list[list[int]]:
-        """Motions of the same sample time, with motor encoders or without."""
-        found: dict[tuple[float, bool], list[int]] = {}
+        """Motions of the same length and sample time, with motor encoders or without."""
+        found: dict[tuple[int, float, bool], list[int]] = {}
         for i, mo in enumerate(self.motions):
-            found.setdefault((mo.rec.dt, mo.rec.twist is None), []).append(i)
+            found.setdefault((mo.run.shape[0], mo.rec.dt, mo.rec.twist is None), []).append(i)
         return list(found.values())
 
     @cached_property
@@ -139,7 +139,7 @@ class Balance:
         """Missing torque per equation, on the windows that count."""
         arrays = model.arrays()
         reduced = reducer_compliance(model)
-        tables = [windowed.missing(arrays, reduced) for windowed in self.windowed]
+        tables = [w.missing(model.over(w.seconds).arrays(), reduced) for w in self.windowed]
         parts = [tables[group][row, windows] for group, row, windows in self.places]
         fast = [self.ripples[e.motion] for e in self.equations if e.kind == "ripple"]  # last of all
         return [*parts, *(ripple.missing(arrays) for ripple in fast)]

@@ -83,6 +83,11 @@ class Motion:
         return averaged(rows, [self], held=held)
 
     @property
+    def seconds(self) -> float:
+        """Length of the log [s]."""
+        return float(self.rec.u.shape[1] * self.rec.dt)
+
+    @property
     def time(self) -> Floats:
         """Mid of each window [s] from the start of the log."""
         middle = self.starts + 0.5 * (self.window.size - 1)

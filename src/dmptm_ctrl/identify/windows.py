@@ -62,6 +62,11 @@ class Windowed:
         ends = np.cumsum([0, *(mo.run.shape[0] for mo in self.motions)])
         return [slice(a, b) for a, b in pairwise(ends.tolist())]
 
+    @property
+    def seconds(self) -> float:
+        """Length of each motion."""
+        return self.motions[0].seconds
+
     @cached_property
     def twisted(self) -> bool:
         """Whether the twist is measured."""

@@ -27,6 +27,7 @@ BASE = (
     *("TLs_plus", "TLc_plus", "WL_plus", "BL_plus"),
     *("TLs_minus", "TLc_minus", "WL_minus", "BL_minus", "deltaL"),
 )
+LOG_LENGTH = "log_length"  # parameter of an effect: of the log that is simulated
 
 
 @per_catalogue
@@ -130,6 +131,15 @@ class Model:
     def with_values(self, **values: float) -> "Model":
         """Return the model with parameters of the drive replaced."""
         return Model(self.drive.with_values(**values), self.effects)
+
+    def over(self, seconds: float) -> "Model":
+        """Return the model for a log of a length [s], where an effect depends on it."""
+        told = {
+            name: {**values, LOG_LENGTH: seconds}
+            for name, values in self.effects.items()
+            if LOG_LENGTH in CATALOGUE[name].shapes
+        }
+        return Model(self.drive, {**self.effects, **told}) if told else self
 
     def arrays(self) -> tuple[Floats, NDArray[np.uint8], Floats]:
         """Return (base, on, values) as the compiled loop takes them."""

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from os import PathLike
 
 from dmptm_ctrl.diagnosis.budget import verdict_of
@@ -18,10 +19,11 @@ from dmptm_ctrl.diagnosis.report import (
     ranking,
     unnamed,
 )
-from dmptm_ctrl.diagnosis.residual import Residual, closed, residual
+from dmptm_ctrl.diagnosis.residual import Residual, closed, of_windows, predicting_fit, residual
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import cross_check, sensor_effect, with_sensors
+from dmptm_ctrl.diagnosis.short import with_short_predictions
 from dmptm_ctrl.diagnosis.tables import in_tables
 from dmptm_ctrl.diagnosis.unknown import unexplained
 from dmptm_ctrl.drive import Drive, paper_drive
@@ -96,7 +98,8 @@ def _diagnosed(
     base = DualState(residual(measured, model, jobs=jobs))
     evidence = DualEvidence(measured, tuple(sensors.values), jobs)
     selection = without_negligible(evidence, select_effects(evidence, base, tell))
-    left = selection.final.left
+    selection = with_short_predictions(evidence, selection, tell)
+    left = of_windows(selection.final.left)
     rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
     rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)
     before = simulated(measured, base.left, declared, jobs)
@@ -146,7 +149,8 @@ def on_all_logs(measured: Measured, left: Residual, after: Fit, declared: Drive,
     everything = (*measured.fit, *(r for r in measured.held if r not in measured.fit))
     base = left.base
     try:
-        _, done = closed(everything, base.model, Model(measured.drive), base.unknowns, jobs)
+        balance, done = closed(everything, base.model, Model(measured.drive), base.unknowns, jobs)
+        done = predicting_fit(replace(balance, led=True), done)
     except LogError:  # no window may be left where the fitted model decides which pinions touch
         return after
     done = rattled(everything, done, declared, jobs)

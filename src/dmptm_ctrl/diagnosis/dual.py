@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.residual import Residual, residual
+from dmptm_ctrl.diagnosis.residual import Residual, predicting_fit, residual
 from dmptm_ctrl.diagnosis.select import LEVEL, Candidate, Floats, Rows
-from dmptm_ctrl.diagnosis.trace import Trace, Trial, effect_columns, trace, unknowns_of
+from dmptm_ctrl.diagnosis.trace import Trace, Trial, effect_columns, trace, try_effect, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import (
     BalanceFit,
@@ -19,6 +19,7 @@ from dmptm_ctrl.identify.balance import (
     settled_fit,
     surprises,
 )
+from dmptm_ctrl.parallel import in_threads
 
 Keys = tuple[str, ...]
 
@@ -71,9 +72,14 @@ class DualState:
     @cached_property
     def fitted(self) -> Told:
         """What the fitted logs say of the model."""
+        return self.told(self.left.base.missing)
+
+    def told(self, missing: Floats) -> Told:
+        """What a residual on the fitted logs, (m,), would say of it."""
         base = self.left.base
         prior = sum((x / k.prior) ** 2 for x, k in zip(base.p, base.unknowns, strict=True))
-        return told(base.parts, base.kinds, float(prior))
+        ends = np.cumsum([part.size for part in base.parts])[:-1]
+        return told(np.split(missing, ends), base.kinds, float(prior))
 
     @cached_property
     def held(self) -> Told:
@@ -126,6 +132,15 @@ class DualEvidence:
         least = LEVEL / 2.0 if state.keys and only is None else 0.0
         found = trace(state.left, self.skip, names, least)
         return [self._candidate(state, (t,)) for t in found]
+
+    def beyond(self, state: DualState, names: Sequence[str]) -> list[Candidate]:
+        """Fit effects beside a model that short predictions count for."""
+
+        def one(name: str) -> Trial | None:
+            return try_effect(state.trace, name, LEVEL / 2.0)
+
+        found = in_threads(one, names, self.jobs)
+        return [self._candidate(state, (t,)) for t in found if t is not None]
 
     def _candidate(self, state: DualState, trials: tuple[Trial, ...]) -> Candidate:
         keys = tuple(key_of(t.name) for t in trials)
@@ -186,8 +201,11 @@ class DualEvidence:
 
     def adopt(self, state: DualState, candidate: Candidate) -> DualState:
         """Put a candidate into the model and fit to the end, on the same windows."""
-        fit = candidate.fitted[0].fit
-        done = settled_fit(state.left.balance, fit.model, fit.unknowns, fit.jacobian)
+        fit, balance = candidate.fitted[0].fit, state.left.balance
+        if balance.led:
+            done = predicting_fit(balance, fit)
+        else:
+            done = settled_fit(balance, fit.model, fit.unknowns, fit.jacobian)
         return DualState(replace(state.left, base=done), (*state.keys, *candidate.keys))
 
     def closed(self, state: DualState) -> DualState:
@@ -204,7 +222,8 @@ class DualEvidence:
         kept = [j for j, k in enumerate(base.unknowns) if k.effect != name]
         unknowns = tuple(base.unknowns[j] for j in kept)
         model, slopes = base.model.without([name]), base.jacobian[:, kept]
-        fit = settled_fit(state.left.balance, model, unknowns, slopes)
+        fitted = fit_balance if state.left.balance.led else settled_fit
+        fit = fitted(state.left.balance, model, unknowns, jacobian=slopes)
         left = replace(state.left, base=fit)
         return DualState(left, tuple(k for k in state.keys if k != key))
 

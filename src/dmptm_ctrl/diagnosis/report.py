@@ -377,7 +377,7 @@ def ranking(
             row["status"], row["score"] = "rejected", candidate.evidence
             row["reason"] = candidate.objection or (
                 "other effects explain the same as well"
-                if key in rivals or alone[key].acceptable
+                if key in rivals or alone.get(key, candidate).acceptable
                 else "too little evidence beside what was found"
             )
         elif name in sensors:

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.identify.balance import Balance, BalanceFit, fit_balance, loss, surprise
+from dmptm_ctrl.identify.balance import Balance, BalanceFit, columns, fit_balance, loss, surprise
 from dmptm_ctrl.identify.fit import Misfit, Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.motion import motions
 from dmptm_ctrl.identify.records import Record
@@ -60,6 +60,32 @@ class Residual:
         jacobian = np.vstack([base.jacobian, still])
         base = replace(base, parts=parts, kinds=balance.kinds, jacobian=jacobian, loss=value)
         return replace(self, balance=balance, held=held, base=base)
+
+
+def predicting(left: Residual) -> Residual:
+    """Count short predictions beside the balances, and fit again."""
+    balance, held = (replace(one, led=True) for one in (left.balance, left.held))
+    return replace(left, balance=balance, held=held, base=predicting_fit(balance, left.base))
+
+
+def predicting_fit(balance: Balance, base: BalanceFit) -> BalanceFit:
+    """Fit to balances and short predictions, with slopes taken once: runs cost most."""
+    model, unknowns = base.model, base.unknowns
+    slopes = columns(balance, model, unknowns, np.concatenate(balance.missing(model)))
+    return fit_balance(balance, model, unknowns, jacobian=slopes)
+
+
+def of_windows(left: Residual) -> Residual:
+    """Fit to the balances alone what they see; what they do not see stays as it is."""
+    if not left.balance.led:
+        return left
+    balance, held = (replace(one, led=False) for one in (left.balance, left.held))
+    return replace(
+        left,
+        balance=balance,
+        held=held,
+        base=fit_balance(balance, left.base.model, left.base.unknowns),
+    )
 
 
 def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: int) -> Balance:

@@ -14,11 +14,19 @@ from numpy.typing import NDArray
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
-from dmptm_ctrl.identify.balance import STALLED, Balance, BalanceFit, columns, fit_balance
+from dmptm_ctrl.identify.balance import (
+    ROWS,
+    STALLED,
+    Balance,
+    BalanceFit,
+    columns,
+    fit_balance,
+    surprise,
+)
 from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
 from dmptm_ctrl.identify.ripple import FAST, order_gains
 from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.model import Floats
+from dmptm_ctrl.simulate.model import Floats, Model
 
 NEEDS_TWIST = ("pinion_runout", "ring_gear_eccentricity", "backlash_variation")
 WITHOUT_TWIST = (*NEEDS_TWIST, "reducer_compliance")  # unseen without motor encoders
@@ -30,6 +38,7 @@ SIZES = {  # effects without a slope at zero, or far from linear: multiples of `
     "current_lag": (1.0, 3.0),
     "drive_delay": (1.0, 3.0),
     "drive_dead_band": (1.0, 5.0),
+    "presliding": (0.5, 2.0),
 }
 ESSENTIAL = {"cable_spring": "stiffness"}  # without it, a constant torque
 DIFFERENT = 5.0  # standard errors
@@ -127,16 +136,21 @@ class Trace:
 
 def effect_columns(trace: Trace, effect: Effect, shapes: Mapping[str, float]) -> Floats:
     """Weighted columns per `step` of each amplitude, (m, amplitudes)."""
-    columns = []
-    for p in effect.parameters:
-        if p.bank:
-            continue
-        model = trace.base.model.with_effect(effect.name, **{**shapes, p.name: p.step})
-        moved = trace.balance.missing(model)
-        columns.append(
-            trace.weigh_down([a - b for a, b in zip(moved, trace.base.parts, strict=True)])
-        )
-    return np.array(columns).T
+    base = trace.base.model
+    models = [
+        base.with_effect(effect.name, **{**shapes, p.name: p.step})
+        for p in effect.parameters
+        if not p.bank
+    ]
+    return weighted_changes(trace, models)
+
+
+def weighted_changes(trace: Trace, models: Sequence[Model]) -> Floats:
+    """Weighted change of the residual by each of some models, (m, models)."""
+    first = [trace.base.model] if trace.balance.led else []
+    rows = np.array([np.concatenate(one) for one in trace.balance.missing_of([*first, *models])])
+    changed = rows[1:] - rows[0] if first else rows - trace.base.missing
+    return np.asarray(trace.base.weights[:, None] * changed.T)
 
 
 def total_columns(trace: Trace, rows: Sequence[Floats]) -> Floats:
@@ -205,7 +219,7 @@ def orders(trace: Trace, effect: Effect) -> list[dict[str, float]]:
             for mo, wave in zip(balance.motions, waves, strict=True)
         ]
         for e in balance.equations:
-            if e.kind == "ripple":
+            if e.kind not in ROWS:
                 for part in parts:
                     part.append(np.zeros(int(e.used.sum())))
                 continue
@@ -271,7 +285,8 @@ def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     if effect.name == "drive_saturation":
         return saturations(trace, effect)
     if effect.name in SIZES:
-        return [{p.name: k * p.step for p in effect.parameters} for k in SIZES[effect.name]]
+        sizes = {p.name: p.step for p in effect.parameters if not p.bank}
+        return [{name: k * x for name, x in sizes.items()} for k in SIZES[effect.name]]
     shapes: list[dict[str, float]]
     if effect.name in SEARCHES:
         shapes = SEARCHES[effect.name](trace, effect)
@@ -310,9 +325,12 @@ def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
         shapes = [{k: v for k, v in one.items() if k in effect.shapes} for one in begun]
         if max(trace.gain(effect_columns(trace, effect, one)) for one in shapes) < least:
             return None
-    fits = []
-    for values in begun:
-        model = trace.base.model.with_effect(name, **values)
+    models = [trace.base.model.with_effect(name, **values) for values in begun]
+    if trace.balance.led:  # runs cost most: from the best start alone
+        parts = trace.balance.missing_of(models)
+        models = [models[int(np.argmin([surprise(one, trace.base.kinds) for one in parts]))]]
+    fits: list[BalanceFit] = []
+    for model in models:
         fits.append(
             fit_balance(
                 trace.balance,
@@ -351,12 +369,12 @@ def settled(trace: Trace, trial: Trial) -> Trial:
     return tried(trace, trial.name, again) if again.loss < trial.fit.loss else trial
 
 
-def candidates(trace: Trace, skip: Iterable[str]) -> list[str]:
-    """Effects that the balances can show; `skip` are left out."""
+def candidates(trace: Trace, skip: Iterable[str], *, everything: bool = False) -> list[str]:
+    """Effects that the balances can show, or everything that runs can; `skip` are left out."""
     twisted = any(mo.rec.twist is not None for mo in trace.balance.motions)
-    out = {*skip, *trace.base.model.effects, *BY_SENSORS, *BY_SIMULATOR, *NO_CANDIDATES}
-    if not twisted:
-        out |= {*WITHOUT_TWIST}
+    out = {*skip, *trace.base.model.effects, *BY_SENSORS, *NO_CANDIDATES}
+    if not everything:
+        out |= {*BY_SIMULATOR, *(() if twisted else WITHOUT_TWIST)}
     return [name for name in CATALOGUE if name not in out]
 
 

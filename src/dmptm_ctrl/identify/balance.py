@@ -20,6 +20,7 @@ import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
+from dmptm_ctrl.identify.led import Led
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
 from dmptm_ctrl.identify.ripple import Ripple
 from dmptm_ctrl.identify.windows import Windowed, frictions
@@ -33,8 +34,8 @@ FREEDOM = 4.0  # of Student's t: how a window may scatter, bursts and rattle inc
 GAUSSIAN = 1e6  # the same, where every window counts in full
 SCALE_STEPS = 12
 RECENT = 256  # scales kept: of all equations of a few fits at a time
-# N·m, rad/s for ripple; friction laws, and a sensor's noise, are not known more finely
-FLOOR = {"total": 0.1, "chain": 0.4, "ripple": 0.5 * GYRO_NOISE}
+# N·m, rad/s for ripple and led; friction laws, and a sensor's noise, are not known more finely
+FLOOR = {"total": 0.1, "chain": 0.4, "ripple": 0.5 * GYRO_NOISE, "led": 0.2 * GYRO_NOISE}
 # Difference steps, in scales of an unknown; small for what enters a phase or an exponent.
 PROBES = {"drive": 0.1, "amplitude": 1.0, "shape": 0.02}
 ITERATIONS = 8
@@ -43,8 +44,8 @@ STEPS = ((1.0, 0.0), (0.5, 0.0), (1.0, 0.01), (1.0, 0.1), (1.0, 1.0), (1.0, 10.0
 STALLED = 0.5  # fall of the loss that ends the iterations
 # Share of the windows that are independent: they overlap by half, and the wobble of a pinion
 # on its flank lasts for several. Not read off the misfit, which a missing effect correlates.
-# Samples of the fast part are white.
-NEWS = {"total": 0.6, "chain": 0.25, "ripple": 1.0}
+# Samples of the fast part are white, and nearly so the blocks of short predictions.
+NEWS = {"total": 0.6, "chain": 0.25, "ripple": 1.0, "led": 1.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,7 @@ class Equation:
     """One balance on one log: which windows of it count."""
 
     motion: int
-    kind: str  # total, or the chain: left, right; or ripple, whose `used` are samples
+    kind: str  # total; left, right; ripple, whose `used` are samples; led, whose are blocks
     used: np.ndarray
 
 
@@ -68,13 +69,16 @@ class Balance:
     jobs : int
         Threads; nothing depends on it.
     fast : bool
-        Whether the fast part counts, last of all equations.
+        Whether the fast part counts, after all windows.
+    led : bool
+        Whether short predictions count, last of all.
     """
 
     motions: Sequence[Motion]
     declared: Model
     jobs: int = 1
     fast: bool = False
+    led: bool = False
 
     @cached_property
     def equations(self) -> tuple[Equation, ...]:
@@ -90,12 +94,21 @@ class Balance:
             found += [Equation(i, k, used) for k, used in kinds if used.sum() >= MIN_WINDOWS]
         if self.fast:
             found += [Equation(i, "ripple", r.used) for i, r in enumerate(self.ripples) if r.tells]
+        if self.led:
+            found += [
+                Equation(i, "led", np.ones(one.count, bool)) for i, one in enumerate(self.leds)
+            ]
         return tuple(found)
 
     @cached_property
     def ripples(self) -> list[Ripple]:
         """The fast part of each motion."""
         return [Ripple(mo) for mo in self.motions]
+
+    @cached_property
+    def leds(self) -> list[Led]:
+        """Short predictions on each log."""
+        return [Led(mo.rec) for mo in self.motions]
 
     @cached_property
     def windowed(self) -> list[Windowed]:
@@ -122,7 +135,7 @@ class Balance:
         return [
             (first[e.motion][0], ROWS[e.kind], first[e.motion][1] + np.flatnonzero(e.used))
             for e in self.equations
-            if e.kind != "ripple"
+            if e.kind in ROWS
         ]
 
     @property
@@ -135,8 +148,22 @@ class Balance:
         """Kind of each equation."""
         return [e.kind for e in self.equations]
 
+    def missing_of(self, models: Sequence[Model]) -> list[list[Floats]]:
+        """Return the missing torques of several models; their runs go together."""
+        if not self.led:
+            return in_threads(self.missing, models, self.jobs)
+        windows = in_threads(self._of_windows, models, self.jobs)
+        runs = in_threads(
+            lambda one: one.missing_of(models), self.leds, self.jobs, lambda one: one.count
+        )
+        return [[*parts, *(run[i] for run in runs)] for i, parts in enumerate(windows)]
+
     def missing(self, model: Model) -> list[Floats]:
         """Missing torque per equation, on the windows that count."""
+        parts = self._of_windows(model)
+        return [*parts, *(one.missing(model) for one in self.leds)] if self.led else parts
+
+    def _of_windows(self, model: Model) -> list[Floats]:
         arrays = model.arrays()
         reduced = reducer_compliance(model)
         tables = [w.missing(model.over(w.seconds).arrays(), reduced) for w in self.windowed]
@@ -303,7 +330,7 @@ def loss(
 
 def role_of(kind: str) -> str:
     """Tell the balance of the whole, that of a chain and the fast part apart."""
-    return kind if kind in ("total", "ripple") else "chain"
+    return "chain" if kind in SIDES else kind
 
 
 def role(unknown: Unknown) -> str:
@@ -316,17 +343,16 @@ def role(unknown: Unknown) -> str:
 def columns(balance: Balance, model: Model, unknowns: Sequence[Unknown], e0: Floats) -> Floats:
     """Slopes of the missing torques by differences, (m, k)."""
     p0 = position(model, unknowns)
-
-    def column(j: int) -> Floats:
-        step = PROBES[role(unknowns[j])]
-        if p0[j] + step > unknowns[j].high:
-            step = -step
-        p = p0.copy()
-        p[j] += step
-        return (np.concatenate(balance.missing(place(model, unknowns, p))) - e0) / step
-
-    done = in_threads(column, range(len(unknowns)), balance.jobs)
-    return np.array(done).T if done else np.empty((e0.size, 0))
+    if not unknowns:
+        return np.empty((e0.size, 0))
+    steps = np.array([PROBES[role(k)] for k in unknowns])
+    steps[p0 + steps > [k.high for k in unknowns]] *= -1.0
+    moved = [place(model, unknowns, p) for p in p0 + np.diag(steps)]
+    # runs that go together round alike: their differences are taken from one of them
+    first = [model] if balance.led else []
+    rows = np.array([np.concatenate(parts) for parts in balance.missing_of([*first, *moved])])
+    changed = rows[1:] - rows[0] if first else rows - e0
+    return np.asarray((changed / steps[:, None]).T)
 
 
 def fit_balance(

@@ -1,0 +1,67 @@
+"""Speed that a model does not predict over short times.
+
+The model runs along a log, led by the measured angle through an observer: it forgets within
+1/(2π f), f the observer's bandwidth. What the gyro reads beside it, in blocks, shows what the
+balances of sliding drives do not see: reversals, landings on the other flank, stick and creep.
+No state has to be guessed at the start of each stretch, as all that the model remembers,
+bristles and delays too, comes from its own run.
+Source: fixed-gain prediction errors, Ljung, System Identification, 1999, ch. 3 and 7.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dmptm_ctrl.identify.records import Record, block_mean, predict
+from dmptm_ctrl.simulate.batch import march_any
+from dmptm_ctrl.simulate.compiled import observer_gains
+from dmptm_ctrl.simulate.model import Floats, Model
+
+BANDWIDTH_HZ = 5.0  # of the observer: predictions over 0.2 s of its settling
+BLOCK_SECONDS = 0.02  # passes 25 Hz; how pinions ring on their flanks is chance
+
+
+@dataclass(frozen=True, eq=False)
+class Led:
+    """Short predictions on one log.
+
+    Parameters
+    ----------
+    rec : Record
+    """
+
+    rec: Record
+
+    @property
+    def block(self) -> int:
+        """Samples of a block."""
+        return max(1, round(BLOCK_SECONDS / self.rec.dt))
+
+    @property
+    def seconds(self) -> float:
+        """Length of the log [s]."""
+        return self.rec.omega.size * self.rec.dt
+
+    @property
+    def count(self) -> int:
+        """Number of blocks."""
+        return self.rec.omega.size // self.block
+
+    def missing(self, model: Model) -> Floats:
+        """Speed [rad/s] that a model does not predict, in blocks, (count,)."""
+        rec = self.rec
+        run = predict(rec, model.over(self.seconds).arrays(), BANDWIDTH_HZ)
+        return block_mean(rec.omega - run[:, 1], self.block)
+
+    def missing_of(self, models: Sequence[Model]) -> Floats:
+        """Return the same of several models at once, (models, count)."""
+        rec = self.rec
+        runs = march_any(
+            [model.over(self.seconds).arrays() for model in models],
+            rec.u,
+            rec.x0,
+            rec.dt,
+            observer=observer_gains(BANDWIDTH_HZ, rec.dt),
+            measured=rec.theta,
+            columns=(1,),
+        )
+        return block_mean(rec.omega - runs[:, :, 0], self.block)

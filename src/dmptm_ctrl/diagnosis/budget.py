@@ -13,8 +13,8 @@ from typing import Any
 NONE = 1.5  # times its floor that the error before may be where nothing is missing
 EXPLAINED = 0.8  # share of the removable mean square that named effects take at least
 MATERIAL = 0.02  # share of the removable mean square from which an effect matters
-# Share by which what is left must rise without an effect. A law of friction that is only nearly
-# right imitates effects below it: benchmarks/calibrate.py --ordinary.
+# What is left must rise by without an effect, over what is left that is no noise. A law of friction
+# that is only nearly right imitates effects below it: benchmarks/calibrate.py --ordinary.
 NEGLIGIBLE = 0.1
 
 
@@ -27,11 +27,14 @@ class Errors:
     before, after, floor : float
         Of the declared model refitted inside its ranges, of the augmented model, and of what
         neither an effect nor a curve predicts.
+    runs : (before, after, floor), optional
+        Mean squares of free runs, in a unit of their own.
     """
 
     before: float
     after: float
     floor: float
+    runs: tuple[float, float, float] | None = None
 
     @property
     def removable(self) -> float:
@@ -40,15 +43,30 @@ class Errors:
 
     @property
     def within_floor(self) -> bool:
-        """Whether the declared model is as good as any."""
-        return sqrt(self.before) <= NONE * sqrt(self.floor)
+        """Whether the declared model is as good as any, by every measure."""
+        return all(near(before, floor) for before, _, floor in self.measures)
+
+    @property
+    def measures(self) -> list[tuple[float, float, float]]:
+        """Mean squares before, after and at the floor, by each measure."""
+        own = (self.before, self.after, self.floor)
+        return [own] if self.runs is None else [own, self.runs]
 
     @property
     def explained(self) -> float:
-        """Share of the removable mean square that the named effects take."""
-        if self.removable <= 0.0:
-            return 1.0
-        return min(max(self.before - self.after, 0.0) / self.removable, 1.0)
+        """Share of the removable mean square that the named effects take; the least measure's."""
+        shares = [
+            min(max(before - after, 0.0) / (before - floor), 1.0)
+            for before, after, floor in self.measures
+            # free runs near their floor cannot show what acts on other readings
+            if before > floor and ((before, after, floor) != self.runs or not near(before, floor))
+        ]
+        return min(shares, default=1.0)
+
+
+def near(before: float, floor: float) -> bool:
+    """Whether a mean square is near its floor."""
+    return sqrt(before) <= NONE * sqrt(floor)
 
 
 @dataclass(frozen=True)

@@ -103,9 +103,10 @@ def _diagnosed(
     rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
     rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)
     before = simulated(measured, base.left, declared, jobs)
-    after = simulated(measured, tables.left if tables else left, declared, jobs)
+    best = tables.left if tables else selection.final.left
+    after = simulated(measured, best, declared, jobs)
     judged = judge(measured, selection, sensors, (before, after), tables, rest, jobs)
-    final = on_all_logs(measured, tables.left if tables else left, after, declared, jobs)
+    final = on_all_logs(measured, best, after, declared, jobs)
     effects = [named(e, final, judged.share_of(e.key)) for e in selection.entries]
     effects += [
         sensor_effect(name, sensors, final, judged.share_of(name)) for name in model.effects

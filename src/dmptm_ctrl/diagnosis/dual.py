@@ -16,6 +16,7 @@ from dmptm_ctrl.identify.balance import (
     BalanceFit,
     correlation_lengths,
     fit_balance,
+    row_surprises,
     settled_fit,
     surprises,
 )
@@ -87,6 +88,17 @@ class DualState:
         return told(self.left.held.missing(self.left.base.model), self.left.held.kinds, 0.0)
 
     @cached_property
+    def rows(self) -> list[Floats]:
+        """What each row of the fitted logs says of the model, per equation."""
+        return row_surprises(self.left.base.parts, self.left.base.kinds)
+
+    @cached_property
+    def held_rows(self) -> list[Floats]:
+        """What each row of the held-out logs says of it, per equation."""
+        held = self.left.held
+        return row_surprises(held.missing(self.left.base.model), held.kinds)
+
+    @cached_property
     def trace(self) -> Trace:
         """What is left, with what the model's parameters could explain projected out."""
         return Trace(self.left)
@@ -145,9 +157,13 @@ class DualEvidence:
     def _candidate(self, state: DualState, trials: tuple[Trial, ...]) -> Candidate:
         keys = tuple(key_of(t.name) for t in trials)
         why = next(filter(None, map(objection, trials)), "")
-        one = Candidate(keys, 0.0, 0.0, trials, why, sum(len(unknowns_of(t.name)) for t in trials))
-        gain, held = self.gains(state, self.beside(state, one))
-        return replace(one, gain=gain, held_gain=held)
+        numbers = sum(len(unknowns_of(t.name)) for t in trials)
+        order = sum(list(CATALOGUE).index(t.name) for t in trials)
+        one = Candidate(keys, 0.0, 0.0, trials, why, numbers, order)
+        there = self.beside(state, one)
+        gain, held = self.gains(state, there)
+        error, held_error = standard_errors(state, there)
+        return replace(one, gain=gain, held_gain=held, error=error, held_error=held_error)
 
     def beside(self, state: DualState, candidate: Candidate) -> DualState:
         """Return the model with a candidate, as it was fitted."""
@@ -250,6 +266,22 @@ def _columns(view: Trace, candidate: Candidate) -> Floats:
     values = trial.fit.model.effects[trial.name]
     shapes = {k: values[k] for k in effect.shapes if k in values}
     return effect_columns(view, effect, shapes)
+
+
+def standard_errors(smaller: DualState, larger: DualState) -> tuple[float, float]:
+    """Standard errors of the falls on both parts of the logs, from how the rows' shares scatter.
+
+    Vuong, Econometrica 57 (1989) 307.
+    """
+
+    def of(few: Sequence[Floats], more: Sequence[Floats], lengths: Floats) -> float:
+        rows = zip(few, more, lengths, strict=True)
+        return float(np.sqrt(sum(a.size * np.var(a - b) / length for a, b, length in rows)))
+
+    return (
+        of(smaller.rows, larger.rows, larger.fitted.lengths),
+        of(smaller.held_rows, larger.held_rows, larger.held.lengths),
+    )
 
 
 def own_places(fit: BalanceFit, name: str) -> list[int]:

@@ -18,13 +18,13 @@ from dmptm_ctrl.diagnosis.unknown import Unexplained
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import FREEDOM, scatter
 from dmptm_ctrl.identify.fit import Fit, place
-from dmptm_ctrl.identify.records import Record, predict
+from dmptm_ctrl.identify.led import BANDWIDTH_HZ as BANDWIDTH_HZ_OF_LEAD
+from dmptm_ctrl.identify.led import BLOCK_SECONDS, Led
+from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.compiled import march
 from dmptm_ctrl.simulate.model import Floats, Model
 
-HORIZON = 0.2  # s, of a short prediction
-OBSERVER_HZ = 5.0  # of the observer from which short predictions start
+HORIZON = round(0.5 / (np.pi * BANDWIDTH_HZ_OF_LEAD), 3)  # s, memory of a short prediction
 TWINS = 8  # drives within the standard errors of the fit, whose scatter no fit can remove
 NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
 UNIT = "deg/s"
@@ -59,14 +59,28 @@ class Judged:
 
 
 def rises(selection: Selection) -> list[float]:
-    """Share by which what is left of all balances rises without each effect."""
+    """What is left rises by without each effect, over what is left that is no noise."""
     final: DualState = selection.final
     scale = Scale.of(final.left)
     after = mean_square(final.left, scale)
+    still = after * systematic(final.left, scale)
     return [
-        mean_square(on_rows_of(final.left, e.without.left), scale) / after - 1.0
+        (mean_square(on_rows_of(final.left, e.without.left), scale) - after) / max(still, 1e-300)
         for e in selection.entries
     ]
+
+
+def systematic(left: Residual, scale: "Scale") -> float:
+    """Share of the mean square that rows have in common with the next but one.
+
+    Noise has nothing in common; neighbouring windows overlap.
+    """
+    rows = [
+        np.sqrt(w) * part / s
+        for part, s, w in zip(all_parts(left)[0], scale.sizes, scale.weights, strict=True)
+    ]
+    shared = sum(float(x[2:] @ x[:-2]) for x in rows)
+    return max(shared, 0.0) / sum(float(x @ x) for x in rows)
 
 
 def without_negligible(evidence: DualEvidence, selection: Selection) -> Selection:
@@ -109,6 +123,8 @@ def judge(
     }
     twins = twin_scatter(augmented, measured, jobs)
     speed["floor"] = {"rmse": min(twins, *(one["rmse"] for one in speed.values()))}
+    squares = {name: one["rmse"] ** 2 for name, one in speed.items()}
+    errors = replace(errors, runs=(squares["before"], squares["after"], squares["floor"]))
     names = ("before", "after", "floor")
     torque = {
         name: torque_error(left, measured)
@@ -118,7 +134,8 @@ def judge(
         zip(names[:2], (horizon(m, measured.held, jobs) for m in (bare, augmented.model)),
             strict=True)
     )  # fmt: skip
-    horizons["floor"] = min(noise_floor(measured.held), *horizons.values())
+    noise = noise_floor(measured.held, 0.5 / BLOCK_SECONDS)
+    horizons["floor"] = min(noise, *horizons.values())
     rows = [
         effect_row(e.key, e.without, final, errors, scale, augmented, measured, speed, jobs)
         for e in selection.entries
@@ -215,32 +232,15 @@ def torque_error(left: Residual, measured: Measured) -> dict[str, float]:
 
 
 def horizon(model: Model, records: Sequence[Record], jobs: int) -> float:
-    """Root mean square of short predictions of the speed, each from an observed state [deg/s]."""
-
-    def miss(rec: Record) -> tuple[float, int]:
-        arrays = model.over(rec.omega.size * rec.dt).arrays()
-        led = predict(rec, arrays, OBSERVER_HZ)
-        n1 = model.drive["N_1"]
-        angles = np.array([led[:, 2] / n1, led[:, 3] / n1, led[:, 0]])
-        rates = np.array([*(np.gradient(a, rec.dt) for a in angles[:2]), led[:, 1]])
-        span = max(2, round(HORIZON / rec.dt))
-        total, count = 0.0, 0
-        seen = low_pass(rec.omega, rec.dt)
-        for first in range(span, rec.omega.size - span, span):
-            x0 = np.concatenate([angles[:, first], rates[:, first]])
-            part = rec.u[:, first : first + span]
-            run = march(arrays, part, x0, rec.dt, begin=first * rec.dt, meshes=False)
-            total += float(np.sum((seen[first : first + span] - run[:, 1]) ** 2))
-            count += span
-        return total, count
-
-    done = in_threads(miss, records, jobs, lambda rec: rec.omega.size)
-    return float(np.rad2deg(np.sqrt(sum(d[0] for d in done) / max(sum(d[1] for d in done), 1))))
+    """Root mean square of what short predictions miss of the speed, in blocks [deg/s]."""
+    rows = in_threads(lambda rec: Led(rec).missing(model), records, jobs, lambda r: r.omega.size)
+    return float(np.rad2deg(np.sqrt(np.mean(np.square(np.concatenate(rows))))))
 
 
-def noise_floor(records: Sequence[Record]) -> float:
-    """Noise of the speed below the band of the prediction [deg/s], from its fastest part."""
-    return float(np.rad2deg(np.sqrt(np.mean([noise_below(r.omega, r.dt) ** 2 for r in records]))))
+def noise_floor(records: Sequence[Record], bandwidth_hz: float = BANDWIDTH_HZ) -> float:
+    """Noise of the speed below a bandwidth [deg/s], from its fastest part."""
+    squares = [noise_below(r.omega, r.dt, bandwidth_hz) ** 2 for r in records]
+    return float(np.rad2deg(np.sqrt(np.mean(squares))))
 
 
 def noise_below(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> float:

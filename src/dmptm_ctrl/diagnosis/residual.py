@@ -6,7 +6,15 @@ from functools import cached_property
 import numpy as np
 
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.identify.balance import Balance, BalanceFit, columns, fit_balance, loss, surprise
+from dmptm_ctrl.identify.balance import (
+    Balance,
+    BalanceFit,
+    columns,
+    fit_balance,
+    loss,
+    surprise,
+    weights,
+)
 from dmptm_ctrl.identify.fit import Misfit, Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.motion import motions
 from dmptm_ctrl.identify.records import Record
@@ -15,6 +23,7 @@ from dmptm_ctrl.simulate.model import Model
 
 LEAD_HZ = 0.05  # slow lead of simulated runs by the measured angle: bounds drift only
 ECCENTRIC = "encoder_eccentricity"
+SEEN = 1.0  # evidence of a scale of an unknown, below which the balances do not see it
 ROUNDS = 3  # fits without motor encoders: each tells better who touches, for the next
 
 
@@ -80,12 +89,12 @@ def of_windows(left: Residual) -> Residual:
     if not left.balance.led:
         return left
     balance, held = (replace(one, led=False) for one in (left.balance, left.held))
-    return replace(
-        left,
-        balance=balance,
-        held=held,
-        base=fit_balance(balance, left.base.model, left.base.unknowns),
-    )
+    model, unknowns = left.base.model, left.base.unknowns
+    parts = balance.missing(model)
+    slopes = columns(balance, model, unknowns, np.concatenate(parts))
+    told = np.square(weights(parts, balance.kinds)[:, None] * slopes).sum(axis=0)
+    free = tuple(k for k, x in zip(unknowns, told, strict=True) if k.effect is None or x > SEEN)
+    return replace(left, balance=balance, held=held, base=fit_balance(balance, model, free))
 
 
 def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: int) -> Balance:

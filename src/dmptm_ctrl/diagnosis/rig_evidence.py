@@ -178,12 +178,17 @@ class RigEvidence:
         found = (objection(key, fit, state.fit) for key in keys)
         why = next(filter(None, found), "") if look else ""
         numbers = sum(len(PLACED_CATALOGUE[k.partition("@")[0]].keep) for k in keys)
-        one = Candidate(keys, -np.inf, 0.0, (group, fit), why, numbers)
+        order = sum(list(PLACED_CATALOGUE).index(k.partition("@")[0]) for k in keys)
+        one = Candidate(keys, -np.inf, 0.0, (group, fit), why, numbers, order)
         try:
-            gain, held = self.gains(state, self.beside(state, one))
+            there = self.beside(state, one)
+            gain, held = self.gains(state, there)
         except (ValueError, ArithmeticError):
             return one
-        return replace(one, gain=gain, held_gain=held) if isfinite(gain + held) else one
+        if not isfinite(gain + held):
+            return one
+        error, held_error = self._errors(state, there)
+        return replace(one, gain=gain, held_gain=held, error=error, held_error=held_error)
 
     def beside(self, state: RigState, candidate: Candidate) -> RigState:
         """Return the model with a candidate, as it was fitted."""
@@ -200,6 +205,21 @@ class RigEvidence:
         held = Likelihood(self.held, likelihood.news)
         fall = held.surprise(smaller.held_left[0]) - held.surprise(larger.held_left[0])
         return fitted - larger.loss - more, fall
+
+    def _errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
+        """Standard errors of the falls on both parts of the logs, from how rows' shares scatter."""
+        news = larger.fit.likelihood.news
+
+        def of(balance: Balance, few: Sequence[Floats], more: Sequence[Floats]) -> float:
+            likelihood = Likelihood(balance, news)
+            rows = zip(likelihood.row_surprises(few), likelihood.row_surprises(more), news,
+                       strict=True)  # fmt: skip
+            return float(np.sqrt(sum(n * a.size * np.var(a - b) for a, b, n in rows)))
+
+        return (
+            of(self.logs, smaller.fit.left, larger.fit.left),
+            of(self.held, smaller.held_left[0], larger.held_left[0]),
+        )
 
     def _searched(self, key: str) -> float:
         """Evidence that the best of all starts finds where there is none: 2 log of their number."""

@@ -22,8 +22,10 @@ Keys = tuple[str, ...]  # name@place of effects
 # lack nothing, of all friction and contact laws, ordinary imperfections included
 # (benchmarks/calibrate.py).
 LEVEL = 50.0
-# Evidence by which held-out logs may speak against an effect that they do not excite.
-SLACK = 5.0
+# Standard errors that evidence is above nothing.
+SURE = 4.0
+# Standard errors by which held-out logs may speak against an effect that they do not excite.
+AGAINST = 2.0
 # Evidence per unit of log-odds between rivals: 2 where the likelihood is right; laws that are
 # only nearly right make it less sharp.
 TEMPERATURE = 4.0
@@ -51,6 +53,11 @@ class Candidate:
         Why the fitted values are impossible; empty where they are not.
     numbers : int
         Of the effects together; of rivals that the logs hardly tell apart the simplest is named.
+    order : int
+        Place in the catalogue; of equally simple rivals the first is named.
+    error, held_error : float
+        Standard errors of `gain` and `held_gain`, from how the rows' shares of them scatter.
+        A few bursts that an effect follows by chance are much evidence, and much scatter.
     """
 
     keys: tuple[str, ...]
@@ -59,6 +66,14 @@ class Candidate:
     fitted: Any
     objection: str = ""
     numbers: int = 0
+    order: int = 0
+    error: float = 0.0
+    held_error: float = 0.0
+
+    @property
+    def plainness(self) -> tuple[int, int]:
+        """What decides between rivals that the logs hardly tell apart; the least is named."""
+        return self.numbers, self.order
 
     @property
     def evidence(self) -> float:
@@ -68,8 +83,9 @@ class Candidate:
     @property
     def acceptable(self) -> bool:
         """Whether the logs demand it, held-out ones do not object, and its values are possible."""
-        needed = LEVEL * len(self.keys)
-        return self.evidence > needed and self.held_gain > -SLACK and not self.objection
+        needed = max(LEVEL * len(self.keys), SURE * float(np.hypot(self.error, self.held_error)))
+        held = self.held_gain >= -AGAINST * self.held_error
+        return self.evidence > needed and held and not self.objection
 
 
 class State(Protocol):
@@ -274,7 +290,7 @@ def best_of(able: Sequence[Candidate], ratio: float) -> Candidate:
     best = max(able, key=worth)
     near = best.evidence - 4.0 * TEMPERATURE
     alike = [c for c in able if c.evidence > near and len(c.keys) <= len(best.keys)]
-    return min(alike, key=lambda c: c.numbers)
+    return min(alike, key=lambda c: c.plainness)
 
 
 def likely_sets(
@@ -367,7 +383,7 @@ def compared(
             gains = evidence.gains(without, state)
             able = rivals_of(evidence, selection, state, without, key)
             rivals = ranked([in_place(evidence, without, state, gains, c) for c in able])
-            better = other_way(evidence, state, without, key, gains, rivals)
+            better = other_way(evidence, selection.first, state, without, key, gains, rivals)
             if better is not None:
                 step(f"{key} → {', '.join(k for k in better.keys if k not in state.keys)}")
                 state = pruned(evidence, better, step)
@@ -390,6 +406,7 @@ def in_place(
 
 def other_way(
     evidence: Evidence,
+    alone: Sequence[Candidate],
     state: State,
     without: State,
     key: str,
@@ -401,9 +418,11 @@ def other_way(
     A fit that begins with one effect may bend all others to it, so that an effect which acts
     alike is not found beside it; begun with the rival, it is.
     """
+    own = next(c.plainness for c in alone if c.keys == (key,))
     for rival in (r for r in rivals if r.acceptable):
         first = evidence.adopt(without, rival)
-        if rival.evidence > sum(gains):
+        ahead = 0.0 if rival.plainness < own else 4.0 * TEMPERATURE
+        if rival.evidence > sum(gains) + ahead:
             return first
         for second in evidence.candidates(first, [key]):
             if second.acceptable:

@@ -5,10 +5,11 @@ slides. Short predictions of the speed over all logs (`identify/led.py`) count b
 then, in the same likelihood, with the same acceptance.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import inf
 
-from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, fall, key_of
+from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, fall, key_of, name_of
 from dmptm_ctrl.diagnosis.judge import without_negligible
 from dmptm_ctrl.diagnosis.residual import predicting
 from dmptm_ctrl.diagnosis.select import (
@@ -21,7 +22,7 @@ from dmptm_ctrl.diagnosis.select import (
     explained,
     ranked,
 )
-from dmptm_ctrl.diagnosis.trace import bent, candidates, starts, weighted_changes
+from dmptm_ctrl.diagnosis.trace import BY_SIMULATOR, bent, candidates, starts, weighted_changes
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.model import Model
 
@@ -67,18 +68,39 @@ def with_short_predictions(
     if not found:
         return selection
     old = {e.key: e for e in selection.entries}
-    entries = []
-    for key in state.keys:
-        without = evidence.without(state, key)
-        if key in old:
-            entries.append(replace(old[key], without=without))
-        else:
-            gains = evidence.gains(without, state)
-            rivals = (c for c in found[key] if c.keys[0] not in state.keys)
-            entries.append(Entry(key, *gains, tuple(rivals), without))
+    while True:
+        entries = [entry_of(evidence, state, key, old, found) for key in state.keys]
+        weakest = min(entries, key=lambda e: e.evidence if e.key in found else inf)
+        if weakest.key not in found:
+            break
+        better = next((c for c in weakest.rivals if c.evidence > weakest.evidence), None)
+        if better is not None:
+            again = evidence.beyond(weakest.without, [name_of(better.keys[0])])
+            if again and again[0].acceptable and again[0].evidence > weakest.evidence:
+                found[better.keys[0]] = [c for c in found.pop(weakest.key) if c is not better]
+                state = evidence.adopt(weakest.without, again[0])
+                continue
+        if weakest.evidence > LEVEL:
+            break
+        state = weakest.without
     both = replace(selection, final=state, entries=sorted(entries, key=lambda e: -e.evidence))
     both = without_negligible(evidence, both)
     return both if found.keys() & {e.key for e in both.entries} else selection
+
+
+def entry_of(
+    evidence: DualEvidence,
+    state: DualState,
+    key: str,
+    old: Mapping[str, Entry],
+    found: Mapping[str, Sequence[Candidate]],
+) -> Entry:
+    """What an effect is worth: that of the balances as it was, beside the model without it now."""
+    without = evidence.without(state, key)
+    if key in old:
+        return replace(old[key], without=without)
+    rivals = tuple(c for c in found[key] if c.keys[0] not in state.keys and c.acceptable)
+    return Entry(key, *evidence.gains(without, state), rivals, without)
 
 
 def open_names(evidence: DualEvidence, state: DualState) -> list[str]:
@@ -108,4 +130,6 @@ def likely(evidence: DualEvidence, state: DualState, names: Sequence[str]) -> li
         else:
             worth[name] = explained(state.target, state.independent(view.project(some)))
     order = sorted(names, key=lambda name: -worth[name])
-    return [name for name in order[:FITTED] if worth[name] > LEVEL / 2.0]
+    best = [name for name in order[:FITTED] if worth[name] > LEVEL / 2.0]
+    # what balances never see has been judged by nothing yet
+    return [*best, *(name for name in BY_SIMULATOR if name in names and name not in best)]

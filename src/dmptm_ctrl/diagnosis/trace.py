@@ -35,10 +35,10 @@ BY_SENSORS = ("sensor_gain", "sensor_delay", "encoder_eccentricity")
 # How fast a reducer's ringing dies out is over before a window is: left to the simulator.
 BY_RINGING = {"reducer_compliance": ("damping",)}
 SIZES = {  # effects without a slope at zero, or far from linear: multiples of `step` to start at
-    "current_lag": (1.0, 3.0),
-    "drive_delay": (1.0, 3.0),
-    "drive_dead_band": (1.0, 5.0),
-    "presliding": (0.5, 2.0),
+    "current_lag": ({"time_constant": 1.0}, {"time_constant": 3.0}),
+    "drive_delay": ({"delay": 1.0}, {"delay": 3.0}),
+    "drive_dead_band": ({"width": 1.0}, {"width": 5.0}),
+    "presliding": ({"ring_distance": 0.5}, {"reducer_distance": 0.5}),
 }
 ESSENTIAL = {"cable_spring": "stiffness"}  # without it, a constant torque
 DIFFERENT = 5.0  # standard errors
@@ -285,8 +285,12 @@ def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     if effect.name == "drive_saturation":
         return saturations(trace, effect)
     if effect.name in SIZES:
-        sizes = {p.name: p.step for p in effect.parameters if not p.bank}
-        return [{name: k * x for name, x in sizes.items()} for k in SIZES[effect.name]]
+        still = dict.fromkeys(effect.amplitudes, 0.0)
+        steps = {p.name: p.step for p in effect.parameters}
+        return [
+            {**still, **{name: k * steps[name] for name, k in one.items()}}
+            for one in SIZES[effect.name]
+        ]
     shapes: list[dict[str, float]]
     if effect.name in SEARCHES:
         shapes = SEARCHES[effect.name](trace, effect)

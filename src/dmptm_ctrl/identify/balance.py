@@ -283,11 +283,17 @@ def weights(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREE
 
 def surprise(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREEDOM) -> float:
     """Twice the negative log-likelihood of Student's t, each equation at its own scale."""
-    total = 0.0
-    for part, kind, s in zip(parts, kinds, scatter(parts, kinds, freedom), strict=True):
-        tail = (freedom + 1.0) * np.mean(np.log1p((part / s) ** 2 / freedom))
-        total += NEWS[role_of(kind)] * part.size * float(2.0 * np.log(s) + tail)
-    return total
+    return sum(float(row.sum()) for row in row_surprises(parts, kinds, freedom))
+
+
+def row_surprises(
+    parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREEDOM
+) -> list[Floats]:
+    """The same of each row of each equation."""
+    return [
+        NEWS[role_of(kind)] * (2.0 * np.log(s) + (freedom + 1.0) * np.log1p((x / s) ** 2 / freedom))
+        for x, kind, s in zip(parts, kinds, scatter(parts, kinds, freedom), strict=True)
+    ]
 
 
 def surprises(parts: Sequence[Floats], kinds: Sequence[str]) -> Floats:

@@ -200,6 +200,13 @@ class Likelihood:
         # the mean square over s² is left in: near the floor it still falls
         return float(np.sum(self.news * counts * (2.0 * np.log(s) + 1.0 - (self.floor / s) ** 2)))
 
+    def row_surprises(self, left: Sequence[Floats]) -> list[Floats]:
+        """The same of each row as if it were independent, per equation."""
+        scales = self.scales(left)
+        return [
+            2.0 * np.log(s) + (p / s) ** 2 for p, s in zip(self.parts(left), scales, strict=True)
+        ]
+
 
 def residuals(
     state: State, balance: Balance, *, jobs: int = 1

@@ -1,0 +1,91 @@
+"""What short predictions show and balances do not, on rigs of another program."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from dmptm_ctrl import load_log
+from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, key_of
+from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.residual import of_windows, predicting, residual
+from dmptm_ctrl.diagnosis.select import Selection
+from dmptm_ctrl.diagnosis.short import with_short_predictions
+from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.identify.led import Led
+from dmptm_ctrl.simulate.model import Model
+from rigs import make_rig
+
+LOGS = ("open_sine_0v60", "open_sine_0v75", "open_square_0v60", "open_square_0v75")
+LAWS = {"friction": "karnopp", "contact": "eq21", "sensors": "load"}
+
+
+def fitted(effects, seed=5):
+    """The declared model fitted to short logs without motor encoders."""
+    rig = make_rig(seed, effects, logs=LOGS, **LAWS)
+    logs = [load_log(table, name=name) for name, table in rig.logs.items()]
+    measured = measure(logs, paper_drive())
+    return measured, DualState(residual(measured, Model(paper_drive()), jobs=2))
+
+
+def looked_at(effects):
+    """Selection by short predictions alone."""
+    measured, base = fitted(effects)
+    return with_short_predictions(DualEvidence(measured, (), 2), Selection(base, base))
+
+
+def test_what_balances_do_not_see_is_named():
+    found = looked_at((("presliding", 2.0),))
+    assert [e.key for e in found.entries] == [key_of("presliding")]
+    (entry,) = found.entries
+    assert entry.probability > 0.9
+    assert entry.held_gain > 0.0
+
+
+def test_nothing_is_named_where_nothing_lacks():
+    found = looked_at(())
+    assert found.entries == []
+    assert found.final is found.base
+
+
+def test_runs_that_go_together_miss_what_each_misses():
+    """Lanes against single runs; impacts let rounding grow, so most rows are compared."""
+    measured, base = fitted(())
+    model = base.left.base.model
+    models = [model, model.with_effect("unbalance", cosine=2.0, sine=0.0)]
+    one = Led(measured.fit[0])
+    together = one.missing_of(models)
+    apart = np.array([one.missing(m) for m in models])
+    assert np.quantile(np.abs(together - apart), 0.9) < 1e-3 * np.std(apart[1] - apart[0])
+
+
+def test_short_predictions_of_the_true_drive_leave_the_noise_of_the_gyro():
+    """A block of n samples of white noise of 0.05 deg/s scatters by 0.05/√n, most of the time."""
+    measured, base = fitted(())
+    left = predicting(base.left)
+    rows = [p for p, k in zip(left.base.parts, left.balance.kinds, strict=True) if k == "led"]
+    usual = np.rad2deg(np.median(np.abs(np.concatenate(rows)))) / 0.6745
+    assert usual == pytest.approx(0.05 / np.sqrt(Led(measured.fit[0]).block), rel=0.5)
+
+
+def test_balances_alone_keep_what_they_do_not_see():
+    _, base = fitted(())
+    left = predicting(base.left)
+    model = left.base.model.with_effect("presliding", ring_distance=1e-4)
+    assert of_windows(base.left) is base.left
+    left.base = type(left.base)(
+        model,
+        left.base.unknowns,
+        left.base.p,
+        left.base.loss,
+        left.balance.missing(model),
+        left.balance.kinds,
+        left.base.jacobian,
+        left.base.covariance,
+    )
+    back = of_windows(left)
+    assert not back.balance.led
+    assert back.base.model.effects["presliding"]["ring_distance"] == 1e-4

@@ -25,6 +25,7 @@ LEAD_HZ = 0.05  # slow lead of simulated runs by the measured angle: bounds drif
 ECCENTRIC = "encoder_eccentricity"
 SEEN = 1.0  # evidence of a scale of an unknown, below which the balances do not see it
 ROUNDS = 3  # fits without motor encoders: each tells better who touches, for the next
+SETTLED = 5.0  # fall of the loss by slopes taken anew, below which they are not again
 
 
 @dataclass(eq=False)
@@ -78,10 +79,18 @@ def predicting(left: Residual) -> Residual:
 
 
 def predicting_fit(balance: Balance, base: BalanceFit) -> BalanceFit:
-    """Fit to balances and short predictions, with slopes taken once: runs cost most."""
+    """Fit to balances and short predictions, slopes taken anew a few times: runs cost most."""
+    best: BalanceFit | None = None
     model, unknowns = base.model, base.unknowns
-    slopes = columns(balance, model, unknowns, np.concatenate(balance.missing(model)))
-    return fit_balance(balance, model, unknowns, jacobian=slopes)
+    for _ in range(ROUNDS):
+        slopes = columns(balance, model, unknowns, np.concatenate(balance.missing(model)))
+        done = fit_balance(balance, model, unknowns, jacobian=slopes)
+        gain = np.inf if best is None else best.loss - done.loss
+        best, model = done, done.model
+        if gain < SETTLED:
+            break
+    assert best is not None
+    return best
 
 
 def of_windows(left: Residual) -> Residual:

@@ -246,28 +246,31 @@ def select_effects(
     selection = Selection(base, base)
     state = base
     seen: set[frozenset[str]] = {frozenset(base.keys)}
+    vain: set[Keys] = set()  # what led back to a model that was there already
 
     def step(text: str) -> None:
         selection.path.append(text)
         say(text)
 
-    while len(state.keys) < MOST:
+    while len(state.keys) < MOST and len(vain) < SET_TRIALS:
         candidates = ranked(evidence.candidates(state))
         selection.first = selection.first or candidates
         selection.rest = candidates
-        able = [c for c in candidates if c.acceptable]
+        able = [c for c in candidates if c.acceptable and c.keys not in vain]
         if not state.keys or not able:
-            able += [c for c in likely_sets(evidence, state, candidates) if c.acceptable]
+            sets = likely_sets(evidence, state, candidates)
+            able += [c for c in sets if c.acceptable and c.keys not in vain]
         if not able:
             break
         chosen = best_of(able, evidence.ratio(state))
-        state = evidence.closed(evidence.adopt(state, chosen))
+        before, state = state, evidence.closed(evidence.adopt(state, chosen))
         step(
             f"+ {', '.join(chosen.keys)}: {chosen.gain:.0f} fitted, {chosen.held_gain:.0f} held out"
         )
         state = pruned(evidence, state, step)
         if frozenset(state.keys) in seen:
-            break
+            vain.add(chosen.keys)
+            state = before
         seen.add(frozenset(state.keys))
     return compared(evidence, selection, state, step)
 

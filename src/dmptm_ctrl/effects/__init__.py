@@ -40,12 +40,12 @@ from dmptm_ctrl.effects.unknown_voltage import UNKNOWN_VOLTAGE
 CATALOGUE: dict[str, Effect] = {
     effect.name: effect
     for effect in (
+        CURRENT_LAG,  # before a delay: every drive has some
         DRIVE_DELAY,
         DRIVE_OFFSET,
         DRIVE_DEAD_BAND,
         TORQUE_CONSTANT_MISMATCH,
         DRIVE_SATURATION,
-        CURRENT_LAG,
         COGGING,
         BACK_EMF,
         REDUCER_COMPLIANCE,

@@ -205,8 +205,8 @@ PLACED_CATALOGUE: dict[str, PlacedEffect] = {
         _one_side(DRIVE_OFFSET, {"left": "offset"}),
         whole(DRIVE_DEAD_BAND),
         whole(DRIVE_SATURATION),
-        whole(DRIVE_DELAY),
         whole(CURRENT_LAG),
+        whole(DRIVE_DELAY),
         PlacedEffect(
             SHAFT_COMPLIANCE,
             # friction of the declared body may sit on either side of the spring

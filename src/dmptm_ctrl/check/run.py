@@ -18,7 +18,6 @@ from dmptm_ctrl.check.moved import (
     find_moved,
     information_of,
 )
-from dmptm_ctrl.diagnosis.rig_files import is_rig_model, read_rig_model
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.signals.atomic import check_folder, output_folder
 from dmptm_ctrl.simulate.model_file import read_model
@@ -164,7 +163,7 @@ def check(
         recorded = _recorded(path.with_name("diagnosis.json"))
         errors = {**_errors(recorded), **(errors or {})}
         floor = _floor(recorded) if floor is None else floor
-        model = read_rig_model(path)[0] if is_rig_model(path) else read_model(path)
+        model = read_model(path)
     loaded = _loaded(model, logs)
     dated: dict[datetime, list[Log]] = {}
     for log in loaded:

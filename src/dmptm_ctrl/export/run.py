@@ -6,7 +6,6 @@ from typing import Any
 
 from dmptm_ctrl.design.controller import KIND as CONTROLLER
 from dmptm_ctrl.design.controller import Controller, read_controller
-from dmptm_ctrl.diagnosis.rig_files import is_rig_model, read_rig_model
 from dmptm_ctrl.export.c_source import REALS, c_header, c_source
 from dmptm_ctrl.export.controller import controller_program, provenance
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
@@ -148,7 +147,7 @@ def _read(source: Path) -> Any:
         raise LogError(f"{source.name}: no readable model or controller file there") from None
     if kind == CONTROLLER:
         return read_controller(source)
-    return read_rig_model(source)[0] if is_rig_model(source) else read_model(source)
+    return read_model(source)
 
 
 def _program(model: Any, source: Path, step: float) -> Program:

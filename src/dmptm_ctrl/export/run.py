@@ -1,6 +1,7 @@
 """What the command line calls: a model or controller file in, files to run elsewhere out."""
 
 from collections.abc import Callable
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +28,9 @@ SAMPLE_TIME = 1e-3  # s, of a plant's program where none is given
 
 
 def export_file(
-    source: Path,
+    source: str | PathLike[str],
     target: str,
-    out: Path,
+    out: str | PathLike[str],
     *,
     real: str = "double",
     sample_time: float | None = None,
@@ -57,7 +58,13 @@ def export_file(
     ------
     LogError
         No such file, target or number type; nothing is written.
+    TypeError
+        A source that is no path.
     """
+    if not isinstance(source, str | PathLike):
+        given = type(source).__name__
+        raise TypeError(f"export takes the path of a model or controller file, not a {given}")
+    source, out = Path(source), Path(out)
     if target not in TARGETS:
         raise LogError(f"--to {target}: no such target; there are {', '.join(TARGETS)}")
     _check_numbers(real, sample_time)

@@ -101,7 +101,7 @@ def simulate(
 
 
 def _simulated(
-    model: "Model",
+    model: Any,
     timepts: ArrayLike,
     inputs: ArrayLike,
     initial_state: ArrayLike | None,

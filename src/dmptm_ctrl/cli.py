@@ -278,10 +278,8 @@ def _compare(
         models = compare.linear_models(file, input=input, output=output)
     for warning in said:
         print(f"warning: {_printable(str(warning.message))}", file=sys.stderr)
-    draw, header = {
-        "bode": (compare.bode, compare.BODE_HEADER),
-        "step": (compare.step, compare.STEP_HEADER),
-    }[kind]
+    draw: Any = getattr(compare, kind)
+    header = getattr(compare, f"{kind.upper()}_HEADER")
     figure, rows = draw(models, *limits)
     _save_picture(figure, out)
     print(f"{_printable(compare.table(header, rows))}\n\nwritten: {out}")

@@ -16,6 +16,7 @@ from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
 from dmptm_ctrl.identify.fit import Fit
+from dmptm_ctrl.identify.led import Led
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
 
@@ -80,13 +81,18 @@ class DualSource:
         from dmptm_ctrl.plots.diagnosis import Overlay
 
         before, after = self.models
+        records = {rec.name: rec for rec in self.measured.held}
         done = []
         for log in self.measured.held_logs:
             seen, old = np.rad2deg(speeds(before, log))
             new = np.rad2deg(speeds(after, log)[1])
             push = low_pass(0.5 * (log["u_left"] + log["u_right"]), log.sample_time)
             held = np.ones(seen.size, bool)
-            done.append(Overlay(log.name, log.time, seen, old, new, held, push))
+            led = Led(records[log.name])
+            ahead = np.full(seen.size, np.nan)
+            missing = np.repeat(np.rad2deg(led.missing(after)), led.block)
+            ahead[: missing.size] = seen[: missing.size] - missing
+            done.append(Overlay(log.name, log.time, seen, old, new, held, push, ahead=ahead))
         return done
 
     def evidence(self, effect: NamedEffect | None, depends_on: Sequence[str]) -> "Evidence":

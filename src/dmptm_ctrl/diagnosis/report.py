@@ -182,7 +182,10 @@ class Diagnosis:
     def sentence(self) -> str:
         """Return the result in one sentence that says no more than the budget."""
         left = f"{self.error['after']['rmse']:.{DIGITS}g} {self.error['unit']}"
-        left += f" are left on {self.error['on']}"
+        if "speed" in self.error["after"]:
+            left = f"free runs miss {self.error['on']} by {left}"
+        else:
+            left += f" are left on {self.error['on']}"
         if self.verdict == "none":
             times = sqrt(self.errors.before / max(self.errors.floor, 1e-300))
             return (
@@ -193,7 +196,7 @@ class Diagnosis:
         names = self._headline()
         if not names:
             return f"The declared model lacks something unknown{on}; {left}."
-        share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
+        share = f"{100.0 * self.errors.explained:.0f} % of the removable error of the balance"
         if self.verdict == "explained":
             return f"The declared model lacks {names}: {share}; {left}."
         return f"Found {names}: {share}. The rest is unknown{on}; {left}."

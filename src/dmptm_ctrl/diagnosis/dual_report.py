@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Evidence, Overlay
 
 READ_ORDERS = (
-    "A line at order 1 repeats with every turn of a motor (cogging, an eccentric motor encoder), "
-    "one below with the pinion or the ring gear, one at the tooth mesh with each tooth. Lines that "
-    "stand before and are gone after are explained; lines that stay are not."
+    "A line at order 1 repeats with every turn of a motor: cogging, or an eccentric motor encoder. "
+    "Lower orders are of the pinion or the ring gear; the tooth mesh has its own. Lines that stand "
+    "before and are gone after are explained; lines that stay are not."
 )
 READ_GAPS = (
     "A tooth of each pinion between two of the ring gear, to the scale of the gap. Dark blue "

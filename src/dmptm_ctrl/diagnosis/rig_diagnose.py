@@ -162,7 +162,7 @@ def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, dict[str, str],
         fit = [n for n in names if n not in held]
         final = {n: "held-out" if n in held else "fit" for n in names}
         return balance.only(fit), balance.only(held), final, "held-out logs"
-    part = "held-out stretches of every log, three tenths of it"
+    part = "held-out parts of every log"
     return balance.part("fit"), balance.part("held-out"), dict.fromkeys(names, "fit"), part
 
 

@@ -45,8 +45,6 @@ class RigSource:
     ----------
     on : str
         What the errors are measured on.
-    as_read : RigState
-        The declared model on the logs as the sensors read them.
     selection : Selection
     augmented : RigModel
     runs : Runs
@@ -54,7 +52,6 @@ class RigSource:
 
     rig: Rig
     on: str
-    as_read: RigState
     selection: Selection
     augmented: RigModel
     runs: Runs
@@ -74,14 +71,18 @@ class RigSource:
         return self.runs.overlays()
 
     def evidence(self, effect: NamedEffect | None, depends_on: Sequence[str]) -> "Evidence | None":
-        """What the drive gave more than the model, over what an effect depends on."""
+        """What the drive gave more than the model, over what an effect depends on.
+
+        None for an error of a sensor, which the balance does not show.
+        """
         from dmptm_ctrl.diagnosis.rig_figures import folded
 
         key = "" if effect is None else f"{effect.name}@{effect.location}"
         entry = next((e for e in self.selection.entries if e.key == key), None)
-        without = self.as_read if effect else self.selection.final
+        if effect and entry is None:
+            return None
         return folded(
-            entry.without if entry else without,
+            entry.without if entry else self.selection.final,
             self.selection.final,
             variable_of(self.augmented, key) if effect else next(iter(depends_on), ""),
             effect.name if effect else "",
@@ -194,7 +195,7 @@ def report_of(
         augmented=augmented,
         declared_values=declared_of(final.fit),
         selection=selection,
-        source=RigSource(rig, on, as_read, selection, augmented, runs),
+        source=RigSource(rig, on, selection, augmented, runs),
         correlations=correlations_of(final.fit),
         provenance=provenance,
         warnings=(*warnings, *runs.warnings),

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 MEASURED = {**STYLES["measured"], "linewidth": 3.5}  # shows beside what covers it
 BEFORE = {**STYLES["existing"], "linewidth": 1.0}
 AFTER = {**STYLES["proposed"], "linewidth": 1.0}
-AHEAD = {**STYLES["other"], "linewidth": 1.0}
+AHEAD = {**STYLES["other"], "linewidth": 0.6, "zorder": 1.0}  # it has the ringing: behind
 LEGEND: dict[str, Any] = {
     "fontsize": 7.5,
     "handlelength": 1.8,
@@ -142,14 +142,15 @@ def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) 
         label += f"FIT {overlay.fit_percent(which):.1f} %"
         reading.plot(t, values, label=label, **style)
         left.plot(t, np.where(overlay.held, overlay.measured - values, np.nan), **style)
+    shown = list(reading.get_lines())
     if overlay.ahead is not None:
-        left.plot(t, overlay.measured - overlay.ahead, label="after, short horizons", **AHEAD)
-        left.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), **LEGEND)
+        label = "after, short predictions"
+        shown += left.plot(t, overlay.measured - overlay.ahead, label=label, **AHEAD)
     title = overlay.name if title is None else title
     reading.set_title(title, fontsize=10, pad=20.0 if title else None)
     reading.set_ylabel(f"{overlay.quantity} [{overlay.unit}]")
     # Above the axes, where it cannot cover a line.
-    reading.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, **LEGEND)
+    reading.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, **LEGEND)
     ylabel = f"measured − model\n[{overlay.unit}]"
     left.set(xlabel="time [s]", ylabel=ylabel, xlim=(t[0], t[-1]))
     for panel in panels:
@@ -234,7 +235,7 @@ def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     evidence = diagnosis if isinstance(diagnosis, Evidence) else diagnosis.evidence()
     panels = axes(ax, 1, 2, figsize=(7.4, 3.2), sharex=True, sharey=True).ravel()
     what = words(evidence.effect) or "the effects"
-    titles = (f"without {what}, the rest refitted", "with all that was found")
+    titles = (f"without {what}", "with all that was found")
     for panel, title, curves in zip(panels, titles, (evidence.before, evidence.after), strict=True):
         _draw(panel, curves)
         panel.set_title(title, fontsize=10)

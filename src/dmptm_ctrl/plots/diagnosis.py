@@ -56,7 +56,7 @@ class Overlay:
         Signal of the inputs together.
     quantity, unit : str
     ahead : (n,) array or None
-        Short predictions of the model after, each from an observed state; NaN between them.
+        Short predictions of the model after; NaN where there is none.
     """
 
     name: str

@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dmptm_ctrl.diagnosis.quality import correlations
-from dmptm_ctrl.diagnosis.report import UNNAMED
 from dmptm_ctrl.plots.diagnosis import (
     Evidence,
     Overlay,
@@ -110,7 +109,7 @@ def action(diagnosis: "Diagnosis") -> str:
             f"{number(after)} {unit} on {on}."
         )
     fall = f"the error on {on} goes from {number(before)} to {number(after)} {unit}"
-    material = [e for e in diagnosis.effects if e.material and e.name != UNNAMED]
+    material = [e for e in diagnosis.effects if e.material and e.named]
     rivals = [name for e in material for name in e.confusable_with]
     if diagnosis.verdict == "unknown":
         first = f"Look for the cause on the rig. With model.toml {fall}."
@@ -157,7 +156,7 @@ def error_rows(error: Mapping[str, Any]) -> list[dict[str, Any]]:
 def evidence(diagnosis: "Diagnosis") -> Iterable[dict[str, Any]]:
     """Each effect with the picture of its evidence; then that of what is not explained."""
     shown: list[NamedEffect | None] = list(diagnosis.effects)
-    if not shown or (diagnosis.depends_on and all(e.name != UNNAMED for e in diagnosis.effects)):
+    if not shown or (diagnosis.depends_on and all(e.named for e in diagnosis.effects)):
         shown.append(None)
     for effect in shown:
         found = diagnosis.source.evidence(effect, diagnosis.depends_on)

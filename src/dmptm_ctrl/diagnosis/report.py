@@ -47,6 +47,11 @@ class NamedEffect:
     share: float = 0.0
 
     @property
+    def named(self) -> bool:
+        """Whether it has a name; lookup tables stand for what has none."""
+        return self.name != UNNAMED
+
+    @property
     def material(self) -> bool:
         """Whether it moves the budget."""
         return self.share >= MATERIAL
@@ -203,7 +208,7 @@ class Diagnosis:
 
     def _headline(self) -> str:
         """Effects that matter: names that are likelier than not, and how many others."""
-        material = [e for e in self.effects if e.material and e.name != UNNAMED]
+        material = [e for e in self.effects if e.material and e.named]
         sure = [e.name.replace("_", " ") for e in material if e.probability >= HEADLINE]
         doubtful = len(material) - len(sure)
         if doubtful:
@@ -233,7 +238,7 @@ class Diagnosis:
             kind = "" if effect.material else ", immaterial"
             head = f"{effect.name} ({effect.location}), probability {effect.probability:.2f}{kind}"
             lines += ["", head]
-            if effect.name != UNNAMED:  # a table is to be drawn, not read
+            if effect.named:  # a table is to be drawn, not read
                 for name, p in effect.parameters.items():
                     line = f"  {name} = {p['value']:.4g} ± {p['se']:.2g} {p['unit']}"
                     lines.append(line.rstrip())

@@ -236,13 +236,12 @@ KINDS = ("log_info", "predict_log", "predict_model", "predict_chain_model", "rig
 
 def axis_model_text(axis):
     """Model file of the bundled linear axis, as declared."""
-    from dmptm_ctrl.diagnosis.rig_files import rig_model_to_toml
     from dmptm_ctrl.drive.rigfile import load_rig
     from dmptm_ctrl.simulate.rig_model import RigModel
-    from dmptm_ctrl.simulate.rig_run import declared_effects
+    from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
 
     rig = load_rig(axis / "rig.toml")
-    return rig_model_to_toml(RigModel(rig, tuple(declared_effects(rig))), rig.text)
+    return rig_model_to_toml(RigModel(rig))
 
 
 def run(inputs, campaigns, seed):

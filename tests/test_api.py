@@ -6,11 +6,18 @@ import inspect
 import pkgutil
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import dmptm_ctrl
+from dmptm_ctrl.cli import main
+from dmptm_ctrl.data import path
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.simulate.model_file import to_toml
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
 
 PACKAGES = [
     f"dmptm_ctrl.{module.name}" for module in pkgutil.iter_modules(dmptm_ctrl.__path__)
@@ -54,7 +61,6 @@ def test_docstring_says_what_goes_in_and_out(function):
 def unknown_keywords():
     """Calls of what takes keywords by `**`, with one that nothing is called."""
     from dmptm_ctrl import drive, load_log
-    from dmptm_ctrl.data import path
     from dmptm_ctrl.simulate import simulate
     from dmptm_ctrl.simulate.model import Model
 
@@ -114,13 +120,112 @@ def test_closed_loop_is_the_compiled_one_as_a_response():
     np.testing.assert_array_equal(run.inputs[0], reference)
 
 
-@pytest.mark.parametrize("kind", dmptm_ctrl._FIRST)
-def test_another_first_argument_is_refused_in_one_sentence(kind):
-    for name in dmptm_ctrl._FIRST[kind]:
+@pytest.mark.parametrize("kinds", dmptm_ctrl._FIRST)
+def test_another_first_argument_is_refused_in_one_sentence(kinds):
+    for name in dmptm_ctrl._FIRST[kinds]:
         function = getattr(dmptm_ctrl, name)
-        assert kind in str(next(iter(inspect.signature(function).parameters.values())).annotation)
-        with pytest.raises(TypeError, match=f"^{name} takes a {kind} as its first argument, not a"):
+        first = next(iter(inspect.signature(function).parameters.values()))
+        assert first.annotation is Any or all(k in str(first.annotation) for k in kinds)
+        words = " or ".join(filter(None, (", ".join(kinds[:-1]), kinds[-1])))
+        with pytest.raises(
+            TypeError, match=f"^{name} takes a {words} as its first argument, not a float$"
+        ):
             function(1.0, 2.0, 3.0)
+
+
+def test_models_in_the_place_of_logs_are_refused_in_one_sentence():
+    for name in dmptm_ctrl._LOGS:
+        with pytest.raises(TypeError, match=f"^{name} takes logs as its first argument, not a Dr"):
+            getattr(dmptm_ctrl, name)(dmptm_ctrl.paper_drive(), "logs")
+
+
+@pytest.mark.parametrize("name", dmptm_ctrl.__all__[1:])
+def test_unknown_keywords_of_public_functions_are_refused_in_one_sentence(name):
+    found = getattr(dmptm_ctrl, name)
+    if not inspect.isfunction(found):
+        return
+    parameters = inspect.signature(found).parameters.values()
+    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters):
+        return  # test_unknown_keywords_are_refused has these
+    with pytest.raises(TypeError, match=rf"^{name}: .*'nonsense'; it takes ") as said:
+        found(nonsense=1.0)
+    assert "\n" not in str(said.value)
+
+
+def test_second_arguments_of_another_kind_are_refused_in_one_sentence(tmp_path):
+    dm, log = dmptm_ctrl, path("demo_rig") / "open_sine_0v60.csv.gz"
+    for call, said in [
+        (lambda: dm.predict(dm.Model(), 3.0), "predict takes a log as its second argument"),
+        (lambda: dm.check([log], 3.0), "check takes a model or its file as its second argument"),
+        (lambda: dm.diagnose([log], dm.Model()), "diagnose takes a rig file, Rig or Drive as its"),
+        (lambda: dm.export(dm.Model(), "c", tmp_path), "export takes the path of a model or con"),
+    ]:
+        with pytest.raises(TypeError, match=said):
+            call()
+
+
+def rig_of(text=""):
+    """A flywheel, with damping [N·m·s/rad] and a motor without gain: τ = J/b = 0.5 s."""
+    return parse_rig(
+        'name = "wheel"\n[body.wheel]\ninertia = "0.02 kg m^2"\nviscous = "0.04 N m s/rad"\n'
+        '[input.motor]\ncolumn = "u"\nunit = "V"\ngain = "0.1 N m/V"\n'
+        '[sensor.w]\ncolumn = "w"\nunit = "rad/s"\n' + text
+    )
+
+
+def test_a_rig_simulates_linearises_and_closes_its_loop_as_a_model_does():
+    """Against the closed form of a first-order lag: 2.5 (1 − exp(−2 t)) rad/s per volt."""
+    rig, time = rig_of(), 1e-3 * np.arange(2001)
+    wanted = 2.5 * (1.0 - np.exp(-2.0 * time))
+    for model in (rig, RigModel(rig)):
+        run = dmptm_ctrl.simulate(model, time, np.ones_like(time))
+        assert run.output_labels == ["w"]
+        np.testing.assert_allclose(run.outputs[0], wanted, atol=5e-3)
+        plant = dmptm_ctrl.linearize(model)
+        assert plant.poles() == pytest.approx([-2.0])
+        assert dmptm_ctrl.modes(model).hz == pytest.approx([0.0])
+    loop = dmptm_ctrl.Loop(4.0, 0.0, 100.0)  # pole at −(2 + 5·4) 1/s, end at 20/22
+    closed = dmptm_ctrl.close_loop(rig, loop, time, np.ones_like(time))
+    assert closed.output_labels == ["w", "motor"]
+    assert closed.outputs[0][-1] == pytest.approx(20.0 / 22.0, rel=1e-3)
+    with pytest.raises(ValueError, match="preload needs two motors"):
+        dmptm_ctrl.close_loop(rig, dmptm_ctrl.Loop(1.0, 0.0, 1.0, 0.3), time, np.ones_like(time))
+    with pytest.raises(TypeError, match="no option 'nonsense' for a rig"):
+        dmptm_ctrl.simulate(rig, time, np.ones_like(time), nonsense=1.0)
+
+
+def test_modes_of_a_rig_by_hand():
+    """Two inertias on a spring: ω² = k (1/J1 + 1/J2); ζ = d (1/J1 + 1/J2) / (2 ω)."""
+    rig = parse_rig(
+        '[body.a]\ninertia = "2e-3 kg m^2"\n[body.bell]\ninertia = "6e-3 kg m^2"\n'
+        'viscous = "unknown"\n[shaft.s]\nbetween = ["a", "bell"]\nstiffness = "30 N m/rad"\n'
+        'damping = "1e-3 N m s/rad"\n[input.u]\ncolumn = "u"\nunit = "V"\nbody = "a"\n'
+        'gain = "1 N m/V"\n[sensor.w]\ncolumn = "w"\nunit = "rad/s"\nbody = "bell"\n'
+    )
+    found = dmptm_ctrl.modes(rig)
+    both = 1 / 2e-3 + 1 / 6e-3
+    omega = np.sqrt(30.0 * both)
+    assert found.kinds == ("rigid", "elastic")
+    assert found.omega == pytest.approx([0.0, omega])
+    assert found.damping_ratios == pytest.approx([0.0, 1e-3 * both / (2 * omega)], rel=1e-6)
+    ratio = found.shapes[1, 1] / found.shapes[0, 1]
+    assert ratio == pytest.approx(-2e-3 / 6e-3)
+
+
+def test_one_reader_reads_the_models_of_every_drive(tmp_path):
+    model = dmptm_ctrl.Model().with_effect("unbalance", cosine=3.0, sine=-1.0)
+    zeros = {"run_a": {"cogging@wheel": 0.25}}
+    effect = Placed("cogging", "wheel", {"order": 6.0, "cosine": 0.01, "sine": 0.0})
+    own = RigModel(rig_of(), (effect,), {"body.wheel.inertia": 0.03}, zeros)
+    (tmp_path / "dual.toml").write_text(to_toml(model), encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(rig_model_to_toml(own), encoding="utf-8")
+    found = dmptm_ctrl.read_model(tmp_path / "dual.toml")
+    assert found.effects["unbalance"]["cosine"] == 3.0
+    rig = dmptm_ctrl.read_model(tmp_path / "rig.toml")
+    assert rig.effects == own.effects
+    assert rig.value("body.wheel.inertia") == 0.03
+    assert rig.zeros == zeros
+    assert main(["tune", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "t")]) == 2
 
 
 def test_closed_loop_refuses_what_it_cannot_run_in_one_sentence():
@@ -128,7 +233,7 @@ def test_closed_loop_refuses_what_it_cannot_run_in_one_sentence():
     slow = dmptm_ctrl.Controller(4.6, 86.0, limit=10.0, sample_time=2e-3)
     time, reference = [0.0, 1e-3], [0.0, 0.1]
     for arguments, said in [
-        ((loop, model, time, reference), "takes a Model first, not Loop"),
+        ((loop, model, time, reference), "takes a Model, RigModel or Rig as its first arg"),
         ((model, "PI", time, reference), "a Loop or a Controller second, not str"),
         ((model, loop, time, [0.0]), r"reference has shape \(1,\); needs \(2,\)"),
         ((model, slow, time, reference), "the controller's sample time is 0.002 s"),

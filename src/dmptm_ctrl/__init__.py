@@ -8,6 +8,7 @@ them in groups; ``help()`` on each gives units, shapes and errors.
 import sys
 from functools import wraps
 from importlib import import_module
+from inspect import isfunction, signature
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,7 @@ _LAZY = {
     "three_dof": "drive.three_dof:three_dof_ss",
     "nine_dof": "drive.nine_dof:nine_dof_ss",
     "linearize": "simulate.linear",
-    "modes": "drive.modes:solve_modes",
+    "modes": "simulate.modes",
     "common_mode": "control.pi",
     "close_speed_loop": "control.pi",
     "margins": "control.tuning:assess_pi",
@@ -70,15 +71,20 @@ _LAZY = {
     "reproduce": "reproduce.run",
 }
 
-# what a function takes first; another kind is refused in one sentence
+# what functions take first; another kind is refused in one sentence
 _FIRST = {
-    "Drive": ("baseline", "three_dof", "nine_dof"),
-    "Model": (
-        *("simulate", "simulate_with_sensitivities", "stepped_sine", "multisine", "predict"),
-        *("tune_controller", "limit_cycles", "smallest_preload", "monte_carlo"),
+    ("Drive",): ("baseline", "three_dof", "nine_dof"),
+    ("Model",): (
+        *("simulate_with_sensitivities", "stepped_sine", "multisine", "tune_controller"),
+        *("limit_cycles", "smallest_preload", "monte_carlo"),
     ),
-    "StateSpace": ("common_mode", "close_speed_loop", "margins", "tune_pi"),
+    ("Model", "RigModel", "Rig"): ("simulate", "close_loop", "linearize", "predict"),
+    ("Drive", "Model", "RigModel", "Rig", "GearTrain"): ("modes",),
+    ("Model", "Diagnosis"): ("impact",),
+    ("StateSpace",): ("common_mode", "close_speed_loop", "margins", "tune_pi"),
 }
+_MODELS = {"Model", "RigModel", "Rig", "Drive", "Diagnosis", "StateSpace"}
+_LOGS = ("diagnose", "check", "constant_speed", "response_from_log", "load_log", "load_logs")
 
 __all__ = ["__version__", *_LAZY]
 
@@ -97,7 +103,6 @@ if TYPE_CHECKING:
     from dmptm_ctrl.diagnosis.report import Diagnosis
     from dmptm_ctrl.diagnosis.run import diagnose
     from dmptm_ctrl.drive.baseline import baseline_drive as baseline
-    from dmptm_ctrl.drive.modes import solve_modes as modes
     from dmptm_ctrl.drive.nine_dof import nine_dof_ss as nine_dof
     from dmptm_ctrl.drive.parameters import Drive, paper_drive
     from dmptm_ctrl.drive.rig import Rig
@@ -121,6 +126,7 @@ if TYPE_CHECKING:
     from dmptm_ctrl.simulate.linear import linearize
     from dmptm_ctrl.simulate.model import Model
     from dmptm_ctrl.simulate.model_file import read_model
+    from dmptm_ctrl.simulate.modes import modes
     from dmptm_ctrl.simulate.sensitivity import simulate_with_sensitivities
 
 
@@ -143,22 +149,35 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, _, there = _LAZY[name].partition(":")
     value = getattr(import_module(f"{__name__}.{module}"), there or name)
-    for kind, names in _FIRST.items():
-        if name in names:
-            value = _taking(kind, name, value)
+    if isfunction(value):
+        value = _checked(name, value)
     globals()[name] = value
     return value
 
 
-def _taking(kind: str, name: str, function: Any) -> Any:
-    """Return the function, with a sentence for a first argument of another kind."""
+def _checked(name: str, function: Any) -> Any:
+    """Return the function, with a sentence for arguments that it does not take."""
+    kinds = next((k for k, names in _FIRST.items() if name in names), ())
+    wanted = signature(function)
 
     @wraps(function)
     def checked(*args: Any, **options: Any) -> Any:
-        kinds = {c.__name__ for c in type(args[0]).__mro__} if args else {kind}
-        if kind not in kinds and args[0] is not None:
-            given = type(args[0]).__name__
-            raise TypeError(f"{name} takes a {kind} as its first argument, not a {given}")
+        given = {c.__name__ for c in type(args[0]).__mro__} if args else set()
+        what = ""
+        if given and args[0] is not None and kinds and not given & {*kinds}:
+            what = " or ".join(filter(None, (", ".join(kinds[:-1]), kinds[-1])))
+            what = f"a {what}"
+        elif name in _LOGS and given & _MODELS:
+            what = "logs"
+        if what:
+            first = f"{name} takes {what} as its first argument"
+            raise TypeError(f"{first}, not a {type(args[0]).__name__}")
+        try:
+            wanted.bind_partial(*args, **options)  # an unknown name before one that is missing
+            wanted.bind(*args, **options)
+        except TypeError as error:
+            takes = ", ".join(wanted.parameters)
+            raise TypeError(f"{name}: {error}; it takes {takes}") from None
         return function(*args, **options)
 
     return checked

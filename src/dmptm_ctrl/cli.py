@@ -4,14 +4,12 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from dmptm_ctrl import __version__
-
-if TYPE_CHECKING:
-    from dmptm_ctrl.signals.info import LogInfo
+from dmptm_ctrl.progress import Progress, show_info
 
 BAD_INPUT = 2
 OUR_FAULT = 70  # EX_SOFTWARE of sysexits.h
@@ -62,7 +60,6 @@ def diagnose(
     ] = False,
 ) -> None:
     """Name the physical effect that the declared model lacks."""
-    from dmptm_ctrl.progress import Progress
     from dmptm_ctrl.signals.atomic import check_folder
 
     check_folder(out)  # not after a minute of work
@@ -117,12 +114,9 @@ def tune(
     quiet: Annotated[bool, typer.Option("--quiet", help="No summary.")] = False,
 ) -> None:
     """Design a speed controller on a model and its uncertainty."""
-    import matplotlib
-
     from dmptm_ctrl.design.run import tune_file
     from dmptm_ctrl.signals.atomic import check_folder
 
-    matplotlib.use("Agg")  # no windows
     check_folder(out)
     tuned = tune_file(model, out, uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs)
     if not quiet:
@@ -197,11 +191,8 @@ def reproduce(
     quiet: Annotated[bool, typer.Option("--quiet", help="No progress bar.")] = False,
 ) -> None:
     """Make every figure and table of the paper, and a page that shows them."""
-    import matplotlib
-
     from dmptm_ctrl.reproduce import reproduce as make
 
-    matplotlib.use("Agg")  # no windows
     page = make(out, quiet=quiet)
     if not quiet:
         print(f"written: {page}")
@@ -217,12 +208,9 @@ def resonances(
     ] = None,
 ) -> None:
     """Show frequencies, shapes, classes and sensitivities of the drive's modes."""
-    import matplotlib
-
     from dmptm_ctrl.reproduce.resonances import overridden, resonance_items, show
     from dmptm_ctrl.signals.atomic import output_folder
 
-    matplotlib.use("Agg")  # no windows
     try:
         drive, extra = overridden(dict(_assignment(text) for text in values or ()))
     except ValueError as error:
@@ -261,12 +249,7 @@ def bode(
     """Draw 9-DOF, 3-DOF and existing model and your own drive in one Bode plot."""
     if not low < high:
         raise typer.BadParameter(f"--low {low:g} must be below --high {high:g}")
-    models = _models(file, input, output)
-    from dmptm_ctrl.reproduce import compare
-
-    figure, rows = compare.bode(models, low, high)
-    _save_picture(figure, out)
-    print(f"{_printable(compare.table(compare.BODE_HEADER, rows))}\n\nwritten: {out}")
+    _compare("bode", (file, input, output), out, low, high)
 
 
 @app.command()
@@ -278,28 +261,28 @@ def step(
     seconds: Annotated[float, typer.Option(min=1e-6, help="Length of the picture.")] = 2.0,
 ) -> None:
     """Draw the step of 9-DOF, 3-DOF and existing model and your own drive in one picture."""
-    models = _models(file, input, output)
-    from dmptm_ctrl.reproduce import compare
-
-    figure, rows = compare.step(models, seconds)
-    _save_picture(figure, out)
-    print(f"{_printable(compare.table(compare.STEP_HEADER, rows))}\n\nwritten: {out}")
+    _compare("step", (file, input, output), out, seconds)
 
 
-def _models(file: Path | None, input: str | None, output: str | None) -> dict[str, Any]:
+def _compare(
+    kind: str, own: tuple[Path | None, str | None, str | None], out: Path, *limits: float
+) -> None:
+    """Draw the paper's models and the user's own, and print their numbers."""
     import warnings
 
-    import matplotlib
+    from dmptm_ctrl.reproduce import compare
 
-    from dmptm_ctrl.reproduce.compare import linear_models
-
-    matplotlib.use("Agg")  # no windows
+    file, input, output = own
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", UserWarning)
-        models = linear_models(file, input=input, output=output)
+        models = compare.linear_models(file, input=input, output=output)
     for warning in said:
         print(f"warning: {_printable(str(warning.message))}", file=sys.stderr)
-    return models
+    draw: Any = getattr(compare, kind)
+    header = getattr(compare, f"{kind.upper()}_HEADER")
+    figure, rows = draw(models, *limits)
+    _save_picture(figure, out)
+    print(f"{_printable(compare.table(header, rows))}\n\nwritten: {out}")
 
 
 def _assignment(text: str) -> tuple[str, float]:
@@ -326,26 +309,13 @@ def log_info(
     ] = None,
 ) -> None:
     """Show what is in a log, and what it can and cannot tell."""
-    from dmptm_ctrl.drive.rigfile import load_rig
-    from dmptm_ctrl.signals.info import describe, describe_file
+    from dmptm_ctrl.identify.info import describe_log
 
-    if rig is not None:
-        from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
-
-        drive = load_rig(rig)
-        info = describe(
-            drive.read(file)[0],
-            labels=drive.labels(),
-            declared=drive.declared_names(),
-            effects=PLACED_CATALOGUE,
-            inputs=[source.channel for source in drive.inputs],
-        )
-    else:
-        info = describe_file(file, resample=resample)
+    info = describe_log(file, rig, resample=resample)
     if as_json:
         print(json.dumps(info.to_dict(), indent=2, ensure_ascii=False))
     else:
-        _show(info)
+        show_info(info)
 
 
 @rig_app.command("check")
@@ -403,40 +373,6 @@ def _printable(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 
 
-def _show(info: "LogInfo") -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(highlight=False, soft_wrap=True)
-    rate = f", {info.duration:.6g} s at {1 / info.sample_time:.6g} Hz" if info.duration else ""
-    console.print(f"[bold]{_plain(info.name)}[/bold]: {info.samples} samples{rate}")
-    table = Table("channel", "min", "max", "rms", "resolution", box=None)
-    for channel in info.channels:
-        numbers = (channel.low, channel.high, channel.rms, channel.resolution)
-        table.add_row(_plain(channel.column), *(f"{number:.5g}" for number in numbers))
-    console.print(table)
-    for warning in info.warnings:
-        console.print(f"warning: {_plain(warning)}")
-    if info.excitation is None:
-        console.print("No input and no motion known in this log: nothing to diagnose.")
-        return
-    can = [row.effect for row in info.testable if row.testable]
-    console.print(f"\n[bold]Can tell about[/bold] {', '.join(can) or 'nothing'}")
-    console.print("[bold]Cannot tell about[/bold]")
-    lacking = Table("effect", "lacks", box=None)
-    for row in info.testable:
-        if not row.testable:
-            lacking.add_row(row.effect, "; ".join(row.lacks))
-    console.print(lacking)
-
-
-def _plain(text: str) -> str:
-    """Text of a file, shown as it is: no markup, no control characters."""
-    from rich.markup import escape
-
-    return escape("".join(c if c.isprintable() else "?" for c in text))
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
@@ -451,6 +387,7 @@ def main(arguments: list[str] | None = None) -> int:
         0: done; 1: `check` found a change; 2: bad input, one line on stderr; 70: an error of the
         program itself; 130: interrupted.
     """
+    os.environ["MPLBACKEND"] = "Agg"  # no windows
     try:
         result = app(arguments, prog_name="dmptm", standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):

@@ -4,7 +4,10 @@ import json
 import sys
 import time
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.signals.info import LogInfo
 
 
 class Progress:
@@ -73,3 +76,38 @@ class Progress:
             seconds = round(time.perf_counter() - self._start, 3)
             line = json.dumps({"event": event, "seconds": seconds, **what}, ensure_ascii=False)
             print(line, file=sys.stderr, flush=True)  # noqa: T201
+
+
+def show_info(info: "LogInfo") -> None:
+    """Print what is in a log, and what it can and cannot tell."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False, soft_wrap=True)
+    rate = f", {info.duration:.6g} s at {1 / info.sample_time:.6g} Hz" if info.duration else ""
+    console.print(f"[bold]{_plain(info.name)}[/bold]: {info.samples} samples{rate}")
+    table = Table("channel", "min", "max", "rms", "resolution", box=None)
+    for channel in info.channels:
+        numbers = (channel.low, channel.high, channel.rms, channel.resolution)
+        table.add_row(_plain(channel.column), *(f"{number:.5g}" for number in numbers))
+    console.print(table)
+    for warning in info.warnings:
+        console.print(f"warning: {_plain(warning)}")
+    if info.excitation is None:
+        console.print("No input and no motion known in this log: nothing to diagnose.")
+        return
+    can = [row.effect for row in info.testable if row.testable]
+    console.print(f"\n[bold]Can tell about[/bold] {', '.join(can) or 'nothing'}")
+    console.print("[bold]Cannot tell about[/bold]")
+    lacking = Table("effect", "lacks", box=None)
+    for row in info.testable:
+        if not row.testable:
+            lacking.add_row(row.effect, "; ".join(row.lacks))
+    console.print(lacking)
+
+
+def _plain(text: str) -> str:
+    """Text of a file, shown as it is: no markup, no control characters."""
+    from rich.markup import escape
+
+    return escape("".join(c if c.isprintable() else "?" for c in text))

@@ -10,6 +10,7 @@ from dmptm_ctrl.diagnosis.budget import (
     Errors,
     Row,
     closed_rows,
+    error_entry,
     table_lines,
     verdict_of,
 )
@@ -124,3 +125,18 @@ def test_lines_of_text():
     assert "–" in lines[0]  # it does not act on the torque
     assert "deg/s" not in table_lines(rows, ("", "N·m"))[0]
     assert MATERIAL < EXPLAINED < 1.0 < NONE
+
+
+def test_the_error_is_the_speeds_where_there_is_one_else_the_torques():
+    sides = ("before", "after", "floor")
+    speed = {k: {"rmse": 3.0, "unit": "rpm", "bandwidth_hz": 20.0} for k in sides}
+    torque = {k: {"rmse": 0.5, "unit": "N", "percent": 4.0} for k in sides}
+    both = error_entry("held-out logs", speed, torque, None)
+    assert (both["unit"], both["bandwidth_hz"]) == ("rpm", 20.0)
+    assert both["after"]["rmse"] == both["after"]["speed"]["rmse"] == 3.0
+    assert both["after"]["torque"]["rmse"] == 0.5
+    assert "horizon" not in both["after"]
+    alone = error_entry("held-out logs", None, torque, None)
+    assert alone["unit"] == alone["floor"]["unit"] == "N"
+    assert alone["floor"]["rmse"] == 0.5
+    assert "speed" not in alone["floor"]

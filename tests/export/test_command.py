@@ -6,14 +6,14 @@ import control as ct
 import numpy as np
 import pytest
 from tests.export.native import needs_compiler
-from tests.export.test_plant import RIG, TIME, VOLTS, rig_model
+from tests.export.test_plant import TIME, VOLTS, rig_model
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.design.controller import Controller, Notch
-from dmptm_ctrl.diagnosis.rig_files import rig_model_to_toml
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
+from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
 
 MODEL = Model().with_effect("unbalance", cosine=4.0)
 CONTROLLER = Controller(12.0, 60.0, notches=(Notch(60.0, 0.1, 0.5),), model=MODEL, effects=1.0)
@@ -23,7 +23,7 @@ CONTROLLER = Controller(12.0, 60.0, notches=(Notch(60.0, 0.1, 0.5),), model=MODE
 def files(tmp_path):
     CONTROLLER.save(tmp_path / "controller.toml")
     (tmp_path / "model.toml").write_text(to_toml(MODEL), encoding="utf-8")
-    (tmp_path / "rig_model.toml").write_text(rig_model_to_toml(rig_model(), RIG), encoding="utf-8")
+    (tmp_path / "rig_model.toml").write_text(rig_model_to_toml(rig_model()), encoding="utf-8")
     return tmp_path
 
 

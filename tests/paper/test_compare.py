@@ -6,13 +6,13 @@ import pytest
 
 from dmptm_ctrl import data
 from dmptm_ctrl.cli import main
-from dmptm_ctrl.diagnosis.rig_files import rig_model_to_toml
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.reproduce.compare import linear_models
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
 from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
 
 ARM = """
 name = "arm"
@@ -73,7 +73,7 @@ def test_own_model_file_and_rig_of_two_motors(tmp_path):
 def test_model_of_a_diagnosis(tmp_path):
     """A model.toml of a drive of another shape: fitted values, not those of its rig file."""
     rig = parse_rig(ARM)
-    text = rig_model_to_toml(RigModel(rig).with_values({"body.arm.viscous": 0.2}), rig.text)
+    text = rig_model_to_toml(RigModel(rig).with_values({"body.arm.viscous": 0.2}))
     (tmp_path / "model.toml").write_text(text)
     own = linear_models(tmp_path / "model.toml")["arm: w over torque"]
     assert np.sort_complex(own.poles()) == pytest.approx(

@@ -18,9 +18,9 @@ from dmptm_ctrl.check.moved import (
     find_moved,
     information_of,
 )
-from dmptm_ctrl.diagnosis.rig_files import is_rig_model, read_rig_model
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.signals.atomic import check_folder, output_folder
+from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model
 from dmptm_ctrl.simulate.rig_model import RigModel
 
@@ -158,13 +158,18 @@ def check(
     ------
     LogError
         Logs or a model file that cannot be used.
+    TypeError
+        A model of another kind.
     """
     if isinstance(model, str | Path):
         path = Path(model)
         recorded = _recorded(path.with_name("diagnosis.json"))
         errors = {**_errors(recorded), **(errors or {})}
         floor = _floor(recorded) if floor is None else floor
-        model = read_rig_model(path)[0] if is_rig_model(path) else read_model(path)
+        model = read_model(path)
+    if not isinstance(model, Model | RigModel):
+        kind = type(model).__name__
+        raise TypeError(f"check takes a model or its file as its second argument, not a {kind}")
     loaded = _loaded(model, logs)
     dated: dict[datetime, list[Log]] = {}
     for log in loaded:

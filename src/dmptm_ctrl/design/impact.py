@@ -87,8 +87,12 @@ def impact(
     ------
     ValueError
         A model without effects and no `nominal` to compare with.
+    TypeError
+        Of a drive of another shape.
     """
     augmented: Model = getattr(found, "augmented", found)
+    if not isinstance(augmented, Model):
+        raise TypeError("impact takes a Model, or the Diagnosis of a dual-motor drive")
     if nominal is None:
         if not augmented.effects:
             raise ValueError("the model has no effects; give the nominal one to compare it with")

@@ -7,7 +7,7 @@ from dmptm_ctrl.design.tune import Tuned, tune_controller
 from dmptm_ctrl.plots.control import plot_tuning
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import output_folder
-from dmptm_ctrl.simulate.model_file import read_model
+from dmptm_ctrl.simulate.model_file import read_dual_model
 
 
 def tune_file(
@@ -21,7 +21,7 @@ def tune_file(
         No model file, or a model on which no PI keeps the margins; nothing is written.
     """
     try:
-        drive = read_model(model)
+        drive = read_dual_model(model)
         tuned = tune_controller(
             drive, uncertainty=uncertainty, plants=plants, seed=seed, n_jobs=jobs
         )

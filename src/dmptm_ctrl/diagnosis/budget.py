@@ -5,7 +5,7 @@ torques and twists add up. A share is what this mean square rises by when one ef
 out and the rest is refitted, over the removable mean square, before less floor.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
@@ -181,3 +181,29 @@ def table_lines(rows: Sequence[Row], units: tuple[str, str]) -> list[str]:
             parts.append(", ".join(r.depends_on))
         lines.append("  ".join(parts))
     return lines
+
+
+Sides = Mapping[str, Mapping[str, Any]]
+
+
+def error_entry(
+    on: str, speed: Sides | None, torque: Sides, horizon: Sides | None
+) -> dict[str, Any]:
+    """Return the entry `error` of diagnosis.json.
+
+    Parameters
+    ----------
+    on : str
+        What it is measured on.
+    speed, torque, horizon : mapping of "before", "after", "floor" to mapping
+        Free runs, balance, short predictions: rmse, unit and more. None: not to be had.
+    """
+    kinds = {"speed": speed, "torque": torque, "horizon": horizon}
+    first = speed or torque
+    sides = {
+        side: {**first[side], **{k: dict(v[side]) for k, v in kinds.items() if v is not None}}
+        for side in ("before", "after", "floor")
+    }
+    unit = first["after"]["unit"]
+    width = {k: first["after"][k] for k in ("bandwidth_hz",) if k in first["after"]}
+    return {"on": on, "unit": unit, **width, **sides}

@@ -7,23 +7,25 @@ from os import PathLike
 
 from dmptm_ctrl.diagnosis.budget import verdict_of
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
+from dmptm_ctrl.diagnosis.dual_report import (
+    DualSource,
+    declared_dict,
+    labels,
+    named,
+    ranking,
+    unnamed,
+)
 from dmptm_ctrl.diagnosis.experiment import next_experiment
 from dmptm_ctrl.diagnosis.judge import judge, without_negligible
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.rattle import rattled
-from dmptm_ctrl.diagnosis.report import (
-    Diagnosis,
-    declared_dict,
-    named,
-    provenance,
-    ranking,
-    unnamed,
-)
+from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
 from dmptm_ctrl.diagnosis.residual import Residual, closed, of_windows, predicting_fit, residual
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import cross_check, sensor_effect, with_sensors
 from dmptm_ctrl.diagnosis.short import with_short_predictions
+from dmptm_ctrl.diagnosis.summary import correlated
 from dmptm_ctrl.diagnosis.tables import in_tables
 from dmptm_ctrl.diagnosis.unknown import unexplained
 from dmptm_ctrl.drive import Drive, paper_drive
@@ -128,12 +130,16 @@ def _diagnosed(
         errors=judged.errors,
         declared=before.model,
         augmented=final.model,
-        measured=measured,
-        selection=selection,
-        fits=(before, after),
-        fitted=final,
         declared_values=declared_dict(final, declared),
-        provenance=provenance(measured, measured.logs, seed, time.perf_counter() - start),
+        selection=selection,
+        source=DualSource(measured, selection, (before, after), final.model),
+        correlations=correlated(labels(final), final.covariance),
+        provenance=provenance(
+            measured.logs,
+            [rec.name for rec in measured.held],
+            seed,
+            time.perf_counter() - start,
+        ),
         warnings=tuple(dict.fromkeys((*notes, *measured.warnings))),
         experiment=next_experiment(selection, measured, jobs),
     )

@@ -1,16 +1,12 @@
 """The report: one HTML file without scripts, network or paths, that any browser opens."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from dmptm_ctrl.diagnosis.code import rebuilding_code
-from dmptm_ctrl.diagnosis.figures import folded, overlays
-from dmptm_ctrl.diagnosis.quality import correlations, orders
-from dmptm_ctrl.diagnosis.summary import correlated
-from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.diagnosis.quality import correlations
 from dmptm_ctrl.plots.diagnosis import (
     Evidence,
     Overlay,
@@ -18,12 +14,11 @@ from dmptm_ctrl.plots.diagnosis import (
     plot_evidence,
     plot_overlay,
 )
-from dmptm_ctrl.plots.gaps import animated_uri, busiest, gap_motion
 from dmptm_ctrl.plots.page import data_uri, environment, number, words
-from dmptm_ctrl.plots.quality import Correlation, Orders, plot_correlation, plot_orders
+from dmptm_ctrl.plots.quality import Correlation, plot_correlation
 
 if TYPE_CHECKING:
-    from dmptm_ctrl.diagnosis.report import Diagnosis
+    from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect
 
 VERDICTS = {
     "none": "as good as these logs show",
@@ -31,29 +26,25 @@ VERDICTS = {
     "unknown": "something is not explained",
 }
 READ_EVIDENCE = (
-    "Points are means over bins, bars ± 2 standard errors; samples at rest are left out. A curve "
-    "before that stands off zero by many bars, and lies on zero after, speaks for the effect. "
-    "The same sign in both directions of motion is a torque of place or drive; opposite signs "
-    "are friction."
+    "Points are means over bins, bars ± 2 standard errors; what stands still is left out. A curve "
+    "that stands off zero by many bars without the effect, and lies on zero with it, speaks for "
+    "the effect. The same sign in both directions of motion is a torque of place or drive; "
+    "opposite signs are friction."
 )
 READ_NOTHING = (
-    "Points are means over bins, bars ± 2 standard errors; samples at rest are left out. Small "
+    "Points are means over bins, bars ± 2 standard errors; what stands still is left out. Small "
     "offsets that differ by direction are friction inside its declared range; a wave that both "
-    "directions share would be an effect that the declared model lacks."
-)
-READ_ORDERS = (
-    "A line at order 1 repeats with every turn of a motor (cogging, an eccentric motor encoder), "
-    "one below with the pinion or the ring gear, one at the tooth mesh with each tooth. Lines that "
-    "stand before and are gone after are explained; lines that stay are not."
+    "directions share is not in the model."
 )
 READ_CORRELATION = (
     "What a true model leaves is noise: 99 of a hundred lags lie inside the grey band. A residual "
     "that correlates with itself lacks dynamics or an effect; one that follows the input (positive "
-    "lags) lacks a path from the voltage. At negative lags only a closed loop's feedback shows."
+    "lags) lacks a path from the input. At negative lags only a closed loop's feedback shows."
 )
 NORMAL_95 = 1.96  # standard errors on either side that hold 95 %
-TOLD = 3  # values of an effect that the verdict's sentence tells
+TOLD = 3  # values of an effect that the action tells
 CORRELATED = 0.9  # from here on two parameters are told apart badly
+MOST_LOGS = 6  # that are drawn
 
 
 def render(diagnosis: "Diagnosis") -> str:
@@ -69,10 +60,8 @@ def render(diagnosis: "Diagnosis") -> str:
         A whole HTML document; figures are inline SVG images, style is inline, names from
         files are escaped.
     """
-    logs = overlays(diagnosis)
-    evidence = folded(diagnosis)
-    tests = {which: correlations(diagnosis, which) for which in ("before", "after")}
-    along = orders(diagnosis)
+    logs = diagnosis.overlays()
+    tests = {which: correlations(logs, which) for which in ("before", "after")}
     return (
         environment("dmptm_ctrl.diagnosis")
         .get_template("report.html.j2")
@@ -81,54 +70,53 @@ def render(diagnosis: "Diagnosis") -> str:
             tone=diagnosis.verdict,
             title=VERDICTS[diagnosis.verdict],
             action=action(diagnosis),
+            units=diagnosis.units,
             logs=[
                 {
                     "name": log.name,
+                    "unit": log.unit,
+                    "quantity": log.quantity,
                     "before": {"rmse": log.rmse("before"), "fit": log.fit_percent("before")},
                     "after": {"rmse": log.rmse("after"), "fit": log.fit_percent("after")},
-                    "figure": overlay_figure(log),
+                    "figure": overlay_figure(log) if k < MOST_LOGS else "",
                 }
-                for log in logs
+                for k, log in enumerate(logs)
             ],
+            errors=error_rows(diagnosis.error),
             budget_figure=budget_figure(diagnosis),
-            evidence=evidence,
-            evidence_figure=evidence_figure(evidence),
-            read=READ_EVIDENCE if evidence.effect else READ_NOTHING,
-            declared=declared_rows(diagnosis),
-            at_bounds=diagnosis.fitted.at_bounds,
-            catalogue=CATALOGUE,
+            evidence=list(evidence(diagnosis)),
+            pictures=list(diagnosis.source.pictures()),
+            declared=declared_rows(diagnosis.declared_values),
+            reveals={row["name"]: row["reveals"] for row in diagnosis.ranking},
             detectable=detectable,
             rivals={name for effect in diagnosis.effects for name in effect.confusable_with},
-            quality=quality_rows(diagnosis, tests),
+            quality=quality_rows(tests),
             quality_figure=quality_figure(tests),
             read_correlation=READ_CORRELATION,
-            orders=along,
-            orders_figure=orders_figure(along),
-            read_orders=READ_ORDERS,
-            gaps_figure=gaps_figure(diagnosis),
-            pairs=correlated(diagnosis.fitted, CORRELATED),
-            code=rebuilding_code(diagnosis.augmented),
+            pairs=[p for p in diagnosis.correlations if abs(p[2]) >= CORRELATED],
+            code=diagnosis.source.code(),
         )
     )
 
 
 def action(diagnosis: "Diagnosis") -> str:
     """Return what to do about the result, in one or two sentences."""
-    before, after = diagnosis.error["before"]["rmse"], diagnosis.error["after"]["rmse"]
+    unit, on = diagnosis.error["unit"], diagnosis.error["on"]
+    before, after = (diagnosis.error[k]["rmse"] for k in ("before", "after"))
     if diagnosis.verdict == "none":
         return (
             f"Keep the declared model: refitted inside its declared ranges it leaves "
-            f"{number(after)} deg/s on logs that it was not fitted to."
+            f"{number(after)} {unit} on {on}."
         )
-    fall = f"the error on logs that it was not fitted to goes from {number(before)} to "
-    fall += f"{number(after)} deg/s"
-    material = [e for e in diagnosis.effects if e.material]
+    fall = f"the error on {on} goes from {number(before)} to {number(after)} {unit}"
+    material = [e for e in diagnosis.effects if e.material and e.named]
     rivals = [name for e in material for name in e.confusable_with]
     if diagnosis.verdict == "unknown":
-        first = f"Use model.toml for prediction ({fall}), but look for the cause on the rig."
+        first = f"Look for the cause on the rig. With model.toml {fall}."
     else:
         where = "; ".join(f"{e.location} ({sizes(e.parameters)})" for e in material[:TOLD])
-        first = f"Look at: {where}. Use model.toml for control design: {fall}."
+        first = f"Look at: {where}. " if where else ""
+        first += f"Use model.toml for control design: {fall}."
     if rivals:
         first += f" Before a repair, rule out {', '.join(map(words, dict.fromkeys(rivals)))}."
     return first
@@ -140,40 +128,58 @@ def sizes(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     return ", ".join(told[:TOLD]) + (", …" if len(told) > TOLD else "")
 
 
-def detectable(row: dict[str, Any]) -> str:
+def detectable(row: Mapping[str, Any]) -> str:
     """Return the smallest amplitudes that the logs would have shown."""
-    parts = []
-    sizes = {p.name: max(abs(p.low), abs(p.high)) for p in CATALOGUE[row["name"]].parameters}
-    for name, p in row.get("detectable", {}).items():
-        if p["value"] < sizes[name]:  # beyond it: not with these logs
-            parts.append(f"{words(name)} {number(p['value'], 2)} {p['unit']}".rstrip())
+    parts = [
+        f"{words(name)} {number(p['value'], 2)} {p['unit']}".rstrip()
+        for name, p in row["detectable"].items()
+    ]
     return ", ".join(parts) or "–"
 
 
-def declared_rows(diagnosis: "Diagnosis") -> list[dict[str, Any]]:
-    """Return fitted parameters of the drive beside their declared ranges."""
-    after = diagnosis.fitted
+def error_rows(error: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the errors of each kind: name, unit, before, after, floor."""
+    names = {"speed": "free run", "torque": "balance", "horizon": "short predictions"}
     rows = []
-    for k, p in zip(after.unknowns, after.p, strict=True):
-        if k.effect is None:
-            value, se = after.value(None, k.name)
-            quantity = diagnosis.measured.drive.quantities[k.name]
-            low, high = quantity.range
-            rows.append(
-                {
-                    "name": k.name,
-                    "value": value,
-                    "interval": np.clip(
-                        (value - NORMAL_95 * se, value + NORMAL_95 * se), low, high
-                    ),
-                    "declared": quantity.value,
-                    "low": low,
-                    "high": high,
-                    "unit": quantity.unit,
-                    "place": float(np.clip(p, -1.0, 1.0)),
-                    "edge": k.name in after.at_bounds,
-                }
-            )
+    for kind, name in names.items():
+        if kind in error["after"]:
+            told = error["after"][kind]
+            if "seconds" in told:
+                name += f", {told['seconds']:g} s"
+            if "bandwidth_hz" in told:
+                name += f", below {told['bandwidth_hz']:g} Hz"
+            sides = {side: error[side][kind]["rmse"] for side in ("before", "after", "floor")}
+            rows.append({"name": name, "unit": told["unit"], **sides})
+    return rows
+
+
+def evidence(diagnosis: "Diagnosis") -> Iterable[dict[str, Any]]:
+    """Each effect with the picture of its evidence; then that of what is not explained."""
+    shown: list[NamedEffect | None] = list(diagnosis.effects)
+    if not shown or (diagnosis.depends_on and all(e.named for e in diagnosis.effects)):
+        shown.append(None)
+    for effect in shown:
+        found = diagnosis.source.evidence(effect, diagnosis.depends_on)
+        yield {
+            "effect": effect,
+            "variable": found.variable if found else "",
+            "figure": evidence_figure(found) if found else "",
+            "read": READ_EVIDENCE if found and found.effect else READ_NOTHING,
+        }
+
+
+def declared_rows(declared: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return fitted parameters beside their declared ranges, and their place in these."""
+    rows = []
+    for name, p in declared.items():
+        half = NORMAL_95 * p["se"]
+        interval, place = np.array([p["fitted"] - half, p["fitted"] + half]), None
+        if p["range"]:
+            low, high = p["range"]
+            if not p["outside"]:
+                interval = np.clip(interval, low, high)
+            place = float(np.clip((p["fitted"] - low) / max(high - low, 1e-300), 0.0, 1.0))
+        rows.append({**p, "name": name, "interval": interval, "place": place})
     return rows
 
 
@@ -194,56 +200,35 @@ def budget_figure(diagnosis: "Diagnosis") -> str:
 
 def evidence_figure(evidence: Evidence) -> str:
     """Return the picture of the evidence as a data URI."""
-    figure = Figure(figsize=(8.6, 3.5), layout="constrained")
+    figure = Figure(figsize=(8.6, 3.3), layout="constrained")
     plot_evidence(evidence, ax=figure.subplots(1, 2, sharex=True, sharey=True))
     return data_uri(figure)
 
 
-def gaps_figure(diagnosis: "Diagnosis") -> str:
-    """Return the moving picture of the gaps in the first held-out log as a data URI."""
-    log = diagnosis.measured.held_logs[0]
-    return animated_uri(busiest(gap_motion(log, diagnosis.augmented)))
+Tests = Mapping[str, tuple[Correlation, Correlation] | None]
 
 
-def quality_figure(tests: Mapping[str, tuple[Correlation, Correlation]]) -> str:
-    """Return the picture of the correlations as a data URI."""
+def quality_figure(tests: Tests) -> str:
+    """Return the picture of the correlations as a data URI; empty where there are none."""
+    before, after = tests["before"], tests["after"]
+    if before is None or after is None:
+        return ""
     figure = Figure(figsize=(8.6, 3.1), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
-    titles = ("residual with itself", "residual with the input, mean voltage")
+    titles = ("residual with itself", "residual with the input")
     for k, (panel, title) in enumerate(zip(panels, titles, strict=True)):
-        plot_correlation(tests["before"][k], tests["after"][k], ax=panel, title=title)
+        plot_correlation(before[k], after[k], ax=panel, title=title)
     panels[1].set_ylabel("")
     return data_uri(figure)
 
 
-def orders_figure(along: Orders) -> str:
-    """Return the picture of the orders as a data URI."""
-    figure = Figure(figsize=(8.6, 2.9), layout="constrained")
-    plot_orders(along, ax=figure.subplots())
-    return data_uri(figure)
-
-
-def quality_rows(
-    diagnosis: "Diagnosis", tests: Mapping[str, tuple[Correlation, Correlation]]
-) -> list[dict[str, Any]]:
-    """Return tests of the fit on held-out logs: name, before, after, what is good."""
-    error = diagnosis.error
-    rows = [
-        ("RMSE [deg/s]", "rmse", "0"),
-        ("FIT = 100 (1 − NRMSE) [%]", "fit_percent", "100"),
-        ("correlation of model and measurement [1]", "pearson_r", "1"),
+def quality_rows(tests: Tests) -> list[dict[str, Any]]:
+    """Return tests of the residual: name, lags outside the band before and after [%]."""
+    before, after = tests["before"], tests["after"]
+    if before is None or after is None:
+        return []
+    names = ("residual with itself", "residual with the input")
+    return [
+        {"name": name, "before": one.outside_percent, "after": two.outside_percent}
+        for name, one, two in zip(names, before, after, strict=True)
     ]
-    made: list[dict[str, Any]] = [
-        {"name": name, "before": error["before"][key], "after": error["after"][key], "good": good}
-        for name, key, good in rows
-    ]
-    for k, what in enumerate(("residual with itself", "residual with the input")):
-        made.append(
-            {
-                "name": f"{what}: lags outside the 99 % band [%]",
-                "before": tests["before"][k].outside_percent,
-                "after": tests["after"][k].outside_percent,
-                "good": "about 1",
-            }
-        )
-    return made

@@ -6,10 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE, Errors, Row, closed_rows
+from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE, Errors, Row, closed_rows, error_entry
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, name_of
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.predict import BANDWIDTH_HZ, free_run, low_pass, speed_error
+from dmptm_ctrl.diagnosis.predict import (
+    BANDWIDTH_HZ,
+    free_run,
+    low_pass,
+    noise_below,
+    speed_error,
+)
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.diagnosis.sensors import SensorCheck
@@ -26,7 +32,6 @@ from dmptm_ctrl.simulate.model import Floats, Model
 
 HORIZON = round(0.5 / (np.pi * BANDWIDTH_HZ_OF_LEAD), 3)  # s, memory of a short prediction
 TWINS = 8  # drives within the standard errors of the fit, whose scatter no fit can remove
-NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
 UNIT = "deg/s"
 TORQUE = "N·m"
 
@@ -149,15 +154,12 @@ def judge(
     closed = closed_rows(
         rows, errors, left, (speed["floor"]["rmse"], torque["floor"]["rmse"]), depends_on
     )
-    error: dict[str, Any] = {"on": "held-out logs", "unit": UNIT, "bandwidth_hz": BANDWIDTH_HZ}
-    for name in names:
-        error[name] = {
-            "speed": {**speed[name], "unit": UNIT, "bandwidth_hz": BANDWIDTH_HZ},
-            "torque": {**torque[name], "unit": TORQUE},
-            "horizon": {"rmse": horizons[name], "unit": UNIT, "seconds": HORIZON},
-            **speed[name],
-            "unit": UNIT,
-        }
+    error = error_entry(
+        "held-out logs",
+        {k: {**speed[k], "unit": UNIT, "bandwidth_hz": BANDWIDTH_HZ} for k in names},
+        {k: {**torque[k], "unit": TORQUE} for k in names},
+        {k: {"rmse": horizons[k], "unit": UNIT, "seconds": HORIZON} for k in names},
+    )
     return Judged(errors, tuple(closed), error)
 
 
@@ -241,17 +243,6 @@ def noise_floor(records: Sequence[Record], bandwidth_hz: float = BANDWIDTH_HZ) -
     """Noise of the speed below a bandwidth [deg/s], from its fastest part."""
     squares = [noise_below(r.omega, r.dt, bandwidth_hz) ** 2 for r in records]
     return float(np.rad2deg(np.sqrt(np.mean(squares))))
-
-
-def noise_below(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> float:
-    """Standard deviation of white noise below a bandwidth, in the unit of the signal.
-
-    The second difference of a smooth motion is small, that of white noise is √6 times it; the
-    median leaves impacts out.
-    """
-    rough = np.diff(signal, 2)
-    white = float(np.median(np.abs(rough))) / NORMAL_MEDIAN / np.sqrt(6.0)
-    return white * float(np.sqrt(min(2.0 * bandwidth_hz * dt, 1.0)))
 
 
 def twin_scatter(fit: Fit, measured: Measured, jobs: int) -> float:

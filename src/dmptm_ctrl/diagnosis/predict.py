@@ -6,22 +6,29 @@ motion to be expected is the mean of runs that differ in them: it misses least.
 
 from collections.abc import Sequence
 from functools import cache
+from os import PathLike
 
 import numpy as np
 import pandas as pd
 from scipy.signal import butter, sosfiltfilt
 
+from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.records import RING_COUNT, true_angle
+from dmptm_ctrl.identify.rig_simulate import free_run as rig_free_run
+from dmptm_ctrl.identify.rig_simulate import readings
 from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.signals import Log
+from dmptm_ctrl.signals import Log, load_log
+from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, OUTPUTS, march, rest
 from dmptm_ctrl.simulate.damping import damped, damping_of
 from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 SPEED = (OUTPUTS.index("omega_L"),)
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
 ORDER = 4
+NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
 RUNS = 16
 TOGETHER = 100_000  # samples of a log, up to which the runs are held at once: 100 MB
 # Standard deviation of how stiffness and damping of the meshes change, which decide when a pinion
@@ -99,44 +106,70 @@ def expected(
     return total[:, [*columns]] / runs
 
 
-def predict(model: Model, log: Log, *, runs: int = RUNS) -> pd.DataFrame:
+def predict(
+    model: Model | RigModel | Rig, log: Log | str | PathLike[str], *, runs: int = RUNS
+) -> pd.DataFrame:
     """Predict a log: columns of contract `dmptm predict`, one row per row of the log.
 
     Parameters
     ----------
-    model : Model
-    log : Log
-        Its voltages and its first angle are used.
+    model : Model, RigModel or Rig
+    log : Log or path of a log file
+        Its inputs are used, and its first positions. Sensors of a rig that are not in it start
+        at zero and at rest.
     runs : int
-        As for :func:`free_run`; with 1 the rattle is there as one run has it.
+        As for :func:`free_run`; with 1 the rattle is there as one run has it. Of a rig it is
+        one always.
 
     Returns
     -------
     DataFrame
-        ``time_s``, angles [deg] and speeds [deg/s] of a free run.
+        ``time_s``; angles [deg] and speeds [deg/s] of a free run. Of a rig each sensor under the
+        name, in the unit and with the sign of its column in the logs, without noise; then
+        position and speed of every body in SI, with the unit in the name.
+
+    Raises
+    ------
+    LogError
+        A log file that cannot be used.
+    TypeError
+        A model or a log of another kind.
     """
-    out = free_run(model, log, runs=runs)
-    return pd.DataFrame(
-        {
-            "time_s": log.time,
-            "theta_L_deg": np.rad2deg(out[:, 0]),
-            "omega_L_deg_s": np.rad2deg(out[:, 1]),
-            "theta_ml_deg": np.rad2deg(out[:, 2]),
-            "theta_mr_deg": np.rad2deg(out[:, 3]),
-        }
-    )
+    if not isinstance(log, Log | str | PathLike):
+        raise TypeError(f"predict takes a log as its second argument, not a {type(log).__name__}")
+    if isinstance(model, Rig):
+        model = RigModel(model)
+    if isinstance(model, RigModel):
+        return _predict_rig(model, model.rig.read_inputs(log))
+    log = log if isinstance(log, Log) else load_log(log)
+    out = np.rad2deg(free_run(model, log, runs=runs))
+    names = ("theta_L_deg", "omega_L_deg_s", "theta_ml_deg", "theta_mr_deg")
+    return pd.DataFrame({"time_s": log.time, **{n: out[:, k] for k, n in enumerate(names)}})
 
 
-def low_pass(signal: Floats, dt: float) -> Floats:
-    """Zero-phase Butterworth low-pass at :data:`BANDWIDTH_HZ`."""
-    if 2.0 * BANDWIDTH_HZ * dt >= 1.0:
+def _predict_rig(model: RigModel, log: Log) -> pd.DataFrame:
+    run = rig_free_run(model.shifted(model.zeros.get(log.name, {})), log)
+    columns = {"time_s": log.time}
+    for name, values in readings(model, log, run).items():
+        sensor = next(s for s in model.rig.sensors if s.name == name)
+        columns[sensor.column] = values / (parse_unit(sensor.unit).factor * sensor.sign)
+    for body in model.rig.bodies:
+        unit = body.angle_unit
+        columns.setdefault(f"{body.name}_position_{unit}", run.position(body.name))
+        columns.setdefault(f"{body.name}_speed_{unit}_s", run.speed(body.name))
+    return pd.DataFrame({key: np.asarray(values) for key, values in columns.items()})
+
+
+def low_pass(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> Floats:
+    """Zero-phase Butterworth low-pass; a signal that has no more than that stays as it is."""
+    if 2.0 * bandwidth_hz * dt >= 1.0:
         return signal
-    return np.asarray(sosfiltfilt(_sections(1.0 / dt), signal))
+    return np.asarray(sosfiltfilt(_sections(1.0 / dt, bandwidth_hz), signal))
 
 
 @cache  # to design it takes longer than to filter a log
-def _sections(rate: float) -> Floats:
-    return np.asarray(butter(ORDER, BANDWIDTH_HZ, fs=rate, output="sos"), np.float64)
+def _sections(rate: float, bandwidth_hz: float) -> Floats:
+    return np.asarray(butter(ORDER, bandwidth_hz, fs=rate, output="sos"), np.float64)
 
 
 def speeds(model: Model, log: Log) -> tuple[Floats, Floats]:
@@ -161,14 +194,37 @@ def speed_error(model: Model, logs: Sequence[Log], jobs: int = 1) -> dict[str, f
         `rmse` [deg/s], `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
     """
     pairs = in_threads(lambda log: speeds(model, log), logs, jobs, lambda log: log.time.size)
-    seen = np.concatenate([p[0] for p in pairs])
-    run = np.concatenate([p[1] for p in pairs])
+    return agreement([(np.rad2deg(seen), np.rad2deg(run)) for seen, run in pairs])
+
+
+def agreement(pairs: Sequence[tuple[Floats, Floats]]) -> dict[str, float]:
+    """How far runs are from what was measured, over all logs together.
+
+    Parameters
+    ----------
+    pairs : sequence of ((n,) array, (n,) array)
+        Measured and run, in one unit.
+
+    Returns
+    -------
+    dict
+        `rmse`, `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
+    """
+    seen, run = (np.concatenate([p[k] for p in pairs]) for k in (0, 1))
     rmse = float(np.sqrt(np.mean((seen - run) ** 2)))
     spread = float(np.std(seen))
     both = spread * float(np.std(run))
     r = float(np.mean((seen - seen.mean()) * (run - run.mean())) / both) if both > 0 else 0.0
-    return {
-        "rmse": float(np.rad2deg(rmse)),
-        "fit_percent": 100.0 * (1.0 - rmse / spread) if spread > 0 else 0.0,
-        "pearson_r": r,
-    }
+    fit = 100.0 * (1.0 - rmse / spread) if spread > 0 else 0.0
+    return {"rmse": rmse, "fit_percent": fit, "pearson_r": r}
+
+
+def noise_below(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> float:
+    """Standard deviation of white noise below a bandwidth, in the unit of the signal.
+
+    The second difference of a smooth motion is small, that of white noise is √6 times it; the
+    median leaves impacts out.
+    """
+    rough = np.diff(signal, 2)
+    white = float(np.median(np.abs(rough))) / NORMAL_MEDIAN / np.sqrt(6.0)
+    return white * float(np.sqrt(min(2.0 * bandwidth_hz * dt, 1.0)))

@@ -1,52 +1,56 @@
-"""Is what a model leaves only noise? Correlations of the residual, and its orders per turn.
+"""Is what a model leaves only noise? Correlations, orders, and means over what explains it.
 
 A residual that a good model leaves correlates neither with itself nor with the input; 99 of a
 hundred lags then lie inside the band (Ljung, System Identification, 2nd ed., 16.5-16.6).
 """
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dmptm_ctrl.diagnosis.figures import ARCMIN, OBSERVER_HZ, SLOWEST, models
-from dmptm_ctrl.diagnosis.predict import BANDWIDTH_HZ, low_pass, speeds
-from dmptm_ctrl.identify.records import Record, block_mean, predict
-from dmptm_ctrl.plots.quality import Correlation, Orders
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.diagnosis.predict import BANDWIDTH_HZ
+from dmptm_ctrl.plots.diagnosis import Curve, Evidence, Overlay
+from dmptm_ctrl.plots.quality import Correlation
 
-if TYPE_CHECKING:
-    from dmptm_ctrl.diagnosis.report import Diagnosis
+Floats = NDArray[np.float64]
+# variable, residual, direction of motion, share of a sample that is independent
+Rows = tuple[Floats, Floats, Floats, float]
 
 BAND = 2.576  # standard deviations on either side that hold 99 % of a normal distribution
 LAG_SECONDS = 1.0
-MAX_ORDER = 12.0  # per motor turn
-ORDERS_PER_TURN = 100  # lines per unit order
+BINS = 24
+TAILS = (0.5, 99.5)  # percentiles of the variable; what lies beyond has too few samples
+MIN_NEWS = 3.0  # independent samples that a bin's mean and spread need
 
 
-def correlations(diagnosis: "Diagnosis", which: str) -> tuple[Correlation, Correlation]:
-    """Correlate the residual of the held-out logs with itself and with the input.
+def correlations(overlays: Sequence[Overlay], which: str) -> tuple[Correlation, Correlation] | None:
+    """Correlate the residual of held-out logs with itself and with the input.
 
     Parameters
     ----------
+    overlays : sequence of Overlay
     which : "before" or "after"
 
     Returns
     -------
-    (Correlation, Correlation)
-        Auto, and with the mean voltage: positive lags are residuals after the input.
+    (Correlation, Correlation) or None
+        Auto, and with the mean input: positive lags are residuals after the input. None where
+        the logs are shorter than the lags.
     """
-    model = models(diagnosis)[which == "after"]
     left, inputs, step = [], [], 1.0
-    for log in diagnosis.measured.held_logs:
-        seen, run = speeds(model, log)
+    for overlay in overlays:
+        dt = float(overlay.time[1] - overlay.time[0])
         # Below 30 Hz two samples 1/60 s apart are the closest that can be independent.
-        every = max(1, round(1.0 / (2.0 * BANDWIDTH_HZ * log.sample_time)))
-        step = every * log.sample_time
-        voltage = low_pass(0.5 * (log["u_left"] + log["u_right"]), log.sample_time)
-        left.append((seen - run)[::every])
-        inputs.append(voltage[::every])
+        every = max(1, round(1.0 / (2.0 * BANDWIDTH_HZ * dt)))
+        step = every * dt
+        for part in overlay.stretches():
+            miss = overlay.measured[part] - getattr(overlay, which)[part]
+            left.append(miss[::every])
+            inputs.append(overlay.push[part][::every])
     lags = round(LAG_SECONDS / step)
+    if not any(s.size > 2 * lags for s in left):
+        return None
     return autocorrelation(left, lags, step), cross_correlation(left, inputs, lags, step)
 
 
@@ -97,27 +101,6 @@ def _lagged(one: Sequence[Floats], other: Sequence[Floats], lags: Iterable[int])
     return np.array(sums, np.float64) / (size or 1.0)
 
 
-def orders(diagnosis: "Diagnosis") -> Orders:
-    """Amplitude of what is left per order of the motor's turn, before and after.
-
-    Of the transmission error (twist of the left chain, measured − model) where there are motor
-    encoders, else of the speed.
-    """
-    records = {r.name: r for r in (*diagnosis.measured.fit, *diagnosis.measured.held)}.values()
-    count = round(MAX_ORDER * ORDERS_PER_TURN)
-    twisted = all(rec.twist is not None for rec in records)
-    sides = []
-    for model in models(diagnosis):
-        parts = [_along_the_turn(rec, model, twisted) for rec in records]
-        angle, left, weight = (np.concatenate([p[i] for p in parts]) for i in range(3))
-        sides.append(order_amplitudes(angle, left, weight, 1.0 / ORDERS_PER_TURN, count))
-    quantity = "transmission error [arcmin]" if twisted else "speed, measured − model [deg/s]"
-    teeth = models(diagnosis)[1].drive["z_3"] / models(diagnosis)[1].drive["N_1"]
-    marks = {"motor turn": 1.0, "tooth mesh": float(teeth)}
-    bank = np.arange(1, count + 1) / ORDERS_PER_TURN
-    return Orders(bank, sides[0], sides[1], quantity, marks)
-
-
 def order_amplitudes(
     angle: Floats, signal: Floats, weight: Floats, step: float, count: int
 ) -> Floats:
@@ -149,22 +132,41 @@ def order_amplitudes(
     return np.asarray(2.0 * np.abs(sums) / total)
 
 
-def _along_the_turn(rec: Record, model: Model, twisted: bool) -> tuple[Floats, Floats, Floats]:
-    """Motor angle, what is left and the angle passed per block, where the drive moves."""
-    run = predict(rec, model.arrays(), OBSERVER_HZ)
-    n1, n2 = model.drive["N_1"], model.drive["N_2"]
-    turn = rec.theta * n1 * n2
-    if twisted:
-        assert rec.twist is not None
-        turn = turn + n1 * rec.twist[:, 0]
-        left = ARCMIN * (rec.twist[:, 0] - (run[:, 2] / n1 - n2 * run[:, 0]))
-        side = np.sign(rec.twist[:, 0]) * (np.abs(rec.twist[:, 0]) > 0.75 * model.drive["gap_l"])
-        good = (side != 0.0) & (side == np.sign(run[:, 6]))
-    else:
-        left = np.rad2deg(low_pass(rec.omega - run[:, 1], rec.dt))
-        good = np.ones(rec.theta.size, bool)
-    good = good & (np.abs(low_pass(rec.omega, rec.dt)) > SLOWEST)
-    rows = np.array([turn, left, good.astype(float)])
-    angle, value, share = block_mean(rows, rec.block)
-    weight = np.abs(np.gradient(angle)) * (share == 1.0)
-    return angle, value, weight
+def fold(
+    without: Sequence[Rows], after: Sequence[Rows], variable: str, quantity: str, effect: str
+) -> Evidence:
+    """Fold residuals of two models over a variable, by direction of motion.
+
+    Parameters
+    ----------
+    without, after : sequence of Rows
+        Per log.
+    variable, quantity : str
+        Labels with units.
+    effect : str
+        Name of the effect in question; empty where there is none.
+    """
+    pooled = np.concatenate([row[0] for row in (*without, *after)])
+    low, high = np.percentile(pooled, TAILS) if pooled.size else (0.0, 1.0)
+    edges = np.linspace(low, max(high, low + 1e-9), BINS + 1)
+    return Evidence(variable, quantity, binned(without, edges), binned(after, edges), effect)
+
+
+def binned(rows: Sequence[Rows], edges: Floats) -> dict[str, Curve]:
+    """Mean and standard error per bin and direction."""
+    curves = {}
+    x, y, way = (np.concatenate([row[i] for row in rows]) for i in range(3))
+    news = np.concatenate([np.full(row[0].size, row[3]) for row in rows])
+    place = np.digitize(x, edges) - 1
+    for direction, sign in (("forward", 1.0), ("backward", -1.0)):
+        centres, means, errors = [], [], []
+        for i in range(edges.size - 1):
+            inside = (place == i) & (way == sign)
+            count = float(news[inside].sum())
+            if count >= MIN_NEWS:
+                centres.append(0.5 * (edges[i] + edges[i + 1]))
+                means.append(float(y[inside].mean()))
+                errors.append(float(y[inside].std()) / np.sqrt(count))
+        if centres:
+            curves[direction] = Curve(np.array(centres), np.array(means), np.array(errors))
+    return curves

@@ -1,33 +1,30 @@
-"""The result of a diagnosis: as an object, as text, as JSON and as files."""
+"""The result of a diagnosis, whatever the drive: as an object, as text, as JSON and as files."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from math import isfinite, sqrt
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import MATERIAL, Errors, Row, table_lines
-from dmptm_ctrl.diagnosis.dual import key_of, name_of
 from dmptm_ctrl.diagnosis.experiment import EXPERIMENT_FILE, Experiment
-from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.select import Candidate, Entry, Selection
-from dmptm_ctrl.diagnosis.summary import correlated, correlation_lines, parameter_lines, versions
-from dmptm_ctrl.diagnosis.tables import Tables
-from dmptm_ctrl.drive import Drive
-from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
-from dmptm_ctrl.identify.fit import Fit
+from dmptm_ctrl.diagnosis.select import Selection
+from dmptm_ctrl.diagnosis.summary import correlation_lines, parameter_lines, versions
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.model_file import to_toml
+from dmptm_ctrl.simulate.rig_model import RigModel
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.plots.diagnosis import Evidence, Overlay
 
 SCHEMA = 2
 CLOCK = 1e-5  # s: a time is not known more finely than a hundredth of a usual sample
 UNNAMED = "unknown"  # name of what lookup tables stand for
 HEADLINE = 0.5  # probability from which a name stands in the sentence
-OUTSIDE = 2.0  # standard errors from which a fitted value left its declared range
 DIGITS = 3
 
 
@@ -50,6 +47,11 @@ class NamedEffect:
     share: float = 0.0
 
     @property
+    def named(self) -> bool:
+        """Whether it has a name; lookup tables stand for what has none."""
+        return self.name != UNNAMED
+
+    @property
     def material(self) -> bool:
         """Whether it moves the budget."""
         return self.share >= MATERIAL
@@ -67,6 +69,44 @@ class NamedEffect:
         }
 
 
+class Picture(NamedTuple):
+    """A picture that only one kind of drive has: its anchor, title, source, words."""
+
+    anchor: str
+    title: str
+    uri: str
+    alt: str
+    caption: str
+    plain: bool = False  # kept as it is on a dark page
+
+
+class Source(Protocol):
+    """What the report asks of a kind of drive."""
+
+    @property
+    def title(self) -> str:
+        """The drive in words."""
+
+    @property
+    def shares(self) -> str:
+        """What the budget's shares are of."""
+
+    def overlays(self) -> "Sequence[Overlay]":
+        """A reading per held-out log: measured, and free runs before and after."""
+
+    def evidence(self, effect: NamedEffect | None, depends_on: Sequence[str]) -> "Evidence | None":
+        """Residual without and with an effect, over what it depends on; None: nothing to fold."""
+
+    def model_toml(self) -> str:
+        """Text of model.toml."""
+
+    def code(self) -> str:
+        """Program that builds the augmented model in python-control."""
+
+    def pictures(self) -> Iterable[Picture]:
+        """Pictures that only this kind of drive has."""
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """What the declared model lacks, and what each part of it is worth.
@@ -77,24 +117,24 @@ class Diagnosis:
     effects : tuple of NamedEffect
         In order of their share of the budget.
     budget : tuple of Row
-        Contribution of each effect, what is not explained, and the floor, on held-out logs.
+        Contribution of each effect, what is not explained, and the floor.
     ranking : list of dict
-        Every catalogue entry: name, location, score, status, reveals.
+        Every catalogue entry: name, location, score, status, reason, reveals.
     depends_on : tuple of str
         Variables of what is not explained.
     error : dict
         Held-out errors before, after and floor: speed, torque, horizon.
     errors : Errors
-    declared, augmented : Model
-        Fitted without and with the effects; `augmented.to_blocks()` gives python-control.
-    measured : Measured
-    selection : Selection
-    fits : (Fit, Fit)
-        Before and after, fitted on the fitted logs only: those that `error` is of.
-    fitted : Fit
-        Of `augmented`, on all logs.
+        Mean squares that the verdict compares.
+    declared, augmented : Model or RigModel
+        Fitted without and with the effects.
     declared_values : dict
-        Declared and fitted value of each parameter of the drive.
+        Declared and fitted value of each declared parameter.
+    selection : Selection
+    source : Source
+        Logs, runs and pictures of this kind of drive.
+    correlations : list of (str, str, float)
+        Pairs of fitted parameters whose estimates go together.
     provenance : dict
     experiment : Experiment or None
         That would separate an effect from what it may be confused with.
@@ -107,13 +147,12 @@ class Diagnosis:
     depends_on: tuple[str, ...]
     error: dict[str, Any]
     errors: Errors
-    declared: Model
-    augmented: Model
-    measured: Measured
-    selection: Selection
-    fits: tuple[Fit, Fit]
-    fitted: Fit
+    declared: Model | RigModel
+    augmented: Model | RigModel
     declared_values: dict[str, dict[str, Any]]
+    selection: Selection
+    source: Source
+    correlations: list[tuple[str, str, float]] = field(default_factory=list)
     provenance: dict[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     experiment: Experiment | None = None
@@ -139,59 +178,67 @@ class Diagnosis:
         """Parameters whose fitted values sit on or beyond a bound of the declared range."""
         return tuple(k for k, v in self.declared_values.items() if v["outside"])
 
+    @property
+    def units(self) -> tuple[str, str]:
+        """Units of the budget's speeds and torques; empty where there are none."""
+        speed, torque = (self.error["after"].get(k) or {} for k in ("speed", "torque"))
+        return speed.get("unit", ""), torque.get("unit", "")
+
     def sentence(self) -> str:
         """Return the result in one sentence that says no more than the budget."""
-        speed = {k: self.error[k]["speed"]["rmse"] for k in ("before", "after", "floor")}
-        left = f"{speed['after']:.{DIGITS}g} deg/s are left on held-out logs"
-        sure = [
-            e.name.replace("_", " ")
-            for e in self.effects
-            if e.name != UNNAMED and e.material and e.probability >= HEADLINE
-        ]
-        either = [
-            " or ".join(name.replace("_", " ") for name in (e.name, *e.confusable_with))
-            for e in self.effects
-            if e.name != UNNAMED and e.material and e.probability < HEADLINE and e.confusable_with
-        ]
-        names = ", ".join([*sure, *either])
+        left = f"{self.error['after']['rmse']:.{DIGITS}g} {self.error['unit']}"
+        if "speed" in self.error["after"]:
+            left = f"free runs miss {self.error['on']} by {left}"
+        else:
+            left += f" are left on {self.error['on']}"
         if self.verdict == "none":
+            times = sqrt(self.errors.before / max(self.errors.floor, 1e-300))
             return (
-                "The declared model is as good as these logs can show: its error on held-out logs, "
-                f"{speed['before']:.{DIGITS}g} deg/s, is near the floor."
+                "The declared model is as good as these logs can show: the error of its balance "
+                f"is {times:.2f} times the floor; {left}."
             )
-        if self.verdict == "explained":
-            share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
-            return f"The declared model lacks {names or 'small effects'}: {share}; {left}."
         on = f"; it depends on {', '.join(self.depends_on)}" if self.depends_on else ""
-        if names:
-            share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
-            return f"Found {names}: {share}. The rest is unknown{on}; {left}."
-        return f"The declared model lacks something unknown{on}; {left}."
+        names = self._headline()
+        if not names:
+            return f"The declared model lacks something unknown{on}; {left}."
+        share = f"{100.0 * self.errors.explained:.0f} % of the removable error of the balance"
+        if self.verdict == "explained":
+            return f"The declared model lacks {names}: {share}; {left}."
+        return f"Found {names}: {share}. The rest is unknown{on}; {left}."
+
+    def _headline(self) -> str:
+        """Effects that matter: names that are likelier than not, and how many others."""
+        material = [e for e in self.effects if e.material and e.named]
+        sure = [e.name.replace("_", " ") for e in material if e.probability >= HEADLINE]
+        doubtful = len(material) - len(sure)
+        if doubtful:
+            sure.append(f"{doubtful} effect{'s'[: doubtful > 1]} of uncertain name")
+        if not sure and self.verdict == "explained":
+            sure = ["small effects"]
+        return ", ".join(sure)
 
     def summary(self) -> str:
         """Return the result as text: sentence, budget, effects, parameters."""
-        lines = [
-            self.sentence(),
-            "",
-            "error budget (share of the mean square of the balances, all logs)",
-        ]
-        lines += table_lines(self.budget, ("deg/s", "N·m"))
-        before, after = (self.error[k]["speed"] for k in ("before", "after"))
-        lines += [
-            "",
-            f"speed error on held-out logs, below {before['bandwidth_hz']:g} Hz: "
-            f"{before['rmse']:.3f} → {after['rmse']:.3f} deg/s "
-            f"(fit {before['fit_percent']:.1f} → {after['fit_percent']:.1f} %)",
-        ]
+        lines = [self.sentence(), "", f"error budget (share of {self.source.shares})"]
+        lines += table_lines(self.budget, self.units)
+        before, after = self.error["before"], self.error["after"]
+        lines.append("")
+        for kind in ("speed", "torque", "horizon"):
+            if kind in after:
+                one, two = before[kind], after[kind]
+                text = f"{kind} error on {self.error['on']}: {one['rmse']:.3g} → {two['rmse']:.3g} "
+                text += two["unit"]
+                if "fit_percent" in two:
+                    text += f" (fit {one['fit_percent']:.1f} → {two['fit_percent']:.1f} %"
+                    text += f", below {two['bandwidth_hz']:g} Hz)"
+                lines.append(text)
         if self.outside:
             lines.append("at or outside the declared range: " + ", ".join(self.outside))
         for effect in self.effects:
             kind = "" if effect.material else ", immaterial"
-            lines += [
-                "",
-                f"{effect.name} ({effect.location}), probability {effect.probability:.2f}{kind}",
-            ]
-            if effect.name != UNNAMED:  # a table is to be drawn, not read
+            head = f"{effect.name} ({effect.location}), probability {effect.probability:.2f}{kind}"
+            lines += ["", head]
+            if effect.named:  # a table is to be drawn, not read
                 for name, p in effect.parameters.items():
                     line = f"  {name} = {p['value']:.4g} ± {p['se']:.2g} {p['unit']}"
                     lines.append(line.rstrip())
@@ -204,10 +251,37 @@ class Diagnosis:
                 f"next experiment, to separate {' from '.join(self.experiment.against[:2])}: "
                 f"{self.experiment.description}, {EXPERIMENT_FILE}",
             ]
-        lines += ["", *parameter_lines(self.fitted, self.measured.drive)]
-        lines += correlation_lines(correlated(self.fitted))
+        lines += ["", *parameter_lines(self.declared_values)]
+        lines += correlation_lines(self.correlations)
         lines += [f"warning: {text}" for text in self.warnings]
         return "\n".join(lines)
+
+    def overlays(self) -> "Sequence[Overlay]":
+        """Measured, before and after on each held-out log: `plots.diagnosis.Overlay`."""
+        return self.source.overlays()
+
+    def evidence(self, name: str | None = None) -> "Evidence | None":
+        """Residual without and with an effect, over what it depends on.
+
+        Parameters
+        ----------
+        name : str, optional
+            Of an effect that was found; by default the first, else what is not explained.
+
+        Returns
+        -------
+        Evidence or None
+            See `plots.diagnosis`; None where there is nothing to fold.
+
+        Raises
+        ------
+        KeyError
+            No such effect was found.
+        """
+        found = next((e for e in self.effects if name in (None, e.name)), None)
+        if found is None and name is not None:
+            raise KeyError(f"no effect {name!r} in this diagnosis")
+        return self.source.evidence(found, self.depends_on)
 
     def plot(self, **options: Any) -> Any:
         """Draw measured, before and after on each held-out log; see `plots.diagnosis`."""
@@ -215,17 +289,11 @@ class Diagnosis:
 
         return plot_diagnosis(self, **options)
 
-    def overlays(self) -> tuple[Any, ...]:
-        """Speeds per held-out log, measured, before and after: `plots.diagnosis.Overlay`."""
-        from dmptm_ctrl.diagnosis.figures import overlays
+    def plot_budget(self, **options: Any) -> Any:
+        """Draw the error budget as bars; see `plots.diagnosis`."""
+        from dmptm_ctrl.plots.diagnosis import plot_budget
 
-        return overlays(self)
-
-    def evidence(self) -> Any:
-        """Residual folded over what explains it: `plots.diagnosis.Evidence`."""
-        from dmptm_ctrl.diagnosis.figures import folded
-
-        return folded(self)
+        return plot_budget(self, **options)
 
     def plot_evidence(self, **options: Any) -> Any:
         """Draw the residual against what explains it; see `plots.diagnosis`."""
@@ -245,7 +313,7 @@ class Diagnosis:
         with output_folder(folder) as out:
             text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
             (out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
-            (out / "model.toml").write_text(to_toml(self.augmented), encoding="utf-8")
+            (out / "model.toml").write_text(self.source.model_toml(), encoding="utf-8")
             if self.experiment is not None:
                 table = self.experiment.table()
                 table.to_csv(out / EXPERIMENT_FILE, index=False, float_format="%.6g")
@@ -258,166 +326,29 @@ def estimate(value: float, se: float, unit: str) -> dict[str, Any]:
     return {"value": float(value), "se": float(np.hypot(se, floor)), "unit": unit}
 
 
-def named(entry: Entry, after: Fit, share: float) -> NamedEffect:
-    """Describe a selected effect with the values of the final fit."""
-    effect = CATALOGUE[name_of(entry.key)]
-    parameters, absent = {}, effect.absent()
-    for p in effect.parameters:
-        try:
-            value, se = after.value(effect.name, p.name)
-        except KeyError:  # a whole number, found by search
-            value, se = after.model.effects[effect.name].get(p.name, absent[p.name]), 0.0
-        parameters[p.name] = estimate(value, se, p.unit)
-    sentence = (
-        f"Without it −2 log-likelihood rises by {entry.gain:.0f} on the fitted logs and "
-        f"{entry.held_gain:.0f} on the held-out ones, the rest refitted"
-    )
-    if entry.rivals:
-        second = entry.rivals[0]
-        sentence += f"; in its place {name_of(second.keys[0])} would give {second.evidence:.0f}"
-    return NamedEffect(
-        effect.name,
-        effect.location,
-        entry.probability,
-        parameters,
-        tuple(name_of(key) for key in entry.confusable_with),
-        sentence + ".",
-        share,
-    )
-
-
-def unnamed(tables: Tables, share: float) -> NamedEffect:
-    """Describe the curves of an effect that is on no list."""
-    parameters = {}
-    for name in tables.names:
-        kind = name.removeprefix("unknown_")
-        values = tables.left.base.model.effects[name]
-        for p in CATALOGUE[name].parameters:
-            se = tables.errors.get((name, p.name), 0.0)
-            parameters[f"{kind}_{p.name}"] = {"value": values[p.name], "se": se, "unit": p.unit}
-    sides = {CATALOGUE[name].location for name in tables.names}
-    evidence = tables.gain + tables.held_gain
-    return NamedEffect(
-        UNNAMED,
-        ", ".join(sorted(sides)),
-        float(min(0.99, evidence / (evidence + 10.0 * len(tables.errors) ** 0.5))),
-        parameters,
-        (),
-        f"A curve over {', '.join(tables.variables)}: −2 log-likelihood falls by "
-        f"{tables.gain:.0f} on the fitted logs and by {tables.held_gain:.0f} on the held-out ones.",
-        share,
-    )
-
-
-def declared_dict(fit: Fit, drive: Drive) -> dict[str, dict[str, Any]]:
-    """Return declared value and range beside the fitted value of each parameter of the drive."""
-    rows = {}
-    for k, p in zip(fit.unknowns, fit.p, strict=True):
-        if k.effect is not None:
-            continue
-        value, se = fit.value(None, k.name)
-        quantity = drive.quantities[k.name]
-        rows[k.name] = {
-            "declared": quantity.value,
-            "range": [float(x) for x in quantity.range],
-            "fitted": value,
-            "se": se,
-            "unit": quantity.unit,
-            "outside": bool(min(p - k.low, k.high - p) < 1e-6),
-        }
-    return rows
-
-
-def detectable(candidate: Candidate) -> dict[str, dict[str, Any]]:
-    """Smallest amplitudes that these logs could have shown: three standard errors."""
-    (trial,) = candidate.fitted
-    effect = CATALOGUE[trial.name]
-    sizes = {}
-    errors = np.sqrt(np.diag(trial.fit.covariance))
-    for unknown, error in zip(trial.fit.unknowns, errors, strict=True):
-        if unknown.effect == trial.name and unknown.name in effect.amplitudes:
-            unit = next(p.unit for p in effect.parameters if p.name == unknown.name)
-            sizes[unknown.name] = {"value": float(3.0 * unknown.scale * error), "unit": unit}
-    return sizes
-
-
-def ranking(
-    selection: Selection,
-    untestable: Sequence[str],
-    sensors: dict[str, dict[str, float]],
-    found: Sequence[str],
-) -> list[dict[str, Any]]:
-    """Status of every catalogue entry, best first.
-
-    Parameters
-    ----------
-    untestable : sequence of str
-        Effects that these logs cannot show.
-    sensors : mapping
-        Effect of a sensor → standard errors of its amplitudes.
-    found : sequence of str
-        Effects of sensors that are in the model.
-    """
-    entries = {e.key: e for e in selection.entries}
-    beside = {c.keys[0]: c for c in selection.rest}
-    alone = {c.keys[0]: c for c in selection.first}
-    rivals = {key for e in selection.entries for key in e.confusable_with}
-    rows = []
-    for name, effect in CATALOGUE.items():
-        if name in NO_CANDIDATES:
-            continue
-        key = key_of(name)
-        row: dict[str, Any] = {"name": name, "location": effect.location, "reveals": effect.reveals}
-        if key in entries or name in found:
-            row["status"] = "supported"
-            row["score"] = entries[key].evidence if key in entries else float("inf")
-        elif key in beside or key in alone:
-            candidate = beside.get(key, alone.get(key))
-            assert candidate is not None
-            row["status"], row["score"] = "rejected", candidate.evidence
-            row["reason"] = candidate.objection or (
-                "other effects explain the same as well"
-                if key in rivals or alone.get(key, candidate).acceptable
-                else "too little evidence beside what was found"
-            )
-        elif name in sensors:
-            row["status"], row["score"] = "rejected", 0.0
-        else:
-            row["status"], row["score"] = "not testable with these logs", 0.0
-        if name in untestable and row["status"] == "rejected" and key not in beside:
-            row["status"] = "not testable with these logs"
-        if key in alone:
-            row["detectable"] = detectable(beside.get(key, alone[key]))
-        if name in sensors:
-            row["detectable"] = {
-                k: {
-                    "value": 3.0 * se,
-                    "unit": next(p.unit for p in effect.parameters if p.name == k),
-                }
-                for k, se in sensors[name].items()
-            }
-        row["score"] = float(np.clip(row["score"], -1e9, 1e9))
-        rows.append(row)
-    return sorted(rows, key=lambda row: (row["status"] != "supported", -row["score"]))
+def ranked_rows(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return rows of the ranking, those in the model first, then by score; finite numbers."""
+    done = [{"location": "", "reason": "", "detectable": {}, **row} for row in rows]
+    for row in done:
+        score = row["score"]
+        row["score"] = float(np.clip(score, -1e9, 1e9)) if isfinite(score) or score > 0 else 0.0
+    return sorted(done, key=lambda row: (row["status"] != "supported", -row["score"]))
 
 
 def provenance(
-    measured: Measured, logs: Sequence[Log], seed: int, seconds: float
+    logs: Sequence[Log], held: Iterable[str], seed: int, seconds: float
 ) -> dict[str, Any]:
-    """Versions, seed, hashes and roles of the logs."""
+    """Versions, seed, hashes and roles of the logs; `held` are names of those held out whole."""
     from dmptm_ctrl import __version__
 
-    held = {rec.name for rec in measured.held}
+    names = set(held)
+    roles = ["held-out" if log.name in names else "fit" for log in logs]
     return {
         "version": __version__,
         "seed": seed,
         "logs": [
-            {
-                "name": log.name,
-                "sha256": log.sha256 or "",
-                "role": "held-out" if log.name in held else "fit",
-            }
-            for log in logs
+            {"name": log.name, "sha256": log.sha256 or "", "role": role}
+            for log, role in zip(logs, roles, strict=True)
         ],
         "seconds": round(seconds, 3),
         "versions": versions(),

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from os import PathLike
 
+from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
 from dmptm_ctrl.diagnosis.rig_curves import (
     accepted,
     better_without_names,
@@ -18,7 +19,7 @@ from dmptm_ctrl.diagnosis.rig_evidence import (
     within_floor,
     without_negligible,
 )
-from dmptm_ctrl.diagnosis.rig_report import RigDiagnosis, report_of
+from dmptm_ctrl.diagnosis.rig_report import report_of
 from dmptm_ctrl.diagnosis.rig_screen import (
     other_scale,
     refuse_no_gain,
@@ -51,7 +52,7 @@ def diagnose_rig(
     seed: int = 0,
     jobs: int = 2,
     tell: Callable[[str], None] | None = None,
-) -> RigDiagnosis:
+) -> Diagnosis:
     """Find what the declared model of a rig lacks.
 
     Parameters
@@ -68,7 +69,7 @@ def diagnose_rig(
 
     Returns
     -------
-    RigDiagnosis
+    Diagnosis
         `.summary()`, `.to_dict()`, `.augmented`, `.plot()`, `.save(folder)`.
 
     Raises
@@ -112,19 +113,9 @@ def diagnose_rig(
     found = curves(selection.final)
     if selection.entries and (plain := better_without_names(selection)):
         selection, found = replace(selection, final=base, entries=[], rest=selection.first), plain
-    from dmptm_ctrl import __version__
-
-    provenance = {
-        "version": __version__,
-        "seed": seed,
-        "logs": [
-            {"name": log.name, "sha256": log.sha256 or "", "role": roles.get(log.name, "fit")}
-            for log in loaded
-        ],
-        "seconds": round(time.perf_counter() - started, 3),
-    }
     return report_of(
         declared,
+        loaded,
         selection,
         as_read=as_read,
         faults=faults,
@@ -133,8 +124,14 @@ def diagnose_rig(
         nearest=tuple(c.variable for c in sorted(found, key=lambda c: -c.evidence)[:1]),
         share_of_curves=curve_share(selection.final, accepted(found)),
         on=on,
-        provenance=provenance,
+        provenance=provenance(
+            loaded,
+            [name for name, role in roles.items() if role == "held-out"],
+            seed,
+            time.perf_counter() - started,
+        ),
         warnings=(*_notes(loaded), *warnings),
+        jobs=jobs,
     )
 
 
@@ -165,7 +162,7 @@ def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, dict[str, str],
         fit = [n for n in names if n not in held]
         final = {n: "held-out" if n in held else "fit" for n in names}
         return balance.only(fit), balance.only(held), final, "held-out logs"
-    part = "held-out stretches of every log, three tenths of it"
+    part = "held-out parts of every log"
     return balance.part("fit"), balance.part("held-out"), dict.fromkeys(names, "fit"), part
 
 

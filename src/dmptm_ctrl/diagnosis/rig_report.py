@@ -1,161 +1,110 @@
-"""The error budget of a rig of any shape: as an object, as text, as JSON and as files."""
+"""The result of a rig file: its effects, errors, budget and ranking; its runs and pictures."""
 
-import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from math import isfinite, pi, sqrt
-from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import EXPLAINED, MATERIAL, NONE
-from dmptm_ctrl.diagnosis.report import NamedEffect
+from dmptm_ctrl.diagnosis.budget import EXPLAINED, Errors, Row, error_entry
+from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture, ranked_rows
 from dmptm_ctrl.diagnosis.rig_curves import Curve, mean_square
 from dmptm_ctrl.diagnosis.rig_evidence import RigState
-from dmptm_ctrl.diagnosis.rig_files import rig_model_to_toml
+from dmptm_ctrl.diagnosis.rig_runs import Runs, variable_of
 from dmptm_ctrl.diagnosis.rig_sensors import SensorFault
-from dmptm_ctrl.diagnosis.select import LEVEL, Candidate, Selection
+from dmptm_ctrl.diagnosis.select import LEVEL, Candidate, Entry, Selection
 from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY
+from dmptm_ctrl.diagnosis.summary import correlated
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.free_parameters import on_slide
-from dmptm_ctrl.identify.rig_fit import RigFit
-from dmptm_ctrl.signals.atomic import output_folder
+from dmptm_ctrl.identify.rig_fit import RigFit, State
+from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
 
-SCHEMA = 2
-LIKELY = 0.5  # probability from which a name is in the headline
+if TYPE_CHECKING:
+    from dmptm_ctrl.plots.diagnosis import Evidence, Overlay
+
+CODE = """\
+import dmptm_ctrl as dm
+
+model = dm.read_model("model.toml")  # beside this report
+plant = dm.linearize(model)  # ct.StateSpace: springs, dampers, viscous friction, lags
+print(plant)
+"""
+SIDES = "before", "after", "floor"
 
 
 @dataclass(frozen=True, eq=False)
-class RigDiagnosis:
-    """What the declared model of a rig lacks.
+class RigSource:
+    """Logs and models of a rig file's drive, for the report.
 
     Attributes
     ----------
-    verdict : "none", "explained" or "unknown"
-    effects : tuple of NamedEffect
-        In order of their share of the budget.
-    material : tuple of bool
-        Of each effect.
-    budget, ranking : list of dict
-    depends_on : tuple of str
-    error : dict
-        Of the balance of torques on held-out logs or stretches: before, after, floor.
-    parameters : dict
-        Declared quantities: declared, range, fitted, standard error.
+    on : str
+        What the errors are measured on.
     selection : Selection
-    declared, augmented : RigModel
+    augmented : RigModel
+    runs : Runs
     """
 
     rig: Rig
-    verdict: str
-    effects: tuple[NamedEffect, ...]
-    material: tuple[bool, ...]
-    budget: list[dict[str, Any]]
-    ranking: list[dict[str, Any]]
-    depends_on: tuple[str, ...]
-    error: dict[str, Any]
-    parameters: dict[str, dict[str, Any]]
+    on: str
     selection: Selection
-    declared: RigModel
     augmented: RigModel
-    provenance: dict[str, Any] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    runs: Runs
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the content of diagnosis.json: plain types, no NaN."""
-        return {
-            "schema": SCHEMA,
-            "verdict": self.verdict,
-            "effects": [
-                {**e.to_dict(), "material": m}
-                for e, m in zip(self.effects, self.material, strict=True)
-            ],
-            "budget": self.budget,
-            "ranking": self.ranking,
-            "depends_on": list(self.depends_on),
-            "error": self.error,
-            "declared": self.parameters,
-            "provenance": self.provenance,
-            "warnings": list(self.warnings),
-        }
+    @property
+    def title(self) -> str:
+        """Name of the rig."""
+        return self.rig.name
 
-    def sentence(self) -> str:
-        """Return the verdict in one sentence; it says no more than the budget."""
-        likely = [
-            e.name.replace("_", " ") for e, m in zip(self.effects, self.material, strict=True)
-            if m and e.probability >= LIKELY
-        ]  # fmt: skip
-        names = ", ".join(likely)
-        before, after, floor = (self.error[k]["rmse"] for k in ("before", "after", "floor"))
-        figures = f"{before:.3g} to {after:.3g} {self.error['unit']}, floor {floor:.3g}"
-        if self.verdict == "none":
-            return "The error of the declared model is near its floor; no effect was found."
-        if self.verdict == "explained" and names:
-            return f"The declared model lacks: {names} (error {figures})."
-        on = ", ".join(self.depends_on)
-        more = f", which depends on {on}" if on else ""
-        if names:
-            return f"Found: {names}; part of the error is not explained{more} ({figures})."
-        return f"Something is missing that no effect explains{more} ({figures})."
+    @property
+    def shares(self) -> str:
+        """What the budget's shares are of."""
+        return f"the mean square of the balance on {self.on}"
 
-    def summary(self) -> str:
-        """Return the verdict as text: sentence, budget, effects with standard errors."""
-        unit = self.error["unit"]
-        lines = [self.sentence(), "", f"torque error on {self.error['on']} [{unit}]"]
-        for row in self.budget:
-            place = f" @ {row['location']}" if row["location"] else ""
-            on = f"  depends on {', '.join(row['depends_on'])}" if row["depends_on"] else ""
-            lines.append(f"  {row['name'] + place:36s} {row['torque_rms']:10.4g} "
-                         f"{100 * row['share']:6.1f} %{on}")  # fmt: skip
-        for effect, material in zip(self.effects, self.material, strict=True):
-            head = f"{effect.name} ({effect.location}), probability {effect.probability:.2f}"
-            lines += ["", head + ("" if material else ", immaterial")]
-            for name, p in effect.parameters.items():
-                lines.append(f"  {name} = {p['value']:.4g} ± {p['se']:.2g} {p['unit']}".rstrip())
-            lines.append(f"  {effect.evidence}")
-            if effect.confusable_with:
-                lines.append("  not told from: " + ", ".join(effect.confusable_with))
-        for key, p in self.parameters.items():
-            if p["outside"]:
-                low, high = p["range"]
-                lines.append(f"warning: {key} = {p['fitted']:.4g} ± {p['se']:.2g} is outside its "
-                             f"declared range {low:.4g} to {high:.4g}")  # fmt: skip
-        lines += [f"warning: {text}" for text in self.warnings]
-        return "\n".join(lines)
+    def overlays(self) -> "list[Overlay]":
+        """A reading per held-out log: measured, and free runs before and after."""
+        return self.runs.overlays()
 
-    def plot(self, **options: Any) -> Any:
-        """Draw the error budget; see `rig_html.plot_budget_of`."""
-        from dmptm_ctrl.diagnosis.rig_html import plot_budget_of
+    def evidence(self, effect: NamedEffect | None, depends_on: Sequence[str]) -> "Evidence | None":
+        """What the drive gave more than the model, over what an effect depends on.
 
-        return plot_budget_of(self, **options)
+        None for an error of a sensor, which the balance does not show.
+        """
+        from dmptm_ctrl.diagnosis.rig_figures import folded
 
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        return f"<pre>{escape(self.summary())}</pre>"
+        key = "" if effect is None else f"{effect.name}@{effect.location}"
+        entry = next((e for e in self.selection.entries if e.key == key), None)
+        if effect and entry is None:
+            return None
+        return folded(
+            entry.without if entry else self.selection.final,
+            self.selection.final,
+            variable_of(self.augmented, key) if effect else next(iter(depends_on), ""),
+            effect.name if effect else "",
+            torque_unit(self.rig),
+        )
 
     def model_toml(self) -> str:
-        """Return the augmented model as the text of a file."""
-        logs = self.selection.final.held_state.logs
-        zeros = {log: dict(n.zero) for log, n in logs.items()}
-        return rig_model_to_toml(self.augmented, self.rig.text, zeros)
+        """Text of model.toml."""
+        return rig_model_to_toml(self.augmented)
 
-    def save(self, folder: str | PathLike[str]) -> None:
-        """Write diagnosis.json, model.toml and report.html, together or not at all."""
-        from dmptm_ctrl.diagnosis.rig_html import render_html
+    def code(self) -> str:
+        """Program that reads the augmented model."""
+        return CODE
 
-        with output_folder(folder) as out:
-            text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
-            (out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
-            (out / "model.toml").write_text(self.model_toml(), encoding="utf-8")
-            (out / "report.html").write_text(render_html(self), encoding="utf-8")
+    def pictures(self) -> tuple[Picture, ...]:
+        """None of its own."""
+        return ()
 
 
 def report_of(
     rig: Rig,
+    logs: Sequence[Log],
     selection: Selection,
     *,
     as_read: RigState,
@@ -167,13 +116,16 @@ def report_of(
     on: str,
     provenance: dict[str, Any],
     warnings: Sequence[str],
-) -> RigDiagnosis:
+    jobs: int,
+) -> Diagnosis:
     """Put a selection into words and figures.
 
     Parameters
     ----------
+    logs : sequence of Log
+        As the sensors read them.
     as_read : RigState
-        The declared model on the logs as the sensors read them.
+        The declared model on these.
     curves : sequence of Curve
         Those that the logs demand, beside the effects.
     floor : float
@@ -185,103 +137,129 @@ def report_of(
     """
     final: RigState = selection.final
     base: RigState = selection.base
-    before = mean_square(as_read.held_left[0], as_read.held)
-    after = mean_square(final.held_left[0], final.held)
-    removable = max(before - floor, 0.0)
-    found = [_sensor_effect(f, rig) for f in faults]
-    costs = [max(before - mean_square(base.held_left[0], base.held), 0.0) / len(faults)
-             for _ in faults]  # fmt: skip
-    errors = final.fit.errors
-    for entry in selection.entries:
-        placed = next(e for e in final.fit.model.effects if e.key == entry.key)
-        without = mean_square(entry.without.held_left[0], final.held)
-        found.append(
-            NamedEffect(
-                placed.name,
-                placed.on,
-                entry.probability,
-                effect_parameters(placed, final.fit, errors),
-                tuple(dict.fromkeys(k.partition("@")[0] for k in entry.confusable_with)),
-                f"Without it, −2 log-likelihood rises by {entry.gain:.0f} on the fitted and "
-                f"{entry.held_gain:.0f} on the held-out logs ({LEVEL:.0f} are needed), and the "
-                f"error from {sqrt(after):.3g} to {sqrt(without):.3g}.",
-            )
-        )
-        costs.append(max(without - after, 0.0))
-    order = sorted(range(len(found)), key=lambda k: -costs[k])
-    effects = tuple(found[k] for k in order)
-    costs = [costs[k] for k in order]
-    explained = (before - after) / removable if removable > 0 else 1.0
-    strong = (c.variable for c in curves if c.evidence > 0.5 * curves[0].evidence)
-    variables = tuple(dict.fromkeys(strong))[:2]
-    verdict = "unknown"
-    if effects and (explained >= EXPLAINED or before <= NONE**2 * floor):
-        verdict = "explained"
-    elif not effects and share_of_curves < 1.0 - EXPLAINED and before <= NONE**2 * floor:
-        verdict = "none"
-    depends_on = (variables or nearest) if verdict == "unknown" else ()
+    errors = Errors(
+        mean_square(as_read.held_left[0], as_read.held),
+        mean_square(final.held_left[0], final.held),
+        floor,
+    )
     augmented = final.fit.model
     for fault in faults:
         augmented = augmented.with_effect(fault.placed)
+    zeros = {log: dict(n.zero) for log, n in final.held_state.logs.items()}
+    augmented = replace(augmented, zeros=zeros)
+    after = State(augmented, final.held_state.logs)
+    runs = Runs.of(rig, logs, final.held, as_read.held_state, after, final.fit, jobs)
+    found = [_sensor_effect(f, rig) for f in faults]
+    healed = max(errors.before - mean_square(base.held_left[0], base.held), 0.0)
+    costs = [healed / len(faults) for _ in faults]
+    slower = [runs.rise(after.without({f.placed.key})) for f in faults]
+    for entry in selection.entries:
+        without = mean_square(entry.without.held_left[0], final.held)
+        found.append(_named(entry, final.fit, errors.after, without))
+        costs.append(max(without - errors.after, 0.0))
+        bare = entry.without.held_state
+        for fault in faults:
+            bare = State(bare.model.with_effect(fault.placed), bare.logs)
+        slower.append(runs.rise(bare))
+    order = sorted(range(len(found)), key=lambda k: -costs[k])
+    size = max(errors.removable, 1e-300)
+    effects = tuple(replace(found[k], share=costs[k] / size) for k in order)
+    strong = (c.variable for c in curves if c.evidence > 0.5 * curves[0].evidence)
+    variables = tuple(dict.fromkeys(strong))[:2]
+    verdict = "unknown"
+    if effects and (errors.explained >= EXPLAINED or errors.within_floor):
+        verdict = "explained"
+    elif not effects and share_of_curves < 1.0 - EXPLAINED and errors.within_floor:
+        verdict = "none"
+    rows = [
+        Row(e.name, e.location, slower[k], sqrt(costs[k]), costs[k],
+            (variable_of(augmented, f"{e.name}@{e.location}"),))
+        for e, k in zip(effects, order, strict=True)
+    ]  # fmt: skip
     drive = float(np.sqrt(np.mean(np.concatenate(base.held_left[1]) ** 2))) or 1.0
-    figures = {
-        key: {"rmse": sqrt(v), "percent": 100 * sqrt(v) / drive, "unit": torque_unit(rig)}
-        for key, v in (("before", before), ("after", after), ("floor", floor))
-    }
-    return RigDiagnosis(
-        rig,
-        verdict,
-        effects,
-        tuple(c >= MATERIAL * removable for c in costs),
-        budget_of(effects, costs, before, after, floor, variables),
-        ranking_of(selection, final, faults),
-        depends_on,
-        {
-            "on": on,
-            "unit": torque_unit(rig),
-            "bandwidth_hz": final.fit.likelihood.balance.bandwidth,
-            **{k: {**v, "torque": v} for k, v in figures.items()},
-        },
-        declared_of(final.fit),
-        selection,
-        base.fit.model,
-        augmented,
-        provenance,
-        tuple(warnings),
+    roots = {k: sqrt(getattr(errors, k)) for k in SIDES}
+    torque = {
+        k: {"rmse": v, "percent": 100 * v / drive, "unit": torque_unit(rig),
+            "bandwidth_hz": final.fit.likelihood.balance.bandwidth}
+        for k, v in roots.items()
+    }  # fmt: skip
+    return Diagnosis(
+        verdict=verdict,
+        effects=effects,
+        budget=tuple(budget_of(rows, errors, runs.left(), variables)),
+        ranking=ranking_of(selection, final, faults),
+        depends_on=(variables or nearest) if verdict == "unknown" else (),
+        error=error_entry(on, runs.error(), torque, None),  # no short predictions of rig files
+        errors=errors,
+        declared=base.fit.model,
+        augmented=augmented,
+        declared_values=declared_of(final.fit),
+        selection=selection,
+        source=RigSource(rig, on, selection, augmented, runs),
+        correlations=correlations_of(final.fit),
+        provenance=provenance,
+        warnings=(*warnings, *runs.warnings),
+    )
+
+
+def _named(entry: Entry, fit: RigFit, after: float, without: float) -> NamedEffect:
+    """Describe a selected effect with the values of the final fit."""
+    placed = next(e for e in fit.model.effects if e.key == entry.key)
+    return NamedEffect(
+        placed.name,
+        placed.on,
+        entry.probability,
+        effect_parameters(placed, fit, fit.errors),
+        tuple(dict.fromkeys(k.partition("@")[0] for k in entry.confusable_with)),
+        f"Without it, −2 log-likelihood rises by {entry.gain:.0f} on the fitted and "
+        f"{entry.held_gain:.0f} on the held-out logs ({LEVEL:.0f} are needed), and the "
+        f"error of the balance from {sqrt(after):.3g} to {sqrt(without):.3g} "
+        f"{torque_unit(fit.model.rig)}.",
     )
 
 
 def budget_of(
-    effects: Sequence[NamedEffect],
-    costs: Sequence[float],
-    before: float,
-    after: float,
-    floor: float,
+    rows: Sequence[Row],
+    errors: Errors,
+    left: tuple[float | None, float | None],
     variables: Sequence[str],
-) -> list[dict[str, Any]]:
-    """Return the rows of the error budget: mean squares as rms, and shares of that before."""
-    whole = max(before, after, 1e-300)
-    went, each = max(before - after, 0.0), sum(costs)
+) -> list[Row]:
+    """Return the budget: shares of the mean square before.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Of the effects; `share` is the rise of the mean square.
+    errors : Errors
+    left : (float or None, float or None)
+        Free-run error that is not explained, and its floor.
+    variables : sequence of str
+        Of what is not explained.
+    """
+    whole = max(errors.before, errors.after, 1e-300)
+    went, each = max(errors.before - errors.after, 0.0), sum(r.share for r in rows)
     part = min(1.0, went / each) if each > 0 else 0.0  # effects that hide each other
+    done = [replace(r, torque_rms=sqrt(part * r.share), share=part * r.share / whole) for r in rows]
+    if rows and went > each:
+        shared = went - each
+        done.append(Row("shared", "several of these effects", None, sqrt(shared), shared / whole))
+        done.sort(key=lambda r: -r.share)
+    rest = max(errors.after - errors.floor, 0.0)
+    done.append(Row("not explained", "", left[0], sqrt(rest), rest / whole, tuple(variables)))
+    done.append(Row("floor", "", left[1], sqrt(errors.floor), errors.floor / whole))
+    return done
 
-    def row(name: str, on: str, square: float, depends: Sequence[str] = ()) -> dict[str, Any]:
-        return {
-            "name": name, "location": on, "speed_rms": None, "torque_rms": sqrt(max(square, 0.0)),
-            "share": max(square, 0.0) / whole, "depends_on": list(depends),
-        }  # fmt: skip
 
-    rows = [row(e.name, e.location, part * c) for e, c in zip(effects, costs, strict=True)]
-    if effects and went > each:
-        rows.append(row("shared", "", went - each))
-    rows.append(row("not explained", "", after - floor, variables))
-    rows.append(row("floor", "", floor))
-    return rows
+def correlations_of(fit: RigFit) -> list[tuple[str, str, float]]:
+    """Pairs of fitted numbers of the drive and its effects whose estimates go together."""
+    own = [j for j, f in enumerate(fit.frees) if f.kind in ("value", "effect")]
+    return correlated([fit.frees[j].label for j in own], fit.covariance[np.ix_(own, own)])
 
 
 def ranking_of(
     selection: Selection, final: RigState, faults: Sequence[SensorFault]
 ) -> list[dict[str, Any]]:
-    """Status of every effect of the chain catalogue, most evidence first."""
+    """Status of every effect of the catalogue, most evidence first."""
     kept = {k.partition("@")[0] for k in final.keys}
     kept |= {f.placed.name for f in faults}
     best: dict[str, Candidate] = {}
@@ -303,10 +281,10 @@ def ranking_of(
             reason = "held-out logs speak against it, or an effect that was added explains it"
         rows.append({
             "name": name, "location": one.keys[0].partition("@")[2] if one else "",
-            "score": max(score, 0.0) if isfinite(score) else 0.0, "status": status,
+            "score": max(score, 0.0), "status": status,
             "reason": reason, "reveals": chain.reveals,
         })  # fmt: skip
-    return sorted(rows, key=lambda row: (row["status"] != "supported", -row["score"]))
+    return ranked_rows(rows)
 
 
 def declared_of(fit: RigFit) -> dict[str, dict[str, Any]]:

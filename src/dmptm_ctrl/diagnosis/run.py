@@ -10,15 +10,14 @@ import pandas as pd
 
 from dmptm_ctrl.diagnosis.diagnose import diagnose_dual
 from dmptm_ctrl.diagnosis.predict import RUNS, predict
+from dmptm_ctrl.diagnosis.report import Diagnosis
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
-from dmptm_ctrl.diagnosis.rig_files import is_rig_model
-from dmptm_ctrl.diagnosis.rig_predict import predict_rig_file
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
-from dmptm_ctrl.signals import Campaign, LogError, load_log, load_logs
+from dmptm_ctrl.signals import Campaign, LogError, load_logs
 from dmptm_ctrl.signals.loaders import gather
 from dmptm_ctrl.simulate.model_file import read_model
 
@@ -33,7 +32,7 @@ def diagnose(
     jobs: int = 2,
     seed: int = 0,
     tell: Callable[[str], None] = lambda _: None,
-) -> Any:
+) -> Diagnosis:
     """Find what a declared drive lacks, and what each part of it is worth.
 
     Parameters
@@ -57,6 +56,8 @@ def diagnose(
     ------
     LogError
         Bad input, in one sentence.
+    TypeError
+        A rig of another kind.
     """
     if rig is None or isinstance(rig, Drive):
         if isinstance(logs, str | PathLike):
@@ -67,6 +68,11 @@ def diagnose(
             logs = paths
         return diagnose_dual(logs, rig, jobs=jobs, seed=seed, tell=tell)
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
+    if not isinstance(declared, Rig):
+        given = type(rig).__name__
+        raise TypeError(
+            f"diagnose takes a rig file, Rig or Drive as its second argument, not a {given}"
+        )
     drive = dual_motor(declared)
     if drive is None:
         return diagnose_rig(logs, declared, jobs=jobs, seed=seed, tell=tell)
@@ -87,7 +93,7 @@ def diagnose_files(
     jobs: int = 2,
     seed: int = 0,
     tell: Callable[[str], None] = lambda _: None,
-) -> Any:
+) -> Diagnosis:
     """Diagnose a folder of logs or log files; `tell` hears what is being done.
 
     Raises
@@ -107,10 +113,7 @@ def predict_file(log: Path, model: Path, *, single: bool = False) -> Iterator[st
     single : bool
         One run instead of the mean of several; that of a drive by rig.toml is one always.
     """
-    if is_rig_model(model):
-        table = predict_rig_file(log, model)
-    else:
-        table = predict(read_model(model), load_log(log), runs=1 if single else RUNS)
+    table = predict(read_model(model), log, runs=1 if single else RUNS)
     _refuse_runaway(table, model.name)
     return _csv(table)
 

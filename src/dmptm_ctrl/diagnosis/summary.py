@@ -1,24 +1,24 @@
 """Fitted parameters as text, the way lmfit reports them."""
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
-
-from dmptm_ctrl.drive import Drive
-from dmptm_ctrl.identify.fit import Fit
+from numpy.typing import NDArray
 
 LIBRARIES = ("numpy", "scipy", "numba", "control")  # that the numbers come from
 SHOWN = 0.5  # correlations below are not worth a line
 MOST = 10
 
 
-def correlated(fit: Fit, least: float = SHOWN) -> list[tuple[str, str, float]]:
+def correlated(
+    names: Sequence[str], covariance: NDArray[np.float64], least: float = SHOWN
+) -> list[tuple[str, str, float]]:
     """Return pairs of fitted parameters and their correlation, strongest first."""
-    sizes = np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
-    matrix = fit.covariance / np.outer(sizes, sizes)
-    names = [k.name if k.effect is None else f"{k.effect}.{k.name}" for k in fit.unknowns]
+    sizes = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    matrix = covariance / np.outer(sizes, sizes)
     found = [
         (names[i], names[j], float(matrix[i, j]))
         for i in range(len(names))
@@ -28,22 +28,17 @@ def correlated(fit: Fit, least: float = SHOWN) -> list[tuple[str, str, float]]:
     return sorted(found, key=lambda row: -abs(row[2]))
 
 
-def parameter_lines(fit: Fit, drive: Drive) -> list[str]:
-    """Return a line per fitted parameter of the drive: estimate, se, declared range, bounds hit."""
+def parameter_lines(declared: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return a line per declared parameter: estimate, se, declared range, bounds left."""
     lines = ["parameters of the drive (fitted, ± standard error, declared range)"]
-    wide = max((len(k.name) for k in fit.unknowns), default=0)
-    for k in fit.unknowns:
-        if k.effect is not None:
-            continue
-        value, se = fit.value(None, k.name)
-        quantity = drive.quantities[k.name]
-        low, high = quantity.range
+    wide = max(map(len, declared), default=0)
+    for name, p in declared.items():
+        value, se = p["fitted"], p["se"]
         relative = f" ({100 * se / abs(value):.2g} %)" if value else ""
-        edge = "  at its bound" if k.name in fit.at_bounds else ""
-        lines.append(
-            f"  {k.name:{wide}} = {value:.5g} ± {se:.2g}{relative} {quantity.unit}"
-            f"  [{low:.4g}, {high:.4g}]{edge}"
-        )
+        text = f"  {name:{wide}} = {value:.5g} ± {se:.2g}{relative} {p['unit']}"
+        if p["range"]:
+            text += "  [{:.4g}, {:.4g}]".format(*p["range"])
+        lines.append(text + ("  at or outside its range" if p["outside"] else ""))
     return lines
 
 

@@ -9,6 +9,7 @@ ring still; √(k/J̄3 + 2 k N2²/J_L), the pinions together against the ring.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,18 +32,18 @@ class Modes:
 
     Attributes
     ----------
-    train : GearTrain
+    train : GearTrain or RigModel
     omega : (n,) array [rad/s]
     shapes : (n, n) array [rad]
         Columns, scaled to vᵀ M v = 1 kg·m².
     kinds : tuple of str
         "rigid", "antisymmetric" (left against right, ring still), "symmetric" (left with
-        right), "mixed" where the two chains differ.
+        right), "mixed" where the two chains differ; of a rig file "rigid" or "elastic".
     damping_ratios : (n,) array
         ζ of the damped modes, nearest in frequency; 0 for the rigid one.
     """
 
-    train: GearTrain
+    train: Any
     omega: Floats
     shapes: Floats
     kinds: tuple[str, ...]
@@ -93,7 +94,9 @@ def solve_modes(train: GearTrain | Drive) -> Modes:
     turn = np.sign(shapes[np.abs(shapes).argmax(axis=0), range(omega.size)])
     shapes = shapes * turn
     kinds = tuple(_kind(train, w, v) for w, v in zip(omega, shapes.T, strict=True))
-    return Modes(train, omega, shapes, kinds, _damping_ratios(train, omega))
+    return Modes(
+        train, omega, shapes, kinds, damping_ratios(linalg.eigvals(train.to_ss().A), omega)
+    )
 
 
 def _kind(train: GearTrain, omega: float, shape: Floats) -> str:
@@ -108,8 +111,8 @@ def _kind(train: GearTrain, omega: float, shape: Floats) -> str:
     return "antisymmetric" if parity < -PARITY else "mixed"
 
 
-def _damping_ratios(train: GearTrain, omega: Floats) -> Floats:
-    poles = linalg.eigvals(train.to_ss().A)
+def damping_ratios(poles: NDArray[np.complex128], omega: Floats) -> Floats:
+    """Damping ratio of the poles nearest to each frequency; 0 for a rigid mode, (n,)."""
     pairs = poles[poles.imag > 0.0]
     ratios = np.zeros_like(omega)
     for i in np.flatnonzero(omega):

@@ -1,12 +1,12 @@
 """What the command line calls: a model or controller file in, files to run elsewhere out."""
 
 from collections.abc import Callable
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.design.controller import KIND as CONTROLLER
 from dmptm_ctrl.design.controller import Controller, read_controller
-from dmptm_ctrl.diagnosis.rig_files import is_rig_model, read_rig_model
 from dmptm_ctrl.export.c_source import REALS, c_header, c_source
 from dmptm_ctrl.export.controller import controller_program, provenance
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
@@ -28,9 +28,9 @@ SAMPLE_TIME = 1e-3  # s, of a plant's program where none is given
 
 
 def export_file(
-    source: Path,
+    source: str | PathLike[str],
     target: str,
-    out: Path,
+    out: str | PathLike[str],
     *,
     real: str = "double",
     sample_time: float | None = None,
@@ -58,7 +58,13 @@ def export_file(
     ------
     LogError
         No such file, target or number type; nothing is written.
+    TypeError
+        A source that is no path.
     """
+    if not isinstance(source, str | PathLike):
+        given = type(source).__name__
+        raise TypeError(f"export takes the path of a model or controller file, not a {given}")
+    source, out = Path(source), Path(out)
     if target not in TARGETS:
         raise LogError(f"--to {target}: no such target; there are {', '.join(TARGETS)}")
     _check_numbers(real, sample_time)
@@ -148,7 +154,7 @@ def _read(source: Path) -> Any:
         raise LogError(f"{source.name}: no readable model or controller file there") from None
     if kind == CONTROLLER:
         return read_controller(source)
-    return read_rig_model(source)[0] if is_rig_model(source) else read_model(source)
+    return read_model(source)
 
 
 def _program(model: Any, source: Path, step: float) -> Program:

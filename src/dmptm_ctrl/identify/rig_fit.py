@@ -4,7 +4,7 @@ What is lowered is −2 log-likelihood: each equation normal at its own scale, e
 as the share of it that is independent; and Σ ((p − p0)/σ)² over declared ranges.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
@@ -38,6 +38,10 @@ class State:
     def nuisance(self, log: str) -> Nuisance:
         """What belongs to a log."""
         return self.logs.get(log, NONE)
+
+    def without(self, keys: Iterable[str]) -> "State":
+        """Return the state without the effects of these keys."""
+        return replace(self, model=self.model.without(keys))
 
     def get(self, free: Free) -> float:
         """Value of a number."""

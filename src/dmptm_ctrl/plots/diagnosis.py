@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from dmptm_ctrl.plots.page import words
 from dmptm_ctrl.plots.style import STYLES, axes
 
 Floats = NDArray[np.float64]
@@ -15,6 +16,13 @@ Floats = NDArray[np.float64]
 MEASURED = {**STYLES["measured"], "linewidth": 3.5}  # shows beside what covers it
 BEFORE = {**STYLES["existing"], "linewidth": 1.0}
 AFTER = {**STYLES["proposed"], "linewidth": 1.0}
+AHEAD = {**STYLES["other"], "linewidth": 0.6, "zorder": 1.0}  # it has the ringing: behind
+LEGEND: dict[str, Any] = {
+    "fontsize": 7.5,
+    "handlelength": 1.8,
+    "columnspacing": 1.2,
+    "frameon": False,
+}
 DIRECTIONS: dict[str, dict[str, Any]] = {  # filled against hollow: told apart in grey
     "forward": {"color": "#0b3c6f", "linestyle": "-", "marker": "o", "markersize": 3.5},
     "backward": {
@@ -35,22 +43,46 @@ BUDGET: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Ring-gear speed on one log, (n,) arrays [s, deg/s], all of the same bandwidth."""
+    """A reading on one log and free runs of two models, (n,) arrays, all of one bandwidth.
+
+    Attributes
+    ----------
+    time : (n,) array [s]
+    measured, before, after : (n,) arrays
+        In `unit`.
+    held : (n,) array of bool
+        Samples that nothing was fitted to: they count.
+    push : (n,) array
+        Signal of the inputs together.
+    quantity, unit : str
+    ahead : (n,) array or None
+        Short predictions of the model after; NaN where there is none.
+    """
 
     name: str
     time: Floats
     measured: Floats
     before: Floats
     after: Floats
+    held: NDArray[np.bool_]
+    push: Floats
+    quantity: str = "speed"
+    unit: str = "deg/s"
+    ahead: Floats | None = None
 
     def rmse(self, which: str) -> float:
-        """Root-mean-square error of "before" or "after" [deg/s]."""
-        return float(np.sqrt(np.mean((self.measured - getattr(self, which)) ** 2)))
+        """Root-mean-square error of "before" or "after" where nothing was fitted."""
+        return float(np.sqrt(np.mean((self.measured - getattr(self, which))[self.held] ** 2)))
 
     def fit_percent(self, which: str) -> float:
-        """100 (1 − NRMSE) of "before" or "after"; 0 where the measured speed is constant."""
-        spread = float(np.std(self.measured))
+        """100 (1 − NRMSE) of "before" or "after"; 0 where the reading is constant."""
+        spread = float(np.std(self.measured[self.held]))
         return 100.0 * (1.0 - self.rmse(which) / spread) if spread > 0.0 else 0.0
+
+    def stretches(self) -> list[slice]:
+        """Parts of the log that nothing was fitted to."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], self.held.astype(np.int8), [0]])))
+        return [slice(*pair) for pair in edges.reshape(-1, 2)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +103,7 @@ class Evidence:
     variable, quantity : str
         Labels with units.
     before, after : mappings
-        Direction of motion ("forward", "backward") → Curve.
+        Without and with it: direction of motion ("forward", "backward") → Curve.
     effect : str
         Name of the effect in question; empty where there is none.
     """
@@ -84,7 +116,7 @@ class Evidence:
 
 
 def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) -> np.ndarray:
-    """Draw one log: speed measured, before and after; below it what is left.
+    """Draw one log: measured, before and after; below it what is left where nothing was fitted.
 
     Parameters
     ----------
@@ -100,37 +132,40 @@ def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) 
     panels = axes(
         ax, 2, figsize=(7.0, 3.9), sharex=True, gridspec_kw={"height_ratios": [3, 2]}
     ).ravel()
-    speed, left = panels
+    reading, left = panels
     t = overlay.time
-    speed.plot(t, overlay.measured, label="measured", **MEASURED)
+    reading.plot(t, overlay.measured, label="measured", **MEASURED)
     left.axhline(0.0, color="0.65", linewidth=0.8)
     for which, style in (("before", BEFORE), ("after", AFTER)):
         values = getattr(overlay, which)
-        label = (
-            f"{which}: RMSE {overlay.rmse(which):.3g} deg/s, FIT {overlay.fit_percent(which):.1f} %"
-        )
-        speed.plot(t, values, label=label, **style)
-        left.plot(t, overlay.measured - values, **style)
-    speed.set_title(overlay.name if title is None else title, fontsize=10)
-    speed.set_ylabel("speed [deg/s]")
-    # Above the lines, where it cannot cover them.
-    low, high = speed.get_ylim()
-    speed.set_ylim(low, high + 0.3 * (high - low))
-    speed.legend(fontsize=7.5, ncols=3, loc="upper center", handlelength=1.8, columnspacing=1.2)
-    left.set(xlabel="time [s]", ylabel="measured − model\n[deg/s]", xlim=(t[0], t[-1]))
+        label = f"{which}: RMSE {overlay.rmse(which):.3g} {overlay.unit}, "
+        label += f"FIT {overlay.fit_percent(which):.1f} %"
+        reading.plot(t, values, label=label, **style)
+        left.plot(t, np.where(overlay.held, overlay.measured - values, np.nan), **style)
+    shown = list(reading.get_lines())
+    if overlay.ahead is not None:
+        label = "after, short predictions"
+        shown += left.plot(t, overlay.measured - overlay.ahead, label=label, **AHEAD)
+    title = overlay.name if title is None else title
+    reading.set_title(title, fontsize=10, pad=20.0 if title else None)
+    reading.set_ylabel(f"{overlay.quantity} [{overlay.unit}]")
+    # Above the axes, where it cannot cover a line.
+    reading.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, **LEGEND)
+    ylabel = f"measured − model\n[{overlay.unit}]"
+    left.set(xlabel="time [s]", ylabel=ylabel, xlim=(t[0], t[-1]))
     for panel in panels:
         panel.grid(alpha=0.3)
     return panels
 
 
 def plot_diagnosis(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
-    """Draw every held-out log of a diagnosis, measured, before and after, below 30 Hz.
+    """Draw every held-out log of a diagnosis: measured, before and after.
 
     Parameters
     ----------
     diagnosis : Diagnosis, or sequence of Overlay
     ax : (2, logs) array of Axes, optional
-        Speed above, residual below.
+        The reading above, what is left below.
 
     Returns
     -------
@@ -164,7 +199,7 @@ def plot_budget(diagnosis: Any, *, ax: Any = None) -> Axes:
     -------
     Axes
     """
-    rows = list(getattr(diagnosis, "budget", diagnosis))
+    rows: Any = list(getattr(diagnosis, "budget", diagnosis))
     panel: Axes = axes(ax, 1, figsize=(7.0, 0.7 + 0.34 * len(rows)))[0, 0]
     for i, row in enumerate(rows):
         style = BUDGET.get(row.name, BUDGET[""])
@@ -183,13 +218,13 @@ def plot_budget(diagnosis: Any, *, ax: Any = None) -> Axes:
 
 
 def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
-    """Draw the residual before and after against the variable that explains it.
+    """Draw the residual without and with an effect against the variable that explains it.
 
     Parameters
     ----------
     diagnosis : Diagnosis or Evidence
     ax : (2,) array of Axes, optional
-        Before, after.
+        Without, with.
 
     Returns
     -------
@@ -199,7 +234,8 @@ def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     evidence: Evidence
     evidence = diagnosis if isinstance(diagnosis, Evidence) else diagnosis.evidence()
     panels = axes(ax, 1, 2, figsize=(7.4, 3.2), sharex=True, sharey=True).ravel()
-    titles = ("before: declared model", "after: augmented model")
+    what = words(evidence.effect) or "the effects"
+    titles = (f"without {what}", "with all that was found")
     for panel, title, curves in zip(panels, titles, (evidence.before, evidence.after), strict=True):
         _draw(panel, curves)
         panel.set_title(title, fontsize=10)
@@ -207,7 +243,10 @@ def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
         panel.grid(alpha=0.3)
     panels[0].set_ylabel(evidence.quantity)
     if evidence.before or evidence.after:
-        panels[0].legend(fontsize=8)
+        side = panels[0 if evidence.before else 1]
+        panels[1].legend(
+            *side.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(1.0, 1.0), **LEGEND
+        )
     return panels
 
 

@@ -100,6 +100,6 @@ def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
         ylim=(least, top),
     )
     panel.set_title(title, fontsize=10)
-    panel.legend(fontsize=8, loc="upper right")
+    panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     panel.grid(alpha=0.3)
     return panel

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from dmptm_ctrl.control import common_mode
 from dmptm_ctrl.design.linear import linear_plant
-from dmptm_ctrl.diagnosis.rig_files import is_rig_model, read_rig_model
 from dmptm_ctrl.drive import Drive, baseline_drive, nine_dof_ss, paper_drive, three_dof_ss
 from dmptm_ctrl.drive.rig_dual import dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
@@ -20,7 +19,6 @@ from dmptm_ctrl.reproduce.items import figure_of
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.model_file import KIND as DUAL
 from dmptm_ctrl.simulate.model_file import read_model
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import linear_rig
@@ -88,10 +86,10 @@ def _own(
     file: Path, input: str | None, output: str | None
 ) -> tuple[Drive, dict[str, ct.StateSpace]]:
     """Return the dual-motor drive of a file, or the paper's; and its own linear model."""
-    if is_rig_model(file):
-        return paper_drive(), _chain(file, read_rig_model(file)[0], input, output)
-    if _is_dual(file):
+    if _is_model(file):
         model = read_model(file)
+        if isinstance(model, RigModel):
+            return paper_drive(), _chain(file, model, input, output)
         return model.drive, {f"{file.stem}, linearised": common_mode(linear_plant(model))}
     rig = load_rig(file)
     drive = dual_motor(rig)
@@ -100,9 +98,9 @@ def _own(
     return paper_drive(), _chain(file, RigModel(rig), input, output)
 
 
-def _is_dual(file: Path) -> bool:
+def _is_model(file: Path) -> bool:
     try:
-        return parse_toml(file.read_text(encoding="utf-8"), file.name).get("kind") == DUAL
+        return "kind" in parse_toml(file.read_text(encoding="utf-8"), file.name)
     except (OSError, UnicodeDecodeError, LogError):
         return False
 

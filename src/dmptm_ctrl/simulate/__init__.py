@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 if TYPE_CHECKING:
     import control
 
+    from dmptm_ctrl.drive.rig import Rig
     from dmptm_ctrl.simulate.batch import Batch, simulate_batch
     from dmptm_ctrl.simulate.model import Model
+    from dmptm_ctrl.simulate.rig_model import RigModel
     from dmptm_ctrl.simulate.sensitivity import Sensitivities, simulate_with_sensitivities
 
 # public name -> module that defines it; loaded on first use
@@ -45,7 +47,7 @@ def __getattr__(name: str) -> Any:
 
 
 def simulate(
-    model: "Model",
+    model: "Model | RigModel | Rig",
     timepts: ArrayLike,
     inputs: ArrayLike,
     initial_state: ArrayLike | None = None,
@@ -57,7 +59,9 @@ def simulate(
 
     Parameters
     ----------
-    model : Model
+    model : Model, RigModel or Rig
+        A rig of any shape runs as :func:`~dmptm_ctrl.simulate.rig_run.simulate_rig` says: one
+        input per input of the rig [SI], from rest, with its options; outputs are its sensors.
     timepts : (n,) array [s]
         Evenly spaced. Effects that depend on time count it from the first point.
     inputs : (2, n) array [V]
@@ -89,13 +93,15 @@ def simulate(
     TypeError
         An option that the method does not have.
     """
+    if not hasattr(model, "drive"):
+        return _rig_simulated(model, timepts, inputs, initial_state, method, options)
     # the first result waits for imports, of whose time the search takes a twentieth
     with nullcontext() if "control" in sys.modules else _unsearched():
         return _simulated(model, timepts, inputs, initial_state, method, options)
 
 
 def _simulated(
-    model: "Model",
+    model: Any,
     timepts: ArrayLike,
     inputs: ArrayLike,
     initial_state: ArrayLike | None,
@@ -137,6 +143,28 @@ def _simulated(
         sysname=model.drive.name,
         title=f"{model.drive.name} ({method})",
     )
+
+
+def _rig_simulated(
+    model: Any,
+    timepts: ArrayLike,
+    inputs: ArrayLike,
+    initial_state: ArrayLike | None,
+    method: str,
+    options: dict[str, Any],
+) -> "control.TimeResponseData":
+    from dmptm_ctrl.simulate.rig_run import MARCH_OPTIONS, as_rig_model, simulate_rig
+
+    model = as_rig_model(model, "simulate")
+    if method != "compiled" or initial_state is not None:
+        raise ValueError("a rig of any shape runs compiled, from `position` and `speed` by body")
+    for key in options:
+        if key not in MARCH_OPTIONS:
+            raise TypeError(f"no option {key!r} for a rig; there are {', '.join(MARCH_OPTIONS)}")
+    time = _timepts(timepts)
+    rows = np.atleast_2d(np.asarray(inputs, float))
+    shape = (len(model.layout.inputs), time.size)
+    return simulate_rig(model, time, _finite("inputs", rows, shape, "inputs by time"), **options)
 
 
 @contextmanager

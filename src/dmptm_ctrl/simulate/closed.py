@@ -5,16 +5,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dmptm_ctrl.drive.rig import Controller as RigController
+from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.simulate import _finite, _timepts, compiled
 from dmptm_ctrl.simulate.model import Model, refuse_negative
 from dmptm_ctrl.simulate.response import response
+from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
+from dmptm_ctrl.simulate.rig_run import as_rig_model, march
 
 if TYPE_CHECKING:
     import control
 
 
 def close_loop(
-    model: Model,
+    model: Model | RigModel | Rig,
     controller: Any,
     timepts: ArrayLike,
     reference: ArrayLike,
@@ -27,15 +31,16 @@ def close_loop(
 
     Parameters
     ----------
-    model : Model
+    model : Model, RigModel or Rig
     controller : Loop or Controller
-        A PI loop, or what :func:`~dmptm_ctrl.design.tune.tune_controller` designs.
+        A PI loop, or what :func:`~dmptm_ctrl.design.tune.tune_controller` designs. Of a rig a
+        Loop on its first input and first speed sensor [SI], or the rig file's controller.
     timepts : (n,) array [s]
         Evenly spaced; the controller runs once per point.
     reference : (n,) array [rad/s]
-        Setpoint of the ring gear's speed.
+        Setpoint of the ring gear's speed; of a rig that of its sensor, SI.
     theta_L : float [rad]
-        First angle of the ring gear.
+        First angle of the ring gear; a rig starts at 0.
     noise : (n,) array [rad/s], optional
         Added to the speed that the controller reads.
     substeps : int
@@ -45,7 +50,7 @@ def close_loop(
     -------
     TimeResponseData
         Outputs :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, then ``u_left`` and
-        ``u_right`` [V]; input ``ref`` [rad/s].
+        ``u_right`` [V]; input ``ref`` [rad/s]. Of a rig its sensors, then its inputs.
 
     Raises
     ------
@@ -56,7 +61,8 @@ def close_loop(
         A model or a controller of another kind.
     """
     if not isinstance(model, Model):
-        raise TypeError(f"close_loop takes a Model first, not {type(model).__name__}")
+        rig = as_rig_model(model, "close_loop")
+        return _rig_closed(rig, controller, timepts, reference, noise)
     own_step = getattr(controller, "sample_time", None)
     law = controller.law() if hasattr(controller, "law") else controller
     if not hasattr(law, "kp"):
@@ -87,3 +93,47 @@ def close_loop(
         sysname=model.drive.name,
         title=f"{model.drive.name} under its speed loop",
     )
+
+
+def _rig_closed(
+    model: RigModel,
+    controller: Any,
+    timepts: ArrayLike,
+    reference: ArrayLike,
+    noise: ArrayLike | None,
+) -> "control.TimeResponseData":
+    if noise is not None:
+        raise ValueError("no noise for a rig of any shape; its sensors read without")
+    if isinstance(controller, compiled.Loop):
+        controller = _of_rig(model, controller)
+    if not isinstance(controller, RigController):
+        given = type(controller).__name__
+        raise TypeError(f"close_loop of a rig takes a Loop or its own controller, not {given}")
+    check_physical(model)
+    time = _timepts(timepts)
+    dt = float(time[-1] - time[0]) / (time.size - 1)
+    target = _finite("reference", reference, (time.size,), "a setpoint at each time point")
+    still = np.zeros((len(model.layout.inputs), time.size))
+    run = march(model, still, dt, controller=controller, reference=target)
+    names = [s.name for s in model.rig.sensors]
+    return response(
+        time,
+        np.vstack([*(run.reading(name) for name in names), run.u]),
+        inputs=target[np.newaxis],
+        issiso=False,
+        output_labels=[*names, *model.layout.inputs],
+        input_labels=["ref"],
+        sysname=model.rig.name,
+        title=f"{model.rig.name} under its loop",
+    )
+
+
+def _of_rig(model: RigModel, loop: compiled.Loop) -> RigController:
+    """A PI loop on the first input of a rig and its first speed sensor."""
+    sensor = next((s for s in model.rig.sensors if s.measures == "speed"), None)
+    if sensor is None or loop.bias_l or loop.bias_r:
+        why = "it has no speed sensor" if sensor is None else "a preload needs two motors"
+        raise ValueError(f"no PI loop on {model.rig.name}: {why}")
+    gains = {"kp": loop.kp, "ki": loop.ki}
+    source = model.layout.inputs[0]
+    return RigController("pi_speed", source, sensor.name, gains, "", "", loop.limit)

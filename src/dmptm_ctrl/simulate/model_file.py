@@ -1,4 +1,4 @@
-"""A model as a file: `model.toml`, written by the diagnosis and read by `dmptm predict`."""
+"""Models as files: `model.toml`, written by the diagnosis and read by `dmptm predict`."""
 
 from os import PathLike
 from pathlib import Path
@@ -12,6 +12,9 @@ from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, undamped
 from dmptm_ctrl.simulate.model import BASE, Model
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_model_file import KIND as RIG
+from dmptm_ctrl.simulate.rig_model_file import rig_model_from_toml
 
 KIND = "dual-motor"
 SCHEMA = 1
@@ -88,8 +91,8 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
         raise LogError(f"{name}: {error.args[0]}") from None
 
 
-def read_model(path: str | PathLike[str]) -> Model:
-    """Read the model of a dual-motor drive from a model.toml.
+def read_model(path: str | PathLike[str]) -> Model | RigModel:
+    """Read a model from a model.toml, as `diagnose` writes it for any drive.
 
     Parameters
     ----------
@@ -97,7 +100,8 @@ def read_model(path: str | PathLike[str]) -> Model:
 
     Returns
     -------
-    Model
+    Model or RigModel
+        Of the dual-motor drive; of a rig file.
 
     Raises
     ------
@@ -109,4 +113,15 @@ def read_model(path: str | PathLike[str]) -> Model:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         raise LogError(f"{file.name}: no readable model file there") from None
+    if parse_toml(text, file.name).get("kind") == RIG:
+        return rig_model_from_toml(text, file.name)
     return from_toml(text, name=file.name)
+
+
+def read_dual_model(path: str | PathLike[str]) -> Model:
+    """Read the model of a dual-motor drive; one of a rig file is refused in one sentence."""
+    model = read_model(path)
+    if isinstance(model, RigModel):
+        raise LogError(f"{Path(path).name}: a model of rig {model.rig.name!r}; this is only for "
+                       "dual-motor drives")  # fmt: skip
+    return model

@@ -24,7 +24,7 @@ class Placed(NamedTuple):
     Attributes
     ----------
     name : str
-        In the chain catalogue.
+        In the catalogue.
     on : str
         Body, link, input or sensor, by its name in the rig.
     values : mapping
@@ -95,17 +95,19 @@ class RigModel:
         Left out: those that the rig declares.
     values : mapping
         By the keys of `declared`; what is left out has the declared value.
+    zeros : mapping of log to mapping of effect key to float
+        Shift of the encoder's zero in each log of the fit [rad or m].
 
     Raises
     ------
     KeyError
-        An effect or parameter that is not in the chain catalogue, or a place that the rig
-        does not have.
+        An effect or parameter that is not in the catalogue, or a place that the rig does not have.
     """
 
     rig: Rig
     effects: tuple[Placed, ...] = None  # type: ignore[assignment]
     values: Mapping[str, float] = field(default_factory=dict)
+    zeros: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.effects is None:
@@ -113,7 +115,7 @@ class RigModel:
         for effect in self.effects:
             if effect.name not in PLACED_CATALOGUE:
                 known = ", ".join(PLACED_CATALOGUE)
-                raise KeyError(f"no effect {effect.name!r} for chains; there are {known}")
+                raise KeyError(f"no effect {effect.name!r} for a rig; there are {known}")
             has = [p.name for p in PLACED_CATALOGUE[effect.name].keep]
             wrong = [key for key in effect.values if key not in has]
             if wrong:
@@ -233,12 +235,9 @@ def _build(model: RigModel) -> tuple[Plant, Layout]:
     root = input_body[rig.inputs[0].name]
     coordinate, ratio = _coordinates(bodies, joints, root)
     soft = [j for j in joints if j.row is not None]
-    layout = Layout(
-        bodies, tuple(j.name for j in soft), tuple(i.name for i in rig.inputs), coordinate, ratio,
-        sensor_body, input_body,
-    )  # fmt: skip
-    count = layout.coordinates
-    masses = np.zeros(count)
+    links, inputs = tuple(j.name for j in soft), tuple(i.name for i in rig.inputs)
+    layout = Layout(bodies, links, inputs, coordinate, ratio, sensor_body, input_body)
+    masses = np.zeros(layout.coordinates)
     for name in bodies:
         masses[coordinate[name]] += ratio[name] ** 2 * inertia[name]
     for group, mass in enumerate(masses):

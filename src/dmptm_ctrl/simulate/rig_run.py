@@ -42,7 +42,20 @@ MAX_SUBSTEPS = 400
 STEP = 2.0**-13  # rad or m; of slopes: far below the shortest tooth or cogging period
 _NO_ROWS = np.zeros((0, 0))
 STILL = 1e-6  # of the fastest mode; slower is the rigid one
+MARCH_OPTIONS = (
+    *("position", "speed", "substeps", "given", "controller", "reference", "added", "before"),
+    *("push", "state"),
+)
 CONSERVATIVE = ("inertia", "stiffness", "ratio", "gain", "stribeck_speed", "stribeck_exponent")
+
+
+def as_rig_model(model: Rig | RigModel, name: str) -> RigModel:
+    """Return a rig as a model; anything else is refused in the name of a function."""
+    if isinstance(model, Rig):
+        return RigModel(model)
+    if not isinstance(model, RigModel):
+        raise TypeError(f"{name} takes a model first, not a {type(model).__name__}")
+    return model
 
 
 class RigRun:

@@ -1,4 +1,4 @@
-"""Numbers behind the pictures of a diagnosis: speeds on held-out logs, folded residuals.
+"""Numbers behind the pictures of a dual-motor drive: folded residuals, orders per turn, gaps.
 
 The residual that is folded is chosen by where the effect acts: the reading of the speed
 sensor for sensors, the twist of the left chain for meshes (with motor encoders), else the
@@ -11,74 +11,59 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from dmptm_ctrl.contract import Effect
-from dmptm_ctrl.diagnosis.predict import low_pass, speeds
+from dmptm_ctrl.diagnosis.predict import low_pass
+from dmptm_ctrl.diagnosis.quality import Rows, fold, order_amplitudes
 from dmptm_ctrl.drive import pinion_inertia
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.records import Record, predict
-from dmptm_ctrl.plots.diagnosis import Curve, Evidence, Overlay
+from dmptm_ctrl.identify.records import Record, block_mean, predict
+from dmptm_ctrl.plots.diagnosis import Evidence
+from dmptm_ctrl.plots.gaps import animated_uri, busiest, gap_motion
+from dmptm_ctrl.plots.page import data_uri
+from dmptm_ctrl.plots.quality import Orders, plot_orders
 from dmptm_ctrl.simulate.model import Floats, Model
 
 if TYPE_CHECKING:
-    from dmptm_ctrl.diagnosis.report import Diagnosis
+    from dmptm_ctrl.diagnosis.dual_report import DualSource
 
 OBSERVER_HZ = 5.0  # above what position, load and speed change by; below the rattle
 SLOWEST = np.deg2rad(1.0)  # rad/s; slower than this a direction is not sure
-BINS = 24
-TAILS = (0.5, 99.5)  # percentiles of the variable; what lies beyond has too few samples
-MIN_NEWS = 3.0  # independent samples that a bin's mean and spread need
+MAX_ORDER = 12.0  # per motor turn
+ORDERS_PER_TURN = 100  # lines per unit order
 ARCMIN = np.rad2deg(1.0) * 60.0
 TORQUE = "torque the model lacks,\nat the ring gear [N·m]"
 
 
-def overlays(diagnosis: "Diagnosis") -> tuple[Overlay, ...]:
-    """Speeds on each held-out log below 30 Hz [deg/s], before and after."""
-    before, after = models(diagnosis)
-    done = []
-    for log in diagnosis.measured.held_logs:
-        seen, old = speeds(before, log)
-        new = speeds(after, log)[1]
-        done.append(Overlay(log.name, log.time, np.rad2deg(seen), np.rad2deg(old), np.rad2deg(new)))
-    return tuple(done)
+def folded(source: "DualSource", name: str, unexplained: tuple[str, ...]) -> Evidence:
+    """Fold what is left over the variable that an effect depends on.
 
-
-def models(diagnosis: "Diagnosis") -> tuple[Model, Model]:
-    """Return the models that `error` judges: neither has seen the held-out logs."""
-    before, after = diagnosis.fits
-    return Model(before.model.drive), after.model
-
-
-def folded(diagnosis: "Diagnosis") -> Evidence:
-    """Fold what is left over the variable that the first effect depends on."""
-    name = diagnosis.effects[0].name if diagnosis.effects else ""
+    Parameters
+    ----------
+    source : DualSource
+    name : str
+        Of the effect; empty, or on no list: what is not explained.
+    unexplained : tuple of str
+        Variables of what is not explained.
+    """
     effect = CATALOGUE.get(name)
-    before, after = models(diagnosis)
-    records = list(
-        {rec.name: rec for rec in (*diagnosis.measured.fit, *diagnosis.measured.held)}.values()
-    )
+    without, after = source.without(name), source.models[1]
+    records = {r.name: r for r in (*source.measured.fit, *source.measured.held)}.values()
     values = after.effects.get(name, {})
-    on = depends_on(effect, diagnosis.depends_on)
-    rows: dict[str, list[tuple[Floats, Floats, Floats, float]]] = {"before": [], "after": []}
+    on = depends_on(effect, unexplained)
+    sides: list[list[Rows]] = [[], []]
     variable = quantity = ""
     for rec in records:
-        for key, model in (("before", before), ("after", after)):
+        speed = low_pass(rec.omega, rec.dt)
+        news = min(1.0, rec.dt * 2.0 * np.pi * OBSERVER_HZ)  # closer samples count as one
+        for rows, model in zip(sides, (without, after), strict=True):
             run = predict(rec, model.arrays(), OBSERVER_HZ)
             x, variable = abscissa(on, rec, run, model, effect, values)
             y, keep, quantity = left_over(rec, run, model, effect)
-            speed = low_pass(rec.omega, rec.dt)
             keep = keep & (np.abs(speed) > SLOWEST)
-            rows[key].append((x[keep], y[keep], np.sign(speed[keep]), rec.dt))
-    pooled = np.concatenate([row[0] for row in (*rows["before"], *rows["after"])])
-    low, high = np.percentile(pooled, TAILS) if pooled.size else (0.0, 1.0)
-    edges = np.linspace(low, max(high, low + 1e-9), BINS + 1)
-    return Evidence(
-        variable,
-        quantity,
-        binned(rows["before"], edges),
-        binned(rows["after"], edges),
-        name if effect else "",
-    )
+            rows.append((x[keep], y[keep], np.sign(speed[keep]), news))
+    return fold(sides[0], sides[1], variable, quantity, name if effect else "")
 
 
 def depends_on(effect: Effect | None, unexplained: tuple[str, ...]) -> str:
@@ -182,26 +167,56 @@ def left_over(
     return lacking, everywhere, TORQUE
 
 
-def binned(rows: list[tuple[Floats, Floats, Floats, float]], edges: Floats) -> dict[str, Curve]:
-    """Mean and standard error per bin and direction.
+def gaps_uri(source: "DualSource") -> str:
+    """Moving picture of the gaps in the first held-out log as a data URI; empty: they are still."""
+    motion = gap_motion(source.measured.held_logs[0], source.augmented)
+    return animated_uri(busiest(motion)) or ""
 
-    Samples closer than the observer's time constant count as one.
+
+def orders_uri(along: Orders) -> str:
+    """Picture of the orders as a data URI."""
+    figure = Figure(figsize=(8.6, 2.9), layout="constrained")
+    plot_orders(along, ax=figure.subplots())
+    return data_uri(figure)
+
+
+def orders(source: "DualSource") -> Orders:
+    """Amplitude of what is left per order of the motor's turn, before and after.
+
+    Of the transmission error (twist of the left chain, measured − model) where there are motor
+    encoders, else of the speed.
     """
-    curves = {}
-    x, y, way = (np.concatenate([row[i] for row in rows]) for i in range(3))
-    news = np.concatenate(
-        [np.full(row[0].size, min(1.0, row[3] * 2.0 * np.pi * OBSERVER_HZ)) for row in rows]
-    )
-    place = np.digitize(x, edges) - 1
-    for direction, sign in (("forward", 1.0), ("backward", -1.0)):
-        centres, means, errors = [], [], []
-        for i in range(edges.size - 1):
-            inside = (place == i) & (way == sign)
-            count = float(news[inside].sum())
-            if count >= MIN_NEWS:
-                centres.append(0.5 * (edges[i] + edges[i + 1]))
-                means.append(float(y[inside].mean()))
-                errors.append(float(y[inside].std()) / np.sqrt(count))
-        if centres:
-            curves[direction] = Curve(np.array(centres), np.array(means), np.array(errors))
-    return curves
+    records = {r.name: r for r in (*source.measured.fit, *source.measured.held)}.values()
+    count = round(MAX_ORDER * ORDERS_PER_TURN)
+    twisted = all(rec.twist is not None for rec in records)
+    sides = []
+    for model in source.models:
+        parts = [_along_the_turn(rec, model, twisted) for rec in records]
+        angle, left, weight = (np.concatenate([p[i] for p in parts]) for i in range(3))
+        sides.append(order_amplitudes(angle, left, weight, 1.0 / ORDERS_PER_TURN, count))
+    quantity = "transmission error [arcmin]" if twisted else "speed, measured − model [deg/s]"
+    teeth = source.models[1].drive["z_3"] / source.models[1].drive["N_1"]
+    marks = {"motor turn": 1.0, "tooth mesh": float(teeth)}
+    bank = np.arange(1, count + 1) / ORDERS_PER_TURN
+    return Orders(bank, sides[0], sides[1], quantity, marks)
+
+
+def _along_the_turn(rec: Record, model: Model, twisted: bool) -> tuple[Floats, Floats, Floats]:
+    """Motor angle, what is left and the angle passed per block, where the drive moves."""
+    run = predict(rec, model.arrays(), OBSERVER_HZ)
+    n1, n2 = model.drive["N_1"], model.drive["N_2"]
+    turn = rec.theta * n1 * n2
+    if twisted:
+        assert rec.twist is not None
+        turn = turn + n1 * rec.twist[:, 0]
+        left = ARCMIN * (rec.twist[:, 0] - (run[:, 2] / n1 - n2 * run[:, 0]))
+        side = np.sign(rec.twist[:, 0]) * (np.abs(rec.twist[:, 0]) > 0.75 * model.drive["gap_l"])
+        good = (side != 0.0) & (side == np.sign(run[:, 6]))
+    else:
+        left = np.rad2deg(low_pass(rec.omega - run[:, 1], rec.dt))
+        good = np.ones(rec.theta.size, bool)
+    good = good & (np.abs(low_pass(rec.omega, rec.dt)) > SLOWEST)
+    rows = np.array([turn, left, good.astype(float)])
+    angle, value, share = block_mean(rows, rec.block)
+    weight = np.abs(np.gradient(angle)) * (share == 1.0)
+    return angle, value, weight

@@ -1,9 +1,5 @@
 """The model of a rig of any shape as a file: the rig file's text, its fitted values, effects."""
 
-from collections.abc import Mapping
-from os import PathLike
-from pathlib import Path
-
 import tomlkit
 
 from dmptm_ctrl.drive.rigfile import parse_rig
@@ -17,24 +13,13 @@ KIND = "chain"
 SCHEMA = 1
 
 
-def rig_model_to_toml(
-    model: RigModel, rig_text: str, zeros: Mapping[str, Mapping[str, float]] | None = None
-) -> str:
-    """Return the text of a model file.
-
-    Parameters
-    ----------
-    model : RigModel
-    rig_text : str
-        The rig file that it was declared in; a model file is complete in itself.
-    zeros : mapping of log to mapping of effect to float, optional
-        Shift of the encoder's zero in each log [rad or m].
-    """
+def rig_model_to_toml(model: RigModel) -> str:
+    """Return the text of a model file, complete in itself: the rig file's text is in it."""
     document = tomlkit.document()
     document.add(tomlkit.comment("Drive model of dmptm-ctrl. SI units; angles in radians."))
     document["schema"] = SCHEMA
     document["kind"] = KIND
-    document["rig"] = tomlkit.string(rig_text, multiline=True)
+    document["rig"] = tomlkit.string(model.rig.text, multiline=True)
     values = tomlkit.table()
     for key, value in model.values.items():
         item = tomlkit.item(float(value))
@@ -55,24 +40,17 @@ def rig_model_to_toml(
             table[key] = item
         effects.append(table)
     document["effect"] = effects
-    if zeros:
-        logs = tomlkit.table()
-        for log, shifts in zeros.items():
-            if shifts:
-                logs[log] = {key: float(shift) for key, shift in shifts.items()}
+    logs = tomlkit.table()
+    for log, shifts in model.zeros.items():
+        if shifts:
+            logs[log] = {key: float(shift) for key, shift in shifts.items()}
+    if logs:
         document["zero"] = logs
     return tomlkit.dumps(document)
 
 
-def rig_model_from_toml(
-    text: str, name: str = "model.toml"
-) -> tuple[RigModel, dict[str, dict[str, float]]]:
+def rig_model_from_toml(text: str, name: str = "model.toml") -> RigModel:
     """Read the text of a model file.
-
-    Returns
-    -------
-    model : RigModel
-    zeros : dict of log to dict of effect key to float
 
     Raises
     ------
@@ -100,28 +78,10 @@ def rig_model_from_toml(
             raise LogError(f"{name}: far of an effect is a list of names")
         values_of = finite_numbers(name, f"effect {table['name']}", numbers)
         effects.append(Placed(table["name"], table["on"], values_of, tuple(map(str, far))))
+    zeros = {log: finite_numbers(name, f"zero.{log}", shifts) for log, shifts in shifted.items()}
     try:
-        model = RigModel(rig, tuple(effects), values)
+        model = RigModel(rig, tuple(effects), values, zeros)
         model.plant()
     except (KeyError, ValueError) as error:
         raise LogError(f"{name}: {error.args[0]}") from None
-    zeros = {log: finite_numbers(name, f"zero.{log}", shifts) for log, shifts in shifted.items()}
-    return model, zeros
-
-
-def read_rig_model(path: str | PathLike[str]) -> tuple[RigModel, dict[str, dict[str, float]]]:
-    """Read a model file; see `rig_model_from_toml`."""
-    file = Path(path)
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        raise LogError(f"{file.name}: no readable model file there") from None
-    return rig_model_from_toml(text, file.name)
-
-
-def is_rig_model(path: str | PathLike[str]) -> bool:
-    """Whether a model file is of a drive of any shape; False for what cannot be read."""
-    try:
-        return parse_toml(Path(path).read_text(encoding="utf-8"), "").get("kind") == KIND
-    except (OSError, UnicodeDecodeError, LogError):
-        return False
+    return model

@@ -1,0 +1,91 @@
+"""Residual of a rig file's balance, folded over what an effect depends on."""
+
+from typing import Any
+
+import numpy as np
+
+from dmptm_ctrl.diagnosis.quality import Floats, Rows, fold
+from dmptm_ctrl.diagnosis.rig_curves import Signal, variables_of
+from dmptm_ctrl.diagnosis.rig_evidence import RigState
+from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.identify.measured_motion import Motion
+from dmptm_ctrl.plots.diagnosis import Evidence
+from dmptm_ctrl.signals.units import parse_unit
+
+MEASURES = {"theta": "position", "omega": "speed"}
+
+
+def folded(
+    without: RigState, final: RigState, variable: str, effect: str, unit: str
+) -> Evidence | None:
+    """Fold what the drive gave more than a model over a variable, on all logs.
+
+    Parameters
+    ----------
+    without, final : RigState
+        Without the effect, the rest refitted; and the final model.
+    variable : str
+        As in `depends_on` of diagnosis.json; empty for the first position.
+    effect : str
+        Name; empty where there is none.
+    unit : str
+        Of the balance.
+
+    Returns
+    -------
+    Evidence or None
+        None where no body's speed is measured.
+    """
+    signals = variables_of(final.fit)
+    speed = next((s for name, s in signals.items() if name.startswith("omega")), None)
+    if speed is None:
+        return None
+    name = _measured(final, signals, variable)
+    factor, label = _label(final.fit.model.rig, name)
+
+    def rows(state: RigState) -> list[Rows]:
+        found = []
+        news = float(final.fit.likelihood.news[0])
+        sides = (
+            (state.fit.likelihood.balance, state.fit.left), (state.held, state.held_left[0]),
+        )  # fmt: skip
+        for balance, left in sides:
+            for motion, part in zip(balance.motions, left, strict=True):
+                use = motion.moving
+                x, way = (reduced(motion, s)[use] for s in (signals[name], speed))
+                found.append((x / factor, part[0][use], np.sign(way), news))
+        return found
+
+    return fold(rows(without), rows(final), label, f"drive − model\n[{unit}]", effect)
+
+
+def reduced(motion: Motion, signal: Signal) -> Floats:
+    """A signal at the rows of the balance."""
+    return motion.reduce(np.asarray(signal(motion), float))
+
+
+def _measured(state: RigState, signals: dict[str, Any], variable: str) -> str:
+    """The variable among those that logs show, of a body that turns with the one meant."""
+    if variable in signals:
+        return variable
+    kind, _, body = variable.partition(":")
+    place = state.fit.model.layout.coordinate
+    alike = [name for name in signals if name.partition(":")[0] == kind]
+    tied = [n for n in alike if place.get(n.partition(":")[2]) == place.get(body, -1)]
+    return next(iter([*tied, *alike, *signals]))
+
+
+def _label(rig: Rig, name: str) -> tuple[float, str]:
+    """SI per unit of a variable as the rig's sensors give it, and its label."""
+    kind, _, of = name.partition(":")
+    if kind in MEASURES:
+        sensors = (s for s in rig.sensors if s.body == of and s.measures == MEASURES[kind])
+        si = next((b.angle_unit for b in rig.bodies if b.name == of), "rad")
+        unit = next((s.unit for s in sensors), si if kind == "theta" else f"{si}/s")
+        return parse_unit(unit).factor, f"{MEASURES[kind]} of {of} [{unit}]"
+    if kind in ("u", "du_dt"):
+        source = next((i for i in rig.inputs if i.name == of), rig.inputs[0])
+        rate = kind == "du_dt"
+        label = f"{'rate of ' * rate}{source.name} [{source.unit}{'/s' * rate}]"
+        return parse_unit(source.unit).factor, label
+    return 1.0, f"{name.replace('_', ' ')} [s]"

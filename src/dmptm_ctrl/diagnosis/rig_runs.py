@@ -1,0 +1,215 @@
+"""Free runs of a rig file's drive on its held-out logs, and how far they are from a sensor."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.diagnosis.predict import BANDWIDTH_HZ, agreement, low_pass, noise_below
+from dmptm_ctrl.drive.rig import Rig, Sensor
+from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.identify.measured_motion import (
+    HELD_STRETCHES,
+    MOTION_OVER_BALANCE,
+    STRETCHES,
+    derivative,
+)
+from dmptm_ctrl.identify.rig_fit import RigFit, State
+from dmptm_ctrl.identify.rig_simulate import free_run, readings
+from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.signals.units import parse_unit
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.rig_model import RigModel
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.plots.diagnosis import Overlay
+
+Floats = NDArray[np.float64]
+TWINS = 8  # drives within the standard errors of the fit, whose scatter no fit can remove
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Free runs of the models before and after on the inputs of held-out logs.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        That is compared: the first that measures speed, else the rate of the first. A free run
+        of a position drifts without end, which says little of a model.
+    bandwidth : float
+        Of what is compared [Hz].
+    logs : tuple of Log
+        As read.
+    held : tuple of (n,) arrays of bool
+        Samples that nothing was fitted to.
+    before, after : list of (n,) arrays, or None
+        Speeds in the sensor's unit; None where a run leaves all finite numbers.
+    floor : float
+        Scatter of models within the standard errors, and noise.
+    """
+
+    sensor: Sensor
+    bandwidth: float
+    logs: tuple[Log, ...]
+    held: tuple[NDArray[np.bool_], ...]
+    before: list[Floats] | None
+    after: list[Floats] | None
+    floor: float
+    jobs: int
+
+    @classmethod
+    def of(
+        cls,
+        rig: Rig,
+        logs: Sequence[Log],
+        balance: Balance,
+        before: State,
+        after: State,
+        fit: RigFit,
+        jobs: int,
+    ) -> "Runs":
+        """Run the models before and after, and some within the standard errors of the latter."""
+        sensor = next((s for s in rig.sensors if s.measures == "speed"), rig.sensors[0])
+        named = {log.name: log for log in logs}
+        held = tuple(named[m.name] for m in balance.motions)
+        masks = []
+        for log, motion in zip(held, balance.motions, strict=True):
+            tenth = np.arange(len(log)) * STRETCHES // len(log)
+            masks.append(np.isin(tenth, HELD_STRETCHES) | (motion.part == ""))
+        widest = min(BANDWIDTH_HZ, MOTION_OVER_BALANCE * balance.bandwidth)
+        bare = cls(sensor, widest, held, tuple(masks), None, None, 0.0, jobs)
+        runs = [bare.run(state) for state in (before, after)]
+        floor = bare.scatter(after, fit) if None not in runs else 0.0
+        return replace(bare, before=runs[0], after=runs[1], floor=floor)
+
+    @property
+    def unit(self) -> str:
+        """Of the sensor's column, per second where it measures a position."""
+        return self.sensor.unit + "/s" * (self.sensor.measures == "position")
+
+    def run(self, state: State) -> list[Floats] | None:
+        """Run a model on every log; None where it leaves all finite numbers."""
+
+        def one(log: Log) -> Floats:
+            model = state.model.shifted(state.nuisance(log.name).zero)
+            return self._seen(readings(model, log, free_run(model, log))[self.sensor.name], log)
+
+        try:
+            with np.errstate(all="ignore"):
+                done = in_threads(one, self.logs, self.jobs, len)
+        except (ValueError, ArithmeticError):  # values that no machine has
+            return None
+        return done if all(np.isfinite(run).all() for run in done) else None
+
+    def _seen(self, signal: Floats, log: Log) -> Floats:
+        dt = log.sample_time
+        shown = low_pass(signal, dt, self.bandwidth) / parse_unit(self.sensor.unit).factor
+        return shown if self.sensor.measures == "speed" else derivative(shown, dt)
+
+    @cached_property
+    def measured(self) -> list[Floats]:
+        """What the sensor read."""
+        return [self._seen(log[self.sensor.channel], log) for log in self.logs]
+
+    def agreement(self, runs: Sequence[Floats]) -> dict[str, float]:
+        """How far runs are from the readings, where nothing was fitted."""
+        rows = zip(self.measured, runs, self.held, strict=True)
+        return agreement([(seen[use], run[use]) for seen, run, use in rows])
+
+    def scatter(self, after: State, fit: RigFit) -> float:
+        """Scatter of runs of models within the standard errors of a fit, and noise."""
+        rng = np.random.default_rng(0)
+        values, vectors = np.linalg.eigh(fit.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        twins = []
+        for _ in range(TWINS):
+            steps = root @ rng.standard_normal(len(fit.frees))
+            moved = [
+                float(np.clip(fit.state.get(f) + f.scale * step, f.low, f.high))
+                for f, step in zip(fit.frees, steps, strict=True)
+            ]
+            runs = self.run(after.moved(fit.frees, moved))
+            if runs is not None:
+                joined = zip(runs, self.held, strict=True)
+                twins.append(np.concatenate([run[use] for run, use in joined]))
+        variance = float(np.mean(np.var(twins, axis=0, ddof=1))) if len(twins) > 1 else 0.0
+        noise = [self._noise(log) for log in self.logs]
+        return float(np.sqrt(variance + np.mean(np.square(noise))))
+
+    def _noise(self, log: Log) -> float:
+        """Noise of the readings in the band; of a rate by ∫ (2πf)² over it."""
+        signal = log[self.sensor.channel] / parse_unit(self.sensor.unit).factor
+        noise = noise_below(signal, log.sample_time, self.bandwidth)
+        rate = 2.0 * np.pi * self.bandwidth / np.sqrt(3.0)
+        return noise if self.sensor.measures == "speed" else noise * float(rate)
+
+    def error(self) -> dict[str, dict[str, Any]] | None:
+        """Errors before and after, and their floor; None where a run has none."""
+        if self.before is None or self.after is None:
+            return None
+        sides: dict[str, dict[str, Any]] = {
+            "before": self.agreement(self.before), "after": self.agreement(self.after),
+        }  # fmt: skip
+        sides["floor"] = {"rmse": min(self.floor, *(s["rmse"] for s in sides.values()))}
+        return {
+            k: {**v, "unit": self.unit, "bandwidth_hz": self.bandwidth} for k, v in sides.items()
+        }
+
+    def rise(self, without: State) -> float | None:
+        """What the error of the free runs rises by with another model, root mean square."""
+        runs = self.run(without) if self.error() is not None else None
+        if runs is None or self.after is None:
+            return None
+        one, other = (self.agreement(r)["rmse"] for r in (runs, self.after))
+        return float(np.sqrt(max(one**2 - other**2, 0.0)))
+
+    def left(self) -> tuple[float | None, float | None]:
+        """What of the error is not explained, and its floor."""
+        error = self.error()
+        if error is None:
+            return None, None
+        after, floor = error["after"]["rmse"], error["floor"]["rmse"]
+        return float(np.sqrt(max(after**2 - floor**2, 0.0))), floor
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A sentence where there is no free run."""
+        if self.error() is not None:
+            return ()
+        return ("a free run on the held-out logs leaves all finite numbers; no free-run error",)
+
+    def overlays(self) -> "list[Overlay]":
+        """Measured, before and after on each log."""
+        from dmptm_ctrl.plots.diagnosis import Overlay
+
+        if self.before is None or self.after is None:
+            return []
+        rows = zip(self.logs, self.measured, self.before, self.after, self.held, strict=True)
+        return [
+            Overlay(
+                log.name, log.time, seen, old, new, held, self._push(log), unit=self.unit
+            )
+            for log, seen, old, new, held in rows
+        ]  # fmt: skip
+
+    def _push(self, log: Log) -> Floats:
+        inputs = [v for k, v in log.channels.items() if k.startswith("in_")]
+        return low_pass(np.mean(inputs, axis=0), log.sample_time, self.bandwidth)
+
+
+def variable_of(model: RigModel, key: str) -> str:
+    """What an effect depends on, of the body that it acts on: as in `depends_on`."""
+    name, _, on = key.partition("@")
+    wanted = PLACED_CATALOGUE[name].effect.depends_on[0]
+    kind = wanted.partition("_")[0]
+    if kind not in ("theta", "omega", "mesh"):
+        return wanted
+    layout = model.layout
+    links = {k.name: k.first for k in model.rig.links}
+    places = {**layout.sensor_body, **layout.input_body, **links}
+    return f"{'theta' if kind == 'mesh' else kind}:{places.get(on, on)}"

@@ -83,7 +83,7 @@ def test_wrong_usage(capsys, arguments, message):
             "NaN",
         ),
         ("run.csv", b"time_s,a\x1b[31mb_m,x\ry\n0,1,2\n", "run.csv"),
-        ("run.xlsx", b"PK", "not a log by its name"),
+        ("run.xlsx", b"PK\3\4", "a packed file, such as Excel"),
         ("run.mat", b"MATLAB 5.0 MAT-file", "not a readable .mat file"),
     ],
     ids=["empty", "unit", "gzip", "nan", "control characters", "extension", "matlab"],

@@ -42,6 +42,8 @@ TEXTS = {
     "ISO, decimal comma": lambda s: s.strftime("%Y-%m-%d %H:%M:%S,%f")[:-3],
     "ISO, slashes": lambda s: s.strftime("%Y/%m/%d %H:%M:%S.%f"),
     "basic ISO": lambda s: s.strftime("%Y%m%dT%H%M%S.%f"),
+    "ISO, underscore": lambda s: s.strftime("%Y-%m-%d_%H:%M:%S.%f"),
+    "ctime": lambda s: s.strftime("%a %b %d %H:%M:%S.%f %Y"),
     "German": lambda s: s.strftime("%d.%m.%Y %H:%M:%S.%f"),
     "American": lambda s: s.strftime("%m/%d/%Y %I:%M:%S.%f %p"),
     "time of day": lambda s: s.strftime("%H:%M:%S.%f")[:-3],
@@ -139,6 +141,22 @@ def test_coarse_clock(tick, step):
     assert log.sample_time == pytest.approx(step, rel=1e-3 + 0.5 * tick / (step * ROWS))
     np.testing.assert_allclose(log["out_q"], Q, atol=1e-12)
     assert any("clock is coarse" in w and "sample_rate" in w for w in log.warnings)
+
+
+@pytest.mark.parametrize("start", [0.0, 0.314])
+def test_rate_of_whole_seconds(start):
+    """Where stamps change, the clock has just ticked: that tells the rate of samples."""
+    time = 0.004 * np.arange(2500) + start
+    frame = pd.DataFrame({"t": np.floor(time + 1e-9), "u": np.sin(time), "q": np.cos(time)})
+    (log,) = rig().read(frame)
+    assert log.sample_time == pytest.approx(0.004, rel=1e-12)
+
+
+def test_clock_that_is_neither_number_nor_time(tmp_path):
+    lines = (f"after {i} steps,{u},{u}\n" for i, u in enumerate(U))
+    (tmp_path / "run.csv").write_text("t,u,q\n" + "".join(lines))
+    with pytest.raises(LogError, match="nor times as 'after 0 steps' all through; .* sample_rate"):
+        rig().read(tmp_path / "run.csv")
 
 
 def test_coarse_clock_of_a_known_rate():

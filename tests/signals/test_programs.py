@@ -151,6 +151,7 @@ LAYOUTS = {
     "types and units": "t,u,q\nfloat,float,double\ns,N*m,rad\n" + rows(",", T, U, Q),
     "units in names": table(header=("t [s]", "u [Nm]", "q [rad]")),
     "units in round brackets": table(header=("t (s)", "u (Nm)", "q (rad)")),
+    "units after a slash": table(header=("t/s", "u/(N m)", "q/rad")),
     "numpy": "# written by savetxt\n# t u q\n" + rows(" ", T, U, Q),
     "percent before the names": "%t,u,q\n" + rows(",", T, U, Q),
     "index of pandas": FRAME.to_csv(),
@@ -242,6 +243,8 @@ LEFT_OUT = {  # content, rows that stay, what is said
     "cut line and header again": (inserted("0.99,1", "\n", LINES[0]), ALL, "line 101"),
     "empty cells at the start": (replaced(1, 6, ",,\n"), slice(5, None), "first 5 rows"),
     "NaN at the start": (replaced(1, 6, ",NaN,nan\n"), slice(5, None), "no value for u and q"),
+    "words at the start": (replaced(1, 4, ",ERR,1.5\n"), slice(3, None), "lines 2, 3, 4"),
+    "infinite at the start": (replaced(1, 4, ",inf,1.5\n"), slice(3, None), "first 3 rows"),
     "NULL at the start": (replaced(1, 3, ",NULL,NULL\n"), slice(2, None), "first 2 rows"),
     "n/a at the end": (replaced(-3, ROWS + 1, ",1.0,n/a\n"), slice(0, -3), "last 3 rows"),
 }

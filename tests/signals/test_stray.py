@@ -70,6 +70,13 @@ def test_stray_files_are_left_out(tmp_path):
     assert sorted(t.split()[2].rstrip(":") for t in told) == sorted(STRAY)
 
 
+@pytest.mark.parametrize("name", ["run.xls", "run.bak", "run.m", "run"])
+def test_a_file_that_is_named_is_judged_by_its_content(tmp_path, name):
+    (tmp_path / name).write_text(TEXT)
+    (log,) = parse_rig(RIG.format(unit="N m")).read(tmp_path / name)
+    np.testing.assert_allclose(log["out_q"], FRAME["q"])
+
+
 def test_a_folder_inside_is_passed_over(tmp_path):
     folder(tmp_path, {})
     (tmp_path / "old.csv").mkdir()
@@ -158,7 +165,8 @@ def test_units_of_the_file_make_a_log(tmp_path):
     assert log.sample_time == pytest.approx(0.01)
 
 
-def test_object_of_matlab(tmp_path):
+@pytest.mark.parametrize("beside", [{}, {"tout": T}])
+def test_object_of_matlab(tmp_path, beside):
     """Version 7.3 stores an object as a reference of six numbers."""
     h5py = pytest.importorskip("h5py")
     pytest.importorskip("pymatreader")
@@ -168,10 +176,13 @@ def test_object_of_matlab(tmp_path):
         data = file.create_dataset("ans", data=reference)
         data.attrs["MATLAB_class"] = np.bytes_("timeseries")
         data.attrs["MATLAB_object_decode"] = np.int32(3)
+        for name, values in beside.items():
+            file.create_dataset(name, data=values[None])
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
     with path.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
-    with pytest.raises(LogError, match="objects such as timeseries must be saved as structures"):
-        load_log(path)
+    with pytest.raises(LogError, match="objects such as ans must be saved as structures"):
+        parse_rig(RIG.format(unit="N m")).read(path)
 
 
 def test_a_log_is_not_changed_by_reading(tmp_path):

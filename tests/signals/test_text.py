@@ -131,11 +131,11 @@ def test_many_chunks_are_one_log(columns, write_csv, monkeypatch):
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ("nan", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235$"),
-        ("-inf", r"^run.csv: theta_L_deg is infinite in row 1235$"),
-        ("1e999", r"^run.csv: theta_L_deg is infinite in row 1235$"),
-        ("1e200", r"^run.csv: theta_L_deg is 1e\+200, no measured value, in row 1235$"),
-        ("", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235$"),
+        ("nan", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235;"),
+        ("-inf", r"^run.csv: theta_L_deg is infinite in row 1235;"),
+        ("1e999", r"^run.csv: theta_L_deg is infinite in row 1235;"),
+        ("1e200", r"^run.csv: theta_L_deg is 1e\+200, no measured value, in row 1235;"),
+        ("", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235;"),
         ("off", r"^run.csv: line 1236: theta_L_deg is 'off', not a number$"),
         ("1,2", r"^run.csv: line 1236 has 8 values, the header names 7 columns$"),
     ],
@@ -193,8 +193,8 @@ def test_no_such_file_and_other_names(tmp_path, write_csv):
         load_log(tmp_path / "none.csv")
     with pytest.raises(LogError, match="is a folder, not a log"):
         load_log(tmp_path)
-    with pytest.raises(LogError, match="not a log by its name"):
-        load_log(write_csv("x", "run.xlsx"))
+    with pytest.raises(LogError, match="a packed file, such as Excel's; save it as CSV"):
+        load_log(write_csv("PK\3\4 x", "run.xlsx"))
 
 
 def test_required_channels(columns, write_csv):

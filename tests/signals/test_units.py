@@ -4,7 +4,7 @@ import pint
 import pytest
 
 from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.units import SUFFIXES, door_column, parse_unit, split_column
+from dmptm_ctrl.signals.units import SUFFIXES, door_column, named_unit, parse_unit, split_column
 
 # The suffixes written out for pint, which knows nothing of our table.
 WRITTEN_OUT = {
@@ -93,3 +93,21 @@ def test_what_is_no_unit_of_a_drive(text):
 def test_door_name_parses_back(symbol, degrees):
     column, factor = door_column("x", symbol, degrees=degrees)
     assert split_column(column) == ("x", (symbol, factor))
+
+
+@pytest.mark.parametrize(
+    ("column", "name", "unit"),
+    [
+        ("q [deg]", "q", "deg"),
+        ("q/deg", "q", "deg"),
+        ("v/(m/s)", "v", "m/s"),
+        ("n/(1/min)", "n", "1/min"),
+        ("time in ms", "time", "ms"),
+        ("rad/s", "rad/s", ""),
+        ("/joint/position", "/joint/position", ""),
+        ("motor (left)", "motor (left)", ""),
+        ("q[0]", "q[0]", ""),
+    ],
+)
+def test_unit_in_a_name(column, name, unit):
+    assert named_unit(column) == (name, unit)

@@ -282,9 +282,9 @@ class Rig:
             mapping[self.controller.reference] = Column("reference", self.controller.reference_unit)
         return mapping
 
-    def labels(self) -> dict[str, str]:
-        """Column of each channel, by the channel's name."""
-        return {c.channel: name for name, c in self.columns().items()}
+    def labels(self) -> dict[str, tuple[str, str]]:
+        """Column and unit of each channel, by the channel's name."""
+        return {c.channel: (name, c.unit) for name, c in self.columns().items()}
 
     def declared_names(self) -> set[str]:
         """Names of effects that every body or link of the rig declares already."""

@@ -9,6 +9,7 @@ import pint
 
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.drive.rig import DEFAULT_TOLERANCE, unknown
+from dmptm_ctrl.signals.units import COUNTS
 
 # what a key stands for -> SI unit as shown and as pint writes it
 INERTIA = "kg·m²"
@@ -37,11 +38,11 @@ _RUN_TOGETHER = (  # written without a space, pint reads them as something else
     (r"%", "percent"),
     (r"\b(?:pwm|PWM|lsb|LSB|digits?|inc|increments?|ticks?)\b", "count"),  # a number, to pint
 )
-COUNTS = ("count", "counts", "tick", "ticks", "inc", "increments", "pulses", "steps")
+_COUNTS = ("ticks", "tick", *COUNTS)
 _PER_TURN = re.compile(
-    rf"^\s*(\d+\.?\d*(?:[eE]\d+)?)\s*(?:{'|'.join(COUNTS)})\s*(?:/|per)\s*(\w+)\s*$"
+    rf"^\s*(\d+\.?\d*(?:[eE]\d+)?)\s*(?:{'|'.join(_COUNTS)})\s*(?:/|per)\s*(\w+)\s*$"
 )
-_COUNTED = re.compile(rf"\s*(?:{'|'.join(COUNTS)})\s*(?:(?:/|per\b|_)\s*(s|ms|us|min))?\s*", re.I)
+_COUNTED = re.compile(rf"\s*(?:{'|'.join(_COUNTS)})\s*(?:(?:/|per\b|_)\s*(s|ms|us|min))?\s*", re.I)
 
 
 def counted_per(unit: str) -> str | None:

@@ -32,7 +32,10 @@ def finite(source: str, column: str, values: Array, above: int = 0) -> None:
         value = values[row]
         kind = "infinite" if np.isinf(value) else f"{value:.3g}, no measured value,"
         kind = "missing (NaN)" if np.isnan(value) else kind
-        raise LogError(f"{source}: {column} is {kind} in row {above + row + 1}{more}")
+        raise LogError(
+            f"{source}: {column} is {kind} in row {above + row + 1}{more}; leave that part out "
+            "(start, stop in [data] of the rig file)"
+        )
 
 
 def even_time(source: str, time: Array) -> None:

@@ -17,7 +17,11 @@ MAX_BRIDGED = 10
 DAY = 86400.0  # s
 COARSE = 0.05  # of the steps are another multiple of a coarse clock's tick than most
 # Counters of 16 and 32 bits run over, also where they are printed in thousandths; so do days.
-_DURATION = re.compile(r"(-?\d+ days?\s+)?\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?$|\S+ (sec|ms|min|hr)$")
+_DURATION = re.compile(
+    r"(-?\d+ days?\s+)?\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?$|\S+ (s|sec|ms|us|µs|ns|min|h|hr)$"
+    r"|P\d+DT\S+$"
+)
+_ISO_DATE = re.compile(r"^(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T ,_-]+")
 ROUNDS = (*(2.0**b * 10.0**-e for b in (16, 32) for e in (0, 3, 6)), DAY, 1e3 * DAY)
 
 
@@ -42,10 +46,12 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
     """
     import pandas as pd
 
-    values = pd.Series(texts, dtype=object)
+    values = pd.Series(texts, dtype=object).map(
+        lambda v: v.isoformat() if isinstance(v, datetime) else v
+    )
     first = next((str(v).strip() for v in values if isinstance(v, str) and v.strip()), "")
-    text = values.where(values.notna(), None).str.strip().str.replace(",", ".", regex=False)
     try:
+        text = values.where(values.notna(), None).str.strip().str.replace(",", ".", regex=False)
         if _DURATION.match(first):
             if first.count(":") == 3:  # 09:27:03:010
                 text = text.str.replace(r":(\d+)$", r".\1", regex=True)
@@ -53,14 +59,17 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
                 text = "00:" + text
             times = pd.to_timedelta(text)
         elif re.match(r"\d{4}\D|\d{8}T", first):
-            iso = text.str.replace("/", "-", regex=False)
+            iso = text.str.replace(_ISO_DATE, r"\1-\2-\3 ", regex=True)
             times = pd.to_datetime(iso, format="ISO8601", utc=True)
         else:
+            if ":" not in first:
+                raise ValueError(first)
             form = _format_of(first.replace(",", "."))
             times = pd.to_datetime(text, format=form, utc=True)
-    except (ValueError, OverflowError) as error:
+    except (ValueError, OverflowError, AttributeError) as error:
         raise LogError(
-            f"{source}: column {column!r} holds no times as {first!r} all through"
+            f"{source}: column {column!r} does not hold numbers, nor times as {first[:40]!r} all "
+            "through; leave out time in [data] of the rig file and give sample_rate"
         ) from error
     since = (times - times.dropna().iloc[0]).to_numpy("timedelta64[ns]").copy()
     back = np.diff(since) < -np.timedelta64(12, "h")  # midnight
@@ -178,14 +187,17 @@ def _spread(time: Array, channels: Mapping[str, Array], known: float | None) -> 
     if usual > 0 and odd.mean() < COARSE:
         return None
     index = np.arange(time.size, dtype=np.float64)
-    rate, offset = np.polyfit(index, time, 1)
-    left = time - offset - rate * index
-    if np.abs(left).max() > ticks.max():
+    edges = np.flatnonzero(step) + 1  # a new stamp is late by less than a sample
+    whole = index if edges.size < 3 or not again.size else edges.astype(np.float64)
+    at = time if whole is index else time[edges]
+    rate, offset = np.polyfit(whole, at, 1)
+    if np.abs(time - offset - rate * index).max() > ticks.max() + rate:
         return None
     jitter = np.unique(np.round(step / ticks.min(), 1)).size
     if jitter > 6:  # steps of any length: a clock that jitters, not a coarse one
         return None
-    se = float(np.std(left)) * np.sqrt(12 / float(time.size) ** 3)
+    spread = np.std(at - offset - rate * whole) + 1e-9 * rate
+    se = float(spread) / (whole.std() * np.sqrt(whole.size))
     if known is not None and abs(known - rate) < 10 * se + 1e-3 * rate:
         rate = known
     else:  # the roundest number that fits

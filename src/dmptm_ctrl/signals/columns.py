@@ -73,6 +73,7 @@ class Table(NamedTuple):
 
 
 CLOCK = "(clock)"  # a clock without a name of its own
+TIMES = "(times)"  # instead of the unit of a column of dates or times of day
 
 
 _CLOCKS = ("t", "time", "zeit", "timestamp")
@@ -115,9 +116,11 @@ def resolve(
     if missing:
         raise ColumnsError(f"{source}: no column {missing[0]!r}; it has {_listed(names)}")
     targets: dict[str, Target] = {}
-    ignored = []
+    ignored, clocks = [], []
     contradictions = []
+    clock = names_a_clock(mapping)
     for column in names:
+        seen = {t.channel for t in targets.values()}
         if column in mapping:
             targets[column] = _mapped(column, mapping[column], source)
             if other := _other_unit(mapping[column], units.get(column, "")):
@@ -126,6 +129,8 @@ def resolve(
             target = _by_name(column, units.get(column), source, strict=not mapping)
             if target is None or (mapping and target.channel not in CANONICAL):
                 ignored.append(column)
+            elif target.channel == "time" and (clock or "time" in seen):
+                clocks.append(column)
             else:
                 targets[column] = target
     _refuse_wrong(targets, source)
@@ -134,7 +139,18 @@ def resolve(
         warnings.append(
             f"ignored {_listed(ignored)}: no unit in the name, as in theta_L_deg or current_A"
         )
+    if clocks and not mapping:
+        warnings.append(f"ignored {_listed(clocks)}: another clock")
     return targets, warnings
+
+
+def names_a_clock(mapping: Mapped) -> bool:
+    """Whether one of the columns is said to be the time."""
+    for target in mapping.values():
+        split = split_column(target) if isinstance(target, str) else target
+        if split is not None and split[0] == "time":
+            return True
+    return False
 
 
 def _as_named(names: Sequence[str], mapping: dict[str, Any]) -> dict[str, Any]:
@@ -186,6 +202,8 @@ def _mapped(column: str, target: Any, source: str) -> Target:
 
 
 def _by_name(column: str, stated: str | None, source: str, *, strict: bool) -> Target | None:
+    if stated == TIMES:
+        return Target("time", "s", 1.0) if column.lower() in _CLOCKS else None
     if stated and split_column(column) is None:
         try:
             unit = parse_unit(stated)

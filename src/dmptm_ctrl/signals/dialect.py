@@ -110,11 +110,11 @@ class Dialect(NamedTuple):
 
 
 # MATLAB's "0.01 sec"; a date, a time of day, or both; pandas' "0 days 00:00:01".
-DURATION = r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)? (?:sec|ms|min|hr)"
+DURATION = r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)? (?:s|sec|ms|us|µs|ns|min|h|hr)"
 _CLOCK_TEXT = r"\d{1,2}:\d{2}(:\d{2})?([.,:]\d{1,9})?\s*([AaPp][Mm])?(Z|[-+]\d{2}:?\d{2})?"
 _DATE_TEXT = r"(\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.](\d{1,2}|[A-Za-z]{3})[-/.]\d{2,4})"
 TIME = re.compile(
-    rf"{DURATION}|(-?\d+ days?\s+)?{_CLOCK_TEXT}|{_DATE_TEXT}([T ,]+{_CLOCK_TEXT})?"
+    rf"{DURATION}|(-?\d+ days?\s+)?{_CLOCK_TEXT}|{_DATE_TEXT}([T ,_-]+{_CLOCK_TEXT})?"
     r"|\d{8}T\d{6}\S*"
 )
 
@@ -142,6 +142,8 @@ class Layout:
         Of the clock, where the first column counts the samples [s].
     long : bool
         Each row is a name and its value.
+    wordy : int
+        Lines right above the first row that are such but for a word, as ERR.
     """
 
     names: list[str]
@@ -153,6 +155,7 @@ class Layout:
     period: float | None = None
     steps: tuple[float, float] | None = None
     long: bool = False
+    wordy: int = 0
 
 
 class Block(NamedTuple):

@@ -8,7 +8,7 @@ from dataclasses import replace
 from dmptm_ctrl.signals.columns import CLOCK
 from dmptm_ctrl.signals.dialect import Block, Dialect, Layout, TextFormat, bare, trimmed
 from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.units import Unit, named_unit, parse_unit
+from dmptm_ctrl.signals.units import FOREIGN, Unit, named_unit, parse_unit
 
 FILE_TIME = 1e16  # a clock without a name that reads more counts ticks since 1601
 SEP_LINE = re.compile(r'(?i)\ufeff?"?sep=(.)"?\s*$')
@@ -31,7 +31,7 @@ def named(
     nothing = [""] * block.width
     layout = Layout(
         nothing, nothing, block.dialect, block.first, block.kinds, block.fields,
-        _period(lines[: block.first], block.dialect),
+        _period(lines[: block.first], block.dialect), wordy=_wordy(lines[: block.first], block),
     )  # fmt: skip
     long = block.kinds == ["text", "number"] and not block.constant[0]
     if long and len({r[0] for r in block.rows}) <= len(block.rows) / 4:
@@ -76,6 +76,14 @@ def _candidates(lines: Sequence[str], block: Block) -> list[list[str]]:
     return found[min(found)] if found else []
 
 
+def _wordy(above: Sequence[str], block: Block) -> int:
+    def is_row(line: str) -> bool:
+        kinds = [block.dialect.kind(cell) for cell in block.dialect.split(line)]
+        return len(kinds) == block.fields and block.kinds[0] == kinds[0] != "text"
+
+    return sum(1 for _ in itertools.takewhile(is_row, reversed(above)))
+
+
 def _counts_rows(block: Block) -> bool:
     """Whether the first column numbers or names the rows, as R writes it without a name."""
     if block.kinds[0] == "text":
@@ -113,7 +121,9 @@ def _from_rows(rows: list[list[str]], plain: Layout, wanted: Collection[str]) ->
     others = [r for r in rows if r is not best]
     units = [named_unit(n)[1] for n in best]
     for row in others:
-        texts = [n for n in row if n and plain.dialect.number(n) is None]
+        # a label before each channel, as Unit, is no unit
+        label = row[0] if row.count(row[0]) > 1 and not _is_unit(row[0]) else ""
+        texts = [n for n in row if n not in ("", label) and plain.dialect.number(n) is None]
         if texts and sum(_is_unit(n) for n in texts) > len(texts) / 2:
             units = [
                 u or (n.strip("[]()") if _is_unit(n) else "")
@@ -154,6 +164,8 @@ def _is_unit(text: str) -> bool:
     inside = inside.strip("[]()").strip()
     if not inside:
         return bracket
+    if inside.lower() in FOREIGN:
+        return True
     if len(inside) > 12 or (len(inside) == 1 and inside.isupper() and inside not in "NAVWK"):
         return False
     try:

@@ -107,7 +107,7 @@ def without_holes(
         filled[name] = np.interp(
             np.arange(values.size), there, values[there], left=np.nan, right=np.nan
         )
-    complete = np.flatnonzero(~np.any([np.isnan(v) for v in filled.values()], axis=0))
+    complete = np.flatnonzero(np.all([np.isfinite(v) for v in filled.values()], axis=0))
     size = next(iter(filled.values())).size
     if not complete.size or complete.size == size:
         return slice(0, size), filled, notes
@@ -115,7 +115,9 @@ def without_holes(
     for what, part in (("first", slice(0, rows.start)), ("last", slice(rows.stop, size))):
         count = part.stop - part.start
         if count:
-            lacking = [labels.get(n, n) for n, v in filled.items() if np.isnan(v[part]).any()]
+            lacking = [
+                labels.get(n, n) for n, v in filled.items() if not np.isfinite(v[part]).all()
+            ]
             gone = "1 row was" if count == 1 else f"{count} rows were"
             notes.append(f"the {what} {gone} left out: no value for {_listed(lacking)}")
     return rows, filled, notes

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.clock import seconds_of
-from dmptm_ctrl.signals.columns import Table, resolve
-from dmptm_ctrl.signals.errors import ColumnsError
-from dmptm_ctrl.signals.loaders import load_log, read_table
+from dmptm_ctrl.signals.columns import TIMES, Table, resolve
+from dmptm_ctrl.signals.errors import ColumnsError, LogError
+from dmptm_ctrl.signals.loaders import load_log, numbers_or_times, read_table
 from dmptm_ctrl.signals.log import Log
-from dmptm_ctrl.signals.units import door_column, named_unit
+from dmptm_ctrl.signals.units import door_column, named_unit, parse_unit
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ class LogInfo:
 def describe(
     log: Log,
     *,
-    labels: Mapping[str, str] | None = None,
+    labels: Mapping[str, tuple[str, str]] | None = None,
     declared: Collection[str] = (),
     effects: Collection[str] | None = None,
     inputs: Collection[str] | None = None,
@@ -96,8 +96,8 @@ def describe(
     ----------
     log : Log
         Of any drive; channels are told apart by their units.
-    labels : mapping of channel to column, optional
-        What the file calls them.
+    labels : mapping of channel to (column, unit), optional
+        What the file calls them, and how they are to be shown.
     declared : collection of str
         Effects that the drive's model has already: of no interest.
     effects : collection of str, optional
@@ -130,11 +130,12 @@ def describe(
     )
 
 
-def _channel(log: Log, channel: str, labels: Mapping[str, str]) -> ChannelInfo:
+def _channel(log: Log, channel: str, labels: Mapping[str, tuple[str, str]]) -> ChannelInfo:
     column, factor = door_column(channel, log.units[channel])
     if channel in labels:
-        unit = column.removeprefix(channel).strip("_")
-        column = f"{labels[channel]} [{unit}]" if unit else labels[channel]
+        name, unit = labels[channel]
+        factor = parse_unit(unit).factor
+        column = name if named_unit(name)[1] or not unit else f"{name} [{unit}]"
     return _figures(column, log[channel] / factor)
 
 
@@ -302,13 +303,17 @@ def _columns_of(path: Path) -> tuple[dict[str, ChannelInfo], Table, dict[str, st
     table = read_table(path, choose)
     found = {}
     for name, values in table.columns.items():
-        column = np.asarray(values)
+        try:
+            column = np.asarray(values)
+            if column.dtype.kind not in "mMiub":
+                column = numbers_or_times(column, name, path.name)
+        except LogError:
+            continue
         if column.dtype.kind in "mM":
             column, _ = seconds_of(column, 1.0)
-        if column.dtype.kind not in "fiub" or column.ndim != 1:
-            continue
         good = column[np.isfinite(column)].astype(np.float64)
         if good.size:
-            unit = "" if named_unit(name)[1] else stated.get(name, "")
+            unit = "s" if stated.get(name) == TIMES else stated.get(name, "")
+            unit = "" if named_unit(name)[1] else unit
             found[name] = _figures(f"{name} [{unit}]" if unit else name, good)
     return found, table, stated

@@ -12,8 +12,8 @@ import numpy as np
 from dmptm_ctrl.signals import checks
 from dmptm_ctrl.signals.bags import read_bag
 from dmptm_ctrl.signals.campaign import Campaign
-from dmptm_ctrl.signals.clock import mended, resampled, seconds_of
-from dmptm_ctrl.signals.columns import Choose, Mapped, Table, Target, resolve
+from dmptm_ctrl.signals.clock import mended, resampled, seconds_of, times_of
+from dmptm_ctrl.signals.columns import Choose, Mapped, Table, Target, names_a_clock, resolve
 from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign
 from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
@@ -35,7 +35,7 @@ OTHER = (  # what stands beside logs in a folder and is none by its name
     *(".toml", ".md", ".rst", ".html", ".htm", ".xml", ".yaml", ".yml", ".ini", ".cfg"),
     *(".png", ".jpg", ".jpeg", ".svg", ".gif", ".bmp", ".pdf", ".zip", ".7z", ".tar", ".rar"),
     *(".py", ".pyc", ".m", ".mlx", ".ipynb", ".slx", ".mdl", ".c", ".h", ".exe", ".dll"),
-    *(".xlsx", ".xls", ".ods", ".docx", ".doc", ".pptx", ".odt", ".bak", ".tmp", ".lock"),
+    *(".xlsx", ".ods", ".docx", ".doc", ".pptx", ".odt", ".bak", ".tmp", ".lock"),
 )
 
 
@@ -288,10 +288,6 @@ def read_table(
         raise LogError(f"no such file: {path}")
     if path.is_dir():
         raise LogError(f"{path.name} is a folder, not a log")
-    if path.name.lower().endswith(OTHER):
-        raise NotALogError(
-            f"{path.name}: not a log by its name; logs are files of text or one of {_PACKED}"
-        )
     readers = {
         ".mat": read_matlab, ".mf4": read_mdf, ".json": read_json, ".mcap": read_bag,
         ".bag": read_bag, ".db3": read_bag,
@@ -302,6 +298,8 @@ def read_table(
             return readers[extension](path, choose)
         with path.open("rb") as stream:
             head = stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
+        if head.startswith((b"PK\3\4", b"\xd0\xcf\x11\xe0")):
+            raise NotALogError(f"{path.name}: a packed file, such as Excel's; save it as CSV")
         if head.startswith(b"MDF "):  # also called .mdf and .dat
             return read_mdf(path, choose)
         if head.startswith(b"{") and extension != ".parquet":  # JSON by another name
@@ -328,6 +326,8 @@ def _channels(
 ) -> tuple[Any, dict[str, Any], dict[str, str], list[str]]:
     """Time [s], channels in SI without holes, their units, and warnings."""
     targets, notes = resolve(list(table.columns), columns, table.units, title)
+    if sample_time is not None and columns and not names_a_clock(columns):
+        targets = {c: t for c, t in targets.items() if t.channel != "time"}
     labels = {target.channel: column for column, target in targets.items()}
     time, more = _time(table, targets, sample_time, title)
     notes += more
@@ -347,7 +347,7 @@ def _channels(
         if target.symbol in ("rad", "m"):
             values, note = unwrapped_counts(title, column, values)
         else:
-            values, note = with_sign(column, values)
+            values, note = with_sign(column, values) if target.symbol != "s" else (values, "")
         notes += [note] if note else []
         channels[target.channel] = values if target.factor == 1.0 else values * target.factor
         units[target.channel] = target.symbol
@@ -388,7 +388,7 @@ def _time(
     if clock is not None:
         values = np.asarray(table.columns.pop(clock))
         if values.dtype.kind not in "mMiu":
-            values = _floats(values, clock, title)
+            values = numbers_or_times(values, clock, title)
         time, note = seconds_of(values, targets[clock].factor)
         return time, [f"{clock}: {note}"] if note else []
     if sample_time is None and table.period is None:
@@ -401,6 +401,22 @@ def _time(
     if sample_time is None:
         return None, [f"no time column: the samples are {table.period:.6g} s apart by the preamble"]
     return None, []
+
+
+def numbers_or_times(values: Any, column: str, title: str) -> Any:
+    """Column as floats, or as times where it holds texts of such.
+
+    Raises
+    ------
+    LogError
+        Neither.
+    """
+    try:
+        return _floats(values, column, title)
+    except LogError:
+        if values.ndim != 1 or values.dtype.kind not in "OUT":
+            raise
+        return times_of(values, title, column)
 
 
 def _factor_of_time(targets: Mapping[str, Target]) -> float:

@@ -9,9 +9,10 @@ import numpy as np
 
 from dmptm_ctrl.signals.apart import Signal, read_apart
 from dmptm_ctrl.signals.columns import Choose, Table
-from dmptm_ctrl.signals.errors import NotALogError
+from dmptm_ctrl.signals.errors import ColumnsError, NotALogError
 
 MAX_WIDTH = 64  # columns of one array that are taken apart
+_OBJECTS = "(objects)"  # their names, among the texts
 _OBJECT = 0xDD000000  # begins the reference to an object, which only MATLAB can follow
 
 
@@ -38,17 +39,21 @@ def read_matlab(path: Path, choose: Choose) -> Table:
         Not readable, or without signals.
     """
     found, meta = read_apart(path)
+    objects = meta.pop(_OBJECTS, "")
+    how = (
+        f"objects such as {objects or 'timeseries'} must be saved as structures: s.time_s = ts.Time"
+    )
     if not found:
-        raise NotALogError(
-            f"{path.name}: no signals in the file; objects such as timeseries must be saved as "
-            "structures: s.time_s = ts.Time"
-        )
+        raise NotALogError(f"{path.name}: no signals in the file; {how}")
     times = {s.clock: s.values for s in found if s.is_time}
     main = max(times, key=lambda c: len(times[c]), default=0)
     found = [s for s in found if not s.is_time or s.clock == main]
     names = _short_names([signal.path for signal in found])
     units = {n: s.unit for n, s in zip(names, found, strict=True) if s.unit}
-    kept = set(choose(names, units))
+    try:
+        kept = set(choose(names, units))
+    except ColumnsError as error:
+        raise (ColumnsError(f"{error}; {how}") if objects else error) from None
     columns = {n: s.values for n, s in zip(names, found, strict=True) if n in kept}
     clocks = {
         n: times[s.clock]
@@ -110,15 +115,19 @@ def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[S
             yield from _walk((*path[:-1], f"{path[-1]}{index}"), inner, meta)
     elif isinstance(value, str | int | float):
         meta[".".join(path)] = value
+    elif isinstance(value, np.ndarray) and value.dtype == np.uint32 and _is_object(value):
+        meta[_OBJECTS] = ", ".join(filter(None, (meta.get(_OBJECTS), ".".join(path))))
     else:
         yield from _array(path, value, None)
+
+
+def _is_object(array: Any) -> bool:
+    return array.size > 0 and array.flat[0] == _OBJECT
 
 
 def _array(path: tuple[str, ...], value: Any, unit: str | None) -> Iterator[Signal]:
     array = np.squeeze(np.asarray(value))
     if array.dtype.kind not in "fiub" or array.size < 2 or array.ndim > 2:
-        return
-    if array.dtype == np.uint32 and array.flat[0] == _OBJECT:
         return
     if array.ndim == 1:
         yield Signal(path, array, unit)

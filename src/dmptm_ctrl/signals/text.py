@@ -12,8 +12,8 @@ from typing import IO, Any
 
 import numpy as np
 
-from dmptm_ctrl.signals.clock import times_of
-from dmptm_ctrl.signals.columns import Choose, Table
+from dmptm_ctrl.signals.clock import seconds_of, times_of
+from dmptm_ctrl.signals.columns import TIMES, Choose, Table
 from dmptm_ctrl.signals.dialect import COMMENT, MISSING, ODD, Layout, TextFormat
 from dmptm_ctrl.signals.errors import LogError, NotALogError
 from dmptm_ctrl.signals.header import is_clock_name
@@ -169,10 +169,9 @@ def _table(
     names = [name or f"column{c + 1}" for c, name in enumerate(layout.names)]
     if layout.long:
         return _long_table(path, encoding, layout, choose)
-    chosen = choose(
-        list(dict.fromkeys(names)),
-        {n: u for n, u in zip(names, layout.units, strict=True) if u},
-    )
+    stated = [TIMES if k == "time" else u for k, u in zip(layout.kinds, layout.units, strict=True)]
+    units = {n: u for n, u in zip(names, stated, strict=True) if u}
+    chosen = choose(list(dict.fromkeys(names)), units)
     clocks = [c for c, n in enumerate(names) if is_clock_name(n) and layout.kinds[c] != "text"]
     clocks += [c for c, n in enumerate(names) if n in chosen and names.count(n) > 1]
     used = [c for c, n in enumerate(names) if n in chosen]
@@ -182,7 +181,6 @@ def _table(
     if layout.steps is not None and 0 in data:
         data[0] = layout.steps[0] + layout.steps[1] * data[0]
     columns, own = _one_each(path.name, names, chosen, data, sorted({*clocks} & {*read}))
-    units = {n: u for n, u in zip(names, layout.units, strict=True) if u}
     return Table(columns, units, {}, tuple(rows.notes()), own, layout.period)
 
 
@@ -231,8 +229,7 @@ def _same_clock(main: Any, other: Any) -> bool:
     """Whether two columns tick together, be it in other units."""
     if _equal(main, other):
         return True
-    if main.dtype != other.dtype or main.dtype.kind == "m":
-        return False
+    main, other = (seconds_of(v, 1.0)[0] for v in (main, other))
     both = np.isfinite(main) & np.isfinite(other)
     if not both.any() or (np.isfinite(main) != np.isfinite(other)).any():
         return False
@@ -268,6 +265,9 @@ class _Rows:
     def __init__(self, path: Path, encoding: str, layout: Layout) -> None:
         self._path, self._encoding, self._layout = path, encoding, layout
         self._left_out: dict[str, list[int]] = {}
+        self._leave_out(
+            "incomplete rows", [*range(layout.first - layout.wordy + 1, layout.first + 1)]
+        )
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
         """Line number and fields, between which stands ``_FIELD`` (or a blank)."""

@@ -61,12 +61,18 @@ SUFFIXES: dict[str, Unit] = {
 }
 
 TICKS = ("ticks", "tick", "100ns", "100 ns", "filetime")  # of a clock: 100 ns on Windows
-_NUMBERS = (  # a signal in such is a number; its gain says what it stands for
-    *("", "1", "-", "count", "counts", "inc", "incr", "increments", "lsb", "digit", "digits"),
-    *("pwm", "raw", "steps", "pulses", "bool", "none"),
+# What counts, as encoders do.
+COUNTS = (
+    *("count", "counts", "cnt", "cnts", "inc", "incr", "increments", "pulses", "steps"),
+    *("inkr", "ink", "inkremente", "imp", "impulse"),
 )
+_NUMBERS = (  # a signal in such is a number; its gain says what it stands for
+    *("", "1", "-", *COUNTS, "lsb", "digit", "digits", "pwm", "raw", "bool", "none"),
+)
+# Of what stands beside a drive's signals; no quantity of a drive.
+FOREIGN = ("°c", "degc", "°f", "degf", "bar", "mbar", "pa", "kpa", "mpa", "l/min", "ohm", "kw", "db")
 _SPELLINGS = {
-    "%": "percent", "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A",
+    "%": "percent", "pwm %": "percent", "% pwm": "percent", "pwm%": "percent", "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A",
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us",
     "degree": "deg", "degrees": "deg", "grad": "deg", "°": "deg", "u/min": "rpm", "1/min": "rpm",
     "min-1": "rpm", "min^-1": "rpm", "min⁻¹": "rpm", "upm": "rpm", "nmm": "mNm", "n.m": "Nm",
@@ -119,26 +125,32 @@ def parse_unit(text: str) -> Unit:
     return _parse_with_pint(plain)
 
 
-_IN_BRACKETS = re.compile(r"(?P<name>.*?\S)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()]*)\))\s*$")
+_IN_BRACKETS = re.compile(r"(?P<name>.*?[^\s/])\s*(?P<unit>\[[^\[\]]*\]|\([^()]*\))\s*$")
 _AFTER_WORD = re.compile(r"(?P<name>.*\S)(?:\s+/|\s+in|,)\s+(?P<unit>\S+)$")
+_AFTER_SLASH = re.compile(r"(?P<name>[^/\s][^/]*)/(?P<unit>\S+)$")  # q/deg, v/(m/s)
 
 
 def named_unit(column: str) -> tuple[str, str]:
-    """Split ``q [deg]``, ``q (deg)``, ``q / deg`` or ``q in deg``; the unit may be empty.
+    """Split ``q [deg]``, ``q (deg)``, ``q / deg``, ``q/deg``, ``q in deg``; the unit may be empty.
 
     Brackets that hold no unit, as in ``motor (left)`` or ``q[0]``, belong to the name.
     """
-    match = _IN_BRACKETS.match(column)
-    unit = "" if match is None else match["a"] or match["b"] or ""
-    if match is None and (match := _AFTER_WORD.match(column)):
-        unit = match["unit"]
-    if match is None or not unit.strip() or unit.strip().isdigit():
+    if _is_known(column):
         return column, ""
+    for form in (_IN_BRACKETS, _AFTER_WORD, _AFTER_SLASH):
+        if (match := form.match(column)) is not None:
+            unit = match["unit"].strip("()[] ")
+            plain = not unit or unit.isdigit() or not _is_known(unit)
+            return (column, "") if plain else (match["name"], unit)
+    return column, ""
+
+
+def _is_known(unit: str) -> bool:
     try:
         parse_unit(unit)
     except LogError:
-        return column, ""
-    return match["name"], unit.strip()
+        return False
+    return True
 
 
 # What pint may see: products and quotients of names with exponents of one digit. Its parser
@@ -164,7 +176,9 @@ def _parse_with_pint(text: str) -> Unit:
                     break  # °C and the like have another zero
                 return Unit(unit.symbol, float(quantity.to(base).magnitude))
     except Exception as error:  # pint raises its own, tokenizer's and arithmetic errors
-        raise LogError(f"unknown unit {text[:40]!r}; known are {', '.join(SUFFIXES)}") from error
+        raise LogError(
+            f"unknown unit {text[:40]!r}; known are {', '.join(SUFFIXES)}, counts, PWM"
+        ) from error
     raise LogError(f"unit {text!r} is no quantity of a drive; known are {', '.join(SUFFIXES)}")
 
 

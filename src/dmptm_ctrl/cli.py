@@ -99,6 +99,7 @@ def predict(
     from dmptm_ctrl.signals.atomic import write_atomic
 
     write_atomic(out, predict_file(log, model, single=single))
+    print(f"written to {out}")
 
 
 @app.command()

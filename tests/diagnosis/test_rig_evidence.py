@@ -162,6 +162,17 @@ def test_nothing_is_named_where_nothing_is_missing():
     assert not found.effects
     assert found.error["before"]["rmse"] <= 1.5 * found.error["floor"]["rmse"]
     assert not found.depends_on
+    assert not found.warnings
+
+
+def test_a_value_outside_its_declared_range_is_a_warning():
+    bench = Bench(Machine(), **SMALL)  # its inertia is 1e-4
+    rig = parse_rig(bench.rig().replace("0.0001 kg m^2 ± 40 %", "7e-5 kg m^2 ± 10 %"), "rig.toml")
+    found = diagnose_rig(logs_of(bench, rig), rig, jobs=1)
+    (said,) = found.warnings
+    assert said.startswith("body.motor.inertia = ")
+    assert "kg·m² is outside its declared range 6.3e-05 to 7.7e-05" in said
+    assert f"warning: {said}" in found.summary()
 
 
 def test_what_is_on_no_list_is_unknown_with_its_variable():
@@ -177,4 +188,8 @@ def test_what_is_on_no_list_is_unknown_with_its_variable():
     found = diagnose_rig(logs, rig, jobs=1)
     assert found.verdict == "unknown"
     assert "omega:motor" in found.depends_on
-    assert "nothing is missing" not in found.summary()
+    left = found.error["after"]
+    said = f"{left['rmse']:.3g} N·m ({left['percent']:.2g} % of the drive), floor "
+    assert said in found.sentence()
+    assert "unknown" in found.sentence()
+    assert "the speed of motor" in found.sentence()

@@ -70,9 +70,24 @@ _NUMBERS = (  # a signal in such is a number; its gain says what it stands for
     *("", "1", "-", *COUNTS, "lsb", "digit", "digits", "pwm", "raw", "bool", "none"),
 )
 # Of what stands beside a drive's signals; no quantity of a drive.
-FOREIGN = ("°c", "degc", "°f", "degf", "bar", "mbar", "pa", "kpa", "mpa", "l/min", "ohm", "kw", "db")
+FOREIGN = (
+    "°c",
+    "degc",
+    "°f",
+    "degf",
+    "bar",
+    "mbar",
+    "pa",
+    "kpa",
+    "mpa",
+    "l/min",
+    "ohm",
+    "kw",
+    "db",
+)
 _SPELLINGS = {
-    "%": "percent", "pwm %": "percent", "% pwm": "percent", "pwm%": "percent", "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A",
+    "%": "percent", "pwm %": "percent", "% pwm": "percent", "pwm%": "percent",
+    "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A",
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us",
     "degree": "deg", "degrees": "deg", "grad": "deg", "°": "deg", "u/min": "rpm", "1/min": "rpm",
     "min-1": "rpm", "min^-1": "rpm", "min⁻¹": "rpm", "upm": "rpm", "nmm": "mNm", "n.m": "Nm",
@@ -127,7 +142,7 @@ def parse_unit(text: str) -> Unit:
 
 _IN_BRACKETS = re.compile(r"(?P<name>.*?[^\s/])\s*(?P<unit>\[[^\[\]]*\]|\([^()]*\))\s*$")
 _AFTER_WORD = re.compile(r"(?P<name>.*\S)(?:\s+/|\s+in|,)\s+(?P<unit>\S+)$")
-_AFTER_SLASH = re.compile(r"(?P<name>[^/\s][^/]*)/(?P<unit>\S+)$")  # q/deg, v/(m/s)
+_AFTER_SLASH = re.compile(r"(?P<name>[^/\s][^/]*)/(?P<unit>\S+|\([^()]+\))$")  # q/deg, v/(m/s)
 
 
 def named_unit(column: str) -> tuple[str, str]:

@@ -1,5 +1,7 @@
 """Counters of few bits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -43,7 +45,7 @@ def test_unwrapped(bits, signed, lacking):
         read = true % (size - 1)
     if signed:
         read = np.where(read >= size // 2, read - size + lacking, read)
-    values, note = unwrapped_counts("f", "q", read)
+    values, note = unwrapped_counts("q", read)
     # one count less per turn is not told from the counter's own size
     np.testing.assert_allclose(values - values[0], true - true[0], rtol=0, atol=7 * lacking)
     assert f"{bits} bit counter" in note
@@ -52,22 +54,45 @@ def test_unwrapped(bits, signed, lacking):
 @given(st.integers(0, 2**16 - 1), st.integers(1, 20), st.integers(1, 6))
 def test_any_start(start, speed, turns):
     true = start + np.cumsum(np.round(speed * 40 * np.sin(np.linspace(0, 2 * np.pi * turns, 3000))))
-    values, _ = unwrapped_counts("f", "q", true % 2**16)
+    values, _ = unwrapped_counts("q", true % 2**16)
     np.testing.assert_array_equal(np.diff(values), np.diff(true))
 
 
 def test_what_is_no_counter_is_left_alone():
     square = np.where(np.sin(20 * T) > 0, 60000.0, 0.0)
     for values in (np.round(5e4 * T), square, np.sin(T), np.full(50, 3.0)):
-        same, note = unwrapped_counts("f", "q", values)
+        same, note = unwrapped_counts("q", values)
         assert same is values
         assert note == ""
 
 
-def test_one_jump_by_any_number_is_refused():
-    values = np.round(300 * np.sin(T)) + np.where(T > 2, 12345, 0)
-    with pytest.raises(LogError, match=r"f: q jumps by 12345 in row 2002"):
-        unwrapped_counts("f", "q", values)
+@pytest.mark.parametrize("unit", ["counts", "rad"])
+def test_one_jump_by_any_number_is_refused_unless_it_is_left_out(unit):
+    values = np.round(300 * np.sin(T)) + np.where(T > 2.0005, 12345, 0)
+    frame = pd.DataFrame({"t": T, "u": np.cos(T), "q": values * (1 if unit == "counts" else 0.01)})
+    a_rig = rig(COUNTS if unit == "counts" else 'unit = "rad"')
+    jump = "12345" if unit == "counts" else "123.45"
+    with pytest.raises(LogError, match=rf"q jumps by {jump} after 2 s, .* \(start and stop"):
+        a_rig.read(frame)
+    cut = replace(a_rig, data=replace(a_rig.data, stop={"*": 1.9}))
+    (log,) = cut.read(frame)
+    assert len(log) == 1901
+
+
+@pytest.mark.parametrize("size", [2 * np.pi / 10000, 0.036, 0.005])  # rad, deg or mm per count
+@pytest.mark.parametrize("digits", [6, 15])
+def test_a_counter_that_was_scaled(size, digits):
+    true = np.round(1e5 * np.sin(2 * T) + 2e4)
+    values, note = unwrapped_counts("q", np.round(size * (true % 2**16), digits))
+    np.testing.assert_allclose(values - values[0], size * (true - true[0]), atol=2 * 10.0**-digits)
+    assert "16 bit counter that ran over" in note
+
+
+def test_a_position_that_was_set_is_no_scaled_counter():
+    true = 3.0 * np.sin(3 * T)
+    for jump in (0.512, 0.655, 1.31, 2.62, 5.24):
+        values = np.round(true, 5) + np.where(T > 2, jump, 0)
+        assert unwrapped_counts("q", values)[1] == ""
 
 
 @pytest.mark.parametrize("bits", [8, 16, 32])

@@ -26,6 +26,7 @@ from dmptm_ctrl.signals.plausible import SURE as SURE_PAIR
 LEAN = 0.3  # correlation of drive and speed that tells the sign of the motors' power
 SURE = 10.0  # standard errors of an inertia that contradicts its declaration
 KINEMATIC = 0.99  # correlation above which one position follows another through a soft link
+INVERSE = 0.25  # of a ratio's error in logarithms, below which its inverse fits far better
 TOLD = 1.05  # factor between two sensors of one motion that a good pair does not have
 HIDDEN = 20.0  # times less: behind a soft shaft, a load hides that much of the inertia, not more
 
@@ -108,7 +109,7 @@ def refuse_other_units(rig: Rig, log: Log) -> list[str]:
             this = f"{one.column} ({one.unit}) changes"
             expected = f"{other.column} ({other.unit}) {what}"
             refuse_factor(log, y, x, this, expected, detrend=True)
-        elif not SAME_UNIT[0] <= slope <= SAME_UNIT[1]:
+        elif not SAME_UNIT[0] <= slope <= SAME_UNIT[1] or _inverted(path, slope):
             raise LogError(f"{log.name}: {_other_ratio(one, other, path, slope)}")
         if path.rigid and not 1 / TOLD < abs(slope) < TOLD and abs(correlation) > KINEMATIC:
             notes.append(
@@ -126,13 +127,20 @@ class _Path(NamedTuple):
     rigid: bool
 
 
+def _inverted(path: _Path, slope: float) -> bool:
+    """Whether the inverse of a ratio fits the logs far better than the ratio itself."""
+    off = abs(np.log(abs(slope)))
+    return off > np.log(TOLD) and abs(np.log(abs(slope * path.ratio**2))) < INVERSE * off
+
+
 def _other_ratio(one: Sensor, other: Sensor, path: _Path, slope: float) -> str:
     """Sentence about a ratio that the logs contradict."""
     shown = slope * path.ratio
-    if abs(np.log(abs(shown * path.ratio))) < np.log(NAMED) and shown > 0:
+    if abs(np.log(abs(shown * path.ratio))) < np.log(NAMED):
         why = (
             "the ratio is the wrong way round; it is turns of the first body per turn of the second"
         )
+        why += "; and one of the two counts the other way (sign = -1)" * bool(shown < 0)
     elif abs(np.log(abs(slope))) < np.log(NAMED):
         why = "one of the two counts the other way (sign = -1), or the ratio is negative"
     else:
@@ -191,7 +199,8 @@ def generates(rig: Rig, log: Log) -> list[str]:
         for sensor in rig.sensors:
             if sensor.body != source.body:
                 continue
-            u, v = log[source.channel], log[sensor.channel]
+            way = -1.0 if is_known(source.gain) and source.gain.value < 0 else 1.0
+            u, v = way * log[source.channel], log[sensor.channel]
             if sensor.measures == "position":
                 v = np.gradient(v)
             if max(lean(u, v), lean(u - u.mean(), v - v.mean())) < -LEAN:
@@ -232,7 +241,7 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
     each = {m.name: _inertia(rig, balance.only([m.name]), turns) for m in balance.motions}
     wrong = [name for name, (found, se, out) in each.items() if found < -SURE * se and out < 0]
     inertia, se, energy = _inertia(rig, balance, turns)
-    if 0 < len(wrong) < len(each):
+    if wrong and any(found > SURE * se for found, se, _ in each.values()):
         raise LogError(
             f"{', '.join(wrong)}: {columns} or {_column(rig, point.name)} counts the other way "
             f"than in the other logs: an inertia of {each[wrong[0]][0]:.3g} "
@@ -246,7 +255,7 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
         "in the rig file)"
     )
     ways = [_path(rig, point.body, i.body) for i in rig.inputs]
-    if energy < 0 and all(way is not None and way.rigid for way in ways):
+    if (energy < 0 or wrong) and all(way is not None and way.rigid for way in ways):
         raise LogError(said)
     return said
 

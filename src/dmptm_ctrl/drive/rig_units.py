@@ -40,7 +40,7 @@ _RUN_TOGETHER = (  # written without a space, pint reads them as something else
 )
 _COUNTS = ("ticks", "tick", *COUNTS)
 _PER_TURN = re.compile(
-    rf"^\s*(\d+\.?\d*(?:[eE]\d+)?)\s*(?:{'|'.join(_COUNTS)})\s*(?:/|per)\s*(\w+)\s*$"
+    rf"^\s*(\d+\.?\d*(?:[eE]\+?\d+)?)\s*(?:{'|'.join(_COUNTS)})\s*(?:/|per)\s*(\w+)\s*$"
 )
 _COUNTED = re.compile(rf"\s*(?:{'|'.join(_COUNTS)})\s*(?:(?:/|per\b|_)\s*(s|ms|us|min))?\s*", re.I)
 

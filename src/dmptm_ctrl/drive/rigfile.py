@@ -325,7 +325,7 @@ class _Reader(DataReader):
         turn = f"counts/{'m' if body.linear else 'rev'}"
         given = raw.get("counts_per_rev")
         if isinstance(given, int | float) and not isinstance(given, bool):
-            given = f"{given:g} counts/rev"
+            given = f"{given!r} counts/rev"
         try:
             step = counts(given if given is not None else raw.get("resolution"), body.angle_unit)
         except UnitError as error:

@@ -8,7 +8,8 @@ from dmptm_ctrl.signals.errors import LogError
 Array = NDArray[np.float64]
 
 BITS = (8, 10, 12, 13, 14, 16, 18, 20, 24, 32)
-WHOLE = 1e-6  # counts are whole numbers within this
+WHOLE = 1e-6  # whole numbers are such within this
+GRID = 0.01  # counts; readings that were scaled are whole numbers of steps within this
 SLACK = 8  # counts; a counter may be read in two parts, or count to one less
 CALM = 0.5  # of the change that is left when a reading is taken with its sign
 
@@ -21,59 +22,92 @@ def whole_numbers(values: Array) -> bool:
     )  # fmt: skip
 
 
-def unwrapped_counts(source: str, column: str, values: Array) -> tuple[Array, str]:
+def step_of_counts(values: Array) -> float:
+    """Size of a count: 1 of whole numbers, else that of readings that were scaled; 0 for none."""
+    if whole_numbers(values):
+        return 1.0
+    steps = np.unique(np.abs(np.diff(values)))
+    steps = steps[steps > WHOLE * steps.max(initial=0.0)]
+    if not steps.size:
+        return 0.0
+    few = steps[np.unique(np.geomspace(1, steps.size, 300).astype(int)) - 1]
+    size = float(few[0])
+    for step in few:  # larger ones tell it better
+        size = float(step) / round(step / size)
+    counts = values / size
+    return size if (np.abs(counts - np.round(counts)) < GRID).all() else 0.0
+
+
+def unwrapped_counts(column: str, values: Array) -> tuple[Array, str]:
     """Position without the jumps of a counter that runs over.
 
     Parameters
     ----------
-    source, column : str
+    column : str
         For messages.
     values : (n,) array
-        As the file has them; NaN is passed over.
+        As the file has them: counts, or counts times a factor; NaN is passed over.
 
     Returns
     -------
     values : (n,) array
     note : str
         What was done; empty if nothing was.
-
-    Raises
-    ------
-    LogError
-        Jumps of half the range and more between small steps, by no number that counters have.
     """
     good = np.isfinite(values)
     reading = values[good]
-    if reading.size < 3 or not whole_numbers(reading):
+    far, usual = _jumps(reading)
+    unit = step_of_counts(reading) if far.any() else 0.0
+    if unit == 0.0:
         return values, ""
-    step = np.diff(reading)
-    span = float(np.ptp(reading))
-    far = np.abs(step) > 0.5 * span
-    calm = np.abs(step[~far])
-    if not far.any() or not calm.size or far.mean() > 0.2:
-        return values, ""
-    usual = float(calm.max())
-    if usual > 0.25 * float(np.abs(step[far]).min()):
-        return values, ""
+    step = np.diff(reading) / unit
     for bits in BITS:
-        size = 2.0**bits
-        left = step[far] - size * np.sign(step[far])
-        if span < size and (np.abs(left) <= max(1.5 * usual, SLACK)).all():
+        left = step - 2.0**bits * np.sign(step)
+        if np.ptp(reading) / unit >= 2.0**bits:
+            continue
+        if unit == 1.0:
+            fits = np.abs(left[far]) <= max(1.5 * usual, SLACK)
+        else:  # any number is 2^n of something: the motion must go on as before
+            before, after = (np.concatenate(p) for p in (([0.0], step[:-1]), (step[1:], [0.0])))
+            fits = (np.abs(left - before) <= np.abs(after - before) + SLACK)[far]
+        if fits.all():
             turns = np.where(far, np.sign(step), 0.0)
             result = values.copy()
-            result[good] = reading - size * np.concatenate([[0.0], np.cumsum(turns)])
+            result[good] = reading - 2.0**bits * unit * np.concatenate([[0.0], np.cumsum(turns)])
             return result, (
                 f"{column} is a {bits} bit counter that ran over {int(far.sum())} times and was "
                 "unwrapped"
             )
-    if far.sum() == 1 or float(np.ptp(np.abs(step[far]))) > 4 * usual + SLACK:
-        row = int(np.flatnonzero(good)[np.argmax(far) + 1])
-        raise LogError(
-            f"{source}: {column} jumps by {np.abs(step).max():.6g} in row {row + 1}, where it "
-            f"changes by {usual:.6g} at most elsewhere: a counter that was set or failed; leave "
-            "that part out (start and stop in [data] of the rig file)"
-        )
     return values, ""
+
+
+def refuse_jumps(source: str, column: str, values: Array, time: Array) -> None:
+    """Refuse a position that jumps.
+
+    Raises
+    ------
+    LogError
+        Jumps of half the range and more between small steps.
+    """
+    far, usual = _jumps(values)
+    if far.any():
+        row = int(np.argmax(far))
+        raise LogError(
+            f"{source}: {column} jumps by {abs(values[row + 1] - values[row]):.6g} after "
+            f"{time[row] - time[0]:.6g} s, where it changes by {usual:.6g} at most elsewhere: a "
+            "counter that ran over, was set or failed; leave that part out (start and stop in "
+            "[data] of the rig file)"
+        )
+
+
+def _jumps(values: Array) -> tuple[NDArray[np.bool_], float]:
+    """Which steps are jumps, and the greatest of the others."""
+    step = np.abs(np.diff(values))
+    far = step > 0.5 * float(np.ptp(values)) if values.size > 2 else step > np.inf
+    usual = float(step[~far].max(initial=0.0))
+    if not far.any() or far.mean() > 0.2 or not 0 < usual <= 0.25 * float(step[far].min()):
+        return np.zeros(step.size, bool), usual
+    return far, usual
 
 
 def with_sign(column: str, values: Array) -> tuple[Array, str]:

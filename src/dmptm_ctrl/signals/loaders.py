@@ -14,7 +14,7 @@ from dmptm_ctrl.signals.bags import read_bag
 from dmptm_ctrl.signals.campaign import Campaign
 from dmptm_ctrl.signals.clock import mended, resampled, seconds_of, times_of
 from dmptm_ctrl.signals.columns import Choose, Mapped, Table, Target, names_a_clock, resolve
-from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign
+from dmptm_ctrl.signals.counters import refuse_jumps, unwrapped_counts, with_sign
 from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
 from dmptm_ctrl.signals.holes import on_one_clock, without_holes
@@ -103,8 +103,12 @@ def load_log(
         table, ignored, digest = from_frame(source), [], None
     if max_rows is not None:
         ignored += _cut(table, max_rows)
-    time, channels, units, notes = _channels(table, columns, title, sample_time, window, resample)
-    notes = list(dict.fromkeys([*ignored, *table.notes, *notes]))
+    targets, notes = resolve(list(table.columns), columns, table.units, title)
+    if sample_time is not None and columns and not names_a_clock(columns):
+        targets = {c: t for c, t in targets.items() if t.channel != "time"}
+    read = _channels(table, targets, title, sample_time, window, resample, set(columns or ()))
+    time, channels, units, more = read
+    notes = list(dict.fromkeys([*ignored, *table.notes, *notes, *more]))
     _require(required, channels, title)
     if time.size < checks.MIN_SAMPLES:
         raise NotALogError(
@@ -119,6 +123,9 @@ def load_log(
         notes += done
     checks.even_time(title, time)
     notes += _unwrap(channels, units)
+    for column, target in targets.items():
+        if units.get(target.channel) in ("rad", "m"):
+            refuse_jumps(title, column, channels[target.channel] / target.factor, time)
     log = Log(
         name=name or stem(title), time=time, channels=channels, sha256=digest, meta=table.meta,
         units=units,
@@ -318,19 +325,16 @@ def _sha256(path: Path) -> str:
 
 def _channels(
     table: Table,
-    columns: Mapped | None,
+    targets: Mapping[str, Target],
     title: str,
     sample_time: float | None,
     window: tuple[float | None, float | None],
     resample: bool | Literal["if needed"],
+    needed: set[str],
 ) -> tuple[Any, dict[str, Any], dict[str, str], list[str]]:
     """Time [s], channels in SI without holes, their units, and warnings."""
-    targets, notes = resolve(list(table.columns), columns, table.units, title)
-    if sample_time is not None and columns and not names_a_clock(columns):
-        targets = {c: t for c, t in targets.items() if t.channel != "time"}
     labels = {target.channel: column for column, target in targets.items()}
-    time, more = _time(table, targets, sample_time, title)
-    notes += more
+    time, notes = _time(table, targets, sample_time, title)
     channels, units, clocks = {}, {}, {}
     factors = {target.channel: target.factor for target in targets.values()}
     for column, target in targets.items():
@@ -338,14 +342,14 @@ def _channels(
             continue
         values = _floats(table.columns.pop(column), column, title)
         if time is not None and column not in table.clocks and values.size != time.size:
-            if column in (columns or {}):
+            if column in needed:
                 raise LogError(
                     f"{title}: column {column!r} has {values.size} values, the others {time.size}"
                 )
             notes.append(f"ignored {column!r}: {values.size} values, the others have {time.size}")
             continue
         if target.symbol in ("rad", "m"):
-            values, note = unwrapped_counts(title, column, values)
+            values, note = unwrapped_counts(column, values)
         else:
             values, note = with_sign(column, values) if target.symbol != "s" else (values, "")
         notes += [note] if note else []
@@ -381,7 +385,7 @@ def _channels(
 
 
 def _time(
-    table: Table, targets: dict[str, Target], sample_time: float | None, title: str
+    table: Table, targets: Mapping[str, Target], sample_time: float | None, title: str
 ) -> tuple[Any, list[str]]:
     """Time [s]; None where the samples are counted."""
     clock = next((c for c, target in targets.items() if target.channel == "time"), None)

@@ -5,7 +5,13 @@ EDITABLE ?= -e
 PYTEST_ARGS ?= -n 2 --dist loadgroup
 BIN := $(VENV)/bin
 
-.PHONY: demo test clean
+# Selection of effects, and runs through impacts: what a last bit could decide.
+SENSITIVE := $(addprefix tests/,diagnosis/test_select.py diagnosis/test_dual_evidence.py \
+	recovery/test_rattle.py effects/test_backlash.py agreement/test_stick_slip.py)
+# As a processor computes that has no fused and no wide instructions.
+OLDER := NUMBA_CPU_NAME=generic OPENBLAS_CORETYPE=Nehalem
+
+.PHONY: demo test test-older clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dmptm diagnose "$$($(BIN)/python -m dmptm_ctrl.data demo_rig)" --out demo-report
@@ -13,6 +19,9 @@ demo: $(VENV)/.installed
 
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+test-older: $(VENV)/.installed-test
+	$(OLDER) NUMBA_CACHE_DIR=$(abspath $(VENV)/numba-older) $(BIN)/python -m pytest $(PYTEST_ARGS) $(SENSITIVE)
 
 $(VENV)/.made:
 	$(PYTHON) -m venv $(VENV) || $(PYTHON) -m virtualenv $(VENV)

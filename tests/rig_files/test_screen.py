@@ -216,7 +216,17 @@ def test_ratio_the_wrong_way_round(shaft):
         judged(geared(soft=shaft != "rigid"), geared_rig(0.1, shaft=shaft))
 
 
+@pytest.mark.parametrize(("right", "said"), [(1.3, "1.3"), (0.2, "0.2"), (3.0, "3")])
+def test_a_small_ratio_the_wrong_way_round(right, said):
+    with pytest.raises(LogError, match=f"m moves {said} times .* the wrong way round"):
+        judged(geared(ratio=right), geared_rig(1 / right))
+
+
 def test_ratio_that_is_wrong_otherwise():
+    with pytest.raises(
+        LogError, match="wrong way round.*; and one of the two counts the other way"
+    ):
+        judged(geared(l=-1), geared_rig(0.1))
     with pytest.raises(LogError, match="m moves 10 times what l does, where .* says 25"):
         judged(geared(), geared_rig(25))
     with pytest.raises(LogError, match="m moves -10 times .* counts the other way"):
@@ -245,6 +255,18 @@ def test_torque_that_counts_the_other_way(sensors, inertia, shaft):
         judged(geared(u=-1, noise=1e-6), rig)
     mended = geared_rig(10, sensors=sensors, inertia=inertia, shaft=shaft, sign=-1)
     assert judged(geared(u=-1, noise=1e-6), mended) == []
+
+
+def test_nothing_is_said_of_a_negative_gain_that_is_right():
+    assert judged(geared(u=-1), geared_rig(10, gain="gain = -1")) == []
+
+
+def test_all_logs_that_count_the_other_way_beside_a_weight():
+    """Where a log alone is not sure, it is no witness against the others."""
+    tables = geared(u=-1)
+    tables["run1"]["u"] = 0.3 * np.random.default_rng(3).normal(size=T.size)
+    with pytest.raises(LogError, match=r"^the logs show an inertia of -0.00"):
+        judged(tables, geared_rig(10, sensors="m"))
 
 
 def test_one_log_that_counts_the_other_way_is_named():

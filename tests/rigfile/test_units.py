@@ -39,6 +39,10 @@ def test_counts_of_an_encoder(rest):
     assert found.resolution.value == pytest.approx(2 * pi / 8192)
 
 
+def test_counts_of_a_fine_encoder():
+    assert sensor('unit = "Inkr"\ncounts_per_rev = 1048576').sign == pytest.approx(2 * pi / 2**20)
+
+
 def test_resolution_alone_leaves_the_column_as_it_is():
     found = sensor('unit = "deg"\nresolution = "20000 counts/rev"')
     assert found.sign == 1
@@ -58,6 +62,7 @@ def test_revolutions():
         ("phi_m", "", 8, "'phi_m' has no unit of its own"),
         ("phi", "", 7, "states no unit"),
         ("phi", 'unit = "m"', 9, "is in m, but motor turns: rad or rad/s"),
+        ("phi", 'unit = "1"', 9, 'of an encoder unit = "counts", with counts_per_rev'),
         ("phi", 'unit = "counts"', 9, "resolution = '8192 counts/rev'"),
         ("phi", 'unit = "counts"\nresolution = "50 counts/mm"', 10, "another quantity than rad"),
         ("phi", 'unit = "rad"\nmeasures = "speed"', 10, "is in rad, no speed"),

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.info import describe_file
 
 ROWS = 240
 STEP = 0.01  # s
@@ -152,6 +153,7 @@ LAYOUTS = {
     "units in names": table(header=("t [s]", "u [Nm]", "q [rad]")),
     "units in round brackets": table(header=("t (s)", "u (Nm)", "q (rad)")),
     "units after a slash": table(header=("t/s", "u/(N m)", "q/rad")),
+    "units of other things beside": "t;u;Temp;q\ns;Nm;°C;rad\n" + rows(";", T, U, 0 * T, Q),
     "numpy": "# written by savetxt\n# t u q\n" + rows(" ", T, U, Q),
     "percent before the names": "%t,u,q\n" + rows(",", T, U, Q),
     "index of pandas": FRAME.to_csv(),
@@ -398,6 +400,47 @@ def test_any_values_in_any_dialect(tmp_path, values, dialect, preamble, units, t
     log = read(tmp_path, preamble + head + end.join([*lines, ""]))
     np.testing.assert_array_equal(log["in_u"], [float(a) for a, _ in cells])
     np.testing.assert_array_equal(log["out_q"], [float(b) for _, b in cells])
+
+
+def test_units_of_twincat_and_german_counts(tmp_path):
+    head = "Name\tu\tName\tq\nPort\t851\tPort\t851\nUnit\tNm\tUnit\t°\n"
+    (tmp_path / "scope.csv").write_text(head + rows("\t", T, U, T, Q), encoding="utf-8")
+    head = "Zeit;u;q\nms;%;Inkr\n"
+    (tmp_path / "counts.csv").write_text(head + rows(";", 1e3 * T, U, np.round(Q)))
+    scope, counts = (describe_file(tmp_path / f"{n}.csv") for n in ("scope", "counts"))
+    assert [c.column for c in scope.channels] == ["u_Nm", "q_deg"]
+    assert [c.column for c in counts.channels] == ["u_percent", "q"]
+    assert counts.sample_time == pytest.approx(STEP)
+
+
+def test_two_clocks(tmp_path):
+    """The one that the rig file names is taken; without a rig, the first that is one."""
+    stamps = (f"2024-03-05 10:00:{t + 0.25:06.3f}," for t in T)
+    lines = rows(",", T, U, Q).splitlines(keepends=True)
+    text = "".join(s + r for s, r in zip(stamps, lines, strict=True))
+    (tmp_path / "run.csv").write_text("Timestamp,Time [s],u [Nm],q [rad]\n" + text)
+    for time in ('time = "Timestamp"', 'time = { column = "Time", unit = "s" }'):
+        (log,) = rig(data=time).read(tmp_path / "run.csv")
+        is_the_run(log)
+        assert log.warnings == ()
+    info = describe_file(tmp_path / "run.csv")
+    assert info.samples == ROWS
+    assert info.warnings == ("ignored 'Time [s]': another clock",)
+
+
+def test_a_rate_without_a_clock_leaves_the_files_clock_out(tmp_path):
+    broken = np.where(T > 1.0, T + 5.0, T)
+    (tmp_path / "run.csv").write_text("Time [s],u,q\n" + rows(",", broken, U, Q))
+    (log,) = rig(data='sample_rate = "100 Hz"').read(tmp_path / "run.csv")
+    is_the_run(log)
+
+
+@pytest.mark.parametrize("asked", ["Q", "rate", "qq_pos"])
+def test_a_column_that_is_nearly_named(tmp_path, asked):
+    names = {"Q": "q", "rate": "drive.rate", "qq_pos": "q_pos"}
+    (tmp_path / "run.csv").write_text(f"t,u,{names[asked]}\n" + rows(",", T, U, Q))
+    with pytest.raises(LogError, match=f"no column '{asked}'; did you mean '{names[asked]}'"):
+        rig(q=asked).read(tmp_path / "run.csv")
 
 
 def test_ros_nanoseconds(tmp_path):

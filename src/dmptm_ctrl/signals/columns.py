@@ -1,5 +1,6 @@
 """From columns as a file names them to channels in SI."""
 
+import difflib
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -114,7 +115,7 @@ def resolve(
     mapping = _as_named(names, dict(mapping or {}))
     missing = [column for column in mapping if column not in names]
     if missing:
-        raise ColumnsError(f"{source}: no column {missing[0]!r}; it has {_listed(names)}")
+        raise ColumnsError(f"{source}: no column {missing[0]!r}; {_near(missing[0], names)}")
     targets: dict[str, Target] = {}
     ignored, clocks = [], []
     contradictions = []
@@ -256,6 +257,13 @@ def _refuse_duplicates(names: Sequence[str], source: str) -> None:
     twice = sorted({name for name in names if name and list(names).count(name) > 1})
     if twice:
         raise LogError(f"{source}: column {twice[0]!r} occurs {list(names).count(twice[0])} times")
+
+
+def _near(name: str, names: Sequence[str]) -> str:
+    """Columns that may be meant; else all."""
+    alike = [n for n in names if name.lower() in n.lower()]
+    alike = alike or difflib.get_close_matches(name, names, 3, 0.7)
+    return f"did you mean {_listed(alike, 3)}?" if alike else f"it has {_listed(names)}"
 
 
 def _listed(names: Sequence[str], most: int = 12) -> str:

@@ -1,5 +1,7 @@
 """Evidence for drives by rig.toml, on small machines that are simulated by other means."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.rig_files.truth import Bench, Machine
@@ -152,6 +154,12 @@ def test_two_effects_and_their_budget():
     offset = next(e for e in found.effects if e.name == "drive_offset")
     assert offset.parameters["offset"]["value"] == pytest.approx(0.6, rel=0.05)  # V
     assert "coulomb friction" in found.sentence()
+    assert "unknown" not in found.sentence()
+    left = {**found.error["floor"], "rmse": 1.6 * found.error["floor"]["rmse"], "percent": 12.3}
+    far = replace(found, error={**found.error, "after": left})
+    assert far.sentence().endswith(" The rest, 12 % of the drive, is unknown.")
+    faint = replace(found, material=(False, False))
+    assert "coulomb friction" in faint.sentence()  # beside nothing greater
 
 
 def test_nothing_is_named_where_nothing_is_missing():

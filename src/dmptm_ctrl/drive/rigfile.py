@@ -344,8 +344,7 @@ class _Reader(DataReader):
         self, where: str, raw: dict[str, Any], column: str, symbol: str, body: Body
     ) -> NoReturn:
         how = f"{'slides' if body.linear else 'turns'}: {body.angle_unit} or {body.angle_unit}/s"
-        if not symbol:
-            how += '; of an encoder unit = "counts", with counts_per_rev'
+        how += '; of an encoder unit = "counts", with counts_per_rev' * (not symbol)
         if "unit" in raw:
             self._fail(
                 where, "unit",

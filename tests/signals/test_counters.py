@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dmptm_ctrl import LogError
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign
+from dmptm_ctrl.signals.counters import refuse_jumps, unwrapped_counts, with_sign
 
 T = 1e-3 * np.arange(4000)
 
@@ -77,6 +77,13 @@ def test_one_jump_by_any_number_is_refused_unless_it_is_left_out(unit):
     cut = replace(a_rig, data=replace(a_rig.data, stop={"*": 1.9}))
     (log,) = cut.read(frame)
     assert len(log) == 1901
+
+
+def test_a_reading_that_fails_once_is_no_jump():
+    values = np.sin(T) + np.where(np.arange(T.size) == 700, 9.0, 0)
+    refuse_jumps("f", "q", values, T)
+    with pytest.raises(LogError, match="f: q jumps by 8.999"):
+        refuse_jumps("f", "q", np.sin(T) + np.where(T > 2, 9.0, 0), T)
 
 
 @pytest.mark.parametrize("size", [2 * np.pi / 10000, 0.036, 0.005])  # rad, deg or mm per count

@@ -82,7 +82,7 @@ def unwrapped_counts(column: str, values: Array) -> tuple[Array, str]:
 
 
 def refuse_jumps(source: str, column: str, values: Array, time: Array) -> None:
-    """Refuse a position that jumps.
+    """Refuse a position that jumps, unless it is back at the next sample.
 
     Raises
     ------
@@ -90,6 +90,10 @@ def refuse_jumps(source: str, column: str, values: Array, time: Array) -> None:
         Jumps of half the range and more between small steps.
     """
     far, usual = _jumps(values)
+    step = np.diff(values)
+    back = far[:-1] & far[1:] & (np.abs(step[:-1] + step[1:]) <= 0.25 * np.abs(step[:-1]))
+    far[:-1] &= ~back
+    far[1:] &= ~back
     if far.any():
         row = int(np.argmax(far))
         raise LogError(

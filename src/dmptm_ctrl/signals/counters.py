@@ -82,7 +82,7 @@ def unwrapped_counts(column: str, values: Array) -> tuple[Array, str]:
 
 
 def refuse_jumps(source: str, column: str, values: Array, time: Array) -> None:
-    """Refuse a position that jumps, unless it is back at the next sample.
+    """Refuse a position that jumps and stays; readings that fail for a sample or two pass.
 
     Raises
     ------
@@ -90,14 +90,13 @@ def refuse_jumps(source: str, column: str, values: Array, time: Array) -> None:
         Jumps of half the range and more between small steps.
     """
     far, usual = _jumps(values)
-    step = np.diff(values)
-    back = far[:-1] & far[1:] & (np.abs(step[:-1] + step[1:]) <= 0.25 * np.abs(step[:-1]))
-    far[:-1] &= ~back
-    far[1:] &= ~back
-    if far.any():
-        row = int(np.argmax(far))
+    for row in np.flatnonzero(far):
+        jump = abs(values[row + 1] - values[row])
+        before, after = values[max(row - 4, 0) : row + 1], values[row + 1 : row + 6]
+        if abs(np.median(after) - np.median(before)) < 0.5 * jump:
+            continue
         raise LogError(
-            f"{source}: {column} jumps by {abs(values[row + 1] - values[row]):.6g} after "
+            f"{source}: {column} jumps by {jump:.6g} after "
             f"{time[row] - time[0]:.6g} s, where it changes by {usual:.6g} at most elsewhere: a "
             "counter that ran over, was set or failed; leave that part out (start and stop in "
             "[data] of the rig file)"

@@ -134,5 +134,5 @@ def test_log_info_by_a_rig(tmp_path, capsys):
     file = str(tmp_path / "run.csv")
     assert main(["log", "info", file, "--rig", str(tmp_path / "rig.toml")]) == 0
     said = capsys.readouterr().out
-    assert "cmd [V]" in said  # the column as the file names it
+    assert "cmd [mV]" in said  # the column and the unit as the rig file names them
     assert "coulomb_friction" in said

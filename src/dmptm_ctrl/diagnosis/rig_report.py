@@ -287,27 +287,6 @@ def ranking_of(
     return ranked_rows(rows)
 
 
-def _outside(parameters: dict[str, dict[str, Any]]) -> list[str]:
-    """One sentence for each parameter outside its declared range."""
-    return [
-        f"{key} = {p['fitted']:.4g} ± {p['se']:.2g} {p['unit']} is outside its declared range "
-        f"{p['range'][0]:.4g} to {p['range'][1]:.4g}"
-        for key, p in parameters.items() if p["outside"]
-    ]  # fmt: skip
-
-
-_VARIABLES = {
-    "u": "the input", "du_dt": "the rate of the input", "time": "the time",
-    "time_at_rest": "the time at rest",
-}  # fmt: skip
-
-
-def _in_words(variable: str) -> str:
-    kind, _, of = variable.partition(":")
-    motion = {"theta": "the position of", "omega": "the speed of", "u": "the input"}
-    return f"{motion[kind]} {of}" if of else _VARIABLES.get(variable, variable)
-
-
 def declared_of(fit: RigFit) -> dict[str, dict[str, Any]]:
     """Return declared quantities: declared, range, fitted value, standard error, unit."""
     errors, found = fit.errors, {}

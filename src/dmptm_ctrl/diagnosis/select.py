@@ -25,7 +25,7 @@ LEVEL = 50.0
 # Standard errors that evidence is above nothing.
 SURE = 4.0
 # Standard errors by which held-out logs may speak against an effect that they do not excite.
-AGAINST = 2.0
+AGAINST = 1.0
 # Evidence per unit of log-odds between rivals: 2 where the likelihood is right; laws that are
 # only nearly right make it less sharp.
 TEMPERATURE = 4.0

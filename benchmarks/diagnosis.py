@@ -24,14 +24,14 @@ TOP = 10  # places shown
 def profiled(logs, jobs):
     """Seconds, the profile, and how many runs went side by side, of one diagnosis."""
     profile = cProfile.Profile()
-    side_by_side, lanes = [], batch._lanes
+    side_by_side, group = [], batch._group
 
-    def counted(task, arrays, *rest):
-        side_by_side.append(len(arrays))
-        return lanes(task, arrays, *rest)
+    def counted(some, *rest):
+        side_by_side.append(len(some))
+        return group(some, *rest)
 
     start = time.perf_counter()
-    with patch.object(batch, "_lanes", counted):
+    with patch.object(batch, "_group", counted):
         profile.runcall(diagnose, logs, jobs=jobs)
     return time.perf_counter() - start, pstats.Stats(profile), sum(side_by_side)
 

@@ -1,12 +1,16 @@
 """What every effect of the catalogue inherits; a new one is tested by being in it."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate import compiled, compose, simulate
+from dmptm_ctrl.simulate import compiled, simulate
 from dmptm_ctrl.simulate.blocks import initial_state, to_blocks
 from dmptm_ctrl.simulate.compiled import OUTPUTS, march, rest
+from dmptm_ctrl.simulate.kernel_calls import layout
+from dmptm_ctrl.simulate.plant import structure_of
 
 each = pytest.mark.parametrize("name", CATALOGUE)
 
@@ -26,7 +30,7 @@ def unused(paper, lively):
     """The loop with all chains, of which none is in use."""
     time, u, x0 = lively
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "plain_engine", compose.engine)
+        patch.setattr(compiled, "structure_for", partial(structure_of, switched=True))
         return march(paper.arrays(), u, x0, time[1]).T
 
 
@@ -38,7 +42,7 @@ def test_zero_parameters_change_nothing_bit_for_bit(name, paper, lively, without
     np.testing.assert_array_equal(simulate(absent, time, u, x0).outputs, without)
     base, on, values = absent.arrays()
     assert not on.any()
-    on[compose.layout()[name][0]] = 1
+    on[layout()[name][0]] = 1
     forced = march((base, on, values), u, x0, time[1])
     np.testing.assert_array_equal(forced.T, unused)
 

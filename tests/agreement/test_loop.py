@@ -11,9 +11,11 @@ from dmptm_ctrl.simulate.compiled import (
     Loop,
     close_loop,
     march,
-    observer_gains,
     rest,
 )
+from dmptm_ctrl.simulate.dual import dual_plant, start
+from dmptm_ctrl.simulate.observer import observer_gains, rigid_observer
+from dmptm_ctrl.simulate.run import advance, start_state, structure_for
 
 PER_DEGREE = 180.0 / np.pi
 LOOP = Loop(kp=0.08 * PER_DEGREE, ki=1.5 * PER_DEGREE, limit=1.0, bias_l=0.15, bias_r=-0.15)
@@ -89,16 +91,20 @@ def test_observer_leaves_a_perfect_run_alone_and_draws_in_a_wrong_one(paper, clo
     np.testing.assert_array_equal(free[0], angle)
 
 
-def test_observer_lets_go_where_the_measured_angle_ends(paper, closed):
-    """From there on the run is free: the same as one led by its own angle."""
+def test_a_led_run_goes_on_where_it_was_cut(paper, closed):
+    """Bit for bit; and free from there it is another run."""
     _, _, u, out = closed
-    gains, x0 = observer_gains(2.0, DT), rest(paper, 0.0)
-    angle = np.ascontiguousarray(out[: u.shape[1] // 3, 0]) + 1e-3
-    let_go = march(paper.arrays(), u, x0, DT, observer=gains, measured=angle)
-    own = np.concatenate([angle, let_go[angle.size :, 0]])
-    led = march(paper.arrays(), u, x0, DT, observer=gains, measured=own)
-    np.testing.assert_array_equal(led, let_go)
-    assert np.abs(let_go[:, 0] - out[:, 0]).max() > 5e-4
+    plant = dual_plant(paper.arrays())
+    begun = start_state(structure_for(plant), *start(plant, rest(paper, 0.0)))
+    angle = out[None, :, 0] + 1e-3
+    lead = {"observer": rigid_observer(plant, 0, observer_gains(2.0, DT))}
+    whole = advance(plant, begun, u, DT, 8, **lead, measured=angle)
+    first = advance(plant, begun, u[:, :200], DT, 8, **lead, measured=angle[:, :200])
+    second = advance(plant, first.state, u[:, 200:], DT, 8, **lead, measured=angle[:, 200:])
+    np.testing.assert_array_equal(np.vstack([first.rows, second.rows]), whole.rows)
+    free = advance(plant, first.state, u[:, 200:], DT, 8)
+    assert np.abs(free.readings[0, 0] - angle[0, 200]) < 1e-4  # from where the sensor says
+    assert np.abs(free.readings - second.readings).max() > 1e-5
 
 
 def test_a_run_may_begin_late(paper):

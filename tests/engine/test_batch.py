@@ -9,8 +9,9 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.lookup import BRAKING, SPEED, WAVE, WIDEST
 from dmptm_ctrl.simulate import simulate_batch
 from dmptm_ctrl.simulate.batch import BATCH_OUTPUTS, march_any, march_many
-from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, Loop, close_loop, march, observer_gains
+from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, Loop, close_loop, march
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.observer import observer_gains
 
 DT = 1e-3  # s
 TIME = DT * np.arange(61)
@@ -117,16 +118,13 @@ def test_without_the_columns_of_the_meshes_the_rest_is_the_same(name):
 
 
 @pytest.mark.parametrize("name", [None, "reducer_compliance", "drive_delay", "cogging"])
-def test_observer_and_extra_torques(name):
+def test_observer(name):
     """As the diagnosis uses it: led by a measured angle, each lane by its own."""
     model = Model() if name is None else Model().with_effect(name, **visible(name))
     arrays = [model.with_values(c=c).arrays() for c in (1.0, 3.0, 8.0)]
     u = voltages(1.2, 12.0, 0.15)
     angle = 0.1 + np.array([[1e-3], [2e-3], [-1e-3]]) * np.sin(40.0 * TIME)
-    options = {
-        "observer": observer_gains(2.0, DT),
-        "extra": np.outer(np.cos(90 * TIME), [1, -1, 5]),
-    }
+    options = {"observer": observer_gains(2.0, DT), "begin": 0.37}
     expected = np.array(
         [march(a, u, STATE, DT, measured=m, **options) for a, m in zip(arrays, angle, strict=True)]
     )
@@ -141,7 +139,7 @@ def test_any_number_one_by_one_where_lanes_would_be_empty(count, own):
     arrays = [model.with_values(c=1.0 + 0.3 * k).arrays() for k in range(count)]
     many = count if own else 1
     u = np.array([voltages(1.2, 12.0 + k, 0.15) for k in range(many)])
-    angle = 0.1 + np.outer(1e-3 * (1 + np.arange(many)), np.sin(40.0 * TIME[: TIME.size // 2]))
+    angle = 0.1 + np.outer(1e-3 * (1 + np.arange(many)), np.sin(40.0 * TIME))
     starts = STATE + np.outer(1e-3 * np.arange(count), [1, 1, 0, 0, 0, 0])
     options = {"observer": observer_gains(2.0, DT), "substeps": 4, "begin": 0.37}
     columns = (1, 6)
@@ -151,54 +149,6 @@ def test_any_number_one_by_one_where_lanes_would_be_empty(count, own):
         j = k if own else 0
         alone = march(arrays[k], u[j], starts[k], DT, measured=angle[j], **options)
         assert_same(run[None], alone[None][..., columns])
-
-
-def test_let_go_and_late():
-    """As the diagnosis meets a reversal: led up to it, with the time of the log."""
-    model = Model().with_effect("base_vibration", **visible("base_vibration"))
-    arrays = [model.with_values(c=c).arrays() for c in (1.0, 3.0, 8.0)]
-    u = voltages(1.2, 12.0, 0.15)
-    angle = 0.1 + 1e-3 * np.sin(40.0 * TIME[: TIME.size // 2])
-    options = {"observer": observer_gains(2.0, DT), "measured": angle, "begin": 0.37}
-    expected = np.array([march(a, u, STATE, DT, **options) for a in arrays])
-    assert_same(march_many(arrays, u, STATE, DT, **options), expected)
-
-
-@pytest.mark.parametrize(
-    "name", [None, "reducer_compliance", "drive_delay", "current_lag", "unknown_breakaway"]
-)
-def test_led_in_other_steps(name):
-    """Alone and side by side alike; the same steps before and behind are none of their own."""
-    model = Model() if name is None else Model().with_effect(name, **visible(name))
-    arrays = [model.with_values(c=c).arrays() for c in (1.0, 3.0, 8.0)]
-    u = voltages(1.2, 12.0, 0.15)
-    angle = 0.1 + 1e-3 * np.sin(40.0 * TIME[: TIME.size // 2])
-    options = {"observer": observer_gains(2.0, DT), "measured": angle, "substeps": 16}
-    for lead in (4, 16, None):
-        options["lead_substeps"] = lead
-        runs = np.array([march(a, u, STATE, DT, **options) for a in arrays])
-        assert_same(march_many(arrays, u, STATE, DT, **options), runs)
-        if lead == 16:
-            same = runs
-    np.testing.assert_array_equal(runs, same)
-
-
-def test_led_in_other_steps_is_of_second_order():
-    """No order is lost where the steps change: without gaps, and turning one way, all is smooth."""
-    model = Model().with_values(gap_l=0.0, gap_r=0.0)
-    pinion = 0.5 * model.drive["N_2"]
-    start = np.array([0.1 * model.drive["N_2"], 0.1 * model.drive["N_2"], 0.1, pinion, pinion, 0.5])
-    u = 1.5 + voltages(0.5, 12.0, 0.15)
-    angle = 0.1 + 0.5 * TIME[: TIME.size // 2]
-
-    def run(steps):
-        how = {"substeps": 2 * steps, "lead_substeps": steps}
-        options = {"observer": observer_gains(6.0, DT), "measured": angle, **how}
-        return march(model.arrays(), u, start, DT, **options)
-
-    exact = run(512)[-1, 1]
-    missed = np.array([abs(run(steps)[-1, 1] - exact) for steps in (4, 8, 16, 32)])
-    np.testing.assert_allclose(missed[:-1] / missed[1:], 4.0, rtol=0.05)
 
 
 def test_closed_loop_each_with_its_own_gains():

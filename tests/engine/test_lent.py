@@ -1,14 +1,16 @@
 """Arrays that compiled functions lend without being counted among their users."""
 
 import ast
-import inspect
 from pathlib import Path
 
 import pytest
 
-import dmptm_ctrl.simulate
+from dmptm_ctrl.simulate import lanes, scalar
+from dmptm_ctrl.simulate.dual import dual_plant
+from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.plant import structure_of
 
-SOURCES = sorted(Path(inspect.getfile(dmptm_ctrl.simulate)).parent.glob("*core.py"))
+SOURCES = sorted(Path(lanes.__file__).parent.glob("*core.py"))
 
 
 def lent(source):
@@ -32,6 +34,13 @@ def lent(source):
 def test_only_what_a_caller_keeps_is_lent(path):
     """What a function makes is freed after its last use: another thread then writes there too."""
     assert {name: own for name, own in lent(path.read_text()) if own} == {}
+
+
+@pytest.mark.parametrize("text", [scalar.source, lambda s: lanes.source(s, 16)])
+def test_neither_do_written_functions_lend_more(text):
+    found = dict(lent(text(structure_of(dual_plant(Model().arrays()), switched=True))))
+    assert len(found) == 1
+    assert not any(found.values())
 
 
 def test_what_is_made_and_lent_is_found():

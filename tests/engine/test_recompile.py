@@ -12,9 +12,13 @@ from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
 from dmptm_ctrl.effects import CATALOGUE, register
-from dmptm_ctrl.simulate import compose, loading
+from dmptm_ctrl.simulate import loading
 from dmptm_ctrl.simulate.compiled import march, rest
+from dmptm_ctrl.simulate.dual import dual_plant
+from dmptm_ctrl.simulate.kernel_calls import per_catalogue
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.plant import structure_of
+from dmptm_ctrl.simulate.scalar import scalar_engine, source
 
 
 @pytest.fixture
@@ -42,12 +46,18 @@ def own_effect():
     CATALOGUE.pop("own_spring", None)
 
 
+def engine():
+    """Module with the step of the drive that has all effects of the catalogue."""
+    plant = dual_plant(Model().arrays())
+    return scalar_engine(structure_of(plant, switched=True)).module
+
+
 def test_an_effect_changes_the_engine_s_name_and_taking_it_back_restores_it(own_effect):
-    before = compose._key(compose.source())
+    before = engine()
     register(own_effect)
-    assert compose._key(compose.source()) != before
+    assert engine().__name__ != before.__name__
     del CATALOGUE["own_spring"]
-    assert compose._key(compose.source()) == before
+    assert engine() is before
 
 
 def test_says_once_that_it_compiles(tmp_path, monkeypatch, capsys):
@@ -88,17 +98,17 @@ def test_threads_that_ask_at_once_for_an_engine_wait_for_one_that_writes_it():
     threads = 4
     together = Barrier(threads)
     written = []
+    structure = structure_of(dual_plant(Model().arrays()), switched=True)
 
-    @compose.per_catalogue
+    @per_catalogue
     def text(_):
-        written.append(compose.source())
+        written.append(source(structure))
         return written[-1]
 
     def asked(_):
         for _ in range(100):
             Remains()
         together.wait()
-        compose.plain_engine.__wrapped__()
         return text()
 
     with ThreadPoolExecutor(threads) as pool:
@@ -110,4 +120,4 @@ def test_threads_that_ask_at_once_for_an_engine_wait_for_one_that_writes_it():
 def test_same_engine_while_the_catalogue_is_the_same():
     model = Model()
     march(model.arrays(), np.zeros((2, 3)), rest(model, 0.0), 1e-3)
-    assert compose.engine() is compose.engine()
+    assert engine() is engine()

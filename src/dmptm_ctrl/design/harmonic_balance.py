@@ -32,10 +32,12 @@ from dmptm_ctrl.design.harmonics import (
     rate_at_begin,
     widened,
 )
+from dmptm_ctrl.design.preload import volt_at_pinion
 from dmptm_ctrl.effects.backlash import Backlash, landing, mesh_region, region_torque
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
+from dmptm_ctrl.simulate.dual import RING, dual_plant
 from dmptm_ctrl.simulate.model import Floats, Model
-from dmptm_ctrl.simulate.plain import RING, Sites
+from dmptm_ctrl.simulate.parts import Parts
 
 SAME_GAP = 1e-9  # rad
 PRESS = 1e3  # 1/s, r above over the body's inertia; any positive number has the same solutions
@@ -130,26 +132,28 @@ class Balance:
     def __init__(
         self, model: Model, kp: float, ki: float, sample_time: float, preload: float = 0.0
     ) -> None:
-        sites = Sites(model)
-        other = [s for s in SITES if sites.has(s) and s not in LINEAR_SITES]
+        acts = model.sites
+        other = [s for s in SITES if s in acts and s not in LINEAR_SITES]
         if other or model.drive["k_a"] != 0.0:
             raise ValueError(
                 "harmonic balance knows delays and lags only; the model has effects on "
                 + ", ".join(other or ["mesh stiffness"])
             )
-        laws = [sites.mesh(0.0, 0.0, 0.0, 0.0, side)[2] for side in range(2)]
+        plant, drive = dual_plant(model.arrays()), model.drive
+        parts = Parts(plant)
+        laws = [parts.twist(side, 0.0, 0.0, 0.0, 0.0)[2] for side in range(2)]
         alike = abs(laws[0].half_gap - laws[1].half_gap) < SAME_GAP and preload == 0.0
         self.meshes: list[Backlash] = laws[: 1 if alike else 2]
         self._bias = (preload, -preload)
         self._share = 2.0 / len(self.meshes)  # chains that each of them stands for
-        self._reducer, self._bearing = Stribeck(*sites.laws[0]), Stribeck(*sites.laws[RING])
-        self._n2, self._volt = sites.n2, sites.n1 * sites.gain
-        self._pinion = sites.pinion_inertia + sites.motor_inertia
-        self._ring = sites.ring_inertia
+        self._reducer, self._bearing = Stribeck(*parts.laws[0]), Stribeck(*parts.laws[RING])
+        self._n2, self._volt = drive["N_2"], volt_at_pinion(drive)
+        self._pinion = drive["J_2"] + drive["N_1"] ** 2 * drive["J_m"]
+        self._ring = drive["J_L"]
         self.model, self.kp, self.ki, self.preload = model, kp, ki, preload
         self.sample_time = sample_time
-        self._delays = sites.voltage_delay, sites.speed_delay
-        self._lag = sites.lag
+        self._delays = float(plant.input_values[0, 1]), float(plant.sensor_delay[1])
+        self._lag = parts.lag(0, 0.0)[1]
         self.length = max(max(law.half_gap for law in self.meshes), SHORTEST)  # scale of z
         self._torque = self.meshes[0].stiffness * self.length  # N·m, scale of what is left over
 

@@ -10,10 +10,11 @@ from scipy.special import expit
 
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
+from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.compiled import close_loop
+from dmptm_ctrl.simulate.dual import RING, parts_of
 from dmptm_ctrl.simulate.model import Floats, Model
-from dmptm_ctrl.simulate.plain import RING, Sites
 
 NEAR_REVERSAL = 0.05  # s
 SMOOTH = (1.5, 0.15)  # common voltage over the bias at half the bias, and width of the transition
@@ -25,15 +26,15 @@ def load_torque_along(model: Model, duty: Duty, theta_L: float = 0.0) -> Floats:
 
     Inertia, friction with its effects, and the load's effects; of the kernels.
     """
-    sites = Sites(model)
+    parts, inertia = parts_of(model), model.drive["J_L"]
     angle = theta_L + np.cumsum(duty.reference) * duty.sample_time
     rate = duty.acceleration
     torque = np.empty(duty.reference.size)
     for i, (theta, omega) in enumerate(zip(angle, duty.reference, strict=True)):
         t = i * duty.sample_time
         way = float(np.sign(omega))
-        held = way * sites.sliding(RING, way, theta, omega, t, 0.0) if way else 0.0
-        torque[i] = sites.ring_inertia * rate[i] + held - sites.load_torque(theta, omega, t)
+        held = way * parts.sliding(RING, way, theta, omega, t, 0.0, 0.0)[0] if way else 0.0
+        torque[i] = inertia * rate[i] + held - parts.torque(RING, 0.0, theta, omega, t)
     return torque
 
 
@@ -45,16 +46,22 @@ def common_volts_along(model: Model, duty: Duty) -> Floats:
     model : Model
     duty : Duty
     """
-    sites = Sites(model)
+    parts, drive = parts_of(model), model.drive
     way = np.sign(duty.reference)
-    speeds = sites.n2 * duty.reference
+    speeds = drive["N_2"] * duty.reference
     rubs = [
-        w and w * sites.sliding(0, float(w), 0.0, float(v), 0.0, 0.0)
+        w and w * parts.sliding(0, float(w), 0.0, float(v), 0.0, 0.0, 0.0)[0]
         for w, v in zip(way, speeds, strict=True)
     ]
-    swing = (sites.pinion_inertia + sites.motor_inertia) * sites.n2 * duty.acceleration
-    share = load_torque_along(model, duty) / (2.0 * sites.n2)
-    return np.asarray((share + swing + np.array(rubs)) / (sites.n1 * sites.gain), float)
+    turned = drive["J_2"] + drive["N_1"] ** 2 * drive["J_m"]
+    swing = turned * drive["N_2"] * duty.acceleration
+    share = load_torque_along(model, duty) / (2.0 * drive["N_2"])
+    return np.asarray((share + swing + np.array(rubs)) / volt_at_pinion(drive), float)
+
+
+def volt_at_pinion(drive: Drive) -> float:
+    """Return what a volt of a motor is worth at its pinion [N·m/V]."""
+    return drive["N_1"] * (drive["K_d"] * drive["K_M"])
 
 
 def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
@@ -74,9 +81,8 @@ def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
     -------
     float [V]
     """
-    sites = Sites(model)
     worst = float(np.abs(load_torque_along(model, duty, theta_L)).max())
-    return worst / (2.0 * sites.n2 * sites.n1 * sites.gain)
+    return worst / (2.0 * model.drive["N_2"] * volt_at_pinion(model.drive))
 
 
 class Preload(NamedTuple):
@@ -122,9 +128,8 @@ def assess_bias(model: Model, controller: Controller, duty: Duty, bias: ArrayLik
         Added left, taken off right, at every sample; not part of the voltage limit.
     """
     volts = np.asarray(bias, float)
-    sites = Sites(model)
     push = np.zeros((volts.size, 3))
-    push[:, 0] = sites.n1 * sites.gain * volts  # at the pinions, where the motors' torque acts
+    push[:, 0] = volt_at_pinion(model.drive) * volts
     push[:, 1] = -push[:, 0]
     law = replace(controller, preload=0.0).law()
     u, out = close_loop(model, law, duty.reference, duty.sample_time, extra=push)
@@ -136,16 +141,15 @@ def _assessed(model: Model, duty: Duty, u: Floats, out: Floats, way: float) -> P
     left, right = out[judged, 4], out[judged, 5]
     opened = (way * left <= 0.0) | (way * right >= 0.0)
     miss = np.rad2deg(out[judged, 1] - duty.reference[judged])
-    sites = Sites(model)
-    friction = 0.0
+    parts, friction = parts_of(model), 0.0
     for side, mesh in ((0, left), (1, right)):
         mean = float(np.abs(mesh).mean())
-        friction += sites.sliding(side, 1.0, 0.0, 0.0, 0.0, mean)
-        friction -= sites.sliding(side, 1.0, 0.0, 0.0, 0.0, 0.0)
+        friction += parts.sliding(side, 1.0, 0.0, 0.0, 0.0, mean, 0.0)[0]
+        friction -= parts.sliding(side, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)[0]
     return Preload(
         float(opened.mean()),
         float(np.sqrt(np.mean(miss**2))),
-        float(sites.gain * np.sqrt(np.mean(u[:, judged] ** 2))),
+        float(model.drive["K_d"] * model.drive["K_M"] * np.sqrt(np.mean(u[:, judged] ** 2))),
         float(friction),
         float(np.sqrt(np.mean(miss[_reversing(duty)[judged]] ** 2))),
     )

@@ -24,8 +24,9 @@ from dmptm_ctrl.design.linear import level, linear_plant
 from dmptm_ctrl.design.preload import smallest_preload
 from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import rest
+from dmptm_ctrl.simulate.dual import dual_plant
 from dmptm_ctrl.simulate.model import Floats, Model
-from dmptm_ctrl.simulate.plain import Sites
+from dmptm_ctrl.simulate.parts import Parts
 
 SEARCHED = 16  # plants in the search; the result is judged on many more
 QUANTILE = 0.9
@@ -223,7 +224,7 @@ def tune_controller(
 
 def feed_forward_start(model: Model, gains: PiTuning, aims: Aims) -> Controller:
     """Everything the model offers, at its natural values."""
-    sites = Sites(model)
+    plant = dual_plant(model.arrays())
     dt = aims.duty.sample_time
     return Controller(
         kp=gains.kp,
@@ -234,11 +235,11 @@ def feed_forward_start(model: Model, gains: PiTuning, aims: Aims) -> Controller:
         inertia=1.0,
         friction=1.0,
         effects=1.0,
-        lead=sites.voltage_delay + sites.lag + 0.5 * dt,
-        late=sites.speed_delay,
+        lead=float(plant.input_values[0, 1]) + Parts(plant).lag(0, 0.0)[1] + 0.5 * dt,
+        late=float(plant.sensor_delay[1]),
         acceleration=aims.acceleration,
         distance=START_DISTANCE,
-        invert=sites.has("drive"),
+        invert="drive" in model.sites,
         model=repeatable(model),
     )
 

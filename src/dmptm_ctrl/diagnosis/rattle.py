@@ -24,7 +24,7 @@ from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.compiled import SUBSTEPS
 from dmptm_ctrl.simulate.damping import damped, damping_of, possible
-from dmptm_ctrl.simulate.model import Floats, Model, stacked
+from dmptm_ctrl.simulate.model import Floats, Model
 
 GAP_DAMPING = "c_f"
 VALUES = 9  # of the damping, even on a logarithmic scale
@@ -104,7 +104,7 @@ class Rattle:
 
     def ratios(self, models: Sequence[Model]) -> Floats:
         """Logarithm of simulated over measured power, (len(models), logs times bands)."""
-        drives = stacked([model.arrays() for model in models])
+        drives = [model.arrays() for model in models]
 
         def told(task: tuple[Record, Floats]) -> Floats:
             rec, seen = task

@@ -14,7 +14,7 @@ from dmptm_ctrl.export.stepping import counter, finished, origin
 from dmptm_ctrl.export.trace import Scope, follow
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.simulate import control_core as core
-from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.law import law_engine
 
 INPUTS = (
     Port("setpoint", "rad/s", "wanted value of the ring gear's speed"),
@@ -71,7 +71,7 @@ def controller_program(
     def step() -> None:
         t = make("*", make("real", samples), dt)
         args = [*ports, t, dt, law.numbers(), memory, design]
-        follow(tracer, engine().command, args)
+        follow(tracer, law_engine().command, args)
         results[:] = [tracer.heap[id(memory), at] for at in (core.M_LEFT, core.M_RIGHT)]
 
     body: list[Any] = []

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from dmptm_ctrl.design.preload import volt_at_pinion
 from dmptm_ctrl.export.stepping import origin
 from dmptm_ctrl.simulate.along import friction_along, law_along, torque_along
+from dmptm_ctrl.simulate.dual import MOTORS, RING, parts_of
 from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
-from dmptm_ctrl.simulate.plain import RING, Sites
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 SPEEDS = 101  # rows over speed, from backward to forward; the middle one is at rest
@@ -38,12 +40,12 @@ def compensation_tables(model: Model | RigModel) -> dict[str, pd.DataFrame]:
 
 
 def _of_dual(model: Model) -> dict[str, pd.DataFrame]:
-    sites = Sites(model)
-    n2, gain = sites.n2, sites.n1 * sites.gain  # N·m at the pinion per V
+    parts, drive = parts_of(model), model.drive
+    n1, n2, gain = drive["N_1"], drive["N_2"], volt_at_pinion(drive)
     speed = np.linspace(-SPEED_RANGE, SPEED_RANGE, SPEEDS)
 
     def friction(body: int, factor: float) -> Floats:
-        return _along(lambda w: _friction(sites, body, factor * w), speed)
+        return _along(lambda w: _friction(parts, body, factor * w), speed)
 
     ring, left, right = friction(RING, 1.0), friction(0, n2), friction(1, n2)
     columns = {"speed_rad_s": speed, "ring_N_m": ring, "left_N_m": left, "right_N_m": right}
@@ -51,17 +53,17 @@ def _of_dual(model: Model) -> dict[str, pd.DataFrame]:
         columns[f"u_{side}_V"] = (ring / (2.0 * n2) + own) / gain
     tables = {"friction": pd.DataFrame(columns), "load": pd.DataFrame(), "motor": pd.DataFrame()}
     angle = np.linspace(0.0, 2 * pi, ANGLES)
-    if sites.has("load"):
-        torque = _along(lambda q: -sites.load_torque(q, 0.0, 0.0), angle)
+    if "load" in model.sites:
+        torque = _along(lambda q: -parts.torque(RING, 0.0, q, 0.0, 0.0), angle)
         tables["load"] = pd.DataFrame(
             {"theta_L_rad": angle, "torque_N_m": torque, "u_V": torque / (2.0 * n2 * gain)}
         )
-    if sites.has("motor"):
+    if "motor" in model.sites:
         columns = {"theta_m_rad": angle}
-        for number, name in enumerate(("left", "right")):
-            torque = _along(lambda q, s=number: -sites.motor_torque(0.0, q, 0.0, 0.0, s), angle)
-            columns[f"torque_{name}_N_m"] = torque / sites.n1
-            columns[f"u_{name}_V"] = torque / gain
+        for motor, name in zip(MOTORS, ("left", "right"), strict=True):
+            torque = _along(lambda q, b=motor: -parts.torque(b, 0.0, q, 0.0, 0.0), angle)
+            columns[f"torque_{name}_N_m"] = torque
+            columns[f"u_{name}_V"] = n1 * torque / gain
         tables["motor"] = pd.DataFrame(columns)
     return tables
 
@@ -70,11 +72,11 @@ def _along(function: Callable[..., float], values: Floats) -> Floats:
     return np.array([function(float(x)) for x in values])
 
 
-def _friction(sites: Sites, body: int, omega: float) -> float:
+def _friction(parts: Parts, body: int, omega: float) -> float:
     if omega == 0.0:
         return 0.0
     way = 1.0 if omega > 0.0 else -1.0
-    return way * float(sites.sliding(body, way, 0.0, omega, 0.0, 0.0))
+    return way * float(parts.sliding(body, way, 0.0, omega, 0.0, 0.0, 0.0)[0])
 
 
 def _of_rig(model: RigModel) -> dict[str, pd.DataFrame]:

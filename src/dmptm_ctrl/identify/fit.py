@@ -15,9 +15,10 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.records import Record, difference, predict, settled
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_any
-from dmptm_ctrl.simulate.compiled import BODIES, observer_gains
+from dmptm_ctrl.simulate.compiled import BODIES
 from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, OF_FLANKS, by_depth, damped, damping_of
-from dmptm_ctrl.simulate.model import Floats, Model, stacked
+from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.observer import observer_gains
 
 CORRELATION_SECONDS = 0.1  # how long a model error lasts: samples closer than this are not news
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
@@ -175,7 +176,7 @@ class Misfit:
 
     def differences(self, models: Sequence[Model]) -> list[list[Floats]]:
         """Return measured minus simulated of several models per record, (channels, blocks)."""
-        drives = stacked([model.arrays() for model in models])
+        drives = [model.arrays() for model in models]
         ratios = [(model.drive["N_1"], model.drive["N_2"]) for model in models]
 
         def some(task: tuple[Record, int]) -> list[Floats]:  # runs take memory

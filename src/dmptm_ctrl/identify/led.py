@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 from dmptm_ctrl.identify.records import Record, block_mean, predict
 from dmptm_ctrl.simulate.batch import march_any
-from dmptm_ctrl.simulate.compiled import observer_gains
 from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.observer import observer_gains
 
 BANDWIDTH_HZ = 5.0  # of the observer: predictions over 0.2 s of its settling
 BLOCK_SECONDS = 0.02  # passes 25 Hz; how pinions ring on their flanks is chance

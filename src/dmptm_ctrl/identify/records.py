@@ -7,9 +7,10 @@ import numpy as np
 
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.compiled import march, observer_gains, rest
+from dmptm_ctrl.simulate.compiled import march, rest
+from dmptm_ctrl.simulate.dual import parts_of
 from dmptm_ctrl.simulate.model import Arrays, Floats, Model
-from dmptm_ctrl.simulate.plain import Sites
+from dmptm_ctrl.simulate.observer import observer_gains
 
 BLOCK_SECONDS = 0.005  # residuals are means over blocks: to 100 Hz, past the 60 Hz mode
 SHORT_BLOCK = 4  # samples
@@ -76,9 +77,9 @@ def record(log: Log, drive: Drive) -> Record:
 
 def true_angle(model: Model, reading: float) -> float:
     """Angle [rad] at which the ring gear rests where its sensor says `reading` [rad]."""
-    sites, angle = Sites(model), reading
+    parts, angle = parts_of(model), reading
     for _ in range(INVERSIONS):
-        angle += reading - sites.reading(angle, 0.0, 0.0)[0]
+        angle += reading - parts.reading(0, angle, 0.0, 0.0)
     return angle
 
 

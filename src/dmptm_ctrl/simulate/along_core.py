@@ -4,14 +4,13 @@ Nothing is integrated but a lag and pre-sliding: samples do not wait for each ot
 effect acts on a block of them at once, which lies in rows of a work array.
 """
 
-from math import exp
+from math import exp, floor
 
 import numpy as np
 from numba import njit
 
 from dmptm_ctrl.effects.presliding import build_up_distance
 from dmptm_ctrl.effects.stribeck import sliding_torque, stribeck_law, viscous_torque
-from dmptm_ctrl.simulate.core import held_average
 from dmptm_ctrl.simulate.elementary import borrowed
 from dmptm_ctrl.simulate.sample_sites import (
     drive_samples,
@@ -46,6 +45,32 @@ X_SHIFT = X_ADDED + BLOCK  # of z
 X_GAP = X_SHIFT + BLOCK  # wider
 X_TORQUE = X_GAP + BLOCK
 ROWS = X_TORQUE + BLOCK
+
+
+@njit
+def held_average(u, n, start, end):
+    """Mean of a sample-and-hold signal between two times in samples; zero before the log.
+
+    `u` holds the samples up to `n`, or the last of them in a ring.
+    """
+    first = floor(start)
+    last = floor(end)
+    if last == first or end == last:
+        return held(u, n, first)
+    total = 0.0
+    for i in range(first, last + 1):
+        width = min(end, i + 1.0) - max(start, float(i))
+        total += width * held(u, n, i)
+    return total / (end - start)
+
+
+@njit
+def held(u, n, i):
+    """Sample i of such a signal."""
+    if i < 0:
+        return 0.0
+    i = min(i, n - 1)
+    return u[i] if i < u.size else u[i % u.size]  # to divide takes long
 
 
 @njit

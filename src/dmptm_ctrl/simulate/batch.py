@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.compiled import (
@@ -16,22 +16,20 @@ from dmptm_ctrl.simulate.compiled import (
     march,
     rest,
 )
-from dmptm_ctrl.simulate.compose import engine
 from dmptm_ctrl.simulate.dual import columns_seen, dual_plant, start
-from dmptm_ctrl.simulate.lanes import LANES
-from dmptm_ctrl.simulate.law import NO_LAWS, Law
-from dmptm_ctrl.simulate.many import Common, run_many, same_shape
-from dmptm_ctrl.simulate.model import Arrays, Floats, Model, stacked
-from dmptm_ctrl.simulate.plant import Flags
+from dmptm_ctrl.simulate.lanes import LANES, lane_engine
+from dmptm_ctrl.simulate.law import Law
+from dmptm_ctrl.simulate.many import Common, run_lanes, same_shape
+from dmptm_ctrl.simulate.model import Arrays, Floats, Model
+from dmptm_ctrl.simulate.observer import rigid_observer
+from dmptm_ctrl.simulate.plant import Flags, Plant, structure_of
+from dmptm_ctrl.simulate.run import own_rows
 
 BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
-_OPEN = 5  # numbers of a loop, all zero of a run that is open
 # Drives left over by full groups, which one after another take the plain loop less than lanes of
 # which most are empty: these take as long as four or five, however many are in them.
 ALONE = 4
-LINE = 8  # doubles in a cache line
 _NO_ROWS = np.zeros((0, 0))
-_NO_DRIVE = np.zeros((0, 2, 0))
 
 
 class Batch(NamedTuple):
@@ -58,74 +56,6 @@ class Batch(NamedTuple):
     rms: Floats
 
 
-class Task(NamedTuple):
-    """What is the same for all lanes of a run."""
-
-    dt: float  # s
-    substeps: int
-    samples: int
-    inputs: Floats  # (k, 2, n) [V], or (0, 2, n) under the loop
-    target: Floats  # (k, n) [rad/s]
-    measured: Floats  # (k, n): angle for the observer, or noise of the loop's speed
-    observer: Floats  # (3,) gains per sample, and steps while it leads
-    extra: Floats  # (n, 3) or (0, 3) [N·m]
-    columns: NDArray[np.int64]
-    every: int
-    statistics: bool
-    design: Arrays | None = None  # of the controllers' model
-    begin: float = 0.0  # s, time of the first sample
-
-    def rows(self, group: slice) -> "Task":
-        """What a group of the drives needs of it."""
-        tables = {name: getattr(self, name) for name in ("inputs", "target", "measured")}
-        return self._replace(**{n: t[group] for n, t in tables.items() if t.shape[0] > 1})
-
-
-def _aligned(size: int) -> Floats:
-    """Room that begins where a cache line does: no vector register's row lies in two of them."""
-    room = np.empty(size + LINE - 1)
-    first = -(room.__array_interface__["data"][0] // room.itemsize) % LINE
-    return room[first : first + size]
-
-
-def _lanes(
-    task: Task,
-    arrays: Sequence[Arrays],
-    x0: Floats,
-    loops: Floats,
-) -> tuple[Floats, Floats]:
-    """Run any number of drives, as many at once as there are lanes."""
-    loop = engine()
-    count = len(arrays)
-    rows = stacked(arrays)
-    room = _aligned(loop.VALUES + rows.values.shape[1] * loop.LANES)
-    laws = NO_LAWS if task.design is None else loops
-    kept = -(-task.samples // task.every) if task.columns.size else 0
-    out = np.empty((count, task.columns.size, kept))
-    stats = np.empty((4, loop.COLUMNS, count) if task.statistics else (0, 0, 0))
-    loop.march_groups(
-        *(task.inputs, task.target, task.measured, laws, task.design or arrays[0]),
-        *(task.observer, task.extra, task.begin, task.dt, task.substeps),
-        *(rows.base, rows.on, rows.values, x0, loops, room, task.columns, task.every, out, stats),
-    )
-    return out, stats
-
-
-def _all(
-    task: Task, arrays: Sequence[Arrays], x0: Floats, loops: Floats, n_jobs: int
-) -> tuple[Floats, Floats]:
-    """Run any number of drives in groups of lanes, on threads or joblib's backend."""
-    size = engine().LANES
-    if n_jobs == 1 or len(arrays) <= size:
-        return _lanes(task, arrays, x0, loops)
-    groups = [slice(k, k + size) for k in range(0, len(arrays), size)]
-    parts = ((task.rows(g), arrays[g], x0[g], loops[g]) for g in groups)
-    # threads: the loop does not hold the interpreter's lock
-    done = list(each(_lanes, parts, n_jobs, prefer="threads"))
-    outs, stats = zip(*done, strict=True)
-    return np.concatenate(outs), np.concatenate(stats, axis=2)
-
-
 def march_many(
     arrays: Sequence[Arrays],
     u: Floats,
@@ -135,11 +65,10 @@ def march_many(
     substeps: int = SUBSTEPS,
     observer: tuple[float, float] | None = None,
     measured: Floats | None = None,
-    lead_substeps: int | None = None,
-    extra: Floats | None = None,
     begin: float = 0.0,
     columns: Sequence[int] = range(len(OUTPUTS)),
     jobs: int = 1,
+    plants: list[Plant] | None = None,
 ) -> Floats:
     """Run many drives open loop: :func:`~.compiled.march` for each of `arrays`, but faster.
 
@@ -148,38 +77,39 @@ def march_many(
     arrays : sequence of what :meth:`Model.arrays` gives
     u : (2, n) or (batch, 2, n) array [V]
     x0 : (6,) or (batch, 6) array
-    dt, substeps, observer, lead_substeps, extra, begin
+    dt, substeps, observer, begin
         As for :func:`~.compiled.march`, the same for all.
-    measured : (m,) or (batch, m) array [rad]
+    measured : (n,) or (batch, n) array [rad]
     columns : sequence of int
         Which of :data:`BATCH_OUTPUTS` to keep.
     jobs : int
         Threads.
+    plants : list of Plant, optional
+        Of these arrays, where they are known.
 
     Returns
     -------
     (batch, n, len(columns)) array
         SI. The same scheme as `march`; rounding differs.
     """
-    inputs = np.ascontiguousarray(u if u.ndim == 3 else u[None])
-    task = Task(
-        dt=dt,
-        substeps=substeps,
-        samples=inputs.shape[2],
-        inputs=inputs,
-        target=_NO_ROWS,
-        measured=_NO_ROWS if measured is None else np.ascontiguousarray(np.atleast_2d(measured)),
-        observer=np.array([*(observer or (0.0, 0.0)), lead_substeps or substeps]),
-        extra=np.zeros((0, 3)) if extra is None else extra,
-        columns=np.array(columns, np.int64),
-        every=1,
+    inputs = u if u.ndim == 3 else u[None]
+    common = Common(
+        dt,
+        substeps,
+        inputs.shape[2],
+        np.ascontiguousarray(inputs),
+        np.zeros((1, 1)),
+        _NO_ROWS,
+        np.array(columns, np.int64),
         statistics=False,
         begin=begin,
     )
-    count = len(arrays)
-    starts = np.ascontiguousarray(np.broadcast_to(x0, (count, 6)), float)
-    kept, _ = _all(task, arrays, starts, np.zeros((count, _OPEN)), jobs)
-    return kept.transpose(0, 2, 1)
+    if observer is not None and measured is not None:
+        common = common._replace(measured=own_rows(measured)[:, None])
+    starts = np.broadcast_to(x0, (len(arrays), 6))
+    known = plants or [dual_plant(own) for own in arrays]
+    kept, _ = _run(arrays, known, starts, common, None, jobs, observer)
+    return np.asarray(kept).transpose(0, 2, 1)
 
 
 def march_any(
@@ -201,7 +131,7 @@ def march_any(
     columns : sequence of int
         Which of :data:`~.compiled.OUTPUTS` to keep.
     **options
-        What both take: substeps, observer, lead_substeps, extra, begin.
+        What both take: substeps, observer, begin.
 
     Returns
     -------
@@ -209,37 +139,42 @@ def march_any(
         SI.
     """
     count = len(arrays)
-    alone = count % engine().LANES
-    if not 0 < alone <= ALONE:
-        alone = 0
     inputs = u if u.ndim == 3 else u[None]
     angles = None if measured is None else np.atleast_2d(measured)
     starts = np.broadcast_to(x0, (count, 6))
-
-    def of(rows: Floats, some: slice) -> Floats:
-        return rows[some] if len(rows) > 1 else rows  # one for all
-
-    def given(some: slice) -> tuple[Floats, Floats | None]:
-        return of(inputs, some), None if angles is None else of(angles, some)
-
-    together = count - alone
+    plants = [dual_plant(own) for own in arrays]
+    together, alone = _shared_out(plants)
     out = np.empty((count, len(columns), inputs.shape[2]))
     if together:
-        some = slice(together)
-        volts, led = given(some)
-        runs = march_many(
-            arrays[some], volts, starts[some], dt, measured=led, columns=columns, **options
-        )
+        volts, led = (None if t is None else t[together] if len(t) > 1 else t
+                      for t in (inputs, angles))  # fmt: skip
+        assert volts is not None
+        some, begun = [arrays[k] for k in together], starts[together]
+        known = [plants[k] for k in together]
+        given = {"measured": led, "columns": columns, "plants": known, **options}
+        runs = march_many(some, volts, begun, dt, **given)
         if not alone:
             return runs
-        out[some] = runs.transpose(0, 2, 1)
+        out[together] = runs.transpose(0, 2, 1)
     meshes = max(columns) >= BODIES
-    for k in range(together, count):
-        (volts,), led = given(slice(k, k + 1))
-        lead = None if led is None else led[0]
+    for k in alone:
+        volts = inputs[k if len(inputs) > 1 else 0]
+        lead = None if angles is None else angles[k if len(angles) > 1 else 0]
         run = march(arrays[k], volts, starts[k], dt, measured=lead, meshes=meshes, **options)
         out[k] = run.T[[*columns]]
     return out.transpose(0, 2, 1)
+
+
+def _shared_out(plants: list[Plant]) -> tuple[list[int], list[int]]:
+    """Which drives are to run beside each other, and which alone."""
+    together: list[int] = []
+    alone: list[int] = []
+    for members, *_ in same_shape(plants):
+        left = len(members) % LANES
+        full = len(members) - (left if left <= ALONE else 0)
+        together += members[:full]
+        alone += members[full:]
+    return sorted(together), alone
 
 
 def simulate_batch(
@@ -318,40 +253,62 @@ def simulate_batch(
         rows = _rows("initial_state", initial_state, count, (6,))
         states = np.broadcast_to(rows, (count, 6))
     arrays = [model.arrays() for model in models]
-    plants = [dual_plant(own) for own in arrays]
-    kept: list[Floats] = [np.empty(0)] * count
-    found: list[Floats] = [np.empty(0)] * count
-    tasks: list[tuple[Any, ...]] = []
     wanted = [BATCH_OUTPUTS.index(name) for name in outputs]
     dt = (time[-1] - time[0]) / (n - 1)
-    whole = Common(dt, substeps, n, drive, target, measured, np.array(wanted, np.int64), every)
-    for members, acting, _ in same_shape(plants):
-        for first in range(0, len(members), LANES):
-            some = members[first : first + LANES]
-            own = None if loops is None else [loops[k] for k in some]
-            tasks.append(
-                (some, [arrays[k] for k in some], states[some], whole.of(some), own, acting)
-            )
-    # threads: the loop does not hold the interpreter's lock
-    alone = n_jobs == 1 or len(tasks) == 1
-    done = (
-        (_group(*task) for task in tasks)
-        if alone
-        else each(_group, tasks, n_jobs, prefer="threads")
-    )
-    for some, runs, statistics in done:
-        for k, out, stats in zip(some, runs, statistics, strict=True):
-            kept[k], found[k] = out, stats
+    common = Common(dt, substeps, n, drive, target, measured, np.array(wanted, np.int64), every)
+    plants = [dual_plant(own) for own in arrays]
+    kept, found = _run(arrays, plants, states, common, loops, n_jobs)
     least, greatest, total, squares = np.array(found).transpose(1, 0, 2)
     return Batch(
         time[::every] if outputs else time[:0],
-        np.array(kept),
+        np.asarray(kept),
         tuple(outputs),
         least,
         greatest,
         total / n,
         np.sqrt(squares / n),
     )
+
+
+def _run(
+    arrays: Sequence[Arrays],
+    plants: list[Plant],
+    states: Floats,
+    whole: Common,
+    loops: list[Loop | Law] | None,
+    n_jobs: int,
+    observer: tuple[float, float] | None = None,
+) -> tuple[Floats | list[Floats], list[Floats]]:
+    """Run drives in groups of lanes, on threads or joblib's backend.
+
+    With statistics, as studies have them, with steps of just the effects that act; others, as a
+    diagnosis has them with ever other effects, with all behind flags.
+    """
+    kept: list[Floats] = [np.empty(0)] * len(plants)
+    found: list[Floats] = [np.empty(0)] * len(plants)
+    tasks: list[Any] = []
+    switched = not whole.statistics
+    for members, acting, structure in same_shape(plants, switched=switched):
+        lane_engine(structure)
+        for first in range(0, len(members), LANES):
+            some = members[first : first + LANES]
+            own = None if loops is None else [loops[k] for k in some]
+            given = [arrays[k] for k in some], states[some], whole.of(some), own
+            tasks.append((some, *given, acting, switched, observer))
+    # threads: the loop does not hold the interpreter's lock
+    alone = n_jobs == 1 or len(tasks) == 1
+    done = (
+        (_group(*task, known_plants=[plants[k] for k in task[0]]) for task in tasks)
+        if alone
+        else each(_group, tasks, n_jobs, prefer="threads")
+    )
+    if len(tasks) == 1:  # nothing to copy
+        ((_, runs, statistics),) = done
+        return runs, statistics
+    for some, runs, statistics in done:
+        for k, out, stats in zip(some, runs, statistics, strict=True):
+            kept[k], found[k] = out, stats
+    return kept, found
 
 
 def _group(
@@ -361,19 +318,28 @@ def _group(
     common: Common,
     loops: list[Loop | Law] | None,
     acting: Flags,
-) -> tuple[list[int], list[Floats], list[Floats]]:
+    switched: bool,
+    observer: tuple[float, float] | None,
+    *,
+    known_plants: list[Plant] | None = None,
+) -> tuple[list[int], Floats, list[Floats]]:
     """Run drives of one shape, on whatever thread or machine."""
-    plants = [dual_plant(own) for own in arrays]
+    plants = known_plants or [dual_plant(own) for own in arrays]
+    flagged = switched and bool(acting.any())
+    structure = structure_of(plants[0]._replace(on=acting), switched=flagged)
     # where compliant reducers are links too, the outputs are elsewhere among what is seen
     seen = np.array(columns_seen(plants[0]))
     common = common._replace(columns=seen[common.columns])
     starts = [start(plant, x0) for plant, x0 in zip(plants, states, strict=True)]
-    controllers = None
+    controllers, observers = None, None
     if loops is not None:
         known = {id(one): controller_of(one) for one in loops}
         controllers = [known[id(one)] for one in loops]
-    runs, stats = run_many(plants, starts, common, controllers, acting=acting)
-    return some, runs, [table[:, seen] for table in stats]
+    if observer is not None:
+        observers = [rigid_observer(plant, 0, observer) for plant in plants]
+    given = structure, acting, plants, starts, common, controllers, observers
+    _, runs, stats = run_lanes(some, *given)
+    return some, runs, [stats[:, seen, lane] for lane in range(len(some))]
 
 
 def _loops(loop: Loop | Law | Sequence[Loop] | Sequence[Law], count: int) -> list[Loop | Law]:

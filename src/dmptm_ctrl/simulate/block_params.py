@@ -1,11 +1,13 @@
 """The `params` of a block simulation: values of a model and its loop, by name."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dmptm_ctrl.simulate.compiled import Loop
-from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plain import Sites
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.simulate.model import Model
 
 
 def refuse_unknown(params: Iterable[str], known: Sequence[str], others: Sequence[str]) -> None:
@@ -30,7 +32,7 @@ class Given:
     """A model and its loop, with values replaced by the `params` of a simulation."""
 
     def __init__(
-        self, model: Model | None, loop: Loop | None = None, others: Sequence[str] = ()
+        self, model: "Model | None", loop: Loop | None = None, others: Sequence[str] = ()
     ) -> None:
         self.model, self.loop, self.others = model, loop, others
         self.sites = None if model is None else Sites(model)
@@ -62,6 +64,6 @@ class Given:
         return self._varied[key]
 
 
-def given_of(model: Model | Given) -> Any:
+def given_of(model: "Model | Given") -> Any:
     """Return a model as blocks take it."""
     return model if isinstance(model, Given) else Given(model)

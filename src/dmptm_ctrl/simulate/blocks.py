@@ -16,6 +16,7 @@ simulator and the reference have it exactly.
 """
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import control as ct
 import numpy as np
@@ -23,10 +24,13 @@ from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
 from dmptm_ctrl.effects.backlash import gap_rate, twist_torque
+from dmptm_ctrl.simulate.base import Floats, refuse_negative
 from dmptm_ctrl.simulate.block_params import Given, given_of
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
-from dmptm_ctrl.simulate.model import Floats, Model, refuse_negative
 from dmptm_ctrl.simulate.plain import RING, Sites
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.simulate.model import Model
 
 REST_SPEED = 1e-5  # rad/s; a hundredth of the gyro's noise, far above a solver's tolerance
 PADE_ORDER = 4  # phase error below 1° up to ω T_d = 4.5 rad
@@ -58,7 +62,7 @@ class _Delay:
 
 
 def drive_block(
-    model: Model | Given, side: int, *, pade_order: int = PADE_ORDER
+    model: "Model | Given", side: int, *, pade_order: int = PADE_ORDER
 ) -> ct.NonlinearIOSystem:
     """Return the drive of one motor: dead time, static effects, lag.
 
@@ -92,7 +96,7 @@ def drive_block(
 
 
 def drive_states(
-    model: Model, side: int, u: float, *, pade_order: int = PADE_ORDER
+    model: "Model", side: int, u: float, *, pade_order: int = PADE_ORDER
 ) -> dict[str, float]:
     """Return the states of the drive, by their name in `to_blocks`, once `u` [V] has lasted."""
     sites, block = Sites(model), f"drive_{SIDES[side]}"
@@ -105,7 +109,7 @@ def drive_states(
 
 
 def mesh_block(
-    model: Model | Given, side: int, *, contact: str = "memoryless"
+    model: "Model | Given", side: int, *, contact: str = "memoryless"
 ) -> ct.NonlinearIOSystem:
     """Return the mesh of one pinion with the ring gear.
 
@@ -169,11 +173,11 @@ def body_rates(
         level = direction * sites.sliding(body, *given) - at_once
         built_up = sites.build_up(body, omega, level, x[2])
         friction = x[2] + at_once
-        friction += sites.bristle_damping(body, direction, omega, inertia, built_up)
+        friction += sites.bristle_damping(body, direction, omega, built_up)
         return [omega, (net - friction) / inertia, built_up, *older]
     if abs(omega) <= REST_SPEED:
         direction = 1.0 if net > 0.0 else -1.0
-        most = sites.holding(body, direction, theta, omega, t, carried, age)
+        most = sites.holding(body, direction, theta, t, carried, age)
         if most > 0.0:
             if abs(net) <= most:
                 return [0.0, 0.0, *older]
@@ -189,7 +193,7 @@ def friction_states(sites: Sites, body: int) -> list[str]:
     return ["friction"] * presliding + ["age"] * ageing
 
 
-def rig_block(model: Model | Given, side: int) -> ct.NonlinearIOSystem:
+def rig_block(model: "Model | Given", side: int) -> ct.NonlinearIOSystem:
     """Return motor, reducer and pinion of one side, with the reducer's friction.
 
     Inputs voltage [V] and torque of the mesh [N·m]; outputs theta_m, omega_m of the motor,
@@ -234,7 +238,7 @@ def rig_block(model: Model | Given, side: int) -> ct.NonlinearIOSystem:
     )
 
 
-def ring_block(model: Model | Given) -> ct.NonlinearIOSystem:
+def ring_block(model: "Model | Given") -> ct.NonlinearIOSystem:
     """Return the ring gear with its friction and the load's effects.
 
     Inputs torque_l, torque_r [N·m] at the pinions; outputs ring_angle [rad], ring_speed
@@ -258,7 +262,7 @@ def ring_block(model: Model | Given) -> ct.NonlinearIOSystem:
     )
 
 
-def sensor_block(model: Model | Given, *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
+def sensor_block(model: "Model | Given", *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
     """Return the sensors: ring_angle, ring_speed in, the readings theta_L, omega_L out."""
     given = given_of(model)
     late = _Delay(given.sites.speed_delay, pade_order)
@@ -302,7 +306,7 @@ def pi_block(loop: Loop | Given) -> ct.NonlinearIOSystem:
 
 
 def to_blocks(
-    model: Model,
+    model: "Model",
     *,
     loop: Loop | None = None,
     pade_order: int = PADE_ORDER,
@@ -366,7 +370,7 @@ def to_blocks(
     )
 
 
-def initial_state(model: Model, sys: ct.InterconnectedSystem, x0: ArrayLike) -> Floats:
+def initial_state(model: "Model", sys: ct.InterconnectedSystem, x0: ArrayLike) -> Floats:
     """Return the state of `sys` from :func:`to_blocks` for a state of the three bodies.
 
     Parameters
@@ -393,7 +397,7 @@ def initial_state(model: Model, sys: ct.InterconnectedSystem, x0: ArrayLike) -> 
 
 
 def run(
-    model: Model,
+    model: "Model",
     u: Floats,
     x0: Floats,
     dt: float,

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dmptm_ctrl.simulate.compose import engine, plain_engine
+from dmptm_ctrl.simulate.base import Floats
 from dmptm_ctrl.simulate.dual import columns, dual_plant, outputs, pi_loop, start
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.observer import rigid_observer
 from dmptm_ctrl.simulate.plant import Plant
 from dmptm_ctrl.simulate.run import Controller, advance, start_state, structure_for
 
 if TYPE_CHECKING:
     from dmptm_ctrl.simulate.law import Law
+    from dmptm_ctrl.simulate.model import Model
 
 OUTPUTS = (
     *("theta_L", "omega_L", "theta_ml", "theta_mr"),
@@ -25,8 +26,6 @@ SUBSTEPS = 8  # steps per sample; at 1 kHz 125 µs resolves the 231 Hz mode with
 # Where bounces are met one by one: each grows the error of the landings before it, and where
 # gaps damp little the true values have lost step with 125 µs after 0.3 s (`test_lock.py`).
 FINE_SUBSTEPS = 16
-_NONE = np.zeros((0, 3))
-_OPEN = np.zeros(6)
 
 
 class Loop(NamedTuple):
@@ -49,7 +48,9 @@ class Loop(NamedTuple):
     bias_r: float = 0.0  # V
 
 
-def rest(model: Model, theta_L: float, *, motors: Sequence[float] | Floats | None = None) -> Floats:
+def rest(
+    model: "Model", theta_L: float, *, motors: Sequence[float] | Floats | None = None
+) -> Floats:
     """Return the state at rest at ring-gear angle `theta_L` [rad], chains at mid-gap.
 
     Parameters
@@ -62,11 +63,6 @@ def rest(model: Model, theta_L: float, *, motors: Sequence[float] | Floats | Non
     return np.array([*pinions, theta_L, 0.0, 0.0, 0.0])
 
 
-def _own(values: Floats) -> Floats:
-    """Array in one piece that may be written to: of another kind the engine compiles anew."""
-    return np.require(values, np.float64, ["C", "W"])
-
-
 def march(
     arrays: tuple[Floats, NDArray[np.uint8], Floats],
     u: Floats,
@@ -76,7 +72,6 @@ def march(
     substeps: int = SUBSTEPS,
     observer: tuple[float, float] | None = None,
     measured: Floats | None = None,
-    lead_substeps: int | None = None,
     extra: Floats | None = None,
     begin: float = 0.0,
     meshes: bool = True,
@@ -93,12 +88,10 @@ def march(
     dt : float
         Sample time [s].
     observer : (angle gain, speed gain) per sample
-        Feeds the miss of the ring-gear angle back to the rigid mode, see :func:`observer`.
-    measured : (m,) array [rad]
-        The angle that the observer follows for as long as it lasts; m ≤ n.
-    lead_substeps : int, optional
-        Steps per sample for as long as it does, if others. Not with bristles or a late reading
-        of the speed, whose numbers are of one length of steps.
+        Feeds the miss of the ring-gear angle back to the rigid mode, see
+        :func:`~.observer.observer_gains`.
+    measured : (n,) array [rad]
+        The angle that the observer follows.
     extra : (n, 3) array [N·m]
         Torques added on the two pinions and the ring gear.
     begin : float
@@ -111,42 +104,22 @@ def march(
     (n, 8) array
         Columns :data:`OUTPUTS`, SI; the first 4 without `meshes`.
     """
-    if measured is None or observer is None:
-        plant = dual_plant(arrays)
-        structure = structure_for(plant)
-        state = replace(start_state(structure, *start(plant, np.asarray(x0, float))), time=begin)
-        done = advance(
-            plant,
-            state,
-            u,
-            dt,
-            substeps,
-            structure=structure,
-            push=_on_bodies(plant, extra),
-            columns=columns(plant, meshes),
-        )
-        return outputs(plant, done.rows, meshes)
-    n = u.shape[1]
-    out = np.empty((n, len(OUTPUTS) if meshes else BODIES))
-    base, on, values = arrays
-    (engine if on.any() else plain_engine)().march(
-        _own(u),
-        _OPEN,
-        arrays,  # of no controller's model
-        np.empty(0),
-        np.array([*(observer or (0.0, 0.0)), lead_substeps or substeps]),
-        _own(measured),
-        _NONE if extra is None else _own(extra),
-        _own(x0),
-        begin,
+    plant = dual_plant(arrays)
+    structure = structure_for(plant)
+    state = replace(start_state(structure, *start(plant, np.asarray(x0, float))), time=begin)
+    done = advance(
+        plant,
+        state,
+        u,
         dt,
         substeps,
-        base,
-        on,
-        values,
-        out,
+        structure=structure,
+        push=_on_bodies(plant, extra),
+        observer=None if observer is None else rigid_observer(plant, 0, observer),
+        measured=None if observer is None else measured,
+        columns=columns(plant, meshes),
     )
-    return out
+    return outputs(plant, done.rows, meshes)
 
 
 def _on_bodies(plant: Plant, extra: Floats | None) -> Floats | None:
@@ -156,14 +129,8 @@ def _on_bodies(plant: Plant, extra: Floats | None) -> Floats | None:
     return np.hstack([extra, np.zeros((len(extra), plant.inertia.size - 3))])
 
 
-def observer_gains(bandwidth_hz: float, dt: float) -> tuple[float, float]:
-    """Return per-sample gains of a critically damped rigid-mode observer."""
-    pole = 2.0 * np.pi * bandwidth_hz * dt
-    return 2.0 * pole, pole**2 / dt
-
-
 def close_loop(
-    model: Model,
+    model: "Model",
     loop: "Loop | Law",
     reference: ArrayLike,
     dt: float,

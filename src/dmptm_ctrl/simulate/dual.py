@@ -5,16 +5,20 @@ at the pinion. Bodies: pinions, ring gear, motors.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects.stiffness_variation import STIFFNESS_VARIATION
-from dmptm_ctrl.simulate.compose import layout, per_catalogue
-from dmptm_ctrl.simulate.model import BASE, Arrays
+from dmptm_ctrl.simulate.base import BASE, Arrays
+from dmptm_ctrl.simulate.kernel_calls import layout, per_catalogue
+from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.plant import GAP, LINEAR, Floats, Place, Plant
 from dmptm_ctrl.simulate.run import compiled_controller
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.simulate.model import Model
 
 MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the step and rigid
 PINIONS, RING, MOTORS = (0, 1), 2, (3, 4)  # bodies
@@ -109,6 +113,11 @@ def dual_plant(arrays: Arrays) -> Plant:
         np.append(on, np.uint8(d["k_a"] != 0.0)),
         np.concatenate([values, [d["k_a"], d["z_3"], d["phi_r"]]]),
     )
+
+
+def parts_of(model: "Model") -> Parts:
+    """Return what the kernels say about each part of a drive."""
+    return Parts(dual_plant(model.arrays()))
 
 
 def start(plant: Plant, x0: Floats) -> tuple[Floats, Floats]:

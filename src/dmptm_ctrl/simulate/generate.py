@@ -8,7 +8,7 @@ carries the hash of all that it is made of, so numba's cache on disk serves what
 import dis
 from collections.abc import Callable, Iterable
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from dmptm_ctrl.effects import backlash, lookup, presliding, stribeck
 from dmptm_ctrl.simulate import elementary, step
 from dmptm_ctrl.simulate.loading import LOADING, key_of, load
 from dmptm_ctrl.simulate.plant import (
+    DECLARED,
     ELASTIC_IMPACT,
     GAP,
     LAW_FIELDS,
@@ -27,8 +28,8 @@ from dmptm_ctrl.simulate.plant import (
 )
 
 _OWN = (
-    *("aged", "at_once", "at_rest", "friction", "held_average", "lagged", "mesh_step", "preslide"),
-    "two_state_step",
+    *("aged", "at_once", "at_rest", "friction", "held_average", "lagged", "mesh_step"),
+    *("observed", "plain_mesh", "preslide", "two_state_step"),
 )
 _KERNELS = (
     *(("backlash", n) for n in ("impact_torque", "mesh_torque", "twist_torque")),
@@ -45,15 +46,19 @@ from dmptm_ctrl.effects.stribeck import Stribeck
 from dmptm_ctrl.effects import backlash, stribeck
 from dmptm_ctrl.simulate import step as pieces
 from dmptm_ctrl.simulate.elementary import FAST, borrowed, called, hosted, wide
+from dmptm_ctrl.simulate.generate import vector_kernel
 
 TINY, UNKNOWN = pieces.TINY, pieces.UNKNOWN
 """
 
 
 class Names:
-    """State, signals and numbers of a structure, in the order of the step's arguments."""
+    """State, signals and numbers of a structure, in the order of the step's arguments.
 
-    def __init__(self, s: Structure) -> None:
+    Where drives stand in rows beside each other, parameters of effects are numbers too.
+    """
+
+    def __init__(self, s: Structure, rows: bool = False) -> None:
         coordinates = range(s.coordinates)
         self.state = [f"{x}{g}" for x in "qvp" for g in coordinates]
         self.state += [f"s{k}" for k, link in enumerate(s.links) if link[2] in (GAP, TWO_STATES)]
@@ -64,7 +69,7 @@ class Names:
         self.signals += [f"push{g}" for g in coordinates]
         for g in s.given:
             self.signals += [f"xg{g}", f"sg{g}"]
-        self.numbers = number_names(s)
+        self.numbers = number_names(s, values=rows or not s.switched)
         self.switches = ["on", "e"] if s.switched else []
         self.arguments = [*self.state, *self.signals, "t", "h", *self.numbers, *self.switches]
         # at zero, meshes that have been nowhere
@@ -73,10 +78,10 @@ class Names:
 
 
 class _Text:
-    """Lines of a function."""
+    """Lines of a function; with `rows` parameters of effects have names of their own."""
 
-    def __init__(self, s: Structure) -> None:
-        self.s = s
+    def __init__(self, s: Structure, rows: bool = False) -> None:
+        self.s, self.rows = s, rows
         self.lines: list[str] = []
         self.numbers = {id(p): i for i, p in enumerate(s.places)}
 
@@ -93,8 +98,16 @@ class _Text:
             for part in change.format(call=self.call(p, *arguments)).split("; "):
                 self.add(indent + part)
 
+    def where(self, places: Iterable[Place], *lines: str) -> None:
+        """Lines that are of matter where one of some places acts."""
+        flags = dict.fromkeys(f"on[{p.flag}]" for p in places)
+        if self.s.switched:
+            self.add(f"if {' or '.join(flags)}:", *(f"    {line}" for line in lines))
+        else:
+            self.add(*lines)
+
     def call(self, p: Place, *arguments: str) -> str:
-        e = "e[{}]" if self.s.switched else "e{}"
+        e = "e[{}]" if self.s.switched and not self.rows else "e{}"
         values = ", ".join(e.format(p.first + j) for j in range(len(p.effect.parameters)))
         i = self.numbers[id(p)]
         told = [] if p.effect.site in ("load", "sensor") else [str(p.told)]
@@ -130,7 +143,14 @@ class _Text:
 
 def step_text(s: Structure) -> str:
     """Text of the step."""
-    names, text = Names(s), _Text(s)
+    names = Names(s)
+    lines = [*step_lines(s), f"    return {row_text(names.state)}"]
+    return f"@njit\ndef step({', '.join(names.arguments)}):\n" + "\n".join(lines)
+
+
+def step_lines(s: Structure, rows: bool = False) -> list[str]:
+    """Lines of the step, up to its end."""
+    text = _Text(s, rows)
     _middle(s, text)
     _inputs(s, text)
     _links(s, text)
@@ -146,10 +166,9 @@ def step_text(s: Structure) -> str:
         for b in s.body_names(g):
             if s.at("ageing", b):
                 speed = f"0.5 * {text.lever(b)}(v{g} + new{g})"
-                text.add(f"age{b} = aged(age{b}, {speed}, h, slip{b})")
+                text.where(s.at("ageing", b), f"age{b} = aged(age{b}, {speed}, h, slip{b})")
         text.add(f"p{g}, v{g} = v{g}, new{g}", f"q{g} = x{g} + 0.5 * h * v{g}")
-    text.add(f"return {row_text(names.state)}")
-    return f"@njit\ndef step({', '.join(names.arguments)}):\n" + "\n".join(text.lines)
+    return text.lines
 
 
 def row_text(names: Iterable[str]) -> str:
@@ -172,24 +191,33 @@ def _inputs(s: Structure, text: _Text) -> None:
         if limited:
             text.add(f"u{j} = min(lim{j}, max(-lim{j}, u{j}))")
         if lags:
+            places, relax = s.at("lag", j), f"u{j}, l{j} = lagged(l{j}, u{j}, time{j}, h)"
             text.add(f"time{j} = tau{j}")
-            text.effects(
-                s.at("lag", j), f"c = {{call}}; u{j} = c[0]; time{j} = time{j} + c[1]", f"u{j}"
-            )
-            guard = f"if time{j} > 0.0: " if s.switched else ""
-            text.add(f"{guard}u{j}, l{j} = lagged(l{j}, u{j}, time{j}, h)")
+            text.effects(places, f"c = {{call}}; u{j} = c[0]; time{j} = time{j} + c[1]", f"u{j}")
+            if lags == DECLARED:
+                text.add(relax)
+            else:
+                text.where(places, relax)
         text.add(f"drive{j} = gain{j} * u{j}")
 
 
 def _links(s: Structure, text: _Text) -> None:
+    meshes = [k for k, link in enumerate(s.links) if link[2] == GAP and text.rows]
     for k, (_, _, law, _) in enumerate(s.links):
         text.twist(k, "x", "o")
-        if law == GAP:
+        if k in meshes:
+            text.add(f"T{k}, r{k}_new, odd{k} = plain_mesh(z{k}, zr{k}, law{k}, s{k})")
+        elif law == GAP:
             text.add(f"T{k}, s{k} = mesh_step(z{k}, zr{k}, law{k}, s{k}, h)")
         elif law == TWO_STATES:
             text.add(f"T{k}, s{k} = two_state_step(z{k}, zr{k}, s{k}, law{k}, h)")
         elif law == ELASTIC_IMPACT:
             text.add(f"T{k} = impact_torque(z{k}, zr{k}, law{k})")
+    # lanes with a mesh that reaches a flank, or is about to, are few
+    for k in meshes:
+        text.add(f"if some(odd{k}):")
+        text.add(f"    T{k}, r{k}_new = mesh_step(z{k}, zr{k}, law{k}, s{k}, h)")
+        text.add(f"s{k} = r{k}_new")
 
 
 def _forces(s: Structure, text: _Text, g: int) -> None:
@@ -293,7 +321,7 @@ def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None)
         places = s.at("ageing", b)
         text.effects(places, f"slip{b} = max(slip{b}, {{call}}[1])", f"age{b}")
         speed = f"0.5 * {text.lever(b)}(v{g} + o{g})"
-        text.add(f"middle{b} = aged(age{b}, {speed}, 0.5 * h, slip{b})")
+        text.where(places, f"middle{b} = aged(age{b}, {speed}, 0.5 * h, slip{b})")
         text.effects(places, f"added_{b} = added_{b} + {{call}}[0]", f"middle{b}")
     change = f"c = {{call}}; scale_{b} = scale_{b} * c[0]; added_{b} = added_{b} + c[1]"
     places = s.at("friction", b)
@@ -332,18 +360,33 @@ def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None)
 
 def observe_text(s: Structure) -> str:
     """Text of what is seen at a sample: readings of sensors; torques and twists of links."""
-    names, text = Names(s), _Text(s)
+    names = Names(s)
     late = [f"late{i}" for i, sensor in enumerate(s.sensors) if sensor[2]]
+    plain = ["t", *names.numbers, *names.switches]
+    return "\n\n\n".join(
+        f"@njit\ndef {name}({', '.join([*names.state, *more, *plain])}):\n"
+        + "\n".join([*lines, f"    return {row_text(found or ['0.0'])}"])
+        for name, more, (lines, found) in (
+            ("readings", late, reading_lines(s)),
+            ("torques", [], torque_lines(s)),
+        )
+    )
+
+
+def reading_lines(s: Structure, rows: bool = False) -> tuple[list[str], list[str]]:
+    """Lines that read the sensors, and the names of what they read."""
+    text = _Text(s, rows)
     for i, (b, speed, is_late) in enumerate(s.sensors):
         text.add(f"a{i}, w{i} = {text.turned(b, 'q')}, {text.turned(b, 'v')}")
         if is_late:
             text.add(f"{'w' if speed else 'a'}{i} = late{i}")
         text.effects(s.at("sensor", i), f"a{i}, w{i} = {{call}}", f"a{i}", f"w{i}", "t")
-    seen = [f"{'w' if speed else 'a'}{i}" for i, (_, speed, _) in enumerate(s.sensors)]
-    text.add(f"return {row_text(seen or ['0.0'])}")
-    given = [*names.state, *late, "t", *names.numbers, *names.switches]
-    sensed = f"@njit\ndef readings({', '.join(given)}):\n" + "\n".join(text.lines)
-    text = _Text(s)
+    return text.lines, [f"{'w' if speed else 'a'}{i}" for i, (_, speed, _) in enumerate(s.sensors)]
+
+
+def torque_lines(s: Structure, rows: bool = False) -> tuple[list[str], list[str]]:
+    """Lines that find torques and twists of links, and the names of these."""
+    text = _Text(s, rows)
     for k, (first, second, law, _) in enumerate(s.links):
         text.twist(k, "q", "v")
         if law == GAP:
@@ -354,10 +397,7 @@ def observe_text(s: Structure) -> str:
             text.add(f"T{k} = impact_torque(z{k}, zr{k}, law{k})")
         # as the bodies turn, without what teeth add
         text.add(f"z{k} = {text.turned(first, 'q')} - n{k} * ({text.turned(second, 'q')})")
-    torques = [f"{x}{k}" for x in "Tz" for k in range(len(s.links))]
-    text.add(f"return {row_text(torques or ['0.0'])}")
-    given = [*names.state, "t", *names.numbers, *names.switches]
-    return f"{sensed}\n\n\n@njit\ndef torques({', '.join(given)}):\n" + "\n".join(text.lines)
+    return text.lines, [f"{x}{k}" for x in "Tz" for k in range(len(s.links))]
 
 
 def sensed(s: Structure, i: int) -> tuple[str, str]:
@@ -367,9 +407,14 @@ def sensed(s: Structure, i: int) -> tuple[str, str]:
     return f"r{b}" if sign else "", f"{'v' if speed else 'q'}{g}"
 
 
-def head_text(s: Structure) -> str:
+def vector_kernel(kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a kernel inline, with tables that lanes look up side by side."""
+    return elementary.hosted(kernel, (lookup.looked_up, lookup.summed))
+
+
+def head_text(s: Structure, rows: bool = False) -> str:
     """Text of the names that the functions use."""
-    host = "called" if s.switched else "hosted"
+    host = "vector_kernel" if rows else "called" if s.switched else "hosted"
     lines = [_HEAD]
     lines += [f"{name} = hosted(pieces.{name})" for name in _OWN]
     lines += [f"{name} = hosted({module}.{name})" for module, name in _KERNELS]
@@ -382,12 +427,16 @@ def head_text(s: Structure) -> str:
 
 
 def compiled(text: str, *entries: str) -> str:
-    """Text whose functions numba compiles; `entries` are called from Python, others inline."""
+    """Text whose functions numba compiles; `entries` are called from Python, others inline.
+
+    Those marked ``njit_apart`` are not inline.
+    """
     options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST'
-    inner = f"{options}, forceinline=True"
-    inner += "".join(f", {key}={value}" for key, value in elementary.INNER.items())
+    apart = options + "".join(f", {key}={value}" for key, value in elementary.INNER.items())
+    inner = f"{apart}, forceinline=True"
     for entry in entries:
         text = text.replace(f"@njit\ndef {entry}(", f"@njit({options})\ndef {entry}(")
+    text = text.replace("@njit_apart\n", f"@njit({apart})\n")
     return text.replace("@njit\n", f"@njit({inner})\n")
 
 

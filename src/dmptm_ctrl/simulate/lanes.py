@@ -8,11 +8,13 @@ from dmptm_ctrl.simulate.generate import (
     compiled,
     engine_by,
     head_text,
-    observe_text,
+    reading_lines,
     sensed,
-    step_text,
+    step_lines,
+    torque_lines,
 )
 from dmptm_ctrl.simulate.plant import Floats, Structure
+from dmptm_ctrl.simulate.segments import Segment, segments
 
 LANES = 16
 LINE = 8  # doubles in a cache line
@@ -22,18 +24,30 @@ class Rows:
     """Rows of the work array, each as wide as the lanes: where each name of a step is."""
 
     def __init__(self, s: Structure, width: int = LANES) -> None:
-        names = Names(s)
+        names = Names(s, rows=True)
         self.width = width
-        self.late = [f"late{i}" for i, sensor in enumerate(s.sensors) if sensor[2]]
+        late = [f"late{i}" for i, sensor in enumerate(s.sensors) if sensor[2]]
         links, sensors, inputs = (range(len(part)) for part in (s.links, s.sensors, s.inputs))
         # readings, torques and twists of links, signals of inputs
-        self.seen = [f"reading{i}" for i in sensors] + [f"torque{k}" for k in links]
-        self.seen += [f"twist{k}" for k in links] + [f"signal{j}" for j in inputs]
+        self.readings = [f"reading{i}" for i in sensors]
+        torques = [f"{x}{k}" for x in ("torque", "twist") for k in links]
+        self.seen = [*self.readings, *torques, *(f"signal{j}" for j in inputs)]
         self.statistics = [
             f"{x}_{name}" for x in ("low", "top", "sum", "square") for name in self.seen
         ]
-        self.all = [*names.state, *names.signals, *names.numbers, *self.late, "nothing", *self.seen]
-        self.all += self.statistics
+        given = [*names.state, *names.signals, *names.numbers, *late]
+        self.step = segments(step_lines(s, rows=True), given, names.state)
+        self.observed, self.links = (
+            segments([*lines, *(f"    {a} = {b}" for a, b in zip(kept, found, strict=True))],
+                     given, kept)
+            for (lines, found), kept in (
+                (reading_lines(s, rows=True), self.readings),
+                (torque_lines(s, rows=True), torques),
+            )
+        )  # fmt: skip
+        own = [name for part in (self.step, self.observed, self.links) for one in part
+               for name in (*one.takes, *one.leaves)]  # fmt: skip
+        self.all = list(dict.fromkeys([*given, *self.seen, *self.statistics, *own]))
         self.index = {name: i for i, name in enumerate(self.all)}
         self.state, self.numbers = names.state, names.numbers
 
@@ -41,33 +55,56 @@ class Rows:
         """Text of a name in the loop over lanes."""
         return f"w[{self.index[name] * self.width} + lane]"
 
+    def first(self, name: str) -> int:
+        """Where the row of a name begins."""
+        return self.index[name] * self.width
+
+    def functions(self) -> str:
+        """Text of the loops over lanes, each a function."""
+        return "".join(
+            part.function(f"{name}_{i}", self.at)
+            for name in ("step", "observed", "links")
+            for i, part in enumerate(getattr(self, name))
+        )
+
+    def calls(self, name: str, indent: int) -> str:
+        """Text that calls those of the step, of what is observed, or of the links."""
+        parts: list[Segment] = getattr(self, name)
+        lines = (part.call(f"{name}_{i}", self.first) for i, part in enumerate(parts))
+        return "".join(f"{' ' * indent}{line}\n" for line in lines)
+
+
+_ROWS: dict[tuple[int, int], Rows] = {}
+
+
+def rows_of(s: Structure, width: int = LANES) -> Rows:
+    """Return the rows of a structure, which `structure_of` gave; found once."""
+    key = id(s), width
+    if key not in _ROWS:
+        _ROWS[key] = Rows(s, width)
+    return _ROWS[key]
+
 
 def lanes_text(s: Structure, width: int) -> str:
     """Text of the loop."""
-    names, rows = Names(s), Rows(s, width)
+    rows = rows_of(s, width)
     late = [i for i, sensor in enumerate(s.sensors) if sensor[2]]
-    links, sensors, inputs = len(s.links), len(s.sensors), len(s.inputs)
-    given = [n if n in ("t", "h") else rows.at(n) for n in names.arguments]
-    given[names.arguments.index("t")] = "middle"
-    plain = [*names.state, "t", *names.numbers]
-    observed = [*names.state, *rows.late, *plain[len(names.state) :]]
-    sensed_ = [f"reading{i}" for i in range(sensors)] or ["nothing"]
-    torques = [f"{x}{k}" for x in ("torque", "twist") for k in range(links)] or ["nothing"]
-
-    def row(found: list[str]) -> str:
-        return ", ".join(n if n == "t" else rows.at(n) for n in found)
-
+    sensors, inputs = len(s.sensors), len(s.inputs)
     read_late = "".join(
         f"        for lane in range(LANES):\n            {rows.at(f'late{i}')} = "
         f"read_lane(ring, {n}, done, delays[{n}, lane] / h, lane)\n"
         for n, i in enumerate(late)
     )
-    keep_late = ""
+    keep_late, move_late = "", ""
     for n, i in enumerate(late):
         ratio, signal = sensed(s, i)
-        value = (f"{rows.at(ratio)} * " if ratio else "") + rows.at(signal)
+        lever = f"{rows.at(ratio)} * " if ratio else ""
         keep_late += "            for lane in range(LANES):\n"
-        keep_late += f"                ring[{n}, done % ring.shape[1], lane] = {value}\n"
+        keep_late += f"                ring[{n}, done % ring.shape[1], lane] = "
+        keep_late += f"{lever}{rows.at(signal)}\n"
+        if not s.sensors[i][1]:
+            move_late += "            for lane in range(LANES):\n"
+            move_late += f"                ring[{n}, :, lane] += {lever}moves[{signal[1:]}, lane]\n"
     statistics = ""
     for name in rows.seen:
         x = rows.at(name)
@@ -76,12 +113,21 @@ def lanes_text(s: Structure, width: int) -> str:
             f"                {low} = min({low}, {x})\n                {top} = max({top}, {x})\n"
             f"                {total} += {x}\n                {square} += {x} * {x}\n"
         )
-    base = {part: rows.index[part] * width for part in ("reading0", "signal0", "u0")}
+    base = {part: rows.first(part) for part in ("reading0", "signal0", "u0", "q0", "v0", "p0")}
     push = "".join(
         f"            {rows.at(f'push{g}')} = push[i, {g}] if pushed else 0.0\n"
         for g in range(s.coordinates)
     )
     return f"""\
+@njit
+def some(w, first):
+    found = 0
+    for lane in range(LANES):
+        found |= w[first + lane] > 0.0
+    return found > 0
+
+
+{rows.functions()}\
 @njit
 def read_lane(ring, row, step, lag, lane):
     back = int(lag)
@@ -92,28 +138,45 @@ def read_lane(ring, row, step, lag, lane):
 
 @njit
 def march_lanes(
-    w, lanes, u, kept, before, dead, push, ring, delays, begin, dt, substeps,
-    control, rules, memory, target, noise, closed, y, command, columns, every, out, statistics,
-    samples,
+    w, lanes, on, u, kept, before, dead, push, ring, delays, begin, dt, substeps,
+    control, rules, memory, target, noise, closed, y, command,
+    watched, measured, gains, shown, leak, lead, moves,
+    columns, every, out, statistics, samples,
 ):
     wide()
-    w, kept, rules, memory = borrowed(w), borrowed(kept), borrowed(rules), borrowed(memory)
-    y, command = borrowed(y), borrowed(command)
+    w, on, kept = borrowed(w), borrowed(on), borrowed(kept)
+    rules, memory = borrowed(rules), borrowed(memory)
+    y, command, moves = borrowed(y), borrowed(command), borrowed(moves)
+    measured, gains = borrowed(measured), borrowed(gains)
+    watched, shown, leak, lead = borrowed(watched), borrowed(shown), borrowed(leak), borrowed(lead)
+    read = w[{base["reading0"]} : {base["reading0"] + sensors * width}].reshape(({sensors}, LANES))
     h = dt / substeps
     pushed = push.shape[0] > 0
     late = False
     for lane in range(LANES):
         for j in range({inputs}):
             late = late or dead[j, lane] > 0.0
+    links = statistics
+    for c in columns:
+        links = links or {sensors} <= c < {sensors + 2 * len(s.links)}
     room = kept.shape[2]
     done = 0
     for i in range(samples):
-        t = begin + i * dt
-{read_late}        for lane in range(LANES):
-            {row(sensed_)}, = readings({row(observed)})
-        if statistics or columns.size > 0:
-            for lane in range(LANES):
-                {row(torques)}, = torques({row(plain)})
+        now = begin + i * dt
+        t = now
+{read_late}{rows.calls("observed", 8)}\
+        if links:
+{rows.calls("links", 12) or "            pass"}\
+        if watched.size > 0:
+            observed(i, read, watched, measured, gains, shown, leak, lead, moves)
+            for g in range({s.coordinates}):
+                for lane in range(LANES):
+                    w[{base["q0"]} + g * LANES + lane] += moves[g, lane]
+                    moving = w[{base["v0"]} + g * LANES + lane] != 0.0
+                    kick = moves[{s.coordinates} + g, lane] if moving else 0.0
+                    w[{base["v0"]} + g * LANES + lane] += kick
+                    w[{base["p0"]} + g * LANES + lane] += kick
+{move_late}\
         for lane in range(lanes):
             if closed:
                 for k in range({sensors}):
@@ -121,7 +184,7 @@ def march_lanes(
                 own = lane if target.shape[0] > 1 else 0
                 other = lane if noise.shape[0] > 1 else 0
                 added = noise[other, i] if noise.size > 0 else 0.0
-                control(i, t, dt, target[own, i], added, y, rules[lane], memory[lane], command)
+                control(i, now, dt, target[own, i], added, y, rules[lane], memory[lane], command)
             else:
                 own = lane if u.shape[0] > 1 else 0
                 for j in range({inputs}):
@@ -130,7 +193,6 @@ def march_lanes(
                 if late:
                     kept[lane, j, i % room] = command[j]
                 w[{base["signal0"]} + j * LANES + lane] = command[j]
-                w[{base["u0"]} + j * LANES + lane] = command[j]
         if statistics:
             for lane in range(LANES):
 {statistics}
@@ -140,7 +202,9 @@ def march_lanes(
                     out[lane, c, i // every] = w[{base["reading0"]} + columns[c] * LANES + lane]
         for lane in range(LANES):
 {push}        for k in range(substeps):
-            middle = t + (k + 0.5) * h
+            t = now + (k + 0.5) * h
+            for lane in range({inputs} * LANES):
+                w[{base["u0"]} + lane] = w[{base["signal0"]} + lane]
             if late:
                 for lane in range(lanes):
                     for j in range({inputs}):
@@ -148,8 +212,7 @@ def march_lanes(
                         w[{base["u0"]} + j * LANES + lane] = held_average(
                             kept[lane], j, begins, begins + 1.0 / substeps, before
                         )
-            for lane in range(LANES):
-                {row(names.state)}, = step({", ".join(given)})
+{rows.calls("step", 12)}\
             done += 1
 {keep_late}    return done
 """
@@ -157,8 +220,8 @@ def march_lanes(
 
 def source(s: Structure, width: int) -> str:
     """Return the text of the engine over lanes of a structure."""
-    parts = [head_text(s), f"LANES = {width}\n", observe_text(s), step_text(s)]
-    return compiled("\n\n".join([*parts, lanes_text(s, width)]), "march_lanes")
+    text = "\n\n".join([head_text(s, rows=True), f"LANES = {width}\n", lanes_text(s, width)])
+    return compiled(text, "march_lanes")
 
 
 def lane_engine(s: Structure, width: int = LANES) -> Engine:
@@ -173,4 +236,4 @@ def aligned(size: int) -> Floats:
     return room[first : first + size]
 
 
-__all__ = ["LANES", "Rows", "aligned", "lane_engine"]
+__all__ = ["LANES", "Rows", "aligned", "lane_engine", "rows_of"]

@@ -10,10 +10,11 @@ from scipy.optimize import root
 
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.effects.backlash import mesh_region
 from dmptm_ctrl.simulate.blocks import REST_SPEED, SIDES, drive_states, initial_state, to_blocks
 from dmptm_ctrl.simulate.compiled import OUTPUTS
 from dmptm_ctrl.simulate.model import Floats, Model
-from dmptm_ctrl.simulate.plain import RING, Sites, mesh_region
+from dmptm_ctrl.simulate.plain import RING, Sites
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import linear_rig
 

@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.parallel import each
-from dmptm_ctrl.simulate.lanes import LANES, Rows, aligned, lane_engine
+from dmptm_ctrl.simulate.lanes import LANES, aligned, lane_engine, rows_of
+from dmptm_ctrl.simulate.observer import UNLED, Observer
 from dmptm_ctrl.simulate.plant import Flags, Floats, Plant, Structure, numbers, structure_of
 from dmptm_ctrl.simulate.run import NOBODY, Controller
 
 _NO_ROWS = np.zeros((0, 0))
+_NO_TABLES = np.zeros((0, 0, 0))
 
 
 class Common(NamedTuple):
@@ -23,6 +25,8 @@ class Common(NamedTuple):
         Signals of the inputs, held between samples; none of them under controllers.
     columns : (c,) array of int
         Kept of what is seen: readings, torques and twists of links, signals of inputs.
+    measured : (batch or 1, m, n) array
+        What observers follow, or none.
     """
 
     dt: float
@@ -35,20 +39,21 @@ class Common(NamedTuple):
     every: int = 1
     statistics: bool = True
     begin: float = 0.0
+    measured: Floats = _NO_TABLES
 
     def of(self, some: Sequence[int]) -> "Common":
         """What some of the plants need of it."""
-        tables = {name: getattr(self, name) for name in ("u", "target", "noise")}
+        tables = {name: getattr(self, name) for name in ("u", "target", "noise", "measured")}
         return self._replace(**{k: t[list(some)] for k, t in tables.items() if len(t) > 1})
 
 
 def same_shape(
-    plants: Sequence[Plant], acting: Flags | None = None
+    plants: Sequence[Plant], *, switched: bool = False
 ) -> list[tuple[list[int], Flags, Structure]]:
     """Group plants that one structure can stand for: with all effects that act in any of them.
 
-    An effect changes nothing where its numbers are those of its absence. With `acting` also those
-    that act in plants elsewhere.
+    An effect changes nothing where its numbers are those of its absence. With `switched` all
+    that there are, behind flags, if one acts: compiled once, not for each choice of them.
     """
     groups: dict[tuple, list[int]] = {}
     for k, plant in enumerate(plants):
@@ -57,8 +62,9 @@ def same_shape(
     found = []
     for members in groups.values():
         on = np.bitwise_or.reduce([plants[k].on for k in members])
-        on = on if acting is None else on | acting
-        structure = structure_of(plants[members[0]]._replace(on=on), switched=False)
+        structure = structure_of(
+            plants[members[0]]._replace(on=on), switched=switched and bool(on.any())
+        )
         found.append((members, on, structure))
     return found
 
@@ -69,7 +75,7 @@ def run_many(
     common: Common,
     controllers: Sequence[Controller] | None = None,
     *,
-    acting: Flags | None = None,
+    observers: Sequence[Observer] | None = None,
     n_jobs: int = 1,
     width: int = LANES,
 ) -> tuple[list[Floats], list[Floats]]:
@@ -82,8 +88,8 @@ def run_many(
     common : Common
     controllers : sequence of Controller, optional
         Of one function.
-    acting : array, optional
-        Flags of effects that a step is to have besides, for the same bits in all groups.
+    observers : sequence of Observer, optional
+        Of the same sensors and leaks; they follow what is measured.
     n_jobs : int
         Threads, −1 for one per core.
     width : int
@@ -96,15 +102,16 @@ def run_many(
         Least, greatest, sum and sum of squares of all that is seen.
     """
     tasks = []
-    for members, _, structure in same_shape(plants, acting):
+    for members, on, structure in same_shape(plants):
         for first in range(0, len(members), width):
             some = members[first : first + width]
-            rules = None if controllers is None else [controllers[k] for k in some]
             given = (
+                on,
                 [plants[k] for k in some],
                 [starts[k] for k in some],
                 common.of(some),
-                rules,
+                None if controllers is None else [controllers[k] for k in some],
+                None if observers is None else [observers[k] for k in some],
                 width,
             )
             tasks.append((some, structure, *given))
@@ -114,9 +121,9 @@ def run_many(
         lane_engine(structure, width)
     # threads: the loop does not hold the interpreter's lock
     done = (
-        [_run(*t) for t in tasks]
+        [run_lanes(*t) for t in tasks]
         if len(tasks) == 1
-        else each(_run, tasks, n_jobs, prefer="threads")
+        else each(run_lanes, tasks, n_jobs, prefer="threads")
     )
     for some, out, stats in done:
         for lane, k in enumerate(some):
@@ -124,27 +131,29 @@ def run_many(
     return outputs, statistics
 
 
-def _run(
+def run_lanes(
     some: list[int],
     structure: Structure,
+    on: Flags,
     plants: list[Plant],
     starts: list[tuple[Floats, Floats]],
     common: Common,
     controllers: list[Controller] | None,
-    width: int,
+    observers: list[Observer] | None,
+    width: int = LANES,
 ) -> tuple[list[int], Floats, Floats]:
-    engine, rows = lane_engine(structure, width), Rows(structure, width)
+    """Run plants of one structure beside each other, as many as there are lanes at most."""
+    engine, rows = lane_engine(structure, width), rows_of(structure, width)
     h, lanes = common.dt / common.substeps, len(plants)
     w = aligned(len(rows.all) * width)
     table = w.reshape(-1, width)
+    begun = len(engine.names.state)
+    where = rows.index[rows.numbers[0]]
     for lane in range(width):  # those that are left over run along, and nobody looks
         plant, (q, v) = plants[min(lane, lanes - 1)], starts[min(lane, lanes - 1)]
-        found = numbers(plant, engine.names.numbers, h)
-        state = dict(zip(engine.names.state, engine.names.start, strict=True))
-        for g in range(structure.coordinates):
-            state |= {f"q{g}": q[g], f"v{g}": v[g], f"p{g}": v[g]}
-        for name, value in (*zip(engine.names.numbers, found, strict=True), *state.items()):
-            table[rows.index[name], lane] = value
+        table[:begun, lane] = engine.names.start
+        table[: 3 * structure.coordinates, lane] = np.concatenate([q, v, v])
+        table[where : where + len(rows.numbers), lane] = numbers(plant, rows.numbers, h)
     first = rows.index[rows.statistics[0]]
     count = len(rows.seen)
     table[first : first + count], table[first + count : first + 2 * count] = np.inf, -np.inf
@@ -161,14 +170,19 @@ def _run(
     kept = np.zeros((width, inputs, room))
     law = NOBODY if controllers is None else controllers[0]
     rules = np.array([c.rule for c in controllers] if controllers else [law.rule] * width)
+    led = (observers or [UNLED] * lanes) + [observers[-1] if observers else UNLED] * (width - lanes)
+    gains = np.stack([o.gains for o in led], axis=-1)
+    shown = np.stack([o.shown(p) for o, p in zip(led, padded, strict=True)], axis=-1)
     kept_samples = -(-common.samples // common.every) if common.columns.size else 0
     out = np.empty((lanes, common.columns.size, kept_samples))
     engine.module.march_lanes(
-        w, lanes, common.u, kept, np.zeros(inputs), dead, _NO_ROWS, ring,
+        w, lanes, on, common.u, kept, np.zeros(inputs), dead, _NO_ROWS, ring,
         np.ascontiguousarray(delays), common.begin, common.dt, common.substeps, law.function,
         rules, np.zeros((width, law.memory)), common.target, common.noise,
         controllers is not None, np.zeros(max(len(structure.sensors), 1)), np.zeros(inputs),
+        led[0].sensors, common.measured, gains, shown, led[0].leak,
+        np.zeros((led[0].leak.size, width)), np.zeros((2 * structure.coordinates, width)),
         common.columns, common.every, out, common.statistics,
         common.samples,
     )  # fmt: skip
-    return some, out, table[first:].reshape(4, count, width)
+    return some, out, table[first : first + 4 * count].reshape(4, count, width)

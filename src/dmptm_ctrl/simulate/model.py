@@ -1,9 +1,9 @@
 """A drive with effects added to it: what is simulated, fitted, saved and turned into blocks."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import isnan
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,22 +11,14 @@ from numpy.typing import NDArray
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.compose import layout, per_catalogue
+from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, refuse_negative
+from dmptm_ctrl.simulate.kernel_calls import layout, per_catalogue
 
 if TYPE_CHECKING:
     import control
 
-Floats = NDArray[np.float64]
-Arrays = tuple[Floats, NDArray[np.uint8], Floats]  # base, on, values
+__all__ = ["BASE", "Arrays", "Floats", "Model", "refuse_negative"]
 
-BASE = (
-    *("K_d", "K_M", "J_m", "J_2", "J_L", "N_1", "N_2", "z_3", "k_m", "k_a", "phi_r", "c", "c_f"),
-    *("gap_l", "gap_r"),
-    *("T3s_plus", "T3c_plus", "W3_plus", "B3_plus"),
-    *("T3s_minus", "T3c_minus", "W3_minus", "B3_minus", "delta3"),
-    *("TLs_plus", "TLc_plus", "WL_plus", "BL_plus"),
-    *("TLs_minus", "TLc_minus", "WL_minus", "BL_minus", "deltaL"),
-)
 LOG_LENGTH = "log_length"  # parameter of an effect: of the log that is simulated
 
 
@@ -34,54 +26,6 @@ LOG_LENGTH = "log_length"  # parameter of an effect: of the log that is simulate
 def _neutral(effects: tuple[Effect, ...]) -> Floats:
     """Parameters of all effects at which they are absent."""
     return np.array([v for effect in effects for v in effect.defaults()])
-
-
-@dataclass(frozen=True, eq=False)
-class Stacked(Sequence[Arrays]):
-    """What :meth:`Model.arrays` gives of many drives, in rows, as the loops take it.
-
-    Attributes
-    ----------
-    base, on, values : (drives, ...) arrays
-    """
-
-    base: Floats
-    on: NDArray[np.uint8]
-    values: Floats
-
-    def __len__(self) -> int:
-        return len(self.base)
-
-    @overload
-    def __getitem__(self, k: int) -> Arrays: ...
-    @overload
-    def __getitem__(self, k: slice | NDArray[np.intp]) -> "Stacked": ...
-    def __getitem__(self, k: int | slice | NDArray[np.intp]) -> "Arrays | Stacked":
-        rows = self.base[k], self.on[k], self.values[k]
-        return Stacked(*rows) if isinstance(k, slice | np.ndarray) else rows
-
-
-def stacked(arrays: Sequence[Arrays]) -> Stacked:
-    """Stack the numbers of many drives, if they are not."""
-    if isinstance(arrays, Stacked):
-        return arrays
-    return Stacked(*(np.array(rows) for rows in zip(*arrays, strict=True)))
-
-
-def refuse_negative(model: "Model") -> None:
-    """Refuse effects whose size is negative where it is a magnitude, such as a stiffness.
-
-    Raises
-    ------
-    ValueError
-    """
-    for name, values in model.effects.items():
-        for parameter in CATALOGUE[name].parameters:
-            value = values.get(parameter.name, 0.0)
-            if parameter.low == 0.0 > value:
-                raise ValueError(
-                    f"effect {name}: {parameter.name} is {value:g}; it must be zero or more"
-                )
 
 
 @dataclass(frozen=True)
@@ -157,6 +101,12 @@ class Model:
                     values[first + j] = parameters[p.name]
             on[index] = any(parameters.get(a, 0.0) != 0.0 for a in effect.amplitudes)
         return base, on, values
+
+    @property
+    def sites(self) -> set[str]:
+        """Sites at which an effect acts."""
+        _, on, _ = self.arrays()
+        return {e.site for e, acts in zip(CATALOGUE.values(), on, strict=True) if acts}
 
     def to_blocks(self, **options: Any) -> "control.InterconnectedSystem":
         """Return the model as python-control blocks, see :func:`.blocks.to_blocks`."""

@@ -99,6 +99,12 @@ class Parts:
             added += kernel(theta, omega, t, p)
         return added
 
+    def reading(self, i: int, position: float, speed: float, t: float) -> float:
+        """What a sensor reads of the motion of its body, without its dead time."""
+        for kernel, _, p in self.at("sensor", i):
+            position, speed = kernel(position, speed, t, p)
+        return speed if self.plant.sensor_speed[i] else position
+
     def rubs(self, b: int) -> bool:
         """Whether a body has any friction."""
         kinds = (self.at(site, b) for site in ("friction", "ageing"))

@@ -20,6 +20,7 @@ Ints = NDArray[np.int64]
 Flags = NDArray[np.uint8]
 
 LINEAR, GAP, TWO_STATES, ELASTIC_IMPACT = 0, 1, 2, 3  # contact laws of a link
+DECLARED, BY_EFFECT = 1, 2  # lags of an input
 # sites whose kernels the step calls; those of the others become numbers of the plant
 CALLED = ("drive", "lag", "motor", "mesh", "friction", "ageing", "load", "sensor")
 LAW_FIELDS = Stribeck._fields
@@ -103,6 +104,7 @@ class Structure(NamedTuple):
         `law` is 0 for no friction law, 1 for one, 2 for one with an exponent.
     links : tuple of (first body, second body, contact law, whether it loads bearings)
     inputs : tuple of (body, limited, lags)
+        `lags` is 0 for no lag, else :data:`DECLARED` or :data:`BY_EFFECT`.
     sensors : tuple of (body, measures speed, may be late)
     bristles : tuple of int
         Bodies with presliding.
@@ -112,7 +114,7 @@ class Structure(NamedTuple):
     coordinates: int
     bodies: tuple[tuple[int, int, int], ...]
     links: tuple[tuple[int, int, int, bool], ...]
-    inputs: tuple[tuple[int, bool, bool], ...]
+    inputs: tuple[tuple[int, bool, int], ...]
     sensors: tuple[tuple[int, bool, bool], ...]
     bristles: tuple[int, ...]
     places: tuple[Place, ...]
@@ -143,7 +145,7 @@ def structure_of(plant: Plant, *, switched: bool) -> Structure:
     )
     lags = {p.part for p in plant.places if p.effect.site == "lag" and plant.on[p.flag]}
     inputs = tuple(
-        (b, row[3] > 0.0, switched or row[2] > 0.0 or j in lags)
+        (b, row[3] > 0.0, DECLARED if row[2] > 0.0 else BY_EFFECT if switched or j in lags else 0)
         for j, (b, row) in enumerate(
             zip(plant.input_body.tolist(), plant.input_values.tolist(), strict=True)
         )
@@ -186,8 +188,11 @@ def _law_kind(plant: Plant, body: int) -> int:
     return 2 if plant.law[body, 8] != 1.0 else 1
 
 
-def number_names(structure: Structure) -> list[str]:
-    """Names of the numbers of a step, in the order of :func:`numbers`."""
+def number_names(structure: Structure, *, values: bool) -> list[str]:
+    """Names of the numbers of a step, in the order of :func:`numbers`.
+
+    With `values` those of effects are among them.
+    """
     names = [f"m{g}" for g in range(structure.coordinates)]
     names += [f"r{b}" for b, (_, sign, _) in enumerate(structure.bodies) if sign]
     for b, (_, _, law) in enumerate(structure.bodies):
@@ -201,7 +206,7 @@ def number_names(structure: Structure) -> list[str]:
         names += [f"gain{j}", *([f"lim{j}"] if limited else []), *([f"tau{j}"] if lags else [])]
     for b in structure.bristles:
         names += [f"bd{b}", f"bs{b}", f"bl{b}"]
-    if not structure.switched:
+    if values:
         for p in structure.places:
             names += [f"e{p.first + j}" for j in range(len(p.effect.parameters))]
     return list(dict.fromkeys(names))

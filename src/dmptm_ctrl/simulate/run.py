@@ -9,12 +9,14 @@ import numpy as np
 from numba import cfunc, float64, int64, types
 
 from dmptm_ctrl.simulate.elementary import COMPILED
+from dmptm_ctrl.simulate.observer import UNLED, Observer
 from dmptm_ctrl.simulate.plant import Floats, Plant, Structure, numbers, structure_of
 from dmptm_ctrl.simulate.scalar import scalar_engine
 
 _ROW = float64[::1]
 SIGNATURE = types.void(int64, *[float64] * 4, *[_ROW] * 4)
 _NO_ROWS = np.zeros((0, 0))
+_NO_TABLES = np.zeros((0, 0, 0))
 _NOTHING, _NONE = np.zeros(1), np.zeros(0)
 
 
@@ -72,6 +74,8 @@ class State:
         Latest signals, as many as dead times need.
     late : (delayed sensors, j) array and steps
         The same of late readings.
+    lead : (m,) array
+        How far an observer has it ahead of what readings show.
     """
 
     names: tuple[str, ...]
@@ -81,6 +85,7 @@ class State:
     signals: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     late: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     steps: int = 0
+    lead: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __getitem__(self, name: str) -> float:
         return float(self.values[self.names.index(name)])
@@ -161,6 +166,8 @@ def advance(
     controller: Controller | None = None,
     target: Floats | None = None,
     noise: Floats | None = None,
+    observer: Observer | None = None,
+    measured: Floats | None = None,
     columns: int | None = None,
 ) -> Motion:
     """Run a plant from a state over the samples of `u`.
@@ -182,6 +189,8 @@ def advance(
         Where the motion of coordinates is prescribed.
     controller, target, noise : Controller, (n,) and (n,) arrays, optional
         Closes the loop; what `noise` is added to is the controller's choice.
+    observer, measured : Observer and (m, n) array, optional
+        Lead the run by what its sensors measured; a run from the state at the end is free.
     columns : int, optional
         How many of the columns of `Motion.rows` are wanted; all.
     """
@@ -201,6 +210,8 @@ def advance(
     memory = np.array(state.memory) if state.memory.size else np.zeros(law.memory)
     count, _, links, inputs, sensors = plant.size
     whole = sensors + 2 * links + 2 * count
+    led = UNLED if observer is None else observer
+    lead = np.array(state.lead) if state.lead.size == led.leak.size else np.zeros(led.leak.size)
     out = np.empty((n, whole if columns is None else columns))
     engine = scalar_engine(structure)
     steps = engine.module.march(
@@ -211,16 +222,26 @@ def advance(
         dt, substeps, law.function, law.rule, memory,
         _NONE if target is None else np.array(target, float),
         _NONE if noise is None else np.array(noise, float),
-        controller is not None, np.zeros(max(sensors, 1)), np.zeros(inputs), out,
+        controller is not None, np.zeros(max(sensors, 1)), np.zeros(inputs),
+        np.zeros((sensors, 1)), led.sensors,
+        _NO_TABLES if measured is None else own_rows(measured)[None],
+        np.ascontiguousarray(led.gains)[..., None], led.shown(plant)[..., None], led.leak,
+        lead[:, None], np.zeros((2 * count, 1)), out,
     )  # fmt: skip
     used = int(np.ceil(dead.max(initial=0.0))) + 1 if dead.any() else 0
     after = replace(
         state, values=x, time=state.time + n * dt, memory=memory, late=ring,
         steps=state.steps + steps, signals=signals[:, max(signals.shape[1] - used, 0) :],
+        lead=lead,
     )  # fmt: skip
     if not used:
         after = replace(after, signals=np.zeros((inputs, 0)))
     return Motion(signals[:, kept:], out, plant.size, after)
+
+
+def own_rows(values: Floats) -> Floats:
+    """Rows in one piece that may be written to: of another kind the engine compiles anew."""
+    return np.require(np.atleast_2d(values), np.float64, ["C", "W"])
 
 
 def advance_by(

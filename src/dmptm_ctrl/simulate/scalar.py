@@ -61,14 +61,29 @@ def scalar_text(s: Structure) -> str:
         f"{' * '.join(filter(None, sensed(s, i)))}\n"
         for n, i in enumerate(late)
     )
+    read = "".join(f"            read[{i}, 0] = seen[{i}]\n" for i in range(sensors))
+    led = "".join(
+        f"            q{g} += moves[{g}, 0]\n"
+        f"            kick = moves[{s.coordinates + g}, 0] if v{g} != 0.0 else 0.0\n"
+        f"            v{g}, p{g} = v{g} + kick, p{g} + kick\n"
+        for g in g_all
+    )
+    for n, i in enumerate(late):
+        if not s.sensors[i][1]:
+            ratio, name = sensed(s, i)
+            led += f"            ring[{n}] += {ratio or 1.0} * moves[{name[1:]}, 0]\n"
+    led += "".join(f"            out[i, {i}] = read[{i}, 0]\n" for i in range(sensors))
     return f"""\
 @njit
 def march(
     x, p, on, e, u, first, before, dead, push, given_q, given_v, ring, delays, step0, begin,
-    dt, substeps, control, rule, memory, target, noise, closed, y, command, out,
+    dt, substeps, control, rule, memory, target, noise, closed, y, command,
+    read, watched, measured, gains, shown, leak, lead, moves, out,
 ):
     on, e, y, command = borrowed(on), borrowed(e), borrowed(y), borrowed(command)
-    rule, memory = borrowed(rule), borrowed(memory)
+    rule, memory, read, moves = borrowed(rule), borrowed(memory), borrowed(read), borrowed(moves)
+    watched, measured, gains = borrowed(watched), borrowed(measured), borrowed(gains)
+    shown, leak, lead = borrowed(shown), borrowed(leak), borrowed(lead)
     h = dt / substeps
 {rows}
     pushed = push.shape[0] > 0
@@ -77,7 +92,9 @@ def march(
         t = begin + i * dt
         at = first + i
 {set_given}{lags}        seen = readings({observed})
-{out}        if closed:
+{out}        if watched.size > 0:
+{read}            observed(i, read, watched, measured, gains, shown, leak, lead, moves)
+{led}        if closed:
 {y}            added = noise[i] if noise.size > 0 else 0.0
             control(i, t, dt, target[i], added, y, rule, memory, command)
             for j in range({inputs}):

@@ -57,6 +57,19 @@ def mesh_step(z, z_rate, law, before, h):
 
 
 @njit
+def plain_mesh(z, z_rate, law, before):
+    """Do the same where it is simple; and tell with 1 where it is not, with 0 where it is."""
+    side = 1.0 if z >= 0.0 else -1.0
+    spring, closing = law.stiffness * (side * z - law.half_gap), side * z_rate
+    touches = spring + law.damping * closing > 0.0
+    sure = closing <= 0.0 or spring >= law.gap_damping * closing
+    region = side if touches and sure else 0.0
+    lands = (before == 0.0 or before == -region) and region * z_rate > 0.0
+    odd = 1.0 if lands or (touches and not sure) else 0.0
+    return region_torque(z, z_rate, region, law), region, odd
+
+
+@njit
 def _landed(z, z_rate, law, h):
     """What a landing adds to the midpoint's torque."""
     age, jump = landing(z, z_rate, law)
@@ -134,3 +147,25 @@ def friction(omega, way, scale, added, law):
 def at_once(omega, way, scale, share, law):
     """Part of it that presliding does not hold back, with its sign [N·m]."""
     return way * share * scale * viscous_torque(omega, way, law)
+
+
+@njit
+def observed(i, y, watched, measured, gains, shown, leak, lead, moves):
+    """Let readings show how runs drift, and write what moves coordinates and speeds.
+
+    See `observer`; `lead` is what the coordinates are ahead of the run that is shown. The last
+    axis of all but `measured` is that of the runs, the first of `measured`.
+    """
+    count, runs, own = moves.shape[0] // 2, moves.shape[1], measured.shape[0] - 1
+    for k in range(watched.size):
+        for s in range(shown.shape[0]):
+            for run in range(runs):
+                y[s, run] -= shown[s, k, run] * lead[k, run]
+    moves[:] = 0.0
+    for k in range(watched.size):
+        for run in range(runs):
+            miss = measured[min(run, own), k, i] - y[watched[k], run]
+            for g in range(count):
+                moves[g, run] += gains[g, k, run] * (miss - lead[k, run])
+                moves[count + g, run] += gains[count + g, k, run] * miss
+            lead[k, run] = (1.0 - leak[k]) * miss

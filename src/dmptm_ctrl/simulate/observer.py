@@ -1,0 +1,81 @@
+"""Runs led by what sensors measured: each sample moves the state by what was missed.
+
+With ``leak`` 1 it is Luenberger's observer: the miss of a sample moves the state and is
+forgotten. With less a part of it stays: the coordinates are where the sensor says, so that
+what depends on an angle acts at the right one, and readings show how a run would drift that
+is pulled back by the share ``leak`` of its miss a sample.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dmptm_ctrl.simulate.plant import Floats, Ints, Plant
+
+
+class Observer(NamedTuple):
+    """How a run of a plant follows measurements.
+
+    Attributes
+    ----------
+    sensors : (m,) array of int
+    gains : (2 coordinates, m) array
+        What a miss adds to the coordinates and, where they move, to their speeds. A coordinate
+        at rest stays at rest.
+    leak : (m,) array
+        Share of a miss that is forgotten by the next sample, 0 to 1.
+    """
+
+    sensors: Ints
+    gains: Floats
+    leak: Floats
+
+    def shown(self, plant: Plant) -> Floats:
+        """What of a lead the readings do not show, (sensors, m)."""
+        if not self.sensors.size:
+            return self.gains
+        at = plant.body_coordinate[plant.sensor_body]
+        ratio = np.where(plant.sensor_speed > 0, 0.0, plant.body_ratio[plant.sensor_body])
+        return ratio[:, None] * self.gains[at]
+
+
+UNLED = Observer(np.zeros(0, np.int64), np.zeros((0, 0)), np.zeros(0))
+
+
+def rigid_mode(plant: Plant, body: int) -> Floats:
+    """Return how coordinates turn with a body where no link twists, (n,); 0 if not joined."""
+    group, ratio = plant.body_coordinate.tolist(), plant.body_ratio.tolist()
+    mode = {group[body]: 1.0 / ratio[body]}
+    links = [(*ends, values[0]) for ends, values in zip(
+        plant.link_body.tolist(), plant.link_values.tolist(), strict=True)]  # fmt: skip
+    for _ in links:
+        for first, second, n in links:
+            a, b = group[first], group[second]
+            if a in mode and b not in mode:
+                mode[b] = mode[a] * ratio[first] / (n * ratio[second])
+            elif b in mode and a not in mode:
+                mode[a] = mode[b] * n * ratio[second] / ratio[first]
+    return np.array([mode.get(g, 0.0) for g in range(plant.inertia.size)])
+
+
+def rigid_observer(plant: Plant, sensor: int, gains: Sequence[float]) -> Observer:
+    """Return the observer that leads the rigid motion of a plant by one position sensor.
+
+    Parameters
+    ----------
+    plant : Plant
+    sensor : int
+    gains : (angle gain, speed gain) per sample
+        As of :func:`observer_gains`.
+    """
+    mode = rigid_mode(plant, int(plant.sensor_body[sensor]))
+    angle, speed = gains
+    both = np.concatenate([mode, speed * mode])[:, None]
+    return Observer(np.array([sensor]), both, np.array([angle]))
+
+
+def observer_gains(bandwidth_hz: float, dt: float) -> tuple[float, float]:
+    """Return per-sample gains of a critically damped rigid-mode observer."""
+    pole = 2.0 * np.pi * bandwidth_hz * dt
+    return 2.0 * pole, pole**2 / dt

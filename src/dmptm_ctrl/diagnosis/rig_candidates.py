@@ -20,7 +20,7 @@ from dmptm_ctrl.identify.rig_start import (
     spring_values,
     unknown_inertias,
 )
-from dmptm_ctrl.simulate.along import friction_along, torque_along
+from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, PlacedEffect
 from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
 
@@ -195,10 +195,10 @@ def unit_columns(
         for name in names:
             placed = Placed(chain.name, body, {**shapes, name: 1.0})
             if chain.site == "friction":
-                _, out = friction_along(placed, theta, omega, motion.time, load)
+                _, out = friction_along([acting_of(placed)], theta, omega, motion.time, load)
                 out = -np.sign(omega) * out * (np.abs(omega) > slow)
             else:
-                out = torque_along(placed, theta, omega, motion.time)
+                out = torque_along([acting_of(placed)], load, theta, omega, motion.time)
             columns.append(motion.reduce(reach * r * out))
         parts.append(_in_equations(fit, balance, motion, body, np.array(columns).T))
     return parts

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.disturbance import course, disturbance
 from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.along import reading_along
+from dmptm_ctrl.simulate.dual import acting, bristles, called
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -169,12 +171,11 @@ def travelled(angle: Floats, speed: Floats) -> Floats:
 def corrected(rec: Record, model: Model) -> Record:
     """Take the model's sensor effects off the readings, to first order."""
     _, on, values = model.arrays()
-    late = engine().speed_delay(on, values)
-    theta, omega = np.empty_like(rec.theta), np.empty_like(rec.omega)
-    engine().readings(rec.theta, rec.omega, rec.dt, on, values, theta, omega)
+    late = sum(called(on, values, "sensor_delay"))
+    t = rec.dt * np.arange(rec.theta.size, dtype=np.float64)
+    theta, omega = reading_along(acting(on, values).get(("sensor", 0), ()), rec.theta, rec.omega, t)
     theta, omega = 2.0 * rec.theta - theta, 2.0 * rec.omega - omega
     if late > 0.0:
-        t = rec.dt * np.arange(omega.size)
         omega = np.interp(t + late, t, omega)
     twist = rec.twist
     if twist is not None:
@@ -247,9 +248,8 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
     else:
         slides &= touches.all(1)
     _, on, values = model.arrays()
-    bristles = engine().presliding_law
     for body, angle in enumerate((run[:, 2] / n1, run[:, 3] / n1, rec.theta)):
-        settled = SETTLED * bristles(body, on, values)[0]
+        settled = SETTLED * bristles(on, values, body)[0]
         if settled > 0.0:
             slides &= (travelled(angle, omega) > settled)[starts]
     flank = np.where(z > 0.0, 1.0, -1.0)
@@ -267,8 +267,8 @@ def shifts(rec: Record, run: Floats, model: Model) -> Floats:
     meshes = on & at_sites(tuple(CATALOGUE), ("mesh",))
     shift = np.zeros((run.shape[0], 2))
     if rec.twist is not None and meshes.any():
-        torque, load = np.empty((run.shape[0], 3)), np.zeros_like(shift)
-        engine().along(rec.u, run, load, 0, rec.dt, base, meshes, values, torque, shift)
+        _, rows = disturbance(course([rec.u], [run], rec.dt), (base, meshes, values))
+        shift = np.array([0.0 * run[:, 0] if row is None else row for row in rows]).T
     return shift
 
 

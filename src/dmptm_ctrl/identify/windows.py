@@ -13,6 +13,15 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.disturbance import (
+    BEARING,
+    LAW,
+    REDUCER,
+    Course,
+    Rows,
+    course,
+    disturbance,
+)
 from dmptm_ctrl.identify.motion import (
     Motion,
     at_sites,
@@ -21,11 +30,11 @@ from dmptm_ctrl.identify.motion import (
     second_difference,
     smooth,
 )
-from dmptm_ctrl.simulate.compose import engine, layout
+from dmptm_ctrl.simulate.along import built_up_along, law_along, reading_along
+from dmptm_ctrl.simulate.dual import acting, bristles
+from dmptm_ctrl.simulate.kernel_calls import layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
 
-REDUCER, BEARING = BASE.index("T3s_plus"), BASE.index("TLs_plus")  # in the base array
-LAW = 9  # parameters of a friction law there
 INERTIA = (
     36.5  # kg·m², Table 1: of all bodies at the ring gear; expresses an acceleration as a torque
 )
@@ -33,8 +42,6 @@ STIFFNESS = 3.6e4  # N·m/rad, Table 1: expresses a twist as a torque, whatever 
 SEEN_SECONDS = 0.01  # passes what the multisine excites, keeps the encoders' noise small
 CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed
 ENCODER_UNIT = 1e-4  # rad, at which the encoder's error is read off its kernel
-# Friction that takes a tenth of the torque is met to a ten-thousandth of it by the third.
-PASSES = 3
 RECENT = 4  # results kept
 MOTOR_SITES = ("delay", "drive", "lag", "motor")
 
@@ -137,9 +144,8 @@ class Windowed:
             unit[first + k] = ENCODER_UNIT
             flags[index] = 1
             angle, turned = np.ascontiguousarray(mo.run[:, :2].T)
-            read, speed = np.empty_like(angle), np.empty_like(angle)
-            engine().readings(angle, turned, mo.rec.dt, flags, unit, read, speed)
-            return (read - angle) / ENCODER_UNIT
+            encoder, time = acting(flags, unit)["sensor", 0], mo.rec.dt * np.arange(angle.size)
+            return (reading_along(encoder, angle, turned, time)[0] - angle) / ENCODER_UNIT
 
         return self.mean(self.all(lambda mo: np.array([wave(mo, 0), wave(mo, 1)])), held=False)
 
@@ -157,12 +163,13 @@ class Windowed:
         self, body: int, law: bytes, distance: float, share: float
     ) -> tuple[Floats, Floats]:
         """Friction on a body, (n,) and window means (w,) [N·m]; `law` as in the base array."""
-        given, row = np.frombuffer(law), np.empty(self.parts[-1].stop)
-        engine().sliding_along(self.speeds[body], given, row)
+        given, omega = np.frombuffer(law), self.speeds[body]
+        level = law_along(omega, given)
         if distance > 0.0:
             begins = np.array([part.start for part in self.parts])
-            angle = self.speeds[body], self.angles[body], begins
-            engine().presliding_along(*angle, distance, share, given, row)
+            travel = np.diff(self.angles[body], prepend=0.0)
+            level = built_up_along(level, omega, travel, begins, (distance, share), given)
+        row = -level
         return row, self.mean(row, held=False)
 
     def _even_friction(self, *law: Any) -> Floats:
@@ -190,21 +197,22 @@ class Windowed:
         )
 
     @cached_property
-    def unloaded(self) -> Floats:
-        """Nothing, (n, 2), where nothing depends on what the meshes carry."""
-        return np.zeros((self.parts[-1].stop, 2))
+    def course(self) -> Course:
+        """What effects act along."""
+        volts, runs = [mo.rec.u for mo in self.motions], [mo.run for mo in self.motions]
+        return course(volts, runs, self.motions[0].rec.dt)
 
     def load(self, base: Floats, on: Any, values: Floats) -> Floats:
-        """Torque that each mesh carries without what depends on it, (n, 2) [N·m].
+        """Torque that each mesh carries without what depends on it, (2, n) [N·m].
 
         The readings are smoothed, not what follows from them: it is linear in each.
         """
         friction = [self.even_friction(*law) for law in self.laws(base, on, values)]
         if not self.twisted:
-            return np.ascontiguousarray(carried(base, self.even_volts, friction).T)
+            return carried(base, self.even_volts, friction)
         drive = base[5] * base[0] * base[1] * self.even_volts + np.array(friction[:2])
         j3 = base[5] * base[5] * base[2] + base[3]
-        return np.ascontiguousarray((drive - j3 * self.even_accelerations / base[5]).T)
+        return np.asarray(drive - j3 * self.even_accelerations / base[5])
 
     def _disturbed(self, arrays: tuple[bytes, bytes, bytes]) -> tuple[Floats, Floats, Floats]:
         """Window means of what a model's effects do, (3, w) [N·m] and (2, w) [rad].
@@ -212,24 +220,27 @@ class Windowed:
         Torques on pinions and ring gear, and shifts of z. Where the twist is not measured, the
         shifts also as accelerations, (2, w) [rad/s²].
         """
-        base, values = (np.frombuffer(arrays[i]).copy() for i in (0, 2))
-        on = np.frombuffer(arrays[1], np.uint8).copy()
-        n = self.parts[-1].stop
-        torque, moved = np.empty((n, 3)), np.empty((n, 2))
-        told = loads(on)
-        load = self.load(base, on, values) if told else self.unloaded
-        for mo, part in zip(self.motions, self.parts, strict=True):
-            given = mo.rec.u, mo.run, load[part], PASSES if told else 0, mo.rec.dt
-            engine().along(*given, base, on, values, torque[part], moved[part])
-        shifts = self.mean(moved.T, held=False)
+        base, values = (np.frombuffer(arrays[i]) for i in (0, 2))
+        on = np.frombuffer(arrays[1], np.uint8)
+        load = self.load(base, on, values) if loads(on) else None
+        torque, moved = disturbance(self.course, (base, on, values), load)
+        shifts = self.means(moved, held=False)
         shaken = np.zeros_like(shifts)
-        if not self.twisted and moved.any():
-            pushed = [
-                [second_difference(row, mo.rec.dt) for row in moved[part].T]
-                for mo, part in zip(self.motions, self.parts, strict=True)
-            ]
-            shaken = self.mean(np.concatenate(pushed, axis=1), held=False)
-        return self.mean(torque.T), shifts, shaken
+        if not self.twisted:
+            dt = self.course.dt
+            for row, out in zip(moved, shaken, strict=True):
+                if row is not None:
+                    parts = [second_difference(row[part], dt) for part in self.parts]
+                    out[:] = self.mean(np.concatenate(parts), held=False)
+        return self.means(torque), shifts, shaken
+
+    def means(self, rows: Rows, *, held: bool = True) -> Floats:
+        """Window means of rows, those that are none zero."""
+        out = np.zeros((len(rows), self.ring.size))
+        for k, row in enumerate(rows):
+            if row is not None:
+                out[k] = self.mean(row, held=held)
+        return out
 
     def frictions(self, base: Floats, on: Any, values: Floats) -> Floats:
         """Window means of the friction on pinions and ring gear, (3, w) [N·m]."""
@@ -237,8 +248,7 @@ class Windowed:
 
     def laws(self, base: Floats, on: Any, values: Floats) -> list[tuple[int, bytes, float, float]]:
         """Friction of each body: which, law, distance and what is at once of pre-sliding."""
-        bristles = engine().presliding_law
-        return [(body, law, *bristles(body, on, values)[:2]) for body, law in enumerate(laws(base))]
+        return [(body, law, *bristles(on, values, body)[:2]) for body, law in enumerate(laws(base))]
 
     def missing(self, arrays: Arrays, compliance: float) -> Floats:
         """All balances on all windows, (3, w) [N·m]."""
@@ -323,10 +333,10 @@ def _loads(names: tuple[str, ...], on: bytes) -> bool:
 
 def frictions(mo: Motion, base: Floats) -> Floats:
     """Friction on pinions and ring gear along a motion, (3, n) [N·m], negative when forward."""
-    rows = np.empty((3, mo.run.shape[0]))
-    for body, law in enumerate(laws(base)):
-        engine().sliding_along(speed_of(mo, body), np.frombuffer(law), rows[body])
-    return rows
+    rows = [
+        law_along(speed_of(mo, body), np.frombuffer(law)) for body, law in enumerate(laws(base))
+    ]
+    return -np.array(rows)
 
 
 def evened(rows: Floats, dt: float, seconds: float) -> Floats:

@@ -14,7 +14,6 @@ from dmptm_ctrl.effects import CATALOGUE, backlash, lookup, presliding, stribeck
 from dmptm_ctrl.effects.lookup import looked_up
 from dmptm_ctrl.simulate import elementary
 from dmptm_ctrl.simulate.kernel_calls import (
-    CHAINS,
     body_of,
     chain_text,
     flags_text,
@@ -44,27 +43,6 @@ _LANE_CHAINS: dict[str, tuple[str, str, str]] = {
     "load": ("load_lanes", "{A0}, {A1}, t", "{R0} += {call}"),
     "sensor": ("sensor_lanes", "{A0}, {A1}, t", "{A0}, {A1} = {call}"),
 }
-# the same over samples of a recorded run: kernels' arguments are rows of its work array
-_SAMPLE_CHAINS: dict[str, tuple[str, str]] = {
-    "drive": ("drive_samples", "s[X_VOLTS + i] = {call}"),
-    "motor": ("motor_samples", "s[X_ADDED_TORQUE + i] += {call}"),
-    "mesh": ("mesh_samples", "c = {call}; s[X_SHIFT + i] += c[0]; s[X_GAP + i] += c[2]"),
-    "friction": ("friction_samples", "c = {call}; s[X_SCALE + i] *= c[0]; s[X_ADDED + i] += c[1]"),
-    "load": ("load_samples", "s[X_ADDED_TORQUE + i] += {call}"),
-}
-_SAMPLE_ROWS = {
-    "u": "X_VOLTS",
-    "theta_m": "X_MOTOR",
-    "omega_m": "X_MOTOR_SPEED",
-    "t": "X_TIME",
-    "theta_p": "X_ANGLE",
-    "omega_p": "X_SPEED",
-    "theta_L": "X_RING",
-    "omega_L": "X_RING_SPEED",
-    "theta": "X_ANGLE",
-    "omega": "X_SPEED",
-    "mesh_torque": "X_MESH",
-}
 _ROWS = ("A0", "A1", "A2", "A3", "R0", "R1")
 
 
@@ -79,7 +57,6 @@ _OWN_KERNELS = (
 _INLINE = (
     *(
         "held_average",
-        *("rub", "scale", "without_power", "in_blocks", "slide_along"),
         "slide",
         "stop",
         "slide_or_stick",
@@ -94,11 +71,7 @@ _INLINE = (
 )
 # What Python calls; the rest is called by these alone and has no wrapper for Python, which
 # would be more text for the compiler than the function itself.
-_ENTRIES = (
-    *("march", "march_groups", "command"),
-    *("along", "sliding_along", "presliding_along", "readings"),
-    *("presliding_law", "speed_delay"),
-)
+_ENTRIES = ("march", "march_groups", "command")
 _HEAD = """\
 from math import cos, exp, floor, log, sin, sqrt, tanh
 from typing import NamedTuple
@@ -129,7 +102,7 @@ from dmptm_ctrl.simulate.elementary import cos, exp, sin, FAST, borrowed, hosted
 
 
 def _vector_kernel(index: int, effect: Effect) -> str:
-    """Name of an effect's kernel for several drives, or samples, at once."""
+    """Name of an effect's kernel for several drives at once."""
     calls = getattr(effect.kernel, "py_func", effect.kernel).__code__.co_names
     return f"vector_kernel_{index}" if looked_up.__name__ in calls else f"kernel_{index}"
 
@@ -153,26 +126,6 @@ def _lane_chain(site: str) -> str:
         call = f"{_vector_kernel(index, effect)}({args.format(**rows)}, Values_{index}({values}))"
         lines += [f"    if on[{index}]:", "        for lane in range(width):"]
         lines += [f"            {part}" for part in change.format(call=call, **rows).split("; ")]
-    return "\n".join([*lines, "    return"])
-
-
-def _sample_chain(site: str) -> str:
-    """Text of a site's chain over samples: one loop per effect, whose numbers stay."""
-    name, change = _SAMPLE_CHAINS[site]
-    args = ", ".join(
-        f"s[{_SAMPLE_ROWS[arg]} + i]" if arg in _SAMPLE_ROWS else "side"
-        for arg in CHAINS[site][1].split(", ")
-    )
-    lines = [f"@njit\ndef {name}(s, width, side, on, values):"]
-    first = slots()
-    for index, (key, effect) in enumerate(CATALOGUE.items()):
-        if effect.site != site:
-            continue
-        values = ", ".join(f"values[{first[key] + j}]" for j in range(len(effect.parameters)))
-        lines += [f"    if on[{index}]:", f"        p = Values_{index}({values})"]
-        call = f"{_vector_kernel(index, effect)}({args}, p)"
-        lines += ["        for i in range(width):"]
-        lines += [f"            {part}" for part in change.format(call=call).split("; ")]
     return "\n".join([*lines, "    return"])
 
 
@@ -203,7 +156,6 @@ def plain_source() -> str:
 def source() -> str:
     """Return the text of the engine for the catalogue as it is now."""
     lane_chains = "\n\n\n".join(_lane_chain(site) for site in _LANE_CHAINS)
-    sample_chains = "\n\n\n".join(_sample_chain(site) for site in _SAMPLE_CHAINS)
     lanes = body_of("lane_stages_core.py")
     cut = lanes.index("\n@njit\n")  # behind the constants that the chains need
     places = "".join(
@@ -212,7 +164,6 @@ def source() -> str:
     )
     return _compiled(
         f"{_loop(CATALOGUE)}"
-        f"{sample_chains}\n\n\n{body_of('along_core.py')}\n\n"
         f"{lanes[:cut]}\n{places}\n\n{lane_chains}\n\n{lanes[cut:]}\n\n{body_of('lane_core.py')}"
     )
 

@@ -1,0 +1,142 @@
+"""What the effects of a dual-motor drive do along a measured motion."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from dmptm_ctrl.simulate.along import (
+    Acting,
+    delayed_along,
+    friction_along,
+    lag_along,
+    lagged_along,
+    law_along,
+    shift_along,
+    signal_along,
+    torque_along,
+)
+from dmptm_ctrl.simulate.dual import MOTORS, RING, acting, called
+from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
+
+REDUCER, BEARING = BASE.index("T3s_plus"), BASE.index("TLs_plus")  # in the base array
+LAW = 9  # parameters of a friction law there
+# Friction that takes a tenth of the torque is met to a ten-thousandth of it by the third.
+PASSES = 3
+Rows = list[Floats | None]  # None: nothing acts there
+Places = dict[tuple[str, int], list[Acting]]
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Motions in rows, one after another.
+
+    Attributes
+    ----------
+    dt : float
+        Sample time [s].
+    begins : list of int
+        First sample of each motion, and the end of the last.
+    time : (n,) array
+        Mid of each sample, from the start of its motion [s].
+    u, motors : (2, n) arrays [V, rad]
+    ring, speed : (n,) arrays [rad, rad/s]
+        Of the ring gear, with which the pinions turn.
+    flank : (2, n) array
+        Sign of z.
+    """
+
+    dt: float
+    begins: list[int]
+    time: Floats
+    u: Floats
+    motors: Floats
+    ring: Floats
+    speed: Floats
+    flank: Floats
+
+
+def course(volts: Sequence[Floats], runs: Sequence[Floats], dt: float) -> Course:
+    """Put voltages (2, n) and motions (n, 8), in the columns of `compiled.OUTPUTS`, into rows."""
+    run = np.ascontiguousarray(np.concatenate(runs).T)
+    time = np.concatenate([(np.arange(len(one)) + 0.5) * dt for one in runs])
+    begins = np.cumsum([0, *map(len, runs)]).tolist()
+    flank = np.where(run[6:8] > 0.0, 1.0, -1.0)
+    u = np.ascontiguousarray(np.concatenate(volts, axis=1))
+    return Course(dt, begins, time, u, run[2:4], run[0], run[1], flank)
+
+
+def disturbance(way: Course, arrays: Arrays, load: Floats | None = None) -> tuple[Rows, Rows]:
+    """Torques [N·m] on both pinions and the ring gear, and shifts of z [rad] on both sides.
+
+    `load` (2, n) is the torque of the meshes without the effects. They carry what friction
+    leaves, which may depend on what they carry: it is asked :data:`PASSES` times more.
+    A wider gap is a shift of z away from the flank it is nearest to.
+    """
+    base, on, values = arrays
+    n1, n2 = base[5], base[6]
+    effects = acting(on, values)
+    torque: Rows = [None] * 3
+    shift: Rows = [None] * 2
+    ring, nothing = (way.ring, way.speed), np.zeros_like(way.speed)
+    carried = nothing
+    for side in (0, 1):
+        pinion = way.motors[side] / n1, n2 * way.speed
+        pull = driven(way, effects, base, side, sum(called(on, values, "delay", side)))
+        rubs = effects.get(("friction", side))
+        if rubs:
+            mesh = nothing if load is None else load[side]
+            law = base[REDUCER : REDUCER + LAW]
+            left, carries = braked(rubs, way, pinion, mesh, law, pull), mesh
+            for _ in range(0 if load is None else PASSES):
+                carries = mesh if left is None else mesh + left
+                left = braked(rubs, way, pinion, carries, law, pull)
+            pull, carried = left, carried + np.abs(carries)
+        torque[side] = pull
+        if teeth := effects.get(("mesh", side)):
+            moved, wider = shift_along(teeth, pinion, ring)
+            shift[side] = moved - way.flank[side] * wider
+    if pushes := effects.get(("load", RING)):
+        torque[RING] = torque_along(pushes, nothing, *ring, way.time)
+    if rubs := effects.get(("friction", RING)):
+        law = base[BEARING : BEARING + LAW]
+        torque[RING] = braked(rubs, way, ring, carried, law, torque[RING])
+    return torque, shift
+
+
+def driven(way: Course, effects: Places, base: Floats, side: int, dead: float) -> Floats | None:
+    """Torque that effects add to a motor's, at the pinion."""
+    n1, n2 = base[5], base[6]
+    u = volts = way.u[side]
+    parts = [slice(a, b) for a, b in pairwise(way.begins)]
+    if dead > 0.0:
+        volts = np.concatenate([delayed_along(u[p], dead / way.dt, 0.0) for p in parts])
+    volts = signal_along(effects.get(("drive", side), ()), volts, way.time)
+    if lags := effects.get(("lag", side)):
+        aim, tau = lag_along(lags, volts)
+        volts = np.concatenate([lagged_along(aim[p], tau[p], way.dt, 0.0) for p in parts])
+    pull = None if volts is u else n1 * base[0] * base[1] * (volts - u)
+    if motor := effects.get(("motor", MOTORS[side])):
+        spin = n1 * n2 * way.speed
+        more = n1 * torque_along(motor, volts, way.motors[side], spin, way.time)
+        pull = more if pull is None else pull + more
+    return pull
+
+
+def braked(
+    effects: Sequence[Acting],
+    way: Course,
+    moves: tuple[Floats, Floats],
+    load: Floats,
+    law: Floats,
+    push: Floats | None,
+) -> Floats | None:
+    """Torque that friction other than the declared leaves of a push."""
+    factor, added = friction_along(effects, *moves, way.time, load)
+    if np.any(factor != 1.0):
+        added = added + (factor - 1.0) * np.abs(law_along(moves[1], law))
+    elif not added.any():
+        return push
+    brake = np.sign(way.speed) * added
+    return -brake if push is None else push - brake

@@ -13,7 +13,6 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_mo
 from dmptm_ctrl.identify.measured_motion import Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.identify.rig_start import (
-    drive_of,
     ends_of,
     regress,
     regress_gap,
@@ -416,7 +415,7 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
         if ends is None:
             yield [_spring(link.name, 0.5, float(w)) for w in modes], {}, {}
         else:
-            spring = regress(balance, *ends, drive_of(model, balance))
+            spring = regress(balance, *ends)
             start = _spring(link.name, 0.5, spring.antiresonance, spring.damping_ratio)
             yield [start], unknown_inertias(model, link.name, spring), {}
     for body in () if model.rig.links else model.rig.bodies:
@@ -424,7 +423,7 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
         far = tuple(s for p in own[1:] for s in p.sensors)
         if far:
             ends_here = (own[0].name, 1.0), (own[1].name, 1.0)
-            spring = regress(balance, *ends_here, drive_of(model, balance))
+            spring = regress(balance, *ends_here)
             share = spring.far / (spring.near + spring.far)
             start = _spring(body.name, share, spring.antiresonance, spring.damping_ratio, far)
             yield [start], {}, {}
@@ -460,7 +459,7 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
             continue
         if not all(p in m.angles for m in balance.motions for p, _ in ends):
             continue  # an integrated speed drifts by more than a gap
-        gap = regress_gap(balance, *ends, drive_of(model, balance))
+        gap = regress_gap(balance, *ends)
         if gap.half_gap > 0:
             values = {**unknown_inertias(model, link, gap.spring)}
             values |= spring_values(model, link, gap.spring)

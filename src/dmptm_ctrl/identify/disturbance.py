@@ -56,6 +56,11 @@ class Course:
     speed: Floats
     flank: Floats
 
+    @property
+    def parts(self) -> list[slice]:
+        """Samples of each motion."""
+        return [slice(a, b) for a, b in pairwise(self.begins)]
+
 
 def course(volts: Sequence[Floats], runs: Sequence[Floats], dt: float) -> Course:
     """Put voltages (2, n) and motions (n, 8), in the columns of `compiled.OUTPUTS`, into rows."""
@@ -109,13 +114,12 @@ def driven(way: Course, effects: Places, base: Floats, side: int, dead: float) -
     """Torque that effects add to a motor's, at the pinion."""
     n1, n2 = base[5], base[6]
     u = volts = way.u[side]
-    parts = [slice(a, b) for a, b in pairwise(way.begins)]
     if dead > 0.0:
-        volts = np.concatenate([delayed_along(u[p], dead / way.dt, 0.0) for p in parts])
+        volts = np.concatenate([delayed_along(u[p], dead / way.dt, 0.0) for p in way.parts])
     volts = signal_along(effects.get(("drive", side), ()), volts, way.time)
     if lags := effects.get(("lag", side)):
         aim, tau = lag_along(lags, volts)
-        volts = np.concatenate([lagged_along(aim[p], tau[p], way.dt, 0.0) for p in parts])
+        volts = np.concatenate([lagged_along(aim[p], tau[p], way.dt, 0.0) for p in way.parts])
     pull = None if volts is u else n1 * base[0] * base[1] * (volts - u)
     if motor := effects.get(("motor", MOTORS[side])):
         spin = n1 * n2 * way.speed

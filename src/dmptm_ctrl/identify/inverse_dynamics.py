@@ -108,17 +108,21 @@ class Balance:
     columns: dict = field(default_factory=dict)  # what does not depend on the model, reduced
 
     @cached_property
+    def push(self) -> list[Floats]:
+        """Driving torque per log as commanded, a gain that is unknown counted as 1, (n,) each."""
+        gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in self.rig.inputs}
+        return [np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in self.motions]
+
+    @cached_property
     def heft(self) -> float:
         """Torque per acceleration in the logs: turns accelerations into torques of their size.
 
         No fitted inertia does: the smaller it got, the less would seem to be left.
         """
         first = self.points[0].name
-        gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in self.rig.inputs}
-        push = [np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in self.motions]
         moved = [m.a[first] for m in self.motions]
         force, acceleration = (
-            float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for x in (push, moved)
+            float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for x in (self.push, moved)
         )
         return force / acceleration if acceleration > 0 else 1.0
 

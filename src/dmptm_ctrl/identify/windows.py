@@ -7,7 +7,6 @@ another parameter; what was computed lately is kept.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -64,10 +63,10 @@ class Windowed:
         self.disturbed = lru_cache(RECENT)(self._disturbed)
 
     @cached_property
-    def parts(self) -> list[slice]:
-        """Samples of each motion."""
-        ends = np.cumsum([0, *(mo.run.shape[0] for mo in self.motions)])
-        return [slice(a, b) for a, b in pairwise(ends.tolist())]
+    def course(self) -> Course:
+        """What effects act along."""
+        volts, runs = [mo.rec.u for mo in self.motions], [mo.run for mo in self.motions]
+        return course(volts, runs, self.motions[0].rec.dt)
 
     @property
     def seconds(self) -> float:
@@ -90,7 +89,7 @@ class Windowed:
     @cached_property
     def volts(self) -> Floats:
         """Window means of both voltages, (2, w) [V]."""
-        return self.mean(self.all(lambda mo: mo.rec.u))
+        return self.mean(self.course.u)
 
     @cached_property
     def ring(self) -> Floats:
@@ -111,8 +110,7 @@ class Windowed:
     def angles(self) -> list[Floats]:
         """Angles of both pinions and of the ring gear, three of (n,) [rad]."""
         n1 = self.motions[0].declared.drive["N_1"]
-        ring = self.all(lambda mo: mo.run[:, 0])
-        return [*(self.all(lambda mo: mo.run[:, 2:4].T) / n1), ring]
+        return [*(self.course.motors / n1), self.course.ring]
 
     @cached_property
     def twist(self) -> Floats:
@@ -166,7 +164,7 @@ class Windowed:
         given, omega = np.frombuffer(law), self.speeds[body]
         level = law_along(omega, given)
         if distance > 0.0:
-            begins = np.array([part.start for part in self.parts])
+            begins = np.array(self.course.begins[:-1])
             travel = np.diff(self.angles[body], prepend=0.0)
             level = built_up_along(level, omega, travel, begins, (distance, share), given)
         row = -level
@@ -179,8 +177,8 @@ class Windowed:
     def even(self, rows: Floats) -> Floats:
         """Rows (..., n) smoothed over what the mesh torque is told from."""
         seconds = SEEN_SECONDS if self.twisted else CARRIED_SECONDS
-        parts = zip(self.motions, self.parts, strict=True)
-        return np.concatenate([evened(rows[..., p], mo.rec.dt, seconds) for mo, p in parts], -1)
+        dt, parts = self.course.dt, self.course.parts
+        return np.concatenate([evened(rows[..., p], dt, seconds) for p in parts], -1)
 
     @cached_property
     def even_volts(self) -> Floats:
@@ -195,12 +193,6 @@ class Windowed:
         return self.even(
             self.all(lambda mo: np.array([second_difference(x, mo.rec.dt) for x in mo.run.T[2:4]]))
         )
-
-    @cached_property
-    def course(self) -> Course:
-        """What effects act along."""
-        volts, runs = [mo.rec.u for mo in self.motions], [mo.run for mo in self.motions]
-        return course(volts, runs, self.motions[0].rec.dt)
 
     def load(self, base: Floats, on: Any, values: Floats) -> Floats:
         """Torque that each mesh carries without what depends on it, (2, n) [N·m].
@@ -230,7 +222,7 @@ class Windowed:
             dt = self.course.dt
             for row, out in zip(moved, shaken, strict=True):
                 if row is not None:
-                    parts = [second_difference(row[part], dt) for part in self.parts]
+                    parts = [second_difference(row[part], dt) for part in self.course.parts]
                     out[:] = self.mean(np.concatenate(parts), held=False)
         return self.means(torque), shifts, shaken
 

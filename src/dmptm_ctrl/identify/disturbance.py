@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -24,11 +25,12 @@ REDUCER, BEARING = BASE.index("T3s_plus"), BASE.index("TLs_plus")  # in the base
 LAW = 9  # parameters of a friction law there
 # Friction that takes a tenth of the torque is met to a ten-thousandth of it by the third.
 PASSES = 3
+RECENT = 4  # rows of friction kept
 Rows = list[Floats | None]  # None: nothing acts there
 Places = dict[tuple[str, int], list[Acting]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Course:
     """Motions in rows, one after another.
 
@@ -56,10 +58,22 @@ class Course:
     speed: Floats
     flank: Floats
 
-    @property
+    def __post_init__(self) -> None:
+        self.sliding = lru_cache(RECENT)(self._sliding)
+
+    @cached_property
     def parts(self) -> list[slice]:
         """Samples of each motion."""
         return [slice(a, b) for a, b in pairwise(self.begins)]
+
+    @cached_property
+    def direction(self) -> Floats:
+        """Sign of the speed, (n,)."""
+        return np.sign(self.speed)
+
+    def _sliding(self, lever: float, law: bytes) -> Floats:
+        """Magnitude of a law's friction at a multiple of the ring gear's speed, (n,) [N·m]."""
+        return np.abs(law_along(lever * self.speed, np.frombuffer(law)))
 
 
 def course(volts: Sequence[Floats], runs: Sequence[Floats], dt: float) -> Course:
@@ -84,20 +98,17 @@ def disturbance(way: Course, arrays: Arrays, load: Floats | None = None) -> tupl
     effects = acting(on, values)
     torque: Rows = [None] * 3
     shift: Rows = [None] * 2
-    ring, nothing = (way.ring, way.speed), np.zeros_like(way.speed)
-    carried = nothing
+    ring, turning = (way.ring, way.speed), n2 * way.speed
+    carried = nothing = np.zeros_like(way.speed)
     for side in (0, 1):
-        pinion = way.motors[side] / n1, n2 * way.speed
+        pinion = way.motors[side] / n1, turning
         pull = driven(way, effects, base, side, sum(called(on, values, "delay", side)))
         rubs = effects.get(("friction", side))
         if rubs:
-            mesh = nothing if load is None else load[side]
-            law = base[REDUCER : REDUCER + LAW]
-            left, carries = braked(rubs, way, pinion, mesh, law, pull), mesh
-            for _ in range(0 if load is None else PASSES):
-                carries = mesh if left is None else mesh + left
-                left = braked(rubs, way, pinion, carries, law, pull)
-            pull, carried = left, carried + np.abs(carries)
+            law = n2, base[REDUCER : REDUCER + LAW].tobytes()
+            passes, mesh = (0, nothing) if load is None else (PASSES, load[side])
+            pull, mesh = braked(rubs, way, pinion, law, pull, mesh, passes)
+            carried = carried + np.abs(mesh)
         torque[side] = pull
         if teeth := effects.get(("mesh", side)):
             moved, wider = shift_along(teeth, pinion, ring)
@@ -105,8 +116,8 @@ def disturbance(way: Course, arrays: Arrays, load: Floats | None = None) -> tupl
     if pushes := effects.get(("load", RING)):
         torque[RING] = torque_along(pushes, nothing, *ring, way.time)
     if rubs := effects.get(("friction", RING)):
-        law = base[BEARING : BEARING + LAW]
-        torque[RING] = braked(rubs, way, ring, carried, law, torque[RING])
+        law = 1.0, base[BEARING : BEARING + LAW].tobytes()
+        torque[RING], _ = braked(rubs, way, ring, law, torque[RING], carried)
     return torque, shift
 
 
@@ -132,15 +143,26 @@ def braked(
     effects: Sequence[Acting],
     way: Course,
     moves: tuple[Floats, Floats],
-    load: Floats,
-    law: Floats,
+    law: tuple[float, bytes],
     push: Floats | None,
-) -> Floats | None:
-    """Torque that friction other than the declared leaves of a push."""
-    factor, added = friction_along(effects, *moves, way.time, load)
-    if np.any(factor != 1.0):
-        added = added + (factor - 1.0) * np.abs(law_along(moves[1], law))
-    elif not added.any():
-        return push
-    brake = np.sign(way.speed) * added
-    return -brake if push is None else push - brake
+    load: Floats,
+    passes: int = 0,
+) -> tuple[Floats | None, Floats]:
+    """Torque that friction other than the declared leaves of a push, and what the body carries.
+
+    `law` is of the body: its speed per speed of the ring gear, and the declared friction.
+    """
+    left, carries = push, load
+    for again in range(passes + 1):
+        if again and left is not None:
+            carries = load + left
+        factor, added = friction_along(effects, *moves, way.time, carries)
+        if np.any(factor != 1.0):
+            factor -= 1.0
+            factor *= way.sliding(*law)
+            added += factor
+        elif not again and not added.any():
+            return push, load if push is None or not passes else load + push
+        added *= way.direction
+        left = -added if push is None else push - added
+    return left, carries

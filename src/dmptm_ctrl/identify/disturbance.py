@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,8 +87,26 @@ def course(volts: Sequence[Floats], runs: Sequence[Floats], dt: float) -> Course
     return Course(dt, begins, time, u, run[2:4], run[0], run[1], flank)
 
 
-def disturbance(way: Course, arrays: Arrays, load: Floats | None = None) -> tuple[Rows, Rows]:
-    """Torques [N·m] on both pinions and the ring gear, and shifts of z [rad] on both sides.
+class Disturbance(NamedTuple):
+    """What effects do along a motion.
+
+    Attributes
+    ----------
+    torque : list of 3 rows
+        On both pinions and the ring gear [N·m].
+    shift : list of 2 rows
+        Of z on both sides [rad].
+    pull : list of 2 rows
+        What of the torque on the pinions comes from the motors [N·m].
+    """
+
+    torque: Rows
+    shift: Rows
+    pull: Rows
+
+
+def disturbance(way: Course, arrays: Arrays, load: Floats | None = None) -> Disturbance:
+    """Return what the effects in use do.
 
     `load` (2, n) is the torque of the meshes without the effects. They carry what friction
     leaves, which may depend on what they carry: it is asked :data:`PASSES` times more.
@@ -96,20 +115,19 @@ def disturbance(way: Course, arrays: Arrays, load: Floats | None = None) -> tupl
     base, on, values = arrays
     n1, n2 = base[5], base[6]
     effects = acting(on, values)
-    torque: Rows = [None] * 3
-    shift: Rows = [None] * 2
+    torque, shift, pull = rows = Disturbance([None] * 3, [None] * 2, [None] * 2)
     ring, turning = (way.ring, way.speed), n2 * way.speed
-    carried = nothing = np.zeros_like(way.speed)
+    carried = nothing = np.zeros(way.speed.size)
     for side in (0, 1):
         pinion = way.motors[side] / n1, turning
-        pull = driven(way, effects, base, side, sum(called(on, values, "delay", side)))
+        dead = sum(called(on, values, "delay", side))
+        torque[side] = pull[side] = driven(way, effects, base, side, dead)
         rubs = effects.get(("friction", side))
         if rubs:
             law = n2, base[REDUCER : REDUCER + LAW].tobytes()
             passes, mesh = (0, nothing) if load is None else (PASSES, load[side])
-            pull, mesh = braked(rubs, way, pinion, law, pull, mesh, passes)
+            torque[side], mesh = braked(rubs, way, pinion, law, pull[side], mesh, passes)
             carried = carried + np.abs(mesh)
-        torque[side] = pull
         if teeth := effects.get(("mesh", side)):
             moved, wider = shift_along(teeth, pinion, ring)
             shift[side] = moved - way.flank[side] * wider
@@ -118,7 +136,7 @@ def disturbance(way: Course, arrays: Arrays, load: Floats | None = None) -> tupl
     if rubs := effects.get(("friction", RING)):
         law = 1.0, base[BEARING : BEARING + LAW].tobytes()
         torque[RING], _ = braked(rubs, way, ring, law, torque[RING], carried)
-    return torque, shift
+    return rows
 
 
 def driven(way: Course, effects: Places, base: Floats, side: int, dead: float) -> Floats | None:
@@ -157,7 +175,7 @@ def braked(
         if again and left is not None:
             carries = load + left
         factor, added = friction_along(effects, *moves, way.time, carries)
-        if np.any(factor != 1.0):
+        if (factor != 1.0).any():
             factor -= 1.0
             factor *= way.sliding(*law)
             added += factor

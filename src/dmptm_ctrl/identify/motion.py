@@ -6,13 +6,12 @@ differences fall on φ (weak form; Messenger & Bortz, J. Comput. Phys. 443 (2021
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import convolve1d
 
-from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.disturbance import course, disturbance
 from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.parallel import in_threads
@@ -148,9 +147,9 @@ def odd_span(seconds: float, dt: float) -> int:
     return max(3, 2 * round(0.5 * seconds / dt) + 1)
 
 
-def smooth(signal: Floats, n: int) -> Floats:
-    """Zero-phase mean by a Hann window of odd length."""
-    return np.convolve(np.pad(signal, n // 2, mode="edge"), hann(n), "valid")
+def smooth(rows: Floats, n: int) -> Floats:
+    """Zero-phase mean along the last axis, by a Hann window of odd length."""
+    return np.asarray(convolve1d(rows, hann(n), mode="nearest"))
 
 
 def one_way(speed: Floats, least: float, m: int, starts: np.ndarray) -> np.ndarray:
@@ -263,19 +262,13 @@ def shifts(rec: Record, run: Floats, model: Model) -> Floats:
 
     Where they are as large as the gap, z alone tells neither the flank nor what is rattle.
     """
-    base, on, values = model.arrays()
-    meshes = on & at_sites(tuple(CATALOGUE), ("mesh",))
     shift = np.zeros((run.shape[0], 2))
-    if rec.twist is not None and meshes.any():
-        _, rows = disturbance(course([rec.u], [run], rec.dt), (base, meshes, values))
-        shift = np.array([0.0 * run[:, 0] if row is None else row for row in rows]).T
+    if rec.twist is not None:
+        rows = disturbance(course([rec.u], [run], rec.dt), model.arrays()).shift
+        for column, row in zip(shift.T, rows, strict=True):
+            if row is not None:
+                column[:] = row
     return shift
-
-
-@cache
-def at_sites(names: tuple[str, ...], sites: tuple[str, ...]) -> Any:
-    """Which effects act at one of some sites."""
-    return np.array([CATALOGUE[n].site in sites for n in names], np.uint8)
 
 
 def motions(

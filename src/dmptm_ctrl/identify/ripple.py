@@ -115,7 +115,7 @@ class Ripple:
     def torque(self, arrays: Arrays) -> Floats:
         """Torque of a model's effects, summed at the ring gear, (n FINER,)."""
         # nothing in FAST depends on what the meshes carry
-        torque, _ = disturbance(self.finer, arrays)
+        torque = disturbance(self.finer, arrays).torque
         n2 = arrays[0][BASE.index("N_2")]
         total = np.zeros_like(self.finer.time)
         for lever, row in zip((n2, n2, 1.0), torque, strict=True):

@@ -23,7 +23,6 @@ from dmptm_ctrl.identify.disturbance import (
 )
 from dmptm_ctrl.identify.motion import (
     Motion,
-    at_sites,
     averaged,
     odd_span,
     second_difference,
@@ -42,7 +41,7 @@ SEEN_SECONDS = 0.01  # passes what the multisine excites, keeps the encoders' no
 CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed
 ENCODER_UNIT = 1e-4  # rad, at which the encoder's error is read off its kernel
 RECENT = 4  # results kept
-MOTOR_SITES = ("delay", "drive", "lag", "motor")
+NOTHING: Rows = [None, None]
 
 
 @dataclass(eq=False)
@@ -206,16 +205,16 @@ class Windowed:
         j3 = base[5] * base[5] * base[2] + base[3]
         return np.asarray(drive - j3 * self.even_accelerations / base[5])
 
-    def _disturbed(self, arrays: tuple[bytes, bytes, bytes]) -> tuple[Floats, Floats, Floats]:
+    def _disturbed(self, arrays: tuple[bytes, bytes, bytes]) -> tuple[Floats, Floats, Floats, Rows]:
         """Window means of what a model's effects do, (3, w) [N·m] and (2, w) [rad].
 
         Torques on pinions and ring gear, and shifts of z. Where the twist is not measured, the
-        shifts also as accelerations, (2, w) [rad/s²].
+        shifts also as accelerations, (2, w) [rad/s²]. Last what motors give, two rows (n,) [N·m].
         """
         base, values = (np.frombuffer(arrays[i]) for i in (0, 2))
         on = np.frombuffer(arrays[1], np.uint8)
         load = self.load(base, on, values) if loads(on) else None
-        torque, moved = disturbance(self.course, (base, on, values), load)
+        torque, moved, pull = disturbance(self.course, (base, on, values), load)
         shifts = self.means(moved, held=False)
         shaken = np.zeros_like(shifts)
         if not self.twisted:
@@ -224,7 +223,7 @@ class Windowed:
                 if row is not None:
                     parts = [second_difference(row[part], dt) for part in self.course.parts]
                     out[:] = self.mean(np.concatenate(parts), held=False)
-        return self.means(torque), shifts, shaken
+        return self.means(torque), shifts, shaken, pull
 
     def means(self, rows: Rows, *, held: bool = True) -> Floats:
         """Window means of rows, those that are none zero."""
@@ -247,23 +246,21 @@ class Windowed:
         base, on, values = arrays
         n1, n2 = base[5], base[6]
         j3, jl = n1 * n1 * base[2] + base[3], base[4]
-        force = self.frictions(base, on, values)
+        force, pull = self.frictions(base, on, values), NOTHING
         shift = n2 * self.encoder_error(on, values) * np.ones((2, 1))
         if on.any():
             needed = base.copy()
             needed[unneeded(on)] = 0.0  # so that a result lately kept is found again
             given = needed.tobytes(), on.tobytes(), values.tobytes()
-            torque, moved, shaken = self.disturbed(given)
+            torque, moved, shaken, pull = self.disturbed(given)
             force += torque
             # the flanks push the pinions, whose motion is not measured, out of their way
             force[:2] += j3 * shaken
             shift = shift + moved
         drive = n1 * base[0] * base[1] * self.volts
         force[:2] += drive
-        motors = at_motors(on) if compliance > 0.0 else None
-        if motors is not None and motors.any():
-            given = base.tobytes(), motors.tobytes(), values.tobytes()
-            drive = drive + self.disturbed(given)[0][:2]
+        if compliance > 0.0:
+            drive = drive + self.means(pull)
         out = np.empty_like(force)
         # As an acceleration: the sensors' noise is one, and must not favour a small inertia.
         out[0] = jl * self.ring + n2 * j3 * self.pinions.sum(0) - n2 * force[:2].sum(0) - force[2]
@@ -307,11 +304,6 @@ def _unneeded(names: tuple[str, ...], on: bytes) -> list[int]:
     return [i for i in range(len(BASE)) if i not in needed]
 
 
-def at_motors(on: Any) -> Any:
-    """Which of the effects in use act on what a motor gives its shaft."""
-    return on & at_sites(tuple(CATALOGUE), MOTOR_SITES)
-
-
 def loads(on: Any) -> bool:
     """Whether an effect in use depends on the torque of the meshes."""
     return _loads(tuple(CATALOGUE), on.tobytes())
@@ -333,7 +325,7 @@ def frictions(mo: Motion, base: Floats) -> Floats:
 
 def evened(rows: Floats, dt: float, seconds: float) -> Floats:
     """Rows (..., n) smoothed over a span."""
-    return np.apply_along_axis(smooth, -1, rows, odd_span(seconds, dt))
+    return smooth(rows, odd_span(seconds, dt))
 
 
 def halfway(held: Floats) -> Floats:

@@ -95,8 +95,13 @@ def built_up(omega, travel, begins, distance, share, p, level):
 @njit
 def lagged(aim, tau, dt, before, out):
     state = before
-    for i in range(out.size):
-        out[i], state = lag(state, aim[i], tau[i], dt)
+    if (tau == tau[0]).all():  # an exponential is taken once
+        time = tau[0]
+        for i in range(out.size):
+            out[i], state = lag(state, aim[i], time, dt)
+    else:
+        for i in range(out.size):
+            out[i], state = lag(state, aim[i], tau[i], dt)
 """
 _MODULES = (elementary, lookup, presliding, step, stribeck)
 
@@ -173,7 +178,7 @@ def torque_along(
     effects: Iterable[Acting], u: Floats, theta: Floats, omega: Floats, t: Floats
 ) -> Floats:
     """Torque [N·m] of effects on a body that moves as given, (n,); `u` is what drives it."""
-    out = np.zeros_like(theta)
+    out = np.zeros(theta.size)
     for one in effects:
         rows = (u, theta, omega, t) if one.effect.site == "motor" else (theta, omega, t)
         _run([one], rows, out, out)
@@ -187,7 +192,7 @@ def friction_along(
 
     `load` is what presses on the bearings of the body [N·m].
     """
-    factor, added = np.ones_like(theta), np.zeros_like(theta)
+    factor, added = np.ones(theta.size), np.zeros(theta.size)
     _run(effects, (theta, omega, t, load), factor, added)
     return factor, added
 

@@ -41,7 +41,7 @@ SEEN_SECONDS = 0.01  # passes what the multisine excites, keeps the encoders' no
 CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed
 ENCODER_UNIT = 1e-4  # rad, at which the encoder's error is read off its kernel
 RECENT = 4  # results kept
-NOTHING: Rows = [None, None]
+NOTHING = np.zeros((2, 1))
 
 
 @dataclass(eq=False)
@@ -205,11 +205,14 @@ class Windowed:
         j3 = base[5] * base[5] * base[2] + base[3]
         return np.asarray(drive - j3 * self.even_accelerations / base[5])
 
-    def _disturbed(self, arrays: tuple[bytes, bytes, bytes]) -> tuple[Floats, Floats, Floats, Rows]:
+    def _disturbed(
+        self, arrays: tuple[bytes, bytes, bytes], soft: bool
+    ) -> tuple[Floats, Floats, Floats, Floats]:
         """Window means of what a model's effects do, (3, w) [N·m] and (2, w) [rad].
 
         Torques on pinions and ring gear, and shifts of z. Where the twist is not measured, the
-        shifts also as accelerations, (2, w) [rad/s²]. Last what motors give, two rows (n,) [N·m].
+        shifts also as accelerations, (2, w) [rad/s²]. Last what motors give where the reducers
+        are soft, (2, w) [N·m].
         """
         base, values = (np.frombuffer(arrays[i]) for i in (0, 2))
         on = np.frombuffer(arrays[1], np.uint8)
@@ -223,7 +226,7 @@ class Windowed:
                 if row is not None:
                     parts = [second_difference(row[part], dt) for part in self.course.parts]
                     out[:] = self.mean(np.concatenate(parts), held=False)
-        return self.means(torque), shifts, shaken, pull
+        return self.means(torque), shifts, shaken, self.means(pull) if soft else NOTHING
 
     def means(self, rows: Rows, *, held: bool = True) -> Floats:
         """Window means of rows, those that are none zero."""
@@ -252,7 +255,7 @@ class Windowed:
             needed = base.copy()
             needed[unneeded(on)] = 0.0  # so that a result lately kept is found again
             given = needed.tobytes(), on.tobytes(), values.tobytes()
-            torque, moved, shaken, pull = self.disturbed(given)
+            torque, moved, shaken, pull = self.disturbed(given, compliance > 0.0)
             force += torque
             # the flanks push the pinions, whose motion is not measured, out of their way
             force[:2] += j3 * shaken
@@ -260,7 +263,7 @@ class Windowed:
         drive = n1 * base[0] * base[1] * self.volts
         force[:2] += drive
         if compliance > 0.0:
-            drive = drive + self.means(pull)
+            drive = drive + pull
         out = np.empty_like(force)
         # As an acceleration: the sensors' noise is one, and must not favour a small inertia.
         out[0] = jl * self.ring + n2 * j3 * self.pinions.sum(0) - n2 * force[:2].sum(0) - force[2]

@@ -9,15 +9,26 @@ from dmptm_ctrl.identify.fit import drive_unknowns, is_damping, place, position
 from dmptm_ctrl.identify.ripple import loaded
 from dmptm_ctrl.simulate.compiled import OUTPUTS, march
 from dmptm_ctrl.simulate.damping import (
+    DAMPING,
+    FLANKS,
     LOADED,
+    OF_FLANKS,
     by_depth,
     damped,
-    damping_by_depth,
     damping_of,
     possible,
+    undamped,
 )
 from dmptm_ctrl.simulate.model import BASE, Model
 from dmptm_ctrl.simulate.model_file import from_toml, to_toml
+
+
+def damping_by_depth(model):
+    """Flanks that damp by depth, as much as a model's own do when loaded."""
+    drive = model.drive
+    given = {OF_FLANKS: drive[DAMPING] / LOADED, "ratio": drive["N_2"], "stiffness": drive["k_m"]}
+    return Model(undamped(drive), model.effects).with_effect(FLANKS, **given)
+
 
 EQ21 = Model(paper_drive())
 BY_DEPTH = damping_by_depth(EQ21)

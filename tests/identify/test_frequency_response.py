@@ -77,7 +77,8 @@ def test_from_log_recovers_a_known_filter():
 def test_closed_loop_resonance_of_a_linear_drive():
     """Peak of |T| of the linear loop, by python-control on a fine grid."""
     loop, dt = Loop(0.05 / DEG, 5.0 / DEG, 1e3), 1e-3
-    hz, peak = closed_loop_peak(Model(LINEAR), loop, 10 * DEG, 5.0)
+    hz, peak, inside = closed_loop_peak(Model(LINEAR), loop, 10 * DEG, 5.0)
+    assert inside
     omega = 2 * np.pi * np.linspace(3, 9, 2000)
     z = np.exp(1j * omega * dt)
     open_loop = sampled(omega) * (loop.kp + loop.ki * dt / (1 - 1 / z))

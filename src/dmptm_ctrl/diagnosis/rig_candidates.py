@@ -13,14 +13,13 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_mo
 from dmptm_ctrl.identify.measured_motion import Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.identify.rig_start import (
-    drive_of,
     ends_of,
     regress,
     regress_gap,
     spring_values,
     unknown_inertias,
 )
-from dmptm_ctrl.simulate.along import friction_along, torque_along
+from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, PlacedEffect
 from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
 
@@ -195,10 +194,10 @@ def unit_columns(
         for name in names:
             placed = Placed(chain.name, body, {**shapes, name: 1.0})
             if chain.site == "friction":
-                _, out = friction_along(placed, theta, omega, motion.time, load)
+                _, out = friction_along([acting_of(placed)], theta, omega, motion.time, load)
                 out = -np.sign(omega) * out * (np.abs(omega) > slow)
             else:
-                out = torque_along(placed, theta, omega, motion.time)
+                out = torque_along([acting_of(placed)], load, theta, omega, motion.time)
             columns.append(motion.reduce(reach * r * out))
         parts.append(_in_equations(fit, balance, motion, body, np.array(columns).T))
     return parts
@@ -416,7 +415,7 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
         if ends is None:
             yield [_spring(link.name, 0.5, float(w)) for w in modes], {}, {}
         else:
-            spring = regress(balance, *ends, drive_of(model, balance))
+            spring = regress(balance, *ends)
             start = _spring(link.name, 0.5, spring.antiresonance, spring.damping_ratio)
             yield [start], unknown_inertias(model, link.name, spring), {}
     for body in () if model.rig.links else model.rig.bodies:
@@ -424,7 +423,7 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
         far = tuple(s for p in own[1:] for s in p.sensors)
         if far:
             ends_here = (own[0].name, 1.0), (own[1].name, 1.0)
-            spring = regress(balance, *ends_here, drive_of(model, balance))
+            spring = regress(balance, *ends_here)
             share = spring.far / (spring.near + spring.far)
             start = _spring(body.name, share, spring.antiresonance, spring.damping_ratio, far)
             yield [start], {}, {}
@@ -460,7 +459,7 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
             continue
         if not all(p in m.angles for m in balance.motions for p, _ in ends):
             continue  # an integrated speed drifts by more than a gap
-        gap = regress_gap(balance, *ends, drive_of(model, balance))
+        gap = regress_gap(balance, *ends)
         if gap.half_gap > 0:
             values = {**unknown_inertias(model, link, gap.spring)}
             values |= spring_values(model, link, gap.spring)

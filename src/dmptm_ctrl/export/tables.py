@@ -9,7 +9,7 @@ import pandas as pd
 
 from dmptm_ctrl.design.preload import volt_at_pinion
 from dmptm_ctrl.export.stepping import origin
-from dmptm_ctrl.simulate.along import friction_along, law_along, torque_along
+from dmptm_ctrl.simulate.along import acting_of, friction_along, law_along, torque_along
 from dmptm_ctrl.simulate.dual import MOTORS, RING, parts_of
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
@@ -86,20 +86,20 @@ def _of_rig(model: RigModel) -> dict[str, pd.DataFrame]:
     still = np.zeros(ANGLES)
     friction, torques = {"speed_SI": speed}, {"position_SI": angle}
     for k, body in enumerate(layout.bodies):
-        level, factor = np.empty(SPEEDS), np.ones(SPEEDS)
-        law_along(speed, plant.law[k], level)
+        level, more = law_along(speed, plant.law[k]), np.zeros(SPEEDS)
+        level[speed == 0.0] = 0.0
         torque = np.zeros(ANGLES)
         for effect in model.effects:
             site = PLACED_CATALOGUE[effect.name].site
             if effect.on == body and site == "friction":
                 none = np.zeros(SPEEDS)
-                f, added = friction_along(effect, none, speed, none, none)
-                factor *= f
-                level += np.sign(speed) * added
+                factor, added = friction_along([acting_of(effect)], none, speed, none, none)
+                level *= factor
+                more += np.sign(speed) * added
             elif effect.on == body and site in ("motor", "load"):
-                torque -= torque_along(effect, angle, still, still)
+                torque -= torque_along([acting_of(effect)], still, angle, still, still)
         unit = "N" if any(b.name == body and b.linear for b in model.rig.bodies) else "N_m"
-        friction[f"{body}_{unit}"] = factor * level
+        friction[f"{body}_{unit}"] = level + more
         if torque.any():
             torques[f"{body}_{unit}"] = torque
     return {

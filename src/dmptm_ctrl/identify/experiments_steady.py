@@ -71,11 +71,6 @@ class SteadyResult:
     ring: FrictionPoints
 
 
-def reverse_motion(logs: Iterable[Log], drive: Drive) -> dict[str, Estimate]:
-    """Measure half-gaps and mesh stiffness; see :func:`constant_speed` for the logs."""
-    return dict(constant_speed(logs, drive).estimates)
-
-
 def constant_speed(logs: Iterable[Log], drive: Drive) -> SteadyResult:
     """Measure half-gaps, mesh stiffness and both friction curves.
 

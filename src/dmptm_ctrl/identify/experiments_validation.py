@@ -117,15 +117,6 @@ def _at_rest(model: Model, log: Log) -> Floats:
     return rest(model, theta, motors=motors if len(motors) == 2 else None)
 
 
-def misfit(drive: Drive, logs: Sequence[Log], loop: Loop) -> float:
-    """Mean square of the misses of 10 ms means, in :data:`SPEED_ERROR`, every log alike."""
-    model, squares = Model(drive), []
-    for log in logs:
-        miss = _blocks(log["omega_L"]) - _blocks(speed_on(model, log, loop))
-        squares.append(np.mean((miss / SPEED_ERROR) ** 2))
-    return float(np.mean(squares))
-
-
 def fit_to_logs(
     drive: Drive, logs: Sequence[Log], loop: Loop, *, starts: int = STARTS, seed: int = 0
 ) -> Drive:

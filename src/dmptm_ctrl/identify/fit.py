@@ -28,6 +28,8 @@ AMPLITUDE_SHARE = 0.3
 AT_ONCE = 16  # models of one call
 PERTURBATION = 0.01  # relative; well inside what is known of stiffness and damping
 BEND = 4.0  # standard deviations beyond which a speed residual counts by its logarithm only
+FLATTEST = 1e-14  # curvature of a step's square, as a share of the largest: what rounding leaves
+NOWHERE = 1e-12  # width of a step at a bound
 CAP = (
     3.0  # standard deviations that a twist residual cannot exceed: on another flank it says no more
 )
@@ -301,8 +303,18 @@ def bounded_step(
     # A weak pull keeps effects' parameters that the data say nothing about where they are.
     normal = jac.T @ jac + precision + 1e-6 * np.eye(p.size)
     normal += damping * np.diag(np.diag(normal))
-    root = np.linalg.cholesky(normal).T
-    target = np.linalg.solve(root.T, jac.T @ r - precision @ p)
-    low = np.minimum(np.array([k.low for k in unknowns]) - p, -1e-12)
-    high = np.maximum(np.array([k.high for k in unknowns]) - p, 1e-12)
-    return np.asarray(lsq_linear(root, target, (low, high), method="bvls").x)
+    low = np.array([k.low for k in unknowns]) - p
+    high = np.array([k.high for k in unknowns]) - p
+    return least_in_box(normal, jac.T @ r - precision @ p, low, high)
+
+
+def least_in_box(normal: Floats, slope: Floats, low: Floats, high: Floats) -> Floats:
+    """Return the x between bounds at which ½ xᵀ A x − bᵀ x is least.
+
+    `normal` (k, k) is A, of numbers of like scale; directions that it does not tell stay put.
+    """
+    values, vectors = np.linalg.eigh(normal)
+    root = np.sqrt(np.maximum(values, FLATTEST * values[-1]))
+    target = (vectors / root).T @ slope
+    bounds = np.minimum(low, -NOWHERE), np.maximum(high, NOWHERE)
+    return np.asarray(lsq_linear((vectors * root).T, target, bounds, method="bvls").x)

@@ -7,13 +7,13 @@ from math import inf, isfinite
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.identify.fit import PRIOR_SHARE
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
 
 Floats = NDArray[np.float64]
 
-PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
 HARMONIC = ("cogging", "unbalance", "position_dependent_friction")  # cosine and sine of the angle
 LEAST_SCALE = 0.01  # of the typical size of a quantity
 WIDEST = 0.1  # of the travel; of a local spot
@@ -89,15 +89,13 @@ def scales_of(balance: Balance) -> Scales:
     def rms(parts: Sequence[Floats]) -> float:
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) or 1.0
 
-    gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in balance.rig.inputs}
-    force = rms([np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in motions])
     return Scales(
-        force,
+        rms(balance.push),
         max(max(float(np.ptp(m.q[point])) for m in motions), 1e-12),
         rms([m.v[point] for m in motions]),
         rms([m.a[point] for m in motions]),
         motions[0].dt,
-        {k: rms([m.u[k] for m in motions]) for k in gains},
+        {i.name: rms([m.u[i.name] for m in motions]) for i in balance.rig.inputs},
     )
 
 

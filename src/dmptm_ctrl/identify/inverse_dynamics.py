@@ -14,7 +14,6 @@ from functools import cached_property
 from math import isfinite
 
 import numpy as np
-from scipy.signal import lfilter
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.measured_motion import (
@@ -27,10 +26,13 @@ from dmptm_ctrl.identify.measured_motion import (
 )
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.along import (
-    bristle_along,
-    drive_along,
+    acting_of,
+    built_up_along,
+    delayed_along,
     friction_along,
+    lagged_along,
     law_along,
+    signal_along,
     torque_along,
 )
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -106,17 +108,21 @@ class Balance:
     columns: dict = field(default_factory=dict)  # what does not depend on the model, reduced
 
     @cached_property
+    def push(self) -> list[Floats]:
+        """Driving torque per log as commanded, a gain that is unknown counted as 1, (n,) each."""
+        gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in self.rig.inputs}
+        return [np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in self.motions]
+
+    @cached_property
     def heft(self) -> float:
         """Torque per acceleration in the logs: turns accelerations into torques of their size.
 
         No fitted inertia does: the smaller it got, the less would seem to be left.
         """
         first = self.points[0].name
-        gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in self.rig.inputs}
-        push = [np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in self.motions]
         moved = [m.a[first] for m in self.motions]
         force, acceleration = (
-            float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for x in (push, moved)
+            float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for x in (self.push, moved)
         )
         return force / acceleration if acceleration > 0 else 1.0
 
@@ -187,11 +193,11 @@ def residual(
     measured, _ = measured_motion(model, balance, motion, nuisance)
     runs = _links(model, motion, measured, nuisance) if layout.links else None
     load = {b: np.zeros(motion.time.size) for b in layout.bodies}
-    pushes = []
+    pushes, volts = [], {}
     for j, name in enumerate(layout.inputs):
         body = layout.input_body[name]
-        torque = plant.input_values[j, 0] * effective_input(model, motion, name)
-        pushes.append((body, torque))
+        volts[body] = effective_input(model, motion, name)
+        pushes.append((body, plant.input_values[j, 0] * volts[body]))
     if runs is not None:
         for k, name in enumerate(layout.links):
             first, second = (layout.bodies[i] for i in plant.link_body[k])
@@ -201,7 +207,7 @@ def residual(
     total, push = np.zeros_like(motion.time), np.zeros_like(motion.time)
     single = []
     for group, (q, v, a) in measured.items():
-        friction, other = _friction(model, motion, group, q, v, load, nuisance)
+        friction, other = _friction(model, motion, group, q, v, load, volts, nuisance)
         need = plant.inertia[group] * a + other
         own = np.zeros_like(need)
         for body, torque in pushes:
@@ -302,7 +308,7 @@ def _through_spring(
         q, v, a = found[other]
         nothing = {b: np.zeros_like(q) for b in layout.bodies}
         need = plant.inertia[other] * a
-        need = need + sum(_friction(model, motion, other, q, v, nothing, nuisance))
+        need = need + sum(_friction(model, motion, other, q, v, nothing, {}, nuisance))
         # lever of each end on the twist z = r1 q1 − ratio r2 q2
         lever = [layout.ratio[ends[0]], -ratio * layout.ratio[ends[1]]]
         here, there = (0, 1) if groups[0] == 0 else (1, 0)
@@ -387,38 +393,41 @@ def _friction(
     q: Floats,
     v: Floats,
     load: Mapping[str, Floats],
+    volts: Mapping[str, Floats],
     nuisance: Nuisance,
 ) -> tuple[Floats, Floats]:
     """Friction, and load torques, of a coordinate, signed against the motion (to be overcome)."""
     layout, plant = model.layout, model.plant()
     v = np.where(v == 0.0, TINY, v)  # friction at rest has a size, if no direction
-    friction, other = np.zeros_like(v), np.zeros_like(v)
+    friction, other, none = np.zeros_like(v), np.zeros_like(v), np.zeros_like(v)
     for k, body in enumerate(layout.bodies):
         if layout.coordinate[body] != group:
             continue
         r = layout.ratio[body]
         angle, omega = r * q, r * v
-        level = np.zeros_like(v)
+        level, more = np.zeros_like(v), np.zeros_like(v)
         if np.any(plant.law[k, [0, 1, 3, 4, 5, 7]]):
-            law_along(omega, plant.law[k], level)
-        sign = np.sign(omega)
-        factor = np.ones_like(v)
+            level = law_along(omega, plant.law[k])
         for effect in model.effects:
             if effect.on != body:
                 continue
             chain = PLACED_CATALOGUE[effect.name]
             theta = angle + nuisance.zero.get(effect.key, 0.0)
             if chain.site == "friction":
-                f, added = friction_along(effect, theta, omega, motion.time, load[body])
-                factor *= f
-                level += sign * added
+                moves = theta, omega, motion.time, load[body]
+                factor, added = friction_along([acting_of(effect)], *moves)
+                level *= factor
+                more += np.sign(omega) * added
             elif chain.site in ("motor", "load"):
-                other -= r * torque_along(effect, theta, omega, motion.time)
-        friction += r * factor * level
-    if plant.distance[group] > 0.0:
-        built = np.empty_like(v)
-        bristle_along(np.gradient(q), friction, plant.distance[group], built)
-        friction = built
+                moves = volts.get(body, none), theta, omega, motion.time
+                other -= r * torque_along([acting_of(effect)], *moves)
+        friction += r * (level + more)
+    for k in np.flatnonzero(plant.bristles[:, 0]).tolist():
+        if plant.body_coordinate[k] == group:
+            bristles = plant.bristles[k, 0] / abs(plant.body_ratio[k]), plant.bristles[k, 1]
+            begins, travel = np.zeros(1, np.int64), np.gradient(q)
+            friction = built_up_along(friction, v, travel, begins, bristles, plant.law[k])
+            break  # one body's bristles carry what rubs on all that are tied to it
     return friction, other
 
 
@@ -439,13 +448,15 @@ def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
     signal = motion.u[name]
     for effect in model.effects:
         if effect.on == name and PLACED_CATALOGUE[effect.name].site == "drive":
-            signal = drive_along(effect, signal, motion.time)
+            signal = signal_along([acting_of(effect)], signal, motion.time)
     j = model.layout.inputs.index(name)
     _, dead, tau, limit = model.plant().input_values[j]
     if limit > 0:
         signal = np.clip(signal, -limit, limit)
     if len(model.layout.inputs) > 1:
-        signal = _late(signal, motion.dt, dead, tau)
+        before = float(signal[0])
+        signal = delayed_along(signal, dead / motion.dt, before)
+        signal = lagged_along(signal, np.full_like(signal, tau), motion.dt, before)
     return _at_samples(signal, HELD_SPEED if motion.by_speed else HELD_POSITION)
 
 
@@ -461,18 +472,3 @@ def _at_samples(signal: Floats, weights: tuple[float, float]) -> Floats:
     near, far = weights
     padded = np.concatenate(([signal[0]] * 2, signal, [signal[-1]]))
     return near * (padded[1:-2] + padded[2:-1]) + far * (padded[:-3] + padded[3:])
-
-
-def _late(signal: Floats, dt: float, dead: float, tau: float) -> Floats:
-    """A held signal after dead time and lag, as its mean from each sample to the next."""
-    if dead > 0:
-        edges = np.arange(signal.size + 1) - dead / dt
-        whole = np.concatenate(([0.0], np.cumsum(signal)))
-        passed = np.interp(edges, np.arange(signal.size + 1), whole)
-        passed += np.minimum(edges, 0.0) * signal[0]
-        signal = np.diff(passed)
-    if tau > 0:
-        kept = np.exp(-dt / tau)
-        state = lfilter([0.0, 1.0 - kept], [1.0, -kept], signal, zi=[signal[0]])[0]
-        signal = signal + (state - signal) * (tau / dt) * (1.0 - kept)
-    return signal

@@ -33,27 +33,12 @@ class ResonantGains(NamedTuple):
 
 def closed_loop_peak(
     model: Model, loop: Loop, amplitude: float, around_hz: float
-) -> tuple[float, float]:
-    """Return frequency [Hz] and height of the closed loop's resonance.
+) -> tuple[float, float, bool]:
+    """Return frequency [Hz] and height of the closed loop's resonance, and whether there is one.
 
     Stepped sine of `amplitude` [rad/s] about `around_hz`, again about the largest, and a
-    parabola through these in logarithms.
-
-    Raises
-    ------
-    ValueError
-        No peak between around_hz / 1.8 and 1.8 around_hz.
+    parabola through these in logarithms. Without a peak it is an end of the range.
     """
-    hz, peak, inside = _peak(model, loop, amplitude, around_hz)
-    if not inside:
-        raise ValueError(f"no resonance from {around_hz / SPAN:.3g} to {around_hz * SPAN:.3g} Hz")
-    return hz, peak
-
-
-def _peak(
-    model: Model, loop: Loop, amplitude: float, around_hz: float
-) -> tuple[float, float, bool]:
-    """Frequency, height, and whether it is a peak and not an end of the range."""
     grid = np.geomspace(around_hz / SPAN, around_hz * SPAN, POINTS)
     gain = np.abs(stepped_sine(model, grid, amplitude, loop=loop).values)
     top = int(gain.argmax())
@@ -92,7 +77,7 @@ def resonant_gains(model: Model, hz: float, kp: float, amplitude: float) -> Reso
 
     def miss(log_ki: float) -> float:
         loop = Loop(kp, float(np.exp(log_ki)), LIMIT)
-        return _peak(model, loop, amplitude, hz)[0] - hz
+        return closed_loop_peak(model, loop, amplitude, hz)[0] - hz
 
     # The rigid drive on an integrator resonates at ω² ≈ ki K/J, friction pulls it down.
     drive = model.drive
@@ -105,7 +90,7 @@ def resonant_gains(model: Model, hz: float, kp: float, amplitude: float) -> Reso
         found = float(np.exp(brentq(miss, log(0.7 * guess), log(1.8 * guess), xtol=1e-3)))
     except ValueError:  # no change of sign
         raise ValueError(none) from None
-    at, peak, inside = _peak(model, Loop(kp, found, LIMIT), amplitude, hz)
+    at, peak, inside = closed_loop_peak(model, Loop(kp, found, LIMIT), amplitude, hz)
     if not inside or peak < 1.0 or abs(at / hz - 1.0) > CLOSE:
         raise ValueError(f"{none}: the largest gain is {peak:.2g} at {at:.3g} Hz")
     return ResonantGains(kp, found, at, peak, amplitude)

@@ -6,16 +6,17 @@ differences fall on φ (weak form; Messenger & Bortz, J. Comput. Phys. 443 (2021
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import convolve1d
 
-from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.disturbance import course, disturbance
 from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.compose import engine
+from dmptm_ctrl.simulate.along import reading_along
+from dmptm_ctrl.simulate.dual import acting, bristles, called
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -146,9 +147,9 @@ def odd_span(seconds: float, dt: float) -> int:
     return max(3, 2 * round(0.5 * seconds / dt) + 1)
 
 
-def smooth(signal: Floats, n: int) -> Floats:
-    """Zero-phase mean by a Hann window of odd length."""
-    return np.convolve(np.pad(signal, n // 2, mode="edge"), hann(n), "valid")
+def smooth(rows: Floats, n: int) -> Floats:
+    """Zero-phase mean along the last axis, by a Hann window of odd length."""
+    return np.asarray(convolve1d(rows, hann(n), mode="nearest"))
 
 
 def one_way(speed: Floats, least: float, m: int, starts: np.ndarray) -> np.ndarray:
@@ -169,12 +170,11 @@ def travelled(angle: Floats, speed: Floats) -> Floats:
 def corrected(rec: Record, model: Model) -> Record:
     """Take the model's sensor effects off the readings, to first order."""
     _, on, values = model.arrays()
-    late = engine().speed_delay(on, values)
-    theta, omega = np.empty_like(rec.theta), np.empty_like(rec.omega)
-    engine().readings(rec.theta, rec.omega, rec.dt, on, values, theta, omega)
+    late = sum(called(on, values, "sensor_delay"))
+    t = rec.dt * np.arange(rec.theta.size, dtype=np.float64)
+    theta, omega = reading_along(acting(on, values).get(("sensor", 0), ()), rec.theta, rec.omega, t)
     theta, omega = 2.0 * rec.theta - theta, 2.0 * rec.omega - omega
     if late > 0.0:
-        t = rec.dt * np.arange(omega.size)
         omega = np.interp(t + late, t, omega)
     twist = rec.twist
     if twist is not None:
@@ -247,9 +247,8 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
     else:
         slides &= touches.all(1)
     _, on, values = model.arrays()
-    bristles = engine().presliding_law
     for body, angle in enumerate((run[:, 2] / n1, run[:, 3] / n1, rec.theta)):
-        settled = SETTLED * bristles(body, on, values)[0]
+        settled = SETTLED * bristles(on, values, body)[0]
         if settled > 0.0:
             slides &= (travelled(angle, omega) > settled)[starts]
     flank = np.where(z > 0.0, 1.0, -1.0)
@@ -263,19 +262,13 @@ def shifts(rec: Record, run: Floats, model: Model) -> Floats:
 
     Where they are as large as the gap, z alone tells neither the flank nor what is rattle.
     """
-    base, on, values = model.arrays()
-    meshes = on & at_sites(tuple(CATALOGUE), ("mesh",))
     shift = np.zeros((run.shape[0], 2))
-    if rec.twist is not None and meshes.any():
-        torque, load = np.empty((run.shape[0], 3)), np.zeros_like(shift)
-        engine().along(rec.u, run, load, 0, rec.dt, base, meshes, values, torque, shift)
+    if rec.twist is not None:
+        rows = disturbance(course([rec.u], [run], rec.dt), model.arrays()).shift
+        for column, row in zip(shift.T, rows, strict=True):
+            if row is not None:
+                column[:] = row
     return shift
-
-
-@cache
-def at_sites(names: tuple[str, ...], sites: tuple[str, ...]) -> Any:
-    """Which effects act at one of some sites."""
-    return np.array([CATALOGUE[n].site in sites for n in names], np.uint8)
 
 
 def motions(

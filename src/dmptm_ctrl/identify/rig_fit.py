@@ -11,8 +11,8 @@ from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
+from dmptm_ctrl.identify.fit import least_in_box
 from dmptm_ctrl.identify.free_parameters import Floats, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
 from dmptm_ctrl.parallel import in_threads, small_matrices
@@ -212,9 +212,7 @@ class Likelihood:
         ]
 
 
-def residuals(
-    state: State, balance: Balance, *, jobs: int = 1
-) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
+def residuals(state: State, balance: Balance) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
     """Return the residual and the driving torque per log, rows at rest set to zero."""
     done = [_one(state, balance, k) for k in range(len(balance.motions))]
     return tuple(d[0] for d in done), tuple(d[1] for d in done)
@@ -397,10 +395,4 @@ def _step_of(
     rows = np.vstack([rows, extra, 1e-6 * size * np.eye(len(frees))])
     target = np.concatenate([target, miss, np.zeros(len(frees))])
     # Normal equations: numbers are scaled, and their condition is well below 1e8.
-    square = rows.T @ rows
-    values, vectors = np.linalg.eigh(square)
-    values = np.maximum(values, 1e-14 * values[-1])
-    root = (vectors * np.sqrt(values)).T
-    against = (vectors / np.sqrt(values)).T @ (rows.T @ target)
-    high = np.maximum(high, low + 1e-12)
-    return lsq_linear(root, -against, bounds=(low, high)).x
+    return least_in_box(rows.T @ rows, -rows.T @ target, low, high)

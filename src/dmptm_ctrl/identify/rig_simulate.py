@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.inverse_dynamics import kinematic
 from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.signals import Log
@@ -89,10 +88,3 @@ def readings(model: RigModel, log: Log, run: RigRun) -> dict[str, Floats]:
             values = values - values[0] + log[sensor.channel][0]
         found[sensor.name] = values
     return found
-
-
-def speeds(rig: Rig, log: Log, sensor: str) -> Floats:
-    """Measured speed of a sensor, by difference where it measures position."""
-    item = next(s for s in rig.sensors if s.name == sensor)
-    signal = log[item.channel]
-    return signal if item.measures == "speed" else np.gradient(signal, log.sample_time)

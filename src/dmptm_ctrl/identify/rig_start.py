@@ -77,7 +77,7 @@ def _springs(model: RigModel, balance: Balance) -> RigModel:
             continue
         ends = ends_of(model, balance, link.name)
         if ends is not None:
-            spring = regress(balance, *ends, drive_of(model, balance))
+            spring = regress(balance, *ends)
             inertias = unknown_inertias(model, link.name, spring)
             model = model.with_values({**inertias, **spring_values(model, link.name, spring)})
             continue
@@ -124,12 +124,6 @@ def ends_of(model: RigModel, balance: Balance, link: str) -> Ends | None:
     return (near.name, 1.0 / near_ratio[near.body]), (far.name, ratio / far_ratio[far.body])
 
 
-def drive_of(model: RigModel, balance: Balance) -> list[Floats]:
-    """Return the driving torque per log, at the first input's body, unfiltered."""
-    gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in model.rig.inputs}
-    return [np.sum([gains[k] * u for k, u in m.u.items()], axis=0) for m in balance.motions]
-
-
 class Gap(NamedTuple):
     """A gap between two measured points, as wide as the logs put it.
 
@@ -148,9 +142,7 @@ class Gap(NamedTuple):
     zero: dict[str, float]
 
 
-def regress_gap(
-    balance: Balance, near: tuple[str, float], far: tuple[str, float], drive: list[Floats]
-) -> Gap:
+def regress_gap(balance: Balance, near: tuple[str, float], far: tuple[str, float]) -> Gap:
     """Find a gap between two measured points: the half-width whose contact fits best.
 
     As `regress`, with a2 = ω_a² (z − clip(z, ±Δ)) + 2 ζ ω_a ż in contact + …
@@ -161,16 +153,14 @@ def regress_gap(
         low, high = np.quantile(z, [TAIL, 1.0 - TAIL])
         zero[log], reach = float(0.5 * (low + high)), max(reach, float(0.5 * (high - low)))
     tried = [
-        (*_regress(balance, near, far, drive, share * reach, zero), share * reach)
+        (*_regress(balance, near, far, share * reach, zero), share * reach)
         for share in (0.0, *GAP_SHARES)
     ]
     _, spring, half_gap = min(tried, key=lambda t: t[0])
     return Gap(half_gap, spring, zero)
 
 
-def regress(
-    balance: Balance, near: tuple[str, float], far: tuple[str, float], drive: list[Floats]
-) -> Spring:
+def regress(balance: Balance, near: tuple[str, float], far: tuple[str, float]) -> Spring:
     """Find a spring between two measured points by two linear regressions.
 
     a2 = ω_a² z + 2 ζ ω_a ż + friction + const and F = J1 a1 + J2 a2 + friction + const.
@@ -178,16 +168,14 @@ def regress(
     Parameters
     ----------
     near, far : point and factor of its motion
-    drive : (n,) array per log [N·m or N]
     """
-    return _regress(balance, near, far, drive, 0.0, {})[1]
+    return _regress(balance, near, far, 0.0, {})[1]
 
 
 def _regress(
     balance: Balance,
     near: tuple[str, float],
     far: tuple[str, float],
-    drive: list[Floats],
     half_gap: float,
     zero: Mapping[str, float],
 ) -> tuple[float, Spring]:
@@ -208,7 +196,7 @@ def _regress(
         target.append(m.reduce(a2)[keep])
         signals = (a1, a2, v1, np.sign(v1))
         whole.append(np.column_stack([*(m.reduce(s)[keep] for s in signals), own]))
-        push.append(m.reduce(drive[k])[keep])
+        push.append(m.reduce(balance.push[k])[keep])
     found = _solve(shaft, target)
     left = float(np.linalg.norm(np.concatenate(target) - np.concatenate(shaft) @ found))
     square, damping = found[:2]

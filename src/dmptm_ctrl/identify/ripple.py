@@ -22,10 +22,11 @@ from scipy.linalg import solve_toeplitz
 from scipy.signal import cont2discrete, freqz, lfilter
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.disturbance import Course, course, disturbance
 from dmptm_ctrl.identify.motion import GYRO_NOISE, WINDOW_SECONDS, Motion, hann, odd_span, smooth
-from dmptm_ctrl.simulate.compose import engine, layout
 from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, LOADED
 from dmptm_ctrl.simulate.elementary import cached
+from dmptm_ctrl.simulate.kernel_calls import layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
 
 FAST = ("cogging",)  # effects that act faster than a window passes
@@ -103,22 +104,24 @@ class Ripple:
         return row - smooth(row, self.span)
 
     @cached_property
-    def finer(self) -> tuple[Floats, Floats]:
-        """Voltages (2, n FINER) and motion (n FINER, 8) in finer steps."""
+    def finer(self) -> Course:
+        """Voltages and motion in finer steps."""
         mo = self.motion
         n = mo.run.shape[0]
         at, places = np.arange(n * FINER) / FINER, np.arange(n)
         run = np.array([np.interp(at, places, column) for column in mo.run.T]).T
-        return np.repeat(mo.rec.u, FINER, axis=1), np.ascontiguousarray(run)
+        return course([np.repeat(mo.rec.u, FINER, axis=1)], [run], mo.rec.dt / FINER)
 
     def torque(self, arrays: Arrays) -> Floats:
         """Torque of a model's effects, summed at the ring gear, (n FINER,)."""
-        u, run = self.finer
-        torque, moved = np.empty((run.shape[0], 3)), np.empty((run.shape[0], 2))
-        free = np.zeros((run.shape[0], 2))  # nothing in FAST depends on what the meshes carry
-        engine().along(u, run, free, 0, self.motion.rec.dt / FINER, *arrays, torque, moved)
+        # nothing in FAST depends on what the meshes carry
+        torque = disturbance(self.finer, arrays).torque
         n2 = arrays[0][BASE.index("N_2")]
-        return np.asarray(n2 * (torque[:, 0] + torque[:, 1]) + torque[:, 2])
+        total = np.zeros_like(self.finer.time)
+        for lever, row in zip((n2, n2, 1.0), torque, strict=True):
+            if row is not None:
+                total += lever * row
+        return total
 
     def missing(self, arrays: Arrays) -> Floats:
         """Speed [rad/s] that a model does not explain, whitened, where the drive slides, (k,).
@@ -172,9 +175,9 @@ class Ripple:
         back = np.zeros(row.size * FINER)
         back[::FINER] = row
         back = lfilter(*answer, back[::-1])[::-1]
-        _, run = self.finer
+        turns = self.finer.motors
         gain = base[BASE.index("N_1")] * base[BASE.index("N_2")]
-        found = gain * np.array([waves(run[:, 2 + s].copy(), back, most) for s in (0, 1)])
+        found = gain * np.array([waves(angle, back, most) for angle in turns])
         counts = np.zeros(self.used.size)
         counts[self.used] = weights
         pace = np.abs(self.motion.run[:, 1]) * gain * self.motion.rec.dt / (FINER * np.pi)

@@ -7,25 +7,32 @@ another parameter; what was computed lately is kept.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.disturbance import (
+    BEARING,
+    LAW,
+    REDUCER,
+    Course,
+    Rows,
+    course,
+    disturbance,
+)
 from dmptm_ctrl.identify.motion import (
     Motion,
-    at_sites,
     averaged,
     odd_span,
     second_difference,
     smooth,
 )
-from dmptm_ctrl.simulate.compose import engine, layout
+from dmptm_ctrl.simulate.along import built_up_along, law_along, reading_along
+from dmptm_ctrl.simulate.dual import acting, bristles
+from dmptm_ctrl.simulate.kernel_calls import layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
 
-REDUCER, BEARING = BASE.index("T3s_plus"), BASE.index("TLs_plus")  # in the base array
-LAW = 9  # parameters of a friction law there
 INERTIA = (
     36.5  # kg·m², Table 1: of all bodies at the ring gear; expresses an acceleration as a torque
 )
@@ -33,10 +40,8 @@ STIFFNESS = 3.6e4  # N·m/rad, Table 1: expresses a twist as a torque, whatever 
 SEEN_SECONDS = 0.01  # passes what the multisine excites, keeps the encoders' noise small
 CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed
 ENCODER_UNIT = 1e-4  # rad, at which the encoder's error is read off its kernel
-# Friction that takes a tenth of the torque is met to a ten-thousandth of it by the third.
-PASSES = 3
 RECENT = 4  # results kept
-MOTOR_SITES = ("delay", "drive", "lag", "motor")
+NOTHING = np.zeros((2, 1))
 
 
 @dataclass(eq=False)
@@ -57,10 +62,10 @@ class Windowed:
         self.disturbed = lru_cache(RECENT)(self._disturbed)
 
     @cached_property
-    def parts(self) -> list[slice]:
-        """Samples of each motion."""
-        ends = np.cumsum([0, *(mo.run.shape[0] for mo in self.motions)])
-        return [slice(a, b) for a, b in pairwise(ends.tolist())]
+    def course(self) -> Course:
+        """What effects act along."""
+        volts, runs = [mo.rec.u for mo in self.motions], [mo.run for mo in self.motions]
+        return course(volts, runs, self.motions[0].rec.dt)
 
     @property
     def seconds(self) -> float:
@@ -83,7 +88,7 @@ class Windowed:
     @cached_property
     def volts(self) -> Floats:
         """Window means of both voltages, (2, w) [V]."""
-        return self.mean(self.all(lambda mo: mo.rec.u))
+        return self.mean(self.course.u)
 
     @cached_property
     def ring(self) -> Floats:
@@ -104,8 +109,7 @@ class Windowed:
     def angles(self) -> list[Floats]:
         """Angles of both pinions and of the ring gear, three of (n,) [rad]."""
         n1 = self.motions[0].declared.drive["N_1"]
-        ring = self.all(lambda mo: mo.run[:, 0])
-        return [*(self.all(lambda mo: mo.run[:, 2:4].T) / n1), ring]
+        return [*(self.course.motors / n1), self.course.ring]
 
     @cached_property
     def twist(self) -> Floats:
@@ -137,9 +141,8 @@ class Windowed:
             unit[first + k] = ENCODER_UNIT
             flags[index] = 1
             angle, turned = np.ascontiguousarray(mo.run[:, :2].T)
-            read, speed = np.empty_like(angle), np.empty_like(angle)
-            engine().readings(angle, turned, mo.rec.dt, flags, unit, read, speed)
-            return (read - angle) / ENCODER_UNIT
+            encoder, time = acting(flags, unit)["sensor", 0], mo.rec.dt * np.arange(angle.size)
+            return (reading_along(encoder, angle, turned, time)[0] - angle) / ENCODER_UNIT
 
         return self.mean(self.all(lambda mo: np.array([wave(mo, 0), wave(mo, 1)])), held=False)
 
@@ -157,12 +160,13 @@ class Windowed:
         self, body: int, law: bytes, distance: float, share: float
     ) -> tuple[Floats, Floats]:
         """Friction on a body, (n,) and window means (w,) [N·m]; `law` as in the base array."""
-        given, row = np.frombuffer(law), np.empty(self.parts[-1].stop)
-        engine().sliding_along(self.speeds[body], given, row)
+        given, omega = np.frombuffer(law), self.speeds[body]
+        level = law_along(omega, given)
         if distance > 0.0:
-            begins = np.array([part.start for part in self.parts])
-            angle = self.speeds[body], self.angles[body], begins
-            engine().presliding_along(*angle, distance, share, given, row)
+            begins = np.array(self.course.begins[:-1])
+            travel = np.diff(self.angles[body], prepend=0.0)
+            level = built_up_along(level, omega, travel, begins, (distance, share), given)
+        row = -level
         return row, self.mean(row, held=False)
 
     def _even_friction(self, *law: Any) -> Floats:
@@ -172,8 +176,8 @@ class Windowed:
     def even(self, rows: Floats) -> Floats:
         """Rows (..., n) smoothed over what the mesh torque is told from."""
         seconds = SEEN_SECONDS if self.twisted else CARRIED_SECONDS
-        parts = zip(self.motions, self.parts, strict=True)
-        return np.concatenate([evened(rows[..., p], mo.rec.dt, seconds) for mo, p in parts], -1)
+        dt, parts = self.course.dt, self.course.parts
+        return np.concatenate([evened(rows[..., p], dt, seconds) for p in parts], -1)
 
     @cached_property
     def even_volts(self) -> Floats:
@@ -189,47 +193,48 @@ class Windowed:
             self.all(lambda mo: np.array([second_difference(x, mo.rec.dt) for x in mo.run.T[2:4]]))
         )
 
-    @cached_property
-    def unloaded(self) -> Floats:
-        """Nothing, (n, 2), where nothing depends on what the meshes carry."""
-        return np.zeros((self.parts[-1].stop, 2))
-
     def load(self, base: Floats, on: Any, values: Floats) -> Floats:
-        """Torque that each mesh carries without what depends on it, (n, 2) [N·m].
+        """Torque that each mesh carries without what depends on it, (2, n) [N·m].
 
         The readings are smoothed, not what follows from them: it is linear in each.
         """
         friction = [self.even_friction(*law) for law in self.laws(base, on, values)]
         if not self.twisted:
-            return np.ascontiguousarray(carried(base, self.even_volts, friction).T)
+            return carried(base, self.even_volts, friction)
         drive = base[5] * base[0] * base[1] * self.even_volts + np.array(friction[:2])
         j3 = base[5] * base[5] * base[2] + base[3]
-        return np.ascontiguousarray((drive - j3 * self.even_accelerations / base[5]).T)
+        return np.asarray(drive - j3 * self.even_accelerations / base[5])
 
-    def _disturbed(self, arrays: tuple[bytes, bytes, bytes]) -> tuple[Floats, Floats, Floats]:
+    def _disturbed(
+        self, arrays: tuple[bytes, bytes, bytes], soft: bool
+    ) -> tuple[Floats, Floats, Floats, Floats]:
         """Window means of what a model's effects do, (3, w) [N·m] and (2, w) [rad].
 
         Torques on pinions and ring gear, and shifts of z. Where the twist is not measured, the
-        shifts also as accelerations, (2, w) [rad/s²].
+        shifts also as accelerations, (2, w) [rad/s²]. Last what motors give where the reducers
+        are soft, (2, w) [N·m].
         """
-        base, values = (np.frombuffer(arrays[i]).copy() for i in (0, 2))
-        on = np.frombuffer(arrays[1], np.uint8).copy()
-        n = self.parts[-1].stop
-        torque, moved = np.empty((n, 3)), np.empty((n, 2))
-        told = loads(on)
-        load = self.load(base, on, values) if told else self.unloaded
-        for mo, part in zip(self.motions, self.parts, strict=True):
-            given = mo.rec.u, mo.run, load[part], PASSES if told else 0, mo.rec.dt
-            engine().along(*given, base, on, values, torque[part], moved[part])
-        shifts = self.mean(moved.T, held=False)
+        base, values = (np.frombuffer(arrays[i]) for i in (0, 2))
+        on = np.frombuffer(arrays[1], np.uint8)
+        load = self.load(base, on, values) if loads(on) else None
+        torque, moved, pull = disturbance(self.course, (base, on, values), load)
+        shifts = self.means(moved, held=False)
         shaken = np.zeros_like(shifts)
-        if not self.twisted and moved.any():
-            pushed = [
-                [second_difference(row, mo.rec.dt) for row in moved[part].T]
-                for mo, part in zip(self.motions, self.parts, strict=True)
-            ]
-            shaken = self.mean(np.concatenate(pushed, axis=1), held=False)
-        return self.mean(torque.T), shifts, shaken
+        if not self.twisted:
+            dt = self.course.dt
+            for row, out in zip(moved, shaken, strict=True):
+                if row is not None:
+                    parts = [second_difference(row[part], dt) for part in self.course.parts]
+                    out[:] = self.mean(np.concatenate(parts), held=False)
+        return self.means(torque), shifts, shaken, self.means(pull) if soft else NOTHING
+
+    def means(self, rows: Rows, *, held: bool = True) -> Floats:
+        """Window means of rows, those that are none zero."""
+        out = np.zeros((len(rows), self.ring.size))
+        for k, row in enumerate(rows):
+            if row is not None:
+                out[k] = self.mean(row, held=held)
+        return out
 
     def frictions(self, base: Floats, on: Any, values: Floats) -> Floats:
         """Window means of the friction on pinions and ring gear, (3, w) [N·m]."""
@@ -237,31 +242,28 @@ class Windowed:
 
     def laws(self, base: Floats, on: Any, values: Floats) -> list[tuple[int, bytes, float, float]]:
         """Friction of each body: which, law, distance and what is at once of pre-sliding."""
-        bristles = engine().presliding_law
-        return [(body, law, *bristles(body, on, values)[:2]) for body, law in enumerate(laws(base))]
+        return [(body, law, *bristles(on, values, body)[:2]) for body, law in enumerate(laws(base))]
 
     def missing(self, arrays: Arrays, compliance: float) -> Floats:
         """All balances on all windows, (3, w) [N·m]."""
         base, on, values = arrays
         n1, n2 = base[5], base[6]
         j3, jl = n1 * n1 * base[2] + base[3], base[4]
-        force = self.frictions(base, on, values)
+        force, pull = self.frictions(base, on, values), NOTHING
         shift = n2 * self.encoder_error(on, values) * np.ones((2, 1))
         if on.any():
             needed = base.copy()
             needed[unneeded(on)] = 0.0  # so that a result lately kept is found again
             given = needed.tobytes(), on.tobytes(), values.tobytes()
-            torque, moved, shaken = self.disturbed(given)
+            torque, moved, shaken, pull = self.disturbed(given, compliance > 0.0)
             force += torque
             # the flanks push the pinions, whose motion is not measured, out of their way
             force[:2] += j3 * shaken
             shift = shift + moved
         drive = n1 * base[0] * base[1] * self.volts
         force[:2] += drive
-        motors = at_motors(on) if compliance > 0.0 else None
-        if motors is not None and motors.any():
-            given = base.tobytes(), motors.tobytes(), values.tobytes()
-            drive = drive + self.disturbed(given)[0][:2]
+        if compliance > 0.0:
+            drive = drive + pull
         out = np.empty_like(force)
         # As an acceleration: the sensors' noise is one, and must not favour a small inertia.
         out[0] = jl * self.ring + n2 * j3 * self.pinions.sum(0) - n2 * force[:2].sum(0) - force[2]
@@ -305,11 +307,6 @@ def _unneeded(names: tuple[str, ...], on: bytes) -> list[int]:
     return [i for i in range(len(BASE)) if i not in needed]
 
 
-def at_motors(on: Any) -> Any:
-    """Which of the effects in use act on what a motor gives its shaft."""
-    return on & at_sites(tuple(CATALOGUE), MOTOR_SITES)
-
-
 def loads(on: Any) -> bool:
     """Whether an effect in use depends on the torque of the meshes."""
     return _loads(tuple(CATALOGUE), on.tobytes())
@@ -323,15 +320,15 @@ def _loads(names: tuple[str, ...], on: bytes) -> bool:
 
 def frictions(mo: Motion, base: Floats) -> Floats:
     """Friction on pinions and ring gear along a motion, (3, n) [N·m], negative when forward."""
-    rows = np.empty((3, mo.run.shape[0]))
-    for body, law in enumerate(laws(base)):
-        engine().sliding_along(speed_of(mo, body), np.frombuffer(law), rows[body])
-    return rows
+    rows = [
+        law_along(speed_of(mo, body), np.frombuffer(law)) for body, law in enumerate(laws(base))
+    ]
+    return -np.array(rows)
 
 
 def evened(rows: Floats, dt: float, seconds: float) -> Floats:
     """Rows (..., n) smoothed over a span."""
-    return np.apply_along_axis(smooth, -1, rows, odd_span(seconds, dt))
+    return smooth(rows, odd_span(seconds, dt))
 
 
 def halfway(held: Floats) -> Floats:

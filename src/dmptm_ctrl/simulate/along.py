@@ -1,94 +1,264 @@
-"""Kernels along recorded signals: torques, friction and inputs sample by sample."""
+"""Kernels along recorded signals: what effects and friction do, sample by sample.
 
+Samples do not wait for each other, so that each effect acts on all of them in one loop. Only
+what builds up or lags is carried from one to the next.
+"""
+
+from collections.abc import Iterable, Sequence
 from functools import cache
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
 from dmptm_ctrl.contract import Effect
-from dmptm_ctrl.effects import lookup
-from dmptm_ctrl.effects.stribeck import sliding_torque, stribeck_law
-from dmptm_ctrl.simulate import elementary
-from dmptm_ctrl.simulate.elementary import cached
+from dmptm_ctrl.effects import lookup, presliding, stribeck
+from dmptm_ctrl.simulate import elementary, step
+from dmptm_ctrl.simulate.generate import compiled
 from dmptm_ctrl.simulate.loading import key_of, load
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
-from dmptm_ctrl.simulate.plant import Floats
+from dmptm_ctrl.simulate.plant import Floats, Ints
 from dmptm_ctrl.simulate.rig_model import Placed, value_row
 
-# site -> arguments of the kernel, results
+# site -> what its kernel does to the rows `out` and `more`, of rows a to d in its arguments' order
 _CALLS = {
-    "drive": ("a[i], t[i], {told}", "out[i]"),
-    "motor": ("0.0, a[i], b[i], t[i], {told}", "out[i]"),
-    "load": ("a[i], b[i], t[i]", "out[i]"),
-    "friction": ("a[i], b[i], t[i], c[i], {told}", "more[i], out[i]"),
+    "drive": "out[i] = kernel(a[i], b[i], told, values)",
+    "lag": "r = kernel(a[i], told, values); out[i] = r[0]; more[i] += r[1]",
+    "motor": "out[i] += kernel(a[i], b[i], c[i], d[i], told, values)",
+    "load": "out[i] += kernel(a[i], b[i], c[i], values)",
+    "mesh": "r = kernel(a[i], b[i], c[i], d[i], told, values); out[i] += r[0]; more[i] += r[2]",
+    "friction": "r = kernel(a[i], b[i], c[i], d[i], told, values); out[i] *= r[0]; more[i] += r[1]",
+    "sensor": "out[i], more[i] = kernel(a[i], b[i], c[i], values)",
 }
-_TEXT = """\
+_HEAD = """\
 from numba import njit
+from dmptm_ctrl.effects import lookup, stribeck
 from dmptm_ctrl.simulate.elementary import FAST, hosted
+"""
+_EFFECT = """
+# to add what all knots of a table give is vector code, to fetch one by its number is not
+kernel = hosted(EFFECTS[0].kernel, (lookup.looked_up, lookup.summed))
+Values = EFFECTS[0].values
 
-kernel, Values = hosted(EFFECTS[0].kernel), EFFECTS[0].values
 
-
-@njit(cache=True, error_model="numpy", nogil=True, fastmath=FAST)
-def along(a, b, c, t, p, out, more):
+@njit
+def along(a, b, c, d, told, p, out, more):
     values = Values({values})
     for i in range(out.size):
-        {results} = kernel({arguments}, values)
+        {call}
 """
+_SIGNALS = """
+from dmptm_ctrl.effects import presliding
+from dmptm_ctrl.simulate import step
+from dmptm_ctrl.simulate.elementary import exp
+
+stribeck_law = stribeck.stribeck_law
+sliding_torque, viscous_torque = hosted(stribeck.sliding_torque), hosted(stribeck.viscous_torque)
+build_up_distance = hosted(presliding.build_up_distance)
+lag = hosted(step.lagged)
+
+
+@njit
+def slide(omega, law, out):
+    for i in range(omega.size):
+        way = 1.0 if omega[i] > 0.0 else -1.0
+        out[i] = way * sliding_torque(omega[i], way, law)
+
+
+@njit
+def law_along(omega, p, out):
+    # a power is no vector's operation: where there is none, the compiler knows it
+    if p[8] == 1.0:
+        slide(omega, stribeck_law(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], 1.0), out)
+    else:
+        slide(omega, stribeck_law(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8]), out)
+
+
+@njit
+def built_up(omega, travel, begins, distance, share, p, level):
+    law = stribeck_law(p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8])
+    force, part = 0.0, 0
+    for i in range(omega.size):
+        way = 1.0 if omega[i] > 0.0 else -1.0
+        once = way * share * viscous_torque(omega[i], way, law)
+        sliding, moved = level[i] - once, travel[i]
+        if part < begins.size and i == begins[part]:
+            force, moved = 0.0, 0.0
+            part += 1
+        if moved != 0.0:
+            goal = abs(sliding) if moved > 0.0 else -abs(sliding)
+            over = build_up_distance(distance, goal, law)
+            force = goal + (force - goal) * exp(-abs(moved) / over)
+        level[i] = force + once
+
+
+@njit
+def lagged(aim, tau, dt, before, out):
+    state = before
+    if (tau == tau[0]).all():  # an exponential is taken once
+        time = tau[0]
+        for i in range(out.size):
+            out[i], state = lag(state, aim[i], time, dt)
+    else:
+        for i in range(out.size):
+            out[i], state = lag(state, aim[i], tau[i], dt)
+"""
+_MODULES = (elementary, lookup, presliding, step, stribeck)
+
+
+class Acting(NamedTuple):
+    """An effect at a place, with its numbers there.
+
+    Attributes
+    ----------
+    effect : Effect
+    told : int
+        Side or body that the kernel is told.
+    values : array
+        Parameters as the kernel takes them.
+    """
+
+    effect: Effect
+    told: int
+    values: Floats
+
+
+def acting_of(placed: Placed) -> Acting:
+    """Return an effect of a rig with its numbers."""
+    chain = PLACED_CATALOGUE[placed.name]
+    return Acting(chain.effect, chain.told, value_row(placed))
 
 
 @cache
-def _loop(effect: Effect, told: int) -> ModuleType:
-    arguments, results = _CALLS[effect.site]
+def _loop(effect: Effect) -> ModuleType:
     values = ", ".join(f"p[{k}]" for k in range(len(effect.parameters)))
-    text = _TEXT.format(values=values, results=results, arguments=arguments.format(told=told))
-    key = key_of(text, (elementary, lookup), (effect,))
-    return load(f"along_{key}", text, EFFECTS=(effect,))
+    call = _CALLS[effect.site].replace("; ", "\n        ")
+    text = compiled(_HEAD + _EFFECT.format(values=values, call=call), "along")
+    return load(f"along_{key_of(text, _MODULES, (effect,))}", text, EFFECTS=(effect,))
 
 
-def _run(placed: Placed, a: Floats, b: Floats, c: Floats, t: Floats) -> tuple[Floats, Floats]:
-    chain = PLACED_CATALOGUE[placed.name]
-    out, more = np.empty_like(a, float), np.empty_like(a, float)
-    rows = (np.ascontiguousarray(x, np.float64) for x in (a, b, c, t))
-    _loop(chain.effect, chain.told).along(*rows, value_row(placed), out, more)
-    return out, more
+@cache
+def _signals() -> ModuleType:
+    text = compiled(_HEAD + _SIGNALS, "law_along", "built_up", "lagged")
+    return load(f"along_{key_of(text, _MODULES, ())}", text)
 
 
-def torque_along(placed: Placed, theta: Floats, omega: Floats, t: Floats) -> Floats:
-    """Torque [N·m] of an effect on a body that moves as given, (n,)."""
-    return _run(placed, theta, omega, omega, t)[0]
+_LOOPS: dict[int, tuple[Effect, ModuleType]] = {}  # effects are long to compare
+
+
+def _run(effects: Iterable[Acting], rows: Sequence[Floats], out: Floats, more: Floats) -> None:
+    a, b, c, d = (*rows, rows[0], rows[0], rows[0])[:4]
+    for effect, told, values in effects:
+        known = _LOOPS.get(id(effect))
+        if known is None:
+            known = _LOOPS.setdefault(id(effect), (effect, _loop(effect)))
+        known[1].along(a, b, c, d, told, values, out, more)
+
+
+def signal_along(effects: Iterable[Acting], u: Floats, t: Floats) -> Floats:
+    """Signal of an input after effects on it, (n,)."""
+    for one in effects:
+        out = np.empty_like(u)
+        _run([one], (u, t), out, out)
+        u = out
+    return u
+
+
+def lag_along(effects: Iterable[Acting], u: Floats) -> tuple[Floats, Floats]:
+    """What an input relaxes to by effects on it, and its time constant [s], (n,) each."""
+    tau = np.zeros_like(u)
+    for one in effects:
+        out = np.empty_like(u)
+        _run([one], (u,), out, tau)
+        u = out
+    return u, tau
+
+
+def torque_along(
+    effects: Iterable[Acting], u: Floats, theta: Floats, omega: Floats, t: Floats
+) -> Floats:
+    """Torque [N·m] of effects on a body that moves as given, (n,); `u` is what drives it."""
+    out = np.zeros(theta.size)
+    for one in effects:
+        rows = (u, theta, omega, t) if one.effect.site == "motor" else (theta, omega, t)
+        _run([one], rows, out, out)
+    return out
 
 
 def friction_along(
-    placed: Placed, theta: Floats, omega: Floats, t: Floats, load: Floats
+    effects: Iterable[Acting], theta: Floats, omega: Floats, t: Floats, load: Floats
 ) -> tuple[Floats, Floats]:
-    """Factor on the declared friction and magnitude [N·m] added by an effect, (n,) each.
+    """Factor on the declared friction and magnitude [N·m] added by effects, (n,) each.
 
     `load` is what presses on the bearings of the body [N·m].
     """
-    added, factor = _run(placed, theta, omega, load, t)
+    factor, added = np.ones(theta.size), np.zeros(theta.size)
+    _run(effects, (theta, omega, t, load), factor, added)
     return factor, added
 
 
-def drive_along(placed: Placed, u: Floats, t: Floats) -> Floats:
-    """Signal of an input after an effect on it, (n,)."""
-    return _run(placed, u, u, u, t)[0]
+def shift_along(
+    effects: Iterable[Acting], near: tuple[Floats, Floats], far: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Shift of a link's twist and change of its half-gap [rad], (n,) each.
+
+    `near` and `far` are angles and speeds of the bodies at its ends.
+    """
+    shift, wider = np.zeros_like(near[0]), np.zeros_like(near[0])
+    _run(effects, (*near, *far), shift, wider)
+    return shift, wider
 
 
-@cached(error_model="numpy")
-def law_along(omega, row, out):
-    """Friction of a declared law along a speed, signed against the motion."""
-    law = stribeck_law(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8])
-    for i in range(omega.size):
-        way = 1.0 if omega[i] > 0.0 else -1.0
-        out[i] = way * sliding_torque(omega[i], way, law) if omega[i] != 0.0 else 0.0
+def reading_along(
+    effects: Iterable[Acting], theta: Floats, omega: Floats, t: Floats
+) -> tuple[Floats, Floats]:
+    """Readings of angle and speed after effects on their sensors, (n,) each."""
+    for one in effects:
+        seen = np.empty_like(theta), np.empty_like(omega)
+        _run([one], (theta, omega, t), *seen)
+        theta, omega = seen
+    return theta, omega
 
 
-@cached(error_model="numpy")
-def bristle_along(travel, level, distance, out):
-    """Dahl's friction along a motion: `level` is the signed sliding friction."""
-    state = 0.0
-    for i in range(travel.size):
-        decay = np.exp(-abs(travel[i]) / distance)
-        state = level[i] + (state - level[i]) * decay
-        out[i] = state
+def law_along(omega: Floats, law: Floats) -> Floats:
+    """Friction of a declared law along a speed, (n,), with the sign of the motion.
+
+    `law` (9,) are the arguments of `stribeck_law`. At rest it is that of the way back.
+    """
+    out = np.empty_like(omega)
+    _signals().law_along(omega, law, out)
+    return out
+
+
+def built_up_along(
+    level: Floats,
+    omega: Floats,
+    travel: Floats,
+    begins: Ints,
+    bristles: Sequence[float],
+    law: Floats,
+) -> Floats:
+    """Friction of sliding as presliding builds it up along a travel, exact for its steps, (n,).
+
+    `level` has the sign of the motion; `begins` are the first samples of what was recorded at
+    once; `bristles` the distance [rad] and the share of viscous friction that acts at once.
+    """
+    out = level.copy()
+    _signals().built_up(omega, travel, begins, *bristles[:2], law, out)
+    return out
+
+
+def delayed_along(u: Floats, samples: float, before: float) -> Floats:
+    """Mean over each sample of a held signal that comes so many samples later, (n,)."""
+    whole = int(samples)
+    part = samples - whole
+    early = np.full(min(whole, u.size) + 1, before)
+    held = np.concatenate([early, u[: u.size + 1 - early.size]])
+    return part * held[:-1] + (1.0 - part) * held[1:]
+
+
+def lagged_along(aim: Floats, tau: Floats, dt: float, before: float) -> Floats:
+    """Mean over each sample of what relaxes to a held aim within `tau` [s], (n,) each."""
+    out = np.empty_like(aim)
+    _signals().lagged(aim, tau, dt, before, out)
+    return out

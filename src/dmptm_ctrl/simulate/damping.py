@@ -44,10 +44,3 @@ def undamped(drive: Drive) -> Drive:
     """Return a drive whose flanks do not damp from the touch on; no fit and no draw moves that."""
     none = replace(drive.quantities[DAMPING], value=0.0, low=0.0, high=0.0)
     return Drive({**drive.quantities, DAMPING: none}, drive.name)
-
-
-def damping_by_depth(model: Model) -> Model:
-    """Return a model with flanks that damp by depth, as much as its own do when loaded."""
-    drive = model.drive
-    given = {OF_FLANKS: drive[DAMPING] / LOADED, "ratio": drive["N_2"], "stiffness": drive["k_m"]}
-    return Model(undamped(drive), model.effects).with_effect(FLANKS, **given)

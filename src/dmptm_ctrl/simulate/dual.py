@@ -11,10 +11,11 @@ import numpy as np
 
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects.stiffness_variation import STIFFNESS_VARIATION
+from dmptm_ctrl.simulate.along import Acting
 from dmptm_ctrl.simulate.base import BASE, Arrays
 from dmptm_ctrl.simulate.kernel_calls import layout, per_catalogue
 from dmptm_ctrl.simulate.parts import Parts
-from dmptm_ctrl.simulate.plant import GAP, LINEAR, Floats, Place, Plant
+from dmptm_ctrl.simulate.plant import GAP, LINEAR, Flags, Floats, Place, Plant
 from dmptm_ctrl.simulate.run import compiled_controller
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ _SENSORS = np.array([2, 2, 3, 4]), np.array([0, 1, 0, 0], np.uint8)
 class _Catalogue(NamedTuple):
     places: tuple[Place, ...]
     numbered: dict[str, list[tuple[Effect, int, int]]]  # site -> effect, flag, first number
+    flagged: list[list[Place]]
 
 
 @per_catalogue
@@ -56,26 +58,47 @@ def _catalogue(effects: tuple[Effect, ...]) -> _Catalogue:
     end = sum(len(effect.parameters) for effect in effects)
     for side in (0, 1):
         places.append(Place(STIFFNESS_VARIATION, side, side, len(effects), end))
-    return _Catalogue(tuple(places), numbered)
+    flagged = [[p for p in places if p.flag == flag] for flag in range(len(effects) + 1)]
+    return _Catalogue(tuple(places), numbered, flagged)
+
+
+def acting(on: Flags, values: Floats) -> dict[tuple[str, int], list[Acting]]:
+    """Return the effects in use by site and part of the plant; the sites that kernels act at."""
+    found: dict[tuple[str, int], list[Acting]] = {}
+    known = _catalogue().flagged
+    for flag in np.flatnonzero(on).tolist():
+        for effect, part, told, _, first in known[flag]:
+            row = values[first : first + len(effect.parameters)]
+            found.setdefault((effect.site, part), []).append(Acting(effect, told, row))
+    return found
+
+
+def called(on: Flags, values: Floats, site: str, *arguments: float) -> list:
+    """Return what the kernels in use at a site say whose results are numbers of the plant."""
+    found = []
+    for effect, flag, first in _catalogue().numbered.get(site, ()):
+        if on[flag]:
+            p = effect.values(*values[first : first + len(effect.parameters)].tolist())
+            found.append(effect.kernel(*arguments, p))
+    return found
+
+
+def bristles(on: Flags, values: Floats, body: int) -> tuple[float, float, float]:
+    """Relaxation distance [rad] of a body's friction, share at once, damping ratio."""
+    found = called(on, values, "presliding", body)
+    if not found:
+        return 0.0, 0.0, 0.0
+    distance, share, ratio = zip(*found, strict=True)
+    return sum(distance), max(share), max(ratio)
 
 
 def dual_plant(arrays: Arrays) -> Plant:
     """Return the plant of a drive's numbers, as `Model.arrays` gives them."""
     base, on, values = arrays
     d = dict(zip(BASE, base.tolist(), strict=True))
-    known = _catalogue()
-
-    def called(site: str, *arguments: float) -> list:
-        found = []
-        for effect, flag, first in known.numbered.get(site, ()):
-            if on[flag]:
-                p = effect.values(*values[first : first + len(effect.parameters)].tolist())
-                found.append(effect.kernel(*arguments, p))
-        return found
-
     n1, motor = d["N_1"], d["N_1"] ** 2 * d["J_m"]
     compliance, damping = 0.0, 0.0
-    for found in called("shaft", motor * d["J_2"] / (motor + d["J_2"])):
+    for found in called(on, values, "shaft", motor * d["J_2"] / (motor + d["J_2"])):
         compliance, damping = found
     elastic = compliance > MIN_COMPLIANCE
     chain = d["J_2"] + (0.0 if elastic else motor)
@@ -86,21 +109,17 @@ def dual_plant(arrays: Arrays) -> Plant:
     laws = np.zeros((5, 9))
     laws[:, [2, 6, 8]] = 1.0
     laws[:2], laws[RING] = base[first : first + 9], base[first + 9 : first + 18]
-    bristles = np.zeros((5, 3))
-    for body in (*PINIONS, RING):
-        found = called("presliding", body)
-        if found:
-            distance, share, ratio = np.transpose(found)
-            bristles[body] = distance.sum(), share.max(), ratio.max()
+    slow = np.zeros((5, 3))
+    slow[: RING + 1] = [bristles(on, values, body) for body in (*PINIONS, RING)]
     gain = d["K_d"] * d["K_M"]
-    delay = [sum(called("delay", side)) for side in (0, 1)]
+    delay = [sum(called(on, values, "delay", side)) for side in (0, 1)]
     return Plant(
         np.array(inertia),
         np.array([0, 1, 2, 3, 4] if elastic else [0, 1, 2, 0, 1]),
         np.array([1.0, 1.0, 1.0, n1, n1]),
         laws,
         np.array([1, 1, 1, 0, 0], np.uint8),
-        bristles,
+        slow,
         _LINKS[: 4 if elastic else 2],
         np.array([*mesh, *shaft]),
         np.array([GAP, GAP, *([LINEAR] * len(shaft))]),
@@ -108,8 +127,8 @@ def dual_plant(arrays: Arrays) -> Plant:
         np.array(MOTORS),
         np.array([[gain, late, 0.0, 0.0] for late in delay]),
         *_SENSORS,
-        np.array([0.0, sum(called("sensor_delay")), 0.0, 0.0]),
-        known.places,
+        np.array([0.0, sum(called(on, values, "sensor_delay")), 0.0, 0.0]),
+        _catalogue().places,
         np.append(on, np.uint8(d["k_a"] != 0.0)),
         np.concatenate([values, [d["k_a"], d["z_3"], d["phi_r"]]]),
     )

@@ -15,7 +15,7 @@ contact grows with time and falls with its slip; the runners keep it.
 | motor    | (u, theta_m, omega_m, t, side, p)                   | torque on the motor shaft [N·m]            |
 | shaft    | (inertia, p)                                        | (compliance [rad/(N·m)], damping [N·m·s/rad]) at the pinion |
 | mesh     | (theta_p, omega_p, theta_L, omega_L, side, p)       | (shift of z [rad], its rate, change of half-gap [rad], change of stiffness [N·m/rad]) |
-| friction | (theta, omega, t, mesh_torque, body, p)             | (factor on declared friction, Coulomb torque added [N·m]) |
+| friction | (theta, omega, t, mesh_torque, body, p)             | (factor on all friction, Coulomb torque added [N·m])     |
 | presliding | (body, p)                                         | (relaxation distance [rad], share of viscous friction that acts at once, damping ratio of the bristles) |
 | ageing   | (age, body, p)                                      | (Coulomb torque added [N·m], slip that makes the contact new [rad]) |
 | load     | (theta_L, omega_L, t, p)                            | torque on the ring gear [N·m]              |

@@ -86,7 +86,7 @@ def _of_rig(model: RigModel) -> dict[str, pd.DataFrame]:
     still = np.zeros(ANGLES)
     friction, torques = {"speed_SI": speed}, {"position_SI": angle}
     for k, body in enumerate(layout.bodies):
-        level, more = law_along(speed, plant.law[k]), np.zeros(SPEEDS)
+        level, scale = law_along(speed, plant.law[k]), np.ones(SPEEDS)
         level[speed == 0.0] = 0.0
         torque = np.zeros(ANGLES)
         for effect in model.effects:
@@ -94,12 +94,12 @@ def _of_rig(model: RigModel) -> dict[str, pd.DataFrame]:
             if effect.on == body and site == "friction":
                 none = np.zeros(SPEEDS)
                 factor, added = friction_along([acting_of(effect)], none, speed, none, none)
-                level *= factor
-                more += np.sign(speed) * added
+                scale *= factor
+                level += np.sign(speed) * added
             elif effect.on == body and site in ("motor", "load"):
                 torque -= torque_along([acting_of(effect)], still, angle, still, still)
         unit = "N" if any(b.name == body and b.linear for b in model.rig.bodies) else "N_m"
-        friction[f"{body}_{unit}"] = level + more
+        friction[f"{body}_{unit}"] = scale * level
         if torque.any():
             torques[f"{body}_{unit}"] = torque
     return {

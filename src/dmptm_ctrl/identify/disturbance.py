@@ -176,6 +176,7 @@ def braked(
             carries = load + left
         factor, added = friction_along(effects, *moves, way.time, carries)
         if (factor != 1.0).any():
+            added *= factor
             factor -= 1.0
             factor *= way.sliding(*law)
             added += factor

@@ -405,7 +405,7 @@ def _friction(
             continue
         r = layout.ratio[body]
         angle, omega = r * q, r * v
-        level, more = np.zeros_like(v), np.zeros_like(v)
+        level, factor = np.zeros_like(v), np.ones_like(v)
         if np.any(plant.law[k, [0, 1, 3, 4, 5, 7]]):
             level = law_along(omega, plant.law[k])
         for effect in model.effects:
@@ -415,13 +415,13 @@ def _friction(
             theta = angle + nuisance.zero.get(effect.key, 0.0)
             if chain.site == "friction":
                 moves = theta, omega, motion.time, load[body]
-                factor, added = friction_along([acting_of(effect)], *moves)
-                level *= factor
-                more += np.sign(omega) * added
+                scale, added = friction_along([acting_of(effect)], *moves)
+                factor *= scale
+                level += np.sign(omega) * added
             elif chain.site in ("motor", "load"):
                 moves = volts.get(body, none), theta, omega, motion.time
                 other -= r * torque_along([acting_of(effect)], *moves)
-        friction += r * (level + more)
+        friction += r * factor * level
     for k in np.flatnonzero(plant.bristles[:, 0]).tolist():
         if plant.body_coordinate[k] == group:
             bristles = plant.bristles[k, 0] / abs(plant.body_ratio[k]), plant.bristles[k, 1]

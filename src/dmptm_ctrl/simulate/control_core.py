@@ -58,7 +58,7 @@ def friction_along(omega, way, theta, t, mesh, body, law, active, on, values):
     if active:
         scale, added = friction_level(theta, omega, t, mesh, body, on, values)
     sign = 1.0 if way > 0.0 else -1.0
-    whole = max(scale * sliding_torque(omega, sign, law) + added, 0.0)
+    whole = max(scale * (sliding_torque(omega, sign, law) + added), 0.0)
     return way * whole, way * scale * viscous_torque(omega, sign, law)
 
 

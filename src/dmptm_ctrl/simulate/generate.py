@@ -347,15 +347,15 @@ def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None)
             f"friction(omega_{b}, way_{b}, scale_{b}, added_{b}, law_{b})"
         )
     else:
-        text.add(f"level{g} = level{g} + {lever}max(added_{b}, 0.0)")
+        text.add(f"level{g} = level{g} + {lever}max(scale_{b} * added_{b}, 0.0)")
     if bristle is not None:
         if law:
             once = f"at_once(omega_{b}, way{g}, scale_{b}, bs{bristle}, law_{b})"
             once = once.replace(f"way{g}", f"way_{b}")
             text.add(f"once{g} = once{g} + {text.lever(b)}{once}")
         return ""
-    held = f"{at_rest[0]} * breakaway_torque({flip}rest{g}, law_{b}) + {at_rest[1]}"
-    return f"{lever}max({held if law else at_rest[1]}, 0.0)"
+    held = f"breakaway_torque({flip}rest{g}, law_{b}) + {at_rest[1]}" if law else at_rest[1]
+    return f"{lever}max({at_rest[0]} * ({held}), 0.0)"
 
 
 def observe_text(s: Structure) -> str:

@@ -119,12 +119,15 @@ class Parts:
         return added, slip
 
     def level(self, b: int, theta: float, omega: float, t: float, load: float, age: float):
-        """Factor on the declared friction of a body, and Coulomb torque added [N·m]."""
+        """Factor on the friction law of a body, and Coulomb torque beside it [N·m].
+
+        The factor acts on what other effects add as well: a warm bearing has less of all friction.
+        """
         scale, added = 1.0, self.ageing(b, age)[0]
         for kernel, told, p in self.at("friction", b):
             factor, more = kernel(theta, omega, t, load, told, p)
             scale, added = scale * factor, added + more
-        return scale, added
+        return scale, scale * added
 
     def holding(self, b: int, way: float, theta: float, t: float, load: float, age: float) -> float:
         """Largest friction of a body at rest against motion in a direction [N·m]."""

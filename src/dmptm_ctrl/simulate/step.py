@@ -139,7 +139,7 @@ def aged(age, v, h, slip):
 @njit
 def friction(omega, way, scale, added, law):
     """Magnitude of friction of a body that slides `way` [N·m]."""
-    level = scale * sliding_torque(omega, way, law) + added
+    level = scale * (sliding_torque(omega, way, law) + added)
     return level if level > 0.0 else 0.0
 
 

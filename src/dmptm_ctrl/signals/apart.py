@@ -1,8 +1,8 @@
 """Read binary logs in a process of its own.
 
 The libraries for MATLAB and MDF files crash on some damaged ones, or write to standard error.
-``python -m dmptm_ctrl.signals.apart FILE`` reads the file and writes what it finds to its standard
-output; if it dies, the file is not readable.
+``python -m dmptm_ctrl.signals.apart_child FILE`` reads the file and writes what it finds to its
+standard output; if it dies, the file is not readable.
 """
 
 import io
@@ -17,7 +17,6 @@ import numpy as np
 
 from dmptm_ctrl.signals.errors import LogError, NotALogError
 
-MAX_BYTES = 16 << 30  # memory of the reading process; guards against files that unpack endlessly
 MAX_SECONDS = 600
 
 
@@ -46,7 +45,7 @@ def read_apart(path: Path) -> tuple[list[Signal], dict[str, Any]]:
     try:
         child = subprocess.run(
             # -P: no module from the folder that the user happens to be in
-            [sys.executable, "-P", "-m", "dmptm_ctrl.signals.apart", str(path)],
+            [sys.executable, "-P", "-m", "dmptm_ctrl.signals.apart_child", str(path)],
             env=os.environ | {"PYTHONPATH": _python_path()},
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -74,41 +73,3 @@ def _python_path() -> str:
     """Where the child finds this package, installed or not."""
     here = str(Path(__file__).parents[2])
     return os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH")]))
-
-
-def _main(path: Path) -> None:
-    output = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever a library prints is not our answer
-    _limit_memory()
-    found: list[Signal] = []
-    try:
-        if path.suffix.lower() == ".mat":
-            from dmptm_ctrl.signals.matlab import find_signals
-        else:
-            from dmptm_ctrl.signals.mdf import find_signals
-        found, meta = find_signals(path)
-        head = {"signals": [(s.path, s.unit, s.clock, s.is_time) for s in found], "meta": meta}
-    except ImportError as error:
-        head = {"missing": str(error)}
-    except Exception as error:  # the libraries raise what their parsers stumble on
-        head = {"damaged": str(error)}
-    text = np.frombuffer(json.dumps(head).encode(), np.uint8)
-    buffer = io.BytesIO()
-    arrays = {f"v{i}": signal.values for i, signal in enumerate(found)}
-    np.savez(buffer, allow_pickle=False, head=text, **arrays)
-    with output:
-        output.write(buffer.getbuffer())
-
-
-def _limit_memory() -> None:
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        return
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    limit = MAX_BYTES if hard == resource.RLIM_INFINITY else min(MAX_BYTES, hard)
-    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
-
-
-if __name__ == "__main__":
-    _main(Path(sys.argv[1]))

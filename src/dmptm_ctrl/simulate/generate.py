@@ -101,10 +101,10 @@ class _Text:
     def where(self, places: Iterable[Place], *lines: str) -> None:
         """Lines that are of matter where one of some places acts."""
         flags = dict.fromkeys(f"on[{p.flag}]" for p in places)
-        if self.s.switched:
-            self.add(f"if {' or '.join(flags)}:", *(f"    {line}" for line in lines))
-        else:
+        if not self.s.switched:
             self.add(*lines)
+        elif flags:
+            self.add(f"if {' or '.join(flags)}:", *(f"    {line}" for line in lines))
 
     def call(self, p: Place, *arguments: str) -> str:
         e = "e[{}]" if self.s.switched and not self.rows else "e{}"

@@ -56,7 +56,8 @@ def one_by_one(model, u, run, load, passes):
 
     def brake(i, body, angle, speed, way, mesh):
         scale, added = kernel(angle, speed, (i + 0.5) * DT, mesh, body, p)
-        return way * (added + (scale - 1.0) * sliding_torque(speed, way, laws[body]))
+        law = sliding_torque(speed, way, laws[body])
+        return way * (scale * (added + law) - law)
 
     for i in range(N):
         t, (theta, omega) = (i + 0.5) * DT, run[i, :2]

@@ -30,10 +30,12 @@ def key_of(text: str, modules: Iterable[ModuleType], effects: Iterable[Effect]) 
 
 
 def kernel_text(effect: Effect) -> str:
-    """Source of the file that an effect's kernel is in."""
+    """Name of an effect's kernel, and source of the file that it is in."""
     module = sys.modules.get(effect.kernel.__module__)
     file = getattr(module, "__file__", None)
-    return _file_text(file) if file else cell(effect.kernel)
+    if not file:
+        return cell(effect.kernel)
+    return f"{getattr(effect.kernel, '__name__', '')}\0{_file_text(file)}"
 
 
 @cache

@@ -115,7 +115,8 @@ def _program(
         "on": plant.on, "e": plant.values,
         "u": Signals(tuple(signals)), "first": 0, "before": np.zeros(len(names)), "dead": dead,
         "push": np.zeros((0, 0)), "ring": ring, "delays": delays, "step0": 0, "begin": 0.0,
-        "dt": dt, "substeps": steps, "closed": False, "watched": np.zeros(0), "out": Row(row, row.size),
+        "dt": dt, "substeps": steps, "closed": False, "watched": np.zeros(0),
+        "out": Row(row, row.size),
     }  # fmt: skip
 
     tree = function_tree(getattr(engine.module.march, "py_func", engine.module.march))

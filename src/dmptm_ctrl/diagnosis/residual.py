@@ -19,7 +19,7 @@ from dmptm_ctrl.identify.fit import Misfit, Unknown, drive_unknowns, effect_unkn
 from dmptm_ctrl.identify.motion import motions
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.signals import LogError
-from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model import Floats, Model
 
 LEAD_HZ = 0.05  # slow lead of simulated runs by the measured angle: bounds drift only
 ECCENTRIC = "encoder_eccentricity"
@@ -90,7 +90,26 @@ def predicting_fit(balance: Balance, base: BalanceFit) -> BalanceFit:
         if gain < SETTLED:
             break
     assert best is not None
-    return best
+    return replace(best, covariance=_covariance(best))
+
+
+def _covariance(base: BalanceFit) -> Floats:
+    """Covariance by the balances alone, of what they see.
+
+    How a run goes on after an impact depends steeply on every parameter, and tells none.
+    """
+    count = sum(kind != "led" for kind in base.kinds)
+    parts, kinds = base.parts[:count], base.kinds[:count]
+    slopes = base.jacobian[: sum(map(len, parts))]
+    rows = weights(parts, kinds)[:, None] * slopes
+    prior = np.array([1.0 / k.prior**2 + 1e-9 for k in base.unknowns])
+    covariance = np.asarray(np.linalg.inv(rows.T @ rows + np.diag(prior)), np.float64)
+    told = np.square(rows).sum(axis=0)
+    pairs = zip(base.unknowns, told, strict=True)
+    unseen = [j for j, (k, x) in enumerate(pairs) if k.effect is not None and x <= SEEN]
+    covariance[unseen, :] = base.covariance[unseen, :]
+    covariance[:, unseen] = base.covariance[:, unseen]
+    return covariance
 
 
 def of_windows(left: Residual) -> Residual:

@@ -84,9 +84,9 @@ def test_all_effects_together_are_second_order(paper, lively, visible_values):
         last.append(errors[-1])
         logs.append(np.log(np.sum(errors, axis=1)))
     # of all outputs, many steps and runs: errors scatter with where a step meets a contact, so that
-    # single runs have 1.4 to 1.9
+    # single runs have 1.4 to 1.9; first order would have 1
     order = -np.polyfit(np.log(steps), np.mean(logs, axis=0), 1)[0]
-    assert order > 1.6
+    assert order > 1.5
     assert np.all(np.array(last) < 1e-4)
 
 

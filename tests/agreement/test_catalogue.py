@@ -73,7 +73,7 @@ def test_all_effects_together_are_second_order(paper, lively, visible_values):
         model = model.with_effect(name, **visible_values(effect))
     time, u, x0 = lively
     steps, last, logs = 2 ** np.arange(3, 11), [], []
-    for volts in (1.4, 1.6, 1.8, 2.0, 2.2, 2.4, 2.6, 2.8):
+    for volts in (1.6, 2.0, 2.4):
         exact = simulate(model, time, volts * u, x0, method="reference").outputs
         scale = np.ptp(exact, axis=1)
         assert np.all(scale > 1e-4)
@@ -86,7 +86,7 @@ def test_all_effects_together_are_second_order(paper, lively, visible_values):
     # of all outputs, many steps and runs: errors scatter with where a step meets a contact, so that
     # single runs have 1.4 to 1.9; first order would have 1
     order = -np.polyfit(np.log(steps), np.mean(logs, axis=0), 1)[0]
-    assert order > 1.5
+    assert order > 1.6
     assert np.all(np.array(last) < 1e-4)
 
 

@@ -87,7 +87,7 @@ def test_all_effects_together_are_second_order(paper, lively, visible_values):
     # single runs have 1.4 to 1.9; first order would have 1
     order = -np.polyfit(np.log(steps), np.mean(logs, axis=0), 1)[0]
     assert order > 1.6
-    assert np.all(np.array(last) < 1e-4)
+    assert np.all(np.array(last) < 2e-4)  # as each effect alone
 
 
 def test_blocks_are_compiled(visible, smooth):

@@ -65,6 +65,17 @@ class Modes:
         return turns / turns[peak, range(turns.shape[1])]
 
 
+def free_vibration(
+    stiffness: NDArray[np.float64], mass: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Solve det(K − ω²M) = 0: ω [rad/s], 0 where rigid, and shapes, largest entry positive."""
+    squares, shapes = linalg.eigh(stiffness, mass)
+    omega = np.sqrt(np.clip(squares, 0.0, None))
+    omega[omega < RIGID_RATIO * omega[-1]] = 0.0
+    turn = np.sign(shapes[np.abs(shapes).argmax(axis=0), range(omega.size)])
+    return omega, shapes * turn
+
+
 def solve_modes(train: GearTrain | Drive) -> Modes:
     """Solve the generalised symmetric eigenproblem of a drive.
 
@@ -88,11 +99,7 @@ def solve_modes(train: GearTrain | Drive) -> Modes:
         train = three_dof_train(train)
     if not isinstance(train, GearTrain):
         raise TypeError(f"modes takes a Drive or a GearTrain, not {type(train).__name__}")
-    squares, shapes = linalg.eigh(train.stiffness, train.mass)
-    omega = np.sqrt(np.clip(squares, 0.0, None))
-    omega[omega < RIGID_RATIO * omega[-1]] = 0.0
-    turn = np.sign(shapes[np.abs(shapes).argmax(axis=0), range(omega.size)])
-    shapes = shapes * turn
+    omega, shapes = free_vibration(train.stiffness, train.mass)
     kinds = tuple(_kind(train, w, v) for w, v in zip(omega, shapes.T, strict=True))
     return Modes(
         train, omega, shapes, kinds, damping_ratios(linalg.eigvals(train.to_ss().A), omega)

@@ -1,9 +1,8 @@
 """Resonances of any drive: of the dual-motor drive, and of a rig file."""
 
 import numpy as np
-from scipy.linalg import eigh
 
-from dmptm_ctrl.drive.modes import RIGID_RATIO, Modes, damping_ratios, solve_modes
+from dmptm_ctrl.drive.modes import Modes, damping_ratios, free_vibration, solve_modes
 from dmptm_ctrl.drive.parameters import Drive
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.train import GearTrain
@@ -47,10 +46,7 @@ def modes(model: Drive | GearTrain | Model | Rig | RigModel) -> Modes:
     check_physical(known)
     plant = known.plant()
     stiffness = _matrices(plant)[0] + np.diag(_slopes(known, None)[0])
-    squares, shapes = eigh(stiffness, np.diag(plant.inertia))
-    omega = np.sqrt(np.clip(squares, 0.0, None))
-    omega[omega < RIGID_RATIO * omega[-1]] = 0.0
-    turn = np.sign(shapes[np.abs(shapes).argmax(axis=0), range(omega.size)])
+    omega, shapes = free_vibration(stiffness, np.diag(plant.inertia))
     kinds = tuple("elastic" if w else "rigid" for w in omega)
     ratios = damping_ratios(linear_rig(known).poles(), omega)
-    return Modes(known, omega, shapes * turn, kinds, ratios)
+    return Modes(known, omega, shapes, kinds, ratios)

@@ -44,24 +44,22 @@ class Errors:
     @property
     def within_floor(self) -> bool:
         """Whether the declared model is as good as any, by every measure."""
-        return all(near(before, floor) for before, _, floor in self.measures)
-
-    @property
-    def measures(self) -> list[tuple[float, float, float]]:
-        """Mean squares before, after and at the floor, by each measure."""
-        own = (self.before, self.after, self.floor)
-        return [own] if self.runs is None else [own, self.runs]
+        runs = self.runs is None or near(self.runs[0], self.runs[2])
+        return runs and near(self.before, self.floor)
 
     @property
     def explained(self) -> float:
         """Share of the removable mean square that the named effects take; the least measure's."""
-        shares = [
-            min(max(before - after, 0.0) / (before - floor), 1.0)
-            for before, after, floor in self.measures
-            # free runs near their floor cannot show what acts on other readings
-            if before > floor and ((before, after, floor) != self.runs or not near(before, floor))
-        ]
-        return min(shares, default=1.0)
+        own = share(self.before, self.after, self.floor)
+        # free runs near their floor cannot show what acts on other readings
+        if self.runs is None or near(self.runs[0], self.runs[2]):
+            return own
+        return min(own, share(*self.runs))
+
+
+def share(before: float, after: float, floor: float) -> float:
+    """Share of the removable mean square that is gone; 1 where nothing was removable."""
+    return min(max(before - after, 0.0) / (before - floor), 1.0) if before > floor else 1.0
 
 
 def near(before: float, floor: float) -> bool:

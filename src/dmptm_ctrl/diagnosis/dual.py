@@ -9,7 +9,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, predicting_fit, residual
-from dmptm_ctrl.diagnosis.select import LEVEL, Candidate, Floats, Rows
+from dmptm_ctrl.diagnosis.select import LEVEL, Candidate, Floats, Keys, Rows, standard_error
 from dmptm_ctrl.diagnosis.trace import Trace, Trial, effect_columns, trace, try_effect, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import (
@@ -21,10 +21,6 @@ from dmptm_ctrl.identify.balance import (
     surprises,
 )
 from dmptm_ctrl.parallel import in_threads
-
-Keys = tuple[str, ...]
-
-LOOSE = 1e3  # scales of an unknown, for one of which nothing is declared
 
 
 class Told(NamedTuple):
@@ -85,7 +81,12 @@ class DualState:
     @cached_property
     def held(self) -> Told:
         """What the held-out logs say of it."""
-        return told(self.left.held.missing(self.left.base.model), self.left.held.kinds, 0.0)
+        return told(self.held_missing, self.left.held.kinds, 0.0)
+
+    @cached_property
+    def held_missing(self) -> list[Floats]:
+        """What it leaves of the held-out logs, per equation."""
+        return self.left.held.missing(self.left.base.model)
 
     @cached_property
     def rows(self) -> list[Floats]:
@@ -95,8 +96,7 @@ class DualState:
     @cached_property
     def held_rows(self) -> list[Floats]:
         """What each row of the held-out logs says of it, per equation."""
-        held = self.left.held
-        return row_surprises(held.missing(self.left.base.model), held.kinds)
+        return row_surprises(self.held_missing, self.left.held.kinds)
 
     @cached_property
     def trace(self) -> Trace:
@@ -193,16 +193,10 @@ class DualEvidence:
     def rows(self, state: DualState, candidates: Sequence[Candidate]) -> Rows:
         """Return the model and candidates to first order, every window by its weight."""
         base, view = state.left.base, state.trace
-        weak = np.array([k.prior if np.isfinite(k.prior) else LOOSE for k in base.unknowns])
         low, high = np.array([(k.low, k.high) for k in base.unknowns]).T - base.p
-        columns = {c.keys: np.pad(_columns(view, c), ((0, weak.size), (0, 0))) for c in candidates}
-        return Rows(
-            np.concatenate([base.weights * base.missing, base.p / weak]),
-            np.vstack([base.weights[:, None] * base.jacobian, np.diag(1.0 / weak)]),
-            low,
-            high,
-            columns,
-        )
+        columns = {c.keys: np.pad(_columns(view, c), ((0, view.rows), (0, 0))) for c in candidates}
+        left = np.concatenate([base.weights * base.missing, view.prior @ base.p])
+        return Rows(left, view.slopes, low, high, columns)
 
     def together(self, state: DualState, candidates: Sequence[Candidate]) -> Candidate:
         """Fit several effects beside a model."""
@@ -269,18 +263,10 @@ def _columns(view: Trace, candidate: Candidate) -> Floats:
 
 
 def standard_errors(smaller: DualState, larger: DualState) -> tuple[float, float]:
-    """Standard errors of the falls on both parts of the logs, from how the rows' shares scatter.
-
-    Vuong, Econometrica 57 (1989) 307.
-    """
-
-    def of(few: Sequence[Floats], more: Sequence[Floats], lengths: Floats) -> float:
-        rows = zip(few, more, lengths, strict=True)
-        return float(np.sqrt(sum(a.size * np.var(a - b) / length for a, b, length in rows)))
-
+    """Standard errors of the falls on both parts of the logs."""
     return (
-        of(smaller.rows, larger.rows, larger.fitted.lengths),
-        of(smaller.held_rows, larger.held_rows, larger.held.lengths),
+        standard_error(smaller.rows, larger.rows, larger.fitted.lengths),
+        standard_error(smaller.held_rows, larger.held_rows, larger.held.lengths),
     )
 
 

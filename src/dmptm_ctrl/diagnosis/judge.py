@@ -24,13 +24,12 @@ from dmptm_ctrl.diagnosis.unknown import Unexplained
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import FREEDOM, scatter
 from dmptm_ctrl.identify.fit import Fit, place
-from dmptm_ctrl.identify.led import BANDWIDTH_HZ as BANDWIDTH_HZ_OF_LEAD
-from dmptm_ctrl.identify.led import BLOCK_SECONDS, Led
+from dmptm_ctrl.identify.led import BLOCK_SECONDS, MEMORY_SECONDS, Led
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
-HORIZON = round(0.5 / (np.pi * BANDWIDTH_HZ_OF_LEAD), 3)  # s, memory of a short prediction
+HORIZON = round(MEMORY_SECONDS, 3)  # s, of a short prediction
 TWINS = 8  # drives within the standard errors of the fit, whose scatter no fit can remove
 UNIT = "deg/s"
 TORQUE = "N·m"

@@ -1,5 +1,6 @@
 """Second step: what the declared model, fitted inside its declared ranges, leaves."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,6 +11,7 @@ from dmptm_ctrl.identify.balance import (
     Balance,
     BalanceFit,
     columns,
+    covariance_of,
     fit_balance,
     loss,
     surprise,
@@ -102,14 +104,17 @@ def _covariance(base: BalanceFit) -> Floats:
     parts, kinds = base.parts[:count], base.kinds[:count]
     slopes = base.jacobian[: sum(map(len, parts))]
     rows = weights(parts, kinds)[:, None] * slopes
-    prior = np.array([1.0 / k.prior**2 + 1e-9 for k in base.unknowns])
-    covariance = np.asarray(np.linalg.inv(rows.T @ rows + np.diag(prior)), np.float64)
-    told = np.square(rows).sum(axis=0)
-    pairs = zip(base.unknowns, told, strict=True)
-    unseen = [j for j, (k, x) in enumerate(pairs) if k.effect is not None and x <= SEEN]
+    covariance = covariance_of(rows, base.unknowns)
+    unseen = [j for j, free in enumerate(seen(rows, base.unknowns)) if not free]
     covariance[unseen, :] = base.covariance[unseen, :]
     covariance[:, unseen] = base.covariance[:, unseen]
     return covariance
+
+
+def seen(rows: Floats, unknowns: Sequence[Unknown]) -> list[bool]:
+    """Whether weighted slopes of balances, (m, k), show each unknown; of the drive all count."""
+    told = np.square(rows).sum(axis=0)
+    return [k.effect is None or x > SEEN for k, x in zip(unknowns, told, strict=True)]
 
 
 def of_windows(left: Residual) -> Residual:
@@ -120,8 +125,8 @@ def of_windows(left: Residual) -> Residual:
     model, unknowns = left.base.model, left.base.unknowns
     parts = balance.missing(model)
     slopes = columns(balance, model, unknowns, np.concatenate(parts))
-    told = np.square(weights(parts, balance.kinds)[:, None] * slopes).sum(axis=0)
-    free = tuple(k for k, x in zip(unknowns, told, strict=True) if k.effect is None or x > SEEN)
+    shown = seen(weights(parts, balance.kinds)[:, None] * slopes, unknowns)
+    free = tuple(k for k, one in zip(unknowns, shown, strict=True) if one)
     return replace(left, balance=balance, held=held, base=fit_balance(balance, model, free))
 
 

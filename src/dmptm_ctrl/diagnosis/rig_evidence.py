@@ -18,7 +18,7 @@ from dmptm_ctrl.diagnosis.rig_candidates import (
 from dmptm_ctrl.diagnosis.rig_curves import curve_columns, variables_of
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
-from dmptm_ctrl.diagnosis.select import Candidate, Floats, Rows, Selection, ranked
+from dmptm_ctrl.diagnosis.select import Candidate, Floats, Rows, Selection, ranked, standard_error
 from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
 from dmptm_ctrl.identify.rig_fit import (
@@ -207,14 +207,13 @@ class RigEvidence:
         return fitted - larger.loss - more, fall
 
     def _errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
-        """Standard errors of the falls on both parts of the logs, from how rows' shares scatter."""
+        """Standard errors of the falls on both parts of the logs."""
         news = larger.fit.likelihood.news
 
         def of(balance: Balance, few: Sequence[Floats], more: Sequence[Floats]) -> float:
             likelihood = Likelihood(balance, news)
-            rows = zip(likelihood.row_surprises(few), likelihood.row_surprises(more), news,
-                       strict=True)  # fmt: skip
-            return float(np.sqrt(sum(n * a.size * np.var(a - b) for a, b, n in rows)))
+            rows = likelihood.row_surprises
+            return standard_error(rows(few), rows(more), 1.0 / news)
 
         return (
             of(self.logs, smaller.fit.left, larger.fit.left),

@@ -7,7 +7,7 @@ then, in the same likelihood, with the same acceptance.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from math import hypot, inf
+from math import inf
 
 from dmptm_ctrl.diagnosis.dual import (
     DualEvidence,
@@ -22,12 +22,12 @@ from dmptm_ctrl.diagnosis.residual import predicting
 from dmptm_ctrl.diagnosis.select import (
     LEVEL,
     MOST,
-    SURE,
     Candidate,
     Entry,
     Selection,
     best_of,
     explained,
+    needed,
     ranked,
 )
 from dmptm_ctrl.diagnosis.trace import BY_SIMULATOR, bent, candidates, starts, weighted_changes
@@ -88,17 +88,12 @@ def with_short_predictions(
                 found[better.keys[0]] = [c for c in found.pop(weakest.key) if c is not better]
                 state = evidence.adopt(weakest.without, again[0])
                 continue
-        if weakest.evidence > needed(weakest, state):
+        if weakest.evidence > needed(1, *standard_errors(weakest.without, state)):
             break
         state = weakest.without
     both = replace(selection, final=state, entries=sorted(entries, key=lambda e: -e.evidence))
     both = without_negligible(evidence, both)
     return both if found.keys() & {e.key for e in both.entries} else selection
-
-
-def needed(entry: Entry, state: DualState) -> float:
-    """Evidence from which an effect stays."""
-    return max(LEVEL, SURE * hypot(*standard_errors(entry.without, state)))
 
 
 def entry_of(

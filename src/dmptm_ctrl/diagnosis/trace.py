@@ -87,11 +87,12 @@ class Trace:
         self.balance: Balance = self.left.balance
         self.base: BalanceFit = self.left.base
         w = self.base.weights
-        prior = np.diag(
+        self.prior = np.diag(
             [1.0 / k.prior if np.isfinite(k.prior) else 1e-3 for k in self.base.unknowns]
         )
-        self.basis, _ = np.linalg.qr(np.vstack([w[:, None] * self.base.jacobian, prior]))
-        self.rows = prior.shape[0]
+        self.slopes = np.vstack([w[:, None] * self.base.jacobian, self.prior])
+        self.basis, _ = np.linalg.qr(self.slopes)
+        self.rows = self.prior.shape[0]
         self.target = self.project(-w * self.base.missing)
 
     @cached_property

@@ -411,10 +411,14 @@ def fit_balance(
                 break
         if gain < (worth if k == 0 else STALLED):
             break
-    weighted = weights(parts, kinds)[:, None] * jac
-    prior = np.array([1.0 / k.prior**2 + 1e-9 for k in unknowns])
-    covariance = np.asarray(np.linalg.inv(weighted.T @ weighted + np.diag(prior)), np.float64)
+    covariance = covariance_of(weights(parts, kinds)[:, None] * jac, unknowns)
     return BalanceFit(model, unknowns, p, value, parts, kinds, jac, covariance)
+
+
+def covariance_of(rows: Floats, unknowns: Sequence[Unknown]) -> Floats:
+    """Covariance of unknowns by weighted slopes (m, k) and what is declared of them, (k, k)."""
+    prior = np.array([1.0 / k.prior**2 + 1e-9 for k in unknowns])
+    return np.asarray(np.linalg.inv(rows.T @ rows + np.diag(prior)), np.float64)
 
 
 def settled_fit(

@@ -10,13 +10,15 @@ Source: fixed-gain prediction errors, Ljung, System Identification, 1999, ch. 3 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import pi
 
 from dmptm_ctrl.identify.records import Record, block_mean, predict
 from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.observer import observer_gains
 
-BANDWIDTH_HZ = 5.0  # of the observer: predictions over 0.2 s of its settling
+BANDWIDTH_HZ = 5.0  # of the observer
+MEMORY_SECONDS = 0.5 / (pi * BANDWIDTH_HZ)  # within which a run forgets where it was led from
 BLOCK_SECONDS = 0.02  # passes 25 Hz; how pinions ring on their flanks is chance
 
 

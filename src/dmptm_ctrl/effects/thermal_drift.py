@@ -1,7 +1,7 @@
 """Thermal drift: friction falls as the lubricant warms, at first fast, then slowly.
 
-    declared friction × (1 + α exp(−t/τ)),
-    of the ring gear × (1 + (α + β) exp(−t/τ)) + b (t/T − ½) |ω|
+    friction × (1 + α exp(−t/τ)),
+    of the ring gear (friction + b (t/T − ½) |ω|) × (1 + (α + β) exp(−t/τ))
 
 Viscosity may go on falling while dry friction stays: b is what viscous friction alone, of the
 ring gear, changes by over a log of length T, about its mean. t is the time since the log began.
@@ -20,7 +20,7 @@ class ThermalDrift(NamedTuple):
 
     rise: float  # relative, α
     ring_extra: float  # relative, β: lubricants differ
-    viscous_trend: float  # N·m·s/rad, b
+    viscous_change: float  # N·m·s/rad, b
     time_constant: float  # s, τ
     log_length: float  # s, T
 
@@ -29,8 +29,8 @@ class ThermalDrift(NamedTuple):
 def thermal_factor(theta, omega, t, mesh_torque, body, p):
     """Factor on the declared friction and added friction torque."""
     rise = p.rise + p.ring_extra if body == 2 else p.rise
-    trend = p.viscous_trend if body == 2 else 0.0
-    return 1.0 + rise * exp(-t / p.time_constant), trend * (t / p.log_length - 0.5) * abs(omega)
+    change = p.viscous_change if body == 2 else 0.0
+    return 1.0 + rise * exp(-t / p.time_constant), change * (t / p.log_length - 0.5) * abs(omega)
 
 
 THERMAL_DRIFT = Effect(
@@ -40,7 +40,7 @@ THERMAL_DRIFT = Effect(
     parameters=(
         Parameter("rise", "", -0.5, 1.5, 0.05),
         Parameter("ring_extra", "", -1.5, 1.5, 0.05),
-        Parameter("viscous_trend", "N·m·s/rad", -50.0, 50.0, 1.0),
+        Parameter("viscous_change", "N·m·s/rad", -50.0, 50.0, 1.0),
         Parameter("time_constant", "s", 0.5, 60.0, 1.0, (0.7, 1.5, 3.0, 6.0, 12.0, 25.0, 50.0)),
         Parameter("log_length", "s", 0.1, 1e5, 10.0, (10.0,), fixed=True),
     ),

@@ -14,7 +14,7 @@ from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, undamped
 from dmptm_ctrl.simulate.model import BASE, Model
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_model_file import KIND as RIG
-from dmptm_ctrl.simulate.rig_model_file import rig_model_from_toml
+from dmptm_ctrl.simulate.rig_model_file import rig_model_from_toml, with_unit
 
 KIND = "dual-motor"
 SCHEMA = 1
@@ -28,18 +28,14 @@ def to_toml(model: Model) -> str:
     document["kind"] = KIND
     drive = tomlkit.table()
     for name in BASE:
-        item = tomlkit.item(float(model.drive[name]))
-        item.comment(model.drive.quantities[name].unit or "1")
-        drive[name] = item
+        drive[name] = with_unit(model.drive[name], model.drive.quantities[name].unit)
     document["drive"] = drive
     effects = tomlkit.table()
     for name, values in model.effects.items():
         table = tomlkit.table()
         for p in CATALOGUE[name].parameters:
             if p.name in values:
-                item = tomlkit.item(float(values[p.name]))
-                item.comment(p.unit or "1")
-                table[p.name] = item
+                table[p.name] = with_unit(values[p.name], p.unit)
         effects[name] = table
     document["effects"] = effects
     return tomlkit.dumps(document)

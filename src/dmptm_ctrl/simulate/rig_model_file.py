@@ -13,6 +13,13 @@ KIND = "chain"
 SCHEMA = 1
 
 
+def with_unit(value: float, unit: str) -> tomlkit.items.Item:
+    """Return a number for a document, its unit in a comment beside it."""
+    item = tomlkit.item(float(value))
+    item.comment(unit or "1")
+    return item
+
+
 def rig_model_to_toml(model: RigModel) -> str:
     """Return the text of a model file, complete in itself: the rig file's text is in it."""
     document = tomlkit.document()
@@ -22,9 +29,7 @@ def rig_model_to_toml(model: RigModel) -> str:
     document["rig"] = tomlkit.string(model.rig.text, multiline=True)
     values = tomlkit.table()
     for key, value in model.values.items():
-        item = tomlkit.item(float(value))
-        item.comment(model.quantities[key].unit or "1")
-        values[key] = item
+        values[key] = with_unit(value, model.quantities[key].unit)
     document["values"] = values
     effects = tomlkit.aot()
     for effect in model.effects:
@@ -35,9 +40,7 @@ def rig_model_to_toml(model: RigModel) -> str:
             table["far"] = list(effect.far)
         units = {p.name: p.unit for p in PLACED_CATALOGUE[effect.name].keep}
         for key, value in effect.values.items():
-            item = tomlkit.item(float(value))
-            item.comment(units[key] or "1")
-            table[key] = item
+            table[key] = with_unit(value, units[key])
         effects.append(table)
     document["effect"] = effects
     logs = tomlkit.table()

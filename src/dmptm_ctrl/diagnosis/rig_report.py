@@ -212,7 +212,7 @@ def _named(entry: Entry, fit: RigFit, after: float, without: float) -> NamedEffe
         effect_parameters(placed, fit, fit.errors),
         tuple(dict.fromkeys(k.partition("@")[0] for k in entry.confusable_with)),
         f"Without it, −2 log-likelihood rises by {entry.gain:.0f} on the fitted and "
-        f"{entry.held_gain:.0f} on the held-out logs ({LEVEL:.0f} are needed), and the "
+        f"{entry.held_gain:.0f} on the held-out logs (at least {LEVEL:.0f} are needed), and the "
         f"error of the balance from {sqrt(after):.3g} to {sqrt(without):.3g} "
         f"{torque_unit(fit.model.rig)}.",
     )

@@ -44,8 +44,8 @@ STEPS = ((1.0, 0.0), (0.5, 0.0), (1.0, 0.01), (1.0, 0.1), (1.0, 1.0), (1.0, 10.0
 STALLED = 0.5  # fall of the loss that ends the iterations
 # Share of the windows that are independent: they overlap by half, and the wobble of a pinion
 # on its flank lasts for several. Not read off the misfit, which a missing effect correlates.
-# Samples of the fast part are white. Blocks of short predictions share the chance of an impact for
-# some 0.2 s, ten of them.
+# Samples of the fast part are white. How much blocks of short predictions count is measured by
+# benchmarks/short_weight.py.
 NEWS = {"total": 0.6, "chain": 0.25, "ripple": 1.0, "led": 0.1}
 
 

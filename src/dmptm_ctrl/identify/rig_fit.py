@@ -221,7 +221,8 @@ def residuals(state: State, balance: Balance) -> tuple[tuple[Floats, ...], tuple
 def _one(state: State, balance: Balance, k: int) -> tuple[Floats, Floats]:
     motion = balance.motions[k]
     left, drive = residual(state.model, balance, motion, state.nuisance(motion.name))
-    return left * motion.moving, drive * motion.moving
+    with np.errstate(invalid="ignore"):  # a trial that runs away is no number, at rest neither
+        return left * motion.moving, drive * motion.moving
 
 
 def jacobian(

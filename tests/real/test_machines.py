@@ -42,7 +42,7 @@ def force_error(diagnosis, log):
     q = low_passed(log["out_encoder"])
     v = np.gradient(q, dt)
     a = np.gradient(v, dt)
-    balance = balance_of(diagnosis.rig, [log], bandwidth=0.4 / dt)  # every sample is a row
+    balance = balance_of(diagnosis.declared.rig, [log], bandwidth=0.4 / dt)  # every sample is a row
     point = balance.points[0].name
     motion = replace(balance.motions[0], q={point: q}, v={point: v}, a={point: a})
     left, push = residual(diagnosis.augmented, balance, motion)
@@ -70,7 +70,7 @@ def test_emps_names_what_inertia_and_viscous_friction_lack(emps):
 
 def test_emps_force(emps):
     """Published: 3.11 % asymmetric, fitted; 5.98 % symmetric, on the pulses."""
-    error = {log.name: force_error(emps, log) for log in emps.rig.read(REAL / "emps")}
+    error = {log.name: force_error(emps, log) for log in emps.declared.rig.read(REAL / "emps")}
     assert error["DATA_EMPS"] <= 3.0
     assert error["DATA_EMPS_PULSES"] <= 5.0
 
@@ -78,7 +78,7 @@ def test_emps_force(emps):
 def test_emps_declared_force(emps):
     """The protocol by itself: 18.0 % and 17.8 % for inertia and viscous friction."""
     declared = replace(emps, augmented=emps.declared)
-    error = {log.name: force_error(declared, log) for log in emps.rig.read(REAL / "emps")}
+    error = {log.name: force_error(declared, log) for log in emps.declared.rig.read(REAL / "emps")}
     assert error["DATA_EMPS"] == pytest.approx(18.00, abs=0.3)
     assert error["DATA_EMPS_PULSES"] == pytest.approx(17.83, abs=0.9)
 
@@ -91,7 +91,7 @@ def test_emps_declared_force(emps):
     ],
 )
 def test_emps_closed_loop(emps, name, published):
-    (log,) = [x for x in emps.rig.read(REAL / "emps") if x.name == name]
+    (log,) = [x for x in emps.declared.rig.read(REAL / "emps") if x.name == name]
     raw = loadmat(REAL / "emps" / f"{name}.mat")
     pulses = raw["pulses_N"].ravel() if "pulses_N" in raw else None  # V on the command
     run = march(
@@ -99,7 +99,7 @@ def test_emps_closed_loop(emps, name, published):
         np.zeros((1, len(log))),
         log.sample_time,
         position={"carriage": log["out_encoder"][0]},
-        controller=emps.rig.controller,
+        controller=emps.declared.rig.controller,
         reference=log["reference"],
         added=pulses,
     )

@@ -220,8 +220,8 @@ def residuals(state: State, balance: Balance) -> tuple[tuple[Floats, ...], tuple
 
 def _one(state: State, balance: Balance, k: int) -> tuple[Floats, Floats]:
     motion = balance.motions[k]
-    left, drive = residual(state.model, balance, motion, state.nuisance(motion.name))
-    with np.errstate(invalid="ignore"):  # a trial that runs away is no number, at rest neither
+    with np.errstate(over="ignore", invalid="ignore"):  # a trial that runs away is no number
+        left, drive = residual(state.model, balance, motion, state.nuisance(motion.name))
         return left * motion.moving, drive * motion.moving
 
 

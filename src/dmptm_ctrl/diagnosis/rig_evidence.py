@@ -156,20 +156,21 @@ class RigEvidence:
         return self._candidate(state, (trial,), rough, look=False)
 
     def _fitted(self, state: RigState, group: Sequence[Trial], iterations: int) -> Candidate:
-        there = state.fit.state
+        there, news = state.fit.state, state.fit.likelihood.news
         for trial in group:
             there = trial.placed_in(there)
         try:
-            fit = fit_rig(
-                there, self.logs, iterations=iterations, jobs=self.jobs,
-                news=state.fit.likelihood.news,
-            )  # fmt: skip
+            fit = fit_rig(there, self.logs, iterations=iterations, news=news, jobs=self.jobs)
+            found = self._candidate(state, tuple(group), fit)
+            if found.objection and found.demanded:  # impossible on the way is not impossible
+                fit = fit_rig(fit.state, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
+                found = self._candidate(state, tuple(group), fit)
         except (ValueError, ArithmeticError) as error:
             keys = tuple(t.key for t in group)
             return Candidate(
                 keys, 0.0, 0.0, (tuple(group), state.fit), f"cannot be simulated: {error}"
             )
-        return self._candidate(state, tuple(group), fit)
+        return found
 
     def _candidate(
         self, state: RigState, group: tuple[Trial, ...], fit: RigFit, *, look: bool = True

@@ -86,11 +86,16 @@ class Candidate:
         return self.gain + self.held_gain
 
     @property
-    def acceptable(self) -> bool:
-        """Whether the logs demand it, held-out ones do not object, and its values are possible."""
+    def demanded(self) -> bool:
+        """Whether the logs demand it, and held-out ones do not object."""
         enough = self.evidence > needed(len(self.keys), self.error, self.held_error)
         # the rule of one standard error: Breiman et al., Classification and Regression Trees, 1984
-        return enough and self.held_gain >= -self.held_error and not self.objection
+        return enough and self.held_gain >= -self.held_error
+
+    @property
+    def acceptable(self) -> bool:
+        """Whether the logs demand it and its values are possible."""
+        return self.demanded and not self.objection
 
 
 class State(Protocol):
@@ -219,6 +224,8 @@ class Selection:
         The effects, most evidence first.
     first, rest : list of Candidate
         All candidates beside the declared model, and beside the final one.
+    known : dict of keys to Candidate
+        Each effect at its first look: some have a place only beside another effect.
     path : list of str
         The steps in words.
     """
@@ -228,6 +235,7 @@ class Selection:
     entries: list[Entry] = field(default_factory=list)
     first: list[Candidate] = field(default_factory=list)
     rest: list[Candidate] = field(default_factory=list)
+    known: dict[Keys, Candidate] = field(default_factory=dict)
     path: list[str] = field(default_factory=list)
 
 
@@ -279,6 +287,7 @@ def select_effects(
         candidates = ranked(evidence.candidates(state))
         selection.first = selection.first or candidates
         selection.rest = candidates
+        selection.known = {c.keys: c for c in candidates} | selection.known
         able = [c for c in candidates if c.acceptable and c.keys not in vain]
         if not state.keys or not able:
             sets = likely_sets(evidence, state, candidates)
@@ -409,7 +418,7 @@ def compared(
             gains = evidence.gains(without, state)
             able = rivals_of(evidence, selection, state, without, key)
             rivals = ranked([in_place(evidence, without, state, gains, c) for c in able])
-            better = other_way(evidence, selection.first, state, without, key, gains, rivals)
+            better = other_way(evidence, selection, state, without, key, gains, rivals)
             if better is not None:
                 step(f"{key} → {', '.join(k for k in better.keys if k not in state.keys)}")
                 state = pruned(evidence, better, step)
@@ -432,7 +441,7 @@ def in_place(
 
 def other_way(
     evidence: Evidence,
-    alone: Sequence[Candidate],
+    selection: Selection,
     state: State,
     without: State,
     key: str,
@@ -444,7 +453,7 @@ def other_way(
     A fit that begins with one effect may bend all others to it, so that an effect which acts
     alike is not found beside it; begun with the rival, it is.
     """
-    own = next(c.plainness for c in alone if c.keys == (key,))
+    own = selection.known[(key,)].plainness
     for rival in (r for r in rivals if r.acceptable):
         first = evidence.adopt(without, rival)
         ahead = 0.0 if rival.plainness < own else 4.0 * TEMPERATURE
@@ -465,8 +474,7 @@ def rivals_of(
     own = evidence.share(without, state, key)
     size = float(own @ own)
     alike: dict[str, float] = {}
-    for one in selection.first:
-        (other,) = one.keys
+    for (other,), one in selection.known.items():
         if other in without.keys or other == key:
             continue
         alike[other] = explained(own, evidence.columns(without, one)) / max(size, 1e-300)

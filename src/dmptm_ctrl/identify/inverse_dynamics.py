@@ -235,7 +235,9 @@ def residual(
     # A drive that clips or drops part of its signal must not look better for it.
     size = float(np.std(push))
     sent = float(np.std(logged))
-    fair = sent / max(size, LEAST_DRIVE * sent) if sent > 0 else 1.0
+    if sent > 0 and size < LEAST_DRIVE * sent:
+        raise ArithmeticError("hardly anything of the drive's signal would get through")
+    fair = sent / size if sent > 0 else 1.0
     alone = dict(zip(measured, single, strict=True))
     equations = [fair * (push - total)]
     for k, point in enumerate(balance.points):

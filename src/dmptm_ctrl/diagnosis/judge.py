@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE, Errors, Row, closed_rows, error_entry
-from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, name_of
+from dmptm_ctrl.diagnosis.budget import Errors, Row, closed_rows, error_entry
+from dmptm_ctrl.diagnosis.dual import DualState, name_of
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import (
     BANDWIDTH_HZ,
@@ -62,16 +62,13 @@ class Judged:
         return next(r.share for r in self.rows if r.name == "not explained")
 
 
-def rises(selection: Selection) -> list[float]:
-    """What is left rises by without each effect, over what is left that is no noise."""
-    final: DualState = selection.final
+def rise(without: DualState, final: DualState) -> float:
+    """What is left rises by without an effect, over what is left that is no noise."""
     scale = Scale.of(final.left)
     after = mean_square(final.left, scale)
     still = after * systematic(final.left, scale)
-    return [
-        (mean_square(on_rows_of(final.left, e.without.left), scale) - after) / max(still, 1e-300)
-        for e in selection.entries
-    ]
+    more = mean_square(on_rows_of(final.left, without.left), scale) - after
+    return more / max(still, 1e-300)
 
 
 def systematic(left: Residual, scale: "Scale") -> float:
@@ -85,19 +82,6 @@ def systematic(left: Residual, scale: "Scale") -> float:
     ]
     shared = sum(float(x[2:] @ x[:-2]) for x in rows)
     return max(shared, 0.0) / sum(float(x @ x) for x in rows)
-
-
-def without_negligible(evidence: DualEvidence, selection: Selection) -> Selection:
-    """Take out effects that hardly change what is left, as a nearly right law imitates them."""
-    kept = []
-    for entry, rise_by in zip(selection.entries, rises(selection), strict=True):
-        if rise_by >= NEGLIGIBLE:
-            kept.append(entry)
-        else:
-            selection.final = evidence.without(selection.final, entry.key)
-            selection.path.append(f"- {entry.key}: negligible")
-    selection.entries = kept
-    return selection
 
 
 def judge(
@@ -146,8 +130,8 @@ def judge(
     ]
     rows += [sensor_row(name, augmented.model, speed, logs, jobs) for name in fixed]
     left = (
-        rise(speed["after"]["rmse"], speed["floor"]["rmse"]),
-        rise(torque["after"]["rmse"], torque["floor"]["rmse"]),
+        apart(speed["after"]["rmse"], speed["floor"]["rmse"]),
+        apart(torque["after"]["rmse"], torque["floor"]["rmse"]),
     )
     depends_on = rest.variables if rest is not None else ()
     closed = closed_rows(
@@ -162,7 +146,7 @@ def judge(
     return Judged(errors, tuple(closed), error)
 
 
-def rise(one: float, other: float) -> float:
+def apart(one: float, other: float) -> float:
     """Root of a difference of squares, not below nothing."""
     return float(np.sqrt(max(one**2 - other**2, 0.0)))
 
@@ -284,14 +268,14 @@ def effect_row(
     left = on_rows_of(final.left, without.left)
     lost = mean_square(left, scale) - errors.after
     share = max(lost, 0.0) / max(errors.removable, 1e-300)
-    torque = rise(torque_error(left, measured)["rmse"], torque_error(final.left, measured)["rmse"])
+    torque = apart(torque_error(left, measured)["rmse"], torque_error(final.left, measured)["rmse"])
     damping = {k: augmented.model.drive[k] for k in ("c", "c_f")}
     model = left.base.model.with_values(**damping)
     slower = speed_error(model, measured.held_logs, jobs)["rmse"]
     return Row(
         name,
         effect.location,
-        rise(slower, speed["after"]["rmse"]),
+        apart(slower, speed["after"]["rmse"]),
         torque,
         min(share, 1.0),
         effect.depends_on,
@@ -302,7 +286,7 @@ def sensor_row(
     name: str, model: Model, speed: Mapping[str, Mapping[str, float]], logs: Any, jobs: int
 ) -> Row:
     """What the error of the readings rises by without an error of a sensor."""
-    lost = rise(speed_error(model.without([name]), logs, jobs)["rmse"], speed["after"]["rmse"])
+    lost = apart(speed_error(model.without([name]), logs, jobs)["rmse"], speed["after"]["rmse"])
     span = speed["before"]["rmse"] ** 2 - speed["floor"]["rmse"] ** 2
     share = min(lost**2 / span, 1.0) if span > 0.0 else 0.0
     return Row(name, CATALOGUE[name].location, lost, None, share, CATALOGUE[name].depends_on)

@@ -38,6 +38,7 @@ WIDTHS = (0.003, 0.01, 0.03)  # local spots, of the travel
 SPOT_BINS = 2048
 HIDDEN_MODES = 14  # antiresonances tried
 SHARES = (0.25, 0.6)  # of the inertia behind a spring, tried
+FRICTION = "coulomb_friction", "viscous_friction", "stribeck_friction"
 SENSORS = {"sensor_gain", "encoder_eccentricity", "sensor_delay"}  # judged against each other
 
 
@@ -139,6 +140,8 @@ def _body_effect(tangent: Tangent, chain: PlacedEffect, body: str) -> Trial | No
         shapes = [{"order": float(n)} for n in (1, 2, 3, 4)]
         return _linear(tangent, chain, body, shapes, ("cosine", "sine"), same)
     if name == "stribeck_friction":
+        if not _rubs(model, body, ("coulomb_friction",)):
+            return None  # it is what breakaway exceeds Coulomb friction by
         fastest = max(float(np.abs(_speed(balance, m, model, body)).max()) for m in balance.motions)
         shapes = [{"speed": s * fastest} for s in SPEEDS]
     elif name == "base_vibration":
@@ -150,12 +153,11 @@ def _body_effect(tangent: Tangent, chain: PlacedEffect, body: str) -> Trial | No
     return _linear(tangent, chain, body, shapes)
 
 
-def _rubs(model: RigModel, body: str) -> bool:
-    """Whether a body has any friction that a factor could change."""
-    names = ("coulomb_friction", "viscous_friction", "stribeck_friction")
-    if any(e.on == body and e.name in names for e in model.effects):
+def _rubs(model: RigModel, body: str, laws: Sequence[str] = FRICTION) -> bool:
+    """Whether a body has friction by one of some laws."""
+    if any(e.on == body and e.name in laws for e in model.effects):
         return True
-    return not body.endswith(FAR) and bool(model.rig.body(body).friction)
+    return any(declared_already(model, name, body) for name in laws)
 
 
 def _speed(balance: Balance, motion: Motion, model: RigModel, body: str) -> Floats:

@@ -16,8 +16,8 @@ from dmptm_ctrl.diagnosis.rig_curves import (
 from dmptm_ctrl.diagnosis.rig_evidence import (
     RigEvidence,
     RigState,
+    rise,
     within_floor,
-    without_negligible,
 )
 from dmptm_ctrl.diagnosis.rig_report import report_of
 from dmptm_ctrl.diagnosis.rig_screen import (
@@ -28,7 +28,7 @@ from dmptm_ctrl.diagnosis.rig_screen import (
 )
 from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
-from dmptm_ctrl.diagnosis.select import select_effects
+from dmptm_ctrl.diagnosis.select import select_effects, without_negligible
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
@@ -106,7 +106,7 @@ def diagnose_rig(
         names = [m.name for m in balance.motions]
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
         as_read = _as_read(declared, whole, base, jobs)
-    selection = without_negligible(evidence, select_effects(evidence, base, say))
+    selection = without_negligible(evidence, select_effects(evidence, base, say), rise)
     if within_floor(selection):
         selection = replace(selection, final=base, entries=[], rest=selection.first)
     say("looking for curves in what is left")

@@ -7,7 +7,7 @@ from math import isfinite
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE, NONE
+from dmptm_ctrl.diagnosis.budget import NONE
 from dmptm_ctrl.diagnosis.rig_candidates import (
     MAX_ORDER,
     SPOT_BINS,
@@ -297,19 +297,6 @@ class RigEvidence:
         bare, _ = residuals(State(state.fit.model.without(gone), state.fit.state.logs), self.logs)
         change = [b - e for b, e in zip(bare, state.fit.left, strict=True)]
         return without.tangent.project(without.tangent.stack(change))
-
-
-def without_negligible(evidence: RigEvidence, selection: Selection) -> Selection:
-    """Take out effects that hardly change what is left, as a nearly right law imitates them."""
-    kept = []
-    for entry in selection.entries:
-        if rise(entry.without, selection.final) >= NEGLIGIBLE:
-            kept.append(entry)
-        else:
-            selection.final = evidence.without(selection.final, entry.key)
-            selection.path.append(f"- {entry.key}: negligible")
-    selection.entries = kept
-    return selection
 
 
 def within_floor(selection: Selection) -> bool:

@@ -17,7 +17,7 @@ from dmptm_ctrl.diagnosis.dual import (
     name_of,
     standard_errors,
 )
-from dmptm_ctrl.diagnosis.judge import without_negligible
+from dmptm_ctrl.diagnosis.judge import rise
 from dmptm_ctrl.diagnosis.residual import predicting
 from dmptm_ctrl.diagnosis.select import (
     LEVEL,
@@ -29,6 +29,7 @@ from dmptm_ctrl.diagnosis.select import (
     explained,
     needed,
     ranked,
+    without_negligible,
 )
 from dmptm_ctrl.diagnosis.trace import BY_SIMULATOR, bent, candidates, starts, weighted_changes
 from dmptm_ctrl.effects import CATALOGUE
@@ -92,7 +93,7 @@ def with_short_predictions(
             break
         state = weakest.without
     both = replace(selection, final=state, entries=sorted(entries, key=lambda e: -e.evidence))
-    both = without_negligible(evidence, both)
+    both = without_negligible(evidence, both, rise)
     return both if found.keys() & {e.key for e in both.entries} else selection
 
 

@@ -162,7 +162,7 @@ class DualEvidence:
         one = Candidate(keys, 0.0, 0.0, trials, why, numbers, order)
         there = self.beside(state, one)
         gain, held = self.gains(state, there)
-        error, held_error = standard_errors(state, there)
+        error, held_error = self.errors(state, there)
         return replace(one, gain=gain, held_gain=held, error=error, held_error=held_error)
 
     def beside(self, state: DualState, candidate: Candidate) -> DualState:
@@ -178,6 +178,13 @@ class DualEvidence:
         more = sum(searched(name_of(k)) for k in larger.keys)
         more -= sum(searched(name_of(k)) for k in smaller.keys)
         return fall(smaller.fitted, larger.fitted) - more, fall(smaller.held, larger.held)
+
+    def errors(self, smaller: DualState, larger: DualState) -> tuple[float, float]:
+        """Standard errors of the falls on both parts of the logs."""
+        return (
+            standard_error(smaller.rows, larger.rows, larger.fitted.lengths),
+            standard_error(smaller.held_rows, larger.held_rows, larger.held.lengths),
+        )
 
     def ratio(self, state: DualState) -> float:
         """Windows of the fitted logs over those of the held-out ones."""
@@ -260,14 +267,6 @@ def _columns(view: Trace, candidate: Candidate) -> Floats:
     values = trial.fit.model.effects[trial.name]
     shapes = {k: values[k] for k in effect.shapes if k in values}
     return effect_columns(view, effect, shapes)
-
-
-def standard_errors(smaller: DualState, larger: DualState) -> tuple[float, float]:
-    """Standard errors of the falls on both parts of the logs."""
-    return (
-        standard_error(smaller.rows, larger.rows, larger.fitted.lengths),
-        standard_error(smaller.held_rows, larger.held_rows, larger.held.lengths),
-    )
 
 
 def own_places(fit: BalanceFit, name: str) -> list[int]:

@@ -188,7 +188,7 @@ class RigEvidence:
             return one
         if not isfinite(gain + held):
             return one
-        error, held_error = self._errors(state, there)
+        error, held_error = self.errors(state, there)
         return replace(one, gain=gain, held_gain=held, error=error, held_error=held_error)
 
     def beside(self, state: RigState, candidate: Candidate) -> RigState:
@@ -207,7 +207,7 @@ class RigEvidence:
         fall = held.surprise(smaller.held_left[0]) - held.surprise(larger.held_left[0])
         return fitted - larger.loss - more, fall
 
-    def _errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
+    def errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
         """Standard errors of the falls on both parts of the logs."""
         news = larger.fit.likelihood.news
 

@@ -143,6 +143,9 @@ class Evidence(Protocol):
     def gains(self, smaller: Any, larger: Any) -> tuple[float, float]:
         """Fall of −2 log-likelihood by the larger model on the fitted and the held-out logs."""
 
+    def errors(self, smaller: Any, larger: Any) -> tuple[float, float]:
+        """Standard errors of these falls."""
+
     def ratio(self, state: Any) -> float:
         """Rows of the fitted logs over those of the held-out ones."""
 
@@ -400,13 +403,18 @@ def pruned(evidence: Evidence, state: State, step: Callable[[str], None]) -> Sta
         wald = {key: evidence.wald(state, key) for key in state.keys}
         doubtful = [key for key in state.keys if wald[key] < DOUBTFUL * LEVEL]
         left_out = {key: evidence.without(state, key) for key in doubtful}
-        worth = {key: sum(evidence.gains(one, state)) for key, one in left_out.items()}
-        weakest = min(worth, key=lambda key: worth[key], default=None)
-        if weakest is None or worth[weakest] > LEVEL:
+        spare = {key: beyond_need(evidence, one, state) for key, one in left_out.items()}
+        weakest = min(spare, key=lambda key: spare[key], default=None)
+        if weakest is None or spare[weakest] > 0.0:
             return state
-        step(f"- {weakest}: {worth[weakest]:.0f}")
+        step(f"- {weakest}: {sum(evidence.gains(left_out[weakest], state)):.0f}")
         state = left_out[weakest]
     return state
+
+
+def beyond_need(evidence: Evidence, smaller: Any, larger: Any) -> float:
+    """Evidence for a model with one effect more, less what is needed."""
+    return sum(evidence.gains(smaller, larger)) - needed(1, *evidence.errors(smaller, larger))
 
 
 def compared(
@@ -464,7 +472,7 @@ def other_way(
         for second in evidence.candidates(first, [key]):
             if second.acceptable:
                 both = evidence.adopt(first, second)
-                if sum(evidence.gains(state, both)) > LEVEL:
+                if beyond_need(evidence, state, both) > 0.0:
                     return both
     return None
 

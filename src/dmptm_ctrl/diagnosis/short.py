@@ -15,7 +15,6 @@ from dmptm_ctrl.diagnosis.dual import (
     fall,
     key_of,
     name_of,
-    standard_errors,
 )
 from dmptm_ctrl.diagnosis.judge import rise
 from dmptm_ctrl.diagnosis.residual import predicting
@@ -89,7 +88,7 @@ def with_short_predictions(
                 found[better.keys[0]] = [c for c in found.pop(weakest.key) if c is not better]
                 state = evidence.adopt(weakest.without, again[0])
                 continue
-        if weakest.evidence > needed(1, *standard_errors(weakest.without, state)):
+        if weakest.evidence > needed(1, *evidence.errors(weakest.without, state)):
             break
         state = weakest.without
     both = replace(selection, final=state, entries=sorted(entries, key=lambda e: -e.evidence))

@@ -178,3 +178,32 @@ def test_what_is_on_no_list_is_unknown_with_its_variable():
     assert found.verdict == "unknown"
     assert "omega:motor" in found.depends_on
     assert "nothing is missing" not in found.summary()
+
+
+def test_every_effect_can_be_fitted(rubbing):
+    evidence, base = rubbing
+    (friction,) = evidence.candidates(base, ["coulomb_friction@motor"])
+    state = evidence.adopt(base, friction)
+    for trial in state.trials:
+        fit = fit_rig(trial.placed_in(state.fit.state), evidence.logs, iterations=1, jobs=1)
+        assert all(np.isfinite(part).all() for part in fit.slopes), trial.key
+        assert np.isfinite([fit.state.get(f) for f in fit.frees]).all(), trial.key
+
+
+def test_friction_that_falls_while_the_drive_runs_is_named():
+    bench = Bench(Machine(fc=0.05), **SMALL)
+    rig = parse_rig(bench.rig(), "rig.toml")
+    cold = [Log(log.name, log.time, warmed(rig, log)) for log in logs_of(bench, rig)]
+    found = diagnose_rig(cold, rig, jobs=1)
+    assert {e.name for e in found.effects} >= {"coulomb_friction", "thermal_drift"}
+    (drift,) = (e for e in found.effects if e.name == "thermal_drift")
+    assert drift.parameters["rise"]["value"] == pytest.approx(0.6, rel=0.1)
+    assert drift.parameters["time_constant"]["value"] == pytest.approx(2.0, rel=0.15)
+
+
+def warmed(rig, log):
+    """Add what friction that is larger by exp(−t/2 s) takes, as torque that the drive gives."""
+    (source,) = rig.inputs
+    (sensor,) = rig.sensors
+    more = 0.05 * 0.6 * np.exp(-log.time / 2.0) * np.sign(log[sensor.channel])
+    return {**log.channels, source.channel: log[source.channel] + more / source.gain.value}

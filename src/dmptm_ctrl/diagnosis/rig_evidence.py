@@ -27,6 +27,7 @@ from dmptm_ctrl.identify.rig_fit import (
     State,
     fit_rig,
     residuals,
+    stepped,
     total_loss,
 )
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -134,24 +135,15 @@ class RigEvidence:
         return [*judged, *rough]
 
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:
-        """Judge a candidate with the model's parameters as they are after one linear step."""
-        there, fit, t = trial.placed_in(state.fit.state), state.fit, state.tangent
-        if fit.frees:
-            columns = t.stack(trial.columns)
-            change = columns @ t.score(trial.columns)[1] if trial.names else columns[:, 0]
-            size = np.linalg.norm(t.slopes, axis=0)
-            size[size == 0] = 1.0
-            move = np.linalg.lstsq(t.slopes / size, -(t.whole + change), rcond=1e-7)[0] / size
-            values = [
-                float(np.clip(there.get(f) + f.scale * d, f.low, f.high))
-                for f, d in zip(fit.frees, move, strict=True)
-            ]
-            there = there.moved(fit.frees, values)
+        """Judge a candidate after one step of the model's parameters, by their known slopes."""
+        there, fit = trial.placed_in(state.fit.state), state.fit
         try:
             left, drive = residuals(there, self.logs)
         except (ValueError, ArithmeticError):
             return Candidate((trial.key,), -np.inf, 0.0, ((trial,), fit), "cannot be simulated")
         loss = total_loss(there, fit.frees, left, fit.likelihood)
+        found = stepped(there, fit.frees, left, fit.slopes, fit.likelihood, loss)
+        there, left, drive, loss = found or (there, left, drive, loss)
         rough = replace(fit, state=there, left=left, drive=drive, loss=loss)
         return self._candidate(state, (trial,), rough, look=False)
 

@@ -303,7 +303,7 @@ def fit_rig(
     loss = total_loss(state, frees, left, likelihood)
     slopes = jacobian(state, balance, frees, left, jobs=jobs)
     for _ in range(iterations if frees else 0):
-        better = _better(state, frees, left, slopes, likelihood, loss)
+        better = stepped(state, frees, left, slopes, likelihood, loss)
         if better is None:
             break
         gain = loss - better[3]
@@ -315,7 +315,7 @@ def fit_rig(
     return RigFit(state, frees, left, drive, slopes, likelihood, loss)
 
 
-def _better(
+def stepped(
     state: State,
     frees: Sequence[Free],
     left: Sequence[Floats],

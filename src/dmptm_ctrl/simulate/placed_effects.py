@@ -196,7 +196,13 @@ PLACED_CATALOGUE: dict[str, PlacedEffect] = {
         whole(LOAD_DEPENDENT_FRICTION._replace(kernel=body_load_friction)),
         whole(POSITION_DEPENDENT_FRICTION),
         whole(LOCAL_SPOT),
-        whole(THERMAL_DRIFT),
+        # the ring gear's own terms need the length of a log
+        PlacedEffect(
+            THERMAL_DRIFT,
+            tuple(p for p in THERMAL_DRIFT.parameters if p.name in ("rise", "time_constant")),
+            (0, 0.0, 0.0, 1, 1.0),
+            0,
+        ),
         whole(QUADRATIC_DRAG),
         whole(UNBALANCE),
         whole(CABLE_SPRING),

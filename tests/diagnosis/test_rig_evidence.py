@@ -191,9 +191,9 @@ def test_every_effect_can_be_fitted(rubbing):
 
 
 def test_friction_that_falls_while_the_drive_runs_is_named():
-    bench = Bench(Machine(fc=0.05), **SMALL)
+    bench = Bench(Machine(fc=0.05, emf=0.0, b1=0.002), **SMALL)
     rig = parse_rig(bench.rig(), "rig.toml")
-    cold = [Log(log.name, log.time, warmed(rig, log)) for log in logs_of(bench, rig)]
+    cold = [Log(log.name, log.time, warmed(bench.machine, rig, log)) for log in logs_of(bench, rig)]
     found = diagnose_rig(cold, rig, jobs=1)
     assert {e.name for e in found.effects} >= {"coulomb_friction", "thermal_drift"}
     (drift,) = (e for e in found.effects if e.name == "thermal_drift")
@@ -201,9 +201,11 @@ def test_friction_that_falls_while_the_drive_runs_is_named():
     assert drift.parameters["time_constant"]["value"] == pytest.approx(2.0, rel=0.15)
 
 
-def warmed(rig, log):
-    """Add what friction that is larger by exp(−t/2 s) takes, as torque that the drive gives."""
+def warmed(machine, rig, log):
+    """Add what friction takes that is larger by 0.6 exp(−t/2 s), as torque that the drive gives."""
     (source,) = rig.inputs
     (sensor,) = rig.sensors
-    more = 0.05 * 0.6 * np.exp(-log.time / 2.0) * np.sign(log[sensor.channel])
+    speed = log[sensor.channel]
+    friction = machine.fc * np.sign(speed) + machine.b1 * speed
+    more = 0.6 * np.exp(-log.time / 2.0) * friction
     return {**log.channels, source.channel: log[source.channel] + more / source.gain.value}

@@ -286,9 +286,9 @@ def test_the_sentence_says_what_the_budget_says(diagnosis):
     told = diagnosis.sentence()
     assert {
         "none": "the error of its balance is 1.05 times the floor",  # √(1.1/1)
-        "explained": "lacks unbalance: 94 % of the removable error of the balance; free runs miss "
+        "explained": "lacks unbalance: 94 % of the removable error; free runs miss "
         "held-out logs by",  # (10 − 1.5)/(10 − 1)
-        "unknown": "Found unbalance: 56 % of the removable error of the balance. The rest is "
+        "unknown": "Found unbalance: 56 % of the removable error. The rest is "
         "unknown; it depends on theta_L",
     }[diagnosis.verdict] in told
     assert "nothing is missing" not in diagnosis.summary()

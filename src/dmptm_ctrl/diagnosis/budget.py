@@ -8,7 +8,7 @@ out and the rest is refitted, over the removable mean square, before less floor.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 NONE = 1.5  # times its floor that the error before may be where nothing is missing
 EXPLAINED = 0.8  # share of the removable mean square that named effects take at least
@@ -16,6 +16,14 @@ MATERIAL = 0.02  # share of the removable mean square from which an effect matte
 # What is left must rise by without an effect, over what is left that is no noise. A law of friction
 # that is only nearly right imitates effects below it: benchmarks/calibrate.py --ordinary.
 NEGLIGIBLE = 0.1
+
+
+class Squares(NamedTuple):
+    """Mean squares of another measure: before, after and floor, as in :class:`Errors`."""
+
+    before: float
+    after: float
+    floor: float
 
 
 @dataclass(frozen=True)
@@ -27,14 +35,15 @@ class Errors:
     before, after, floor : float
         Of the declared model refitted inside its ranges, of the augmented model, and of what
         neither an effect nor a curve predicts.
-    runs : (before, after, floor), optional
-        Mean squares of free runs, in a unit of their own.
+    runs, short : Squares, optional
+        Mean squares of free runs and of short predictions, each in a unit of its own.
     """
 
     before: float
     after: float
     floor: float
-    runs: tuple[float, float, float] | None = None
+    runs: Squares | None = None
+    short: Squares | None = None
 
     @property
     def removable(self) -> float:
@@ -44,17 +53,17 @@ class Errors:
     @property
     def within_floor(self) -> bool:
         """Whether the declared model is as good as any, by every measure."""
-        runs = self.runs is None or near(self.runs[0], self.runs[2])
+        runs = self.runs is None or near(self.runs.before, self.runs.floor)
         return runs and near(self.before, self.floor)
 
     @property
     def explained(self) -> float:
         """Share of the removable mean square that the named effects take; the least measure's."""
-        own = share(self.before, self.after, self.floor)
-        # free runs near their floor cannot show what acts on other readings
-        if self.runs is None or near(self.runs[0], self.runs[2]):
-            return own
-        return min(own, share(*self.runs))
+        # runs near their floor cannot show what acts on other readings
+        others = (
+            m for m in (self.runs, self.short) if m is not None and not near(m.before, m.floor)
+        )
+        return min(share(self.before, self.after, self.floor), *(share(*m) for m in others), 1.0)
 
 
 def share(before: float, after: float, floor: float) -> float:

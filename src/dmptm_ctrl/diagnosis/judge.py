@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import Errors, Row, closed_rows, error_entry
+from dmptm_ctrl.diagnosis.budget import Errors, Row, Squares, closed_rows, error_entry
 from dmptm_ctrl.diagnosis.dual import DualState, name_of
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import (
@@ -109,10 +109,8 @@ def judge(
         "before": speed_error(bare, logs, jobs),
         "after": speed_error(augmented.model, logs, jobs),
     }
-    twins = twin_scatter(augmented, measured, jobs)
-    speed["floor"] = {"rmse": min(twins, *(one["rmse"] for one in speed.values()))}
-    squares = {name: one["rmse"] ** 2 for name, one in speed.items()}
-    errors = replace(errors, runs=(squares["before"], squares["after"], squares["floor"]))
+    freely, shortly = scatters(twins_of(augmented), measured, jobs)
+    speed["floor"] = {"rmse": min(freely, *(one["rmse"] for one in speed.values()))}
     names = ("before", "after", "floor")
     torque = {
         name: torque_error(left, measured)
@@ -122,8 +120,12 @@ def judge(
         zip(names[:2], (horizon(m, measured.held, jobs) for m in (bare, augmented.model)),
             strict=True)
     )  # fmt: skip
-    noise = noise_floor(measured.held, 0.5 / BLOCK_SECONDS)
-    horizons["floor"] = min(noise, *horizons.values())
+    horizons["floor"] = min(shortly, *horizons.values())
+    errors = replace(
+        errors,
+        runs=Squares(*(speed[name]["rmse"] ** 2 for name in names)),
+        short=Squares(*(horizons[name] ** 2 for name in names)),
+    )
     rows = [
         effect_row(e.key, e.without, final, errors, scale, augmented, measured, speed, jobs)
         for e in selection.entries
@@ -228,8 +230,8 @@ def noise_floor(records: Sequence[Record], bandwidth_hz: float = BANDWIDTH_HZ) -
     return float(np.rad2deg(np.sqrt(np.mean(squares))))
 
 
-def twin_scatter(fit: Fit, measured: Measured, jobs: int) -> float:
-    """Scatter of free runs of drives within the standard errors of a fit, and noise [deg/s]."""
+def twins_of(fit: Fit) -> list[Model]:
+    """Drives within the standard errors of a fit."""
     rng = np.random.default_rng(0)
     values, vectors = np.linalg.eigh(fit.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -237,18 +239,36 @@ def twin_scatter(fit: Fit, measured: Measured, jobs: int) -> float:
     draws = [
         np.clip(fit.p + root @ rng.standard_normal(fit.p.size), low, high) for _ in range(TWINS)
     ]
-    models = [place(fit.model, fit.unknowns, p) for p in draws]
+    return [place(fit.model, fit.unknowns, p) for p in draws]
 
-    def spread(log: Any) -> tuple[float, int]:
-        runs = [
-            low_pass(free_run(m, log, runs=1, columns=(1,))[:, 0], log.sample_time) for m in models
-        ]
-        table = np.array(runs)
-        return float(np.sum(np.var(table, axis=0, ddof=1))), table.shape[1]
 
-    done = in_threads(spread, measured.held_logs, jobs, lambda log: log.time.size)
-    variance = sum(d[0] for d in done) / max(sum(d[1] for d in done), 1)
-    return float(np.hypot(np.rad2deg(np.sqrt(variance)), noise_floor(measured.held)))
+def scatters(twins: Sequence[Model], measured: Measured, jobs: int) -> tuple[float, float]:
+    """Scatter of free runs and of short predictions of twins, and noise [deg/s]."""
+
+    def free(log: Any) -> tuple[float, int]:
+        runs = [free_run(m, log, runs=1, columns=(1,))[:, 0] for m in twins]
+        return spread([low_pass(run, log.sample_time) for run in runs])
+
+    def short(rec: Record) -> tuple[float, int]:
+        return spread(Led(rec).missing_of(twins))
+
+    def spread(runs: Any) -> tuple[float, int]:
+        return float(np.sum(np.var(runs, axis=0, ddof=1))), len(runs[0])
+
+    def root(done: Sequence[tuple[float, int]], noise: float) -> float:
+        variance = sum(d[0] for d in done) / max(sum(d[1] for d in done), 1)
+        return float(np.hypot(np.rad2deg(np.sqrt(variance)), noise))
+
+    return (
+        root(
+            in_threads(free, measured.held_logs, jobs, lambda log: log.time.size),
+            noise_floor(measured.held),
+        ),
+        root(
+            in_threads(short, measured.held, jobs, lambda rec: rec.omega.size),
+            noise_floor(measured.held, 0.5 / BLOCK_SECONDS),
+        ),
+    )
 
 
 def effect_row(

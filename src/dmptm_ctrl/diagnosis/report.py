@@ -201,7 +201,7 @@ class Diagnosis:
         names = self._headline()
         if not names:
             return f"The declared model lacks something unknown{on}; {left}."
-        share = f"{100.0 * self.errors.explained:.0f} % of the removable error of the balance"
+        share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
         if self.verdict == "explained":
             return f"The declared model lacks {names}: {share}; {left}."
         return f"Found {names}: {share}. The rest is unknown{on}; {left}."

@@ -58,12 +58,12 @@ def test_power_of_passive_elements_is_never_positive(name, state, twist, damping
     sys = to_blocks(model)
     x = dict(zip(sys.state_labels, initial_state(model, sys, bodies(*state)), strict=True))
     for s in "lr":
-        if f"chain_{s}_theta_motor" in x:
-            x[f"chain_{s}_theta_motor"] += twist
+        if f"motor_{s}_theta" in x:
+            x[f"motor_{s}_theta"] += twist
     full = np.array([x[label] for label in sys.state_labels])
     rate = dict(zip(sys.state_labels, sys.dynamics(0.0, full, np.zeros(2)), strict=True))
     motor = drive["N_1"] ** 2 * drive["J_m"]
-    elastic = "chain_l_theta_motor" in x
+    elastic = "motor_l_theta" in x
     inertias = {"ring": drive["J_L"]}
     terms = []
     for s, gap in (("l", drive["gap_l"]), ("r", drive["gap_r"])):
@@ -72,10 +72,10 @@ def test_power_of_passive_elements_is_never_positive(name, state, twist, damping
         z_rate = rate[f"chain_{s}_theta"] - drive["N_2"] * rate["ring_theta"]
         terms.append(drive["k_m"] * max(abs(z) - gap, 0.0) * np.sign(z) * z_rate)
         if elastic:
-            turned = x[f"chain_{s}_theta_motor"] - x[f"chain_{s}_theta"]
-            turning = rate[f"chain_{s}_theta_motor"] - rate[f"chain_{s}_theta"]
+            turned = x[f"motor_{s}_theta"] - x[f"chain_{s}_theta"]
+            turning = rate[f"motor_{s}_theta"] - rate[f"chain_{s}_theta"]
             terms.append(turned * turning / PASSIVE[name]["compliance"])
-            terms.append(motor * x[f"chain_{s}_omega_motor"] * rate[f"chain_{s}_omega_motor"])
+            terms.append(motor * x[f"motor_{s}_omega"] * rate[f"motor_{s}_omega"])
     for block, inertia in inertias.items():
         terms.append(inertia * x[f"{block}_omega"] * rate[f"{block}_omega"])
     assert sum(terms) <= 1e-12 * sum(abs(term) for term in terms)

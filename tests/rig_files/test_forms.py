@@ -6,7 +6,8 @@ import pytest
 from scipy.signal import cont2discrete
 
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.simulate.rig_blocks import rig_blocks
+from dmptm_ctrl.simulate.blocks import rig_blocks
+from dmptm_ctrl.simulate.reference import run_exactly
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.rig_run import linear_rig, march, rig_modes
 
@@ -109,7 +110,51 @@ def test_friction_gap_and_cogging_in_blocks_and_compiled():
     assert np.sqrt(np.mean((run.reading("first") - seen) ** 2)) < 0.01 * scale
 
 
-def test_dead_time_has_no_block():
-    model = RigModel(TRAINS["1 body"], (Placed("drive_delay", "m", {"delay": 0.01}),))
-    with pytest.raises(ValueError, match="dead time"):
-        rig_blocks(model)
+def test_dead_times_and_presliding_have_blocks():
+    """Beside the reference, which takes dead times exactly and shares no time stepping."""
+    effects = (
+        Placed("drive_delay", "m", {"delay": 0.01}),
+        Placed("sensor_delay", "last", {"delay": 0.004}),
+        Placed("presliding", "b0", {"distance": 0.05}),
+        Placed("coulomb_friction", "b0", {"level": 0.3}),
+    )
+    rig = train([(0, 1, 3, 400)], 2)
+    model = RigModel(rig, effects)
+    drive = np.sin(2 * np.pi * 2 * TIME[:400])
+    blocks = rig_blocks(model)
+    found = ct.input_output_response(
+        blocks, TIME[:400], drive, np.zeros(blocks.nstates),
+        solve_ivp_method="LSODA", solve_ivp_kwargs={"max_step": 1e-3, "rtol": 1e-8, "atol": 1e-10},
+    ).outputs  # fmt: skip
+    # the solver's input is a ramp from sample to sample, half a sample ahead of the held one
+    seen = np.array([np.interp(TIME[:400] - DT / 2, TIME[:400], y) for y in found])
+    plant = model.plant()
+    start = np.zeros(plant.inertia.size)
+    exact = run_exactly(plant, drive[None], start, start, DT, rtol=1e-8).readings.T
+    scale = np.abs(exact).max(axis=1)
+    assert (np.sqrt(np.mean((exact - seen) ** 2, axis=1)) < 0.01 * scale).all()
+    plain = run_exactly(
+        RigModel(rig, effects[3:]).plant(), drive[None], start, start, DT, rtol=1e-8
+    ).readings.T
+    assert (np.sqrt(np.mean((exact - plain) ** 2, axis=1)) > 0.03 * scale).all()
+
+
+def test_a_dead_time_cannot_come_by_params():
+    text = """
+[body.b]
+inertia = 0.02
+[input.m]
+column = "u_V"
+body = "b"
+delay = "10 ms"
+[sensor.s]
+column = "q_rad"
+body = "b"
+"""
+    blocks = rig_blocks(RigModel(parse_rig(text)))
+    x = 0.1 * np.ones(blocks.nstates)
+    slower = blocks.dynamics(0.0, x, [0.1], params={"input.m.delay": 0.02})
+    at = blocks.state_labels.index("input_m_delay_0")
+    assert slower[at] == pytest.approx(0.5 * blocks.dynamics(0.0, x, [0.1])[at])
+    with pytest.raises(ValueError, match="a dead time or presliding cannot come or go"):
+        blocks.dynamics(0.0, x, [0.1], params={"input.m.delay": 0.0})

@@ -6,8 +6,8 @@ import pytest
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.simulate.blocks import rig_blocks
 from dmptm_ctrl.simulate.linear import linearize
-from dmptm_ctrl.simulate.rig_blocks import rig_blocks
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.rig_run import linear_rig, modes_text, rig_modes, simulate_rig
 

@@ -1,21 +1,9 @@
-"""The drive as python-control blocks, one per component, joined by their signal names.
+"""A drive as python-control blocks: the dual-motor drive, and a rig of any shape.
 
-No physics here: each block calls the kernels of its site. Blocks are pure functions of
-(t, x, u, params), finite at zero, without memory besides their states. Of `params` they take
-values of the declared drive and of the loop by name, and refuse other names.
-
-Friction with real sticking inside an ODE (Karnopp, J. Dyn. Sys. 107 (1985) 100): below
-:data:`REST_SPEED` a body counts as resting; its friction then takes the value that balances
-the net torque, as long as the breakaway torque allows, and the body does not move: angle
-and speed keep their values. There is no smoothed sign, so nothing creeps. What the band
-costs is a residual speed below REST_SPEED. A body without dry friction never rests, so that
-``control.linearize`` at rest finds its viscous friction.
-
-A dead time in an ODE is a Padé approximation (order :data:`PADE_ORDER`); the compiled
-simulator and the reference have it exactly.
+See :mod:`~.block_parts` for what the blocks are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import control as ct
@@ -23,286 +11,47 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from dmptm_ctrl.effects.backlash import gap_rate, twist_torque
 from dmptm_ctrl.simulate.base import Floats, refuse_negative
-from dmptm_ctrl.simulate.block_params import Given, given_of
+from dmptm_ctrl.simulate.block_parts import (
+    PADE_ORDER,
+    REST_SPEED,
+    Delay,
+    Given,
+    Names,
+    part_blocks,
+    pi_block,
+)
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
-from dmptm_ctrl.simulate.plain import RING, Sites
+from dmptm_ctrl.simulate.dual import dual_plant, parts_of
+from dmptm_ctrl.simulate.plant import GAP, TWO_STATES, Plant
+from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
 
 if TYPE_CHECKING:
     from dmptm_ctrl.simulate.model import Model
 
-REST_SPEED = 1e-5  # rad/s; a hundredth of the gyro's noise, far above a solver's tolerance
-PADE_ORDER = 4  # phase error below 1° up to ω T_d = 4.5 rad
+__all__ = ["REST_SPEED", "drive_states", "initial_state", "rig_blocks", "run", "to_blocks"]
+
 MAX_STEP = 0.01  # s; so that no turn of the motion is stepped over
 SIDES = ("l", "r")
 CONTACTS = ("memoryless", "two_state")
-
-
-class _Delay:
-    """A dead time as Padé states; a plain wire without delay."""
-
-    def __init__(self, delay: float, order: int) -> None:
-        self.order = order if delay > 0.0 else 0
-        if self.order:  # realised for unit delay, so that the realisation is well scaled
-            unit = ct.ss(ct.tf(*ct.pade(1.0, order)))
-            self.A, self.B = unit.A / delay, unit.B[:, 0] / delay
-            self.C, self.D = unit.C[0], float(unit.D[0, 0])
-        self.states = [f"delay_{i}" for i in range(self.order)]
-
-    def rate(self, x, u: float) -> Floats:
-        return self.A @ x + self.B * u if self.order else np.zeros(0)
-
-    def output(self, x, u: float) -> float:
-        return float(self.C @ x) + self.D * u if self.order else u
-
-    def settled(self, u: float) -> Floats:
-        """States after `u` was held for long."""
-        return np.linalg.solve(self.A, -self.B * u) if self.order else np.zeros(0)
-
-
-def drive_block(
-    model: "Model | Given", side: int, *, pade_order: int = PADE_ORDER
-) -> ct.NonlinearIOSystem:
-    """Return the drive of one motor: dead time, static effects, lag.
-
-    Input u_left or u_right [V], output voltage_l or voltage_r [V], what the motor gets.
-    """
-    given = given_of(model)
-    late, lagged = _Delay(given.sites.voltage_delay, pade_order), given.sites.lag > 0.0
-    order = late.order
-
-    def target(sites, t, x, u):
-        return sites.drive_voltage(late.output(x[:order], float(u[0])), t, side)
-
-    def update(t, x, u, params):
-        sites = given.at(params).sites
-        rate = late.rate(x[:order], u[0])
-        if lagged:
-            rate = np.append(rate, sites.lag_rate(x[order], target(sites, t, x, u), side))
-        return rate
-
-    def output(t, x, u, params):
-        return [x[order] if lagged else target(given.at(params).sites, t, x, u)]
-
-    return ct.NonlinearIOSystem(
-        update,
-        output,
-        inputs=[("u_left", "u_right")[side]],
-        outputs=[f"voltage_{SIDES[side]}"],
-        states=late.states + ["lag"] * lagged,
-        name=f"drive_{SIDES[side]}",
-    )
-
-
-def drive_states(
-    model: "Model", side: int, u: float, *, pade_order: int = PADE_ORDER
-) -> dict[str, float]:
-    """Return the states of the drive, by their name in `to_blocks`, once `u` [V] has lasted."""
-    sites, block = Sites(model), f"drive_{SIDES[side]}"
-    late = _Delay(sites.voltage_delay, pade_order)
-    states = dict(zip(late.states, late.settled(u), strict=True))
-    if sites.lag > 0.0:
-        target = sites.drive_voltage(u, 0.0, side)
-        states["lag"] = sites.lag_rate(0.0, target, side) * sites.lag
-    return {f"{block}_{name}": float(x) for name, x in states.items()}
-
-
-def mesh_block(
-    model: "Model | Given", side: int, *, contact: str = "memoryless"
-) -> ct.NonlinearIOSystem:
-    """Return the mesh of one pinion with the ring gear.
-
-    Inputs theta_3, omega_3 of the pinion and ring_angle, ring_speed; outputs torque
-    [N·m], positive drives the ring gear, and z = θ3 − N2 θL [rad]. With the two-state contact
-    law the position in the gap [rad] is a state; the other law has none.
-
-    Raises
-    ------
-    ValueError
-        A contact law that does not exist; the two-state law without any damping.
-    """
-    given, s = given_of(model), SIDES[side]
-
-    def output(t, x, u, params):
-        sites = given.at(params).sites
-        theta, omega, ring_angle, ring_speed = u.tolist()
-        torque = sites.mesh_torque(theta, omega, ring_angle, ring_speed, side)
-        return [torque, theta - sites.n2 * ring_angle]
-
-    def placed(x, u, params):
-        z, rate, law = given.at(params).sites.mesh(*u.tolist(), side)
-        return min(max(float(x[0]), -law.half_gap), law.half_gap), z, rate, law
-
-    def two_state(t, x, u, params):
-        angles = u.tolist()
-        n2 = given.at(params).sites.n2
-        return [twist_torque(*placed(x, u, params)), angles[0] - n2 * angles[2]]
-
-    if contact not in CONTACTS:
-        raise ValueError(f"contact is {contact!r}; it must be one of {', '.join(CONTACTS)}")
-    stateful = contact == "two_state"
-    if stateful and given.model.drive["c"] + given.model.drive["c_f"] <= 0.0:
-        raise ValueError("c + c_f is 0: nothing tells where in its gap an undamped tooth is")
-    return ct.NonlinearIOSystem(
-        (lambda t, x, u, params: [gap_rate(*placed(x, u, params))]) if stateful else None,
-        two_state if stateful else output,
-        inputs=[f"theta_3{s}", f"omega_3{s}", "ring_angle", "ring_speed"],
-        outputs=[f"torque_{s}", f"z_{s}"],
-        states=["position"] if stateful else None,
-        name=f"mesh_{s}",
-    )
-
-
-def body_rates(
-    sites: Sites, body: int, t: float, x, net: float, carried: float, inertia: float
-) -> list[float]:
-    """Rates of (angle, speed[, presliding torque][, age]) of a body under its net torque [N·m].
-
-    Friction by the kernels: sliding, sticking or presliding.
-    """
-    theta, omega = x[0], x[1]
-    age, older = 0.0, []
-    if sites.renewals[body] > 0.0:
-        age = x[-1]
-        older = [sites.ageing(body, omega, age)]
-    if sites.distances[body] > 0.0:
-        direction = 1.0 if omega >= 0.0 else -1.0
-        given = direction, theta, omega, t, carried, age
-        at_once = direction * sites.at_once(body, *given)
-        level = direction * sites.sliding(body, *given) - at_once
-        built_up = sites.build_up(body, omega, level, x[2])
-        friction = x[2] + at_once
-        friction += sites.bristle_damping(body, direction, omega, built_up)
-        return [omega, (net - friction) / inertia, built_up, *older]
-    if abs(omega) <= REST_SPEED:
-        direction = 1.0 if net > 0.0 else -1.0
-        most = sites.holding(body, direction, theta, t, carried, age)
-        if most > 0.0:
-            if abs(net) <= most:
-                return [0.0, 0.0, *older]
-            return [omega, (net - direction * most) / inertia, *older]
-    direction = 1.0 if omega > 0.0 else -1.0
-    friction = direction * sites.sliding(body, direction, theta, omega, t, carried, age)
-    return [omega, (net - friction) / inertia, *older]
-
-
-def friction_states(sites: Sites, body: int) -> list[str]:
-    """Return the names of the states that friction of a body has."""
-    presliding, ageing = sites.distances[body] > 0.0, sites.renewals[body] > 0.0
-    return ["friction"] * presliding + ["age"] * ageing
-
-
-def rig_block(model: "Model | Given", side: int) -> ct.NonlinearIOSystem:
-    """Return motor, reducer and pinion of one side, with the reducer's friction.
-
-    Inputs voltage [V] and torque of the mesh [N·m]; outputs theta_m, omega_m of the motor,
-    theta_3, omega_3 of the pinion [rad, rad/s]. The motor has states of its own where the
-    reducer is compliant.
-    """
-    given, s = given_of(model), SIDES[side]
-    elastic = given.sites.compliance > 0.0
-    own = friction_states(given.sites, side)
-    body = 2 + len(own)  # states of the pinion
-
-    def motor(x):
-        return x[body : body + 2] if elastic else x[:2]
-
-    def update(t, x, u, params):
-        sites, x, u = given.at(params).sites, x.tolist(), u.tolist()
-        inertia = sites.pinion_inertia + (0.0 if elastic else sites.motor_inertia)
-        theta, omega = motor(x)
-        drive = sites.motor_torque(u[0], sites.n1 * theta, sites.n1 * omega, t, side)
-        if not elastic:
-            return body_rates(sites, side, t, x, drive - u[1], u[1], inertia)
-        shaft = (theta - x[0]) / sites.compliance + sites.shaft_damping * (omega - x[1])
-        return [
-            *body_rates(sites, side, t, x[:body], shaft - u[1], u[1], inertia),
-            omega,
-            (drive - shaft) / sites.motor_inertia,
-        ]
-
-    def output(t, x, u, params):
-        theta, omega = motor(x)
-        n1 = given.at(params).sites.n1
-        return [n1 * theta, n1 * omega, x[0], x[1]]
-
-    states = ["theta", "omega", *own]
-    return ct.NonlinearIOSystem(
-        update,
-        output,
-        inputs=[f"voltage_{s}", f"torque_{s}"],
-        outputs=[f"theta_m{s}", f"omega_m{s}", f"theta_3{s}", f"omega_3{s}"],
-        states=states + ["theta_motor", "omega_motor"] * elastic,
-        name=f"chain_{s}",
-    )
-
-
-def ring_block(model: "Model | Given") -> ct.NonlinearIOSystem:
-    """Return the ring gear with its friction and the load's effects.
-
-    Inputs torque_l, torque_r [N·m] at the pinions; outputs ring_angle [rad], ring_speed
-    [rad/s], the true ones.
-    """
-    given = given_of(model)
-
-    def update(t, x, u, params):
-        sites, x, u = given.at(params).sites, x.tolist(), u.tolist()
-        net = sites.n2 * (u[0] + u[1]) + sites.load_torque(x[0], x[1], t)
-        carried = abs(u[0]) + abs(u[1])
-        return body_rates(sites, RING, t, x, net, carried, sites.ring_inertia)
-
-    return ct.NonlinearIOSystem(
-        update,
-        lambda t, x, u, params: x[:2],
-        inputs=["torque_l", "torque_r"],
-        outputs=["ring_angle", "ring_speed"],
-        states=["theta", "omega", *friction_states(given.sites, RING)],
-        name="ring",
-    )
-
-
-def sensor_block(model: "Model | Given", *, pade_order: int = PADE_ORDER) -> ct.NonlinearIOSystem:
-    """Return the sensors: ring_angle, ring_speed in, the readings theta_L, omega_L out."""
-    given = given_of(model)
-    late = _Delay(given.sites.speed_delay, pade_order)
-
-    def output(t, x, u, params):
-        sites = given.at(params).sites
-        return sites.reading(float(u[0]), late.output(x, float(u[1])), t)
-
-    return ct.NonlinearIOSystem(
-        lambda t, x, u, params: late.rate(x, u[1]),
-        output,
-        inputs=["ring_angle", "ring_speed"],
-        outputs=["theta_L", "omega_L"],
-        states=late.states,
-        name="sensor",
-    )
-
-
-def pi_block(loop: Loop | Given) -> ct.NonlinearIOSystem:
-    """Return the PI speed loop in continuous time, G_c = kp + ki/s, with clip and preload.
-
-    Inputs ref, omega_L [rad/s], outputs u_left, u_right [V]; state ∫(ref − omega_L) dt.
-    Source: paper section 4.3; sampled at 1 kHz in the rig, see `compiled.close_loop`.
-    """
-    given = loop if isinstance(loop, Given) else Given(None, loop)
-
-    def output(t, x, u, params):
-        loop = given.at(params).loop
-        common = loop.kp * (u[0] - u[1]) + loop.ki * x[0]
-        common = min(max(common, -loop.limit), loop.limit)
-        return [common + loop.bias_l, common + loop.bias_r]
-
-    return ct.NonlinearIOSystem(
-        lambda t, x, u, params: [u[0] - u[1]],
-        output,
-        inputs=["ref", "omega_L"],
-        outputs=["u_left", "u_right"],
-        states=["integral"],
-        name="pi",
-    )
+DUAL = Names(
+    [
+        (f"drive_{s}", f"u_{side}", f"voltage_{s}")
+        for s, side in zip(SIDES, ("left", "right"), strict=True)
+    ],
+    ["chain_l", "chain_r", "ring", "motor_l", "motor_r"],
+    ("theta", "omega"),
+    [
+        *((f"theta_3{s}", f"omega_3{s}") for s in SIDES),
+        ("ring_angle", "ring_speed"),
+        *((f"theta_m{s}", f"omega_m{s}") for s in SIDES),
+    ],
+    [
+        *((f"mesh_{s}", f"torque_{s}", f"z_{s}") for s in SIDES),
+        *((f"reducer_{s}", f"reducer_torque_{s}", f"reducer_twist_{s}") for s in SIDES),
+    ],
+    {"sensor": {0: "theta_L", 1: "omega_L"}},
+)
 
 
 def to_blocks(
@@ -333,11 +82,13 @@ def to_blocks(
     InterconnectedSystem
         Inputs u_left, u_right [V], or ref [rad/s] with a loop; outputs
         :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, and u_left, u_right with a loop.
+        Its `syslist` holds the blocks, each of use alone.
 
     Raises
     ------
     ValueError
-        A contact law that does not exist, or an effect of negative size.
+        A contact law that does not exist, the two-state law without any damping, or an effect
+        of negative size.
 
     Notes
     -----
@@ -349,14 +100,20 @@ def to_blocks(
     between samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
     """
     refuse_negative(model)
-    given = Given(model, loop, others)
-    blocks = [
-        *(drive_block(given, side, pade_order=pade_order) for side in (0, 1)),
-        *(rig_block(given, side) for side in (0, 1)),
-        *(mesh_block(given, side, contact=contact) for side in (0, 1)),
-        ring_block(given),
-        sensor_block(given, pade_order=pade_order),
-    ]
+    if contact not in CONTACTS:
+        raise ValueError(f"contact is {contact!r}; it must be one of {', '.join(CONTACTS)}")
+    if contact == "two_state" and model.drive["c"] + model.drive["c_f"] <= 0.0:
+        raise ValueError("c + c_f is 0: nothing tells where in its gap an undamped tooth is")
+
+    def plant_of(values: Mapping[str, float]) -> Plant:
+        plant = dual_plant(model.with_values(**values).arrays())
+        if contact == "two_state":
+            laws = np.where(plant.link_gap == GAP, TWO_STATES, plant.link_gap)
+            plant = plant._replace(link_gap=laws)
+        return plant
+
+    given = Given(plant_of, [*model.drive], others=others, loop=loop, pade_order=pade_order)
+    blocks = part_blocks(given, DUAL)
     inputs, outputs = ["u_left", "u_right"], list(OUTPUTS)
     if loop is not None:
         blocks.append(pi_block(given))
@@ -367,6 +124,57 @@ def to_blocks(
         outputs=outputs,
         name="drive_loop" if loop is not None else "drive",
         check_unused=False,  # omega_m of the motors is for whoever wants it
+    )
+
+
+def rig_blocks(
+    model: RigModel, *, pade_order: int = PADE_ORDER, others: Sequence[str] = ()
+) -> ct.InterconnectedSystem:
+    """Return a rig of any shape as one block per group of bodies, link, input and sensor.
+
+    Parameters
+    ----------
+    model : RigModel
+    pade_order : int
+        Order of the Padé approximation of a dead time.
+    others : sequence of str
+        Names of `params` that belong to blocks of your own beside these.
+
+    Returns
+    -------
+    InterconnectedSystem
+        Inputs: those of the rig; outputs: its sensors; states: position and speed of each group
+        of rigidly joined bodies, lags, dead times, friction that builds up. `params` replace
+        declared quantities by their keys, such as ``{"body.load.inertia": 0.02}``.
+
+    Raises
+    ------
+    ValueError
+        An inertia that is not positive, a negative stiffness, a value that is not finite.
+    """
+
+    def plant_of(values: Mapping[str, float]) -> Plant:
+        own = model.with_values(values) if values else model
+        check_physical(own)
+        return own.plant()
+
+    given = Given(plant_of, list(model.quantities), others=others, pade_order=pade_order)
+    layout = model.layout
+    sensors = [s.name for s in model.rig.sensors]
+    names = Names(
+        [(f"input_{x}", x, f"{x}_acting") for x in layout.inputs],
+        [f"group_{g}" for g in range(layout.coordinates)],
+        ("q", "v"),
+        [(f"q_{x}", f"v_{x}") for x in layout.bodies],
+        [(f"link_{x}", f"{x}_torque", f"{x}_twist") for x in layout.links],
+        {f"sensor_{x}": {i: x} for i, x in enumerate(sensors)},
+    )
+    return ct.interconnect(
+        part_blocks(given, names),
+        inputs=list(layout.inputs),
+        outputs=sensors,
+        name=model.rig.name.replace(" ", "_"),
+        check_unused=False,  # twists of links are for whoever wants them
     )
 
 
@@ -385,15 +193,28 @@ def initial_state(model: "Model", sys: ct.InterconnectedSystem, x0: ArrayLike) -
     bodies = np.asarray(x0, float)
     known = {"ring_theta": bodies[2], "ring_omega": bodies[5]}
     for side, s in enumerate(SIDES):
-        known[f"chain_{s}_theta"] = known[f"chain_{s}_theta_motor"] = bodies[side]
-        known[f"chain_{s}_omega"] = known[f"chain_{s}_omega_motor"] = bodies[3 + side]
+        known[f"chain_{s}_theta"] = known[f"motor_{s}_theta"] = bodies[side]
+        known[f"chain_{s}_omega"] = known[f"motor_{s}_omega"] = bodies[3 + side]
         twist = bodies[side] - model.drive["N_2"] * bodies[2]
         half_gap = model.drive[f"gap_{s}"]
         known[f"mesh_{s}_position"] = min(max(twist, -half_gap), half_gap)
     stored = [label for label in sys.state_labels if label.startswith("sensor_delay")]
-    late = _Delay(Sites(model).speed_delay, len(stored))
+    late = Delay(float(dual_plant(model.arrays()).sensor_delay[1]), len(stored))
     known.update(zip(stored, late.settled(bodies[5]), strict=True))
     return np.array([known.get(label, 0.0) for label in sys.state_labels])
+
+
+def drive_states(
+    model: "Model", side: int, u: float, *, pade_order: int = PADE_ORDER
+) -> dict[str, float]:
+    """Return the states of a motor's drive, by their name in `to_blocks`, once `u` [V] lasted."""
+    parts, block = parts_of(model), f"drive_{SIDES[side]}"
+    late = Delay(parts.inputs[side][1], pade_order)
+    states = dict(zip(late.states, late.settled(u), strict=True))
+    aim, tau = parts.lag(side, parts.signal(side, u, 0.0))
+    if tau > 0.0:
+        states["lag"] = aim
+    return {f"{block}_{name}": float(x) for name, x in states.items()}
 
 
 def run(

@@ -10,11 +10,12 @@ from scipy.optimize import root
 
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.effects.backlash import mesh_region
+from dmptm_ctrl.effects.backlash import mesh_region, mesh_torque
 from dmptm_ctrl.simulate.blocks import REST_SPEED, SIDES, drive_states, initial_state, to_blocks
 from dmptm_ctrl.simulate.compiled import OUTPUTS
+from dmptm_ctrl.simulate.dual import MOTORS, RING, parts_of
 from dmptm_ctrl.simulate.model import Floats, Model
-from dmptm_ctrl.simulate.plain import RING, Sites
+from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import linear_rig
 
@@ -53,45 +54,50 @@ def turning(
     """
     if abs(speed) <= REST_SPEED:
         raise ValueError("a steady turn needs a speed; at rest friction leaves the balance open")
-    sites = Sites(model)
-    omega, way = sites.n2 * speed, 1.0 if speed > 0.0 else -1.0
+    parts = parts_of(model)
+    n1, n2 = model.drive["N_1"], model.drive["N_2"]
+    omega, way = n2 * speed, 1.0 if speed > 0.0 else -1.0
 
     def state(z):
-        return np.array([*(sites.n2 * theta_L + np.asarray(z)), theta_L, omega, omega, speed])
+        return np.array([*(n2 * theta_L + np.asarray(z)), theta_L, omega, omega, speed])
 
     def friction(body, theta, rate, carried):
-        return way * sites.sliding(body, way, theta, rate, 0.0, carried)
+        return way * parts.sliding(body, way, theta, rate, 0.0, carried, 0.0)[0]
 
     def drive(side, common, theta):
-        volts = sites.drive_voltage(common + (preload, -preload)[side], 0.0, side)
-        return sites.motor_torque(volts, sites.n1 * theta, sites.n1 * omega, 0.0, side)
+        volts = parts.signal(side, common + (preload, -preload)[side], 0.0)
+        own = parts.torque(MOTORS[side], volts, n1 * theta, n1 * omega, 0.0)
+        return n1 * (parts.inputs[side][0] * volts + own)
+
+    def mesh(side, theta):
+        return parts.twist(side, theta, omega, theta_L, speed)
 
     def unbalanced(unknown):
         common, x0 = unknown[0], state(unknown[1:] * TWIST)
-        torques = [sites.mesh_torque(x0[s], omega, theta_L, speed, s) for s in (0, 1)]
+        torques = [float(mesh_torque(*mesh(s, x0[s]))) for s in (0, 1)]
         net = [
             drive(s, common, x0[s]) - torques[s] - friction(s, x0[s], omega, torques[s])
             for s in (0, 1)
         ]
         resisting = friction(RING, theta_L, speed, abs(torques[0]) + abs(torques[1]))
-        load = sites.load_torque(theta_L, speed, 0.0)
-        return np.array([*net, sites.n2 * sum(torques) + load - resisting])
+        load = parts.torque(RING, 0.0, theta_L, speed, 0.0)
+        return np.array([*net, n2 * sum(torques) + load - resisting])
 
     # Guess: what the bodies resist without effects of load, on the flank that carries it.
-    theta = sites.n2 * theta_L
-    resisting = friction(RING, theta_L, speed, 0.0) - sites.load_torque(theta_L, speed, 0.0)
+    theta = n2 * theta_L
+    resisting = friction(RING, theta_L, speed, 0.0) - parts.torque(RING, 0.0, theta_L, speed, 0.0)
     own = [drive(s, 0.0, theta) - friction(s, theta, omega, 0.0) for s in (0, 1)]
-    per_volt = sites.n1 * sites.gain
-    common = (resisting / sites.n2 - sum(own)) / (2.0 * per_volt)
+    per_volt = n1 * parts.inputs[0][0]
+    common = (resisting / n2 - sum(own)) / (2.0 * per_volt)
     guess = [common]
     for s in (0, 1):
-        z, _, law = sites.mesh(theta, omega, theta_L, speed, s)
+        z, _, law = mesh(s, theta)
         torque = own[s] + per_volt * common
         flank = np.copysign(law.half_gap, torque) + torque / law.stiffness
         guess.append((flank - z) / TWIST)
     found = root(unbalanced, guess, tol=1e-13)
     x0 = state(found.x[1:] * TWIST)
-    closed = all(mesh_region(*sites.mesh(x0[s], omega, theta_L, speed, s)) for s in (0, 1))
+    closed = all(mesh_region(*mesh(s, x0[s])) for s in (0, 1))
     if np.max(np.abs(unbalanced(found.x))) > BALANCED or not closed:
         raise ValueError(
             f"no steady turn at {speed:.4g} rad/s with a preload of {preload:.4g} V was found "
@@ -160,9 +166,9 @@ def linearize(
         x0, volts = np.asarray(x0, float), np.zeros(2)
     if u0 is not None:
         volts = np.asarray(u0, float)
-    sites = Sites(model)
+    parts = parts_of(model)
     for side, s in enumerate(("left", "right")):
-        z, z_rate, law = sites.mesh(x0[side], x0[3 + side], x0[2], x0[5], side)
+        z, z_rate, law = parts.twist(side, x0[side], x0[3 + side], x0[2], x0[5])
         if mesh_region(z, z_rate, law) == 0.0:
             warnings.warn(
                 f"the {s} mesh is in its gap (z = {z:.3g} rad, half-gap {law.half_gap:.3g} rad): "
@@ -172,7 +178,7 @@ def linearize(
                 stacklevel=2,
             )
     sys = to_blocks(model)
-    state = _sustained(model, sites, initial_state(model, sys, x0), sys.state_labels, volts)
+    state = _sustained(model, parts, initial_state(model, sys, x0), sys.state_labels, volts)
     linear = sys.linearize(state, volts, copy_names=True)
     for name, block in BODIES.items():
         row, column = (sys.state_labels.index(f"{block}_{q}") for q in ("theta", "omega"))
@@ -217,7 +223,7 @@ def _without_angle(
     ring = labels.index("ring_theta")
     new = np.eye(size)  # new states over old ones
     for i, label in enumerate(labels):
-        if label.startswith("chain_") and "_theta" in label:
+        if label.endswith("_theta") and i != ring:
             new[i, ring] = -n2
     old = 2.0 * np.eye(size) - new  # its inverse: the ring gear's angle is added again
     keep = [i for i in range(size) if i != ring]
@@ -230,26 +236,20 @@ def _without_angle(
     )
 
 
-def _sustained(model: Model, sites: Sites, state: Floats, labels: list[str], u0: Floats) -> Floats:
+def _sustained(model: Model, parts: Parts, state: Floats, labels: list[str], u0: Floats) -> Floats:
     """Return the state with voltages and presliding torques as if they had lasted for long."""
     new = dict(zip(labels, state, strict=True))
-    ring = new["ring_theta"], new["ring_omega"]
-    meshes = []
-    for side, s in enumerate(SIDES):
+    motion = [(new[f"{b}_theta"], new[f"{b}_omega"]) for b in BODIES.values()]
+    torques = dict.fromkeys(range(len(parts.ends)), 0.0)  # a reducer's presses on no bearing
+    for side in (0, 1):
         new.update(drive_states(model, side, u0[side]))
-        pinion = new[f"chain_{s}_theta"], new[f"chain_{s}_omega"]
-        meshes.append(sites.mesh_torque(*pinion, *ring, side))
-        _preload_bristle(new, sites, f"chain_{s}", side, meshes[side])
-    _preload_bristle(new, sites, "ring", RING, abs(meshes[0]) + abs(meshes[1]))
+        twist = parts.twist(side, *motion[side], *motion[RING])
+        torques[side] = parts.link_torque(side, *twist)
+    for g, block in enumerate(BODIES.values()):
+        if parts.elastic[g] is not None:
+            theta, omega = motion[g]
+            way = float(np.sign(omega))
+            slides = parts.friction(g, way, theta, omega, 0.0, torques, {}, moving=True)
+            share = parts.bristle(g)[1]
+            new[f"{block}_friction"] = way * (slides[0] - share * slides[1])
     return np.array([new[label] for label in labels])
-
-
-def _preload_bristle(
-    state: dict[str, float], sites: Sites, block: str, body: int, carried: float
-) -> None:
-    if sites.distances[body] > 0.0:
-        theta, omega = state[f"{block}_theta"], state[f"{block}_omega"]
-        way = float(np.sign(omega))
-        given = way, theta, omega, 0.0, carried
-        held = sites.sliding(body, *given) - sites.at_once(body, *given)
-        state[f"{block}_friction"] = way * held

@@ -3,7 +3,7 @@
 They call the same kernels as the generated step, and share no other code with it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from dmptm_ctrl.effects import backlash, presliding, stribeck
@@ -24,6 +24,8 @@ region_torque = uncompiled(backlash.region_torque)
 _breakaway = uncompiled(stribeck.breakaway_torque)
 _sliding = uncompiled(stribeck.sliding_torque)
 _viscous = uncompiled(stribeck.viscous_torque)
+_build_up_distance = uncompiled(presliding.build_up_distance)
+_fading = uncompiled(presliding.fading)
 
 
 class Parts:
@@ -40,6 +42,9 @@ class Parts:
         self.laws_of_links = plant.link_gap.tolist()
         self.inputs = [tuple(row) for row in plant.input_values.tolist()]
         self.driven = plant.input_body.tolist()
+        self.bodies = [
+            [b for b, own in enumerate(self.group) if own == g] for g in range(plant.inertia.size)
+        ]
         self._acting: dict[tuple[str, int], list[tuple[Callable[..., Any], int, Any]]] = {}
         for place in plant.places:
             if place.effect.site in CALLED and plant.on[place.flag]:
@@ -48,6 +53,10 @@ class Parts:
                 found = self._acting.setdefault((place.effect.site, place.part), [])
                 values = place.effect.values(*row)
                 found.append((uncompiled(place.effect.kernel), place.told, values))
+        self.rubbing = [[b for b in own if self.rubs(b)] for own in self.bodies]
+        self.elastic = [
+            next((b for b in own if plant.bristles[b, 0] > 0.0), None) for own in self.bodies
+        ]
 
     def at(self, site: str, index: int) -> list[tuple[Callable[..., Any], int, Any]]:
         """Kernel, what it is told and its parameters, of the effects at a place."""
@@ -160,11 +169,72 @@ class Parts:
             return self.laws[b]
         return stribeck_law(0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0)
 
-    def loads(self, torques: list[float]) -> list[float]:
-        """What links carry, which presses on the bearings of each body [N·m]."""
-        found = [0.0] * len(self.group)
-        for k, (first, second) in enumerate(self.ends):
-            if self.plant.link_load[k]:
-                found[first] += abs(torques[k])
-                found[second] += abs(self.links[k][0] * torques[k])
-        return found
+    def ends_of(self, b: int) -> list[tuple[int, int]]:
+        """Links at a body, and which of their ends it is."""
+        return [(k, end) for k, ends in enumerate(self.ends) for end in (0, 1) if ends[end] == b]
+
+    def force(
+        self, g: int, q: float, v: float, t: float, acting: Mapping[int, float],
+        torques: Mapping[int, float],
+    ) -> float:  # fmt: skip
+        """Net torque on a coordinate without friction.
+
+        `acting` are signals by input, `torques` those of links at their first bodies.
+        """
+        net = 0.0
+        for b in self.bodies[g]:
+            r = self.ratio[b]
+            own = [j for j, driven in enumerate(self.driven) if driven == b]
+            for j in own:
+                net += r * self.inputs[j][0] * acting[j]
+            for k, end in self.ends_of(b):
+                net += r * (self.links[k][0] * torques[k] if end else -torques[k])
+            net += r * self.torque(b, acting[own[0]] if own else 0.0, r * q, r * v, t)
+        return net
+
+    def load(self, b: int, torques: Mapping[int, float]) -> float:
+        """What links carry, which presses on the bearings of a body [N·m]."""
+        return sum(
+            abs(self.links[k][0] * torques[k] if end else torques[k])
+            for k, end in self.ends_of(b)
+            if self.plant.link_load[k]
+        )
+
+    def friction(
+        self, g: int, way: float, q: float, v: float, t: float, torques: Mapping[int, float],
+        ages: Mapping[int, float], *, moving: bool,
+    ) -> tuple[float, float]:  # fmt: skip
+        """Magnitude of friction on a coordinate, and its part that presliding lets act at once."""
+        whole, viscous = 0.0, 0.0
+        for b in self.rubbing[g]:
+            r = self.ratio[b]
+            given = way if r > 0.0 else -way, r * q
+            rest = t, self.load(b, torques), ages.get(b, 0.0)
+            if moving:
+                level, own = self.sliding(b, *given, r * v, *rest)
+                whole += abs(r) * level
+                viscous += abs(r) * own
+            else:
+                whole += abs(r) * self.holding(b, *given, *rest)
+        return whole, viscous
+
+    def presliding(
+        self, g: int, way: float, v: float, friction: tuple[float, float], bristle: float
+    ) -> tuple[float, float]:
+        """Friction of a coordinate with bristles, and the rate at which they build up.
+
+        `friction` is that of sliding, as :meth:`friction` gives it.
+        """
+        b = self.elastic[g]
+        assert b is not None
+        distance, share, lag = self.bristle(b)
+        law, at_once = self.law(b), way * share * friction[1]
+        level = way * friction[0] - at_once
+        span = _build_up_distance(distance / abs(self.ratio[b]), level, law)
+        rate = abs(v) * (level - bristle) / span
+        return bristle + at_once + lag * _fading(v, way, law) * rate, rate
+
+    def ageing_rate(self, b: int, v: float, age: float) -> float:
+        """Rate of the age of a contact [s/s] at the speed of its coordinate."""
+        slip = self.ageing(b, age)[1]
+        return 1.0 - abs(self.ratio[b] * v) / slip * age if slip > 0.0 else 0.0

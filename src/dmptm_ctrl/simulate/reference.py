@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
 
-from dmptm_ctrl.effects import backlash, presliding
-from dmptm_ctrl.simulate.parts import Parts, mesh_region, region_torque, uncompiled
+from dmptm_ctrl.effects import backlash
+from dmptm_ctrl.simulate.parts import Parts, mesh_region, region_torque
 from dmptm_ctrl.simulate.plant import ELASTIC_IMPACT, GAP, LINEAR, TWO_STATES, Floats, Plant
 
 if TYPE_CHECKING:
@@ -27,8 +27,6 @@ ATOL = 1e-14  # rad, rad/s: 4e-10 N·m in a mesh
 EVENT_TIME = 1e-12  # s, to which a switch is located
 CHECKS = (0.25, 0.5, 0.75, 1.0)  # of a step, where the mode is checked
 MAX_SWITCHES = 1000  # in one hold of the signals; beyond, the mode chatters
-_build_up_distance = uncompiled(presliding.build_up_distance)
-_fading = uncompiled(presliding.fading)
 
 
 class Exact(NamedTuple):
@@ -55,11 +53,7 @@ class _Hybrid:
         self.region = [0.0] * links
         self.motion = [0.0] * n
         self.u = [0.0] * inputs
-        self.bodies = [[b for b in range(bodies) if self.parts.group[b] == g] for g in range(n)]
-        self.rubbing = [[b for b in own if self.parts.rubs(b)] for own in self.bodies]
-        self.elastic = [
-            next((b for b in own if plant.bristles[b, 0] > 0.0), None) for own in self.bodies
-        ]
+        self.elastic = self.parts.elastic
         self.push = [0.0] * n
 
     def twist(self, y, k: int):
@@ -81,64 +75,41 @@ class _Hybrid:
             return y[self.lag + j]
         return self.parts.signal(j, self.u[j], t)
 
-    def net_torques(self, t: float, y) -> tuple[list[float], list[float]]:
-        """Torques on coordinates without friction, and loads of the bearings of bodies."""
-        parts, n = self.parts, self.n
-        net = list(self.push)
-        torques = [self.link_torque(y, k) for k in range(len(parts.ends))]
-        volts: dict[int, float] = {}
-        for j, b in enumerate(parts.driven):
-            signal = self.acting(t, y, j)
-            volts.setdefault(b, signal)
-            net[parts.group[b]] += parts.ratio[b] * parts.inputs[j][0] * signal
-        for k, (first, second) in enumerate(parts.ends):
-            net[parts.group[first]] -= parts.ratio[first] * torques[k]
-            net[parts.group[second]] += parts.ratio[second] * parts.links[k][0] * torques[k]
-        for b, (g, r) in enumerate(zip(parts.group, parts.ratio, strict=True)):
-            net[g] += r * parts.torque(b, volts.get(b, 0.0), r * y[g], r * y[n + g], t)
-        return net, parts.loads(torques)
+    def torques(self, y) -> dict[int, float]:
+        """Torques of links at their first bodies."""
+        return {k: self.link_torque(y, k) for k in range(len(self.parts.ends))}
 
-    def friction(self, g: int, way: float, t: float, y, loads, moving: bool) -> tuple[float, float]:
-        """Magnitude of friction on a coordinate, and its part that presliding lets act at once."""
-        whole, at_once = 0.0, 0.0
-        parts = self.parts
-        for b in self.rubbing[g]:
-            r = parts.ratio[b]
-            given = way if r > 0.0 else -way, r * y[g]
-            rest = t, loads[b], y[self.age + b]
-            if moving:
-                level, viscous = parts.sliding(b, *given, r * y[self.n + g], *rest)
-                whole += abs(r) * level
-                at_once += abs(r) * viscous
-            else:
-                whole += abs(r) * parts.holding(b, *given, *rest)
-        return whole, at_once
+    def net_torques(self, t: float, y, torques: dict[int, float]) -> list[float]:
+        """Torques on coordinates without friction."""
+        acting = {j: self.acting(t, y, j) for j in range(len(self.u))}
+        return [
+            self.push[g] + self.parts.force(g, y[g], y[self.n + g], t, acting, torques)
+            for g in range(self.n)
+        ]
+
+    def friction(
+        self, g: int, way: float, t: float, y, torques: dict[int, float], *, moving: bool
+    ) -> tuple[float, float]:
+        ages = {b: y[self.age + b] for b in self.parts.bodies[g]}
+        return self.parts.friction(g, way, y[g], y[self.n + g], t, torques, ages, moving=moving)
 
     def __call__(self, t: float, state: Floats) -> list[float]:
         y = state.tolist()
         parts, n = self.parts, self.n
-        net, loads = self.net_torques(t, y)
+        torques = self.torques(y)
+        net = self.net_torques(t, y, torques)
         rate = [0.0] * self.size
         for g in range(n):
             way, omega, b = self.motion[g], y[n + g], self.elastic[g]
-            for own in self.bodies[g]:
-                slip = parts.ageing(own, y[self.age + own])[1]
-                if slip > 0.0:
-                    rub = abs(parts.ratio[own] * omega) / slip
-                    rate[self.age + own] = 1.0 - rub * y[self.age + own]
-            if b is not None:
-                level, viscous = self.friction(g, way, t, y, loads, True)
-                distance, share, lag = parts.bristle(b)
-                law, at_once = parts.law(b), way * share * viscous
-                level = way * level - at_once
-                span = _build_up_distance(distance / abs(parts.ratio[b]), level, law)
-                built_up = abs(omega) * (level - y[self.bristle + b]) / span
-                rate[self.bristle + b] = built_up
-                rub = y[self.bristle + b] + at_once + lag * _fading(omega, way, law) * built_up
-            elif way == 0.0:
+            for own in parts.bodies[g]:
+                rate[self.age + own] = parts.ageing_rate(own, omega, y[self.age + own])
+            if b is None and way == 0.0:
                 continue
-            else:
-                rub = way * self.friction(g, way, t, y, loads, True)[0]
+            slides = self.friction(g, way, t, y, torques, moving=True)
+            rub = way * slides[0]
+            if b is not None:
+                at = self.bristle + b
+                rub, rate[at] = parts.presliding(g, way, omega, slides, y[at])
             rate[g] = omega
             rate[n + g] = (net[g] - rub) / parts.inertia[g]
         for j in range(len(self.u)):
@@ -173,16 +144,17 @@ class _Hybrid:
         if any(self.motion[g] * y[self.n + g] < 0.0 for g in range(self.n)):
             return False
         if 0.0 in self.motion:
-            net, loads = self.net_torques(t, y)
+            torques = self.torques(y)
+            net = self.net_torques(t, y, torques)
             for g in range(self.n):
-                if self.motion[g] == 0.0 and self.breaks(t, y, g, net, loads):
+                if self.motion[g] == 0.0 and self.breaks(t, y, g, net, torques):
                     return False
         return True
 
-    def breaks(self, t: float, y, g: int, net, loads) -> bool:
+    def breaks(self, t: float, y, g: int, net, torques) -> bool:
         """Whether the net torque on a coordinate at rest is more than friction holds."""
         way = 1.0 if net[g] > 0.0 else -1.0
-        return abs(net[g]) > self.friction(g, way, t, y, loads, False)[0]
+        return abs(net[g]) > self.friction(g, way, t, y, torques, moving=False)[0]
 
     def switch(self, t: float, state: Floats) -> None:
         """Set the mode that the kernels ask for; what turns back is stopped first."""
@@ -193,14 +165,15 @@ class _Hybrid:
         y = state.tolist()
         for k in range(len(self.region)):
             self.region[k] = self.where(y, k)
-        net, loads = self.net_torques(t, y)
+        torques = self.torques(y)
+        net = self.net_torques(t, y, torques)
         for g in range(n):
             omega, b = y[n + g], self.elastic[g]
             if omega != 0.0:
                 self.motion[g] = 1.0 if omega > 0.0 else -1.0
             elif b is not None:
                 self.motion[g] = 1.0 if net[g] >= y[self.bristle + b] else -1.0
-            elif self.breaks(t, y, g, net, loads):
+            elif self.breaks(t, y, g, net, torques):
                 self.motion[g] = 1.0 if net[g] > 0.0 else -1.0
             else:
                 self.motion[g] = 0.0

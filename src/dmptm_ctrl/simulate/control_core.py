@@ -84,7 +84,7 @@ def feed_forward(speed, rate, angle, theta_ml, theta_mr, t, dt, law, memory, bas
     """
     gain = base[5] * (base[0] * base[1])  # N·m/V at the pinion
     n1, n2 = base[5], base[6]
-    _, pulls, _, rubs, loads, _ = active_sites(on)
+    pulls, rubs, loads = active_sites(on)
     angle += law[L_LEAD] * speed
     reducer = stribeck_law(
         base[15], base[16], base[17], base[18], base[19], base[20], base[21], base[22], base[23]

@@ -19,16 +19,7 @@ _T = TypeVar("_T")
 # per site: name of the chain, its arguments, neutral result, how one effect changes it
 CHAINS: dict[str, tuple[str, str, str, str]] = {
     "drive": ("drive_voltage", "u, t, side", "u", "u = {call}"),
-    "delay": ("voltage_delay", "", "0.0", "r += {call}"),
-    "lag": ("lag_relaxation", "u, side", "u, 0.0", "u, r = {call}"),
     "motor": ("motor_torque", "u, theta_m, omega_m, t, side", "0.0", "r += {call}"),
-    "shaft": ("shaft_compliance", "inertia", "0.0, 0.0", "r = {call}"),
-    "mesh": (
-        "mesh_shift",
-        "theta_p, omega_p, theta_L, omega_L, side",
-        "0.0, 0.0, 0.0, 0.0",
-        "c = {call}; r = (r[0] + c[0], r[1] + c[1], r[2] + c[2], r[3] + c[3])",
-    ),
     "friction": (
         "friction_level",
         "theta, omega, t, mesh_torque, body",
@@ -41,12 +32,6 @@ CHAINS: dict[str, tuple[str, str, str, str]] = {
         "0.0, 0.0, 0.0",
         "c = {call}; r = (r[0] + c[0], max(r[1], c[1]), max(r[2], c[2]))",
     ),
-    "ageing": (
-        "aged_friction",
-        "age, body",
-        "0.0, 0.0",
-        "c = {call}; r = (r[0] + c[0], max(r[1], c[1]))",
-    ),
     "load": ("load_torque", "theta_L, omega_L, t", "0.0", "r += {call}"),
     "sensor": (
         "sensor_reading",
@@ -54,9 +39,7 @@ CHAINS: dict[str, tuple[str, str, str, str]] = {
         "theta_L, omega_L",
         "theta_L, omega_L = {call}",
     ),
-    "sensor_delay": ("speed_delay", "", "0.0", "r += {call}"),
 }
-_KERNEL_ARGS = {"delay": "0", "lag": "u, side"}  # a delay is the same on both sides
 
 
 def slots() -> dict[str, int]:
@@ -71,12 +54,9 @@ def slots() -> dict[str, int]:
 def chain_text(site: str, effects: Mapping[str, Effect]) -> str:
     """Text of a site's chain."""
     name, args, neutral, change = CHAINS[site]
-    head = f"{name}({args + ', ' if args else ''}on, values)"
-    lines = [f"@njit\ndef {head}:"]
+    lines = [f"@njit\ndef {name}({args}, on, values):"]
     in_place = change.startswith(("u = ", "theta_L, "))
-    if site == "lag":
-        lines.append("    r = 0.0")
-    elif not in_place:
+    if not in_place:
         lines.append(f"    r = {neutral}" if "," not in neutral else f"    r = ({neutral})")
     firsts = slots()
     for index, (key, effect) in enumerate(effects.items()):
@@ -84,20 +64,19 @@ def chain_text(site: str, effects: Mapping[str, Effect]) -> str:
             continue
         first = firsts[key]
         values = ", ".join(f"values[{first + j}]" for j in range(len(effect.parameters)))
-        passed = _KERNEL_ARGS.get(site, args)
-        call = f"kernel_{index}({passed + ', ' if passed else ''}Values_{index}({values}))"
+        call = f"kernel_{index}({args}, Values_{index}({values}))"
         lines.append(f"    if on[{index}]:")
         lines += [f"        {part}" for part in change.format(call=call).split("; ")]
-    result = {"drive": "u", "lag": "u, r", "sensor": "theta_L, omega_L"}.get(site, "r")
+    result = {"drive": "u", "sensor": "theta_L, omega_L"}.get(site, "r")
     lines.append(f"    return {result}")
     return "\n".join(lines)
 
 
 def flags_text(effects: Mapping[str, Effect]) -> str:
-    """Text of the function that tells which of the sites in the inner loop are in use."""
+    """Text of the function that tells which of the sites of a feed-forward are in use."""
     keys = list(effects)
     tests = []
-    for site in ("drive", "motor", "mesh", "friction", "load", "sensor"):
+    for site in ("motor", "friction", "load"):
         terms = [f"on[{keys.index(k)}] > 0" for k, e in effects.items() if e.site == site]
         tests.append(" or ".join(terms) or "False")
     return (

@@ -18,7 +18,6 @@ from dmptm_ctrl.simulate.run import Controller
 PASS = (1.0, 0.0, 0.0, 0.0, 0.0)  # a section that changes nothing
 FAR = 1e9  # rad/s², no limit
 SECTIONS = 2
-NO_LAWS = np.zeros((0, 0))
 _SITES = ("drive", "motor", "friction", "presliding", "load", "sensor")  # what a law feeds forward
 _HEAD = """\
 from math import cos, exp, floor, log, sin, sqrt, tanh

@@ -70,6 +70,9 @@ class Body:
         return "N" if self.linear else "N·m"
 
 
+CONTACTS = ("eq21", "two_state", "impact")  # paper Eq. 21, its original, Hunt and Crossley
+
+
 @dataclass(frozen=True)
 class Link:
     """A shaft or mesh between two bodies: twist z = q_first − ratio · q_second.
@@ -80,6 +83,9 @@ class Link:
         At the first body; None is rigid.
     half_gap : Quantity or None
         Half of the backlash, at the first body; None is a shaft without gap.
+    contact : str
+        Law of a link with a gap, of :data:`CONTACTS`. With "impact" the damping is that of
+        Hunt and Crossley, in s per unit of depth.
     """
 
     name: str
@@ -91,6 +97,7 @@ class Link:
     half_gap: Quantity | None = None
     gap_damping: Quantity | None = None
     mesh: bool = False
+    contact: str = "eq21"
 
     @property
     def rigid(self) -> bool:

@@ -104,6 +104,8 @@ def _sides(rig: Rig) -> tuple[_Side, _Side] | None:
         if reducer is None:
             return None
         mesh = next((k for k in rig.links if k.first == reducer.second and k.half_gap), None)
+        if mesh is not None and mesh.contact != "eq21":
+            return None
         if mesh is None:
             return None
         found.append((source, rig.body(source.body), reducer, rig.body(reducer.second), mesh))

@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.drive.rig import (
+    CONTACTS,
     FRICTION,
     Body,
     Controller,
@@ -34,6 +35,7 @@ _BODY = (
 )
 _LINK = (
     *("between", "ratio", "lead", "stiffness", "damping", "half_gap", "backlash", "gap_damping"),
+    "contact",
 )
 _INPUT = (
     *(
@@ -219,17 +221,22 @@ class _Reader(DataReader):
         if rigid and gap is not None:
             self._fail(where, "stiffness", "a gap needs a stiffness of the teeth; write 'unknown'")
         per_speed = "N·s/m" if first.linear else "N·m·s/rad"
-        damping = self._number(where, raw, "damping", per_speed)
+        contact = raw.get("contact", CONTACTS[0])
+        if contact not in CONTACTS or (gap is None and "contact" in raw):
+            self._fail(where, "contact", f"contact of a gap is one of {', '.join(CONTACTS)}")
+        damps = f"s/{unit}" if contact == "impact" else per_speed
+        damping = self._number(where, raw, "damping", damps)
         return Link(
             name,
             ends[0],
             ends[1],
             ratio,
             stiffness,
-            None if rigid else damping or unknown(per_speed),
+            None if rigid else damping or unknown(damps),
             gap,
             self._number(where, raw, "gap_damping", per_speed),
             kind == "mesh",
+            contact,
         )
 
     def _input(self, name: str, raw: dict[str, Any], bodies: Mapping[str, Body]) -> Input:

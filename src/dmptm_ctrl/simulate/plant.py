@@ -20,6 +20,7 @@ Ints = NDArray[np.int64]
 Flags = NDArray[np.uint8]
 
 LINEAR, GAP, TWO_STATES, ELASTIC_IMPACT = 0, 1, 2, 3  # contact laws of a link
+GAP_LAWS = {"eq21": GAP, "two_state": TWO_STATES, "impact": ELASTIC_IMPACT}  # of `Link.contact`
 DECLARED, BY_EFFECT = 1, 2  # lags of an input
 # sites whose kernels the step calls; those of the others become numbers of the plant
 CALLED = ("drive", "lag", "motor", "mesh", "friction", "ageing", "load", "sensor")

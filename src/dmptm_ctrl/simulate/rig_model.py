@@ -12,7 +12,7 @@ from dmptm_ctrl.drive.parameters import Quantity, physical
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects.shaft_compliance import ShaftCompliance, spring
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
-from dmptm_ctrl.simulate.plant import CALLED, GAP, LINEAR, Flags, Floats, Place, Plant
+from dmptm_ctrl.simulate.plant import CALLED, GAP, GAP_LAWS, LINEAR, Flags, Floats, Place, Plant
 
 LARGE_SPEED = 1e12  # rad/s or m/s, Stribeck speed of a law without Stribeck friction
 FAR = "_far"  # suffix of the body behind a compliance that splits a declared one
@@ -50,7 +50,7 @@ class _Joint(NamedTuple):
     second: str
     ratio: float
     row: tuple[float, ...] | None  # stiffness, damping, gap damping, half-gap; None is rigid
-    gap: bool
+    law: int  # of contact
 
 
 def declared(rig: Rig) -> dict[str, Quantity]:
@@ -261,7 +261,7 @@ def _build(model: RigModel) -> tuple[Plant, Layout]:
         bristles,
         np.array([[index[j.first], index[j.second]] for j in soft], np.int64).reshape(-1, 2),
         np.array([[j.ratio, *(j.row or ())] for j in soft]).reshape(-1, 5),
-        np.array([GAP if j.gap else LINEAR for j in soft], np.int64),
+        np.array([j.law for j in soft], np.int64),
         np.ones(len(soft), np.uint8),
         np.array([index[input_body[i.name]] for i in rig.inputs], np.int64),
         np.array([_input_row(model, i.name) for i in rig.inputs]),
@@ -319,8 +319,10 @@ def _joint(model: RigModel, name: str) -> _Joint:
             model.value(f"link.{name}.{key}") if getattr(link, key) is not None else 0.0
             for key in ("stiffness", "damping", "gap_damping", "half_gap")
         )
-    gap = link.half_gap is not None
-    return _Joint(name, link.first, link.second, model.value(f"link.{name}.ratio"), row, gap)
+    law = LINEAR if link.half_gap is None else GAP_LAWS[link.contact]
+    if link.contact == "two_state" and row is not None and row[1] + row[2] <= 0.0:
+        raise ValueError(f"{name}: the two-state contact needs damping or gap_damping")
+    return _Joint(name, link.first, link.second, model.value(f"link.{name}.ratio"), row, law)
 
 
 def _soften(
@@ -354,7 +356,7 @@ def _soften(
             if places.get(name) == effect.on:
                 places[name] = far_body
     row = (1.0 / compliance, damping, 0.0, 0.0)
-    return [*joints, _Joint(effect.key, effect.on, far_body, 1.0, row, False)]
+    return [*joints, _Joint(effect.key, effect.on, far_body, 1.0, row, LINEAR)]
 
 
 def link_sides(model: RigModel, link: str) -> tuple[dict[str, float], dict[str, float]]:
@@ -383,7 +385,7 @@ def _with_gap(joint: _Joint, effect: Placed) -> _Joint:
     if joint.row is None:
         raise ValueError(f"backlash on {joint.name}, which is rigid; give it a stiffness")
     half_gap = joint.row[3] + effect.values.get("half_gap", 0.0)
-    return joint._replace(row=(*joint.row[:3], half_gap), gap=True)
+    return joint._replace(row=(*joint.row[:3], half_gap), law=joint.law or GAP)
 
 
 def _coordinates(
@@ -435,10 +437,7 @@ def _law(model: RigModel, body: str) -> list[float]:
             get("stribeck_speed", side, LARGE_SPEED),
             get("viscous", side, 0.0) + emf,
         ]
-    exponent = model.value(f"body.{body}.stribeck_exponent") if (
-        "stribeck_exponent" in friction
-    ) else 1.0  # fmt: skip
-    return [*row, exponent]
+    return [*row, get("stribeck_exponent", "", 1.0)]
 
 
 def _input_row(model: RigModel, name: str) -> list[float]:

@@ -13,7 +13,7 @@ from dmptm_ctrl.drive.parameters import physical
 from dmptm_ctrl.drive.rig import Controller, Rig, Sensor
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.parts import Parts
-from dmptm_ctrl.simulate.plant import Floats, Plant
+from dmptm_ctrl.simulate.plant import ELASTIC_IMPACT, Floats, Plant
 from dmptm_ctrl.simulate.rig_control import controller_of
 from dmptm_ctrl.simulate.rig_model import RigModel, check_physical, declared_effects
 from dmptm_ctrl.simulate.run import Controller as RunController
@@ -244,7 +244,8 @@ def _matrices(plant: Plant) -> tuple[Floats, Floats]:
         _, spring, damper = plant.link_values[k, :3]
         b = _row(plant, k)
         stiffness += spring * np.outer(b, b)
-        damping += damper * np.outer(b, b)
+        if plant.link_gap[k] != ELASTIC_IMPACT:  # which does not damp where contact begins
+            damping += damper * np.outer(b, b)
     for b_index, group in enumerate(plant.body_coordinate):
         viscous = 0.5 * (plant.law[b_index, 3] + plant.law[b_index, 7])
         damping[group, group] += plant.body_ratio[b_index] ** 2 * viscous

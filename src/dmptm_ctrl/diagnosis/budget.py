@@ -58,12 +58,15 @@ class Errors:
 
     @property
     def explained(self) -> float:
-        """Share of the removable mean square that the named effects take; the least measure's."""
+        """Share of the removable mean square that the named effects take.
+
+        Of the balance, or less where runs show less, free and short ones in units of their floors.
+        """
         # runs near their floor cannot show what acts on other readings
-        others = (
-            m for m in (self.runs, self.short) if m is not None and not near(m.before, m.floor)
-        )
-        return min(share(self.before, self.after, self.floor), *(share(*m) for m in others), 1.0)
+        others = [m for m in (self.runs, self.short) if m and not near(m.before, m.floor)]
+        before, after = (sum(m[side] / m.floor for m in others) for side in (0, 1))
+        own = share(self.before, self.after, self.floor)
+        return min(own, share(before, after, float(len(others))))
 
 
 def share(before: float, after: float, floor: float) -> float:

@@ -1,6 +1,6 @@
 """A program as C99: one header, one source, no allocation and nothing but the C library's maths."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from dmptm_ctrl.export.program import (
@@ -19,10 +19,7 @@ from dmptm_ctrl.export.program import (
     Store,
     ascii_text,
     known,
-    prune,
 )
-from dmptm_ctrl.export.trace import follow, function_tree
-from dmptm_ctrl.export.tracer import Tracer
 
 REALS = ("double", "float")
 _LEVEL = {
@@ -234,8 +231,8 @@ def c_source(program: Program, real: str = "double") -> str:
             "",
             "#include <math.h>",
             "",
-            *_helpers(text),
-            *(_table(a, printer) for a in program.tables()),
+            *c_helpers(text),
+            *(c_table(a, printer) for a in program.tables()),
             "",
             f"void {name}_init({name}_state *state) {{",
             *first,
@@ -244,76 +241,6 @@ def c_source(program: Program, real: str = "double") -> str:
             f"{_signature(program, real)} {{",
             *unused,
             *body,
-            "}",
-            "",
-        ]
-    )
-
-
-def c_function(
-    function: Callable[..., Any],
-    name: str,
-    *,
-    known_arguments: Mapping[str, Any] | None = None,
-    records: Mapping[str, tuple[str, ...]] | None = None,
-    real: str = "double",
-) -> str:
-    """Return a scalar Python function as a C function ``void name(const real *in, real *out)``.
-
-    Parameters
-    ----------
-    function : callable
-        Pure: scalar arithmetic, branches, loops over ranges, calls of the same kind.
-    known_arguments : mapping
-        Argument → its value; the function is written for these.
-    records : mapping
-        Argument → its field names; the argument is a NamedTuple, read from an array of its own
-        in the order of `records`, behind `in`.
-    real : {"double", "float"}
-
-    Raises
-    ------
-    NotScalar
-        Source that is more than that.
-    """
-    records, given = records or {}, known_arguments or {}
-    tracer = Tracer()
-    args: list[Any] = []
-    free: list[str] = []
-    pointers = []
-    body: list[Any] = []
-    for argument in function_tree(getattr(function, "py_func", function)).args.args:
-        key = argument.arg
-        if key in given:
-            args.append(given[key])
-        elif key in records:
-            array = Array(tracer.fresh(f"{key}_values").id, len(records[key]), None, records[key])
-            pointers.append(array.id)
-            args.append(array)
-        else:
-            args.append(tracer.fresh(key))
-            free.append(args[-1].id)
-    with tracer.collected(body):
-        result = follow(tracer, function, args)
-    results = list(result) if isinstance(result, tuple) else [result]
-    program = prune(Program(name, [], [Port("", "", "")] * len(results), results, [], body, []))
-    printer = CPrinter(real, set())
-    lines = [f"    {real} {key} = in[{k}];" for k, key in enumerate(free)]
-    lines += [f"    (void){key};" for key in (*free, *pointers, "in")]
-    lines += printer.lines(program.body)
-    lines += [f"    out[{k}] = {printer.text(v)};" for k, v in enumerate(program.results)]
-    tables = [_table(a, printer) for a in program.tables()]
-    more = "".join(f", const {real} *{p}" for p in pointers)
-    return "\n".join(
-        [
-            "#include <math.h>",
-            "#include <stdbool.h>",
-            "#include <stdint.h>",
-            "",
-            *_helpers("\n".join(lines)),
-            *tables,
-            f"void {name}(const {real} *in, {real} *out{more}) {{",
-            *lines,
             "}",
             "",
         ]
@@ -344,7 +271,8 @@ def _comment(notes: list[str]) -> list[str]:
     return ["/*", *(f" * {line}".rstrip() for line in _safe(notes)), " */"] if notes else []
 
 
-def _helpers(text: str) -> list[str]:
+def c_helpers(text: str) -> list[str]:
+    """Functions of whole numbers that a text calls."""
     found = []
     for name, body in (
         ("min_int", "a < b ? a : b"),
@@ -357,7 +285,8 @@ def _helpers(text: str) -> list[str]:
     return found
 
 
-def _table(array: Array, printer: CPrinter) -> str:
+def c_table(array: Array, printer: CPrinter) -> str:
+    """A constant table."""
     values = array.values or ()
     rows = [
         "    " + ", ".join(printer.number(v) for v in values[k : k + 4]) + ","

@@ -100,16 +100,7 @@ class Check:
         }
 
     def plot(self, *, ax: Any = None) -> Any:
-        """Draw the entries over the dates of the logs.
-
-        Parameters
-        ----------
-        ax : Axes, optional
-
-        Returns
-        -------
-        Axes
-        """
+        """Draw the entries over the dates of the logs."""
         from dmptm_ctrl.plots.trend import plot_trend
 
         return plot_trend(list(self.trend), _series(self.trend), ax=ax)
@@ -200,13 +191,7 @@ def check(
 def check_files(
     logs: Sequence[Path], model: Path, out: Path | None, *, tolerance: float, jobs: int
 ) -> Check:
-    """Check log files, and write the result to a folder if there is to be one.
-
-    Raises
-    ------
-    LogError
-        Logs, a model file or a tolerance that cannot be used; nothing is written.
-    """
+    """Check log files, and write the result to a folder if there is to be one."""
     import matplotlib
 
     if not 0.0 <= tolerance <= 1.0:

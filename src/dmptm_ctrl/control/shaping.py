@@ -26,16 +26,7 @@ WEIGHT_FLOOR = 1e-3  # mixsyn wants weights without poles on the axis: the integ
 
 
 class SampledPlant:
-    """Frequency response of a drive under a sampled loop, computed once.
-
-    Parameters
-    ----------
-    plant : StateSpace
-        As for :func:`~dmptm_ctrl.control.tune_pi`.
-    sample_time : float [s]
-    sections : sequence of (b0, b1, b2, a1, a2)
-        Second-order difference equations behind the PI.
-    """
+    """Frequency response of a drive, with sections, under a sampled loop, computed once."""
 
     def __init__(
         self,
@@ -129,14 +120,7 @@ def fastest_pi(
 
 
 class Notched(NamedTuple):
-    """A PI with a notch at the resonance that limits the PI alone.
-
-    Attributes
-    ----------
-    gains : PiTuning
-    hz, depth, width : float
-        See :func:`~dmptm_ctrl.control.sections.notch`.
-    """
+    """A PI with a notch at the resonance that limits the PI alone."""
 
     gains: PiTuning
     hz: float
@@ -153,17 +137,9 @@ def notched_pi(
     highest_hz: float = 60.0,
     sample_time: float = SAMPLE_TIME,
 ) -> Notched | None:
-    """Return the fastest PI with a notch where the gain margin of the PI alone is met.
+    """Return the fastest PI with a notch where the gain margin of the PI `alone` is met.
 
     None where no notch gains :data:`WORTH` in crossover.
-
-    Parameters
-    ----------
-    plant : StateSpace
-        As for :func:`~dmptm_ctrl.control.tune_pi`.
-    alone : PiTuning
-        Of :func:`fastest_pi` for the same margins.
-    phase_margin_deg, gain_margin_db, highest_hz, sample_time : float
     """
     faster = SampledPlant(plant, sample_time)
     gains = faster.gains(FASTER * alone.crossover_hz, phase_margin_deg)
@@ -192,20 +168,11 @@ def notched_pi(
 
 
 class LinearReference(NamedTuple):
-    """How far a PI is from the best linear controller for the same weights.
+    """How far a PI is from the best linear controller for the same weights."""
 
-    Attributes
-    ----------
-    controller : StateSpace
-        Of `mixsyn`, from error to voltage.
-    optimal, reached : float
-        Largest singular value over frequency of the weighted S, K S and T with it, and with
-        the PI.
-    """
-
-    controller: ct.StateSpace
-    optimal: float
-    reached: float
+    controller: ct.StateSpace  # of `mixsyn`, from error to voltage
+    optimal: float  # largest singular value over frequency of the weighted S, K S and T
+    reached: float  # the same with the PI
 
 
 def linear_reference(
@@ -215,20 +182,7 @@ def linear_reference(
 
     Weights: S as small below the PI's crossover as an integrator makes it and at most 2,
     K S at most `volts_per_error` times the PI's proportional gain, T at most 1.5 and small
-    ten crossovers up.
-
-    Parameters
-    ----------
-    plant : StateSpace
-        Two voltages in, ``omega_L`` among its outputs.
-    gains : PiTuning
-    volts_per_error : float
-        Allowed controller gain over the PI's proportional gain.
-
-    Raises
-    ------
-    ArithmeticError
-        The synthesis fails, or ends above what the PI reaches.
+    ten crossovers up. ArithmeticError where the synthesis fails, or ends above the PI.
     """
     drive = essential(common_mode(plant))
     crossover = 2.0 * np.pi * gains.crossover_hz

@@ -28,26 +28,13 @@ ASKED = 0.05 * DEG  # rad/s; a setpoint below asks for no motion
 
 @dataclass(frozen=True, eq=False)
 class Impact:
-    """The loop on both drives.
+    """The loop on both drives, "nominal" and "augmented"."""
 
-    Attributes
-    ----------
-    table : DataFrame
-        A row per quantity, with its unit in the name; columns nominal, augmented, change in %.
-    duty : Duty
-    speeds : dict
-        "nominal", "augmented" → ring-gear speed along the duty [rad/s].
-    sweep_hz : (m,) array
-    gains : dict
-        The same keys → (amplitudes, m) closed-loop gains.
-    effects : tuple of str
-    """
-
-    table: pd.DataFrame
+    table: pd.DataFrame  # a row per quantity; columns nominal, augmented, change in %
     duty: Duty
-    speeds: dict[str, Floats]
+    speeds: dict[str, Floats]  # of the ring gear along the duty [rad/s]
     sweep_hz: Floats
-    gains: dict[str, Floats]
+    gains: dict[str, Floats]  # (amplitudes, m) of the closed loop
     effects: tuple[str, ...]
 
     def plot(self, **options: Any) -> Any:
@@ -143,11 +130,6 @@ def margins(
     """Return phase margin [deg], gain margin [dB] and crossover [Hz] about a steady turn.
 
     Of the sampled loop with all its sections, by python-control on the frequency response.
-
-    Raises
-    ------
-    ValueError
-        No steady turn at this speed.
     """
     problem: ValueError | None = None
     for preload in PRELOADS:

@@ -34,29 +34,14 @@ ROUGHLY = 5e-2  # of the mesh torque, what may be left on the way there
 
 
 class LimitCycle(NamedTuple):
-    """A periodic solution of the balance, and what the simulator does there.
+    """A periodic solution of the balance (NaN: none near), and what the simulator does there."""
 
-    Attributes
-    ----------
-    hz : float
-        Predicted, of the strongest harmonic of z. NaN, as what follows, where the simulator
-        oscillates but no periodic motion balances.
-    amplitude : float [rad/s]
-        Predicted; of the ring-gear speed, √2 times its rms.
-    twist : float [rad]
-        Predicted; half the peak-to-peak of z, of the chain that moves most.
-    simulated : Simulated or None
-        The same numbers of the simulator where it ends: of the lasting oscillation that is
-        nearest, or of a run from the predicted state. None where nothing was simulated.
-    seeded : bool
-        Whether the balance was started from a simulated wave; its own starts had not found it.
-    """
-
-    hz: float
-    amplitude: float
-    twist: float
+    hz: float  # predicted, of the strongest harmonic of z
+    amplitude: float  # predicted; of the ring-gear speed, √2 times its rms [rad/s]
+    twist: float  # predicted; half the peak-to-peak of z, of the chain that moves most [rad]
+    # lasting oscillation that is nearest, or where a run from here ends
     simulated: Simulated | None = None
-    seeded: bool = False
+    seeded: bool = False  # whether the balance had to start from a simulated wave
 
     @property
     def miss(self) -> float:

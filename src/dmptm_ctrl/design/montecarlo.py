@@ -21,16 +21,10 @@ CONFIDENCE = 0.95
 
 
 class MonteCarlo(NamedTuple):
-    """Tracking errors of a controller over drawn plants.
+    """Tracking errors of a controller over drawn plants."""
 
-    Attributes
-    ----------
-    errors : (count,) array [deg/s]
-    volts : (count,) array [V]
-    """
-
-    errors: Floats
-    volts: Floats
+    errors: Floats  # (count,) [deg/s]
+    volts: Floats  # (count,) [V]
 
     def quantile(self, q: float, confidence: float = CONFIDENCE) -> tuple[float, float, float]:
         """Return (estimate, low, high) of a quantile [deg/s], bounds free of a distribution.

@@ -39,13 +39,7 @@ def load_torque_along(model: Model, duty: Duty, theta_L: float = 0.0) -> Floats:
 
 
 def common_volts_along(model: Model, duty: Duty) -> Floats:
-    """Return the voltage that both motors share along a duty [V], (n,): half of the load each.
-
-    Parameters
-    ----------
-    model : Model
-    duty : Duty
-    """
+    """Return the voltage that both motors share along a duty [V], (n,): half of the load each."""
     parts, drive = parts_of(model), model.drive
     way = np.sign(duty.reference)
     speeds = drive["N_2"] * duty.reference
@@ -86,28 +80,13 @@ def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
 
 
 class Preload(NamedTuple):
-    """A duty under one preload.
+    """A duty under one preload; errors and torques are rms."""
 
-    Attributes
-    ----------
-    open_share : float
-        Share of the judged time in which at least one mesh carries nothing or its teeth have
-        left their side.
-    error : float [deg/s]
-        RMS tracking error.
-    torque : float [N·m]
-        RMS torque of a motor.
-    friction : float [N·m]
-        Mean friction that the preload adds in both reducers, seen at the pinions.
-    reversal_error : float [deg/s]
-        RMS tracking error within :data:`NEAR_REVERSAL` of a reversal of the setpoint.
-    """
-
-    open_share: float
-    error: float
-    torque: float
-    friction: float
-    reversal_error: float
+    open_share: float  # of the judged time with a mesh that carries nothing or has left its side
+    error: float  # deg/s
+    torque: float  # of a motor [N·m]
+    friction: float  # mean that the preload adds in both reducers, at the pinions [N·m]
+    reversal_error: float  # within NEAR_REVERSAL of a reversal of the setpoint [deg/s]
 
 
 def assess_preload(model: Model, controller: Controller, duty: Duty) -> Preload:
@@ -117,15 +96,9 @@ def assess_preload(model: Model, controller: Controller, duty: Duty) -> Preload:
 
 
 def assess_bias(model: Model, controller: Controller, duty: Duty, bias: ArrayLike) -> Preload:
-    """Run a duty under a bias that is a function of time, instead of the controller's preload.
+    """Run a duty under a bias (n,) [V] over time, instead of the controller's preload.
 
-    Parameters
-    ----------
-    model : Model
-    controller : Controller
-    duty : Duty
-    bias : (n,) array [V]
-        Added left, taken off right, at every sample; not part of the voltage limit.
+    It is added left and taken off right at every sample; not part of the voltage limit.
     """
     volts = np.asarray(bias, float)
     push = np.zeros((volts.size, 3))
@@ -167,19 +140,11 @@ def _reversing(duty: Duty) -> NDArray[np.bool_]:
 
 
 class Schedule(NamedTuple):
-    """How a bias b [V] follows the common voltage u [V] and the setpoint speed ω [rad/s].
-
-    Attributes
-    ----------
-    formula : str
-    source : str
-    bias : callable
-        (b, u, ω) → volts, for arrays u and ω of a duty.
-    """
+    """How a bias b [V] follows the common voltage u [V] and the setpoint speed ω [rad/s]."""
 
     formula: str
     source: str
-    bias: Callable[[float, Floats, Floats], Floats]
+    bias: Callable[[float, Floats, Floats], Floats]  # (b, u, ω) -> volts
 
 
 def _fading(start: float, end: float) -> Callable[[float, Floats, Floats], Floats]:

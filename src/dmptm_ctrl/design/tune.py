@@ -77,29 +77,15 @@ class Aims:
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """A controller and how it was found.
-
-    Attributes
-    ----------
-    controller : Controller
-    linear : PiTuning
-        The start.
-    reference : LinearReference or None
-        What no linear controller beats on the drive without torques that depend on an angle;
-        None where the synthesis has no answer.
-    stages : list of dict
-        Error over the drawn plants after each stage: stage, rmse_median, rmse_quantile,
-        rmse_worst [deg/s], voltage_max [V], controller, errors.
-    errors : (plants,) array [deg/s]
-        RMS tracking error of the controller on every plant drawn.
-    aims : Aims
-    """
+    """A controller and how it was found."""
 
     controller: Controller
-    linear: PiTuning
+    linear: PiTuning  # the start
+    # no linear one beats it without torques over angle; None: no answer
     reference: LinearReference | None
+    # error over the drawn plants after each [deg/s], voltage_max [V], controller
     stages: list[dict[str, Any]]
-    errors: Floats
+    errors: Floats  # (plants,): rms tracking error on every plant drawn [deg/s]
     aims: Aims
 
     def summary(self) -> str:
@@ -368,12 +354,8 @@ def tracking(
 ) -> tuple[Floats, Floats]:
     """Run a controller over the duty on many plants.
 
-    Returns
-    -------
-    errors : (plants,) array [deg/s]
-        RMS of setpoint minus true speed, after the settling.
-    volts : (plants,) array [V]
-        Largest voltage of either motor.
+    Returns per plant the rms of setpoint minus true speed after the settling [deg/s], and the
+    largest voltage of either motor [V].
     """
     duty = aims.duty
     rng = np.random.default_rng(seed)

@@ -83,13 +83,7 @@ def controller_program(
 
 
 def provenance(controller: Controller, source: Path | None = None) -> list[str]:
-    """Return the comment lines at the head of an exported controller.
-
-    Parameters
-    ----------
-    source : Path, optional
-        File that the controller was read from; its name and SHA-256 are given.
-    """
+    """Return the comment lines at the head of an exported controller, read from `source`."""
     lines = [
         "Speed controller of a drive with two motors on one ring gear.",
         f"Sample time: {controller.sample_time!r} s. Call the step once per sample.",

@@ -24,20 +24,12 @@ class Name:
 
 @dataclass(frozen=True)
 class Array:
-    """A row of numbers that is read at a place known only when the program runs.
-
-    Attributes
-    ----------
-    values : tuple of float, or None
-        Of a constant table.
-    fields : tuple of str
-        Names of the elements, where it stands for a NamedTuple.
-    """
+    """A row of numbers that is read at a place known only when the program runs."""
 
     id: str
     size: int
-    values: tuple[float, ...] | None = None
-    fields: tuple[str, ...] = ()
+    values: tuple[float, ...] | None = None  # of a constant table
+    fields: tuple[str, ...] = ()  # names of the elements, where it stands for a NamedTuple
 
 
 @dataclass(frozen=True)
@@ -108,33 +100,18 @@ class Port:
 
 @dataclass
 class Program:
-    """A step that is called once per sample time.
-
-    Attributes
-    ----------
-    inputs, outputs : list of Port
-    results : list
-        Value of each output after the step.
-    state : list of (Name, initial value)
-        Scalars kept from step to step.
-    arrays : list of (Array, initial value of all elements)
-        The same of arrays.
-    body : list of statements
-    after : list of (Name, value)
-        What the state becomes at the end of the step.
-    notes : list of str
-        Comment lines for the head of a file.
-    """
+    """A step that is called once per sample time."""
 
     name: str
     inputs: list[Port]
     outputs: list[Port]
-    results: list[Any]
-    state: list[tuple[Name, Any]]
+    results: list[Any]  # value of each output after the step
+    state: list[tuple[Name, Any]]  # scalars kept, and what they start from
     body: list[Any]
-    after: list[tuple[Name, Any]]
+    after: list[tuple[Name, Any]]  # what the state becomes at the end of the step
+    # kept, and what all elements start from
     arrays: list[tuple[Array, float]] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # comment lines for the head
 
     def tables(self) -> list[Array]:
         """Return the constant tables that the program reads."""

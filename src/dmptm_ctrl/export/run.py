@@ -94,32 +94,10 @@ def export_experiment(
     real: str = "double",
     sample_time: float | None = None,
 ) -> list[str]:
-    """Write a planned experiment ready to run.
+    """Write a planned experiment, as next_experiment.csv, ready to run; return the files' names.
 
-    Parameters
-    ----------
-    source : path
-        next_experiment.csv of `dmptm diagnose`, or a table like it.
-    target : {"csv", "c", "st"}
-    out : path
-        Folder; files of other names in it stay.
-    limits : Limits
-    model : path, optional
-        model.toml, by which speed and travel are told.
-    real : {"double", "float"}
-        Of C and Structured Text.
-    sample_time : float, optional
-        Of the rig [s]; by default the table's.
-
-    Returns
-    -------
-    list of str
-        Names of the files.
-
-    Raises
-    ------
-    LogError
-        Files that cannot be used, or limits that cannot be kept; nothing is written.
+    `model` is the file by which speed and travel are told. LogError, and nothing is written, for
+    files that cannot be used, or limits that cannot be kept.
     """
     if target not in OF_EXPERIMENT:
         raise LogError(f"--to {target}: an experiment goes to {', '.join(OF_EXPERIMENT)}")

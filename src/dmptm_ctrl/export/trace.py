@@ -38,14 +38,7 @@ _NOTHING = object()
 
 
 def follow(tracer: Tracer, function: Any, args: list[Any]) -> Any:
-    """Follow a function on these arguments; return what it returns.
-
-    Raises
-    ------
-    NotScalar
-        Source that is more than scalar arithmetic, branches, loops over ranges, and calls of
-        functions of that kind.
-    """
+    """Follow a function on these arguments; return what it returns, or raise `NotScalar`."""
     function = getattr(function, "py_func", function)
     tree = function_tree(function)
     env: dict[str, Any] = {}
@@ -220,18 +213,9 @@ class Scope(Expressions):
     ) -> tuple[list[tuple[Name, Any, Any]], list[Any]]:
         """Follow a body that repeats, until it is known which variables it carries.
 
-        Parameters
-        ----------
-        block : list
-            Gets the statements of one turn.
-        keep : bool
-            Whether the carried variables stand in a state, instead of in plain names.
-
-        Returns
-        -------
-        carried : list of (name, value before, value behind one turn)
-        moves : list of statements
-            Give the carried names their new values.
+        `block` gets the statements of one turn. With `keep` the carried variables stand in a state,
+        else in plain names. Returns (name, value before, value behind one turn) of each, and the
+        statements that give plain names their new values.
         """
         tracer = self.tracer
         env, heap, taken = dict(self.env), dict(tracer.heap), dict(tracer.taken)

@@ -49,14 +49,7 @@ def plot_tuning(tuned: Any, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
-    """Draw speeds along the duty, tracking errors, and closed-loop gains of both drives.
-
-    Parameters
-    ----------
-    found : Impact
-        Of :func:`~dmptm_ctrl.design.impact.impact`.
-    ax : three Axes, optional
-    """
+    """Draw speeds along the duty, tracking errors, and closed-loop gains of both drives."""
     panels = axes(ax, 3, figsize=(8.0, 8.5)).ravel()
     time, ref = found.duty.time, found.duty.reference
     panels[0].plot(time, np.rad2deg(ref), color="0.65", linewidth=2.5, label="setpoint")
@@ -164,14 +157,7 @@ def plot_gains(hz: ArrayLike, gains: Mapping[str, ArrayLike], *, ax: Axes | None
 
 
 def plot_stability(found: Any, *, ax: Axes | None = None) -> Axes:
-    """Draw the oscillation over both gains, and where the linear loop becomes unstable.
-
-    Parameters
-    ----------
-    found : StabilityMap
-        Of :func:`~dmptm_ctrl.design.stability.stability_map`.
-    ax : Axes, optional
-    """
+    """Draw the oscillation over both gains, and where the linear loop becomes unstable."""
     panel = axes(ax, 1, figsize=(6.4, 4.4))[0, 0]
     amplitude = np.log10(np.maximum(np.rad2deg(found.amplitude), 1e-2))
     image = panel.pcolormesh(found.ki, found.kp, amplitude, cmap="Greys", shading="nearest")

@@ -43,32 +43,18 @@ BUDGET: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """A reading on one log and free runs of two models, (n,) arrays, all of one bandwidth.
-
-    Attributes
-    ----------
-    time : (n,) array [s]
-    measured, before, after : (n,) arrays
-        In `unit`.
-    held : (n,) array of bool
-        Samples that nothing was fitted to: they count.
-    push : (n,) array
-        Signal of the inputs together.
-    quantity, unit : str
-    ahead : (n,) array or None
-        Short predictions of the model after; NaN where there is none.
-    """
+    """A reading on one log and free runs of two models, (n,) arrays, all of one bandwidth."""
 
     name: str
-    time: Floats
+    time: Floats  # s
     measured: Floats
     before: Floats
     after: Floats
-    held: NDArray[np.bool_]
-    push: Floats
+    held: NDArray[np.bool_]  # samples that nothing was fitted to: they count
+    push: Floats  # signal of the inputs together
     quantity: str = "speed"
     unit: str = "deg/s"
-    ahead: Floats | None = None
+    ahead: Floats | None = None  # short predictions of the model after; NaN: none
 
     def rmse(self, which: str) -> float:
         """Root-mean-square error of "before" or "after" where nothing was fitted."""
@@ -96,39 +82,17 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A residual against the variable that explains it.
+    """A residual against the variable that explains it; curves "forward" and "backward"."""
 
-    Attributes
-    ----------
-    variable, quantity : str
-        Labels with units.
-    before, after : mappings
-        Without and with it: direction of motion ("forward", "backward") → Curve.
-    effect : str
-        Name of the effect in question; empty where there is none.
-    """
-
-    variable: str
-    quantity: str
-    before: Mapping[str, Curve]
-    after: Mapping[str, Curve]
-    effect: str = ""
+    variable: str  # label with unit
+    quantity: str  # label with unit
+    before: Mapping[str, Curve]  # without
+    after: Mapping[str, Curve]  # with it
+    effect: str = ""  # the one in question; empty where there is none
 
 
 def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) -> np.ndarray:
-    """Draw one log: measured, before and after; below it what is left where nothing was fitted.
-
-    Parameters
-    ----------
-    overlay : Overlay
-    ax : (2,) array of Axes, optional
-    title : str, optional
-        The log's name by default.
-
-    Returns
-    -------
-    (2,) array of Axes
-    """
+    """Draw one log: measured, before and after; below it what is left where nothing was fitted."""
     panels = axes(
         ax, 2, figsize=(7.0, 3.9), sharex=True, gridspec_kw={"height_ratios": [3, 2]}
     ).ravel()
@@ -159,18 +123,7 @@ def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) 
 
 
 def plot_diagnosis(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
-    """Draw every held-out log of a diagnosis: measured, before and after.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis, or sequence of Overlay
-    ax : (2, logs) array of Axes, optional
-        The reading above, what is left below.
-
-    Returns
-    -------
-    (2, logs) array of Axes
-    """
+    """Draw every held-out log of a diagnosis, or Overlays; what is left below."""
     overlays: Sequence[Overlay]
     overlays = diagnosis.overlays() if hasattr(diagnosis, "overlays") else tuple(diagnosis)
     count = len(overlays)
@@ -188,17 +141,7 @@ def plot_diagnosis(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
 
 
 def plot_budget(diagnosis: Any, *, ax: Any = None) -> Axes:
-    """Draw the error budget: a bar per effect, then what is not explained, and the floor.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis, or sequence of budget rows
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
-    """
+    """Draw the error budget: a bar per effect, then what is not explained, and the floor."""
     rows: Any = list(getattr(diagnosis, "budget", diagnosis))
     panel: Axes = axes(ax, 1, figsize=(7.0, 0.7 + 0.34 * len(rows)))[0, 0]
     for i, row in enumerate(rows):
@@ -220,16 +163,7 @@ def plot_budget(diagnosis: Any, *, ax: Any = None) -> Axes:
 def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     """Draw the residual without and with an effect against the variable that explains it.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis or Evidence
-    ax : (2,) array of Axes, optional
-        Without, with.
-
-    Returns
-    -------
-    (2,) array of Axes
-        Points are means over bins, by direction of motion; bars are ± 2 standard errors.
+    Points are means over bins, by direction of motion; bars are ± 2 standard errors.
     """
     evidence: Evidence
     evidence = diagnosis if isinstance(diagnosis, Evidence) else diagnosis.evidence()

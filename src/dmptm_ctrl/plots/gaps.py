@@ -29,26 +29,13 @@ PER_SECOND = 8
 
 @dataclass(frozen=True, eq=False)
 class GapMotion:
-    """Where each pinion is in its gap along a log.
-
-    Attributes
-    ----------
-    name : str
-    time : (n,) array [s]
-    place : (2, n) array
-        Pinion against ring gear, left and right, in half-gaps: ±1 at the flanks, beyond them
-        where the teeth bend.
-    speed : (n,) array [deg/s]
-        Of the ring gear.
-    source : str
-        "measured" or "simulated".
-    """
+    """Where each pinion is in its gap along a log."""
 
     name: str
-    time: Floats
-    place: Floats
-    speed: Floats
-    source: str
+    time: Floats  # (n,) [s]
+    place: Floats  # (2, n), left and right, in half-gaps: ±1 at the flanks
+    speed: Floats  # (n,), of the ring gear [deg/s]
+    source: str  # "measured" or "simulated"
 
     @property
     def contact(self) -> NDArray[np.int64]:

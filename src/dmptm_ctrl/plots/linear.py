@@ -187,14 +187,7 @@ def response_plot(
 def simplification_plot(
     cost: SimplificationCost, *, ax: Axes | None = None, Hz: bool = True
 ) -> Axes:
-    """Draw what the 3-DOF model and a balanced one of the same order leave out.
-
-    Parameters
-    ----------
-    cost : SimplificationCost
-    ax : Axes, optional
-    Hz : bool
-    """
+    """Draw what the 3-DOF model and a balanced one of the same order leave out."""
     panel = axes(ax, 1, figsize=(6.5, 4.0))[0, 0]
     omega = np.geomspace(1.0, 1e4, 3000)
     names = {

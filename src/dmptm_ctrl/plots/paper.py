@@ -163,14 +163,7 @@ def convergence_plot(
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """Draw relative errors over the compliance that they come from, with slope 1 beside.
-
-    Parameters
-    ----------
-    softness : (n,) array_like
-        Compliance relative to the default.
-    errors : mapping of str to (n,) array_like
-    """
+    """Draw relative errors over the relative compliance they come from, with slope 1 beside."""
     panel = axes(ax, 1, figsize=(5.5, 4.0))[0, 0]
     x = np.asarray(softness, float)
     styles = (STYLES["proposed"], STYLES["other"], STYLES["existing"], STYLES["measured"])
@@ -191,15 +184,7 @@ def convergence_plot(
 def sensitivity_plot(
     values: Mapping[str, ArrayLike], titles: Sequence[str], *, ax: Axes | None = None
 ) -> Axes:
-    """Draw relative sensitivities as bars, one group per parameter.
-
-    Parameters
-    ----------
-    values : mapping of str to (n,) array_like
-        Of each frequency to a parameter.
-    titles : sequence of str
-        Of the n frequencies.
-    """
+    """Draw relative sensitivities of the titled frequencies as bars, one group per parameter."""
     panel = axes(ax, 1, figsize=(6.5, 3.4))[0, 0]
     names = list(values)
     table = np.array([values[n] for n in names], float)

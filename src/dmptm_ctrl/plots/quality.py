@@ -47,12 +47,7 @@ class Orders:
 def plot_correlation(
     before: Correlation, after: Correlation, *, ax: Any = None, title: str = ""
 ) -> Any:
-    """Draw a correlation before and after over its 99 % band.
-
-    Returns
-    -------
-    Axes
-    """
+    """Draw a correlation before and after over its 99 % band."""
     panel = axes(ax, 1, figsize=(4.6, 3.0))[0, 0]
     panel.fill_between(after.lag, -after.band, after.band, color="0.85", label="99 % band")
     for found, label, style in (
@@ -71,12 +66,7 @@ def plot_correlation(
 
 
 def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
-    """Draw amplitudes per order before and after, with the orders that a drive makes.
-
-    Returns
-    -------
-    Axes
-    """
+    """Draw amplitudes per order before and after, with the orders that a drive makes."""
     panel = axes(ax, 1, figsize=(7.4, 3.0))[0, 0]
     top = 2.0 * max(float(orders.before.max()), float(orders.after.max()), 1e-12)
     least = top * 10.0**-DECADES

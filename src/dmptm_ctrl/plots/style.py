@@ -19,13 +19,7 @@ SEQUENCE = (STYLES["proposed"], STYLES["existing"], STYLES["other"], STYLES["mea
 def axes(
     ax: Any, rows: int, columns: int = 1, *, figsize: tuple[float, float], **options: Any
 ) -> np.ndarray:
-    """Return an array (rows, columns) of axes: those given, or new ones.
-
-    Raises
-    ------
-    ValueError
-        Another number of axes than needed.
-    """
+    """Return an array (rows, columns) of axes: those given, which must be as many, or new ones."""
     if ax is None:
         figure = plt.figure(figsize=figsize, layout="constrained")
         return figure.subplots(rows, columns, squeeze=False, **options)

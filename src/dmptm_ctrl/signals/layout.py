@@ -18,21 +18,8 @@ def find_layout(
 ) -> Layout:
     """Find the table in the first lines of a file.
 
-    Parameters
-    ----------
-    lines : sequence of str
-    source : str
-        Name of the file, for messages.
-    how : TextFormat
-    wanted : collection of str
-        Columns that tell which of several lines of names is meant.
-
-    Raises
-    ------
-    NotALogError
-        No row of numbers.
-    LogError
-        Names that do not fit the rows.
+    `wanted` columns tell which of several lines of names is meant. NotALogError without numbers,
+    LogError for names that do not fit the rows.
     """
     best = None
     for dialects in _dialects(lines, how):

@@ -168,26 +168,10 @@ def load_logs(
 def gather(
     sources: Any, load: Callable[..., Log], ignored: Callable[[Path], bool] = lambda _: False
 ) -> tuple[tuple[Log, ...], list[str]]:
-    """Logs of folders, files, tables; stray files of a folder are left out.
+    """Logs of folders, files, tables, read by `load`; and what was left out.
 
-    Parameters
-    ----------
-    sources : path, DataFrame or Log, or several
-    load : callable
-        Reads one, with ``name=`` for a table.
-    ignored : callable
-        Whether a file is to be passed over in silence.
-
-    Returns
-    -------
-    logs : tuple of Log
-    warnings : list of str
-        What was left out.
-
-    Raises
-    ------
-    LogError
-        As `load`; no log at all.
+    Stray files of a folder are left out, `ignored` ones in silence. `load` gets a ``name=`` for a
+    table.
     """
     single = isinstance(sources, str | PathLike | Log) or hasattr(sources, "columns")
     logs: list[Log] = []
@@ -284,13 +268,7 @@ def read_table(
     how: TextFormat | None = None,
     wanted: Collection[str] = (),
 ) -> Table:
-    """Read the chosen columns of a file of any format.
-
-    Raises
-    ------
-    LogError
-        No such file, not readable, no table in it.
-    """
+    """Read the chosen columns of a file of any format; LogError if it is none."""
     if not path.exists():
         raise LogError(f"no such file: {path}")
     if path.is_dir():
@@ -408,13 +386,7 @@ def _time(
 
 
 def numbers_or_times(values: Any, column: str, title: str) -> Any:
-    """Column as floats, or as times where it holds texts of such.
-
-    Raises
-    ------
-    LogError
-        Neither.
-    """
+    """Column as floats, or as times where it holds texts of such; LogError if neither."""
     try:
         return _floats(values, column, title)
     except LogError:

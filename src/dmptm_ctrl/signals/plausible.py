@@ -37,20 +37,10 @@ MOTORS = {"theta_ml": "left", "theta_mr": "right"}
 
 
 def refuse_inconsistent(log: Log, ratio: float | None = None) -> None:
-    """Refuse a log whose channels contradict each other.
+    """Refuse a log whose channels contradict each other by a mistaken unit or sign.
 
-    Parameters
-    ----------
-    log : Log
-        Channels of the paper's rig are compared: omega_L with the rate of theta_L, motor angles
-        with each other and the ring gear, the power of the motors with its sign.
-    ratio : float, optional
-        Motor turns per turn of the ring gear.
-
-    Raises
-    ------
-    LogError
-        A mistaken unit or sign; the message names the channels and the likely mistake.
+    Of the paper's rig: omega_L with the rate of theta_L, motor angles with each other and, by the
+    `ratio` of motor turns, with the ring gear, the power of the motors with its sign.
     """
     if log.has("theta_L", "omega_L"):
         travel = travelled(log)

@@ -122,10 +122,7 @@ def split_column(column: str) -> tuple[str, Unit] | None:
 def parse_unit(text: str) -> Unit:
     """Unit from its text: a suffix of the table ("deg_s"), or an expression ("deg/s", "kgf*m").
 
-    Raises
-    ------
-    LogError
-        Not a unit that converts to SI by a factor alone.
+    LogError if it does not convert to SI by a factor alone.
     """
     plain = text.strip().replace("·", "*").replace("²", "**2").replace("µ", "u")
     suffix = plain.replace("/", "_").replace("*", "").replace("^", "")

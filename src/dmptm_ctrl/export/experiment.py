@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.export.program import Array, Assign, If, Item, Name, Port, Program, make
-from dmptm_ctrl.export.stepping import counter, finished, origin
+from dmptm_ctrl.export.stepping import counter, finished, origin, word
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.compiled import march, rest
@@ -115,7 +115,10 @@ def experiment_program(table: pd.DataFrame, source: Path | None = None) -> Progr
     """
     names = [c for c in table.columns if c != TIME]
     tracer = Tracer()
-    ports = [Port(_word(n), n.rpartition("_")[2], f"signal {n}") for n in names]
+    ports = []
+    for name in names:
+        stem, _, unit = name.rpartition("_")
+        ports.append(Port(word(stem or name), unit, f"signal {name}"))
     ports.append(Port("running", "1", "1 while the experiment lasts, then 0"))
     ports = [replace(p, name=tracer.fresh(p.name).id) for p in ports]
     samples = counter(tracer)
@@ -143,9 +146,3 @@ def experiment_program(table: pd.DataFrame, source: Path | None = None) -> Progr
     ]
     program = Program("next_experiment", [], ports, [*results, here], [], body, [], notes=notes)
     return finished(tracer, program, samples, [])
-
-
-def _word(name: str) -> str:
-    """Name of a program's output: the column without its unit."""
-    stem = name.rpartition("_")[0] or name
-    return "".join(c if c.isascii() and c.isalnum() else "_" for c in stem).lower()

@@ -53,6 +53,11 @@ def _separated(tracer: Tracer, program: Program) -> Program:
     return replace(program, body=body, after=found)
 
 
+def word(name: str) -> str:
+    """Return a name as a program has it."""
+    return "".join(c if c.isascii() and c.isalnum() else "_" for c in name).lower()
+
+
 def origin(source: Path | None) -> list[str]:
     """Return the comment lines that say what wrote a file, and from what."""
     lines = [f"Written by dmptm-ctrl {dmptm_ctrl.__version__}."]

@@ -7,29 +7,10 @@ from typing import NamedTuple
 
 COMMENT = ("#", "%", "//", "!")
 MISSING = frozenset(
-    [
-        "",
-        "nan",
-        "-nan",
-        "na",
-        "n/a",
-        "#n/a",
-        "#na",
-        "<na>",
-        "null",
-        "none",
-        "-",
-        "--",
-        "---",
-        "n. def.",
-        "#nv",
-        "#value!",
-        "#div/0!",
-        "-1.#ind",
-        "1.#ind",
-        "1.#qnan",
-        "-1.#qnan",
-    ]
+    (
+        *("", "nan", "-nan", "na", "n/a", "#n/a", "#na", "<na>", "null", "none", "-", "--", "---"),
+        *("n. def.", "#nv", "#value!", "#div/0!", "-1.#ind", "1.#ind", "1.#qnan", "-1.#qnan"),
+    )
 )
 WORDS = frozenset(("true", "false"))
 ODD = str.maketrans({"\xa0": "", "\u202f": "", "\u2009": "", "’": "'", "−": "-", "\ufeff": ""})

@@ -249,8 +249,5 @@ def only_own(evidence: Evidence) -> Evidence:
     slopes = evidence.slopes[:, own]
     slopes = slopes - q @ (q.T @ slopes)
     return replace(
-        evidence,
-        left=left,
-        slopes=slopes,
-        parameters=tuple(evidence.parameters[k] for k in own),
+        evidence, left=left, slopes=slopes, parameters=tuple(evidence.parameters[k] for k in own)
     )

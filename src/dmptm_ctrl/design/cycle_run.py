@@ -65,15 +65,9 @@ def run_cycles(balance: Balance, cycles: Sequence[Cycle]) -> list[Run]:
     loops = [Loop(kp, ki, NO_LIMIT, float(v) + preload, float(v) - preload) for v in volts]
     with np.errstate(all="ignore"):
         runs = simulate_batch(
-            [balance.model] * count,
-            time,
-            setpoints,
-            states,
-            loop=loops,
-            outputs=["omega_L", "z_l", "z_r"],
-            substeps=SUBSTEPS,
-            n_jobs=1,
-        )
+            [balance.model] * count, time, setpoints, states, loop=loops,
+            outputs=["omega_L", "z_l", "z_r"], substeps=SUBSTEPS, n_jobs=1,
+        )  # fmt: skip
         ends = runs.outputs[:, :, -round(WATCHED / dt) :]
         return [_measured(end[0], end[1 : 1 + balance.chains], dt) for end in ends]
 

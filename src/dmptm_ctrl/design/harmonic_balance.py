@@ -24,14 +24,7 @@ from numba import njit
 from scipy.optimize import root
 
 from dmptm_ctrl.contract import SITES
-from dmptm_ctrl.design.harmonics import (
-    Basis,
-    Cycle,
-    block,
-    packed_first,
-    rate_at_begin,
-    widened,
-)
+from dmptm_ctrl.design.harmonics import Basis, Cycle, block, packed_first, rate_at_begin, widened
 from dmptm_ctrl.design.preload import volt_at_pinion
 from dmptm_ctrl.effects.backlash import Backlash, landing, mesh_region, region_torque
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque

@@ -79,11 +79,7 @@ def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
 
 
 def plot_preload(
-    accelerations: ArrayLike,
-    balance: ArrayLike,
-    simulated: ArrayLike,
-    *,
-    ax: Axes | None = None,
+    accelerations: ArrayLike, balance: ArrayLike, simulated: ArrayLike, *, ax: Axes | None = None
 ) -> Axes:
     """Draw the least preload that keeps both meshes closed over the peak acceleration.
 

@@ -18,21 +18,15 @@ BEFORE = {**STYLES["existing"], "linewidth": 1.0}
 AFTER = {**STYLES["proposed"], "linewidth": 1.0}
 AHEAD = {**STYLES["other"], "linewidth": 0.6, "zorder": 1.0}  # it has the ringing: behind
 LEGEND: dict[str, Any] = {
-    "fontsize": 7.5,
-    "handlelength": 1.8,
-    "columnspacing": 1.2,
-    "frameon": False,
-}
+    "fontsize": 7.5, "handlelength": 1.8, "columnspacing": 1.2, "frameon": False,
+}  # fmt: skip
 DIRECTIONS: dict[str, dict[str, Any]] = {  # filled against hollow: told apart in grey
     "forward": {"color": "#0b3c6f", "linestyle": "-", "marker": "o", "markersize": 3.5},
     "backward": {
-        "color": "#c0641a",
-        "linestyle": "--",
-        "marker": "s",
-        "markersize": 4,
+        "color": "#c0641a", "linestyle": "--", "marker": "s", "markersize": 4,
         "markerfacecolor": "white",
     },
-}
+}  # fmt: skip
 BUDGET: dict[str, dict[str, Any]] = {
     "": {"color": "#0b3c6f"},
     "shared": {"color": "#8fb0d3", "hatch": "///"},
@@ -127,14 +121,8 @@ def plot_diagnosis(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     overlays: Sequence[Overlay]
     overlays = diagnosis.overlays() if hasattr(diagnosis, "overlays") else tuple(diagnosis)
     count = len(overlays)
-    panels = axes(
-        ax,
-        2,
-        count,
-        figsize=(6.2 * count, 4.0),
-        sharex="col",
-        gridspec_kw={"height_ratios": [3, 2]},
-    )
+    size, ratios = (6.2 * count, 4.0), {"height_ratios": [3, 2]}
+    panels = axes(ax, 2, count, figsize=size, sharex="col", gridspec_kw=ratios)
     for i, overlay in enumerate(overlays):
         plot_overlay(overlay, ax=panels[:, i])
     return panels
@@ -198,13 +186,5 @@ def _draw(panel: Axes, curves: Mapping[str, Curve]) -> None:
     panel.axhline(0.0, color="0.65", linewidth=0.8)
     for direction, curve in curves.items():
         x, mean, se = apart(curve)
-        panel.errorbar(
-            x,
-            mean,
-            2.0 * se,
-            label=direction,
-            linewidth=1.0,
-            elinewidth=0.8,
-            capsize=1.5,
-            **DIRECTIONS[direction],
-        )
+        look = {"linewidth": 1.0, "elinewidth": 0.8, "capsize": 1.5, **DIRECTIONS[direction]}
+        panel.errorbar(x, mean, 2.0 * se, label=direction, **look)

@@ -9,13 +9,7 @@ from matplotlib.axes import Axes
 from dmptm_ctrl.drive.modes import Modes
 from dmptm_ctrl.plots.style import STYLES, axes
 
-NAMES = {
-    "m": "motor",
-    "1": "wheel 1",
-    "2": "wheel 2",
-    "3": "pinion",
-    "L": "ring gear",
-}
+NAMES = {"m": "motor", "1": "wheel 1", "2": "wheel 2", "3": "pinion", "L": "ring gear"}
 COLUMNS = 3
 HAND = np.pi / 3  # turn of a wheel's hand at the largest amplitude; upright is at rest
 

@@ -133,16 +133,9 @@ def friction_plot(
         label = "Eq. 25 fitted" if side[-1] else None
         x, y = curve[0][side], curve[1][side]
         panel.plot(np.degrees(x), y, label=label, **STYLES["proposed"])
-    panel.errorbar(
-        np.degrees(speed),
-        np.sign(speed) * torque,
-        yerr=2.0 * se,
-        fmt="o",
-        color="0.35",
-        markersize=3.5,
-        capsize=2,
-        label="constant-speed runs ± 2 se",
-    )
+    look = {"fmt": "o", "color": "0.35", "markersize": 3.5, "capsize": 2}
+    label = "constant-speed runs ± 2 se"
+    panel.errorbar(np.degrees(speed), np.sign(speed) * torque, 2.0 * se, label=label, **look)
     panel.axhline(0.0, color="0.7", linewidth=0.8)
     panel.set(xlabel="speed [deg/s]", ylabel="friction torque [N·m]", title=title)
     slowest = float(np.degrees(np.abs(speed).min()))
@@ -157,11 +150,7 @@ def friction_plot(
 
 
 def convergence_plot(
-    softness: ArrayLike,
-    errors: Mapping[str, ArrayLike],
-    *,
-    ax: Axes | None = None,
-    title: str = "",
+    softness: ArrayLike, errors: Mapping[str, ArrayLike], *, ax: Axes | None = None, title: str = ""
 ) -> Axes:
     """Draw relative errors over the relative compliance they come from, with slope 1 beside."""
     panel = axes(ax, 1, figsize=(5.5, 4.0))[0, 0]

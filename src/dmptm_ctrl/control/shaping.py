@@ -82,25 +82,11 @@ def fastest_pi(
     sample_time: float = SAMPLE_TIME,
     sections: Sequence[Section] = (),
 ) -> PiTuning:
-    """Return the PI with the highest crossover that keeps both margins.
+    """Return the PI with the highest crossover, up to `highest_hz`, that keeps both margins.
 
-    The gain margin also holds for resonances beyond the crossover, whatever their phase.
-
-    Parameters
-    ----------
-    plant : StateSpace
-        As for :func:`~dmptm_ctrl.control.tune_pi`.
-    phase_margin_deg, gain_margin_db : float
-    highest_hz : float
-        Crossover not to exceed.
-    sample_time : float [s]
-    sections : sequence of (b0, b1, b2, a1, a2)
-        Notches behind the PI, see :func:`~dmptm_ctrl.control.sections.sampled_notch`.
-
-    Raises
-    ------
-    ValueError
-        Not even :data:`SLOWEST_HZ` keeps them.
+    The gain margin also holds for resonances beyond the crossover, whatever their phase. Sections
+    are notches behind the PI, see :func:`~dmptm_ctrl.control.sections.sampled_notch`. ValueError
+    where not even :data:`SLOWEST_HZ` keeps the margins.
     """
     sampled = SampledPlant(plant, sample_time, sections)
     for hz in np.geomspace(highest_hz, SLOWEST_HZ, STEPS):

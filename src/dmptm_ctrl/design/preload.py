@@ -185,30 +185,12 @@ SCHEDULES = {
 def schedules(
     model: Model, controller: Controller, duty: Duty, preloads: ArrayLike
 ) -> dict[str, list[Preload]]:
-    """Compare preloads that stay with such that give way, each as a function of time on a duty.
+    """Compare preloads [V] that stay with such that give way, as functions of time on a duty.
 
     The bias of every one of :data:`SCHEDULES` follows from the voltage that the model needs
     along the duty and from the setpoint, so that all are compared alike. What a controller
-    does by itself (`relief_from`, `relief_to`) is a profile of the measured command.
-
-    Parameters
-    ----------
-    model : Model
-    controller : Controller
-        Its own preload and relief are replaced.
-    duty : Duty
-    preloads : (n,) array [V]
-        Bias at rest, above 0.
-
-    Returns
-    -------
-    dict
-        Name of the schedule → a :class:`Preload` per preload.
-
-    Raises
-    ------
-    ValueError
-        A preload that is not above 0.
+    does by itself (`relief_from`, `relief_to`) is a profile of the measured command; its own
+    preload and relief are replaced. Preloads are (n,), at rest and above 0.
     """
     tried = np.asarray(preloads, float)
     if not np.all(tried > 0.0):
@@ -232,24 +214,10 @@ def boundary(
     hz: float = 1.0,
     n_jobs: int | None = None,
 ) -> tuple[Floats, Floats]:
-    """Return the least preload [V] for sines of these peak accelerations [rad/s²].
+    """Return the least preload [V] for sines of these peak accelerations [rad/s²], (n,).
 
-    Two answers: by the balance (:func:`smallest_preload`) and by bisection on the simulated
-    loop, where a mesh must not open at any sample of the second period.
-
-    Parameters
-    ----------
-    model : Model
-    controller : Controller
-    accelerations : (n,) array [rad/s²]
-    hz : float
-        Of the sines.
-    n_jobs : int, optional
-        joblib's, by default 1.
-
-    Returns
-    -------
-    closed_form, simulated : (n,) arrays [V]
+    Two answers, (n,) each: by the balance (:func:`smallest_preload`) and by bisection on the
+    simulated loop, where a mesh must not open at any sample of the second period.
     """
     peaks = np.asarray(accelerations, float)
     tasks = ((model, controller, float(peak), hz) for peak in peaks)

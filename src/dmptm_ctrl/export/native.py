@@ -45,16 +45,7 @@ class Compiled:
     """A program compiled from its C, called once per sample.
 
     ``compiled(*inputs)`` takes one number per input of the program and returns one per output.
-
-    Parameters
-    ----------
-    program : Program
-    real : {"double", "float"}
-
-    Raises
-    ------
-    LogError
-        No C compiler.
+    LogError without a C compiler.
     """
 
     def __init__(self, program: Program, real: str = "double") -> None:

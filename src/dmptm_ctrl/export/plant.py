@@ -48,27 +48,12 @@ def plant_program(
     notes: list[str] | None = None,
     start: float = 0.0,
 ) -> Program:
-    """Return the step of a drive from one sample to the next.
+    """Return the step of a drive from one sample to the next, `sample_time` [s] later.
 
-    Parameters
-    ----------
-    model : Model or RigModel
-    sample_time : float [s]
-        Inputs are held for so long.
-    start : float
-        Where the drive is at rest at first: of a dual-motor drive the ring gear's angle [rad];
-        of another drive 0 is the only place.
-
-    Returns
-    -------
-    Program
-        Its outputs are the readings at the sample's beginning; the step then goes on to the
-        next sample. Inputs and outputs are SI.
-
-    Raises
-    ------
-    NotScalar
-        An effect whose kernel is more than scalar arithmetic, branches and loops.
+    Outputs are the readings at the sample's beginning; inputs are held. All is SI. The drive is at
+    rest at first; at `start`, of a dual-motor drive, stands the ring gear [rad]; of another drive
+    0 is the only place. NotScalar for a kernel that is more than scalar arithmetic, branches and
+    loops.
     """
     if isinstance(model, RigModel):
         plant, steps = model.plant(), substeps_for(model.plant(), sample_time)

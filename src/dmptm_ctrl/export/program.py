@@ -86,9 +86,6 @@ class For:
     body: list[Any]
 
 
-Statement = Assign | Store | If | For
-
-
 @dataclass(frozen=True)
 class Port:
     """An input or output: name, unit, what it is."""
@@ -116,7 +113,8 @@ class Program:
     def tables(self) -> list[Array]:
         """Return the constant tables that the program reads."""
         found = {}
-        for value in all_values(self):
+        after = [value for _, value in self.after]
+        for value in (*values_of(self.body), *self.results, *after):
             for part in walk(value):
                 if isinstance(part, Item) and part.array.values is not None:
                     found[part.array.id] = part.array
@@ -162,13 +160,6 @@ def values_of(block: list[Any]) -> Iterator[Any]:
         else:
             yield item.count
             yield from values_of(item.body)
-
-
-def all_values(program: Program) -> Iterator[Any]:
-    """Iterate over all expressions of a program."""
-    yield from values_of(program.body)
-    yield from program.results
-    yield from (value for _, value in program.after)
 
 
 _FOLDED: dict[str, Callable[..., Any]] = {

@@ -65,19 +65,7 @@ class StPrinter(Printer):
 
 
 def st_source(program: Program, real: str = "double") -> str:
-    """Return the function block of a program.
-
-    Parameters
-    ----------
-    program : Program
-    real : {"double", "float"}
-        LREAL or REAL.
-
-    Returns
-    -------
-    str
-        One function block; its state starts at the values that stand in it.
-    """
+    """Return a program as one function block; its state starts at the values that stand in it."""
     printer = StPrinter(real)
     body = printer.lines(program.body)
     body += [

@@ -140,7 +140,7 @@ class Scope(Expressions):
         if known(test):
             done = self.run(node.body if test else node.orelse)
             return _NOTHING if done is None else done
-        ends = _returns(node)
+        ends = any(isinstance(part, ast.Return) for part in ast.walk(node))
         tail = rest if ends else []
         results = self._either(test, [*node.body, *tail], [*node.orelse, *tail])
         return results if ends else _NOTHING
@@ -284,10 +284,6 @@ def _as_read(target: ast.expr) -> ast.expr:
         if hasattr(part, "lineno"):
             part.lineno = target.lineno
     return copied
-
-
-def _returns(node: ast.AST) -> bool:
-    return any(isinstance(part, ast.Return) for part in ast.walk(node))
 
 
 def _needs_place(node: ast.For) -> bool:

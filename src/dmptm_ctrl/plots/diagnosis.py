@@ -88,7 +88,7 @@ class Evidence:
 def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) -> np.ndarray:
     """Draw one log: measured, before and after; below it what is left where nothing was fitted."""
     panels = axes(
-        ax, 2, figsize=(7.0, 3.9), sharex=True, gridspec_kw={"height_ratios": [3, 2]}
+        ax, 2, figsize=(7.0, 3.9), grid="major", sharex=True, gridspec_kw={"height_ratios": [3, 2]}
     ).ravel()
     reading, left = panels
     t = overlay.time
@@ -111,8 +111,6 @@ def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) 
     reading.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, **LEGEND)
     ylabel = f"measured − model\n[{overlay.unit}]"
     left.set(xlabel="time [s]", ylabel=ylabel, xlim=(t[0], t[-1]))
-    for panel in panels:
-        panel.grid(alpha=0.3)
     return panels
 
 
@@ -155,14 +153,13 @@ def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     """
     evidence: Evidence
     evidence = diagnosis if isinstance(diagnosis, Evidence) else diagnosis.evidence()
-    panels = axes(ax, 1, 2, figsize=(7.4, 3.2), sharex=True, sharey=True).ravel()
+    panels = axes(ax, 1, 2, figsize=(7.4, 3.2), grid="major", sharex=True, sharey=True).ravel()
     what = words(evidence.effect) or "the effects"
     titles = (f"without {what}", "with all that was found")
     for panel, title, curves in zip(panels, titles, (evidence.before, evidence.after), strict=True):
         _draw(panel, curves)
         panel.set_title(title, fontsize=10)
         panel.set_xlabel(evidence.variable)
-        panel.grid(alpha=0.3)
     panels[0].set_ylabel(evidence.quantity)
     if evidence.before or evidence.after:
         side = panels[0 if evidence.before else 1]

@@ -84,7 +84,8 @@ def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
     """
     if values.dtype.kind in "mM":
         since = values - values[~np.isnat(values)][:1]
-        return since.astype("timedelta64[ns]").astype(np.float64) * 1e-9 + _nan_where(values), ""
+        missing = np.where(np.isnat(values), np.nan, 0.0)
+        return since.astype("timedelta64[ns]").astype(np.float64) * 1e-9 + missing, ""
     if values.dtype.kind in "iu" and values.size and abs(int(values[0])) > 2**53:
         values = values - values[0]
     raw = values.astype(np.float64)
@@ -98,10 +99,6 @@ def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
                 raw[1:] += size * np.cumsum(step < 0)
                 return raw * factor, f"the clock ran over {falls.size} times at {size:.10g}"
     return raw * factor, ""
-
-
-def _nan_where(values: NDArray) -> Array:
-    return np.where(np.isnat(values), np.nan, 0.0)
 
 
 def mended(

@@ -91,7 +91,8 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
             break
     first = rows[begin][0]
     body = [row for (_, row), ok in zip(rows[begin:], good[begin:], strict=True) if ok]
-    constant = ["" if of != "text" else _same([r[c] for r in body]) for c, of in enumerate(column)]
+    said = [{r[c] for r in body} if of == "text" else set() for c, of in enumerate(column)]
+    constant = [texts.pop() if len(texts) == 1 else "" for texts in said]
     cells = Counter(
         kind
         for row, ok in zip(kinds[begin:], good[begin:], strict=True)
@@ -115,10 +116,6 @@ def _kind_of(cells: list[str]) -> str:
     if counted["text"] > 0.1 * len(cells):
         return "text"
     return "time" if counted["time"] > counted["number"] else "number"
-
-
-def _same(texts: list[str]) -> str:
-    return texts[0] if len(set(texts)) == 1 else ""
 
 
 def _runs(good: list[bool]) -> list[tuple[int, int]]:

@@ -258,7 +258,9 @@ def _read(
 
     # one row more, so that the cut is noticed
     most = None if max_rows is None else max_rows + 1
-    return read_table(path, choose, most, how, list(columns or ())), ignored, _sha256(path)
+    table = read_table(path, choose, most, how, list(columns or ()))
+    with path.open("rb") as stream:
+        return table, ignored, hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def read_table(
@@ -296,11 +298,6 @@ def read_table(
         raise LogError(f"{path.name}: {error.strerror or 'not readable'}") from error
 
 
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 def _channels(
     table: Table,
     targets: Mapping[str, Target],
@@ -334,7 +331,7 @@ def _channels(
         channels[target.channel] = values if target.factor == 1.0 else values * target.factor
         units[target.channel] = target.symbol
         if column in table.clocks:
-            clocks[target.channel], _ = seconds_of(table.clocks[column], _factor_of_time(targets))
+            clocks[target.channel], _ = seconds_of(table.clocks[column], factors.get("time", 1.0))
     if time is None:
         if not channels:
             raise ColumnsError(f"{title}: no columns with a unit in their names")
@@ -393,10 +390,6 @@ def numbers_or_times(values: Any, column: str, title: str) -> Any:
         if values.ndim != 1 or values.dtype.kind not in "OUT":
             raise
         return times_of(values, title, column)
-
-
-def _factor_of_time(targets: Mapping[str, Target]) -> float:
-    return next((t.factor for t in targets.values() if t.channel == "time"), 1.0)
 
 
 def _floats(values: Any, column: str, title: str) -> Any:

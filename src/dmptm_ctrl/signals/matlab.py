@@ -50,11 +50,13 @@ def read_matlab(path: Path, choose: Choose) -> Table:
 
 def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
     """Signals, scalars and texts of a .mat file; run it by `read_apart`, it may crash."""
+    from scipy.io import loadmat
+
     with path.open("rb") as stream:
         hdf = stream.read(10) == b"MATLAB 7.3"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of classes that are read as far as they can be
-        content = _read_hdf(path) if hdf else _read_scipy(path)
+        content = _read_hdf(path) if hdf else loadmat(path, simplify_cells=True, appendmat=False)
     meta: dict[str, Any] = {}
     plain = {name: content[name] for name in sorted(content) if not name.startswith(("__", "#"))}
     return _one_clock(list(_walk((), plain, meta))), meta
@@ -68,12 +70,6 @@ def _read_hdf(path: Path) -> dict[str, Any]:
             "MATLAB 7.3 files need pymatreader: pip install 'dmptm-ctrl[mat73]'"
         ) from None
     return read_mat(str(path))
-
-
-def _read_scipy(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat
-
-    return loadmat(path, simplify_cells=True, appendmat=False)
 
 
 def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[Signal]:

@@ -121,11 +121,8 @@ def motion_ratio(log: Log, y: Array, x: Array, *, detrend: bool = True) -> tuple
     plain = _slope(y, x)
     if not detrend:
         return plain
-    return max(plain, _slope(_detrended(y, log.time), _detrended(x, log.time)), key=_sureness)
-
-
-def _sureness(ratio: tuple[float, float]) -> float:
-    return abs(ratio[1])
+    bent = _slope(_detrended(y, log.time), _detrended(x, log.time))
+    return max(plain, bent, key=lambda ratio: abs(ratio[1]))
 
 
 def _detrended(y: Array, time: Array) -> Array:

@@ -15,20 +15,16 @@ SURE = 0.9
 # Sensor errors worth a diagnosis stay within a factor of 2; mistaken units do not.
 SAME_UNIT = (0.5, 2.0)
 NAMED = 1.15  # a factor within 15 % of a known mistake is that mistake
-MISTAKES = {
-    180 / np.pi: "radians and degrees are mixed up",
-    np.pi / 180: "degrees and radians are mixed up",
-    1e3: "milliseconds and seconds, or thousandths, are mixed up",
-    1e-3: "milliseconds and seconds, or thousandths, are mixed up",
-    6.0: "rpm and deg/s are mixed up",
-    1 / 6.0: "rpm and deg/s are mixed up",
-    30 / np.pi: "rpm and rad/s are mixed up",
-    np.pi / 30: "rpm and rad/s are mixed up",
-    360.0: "turns and degrees are mixed up",
-    1 / 360.0: "turns and degrees are mixed up",
-    60.0: "arc-minutes and degrees, or turns per minute and per second, are mixed up",
-    1 / 60.0: "arc-minutes and degrees, or turns per minute and per second, are mixed up",
+_MIXED = {
+    180 / np.pi: "radians and degrees",
+    1e3: "milliseconds and seconds, or thousandths,",
+    6.0: "rpm and deg/s",
+    30 / np.pi: "rpm and rad/s",
+    360.0: "turns and degrees",
+    60.0: "arc-minutes and degrees, or turns per minute and per second,",
 }
+MISTAKES = {f: f"{what} are mixed up" for k, what in _MIXED.items() for f in (k, 1 / k)}
+MISTAKES[np.pi / 180] = "degrees and radians are mixed up"
 NOTICEABLE = np.radians(1.0)  # motion that every speed sensor must see
 GENERATOR = -0.3  # energy that goes in, between -1 and 1, below which motors do not drive
 STARTED = 0.3  # of the highest speed, with which a log's first motion ends

@@ -1,6 +1,6 @@
 """The catalogue: every effect that can be simulated, added to a model, or traced.
 
-A new effect is one file here and one name in :data:`_NAMES`; a user's own registers
+A new effect is one file here and one name in :data:`CATALOGUE`; a user's own registers
 with :func:`register`.
 """
 
@@ -19,17 +19,18 @@ LAWS = ("flank_damping",)
 NO_CANDIDATES = (*TABLES, *LAWS)  # in the catalogue, but no candidates
 
 # Each is a file of its name, in which its effect is called so in capitals.
-_NAMES = (
-    "current_lag",  # before a delay: every drive has some
-    *("drive_delay", "drive_offset", "drive_dead_band", "torque_constant_mismatch"),
-    *("drive_saturation", "cogging", "back_emf", "reducer_compliance", "pinion_runout"),
-    *("ring_gear_eccentricity", "backlash_variation", "mesh_error", "flank_damping"),
-    *("load_dependent_friction", "position_dependent_friction", "local_spot", "thermal_drift"),
-    *("presliding", "unbalance", "cable_spring", "quadratic_drag", "base_vibration"),
-    *("encoder_eccentricity", "sensor_gain", "sensor_delay", *TABLES),
-)
 CATALOGUE: dict[str, Effect] = {
-    name: getattr(import_module(f"{__name__}.{name}"), name.upper()) for name in _NAMES
+    name: getattr(import_module(f"{__name__}.{name}"), name.upper())
+    for name in (
+        "current_lag",  # before a delay: every drive has some
+        *("drive_delay", "drive_offset", "drive_dead_band", "torque_constant_mismatch"),
+        *("drive_saturation", "cogging", "back_emf", "reducer_compliance", "pinion_runout"),
+        *("ring_gear_eccentricity", "backlash_variation", "mesh_error", "flank_damping"),
+        *("load_dependent_friction", "position_dependent_friction", "local_spot"),
+        *("thermal_drift", "presliding", "unbalance", "cable_spring", "quadratic_drag"),
+        *("base_vibration", "encoder_eccentricity", "sensor_gain", "sensor_delay"),
+        *TABLES,
+    )
 }
 
 

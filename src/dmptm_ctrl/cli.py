@@ -27,6 +27,25 @@ app.add_typer(log_app, name="log")
 rig_app = typer.Typer(help="Describe a drive in a file.")
 app.add_typer(rig_app, name="rig")
 
+# what several commands take
+_Out = Annotated[Path, typer.Option(help="Folder for the results.")]
+_Model = Annotated[Path, typer.Option(help="model.toml, as diagnose writes it.")]
+_Jobs = Annotated[int, typer.Option(min=1, help="Threads.")]
+_Quiet = Annotated[bool, typer.Option("--quiet", help="No summary.")]
+_Real = Annotated[str, typer.Option(help="Numbers of c and st: double or float.")]
+_Step = Annotated[float | None, typer.Option(help="Time between samples of the program [s].")]
+_Picture = Annotated[Path, typer.Option(help="Picture: .png, .svg or .pdf.")]
+_Own = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="[FILE]", help="Your drive: a rig.toml, or a model.toml of a diagnosis."
+    ),
+]
+_Input = Annotated[str | None, typer.Option("--input", help="Input of your rig; else its first.")]
+_Output = Annotated[
+    str | None, typer.Option("--output", help="Sensor of your rig; else its first speed.")
+]
+
 
 def _print_version(wanted: bool) -> None:
     if wanted:
@@ -48,11 +67,11 @@ def _main(
 @app.command()
 def diagnose(
     logs: Annotated[list[Path], typer.Argument(help="A folder of logs of one rig, or the files.")],
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("diagnosis"),
+    out: _Out = Path("diagnosis"),
     rig: Annotated[
         Path | None, typer.Option(help="rig.toml: the declared model; else the paper's rig.")
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
+    jobs: _Jobs = 2,
     seed: Annotated[int, typer.Option(help="Kept in the provenance.")] = 0,
     quiet: Annotated[bool, typer.Option("--quiet", help="No summary, no progress.")] = False,
     log_json: Annotated[
@@ -84,7 +103,7 @@ def diagnose(
 @app.command()
 def predict(
     log: Annotated[Path, typer.Argument(help="A log of the rig; of it the inputs are used.")],
-    model: Annotated[Path, typer.Option(help="model.toml, as diagnose writes it.")],
+    model: _Model,
     out: Annotated[Path, typer.Option(help="CSV to write.")] = Path("pred.csv"),
     single: Annotated[
         bool,
@@ -105,14 +124,14 @@ def predict(
 @app.command()
 def tune(
     model: Annotated[Path, typer.Argument(help="model.toml, as diagnose writes it.")],
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("tuning"),
+    out: _Out = Path("tuning"),
     uncertainty: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of the declared ranges still open.")
     ] = 0.25,
     plants: Annotated[int, typer.Option(min=16, help="Plants drawn to judge it.")] = 1000,
     seed: Annotated[int, typer.Option(help="Of the draws.")] = 0,
-    jobs: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No summary.")] = False,
+    jobs: _Jobs = 2,
+    quiet: _Quiet = False,
 ) -> None:
     """Design a speed controller on a model and its uncertainty."""
     from dmptm_ctrl.design.run import tune_file
@@ -128,11 +147,11 @@ def tune(
 @app.command()
 def check(
     logs: Annotated[list[Path], typer.Argument(help="A folder of new logs, or the files.")],
-    model: Annotated[Path, typer.Option(help="model.toml, as diagnose writes it.")],
+    model: _Model,
     out: Annotated[Path | None, typer.Option(help="Folder for check.json and trend.png.")] = None,
     tolerance: Annotated[float, typer.Option(help="Share by which an entry may differ.")] = 0.05,
-    jobs: Annotated[int, typer.Option(min=1, help="Threads.")] = 2,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No summary.")] = False,
+    jobs: _Jobs = 2,
+    quiet: _Quiet = False,
 ) -> int:
     """Is the machine still the one that a model describes? Exit code 0: yes, 1: no."""
     from dmptm_ctrl.check.run import check_files
@@ -143,17 +162,13 @@ def check(
     return 0 if found.same else 1
 
 
-_REAL = Annotated[str, typer.Option(help="Numbers of c and st: double or float.")]
-_STEP = Annotated[float | None, typer.Option(help="Time between samples of the program [s].")]
-
-
 @app.command()
 def export(
     model: Annotated[Path, typer.Argument(help="model.toml of diagnose, controller.toml of tune.")],
     to: Annotated[str, typer.Option(help="c, st, fmu, python, table or mujoco.")],
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("export"),
-    real: _REAL = "double",
-    sample_time: _STEP = None,
+    out: _Out = Path("export"),
+    real: _Real = "double",
+    sample_time: _Step = None,
 ) -> None:
     """Write a model or a controller as a program where users run it."""
     from dmptm_ctrl.export.run import export_file
@@ -166,21 +181,22 @@ def export(
 def experiment(
     signals: Annotated[Path, typer.Argument(help="next_experiment.csv of diagnose.")],
     to: Annotated[str, typer.Option(help="csv, c or st (IEC 61131-3).")] = "csv",
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("experiment"),
+    out: _Out = Path("experiment"),
     model: Annotated[Path | None, typer.Option(help="model.toml: tells speed, travel.")] = None,
     max_signal: Annotated[float, typer.Option(help="Of an input [V or SI].")] = float("inf"),
     max_speed: Annotated[float, typer.Option(help="Of the load [rad/s or m/s].")] = float("inf"),
     max_travel: Annotated[float, typer.Option(help="Of the load [rad or m].")] = float("inf"),
-    sample_time: _STEP = None,
-    real: _REAL = "double",
+    sample_time: _Step = None,
+    real: _Real = "double",
 ) -> None:
     """Write the next experiment ready to run, inside the limits of the rig."""
     from dmptm_ctrl.export.experiment import Limits
     from dmptm_ctrl.export.run import export_experiment
 
     limits = Limits(max_signal, max_speed, max_travel)
-    options: dict[str, Any] = {"model": model, "real": real, "sample_time": sample_time}
-    names = export_experiment(signals, to, out, limits=limits, **options)
+    names = export_experiment(
+        signals, to, out, limits=limits, model=model, real=real, sample_time=sample_time
+    )
     print(f"written to {out}: {', '.join(names)}")
 
 
@@ -226,22 +242,10 @@ def resonances(
         print(f"written to {out}")
 
 
-_Own = Annotated[
-    Path | None,
-    typer.Argument(
-        metavar="[FILE]", help="Your drive: a rig.toml, or a model.toml of a diagnosis."
-    ),
-]
-_Input = Annotated[str | None, typer.Option("--input", help="Input of your rig; else its first.")]
-_Output = Annotated[
-    str | None, typer.Option("--output", help="Sensor of your rig; else its first speed.")
-]
-
-
 @app.command()
 def bode(
     file: _Own = None,
-    out: Annotated[Path, typer.Option(help="Picture: .png, .svg or .pdf.")] = Path("bode.png"),
+    out: _Picture = Path("bode.png"),
     input: _Input = None,
     output: _Output = None,
     low: Annotated[float, typer.Option(min=1e-6, help="From this frequency [Hz].")] = 0.1,
@@ -256,7 +260,7 @@ def bode(
 @app.command()
 def step(
     file: _Own = None,
-    out: Annotated[Path, typer.Option(help="Picture: .png, .svg or .pdf.")] = Path("step.png"),
+    out: _Picture = Path("step.png"),
     input: _Input = None,
     output: _Output = None,
     seconds: Annotated[float, typer.Option(min=1e-6, help="Length of the picture.")] = 2.0,

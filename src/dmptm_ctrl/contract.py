@@ -27,18 +27,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 SITES = (
-    "drive",
-    "delay",
-    "lag",
-    "motor",
-    "shaft",
-    "mesh",
-    "friction",
-    "presliding",
-    "ageing",
-    "load",
-    "sensor",
-    "sensor_delay",
+    *("drive", "delay", "lag", "motor", "shaft", "mesh", "friction", "presliding", "ageing"),
+    *("load", "sensor", "sensor_delay"),
 )
 
 

@@ -139,21 +139,8 @@ def each(
 ) -> Iterator[Any]:
     """Call a function for each task where ``joblib.parallel_config`` says, and yield as ready.
 
-    Parameters
-    ----------
-    function : callable
-    tasks : iterable of tuple
-        Arguments of each call.
-    n_jobs : int, optional
-        Of joblib: −1 for one per core; by default one, or what ``parallel_config`` says.
-    prefer : "processes" or "threads", optional
-        Where to run if ``parallel_config`` does not say.
-    in_order : bool
-        Yield in the order of `tasks`, else as they get ready.
-
-    Yields
-    ------
-    What `function` returns.
+    `n_jobs` is joblib's; `prefer` says where to run if ``parallel_config`` does not.
+    Results come in the order of `tasks`, or as they get ready.
     """
     from joblib import Parallel, delayed
 

@@ -11,16 +11,10 @@ if TYPE_CHECKING:
 
 
 class Progress:
-    """Stages of a command, on standard error.
+    """Stages of a command, on standard error; `quiet` for warnings only.
 
-    Parameters
-    ----------
-    quiet : bool
-        No progress; warnings are still told.
-    as_json : bool
-        A JSON object per line: ``event`` ("stage", "warning", "done"), ``seconds`` since the
-        start, and what belongs to the event. Without it, a line with a clock where standard
-        error is a terminal.
+    As JSON an object per line: ``event`` ("stage", "warning", "done"), ``seconds`` since the
+    start, and what belongs to the event. Else a line with a clock, on a terminal.
     """
 
     def __init__(self, *, quiet: bool = False, as_json: bool = False) -> None:

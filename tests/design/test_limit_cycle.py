@@ -4,8 +4,9 @@ import control as ct
 import numpy as np
 import pytest
 
-from dmptm_ctrl.design.harmonic_balance import Balance
-from dmptm_ctrl.design.limit_cycle import limit_cycles, mesh_describing_function
+from dmptm_ctrl.design.harmonic_balance import Balance, mesh_along
+from dmptm_ctrl.design.harmonics import Basis
+from dmptm_ctrl.design.limit_cycle import limit_cycles
 from dmptm_ctrl.effects.backlash import Backlash
 from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import Loop, close_loop
@@ -21,6 +22,16 @@ def drive(gap, dry, viscous=1.0):
     shares = {"T3": dry, "TL": dry, "B3": viscous, "BL": viscous}
     values = {n: shares[n[:2]] * v for n, v in Model().drive.items() if n[:2] in shares}
     return Model().with_values(gap_l=gap, gap_r=gap, **values)
+
+
+def mesh_describing_function(law, amplitude, omega):
+    """First harmonic of the mesh torque over z = amplitude · sin ωt [N·m/rad]."""
+    points = Basis.of(1).points
+    angle = 2.0 * np.pi * (np.arange(points) + 0.5) / points
+    torque = np.empty((4, points))
+    step = Basis.of(1).step(omega)
+    mesh_along(amplitude * np.sin(angle), amplitude * omega * np.cos(angle), law, step, torque)
+    return complex(2j * np.mean(torque[0] * np.exp(-1j * angle)) / amplitude)
 
 
 @pytest.mark.parametrize("depth", [1.1, 2.0, 10.0])

@@ -8,12 +8,50 @@ from types import SimpleNamespace
 
 import pytest
 
-from dmptm_ctrl.export.c_source import c_header, c_source
+from dmptm_ctrl.export.c_source import CPrinter, c_header, c_helpers, c_source, c_table
 from dmptm_ctrl.export.native import FLAGS, compiler
+from dmptm_ctrl.export.program import Array, Port, Program, prune
+from dmptm_ctrl.export.trace import follow, function_tree
+from dmptm_ctrl.export.tracer import Tracer
 
 COMPILER = compiler()
 STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+
+
+def c_function(function, name, known=None, records=None):
+    """A scalar Python function as ``void name(const double *in, double *out, …)``.
+
+    `known`: argument -> its value. `records`: argument -> field names of a NamedTuple, which is
+    read from an array of its own behind `out`.
+    """
+    known, records, tracer, body = known or {}, records or {}, Tracer(), []
+    args, free, pointers = [], [], []
+    for argument in function_tree(getattr(function, "py_func", function)).args.args:
+        key = argument.arg
+        if key in known:
+            args.append(known[key])
+        elif key in records:
+            array = Array(tracer.fresh(f"{key}_values").id, len(records[key]), None, records[key])
+            pointers.append(array.id)
+            args.append(array)
+        else:
+            args.append(tracer.fresh(key))
+            free.append(args[-1].id)
+    with tracer.collected(body):
+        result = follow(tracer, function, args)
+    results = list(result) if isinstance(result, tuple) else [result]
+    program = prune(Program(name, [], [Port("", "", "")] * len(results), results, [], body, []))
+    printer = CPrinter("double", set())
+    lines = [f"    double {key} = in[{k}];" for k, key in enumerate(free)]
+    lines += [f"    (void){key};" for key in (*free, *pointers, "in")]
+    lines += printer.lines(program.body)
+    lines += [f"    out[{k}] = {printer.text(v)};" for k, v in enumerate(program.results)]
+    more = "".join(f", const double *{p}" for p in pointers)
+    head = ["#include <math.h>", "#include <stdbool.h>", "#include <stdint.h>"]
+    head += [*c_helpers("\n".join(lines)), *(c_table(a, printer) for a in program.tables())]
+    head.append(f"void {name}(const double *in, double *out{more}) {{")
+    return "\n".join([*head, *lines, "}", ""])
 
 
 def compile_c(folder, name, source, header=None):

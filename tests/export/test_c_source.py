@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from tests.export.native import compile_c, needs_compiler
+from tests.export.native import c_function, compile_c, needs_compiler
 
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import CATALOGUE, backlash, presliding, stribeck
-from dmptm_ctrl.export.c_source import c_function
 from dmptm_ctrl.export.places import NotScalar
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 
@@ -32,7 +31,7 @@ OTHER = {
 def runner(folder, function, known=None, fields=()):
     """C's version of a function, called as (numbers, parameters) -> results."""
     records = {"p": fields} if fields else {}
-    text = c_function(function, "f", known_arguments=known, records=records)
+    text = c_function(function, "f", known=known, records=records)
     call = compile_c(folder, "f", text).f
     pointer = ctypes.POINTER(ctypes.c_double)
     call.restype = None

@@ -32,28 +32,14 @@ AnyModel = Model | RigModel
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a model.
+    """One number of a model, SI."""
 
-    Attributes
-    ----------
-    key : str
-        Of the drive its own name, of an effect ``effect.parameter``.
-    value : float
-        In the model, SI.
-    scale : float
-        Unit of the slopes.
-    prior : float
-        Standard deviation of what is declared about it, in scales; infinite for nothing.
-    own : bool
-        Whether it is the machine's, and these logs can tell it; else it is free in the balance.
-    """
-
-    key: str
+    key: str  # of the drive its own name, of an effect effect.parameter
     unit: str
     value: float
-    scale: float
-    prior: float
-    own: bool = True
+    scale: float  # unit of the slopes
+    prior: float  # standard deviation declared, in scales; infinite for nothing
+    own: bool = True  # is the machine's, and these logs can tell it; else it is free in the balance
 
     @property
     def effect(self) -> str:
@@ -66,38 +52,18 @@ _OF_EFFECTS = frozenset(f"{e.name}.{p.name}" for e in CATALOGUE.values() for p i
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Whitened residual of new logs.
+    """Whitened residual of new logs."""
 
-    Attributes
-    ----------
-    left : (m,) array
-    slopes : (m, k) array
-        Per scale of each parameter.
-    parameters : tuple of Parameter
-    stretch : (m,) array of int
-        Which second of which log and equation a row is of: within one, rows may be wrong alike.
-    torque_rms : float
-        Residual of the whole drive's balance, robust against bursts.
-    unit : str
-        Of it.
-    """
-
-    left: Floats
-    slopes: Floats
+    left: Floats  # (m,)
+    slopes: Floats  # (m, k), per scale of each parameter
     parameters: tuple[Parameter, ...]
-    stretch: NDArray[np.int64]
-    torque_rms: float
+    stretch: NDArray[np.int64]  # (m,): rows of one second, log and equation may be wrong alike
+    torque_rms: float  # of the whole drive's balance, robust against bursts
     unit: str
 
 
 def evidence_of(model: AnyModel, logs: Iterable[Log], jobs: int = 1) -> Evidence:
-    """Return what logs say about a model.
-
-    Raises
-    ------
-    LogError
-        Logs that are too short, or in which the drive does not move.
-    """
+    """Return what logs say about a model; LogError where too short or without motion."""
     logs = tuple(logs)
     for log in logs:
         if len(log) < MIN_SAMPLES:
@@ -283,8 +249,5 @@ def only_own(evidence: Evidence) -> Evidence:
     slopes = evidence.slopes[:, own]
     slopes = slopes - q @ (q.T @ slopes)
     return replace(
-        evidence,
-        left=left,
-        slopes=slopes,
-        parameters=tuple(evidence.parameters[k] for k in own),
+        evidence, left=left, slopes=slopes, parameters=tuple(evidence.parameters[k] for k in own)
     )

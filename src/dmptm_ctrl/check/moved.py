@@ -25,42 +25,22 @@ TOLERANCE = 0.05  # of an entry's value: a change within it is none
 
 @dataclass(frozen=True)
 class Entry:
-    """A direction in which a machine changes.
-
-    Attributes
-    ----------
-    along : mapping of parameter key to float
-        Change of each parameter [SI] per unit of the entry.
-    value : float
-        Of the entry in the model; 1 where it is a factor.
-    unit : str
-        Empty for a factor.
-    size : float
-        What the change is compared with: its own value, or of one of several amplitudes that of
-        all together.
-    """
+    """A direction in which a machine changes."""
 
     name: str
-    along: Mapping[str, float]
-    value: float
-    unit: str
-    size: float
+    along: Mapping[str, float]  # key -> change of the parameter [SI] per unit of the entry
+    value: float  # in the model; 1 where it is a factor
+    unit: str  # empty for a factor
+    size: float  # what a change is compared with: the value, or that of several amplitudes together
 
 
 @dataclass(frozen=True)
 class Change:
-    """An entry, refitted alone on new logs.
-
-    Attributes
-    ----------
-    entry : Entry
-    change, se : float
-        In the entry's unit; the standard error has the model's own in it.
-    """
+    """An entry, refitted alone on new logs."""
 
     entry: Entry
-    change: float
-    se: float
+    change: float  # in the entry's unit
+    se: float  # with the model's own in it
 
     @property
     def errors(self) -> float:
@@ -128,24 +108,14 @@ def _group(parameter: Parameter) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """g and H of this module's head, in scales of the parameters.
-
-    Attributes
-    ----------
-    rows : (k, k) array
-        Jᵀ J.
-    scores : (stretches, k) array
-        Jᵀ r of each stretch, r what is left once every parameter is free.
-    seen : (k, k) array
-        V⁻¹ J v is J (seen v).
-    """
+    """g and H of this module's head, in scales of the parameters."""
 
     parameters: tuple[Parameter, ...]
     gradient: Floats
     square: Floats
-    rows: Floats
-    scores: Floats
-    seen: Floats
+    rows: Floats  # (k, k): Jᵀ J
+    scores: Floats  # (stretches, k): Jᵀ r, r what is left with every parameter free
+    seen: Floats  # (k, k): V⁻¹ J v is J (seen v)
 
     def vector(self, entry: Entry) -> Floats:
         """Direction of an entry."""
@@ -180,14 +150,9 @@ class Information:
 
 
 def information_of(evidence: Evidence, errors: Mapping[str, float]) -> Information:
-    """Return what logs say, given what the model does not know.
+    """Return what logs say, given the standard errors [SI] of the model's parameters, by key.
 
-    Parameters
-    ----------
-    evidence : Evidence
-    errors : mapping of parameter key to float
-        Standard errors of the model's parameters [SI]. One that is not there is as uncertain
-        as logs like these leave it.
+    A parameter without one is as uncertain as logs like these leave it.
     """
     j, e = evidence.slopes, evidence.left
     square, gradient = j.T @ j, j.T @ e

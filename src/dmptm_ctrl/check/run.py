@@ -30,31 +30,15 @@ _DATE = re.compile(r"(20\d\d)[-_]?(\d\d)[-_]?(\d\d)(?:[T_-](\d\d)[-_:]?(\d\d)(?:
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """New logs against a model.
+    """New logs against a model."""
 
-    Attributes
-    ----------
-    moved : list of Change
-        Entries that changed by more than the tolerance, the clearest first.
-    alone : list of Change
-        Every entry, refitted alone.
-    torque_rms : float
-        Residual of the torque balance on the new logs.
-    floor : float or None
-        The same as the diagnosis of the model left it, where it is recorded.
-    unit : str
-    logs : tuple of str
-        Names of the logs that decide.
-    trend : dict of datetime to list of Change
-        Every entry per date, where the logs' names have dates; beside what moved at any date.
-    """
-
-    moved: list[Change]
-    alone: list[Change]
-    torque_rms: float
-    floor: float | None
+    moved: list[Change]  # entries that changed by more than the tolerance, the clearest first
+    alone: list[Change]  # every entry, refitted alone
+    torque_rms: float  # residual of the torque balance on the new logs
+    floor: float | None  # the same as the diagnosis of the model left it, if recorded
     unit: str
-    logs: tuple[str, ...]
+    logs: tuple[str, ...]  # names of those that decide
+    # every entry beside what moved, per date in the logs' names
     trend: dict[datetime, list[Change]]
 
     @property
@@ -100,16 +84,7 @@ class Check:
         }
 
     def plot(self, *, ax: Any = None) -> Any:
-        """Draw the entries over the dates of the logs.
-
-        Parameters
-        ----------
-        ax : Axes, optional
-
-        Returns
-        -------
-        Axes
-        """
+        """Draw the entries over the dates of the logs."""
         from dmptm_ctrl.plots.trend import plot_trend
 
         return plot_trend(list(self.trend), _series(self.trend), ax=ax)
@@ -200,13 +175,7 @@ def check(
 def check_files(
     logs: Sequence[Path], model: Path, out: Path | None, *, tolerance: float, jobs: int
 ) -> Check:
-    """Check log files, and write the result to a folder if there is to be one.
-
-    Raises
-    ------
-    LogError
-        Logs, a model file or a tolerance that cannot be used; nothing is written.
-    """
+    """Check log files, and write the result to a folder if there is to be one."""
     import matplotlib
 
     if not 0.0 <= tolerance <= 1.0:

@@ -81,12 +81,7 @@ def without_rigid_angle(sys: ct.StateSpace) -> ct.StateSpace:
     """Return a system without the angle of the whole drive, where no output and no rate sees it.
 
     Such an angle v has A v = 0 and C v = 0. The largest state of it is left out, and the others
-    are counted from it; the numbers of the rest stay as they are.
-
-    Parameters
-    ----------
-    sys : StateSpace
-        In continuous time; others are returned as they are.
+    are counted from it. Sampled systems are returned as they are.
     """
     if sys.nstates == 0 or sys.isdtime(strict=True):
         return sys
@@ -143,32 +138,13 @@ def close_speed_loop(plant: ct.StateSpace, kp: float, ki: float) -> ct.StateSpac
 
 
 def sampled_drive(plant: ct.StateSpace, sample_time: float) -> ct.StateSpace:
-    """Return the drive from one held voltage to ``omega_L`` as a sampled loop sees it, in z.
-
-    Parameters
-    ----------
-    plant : StateSpace
-        As for :func:`common_mode`.
-    sample_time : float [s]
-    """
+    """Return the drive from one held voltage to ``omega_L`` as a sampled loop sees it, in z."""
     drive = common_mode(plant)
     return ct.c2d(ct.ss(drive.A, drive.B, drive.C, drive.D), sample_time, "zoh")
 
 
 def sampled_pi(kp: float, ki: float, sample_time: float) -> ct.StateSpace:
-    """Return the PI as it runs, in z: the error is summed after it is read.
-
-    Parameters
-    ----------
-    kp : float [V/(rad/s)]
-    ki : float [V/rad]
-    sample_time : float [s]
-
-    Raises
-    ------
-    ValueError
-        A gain that is not finite.
-    """
+    """Return the PI as it runs, in z: the error is summed after it is read."""
     _finite(kp, ki)
     step = ki * sample_time
     return ct.ss([[1.0]], [[1.0]], [[step]], [[kp + step]], sample_time, states=["sum"])
@@ -181,11 +157,7 @@ def outside_poles(open_loop: ct.StateSpace) -> NDArray[np.complex128]:
 
 
 def loop_response(plant: ct.StateSpace, omega: float, sample_time: float) -> complex:
-    """Response of the plant under a sampled loop at one frequency, without the controller.
-
-    The hold between samples adds half a sample of delay: its factor is
-    (1 − e^{−jωT})/(jωT).
-    """
+    """Response at one frequency of the plant behind the hold, (1 − e^{−jωT})/(jωT)."""
     x = omega * sample_time
     hold = 1.0 if x == 0.0 else (1.0 - np.exp(-1j * x)) / (1j * x)
     return complex(plant(1j * omega) * hold)

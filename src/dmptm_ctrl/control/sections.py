@@ -9,21 +9,9 @@ Section = tuple[float, float, float, float, float]
 
 
 def notch(hz: float, depth: float, width: float) -> ct.TransferFunction:
-    """Return (s² + 2 d w ω s + ω²)/(s² + 2 w ω s + ω²).
+    """Return (s² + 2 d w ω s + ω²)/(s² + 2 w ω s + ω²), all three numbers positive.
 
-    Parameters
-    ----------
-    hz : float
-        Its centre.
-    depth : float
-        Gain at the centre; above 1 it is a peak, which rejects a disturbance of that frequency.
-    width : float
-        Damping ratio w of the denominator.
-
-    Raises
-    ------
-    ValueError
-        A number that is not positive.
+    Its gain at the centre is `depth` d; above 1 it is a peak, which rejects a disturbance there.
     """
     if not all(0.0 < x < inf for x in (hz, depth, width)):
         raise ValueError(f"notch at {hz:g} Hz, depth {depth:g}, width {width:g}: all must be > 0")
@@ -38,12 +26,7 @@ def notch(hz: float, depth: float, width: float) -> ct.TransferFunction:
 def sampled_notch(hz: float, depth: float, width: float, sample_time: float) -> Section:
     """Return the notch as a difference equation (b0, b1, b2, a1, a2), y = b0 x + … − a1 y₋₁ − ….
 
-    Tustin's rule with the centre held (pre-warped).
-
-    Raises
-    ------
-    ValueError
-        A centre that is not below half the sample rate, a depth or width that is not positive.
+    Tustin's rule with the centre held (pre-warped); it must be below half the sample rate.
     """
     if not 0.0 < hz < 0.5 / sample_time:
         raise ValueError(f"notch at {hz:g} Hz is not below half the sample rate")
@@ -68,13 +51,6 @@ def in_series(
 
     As states and not as one polynomial: of three sections far below the sample rate its
     coefficients leave the eighth digit open, of six none.
-
-    Parameters
-    ----------
-    first : StateSpace
-        In z at the sample time.
-    sections : sequence of (b0, b1, b2, a1, a2)
-    sample_time : float [s]
     """
     for b0, b1, b2, a1, a2 in sections:
         own = ct.ss(

@@ -22,20 +22,12 @@ NOTCHES = ((0.1, 0.3), (0.1, 0.7), (0.3, 0.3), (0.3, 0.7))  # depth, width
 FASTER = 1.1  # crossover over that of the PI alone, at which the resonance in its way shows
 WORTH = 1.15  # gain in crossover below which a notch is not worth its numbers
 HIGHEST_NOTCH = 0.45  # of the sample rate
+VOLTS_PER_ERROR = 10.0  # of a controller, over the proportional gain of the PI
 WEIGHT_FLOOR = 1e-3  # mixsyn wants weights without poles on the axis: the integrator's leak
 
 
 class SampledPlant:
-    """Frequency response of a drive under a sampled loop, computed once.
-
-    Parameters
-    ----------
-    plant : StateSpace
-        As for :func:`~dmptm_ctrl.control.tune_pi`.
-    sample_time : float [s]
-    sections : sequence of (b0, b1, b2, a1, a2)
-        Second-order difference equations behind the PI.
-    """
+    """Frequency response of a drive, with sections, under a sampled loop, computed once."""
 
     def __init__(
         self,
@@ -66,16 +58,12 @@ class SampledPlant:
         """Return the open loop on the grid."""
         return (kp + ki * self.sample_time * self.shift / (self.shift - 1.0)) * self.response
 
-    def gain_margin_db(self, kp: float, ki: float, crossover_hz: float) -> float:
-        """Return how far the loop stays below 1 where its phase is −180°, and in any resonance.
+    def tightest(self, kp: float, ki: float, crossover_hz: float) -> tuple[float, float]:
+        """Return the gain margin [dB] at −180° and in any resonance, and where it is met [Hz].
 
         A resonance above 1 can be stable by its phase; the phase of the next drive differs.
         So from :data:`CLEAR` crossovers on the phase does not count.
         """
-        return self.tightest(kp, ki, crossover_hz)[0]
-
-    def tightest(self, kp: float, ki: float, crossover_hz: float) -> tuple[float, float]:
-        """Return the gain margin [dB] and where it is met [Hz]."""
         loop = self.loop(kp, ki)
         turned = np.abs(np.diff(np.unwrap(np.angle(loop)) // np.pi)) > 0
         crossing = np.append(turned, False) & (loop.real < 0.0)
@@ -94,30 +82,16 @@ def fastest_pi(
     sample_time: float = SAMPLE_TIME,
     sections: Sequence[Section] = (),
 ) -> PiTuning:
-    """Return the PI with the highest crossover that keeps both margins.
+    """Return the PI with the highest crossover, up to `highest_hz`, that keeps both margins.
 
-    The gain margin also holds for resonances beyond the crossover, whatever their phase.
-
-    Parameters
-    ----------
-    plant : StateSpace
-        As for :func:`~dmptm_ctrl.control.tune_pi`.
-    phase_margin_deg, gain_margin_db : float
-    highest_hz : float
-        Crossover not to exceed.
-    sample_time : float [s]
-    sections : sequence of (b0, b1, b2, a1, a2)
-        Notches behind the PI, see :func:`~dmptm_ctrl.control.sections.sampled_notch`.
-
-    Raises
-    ------
-    ValueError
-        Not even :data:`SLOWEST_HZ` keeps them.
+    The gain margin also holds for resonances beyond the crossover, whatever their phase. Sections
+    are notches behind the PI, see :func:`~dmptm_ctrl.control.sections.sampled_notch`. ValueError
+    where not even :data:`SLOWEST_HZ` keeps the margins.
     """
     sampled = SampledPlant(plant, sample_time, sections)
     for hz in np.geomspace(highest_hz, SLOWEST_HZ, STEPS):
         kp, ki = sampled.gains(hz, phase_margin_deg)
-        if kp > 0.0 and ki > 0.0 and sampled.gain_margin_db(kp, ki, hz) >= gain_margin_db:
+        if kp > 0.0 and ki > 0.0 and sampled.tightest(kp, ki, hz)[0] >= gain_margin_db:
             try:
                 return assess_pi(plant, kp, ki, sample_time=sample_time, sections=sections)
             except ValueError:  # unstable by what the margins do not show
@@ -129,14 +103,7 @@ def fastest_pi(
 
 
 class Notched(NamedTuple):
-    """A PI with a notch at the resonance that limits the PI alone.
-
-    Attributes
-    ----------
-    gains : PiTuning
-    hz, depth, width : float
-        See :func:`~dmptm_ctrl.control.sections.notch`.
-    """
+    """A PI with a notch at the resonance that limits the PI alone."""
 
     gains: PiTuning
     hz: float
@@ -153,17 +120,9 @@ def notched_pi(
     highest_hz: float = 60.0,
     sample_time: float = SAMPLE_TIME,
 ) -> Notched | None:
-    """Return the fastest PI with a notch where the gain margin of the PI alone is met.
+    """Return the fastest PI with a notch where the gain margin of the PI `alone` is met.
 
     None where no notch gains :data:`WORTH` in crossover.
-
-    Parameters
-    ----------
-    plant : StateSpace
-        As for :func:`~dmptm_ctrl.control.tune_pi`.
-    alone : PiTuning
-        Of :func:`fastest_pi` for the same margins.
-    phase_margin_deg, gain_margin_db, highest_hz, sample_time : float
     """
     faster = SampledPlant(plant, sample_time)
     gains = faster.gains(FASTER * alone.crossover_hz, phase_margin_deg)
@@ -192,48 +151,24 @@ def notched_pi(
 
 
 class LinearReference(NamedTuple):
-    """How far a PI is from the best linear controller for the same weights.
+    """How far a PI is from the best linear controller for the same weights."""
 
-    Attributes
-    ----------
-    controller : StateSpace
-        Of `mixsyn`, from error to voltage.
-    optimal, reached : float
-        Largest singular value over frequency of the weighted S, K S and T with it, and with
-        the PI.
-    """
-
-    controller: ct.StateSpace
-    optimal: float
-    reached: float
+    controller: ct.StateSpace  # of `mixsyn`, from error to voltage
+    optimal: float  # largest singular value over frequency of the weighted S, K S and T
+    reached: float  # the same with the PI
 
 
-def linear_reference(
-    plant: ct.StateSpace, gains: PiTuning, *, volts_per_error: float = 10.0
-) -> LinearReference:
+def linear_reference(plant: ct.StateSpace, gains: PiTuning) -> LinearReference:
     """Synthesise the H∞-optimal controller for the loop that a PI was tuned for.
 
     Weights: S as small below the PI's crossover as an integrator makes it and at most 2,
-    K S at most `volts_per_error` times the PI's proportional gain, T at most 1.5 and small
-    ten crossovers up.
-
-    Parameters
-    ----------
-    plant : StateSpace
-        Two voltages in, ``omega_L`` among its outputs.
-    gains : PiTuning
-    volts_per_error : float
-        Allowed controller gain over the PI's proportional gain.
-
-    Raises
-    ------
-    ArithmeticError
-        The synthesis fails, or ends above what the PI reaches.
+    K S at most :data:`VOLTS_PER_ERROR` times the PI's proportional gain, T at most 1.5 and small
+    ten crossovers up. ArithmeticError where the synthesis fails, or ends above the PI.
     """
     drive = essential(common_mode(plant))
     crossover = 2.0 * np.pi * gains.crossover_hz
     w1 = ct.ss(ct.tf([0.5, crossover], [1.0, WEIGHT_FLOOR * crossover]))
-    w2 = ct.ss(ct.tf([1.0 / (volts_per_error * gains.kp)], [1.0]))
+    w2 = ct.ss(ct.tf([1.0 / (VOLTS_PER_ERROR * gains.kp)], [1.0]))
     w3 = ct.ss(ct.tf([1.0, 0.66 * 10 * crossover], [WEIGHT_FLOOR, 10 * crossover]))
     with warnings.catch_warnings():  # python-control's own use of what it deprecates
         warnings.simplefilter("ignore", FutureWarning)

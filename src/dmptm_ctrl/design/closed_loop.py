@@ -10,42 +10,20 @@ from dmptm_ctrl.design.harmonic_balance import Balance
 from dmptm_ctrl.design.harmonics import Cycle
 from dmptm_ctrl.simulate.model import Floats, Model
 
+SAMPLE_TIME = 1e-3  # s
 HARMONICS = 1  # describing functions; more do not settle where pinions rattle at each reversal
 BALANCED = 1e-6  # of the mesh torque, what may be left
 DEPTH = 1.1  # z tried first, in half-gaps
 PHASES = (1.0, 1j, -1j, -1.0)  # its cosine and minus-sine part
 
 
-def closed_loop_gain(
-    model: Model,
-    kp: float,
-    ki: float,
-    hz: ArrayLike,
-    amplitude: float,
-    *,
-    preload: float = 0.0,
-    sample_time: float = 1e-3,
-    harmonics: int = HARMONICS,
-) -> Floats:
+def closed_loop_gain(model: Model, kp: float, ki: float, hz: ArrayLike, amplitude: float) -> Floats:
     """Return the first harmonic of the ring-gear speed over that of the setpoint, (n,) complex.
 
-    NaN where no periodic motion is found.
-
-    Parameters
-    ----------
-    model : Model
-        Without effects but delays and lags.
-    kp : float [V/(rad/s)]
-    ki : float [V/rad]
-    hz : (n,) array
-        Each starts from the one before.
-    amplitude : float [rad/s]
-        Of the setpoint; 0 dry friction and no gap make it immaterial.
-    preload : float [V]
-    sample_time : float [s]
-    harmonics : int
+    Each frequency starts from the one before; NaN where no periodic motion is found. The amplitude
+    is the setpoint's [rad/s]; the model may have delays and lags as its only effects.
     """
-    balance = Balance(model, kp, ki, sample_time, preload)
+    balance = Balance(model, kp, ki, SAMPLE_TIME)
     setpoint = np.array([0.0, amplitude, 0.0])
     gains = []
     last: Cycle | None = None
@@ -55,7 +33,7 @@ def closed_loop_gain(
         starts += [balance.guess(DEPTH * balance.length * p, omega, setpoint) for p in PHASES]
         best: Cycle | None = None
         for start in starts:
-            found = balance.solve(start, harmonics, free=False, setpoint=setpoint)
+            found = balance.solve(start, HARMONICS, free=False, setpoint=setpoint)
             if best is None or found.left < best.left:
                 best = found
             if best.left < BALANCED:

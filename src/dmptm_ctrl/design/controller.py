@@ -1,6 +1,7 @@
 """A designed controller: as gains, python-control systems, difference equations and a file."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
 from os import PathLike
 from pathlib import Path
@@ -15,6 +16,7 @@ from dmptm_ctrl.design.draws import slow_friction
 from dmptm_ctrl.drive.parameters import physical
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import write_atomic
+from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.simulate.law import Design, Law
 from dmptm_ctrl.simulate.model_file import from_toml, to_toml
@@ -231,20 +233,14 @@ def read_controller(file: str | PathLike[str]) -> Controller:
     if data.get("kind") != KIND or data.get("schema") != SCHEMA:
         raise LogError(f'{path.name}: needs kind = "{KIND}" and schema = {SCHEMA}')
     table = data.get("controller", {})
-    numbers = {name: _number(path.name, table, name) for name in UNITS}
-    notches = tuple(
-        Notch(*(_number(path.name, row, key) for key in ("hz", "depth", "width")))
-        for row in data.get("notch", [])
-    )
+
+    def numbers(given: dict[str, Any], names: Iterable[str], where: str) -> dict[str, float]:
+        return finite_numbers(path.name, where, {name: given.get(name) for name in names})
+
+    found = numbers(table, UNITS, "controller")
+    rows = data.get("notch", [])
+    notches = tuple(Notch(**numbers(r, ("hz", "depth", "width"), "notch")) for r in rows)
     model = from_toml(str(data.get("model", "")), name=f"{path.name}, [model]")
     return Controller(
-        **numbers, notches=notches, invert=bool(table.get("invert", False)), model=model
+        **found, notches=notches, invert=bool(table.get("invert", False)), model=model
     )
-
-
-def _number(file: str, table: dict[str, Any], name: str) -> float:
-    value = table.get(name)
-    good = isinstance(value, int | float) and not isinstance(value, bool)
-    if not good or not math.isfinite(value):  # type: ignore[arg-type]
-        raise LogError(f"{file}: {name} is {value!r}; it must be a finite number")
-    return float(value)  # type: ignore[arg-type]

@@ -29,21 +29,11 @@ REPEATS = 0.15  # of the twist, what a periodic wave may leave
 
 
 class Simulated(NamedTuple):
-    """An oscillation that lasts in the simulator.
+    """An oscillation that lasts in the simulator."""
 
-    Attributes
-    ----------
-    hz : float
-        Strongest line in the spectrum of z.
-    amplitude : float [rad/s]
-        Of the ring-gear speed, √2 times its rms.
-    twist : float [rad]
-        Half the peak-to-peak of z, of the chain that moves most.
-    """
-
-    hz: float
-    amplitude: float
-    twist: float
+    hz: float  # strongest line in the spectrum of z
+    amplitude: float  # of the ring-gear speed, √2 times its rms [rad/s]
+    twist: float  # half the peak-to-peak of z, of the chain that moves most [rad]
 
 
 class Run(NamedTuple):
@@ -60,13 +50,7 @@ class Run(NamedTuple):
 
 
 def run_cycles(balance: Balance, cycles: Sequence[Cycle]) -> list[Run]:
-    """Run the loop from the states of cycles, and after pulses of the setpoint from rest.
-
-    Returns
-    -------
-    list of Run
-        One per cycle, then one per pulse of :data:`PULSES`.
-    """
+    """Run the loop from the states of cycles, then after each of :data:`PULSES` from rest."""
     dt = balance.sample_time
     time = np.arange(round(SECONDS / dt)) * dt
     count = len(cycles) + len(PULSES)
@@ -81,15 +65,9 @@ def run_cycles(balance: Balance, cycles: Sequence[Cycle]) -> list[Run]:
     loops = [Loop(kp, ki, NO_LIMIT, float(v) + preload, float(v) - preload) for v in volts]
     with np.errstate(all="ignore"):
         runs = simulate_batch(
-            [balance.model] * count,
-            time,
-            setpoints,
-            states,
-            loop=loops,
-            outputs=["omega_L", "z_l", "z_r"],
-            substeps=SUBSTEPS,
-            n_jobs=1,
-        )
+            [balance.model] * count, time, setpoints, states, loop=loops,
+            outputs=["omega_L", "z_l", "z_r"], substeps=SUBSTEPS, n_jobs=1,
+        )  # fmt: skip
         ends = runs.outputs[:, :, -round(WATCHED / dt) :]
         return [_measured(end[0], end[1 : 1 + balance.chains], dt) for end in ends]
 

@@ -21,28 +21,12 @@ _PAIRED = tuple(  # breakaway and sliding friction
 def draw_plants(
     model: Model, count: int, *, uncertainty: float = DECLARED, seed: int = 0
 ) -> list[Model]:
-    """Draw plants around a model.
+    """Draw plants around a model; plant k is the same for every `count`.
 
-    Parameters
-    ----------
-    model : Model
-    count : int
-    uncertainty : float
-        Share of the declared ranges, which are taken around the model's values; amplitudes of
-        effects move by :data:`AMPLITUDES` times it, angles and orders of effects stay. The
-        damping of the flanks always takes its whole range, unless nothing is uncertain, and
-        friction builds up over a distance of up to :data:`HIDDEN_DISTANCE`.
-    seed : int
-        Plant k is the same for every `count`.
-
-    Returns
-    -------
-    list of Model
-
-    Raises
-    ------
-    ValueError
-        A negative count or uncertainty.
+    `uncertainty` is the share of the declared ranges, which are taken around the model's values;
+    amplitudes of effects move by :data:`AMPLITUDES` times it, angles and orders of effects stay.
+    The damping of the flanks always takes its whole range, unless nothing is uncertain, and
+    friction builds up over a distance of up to :data:`HIDDEN_DISTANCE`.
     """
     if count < 0 or uncertainty < 0.0:
         raise ValueError(f"count {count} and uncertainty {uncertainty:g} must not be negative")

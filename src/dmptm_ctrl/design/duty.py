@@ -11,19 +11,11 @@ SETTLING = 0.4  # s, until the pinions have bounced onto their flanks
 
 
 class Duty(NamedTuple):
-    """A setpoint of the ring-gear speed over time.
+    """A setpoint of the ring-gear speed over time."""
 
-    Attributes
-    ----------
-    reference : (n,) array [rad/s]
-    sample_time : float [s]
-    settling : float [s]
-        At the start, not judged: the preload closes the gaps after power-on.
-    """
-
-    reference: Floats
-    sample_time: float = 1e-3
-    settling: float = 0.0
+    reference: Floats  # (n,) [rad/s]
+    sample_time: float = 1e-3  # s
+    settling: float = 0.0  # s at the start, not judged: the preload closes the gaps after power-on
 
     @property
     def time(self) -> Floats:
@@ -59,14 +51,6 @@ def usual_duty(sample_time: float = 1e-3) -> Duty:
 
     A rest that is not judged, the paper's closed-loop sines (10 deg/s at 0.5 Hz, 15 deg/s at
     1 Hz), a slow trapezoid, a rest and a start of a slow sine.
-
-    Parameters
-    ----------
-    sample_time : float [s]
-
-    Returns
-    -------
-    Duty
     """
     parts = (
         np.zeros(round(SETTLING / sample_time)),

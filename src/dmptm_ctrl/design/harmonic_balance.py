@@ -24,14 +24,7 @@ from numba import njit
 from scipy.optimize import root
 
 from dmptm_ctrl.contract import SITES
-from dmptm_ctrl.design.harmonics import (
-    Basis,
-    Cycle,
-    block,
-    packed_first,
-    rate_at_begin,
-    widened,
-)
+from dmptm_ctrl.design.harmonics import Basis, Cycle, block, packed_first, rate_at_begin, widened
 from dmptm_ctrl.design.preload import volt_at_pinion
 from dmptm_ctrl.effects.backlash import Backlash, landing, mesh_region, region_torque
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
@@ -112,21 +105,9 @@ class _Dual(NamedTuple):
 
 
 class Balance:
-    """The equations above for one drive, PI and preload.
+    """The equations above for one drive, PI and preload [V], added left and taken off right.
 
-    Parameters
-    ----------
-    model : Model
-        Effects other than delays and lags are refused.
-    kp, ki : float [V/(rad/s)], [V/rad]
-    sample_time : float [s]
-    preload : float [V]
-        Added left, taken off right.
-
-    Raises
-    ------
-    ValueError
-        What depends on angle or time: such effects, a stiffness that varies.
+    ValueError for what depends on angle or time: such effects, a stiffness that varies.
     """
 
     def __init__(
@@ -181,15 +162,9 @@ class Balance:
     ) -> tuple[Floats, Floats]:
         """Return left-over torques over a usual torque, and their derivatives.
 
-        Parameters
-        ----------
-        x : array
-            z of each chain over `length`, ring speed without its mean, mean voltage, and, where
-            `omega` is None, log ω; the phase is then fixed by the first sine part of the first z.
-        n : int
-            Harmonics.
-        omega : float or None [rad/s]
-        setpoint : (2n + 1,) array [rad/s]
+        x: z of each chain over `length`, ring speed without its mean, mean voltage, and, where
+        `omega` is None, log ω; the phase is then fixed by the first sine part of the first z.
+        The setpoint is packed, (2n + 1,) [rad/s].
         """
         size, chains = 2 * n + 1, self.chains
         w = self._frequency(x[-1]) if omega is None else omega
@@ -233,16 +208,7 @@ class Balance:
         return out, slopes
 
     def guess(self, z: complex, omega: float, ring: Floats) -> Cycle:
-        """Return a start: each z at its first harmonic, no mean.
-
-        Parameters
-        ----------
-        z : complex [rad]
-            Cosine and minus-sine part.
-        omega : float [rad/s]
-        ring : (3,) array [rad/s]
-            Speed of the ring gear, packed.
-        """
+        """Return a start: each z [rad] at its first harmonic, no mean; `ring` is packed."""
         return Cycle(omega, np.tile(packed_first(z), (self.chains, 1)), ring, 0.0, 1.0)
 
     def free_ring(self, amplitude: float, omega: float) -> Floats:
@@ -273,12 +239,8 @@ class Balance:
     def state(self, cycle: Cycle) -> tuple[Floats, float]:
         """Return where a motion is at the begin of its period, for the simulator.
 
-        Returns
-        -------
-        state : (6,) array
-            Angles [rad] and speeds [rad/s] of pinions and ring gear, whose angle is 0.
-        volts : float [V]
-            What the integral holds before the first sample; no dead time or lag remembered.
+        Angles [rad] and speeds [rad/s] of pinions and ring gear, whose angle is 0, (6,); and what
+        the integral holds before the first sample [V]; no dead time or lag is remembered.
         """
         n, dt = cycle.ring.size // 2, self.sample_time
         z = np.broadcast_to(cycle.z[:, : n + 1].sum(axis=1), 2)
@@ -291,16 +253,9 @@ class Balance:
         return state, float(cycle.volts + self.ki * summed)
 
     def solve(self, start: Cycle, n: int, *, free: bool, setpoint: Floats | None = None) -> Cycle:
-        """Solve with n harmonics from a start, which may have fewer.
+        """Solve with n harmonics from a start, which may have fewer, under a packed setpoint.
 
-        Parameters
-        ----------
-        start : Cycle
-        n : int
-        free : bool
-            Whether the frequency is an unknown; otherwise it is that of `start`.
-        setpoint : (2k + 1,) array [rad/s], optional
-            Packed.
+        The frequency is an unknown if `free`; otherwise it is that of `start`.
         """
         given = np.zeros(2 * n + 1) if setpoint is None else widened(setpoint, n)
         z = np.array([widened(part, n) for part in start.z])

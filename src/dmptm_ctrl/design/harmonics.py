@@ -63,26 +63,15 @@ class Basis:
 class Cycle(NamedTuple):
     """A periodic motion in packed harmonics: mean, cosine and minus-sine coefficients.
 
-    Attributes
-    ----------
-    omega : float [rad/s]
-    z : (m, 2n + 1) array [rad]
-    ring : (2n + 1,) array [rad/s]
-    volts : float [V]
-        Mean of the controller's output.
-    left : float
-        Largest torque left over, over the largest torque of a mesh.
-    doubt : float
-        How far a Newton step would still move frequency or speed, as a share. Near a fold, where
-        a cycle that attracts meets one that repels, little left over is much doubt.
+    Near a fold, where a cycle that attracts meets one that repels, little left over is much doubt.
     """
 
-    omega: float
-    z: Floats
-    ring: Floats
-    volts: float
-    left: float
-    doubt: float = np.inf
+    omega: float  # rad/s
+    z: Floats  # (m, 2n + 1) [rad]
+    ring: Floats  # (2n + 1,) [rad/s]
+    volts: float  # mean of the controller's output
+    left: float  # largest torque left over, over the largest torque of a mesh
+    doubt: float = np.inf  # share by which a Newton step would still move frequency or speed
 
     @property
     def speed(self) -> Floats:

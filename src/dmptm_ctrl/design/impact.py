@@ -10,16 +10,15 @@ import pandas as pd
 from dmptm_ctrl.control.shaping import SampledPlant
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
+from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import close_loop
-from dmptm_ctrl.simulate.linear import linearize, turning
 from dmptm_ctrl.simulate.loop_check import check_loop
 from dmptm_ctrl.simulate.model import Floats, Model
 
 SPEEDS = (3 * DEG, 15 * DEG)  # rad/s, turns about which the loop is linearised
 AMPLITUDES = (2 * DEG, 10 * DEG)  # rad/s, of the sines that measure the bandwidth
 SLOW_STEP = 1 * DEG  # rad/s; sticking shows at slow steps
-PRELOADS = (0.3, 0.5, 0.8, 1.2)  # V; the least of them that keeps the meshes closed
 SWEEP_HZ = np.geomspace(1.0, 80.0, 24)
 SWEEP_S = 2.0  # s per frequency, the second half is measured
 STUCK = 1e-9  # rad/s; friction holds exactly
@@ -28,26 +27,13 @@ ASKED = 0.05 * DEG  # rad/s; a setpoint below asks for no motion
 
 @dataclass(frozen=True, eq=False)
 class Impact:
-    """The loop on both drives.
+    """The loop on both drives, "nominal" and "augmented"."""
 
-    Attributes
-    ----------
-    table : DataFrame
-        A row per quantity, with its unit in the name; columns nominal, augmented, change in %.
-    duty : Duty
-    speeds : dict
-        "nominal", "augmented" → ring-gear speed along the duty [rad/s].
-    sweep_hz : (m,) array
-    gains : dict
-        The same keys → (amplitudes, m) closed-loop gains.
-    effects : tuple of str
-    """
-
-    table: pd.DataFrame
+    table: pd.DataFrame  # a row per quantity; columns nominal, augmented, change in %
     duty: Duty
-    speeds: dict[str, Floats]
+    speeds: dict[str, Floats]  # of the ring gear along the duty [rad/s]
     sweep_hz: Floats
-    gains: dict[str, Floats]
+    gains: dict[str, Floats]  # (amplitudes, m) of the closed loop
     effects: tuple[str, ...]
 
     def plot(self, **options: Any) -> Any:
@@ -143,24 +129,12 @@ def margins(
     """Return phase margin [deg], gain margin [dB] and crossover [Hz] about a steady turn.
 
     Of the sampled loop with all its sections, by python-control on the frequency response.
-
-    Raises
-    ------
-    ValueError
-        No steady turn at this speed.
     """
-    problem: ValueError | None = None
-    for preload in PRELOADS:
-        try:
-            x0, u0 = turning(model, speed=speed, preload=preload, theta_L=theta_L)
-        except ValueError as error:
-            problem = error
-            continue
-        sampled = SampledPlant(linearize(model, x0, u0), controller.sample_time)
-        loop = controller.to_discrete()(sampled.shift) * sampled.response
-        gain, phase, _, _, crossover, _ = ct.stability_margins(ct.frd(loop, sampled.omega))
-        return float(phase), 20.0 * float(np.log10(gain)), float(crossover) / (2.0 * np.pi)
-    raise problem or ValueError("no steady turn")
+    plant = linear_plant(model, speed=speed, theta_L=theta_L)
+    sampled = SampledPlant(plant, controller.sample_time)
+    loop = controller.to_discrete()(sampled.shift) * sampled.response
+    gain, phase, _, _, crossover, _ = ct.stability_margins(ct.frd(loop, sampled.omega))
+    return float(phase), 20.0 * float(np.log10(gain)), float(crossover) / (2.0 * np.pi)
 
 
 def swept_gains(model: Model, controller: Controller) -> Floats:

@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dmptm_ctrl.design.cycle_run import STILL, Run, Simulated, run_cycles, wave_of
-from dmptm_ctrl.design.harmonic_balance import Balance, mesh_along
-from dmptm_ctrl.design.harmonics import Basis, Cycle
-from dmptm_ctrl.effects.backlash import Backlash
+from dmptm_ctrl.design.harmonic_balance import Balance
+from dmptm_ctrl.design.harmonics import Cycle
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.simulate.model import Model
 
@@ -35,33 +34,14 @@ ROUGHLY = 5e-2  # of the mesh torque, what may be left on the way there
 
 
 class LimitCycle(NamedTuple):
-    """A periodic solution of the balance, and what the simulator does there.
+    """A periodic solution of the balance (NaN: none near), and what the simulator does there."""
 
-    Attributes
-    ----------
-    hz : float
-        Predicted, of the strongest harmonic of z. NaN, as what follows, where the simulator
-        oscillates but no periodic motion balances.
-    amplitude : float [rad/s]
-        Predicted; of the ring-gear speed, √2 times its rms.
-    twist : float [rad]
-        Predicted; half the peak-to-peak of z, of the chain that moves most.
-    first_hz : float
-        What one harmonic says: describing functions of mesh and friction. NaN where they say
-        nothing, or the cycle was not found from them.
-    simulated : Simulated or None
-        The same numbers of the simulator where it ends: of the lasting oscillation that is
-        nearest, or of a run from the predicted state. None where nothing was simulated.
-    seeded : bool
-        Whether the balance was started from a simulated wave; its own starts had not found it.
-    """
-
-    hz: float
-    amplitude: float
-    twist: float
-    first_hz: float
+    hz: float  # predicted, of the strongest harmonic of z
+    amplitude: float  # predicted; of the ring-gear speed, √2 times its rms [rad/s]
+    twist: float  # predicted; half the peak-to-peak of z, of the chain that moves most [rad]
+    # lasting oscillation that is nearest, or where a run from here ends
     simulated: Simulated | None = None
-    seeded: bool = False
+    seeded: bool = False  # whether the balance had to start from a simulated wave
 
     @property
     def miss(self) -> float:
@@ -75,16 +55,6 @@ class LimitCycle(NamedTuple):
     def confirmed(self) -> bool:
         """Whether the simulator shows it, within 5 % in frequency, amplitude and twist."""
         return self.miss <= CONFIRMED
-
-
-def mesh_describing_function(law: Backlash, amplitude: float, omega: float) -> complex:
-    """First harmonic of the mesh torque over z = amplitude · sin ωt [N·m/rad]."""
-    points = Basis.of(1).points
-    angle = 2.0 * np.pi * (np.arange(points) + 0.5) / points
-    torque = np.empty((4, points))
-    step = Basis.of(1).step(omega)
-    mesh_along(amplitude * np.sin(angle), amplitude * omega * np.cos(angle), law, step, torque)
-    return complex(2j * np.mean(torque[0] * np.exp(-1j * angle)) / amplitude)
 
 
 @small_matrices
@@ -129,15 +99,12 @@ def limit_cycles(
     """
     balance = Balance(model, kp, ki, sample_time, preload)
     cycles: list[Cycle] = []
-    first: list[float] = []
     for start in _starts(balance):
         cycle = _refined(balance, start, harmonics)
         if cycle is None or _known(cycle, cycles):
             continue
-        alone = balance.solve(start, 1, free=True)
         cycles.append(cycle)
-        first.append(alone.omega / (2.0 * np.pi) if _balanced(alone) else np.nan)
-    found = [LimitCycle(*_numbers(c), hz) for c, hz in zip(cycles, first, strict=True)]
+    found = [LimitCycle(*_numbers(c)) for c in cycles]
     if check:
         found = _checked(balance, cycles, found, harmonics)
     return sorted(found, key=lambda c: -c.amplitude if np.isfinite(c.amplitude) else np.inf)
@@ -165,7 +132,7 @@ def _checked(
 
 def _from_wave(balance: Balance, run: Run, harmonics: int | None) -> LimitCycle:
     """Balance a simulated wave; its numbers alone where that has no answer near."""
-    nothing = LimitCycle(np.nan, np.nan, np.nan, np.nan, run.numbers, seeded=True)
+    nothing = LimitCycle(np.nan, np.nan, np.nan, run.numbers, seeded=True)
     start = wave_of(run, balance.sample_time)
     best = nothing
     if start is None:
@@ -175,7 +142,7 @@ def _from_wave(balance: Balance, run: Run, harmonics: int | None) -> LimitCycle:
         cycle = balance.solve(start, most, free=True)
         if not _balanced(cycle) or not _moves(cycle):
             continue
-        tried = LimitCycle(*_numbers(cycle), np.nan, run.numbers, seeded=True)
+        tried = LimitCycle(*_numbers(cycle), run.numbers, seeded=True)
         if np.isnan(best.hz) or tried.miss < best.miss:
             best = tried
         if best.confirmed:

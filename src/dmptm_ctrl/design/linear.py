@@ -6,13 +6,15 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.linear import linearize, turning
 from dmptm_ctrl.simulate.model import Model
 
+PRELOADS = (0.3, 0.5, 0.8, 1.2)  # V; the least of them that keeps the meshes closed
 
-def linear_plant(model: Model) -> Any:
-    """Linearise a model about the slowest usual turn under the least preload that allows it."""
+
+def linear_plant(model: Model, **turn: float) -> Any:
+    """Linearise a model about a steady turn, the slowest usual one, under the least preload."""
     problem: ValueError | None = None
-    for preload in (0.3, 0.5, 0.8, 1.2):
+    for preload in PRELOADS:
         try:
-            return linearize(model, *turning(model, preload=preload))
+            return linearize(model, *turning(model, preload=preload, **turn))
         except ValueError as error:
             problem = error
     raise problem or ValueError("no steady turn")

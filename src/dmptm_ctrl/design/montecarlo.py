@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import beta, binom
+from scipy.stats import binom, binomtest
 
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.draws import DECLARED, one_plant
@@ -21,16 +21,10 @@ CONFIDENCE = 0.95
 
 
 class MonteCarlo(NamedTuple):
-    """Tracking errors of a controller over drawn plants.
+    """Tracking errors of a controller over drawn plants."""
 
-    Attributes
-    ----------
-    errors : (count,) array [deg/s]
-    volts : (count,) array [V]
-    """
-
-    errors: Floats
-    volts: Floats
+    errors: Floats  # (count,) [deg/s]
+    volts: Floats  # (count,) [V]
 
     def quantile(self, q: float, confidence: float = CONFIDENCE) -> tuple[float, float, float]:
         """Return (estimate, low, high) of a quantile [deg/s], bounds free of a distribution.
@@ -54,11 +48,8 @@ class MonteCarlo(NamedTuple):
 
         Bounds of Clopper and Pearson, Biometrika 26 (1934) 404.
         """
-        n, hits = self.errors.size, int(np.sum(self.errors > limit))
-        tail = 0.5 * (1.0 - confidence)
-        low = float(beta.ppf(tail, hits, n - hits + 1)) if hits else 0.0
-        high = float(beta.ppf(1.0 - tail, hits + 1, n - hits)) if hits < n else 1.0
-        return hits / n, low, high
+        found = binomtest(int(np.sum(self.errors > limit)), self.errors.size)
+        return found.statistic, *found.proportion_ci(confidence)
 
 
 def monte_carlo(

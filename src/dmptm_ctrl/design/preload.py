@@ -39,13 +39,7 @@ def load_torque_along(model: Model, duty: Duty, theta_L: float = 0.0) -> Floats:
 
 
 def common_volts_along(model: Model, duty: Duty) -> Floats:
-    """Return the voltage that both motors share along a duty [V], (n,): half of the load each.
-
-    Parameters
-    ----------
-    model : Model
-    duty : Duty
-    """
+    """Return the voltage that both motors share along a duty [V], (n,): half of the load each."""
     parts, drive = parts_of(model), model.drive
     way = np.sign(duty.reference)
     speeds = drive["N_2"] * duty.reference
@@ -86,28 +80,13 @@ def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
 
 
 class Preload(NamedTuple):
-    """A duty under one preload.
+    """A duty under one preload; errors and torques are rms."""
 
-    Attributes
-    ----------
-    open_share : float
-        Share of the judged time in which at least one mesh carries nothing or its teeth have
-        left their side.
-    error : float [deg/s]
-        RMS tracking error.
-    torque : float [N·m]
-        RMS torque of a motor.
-    friction : float [N·m]
-        Mean friction that the preload adds in both reducers, seen at the pinions.
-    reversal_error : float [deg/s]
-        RMS tracking error within :data:`NEAR_REVERSAL` of a reversal of the setpoint.
-    """
-
-    open_share: float
-    error: float
-    torque: float
-    friction: float
-    reversal_error: float
+    open_share: float  # of the judged time with a mesh that carries nothing or has left its side
+    error: float  # deg/s
+    torque: float  # of a motor [N·m]
+    friction: float  # mean that the preload adds in both reducers, at the pinions [N·m]
+    reversal_error: float  # within NEAR_REVERSAL of a reversal of the setpoint [deg/s]
 
 
 def assess_preload(model: Model, controller: Controller, duty: Duty) -> Preload:
@@ -117,15 +96,9 @@ def assess_preload(model: Model, controller: Controller, duty: Duty) -> Preload:
 
 
 def assess_bias(model: Model, controller: Controller, duty: Duty, bias: ArrayLike) -> Preload:
-    """Run a duty under a bias that is a function of time, instead of the controller's preload.
+    """Run a duty under a bias (n,) [V] over time, instead of the controller's preload.
 
-    Parameters
-    ----------
-    model : Model
-    controller : Controller
-    duty : Duty
-    bias : (n,) array [V]
-        Added left, taken off right, at every sample; not part of the voltage limit.
+    It is added left and taken off right at every sample; not part of the voltage limit.
     """
     volts = np.asarray(bias, float)
     push = np.zeros((volts.size, 3))
@@ -167,19 +140,11 @@ def _reversing(duty: Duty) -> NDArray[np.bool_]:
 
 
 class Schedule(NamedTuple):
-    """How a bias b [V] follows the common voltage u [V] and the setpoint speed ω [rad/s].
-
-    Attributes
-    ----------
-    formula : str
-    source : str
-    bias : callable
-        (b, u, ω) → volts, for arrays u and ω of a duty.
-    """
+    """How a bias b [V] follows the common voltage u [V] and the setpoint speed ω [rad/s]."""
 
     formula: str
     source: str
-    bias: Callable[[float, Floats, Floats], Floats]
+    bias: Callable[[float, Floats, Floats], Floats]  # (b, u, ω) -> volts
 
 
 def _fading(start: float, end: float) -> Callable[[float, Floats, Floats], Floats]:
@@ -220,30 +185,12 @@ SCHEDULES = {
 def schedules(
     model: Model, controller: Controller, duty: Duty, preloads: ArrayLike
 ) -> dict[str, list[Preload]]:
-    """Compare preloads that stay with such that give way, each as a function of time on a duty.
+    """Compare preloads [V] that stay with such that give way, as functions of time on a duty.
 
     The bias of every one of :data:`SCHEDULES` follows from the voltage that the model needs
     along the duty and from the setpoint, so that all are compared alike. What a controller
-    does by itself (`relief_from`, `relief_to`) is a profile of the measured command.
-
-    Parameters
-    ----------
-    model : Model
-    controller : Controller
-        Its own preload and relief are replaced.
-    duty : Duty
-    preloads : (n,) array [V]
-        Bias at rest, above 0.
-
-    Returns
-    -------
-    dict
-        Name of the schedule → a :class:`Preload` per preload.
-
-    Raises
-    ------
-    ValueError
-        A preload that is not above 0.
+    does by itself (`relief_from`, `relief_to`) is a profile of the measured command; its own
+    preload and relief are replaced. Preloads are (n,), at rest and above 0.
     """
     tried = np.asarray(preloads, float)
     if not np.all(tried > 0.0):
@@ -267,24 +214,10 @@ def boundary(
     hz: float = 1.0,
     n_jobs: int | None = None,
 ) -> tuple[Floats, Floats]:
-    """Return the least preload [V] for sines of these peak accelerations [rad/s²].
+    """Return the least preload [V] for sines of these peak accelerations [rad/s²], (n,).
 
-    Two answers: by the balance (:func:`smallest_preload`) and by bisection on the simulated
-    loop, where a mesh must not open at any sample of the second period.
-
-    Parameters
-    ----------
-    model : Model
-    controller : Controller
-    accelerations : (n,) array [rad/s²]
-    hz : float
-        Of the sines.
-    n_jobs : int, optional
-        joblib's, by default 1.
-
-    Returns
-    -------
-    closed_form, simulated : (n,) arrays [V]
+    Two answers, (n,) each: by the balance (:func:`smallest_preload`) and by bisection on the
+    simulated loop, where a mesh must not open at any sample of the second period.
     """
     peaks = np.asarray(accelerations, float)
     tasks = ((model, controller, float(peak), hz) for peak in peaks)

@@ -13,13 +13,7 @@ from dmptm_ctrl.simulate.model_file import read_dual_model
 def tune_file(
     model: Path, out: Path, *, uncertainty: float, plants: int, seed: int, jobs: int
 ) -> Tuned:
-    """Tune on a model file; write controller.toml, tuning.json and tuning.png.
-
-    Raises
-    ------
-    LogError
-        No model file, or a model on which no PI keeps the margins; nothing is written.
-    """
+    """Tune on a model file; write controller.toml, tuning.json and tuning.png, or nothing."""
     try:
         drive = read_dual_model(model)
         tuned = tune_controller(

@@ -18,22 +18,12 @@ LIMIT = 10.0  # V
 
 
 class StabilityMap(NamedTuple):
-    """Oscillation of the loop over its gains.
+    """Oscillation of the loop over its gains."""
 
-    Attributes
-    ----------
-    kp : (m,) array [V/(rad/s)]
-    ki : (n,) array [V/rad]
-    amplitude : (m, n) array [rad/s]
-        √2 times the standard deviation of the ring-gear speed while it should be steady.
-    linear : (m, n) array of bool
-        Whether the linearised, sampled loop is stable.
-    """
-
-    kp: Floats
-    ki: Floats
-    amplitude: Floats
-    linear: Floats
+    kp: Floats  # (m,) [V/(rad/s)]
+    ki: Floats  # (n,) [V/rad]
+    amplitude: Floats  # (m, n): √2 times the rms of the speed while it should be steady [rad/s]
+    linear: Floats  # (m, n): whether the linearised, sampled loop is stable
 
 
 def stability_map(
@@ -46,18 +36,9 @@ def stability_map(
     sample_time: float = 1e-3,
     n_jobs: int = -1,
 ) -> StabilityMap:
-    """Step the setpoint of the PI loop for every pair of gains, and see what lasts.
+    """Step the setpoint [rad/s] of the PI loop for every pair of gains, and see what lasts.
 
-    Parameters
-    ----------
-    model : Model
-    kp : (m,) array [V/(rad/s)]
-    ki : (n,) array [V/rad]
-    speed : float [rad/s]
-    preload : float [V]
-    sample_time : float [s]
-    n_jobs : int
-        As for :func:`~dmptm_ctrl.simulate.batch.simulate_batch`.
+    `kp` is (m,) [V/(rad/s)], `ki` (n,) [V/rad], `preload` in V; `n_jobs` as for `simulate_batch`.
     """
     kps, kis = np.asarray(kp, float), np.asarray(ki, float)
     time = np.arange(round(SECONDS / sample_time)) * sample_time

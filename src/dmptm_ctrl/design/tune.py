@@ -42,6 +42,7 @@ MORE_PRELOAD = (1.0, 1.4, 2.0)  # preloads tried, of the least that keeps the me
 # first moves of the search: friction share, preload, lead [s], distance [rad]
 _STEPS = (0.05, 0.2, 0.4e-3, 0.5e-5)
 _EVALUATIONS = 32
+EVERY = 4  # samples, one of which is judged
 
 
 @dataclass(frozen=True)
@@ -74,32 +75,23 @@ class Aims:
     noise: float = GYRO
     notch: bool = False
 
+    def linear(self) -> dict[str, Any]:
+        """Return what a linear design asks for."""
+        names = ("phase_margin_deg", "gain_margin_db", "highest_hz")
+        return {**{n: getattr(self, n) for n in names}, "sample_time": self.duty.sample_time}
+
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """A controller and how it was found.
-
-    Attributes
-    ----------
-    controller : Controller
-    linear : PiTuning
-        The start.
-    reference : LinearReference or None
-        What no linear controller beats on the drive without torques that depend on an angle;
-        None where the synthesis has no answer.
-    stages : list of dict
-        Error over the drawn plants after each stage: stage, rmse_median, rmse_quantile,
-        rmse_worst [deg/s], voltage_max [V], controller, errors.
-    errors : (plants,) array [deg/s]
-        RMS tracking error of the controller on every plant drawn.
-    aims : Aims
-    """
+    """A controller and how it was found."""
 
     controller: Controller
-    linear: PiTuning
+    linear: PiTuning  # the start
+    # no linear one beats it without torques over angle; None: no answer
     reference: LinearReference | None
+    # error over the drawn plants after each [deg/s], voltage_max [V], controller
     stages: list[dict[str, Any]]
-    errors: Floats
+    errors: Floats  # (plants,): rms tracking error on every plant drawn [deg/s]
     aims: Aims
 
     def summary(self) -> str:
@@ -191,13 +183,7 @@ def tune_controller(
     """
     aims = aims or Aims()
     plant = linear_plant(model)
-    start = fastest_pi(
-        plant,
-        aims.phase_margin_deg,
-        aims.gain_margin_db,
-        highest_hz=aims.highest_hz,
-        sample_time=aims.duty.sample_time,
-    )
+    start = fastest_pi(plant, **aims.linear())
     search = _Search(model, aims, plant, start, uncertainty, seed, n_jobs)
     judged = draw_plants(model, plants, uncertainty=uncertainty, seed=seed + 1)
     stages: list[dict[str, Any]] = []
@@ -278,12 +264,9 @@ class _Search:
         """
         sampled = SampledPlant(self.plant, begin.sample_time)
         drawn = draw_plants(self.model, SEARCHED, uncertainty=self.uncertainty, seed=self.seed)
-        slow = [
-            sampled.gains(self.start.crossover_hz * s, self.start.phase_margin_deg) for s in SLOWER
-        ]
         grid = [
             replace(begin, kp=kp, ki=ki, preload=more * begin.preload)
-            for kp, ki in slow
+            for kp, ki in _slower(sampled, self.start)
             for more in MORE_PRELOAD
         ]
         best, least = self.cheapest(grid, drawn)
@@ -328,24 +311,13 @@ class _Search:
 
     def notched(self, begin: Controller) -> list[Controller]:
         """Controllers with a notch, if one lets the linear loop be faster."""
-        aims, dt = self.aims, begin.sample_time
-        found: Notched | None = notched_pi(
-            self.plant,
-            self.start,
-            aims.phase_margin_deg,
-            aims.gain_margin_db,
-            highest_hz=aims.highest_hz,
-            sample_time=dt,
-        )
+        dt = begin.sample_time
+        found: Notched | None = notched_pi(self.plant, self.start, **self.aims.linear())
         if found is None:
             return []
         part = Notch(found.hz, found.depth, found.width)
         section = sampled_notch(part.hz, part.depth, part.width, dt)
-        sampled = SampledPlant(self.plant, dt, [section])
-        slow = [
-            sampled.gains(found.gains.crossover_hz * s, found.gains.phase_margin_deg)
-            for s in SLOWER
-        ]
+        slow = _slower(SampledPlant(self.plant, dt, [section]), found.gains)
         return [replace(begin, kp=kp, ki=ki, notches=(part,)) for kp, ki in slow]
 
     def cost(self, tried: Controller, drawn: Sequence[Model]) -> float:
@@ -357,6 +329,11 @@ class _Search:
         return usual + max(float(errors.max()) - TOLERATED * usual, 0.0)
 
 
+def _slower(sampled: SampledPlant, gains: PiTuning) -> list[tuple[float, float]]:
+    """Gains with crossovers from that of a design on down."""
+    return [sampled.gains(gains.crossover_hz * s, gains.phase_margin_deg) for s in SLOWER]
+
+
 def tracking(
     controller: Controller,
     plants: Sequence[Model],
@@ -364,34 +341,22 @@ def tracking(
     *,
     seed: int = 0,
     n_jobs: int = -1,
-    every: int = 4,
 ) -> tuple[Floats, Floats]:
     """Run a controller over the duty on many plants.
 
-    Returns
-    -------
-    errors : (plants,) array [deg/s]
-        RMS of setpoint minus true speed, after the settling.
-    volts : (plants,) array [V]
-        Largest voltage of either motor.
+    Returns per plant the rms of setpoint minus true speed after the settling [deg/s], and the
+    largest voltage of either motor [V].
     """
     duty = aims.duty
     rng = np.random.default_rng(seed)
     noise = aims.noise * rng.standard_normal(duty.reference.size)
     starts = np.array([rest(plant, 0.0) for plant in plants])
     runs = simulate_batch(
-        plants,
-        duty.time,
-        duty.reference,
-        starts,
-        loop=controller.law(),
-        noise=noise,
-        outputs=["omega_L"],
-        every=every,
-        n_jobs=n_jobs,
-    )
-    miss = (runs.outputs[:, 0] - duty.reference[::every]) / DEG
-    first = round(duty.settling / duty.sample_time / every)
+        plants, duty.time, duty.reference, starts, loop=controller.law(), noise=noise,
+        outputs=["omega_L"], every=EVERY, n_jobs=n_jobs,
+    )  # fmt: skip
+    miss = (runs.outputs[:, 0] - duty.reference[::EVERY]) / DEG
+    first = round(duty.settling / duty.sample_time / EVERY)
     errors = np.sqrt(np.mean(miss[:, first:] ** 2, axis=1))
     volts = np.maximum(-runs.least, runs.greatest)[:, -2:].max(axis=1)
     return np.where(np.isfinite(errors), np.minimum(errors, LOST), LOST), volts

@@ -30,9 +30,6 @@ CURRENT_LAG = Effect(
     values=CurrentLag,
     location="drives",
     source="bandwidth of the current controller",
-    depends_on=(
-        "u",
-        "du_dt",
-    ),
+    depends_on=("u", "du_dt"),
     reveals="excitation above 1/(2π τ): steps or a multisine to 100 Hz under preload",
 )

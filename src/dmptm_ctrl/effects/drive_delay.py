@@ -30,9 +30,6 @@ DRIVE_DELAY = Effect(
     values=DriveDelay,
     location="drives",
     source="bus and computation time",
-    depends_on=(
-        "u",
-        "du_dt",
-    ),
+    depends_on=("u", "du_dt"),
     reveals="excitation above 20 Hz under preload, where a lag rolls off and a delay does not",
 )

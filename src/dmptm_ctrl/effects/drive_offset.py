@@ -27,10 +27,7 @@ DRIVE_OFFSET = Effect(
     name="drive_offset",
     site="drive",
     kernel=offset_voltage,
-    parameters=(
-        Parameter("left", "V", -0.3, 0.3, 0.01),
-        Parameter("right", "V", -0.3, 0.3, 0.01),
-    ),
+    parameters=(Parameter("left", "V", -0.3, 0.3, 0.01), Parameter("right", "V", -0.3, 0.3, 0.01)),
     values=DriveOffset,
     location="drives",
     source="analogue command interface",

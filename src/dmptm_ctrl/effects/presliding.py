@@ -69,9 +69,6 @@ PRESLIDING = Effect(
     values=Presliding,
     location="bearings and reducers",
     source="Dahl 1968; Canudas de Wit et al., IEEE TAC 40 (1995) 419; fading: Olsson 1996",
-    depends_on=(
-        "time_at_rest",
-        "u",
-    ),
+    depends_on=("time_at_rest", "u"),
     reveals="small voltages below breakaway, and slow reversals",
 )

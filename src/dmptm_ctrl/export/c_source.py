@@ -1,8 +1,9 @@
 """A program as C99: one header, one source, no allocation and nothing but the C library's maths."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+from dmptm_ctrl.export.printer import ATOM, LEVEL, UNARY, Printer
 from dmptm_ctrl.export.program import (
     BOOL,
     INT,
@@ -11,26 +12,14 @@ from dmptm_ctrl.export.program import (
     Assign,
     For,
     If,
-    Item,
     Name,
     Op,
     Port,
     Program,
-    Store,
     ascii_text,
-    known,
-    prune,
 )
-from dmptm_ctrl.export.trace import follow, function_tree
-from dmptm_ctrl.export.tracer import Tracer
 
 REALS = ("double", "float")
-_LEVEL = {
-    "or": 1, "and": 2, "==": 3, "!=": 3, "<": 4, "<=": 4, ">": 4, ">=": 4,
-    "+": 5, "-": 5, "*": 6, "/": 6, "mod": 6,
-}  # fmt: skip
-_SIGN = {"or": "||", "and": "&&", "mod": "%"}
-_UNARY, _ATOM = 7, 9
 
 
 class _Choice(NamedTuple):
@@ -56,8 +45,12 @@ def _chosen(block: list[Any]) -> list[Any]:
     return found
 
 
-class CPrinter:
-    """Prints expressions and statements."""
+class CPrinter(Printer):
+    """Prints C; variables that are kept stand in the state."""
+
+    signs = {"or": "||", "and": "&&", "neg": "-", "not": "!"}  # noqa: RUF012
+    set_to = "="
+    words = {"if": "if ({}) {{", "else": "} else {", "end if": "}", "end for": "}"}  # noqa: RUF012
 
     def __init__(self, real: str, state: set[str]) -> None:
         if real not in REALS:
@@ -69,60 +62,38 @@ class CPrinter:
         """C's type of a kind."""
         return {REAL: self.real, INT: "int32_t", BOOL: "bool"}[kind]
 
-    def text(self, value: Any, above: int = 0) -> str:
-        """Text of an expression, in brackets where what is around it binds more."""
-        text, level = self._parts(value)
-        return f"({text})" if level < above else text
-
-    def _parts(self, value: Any) -> tuple[str, int]:
-        if known(value):
-            text = self.number(value)
-            return text, _UNARY if text.startswith("-") else _ATOM
-        if isinstance(value, Name):
-            return self.name(value.id), _ATOM
+    def parts(self, value: Any) -> tuple[str, int]:
+        """Text of an expression, and how strongly it binds."""
         if isinstance(value, _Choice):
-            test, a, b = (self.text(v, 1) for v in (value.test, value.first, value.second))
+            test, a, b = (self.text(v, 1) for v in value)
             return f"{test} ? {a} : {b}", 0
-        if isinstance(value, Item):
-            return f"{self.name(value.array.id)}[{self.text(value.index)}]", _ATOM
-        return self._operation(value)
+        return super().parts(value)
 
-    def _operation(self, value: Op) -> tuple[str, int]:
-        op, args = value.op, value.args
+    def operation(self, op: str, args: tuple[Any, ...], kind: str) -> tuple[str, int]:
+        """Text of an operation that is no sign between or before values, and how it binds."""
         if op == "mod":  # as Python's, of the divisor's sign
-            a, n = self.text(args[0], _LEVEL["*"]), self.text(args[1], _UNARY)
+            a, n = self.text(args[0], LEVEL["*"]), self.text(args[1], UNARY)
             if isinstance(args[0], Name) and args[0].counts:
-                return f"{a} % {n}", _LEVEL["*"]
-            return f"({a} % {n} + {n}) % {n}", _LEVEL["*"]
-        if op in _LEVEL:
-            level = _LEVEL[op]
-            sign = _SIGN.get(op, op)
-            return f"{self.text(args[0], level)} {sign} {self.text(args[1], level + 1)}", level
-        if op == "neg":
-            return f"-{self.text(args[0], _UNARY + 1)}", _UNARY
-        if op == "not":
-            return f"!{self.text(args[0], _UNARY + 1)}", _UNARY
+                return f"{a} % {n}", LEVEL["*"]
+            return f"({a} % {n} + {n}) % {n}", LEVEL["*"]
         if op == "real":
             inner = args[0]
             if isinstance(inner, Op) and inner.op == "floor":
-                return self._function("floor", inner.args), _ATOM
-            return f"({self.real}){self.text(inner, _UNARY)}", _UNARY
+                return self._function("floor", inner.args), ATOM
+            return f"({self.real}){self.text(inner, UNARY)}", UNARY
         if op == "trunc":
-            return f"(int32_t){self.text(args[0], _UNARY)}", _UNARY
+            return f"(int32_t){self.text(args[0], UNARY)}", UNARY
         if op == "floor":
-            return f"(int32_t){self._function('floor', args)}", _UNARY
-        if value.kind == INT and op in ("min", "max"):
-            return f"{op}_int({self.text(args[0])}, {self.text(args[1])})", _ATOM
-        if value.kind == INT and op == "abs":
-            return f"abs_int({self.text(args[0])})", _ATOM
-        names = {"min": "fmin", "max": "fmax", "abs": "fabs"}
-        return self._function(names.get(op, op), args), _ATOM
+            return f"(int32_t){self._function('floor', args)}", UNARY
+        if kind == INT and op in _OF_INTEGERS:
+            return f"{op}_int({', '.join(self.text(a) for a in args)})", ATOM
+        return self._function({"min": "fmin", "max": "fmax", "abs": "fabs"}.get(op, op), args), ATOM
 
     def _function(self, name: str, args: tuple[Any, ...]) -> str:
         return f"{name}{self.suffix}({', '.join(self.text(a) for a in args)})"
 
     def name(self, name: str) -> str:
-        """Name of a variable; of one that is kept, in the state."""
+        """Return the name of a variable; of one that is kept, in the state."""
         return f"state->{name}" if name in self.state else name
 
     def number(self, value: float) -> str:
@@ -137,32 +108,20 @@ class CPrinter:
             return "INFINITY" if value > 0 else "-INFINITY"
         return repr(float(value)) + self.suffix
 
+    def assignment(self, item: Assign) -> list[str]:
+        """Line that declares a name, or gives it its value."""
+        kind = f"{self.kind(item.name.kind)} " if item.declare else ""
+        value = "" if item.value is None else f" = {self.text(item.value)}"
+        return [f"{kind}{self.name(item.name.id)}{value};"]
+
+    def loop(self, item: For) -> str:
+        """Line above the body of a loop."""
+        k = item.name.id
+        return f"for (int32_t {k} = 0; {k} < {self.text(item.count)}; {k}++) {{"
+
     def lines(self, block: list[Any], depth: int = 1) -> list[str]:
         """Lines of statements."""
-        pad = "    " * depth
-        found: list[str] = []
-        for item in _chosen(block):
-            if isinstance(item, Assign):
-                kind = f"{self.kind(item.name.kind)} " if item.declare else ""
-                to = self.name(item.name.id)
-                value = "" if item.value is None else f" = {self.text(item.value)}"
-                found.append(f"{pad}{kind}{to}{value};")
-            elif isinstance(item, Store):
-                place = f"{self.name(item.array.id)}[{self.text(item.index)}]"
-                found.append(f"{pad}{place} = {self.text(item.value)};")
-            elif isinstance(item, If):
-                found.append(f"{pad}if ({self.text(item.condition)}) {{")
-                found += self.lines(item.body, depth + 1)
-                if item.orelse:
-                    found.append(f"{pad}}} else {{")
-                    found += self.lines(item.orelse, depth + 1)
-                found.append(f"{pad}}}")
-            elif isinstance(item, For):
-                k = item.name.id
-                found.append(f"{pad}for (int32_t {k} = 0; {k} < {self.text(item.count)}; {k}++) {{")
-                found += self.lines(item.body, depth + 1)
-                found.append(f"{pad}}}")
-        return found
+        return super().lines(_chosen(block), depth)
 
 
 def c_header(program: Program, real: str = "double") -> str:
@@ -234,8 +193,8 @@ def c_source(program: Program, real: str = "double") -> str:
             "",
             "#include <math.h>",
             "",
-            *_helpers(text),
-            *(_table(a, printer) for a in program.tables()),
+            *c_helpers(text),
+            *(c_table(a, printer) for a in program.tables()),
             "",
             f"void {name}_init({name}_state *state) {{",
             *first,
@@ -244,76 +203,6 @@ def c_source(program: Program, real: str = "double") -> str:
             f"{_signature(program, real)} {{",
             *unused,
             *body,
-            "}",
-            "",
-        ]
-    )
-
-
-def c_function(
-    function: Callable[..., Any],
-    name: str,
-    *,
-    known_arguments: Mapping[str, Any] | None = None,
-    records: Mapping[str, tuple[str, ...]] | None = None,
-    real: str = "double",
-) -> str:
-    """Return a scalar Python function as a C function ``void name(const real *in, real *out)``.
-
-    Parameters
-    ----------
-    function : callable
-        Pure: scalar arithmetic, branches, loops over ranges, calls of the same kind.
-    known_arguments : mapping
-        Argument → its value; the function is written for these.
-    records : mapping
-        Argument → its field names; the argument is a NamedTuple, read from an array of its own
-        in the order of `records`, behind `in`.
-    real : {"double", "float"}
-
-    Raises
-    ------
-    NotScalar
-        Source that is more than that.
-    """
-    records, given = records or {}, known_arguments or {}
-    tracer = Tracer()
-    args: list[Any] = []
-    free: list[str] = []
-    pointers = []
-    body: list[Any] = []
-    for argument in function_tree(getattr(function, "py_func", function)).args.args:
-        key = argument.arg
-        if key in given:
-            args.append(given[key])
-        elif key in records:
-            array = Array(tracer.fresh(f"{key}_values").id, len(records[key]), None, records[key])
-            pointers.append(array.id)
-            args.append(array)
-        else:
-            args.append(tracer.fresh(key))
-            free.append(args[-1].id)
-    with tracer.collected(body):
-        result = follow(tracer, function, args)
-    results = list(result) if isinstance(result, tuple) else [result]
-    program = prune(Program(name, [], [Port("", "", "")] * len(results), results, [], body, []))
-    printer = CPrinter(real, set())
-    lines = [f"    {real} {key} = in[{k}];" for k, key in enumerate(free)]
-    lines += [f"    (void){key};" for key in (*free, *pointers, "in")]
-    lines += printer.lines(program.body)
-    lines += [f"    out[{k}] = {printer.text(v)};" for k, v in enumerate(program.results)]
-    tables = [_table(a, printer) for a in program.tables()]
-    more = "".join(f", const {real} *{p}" for p in pointers)
-    return "\n".join(
-        [
-            "#include <math.h>",
-            "#include <stdbool.h>",
-            "#include <stdint.h>",
-            "",
-            *_helpers("\n".join(lines)),
-            *tables,
-            f"void {name}(const {real} *in, {real} *out{more}) {{",
-            *lines,
             "}",
             "",
         ]
@@ -344,20 +233,24 @@ def _comment(notes: list[str]) -> list[str]:
     return ["/*", *(f" * {line}".rstrip() for line in _safe(notes)), " */"] if notes else []
 
 
-def _helpers(text: str) -> list[str]:
+_OF_INTEGERS = {
+    "min": ("int32_t a, int32_t b", "a < b ? a : b"),
+    "max": ("int32_t a, int32_t b", "a > b ? a : b"),
+    "abs": ("int32_t a", "a < 0 ? -a : a"),
+}
+
+
+def c_helpers(text: str) -> list[str]:
+    """Functions of whole numbers that a text calls."""
     found = []
-    for name, body in (
-        ("min_int", "a < b ? a : b"),
-        ("max_int", "a > b ? a : b"),
-    ):
-        if f"{name}(" in text:
-            found += [f"static int32_t {name}(int32_t a, int32_t b) {{ return {body}; }}", ""]
-    if "abs_int(" in text:
-        found += ["static int32_t abs_int(int32_t a) { return a < 0 ? -a : a; }", ""]
+    for op, (args, body) in _OF_INTEGERS.items():
+        if f"{op}_int(" in text:
+            found += [f"static int32_t {op}_int({args}) {{ return {body}; }}", ""]
     return found
 
 
-def _table(array: Array, printer: CPrinter) -> str:
+def c_table(array: Array, printer: CPrinter) -> str:
+    """A constant table."""
     values = array.values or ()
     rows = [
         "    " + ", ".join(printer.number(v) for v in values[k : k + 4]) + ","

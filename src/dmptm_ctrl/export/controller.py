@@ -41,20 +41,9 @@ KEPT = {
 def controller_program(
     controller: Controller, name: str = "controller", notes: list[str] | None = None
 ) -> Program:
-    """Return the difference equations of a controller.
+    """Return the difference equations of a controller, and only what this controller uses.
 
-    Parameters
-    ----------
-    controller : Controller
-    name : str
-        Of the C functions, of the function block.
-    notes : list of str, optional
-        Comment lines for the head of the file; by default what :func:`provenance` gives.
-
-    Returns
-    -------
-    Program
-        Only what this controller uses: no notch, feed-forward or table that it does not have.
+    `notes` are comment lines for the head of the file; by default what :func:`provenance` gives.
     """
     law, dt = controller.law(), controller.sample_time
     design = law.model.arrays()
@@ -83,13 +72,7 @@ def controller_program(
 
 
 def provenance(controller: Controller, source: Path | None = None) -> list[str]:
-    """Return the comment lines at the head of an exported controller.
-
-    Parameters
-    ----------
-    source : Path, optional
-        File that the controller was read from; its name and SHA-256 are given.
-    """
+    """Return the comment lines at the head of an exported controller, read from `source`."""
     lines = [
         "Speed controller of a drive with two motors on one ring gear.",
         f"Sample time: {controller.sample_time!r} s. Call the step once per sample.",

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.export.program import Array, Assign, If, Item, Name, Port, Program, make
-from dmptm_ctrl.export.stepping import counter, finished, origin
+from dmptm_ctrl.export.stepping import counter, finished, origin, word
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.compiled import march, rest
@@ -22,31 +22,15 @@ TIME = "time_s"
 
 @dataclass(frozen=True)
 class Limits:
-    """What a rig can take.
+    """What a rig can take."""
 
-    Attributes
-    ----------
-    signal : float
-        Largest magnitude of each input [V, or the input's SI unit].
-    speed : float
-        Largest speed of the load [rad/s or m/s].
-    travel : float
-        Largest distance of the load from where it starts [rad or m].
-    """
-
-    signal: float = inf
-    speed: float = inf
-    travel: float = inf
+    signal: float = inf  # largest magnitude of each input [V, or the input's SI unit]
+    speed: float = inf  # largest of the load [rad/s or m/s]
+    travel: float = inf  # largest of the load from where it starts [rad or m]
 
 
 def read_signals(file: Path) -> pd.DataFrame:
-    """Read a table of signals over time, as next_experiment.csv.
-
-    Raises
-    ------
-    LogError
-        No such file, no column time_s, uneven times, or a value that is no finite number.
-    """
+    """Read a table of signals over even times, as next_experiment.csv."""
     try:
         table = pd.read_csv(file, comment="#")
         values = table.to_numpy(float)
@@ -70,28 +54,11 @@ def within(
     model: Model | RigModel | None = None,
     sample_time: float | None = None,
 ) -> pd.DataFrame:
-    """Return signals at a sample time, made smaller until a rig can take them.
+    """Return signals at a sample time [s], made smaller until a rig can take them.
 
-    Parameters
-    ----------
-    table : DataFrame
-        Column time_s and one per input of the model, in its order.
-    limits : Limits
-    model : Model or RigModel, optional
-        Tells speed and travel by simulation from rest; needed where these are limited.
-    sample_time : float, optional
-        Of the rig [s]; by default the table's. Signals are held from sample to sample.
-
-    Returns
-    -------
-    DataFrame
-        The same columns; all signals by one factor smaller where speed or travel ask for it.
-
-    Raises
-    ------
-    LogError
-        Limits of speed or travel without a model, another number of signals than the model has
-        inputs, or limits that no signal of this shape keeps.
+    The table has a column time_s and one per input of the model, in its order; signals are held
+    from sample to sample. Where speed or travel are limited, a model tells them by simulation from
+    rest, and all signals shrink by one factor. LogError for limits that cannot be kept or told.
     """
     time = table[TIME].to_numpy(float)
     dt = sample_time or float(time[1] - time[0])
@@ -144,21 +111,14 @@ def _motion(model: Model | RigModel, signals: Floats, dt: float) -> tuple[Floats
 def experiment_program(table: pd.DataFrame, source: Path | None = None) -> Program:
     """Return a program that gives the signals one sample after the other, then 0.
 
-    Parameters
-    ----------
-    table : DataFrame
-        From :func:`within`.
-    source : Path, optional
-        File that the signals were read from.
-
-    Returns
-    -------
-    Program
-        Outputs: the signals, and ``running``, 1 while they last.
+    Its outputs are the signals, and ``running``, 1 while they last.
     """
     names = [c for c in table.columns if c != TIME]
     tracer = Tracer()
-    ports = [Port(_word(n), n.rpartition("_")[2], f"signal {n}") for n in names]
+    ports = []
+    for name in names:
+        stem, _, unit = name.rpartition("_")
+        ports.append(Port(word(stem or name), unit, f"signal {name}"))
     ports.append(Port("running", "1", "1 while the experiment lasts, then 0"))
     ports = [replace(p, name=tracer.fresh(p.name).id) for p in ports]
     samples = counter(tracer)
@@ -186,9 +146,3 @@ def experiment_program(table: pd.DataFrame, source: Path | None = None) -> Progr
     ]
     program = Program("next_experiment", [], ports, [*results, here], [], body, [], notes=notes)
     return finished(tracer, program, samples, [])
-
-
-def _word(name: str) -> str:
-    """Name of a program's output: the column without its unit."""
-    stem = name.rpartition("_")[0] or name
-    return "".join(c if c.isascii() and c.isalnum() else "_" for c in stem).lower()

@@ -28,21 +28,9 @@ _YEAR = (1980, 1, 1, 0, 0, 0)  # of files in the archive: the same text gives th
 
 
 def write_fmu(program: Program, sample_time: float, file: Path) -> None:
-    """Write a plant's program as an FMU.
+    """Write a plant's program as an FMU; LogError without a C compiler.
 
-    Parameters
-    ----------
-    program : Program
-        From :func:`.plant.plant_program`.
-    sample_time : float [s]
-        Its own. The communication step must be a multiple of it.
-    file : path
-        Ends with ``.fmu``.
-
-    Raises
-    ------
-    LogError
-        No C compiler, or one that does not compile.
+    The communication step must be a multiple of `sample_time` [s].
     """
     name = program.name
     sources = {

@@ -16,47 +16,21 @@ _KEPT = ("drive_delay", "current_lag", "back_emf", "viscous_friction", "coulomb_
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint, all bodies of the drive seen at it.
-
-    Attributes
-    ----------
-    kind : {"hinge", "slide"}
-    armature : float
-        Inertia of everything but the joint's own body [kg·m² or kg].
-    frictionloss : float
-        Coulomb friction, mean of both directions [N·m or N].
-    damping : float
-        Viscous friction [N·m·s/rad or N·s/m].
-    inertia : float
-        Of the joint's own body; it belongs to the body in MuJoCo, not to the joint.
-    actuators : tuple of (name, gear, delay, lag)
-        Torque per unit of the signal at the joint; dead time and time constant [s].
-    lost : tuple of str
-        What of the model is not in it.
-    """
+    """One joint, all bodies of the drive seen at it."""
 
     name: str
-    kind: str
-    armature: float
-    frictionloss: float
-    damping: float
-    inertia: float
+    kind: str  # "hinge" or "slide"
+    armature: float  # inertia of all but the joint's own body [kg·m² or kg]
+    frictionloss: float  # Coulomb friction, mean of both directions [N·m or N]
+    damping: float  # N·m·s/rad or N·s/m
+    inertia: float  # of the joint's own body; it belongs to the body in MuJoCo
+    # name, gear at the joint, dead time, lag [s]
     actuators: tuple[tuple[str, float, float, float], ...]
-    lost: tuple[str, ...]
+    lost: tuple[str, ...]  # what of the model is not in it
 
 
 def mujoco_joint(model: Model | RigModel) -> Joint:
-    """Return a drive as one joint.
-
-    Parameters
-    ----------
-    model : Model or RigModel
-
-    Returns
-    -------
-    Joint
-        Of the ring gear; of another drive that of the body that the last one in the file is.
-    """
+    """Return a drive as one joint: of the ring gear, or of the last body of a rig file."""
     return _of_rig(model) if isinstance(model, RigModel) else _of_dual(model)
 
 

@@ -23,13 +23,7 @@ def compiler() -> str | None:
 
 
 def shared_library(folder: Path, name: str, sources: Mapping[str, str]) -> Path:
-    """Compile sources, by their file names, to a shared library in `folder`.
-
-    Raises
-    ------
-    LogError
-        No C compiler, or one that does not compile.
-    """
+    """Compile sources, by their file names, to a library in `folder`; LogError if it fails."""
     found = compiler()
     if found is None:
         raise LogError(f"no C compiler found ({', '.join(COMPILERS)}); install one")
@@ -51,16 +45,7 @@ class Compiled:
     """A program compiled from its C, called once per sample.
 
     ``compiled(*inputs)`` takes one number per input of the program and returns one per output.
-
-    Parameters
-    ----------
-    program : Program
-    real : {"double", "float"}
-
-    Raises
-    ------
-    LogError
-        No C compiler.
+    LogError without a C compiler.
     """
 
     def __init__(self, program: Program, real: str = "double") -> None:

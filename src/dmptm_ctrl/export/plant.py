@@ -13,7 +13,7 @@ import numpy as np
 
 from dmptm_ctrl.export.places import Latest, Ring, Row, Signals
 from dmptm_ctrl.export.program import Name, Port, Program, Store, make
-from dmptm_ctrl.export.stepping import counter, finished
+from dmptm_ctrl.export.stepping import counter, finished, word
 from dmptm_ctrl.export.trace import Scope, function_tree
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.signals.units import parse_unit
@@ -48,27 +48,12 @@ def plant_program(
     notes: list[str] | None = None,
     start: float = 0.0,
 ) -> Program:
-    """Return the step of a drive from one sample to the next.
+    """Return the step of a drive from one sample to the next, `sample_time` [s] later.
 
-    Parameters
-    ----------
-    model : Model or RigModel
-    sample_time : float [s]
-        Inputs are held for so long.
-    start : float
-        Where the drive is at rest at first: of a dual-motor drive the ring gear's angle [rad];
-        of another drive 0 is the only place.
-
-    Returns
-    -------
-    Program
-        Its outputs are the readings at the sample's beginning; the step then goes on to the
-        next sample. Inputs and outputs are SI.
-
-    Raises
-    ------
-    NotScalar
-        An effect whose kernel is more than scalar arithmetic, branches and loops.
+    Outputs are the readings at the sample's beginning; inputs are held. All is SI. The drive is at
+    rest at first; at `start`, of a dual-motor drive, stands the ring gear [rad]; of another drive
+    0 is the only place. NotScalar for a kernel that is more than scalar arithmetic, branches and
+    loops.
     """
     if isinstance(model, RigModel):
         plant, steps = model.plant(), substeps_for(model.plant(), sample_time)
@@ -159,27 +144,11 @@ def _dual_ports() -> tuple[list[Port], list[Port]]:
 
 
 def _chain_ports(model: RigModel) -> tuple[list[Port], list[Port]]:
-    inputs = [
-        Port(f"in_{_word(i.name)}", _si(i.unit), f"{i.name}, held until the next step")
-        for i in model.rig.inputs
-    ]
-    return inputs, [
-        Port(f"out_{_word(s.name)}", _unit(model, s.name), f"reading of {s.name}")
-        for s in model.rig.sensors
-    ]
-
-
-def _word(name: str) -> str:
-    """Name as a program has it."""
-    return "".join(c if c.isascii() and c.isalnum() else "_" for c in name).lower()
-
-
-def _si(unit: str) -> str:
-    """SI unit of a column's, as programs write it."""
-    return parse_unit(unit).symbol.replace("·", " ") or "1"
-
-
-def _unit(model: RigModel, sensor: str) -> str:
-    item = next(s for s in model.rig.sensors if s.name == sensor)
-    unit = model.rig.body(item.body).angle_unit
-    return unit if item.measures == "position" else f"{unit}/s"
+    inputs, seen = [], []
+    for i in model.rig.inputs:
+        unit = parse_unit(i.unit).symbol.replace("·", " ") or "1"
+        inputs.append(Port(f"in_{word(i.name)}", unit, f"{i.name}, held until the next step"))
+    for s in model.rig.sensors:
+        unit = model.rig.body(s.body).angle_unit + ("/s" if s.measures != "position" else "")
+        seen.append(Port(f"out_{word(s.name)}", unit, f"reading of {s.name}"))
+    return inputs, seen

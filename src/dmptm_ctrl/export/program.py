@@ -24,20 +24,12 @@ class Name:
 
 @dataclass(frozen=True)
 class Array:
-    """A row of numbers that is read at a place known only when the program runs.
-
-    Attributes
-    ----------
-    values : tuple of float, or None
-        Of a constant table.
-    fields : tuple of str
-        Names of the elements, where it stands for a NamedTuple.
-    """
+    """A row of numbers that is read at a place known only when the program runs."""
 
     id: str
     size: int
-    values: tuple[float, ...] | None = None
-    fields: tuple[str, ...] = ()
+    values: tuple[float, ...] | None = None  # of a constant table
+    fields: tuple[str, ...] = ()  # names of the elements, where it stands for a NamedTuple
 
 
 @dataclass(frozen=True)
@@ -94,9 +86,6 @@ class For:
     body: list[Any]
 
 
-Statement = Assign | Store | If | For
-
-
 @dataclass(frozen=True)
 class Port:
     """An input or output: name, unit, what it is."""
@@ -108,38 +97,24 @@ class Port:
 
 @dataclass
 class Program:
-    """A step that is called once per sample time.
-
-    Attributes
-    ----------
-    inputs, outputs : list of Port
-    results : list
-        Value of each output after the step.
-    state : list of (Name, initial value)
-        Scalars kept from step to step.
-    arrays : list of (Array, initial value of all elements)
-        The same of arrays.
-    body : list of statements
-    after : list of (Name, value)
-        What the state becomes at the end of the step.
-    notes : list of str
-        Comment lines for the head of a file.
-    """
+    """A step that is called once per sample time."""
 
     name: str
     inputs: list[Port]
     outputs: list[Port]
-    results: list[Any]
-    state: list[tuple[Name, Any]]
+    results: list[Any]  # value of each output after the step
+    state: list[tuple[Name, Any]]  # scalars kept, and what they start from
     body: list[Any]
-    after: list[tuple[Name, Any]]
+    after: list[tuple[Name, Any]]  # what the state becomes at the end of the step
+    # kept, and what all elements start from
     arrays: list[tuple[Array, float]] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # comment lines for the head
 
     def tables(self) -> list[Array]:
         """Return the constant tables that the program reads."""
         found = {}
-        for value in all_values(self):
+        after = [value for _, value in self.after]
+        for value in (*values_of(self.body), *self.results, *after):
             for part in walk(value):
                 if isinstance(part, Item) and part.array.values is not None:
                     found[part.array.id] = part.array
@@ -185,13 +160,6 @@ def values_of(block: list[Any]) -> Iterator[Any]:
         else:
             yield item.count
             yield from values_of(item.body)
-
-
-def all_values(program: Program) -> Iterator[Any]:
-    """Iterate over all expressions of a program."""
-    yield from values_of(program.body)
-    yield from program.results
-    yield from (value for _, value in program.after)
 
 
 _FOLDED: dict[str, Callable[..., Any]] = {

@@ -46,12 +46,7 @@ assert isinstance(response, ct.TimeResponseData)
 def python_program(model: Any, source: Path) -> str:
     """Return the text of a program that builds a model or controller without any file.
 
-    Parameters
-    ----------
-    model : Model, RigModel or Controller
-        Of a controller the feedback part, as it runs; what it feeds forward is in comments.
-    source : path
-        File that it was read from.
+    Of a controller the feedback part, as it runs; what it feeds forward is in comments.
     """
     if isinstance(model, Controller):
         sys = model.to_discrete()

@@ -1,6 +1,5 @@
 """What the command line calls: a model or controller file in, files to run elsewhere out."""
 
-from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,9 @@ from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.simulate.model_file import read_model
 
+OF_EXPERIMENT = ("csv", "c", "st")
+OF_CONTROLLER = ("c", "st", "python")
+TARGETS = ("c", "st", "fmu", "python", "table", "mujoco")
 SAMPLE_TIME = 1e-3  # s, of a plant's program where none is given
 
 
@@ -78,7 +80,7 @@ def export_file(
     step = sample_time or SAMPLE_TIME
     with output_folder(out) as folder:
         try:
-            TARGETS[target](model, source, step, real, folder)
+            _write(target, model, source, step, real, folder)
         except NotScalar as error:  # a user's own effect
             raise LogError(f"{source.name}: an effect has no program: {error}") from None
         return sorted(p.name for p in folder.iterdir())
@@ -94,32 +96,10 @@ def export_experiment(
     real: str = "double",
     sample_time: float | None = None,
 ) -> list[str]:
-    """Write a planned experiment ready to run.
+    """Write a planned experiment, as next_experiment.csv, ready to run; return the files' names.
 
-    Parameters
-    ----------
-    source : path
-        next_experiment.csv of `dmptm diagnose`, or a table like it.
-    target : {"csv", "c", "st"}
-    out : path
-        Folder; files of other names in it stay.
-    limits : Limits
-    model : path, optional
-        model.toml, by which speed and travel are told.
-    real : {"double", "float"}
-        Of C and Structured Text.
-    sample_time : float, optional
-        Of the rig [s]; by default the table's.
-
-    Returns
-    -------
-    list of str
-        Names of the files.
-
-    Raises
-    ------
-    LogError
-        Files that cannot be used, or limits that cannot be kept; nothing is written.
+    `model` is the file by which speed and travel are told. LogError, and nothing is written, for
+    files that cannot be used, or limits that cannot be kept.
     """
     if target not in OF_EXPERIMENT:
         raise LogError(f"--to {target}: an experiment goes to {', '.join(OF_EXPERIMENT)}")
@@ -133,10 +113,8 @@ def export_experiment(
         if target == "csv":
             text = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
             (folder / f"{program.name}.csv").write_text(text, encoding="utf-8")
-        elif target == "c":
-            _write_c(program, real, folder)
         else:
-            (folder / f"{program.name}.st").write_text(st_source(program, real), encoding="ascii")
+            _write_program(target, program, real, folder)
         return sorted(p.name for p in folder.iterdir())
 
 
@@ -169,46 +147,23 @@ def _program(model: Any, source: Path, step: float) -> Program:
     return plant_program(model, step, notes=notes)
 
 
-def _to_c(model: Any, source: Path, step: float, real: str, folder: Path) -> None:
-    _write_c(_program(model, source, step), real, folder)
+def _write(target: str, model: Any, source: Path, step: float, real: str, folder: Path) -> None:
+    if target == "python":
+        name = "controller.py" if isinstance(model, Controller) else "plant.py"
+        (folder / name).write_text(python_program(model, source), encoding="utf-8")
+    elif target == "table":
+        write_tables(model, source, folder)
+    elif target == "mujoco":
+        text = mujoco_text(mujoco_joint(model), source)
+        (folder / "joint.xml").write_text(text, encoding="ascii")
+    elif target == "fmu":
+        program = _program(model, source, step)
+        write_fmu(program, step, folder / f"{program.name}.fmu")
+    else:
+        _write_program(target, _program(model, source, step), real, folder)
 
 
-def _write_c(program: Program, real: str, folder: Path) -> None:
-    for ending, text in ((".h", c_header(program, real)), (".c", c_source(program, real))):
-        (folder / f"{program.name}{ending}").write_text(text, encoding="ascii")
-
-
-def _to_st(model: Any, source: Path, step: float, real: str, folder: Path) -> None:
-    program = _program(model, source, step)
-    (folder / f"{program.name}.st").write_text(st_source(program, real), encoding="ascii")
-
-
-def _to_fmu(model: Any, source: Path, step: float, _: str, folder: Path) -> None:
-    program = _program(model, source, step)
-    write_fmu(program, step, folder / f"{program.name}.fmu")
-
-
-def _to_python(model: Any, source: Path, _: float, __: str, folder: Path) -> None:
-    name = "controller.py" if isinstance(model, Controller) else "plant.py"
-    (folder / name).write_text(python_program(model, source), encoding="utf-8")
-
-
-def _to_table(model: Any, source: Path, _: float, __: str, folder: Path) -> None:
-    write_tables(model, source, folder)
-
-
-def _to_mujoco(model: Any, source: Path, _: float, __: str, folder: Path) -> None:
-    text = mujoco_text(mujoco_joint(model), source)
-    (folder / "joint.xml").write_text(text, encoding="ascii")
-
-
-OF_EXPERIMENT = ("csv", "c", "st")
-OF_CONTROLLER = ("c", "st", "python")
-TARGETS: dict[str, Callable[[Any, Path, float, str, Path], None]] = {
-    "c": _to_c,
-    "st": _to_st,
-    "fmu": _to_fmu,
-    "python": _to_python,
-    "table": _to_table,
-    "mujoco": _to_mujoco,
-}
+def _write_program(target: str, program: Program, real: str, folder: Path) -> None:
+    texts = {"st": st_source} if target == "st" else {"h": c_header, "c": c_source}
+    for ending, text in texts.items():
+        (folder / f"{program.name}.{ending}").write_text(text(program, real), encoding="ascii")

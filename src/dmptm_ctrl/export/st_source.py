@@ -2,34 +2,18 @@
 
 from typing import Any
 
-from dmptm_ctrl.export.program import (
-    BOOL,
-    INT,
-    REAL,
-    Assign,
-    For,
-    If,
-    Item,
-    Name,
-    Op,
-    Program,
-    Store,
-    ascii_text,
-    known,
-)
+from dmptm_ctrl.export.printer import ATOM, LEVEL, UNARY, Printer
+from dmptm_ctrl.export.program import BOOL, INT, REAL, Assign, For, Program, ascii_text, known
 
 REALS = {"double": "LREAL", "float": "REAL"}
-_LEVEL = {
-    "or": 1, "and": 2, "==": 3, "!=": 3, "<": 4, "<=": 4, ">": 4, ">=": 4,
-    "+": 5, "-": 5, "*": 6, "/": 6,
-}  # fmt: skip
-_SIGN = {"or": "OR", "and": "AND", "==": "=", "!=": "<>"}
-_UNARY, _ATOM = 7, 9
-_CALLS = {"log": "LN"}
 
 
-class StPrinter:
-    """Prints expressions and statements; collects the variables that they set."""
+class StPrinter(Printer):
+    """Prints Structured Text; collects the variables that statements set."""
+
+    signs = {"or": "OR", "and": "AND", "==": "=", "!=": "<>", "neg": "-", "not": "NOT "}  # noqa: RUF012
+    set_to = ":="
+    words = {"if": "IF {} THEN", "else": "ELSE", "end if": "END_IF;", "end for": "END_FOR;"}  # noqa: RUF012
 
     def __init__(self, real: str) -> None:
         if real not in REALS:
@@ -54,92 +38,34 @@ class StPrinter:
             mantissa += ".0"
         return mantissa + (f"E{exponent}" if sign else "")
 
-    def text(self, value: Any, above: int = 0) -> str:
-        """Text of an expression, in brackets where what is around it binds more."""
-        text, level = self._parts(value)
-        return f"({text})" if level < above else text
-
-    def _parts(self, value: Any) -> tuple[str, int]:
-        if known(value):
-            text = self.number(value)
-            return text, _UNARY if text.startswith("-") else _ATOM
-        if isinstance(value, Name):
-            return value.id, _ATOM
-        if isinstance(value, Item):
-            return f"{value.array.id}[{self.text(value.index)}]", _ATOM
-        return self._operation(value)
-
-    def _operation(self, value: Op) -> tuple[str, int]:
-        op, args = value.op, value.args
-        if op in _LEVEL:
-            level = _LEVEL[op]
-            sign = _SIGN.get(op, op)
-            return f"{self.text(args[0], level)} {sign} {self.text(args[1], level + 1)}", level
-        if op == "neg":
-            return f"-{self.text(args[0], _UNARY + 1)}", _UNARY
-        if op == "not":
-            return f"NOT {self.text(args[0], _UNARY + 1)}", _UNARY
+    def operation(self, op: str, args: tuple[Any, ...], kind: str) -> tuple[str, int]:
+        """Text of an operation that is no sign between or before values, and how it binds."""
         if op == "mod":
-            a, n = self.text(args[0], _LEVEL["*"]), self.text(args[1], _UNARY)
-            return f"(({a} MOD {n}) + {n}) MOD {n}", _LEVEL["*"]
-        if op == "pow":
-            return f"EXPT({self.text(args[0])}, {self.text(args[1])})", _ATOM
-        if op == "real":
-            return f"DINT_TO_{self.real}({self.text(args[0])})", _ATOM
-        if op == "trunc":
-            return f"TRUNC({self.text(args[0])})", _ATOM
+            a, n = self.text(args[0], LEVEL["*"]), self.text(args[1], UNARY)
+            return f"(({a} MOD {n}) + {n}) MOD {n}", LEVEL["*"]
         if op == "floor":  # the standard rounds towards zero only
             x = self.text(args[0])
-            down = f"DINT_TO_{self.real}(TRUNC({x})) > {self.text(args[0], _LEVEL['+'])}"
-            return f"TRUNC({x}) - BOOL_TO_DINT({down})", _LEVEL["-"]
+            down = f"DINT_TO_{self.real}(TRUNC({x})) > {self.text(args[0], LEVEL['+'])}"
+            return f"TRUNC({x}) - BOOL_TO_DINT({down})", LEVEL["-"]
         if op == "tanh":  # the standard has none
-            return f"1.0 - 2.0 / (EXP(2.0 * {self.text(args[0], _UNARY)}) + 1.0)", _LEVEL["-"]
-        name = _CALLS.get(op, op.upper())
-        return f"{name}({', '.join(self.text(a) for a in args)})", _ATOM
+            return f"1.0 - 2.0 / (EXP(2.0 * {self.text(args[0], UNARY)}) + 1.0)", LEVEL["-"]
+        name = {"log": "LN", "pow": "EXPT", "real": f"DINT_TO_{self.real}"}.get(op, op.upper())
+        return f"{name}({', '.join(self.text(a) for a in args)})", ATOM
 
-    def lines(self, block: list[Any], depth: int = 1) -> list[str]:
-        """Lines of statements."""
-        pad = "    " * depth
-        found: list[str] = []
-        for item in block:
-            if isinstance(item, Assign):
-                self.variables.setdefault(item.name.id, self.kind(item.name.kind))
-                if item.value is not None:
-                    found.append(f"{pad}{item.name.id} := {self.text(item.value)};")
-            elif isinstance(item, Store):
-                place = f"{item.array.id}[{self.text(item.index)}]"
-                found.append(f"{pad}{place} := {self.text(item.value)};")
-            elif isinstance(item, If):
-                found.append(f"{pad}IF {self.text(item.condition)} THEN")
-                found += self.lines(item.body, depth + 1)
-                if item.orelse:
-                    found.append(f"{pad}ELSE")
-                    found += self.lines(item.orelse, depth + 1)
-                found.append(f"{pad}END_IF;")
-            elif isinstance(item, For):
-                self.variables.setdefault(item.name.id, "DINT")
-                last = self.text(item.count - 1 if known(item.count) else item.count)
-                more = "" if known(item.count) else " - 1"
-                found.append(f"{pad}FOR {item.name.id} := 0 TO {last}{more} DO")
-                found += self.lines(item.body, depth + 1)
-                found.append(f"{pad}END_FOR;")
-        return found
+    def assignment(self, item: Assign) -> list[str]:
+        """Line that gives a name its value; none where it is only declared."""
+        self.variables.setdefault(item.name.id, self.kind(item.name.kind))
+        return [] if item.value is None else [f"{item.name.id} := {self.text(item.value)};"]
+
+    def loop(self, item: For) -> str:
+        """Line above the body of a loop."""
+        self.variables.setdefault(item.name.id, "DINT")
+        last = self.text(item.count - 1) if known(item.count) else f"{self.text(item.count)} - 1"
+        return f"FOR {item.name.id} := 0 TO {last} DO"
 
 
 def st_source(program: Program, real: str = "double") -> str:
-    """Return the function block of a program.
-
-    Parameters
-    ----------
-    program : Program
-    real : {"double", "float"}
-        LREAL or REAL.
-
-    Returns
-    -------
-    str
-        One function block; its state starts at the values that stand in it.
-    """
+    """Return a program as one function block; its state starts at the values that stand in it."""
     printer = StPrinter(real)
     body = printer.lines(program.body)
     body += [

@@ -25,18 +25,9 @@ def finished(
     *,
     before: list[Any] | None = None,
 ) -> Program:
-    """Return a program with its state and without what nothing depends on.
+    """Return a program with its state, and statements `before` it; without what nothing needs.
 
-    Parameters
-    ----------
-    program : Program
-        With the body of one step.
-    samples : Name
-        From :func:`counter`.
-    carried : list of (name, value at the start, value behind the step)
-        Of :meth:`.trace.Scope.turning`.
-    before : list of statements, optional
-        Ahead of the body in each step.
+    `carried` are (name, value at the start, value behind the step), of `Scope.turning`.
     """
     state = [(name, old) for name, old, _ in carried]
     after = [(name, new) for name, _, new in carried]
@@ -60,6 +51,11 @@ def _separated(tracer: Tracer, program: Program) -> Program:
             value = spare
         found.append((name, value))
     return replace(program, body=body, after=found)
+
+
+def word(name: str) -> str:
+    """Return a name as a program has it."""
+    return "".join(c if c.isascii() and c.isalnum() else "_" for c in name).lower()
 
 
 def origin(source: Path | None) -> list[str]:

@@ -24,16 +24,9 @@ SPEED_RANGE = 2.0  # rad/s or m/s at the load, either way
 def compensation_tables(model: Model | RigModel) -> dict[str, pd.DataFrame]:
     """Return what a drive must give to cancel friction and the torques of effects.
 
-    Parameters
-    ----------
-    model : Model or RigModel
-
-    Returns
-    -------
-    dict of str to DataFrame
-        ``friction`` over speed; ``load`` and ``motor`` over angle, where such effects are in
-        the model. Units are in the columns' names, SI. Everything is at time 0 and without torque
-        in the meshes. Of a dual-motor drive the voltages are those of each motor.
+    ``friction`` over speed; ``load`` and ``motor`` over angle, where such effects are in the model.
+    Units are in the columns' names, SI. Everything is at time 0 and without torque in the meshes.
+    Of a dual-motor drive the voltages are those of each motor.
     """
     tables = _of_rig(model) if isinstance(model, RigModel) else _of_dual(model)
     return {name: table for name, table in tables.items() if not table.empty}

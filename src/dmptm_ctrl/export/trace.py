@@ -38,14 +38,7 @@ _NOTHING = object()
 
 
 def follow(tracer: Tracer, function: Any, args: list[Any]) -> Any:
-    """Follow a function on these arguments; return what it returns.
-
-    Raises
-    ------
-    NotScalar
-        Source that is more than scalar arithmetic, branches, loops over ranges, and calls of
-        functions of that kind.
-    """
+    """Follow a function on these arguments; return what it returns, or raise `NotScalar`."""
     function = getattr(function, "py_func", function)
     tree = function_tree(function)
     env: dict[str, Any] = {}
@@ -147,7 +140,7 @@ class Scope(Expressions):
         if known(test):
             done = self.run(node.body if test else node.orelse)
             return _NOTHING if done is None else done
-        ends = _returns(node)
+        ends = any(isinstance(part, ast.Return) for part in ast.walk(node))
         tail = rest if ends else []
         results = self._either(test, [*node.body, *tail], [*node.orelse, *tail])
         return results if ends else _NOTHING
@@ -220,18 +213,9 @@ class Scope(Expressions):
     ) -> tuple[list[tuple[Name, Any, Any]], list[Any]]:
         """Follow a body that repeats, until it is known which variables it carries.
 
-        Parameters
-        ----------
-        block : list
-            Gets the statements of one turn.
-        keep : bool
-            Whether the carried variables stand in a state, instead of in plain names.
-
-        Returns
-        -------
-        carried : list of (name, value before, value behind one turn)
-        moves : list of statements
-            Give the carried names their new values.
+        `block` gets the statements of one turn. With `keep` the carried variables stand in a state,
+        else in plain names. Returns (name, value before, value behind one turn) of each, and the
+        statements that give plain names their new values.
         """
         tracer = self.tracer
         env, heap, taken = dict(self.env), dict(tracer.heap), dict(tracer.taken)
@@ -300,10 +284,6 @@ def _as_read(target: ast.expr) -> ast.expr:
         if hasattr(part, "lineno"):
             part.lineno = target.lineno
     return copied
-
-
-def _returns(node: ast.AST) -> bool:
-    return any(isinstance(part, ast.Return) for part in ast.walk(node))
 
 
 def _needs_place(node: ast.For) -> bool:

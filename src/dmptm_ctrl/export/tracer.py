@@ -47,10 +47,10 @@ class Tracer:
         owner = next(c for c in self._alive if id(c) == place[0])
         return owner.names.get(place[1], f"value_{place[1]}")
 
-    def array(self, base: str, size: int, first: float = 0.0) -> Array:
-        """Return an array that is kept from step to step."""
+    def array(self, base: str, size: int) -> Array:
+        """Return an array that is kept from step to step, of zeros at first."""
         made = Array(self.fresh(base).id, size)
-        self.arrays.append((made, first))
+        self.arrays.append((made, 0.0))
         return made
 
     def table(self, values: tuple[float, ...]) -> Array:

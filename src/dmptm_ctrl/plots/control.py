@@ -24,15 +24,8 @@ _PAIR = (
 
 
 def plot_tuning(tuned: Any, *, ax: Axes | None = None) -> Axes:
-    """Draw the share of drawn plants below each tracking error, a line per stage.
-
-    Parameters
-    ----------
-    tuned : Tuned
-        Of :func:`~dmptm_ctrl.design.tune.tune_controller`.
-    ax : Axes, optional
-    """
-    panel = axes(ax, 1, figsize=(7.0, 4.2))[0, 0]
+    """Draw the share of drawn plants below each tracking error, a line per stage."""
+    panel = axes(ax, 1, figsize=(7.0, 4.2), grid="both")[0, 0]
     for row, style in zip(tuned.stages, _LINES, strict=False):
         errors = np.sort(row["errors"])
         share = 100.0 * (np.arange(errors.size) + 1.0) / errors.size
@@ -43,21 +36,13 @@ def plot_tuning(tuned: Any, *, ax: Axes | None = None) -> Axes:
         xlabel="rms tracking error [deg/s]",
         ylabel=f"share of {errors.size} drawn plants below [%]",
     )
-    panel.grid(alpha=0.3, which="both")
     panel.legend(loc="lower right", fontsize=9)
     return panel
 
 
 def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
-    """Draw speeds along the duty, tracking errors, and closed-loop gains of both drives.
-
-    Parameters
-    ----------
-    found : Impact
-        Of :func:`~dmptm_ctrl.design.impact.impact`.
-    ax : three Axes, optional
-    """
-    panels = axes(ax, 3, figsize=(8.0, 8.5)).ravel()
+    """Draw speeds along the duty, tracking errors, and closed-loop gains of both drives."""
+    panels = axes(ax, 3, figsize=(8.0, 8.5), grid="both").ravel()
     time, ref = found.duty.time, found.duty.reference
     panels[0].plot(time, np.rad2deg(ref), color="0.65", linewidth=2.5, label="setpoint")
     for (name, speed), style in zip(found.speeds.items(), _PAIR, strict=True):
@@ -76,8 +61,6 @@ def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
     panels[0].set_title(", ".join(found.effects), loc="left")
     panels[1].set(ylabel="speed − setpoint [deg/s]", xlabel="time [s]")
     panels[2].set(ylabel="closed-loop gain [dB]", xlabel="frequency [Hz]")
-    for panel in panels:
-        panel.grid(alpha=0.3, which="both")
     above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
     for panel in panels[:2]:  # a sine fills them
         panel.legend(fontsize=8, ncols=3, borderaxespad=0.2, **above)
@@ -86,22 +69,10 @@ def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
 
 
 def plot_preload(
-    accelerations: ArrayLike,
-    balance: ArrayLike,
-    simulated: ArrayLike,
-    *,
-    ax: Axes | None = None,
+    accelerations: ArrayLike, balance: ArrayLike, simulated: ArrayLike, *, ax: Axes | None = None
 ) -> Axes:
-    """Draw the least preload that keeps both meshes closed over the peak acceleration.
-
-    Parameters
-    ----------
-    accelerations : (n,) array [rad/s²]
-    balance, simulated : (n,) arrays [V]
-        As :func:`~dmptm_ctrl.design.preload.boundary` gives them.
-    ax : Axes, optional
-    """
-    panel = axes(ax, 1, figsize=(6.4, 4.0))[0, 0]
+    """Draw the least preload [V] of `boundary` over the peak acceleration [rad/s²]."""
+    panel = axes(ax, 1, figsize=(6.4, 4.0), grid="major")[0, 0]
     peak = np.asarray(accelerations, float)
     panel.plot(peak, simulated, marker="o", label="simulated loop", **_PAIR[0])
     panel.plot(peak, balance, marker="s", label="balance of torques", **_PAIR[1])
@@ -112,22 +83,13 @@ def plot_preload(
         ylabel="preload ±u_b [V]",
         ylim=(0.0, None),
     )
-    panel.grid(alpha=0.3)
     panel.legend(loc="upper left")
     return panel
 
 
 def plot_schedules(preloads: ArrayLike, found: Any, *, ax: Any = None) -> np.ndarray:
-    """Draw error at reversals and torque over the preload, a line per schedule.
-
-    Parameters
-    ----------
-    preloads : (n,) array [V]
-    found : dict
-        Of :func:`~dmptm_ctrl.design.preload.schedules`.
-    ax : two Axes, optional
-    """
-    panels = axes(ax, 2, figsize=(6.8, 6.2)).ravel()
+    """Draw error at reversals and torque over the preload (n,) [V], a line per schedule."""
+    panels = axes(ax, 2, figsize=(6.8, 6.2), grid="both").ravel()
     volts = np.asarray(preloads, float)
     for i, (name, rows) in enumerate(found.items()):
         style = _LINES[::-1][i % len(_LINES)]
@@ -136,42 +98,24 @@ def plot_schedules(preloads: ArrayLike, found: Any, *, ax: Any = None) -> np.nda
         panels[1].plot(volts, [row.torque for row in rows], **options)
     panels[0].set(ylabel="rms error at reversals [deg/s]", yscale="log")
     panels[1].set(ylabel="rms torque of a motor [N·m]", xlabel="preload at rest ±u_b [V]")
-    for panel in panels:
-        panel.grid(alpha=0.3, which="both")
     panels[1].legend(fontsize=9, ncols=2)
     return panels
 
 
 def plot_gains(hz: ArrayLike, gains: Mapping[str, ArrayLike], *, ax: Axes | None = None) -> Axes:
-    """Draw closed-loop gains of variants of a drive, a line each.
-
-    Parameters
-    ----------
-    hz : (n,) array
-    gains : mapping
-        Name of the variant → (n,) array.
-    ax : Axes, optional
-    """
-    panel = axes(ax, 1, figsize=(6.4, 4.0))[0, 0]
+    """Draw closed-loop gains (n,) of named variants of a drive, a line each."""
+    panel = axes(ax, 1, figsize=(6.4, 4.0), grid="both")[0, 0]
     for (name, gain), style in zip(gains.items(), _LINES, strict=False):
         panel.plot(hz, gain, label=name, **style)
     panel.set(xscale="log", xlabel="frequency [Hz]", ylabel="closed-loop gain, speed / setpoint")
     for axis in (panel.xaxis.set_major_formatter, panel.xaxis.set_minor_formatter):
         axis("{x:g}")  # within a decade powers of ten say nothing
-    panel.grid(alpha=0.3, which="both")
     panel.legend()
     return panel
 
 
 def plot_stability(found: Any, *, ax: Axes | None = None) -> Axes:
-    """Draw the oscillation over both gains, and where the linear loop becomes unstable.
-
-    Parameters
-    ----------
-    found : StabilityMap
-        Of :func:`~dmptm_ctrl.design.stability.stability_map`.
-    ax : Axes, optional
-    """
+    """Draw the oscillation over both gains, and where the linear loop becomes unstable."""
     panel = axes(ax, 1, figsize=(6.4, 4.4))[0, 0]
     amplitude = np.log10(np.maximum(np.rad2deg(found.amplitude), 1e-2))
     image = panel.pcolormesh(found.ki, found.kp, amplitude, cmap="Greys", shading="nearest")

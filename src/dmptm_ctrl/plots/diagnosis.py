@@ -18,21 +18,15 @@ BEFORE = {**STYLES["existing"], "linewidth": 1.0}
 AFTER = {**STYLES["proposed"], "linewidth": 1.0}
 AHEAD = {**STYLES["other"], "linewidth": 0.6, "zorder": 1.0}  # it has the ringing: behind
 LEGEND: dict[str, Any] = {
-    "fontsize": 7.5,
-    "handlelength": 1.8,
-    "columnspacing": 1.2,
-    "frameon": False,
-}
+    "fontsize": 7.5, "handlelength": 1.8, "columnspacing": 1.2, "frameon": False,
+}  # fmt: skip
 DIRECTIONS: dict[str, dict[str, Any]] = {  # filled against hollow: told apart in grey
     "forward": {"color": "#0b3c6f", "linestyle": "-", "marker": "o", "markersize": 3.5},
     "backward": {
-        "color": "#c0641a",
-        "linestyle": "--",
-        "marker": "s",
-        "markersize": 4,
+        "color": "#c0641a", "linestyle": "--", "marker": "s", "markersize": 4,
         "markerfacecolor": "white",
     },
-}
+}  # fmt: skip
 BUDGET: dict[str, dict[str, Any]] = {
     "": {"color": "#0b3c6f"},
     "shared": {"color": "#8fb0d3", "hatch": "///"},
@@ -43,32 +37,18 @@ BUDGET: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """A reading on one log and free runs of two models, (n,) arrays, all of one bandwidth.
-
-    Attributes
-    ----------
-    time : (n,) array [s]
-    measured, before, after : (n,) arrays
-        In `unit`.
-    held : (n,) array of bool
-        Samples that nothing was fitted to: they count.
-    push : (n,) array
-        Signal of the inputs together.
-    quantity, unit : str
-    ahead : (n,) array or None
-        Short predictions of the model after; NaN where there is none.
-    """
+    """A reading on one log and free runs of two models, (n,) arrays, all of one bandwidth."""
 
     name: str
-    time: Floats
+    time: Floats  # s
     measured: Floats
     before: Floats
     after: Floats
-    held: NDArray[np.bool_]
-    push: Floats
+    held: NDArray[np.bool_]  # samples that nothing was fitted to: they count
+    push: Floats  # signal of the inputs together
     quantity: str = "speed"
     unit: str = "deg/s"
-    ahead: Floats | None = None
+    ahead: Floats | None = None  # short predictions of the model after; NaN: none
 
     def rmse(self, which: str) -> float:
         """Root-mean-square error of "before" or "after" where nothing was fitted."""
@@ -96,41 +76,19 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A residual against the variable that explains it.
+    """A residual against the variable that explains it; curves "forward" and "backward"."""
 
-    Attributes
-    ----------
-    variable, quantity : str
-        Labels with units.
-    before, after : mappings
-        Without and with it: direction of motion ("forward", "backward") → Curve.
-    effect : str
-        Name of the effect in question; empty where there is none.
-    """
-
-    variable: str
-    quantity: str
-    before: Mapping[str, Curve]
-    after: Mapping[str, Curve]
-    effect: str = ""
+    variable: str  # label with unit
+    quantity: str  # label with unit
+    before: Mapping[str, Curve]  # without
+    after: Mapping[str, Curve]  # with it
+    effect: str = ""  # the one in question; empty where there is none
 
 
 def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) -> np.ndarray:
-    """Draw one log: measured, before and after; below it what is left where nothing was fitted.
-
-    Parameters
-    ----------
-    overlay : Overlay
-    ax : (2,) array of Axes, optional
-    title : str, optional
-        The log's name by default.
-
-    Returns
-    -------
-    (2,) array of Axes
-    """
+    """Draw one log: measured, before and after; below it what is left where nothing was fitted."""
     panels = axes(
-        ax, 2, figsize=(7.0, 3.9), sharex=True, gridspec_kw={"height_ratios": [3, 2]}
+        ax, 2, figsize=(7.0, 3.9), grid="major", sharex=True, gridspec_kw={"height_ratios": [3, 2]}
     ).ravel()
     reading, left = panels
     t = overlay.time
@@ -153,52 +111,23 @@ def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) 
     reading.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, **LEGEND)
     ylabel = f"measured − model\n[{overlay.unit}]"
     left.set(xlabel="time [s]", ylabel=ylabel, xlim=(t[0], t[-1]))
-    for panel in panels:
-        panel.grid(alpha=0.3)
     return panels
 
 
 def plot_diagnosis(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
-    """Draw every held-out log of a diagnosis: measured, before and after.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis, or sequence of Overlay
-    ax : (2, logs) array of Axes, optional
-        The reading above, what is left below.
-
-    Returns
-    -------
-    (2, logs) array of Axes
-    """
+    """Draw every held-out log of a diagnosis, or Overlays; what is left below."""
     overlays: Sequence[Overlay]
     overlays = diagnosis.overlays() if hasattr(diagnosis, "overlays") else tuple(diagnosis)
     count = len(overlays)
-    panels = axes(
-        ax,
-        2,
-        count,
-        figsize=(6.2 * count, 4.0),
-        sharex="col",
-        gridspec_kw={"height_ratios": [3, 2]},
-    )
+    size, ratios = (6.2 * count, 4.0), {"height_ratios": [3, 2]}
+    panels = axes(ax, 2, count, figsize=size, sharex="col", gridspec_kw=ratios)
     for i, overlay in enumerate(overlays):
         plot_overlay(overlay, ax=panels[:, i])
     return panels
 
 
 def plot_budget(diagnosis: Any, *, ax: Any = None) -> Axes:
-    """Draw the error budget: a bar per effect, then what is not explained, and the floor.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis, or sequence of budget rows
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
-    """
+    """Draw the error budget: a bar per effect, then what is not explained, and the floor."""
     rows: Any = list(getattr(diagnosis, "budget", diagnosis))
     panel: Axes = axes(ax, 1, figsize=(7.0, 0.7 + 0.34 * len(rows)))[0, 0]
     for i, row in enumerate(rows):
@@ -220,27 +149,17 @@ def plot_budget(diagnosis: Any, *, ax: Any = None) -> Axes:
 def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     """Draw the residual without and with an effect against the variable that explains it.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis or Evidence
-    ax : (2,) array of Axes, optional
-        Without, with.
-
-    Returns
-    -------
-    (2,) array of Axes
-        Points are means over bins, by direction of motion; bars are ± 2 standard errors.
+    Points are means over bins, by direction of motion; bars are ± 2 standard errors.
     """
     evidence: Evidence
     evidence = diagnosis if isinstance(diagnosis, Evidence) else diagnosis.evidence()
-    panels = axes(ax, 1, 2, figsize=(7.4, 3.2), sharex=True, sharey=True).ravel()
+    panels = axes(ax, 1, 2, figsize=(7.4, 3.2), grid="major", sharex=True, sharey=True).ravel()
     what = words(evidence.effect) or "the effects"
     titles = (f"without {what}", "with all that was found")
     for panel, title, curves in zip(panels, titles, (evidence.before, evidence.after), strict=True):
         _draw(panel, curves)
         panel.set_title(title, fontsize=10)
         panel.set_xlabel(evidence.variable)
-        panel.grid(alpha=0.3)
     panels[0].set_ylabel(evidence.quantity)
     if evidence.before or evidence.after:
         side = panels[0 if evidence.before else 1]
@@ -264,13 +183,5 @@ def _draw(panel: Axes, curves: Mapping[str, Curve]) -> None:
     panel.axhline(0.0, color="0.65", linewidth=0.8)
     for direction, curve in curves.items():
         x, mean, se = apart(curve)
-        panel.errorbar(
-            x,
-            mean,
-            2.0 * se,
-            label=direction,
-            linewidth=1.0,
-            elinewidth=0.8,
-            capsize=1.5,
-            **DIRECTIONS[direction],
-        )
+        look = {"linewidth": 1.0, "elinewidth": 0.8, "capsize": 1.5, **DIRECTIONS[direction]}
+        panel.errorbar(x, mean, 2.0 * se, label=direction, **look)

@@ -29,26 +29,13 @@ PER_SECOND = 8
 
 @dataclass(frozen=True, eq=False)
 class GapMotion:
-    """Where each pinion is in its gap along a log.
-
-    Attributes
-    ----------
-    name : str
-    time : (n,) array [s]
-    place : (2, n) array
-        Pinion against ring gear, left and right, in half-gaps: ±1 at the flanks, beyond them
-        where the teeth bend.
-    speed : (n,) array [deg/s]
-        Of the ring gear.
-    source : str
-        "measured" or "simulated".
-    """
+    """Where each pinion is in its gap along a log."""
 
     name: str
-    time: Floats
-    place: Floats
-    speed: Floats
-    source: str
+    time: Floats  # (n,) [s]
+    place: Floats  # (2, n), left and right, in half-gaps: ±1 at the flanks
+    speed: Floats  # (n,), of the ring gear [deg/s]
+    source: str  # "measured" or "simulated"
 
     @property
     def contact(self) -> NDArray[np.int64]:
@@ -106,18 +93,7 @@ def scene(motion: GapMotion, frames: int) -> Scene:
 
 
 def animate_gaps(motion: GapMotion, *, frames: int = FRAMES) -> FuncAnimation:
-    """Draw the pinions in their gaps, frame by frame.
-
-    Parameters
-    ----------
-    motion : GapMotion
-    frames : int
-
-    Returns
-    -------
-    matplotlib.animation.FuncAnimation
-        ``.to_jshtml()`` shows it in a notebook.
-    """
+    """Draw the pinions in their gaps, frame by frame; ``.to_jshtml()`` shows it in a notebook."""
     drawn = scene(motion, frames)
     drawn.draw(0)
     interval = 1000 / PER_SECOND
@@ -188,15 +164,7 @@ def _traces(panel: Any, motion: GapMotion) -> Any:
 def gap_motion(log: Any, model: Any) -> GapMotion:
     """Where the pinions are: measured where the log has motor encoders, else simulated.
 
-    Parameters
-    ----------
-    log : Log
-    model : Model
-        Its gaps scale the picture; without motor encoders it is run on the log's voltages.
-
-    Returns
-    -------
-    GapMotion
+    The model's gaps scale the picture; without motor encoders it is run on the log's voltages.
     """
     from dmptm_ctrl.simulate.compiled import march, rest
 

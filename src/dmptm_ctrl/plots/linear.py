@@ -131,25 +131,12 @@ def response_plot(
 ) -> np.ndarray:
     """Draw measured responses: magnitude, phase and coherence over frequency in Hz.
 
-    Gain and phase are left out where the coherence is below 0.1.
-
-    Parameters
-    ----------
-    responses : mapping of str to (FrequencyResponseData, coherence)
-        Such as a ``FrequencyResponse``.
-    reference : mapping of str to system, optional
-        Linear systems to draw beside them, without coherence.
-    styles : mapping of str to line properties, optional
-    ax : (3,) array of Axes, optional
-    dB : bool
-
-    Returns
-    -------
-    (3,) array of Axes
+    Each is (FrequencyResponseData, coherence), such as a ``FrequencyResponse``; linear systems as
+    `reference` stand beside them, without coherence. Gain and phase are left out where the
+    coherence is below 0.1.
     """
-    panels = axes(
-        ax, 3, figsize=(6.5, 6.2), sharex=True, gridspec_kw={"height_ratios": [3, 3, 1.4]}
-    )
+    ratios = {"height_ratios": [3, 3, 1.4]}
+    panels = axes(ax, 3, figsize=(6.5, 6.2), grid="both", sharex=True, gridspec_kw=ratios)
     magnitude, phase, coherent = panels.ravel()
     lines: dict[str, Any] = {**responses, **(reference or {})}
     reach = np.concatenate([np.asarray(r[0].omega) for r in responses.values()])
@@ -177,7 +164,6 @@ def response_plot(
     if not dB:
         magnitude.set_yscale("log")
     for panel in panels.ravel():
-        panel.grid(alpha=0.3, which="both")
         panel.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
         panel.xaxis.set_minor_formatter(NullFormatter())
     magnitude.legend(fontsize=8)
@@ -187,15 +173,8 @@ def response_plot(
 def simplification_plot(
     cost: SimplificationCost, *, ax: Axes | None = None, Hz: bool = True
 ) -> Axes:
-    """Draw what the 3-DOF model and a balanced one of the same order leave out.
-
-    Parameters
-    ----------
-    cost : SimplificationCost
-    ax : Axes, optional
-    Hz : bool
-    """
-    panel = axes(ax, 1, figsize=(6.5, 4.0))[0, 0]
+    """Draw what the 3-DOF model and a balanced one of the same order leave out."""
+    panel = axes(ax, 1, figsize=(6.5, 4.0), grid="major")[0, 0]
     omega = np.geomspace(1.0, 1e4, 3000)
     names = {
         "full": ("9-DOF model", STYLES["measured"]),
@@ -214,7 +193,6 @@ def simplification_plot(
         title=f"Voltages to speeds at the ring gear, simplified to {order} states",
         ylim=(1e-6, 10),
     )
-    panel.grid(alpha=0.3, which="major")
     panel.legend(fontsize=8)
     return panel
 

@@ -18,21 +18,11 @@ MARGIN = 1.9  # of the tooth's half width
 def dead_zone_plot(
     law: Backlash, rates: Sequence[float], *, ax: Sequence[Axes] | None = None, title: str = ""
 ) -> np.ndarray:
-    """Draw the torque of Eq. 21 over the relative angle, a line per rate; whole and one flank.
+    """Draw the torque of Eq. 21 over the relative angle, a line per rate [rad/s].
 
-    Parameters
-    ----------
-    law : Backlash
-    rates : sequence of float [rad/s]
-        0 draws the classical dead zone.
-    ax : two Axes, optional
-    title : str
-
-    Returns
-    -------
-    (2,) array of Axes
+    The whole gap, and one flank; at rate 0 it is the classical dead zone.
     """
-    panels = axes(ax, 1, 2, figsize=(9.0, 3.6))[0]
+    panels = axes(ax, 1, 2, figsize=(9.0, 3.6), grid="major")[0]
     gap, near = law.half_gap, NEAR * law.half_gap
     spans = ((-REACH * gap, REACH * gap), (gap - near, gap + near))
     for panel, (low, high), name in zip(panels, spans, (title, "the flank at Δ"), strict=True):
@@ -46,7 +36,6 @@ def dead_zone_plot(
                 where = {"xytext": (-4, 5), "textcoords": "offset points", "ha": "right"}
                 panel.annotate(symbol, (1e3 * flank, 0.0), **where)
         panel.set(xlabel="relative angle z [mrad]", ylabel="mesh torque [N·m]", title=name)
-        panel.grid(alpha=0.3)
         panel.legend(fontsize=8, loc="upper left")
     return panels
 
@@ -87,21 +76,8 @@ def mesh_phase_plot(
     ax: Sequence[Axes] | None = None,
     title: str = "",
 ) -> np.ndarray:
-    """Draw a pinion's angle and its mesh stiffness by several laws over time.
-
-    Parameters
-    ----------
-    time : (n,) array_like [s]
-    theta_3 : (n,) array_like [rad]
-    stiffness : mapping of str to (n,) array_like [N·m/rad]
-    ax : two Axes, optional
-    title : str
-
-    Returns
-    -------
-    (2,) array of Axes
-    """
-    top, bottom = axes(ax, 2, figsize=(6.5, 4.4), sharex=True)[:, 0]
+    """Draw a pinion's angle [rad] and its mesh stiffness [N·m/rad] by several laws over time."""
+    top, bottom = axes(ax, 2, figsize=(6.5, 4.4), grid="major", sharex=True)[:, 0]
     top.plot(time, np.degrees(np.asarray(theta_3)), **STYLES["measured"])
     top.set(ylabel="pinion angle [deg]", title=title)
     for (label, values), style in zip(stiffness.items(), SEQUENCE, strict=False):
@@ -109,6 +85,4 @@ def mesh_phase_plot(
     bottom.set(xlabel="time [s]", ylabel="k [kN·m/rad]")
     bottom.margins(y=0.25)
     bottom.legend(fontsize=8, ncols=2, loc="upper center")
-    for panel in (top, bottom):
-        panel.grid(alpha=0.3)
     return np.array([top, bottom])

@@ -9,13 +9,7 @@ from matplotlib.axes import Axes
 from dmptm_ctrl.drive.modes import Modes
 from dmptm_ctrl.plots.style import STYLES, axes
 
-NAMES = {
-    "m": "motor",
-    "1": "wheel 1",
-    "2": "wheel 2",
-    "3": "pinion",
-    "L": "ring gear",
-}
+NAMES = {"m": "motor", "1": "wheel 1", "2": "wheel 2", "3": "pinion", "L": "ring gear"}
 COLUMNS = 3
 HAND = np.pi / 3  # turn of a wheel's hand at the largest amplitude; upright is at rest
 
@@ -24,20 +18,8 @@ def mode_plot(modes: Modes, *, ax: Any = None, Hz: bool = True) -> np.ndarray:
     """Draw each mode: left chain, ring gear, right chain, from outside to the middle.
 
     Above the amplitudes stands each body as a wheel, its hand turned as the mode turns it.
-
-    Parameters
-    ----------
-    modes : Modes
-    ax : array of Axes, optional
-        One per mode.
-    Hz : bool
-        Frequencies in the titles in Hz, else rad/s.
-
-    Returns
-    -------
-    (n,) array of Axes
-        Amplitudes are angles divided by those of the rigid turn, so that rigid motion is a
-        horizontal line; the largest is 1.
+    Amplitudes are angles divided by those of the rigid turn, so that rigid motion is a horizontal
+    line; the largest is 1.
     """
     train = modes.train
     order = _along(train.bodies)

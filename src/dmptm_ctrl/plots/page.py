@@ -13,12 +13,9 @@ LONG = 1e6  # from here on powers of ten read better
 
 
 def environment(package: str) -> Environment:
-    """Return the environment for a package's templates, which may extend ``base.html.j2``.
+    """Return the environment for a package's ``templates``, which may extend ``base.html.j2``.
 
-    Parameters
-    ----------
-    package : str
-        With a folder ``templates``. Text is escaped; a name that is not given is an error.
+    Text is escaped; a name that is not given is an error.
     """
     made = Environment(
         loader=ChoiceLoader([PackageLoader(package), PackageLoader("dmptm_ctrl.plots")]),

@@ -24,19 +24,12 @@ def experiment_plot(
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """Draw a measured ring-gear speed and what models say, in deg/s.
+    """Draw a measured ring-gear speed and what models say, all [rad/s], in deg/s.
 
-    Parameters
-    ----------
-    time : (n,) array [s]
-    measured : (n,) array [rad/s]
-    speeds : mapping of str to (n,) array [rad/s]
-        "proposed" and "existing" have their own lines.
-    scores : mapping of str to (r, FIT [%], RMSE [rad/s]), optional
-        For the legend, which stands beside the plot.
-    ax : Axes, optional
+    "proposed" and "existing" have their own lines. Scores (r, FIT [%], RMSE [rad/s]) go to the
+    legend, which stands beside the plot.
     """
-    panel = axes(ax, 1, figsize=(6.5, 3.0))[0, 0]
+    panel = axes(ax, 1, figsize=(6.5, 3.0), grid="major")[0, 0]
     panel.plot(time, np.degrees(measured), label="measured", **STYLES["measured"])
     for name, speed in speeds.items():
         label = name
@@ -46,7 +39,6 @@ def experiment_plot(
         panel.plot(time, np.degrees(speed), label=label, **STYLES.get(name, STYLES["other"]))
     panel.set(xlabel="time [s]", ylabel="speed [deg/s]", title=title)
     panel.set_xlim(time[0], time[-1])
-    panel.grid(alpha=0.3)
     panel.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     return panel
 
@@ -74,16 +66,8 @@ def amplitude_styles(labels: Sequence[str]) -> dict[str, dict[str, Any]]:
 def mesh_path_plot(
     paths: Sequence[tuple[str, MeshPath]], half_gap: float, *, ax: Any = None
 ) -> np.ndarray:
-    """Draw motions through a gap, one column each: angle, torque of both laws, difference.
-
-    Parameters
-    ----------
-    paths : sequence of (title, MeshPath)
-    half_gap : float [rad]
-    ax : array of Axes, optional
-        Three rows, one column per path.
-    """
-    panels = axes(ax, 3, len(paths), figsize=(4.6 * len(paths), 6.6), sharex="col")
+    """Draw motions through a gap, one column each: angle, torque of both laws, difference."""
+    panels = axes(ax, 3, len(paths), figsize=(4.6 * len(paths), 6.6), grid="major", sharex="col")
     for (title, path), (top, middle, bottom) in zip(paths, panels.T, strict=True):
         ms = 1e3 * path.time
         top.plot(ms, 1e3 * path.z, label="relative angle z", **STYLES["measured"])
@@ -101,8 +85,6 @@ def mesh_path_plot(
         gap = np.abs(path.memoryless - path.two_state)
         bottom.semilogy(ms, np.maximum(gap, FLOOR), **{**STYLES["other"], "linestyle": "-"})
         bottom.set(xlabel="time [ms]", ylabel="|difference| [N·m]", ylim=(FLOOR, 10.0))
-        for panel in (top, middle, bottom):
-            panel.grid(alpha=0.3)
         for panel in (top, middle):
             panel.legend(fontsize=7, loc="upper center", ncols=2)
     return panels
@@ -117,32 +99,18 @@ def friction_plot(
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """Draw measured friction, signed like its speed, over a fitted curve.
+    """Draw measured friction (n,) [N·m], signed like its speed [rad/s], over a fitted curve.
 
-    Parameters
-    ----------
-    speed, torque, se : (n,) arrays [rad/s], [N·m], [N·m]
-        Torque as a magnitude.
-    curve : (speed, torque) arrays
-        Signed.
-    ax : Axes, optional
-    title : str
+    `torque` is a magnitude; `curve` is (speed, torque), signed.
     """
-    panel = axes(ax, 1, figsize=(5.5, 3.6))[0, 0]
+    panel = axes(ax, 1, figsize=(5.5, 3.6), grid="major")[0, 0]
     for side in (curve[0] < 0.0, curve[0] > 0.0):
         label = "Eq. 25 fitted" if side[-1] else None
         x, y = curve[0][side], curve[1][side]
         panel.plot(np.degrees(x), y, label=label, **STYLES["proposed"])
-    panel.errorbar(
-        np.degrees(speed),
-        np.sign(speed) * torque,
-        yerr=2.0 * se,
-        fmt="o",
-        color="0.35",
-        markersize=3.5,
-        capsize=2,
-        label="constant-speed runs ± 2 se",
-    )
+    look = {"fmt": "o", "color": "0.35", "markersize": 3.5, "capsize": 2}
+    label = "constant-speed runs ± 2 se"
+    panel.errorbar(np.degrees(speed), np.sign(speed) * torque, 2.0 * se, label=label, **look)
     panel.axhline(0.0, color="0.7", linewidth=0.8)
     panel.set(xlabel="speed [deg/s]", ylabel="friction torque [N·m]", title=title)
     slowest = float(np.degrees(np.abs(speed).min()))
@@ -151,27 +119,15 @@ def friction_plot(
     ticks = [-x for x in reversed(ticks)] + [0.0, *ticks]
     panel.set_xticks(ticks, [f"{x:g}" for x in ticks])
     panel.minorticks_off()
-    panel.grid(alpha=0.3)
     panel.legend(fontsize=8)
     return panel
 
 
 def convergence_plot(
-    softness: ArrayLike,
-    errors: Mapping[str, ArrayLike],
-    *,
-    ax: Axes | None = None,
-    title: str = "",
+    softness: ArrayLike, errors: Mapping[str, ArrayLike], *, ax: Axes | None = None, title: str = ""
 ) -> Axes:
-    """Draw relative errors over the compliance that they come from, with slope 1 beside.
-
-    Parameters
-    ----------
-    softness : (n,) array_like
-        Compliance relative to the default.
-    errors : mapping of str to (n,) array_like
-    """
-    panel = axes(ax, 1, figsize=(5.5, 4.0))[0, 0]
+    """Draw relative errors over the relative compliance they come from, with slope 1 beside."""
+    panel = axes(ax, 1, figsize=(5.5, 4.0), grid="major")[0, 0]
     x = np.asarray(softness, float)
     styles = (STYLES["proposed"], STYLES["other"], STYLES["existing"], STYLES["measured"])
     for (label, values), style in zip(errors.items(), styles, strict=False):
@@ -183,7 +139,6 @@ def convergence_plot(
         ylabel="relative error of the frequency",
         title=title,
     )
-    panel.grid(alpha=0.3)
     panel.legend(fontsize=8)
     return panel
 
@@ -191,15 +146,7 @@ def convergence_plot(
 def sensitivity_plot(
     values: Mapping[str, ArrayLike], titles: Sequence[str], *, ax: Axes | None = None
 ) -> Axes:
-    """Draw relative sensitivities as bars, one group per parameter.
-
-    Parameters
-    ----------
-    values : mapping of str to (n,) array_like
-        Of each frequency to a parameter.
-    titles : sequence of str
-        Of the n frequencies.
-    """
+    """Draw relative sensitivities of the titled frequencies as bars, one group per parameter."""
     panel = axes(ax, 1, figsize=(6.5, 3.4))[0, 0]
     names = list(values)
     table = np.array([values[n] for n in names], float)

@@ -47,13 +47,8 @@ class Orders:
 def plot_correlation(
     before: Correlation, after: Correlation, *, ax: Any = None, title: str = ""
 ) -> Any:
-    """Draw a correlation before and after over its 99 % band.
-
-    Returns
-    -------
-    Axes
-    """
-    panel = axes(ax, 1, figsize=(4.6, 3.0))[0, 0]
+    """Draw a correlation before and after over its 99 % band."""
+    panel = axes(ax, 1, figsize=(4.6, 3.0), grid="major")[0, 0]
     panel.fill_between(after.lag, -after.band, after.band, color="0.85", label="99 % band")
     for found, label, style in (
         (before, "before", STYLES["existing"]),
@@ -66,18 +61,12 @@ def plot_correlation(
     panel.set_title(title, fontsize=10)
     panel.set_ylim(-1.0, 1.0 + ROOM)
     panel.legend(fontsize=7.5, loc="upper right", ncols=3, handlelength=1.4, columnspacing=1.0)
-    panel.grid(alpha=0.3)
     return panel
 
 
 def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
-    """Draw amplitudes per order before and after, with the orders that a drive makes.
-
-    Returns
-    -------
-    Axes
-    """
-    panel = axes(ax, 1, figsize=(7.4, 3.0))[0, 0]
+    """Draw amplitudes per order before and after, with the orders that a drive makes."""
+    panel = axes(ax, 1, figsize=(7.4, 3.0), grid="major")[0, 0]
     top = 2.0 * max(float(orders.before.max()), float(orders.after.max()), 1e-12)
     least = top * 10.0**-DECADES
     for values, label, style in (
@@ -101,5 +90,4 @@ def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
     )
     panel.set_title(title, fontsize=10)
     panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-    panel.grid(alpha=0.3)
     return panel

@@ -37,13 +37,7 @@ def rig_text(rig: Rig) -> str:
 
 
 def plot_rig(rig: Rig, *, ax: Any = None) -> Axes:
-    """Draw a rig: a box per body, a line per shaft or mesh, arrows for inputs and sensors.
-
-    Parameters
-    ----------
-    rig : Rig
-    ax : Axes, optional
-    """
+    """Draw a rig: a box per body, a line per shaft or mesh, arrows for inputs and sensors."""
     place: dict[str, tuple[float, float]] = {}
     rows: dict[int, int] = {}
     order = list(_walk(rig))

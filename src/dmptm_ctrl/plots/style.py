@@ -17,19 +17,26 @@ SEQUENCE = (STYLES["proposed"], STYLES["existing"], STYLES["other"], STYLES["mea
 
 
 def axes(
-    ax: Any, rows: int, columns: int = 1, *, figsize: tuple[float, float], **options: Any
+    ax: Any,
+    rows: int,
+    columns: int = 1,
+    *,
+    figsize: tuple[float, float],
+    grid: str = "",
+    **options: Any,
 ) -> np.ndarray:
-    """Return an array (rows, columns) of axes: those given, or new ones.
+    """Return an array (rows, columns) of axes: those given, which must be as many, or new ones.
 
-    Raises
-    ------
-    ValueError
-        Another number of axes than needed.
+    `grid` is "major" or "both" for lines in the background.
     """
     if ax is None:
         figure = plt.figure(figsize=figsize, layout="constrained")
-        return figure.subplots(rows, columns, squeeze=False, **options)
-    given = np.array([ax] if isinstance(ax, Axes) else ax, dtype=object).ravel()
-    if given.size != rows * columns:
-        raise ValueError(f"{given.size} axes given, {rows * columns} are needed")
-    return given.reshape(rows, columns)
+        panels = figure.subplots(rows, columns, squeeze=False, **options)
+    else:
+        panels = np.array([ax] if isinstance(ax, Axes) else ax, dtype=object)
+        if panels.size != rows * columns:
+            raise ValueError(f"{panels.size} axes given, {rows * columns} are needed")
+        panels = panels.reshape(rows, columns)
+    for panel in panels.ravel() if grid else ():
+        panel.grid(alpha=0.3, which=grid)
+    return panels

@@ -19,19 +19,7 @@ def plot_trend(
     *,
     ax: Any = None,
 ) -> Axes:
-    """Draw entries of a model over dates.
-
-    Parameters
-    ----------
-    dates : sequence of datetime
-    series : mapping of entry to sequence of (change, standard error) [%]
-        One pair per date.
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
-    """
+    """Draw entries of a model over dates, one (change, standard error) [%] per date."""
     (panel,) = axes(ax, 1, figsize=(8.0, 4.5)).ravel()
 
     def clearness(name: str) -> float:

@@ -40,25 +40,11 @@ def linear_models(
 ) -> dict[str, ct.StateSpace]:
     """Return linear models by label, one input and one output each.
 
-    Parameters
-    ----------
-    file : path, optional
-        A rig.toml, or a model.toml of a diagnosis. If it is of a dual-motor drive, all models
-        are of that drive; else it stands beside the paper's.
-    input, output : str, optional
-        Input and sensor of a rig of another shape. By default its first input and its first
-        speed sensor, or first sensor.
-
-    Returns
-    -------
-    dict of str to StateSpace
-        9-DOF, 3-DOF and existing model from one voltage [V] on both motors to the ring gear's
-        speed [rad/s]; and what `file` describes, linearised.
-
-    Raises
-    ------
-    LogError
-        A file that cannot be read or has values that are unknown; a name that it does not have.
+    9-DOF, 3-DOF and existing model from one voltage [V] on both motors to the ring gear's speed
+    [rad/s]; and what `file`, a rig.toml or a model.toml of a diagnosis, describes, linearised. If
+    it is of a dual-motor drive, all models are of that drive; else it stands beside the paper's.
+    `input` and `output` are those of a rig of another shape, by default its first input and its
+    first speed sensor, or first sensor. LogError for a file or a name that is no good.
     """
     drive, own = paper_drive(), None
     if file is not None:

@@ -97,6 +97,7 @@ def _tables(table: str, loop: str, trials: list[Trial], favoured: Mapping[str, S
     )
     caption += _steps_said(trials)
     printed = [EXPERIMENTS[t.experiment][2:] for t in trials]
+    wins = sum(t.scores["proposed"].rmse < t.scores["existing"].rmse for t in trials)
     return Table(
         f"table_{table}",
         f"Table {table}, redone",
@@ -109,7 +110,7 @@ def _tables(table: str, loop: str, trials: list[Trial], favoured: Mapping[str, S
         + _span([100 * t.scores["existing"].pearson_r for t in trials])
         + " → "
         + _span([100 * t.scores["proposed"].pearson_r for t in trials])
-        + f"; RMSE smaller in {sum(_wins(t) for t in trials)} of {len(trials)}",
+        + f"; RMSE smaller in {wins} of {len(trials)}",
     )
 
 
@@ -137,10 +138,6 @@ def _shift_to(signal: Floats, r: float) -> int:
         if np.corrcoef(signal[shift:], signal[:-shift])[0, 1] <= r:
             return shift
     return signal.size // 4
-
-
-def _wins(trial: Trial) -> bool:
-    return trial.scores["proposed"].rmse < trial.scores["existing"].rmse
 
 
 def _span(values: list[float]) -> str:

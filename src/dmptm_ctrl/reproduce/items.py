@@ -71,13 +71,7 @@ def figure_of(panel: Axes) -> Figure:
 
 @dataclass
 class Context:
-    """What several items share, computed once.
-
-    Attributes
-    ----------
-    say : function of str
-        Called with what is being done.
-    """
+    """What several items share, computed once; `say` is told what is being done."""
 
     say: Callable[[str], None] = field(default=lambda text: None)
 

@@ -34,10 +34,7 @@ SMALL = 5e-4  # of the largest entry: below, a shape or a sensitivity is shown a
 def overridden(values: Mapping[str, float]) -> tuple[Drive, dict[str, float]]:
     """Sort values by name into the paper's drive and the 9-DOF parameters.
 
-    Raises
-    ------
-    ValueError
-        A name that no resonance depends on, or a value that is no physical one.
+    ValueError for a name that no resonance depends on, or a value that is no physical one.
     """
     drive, extra = paper_drive(), {}
     for name, value in values.items():
@@ -57,12 +54,7 @@ def overridden(values: Mapping[str, float]) -> tuple[Drive, dict[str, float]]:
 def resonance_items(drive: Drive | None = None, **overrides: float) -> list[Item]:
     """Return tables of modes and sensitivities of both models, and their pictures.
 
-    Parameters
-    ----------
-    drive : Drive, optional
-        Default: the paper's, corrected.
-    **overrides : float
-        9-DOF parameters, see :func:`~dmptm_ctrl.drive.nine_dof_parameters`.
+    `overrides` are 9-DOF parameters, see :func:`~dmptm_ctrl.drive.nine_dof_parameters`.
     """
     drive = paper_drive() if drive is None else drive
     items: list[Item] = []

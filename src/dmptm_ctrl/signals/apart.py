@@ -31,15 +31,7 @@ class Signal(NamedTuple):
 
 
 def read_apart(path: Path) -> tuple[list[Signal], dict[str, Any]]:
-    """Signals of a .mat or .mf4 file, and its scalars and texts.
-
-    Raises
-    ------
-    LogError
-        Not readable, damaged, a library is not installed, or it takes too long.
-    OSError
-        Not there, or not allowed.
-    """
+    """Signals of a .mat or .mf4 file, and its scalars and texts; LogError if not readable."""
     path.open("rb").close()
     unreadable = NotALogError(f"{path.name}: not a readable {path.suffix} file, or damaged")
     try:

@@ -10,19 +10,9 @@ from pathlib import Path
 
 
 def write_atomic(path: str | PathLike[str], content: str | bytes | Iterable[str]) -> None:
-    r"""Write a file beside its place, then rename it there.
+    r"""Write a file beside its place, then rename it there; on OSError the old one is still there.
 
-    Parameters
-    ----------
-    path : path
-        Replaced if it exists; its folder must exist.
-    content : str, bytes or iterable of str
-        Text is written as UTF-8 with ``\n`` line ends, an iterable part by part.
-
-    Raises
-    ------
-    OSError
-        Not writable; what was at ``path`` before is still there.
+    Text is written as UTF-8 with ``\n`` line ends, an iterable part by part.
     """
     target = Path(path).resolve()
     parts: Iterable[str | bytes] = [content] if isinstance(content, str | bytes) else content
@@ -40,13 +30,7 @@ def write_atomic(path: str | PathLike[str], content: str | bytes | Iterable[str]
 
 
 def check_folder(path: str | PathLike[str]) -> Path:
-    """Return where a folder of results would be, before the work that fills it.
-
-    Raises
-    ------
-    OSError
-        A file is in its place, or in the place of a folder above it.
-    """
+    """Return where a folder of results would be; OSError if a file is in the way."""
     target = Path(path).resolve()
     for place in (target, *target.parents):
         if place.exists() and not place.is_dir():
@@ -59,26 +43,11 @@ def check_folder(path: str | PathLike[str]) -> Path:
 
 @contextmanager
 def output_folder(path: str | PathLike[str]) -> Iterator[Path]:
-    """Folder to write several outputs to; they appear in ``path`` together at the end.
+    """Yield an empty folder to write several outputs to; they appear in ``path`` together.
 
-    A new folder appears by one rename. In a folder that exists, files of the same names are
-    removed before the new ones move in one by one, so that old and new never mix; other files
-    stay. Nothing appears, and no folder is left behind, if the body raises.
-
-    Parameters
-    ----------
-    path : path
-        A folder, made with its parents if need be.
-
-    Yields
-    ------
-    Path
-        An empty folder for the body to fill.
-
-    Raises
-    ------
-    OSError
-        ``path`` is a file, or not writable.
+    A new folder appears by one rename, with its parents. In a folder that exists, files of the
+    same names are removed before the new ones move in one by one, so that old and new never
+    mix; other files stay. Nothing appears, and no folder is left behind, if the body raises.
     """
     target = check_folder(path)
     made = [parent for parent in target.parents if not parent.exists()]

@@ -16,25 +16,10 @@ _Message = tuple[str, int, Any]  # topic, time [ns], fields
 
 
 def read_bag(path: Path, choose: Choose) -> Table:
-    """Read numbers in the messages of a recording.
+    """Read numbers in the messages of .mcap (JSON or ROS), .bag of ROS 1, .db3 of a ROS 2 bag.
 
-    Parameters
-    ----------
-    path : Path
-        .mcap with JSON or ROS messages, .bag of ROS 1, or .db3 in the folder of a ROS 2 bag.
-    choose : callable
-        Gets the columns, returns those to keep. A column is called by its topic and field:
-        ``/joint_states.position[0]``, ``/drive.current``.
-
-    Returns
-    -------
-    Table
-        Each topic is on the clock of its header, or else on that of the recording.
-
-    Raises
-    ------
-    LogError
-        Not readable, or a library is not installed.
+    A column is called by its topic and field: ``/joint_states.position[0]``, ``/drive.current``.
+    Each topic is on the clock of its header, or else on that of the recording.
     """
     messages = _mcap(path) if path.suffix.lower() == ".mcap" else _ros(path)
     times: dict[str, list[int]] = {}

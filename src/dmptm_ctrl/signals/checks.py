@@ -19,11 +19,6 @@ def finite(source: str, column: str, values: Array, above: int = 0) -> None:
     """Refuse NaN, infinity and numbers so large that their squares would overflow.
 
     `above` rows were left out before the first value.
-
-    Raises
-    ------
-    LogError
-        Names the row (first row of numbers = 1), the column and how many there are.
     """
     good = np.abs(values) < HUGE  # False for NaN
     if not good.all():
@@ -39,19 +34,7 @@ def finite(source: str, column: str, values: Array, above: int = 0) -> None:
 
 
 def even_time(source: str, time: Array) -> None:
-    """Refuse a clock that runs backwards, repeats, has gaps or is uneven.
-
-    Parameters
-    ----------
-    source : str
-        Name of the file, for messages.
-    time : (n,) array [s]
-
-    Raises
-    ------
-    LogError
-        With the row (first row of numbers = 1) and the size of what is wrong.
-    """
+    """Refuse a clock [s] that runs backwards, repeats, has gaps or is uneven; say in which row."""
     step = np.diff(time)
     if (step < 0).all():
         raise LogError(f"{source}: time runs backwards; reverse the rows")
@@ -80,13 +63,7 @@ def even_time(source: str, time: Array) -> None:
 
 
 def usual_step(source: str, step: Array) -> float:
-    """Median time step [s].
-
-    Raises
-    ------
-    LogError
-        Shorter than a nanosecond.
-    """
+    """Median time step [s]; LogError where no drive is sampled like that."""
     usual = float(np.median(step))
     if usual < SHORTEST_STEP:
         raise LogError(f"{source}: time steps of {usual:.3g} s; time must be in seconds")

@@ -26,23 +26,10 @@ ROUNDS = (*(2.0**b * 10.0**-e for b in (16, 32) for e in (0, 3, 6)), DAY, 1e3 * 
 
 
 def times_of(texts: NDArray, source: str, column: str) -> NDArray:
-    """Dates or times of day as time since the first one.
+    """Dates or times of day (NaN: none) as time since the first one, timedelta64[ns].
 
-    Parameters
-    ----------
-    texts : (n,) array of str
-        ISO dates, dates with day or month first, times of day; NaN where there is none.
-    source, column : str
-        For messages.
-
-    Returns
-    -------
-    (n,) array of timedelta64[ns]
-
-    Raises
-    ------
-    LogError
-        Not all of one form.
+    ISO dates, dates with day or month first, times of day, durations; LogError if not all of
+    one form.
     """
     import pandas as pd
 
@@ -97,7 +84,8 @@ def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
     """
     if values.dtype.kind in "mM":
         since = values - values[~np.isnat(values)][:1]
-        return since.astype("timedelta64[ns]").astype(np.float64) * 1e-9 + _nan_where(values), ""
+        missing = np.where(np.isnat(values), np.nan, 0.0)
+        return since.astype("timedelta64[ns]").astype(np.float64) * 1e-9 + missing, ""
     if values.dtype.kind in "iu" and values.size and abs(int(values[0])) > 2**53:
         values = values - values[0]
     raw = values.astype(np.float64)
@@ -113,37 +101,13 @@ def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
     return raw * factor, ""
 
 
-def _nan_where(values: NDArray) -> Array:
-    return np.where(np.isnat(values), np.nan, 0.0)
-
-
 def mended(
     source: str, time: Array, channels: Mapping[str, Array], sample_time: float | None = None
 ) -> tuple[Array, dict[str, Array], list[str]]:
-    """Put samples on an even clock, by the way that fits what is wrong; nothing if it is even.
+    """Put samples on an even clock, by the way that fits what is wrong; return what was done.
 
-    A coarse clock is replaced by an even one, of a run that was started again the longer part
-    is taken; else as `resampled`.
-
-    Parameters
-    ----------
-    source : str
-        Name of the file, for messages.
-    time : (n,) array [s]
-    channels : mapping of str to (n,) array
-    sample_time : float, optional
-        Time between samples, if it is known [s].
-
-    Returns
-    -------
-    time, channels
-    notes : list of str
-        What was done.
-
-    Raises
-    ------
-    LogError
-        As `checks.even_time`, if it cannot be mended.
+    A coarse clock is replaced by an even one, of `sample_time` [s] if that fits; of a run that
+    was started again the longer part is taken; else as `resampled`.
     """
     channels = dict(channels)
     try:
@@ -221,29 +185,10 @@ def _longest_run(time: Array) -> slice | None:
 def resampled(
     source: str, time: Array, channels: Mapping[str, Array]
 ) -> tuple[Array, dict[str, Array], list[str]]:
-    """Put shuffled, jittery or slightly gappy samples on an even clock.
+    """Put shuffled, jittery or slightly gappy samples on an even clock; return what was done.
 
     Rows are sorted by time, repeated rows dropped, values interpolated linearly at the usual
-    (median) step.
-
-    Parameters
-    ----------
-    source : str
-        Name of the file, for messages.
-    time : (n,) array [s]
-    channels : mapping of str to (n,) array
-
-    Returns
-    -------
-    time, channels
-        On the even clock.
-    notes : list of str
-        What was done.
-
-    Raises
-    ------
-    LogError
-        Two values at one time, or a gap of more than ten steps.
+    (median) step. LogError for two values at one time, or a gap of more than ten steps.
     """
     notes = []
     channels = dict(channels)

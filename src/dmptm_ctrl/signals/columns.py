@@ -48,29 +48,15 @@ Choose = Callable[[list[str], Mapping[str, str]], list[str]]
 
 
 class Table(NamedTuple):
-    """What a file holds.
+    """What a file holds."""
 
-    Parameters
-    ----------
-    columns : dict
-        By their own names.
-    units : dict
-        Where the file states them.
-    meta : dict
-    notes : tuple of str
-        What was left out.
-    clocks : dict
-        Times of the columns that have another clock than the table's.
-    period : float, optional
-        Time between samples that the file states [s].
-    """
-
-    columns: dict[str, Any]
-    units: dict[str, str]
+    columns: dict[str, Any]  # by their own names
+    units: dict[str, str]  # where the file states them
     meta: dict[str, Any]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what was left out
+    # times of the columns that have another clock than the table's
     clocks: Mapping[str, Any] = MappingProxyType({})
-    period: float | None = None
+    period: float | None = None  # time between samples that the file states [s]
 
 
 CLOCK = "(clock)"  # a clock without a name of its own
@@ -84,32 +70,12 @@ Mapped = Mapping[str, "Column | tuple | str"]
 def resolve(
     names: Sequence[str], mapping: Mapped | None, units: Mapping[str, str], source: str
 ) -> tuple[dict[str, Target], list[str]]:
-    """Decide which columns become channels.
+    """Decide which columns of a file become channels, in its order; warnings besides.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Columns of the file.
-    mapping : mapping, optional
-        Column of the file -> NAME_UNIT, or (channel, unit), or (channel, unit, scale). Of the
-        others, those of the paper's rig (time_s, u_left_V, …) go by their own names.
-        Without a mapping all columns called NAME_UNIT do.
-    units : mapping of str to str
-        Units that the file itself states.
-    source : str
-        Name of the file, for messages.
-
-    Returns
-    -------
-    targets : dict of str to Target
-        By column name, in the file's order.
-    warnings : list of str
-
-    Raises
-    ------
-    LogError
-        A mapped column is not there, a unit is unknown or of the wrong quantity, two columns
-        have one name or go to one channel.
+    `mapping` says NAME_UNIT, (channel, unit) or (channel, unit, scale) of a column. Of the others,
+    those of the paper's rig (time_s, u_left_V, …) go by their own names; without a mapping all
+    columns called NAME_UNIT do. LogError: a mapped column is not there, a unit is unknown or of
+    the wrong quantity, two columns have one name or go to one channel.
     """
     _refuse_duplicates(names, source)
     mapping = _as_named(names, dict(mapping or {}))

@@ -39,20 +39,9 @@ def step_of_counts(values: Array) -> float:
 
 
 def unwrapped_counts(column: str, values: Array) -> tuple[Array, str]:
-    """Position without the jumps of a counter that runs over.
+    """Position without the jumps of a counter that runs over, and a note if there were any.
 
-    Parameters
-    ----------
-    column : str
-        For messages.
-    values : (n,) array
-        As the file has them: counts, or counts times a factor; NaN is passed over.
-
-    Returns
-    -------
-    values : (n,) array
-    note : str
-        What was done; empty if nothing was.
+    Values are as the file has them: counts, or counts times a factor; NaN is passed over.
     """
     good = np.isfinite(values)
     reading = values[good]
@@ -82,13 +71,7 @@ def unwrapped_counts(column: str, values: Array) -> tuple[Array, str]:
 
 
 def refuse_jumps(source: str, column: str, values: Array, time: Array) -> None:
-    """Refuse a position that jumps and stays; readings that fail for a sample or two pass.
-
-    Raises
-    ------
-    LogError
-        Jumps of half the range and more between small steps.
-    """
+    """Refuse a position that jumps by half its range and stays; shorter failures pass."""
     far, usual = _jumps(values)
     for row in np.flatnonzero(far):
         jump = abs(values[row + 1] - values[row])

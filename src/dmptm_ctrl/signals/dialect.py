@@ -7,29 +7,10 @@ from typing import NamedTuple
 
 COMMENT = ("#", "%", "//", "!")
 MISSING = frozenset(
-    [
-        "",
-        "nan",
-        "-nan",
-        "na",
-        "n/a",
-        "#n/a",
-        "#na",
-        "<na>",
-        "null",
-        "none",
-        "-",
-        "--",
-        "---",
-        "n. def.",
-        "#nv",
-        "#value!",
-        "#div/0!",
-        "-1.#ind",
-        "1.#ind",
-        "1.#qnan",
-        "-1.#qnan",
-    ]
+    (
+        *("", "nan", "-nan", "na", "n/a", "#n/a", "#na", "<na>", "null", "none", "-", "--", "---"),
+        *("n. def.", "#nv", "#value!", "#div/0!", "-1.#ind", "1.#ind", "1.#qnan", "-1.#qnan"),
+    )
 )
 WORDS = frozenset(("true", "false"))
 ODD = str.maketrans({"\xa0": "", "\u202f": "", "\u2009": "", "’": "'", "−": "-", "\ufeff": ""})
@@ -121,41 +102,19 @@ TIME = re.compile(
 
 @dataclass(frozen=True)
 class Layout:
-    """How a text file is to be read.
+    """How a text file is to be read."""
 
-    Attributes
-    ----------
-    names : list of str
-        Of each column, "" where nothing says.
-    units : list of str
-        As the file states them, "" where it does not.
-    dialect : Dialect
-    first : int
-        Lines above the first row of numbers.
-    kinds : list of str
-        Of each column: "number", "time" or "text".
-    fields : int
-        In each row; those after the last column are empty.
-    period : float or None
-        Time between samples that the preamble states [s].
-    steps : (start, increment) or None
-        Of the clock, where the first column counts the samples [s].
-    long : bool
-        Each row is a name and its value.
-    wordy : int
-        Lines right above the first row that are such but for a word, as ERR.
-    """
-
-    names: list[str]
-    units: list[str]
+    names: list[str]  # of each column, "" where nothing says
+    units: list[str]  # as the file states them, else ""
     dialect: Dialect
-    first: int
-    kinds: list[str]
-    fields: int
-    period: float | None = None
+    first: int  # lines above the first row of numbers
+    kinds: list[str]  # of each column: "number", "time" or "text"
+    fields: int  # in each row; those after the last column are empty
+    period: float | None = None  # time between samples that the preamble states [s]
+    # start and increment of a clock that counts samples [s]
     steps: tuple[float, float] | None = None
-    long: bool = False
-    wordy: int = 0
+    long: bool = False  # each row is a name and its value
+    wordy: int = 0  # lines right above the first row that are such but for a word, as ERR
 
 
 class Block(NamedTuple):

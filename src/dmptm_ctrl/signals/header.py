@@ -21,13 +21,7 @@ _AMOUNT = re.compile(r"[\s:=\"]*(?:is\s+)?([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-z
 def named(
     lines: Sequence[str], block: Block, source: str, how: TextFormat, wanted: Collection[str]
 ) -> Layout:
-    """Layout with names and units from the lines above the first row of numbers.
-
-    Raises
-    ------
-    LogError
-        Names that do not fit the rows.
-    """
+    """Layout with names and units from the lines above the first row of numbers."""
     nothing = [""] * block.width
     layout = Layout(
         nothing, nothing, block.dialect, block.first, block.kinds, block.fields,

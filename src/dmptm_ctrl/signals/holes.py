@@ -20,23 +20,9 @@ def on_one_clock(
     clocks: Mapping[str, Array],
     labels: Mapping[str, str],
 ) -> tuple[Array, dict[str, Array], list[str]]:
-    """Bring channels with clocks of their own to the clock that ticks most often.
+    """Bring channels with clocks of their own [s] to the clock that ticks most often; say so.
 
-    Parameters
-    ----------
-    time : (n,) array [s]
-        May hold NaN.
-    channels : mapping of str to array
-    clocks : mapping of str to array [s]
-        Of the channels that are not on `time`; as long as their channel.
-    labels : mapping of str to str
-        What the file calls the channels.
-
-    Returns
-    -------
-    time, channels
-        NaN where a channel has no value yet or no more.
-    notes : list of str
+    NaN where a channel has no value yet or no more. `labels`: what the file calls the channels.
     """
     if not clocks:
         return time, dict(channels), []
@@ -65,24 +51,9 @@ def on_one_clock(
 def without_holes(
     channels: Mapping[str, Array], labels: Mapping[str, str], *, bridge: bool
 ) -> tuple[slice, dict[str, Array], list[str]]:
-    """Fill columns sampled more rarely; leave out rows at either end that are not complete.
+    """Fill columns sampled more rarely; return the complete rows, filled channels, and notes.
 
-    Parameters
-    ----------
-    channels : mapping of str to (n,) array
-        All that a row must have, time included.
-    labels : mapping of str to str
-        What the file calls them.
-    bridge : bool
-        Also fill holes of up to ten rows between.
-
-    Returns
-    -------
-    rows : slice
-        Those that are complete, but for holes between.
-    channels : dict
-        Filled; of all rows.
-    notes : list of str
+    Rows at either end that are not complete are left out; `bridge` fills holes of up to ten rows.
     """
     filled: dict[str, Array] = {}
     notes = []

@@ -90,7 +90,7 @@ def describe(
     effects: Collection[str] | None = None,
     inputs: Collection[str] | None = None,
 ) -> LogInfo:
-    """Say what is in a log and what it can and cannot tell.
+    """Say what is in a log and what it can and cannot tell, by rules of thumb.
 
     Parameters
     ----------
@@ -98,23 +98,10 @@ def describe(
         Of any drive; channels are told apart by their units.
     labels : mapping of channel to (column, unit), optional
         What the file calls them, and how they are to be shown.
-    declared : collection of str
-        Effects that the drive's model has already: of no interest.
-    effects : collection of str, optional
-        Those that the drive can have; by default all that are known.
+    declared, effects : collections of str
+        Effects that the drive's model has already, and those that the drive can have (None: all).
     inputs : collection of str, optional
         Channels that drive it; by default those in units of voltage, current, force and torque.
-
-    Returns
-    -------
-    LogInfo
-        Thresholds are rules of thumb for planning experiments; the diagnosis computes what its
-        logs can tell from the model.
-
-    Raises
-    ------
-    LogError
-        Uneven time.
     """
     excitation = _excitation(log, inputs)
     return LogInfo(
@@ -265,13 +252,7 @@ def _testable(
 
 
 def describe_file(path: Path, *, resample: bool = False) -> LogInfo:
-    """Say what is in a file without a rig; columns whose names say nothing are listed, too.
-
-    Raises
-    ------
-    LogError
-        Not readable, no table of numbers in it, or a log that contradicts itself.
-    """
+    """Say what is in a file without a rig; columns whose names say nothing are listed, too."""
     try:
         info = describe(load_log(path, resample=resample))
     except ColumnsError as error:

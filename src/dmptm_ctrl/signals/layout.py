@@ -18,21 +18,8 @@ def find_layout(
 ) -> Layout:
     """Find the table in the first lines of a file.
 
-    Parameters
-    ----------
-    lines : sequence of str
-    source : str
-        Name of the file, for messages.
-    how : TextFormat
-    wanted : collection of str
-        Columns that tell which of several lines of names is meant.
-
-    Raises
-    ------
-    NotALogError
-        No row of numbers.
-    LogError
-        Names that do not fit the rows.
+    `wanted` columns tell which of several lines of names is meant. NotALogError without numbers,
+    LogError for names that do not fit the rows.
     """
     best = None
     for dialects in _dialects(lines, how):
@@ -104,7 +91,8 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
             break
     first = rows[begin][0]
     body = [row for (_, row), ok in zip(rows[begin:], good[begin:], strict=True) if ok]
-    constant = ["" if of != "text" else _same([r[c] for r in body]) for c, of in enumerate(column)]
+    said = [{r[c] for r in body} if of == "text" else set() for c, of in enumerate(column)]
+    constant = [texts.pop() if len(texts) == 1 else "" for texts in said]
     cells = Counter(
         kind
         for row, ok in zip(kinds[begin:], good[begin:], strict=True)
@@ -128,10 +116,6 @@ def _kind_of(cells: list[str]) -> str:
     if counted["text"] > 0.1 * len(cells):
         return "text"
     return "time" if counted["time"] > counted["number"] else "number"
-
-
-def _same(texts: list[str]) -> str:
-    return texts[0] if len(set(texts)) == 1 else ""
 
 
 def _runs(good: list[bool]) -> list[tuple[int, int]]:

@@ -168,26 +168,10 @@ def load_logs(
 def gather(
     sources: Any, load: Callable[..., Log], ignored: Callable[[Path], bool] = lambda _: False
 ) -> tuple[tuple[Log, ...], list[str]]:
-    """Logs of folders, files, tables; stray files of a folder are left out.
+    """Logs of folders, files, tables, read by `load`; and what was left out.
 
-    Parameters
-    ----------
-    sources : path, DataFrame or Log, or several
-    load : callable
-        Reads one, with ``name=`` for a table.
-    ignored : callable
-        Whether a file is to be passed over in silence.
-
-    Returns
-    -------
-    logs : tuple of Log
-    warnings : list of str
-        What was left out.
-
-    Raises
-    ------
-    LogError
-        As `load`; no log at all.
+    Stray files of a folder are left out, `ignored` ones in silence. `load` gets a ``name=`` for a
+    table.
     """
     single = isinstance(sources, str | PathLike | Log) or hasattr(sources, "columns")
     logs: list[Log] = []
@@ -274,7 +258,9 @@ def _read(
 
     # one row more, so that the cut is noticed
     most = None if max_rows is None else max_rows + 1
-    return read_table(path, choose, most, how, list(columns or ())), ignored, _sha256(path)
+    table = read_table(path, choose, most, how, list(columns or ()))
+    with path.open("rb") as stream:
+        return table, ignored, hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def read_table(
@@ -284,13 +270,7 @@ def read_table(
     how: TextFormat | None = None,
     wanted: Collection[str] = (),
 ) -> Table:
-    """Read the chosen columns of a file of any format.
-
-    Raises
-    ------
-    LogError
-        No such file, not readable, no table in it.
-    """
+    """Read the chosen columns of a file of any format; LogError if it is none."""
     if not path.exists():
         raise LogError(f"no such file: {path}")
     if path.is_dir():
@@ -316,11 +296,6 @@ def read_table(
         return read_text(path, choose, max_rows, how, wanted)
     except OSError as error:
         raise LogError(f"{path.name}: {error.strerror or 'not readable'}") from error
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _channels(
@@ -356,7 +331,7 @@ def _channels(
         channels[target.channel] = values if target.factor == 1.0 else values * target.factor
         units[target.channel] = target.symbol
         if column in table.clocks:
-            clocks[target.channel], _ = seconds_of(table.clocks[column], _factor_of_time(targets))
+            clocks[target.channel], _ = seconds_of(table.clocks[column], factors.get("time", 1.0))
     if time is None:
         if not channels:
             raise ColumnsError(f"{title}: no columns with a unit in their names")
@@ -408,23 +383,13 @@ def _time(
 
 
 def numbers_or_times(values: Any, column: str, title: str) -> Any:
-    """Column as floats, or as times where it holds texts of such.
-
-    Raises
-    ------
-    LogError
-        Neither.
-    """
+    """Column as floats, or as times where it holds texts of such; LogError if neither."""
     try:
         return _floats(values, column, title)
     except LogError:
         if values.ndim != 1 or values.dtype.kind not in "OUT":
             raise
         return times_of(values, title, column)
-
-
-def _factor_of_time(targets: Mapping[str, Target]) -> float:
-    return next((t.factor for t in targets.values() if t.channel == "time"), 1.0)
 
 
 def _floats(values: Any, column: str, title: str) -> Any:

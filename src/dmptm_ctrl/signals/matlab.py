@@ -17,26 +17,11 @@ _OBJECT = 0xDD000000  # begins the reference to an object, which only MATLAB can
 
 
 def read_matlab(path: Path, choose: Choose) -> Table:
-    """Read the signals of a .mat file.
+    """Read the signals of a .mat file: to version 7 by SciPy, 7.3 by pymatreader.
 
-    Parameters
-    ----------
-    path : Path
-        Version 4 to 7 by SciPy, 7.3 by pymatreader (extra ``mat73``).
-    choose : callable
-        Gets the columns and the units stated in the file, returns those to keep.
-
-    Returns
-    -------
-    Table
-        A column is called by its variable or field, as far from the end of its path as makes it
-        unique: ``rig.omega_L_deg_s`` is omega_L_deg_s if there is no other; column k of a matrix
-        ``data`` is data1, data2, … Scalars and texts are in ``meta``.
-
-    Raises
-    ------
-    LogError
-        Not readable, or without signals.
+    A column is called by its variable or field, as far from the end of its path as makes it
+    unique: ``rig.omega_L_deg_s`` is omega_L_deg_s if there is no other; column k of a matrix
+    ``data`` is data1, data2, … Scalars and texts are in ``meta``.
     """
     found, meta = read_apart(path)
     objects = meta.pop(_OBJECTS, "")
@@ -64,20 +49,14 @@ def read_matlab(path: Path, choose: Choose) -> Table:
 
 
 def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
-    """Signals, scalars and texts of a .mat file; run it by `read_apart`, it may crash.
+    """Signals, scalars and texts of a .mat file; run it by `read_apart`, it may crash."""
+    from scipy.io import loadmat
 
-    Raises
-    ------
-    ImportError
-        No library for this version.
-    Exception
-        Whatever the libraries raise.
-    """
     with path.open("rb") as stream:
         hdf = stream.read(10) == b"MATLAB 7.3"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of classes that are read as far as they can be
-        content = _read_hdf(path) if hdf else _read_scipy(path)
+        content = _read_hdf(path) if hdf else loadmat(path, simplify_cells=True, appendmat=False)
     meta: dict[str, Any] = {}
     plain = {name: content[name] for name in sorted(content) if not name.startswith(("__", "#"))}
     return _one_clock(list(_walk((), plain, meta))), meta
@@ -91,12 +70,6 @@ def _read_hdf(path: Path) -> dict[str, Any]:
             "MATLAB 7.3 files need pymatreader: pip install 'dmptm-ctrl[mat73]'"
         ) from None
     return read_mat(str(path))
-
-
-def _read_scipy(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat
-
-    return loadmat(path, simplify_cells=True, appendmat=False)
 
 
 def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[Signal]:

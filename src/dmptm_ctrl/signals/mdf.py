@@ -12,21 +12,7 @@ from dmptm_ctrl.signals.errors import LogError
 def read_mdf(path: Path, choose: Choose) -> Table:
     """Read channels of an MDF 4 file (extra ``mf4``).
 
-    Parameters
-    ----------
-    path : Path
-    choose : callable
-        Gets the channels and their units, returns those to keep.
-
-    Returns
-    -------
-    Table
-        The time of the clock that ticks most often is the column time_s.
-
-    Raises
-    ------
-    LogError
-        Not readable, or asammdf is not installed.
+    The time of the clock that ticks most often is the column time_s.
     """
     found, meta = read_apart(path)
     times = {signal.clock: signal.values for signal in found if signal.is_time}
@@ -44,15 +30,7 @@ def read_mdf(path: Path, choose: Choose) -> Table:
 
 
 def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
-    """Numeric channels of an MDF file; run it by `read_apart`, it may crash.
-
-    Raises
-    ------
-    ImportError
-        asammdf is not installed.
-    Exception
-        Whatever asammdf raises.
-    """
+    """Numeric channels of an MDF file; run it by `read_apart`, it may crash."""
     try:
         from asammdf import MDF
     except ImportError:

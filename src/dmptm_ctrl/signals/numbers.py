@@ -7,18 +7,7 @@ from dmptm_ctrl.signals.errors import LogError
 
 
 def finite_numbers(name: str, where: str, table: Any) -> dict[str, float]:
-    """Return a table of a file as numbers.
-
-    Parameters
-    ----------
-    name, where : str
-        File and table, for messages.
-
-    Raises
-    ------
-    LogError
-        No table, or a value that is no finite number.
-    """
+    """Return a table of a file as finite numbers; `name` and `where` are for messages."""
     if not isinstance(table, dict):
         raise LogError(f"{name}: no table [{where}]")
     for key, value in table.items():

@@ -15,20 +15,16 @@ SURE = 0.9
 # Sensor errors worth a diagnosis stay within a factor of 2; mistaken units do not.
 SAME_UNIT = (0.5, 2.0)
 NAMED = 1.15  # a factor within 15 % of a known mistake is that mistake
-MISTAKES = {
-    180 / np.pi: "radians and degrees are mixed up",
-    np.pi / 180: "degrees and radians are mixed up",
-    1e3: "milliseconds and seconds, or thousandths, are mixed up",
-    1e-3: "milliseconds and seconds, or thousandths, are mixed up",
-    6.0: "rpm and deg/s are mixed up",
-    1 / 6.0: "rpm and deg/s are mixed up",
-    30 / np.pi: "rpm and rad/s are mixed up",
-    np.pi / 30: "rpm and rad/s are mixed up",
-    360.0: "turns and degrees are mixed up",
-    1 / 360.0: "turns and degrees are mixed up",
-    60.0: "arc-minutes and degrees, or turns per minute and per second, are mixed up",
-    1 / 60.0: "arc-minutes and degrees, or turns per minute and per second, are mixed up",
+_MIXED = {
+    180 / np.pi: "radians and degrees",
+    1e3: "milliseconds and seconds, or thousandths,",
+    6.0: "rpm and deg/s",
+    30 / np.pi: "rpm and rad/s",
+    360.0: "turns and degrees",
+    60.0: "arc-minutes and degrees, or turns per minute and per second,",
 }
+MISTAKES = {f: f"{what} are mixed up" for k, what in _MIXED.items() for f in (k, 1 / k)}
+MISTAKES[np.pi / 180] = "degrees and radians are mixed up"
 NOTICEABLE = np.radians(1.0)  # motion that every speed sensor must see
 GENERATOR = -0.3  # energy that goes in, between -1 and 1, below which motors do not drive
 STARTED = 0.3  # of the highest speed, with which a log's first motion ends
@@ -37,20 +33,10 @@ MOTORS = {"theta_ml": "left", "theta_mr": "right"}
 
 
 def refuse_inconsistent(log: Log, ratio: float | None = None) -> None:
-    """Refuse a log whose channels contradict each other.
+    """Refuse a log whose channels contradict each other by a mistaken unit or sign.
 
-    Parameters
-    ----------
-    log : Log
-        Channels of the paper's rig are compared: omega_L with the rate of theta_L, motor angles
-        with each other and the ring gear, the power of the motors with its sign.
-    ratio : float, optional
-        Motor turns per turn of the ring gear.
-
-    Raises
-    ------
-    LogError
-        A mistaken unit or sign; the message names the channels and the likely mistake.
+    Of the paper's rig: omega_L with the rate of theta_L, motor angles with each other and, by the
+    `ratio` of motor turns, with the ring gear, the power of the motors with its sign.
     """
     if log.has("theta_L", "omega_L"):
         travel = travelled(log)
@@ -131,11 +117,8 @@ def motion_ratio(log: Log, y: Array, x: Array, *, detrend: bool = True) -> tuple
     plain = _slope(y, x)
     if not detrend:
         return plain
-    return max(plain, _slope(_detrended(y, log.time), _detrended(x, log.time)), key=_sureness)
-
-
-def _sureness(ratio: tuple[float, float]) -> float:
-    return abs(ratio[1])
+    bent = _slope(_detrended(y, log.time), _detrended(x, log.time))
+    return max(plain, bent, key=lambda ratio: abs(ratio[1]))
 
 
 def _detrended(y: Array, time: Array) -> Array:

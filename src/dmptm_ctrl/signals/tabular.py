@@ -10,13 +10,7 @@ from dmptm_ctrl.signals.errors import LogError, NotALogError
 
 
 def from_frame(frame: Any) -> Table:
-    """Columns of a `pandas.DataFrame`; an index called NAME_UNIT is a column too.
-
-    Raises
-    ------
-    LogError
-        Not a data frame, or two columns of one name.
-    """
+    """Columns of a `pandas.DataFrame`; an index called NAME_UNIT is a column too."""
     try:
         names = [str(column) for column in frame.columns]
         columns = {name: _values(frame.iloc[:, i]) for i, name in enumerate(names)}
@@ -40,13 +34,7 @@ def _values(column: Any) -> Any:
 
 
 def read_parquet(path: Path, choose: Choose, max_rows: int | None = None) -> Table:
-    """Read columns of a Parquet file (extra ``parquet``).
-
-    Raises
-    ------
-    LogError
-        Not readable, or pyarrow is not installed.
-    """
+    """Read columns of a Parquet file (extra ``parquet``)."""
     try:
         import pyarrow.parquet as pq
     except ImportError as error:
@@ -71,11 +59,6 @@ def read_json(path: Path, choose: Choose) -> Table:
 
     Columns are ``{"t": [0, 1], …}``, records ``[{"t": 0, …}, …]``; also pandas' other forms and
     tables that stand under a key. ``units`` beside the table are read.
-
-    Raises
-    ------
-    LogError
-        Not JSON, or no table in it.
     """
     import pandas as pd
 

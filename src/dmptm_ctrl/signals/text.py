@@ -37,32 +37,11 @@ def read_text(
     how: TextFormat | None = None,
     wanted: Collection[str] = (),
 ) -> Table:
-    """Read columns of numbers from a text file, a chunk at a time.
+    """Read columns of numbers from a text file, plain or gzip by content, a chunk at a time.
 
-    Parameters
-    ----------
-    path : Path
-        Plain or gzip, by content rather than by extension.
-    choose : callable
-        Gets the names and units, returns those to read; what the others hold does not matter.
-        Columns without a name are called column1, column2, …
-    max_rows : int, optional
-        Rows after this many are not read.
-    how : TextFormat, optional
-        Where the layout cannot be guessed.
-    wanted : collection of str
-        Columns that tell which of several lines of names is meant.
-
-    Returns
-    -------
-    Table
-        Columns as float64, read-only; times as timedelta64.
-
-    Raises
-    ------
-    LogError
-        Not readable, no names, rows of different width, text where a number should be; the
-        message gives line and column.
+    `choose` gets names and units and returns the columns to read; those without a name are called
+    column1, column2, … `wanted` columns tell which of several lines of names is meant. Columns are
+    float64, read-only; times timedelta64. A LogError gives line and column.
     """
     how = how or TextFormat()
     try:

@@ -9,19 +9,7 @@ WHOLE = 1 << 63  # whole numbers of TOML have 64 bits; Python's would overflow a
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """Read TOML.
-
-    Parameters
-    ----------
-    text : str
-    source : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    LogError
-        Not TOML, nested too deeply, or a whole number of more than 64 bits.
-    """
+    """Read TOML; LogError if it is none, nested too deeply, or has a number of over 64 bits."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

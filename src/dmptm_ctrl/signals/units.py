@@ -18,46 +18,33 @@ _DEG = pi / 180
 _REV = 2 * pi
 
 # Column suffix -> SI. Checked against pint in the tests.
-SUFFIXES: dict[str, Unit] = {
-    "s": Unit("s", 1.0),
-    "ms": Unit("s", 1e-3),
-    "us": Unit("s", 1e-6),
-    "ns": Unit("s", 1e-9),
-    "min": Unit("s", 60.0),
-    "V": Unit("V", 1.0),
-    "mV": Unit("V", 1e-3),
-    "A": Unit("A", 1.0),
-    "mA": Unit("A", 1e-3),
-    "Nm": Unit("N·m", 1.0),
-    "mNm": Unit("N·m", 1e-3),
-    "N": Unit("N", 1.0),
-    "kN": Unit("N", 1e3),
-    "rad": Unit("rad", 1.0),
-    "mrad": Unit("rad", 1e-3),
-    "deg": Unit("rad", _DEG),
-    "arcmin": Unit("rad", _DEG / 60),
-    "arcsec": Unit("rad", _DEG / 3600),
-    "rev": Unit("rad", _REV),
-    "turn": Unit("rad", _REV),
-    "rad_s": Unit("rad/s", 1.0),
-    "mrad_s": Unit("rad/s", 1e-3),
-    "deg_s": Unit("rad/s", _DEG),
-    "rev_s": Unit("rad/s", _REV),
-    "rpm": Unit("rad/s", _REV / 60),
-    "rev_min": Unit("rad/s", _REV / 60),
-    "rad_s2": Unit("rad/s²", 1.0),
-    "deg_s2": Unit("rad/s²", _DEG),
-    "m": Unit("m", 1.0),
-    "mm": Unit("m", 1e-3),
-    "um": Unit("m", 1e-6),
-    "m_s": Unit("m/s", 1.0),
-    "mm_s": Unit("m/s", 1e-3),
-    "m_s2": Unit("m/s²", 1.0),
-    "g": Unit("m/s²", 9.80665),  # standard acceleration of gravity, as accelerometers print it
-    "Hz": Unit("Hz", 1.0),
-    "W": Unit("W", 1.0),
-    "K": Unit("K", 1.0),
-    "percent": Unit("%", 1.0),  # of what, the gain says
+_TABLE = {  # SI symbol -> column suffixes and their factors
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "V": {"V": 1.0, "mV": 1e-3},
+    "A": {"A": 1.0, "mA": 1e-3},
+    "N·m": {"Nm": 1.0, "mNm": 1e-3},
+    "N": {"N": 1.0, "kN": 1e3},
+    "rad": {
+        "rad": 1.0, "mrad": 1e-3, "deg": _DEG, "arcmin": _DEG / 60, "arcsec": _DEG / 3600,
+        "rev": _REV, "turn": _REV,
+    },
+    "rad/s": {
+        "rad_s": 1.0, "mrad_s": 1e-3, "deg_s": _DEG, "rev_s": _REV, "rpm": _REV / 60,
+        "rev_min": _REV / 60,
+    },
+    "rad/s²": {"rad_s2": 1.0, "deg_s2": _DEG},
+    "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6},
+    "m/s": {"m_s": 1.0, "mm_s": 1e-3},
+    "m/s²": {"m_s2": 1.0, "g": 9.80665},  # standard gravity, as accelerometers print it
+    "Hz": {"Hz": 1.0},
+    "W": {"W": 1.0},
+    "K": {"K": 1.0},
+    "%": {"percent": 1.0},  # of what, the gain says
+}  # fmt: skip
+SUFFIXES = {
+    suffix: Unit(symbol, factor)
+    for symbol, factors in _TABLE.items()
+    for suffix, factor in factors.items()
 }
 
 TICKS = ("ticks", "tick", "100ns", "100 ns", "filetime")  # of a clock: 100 ns on Windows
@@ -71,19 +58,7 @@ _NUMBERS = (  # a signal in such is a number; its gain says what it stands for
 )
 # Of what stands beside a drive's signals; no quantity of a drive.
 FOREIGN = (
-    "°c",
-    "degc",
-    "°f",
-    "degf",
-    "bar",
-    "mbar",
-    "pa",
-    "kpa",
-    "mpa",
-    "l/min",
-    "ohm",
-    "kw",
-    "db",
+    *("°c", "degc", "°f", "degf", "bar", "mbar", "pa", "kpa", "mpa", "l/min", "ohm", "kw", "db"),
 )
 _SPELLINGS = {
     "%": "percent", "pwm %": "percent", "% pwm": "percent", "pwm%": "percent",
@@ -122,10 +97,7 @@ def split_column(column: str) -> tuple[str, Unit] | None:
 def parse_unit(text: str) -> Unit:
     """Unit from its text: a suffix of the table ("deg_s"), or an expression ("deg/s", "kgf*m").
 
-    Raises
-    ------
-    LogError
-        Not a unit that converts to SI by a factor alone.
+    LogError if it does not convert to SI by a factor alone.
     """
     plain = text.strip().replace("·", "*").replace("²", "**2").replace("µ", "u")
     suffix = plain.replace("/", "_").replace("*", "").replace("^", "")

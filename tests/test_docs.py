@@ -31,6 +31,13 @@ def test_links_lead_somewhere(page):
         assert (DOCS / target).exists(), target
 
 
+@pytest.mark.parametrize("page", ["export", "check", "compensation", "experiment"])
+def test_pages_of_what_leaves_the_package_have_a_picture(page):
+    text = (DOCS / f"{page}.md").read_text("utf-8")
+    (target,) = re.findall(r"!\[[^]]+\]\((images/[^)]+\.png)\)", text)
+    assert (DOCS / target).stat().st_size > 10_000
+
+
 @pytest.mark.parametrize("text", PROGRAMS)
 def test_programs_parse(text):
     ast.parse(text)

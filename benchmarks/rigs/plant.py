@@ -40,7 +40,7 @@ from rigs.ring import external_torque, extra_friction, remember
 SAMPLE = 1e-3  # s, period of the loop and of the log
 CLIP = 10.0  # V, limit of the controller's output
 ENCODER_LINES = 2048  # signal periods per turn of the ring gear's encoder
-_HISTORY = 4096  # fine steps of speed kept for a late gyro
+HISTORY = 4096  # fine steps of speed kept for a late gyro
 
 
 @njit(cache=True)
@@ -143,6 +143,58 @@ def advance(time, step, y, p, m, volts, mode, work):
 
 
 @njit(cache=True)
+def at_rest(start):
+    """State, memory and sticking modes of a rig whose ring gear rests at `start` [rad]."""
+    y, m, mode = np.zeros(STATES), np.zeros(MEMORY), np.zeros(3)
+    y[ANGLE + RING] = y[SLOSH_ANGLE] = start
+    for i in range(2):
+        y[ANGLE + i] = y[MOTOR_ANGLE + i] = RING_RATIO * start
+    for j in range(ELEMENTS):
+        m[ANCHOR + ELEMENTS * RING + j] = start
+        for i in range(2):
+            m[ANCHOR + ELEMENTS * i + j] = RING_RATIO * start
+    return y, m, mode
+
+
+@njit(cache=True)
+def read(p, y, filtered, seen):
+    """Write ring angle [rad], gyro [rad/s] and both motor angles [rad] as sensors give them."""
+    ring = y[ANGLE + RING]
+    seen[0] = ring
+    if p.encoder_eccentricity != 0.0:
+        seen[0] += p.encoder_eccentricity * math.cos(ring + p.encoder_phase)
+    if p.interpolation != 0.0:
+        seen[0] += p.interpolation * math.cos(ENCODER_LINES * ring + p.interpolation_phase)
+    seen[1] = (1.0 + p.gyro_gain_error) * filtered + p.gyro_bias
+    motor = MOTOR_ANGLE if p.reducer_stiffness > 0.0 else ANGLE
+    seen[2] = REDUCER_RATIO * y[motor]
+    seen[3] = REDUCER_RATIO * y[motor + 1]
+
+
+@njit(cache=True)
+def hold(p, y, m, mode, sent, k, n, substeps, history, filtered, work):
+    """Advance by sample `k` of `n` under the commands `sent` (2, n); the gyro's filtered speed."""
+    step = SAMPLE / substeps
+    late_gyro = min(HISTORY - 1, round(p.gyro_delay / step))
+    late_drive = round(p.delay / step)
+    kept = math.exp(-2.0 * math.pi * p.gyro_bandwidth * step) if p.gyro_bandwidth > 0.0 else 0.0
+    volts = np.zeros(2)
+    for fine in range(k * substeps, (k + 1) * substeps):
+        time = fine * step
+        m[AGE] = time / (n * SAMPLE)
+        effective = fine - late_drive
+        for i in range(2):
+            u = sent[i, effective // substeps] if effective >= 0 else 0.0
+            volts[i] = amplifier(p, m, i, u, time, step)
+        advance(time, step, y, p, m, volts, mode, work)
+        remember(p, m, y[ANGLE + RING], y[SPEED + RING], step)
+        history[(fine + 1) % HISTORY] = y[SPEED + RING]
+        seen = history[(fine + 1 - late_gyro) % HISTORY]
+        filtered = seen + kept * (filtered - seen)
+    return filtered
+
+
+@njit(cache=True)
 def record_log(p, signal, closed, gains, preload, start, noise, substeps):
     """Run one experiment; columns of the log before quantisation, in SI units.
 
@@ -170,56 +222,20 @@ def record_log(p, signal, closed, gains, preload, start, noise, substeps):
         u_left, u_right [V], ring angle [rad], gyro [rad/s], motor angles [rad].
     """
     n = signal.size
-    out = np.empty((6, n))
-    y, m, mode = np.zeros(STATES), np.zeros(MEMORY), np.zeros(3)
-    work, volts = np.empty((3, STATES)), np.zeros(2)
-    work[:] = 0.0
-    y[ANGLE + RING] = y[SLOSH_ANGLE] = start
-    for i in range(2):
-        y[ANGLE + i] = y[MOTOR_ANGLE + i] = RING_RATIO * start
-    for j in range(ELEMENTS):
-        m[ANCHOR + ELEMENTS * RING + j] = start
-        for i in range(2):
-            m[ANCHOR + ELEMENTS * i + j] = RING_RATIO * start
-    history = np.zeros(_HISTORY)
-    filtered = 0.0
-    step = SAMPLE / substeps
-    late_gyro = min(_HISTORY - 1, round(p.gyro_delay / step))
-    late_drive = round(p.delay / step)
-    kept = math.exp(-2.0 * math.pi * p.gyro_bandwidth * step) if p.gyro_bandwidth > 0.0 else 0.0
-    integral = 0.0
-    fine = 0
+    out, seen = np.empty((6, n)), np.empty(4)
+    y, m, mode = at_rest(start)
+    work, history = np.zeros((3, STATES)), np.zeros(HISTORY)
+    filtered, integral = 0.0, 0.0
     for k in range(n):
-        gyro = (1.0 + p.gyro_gain_error) * filtered + p.gyro_bias + noise[k]
+        read(p, y, filtered, seen)
+        seen[1] += noise[k]
         command = signal[k]
         if closed:
-            error = signal[k] - gyro * 180.0 / math.pi
+            error = signal[k] - seen[1] * 180.0 / math.pi
             integral += SAMPLE * error
             command = min(CLIP, max(-CLIP, gains[0] * error + gains[1] * integral))
         out[0, k] = command + preload
         out[1, k] = command - preload
-        out[2, k] = y[ANGLE + RING]
-        if p.encoder_eccentricity != 0.0:
-            turned = y[ANGLE + RING] + p.encoder_phase
-            out[2, k] += p.encoder_eccentricity * math.cos(turned)
-        if p.interpolation != 0.0:
-            turned = ENCODER_LINES * y[ANGLE + RING] + p.interpolation_phase
-            out[2, k] += p.interpolation * math.cos(turned)
-        out[3, k] = gyro
-        motor = MOTOR_ANGLE if p.reducer_stiffness > 0.0 else ANGLE
-        out[4, k] = REDUCER_RATIO * y[motor]
-        out[5, k] = REDUCER_RATIO * y[motor + 1]
-        for _ in range(substeps):
-            time = fine * step
-            m[AGE] = time / (n * SAMPLE)
-            effective = fine - late_drive
-            for i in range(2):
-                u = out[i, effective // substeps] if effective >= 0 else 0.0
-                volts[i] = amplifier(p, m, i, u, time, step)
-            advance(time, step, y, p, m, volts, mode, work)
-            remember(p, m, y[ANGLE + RING], y[SPEED + RING], step)
-            fine += 1
-            history[fine % _HISTORY] = y[SPEED + RING]
-            seen = history[(fine - late_gyro) % _HISTORY]
-            filtered = seen + kept * (filtered - seen)
+        out[2:, k] = seen
+        filtered = hold(p, y, m, mode, out, k, n, substeps, history, filtered, work)
     return out

@@ -50,7 +50,7 @@ _LAZY = {
     # control design
     "tune_pi": "control.tuning",
     "tune_controller": "design.tune",
-    "Aims": "design.tune",
+    "Aims": "design.aims",
     "Controller": "design.controller",
     "read_controller": "design.controller",
     "impact": "design.impact",
@@ -93,12 +93,13 @@ if TYPE_CHECKING:
     from dmptm_ctrl.control.pi import close_speed_loop, common_mode
     from dmptm_ctrl.control.tuning import assess_pi as margins
     from dmptm_ctrl.control.tuning import tune_pi
+    from dmptm_ctrl.design.aims import Aims
     from dmptm_ctrl.design.controller import Controller, read_controller
     from dmptm_ctrl.design.impact import impact
     from dmptm_ctrl.design.limit_cycle import limit_cycles
     from dmptm_ctrl.design.montecarlo import monte_carlo
     from dmptm_ctrl.design.preload import smallest_preload
-    from dmptm_ctrl.design.tune import Aims, tune_controller
+    from dmptm_ctrl.design.tune import tune_controller
     from dmptm_ctrl.diagnosis.predict import predict
     from dmptm_ctrl.diagnosis.report import Diagnosis
     from dmptm_ctrl.diagnosis.run import diagnose

@@ -124,14 +124,17 @@ def assert_tracks(
     LogError
         No such controller file.
     """
+    from dmptm_ctrl.design.aims import missed
     from dmptm_ctrl.design.controller import Controller, read_controller
+    from dmptm_ctrl.design.duty import Duty
     from dmptm_ctrl.simulate.compiled import OUTPUTS, close_loop
 
     if not isinstance(controller, Controller):
         controller = read_controller(Path(controller))
     target = np.asarray(reference, float)
     _, out = close_loop(model, controller.law(), target, controller.sample_time, noise=noise)
-    error = float(np.sqrt(np.mean((target - out[:, OUTPUTS.index("omega_L")]) ** 2)))
+    duty = Duty(target, controller.sample_time)
+    error = float(np.sqrt(np.mean(missed(model, duty, out[:, OUTPUTS.index("omega_L")]) ** 2)))
     if not error <= rms:
         raise AssertionError(f"tracking error is {error:.4g} rad/s rms; {rms:.4g} is allowed")
     return error

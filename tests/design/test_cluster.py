@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from joblib import parallel_config
 
+from dmptm_ctrl.design.aims import Aims
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
 from dmptm_ctrl.design.montecarlo import CHUNK, monte_carlo
-from dmptm_ctrl.design.tune import Aims
 from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.model import Model
 

@@ -9,6 +9,7 @@ from scipy.stats import norm
 
 from dmptm_ctrl.control.pi import sampled_drive
 from dmptm_ctrl.control.tuning import assess_pi
+from dmptm_ctrl.design.aims import Aims
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
 from dmptm_ctrl.design.impact import SWEEP_HZ, impact, margins, swept_gains
@@ -21,7 +22,6 @@ from dmptm_ctrl.design.preload import (
     common_volts_along,
     schedules,
 )
-from dmptm_ctrl.design.tune import Aims
 from dmptm_ctrl.plots.control import plot_preload, plot_schedules
 from dmptm_ctrl.simulate.compiled import close_loop
 from dmptm_ctrl.simulate.model import Model

@@ -7,7 +7,7 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
-from controllers import GYRO_NOISE, SUBSTEPS, run_on_rig
+from compensation import GYRO_NOISE, SUBSTEPS, run_on_rig
 from rigs.experiments import GAINS
 from rigs.plant import record_log
 

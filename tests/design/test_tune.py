@@ -10,12 +10,13 @@ import pytest
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.control.sections import sampled_notch
 from dmptm_ctrl.control.shaping import SampledPlant, fastest_pi, notched_pi
+from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller, Notch, read_controller
 from dmptm_ctrl.design.draws import draw_plants
 from dmptm_ctrl.design.duty import DEG, usual_duty
 from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.design.preload import load_torque_along, smallest_preload
-from dmptm_ctrl.design.tune import Aims, feed_forward_start, tracking, tune_controller
+from dmptm_ctrl.design.tune import feed_forward_start, tune_controller
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.linear import turning
 from dmptm_ctrl.simulate.model import Model
@@ -37,6 +38,11 @@ def test_tuning_is_better_over_the_plants_and_stays_in_the_margins(tuned):
     errors = {row["stage"]: row["rmse_quantile"] for row in tuned.stages}
     assert errors["optimised"] < 0.3 * errors["PI, linear design"]
     assert errors["optimised"] <= 1.02 * errors["both"]
+    assert errors["optimised"] < 0.6 * errors["PI, optimised"]
+    assert np.median(tuned.gains) > 0.4
+    assert "the compensation takes off" in tuned.summary()
+    assert tuned.to_dict()["compensation"]["sure"] == pytest.approx(np.quantile(tuned.gains, 0.1))
+    assert tuned.parts["median"].idxmax() == "friction"
     assert tuned.linear.phase_margin_deg > 54
     assert tuned.controller.kp <= 1.05 * tuned.linear.kp
     # judged anew: other noise, other plants

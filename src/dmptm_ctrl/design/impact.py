@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.control.shaping import SampledPlant
+from dmptm_ctrl.design.aims import missed
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
 from dmptm_ctrl.design.linear import linear_plant
@@ -111,7 +112,7 @@ def _along(
     u, out = close_loop(model, law, duty.reference, duty.sample_time, theta_L=theta_L)
     judged = slice(round(duty.settling / duty.sample_time), None)
     omega, ref = out[judged, 1], duty.reference[judged]
-    miss = (omega - ref) / DEG
+    miss = missed(model, duty, out[:, 1])[judged] / DEG
     rows["tracking error rms, deg/s"] = float(np.sqrt(np.mean(miss**2)))
     rows["tracking error max, deg/s"] = float(np.abs(miss).max())
     reversals = max(int(np.sum(np.diff(np.sign(ref[np.abs(ref) > ASKED])) != 0)), 1)

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import binom, binomtest
 
+from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.draws import DECLARED, one_plant
-from dmptm_ctrl.design.tune import Aims, tracking
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.model import Floats, Model
 

@@ -1,10 +1,11 @@
 """From a model to a controller: linear start, then the nonlinear drive over its uncertainty."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.optimize import minimize
 
 from dmptm_ctrl.control.sections import sampled_notch
@@ -17,82 +18,73 @@ from dmptm_ctrl.control.shaping import (
     notched_pi,
 )
 from dmptm_ctrl.control.tuning import PiTuning
+from dmptm_ctrl.design.aims import Aims, tracking
+from dmptm_ctrl.design.compensation import QUANTILE, predicted_parts, what_pays
 from dmptm_ctrl.design.controller import Controller, Notch
 from dmptm_ctrl.design.draws import DECLARED, draw_plants
-from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
 from dmptm_ctrl.design.linear import level, linear_plant
 from dmptm_ctrl.design.preload import smallest_preload
-from dmptm_ctrl.simulate.batch import simulate_batch
-from dmptm_ctrl.simulate.compiled import rest
 from dmptm_ctrl.simulate.dual import dual_plant
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 
 SEARCHED = 16  # plants in the search; the result is judged on many more
-QUANTILE = 0.9
 RESERVE = 1.6  # gain up to which no drawn plant may start to hammer: 4 dB on the nonlinear drive
 TOLERATED = 1.5  # error at that gain, over the error at the gain itself
 START_DISTANCE = 1e-5  # rad, over which friction is thought to build up at first
 DISTANCES = (0.5e-5, 1.5e-5, 2e-5, 2.5e-5)  # rad, tried besides
-LOST = 1e3  # deg/s, error of a run that left the finite numbers
-GYRO = 0.05 * DEG  # rad/s rms, noise of the speed reading the loop is tuned with
-HIGHEST_HZ = 60.0
+WITHOUT = "PI, optimised"  # stage of the best controller without compensation
 SLOWER = (1.0, 0.8, 0.63, 0.5, 0.4, 0.32)  # crossovers tried, of the linear design's
 MORE_PRELOAD = (1.0, 1.4, 2.0)  # preloads tried, of the least that keeps the meshes closed
 # first moves of the search: friction share, preload, lead [s], distance [rad]
 _STEPS = (0.05, 0.2, 0.4e-3, 0.5e-5)
 _EVALUATIONS = 32
-EVERY = 4  # samples, one of which is judged
-
-
-@dataclass(frozen=True)
-class Aims:
-    """What the loop is to do.
-
-    Attributes
-    ----------
-    phase_margin_deg, gain_margin_db : float
-        Of the linear loop about a turn under preload, with all delays.
-    highest_hz : float
-        Bandwidth not to exceed.
-    limit : float [V]
-        Of each motor.
-    acceleration : float [rad/s²]
-        Largest that a setpoint asks for; steps are fed forward with this.
-    duty : Duty
-    noise : float [rad/s]
-        Standard deviation of the speed reading.
-    notch : bool
-        Whether the search may add a notch; it then also tries more distances.
-    """
-
-    phase_margin_deg: float = 55.0
-    gain_margin_db: float = 9.0
-    highest_hz: float = HIGHEST_HZ
-    limit: float = 10.0
-    acceleration: float = 20.0
-    duty: Duty = field(default_factory=usual_duty)
-    noise: float = GYRO
-    notch: bool = False
-
-    def linear(self) -> dict[str, Any]:
-        """Return what a linear design asks for."""
-        names = ("phase_margin_deg", "gain_margin_db", "highest_hz")
-        return {**{n: getattr(self, n) for n in names}, "sample_time": self.duty.sample_time}
 
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """A controller and how it was found."""
+    """A controller and how it was found.
+
+    Attributes
+    ----------
+    controller : Controller
+    linear : PiTuning
+        The start.
+    reference : LinearReference or None
+        What no linear controller beats on the drive without torques that depend on an angle;
+        None where the synthesis has no answer.
+    stages : list of dict
+        Error over the drawn plants after each stage: stage, rmse_median, rmse_quantile,
+        rmse_worst [deg/s], voltage_max [V], controller, errors.
+    errors : (plants,) array [deg/s]
+        RMS tracking error of the controller on every plant drawn.
+    aims : Aims
+    parts : DataFrame
+        What each part of the compensation takes off the error, alone: ``median``, and ``sure``,
+        which nine of ten drawn plants reach. Shares of the error without the part.
+    """
 
     controller: Controller
-    linear: PiTuning  # the start
-    # no linear one beats it without torques over angle; None: no answer
+    linear: PiTuning
     reference: LinearReference | None
-    # error over the drawn plants after each [deg/s], voltage_max [V], controller
     stages: list[dict[str, Any]]
-    errors: Floats  # (plants,): rms tracking error on every plant drawn [deg/s]
+    errors: Floats
     aims: Aims
+    parts: pd.DataFrame
+
+    @property
+    def without(self) -> Controller:
+        """The best controller without compensation, tuned to the same plants."""
+        return self._without["controller"]
+
+    @property
+    def gains(self) -> Floats:
+        """Predicted share of the error that the compensation takes off, on each drawn plant."""
+        return np.asarray(1.0 - self.errors / self._without["errors"])
+
+    @property
+    def _without(self) -> dict[str, Any]:
+        return next(row for row in self.stages if row["stage"] == WITHOUT)
 
     def summary(self) -> str:
         """Return the stages as a text."""
@@ -112,6 +104,14 @@ class Tuned:
             f"linear start: bandwidth {self.linear.bandwidth_hz:.1f} Hz, "
             f"{self.linear.phase_margin_deg:.0f}°, {self.linear.gain_margin_db:.1f} dB",
         ]
+        median, sure = np.quantile(self.gains, [0.5, 1.0 - QUANTILE])
+        lines.append(
+            f"the compensation takes off {median:.0%} of the error; on nine of ten plants at "
+            f"least {sure:.0%}"
+        )
+        lines += [
+            f"  {name}: {median:.0%}, {sure:.0%}" for name, median, sure in self.parts.itertuples()
+        ]
         if self.reference is not None:
             lines.append(
                 f"weighted peak of its loop {self.reference.reached:.2f}, of the best linear "
@@ -130,6 +130,11 @@ class Tuned:
             "plants": int(self.errors.size),
             "quantile": QUANTILE,
             "unit": "deg/s",
+            "compensation": {
+                "median": float(np.median(self.gains)),
+                "sure": float(np.quantile(self.gains, 1.0 - QUANTILE)),
+                "parts": self.parts.to_dict("index"),
+            },
             "linear": {
                 "bandwidth_hz": self.linear.bandwidth_hz,
                 "phase_margin_deg": self.linear.phase_margin_deg,
@@ -205,7 +210,9 @@ def tune_controller(
         reference = linear_reference(linear_plant(level(model)), start)
     except ArithmeticError:
         reference = None
-    return Tuned(stages[-1]["controller"], start, reference, stages, errors, aims)
+    best = stages[-1]["controller"]
+    parts = predicted_parts(best, judged[:SEARCHED], aims, seed=seed + 2, n_jobs=n_jobs)
+    return Tuned(best, start, reference, stages, errors, aims, parts)
 
 
 def feed_forward_start(model: Model, gains: PiTuning, aims: Aims) -> Controller:
@@ -246,15 +253,24 @@ class _Search:
     n_jobs: int
 
     def stages(self) -> list[tuple[str, Controller]]:
+        """Return name and controller of each stage."""
         dt = self.aims.duty.sample_time
         plain = Controller(self.start.kp, self.start.ki, limit=self.aims.limit, sample_time=dt)
+        pressed = replace(plain, preload=smallest_preload(self.model, self.aims.duty))
+        without = self.optimised(pressed)
         forward = feed_forward_start(self.model, self.start, self.aims)
+        drawn = draw_plants(self.model, SEARCHED, uncertainty=self.uncertainty, seed=self.seed)
+
+        def errors(tried: Controller) -> Floats:
+            return tracking(tried, drawn, self.aims, seed=self.seed, n_jobs=self.n_jobs)[0]
+
         return [
             ("PI, linear design", plain),
-            ("PI with preload", replace(plain, preload=forward.preload)),
+            ("PI with preload", pressed),
+            (WITHOUT, without),
             ("PI with feed-forward", replace(forward, preload=0.0)),
             ("both", forward),
-            ("optimised", self.optimised(forward)),
+            ("optimised", what_pays(self.optimised(forward), without, errors)),
         ]
 
     def optimised(self, begin: Controller) -> Controller:
@@ -276,7 +292,11 @@ class _Search:
                 grid = [replace(best, distance=d) for d in DISTANCES]
                 best, least = self.cheapest(grid, drawn, best, least)
 
-        def near(x: Floats) -> Controller:
+        own = [0, 1, 2, 3] if begin.friction > 0.0 else [1]  # of _STEPS, what does something
+
+        def near(moved: Floats) -> Controller:
+            x = np.zeros(len(_STEPS))
+            x[own] = moved
             return replace(
                 best,
                 friction=float(np.clip(best.friction + x[0], 0.0, 1.5)),
@@ -285,7 +305,7 @@ class _Search:
                 distance=max(best.distance + x[3], 0.0),
             )
 
-        corners = np.vstack([np.zeros(len(_STEPS)), np.diag(_STEPS)])
+        corners = np.vstack([np.zeros(len(own)), np.diag(np.array(_STEPS)[own])])
         found = minimize(
             lambda x: self.cost(near(x), drawn),
             corners[0],
@@ -332,31 +352,3 @@ class _Search:
 def _slower(sampled: SampledPlant, gains: PiTuning) -> list[tuple[float, float]]:
     """Gains with crossovers from that of a design on down."""
     return [sampled.gains(gains.crossover_hz * s, gains.phase_margin_deg) for s in SLOWER]
-
-
-def tracking(
-    controller: Controller,
-    plants: Sequence[Model],
-    aims: Aims,
-    *,
-    seed: int = 0,
-    n_jobs: int = -1,
-) -> tuple[Floats, Floats]:
-    """Run a controller over the duty on many plants.
-
-    Returns per plant the rms of setpoint minus true speed after the settling [deg/s], and the
-    largest voltage of either motor [V].
-    """
-    duty = aims.duty
-    rng = np.random.default_rng(seed)
-    noise = aims.noise * rng.standard_normal(duty.reference.size)
-    starts = np.array([rest(plant, 0.0) for plant in plants])
-    runs = simulate_batch(
-        plants, duty.time, duty.reference, starts, loop=controller.law(), noise=noise,
-        outputs=["omega_L"], every=EVERY, n_jobs=n_jobs,
-    )  # fmt: skip
-    miss = (runs.outputs[:, 0] - duty.reference[::EVERY]) / DEG
-    first = round(duty.settling / duty.sample_time / EVERY)
-    errors = np.sqrt(np.mean(miss[:, first:] ** 2, axis=1))
-    volts = np.maximum(-runs.least, runs.greatest)[:, -2:].max(axis=1)
-    return np.where(np.isfinite(errors), np.minimum(errors, LOST), LOST), volts

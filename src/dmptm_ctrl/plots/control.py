@@ -12,6 +12,7 @@ from dmptm_ctrl.plots.style import axes
 _LINES = (
     {"color": "0.65", "linestyle": "-", "linewidth": 2.5},
     {"color": "0.55", "linestyle": "--", "linewidth": 1.6},
+    {"color": "#c77f1a", "linestyle": ":", "linewidth": 1.8},
     {"color": "#3a8f5c", "linestyle": "-.", "linewidth": 1.4},
     {"color": "#d1495b", "linestyle": "--", "linewidth": 1.4},
     {"color": "#0b3c6f", "linestyle": "-", "linewidth": 1.8},

@@ -450,3 +450,25 @@ def test_ros_nanoseconds(tmp_path):
     log = read(tmp_path, "%time,field.u,field.q\n" + lines, rig("field.u", "field.q", data))
     is_the_run(log)
     assert log.sample_time == pytest.approx(STEP, rel=1e-9)
+
+
+@pytest.mark.parametrize("sentinel", ["-9999", "9999", "-999.25", "-99999.9"])
+def test_numbers_that_stand_for_no_value(tmp_path, sentinel):
+    """At an end such rows go; between others they are bridged; a motion that gets there stays."""
+    lines = table().splitlines()
+    lost = {1, 100}
+    slow = [f"{t:.5f},{u:.5f},{0.02 * q:.5f}" for t, u, q in zip(T, U, Q, strict=True)]
+    for row in lost:
+        slow[row - 1] = slow[row - 1].rpartition(",")[0] + f",{sentinel}"
+    log = read(tmp_path, "\n".join([lines[0], *slow]) + "\n")
+    assert any(f"q is {float(sentinel):g} in 2 rows" in note for note in log.warnings)
+    assert log.time.size == ROWS - 1
+    assert log[next(c for c in log.channels if c.endswith("_q"))][0] == float(f"{0.02 * Q[1]:.5f}")
+    assert np.abs(log[next(c for c in log.channels if c.endswith("_q"))]).max() <= 30.0
+
+
+def test_a_motion_that_passes_through_nines(tmp_path):
+    far = np.round(-9999.0 * T / T[-1], 5)
+    log = read(tmp_path, "t,u,q\n" + rows(",", T, U, far))
+    assert not log.warnings
+    assert log[next(c for c in log.channels if c.endswith("_q"))].min() == -9999.0

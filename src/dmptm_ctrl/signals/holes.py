@@ -1,5 +1,6 @@
 """Values that are not there: at either end, between rarer samples, on another clock."""
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,6 +11,7 @@ from dmptm_ctrl.signals.clock import MAX_BRIDGED
 
 Array = NDArray[np.float64]
 
+NINES = re.compile(r"-?9{3,}(\.(9+|25))?")  # what programs write where there is no value
 RARE = 2  # a column sampled more rarely has a value in every second row at most
 EVEN_HOLES = 2.5  # the longest hole of such a column, in usual ones
 
@@ -60,6 +62,39 @@ def on_one_clock(
             "interpolated to the clock that ticks most often"
         ]
     return main, result, notes
+
+
+def without_sentinels(column: str, values: Array) -> tuple[Array, str]:
+    """Take numbers that stand for "no value" as none: -9999 and the like, far from all others.
+
+    Parameters
+    ----------
+    column : str
+        For messages.
+    values : (n,) array
+        As the file has them.
+
+    Returns
+    -------
+    values : (n,) array
+        NaN instead of them.
+    note : str
+        What was done; empty if nothing was.
+    """
+    good = values[np.isfinite(values)]
+    if not good.size:
+        return values, ""
+    for end in (float(good.min()), float(good.max())):
+        others = good[good != end]
+        if not NINES.fullmatch(f"{end:.9g}") or not others.size:
+            continue
+        if np.abs(others - end).min() > np.ptp(others) > 0:
+            where = values == end
+            return np.where(where, np.nan, values), (
+                f"{column} is {end:g} in {int(where.sum())} rows, far from all others: taken as no "
+                "value"
+            )
+    return values, ""
 
 
 def without_holes(

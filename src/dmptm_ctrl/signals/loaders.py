@@ -17,7 +17,7 @@ from dmptm_ctrl.signals.columns import Choose, Mapped, Table, Target, names_a_cl
 from dmptm_ctrl.signals.counters import refuse_jumps, unwrapped_counts, with_sign
 from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
-from dmptm_ctrl.signals.holes import on_one_clock, without_holes
+from dmptm_ctrl.signals.holes import on_one_clock, without_holes, without_sentinels
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
 from dmptm_ctrl.signals.mdf import read_mdf
@@ -348,6 +348,8 @@ def _channels(
                 )
             notes.append(f"ignored {column!r}: {values.size} values, the others have {time.size}")
             continue
+        values, note = without_sentinels(column, values)
+        notes += [note] if note else []
         if target.symbol in ("rad", "m"):
             values, note = unwrapped_counts(column, values)
         else:

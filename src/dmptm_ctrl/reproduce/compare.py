@@ -52,7 +52,7 @@ def linear_models(
     Returns
     -------
     dict of str to StateSpace
-        9-DOF, 3-DOF and existing model from one voltage [V] on both motors to the ring gear's
+        9-DOF, 3-DOF and baseline model from one voltage [V] on both motors to the ring gear's
         speed [rad/s]; and what `file` describes, linearised.
 
     Raises
@@ -72,7 +72,7 @@ def linear_models(
     build: list[tuple[str, Callable[[], ct.StateSpace]]] = [
         ("9-DOF", lambda: nine_dof_ss(drive)),
         ("3-DOF", lambda: three_dof_ss(drive)),
-        ("existing", lambda: three_dof_ss(baseline_drive(drive))),
+        ("baseline", lambda: three_dof_ss(baseline_drive(drive))),
     ]
     for label, make in build:
         try:

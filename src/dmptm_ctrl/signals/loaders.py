@@ -122,6 +122,7 @@ def load_log(
         time, channels, done = resampled(title, time, channels)
         notes += done
     checks.even_time(title, time)
+    notes += checks.slow(time)
     notes += _unwrap(channels, units)
     for column, target in targets.items():
         if units.get(target.channel) in ("rad", "m"):
@@ -336,6 +337,7 @@ def _channels(
     labels = {target.channel: column for column, target in targets.items()}
     time, notes = _time(table, targets, sample_time, title)
     channels, units, clocks = {}, {}, {}
+    shown = dict(labels)
     factors = {target.channel: target.factor for target in targets.values()}
     for column, target in targets.items():
         if target.channel == "time":
@@ -348,8 +350,12 @@ def _channels(
                 )
             notes.append(f"ignored {column!r}: {values.size} values, the others have {time.size}")
             continue
-        values, note = without_sentinels(column, values)
-        notes += [note] if note else []
+        values, nothing = without_sentinels(values)
+        if nothing is not None:
+            notes.append(
+                f"{column} is {nothing:.6g} at times, far from all else: taken as no value"
+            )
+            shown[target.channel] = f"{column}, where {nothing:.6g} stands for no value,"
         if target.symbol in ("rad", "m"):
             values, note = unwrapped_counts(column, values)
         else:
@@ -382,7 +388,7 @@ def _channels(
     for channel, values in filled.items():
         filled[channel] = values[rows]
         read = filled[channel] / factors.get(channel, 1.0)  # as the file has it
-        checks.finite(title, labels.get(channel, channel), read, rows.start)
+        checks.finite(title, shown.get(channel, channel), read, rows.start)
     return filled.pop("time"), filled, units, notes
 
 

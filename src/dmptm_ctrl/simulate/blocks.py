@@ -154,110 +154,140 @@ def mesh_block(
     )
 
 
-def body_rates(
-    sites: Sites, body: int, t: float, x, net: float, carried: float, inertia: float
-) -> list[float]:
-    """Rates of (angle, speed[, presliding torque][, age]) of a body under its net torque [N·m].
-
-    Friction by the kernels: sliding, sticking or presliding.
-    """
-    theta, omega = x[0], x[1]
-    age, older = 0.0, []
-    if sites.renewals[body] > 0.0:
-        age = x[-1]
-        older = [sites.ageing(body, omega, age)]
-    if sites.distances[body] > 0.0:
-        direction = 1.0 if omega >= 0.0 else -1.0
-        given = direction, theta, omega, t, carried, age
-        at_once = direction * sites.at_once(body, *given)
-        level = direction * sites.sliding(body, *given) - at_once
-        built_up = sites.build_up(body, omega, level, x[2])
-        friction = x[2] + at_once
-        friction += sites.bristle_damping(body, direction, omega, built_up)
-        return [omega, (net - friction) / inertia, built_up, *older]
-    if abs(omega) <= REST_SPEED:
-        direction = 1.0 if net > 0.0 else -1.0
-        most = sites.holding(body, direction, theta, t, carried, age)
-        if most > 0.0:
-            if abs(net) <= most:
-                return [0.0, 0.0, *older]
-            return [omega, (net - direction * most) / inertia, *older]
-    direction = 1.0 if omega > 0.0 else -1.0
-    friction = direction * sites.sliding(body, direction, theta, omega, t, carried, age)
-    return [omega, (net - friction) / inertia, *older]
-
-
 def friction_states(sites: Sites, body: int) -> list[str]:
     """Return the names of the states that friction of a body has."""
     presliding, ageing = sites.distances[body] > 0.0, sites.renewals[body] > 0.0
     return ["friction"] * presliding + ["age"] * ageing
 
 
-def rig_block(model: "Model | Given", side: int) -> ct.NonlinearIOSystem:
-    """Return motor, reducer and pinion of one side, with the reducer's friction.
+def friction_block(model: "Model | Given", body: int) -> ct.NonlinearIOSystem:
+    """Return the friction of one body: of a reducer (0, 1), or of the load (2).
 
-    Inputs voltage [V] and torque of the mesh [N·m]; outputs theta_m, omega_m of the motor,
-    theta_3, omega_3 of the pinion [rad, rad/s]. The motor has states of its own where the
-    reducer is compliant.
+    Inputs angle [rad] and speed [rad/s] of the body, the net torque [N·m] that friction meets,
+    and the torques of its meshes. Outputs friction [N·m], against positive motion, and held: 1
+    while it holds the body at rest, else 0.
+    """
+    given = given_of(model)
+    place = "L" if body == RING else SIDES[body]
+    motion = (
+        ["ring_angle", "ring_speed"] if body == RING else [f"theta_3{place}", f"omega_3{place}"]
+    )
+    meshes = [f"torque_{s}" for s in (SIDES if body == RING else place)]
+    presliding, ageing = given.sites.distances[body] > 0.0, given.sites.renewals[body] > 0.0
+
+    def laws(t, x, u, params):
+        """Friction, held, and the torque that presliding builds up to."""
+        sites, (theta, omega, net, *torques) = given.at(params).sites, u.tolist()
+        carried = sum(map(abs, torques)) if body == RING else torques[0]
+        age = float(x[-1]) if ageing else 0.0
+        if presliding:
+            direction = 1.0 if omega >= 0.0 else -1.0
+            at = direction, theta, omega, t, carried, age
+            at_once = direction * sites.at_once(body, *at)
+            level = direction * sites.sliding(body, *at) - at_once
+            built_up = sites.build_up(body, omega, level, float(x[0]))
+            damping = sites.bristle_damping(body, direction, omega, built_up)
+            return float(x[0]) + at_once + damping, 0.0, built_up
+        if abs(omega) <= REST_SPEED:
+            direction = 1.0 if net > 0.0 else -1.0
+            most = sites.holding(body, direction, theta, t, carried, age)
+            if most > 0.0:
+                held = abs(net) <= most
+                return (net if held else direction * most), float(held), 0.0
+        direction = 1.0 if omega > 0.0 else -1.0
+        return direction * sites.sliding(body, direction, theta, omega, t, carried, age), 0.0, 0.0
+
+    def update(t, x, u, params):
+        rates = [laws(t, x, u, params)[2]] if presliding else []
+        if ageing:
+            rates.append(given.at(params).sites.ageing(body, u[1], x[-1]))
+        return rates
+
+    states = friction_states(given.sites, body)
+    return ct.NonlinearIOSystem(
+        update if states else None,
+        lambda t, x, u, params: laws(t, x, u, params)[:2],
+        inputs=[*motion, f"net_{place}", *meshes],
+        outputs=[f"friction_{place}", f"held_{place}"],
+        states=states or None,
+        name=f"friction_{place}",
+    )
+
+
+def _moved(omega: float, net: float, friction: float, held: float, inertia: float) -> list[float]:
+    """Rates of angle and speed of a body."""
+    return [0.0, 0.0] if held else [omega, (net - friction) / inertia]
+
+
+def rig_block(model: "Model | Given", side: int) -> ct.NonlinearIOSystem:
+    """Return motor, reducer and pinion of one side.
+
+    Inputs voltage [V], torque of the mesh, friction [N·m] and held; outputs theta_m, omega_m of
+    the motor, theta_3, omega_3 of the pinion [rad, rad/s], and net, the torque that friction
+    meets [N·m]. The motor has states of its own where the reducer is compliant.
     """
     given, s = given_of(model), SIDES[side]
     elastic = given.sites.compliance > 0.0
-    own = friction_states(given.sites, side)
-    body = 2 + len(own)  # states of the pinion
 
     def motor(x):
-        return x[body : body + 2] if elastic else x[:2]
+        return x[2:4] if elastic else x[:2]
+
+    def torques(sites, t, x, u):
+        """Of the motor, and on the pinion without friction."""
+        theta, omega = motor(x)
+        drive = sites.motor_torque(u[0], sites.n1 * theta, sites.n1 * omega, t, side)
+        if not elastic:
+            return drive, drive
+        shaft = (theta - x[0]) / sites.compliance + sites.shaft_damping * (omega - x[1])
+        return drive, shaft
 
     def update(t, x, u, params):
         sites, x, u = given.at(params).sites, x.tolist(), u.tolist()
         inertia = sites.pinion_inertia + (0.0 if elastic else sites.motor_inertia)
-        theta, omega = motor(x)
-        drive = sites.motor_torque(u[0], sites.n1 * theta, sites.n1 * omega, t, side)
-        if not elastic:
-            return body_rates(sites, side, t, x, drive - u[1], u[1], inertia)
-        shaft = (theta - x[0]) / sites.compliance + sites.shaft_damping * (omega - x[1])
-        return [
-            *body_rates(sites, side, t, x[:body], shaft - u[1], u[1], inertia),
-            omega,
-            (drive - shaft) / sites.motor_inertia,
-        ]
+        drive, shaft = torques(sites, t, x, u)
+        rates = _moved(x[1], shaft - u[1], u[2], u[3], inertia)
+        return [*rates, x[3], (drive - shaft) / sites.motor_inertia] if elastic else rates
 
     def output(t, x, u, params):
+        sites, x, u = given.at(params).sites, x.tolist(), u.tolist()
         theta, omega = motor(x)
-        n1 = given.at(params).sites.n1
-        return [n1 * theta, n1 * omega, x[0], x[1]]
+        net = torques(sites, t, x, u)[1] - u[1]
+        return [sites.n1 * theta, sites.n1 * omega, x[0], x[1], net]
 
-    states = ["theta", "omega", *own]
     return ct.NonlinearIOSystem(
         update,
         output,
-        inputs=[f"voltage_{s}", f"torque_{s}"],
-        outputs=[f"theta_m{s}", f"omega_m{s}", f"theta_3{s}", f"omega_3{s}"],
-        states=states + ["theta_motor", "omega_motor"] * elastic,
+        inputs=[f"voltage_{s}", f"torque_{s}", f"friction_{s}", f"held_{s}"],
+        outputs=[f"theta_m{s}", f"omega_m{s}", f"theta_3{s}", f"omega_3{s}", f"net_{s}"],
+        states=["theta", "omega"] + ["theta_motor", "omega_motor"] * elastic,
         name=f"chain_{s}",
     )
 
 
 def ring_block(model: "Model | Given") -> ct.NonlinearIOSystem:
-    """Return the ring gear with its friction and the load's effects.
+    """Return the ring gear with the load's effects.
 
-    Inputs torque_l, torque_r [N·m] at the pinions; outputs ring_angle [rad], ring_speed
-    [rad/s], the true ones.
+    Inputs torque_l, torque_r at the pinions, friction_L [N·m] and held_L; outputs ring_angle
+    [rad], ring_speed [rad/s], the true ones, and net_L, the torque that friction meets [N·m].
     """
     given = given_of(model)
 
+    def net(sites, t, x, u):
+        return sites.n2 * (u[0] + u[1]) + sites.load_torque(x[0], x[1], t)
+
     def update(t, x, u, params):
         sites, x, u = given.at(params).sites, x.tolist(), u.tolist()
-        net = sites.n2 * (u[0] + u[1]) + sites.load_torque(x[0], x[1], t)
-        carried = abs(u[0]) + abs(u[1])
-        return body_rates(sites, RING, t, x, net, carried, sites.ring_inertia)
+        return _moved(x[1], net(sites, t, x, u), u[2], u[3], sites.ring_inertia)
+
+    def output(t, x, u, params):
+        return [x[0], x[1], net(given.at(params).sites, t, x.tolist(), u.tolist())]
 
     return ct.NonlinearIOSystem(
         update,
-        lambda t, x, u, params: x[:2],
-        inputs=["torque_l", "torque_r"],
-        outputs=["ring_angle", "ring_speed"],
-        states=["theta", "omega", *friction_states(given.sites, RING)],
+        output,
+        inputs=["torque_l", "torque_r", "friction_L", "held_L"],
+        outputs=["ring_angle", "ring_speed", "net_L"],
+        states=["theta", "omega"],
         name="ring",
     )
 
@@ -355,6 +385,7 @@ def to_blocks(
         *(rig_block(given, side) for side in (0, 1)),
         *(mesh_block(given, side, contact=contact) for side in (0, 1)),
         ring_block(given),
+        *(friction_block(given, body) for body in (0, 1, RING)),
         sensor_block(given, pade_order=pade_order),
     ]
     inputs, outputs = ["u_left", "u_right"], list(OUTPUTS)

@@ -252,4 +252,4 @@ def _preload_bristle(
         way = float(np.sign(omega))
         given = way, theta, omega, 0.0, carried
         held = sites.sliding(body, *given) - sites.at_once(body, *given)
-        state[f"{block}_friction"] = way * held
+        state[f"friction_{'L' if body == RING else SIDES[body]}_friction"] = way * held

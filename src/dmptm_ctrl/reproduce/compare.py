@@ -32,6 +32,8 @@ BODE_HEADER = (
     "gain margin [dB]",
     "phase margin [deg]",
 )
+OVER = " over "  # between output and input of another rig
+MOTORS = "one voltage on both motors"
 STEP_HEADER = ("model", "steady", "rise [s]", "settling [s]", "overshoot [%]")
 
 
@@ -115,12 +117,15 @@ def _chain(
     speeds = [s for s in sensors if s.measures == "speed"]
     seen = output or (speeds or list(sensors))[0].name
     plant = linear_rig(model, outputs=[seen])
-    return {f"{model.rig.name}: {seen} over {source}": plant[seen, source]}
+    return {f"{model.rig.name}: {seen}{OVER}{source}": plant[seen, source]}
 
 
 def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Figure, list[Row]]:
     """Return a Bode plot over a band [Hz], and python-control's numbers of each model."""
-    plot = bode_compare(models, omega_limits=(low, high), title="Linear models [SI]")
+    title = (
+        "Linear models [SI]" if _mixed(models) else f"{MOTORS}, speed of the ring gear [(rad/s)/V]"
+    )
+    plot = bode_compare(models, omega_limits=(low, high), title=title)
     rows: list[Row] = []
     for label, system in models.items():
         gain, phase, _, _ = ct.margin(system)
@@ -139,7 +144,11 @@ def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Fig
 
 def step(models: dict[str, ct.StateSpace], seconds: float) -> tuple[Figure, list[Row]]:
     """Return steps of height 1, and python-control's numbers of each model."""
-    plot = step_compare(models, seconds, unit="output [SI]", title="Step of 1 (V, N·m, …)")
+    if _mixed(models):
+        unit, title = "output [SI]", "Step of 1 in the input's SI unit"
+    else:
+        unit, title = "speed of the ring gear [rad/s]", f"Step of 1 V: {MOTORS}"
+    plot = step_compare(models, seconds, unit=unit, title=title)
     rows: list[Row] = []
     for label, system in models.items():
         if np.isfinite(ct.dcgain(system)) and system.poles().real.max() < 0.0:
@@ -149,6 +158,11 @@ def step(models: dict[str, ct.StateSpace], seconds: float) -> tuple[Figure, list
         else:
             rows.append((label, *["–"] * 4))
     return figure_of(plot.axes[0, 0]), rows
+
+
+def _mixed(models: dict[str, ct.StateSpace]) -> bool:
+    """Whether one of the models is of a rig with other inputs and outputs."""
+    return any(OVER in label for label in models)
 
 
 def _said(value: Any) -> str:

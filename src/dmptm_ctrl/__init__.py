@@ -81,6 +81,7 @@ _FIRST = {
     ("Model", "RigModel", "Rig"): ("simulate", "close_loop", "linearize", "predict"),
     ("Drive", "Model", "RigModel", "Rig", "GearTrain"): ("modes",),
     ("Model", "Diagnosis"): ("impact",),
+    ("dict", "Mapping"): ("bode_compare", "step_compare"),
     ("StateSpace",): ("common_mode", "close_speed_loop", "margins", "tune_pi"),
 }
 _MODELS = {"Model", "RigModel", "Rig", "Drive", "Diagnosis", "StateSpace"}
@@ -147,7 +148,8 @@ sys.modules[__name__].__class__ = _Front
 
 def __getattr__(name: str) -> Any:
     if name not in _LAZY:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        said = f"module {__name__!r} has no attribute {name!r}"
+        raise AttributeError(said, name=name, obj=sys.modules[__name__])  # Python names the nearest
     module, _, there = _LAZY[name].partition(":")
     value = getattr(import_module(f"{__name__}.{module}"), there or name)
     if isfunction(value):

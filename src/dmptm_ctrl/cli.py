@@ -251,7 +251,7 @@ def bode(
     low: Annotated[float, typer.Option(min=1e-6, help="From this frequency [Hz].")] = 0.1,
     high: Annotated[float, typer.Option(min=1e-6, help="To this one [Hz].")] = 1000.0,
 ) -> None:
-    """Draw 9-DOF, 3-DOF and existing model and your own drive in one Bode plot."""
+    """Draw the 9-DOF, 3-DOF and baseline models and your own drive in one Bode plot."""
     if not low < high:
         raise typer.BadParameter(f"--low {low:g} must be below --high {high:g}")
     _compare("bode", (file, input, output), out, low, high)
@@ -265,7 +265,7 @@ def step(
     output: _Output = None,
     seconds: Annotated[float, typer.Option(min=1e-6, help="Length of the picture.")] = 2.0,
 ) -> None:
-    """Draw the step of 9-DOF, 3-DOF and existing model and your own drive in one picture."""
+    """Draw steps of the 9-DOF, 3-DOF and baseline models and your own drive."""
     _compare("step", (file, input, output), out, seconds)
 
 

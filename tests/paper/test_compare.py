@@ -43,11 +43,11 @@ def test_command(tmp_path, capsys, command):
     assert main([command, str(tmp_path / "rig.toml"), "--out", str(out), "--output", "q"]) == 0
     said = capsys.readouterr().out
     rows = {line.split("  ")[0]: line.split() for line in said.splitlines()}
-    assert {"9-DOF", "3-DOF", "existing", "arm: q over torque"} < set(rows)
+    assert {"9-DOF", "3-DOF", "baseline", "arm: q over torque"} < set(rows)
     at_rest = -4  # column
     assert float(rows["3-DOF"][at_rest]) == pytest.approx(1.208, abs=1e-3)
     assert float(rows["arm: q over torque"][at_rest]) == pytest.approx(1 / 8)
-    assert float(rows["existing"][at_rest]) < 0.5  # its friction stands in for the dry one
+    assert float(rows["baseline"][at_rest]) < 0.5  # its friction stands in for the dry one
     if command == "step":  # overshoot of J s² + B s + k: exp(−π ζ/√(1 − ζ²))
         zeta = 0.05 / (2 * np.sqrt(0.02 * 8))
         over = 100 * np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2))
@@ -59,7 +59,7 @@ def test_own_model_file_and_rig_of_two_motors(tmp_path):
     model = Model().with_values(J_L=4.0).with_effect("drive_delay", delay=2e-3)
     (tmp_path / "mine.toml").write_text(to_toml(model))
     models = linear_models(tmp_path / "mine.toml")
-    assert list(models) == ["9-DOF", "3-DOF", "existing", "mine, linearised"]
+    assert list(models) == ["9-DOF", "3-DOF", "baseline", "mine, linearised"]
     s = 2j * np.pi * 20.0  # far above friction: all are the inertia of that very drive
     inertia = 4.0 + 2 * 8.25**2 * 0.25
     expected = 2 * 25 * 8.25 * 0.39 / (inertia * s)

@@ -257,6 +257,16 @@ def test_torque_that_counts_the_other_way(sensors, inertia, shaft):
     assert judged(geared(u=-1, noise=1e-6), mended) == []
 
 
+def test_an_input_without_gain_has_no_direction_that_could_be_wrong():
+    rig = geared_rig(10, sensors="m", inertia="unknown", gain="", unit="1")
+    with pytest.raises(
+        LogError, match=r"input.u\] has no gain .* with sign = -1 there the .* 0.004"
+    ):
+        judged(geared(u=-1, noise=1e-6), rig)
+    mended = geared_rig(10, sensors="m", inertia="unknown", gain="", unit="1", sign=-1)
+    assert judged(geared(u=-1, noise=1e-6), mended) == []
+
+
 def test_nothing_is_said_of_a_negative_gain_that_is_right():
     assert judged(geared(u=-1), geared_rig(10, gain="gain = -1")) == []
 

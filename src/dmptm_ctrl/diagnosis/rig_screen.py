@@ -249,11 +249,18 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
         )
     if inertia > -SURE * se:
         return ""
-    said = (
-        f"the logs show an inertia of {inertia:.3g} {_inertia_unit(rig, point.body)} at "
-        f"{point.body}: {columns} or {_column(rig, point.name)} counts the other way (sign = -1 "
-        "in the rig file)"
-    )
+    shown = f"{_inertia_unit(rig, point.body)} at {point.body}"
+    if is_known(rig.inputs[0].gain):
+        said = (
+            f"the logs show an inertia of {inertia:.3g} {shown}: {columns} or "
+            f"{_column(rig, point.name)} counts the other way (sign = -1 in the rig file)"
+        )
+    else:  # then the direction is not declared, either
+        said = (
+            f"[input.{rig.inputs[0].name}] has no gain that would say which way {columns} pushes, "
+            f"and the logs show that it pushes against {_column(rig, point.name)}: with sign = -1 "
+            f"there the inertia is {-inertia:.3g} {shown}"
+        )
     ways = [_path(rig, point.body, i.body) for i in rig.inputs]
     if (energy < 0 or wrong) and all(way is not None and way.rigid for way in ways):
         raise LogError(said)

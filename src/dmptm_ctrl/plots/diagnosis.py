@@ -105,10 +105,10 @@ def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) 
         label = "after, short predictions"
         shown += left.plot(t, overlay.measured - overlay.ahead, label=label, **AHEAD)
     title = overlay.name if title is None else title
-    reading.set_title(title, fontsize=10, pad=20.0 if title else None)
+    reading.set_title(title, fontsize=10, pad=32.0 if title else None)
     reading.set_ylabel(f"{overlay.quantity} [{overlay.unit}]")
     # Above the axes, where it cannot cover a line.
-    reading.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, **LEGEND)
+    reading.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, **LEGEND)
     ylabel = f"measured − model\n[{overlay.unit}]"
     left.set(xlabel="time [s]", ylabel=ylabel, xlim=(t[0], t[-1]))
     return panels

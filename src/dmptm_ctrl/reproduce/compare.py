@@ -32,6 +32,8 @@ BODE_HEADER = (
     "gain margin [dB]",
     "phase margin [deg]",
 )
+OVER = " over "  # between output and input of another rig
+MOTORS = "one voltage on both motors"
 STEP_HEADER = ("model", "steady", "rise [s]", "settling [s]", "overshoot [%]")
 
 
@@ -40,7 +42,7 @@ def linear_models(
 ) -> dict[str, ct.StateSpace]:
     """Return linear models by label, one input and one output each.
 
-    9-DOF, 3-DOF and existing model from one voltage [V] on both motors to the ring gear's speed
+    9-DOF, 3-DOF and baseline model from one voltage [V] on both motors to the ring gear's speed
     [rad/s]; and what `file`, a rig.toml or a model.toml of a diagnosis, describes, linearised. If
     it is of a dual-motor drive, all models are of that drive; else it stands beside the paper's.
     `input` and `output` are those of a rig of another shape, by default its first input and its
@@ -58,7 +60,7 @@ def linear_models(
     build: list[tuple[str, Callable[[], ct.StateSpace]]] = [
         ("9-DOF", lambda: nine_dof_ss(drive)),
         ("3-DOF", lambda: three_dof_ss(drive)),
-        ("existing", lambda: three_dof_ss(baseline_drive(drive))),
+        ("baseline", lambda: three_dof_ss(baseline_drive(drive))),
     ]
     for label, make in build:
         try:
@@ -101,12 +103,15 @@ def _chain(
     speeds = [s for s in sensors if s.measures == "speed"]
     seen = output or (speeds or list(sensors))[0].name
     plant = linear_rig(model, outputs=[seen])
-    return {f"{model.rig.name}: {seen} over {source}": plant[seen, source]}
+    return {f"{model.rig.name}: {seen}{OVER}{source}": plant[seen, source]}
 
 
 def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Figure, list[Row]]:
     """Return a Bode plot over a band [Hz], and python-control's numbers of each model."""
-    plot = bode_compare(models, omega_limits=(low, high), title="Linear models [SI]")
+    title = (
+        "Linear models [SI]" if _mixed(models) else f"{MOTORS}, speed of the ring gear [(rad/s)/V]"
+    )
+    plot = bode_compare(models, omega_limits=(low, high), title=title)
     rows: list[Row] = []
     for label, system in models.items():
         gain, phase, _, _ = ct.margin(system)
@@ -125,7 +130,11 @@ def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Fig
 
 def step(models: dict[str, ct.StateSpace], seconds: float) -> tuple[Figure, list[Row]]:
     """Return steps of height 1, and python-control's numbers of each model."""
-    plot = step_compare(models, seconds, unit="output [SI]", title="Step of 1 (V, N·m, …)")
+    if _mixed(models):
+        unit, title = "output [SI]", "Step of 1 in the input's SI unit"
+    else:
+        unit, title = "speed of the ring gear [rad/s]", f"Step of 1 V: {MOTORS}"
+    plot = step_compare(models, seconds, unit=unit, title=title)
     rows: list[Row] = []
     for label, system in models.items():
         if np.isfinite(ct.dcgain(system)) and system.poles().real.max() < 0.0:
@@ -135,6 +144,11 @@ def step(models: dict[str, ct.StateSpace], seconds: float) -> tuple[Figure, list
         else:
             rows.append((label, *["–"] * 4))
     return figure_of(plot.axes[0, 0]), rows
+
+
+def _mixed(models: dict[str, ct.StateSpace]) -> bool:
+    """Whether one of the models is of a rig with other inputs and outputs."""
+    return any(OVER in label for label in models)
 
 
 def _said(value: Any) -> str:

@@ -12,6 +12,7 @@ MIN_SAMPLES = 100  # fewer tell nothing about a drive
 HUGE = 1e30
 SHORTEST_STEP = 1e-9  # s, faster than anything that samples a drive
 LONGEST_STEP = 60.0  # s, slower than anything that samples a drive
+SLOW = 0.5  # s, a step that is long for a drive
 GAP_STEPS = 1.5  # a step longer than this many usual ones has lost samples
 
 
@@ -68,10 +69,22 @@ def usual_step(source: str, step: Array) -> float:
     if usual < SHORTEST_STEP:
         raise LogError(f"{source}: time steps of {usual:.3g} s; time must be in seconds")
     if usual > LONGEST_STEP:
-        units = {"ms": 1e-3, "us": 1e-6, "ticks": 1e-7, "ns": 1e-9}
-        near = next((u for u, f in units.items() if usual * f < 0.5), "ns")
         raise LogError(
-            f"{source}: time steps of {usual:.3g} s are no log of a drive; perhaps the clock is in "
-            f'{near}: time = {{ column = "…", unit = "{near}" }} in [data] of the rig file'
+            f"{source}: time steps of {usual:.3g} s are no log of a drive; {_other_unit(usual)}"
         )
     return usual
+
+
+def slow(time: Array) -> list[str]:
+    """Warning about steps that are long for a drive, as of a clock in another unit."""
+    step = float(np.median(np.diff(time)))
+    return [f"time steps of {step:.4g} s are long; {_other_unit(step)}"] if step >= SLOW else []
+
+
+def _other_unit(step: float) -> str:
+    units = {"ms": 1e-3, "us": 1e-6, "ticks": 1e-7, "ns": 1e-9}
+    near = next((u for u, f in units.items() if step * f < SLOW), "ns")
+    return (
+        f'perhaps the clock is in {near}: time = {{ column = "…", unit = "{near}" }} in [data] of '
+        "the rig file"
+    )

@@ -1,5 +1,6 @@
 """Values that are not there: at either end, between rarer samples, on another clock."""
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,6 +11,16 @@ from dmptm_ctrl.signals.clock import MAX_BRIDGED
 
 Array = NDArray[np.float64]
 
+NINES = re.compile(r"-?9{3,}(\.(9+|25))?")  # what programs write where there is no value
+LIMITS = frozenset(  # of whole numbers and of floats; counters of 16 bits do reach theirs
+    [
+        -(2.0**31),
+        2.0**31 - 1,
+        -(2.0**63),
+        2.0**63,
+        *(s * float(np.finfo(t).max) for s in (-1, 1) for t in (np.float32, np.float64)),
+    ]
+)
 RARE = 2  # a column sampled more rarely has a value in every second row at most
 EVEN_HOLES = 2.5  # the longest hole of such a column, in usual ones
 
@@ -46,6 +57,30 @@ def on_one_clock(
             "interpolated to the clock that ticks most often"
         ]
     return main, result, notes
+
+
+def without_sentinels(values: Array) -> tuple[Array, float | None]:
+    """Take a number that stands for "no value" as none: -9999 and the like, far from all others.
+
+    Parameters
+    ----------
+    values : (n,) array
+        As the file has them.
+
+    Returns
+    -------
+    values : (n,) array
+        NaN instead of it.
+    number : float or None
+    """
+    good = values[np.isfinite(values)]
+    for end in (float(good.min()), float(good.max())) if good.size else ():
+        if not (NINES.fullmatch(f"{end:.9g}") or end in LIMITS):
+            continue
+        others = good[good != end]
+        if others.size and 2 * np.abs(others).max() < abs(end) and np.ptp(others) > 0:
+            return np.where(values == end, np.nan, values), end
+    return values, None
 
 
 def without_holes(

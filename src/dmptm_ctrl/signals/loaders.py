@@ -17,7 +17,7 @@ from dmptm_ctrl.signals.columns import Choose, Mapped, Table, Target, names_a_cl
 from dmptm_ctrl.signals.counters import refuse_jumps, unwrapped_counts, with_sign
 from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
-from dmptm_ctrl.signals.holes import on_one_clock, without_holes
+from dmptm_ctrl.signals.holes import on_one_clock, without_holes, without_sentinels
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
 from dmptm_ctrl.signals.mdf import read_mdf
@@ -122,6 +122,7 @@ def load_log(
         time, channels, done = resampled(title, time, channels)
         notes += done
     checks.even_time(title, time)
+    notes += checks.slow(time)
     notes += _unwrap(channels, units)
     for column, target in targets.items():
         if units.get(target.channel) in ("rad", "m"):
@@ -311,6 +312,7 @@ def _channels(
     labels = {target.channel: column for column, target in targets.items()}
     time, notes = _time(table, targets, sample_time, title)
     channels, units, clocks = {}, {}, {}
+    shown = dict(labels)
     factors = {target.channel: target.factor for target in targets.values()}
     for column, target in targets.items():
         if target.channel == "time":
@@ -323,6 +325,12 @@ def _channels(
                 )
             notes.append(f"ignored {column!r}: {values.size} values, the others have {time.size}")
             continue
+        values, nothing = without_sentinels(values)
+        if nothing is not None:
+            notes.append(
+                f"{column} is {nothing:.6g} at times, far from all else: taken as no value"
+            )
+            shown[target.channel] = f"{column}, where {nothing:.6g} stands for no value,"
         if target.symbol in ("rad", "m"):
             values, note = unwrapped_counts(column, values)
         else:
@@ -355,7 +363,7 @@ def _channels(
     for channel, values in filled.items():
         filled[channel] = values[rows]
         read = filled[channel] / factors.get(channel, 1.0)  # as the file has it
-        checks.finite(title, labels.get(channel, channel), read, rows.start)
+        checks.finite(title, shown.get(channel, channel), read, rows.start)
     return filled.pop("time"), filled, units, notes
 
 

@@ -81,7 +81,7 @@ _FIRST = {
     ("Model", "RigModel", "Rig"): ("simulate", "close_loop", "linearize", "predict"),
     ("Drive", "Model", "RigModel", "Rig", "GearTrain"): ("modes",),
     ("Model", "Diagnosis"): ("impact",),
-    ("dict", "Mapping"): ("bode_compare", "step_compare"),
+    ("dict",): ("bode_compare", "step_compare"),
     ("StateSpace",): ("common_mode", "close_speed_loop", "margins", "tune_pi"),
 }
 _MODELS = {"Model", "RigModel", "Rig", "Drive", "Diagnosis", "StateSpace"}

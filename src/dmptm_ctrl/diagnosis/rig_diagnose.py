@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from os import PathLike
 
+from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
 from dmptm_ctrl.diagnosis.rig_curves import (
     accepted,
@@ -28,7 +29,7 @@ from dmptm_ctrl.diagnosis.rig_screen import (
 )
 from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
-from dmptm_ctrl.diagnosis.select import select_effects, without_negligible
+from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of

@@ -17,6 +17,7 @@ from dmptm_ctrl.diagnosis.dual import (
     name_of,
 )
 from dmptm_ctrl.diagnosis.judge import rise
+from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.residual import predicting
 from dmptm_ctrl.diagnosis.select import (
     LEVEL,
@@ -28,7 +29,6 @@ from dmptm_ctrl.diagnosis.select import (
     explained,
     needed,
     ranked,
-    without_negligible,
 )
 from dmptm_ctrl.diagnosis.trace import BY_SIMULATOR, bent, candidates, starts, weighted_changes
 from dmptm_ctrl.effects import CATALOGUE

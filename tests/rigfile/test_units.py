@@ -7,6 +7,8 @@ import pytest
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.drive.rigfile import RigError, parse_rig
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
 
 RIG = """
 [body.motor]
@@ -117,3 +119,15 @@ body = "load"
 """
     with pytest.raises(LogError, match="unknown inertia between coupling and gear, and no sensor"):
         diagnose_rig([], parse_rig(text))
+
+
+def test_parameters_of_an_input_are_in_the_units_of_its_signal():
+    text = (
+        '[body.a]\ninertia = 1\n[input.d]\ncolumn = "T"\nunit = "N m"\n[sensor.q]\ncolumn = "q"\n'
+    )
+    rig = parse_rig('name = "x"\n' + text + 'unit = "rad"\n', "rig.toml")
+    offset = Placed("drive_offset", "d", {"offset": 0.1})
+    limit = Placed("drive_saturation", "d", {"inverse_limit": 0.2})
+    lines = rig_model_to_toml(RigModel(rig, (offset, limit))).splitlines()
+    assert "offset = 0.1 # N·m" in lines
+    assert "inverse_limit = 0.2 # 1/(N·m)" in lines

@@ -22,7 +22,7 @@ from dmptm_ctrl.identify.rig_fit import RigFit, State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
+from dmptm_ctrl.simulate.rig_model_file import input_symbol, rig_model_to_toml, unit_at
 
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Evidence, Overlay
@@ -339,8 +339,7 @@ def effect_parameters(
             unit = unit.replace("N·m", "N").replace("rad", "m")
         if p.name == "order":
             unit, scale = ("1/m", 1 / (2 * pi)) if slide else ("1/turn", 1.0)
-        if effect.name == "drive_offset":
-            unit = input_symbol(model.rig, effect.on)
+        unit = unit_at(effect, model.rig, unit)
         error = se.get(p.name, 0.0)
         unit = counted_unit(model.rig, unit)
         found[p.name] = {"value": value * scale, "se": error * scale, "unit": unit}
@@ -383,13 +382,6 @@ def _spring(
             "unit": counted_unit(model.rig, "kg" if slide else "kg·m²"),
         },
     }  # fmt: skip
-
-
-def input_symbol(rig: Rig, name: str) -> str:
-    """SI unit of an input's signal."""
-    from dmptm_ctrl.signals.units import parse_unit
-
-    return parse_unit(next(i for i in rig.inputs if i.name == name).unit).symbol
 
 
 def counted_unit(rig: Rig, unit: str) -> str:

@@ -2,10 +2,12 @@
 
 import tomlkit
 
+from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
@@ -18,6 +20,19 @@ def with_unit(value: float, unit: str) -> tomlkit.items.Item:
     item = tomlkit.item(float(value))
     item.comment(unit or "1")
     return item
+
+
+def unit_at(effect: Placed, rig: Rig, unit: str) -> str:
+    """Unit of an effect's parameter where it stands: an input's signal need not be a voltage."""
+    if all(source.name != effect.on for source in rig.inputs):
+        return unit
+    symbol = input_symbol(rig, effect.on)
+    return unit.replace("V", f"({symbol})" if unit == "1/V" and "·" in symbol else symbol)
+
+
+def input_symbol(rig: Rig, name: str) -> str:
+    """SI unit of an input's signal."""
+    return parse_unit(next(i for i in rig.inputs if i.name == name).unit).symbol
 
 
 def rig_model_to_toml(model: RigModel) -> str:
@@ -40,7 +55,7 @@ def rig_model_to_toml(model: RigModel) -> str:
             table["far"] = list(effect.far)
         units = {p.name: p.unit for p in PLACED_CATALOGUE[effect.name].keep}
         for key, value in effect.values.items():
-            table[key] = with_unit(value, units[key])
+            table[key] = with_unit(value, unit_at(effect, model.rig, units[key]))
         effects.append(table)
     document["effect"] = effects
     logs = tomlkit.table()

@@ -298,12 +298,12 @@ def select_effects(
         if not able:
             break
         chosen = best_of(able, evidence.ratio(state))
-        before, state = state, evidence.closed(evidence.adopt(state, chosen))
+        before, grown = state, evidence.closed(evidence.adopt(state, chosen))
         step(
             f"+ {', '.join(chosen.keys)}: {chosen.gain:.0f} fitted, {chosen.held_gain:.0f} held out"
         )
-        state = pruned(evidence, state, step)
-        if frozenset(state.keys) in seen:
+        state = pruned(evidence, grown, step)
+        if frozenset(state.keys) in seen or vain_exchange(evidence, grown, state, chosen.keys):
             vain.add(chosen.keys)
             state = before
         seen.add(frozenset(state.keys))
@@ -361,8 +361,7 @@ def likely_sets(
 def joint_gain(rows: Rows) -> Callable[[tuple[Keys, ...]], float]:
     """Return a function that gives the fall of −2 log-likelihood by a set, to first order.
 
-    The model's parameters move as far as they can go and no further: beyond its range one would
-    take up what a missing effect does.
+    Parameters stay in their ranges: beyond, one would take up what a missing effect does.
     """
     names = list(rows.columns)
     table = np.column_stack([rows.slopes, *rows.columns.values(), rows.left])
@@ -410,6 +409,16 @@ def pruned(evidence: Evidence, state: State, step: Callable[[str], None]) -> Sta
     return state
 
 
+def vain_exchange(evidence: Evidence, grown: State, state: State, chosen: Keys) -> bool:
+    """Whether effects only replaced others, by less evidence than an effect needs."""
+    if len(state.keys) > len(grown.keys) - len(chosen):
+        return False
+    before = grown
+    for key in chosen:
+        before = evidence.without(before, key)
+    return beyond_need(evidence, before, state) <= 0.0
+
+
 def beyond_need(evidence: Evidence, smaller: Any, larger: Any) -> float:
     """Evidence for a model with one effect more, less what is needed."""
     return sum(evidence.gains(smaller, larger)) - needed(1, *evidence.errors(smaller, larger))
@@ -418,7 +427,7 @@ def beyond_need(evidence: Evidence, smaller: Any, larger: Any) -> float:
 def compared(
     evidence: Evidence, selection: Selection, state: State, step: Callable[[str], None]
 ) -> Selection:
-    """Compare each effect with what could take its place, or stand beside it; the best stays."""
+    """Compare each effect with what could replace it or stand beside it; the best stays."""
     for _ in range(MOST):
         entries = []
         for key in state.keys:

@@ -11,10 +11,12 @@ from dmptm_ctrl.diagnosis.dual import DualState, name_of
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import (
     BANDWIDTH_HZ,
+    apart,
     free_run,
     low_pass,
     noise_below,
     speed_error,
+    twin_steps,
 )
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.select import Selection
@@ -30,7 +32,6 @@ from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
 HORIZON = round(MEMORY_SECONDS, 3)  # s, of a short prediction
-TWINS = 8  # drives within the standard errors of the fit, whose scatter no fit can remove
 UNIT = "deg/s"
 TORQUE = "N·m"
 
@@ -148,11 +149,6 @@ def judge(
     return Judged(errors, tuple(closed), error)
 
 
-def apart(one: float, other: float) -> float:
-    """Root of a difference of squares, not below nothing."""
-    return float(np.sqrt(max(one**2 - other**2, 0.0)))
-
-
 @dataclass(frozen=True, eq=False)
 class Scale:
     """Scatter of each equation under the final model, and what each row counts.
@@ -232,13 +228,8 @@ def noise_floor(records: Sequence[Record], bandwidth_hz: float = BANDWIDTH_HZ) -
 
 def twins_of(fit: Fit) -> list[Model]:
     """Drives within the standard errors of a fit."""
-    rng = np.random.default_rng(0)
-    values, vectors = np.linalg.eigh(fit.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
     low, high = (np.array([getattr(k, end) for k in fit.unknowns]) for end in ("low", "high"))
-    draws = [
-        np.clip(fit.p + root @ rng.standard_normal(fit.p.size), low, high) for _ in range(TWINS)
-    ]
+    draws = (np.clip(fit.p + step, low, high) for step in twin_steps(fit.covariance))
     return [place(fit.model, fit.unknowns, p) for p in draws]
 
 

@@ -9,10 +9,7 @@ from dmptm_ctrl.diagnosis.select import Entry, Evidence, Selection
 
 
 def without_negligible(
-    evidence: Evidence,
-    selection: Selection,
-    rise: Callable[[Any, Any], float],
-    say: Callable[[str], None] = lambda _: None,
+    evidence: Evidence, selection: Selection, rise: Callable[[Any, Any], float]
 ) -> Selection:
     """Take out effects that hardly change what is left, the least first.
 
@@ -24,8 +21,6 @@ def without_negligible(
     selection : Selection
     rise : callable
         Share by which what is left rises without an effect: of (without, with).
-    say : callable
-        Hears each step.
 
     Returns
     -------
@@ -40,7 +35,6 @@ def without_negligible(
             break
         final = left_out.pop(least)
         selection.path.append(f"- {least}: negligible")
-        say(selection.path[-1])
         # the others may have hidden behind it
         left_out = {key: evidence.without(final, key) for key in left_out if key in final.keys}
     if final is selection.final:

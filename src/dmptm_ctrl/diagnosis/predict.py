@@ -34,6 +34,20 @@ TOGETHER = 100_000  # samples of a log, up to which the runs are held at once: 1
 # Standard deviation of how stiffness and damping of the meshes change, which decide when a pinion
 # leaves its flank; no fit knows them more finely.
 SPREAD = 0.003
+TWINS = 8  # drives within the standard errors of a fit, whose scatter no fit can remove
+
+
+def twin_steps(covariance: Floats) -> list[Floats]:
+    """Draw how far the numbers of :data:`TWINS` drives within standard errors are from a fit."""
+    rng = np.random.default_rng(0)
+    values, vectors = np.linalg.eigh(covariance)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return [root @ rng.standard_normal(values.size) for _ in range(TWINS)]
+
+
+def apart(one: float, other: float) -> float:
+    """Root of a difference of squares, not below nothing."""
+    return float(np.sqrt(max(one**2 - other**2, 0.0)))
 
 
 def free_run(

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.diagnosis.predict import BANDWIDTH_HZ, agreement, low_pass, noise_below
+from dmptm_ctrl.diagnosis.predict import (
+    BANDWIDTH_HZ,
+    agreement,
+    apart,
+    low_pass,
+    noise_below,
+    twin_steps,
+)
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import (
@@ -29,7 +36,6 @@ if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Overlay
 
 Floats = NDArray[np.float64]
-TWINS = 8  # drives within the standard errors of the fit, whose scatter no fit can remove
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,12 +129,8 @@ class Runs:
 
     def scatter(self, after: State, fit: RigFit) -> float:
         """Scatter of runs of models within the standard errors of a fit, and noise."""
-        rng = np.random.default_rng(0)
-        values, vectors = np.linalg.eigh(fit.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
         twins = []
-        for _ in range(TWINS):
-            steps = root @ rng.standard_normal(len(fit.frees))
+        for steps in twin_steps(fit.covariance):
             moved = [
                 float(np.clip(fit.state.get(f) + f.scale * step, f.low, f.high))
                 for f, step in zip(fit.frees, steps, strict=True)
@@ -165,8 +167,7 @@ class Runs:
         runs = self.run(without) if self.error() is not None else None
         if runs is None or self.after is None:
             return None
-        one, other = (self.agreement(r)["rmse"] for r in (runs, self.after))
-        return float(np.sqrt(max(one**2 - other**2, 0.0)))
+        return apart(*(self.agreement(r)["rmse"] for r in (runs, self.after)))
 
     def left(self) -> tuple[float | None, float | None]:
         """What of the error is not explained, and its floor."""
@@ -174,7 +175,7 @@ class Runs:
         if error is None:
             return None, None
         after, floor = error["after"]["rmse"], error["floor"]["rmse"]
-        return float(np.sqrt(max(after**2 - floor**2, 0.0))), floor
+        return apart(after, floor), floor
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from dmptm_ctrl.data import PAPER_RIG
 from dmptm_ctrl.drive.parameters import Drive, Quantity, paper_drive
-from dmptm_ctrl.drive.rig import Body, Input, Link, Rig
+from dmptm_ctrl.drive.rig import CONTACTS, Body, Input, Link, Rig
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.signals.columns import Column
 
@@ -104,9 +104,7 @@ def _sides(rig: Rig) -> tuple[_Side, _Side] | None:
         if reducer is None:
             return None
         mesh = next((k for k in rig.links if k.first == reducer.second and k.half_gap), None)
-        if mesh is not None and mesh.contact != "eq21":
-            return None
-        if mesh is None:
+        if mesh is None or mesh.contact != CONTACTS[0]:
             return None
         found.append((source, rig.body(source.body), reducer, rig.body(reducer.second), mesh))
     left, right = found

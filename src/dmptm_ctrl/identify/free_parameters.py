@@ -156,8 +156,6 @@ def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[
             high = max(3.0 * value, 2.0 * scales.dt)  # a search far out finds aliases
         if effect.name == "drive_saturation":
             high = 2.0 * value
-        if effect.name == "drive_dead_band":
-            high = scales.u[effect.on]  # wider, hardly any of the signal gets through
         if parameter.name == "share":
             low, high = SHARES
         if effect.name == "drive_offset":

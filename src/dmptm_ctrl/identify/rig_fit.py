@@ -242,11 +242,12 @@ def jacobian(
         step = _step(free)
         if here + step > free.high:
             step = -step
+        there = state.moved([free], [here + step])
         for k, motion in enumerate(balance.motions):
             if free.kind in ("zero", "twist") and free.owner != motion.name:
                 continue
             try:
-                moved, _ = _one(state.moved([free], [here + step]), balance, k)
+                moved, _ = _one(there, balance, k)
             except ArithmeticError:  # on the edge of what can be; the other side is inside
                 moved, _ = _one(state.moved([free], [here - step]), balance, k)
                 moved = 2.0 * left[k] - moved

@@ -37,6 +37,11 @@ def panels(count, heights=None):
     return figure, figure.subplots(count, sharex=True, gridspec_kw={"height_ratios": heights})
 
 
+def key_above(row):
+    """Put the key above a plot, off its curves."""
+    row.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
+
+
 def diagnosis():
     """The held-out log of the bundled rig on which the effect shows most."""
     found = dmptm_ctrl.diagnose(path("demo_rig"))
@@ -53,18 +58,20 @@ def compensation():
     duty = usual_duty()
     figure, (top, bottom) = panels(2, [2, 3])
     top.plot(duty.time, duty.reference / DEG, color="0.4")
-    for label, controller, color in (
-        ("without", tuned.without, "#d1495b"),
-        ("with compensation", tuned.controller, "#0b3c6f"),
+    for label, controller, color, line in (
+        ("without", tuned.without, "#d1495b", "--"),
+        ("with compensation", tuned.controller, "#0b3c6f", "-"),
     ):
         _, out = close_loop(MODEL, controller.law(), duty.reference, duty.sample_time)
-        miss = missed(MODEL, duty, out[:, 1]) / DEG
-        rms = np.sqrt(np.mean(miss[duty.time > duty.settling] ** 2))
-        bottom.plot(duty.time, miss, color=color, lw=1.0, label=f"{label}, rms {rms:.3f}")
+        judged = duty.time > duty.settling
+        miss = missed(MODEL, duty, out[:, 1])[judged] / DEG
+        rms = np.sqrt(np.mean(miss**2))
+        name = f"{label}, rms {rms:.3f} deg/s"
+        bottom.plot(duty.time[judged], miss, line, color=color, lw=1.0, label=name)
     top.set(ylabel="setpoint [deg/s]", title=f"Predicted gain: {np.median(tuned.gains):.0%}")
-    bottom.set(xlim=(duty.settling, duty.time[-1]), ylim=(-1.5, 1.5))
+    bottom.set(xlim=(duty.settling, duty.time[-1]))
     bottom.set(xlabel="time [s]", ylabel="error [deg/s]")
-    bottom.legend(loc="upper right", ncols=2)
+    key_above(bottom)
     return figure
 
 
@@ -83,8 +90,8 @@ def export():
     figure, (top, bottom) = figure_rows
     top.plot(time, ours[:, 0], color="0.7", lw=4, label="Python")
     top.plot(time, native[:, 0], color="#0b3c6f", lw=1.0, label="compiled C")
-    top.set(ylabel="left motor [V]", title="The same controller in Python and in C")
-    top.legend(loc="upper right")
+    top.set(ylabel="left motor [V]")
+    key_above(top)
     bottom.plot(time, np.abs(native - ours).max(axis=1) / controller.limit, "k.", ms=2)
     bottom.set(xlabel="time [s]", ylabel="difference / limit", ylim=(-1e-16, 1e-15))
     return figure
@@ -104,7 +111,7 @@ def experiment():
     figure, rows = panels(3)
     rows[0].plot(time, table.u_left_V, color="0.7", label="planned")
     rows[0].plot(time, kept.u_left_V, color="#0b3c6f", label="ready to run")
-    rows[0].legend(loc="upper right", ncols=2)
+    key_above(rows[0])
     for row, values, limit in zip(rows[1:], (speed, angle), (0.4, 0.5), strict=True):
         row.plot(time, values, color="#0b3c6f")
         row.axhline(limit, color="#d1495b", lw=0.8, ls="--")

@@ -294,6 +294,14 @@ def test_the_sentence_says_what_the_budget_says(diagnosis):
     assert "nothing is missing" not in diagnosis.summary()
 
 
+def test_runs_that_miss_more_than_the_declared_model_are_said_to():
+    diagnosis = made("explained")
+    worse = {**diagnosis.error["after"], "rmse": 3.0 * diagnosis.error["before"]["rmse"]}
+    told = replace(diagnosis, error={**diagnosis.error, "after": worse}).sentence()
+    assert f"those of the declared model by {diagnosis.error['before']['rmse']:.3g}" in told
+    assert "those of the declared model" not in diagnosis.sentence()
+
+
 def test_no_doubtful_name_stands_in_the_sentence():
     """A name below probability 0.5 is counted, not said; a sure one beside it is said."""
     diagnosis = made("explained")

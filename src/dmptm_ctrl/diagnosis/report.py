@@ -186,9 +186,12 @@ class Diagnosis:
 
     def sentence(self) -> str:
         """Return the result in one sentence that says no more than the budget."""
-        left = f"{self.error['after']['rmse']:.{DIGITS}g} {self.error['unit']}"
+        before, after = (f"{self.error[k]['rmse']:.{DIGITS}g}" for k in ("before", "after"))
+        left = f"{after} {self.error['unit']}"
         if "speed" in self.error["after"]:
             left = f"free runs miss {self.error['on']} by {left}"
+            if float(after) > float(before):  # as shown, so that no last bit decides
+                left += f", those of the declared model by {before}"
         else:
             left += f" are left on {self.error['on']}"
         if self.verdict == "none":

@@ -15,7 +15,7 @@ import dmptm_ctrl
 from dmptm_ctrl import data, load_log
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.diagnosis import predict
-from dmptm_ctrl.diagnosis.select import LEVEL
+from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
 from dmptm_ctrl.simulate.model_file import read_model

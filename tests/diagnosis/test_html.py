@@ -19,13 +19,14 @@ from matplotlib.figure import Figure
 
 import dmptm_ctrl
 from dmptm_ctrl.diagnosis.budget import Errors, Row, closed_rows, error_entry
+from dmptm_ctrl.diagnosis.candidate import Candidate
 from dmptm_ctrl.diagnosis.dual import key_of
 from dmptm_ctrl.diagnosis.dual_report import DualSource, declared_dict, detectable, ranking
 from dmptm_ctrl.diagnosis.html import render
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, provenance
-from dmptm_ctrl.diagnosis.select import Candidate, Entry, Selection
+from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
 from dmptm_ctrl.identify.fit import Fit, drive_unknowns, effect_unknowns, position

@@ -6,12 +6,10 @@ from functools import cached_property
 import numpy as np
 import pytest
 
+from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, Rows
 from dmptm_ctrl.diagnosis.select import (
-    LEVEL,
     TEMPERATURE,
-    Candidate,
     Entry,
-    Rows,
     Selection,
     compared,
     explained,
@@ -62,10 +60,15 @@ class Linear:
     def __init__(self, x, y, held_x, held_y, objections=()):
         self.x, self.y, self.held_x, self.held_y = x, y, held_x, held_y
         self.objections = dict(objections)
+        self.impossible = {}  # effects that others make impossible
+
+    def objection(self, without, state, key):
+        return "impossible" if self.impossible.get(key) in state.keys else ""
 
     def candidate(self, state, keys):
         there = Model(self, (*state.keys, *keys))
         said = next((self.objections[k] for k in keys if k in self.objections), "")
+        said = said or "".join(self.objection(state, there, k) for k in keys)
         error = float(np.sqrt(HELD * np.var(state.missed - there.missed)))
         return Candidate(tuple(keys), *self.gains(state, there), there, said, held_error=error)
 
@@ -215,6 +218,19 @@ def test_what_is_impossible_is_not_accepted():
     assert found.entries == []
     assert found.rest[0].keys == ("x3",)
     assert found.rest[0].evidence > LEVEL
+
+
+def test_an_effect_that_another_makes_impossible_gives_way_to_its_rival():
+    data = drawn(2, {"x1": lambda x, noise: x["x0"] + 0.5 * noise}, {"x0": 1.0, "x3": 1.5})
+    assert keys(selected(data)) == {"x0", "x3"}
+    data.impossible = {"x0": "x3"}
+    assert keys(selected(data)) == {"x1", "x3"}
+
+
+def test_an_impossible_effect_without_a_rival_goes():
+    data = drawn(3, {}, {"x0": 1.0, "x3": 1.5})
+    data.impossible = {"x0": "x3"}
+    assert keys(selected(data)) == {"x3"}
 
 
 def entry(evidence, *rivals, objection=""):

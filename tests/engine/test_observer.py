@@ -103,6 +103,28 @@ def test_a_slow_lead_is_an_observer_of_the_drifting_run(bandwidth_hz):
     assert np.all(missed < 1e-4 * np.abs(rows).max(axis=0)), missed
 
 
+def test_a_speed_leads_the_speed_alone():
+    """By its first gain, and each miss is forgotten: x⁺ = A (x + K (y − C x)) + b u."""
+    plant, gains = plant_of(), observer_gains(5.0, DT)
+    found = led(plant, rigid_observer(plant, 1, gains), MEASURED[:1])
+    a, b = linear()
+    gain = gains[0] * np.array([0.0, 0.0, 3.0, 1.0])
+    x, rows = np.array([0.0, 0.0, 0.3, 0.3]), []
+    for i in range(N):
+        rows.append([x[0], x[3], x[1]])
+        x = a @ (x + gain * (MEASURED[0, i] - x[3])) + b * U[0, i]
+    missed = np.abs(found.readings - rows).max(axis=0)
+    assert np.all(missed < 1e-4 * np.abs(rows).max(axis=0)), missed
+
+
+@pytest.mark.parametrize("dt", [1e-4, 1e-2, 1.0])
+def test_observers_of_any_sample_time_settle(dt):
+    """Poles of [1 dt; 0 1] (I − K [1 0]) are inside the unit circle."""
+    angle, speed = observer_gains(5.0, dt)
+    closed = np.array([[1.0, dt], [0.0, 1.0]]) @ np.array([[1.0 - angle, 0.0], [-speed, 1.0]])
+    assert np.abs(np.linalg.eigvals(closed)).max() < 1.0
+
+
 def test_rigid_mode():
     """From either end of the train; the twist of its link is nothing."""
     plant = plant_of()

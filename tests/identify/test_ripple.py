@@ -11,10 +11,10 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from scipy.signal import freqz
 
 from dmptm_ctrl import load_log
+from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, key_of
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.select import LEVEL
 from dmptm_ctrl.diagnosis.trace import Trace, fast_gains
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.motion import motion

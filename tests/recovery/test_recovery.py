@@ -8,10 +8,11 @@ whole rigs are for `benchmarks/blind.py`.
 import sys
 
 from dmptm_ctrl import diagnose, load_log
+from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.select import LEVEL, select_effects
+from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig

@@ -91,22 +91,29 @@ def test_where_only_a_position_is_measured_its_rate_counts():
     angle = np.deg2rad(2.0) * np.sin(2 * np.pi * 3.0 * time)
     log = Log("a", time, {"out_q": angle, "in_u": 0.0 * time})
     sensor = Sensor("q", "q", "deg", "body", "position")
-    bare = Runs(sensor, 30.0, (log,), (np.ones(time.size, bool),), None, None, 0.0, 1)
+    bare = Runs(0.0, sensor, 30.0, (log,), (np.ones(time.size, bool),), None, None, 0.0, 1)
     (rate,) = bare.measured
     inner = slice(500, -500)
     wanted = 2.0 * 2 * np.pi * 3.0 * np.cos(2 * np.pi * 3.0 * time)
     np.testing.assert_allclose(rate[inner], wanted[inner], atol=1e-3 * wanted[0])
-    half = Runs(sensor, 30.0, (log,), bare.held, [0.0 * rate], [0.5 * rate], 0.0, 1)
+    half = Runs(0.0, sensor, 30.0, (log,), bare.held, [0.0 * rate], [0.5 * rate], 0.0, 1)
     error = half.error()
     assert error["after"]["unit"] == "deg/s"
     assert error["after"]["rmse"] == pytest.approx(0.5 * error["before"]["rmse"], rel=1e-9)
     assert error["after"]["rmse"] == pytest.approx(0.5 * wanted[0] / np.sqrt(2), rel=0.01)
 
 
+def test_short_predictions_miss_less_than_free_runs(found):
+    """A part of a log is nearly predicted from its start; its end is not."""
+    error = found.error["before"]
+    assert error["horizon"]["rmse"] < error["speed"]["rmse"]
+    assert error["horizon"]["seconds"] == pytest.approx(1 / (2 * np.pi * 5.0), abs=1e-3)
+
+
 def test_a_run_without_end_leaves_no_error_and_says_so():
     log = Log("a", np.arange(300) * 1e-3, {"out_w": np.zeros(300), "in_u": np.zeros(300)})
     sensor = Sensor("w", "w", "rad/s", "body", "speed")
-    runs = Runs(sensor, 30.0, (log,), (np.ones(300, bool),), None, None, 0.0, 1)
+    runs = Runs(0.0, sensor, 30.0, (log,), (np.ones(300, bool),), None, None, 0.0, 1)
     assert runs.error() is None
     assert runs.overlays() == []
     assert runs.left() == (None, None)
@@ -182,5 +189,5 @@ def test_parameters_outside_their_range_are_on_the_first_screen(found):
 def test_the_bundled_rig_names_its_units():
     sensor = load_rig(data.path("axis") / "rig.toml").sensors[0]
     log = Log("a", np.arange(300) * 1e-3, {"out_encoder": np.zeros(300), "in_motor": np.zeros(300)})
-    runs = Runs(sensor, 30.0, (log,), (np.ones(300, bool),), None, None, 0.0, 1)
+    runs = Runs(0.0, sensor, 30.0, (log,), (np.ones(300, bool),), None, None, 0.0, 1)
     assert runs.unit == "m/s"

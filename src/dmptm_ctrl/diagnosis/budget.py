@@ -51,10 +51,14 @@ class Errors:
         return max(self.before - self.floor, 0.0)
 
     @property
+    def balanced(self) -> bool:
+        """Whether the declared model leaves no more of the balance than any would."""
+        return near(self.before, self.floor)
+
+    @property
     def within_floor(self) -> bool:
-        """Whether the declared model is as good as any, by every measure."""
-        runs = self.runs is None or near(self.runs.before, self.runs.floor)
-        return runs and near(self.before, self.floor)
+        """Whether the declared model is as good as any, in free runs too."""
+        return self.balanced and (self.runs is None or near(self.runs.before, self.runs.floor))
 
     @property
     def explained(self) -> float:

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, Floats, Keys, Rows, standard_error
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.residual import Residual, predicting_fit, residual
-from dmptm_ctrl.diagnosis.select import LEVEL, Candidate, Floats, Keys, Rows, standard_error
 from dmptm_ctrl.diagnosis.trace import Trace, Trial, effect_columns, trace, try_effect, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import (
@@ -156,7 +156,7 @@ class DualEvidence:
 
     def _candidate(self, state: DualState, trials: tuple[Trial, ...]) -> Candidate:
         keys = tuple(key_of(t.name) for t in trials)
-        why = next(filter(None, map(objection, trials)), "")
+        why = next(filter(None, (objection(t.fit, t.name) for t in trials)), "")
         numbers = sum(len(unknowns_of(t.name)) for t in trials)
         order = sum(list(CATALOGUE).index(t.name) for t in trials)
         one = Candidate(keys, 0.0, 0.0, trials, why, numbers, order)
@@ -252,6 +252,10 @@ class DualEvidence:
         whole = float(np.mean(state.independence**2))
         return whole * float(p @ np.linalg.pinv(covariance) @ p)
 
+    def objection(self, without: DualState, state: DualState, key: str) -> str:
+        """Why the values of an effect are impossible; empty where they are not."""
+        return objection(state.left.base, name_of(key))
+
     def share(self, without: DualState, state: DualState, key: str) -> Floats:
         """What an effect changes of the residual, weighted, the others projected out."""
         base = state.left.base
@@ -281,13 +285,13 @@ def searched(name: str) -> float:
     return 2.0 * float(np.log(np.prod(banks)))
 
 
-def objection(trial: Trial) -> str:
+def objection(fit: BalanceFit, name: str) -> str:
     """Why the fitted values of an effect are impossible; empty where they are not."""
-    amplitudes = CATALOGUE[trial.name].amplitudes
-    errors = np.sqrt(np.diag(trial.fit.covariance))
+    amplitudes = CATALOGUE[name].amplitudes
+    errors = np.sqrt(np.diag(fit.covariance))
     firm = False
-    for k, x, se in zip(trial.fit.unknowns, trial.fit.p, errors, strict=True):
-        if k.effect != trial.name or k.name not in amplitudes:
+    for k, x, se in zip(fit.unknowns, fit.p, errors, strict=True):
+        if k.effect != name or k.name not in amplitudes:
             continue
         if x != 0.0 and x in (k.low, k.high):
             return f"{k.name} would lie beyond what is possible"

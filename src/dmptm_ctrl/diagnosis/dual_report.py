@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dmptm_ctrl.diagnosis.candidate import Candidate
 from dmptm_ctrl.diagnosis.code import rebuilding_code
 from dmptm_ctrl.diagnosis.dual import DualState, key_of, name_of
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import low_pass, speeds
 from dmptm_ctrl.diagnosis.report import UNNAMED, NamedEffect, Picture, estimate, ranked_rows
-from dmptm_ctrl.diagnosis.select import Candidate, Entry, Selection
+from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES

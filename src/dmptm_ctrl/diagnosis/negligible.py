@@ -5,7 +5,8 @@ from dataclasses import replace
 from typing import Any
 
 from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE
-from dmptm_ctrl.diagnosis.select import Entry, Evidence, Selection
+from dmptm_ctrl.diagnosis.candidate import Evidence
+from dmptm_ctrl.diagnosis.select import Entry, Selection, given_way, ranked, rivals_of
 
 
 def without_negligible(
@@ -39,18 +40,27 @@ def without_negligible(
         left_out = {key: evidence.without(final, key) for key in left_out if key in final.keys}
     if final is selection.final:
         return selection
-    kept = [_again(evidence, e, final) for e in selection.entries if e.key in final.keys]
+    for key in final.keys:
+        without = evidence.without(final, key)
+        if evidence.objection(without, final, key):  # nothing stands for what went, but it
+            rivals = ranked(rivals_of(evidence, selection, final, without, key))
+            final = given_way(evidence, without, rivals)
+            selection.path.append(f"- {key}: impossible beside the others")
+    known = {e.key: e for e in selection.entries}
+    kept = [_again(evidence, known.get(key), key, final) for key in final.keys]
     return replace(selection, final=final, entries=sorted(kept, key=lambda e: -e.evidence))
 
 
-def _again(evidence: Evidence, entry: Entry, final: Any) -> Entry:
+def _again(evidence: Evidence, entry: Entry | None, key: str, final: Any) -> Entry:
     """Count an effect's evidence, and its rivals' by as much, beside another model."""
-    without = evidence.without(final, entry.key)
+    without = evidence.without(final, key)
     gains = evidence.gains(without, final)
+    if entry is None:
+        return Entry(key, *gains, (), without)
     fit, held = gains[0] - entry.gain, gains[1] - entry.held_gain
     rivals = tuple(
         replace(r, gain=r.gain + fit, held_gain=r.held_gain + held)
         for r in entry.rivals
         if r.keys[0] not in final.keys
     )
-    return Entry(entry.key, *gains, rivals, without)
+    return Entry(key, *gains, rivals, without)

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.select import LEVEL, Floats, Selection
+from dmptm_ctrl.diagnosis.candidate import LEVEL, Floats
+from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.identify.inverse_dynamics import Balance, measured_motion
 from dmptm_ctrl.identify.measured_motion import Motion
 from dmptm_ctrl.identify.rig_fit import Likelihood, RigFit

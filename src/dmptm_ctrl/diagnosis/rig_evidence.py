@@ -8,6 +8,7 @@ from math import isfinite
 import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import NONE
+from dmptm_ctrl.diagnosis.candidate import Candidate, Floats, Rows, standard_error
 from dmptm_ctrl.diagnosis.rig_candidates import (
     MAX_ORDER,
     SPOT_BINS,
@@ -18,7 +19,7 @@ from dmptm_ctrl.diagnosis.rig_candidates import (
 from dmptm_ctrl.diagnosis.rig_curves import curve_columns, variables_of
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
-from dmptm_ctrl.diagnosis.select import Candidate, Floats, Rows, Selection, ranked, standard_error
+from dmptm_ctrl.diagnosis.select import Selection, ranked
 from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
 from dmptm_ctrl.identify.rig_fit import (
@@ -151,8 +152,11 @@ class RigEvidence:
         there, news = state.fit.state, state.fit.likelihood.news
         for trial in group:
             there = trial.placed_in(there)
+        near = None if there.model.layout.links else state.fit
         try:
-            fit = fit_rig(there, self.logs, iterations=iterations, news=news, jobs=self.jobs)
+            fit = fit_rig(
+                there, self.logs, iterations=iterations, news=news, near=near, jobs=self.jobs
+            )
             found = self._candidate(state, tuple(group), fit)
             if found.objection and found.demanded:  # impossible on the way is not impossible
                 fit = fit_rig(fit.state, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
@@ -282,6 +286,10 @@ class RigEvidence:
         scale = np.array([state.fit.frees[j].scale for j in own])
         covariance = state.fit.covariance[np.ix_(own, own)] * np.outer(scale, scale)
         return float(p @ np.linalg.pinv(covariance) @ p)
+
+    def objection(self, without: RigState, state: RigState, key: str) -> str:
+        """Why the values of an effect are impossible; empty where they are not."""
+        return objection(key, state.fit, without.fit)
 
     def share(self, without: RigState, state: RigState, key: str) -> Floats:
         """What an effect changes of the residual, weighted, the others projected out."""

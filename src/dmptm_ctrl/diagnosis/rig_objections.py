@@ -6,7 +6,7 @@ from math import isfinite, pi
 import numpy as np
 from scipy.signal import csd, welch
 
-from dmptm_ctrl.diagnosis.select import Floats
+from dmptm_ctrl.diagnosis.candidate import Floats
 from dmptm_ctrl.identify.inverse_dynamics import effective_input
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
 from dmptm_ctrl.identify.rig_fit import RigFit

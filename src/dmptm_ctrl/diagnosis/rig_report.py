@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import EXPLAINED, Errors, Row, error_entry
+from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture, ranked_rows
 from dmptm_ctrl.diagnosis.rig_curves import Curve, mean_square
 from dmptm_ctrl.diagnosis.rig_evidence import RigState
 from dmptm_ctrl.diagnosis.rig_runs import Runs, variable_of
 from dmptm_ctrl.diagnosis.rig_sensors import SensorFault
-from dmptm_ctrl.diagnosis.select import LEVEL, Candidate, Entry, Selection
+from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY
 from dmptm_ctrl.diagnosis.summary import correlated
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.free_parameters import on_slide
+from dmptm_ctrl.identify.led import BANDWIDTH_HZ
 from dmptm_ctrl.identify.rig_fit import RigFit, State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -148,7 +150,9 @@ def report_of(
     zeros = {log: dict(n.zero) for log, n in final.held_state.logs.items()}
     augmented = replace(augmented, zeros=zeros)
     after = State(augmented, final.held_state.logs)
-    runs = Runs.of(rig, logs, final.held, as_read.held_state, after, final.fit, jobs)
+    given = rig, logs, final.held, as_read.held_state, after, final.fit, jobs
+    runs, short = Runs.of(*given), Runs.of(*given, lead_hz=BANDWIDTH_HZ)
+    errors = replace(errors, runs=runs.squares, short=short.squares)
     found = [_sensor_effect(f, rig) for f in faults]
     healed = max(errors.before - mean_square(base.held_left[0], base.held), 0.0)
     costs = [healed / len(faults) for _ in faults]
@@ -167,9 +171,9 @@ def report_of(
     strong = (c.variable for c in curves if c.evidence > 0.5 * curves[0].evidence)
     variables = tuple(dict.fromkeys(strong))[:2]
     verdict = "unknown"
-    if effects and (errors.explained >= EXPLAINED or errors.within_floor):
+    if effects and (errors.explained >= EXPLAINED or errors.balanced):
         verdict = "explained"
-    elif not effects and share_of_curves < 1.0 - EXPLAINED and errors.within_floor:
+    elif not effects and share_of_curves < 1.0 - EXPLAINED and errors.balanced:
         verdict = "none"
     rows = [
         Row(e.name, e.location, slower[k], sqrt(costs[k]), costs[k],
@@ -189,7 +193,7 @@ def report_of(
         budget=tuple(budget_of(rows, errors, runs.left(), variables)),
         ranking=ranking_of(selection, final, faults),
         depends_on=(variables or nearest) if verdict == "unknown" else (),
-        error=error_entry(on, runs.error(), torque, None),  # no short predictions of rig files
+        error=error_entry(on, runs.error(), torque, short.error()),
         errors=errors,
         declared=base.fit.model,
         augmented=augmented,

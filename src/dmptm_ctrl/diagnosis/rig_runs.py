@@ -1,13 +1,15 @@
-"""Free runs of a rig file's drive on its held-out logs, and how far they are from a sensor."""
+"""Runs of a rig file's drive on its held-out logs, free or led, and what they miss of a sensor."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import pi
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.diagnosis.budget import Squares
 from dmptm_ctrl.diagnosis.predict import (
     BANDWIDTH_HZ,
     agreement,
@@ -40,10 +42,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Free runs of the models before and after on the inputs of held-out logs.
+    """Runs of the models before and after on the inputs of held-out logs.
 
     Attributes
     ----------
+    lead_hz : float
+        Bandwidth of the observer that keeps short predictions near what was measured; 0 of free
+        runs.
     sensor : Sensor
         That is compared: the first that measures speed, else the rate of the first. A free run
         of a position drifts without end, which says little of a model.
@@ -59,6 +64,7 @@ class Runs:
         Scatter of models within the standard errors, and noise.
     """
 
+    lead_hz: float
     sensor: Sensor
     bandwidth: float
     logs: tuple[Log, ...]
@@ -78,6 +84,8 @@ class Runs:
         after: State,
         fit: RigFit,
         jobs: int,
+        *,
+        lead_hz: float = 0.0,
     ) -> "Runs":
         """Run the models before and after, and some within the standard errors of the latter."""
         sensor = next((s for s in rig.sensors if s.measures == "speed"), rig.sensors[0])
@@ -88,7 +96,7 @@ class Runs:
             tenth = np.arange(len(log)) * STRETCHES // len(log)
             masks.append(np.isin(tenth, HELD_STRETCHES) | (motion.part == ""))
         widest = min(BANDWIDTH_HZ, MOTION_OVER_BALANCE * balance.bandwidth)
-        bare = cls(sensor, widest, held, tuple(masks), None, None, 0.0, jobs)
+        bare = cls(lead_hz, sensor, widest, held, tuple(masks), None, None, 0.0, jobs)
         runs = [bare.run(state) for state in (before, after)]
         floor = bare.scatter(after, fit) if None not in runs else 0.0
         return replace(bare, before=runs[0], after=runs[1], floor=floor)
@@ -103,7 +111,10 @@ class Runs:
 
         def one(log: Log) -> Floats:
             model = state.model.shifted(state.nuisance(log.name).zero)
-            return self._seen(readings(model, log, free_run(model, log))[self.sensor.name], log)
+            return self._seen(
+                readings(model, log, free_run(model, log, lead_hz=self.lead_hz))[self.sensor.name],
+                log,
+            )
 
         try:
             with np.errstate(all="ignore"):
@@ -158,9 +169,18 @@ class Runs:
             "before": self.agreement(self.before), "after": self.agreement(self.after),
         }  # fmt: skip
         sides["floor"] = {"rmse": min(self.floor, *(s["rmse"] for s in sides.values()))}
-        return {
-            k: {**v, "unit": self.unit, "bandwidth_hz": self.bandwidth} for k, v in sides.items()
-        }
+        same: dict[str, Any] = {"unit": self.unit, "bandwidth_hz": self.bandwidth}
+        if self.lead_hz:
+            same["seconds"] = round(0.5 / (pi * self.lead_hz), 3)  # of its memory
+        return {k: {**v, **same} for k, v in sides.items()}
+
+    @property
+    def squares(self) -> Squares | None:
+        """Mean squares of the errors before and after, and of their floor."""
+        error = self.error()
+        if error is None:
+            return None
+        return Squares(*(error[side]["rmse"] ** 2 for side in ("before", "after", "floor")))
 
     def rise(self, without: State) -> float | None:
         """What the error of the free runs rises by with another model, root mean square."""

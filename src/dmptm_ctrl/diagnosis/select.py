@@ -5,27 +5,26 @@ which nothing is fitted. Rows count by how independent they are under the larger
 acceptance level holds for every effect, place and drive.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations
-from math import hypot
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-Floats = NDArray[np.float64]
-Keys = tuple[str, ...]  # name@place of effects
+from dmptm_ctrl.diagnosis.candidate import (
+    LEVEL,
+    Candidate,
+    Evidence,
+    Floats,
+    Keys,
+    Rows,
+    State,
+    needed,
+)
 
-# Evidence from which an effect is accepted: above what any absent effect reaches on drives that
-# lack nothing, of all friction and contact laws, ordinary imperfections included
-# (benchmarks/calibrate.py).
-LEVEL = 50.0
-# Standard errors that evidence is above nothing. A diagnosis looks at some 150 candidates. By
-# chance one of 30 000 is so far out: one in one diagnosis of 200.
-SURE = 4.0
 # Evidence per unit of log-odds between rivals: 2 where the likelihood is right; laws that are
 # only nearly right make it less sharp.
 TEMPERATURE = 4.0
@@ -35,144 +34,6 @@ SET_TRIALS = 3  # pairs, and triples, that are fitted
 RIVALS = 3  # candidates that may take the place of an effect
 HOPE = 0.3  # share of what an effect explains that a rival can explain, to first order
 DOUBTFUL = 3.0  # levels; an effect of more by its standard errors is not taken out to be tested
-
-
-def needed(effects: int, *errors: float) -> float:
-    """Evidence above which effects are accepted, by their number and its standard errors."""
-    return max(LEVEL * effects, SURE * hypot(*errors))
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One effect, or a set of effects, fitted beside a model.
-
-    Attributes
-    ----------
-    keys : tuple of str
-        ``name@place`` of each effect.
-    gain, held_gain : float
-        Fall of −2 log-likelihood on the fitted and on the held-out logs.
-    fitted : object
-        What the evidence needs to go on from here.
-    objection : str
-        Why the fitted values are impossible; empty where they are not.
-    numbers : int
-        Of the effects together; of rivals that the logs hardly tell apart the simplest is named.
-    order : int
-        Place in the catalogue; of equally simple rivals the first is named.
-    error, held_error : float
-        Standard errors of `gain` and `held_gain`, from how the rows' shares of them scatter.
-        A few bursts that an effect follows by chance are much evidence, and much scatter.
-    """
-
-    keys: tuple[str, ...]
-    gain: float
-    held_gain: float
-    fitted: Any
-    objection: str = ""
-    numbers: int = 0
-    order: int = 0
-    error: float = 0.0
-    held_error: float = 0.0
-
-    @property
-    def plainness(self) -> tuple[int, int]:
-        """What decides between rivals that the logs hardly tell apart; the least is named."""
-        return self.numbers, self.order
-
-    @property
-    def evidence(self) -> float:
-        """Fall of −2 log-likelihood on all logs."""
-        return self.gain + self.held_gain
-
-    @property
-    def demanded(self) -> bool:
-        """Whether the logs demand it, and held-out ones do not object."""
-        enough = self.evidence > needed(len(self.keys), self.error, self.held_error)
-        # the rule of one standard error: Breiman et al., Classification and Regression Trees, 1984
-        return enough and self.held_gain >= -self.held_error
-
-    @property
-    def acceptable(self) -> bool:
-        """Whether the logs demand it and its values are possible."""
-        return self.demanded and not self.objection
-
-
-class State(Protocol):
-    """A model fitted to the fitted logs."""
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """Effects that were added, ``name@place``."""
-
-    @property
-    def target(self) -> Floats:
-        """Weighted residual, the model's own parameters projected out, (m,)."""
-
-
-class Rows(NamedTuple):
-    """A model and candidates to first order: what is left is ``left + slopes @ d + columns @ a``.
-
-    Attributes
-    ----------
-    left : (m,) array
-        Weighted residual, and the misfit of the declared ranges.
-    slopes : (m, p) array
-        Its derivatives by the model's parameters.
-    low, high : (p,) arrays
-        How far each parameter can go.
-    columns : mapping of keys to (m, k) arrays
-        Its derivatives by the amplitudes of each candidate.
-    """
-
-    left: Floats
-    slopes: Floats
-    low: Floats
-    high: Floats
-    columns: Mapping[Keys, Floats]
-
-
-class Evidence(Protocol):
-    """What a kind of balance offers to the selection."""
-
-    def candidates(self, state: Any, only: Sequence[str] | None = None) -> list[Candidate]:
-        """Fit every effect at every place beside a model."""
-
-    def gains(self, smaller: Any, larger: Any) -> tuple[float, float]:
-        """Fall of −2 log-likelihood by the larger model on the fitted and the held-out logs."""
-
-    def errors(self, smaller: Any, larger: Any) -> tuple[float, float]:
-        """Standard errors of these falls."""
-
-    def ratio(self, state: Any) -> float:
-        """Rows of the fitted logs over those of the held-out ones."""
-
-    def columns(self, state: Any, candidate: Candidate) -> Floats:
-        """Weighted change of the residual per amplitude, (m, k), projected as the target is."""
-
-    def rows(self, state: Any, candidates: Sequence[Candidate]) -> Rows:
-        """Return a model and candidates to first order."""
-
-    def together(self, state: Any, candidates: Sequence[Candidate]) -> Candidate:
-        """Fit several effects beside a model."""
-
-    def adopt(self, state: Any, candidate: Candidate) -> Any:
-        """Put a candidate into the model and fit to the end, on the same rows."""
-
-    def beside(self, state: Any, candidate: Candidate) -> Any:
-        """Return the model with a candidate, as it was fitted."""
-
-    def closed(self, state: Any) -> Any:
-        """Prepare the rows anew, as the model has it now, and fit again."""
-
-    def without(self, state: Any, key: str) -> Any:
-        """Take an effect out and fit the rest again."""
-
-    def wald(self, state: Any, key: str) -> float:
-        """Square of an effect's amplitudes in standard errors: its evidence, to second order."""
-
-    def share(self, without: Any, state: Any, key: str) -> Floats:
-        """What an effect changes of the residual, weighted, the other parameters projected out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,24 +101,6 @@ class Selection:
     rest: list[Candidate] = field(default_factory=list)
     known: dict[Keys, Candidate] = field(default_factory=dict)
     path: list[str] = field(default_factory=list)
-
-
-def standard_error(
-    few: Sequence[Floats], more: Sequence[Floats], lengths: Sequence[float] | Floats
-) -> float:
-    """Standard error of a fall of −2 log-likelihood, from how the rows' shares of it scatter.
-
-    Vuong, Econometrica 57 (1989) 307.
-
-    Parameters
-    ----------
-    few, more : sequences of arrays
-        −2 log-likelihood of each row, per equation, by the smaller and by the larger model.
-    lengths : sequence of float
-        Rows of each equation that count as one.
-    """
-    rows = zip(few, more, lengths, strict=True)
-    return float(np.sqrt(sum(a.size * np.var(a - b) / length for a, b, length in rows)))
 
 
 def select_effects(
@@ -427,7 +270,10 @@ def beyond_need(evidence: Evidence, smaller: Any, larger: Any) -> float:
 def compared(
     evidence: Evidence, selection: Selection, state: State, step: Callable[[str], None]
 ) -> Selection:
-    """Compare each effect with what could replace it or stand beside it; the best stays."""
+    """Compare each effect with what could replace it or stand beside it; the best stays.
+
+    An effect that others have made impossible gives way to a rival, or goes.
+    """
     for _ in range(MOST):
         entries = []
         for key in state.keys:
@@ -436,8 +282,11 @@ def compared(
             able = rivals_of(evidence, selection, state, without, key)
             rivals = ranked([in_place(evidence, without, state, gains, c) for c in able])
             better = other_way(evidence, selection, state, without, key, gains, rivals)
+            if better is None and evidence.objection(without, state, key):
+                better = given_way(evidence, without, rivals)
             if better is not None:
-                step(f"{key} → {', '.join(k for k in better.keys if k not in state.keys)}")
+                news = [k for k in better.keys if k not in state.keys]
+                step(f"{key} → {', '.join(news) or 'nothing'}")
                 state = pruned(evidence, better, step)
                 break
             entries.append(Entry(key, *gains, tuple(rivals), without))
@@ -446,6 +295,12 @@ def compared(
     selection.entries = sorted(entries, key=lambda e: -e.evidence)
     selection.final = state
     return selection
+
+
+def given_way(evidence: Evidence, without: State, rivals: Sequence[Candidate]) -> State:
+    """Return the model in which the best rival stands for an impossible effect, or nothing."""
+    possible = [r for r in rivals if r.acceptable]
+    return evidence.adopt(without, possible[0]) if possible else without
 
 
 def in_place(

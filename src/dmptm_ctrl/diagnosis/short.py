@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import inf
 
+from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, needed
 from dmptm_ctrl.diagnosis.dual import (
     DualEvidence,
     DualState,
@@ -19,17 +20,7 @@ from dmptm_ctrl.diagnosis.dual import (
 from dmptm_ctrl.diagnosis.judge import rise
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.residual import predicting
-from dmptm_ctrl.diagnosis.select import (
-    LEVEL,
-    MOST,
-    Candidate,
-    Entry,
-    Selection,
-    best_of,
-    explained,
-    needed,
-    ranked,
-)
+from dmptm_ctrl.diagnosis.select import MOST, Entry, Selection, best_of, explained, ranked
 from dmptm_ctrl.diagnosis.trace import BY_SIMULATOR, bent, candidates, starts, weighted_changes
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.model import Model

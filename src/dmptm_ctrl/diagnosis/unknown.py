@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dmptm_ctrl.diagnosis.bursts import BURSTS, Bursts, bursts
+from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.curves import Curve, curves
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.diagnosis.select import LEVEL
 from dmptm_ctrl.diagnosis.slip import SLIP, wanders
 
 CURVE = LEVEL  # evidence of a curve, less the price of its knots: that of any effect

@@ -314,6 +314,8 @@ def least_in_box(normal: Floats, slope: Floats, low: Floats, high: Floats) -> Fl
     `normal` (k, k) is A, of numbers of like scale; directions that it does not tell stay put.
     """
     values, vectors = np.linalg.eigh(normal)
+    if values[-1] <= 0.0:  # nothing is told
+        return np.zeros(slope.size)
     root = np.sqrt(np.maximum(values, FLATTEST * values[-1]))
     target = (vectors / root).T @ slope
     bounds = np.minimum(low, -NOWHERE), np.maximum(high, NOWHERE)

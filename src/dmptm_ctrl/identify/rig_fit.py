@@ -272,9 +272,13 @@ def fit_rig(
     iterations: int = 6,
     tolerance: float = 0.3,
     news: Floats | None = None,
+    near: RigFit | None = None,
     jobs: int = 2,
 ) -> RigFit:
     """Fit by Gauss–Newton.
+
+    Without links, steps go on with slopes that follow from how the residual moved (Broyden, Math.
+    Comp. 19 (1965) 577). Differences are taken anew where these gain no more, and at the end.
 
     Parameters
     ----------
@@ -289,6 +293,8 @@ def fit_rig(
         Stops when −2 log-likelihood falls by less.
     news : (equations,) array, optional
         Share of the rows of each equation that is independent.
+    near : RigFit, optional
+        Of a model without some effects: the slopes of what both have are nearly its own.
 
     Returns
     -------
@@ -302,17 +308,23 @@ def fit_rig(
     count = left[0].shape[0]
     likelihood = Likelihood(balance, np.full(count, 1.0 / ROWS_PER_NEWS) if news is None else news)
     loss = total_loss(state, frees, left, likelihood)
-    slopes = jacobian(state, balance, frees, left, jobs=jobs)
+    slopes = slopes_near(state, balance, frees, left, near, jobs)
+    fresh = near is None or not near.frees  # differences taken where the state is
     for _ in range(iterations if frees else 0):
         better = stepped(state, frees, left, slopes, likelihood, loss)
-        if better is None:
+        gain, was_fresh = 0.0, fresh
+        if better is not None:
+            gain, fresh = loss - better[3], False
+            slopes = _secant(frees, slopes, left, better[1], state, better[0])
+            state, left, drive, loss = better
+            frees, slopes = _rescaled(frees, slopes, state)
+        if gain < tolerance and was_fresh:
             break
-        gain = loss - better[3]
-        state, left, drive, loss = better
-        frees = tuple(_rescaled(f, state) for f in frees)
+        # gaps bend too much for secants
+        if gain < tolerance or state.model.layout.links:
+            slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs), True
+    if not fresh:
         slopes = jacobian(state, balance, frees, left, jobs=jobs)
-        if gain < tolerance:
-            break
     return RigFit(state, frees, left, drive, slopes, likelihood, loss)
 
 
@@ -354,11 +366,57 @@ def _has_kinks(free: Free) -> bool:
     return free.kind == "effect" and free.owner.partition("@")[0] in KINKS
 
 
-def _rescaled(free: Free, state: State) -> Free:
-    """Keep the difference step in proportion to the value."""
-    if free.kind != "value":
-        return free
-    return replace(free, scale=max(abs(state.get(free)), free.least) or free.scale)
+def slopes_near(
+    state: State,
+    balance: Balance,
+    frees: Sequence[Free],
+    left: Sequence[Floats],
+    near: RigFit | None,
+    jobs: int,
+) -> tuple[Floats, ...]:
+    """Return the slopes of a model: those of a fit nearby where it has the same number."""
+    known = {} if near is None else {f.label: k for k, f in enumerate(near.frees)}
+    new = [j for j, f in enumerate(frees) if f.label not in known]
+    own = jacobian(state, balance, [frees[j] for j in new], left, jobs=jobs)
+    if near is None:
+        return own
+    slopes = [np.empty((*part.shape, len(frees))) for part in left]
+    for k, part in enumerate(slopes):
+        part[..., new] = own[k]
+        for j, free in enumerate(frees):
+            if free.label in known:
+                other = known[free.label]
+                part[..., j] = near.slopes[k][..., other] * (free.scale / near.frees[other].scale)
+    return tuple(slopes)
+
+
+def _secant(
+    frees: Sequence[Free],
+    slopes: Sequence[Floats],
+    old: Sequence[Floats],
+    new: Sequence[Floats],
+    before: State,
+    after: State,
+) -> tuple[Floats, ...]:
+    """Slopes that say what a step did, and change least."""
+    step = np.array([(after.get(f) - before.get(f)) / f.scale for f in frees])
+    return tuple(
+        p + ((n - o - p @ step) / (step @ step))[..., None] * step
+        for p, o, n in zip(slopes, old, new, strict=True)
+    )
+
+
+def _rescaled(
+    frees: Sequence[Free], slopes: Sequence[Floats], state: State
+) -> tuple[tuple[Free, ...], tuple[Floats, ...]]:
+    """Keep the difference steps in proportion to the values, and slopes per scale."""
+    scales = [
+        (max(abs(state.get(f)), f.least) or f.scale) if f.kind == "value" else f.scale
+        for f in frees
+    ]
+    ratio = np.array([new / f.scale for f, new in zip(frees, scales, strict=True)])
+    after = tuple(replace(f, scale=new) for f, new in zip(frees, scales, strict=True))
+    return after, tuple(part * ratio for part in slopes)
 
 
 def total_loss(

@@ -1,12 +1,14 @@
 """Free run of a chain on a log: what the sensors would have read."""
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
 from dmptm_ctrl.identify.inverse_dynamics import kinematic
 from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.observer import observer_gains, rigid_observer
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import RigRun, march
 
@@ -57,11 +59,21 @@ def free_run(
     log: Log,
     *,
     start: tuple[Mapping[str, float], Mapping[str, float]] | None = None,
+    lead_hz: float = 0.0,
 ) -> RigRun:
     """Run a chain on a log's inputs, from its first sample.
 
     Angles of bodies on both sides of a spring may have zeros of their own: such a spring
     starts untwisted.
+
+    Parameters
+    ----------
+    model : RigModel
+    log : Log
+    start : positions and speeds of bodies, optional
+        By default what the log shows.
+    lead_hz : float
+        Bandwidth of an observer that leads the run by the log's first position, or else speed.
     """
     q0, v0 = start or initial(model, log)
     u = np.array([log[i.channel] for i in model.rig.inputs])
@@ -76,7 +88,17 @@ def free_run(
     position = {b: layout.ratio[b] * q_base * reach[g] for g, b in seen.items()}
     speed = {b: v0[b] for b in seen.values()}
     # a log begins in the midst of things: earlier signals were as its first
-    return march(model, u, log.sample_time, position=position, speed=speed, before=u[:, 0])
+    run = partial(march, model, dt=log.sample_time, position=position, speed=speed, before=u[:, 0])
+    if lead_hz == 0.0:
+        return run(u)
+    rig = model.rig
+    index = next((i for i, s in enumerate(rig.sensors) if s.measures == "position"), 0)
+    sensor = rig.sensors[index]
+    measured = log[sensor.channel]
+    if sensor.measures == "position":
+        measured = measured - measured[0] + run(u[:, :1]).reading(sensor.name)[0]
+    observer = rigid_observer(model.plant(), index, observer_gains(lead_hz, log.sample_time))
+    return run(u, observer=observer, measured=measured)
 
 
 def readings(model: RigModel, log: Log, run: RigRun) -> dict[str, Floats]:

@@ -13,6 +13,8 @@ import numpy as np
 
 from dmptm_ctrl.simulate.plant import Floats, Ints, Plant
 
+FASTEST = 0.5  # decay of an observer a sample; from 2 on its gains no longer damp
+
 
 class Observer(NamedTuple):
     """How a run of a plant follows measurements.
@@ -60,22 +62,29 @@ def rigid_mode(plant: Plant, body: int) -> Floats:
 
 
 def rigid_observer(plant: Plant, sensor: int, gains: Sequence[float]) -> Observer:
-    """Return the observer that leads the rigid motion of a plant by one position sensor.
+    """Return the observer that leads the rigid motion of a plant by one sensor.
 
     Parameters
     ----------
     plant : Plant
     sensor : int
+        Of a speed, it moves the speed by the first gain and forgets each miss.
     gains : (angle gain, speed gain) per sample
         As of :func:`observer_gains`.
     """
     mode = rigid_mode(plant, int(plant.sensor_body[sensor]))
     angle, speed = gains
+    if plant.sensor_speed[sensor] > 0:
+        both = np.concatenate([0.0 * mode, angle * mode])[:, None]
+        return Observer(np.array([sensor]), both, np.ones(1))
     both = np.concatenate([mode, speed * mode])[:, None]
     return Observer(np.array([sensor]), both, np.array([angle]))
 
 
 def observer_gains(bandwidth_hz: float, dt: float) -> tuple[float, float]:
-    """Return per-sample gains of a critically damped rigid-mode observer."""
-    pole = 2.0 * np.pi * bandwidth_hz * dt
+    """Return per-sample gains of a critically damped rigid-mode observer.
+
+    Its bandwidth is lower where samples are too rare for it.
+    """
+    pole = min(2.0 * np.pi * bandwidth_hz * dt, FASTEST)
     return 2.0 * pole, pole**2 / dt

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from dmptm_ctrl.drive.parameters import physical
 from dmptm_ctrl.drive.rig import Controller, Rig, Sensor
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.observer import Observer
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.plant import ELASTIC_IMPACT, Floats, Plant
 from dmptm_ctrl.simulate.rig_control import controller_of
@@ -120,6 +121,8 @@ def march(
     before: Floats | None = None,
     push: Mapping[str, Floats] | None = None,
     state: State | None = None,
+    observer: Observer | None = None,
+    measured: Floats | None = None,
 ) -> RigRun:
     """Run a chain.
 
@@ -146,6 +149,8 @@ def march(
         Torques [N·m] or forces added on bodies.
     state : State, optional
         Of an earlier run of the same model, to go on from.
+    observer, measured : Observer and (m, n) array, optional
+        Lead the run by what its sensors measured.
 
     Returns
     -------
@@ -181,6 +186,7 @@ def march(
         done = advance(
             plant, state, u, dt, steps, structure=structure, before=before, push=torque,
             controller=law, target=reference, noise=added, given=motion,
+            observer=observer, measured=measured,
         )  # fmt: skip
     time: Floats = state.time + dt * np.arange(n, dtype=np.float64)
     return RigRun(model, time, done)

@@ -7,7 +7,7 @@ import numpy as np
 
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.compiled import march, rest
+from dmptm_ctrl.simulate.compiled import SUBSTEPS, march, rest
 from dmptm_ctrl.simulate.dual import parts_of
 from dmptm_ctrl.simulate.model import Arrays, Floats, Model
 from dmptm_ctrl.simulate.observer import observer_gains
@@ -124,7 +124,9 @@ def block_mean(signal: Floats, block: int) -> Floats:
     return signal[..., : n * block].reshape(*signal.shape[:-1], n, block).mean(-1)
 
 
-def predict(rec: Record, arrays: Arrays, bandwidth_hz: float = 0.0) -> Floats:
+def predict(
+    rec: Record, arrays: Arrays, bandwidth_hz: float = 0.0, substeps: int = SUBSTEPS
+) -> Floats:
     """Run the model on a record; with a bandwidth, led slowly by the measured angle.
 
     Returns
@@ -133,7 +135,9 @@ def predict(rec: Record, arrays: Arrays, bandwidth_hz: float = 0.0) -> Floats:
         Columns of `compiled.OUTPUTS`.
     """
     observer = observer_gains(bandwidth_hz, rec.dt) if bandwidth_hz > 0 else None
-    return march(arrays, rec.u, rec.x0, rec.dt, observer=observer, measured=rec.theta)
+    return march(
+        arrays, rec.u, rec.x0, rec.dt, substeps=substeps, observer=observer, measured=rec.theta
+    )
 
 
 def difference(rec: Record, out: Floats, n1: float, n2: float) -> Floats:

@@ -30,6 +30,8 @@ SITES = (
     *("drive", "delay", "lag", "motor", "shaft", "mesh", "friction", "presliding", "ageing"),
     *("load", "sensor", "sensor_delay"),
 )
+# what shows an effect
+BALANCE, MOTOR_ENCODERS, SENSORS, RUNS = "balance", "motor encoders", "sensors", "runs"
 
 
 class Parameter(NamedTuple):
@@ -64,6 +66,32 @@ class Effect(NamedTuple):
     """A physical effect: its kernel, its parameters and what is known of it.
 
     The effect is absent exactly when all its amplitudes are zero.
+
+    Attributes
+    ----------
+    name, site, kernel, parameters, values
+        What it is; `values` holds the parameters as the kernel takes them.
+    location, source, depends_on, reveals
+        Where it acts, by which source, on which variables, and the experiment that shows it.
+    seen_by : str
+        What shows it: a balance of torques, encoders at the motors, two sensors of one motion, or
+        runs alone, as it acts near rest, where balances do not look.
+    starts : tuple of (parameter, multiple of its `step`)
+        Where fits begin of what has no slope at zero, or is far from linear.
+    search : str
+        How its shape is found: "orders", "frequencies", "places", "limits"; else by its bank.
+    constants : tuple of str
+        Amplitudes that alone make another effect, such as the constant torque of a spring.
+    wave : bool
+        Whether its amplitudes are a cosine and a sine of an angle.
+    fast : bool
+        Whether it acts faster than a window of a balance passes.
+    kink : float
+        Difference step of its parameters, in scales, that passes a few kinks; 0: it has none.
+    ringing : tuple of str
+        Parameters of what is over before a window is; runs alone show them.
+    matters : float
+        Size from which it matters, of an error of a sensor.
     """
 
     name: str
@@ -75,6 +103,15 @@ class Effect(NamedTuple):
     source: str
     depends_on: tuple[str, ...]
     reveals: str
+    seen_by: str = BALANCE
+    starts: tuple[tuple[str, float], ...] = ()
+    search: str = ""
+    constants: tuple[str, ...] = ()
+    wave: bool = False
+    fast: bool = False
+    kink: float = 0.0
+    ringing: tuple[str, ...] = ()
+    matters: float = 0.0
 
     @property
     def amplitudes(self) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from os import PathLike
 
+from dmptm_ctrl.contract import MOTOR_ENCODERS
 from dmptm_ctrl.diagnosis.budget import verdict_of
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.dual_report import (
@@ -30,17 +31,11 @@ from dmptm_ctrl.diagnosis.summary import correlated
 from dmptm_ctrl.diagnosis.tables import in_tables
 from dmptm_ctrl.diagnosis.unknown import unexplained
 from dmptm_ctrl.drive import Drive, paper_drive
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.parallel import crew, small_matrices
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.simulate.model import Model
-
-NEEDS_MOTOR_ENCODERS = (
-    "pinion_runout",
-    "ring_gear_eccentricity",
-    "backlash_variation",
-    "reducer_compliance",
-)
 
 
 @small_matrices
@@ -116,13 +111,14 @@ def _diagnosed(
     ]
     curve = [] if tables is None else [unnamed(tables, judged.unexplained_share)]
     material = any(e.material for e in effects)
+    by_encoders = tuple(n for n, e in CATALOGUE.items() if e.seen_by == MOTOR_ENCODERS)
     return Diagnosis(
         verdict=verdict_of(judged.errors, material, rest is not None),
         effects=(*sorted(effects, key=lambda e: -e.share), *curve),
         budget=judged.rows,
         ranking=ranking(
             selection,
-            () if measured.has_motor_encoders else NEEDS_MOTOR_ENCODERS,
+            () if measured.has_motor_encoders else by_encoders,
             sensors.errors,
             tuple(model.effects),
         ),

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from dmptm_ctrl.diagnosis.measure import Measured
+from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
 from dmptm_ctrl.identify.balance import (
     Balance,
     BalanceFit,
@@ -24,7 +25,7 @@ from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.model import Floats, Model
 
 LEAD_HZ = 0.05  # slow lead of simulated runs by the measured angle: bounds drift only
-ECCENTRIC = "encoder_eccentricity"
+ECCENTRIC = ENCODER_ECCENTRICITY.name
 SEEN = 1.0  # evidence of a scale of an unknown, below which the balances do not see it
 ROUNDS = 3  # fits without motor encoders: each tells better who touches, for the next
 SETTLED = 5.0  # fall of the loss by slopes taken anew, below which they are not again

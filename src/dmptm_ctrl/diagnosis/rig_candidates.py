@@ -8,7 +8,11 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.drive.rig import DECLARES
-from dmptm_ctrl.identify.free_parameters import HARMONIC, absolute, on_slide, scales_of
+from dmptm_ctrl.effects.coulomb_friction import COULOMB_FRICTION
+from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
+from dmptm_ctrl.effects.stribeck_friction import STRIBECK_FRICTION
+from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
+from dmptm_ctrl.identify.free_parameters import absolute, on_slide, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_motion
 from dmptm_ctrl.identify.measured_motion import Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
@@ -20,7 +24,7 @@ from dmptm_ctrl.identify.rig_start import (
     unknown_inertias,
 )
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
-from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, PlacedEffect
+from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE, PlacedEffect
 from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
 
 Floats = NDArray[np.float64]
@@ -30,6 +34,7 @@ SCREENED = 6  # orders and places of a screening that are looked at closely
 LEAST_PERIODS = 3.0  # in the travel, or a spring or a slope would do as well
 DELAYS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample times
 LONGEST_DELAY = 0.2  # s
+OFFSET = 0.02  # of the input's size
 BANDS = (0.01, 0.05, 0.15)  # dead bands, of the input's size
 LIMITS = (0.95, 0.8, 0.6, 0.4)  # saturations, of the input's peak
 SPEEDS = (0.01, 0.03, 0.06, 0.12, 0.25)  # Stribeck speeds, of the highest
@@ -38,8 +43,8 @@ WIDTHS = (0.003, 0.01, 0.03)  # local spots, of the travel
 SPOT_BINS = 2048
 HIDDEN_MODES = 14  # antiresonances tried
 SHARES = (0.25, 0.6)  # of the inertia behind a spring, tried
-FRICTION = "coulomb_friction", "viscous_friction", "stribeck_friction"
-SENSORS = {"sensor_gain", "encoder_eccentricity", "sensor_delay"}  # judged against each other
+FRICTION = COULOMB_FRICTION.name, VISCOUS_FRICTION.name, STRIBECK_FRICTION.name
+SPRING = SHAFT_COMPLIANCE.name
 
 
 # -- every place -------------------------------------------------------------------------------
@@ -61,7 +66,7 @@ def trials(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
                 found.append(_input_effect(tangent, name, source.name))
     for body in distinct_bodies(tangent):
         for name, chain in PLACED_CATALOGUE.items():
-            if chain.place != "body" or name in SENSORS or name == "shaft_compliance":
+            if chain.place != "body" or name == SPRING:
                 continue
             if wanted(name, body) and not declared_already(model, name, body):
                 found.append(_body_effect(tangent, chain, body))
@@ -82,7 +87,7 @@ def structures(tangent: Tangent, only: Sequence[str] | None = None) -> list[Tria
 def declared_already(model: RigModel, name: str, body: str) -> bool:
     """Whether the rig declares what an effect would add to a body."""
     if body.endswith(FAR):
-        return name == "viscous_friction"  # part of the compliance that made the body
+        return name == VISCOUS_FRICTION.name  # part of the compliance that made the body
     friction = model.rig.body(body).friction
     return any(k in friction for k in DECLARES.get(name, ()))
 
@@ -97,60 +102,66 @@ def _input_effect(tangent: Tangent, name: str, on: str) -> Trial | None:
     scales = scales_of(tangent.balance)
     size, dt = scales.u[on], scales.dt
     peak = max(float(np.abs(m.u[on]).max()) for m in tangent.balance.motions)
-    if name == "drive_offset":
-        return _finite(tangent, [Placed(name, on, {"offset": 0.02 * size})], scaled=True)
-    if name == "drive_dead_band":
-        return _finite(tangent, [Placed(name, on, {"width": s * size}) for s in BANDS])
-    if name == "drive_saturation":
-        values = [{"inverse_limit": 1.0 / (s * peak)} for s in LIMITS]
-        return _finite(tangent, [Placed(name, on, v) for v in values])
-    key = "delay" if name == "drive_delay" else "time_constant"
-    late = [d * dt for d in DELAYS if d * dt <= LONGEST_DELAY]
-    return _finite(tangent, [Placed(name, on, {key: v}) for v in late])
+    chain = PLACED_CATALOGUE[name]
+    (number,) = chain.amplitudes
+    if chain.effect.search == "limits":
+        values = [1.0 / (s * peak) for s in LIMITS]
+    elif chain.keep[0].unit == "s":
+        values = [d * dt for d in DELAYS if d * dt <= LONGEST_DELAY]
+    elif chain.effect.kink:
+        values = [s * size for s in BANDS]
+    else:
+        values = [OFFSET * size]
+    tries = [Placed(name, on, {number: v}) for v in values]
+    return _finite(tangent, tries, scaled=not chain.effect.kink)
 
 
 def _body_effect(tangent: Tangent, chain: PlacedEffect, body: str) -> Trial | None:
     model, balance = tangent.fit.model, tangent.balance
     name, slide = chain.name, on_slide(model, body)
-    if name == "load_dependent_friction":
-        return _finite(tangent, [Placed(name, body, {"coefficient": 0.02})], scaled=True)
-    if name in ("friction_asymmetry", "thermal_drift", "presliding"):
-        if not _rubs(model, body):
-            return None
-        if name == "friction_asymmetry":
-            values = [{"difference": 0.05}]
-        elif name == "thermal_drift":
-            longest = max(float(m.time[-1]) for m in balance.motions)
-            values = [{"rise": 0.05, "time_constant": s * longest} for s in (0.1, 0.3, 1.0)]
-        else:
-            travel = scales_of(balance).position
-            values = [{"distance": s * travel} for s in SIZES]
-        return _finite(
-            tangent, [Placed(name, body, v) for v in values], scaled=name != "presliding"
-        )
+    if name == STRIBECK_FRICTION.name and not _rubs(model, body, (COULOMB_FRICTION.name,)):
+        return None  # it is what breakaway exceeds Coulomb friction by
+    factors = [p for p in chain.keep if p.name in chain.amplitudes and not p.unit]
+    slow = chain.site == "presliding"
+    own = (slow or factors) and "mesh_torque" not in chain.effect.depends_on
+    if own and not _rubs(model, body):
+        return None
+    if slow:
+        travel = scales_of(balance).position
+        (number,) = chain.amplitudes
+        return _finite(tangent, [Placed(name, body, {number: s * travel}) for s in SIZES])
+    shapes = _shapes(tangent, chain, body)
+    if factors:
+        first = {factors[0].name: factors[0].step}
+        return _finite(tangent, [Placed(name, body, first | one) for one in shapes], scaled=True)
+    if not chain.effect.wave:
+        return _linear(tangent, chain, body, shapes)
+    if slide and not chain.effect.search:
+        if chain.site != "friction":
+            return None  # the way of a slide has no turns
+        return _linear(tangent, chain, body, [{}], ("sine",))  # a slope along it
     same = absolute(model, balance, body)
-    if name == "cogging":
-        shapes = [{"order": n} for n in _orders(tangent, body, slide)]
-        return _linear(tangent, chain, body, shapes, ("cosine", "sine"), same)
-    if name == "unbalance":
-        return None if slide else _linear(tangent, chain, body, [{}], None, same)
-    if name == "position_dependent_friction":
-        if slide:
-            return _linear(tangent, chain, body, [{}], ("sine",))
-        shapes = [{"order": float(n)} for n in (1, 2, 3, 4)]
-        return _linear(tangent, chain, body, shapes, ("cosine", "sine"), same)
-    if name == "stribeck_friction":
-        if not _rubs(model, body, ("coulomb_friction",)):
-            return None  # it is what breakaway exceeds Coulomb friction by
-        fastest = max(float(np.abs(_speed(balance, m, model, body)).max()) for m in balance.motions)
-        shapes = [{"speed": s * fastest} for s in SPEEDS]
-    elif name == "base_vibration":
-        shapes = [{"frequency": f} for f in _frequencies(tangent)]
-    elif name == "local_spot":
-        shapes = _spots(tangent, body)
-    else:
-        shapes = [{}]
-    return _linear(tangent, chain, body, shapes)
+    return _linear(tangent, chain, body, shapes, ("cosine", "sine"), same)
+
+
+def _shapes(tangent: Tangent, chain: PlacedEffect, body: str) -> list[dict[str, float]]:
+    """Values of what has no meaning at zero amplitude, to try."""
+    model, motions = tangent.fit.model, tangent.balance.motions
+    search = chain.effect.search
+    if search == "orders":
+        return [{"order": n} for n in _orders(tangent, body, on_slide(model, body))]
+    if search == "frequencies":
+        return [{"frequency": f} for f in _frequencies(tangent)]
+    if search == "places":
+        return _spots(tangent, body)
+    banks = {p.name: p.bank for p in chain.keep if p.bank}
+    if "time_constant" in banks:
+        longest = max(float(m.time[-1]) for m in motions)
+        return [{"time_constant": s * longest} for s in (0.1, 0.3, 1.0)]
+    if "speed" in banks:
+        fastest = max(float(np.abs(_speed(tangent.balance, m, model, body)).max()) for m in motions)
+        return [{"speed": s * fastest} for s in SPEEDS]
+    return [{"order": n} for n in sorted(banks["order"])] if "order" in banks else [{}]
 
 
 def _rubs(model: RigModel, body: str, laws: Sequence[str] = FRICTION) -> bool:
@@ -238,7 +249,7 @@ def _linear(
     best: tuple[float, Trial] | None = None
     for shape in shapes:
         parts = unit_columns(tangent.fit, tangent.balance, chain, body, shape, names)
-        apart = not same and len(parts) > 1 and chain.name in HARMONIC
+        apart = not same and len(parts) > 1 and chain.effect.wave
         wide = _per_log(parts) if apart else parts
         gain, amplitudes = tangent.score(wide)
         pairs, zero = amplitudes.reshape(-1, len(names)), dict[str, float]()
@@ -407,7 +418,7 @@ Structure = tuple[list[Placed], Mapping[str, float], Mapping[str, Mapping[str, f
 def _compliances(tangent: Tangent) -> Iterator[Structure]:
     """Springs in rigid links; of a drive without links, in its body."""
     model, balance = tangent.fit.model, tangent.balance
-    if any(e.name == "shaft_compliance" for e in model.effects):
+    if any(e.name == SPRING for e in model.effects):
         return
     duration = max(float(m.time[-1]) for m in balance.motions)
     low = max(5.0 / duration, balance.bandwidth / 100.0)
@@ -441,7 +452,7 @@ def _spring(
     on: str, share: float, antiresonance: float, damping: float = 0.05, far: tuple[str, ...] = ()
 ) -> Placed:
     values = {"share": share, "antiresonance": antiresonance, "damping_ratio": damping}
-    return Placed("shaft_compliance", on, values, far)
+    return Placed(SPRING, on, values, far)
 
 
 def _gaps(tangent: Tangent) -> Iterator[Structure]:
@@ -457,7 +468,7 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
         ends = ends_of(model, balance, link) if link in declared else None
         if ends is None:
             travel = scales_of(balance).position
-            yield [Placed("backlash", link, {"half_gap": s * travel}) for s in SIZES], {}, {}
+            yield [Placed(BACKLASH.name, link, {"half_gap": s * travel}) for s in SIZES], {}, {}
             continue
         if not all(p in m.angles for m in balance.motions for p, _ in ends):
             continue  # an integrated speed drifts by more than a gap
@@ -467,4 +478,4 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
             values |= spring_values(model, link, gap.spring)
             ratio = model.value(f"link.{link}.ratio")
             twist = {log: {link: zero / ratio} for log, zero in gap.zero.items()}
-            yield [Placed("backlash", link, {"half_gap": gap.half_gap})], values, twist
+            yield [Placed(BACKLASH.name, link, {"half_gap": gap.half_gap})], values, twist

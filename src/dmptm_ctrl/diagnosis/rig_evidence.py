@@ -20,6 +20,7 @@ from dmptm_ctrl.diagnosis.rig_curves import curve_columns, variables_of
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.diagnosis.select import Selection, ranked
+from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
 from dmptm_ctrl.identify.rig_fit import (
@@ -31,13 +32,13 @@ from dmptm_ctrl.identify.rig_fit import (
     stepped,
     total_loss,
 )
-from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed
 
 SETTLE = 30  # iterations at most; an unsettled fit would lend its gain to the next effect
 FIRST = 6  # iterations of a candidate's fit
 FITTED = 4  # candidates that are fitted at each look; the others are judged to first order
-STRUCTURES = "shaft_compliance", "backlash"
+STRUCTURES = SHAFT_COMPLIANCE.name, BACKLASH.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,9 +222,9 @@ class RigEvidence:
         """Evidence that the best of all starts finds where there is none: 2 log of their number."""
         name = key.partition("@")[0]
         seconds = max(float(m.time[-1]) for m in self.logs.motions)
-        starts = {"cogging": MAX_ORDER, "local_spot": SPOT_BINS,
-                  "base_vibration": max(int(seconds * self.logs.bandwidth), 1)}  # fmt: skip
-        return 2.0 * float(np.log(starts.get(name, 1)))
+        starts = {"orders": MAX_ORDER, "places": SPOT_BINS,
+                  "frequencies": max(int(seconds * self.logs.bandwidth), 1)}  # fmt: skip
+        return 2.0 * float(np.log(starts.get(PLACED_CATALOGUE[name].effect.search, 1)))
 
     def ratio(self, state: RigState) -> float:
         """Rows of the fitted logs over those of the held-out ones."""
@@ -360,7 +361,7 @@ def correlation_length(x: Floats) -> float:
 
 def standing_on(fit: RigFit, key: str) -> set[str]:
     """Effects that sit on a body or link that another effect makes."""
-    if not key.startswith("shaft_compliance"):
+    if key.partition("@")[0] != SHAFT_COMPLIANCE.name:
         return set()
     rig, layout = fit.model.rig, fit.model.layout
     own = {b.name for b in rig.bodies} | {k.name for k in rig.links if not k.rigid}

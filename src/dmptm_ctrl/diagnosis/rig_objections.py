@@ -7,12 +7,14 @@ import numpy as np
 from scipy.signal import csd, welch
 
 from dmptm_ctrl.diagnosis.candidate import Floats
+from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.inverse_dynamics import effective_input
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
 from dmptm_ctrl.identify.rig_fit import RigFit
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed
 
+SPRING = SHAFT_COMPLIANCE.name
 SURE = 3.0  # standard errors
 SHORTEST_LATE = 0.1  # sample times
 PERIODS = 3.0  # of what goes by the clock that the longest log must hold
@@ -28,8 +30,8 @@ def amplitudes_of(fit: RigFit, key: str) -> list[int]:
 
     A constant beside another amplitude does not make an effect: it would be an offset.
     """
-    names = PLACED_CATALOGUE[key.partition("@")[0]].amplitudes
-    names = tuple(n for n in names if n != "offset" or len(names) == 1)
+    chain = PLACED_CATALOGUE[key.partition("@")[0]]
+    names = [n for n in chain.amplitudes if n not in chain.effect.constants]
     return [
         j for j, f in enumerate(fit.frees)
         if f.kind == "effect" and f.owner == key and f.name in names
@@ -52,7 +54,7 @@ def objection(key: str, fit: RigFit, before: RigFit) -> str:
 
 def _nothing(key: str, fit: RigFit) -> str:
     """An amplitude that does not differ from zero."""
-    if key.partition("@")[0] == "shaft_compliance":
+    if key.partition("@")[0] == SPRING:
         return ""  # its absence is no value of its parameters
     own = amplitudes_of(fit, key)
     if not own:
@@ -84,13 +86,11 @@ def _takes_the_drive(effect: Placed, fit: RigFit) -> str:
 
 def _too_short(effect: Placed, fit: RigFit) -> str:
     """A time far below a sample is the sampling itself."""
-    names = ("delay",) if effect.name == "drive_delay" else ("time_constant",)
-    if effect.name not in ("drive_delay", "current_lag"):
-        return ""
-    dt = fit.likelihood.balance.motions[0].dt
-    if effect.values[names[0]] > SHORTEST_LATE * dt:
-        return ""
-    return f"{names[0]} is shorter than a tenth of a sample"
+    chain = PLACED_CATALOGUE[effect.name]
+    least = SHORTEST_LATE * fit.likelihood.balance.motions[0].dt
+    late = (p.name for p in chain.keep if chain.place == "input" and p.unit == "s")
+    short = next((name for name in late if effect.values[name] <= least), "")
+    return f"{short} is shorter than a tenth of a sample" if short else ""
 
 
 def _by_the_drive(effect: Placed, fit: RigFit) -> str:
@@ -121,7 +121,7 @@ def _harmonic(f: float, u: Floats, dt: float) -> bool:
 
 def _unseen(effect: Placed, fit: RigFit, before: RigFit) -> str:
     """A spring without a resonance that is seen, or that only filters a sensor's noise."""
-    if effect.name != "shaft_compliance":
+    if effect.name != SPRING:
         return ""
     layout, plant = fit.model.layout, fit.model.plant()
     k = layout.links.index(effect.key if effect.key in layout.links else effect.on)

@@ -18,6 +18,7 @@ from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY
 from dmptm_ctrl.diagnosis.summary import correlated
 from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.free_parameters import on_slide
 from dmptm_ctrl.identify.led import BANDWIDTH_HZ
 from dmptm_ctrl.identify.rig_fit import RigFit, State
@@ -352,7 +353,7 @@ def effect_parameters(
         size = sqrt(c["value"] ** 2 + s["value"] ** 2)
         error = sqrt((c["value"] * c["se"]) ** 2 + (s["value"] * s["se"]) ** 2) / (size or 1.0)
         found["amplitude"] = {"value": size, "se": error, "unit": c["unit"]}
-    if effect.name == "shaft_compliance":
+    if effect.name == SHAFT_COMPLIANCE.name:
         found |= _spring(effect, model, se, slide)
     return found
 

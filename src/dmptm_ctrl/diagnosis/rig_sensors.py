@@ -7,6 +7,9 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
+from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
+from dmptm_ctrl.effects.sensor_delay import SENSOR_DELAY
+from dmptm_ctrl.effects.sensor_gain import SENSOR_GAIN
 from dmptm_ctrl.identify.measured_motion import on_time
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log
@@ -78,9 +81,9 @@ def _of(rig: Rig, check: SensorCheck, angle: Sensor, speed: Sensor) -> list[Sens
     for name in check.values:
         if not check.significant(name):
             continue
-        if name == "sensor_delay" and check.values[name]["delay"] < 0:
+        if name == SENSOR_DELAY.name and check.values[name]["delay"] < 0:
             continue  # no sensor reads ahead
-        on = angle if name == "encoder_eccentricity" else speed
+        on = angle if name == ENCODER_ECCENTRICITY.name else speed
         faults.append(SensorFault(Placed(name, on.name, check.values[name]), check.errors[name]))
     return faults
 
@@ -93,9 +96,9 @@ def put_right(rig: Rig, log: Log, faults: Sequence[SensorFault]) -> Log:
         name, values = fault.placed.name, fault.placed.values
         channel = sensors[fault.placed.on].channel
         signal = channels[channel]
-        if name == "sensor_gain":
+        if name == SENSOR_GAIN.name:
             signal = signal / (1.0 + values["error"])
-        elif name == "sensor_delay":
+        elif name == SENSOR_DELAY.name:
             signal = on_time(signal, log.sample_time, values["delay"])
         else:
             c, s = values["cosine"], values["sine"]

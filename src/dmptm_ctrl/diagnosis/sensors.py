@@ -13,6 +13,9 @@ from scipy.signal import savgol_filter
 
 from dmptm_ctrl.diagnosis.report import NamedEffect, estimate
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
+from dmptm_ctrl.effects.sensor_delay import SENSOR_DELAY
+from dmptm_ctrl.effects.sensor_gain import SENSOR_GAIN
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.identify.records import block_mean
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -24,12 +27,11 @@ BLOCK_SECONDS = 0.05  # blocks whose errors count as independent
 SIGNIFICANT = 4.5  # standard errors
 ROUNDS = 3  # of the regression: a delay is found to 1 % in the first
 NAMES = (
-    ("sensor_gain", "error"),
-    ("sensor_delay", "delay"),
-    ("encoder_eccentricity", "cosine"),
-    ("encoder_eccentricity", "sine"),
+    (SENSOR_GAIN.name, "error"),
+    (SENSOR_DELAY.name, "delay"),
+    (ENCODER_ECCENTRICITY.name, "cosine"),
+    (ENCODER_ECCENTRICITY.name, "sine"),
 )
-MATTERS = {"sensor_gain": 0.003, "sensor_delay": 0.0007, "encoder_eccentricity": 5e-5}
 
 
 class Readings(Protocol):
@@ -59,7 +61,7 @@ class SensorCheck:
         """Whether the disagreement is beyond doubt and beyond what matters."""
         size = np.hypot.reduce(list(self.values[name].values()))
         error = max(self.errors[name].values())
-        return bool(size > SIGNIFICANT * error and size > MATTERS[name])
+        return bool(size > SIGNIFICANT * error and size > CATALOGUE[name].matters)
 
 
 def cross_check(records: Sequence[Readings], *, turns: bool = True) -> SensorCheck:

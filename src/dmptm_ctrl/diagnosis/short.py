@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import inf
 
+from dmptm_ctrl.contract import RUNS
 from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, needed
 from dmptm_ctrl.diagnosis.dual import (
     DualEvidence,
@@ -21,7 +22,7 @@ from dmptm_ctrl.diagnosis.judge import rise
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.residual import predicting
 from dmptm_ctrl.diagnosis.select import MOST, Entry, Selection, best_of, explained, ranked
-from dmptm_ctrl.diagnosis.trace import BY_SIMULATOR, bent, candidates, starts, weighted_changes
+from dmptm_ctrl.diagnosis.trace import bent, candidates, starts, weighted_changes
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.model import Model
 
@@ -131,4 +132,4 @@ def likely(evidence: DualEvidence, state: DualState, names: Sequence[str]) -> li
     order = sorted(names, key=lambda name: -worth[name])
     best = [name for name in order[:FITTED] if worth[name] > LEVEL / 2.0]
     # what balances never see has been judged by nothing yet
-    return [*best, *(name for name in BY_SIMULATOR if name in names and name not in best)]
+    return [*best, *(n for n in names if CATALOGUE[n].seen_by == RUNS and n not in best)]

@@ -26,15 +26,18 @@ from dmptm_ctrl.effects.lookup import (
     VOLTAGE,
     WAVE,
 )
-from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT
+from dmptm_ctrl.effects.unknown_friction import UNKNOWN_FRICTION
+from dmptm_ctrl.effects.unknown_motor import BOTH, LEFT, RIGHT, UNKNOWN_MOTOR
+from dmptm_ctrl.effects.unknown_torque import UNKNOWN_TORQUE
+from dmptm_ctrl.effects.unknown_voltage import UNKNOWN_VOLTAGE
 from dmptm_ctrl.identify.balance import BalanceFit, columns, fit_balance, scatter
 from dmptm_ctrl.identify.fit import Unknown, place
 from dmptm_ctrl.identify.motion import Motion
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
-TORQUE, FRICTION, VOLTS = "unknown_torque", "unknown_friction", "unknown_voltage"
-MOTOR = "unknown_motor"
+TORQUE, FRICTION, VOLTS = UNKNOWN_TORQUE.name, UNKNOWN_FRICTION.name, UNKNOWN_VOLTAGE.name
+MOTOR = UNKNOWN_MOTOR.name
 PRIOR_STEPS = 3.0  # of a knot, in steps of its parameter: where no log goes, it stays at zero
 LARGEST = 3.0  # of the knots, in standard deviations of what they are likely to be
 FAR = 3.0  # times the usual range of a variable in a log, beyond which one goes far

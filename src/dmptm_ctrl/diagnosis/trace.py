@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.contract import Effect
+from dmptm_ctrl.contract import BALANCE, MOTOR_ENCODERS, RUNS, Effect
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
 from dmptm_ctrl.identify.balance import (
@@ -24,23 +24,10 @@ from dmptm_ctrl.identify.balance import (
     surprise,
 )
 from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
-from dmptm_ctrl.identify.ripple import FAST, order_gains
+from dmptm_ctrl.identify.ripple import order_gains
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
-NEEDS_TWIST = ("pinion_runout", "ring_gear_eccentricity", "backlash_variation")
-WITHOUT_TWIST = (*NEEDS_TWIST, "reducer_compliance")  # unseen without motor encoders
-BY_SIMULATOR = ("presliding",)  # it acts near rest, where the balances do not look
-BY_SENSORS = ("sensor_gain", "sensor_delay", "encoder_eccentricity")
-# How fast a reducer's ringing dies out is over before a window is: left to the simulator.
-BY_RINGING = {"reducer_compliance": ("damping",)}
-SIZES = {  # effects without a slope at zero, or far from linear: multiples of `step` to start at
-    "current_lag": ({"time_constant": 1.0}, {"time_constant": 3.0}),
-    "drive_delay": ({"delay": 1.0}, {"delay": 3.0}),
-    "drive_dead_band": ({"width": 1.0}, {"width": 5.0}),
-    "presliding": ({"ring_distance": 0.5}, {"reducer_distance": 0.5}),
-}
-ESSENTIAL = {"cable_spring": "stiffness"}  # without it, a constant torque
 DIFFERENT = 5.0  # standard errors
 SATURATED = (0.5, 0.7, 0.85, 0.95)  # of the largest voltage, where a limit is looked for
 SMALL = 3.0  # steps
@@ -278,24 +265,21 @@ def saturations(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     return [{"inverse_limit": 1.0 / (share * top)} for share in SATURATED]
 
 
-SEARCHES = {"base_vibration": frequencies, "cogging": orders, "local_spot": places}
+SEARCHES = {"frequencies": frequencies, "orders": orders, "places": places}
 
 
 def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     """Values to start fits of an effect at."""
-    if effect.name == "drive_saturation":
+    if effect.search == "limits":
         return saturations(trace, effect)
-    if effect.name in SIZES:
+    if effect.starts:
         still = dict.fromkeys(effect.amplitudes, 0.0)
         steps = {p.name: p.step for p in effect.parameters}
-        return [
-            {**still, **{name: k * steps[name] for name, k in one.items()}}
-            for one in SIZES[effect.name]
-        ]
+        return [{**still, name: k * steps[name]} for name, k in effect.starts]
     shapes: list[dict[str, float]]
-    if effect.name in SEARCHES:
-        shapes = SEARCHES[effect.name](trace, effect)
-    elif effect.shapes and effect.name not in BY_RINGING:
+    if effect.search:
+        shapes = SEARCHES[effect.search](trace, effect)
+    elif effect.shapes and not effect.ringing:
         (shape,) = (p for p in effect.parameters if len(p.bank) > 1)
         shapes = [{shape.name: value} for value in shape.bank]
     else:
@@ -311,19 +295,20 @@ def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
 
 def bent(name: str) -> bool:
     """Whether the first step tells little about the rest of the way."""
-    return name in SIZES or name == "drive_saturation"
+    return bool(CATALOGUE[name].starts) or CATALOGUE[name].search == "limits"
 
 
 def unknowns_of(name: str) -> tuple[Unknown, ...]:
     """Parameters of an effect that are fitted; whole numbers stay as they were found."""
-    fixed = (*(p.name for p in CATALOGUE[name].parameters if p.fixed), *BY_RINGING.get(name, ()))
+    effect = CATALOGUE[name]
+    fixed = (*(p.name for p in effect.parameters if p.fixed), *effect.ringing)
     return tuple(k for k in effect_unknowns(name) if k.name not in fixed)
 
 
 def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
     """Fit an effect from its best starts; None where it explains too little to first order."""
     effect = CATALOGUE[name]
-    if name in FAST:
+    if effect.fast:
         trace = trace.fast
     begun = starts(trace, effect)
     if least > 0.0 and not bent(name):
@@ -349,11 +334,14 @@ def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
 
 
 def present(name: str, done: BalanceFit) -> bool:
-    """Whether the amplitude without which an effect is another one differs from zero."""
-    if name not in ESSENTIAL:
+    """Whether an amplitude that makes an effect differs from zero."""
+    effect = CATALOGUE[name]
+    if not effect.constants:
         return True
-    (j,) = (j for j, k in enumerate(done.unknowns) if (k.effect, k.name) == (name, ESSENTIAL[name]))
-    return bool(abs(done.p[j]) > DIFFERENT * np.sqrt(done.covariance[j, j]))
+    names = set(effect.amplitudes) - set(effect.constants)
+    own = [j for j, k in enumerate(done.unknowns) if k.effect == name and k.name in names]
+    errors = np.sqrt(np.diag(done.covariance)[own])
+    return bool(np.any(np.abs(done.p[own]) > DIFFERENT * errors))
 
 
 def tried(trace: Trace, name: str, done: BalanceFit) -> Trial:
@@ -366,7 +354,7 @@ def tried(trace: Trace, name: str, done: BalanceFit) -> Trial:
 
 def settled(trace: Trace, trial: Trial) -> Trial:
     """Fit a trial to the end, with the drive's columns taken where it is."""
-    if trial.name in FAST:
+    if CATALOGUE[trial.name].fast:
         trace = trace.fast
     own = trace.base.unknowns
     there = columns(trace.balance, trial.fit.model, own, trial.fit.missing)
@@ -377,10 +365,11 @@ def settled(trace: Trace, trial: Trial) -> Trial:
 def candidates(trace: Trace, skip: Iterable[str], *, everything: bool = False) -> list[str]:
     """Effects that the balances can show, or everything that runs can; `skip` are left out."""
     twisted = any(mo.rec.twist is not None for mo in trace.balance.motions)
-    out = {*skip, *trace.base.model.effects, *BY_SENSORS, *NO_CANDIDATES}
-    if not everything:
-        out |= {*BY_SIMULATOR, *(() if twisted else WITHOUT_TWIST)}
-    return [name for name in CATALOGUE if name not in out]
+    out = {*skip, *trace.base.model.effects, *NO_CANDIDATES}
+    seen = {BALANCE, *([MOTOR_ENCODERS] if twisted else [])}
+    if everything:
+        seen = {BALANCE, MOTOR_ENCODERS, RUNS}
+    return [name for name, e in CATALOGUE.items() if name not in out and e.seen_by in seen]
 
 
 def trace(
@@ -397,7 +386,9 @@ def trace(
     names = candidates(trace, skip)
     if only is not None:
         names = [name for name in names if name in only]
-    names.sort(key=lambda name: name not in SEARCHES)  # what takes longest begins first
+    names.sort(
+        key=lambda name: CATALOGUE[name].search not in SEARCHES
+    )  # what takes longest begins first
     tries = in_threads(lambda name: try_effect(trace, name, least), names, trace.balance.jobs)
     done = [t for t in tries if t is not None]
     done.sort(key=lambda t: -t.evidence)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, Parameter
 
 PINION_ANGLE = 2.0 * pi / 3.0  # rad between the pinions on the ring gear
 
@@ -49,4 +49,5 @@ BACKLASH_VARIATION = Effect(
     source="tooth thickness and centre distance around the rim",
     depends_on=("theta_L",),
     reveals="reversals at many ring-gear angles",
+    seen_by=MOTOR_ENCODERS,
 )

@@ -42,4 +42,5 @@ BASE_VIBRATION = Effect(
     source="harmonic inertia torque of a shaken base",
     depends_on=("time",),
     reveals="the same motion repeated: what stays locked to the clock is not the drive's",
+    search="frequencies",
 )

@@ -36,4 +36,5 @@ CABLE_SPRING = Effect(
     source="linear spring",
     depends_on=("theta_L",),
     reveals="a run over the widest angle, both directions",
+    constants=("offset",),
 )

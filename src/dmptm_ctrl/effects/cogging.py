@@ -50,4 +50,7 @@ COGGING = Effect(
     source="first harmonic of the cogging torque, Hanselman 2003, ch. 7",
     depends_on=("theta_m",),
     reveals="a slow constant speed, so that order n stays below the mesh resonance",
+    search="orders",
+    wave=True,
+    fast=True,
 )

@@ -32,4 +32,6 @@ CURRENT_LAG = Effect(
     source="bandwidth of the current controller",
     depends_on=("u", "du_dt"),
     reveals="excitation above 1/(2π τ): steps or a multisine to 100 Hz under preload",
+    starts=(("time_constant", 1.0), ("time_constant", 3.0)),
+    kink=0.05,
 )

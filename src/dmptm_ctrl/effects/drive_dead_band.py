@@ -36,4 +36,6 @@ DRIVE_DEAD_BAND = Effect(
     source="dead time of the bridge's switches",
     depends_on=("u",),
     reveals="preload, which moves the working point out of the band",
+    starts=(("width", 1.0), ("width", 5.0)),
+    kink=0.05,
 )

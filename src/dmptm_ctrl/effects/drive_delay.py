@@ -32,4 +32,6 @@ DRIVE_DELAY = Effect(
     source="bus and computation time",
     depends_on=("u", "du_dt"),
     reveals="excitation above 20 Hz under preload, where a lag rolls off and a delay does not",
+    starts=(("delay", 1.0), ("delay", 3.0)),
+    kink=0.05,
 )

@@ -35,4 +35,6 @@ DRIVE_SATURATION = Effect(
     source="peak current of the drive",
     depends_on=("u",),
     reveals="voltage above the suspected limit",
+    search="limits",
+    kink=0.05,
 )

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import SENSORS, Effect, Parameter
 
 
 class EncoderEccentricity(NamedTuple):
@@ -37,4 +37,6 @@ ENCODER_ECCENTRICITY = Effect(
     source="eccentric disc",
     depends_on=("theta_L",),
     reveals="a full turn with a gyro and motor encoders",
+    seen_by=SENSORS,
+    matters=5e-5,
 )

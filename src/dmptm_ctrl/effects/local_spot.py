@@ -42,4 +42,5 @@ LOCAL_SPOT = Effect(
     source="Gaussian bump",
     depends_on=("theta_L",),
     reveals="a slow full turn in each direction",
+    search="places",
 )

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, Parameter
 
 
 class PinionRunout(NamedTuple):
@@ -46,4 +46,5 @@ PINION_RUNOUT = Effect(
     source="kinematic error of an eccentric pinion",
     depends_on=("theta_m",),
     reveals="several turns with motor encoders",
+    seen_by=MOTOR_ENCODERS,
 )

@@ -43,4 +43,5 @@ POSITION_DEPENDENT_FRICTION = Effect(
     source="out-of-round raceway; higher orders by its bolts",
     depends_on=("theta_L",),
     reveals="a full turn in each direction",
+    wave=True,
 )

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import RUNS, Effect, Parameter
 
 LEAST = 1e-9  # of Tc: friction of no size is there at once, without a division by zero
 
@@ -71,4 +71,6 @@ PRESLIDING = Effect(
     source="Dahl 1968; Canudas de Wit et al., IEEE TAC 40 (1995) 419; fading: Olsson 1996",
     depends_on=("time_at_rest", "u"),
     reveals="small voltages below breakaway, and slow reversals",
+    seen_by=RUNS,
+    starts=(("ring_distance", 0.5), ("reducer_distance", 0.5)),
 )

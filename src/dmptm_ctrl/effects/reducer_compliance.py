@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, Parameter
 
 # Damping ratio of steel gearing: lower end of Eq. 24's range, a third of it and three times it.
 ZETA = (0.01, 0.03, 0.1)
@@ -44,4 +44,6 @@ REDUCER_COMPLIANCE = Effect(
     source="torsional stiffness of planetary reducers, manufacturers' data",
     depends_on=("mesh_torque",),
     reveals="steps of torque with motor encoders, or a sweep up to the second resonance",
+    seen_by=MOTOR_ENCODERS,
+    ringing=("damping",),
 )

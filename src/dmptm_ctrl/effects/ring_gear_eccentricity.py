@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, Parameter
 
 PINION_ANGLE = 2.0 * pi / 3.0  # rad between the pinions on the ring gear
 
@@ -43,4 +43,5 @@ RING_GEAR_ECCENTRICITY = Effect(
     source="kinematic error of an eccentric ring gear",
     depends_on=("theta_L",),
     reveals="a full turn with motor encoders",
+    seen_by=MOTOR_ENCODERS,
 )

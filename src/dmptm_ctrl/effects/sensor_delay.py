@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import SENSORS, Effect, Parameter
 
 
 class SensorDelay(NamedTuple):
@@ -32,4 +32,6 @@ SENSOR_DELAY = Effect(
     source="digital filter and bus of a gyro",
     depends_on=("omega_L",),
     reveals="any reversal: the encoder is the reference",
+    seen_by=SENSORS,
+    matters=0.0007,
 )

@@ -39,4 +39,5 @@ UNBALANCE = Effect(
     source="m g r of an off-axis mass",
     depends_on=("theta_L",),
     reveals="one slow turn in each direction",
+    wave=True,
 )

@@ -19,6 +19,7 @@ from math import sqrt
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.effects.reducer_compliance import REDUCER_COMPLIANCE
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
 from dmptm_ctrl.identify.led import Led
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
@@ -189,7 +190,7 @@ ROWS = {"total": 0, "left": 1, "right": 2}
 
 def reducer_compliance(model: Model) -> float:
     """Compliance of the reducers at the pinion [rad/(N·m)], 0 if rigid."""
-    return float(model.effects.get("reducer_compliance", {}).get("compliance", 0.0))
+    return float(model.effects.get(REDUCER_COMPLIANCE.name, {}).get("compliance", 0.0))
 
 
 def scatter(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREEDOM) -> list[float]:

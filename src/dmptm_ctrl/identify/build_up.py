@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dmptm_ctrl.design.draws import slow_friction
+from dmptm_ctrl.effects.presliding import PRESLIDING
 from dmptm_ctrl.identify.fit import Misfit
 from dmptm_ctrl.identify.records import records
 from dmptm_ctrl.signals import Log
@@ -40,7 +41,7 @@ def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> 
     ValueError
         A model that has presliding.
     """
-    if "presliding" in model.effects:
+    if PRESLIDING.name in model.effects:
         raise ValueError("the model has presliding; its distances are known")
     misfit = Misfit(records(logs, model.drive), jobs=n_jobs)
     misfit.weigh(model)
@@ -58,10 +59,10 @@ def with_build_up(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> Mode
 
     A model that has presliding already is returned as it is.
     """
-    if "presliding" in model.effects:
+    if PRESLIDING.name in model.effects:
         return model
     return _built_up(model, friction_distance(model, logs, n_jobs=n_jobs))
 
 
 def _built_up(model: Model, distance: float) -> Model:
-    return model.with_effect("presliding", **slow_friction(model, distance))
+    return model.with_effect(PRESLIDING.name, **slow_friction(model, distance))

@@ -7,6 +7,8 @@ from math import inf, isfinite
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.effects.drive_offset import DRIVE_OFFSET
+from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.fit import PRIOR_SHARE
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -14,7 +16,7 @@ from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
 
 Floats = NDArray[np.float64]
 
-HARMONIC = ("cogging", "unbalance", "position_dependent_friction")  # cosine and sine of the angle
+OFFSET = DRIVE_OFFSET.name
 LEAST_SCALE = 0.01  # of the typical size of a quantity
 WIDEST = 0.1  # of the travel; of a local spot
 SHARES = 0.005, 0.99  # of the inertia behind a spring
@@ -128,8 +130,8 @@ def free_parameters(
 
 def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[Free]:
     frees = []
-    linear = on_slide(model, effect.on)
-    for parameter in PLACED_CATALOGUE[effect.name].keep:
+    linear, chain = on_slide(model, effect.on), PLACED_CATALOGUE[effect.name]
+    for parameter in chain.keep:
         value = effect.values.get(parameter.name, 0.0)
         low, high, size = parameter.low, parameter.high, abs(value)
         if parameter.name == "order":
@@ -152,20 +154,20 @@ def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[
             if not -1.0 <= low <= high <= 1.0 or parameter.unit:
                 low = -inf if low < 0 else 0.0
                 high = inf
-        if effect.name in ("drive_delay", "current_lag"):
+        if parameter.unit == "s" and chain.place == "input":
             high = max(3.0 * value, 2.0 * scales.dt)  # a search far out finds aliases
-        if effect.name == "drive_saturation":
+        if chain.effect.search == "limits":
             high = 2.0 * value
         if parameter.name == "share":
             low, high = SHARES
-        if effect.name == "drive_offset":
+        if effect.name == OFFSET:
             size = max(abs(value), 0.02 * scales.u[effect.on])
         frees.append(Free("effect", effect.key, parameter.name, low, high, size or 1.0))
-    if effect.name == "cable_spring" and any(e.name == "drive_offset" for e in model.effects):
-        frees = [f for f in frees if f.name != "offset"]  # one constant is enough
-    if effect.name == "position_dependent_friction" and linear:
+    if any(e.name == OFFSET for e in model.effects):  # one constant is enough
+        frees = [f for f in frees if f.name not in chain.effect.constants]
+    if chain.effect.wave and chain.site == "friction" and linear:
         frees = [f for f in frees if f.name == "sine"]  # a slope along the axis
-    if effect.name == "shaft_compliance" and any(k.name == effect.on for k in model.rig.links):
+    if effect.name == SHAFT_COMPLIANCE.name and any(k.name == effect.on for k in model.rig.links):
         frees = [f for f in frees if f.name not in ("share", "far_viscous")]
     return frees
 
@@ -198,8 +200,9 @@ def log_parameters(model: RigModel, balance: Balance, log: str, reference: str) 
 
 def has_phase(model: RigModel, balance: Balance, effect: Placed) -> bool:
     """Whether an effect goes with the angle, of which each log has its own zero."""
-    slope = effect.name == "position_dependent_friction" and on_slide(model, effect.on)
-    return effect.name in HARMONIC and not slope and not absolute(model, balance, effect.on)
+    chain = PLACED_CATALOGUE[effect.name]
+    slope = chain.site == "friction" and on_slide(model, effect.on)
+    return chain.effect.wave and not slope and not absolute(model, balance, effect.on)
 
 
 def absolute(model: RigModel, balance: Balance, body: str) -> bool:

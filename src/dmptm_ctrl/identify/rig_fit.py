@@ -16,16 +16,13 @@ from dmptm_ctrl.identify.fit import least_in_box
 from dmptm_ctrl.identify.free_parameters import Floats, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
 from dmptm_ctrl.parallel import in_threads, small_matrices
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 ROWS_PER_NEWS = 8.0  # rows that count as one, where nothing better is known
 LEAST_SCALE = 0.005  # of the torque; friction laws are not known more finely
 BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
-KINKS = {  # step of the finite differences, in scales: wide enough to pass a few kinks
-    "drive_delay": 0.05, "current_lag": 0.05, "drive_dead_band": 0.05, "drive_saturation": 0.05,
-    "backlash": 0.005,
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,9 +255,7 @@ def jacobian(
 
 
 def _step(free: Free) -> float:
-    if _has_kinks(free):
-        return KINKS[free.owner.partition("@")[0]] * free.scale
-    return DIFFERENCE * free.scale
+    return (_kink(free) or DIFFERENCE) * free.scale
 
 
 @small_matrices
@@ -340,7 +335,7 @@ def stepped(
 
     Where a whole step fails, numbers with kinks (a gap, a dead time) are left out of it.
     """
-    smooth = [not _has_kinks(f) for f in frees]
+    smooth = [not _kink(f) for f in frees]
     for used in ([True] * len(frees), smooth):
         if used is smooth and (all(smooth) or not any(smooth)):
             continue
@@ -362,8 +357,11 @@ def stepped(
     return None
 
 
-def _has_kinks(free: Free) -> bool:
-    return free.kind == "effect" and free.owner.partition("@")[0] in KINKS
+def _kink(free: Free) -> float:
+    """Difference step that passes kinks, in scales; 0 where there are none."""
+    if free.kind != "effect":
+        return 0.0
+    return PLACED_CATALOGUE[free.owner.partition("@")[0]].effect.kink
 
 
 def slopes_near(

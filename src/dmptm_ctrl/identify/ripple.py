@@ -29,7 +29,6 @@ from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.kernel_calls import layout
 from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
 
-FAST = ("cogging",)  # effects that act faster than a window passes
 FINER = 2  # steps per sample in which a torque acts: an order may have two samples per period
 WHITE = 8  # coefficients that whiten what is left: the meshes' wobble is a narrow band
 EXTREME = 0.01  # share of samples at either end that do not tell the colour of the rest
@@ -114,7 +113,7 @@ class Ripple:
 
     def torque(self, arrays: Arrays) -> Floats:
         """Torque of a model's effects, summed at the ring gear, (n FINER,)."""
-        # nothing in FAST depends on what the meshes carry
+        # no fast effect depends on what the meshes carry
         torque = disturbance(self.finer, arrays).torque
         n2 = arrays[0][BASE.index("N_2")]
         total = np.zeros_like(self.finer.time)
@@ -126,7 +125,7 @@ class Ripple:
     def missing(self, arrays: Arrays) -> Floats:
         """Speed [rad/s] that a model does not explain, whitened, where the drive slides, (k,).
 
-        Of its effects those in :data:`FAST` count: no other may live on what they leave. What
+        Of its effects the fast ones count: no other may live on what they leave. What
         was computed lately is kept: most that a fit moves changes nothing here.
         """
         base, on, values = loaded(arrays), *arrays[1:]
@@ -201,13 +200,13 @@ class Ripple:
 @cache
 def fast_ones(names: tuple[str, ...]) -> NDArray[np.uint8]:
     """1 for each effect that acts fast."""
-    return np.array([name in FAST for name in names], np.uint8)
+    return np.array([CATALOGUE[name].fast for name in names], np.uint8)
 
 
 @cache
 def fast_places(names: tuple[str, ...]) -> list[tuple[int, int, int]]:
     """Index of each of these effects, its first slot, and how many it has."""
-    return [(*layout()[n], len(CATALOGUE[n].parameters)) for n in names if n in FAST]
+    return [(*layout()[n], len(CATALOGUE[n].parameters)) for n in names if CATALOGUE[n].fast]
 
 
 def loaded(arrays: Arrays) -> Floats:

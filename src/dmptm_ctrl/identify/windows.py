@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
 from dmptm_ctrl.identify.disturbance import (
     BEARING,
     LAW,
@@ -133,7 +134,7 @@ class Windowed:
     @cached_property
     def waves(self) -> Floats:
         """Window means of the ring encoder's error per unit cosine and sine, (2, w)."""
-        index, first = layout()["encoder_eccentricity"]
+        index, first = layout()[ENCODER_ECCENTRICITY.name]
 
         def wave(mo: Motion, k: int) -> Floats:
             _, on, values = mo.declared.arrays()
@@ -149,7 +150,7 @@ class Windowed:
     def encoder_error(self, on: Any, values: Floats) -> Floats:
         """Error of the ring encoder [rad], (w,), beyond what was taken off the readings."""
         _, on_before, before = self.motions[0].declared.arrays()
-        index, first = layout()["encoder_eccentricity"]
+        index, first = layout()[ENCODER_ECCENTRICITY.name]
         now = values[first : first + 2] * on[index]
         then = before[first : first + 2] * on_before[index]
         if np.array_equal(now, then):

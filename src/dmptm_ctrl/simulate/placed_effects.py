@@ -66,6 +66,7 @@ BACKLASH = Effect(
     source="paper Eq. 21",
     depends_on=("mesh_torque",),
     reveals="reversals with small torque, with encoders on both sides of the gap",
+    kink=0.005,
 )
 
 

@@ -93,6 +93,22 @@ def test_dual_motor_drive_with_each_effect(name, tmp_path):
 
 
 @needs_compiler
+def test_all_effects_at_once(tmp_path):
+    """Tables of several effects, each read at its own place, beside every other effect."""
+    rng, model = np.random.default_rng(2), Model()
+    for name, effect in CATALOGUE.items():
+        values = dict(visible(name).effects[name])
+        for p in effect.parameters:
+            if p.name[0] == "k" and p.name[1:].isdigit():  # a knot of a table
+                values[p.name] = p.step * rng.uniform(-1.0, 1.0)
+        model = model.with_effect(name, **values)
+    volts = 3.0 * VOLTS
+    true = simulate(model, TIME, volts).outputs.T
+    assert np.ptp(true[:, 0]) > 3e-3  # the premise: it moves
+    close(c_run(plant_program(model, DT), volts, tmp_path), true)
+
+
+@needs_compiler
 def test_starts_where_it_is_told(tmp_path):
     from dmptm_ctrl.simulate.compiled import rest
 

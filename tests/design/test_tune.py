@@ -12,7 +12,7 @@ from dmptm_ctrl.control.sections import sampled_notch
 from dmptm_ctrl.control.shaping import SampledPlant, fastest_pi, notched_pi
 from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller, Notch, read_controller
-from dmptm_ctrl.design.draws import draw_plants
+from dmptm_ctrl.design.draws import HIDDEN_DISTANCE, draw_plants
 from dmptm_ctrl.design.duty import DEG, usual_duty
 from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.design.preload import load_torque_along, smallest_preload
@@ -124,6 +124,38 @@ def test_draws_are_inside_the_ranges_and_the_same_for_every_count():
         if quantity.is_free:
             assert np.ptp(values) > 0.7 * (high - low) * (1.0 if name not in ("c", "c_f") else 0.3)
     assert draw_plants(MODEL, 1, uncertainty=0.0)[0].drive["J_L"] == MODEL.drive["J_L"]
+
+
+def distances(model):
+    """Drawn distances over which friction builds up, (40, 2): reducers, ring gear."""
+    drawn = [p.effects.get("presliding", {}) for p in draw_plants(model, 40, uncertainty=0.25)]
+    names = ("reducer_distance", "ring_distance")
+    return np.array([[one.get(name, 0.0) for name in names] for one in drawn])
+
+
+def test_friction_may_build_up_later_than_the_model_says():
+    """A distance that logs tell is as uncertain as one of which they tell nothing."""
+    none = Model().with_effect("presliding", reducer_distance=0.0, ring_distance=0.0)
+    told = Model().with_effect("presliding", reducer_distance=1e-3, ring_distance=1e-4)
+    for model in (Model(), none):
+        reducer, ring = distances(model).T
+        assert 0.2 < np.mean(ring == 0.0) < 0.5
+        assert 0.8 * HIDDEN_DISTANCE < ring.max() <= HIDDEN_DISTANCE
+        np.testing.assert_allclose(reducer, 8.25 * ring, rtol=1e-12)
+    reducer, ring = distances(told).T
+    assert ring.min() < 1e-4 - 0.4 * HIDDEN_DISTANCE
+    assert ring.max() > 1e-4 + 0.8 * HIDDEN_DISTANCE
+    assert np.ptp(reducer) > 8.25 * HIDDEN_DISTANCE
+    assert draw_plants(told, 1, uncertainty=0.0)[0].effects == told.effects
+
+
+def test_distance_of_a_controller_adds_to_that_of_its_model():
+    told = {"reducer_distance": 1e-3, "ring_distance": 1e-4}
+    by_model = replace(BOTH, distance=0.0, model=Model().with_effect("presliding", **told))
+    longer = {"reducer_distance": 1e-3 + 8.25 * 2e-5, "ring_distance": 1.2e-4}
+    found = replace(by_model, distance=2e-5).law().model.effects["presliding"]
+    assert {k: found[k] for k in longer} == pytest.approx(longer, rel=1e-12)
+    assert by_model.law().model.effects == by_model.model.effects
 
 
 def test_preload_against_the_balance_of_a_turn():

@@ -288,9 +288,8 @@ class _Search:
         best, least = self.cheapest(grid, drawn)
         if self.aims.notch:
             best, least = self.cheapest(self.notched(best), drawn, best, least)
-            if "presliding" not in begin.model.effects:
-                grid = [replace(best, distance=d) for d in DISTANCES]
-                best, least = self.cheapest(grid, drawn, best, least)
+            grid = [replace(best, distance=d) for d in DISTANCES]
+            best, least = self.cheapest(grid, drawn, best, least)
 
         own = [0, 1, 2, 3] if begin.friction > 0.0 else [1]  # of _STEPS, what does something
 

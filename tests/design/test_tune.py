@@ -51,6 +51,18 @@ def test_tuning_is_better_over_the_plants_and_stays_in_the_margins(tuned):
     assert volts.max() < Aims().limit
 
 
+def test_strong_cogging_leaves_a_linear_start():
+    """At one angle it pushes away, and no PI keeps the margins; over a turn it is a disturbance."""
+    model = Model().with_effect("cogging", left_sine=-0.04, right_sine=-0.04, order=27.0)
+    with pytest.raises(ValueError, match="no PI keeps"):
+        fastest_pi(linear_plant(model), 55.0, 9.0)
+    duty = usual_duty()
+    aims = Aims(duty=duty._replace(reference=duty.reference[:900]))
+    found = tune_controller(model, aims, uncertainty=0.25, plants=2, n_jobs=1)
+    assert found.linear.crossover_hz > 10.0
+    assert np.isfinite(found.errors).all()
+
+
 def test_a_notch_pays_on_the_papers_drive():
     """Behind it the loop is four times as stiff; without it these gains hammer."""
     model, aims, share = Model(), Aims(), 0.63  # of the linear design's crossover

@@ -36,7 +36,7 @@ def test_known_distance_is_found(distance):
 
 
 @pytest.mark.parametrize("told", [1.0, 0.5])
-def test_free_runs_correct_what_a_balance_took_for_presliding(told):
+def test_free_runs_tell_which_friction_builds_up_late(told):
     """Friction of the ring gear builds up over 0.4 mrad, that of the reducers at once."""
     plant = Model().with_effect("presliding", reducer_distance=0.0, ring_distance=4e-4)
     wrong = plant.with_effect("presliding", reducer_distance=3e-3, ring_distance=told * 4e-4)

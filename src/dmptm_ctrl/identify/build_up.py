@@ -57,8 +57,8 @@ def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> 
 def with_build_up(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> Model:
     """Return the model with the distances that its logs' free runs tell, as presliding; 0 is none.
 
-    A balance of torques takes for presliding what else gives way at a reversal: a gap, a shaft.
-    So of presliding that a model has, each distance is tried at :data:`SHARES` of itself.
+    A balance of torques hardly tells which body's friction builds up late. So of presliding that
+    a model has, each distance is tried at :data:`SHARES` of itself.
     """
     if "presliding" not in model.effects:
         return _built_up(model, friction_distance(model, logs, n_jobs=n_jobs))

@@ -10,6 +10,7 @@ import pytest
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.control.sections import sampled_notch
 from dmptm_ctrl.control.shaping import SampledPlant, fastest_pi, notched_pi
+from dmptm_ctrl.data import path
 from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller, Notch, read_controller
 from dmptm_ctrl.design.draws import HIDDEN_DISTANCE, draw_plants
@@ -202,5 +203,12 @@ def test_command(tmp_path, capsys, monkeypatch, tuned):
     assert json.loads((out / "tuning.json").read_text())["plants"] == tuned.errors.size
     assert read_controller(out / "controller.toml").friction > 0.5
     assert (out / "tuning.png").stat().st_size > 10_000
-    assert main(["tune", str(tmp_path / "none.toml"), "--out", str(tmp_path / "no")]) == 2
-    assert not (tmp_path / "no").exists()
+    bad = [["none.toml"], ["model.toml", "--logs", str(tmp_path / "nowhere")]]
+    for name, *more in bad:
+        assert main(["tune", str(tmp_path / name), "--out", str(tmp_path / "no"), *more]) == 2
+        assert not (tmp_path / "no").exists()
+    # logs tell how far friction builds up
+    logs = path("demo_rig") / "closed_sine_10.csv.gz"
+    again = ["--out", str(out), "--plants", "16", "--logs", str(logs)]
+    assert main(["tune", str(tmp_path / "model.toml"), *again]) == 0
+    assert set(asked["model"].effects) == {*MODEL.effects, "presliding"}

@@ -128,6 +128,9 @@ def tune(
     uncertainty: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of the declared ranges still open.")
     ] = 0.25,
+    logs: Annotated[
+        Path | None, typer.Option(help="Logs of the machine: they tell how friction builds up.")
+    ] = None,
     plants: Annotated[int, typer.Option(min=16, help="Plants drawn to judge it.")] = 1000,
     seed: Annotated[int, typer.Option(help="Of the draws.")] = 0,
     jobs: _Jobs = 2,
@@ -135,10 +138,16 @@ def tune(
 ) -> None:
     """Design a speed controller on a model and its uncertainty."""
     from dmptm_ctrl.design.run import tune_file
+    from dmptm_ctrl.identify.build_up import with_build_up
+    from dmptm_ctrl.signals import load_logs
     from dmptm_ctrl.signals.atomic import check_folder
 
     check_folder(out)
-    tuned = tune_file(model, out, uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs)
+    told = () if logs is None else load_logs(logs)
+    tuned = tune_file(
+        model, out, uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs,
+        refine=lambda drive: with_build_up(drive, told, n_jobs=jobs) if told else drive,
+    )  # fmt: skip
     if not quiet:
         print(tuned.summary())
         print(f"\nwritten to {out}: controller.toml, tuning.json, tuning.png")

@@ -10,9 +10,10 @@ import pytest
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.control.sections import sampled_notch
 from dmptm_ctrl.control.shaping import SampledPlant, fastest_pi, notched_pi
+from dmptm_ctrl.data import path
 from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller, Notch, read_controller
-from dmptm_ctrl.design.draws import draw_plants
+from dmptm_ctrl.design.draws import HIDDEN_DISTANCE, draw_plants
 from dmptm_ctrl.design.duty import DEG, usual_duty
 from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.design.preload import load_torque_along, smallest_preload
@@ -49,6 +50,18 @@ def test_tuning_is_better_over_the_plants_and_stays_in_the_margins(tuned):
     again, volts = tracking(tuned.controller, draw_plants(MODEL, 24, seed=99), Aims(), seed=5)
     assert np.median(again) < 2 * np.median(tuned.errors) + 0.1
     assert volts.max() < Aims().limit
+
+
+def test_strong_cogging_leaves_a_linear_start():
+    """At one angle it pushes away, and no PI keeps the margins; over a turn it is a disturbance."""
+    model = Model().with_effect("cogging", left_sine=-0.04, right_sine=-0.04, order=27.0)
+    with pytest.raises(ValueError, match="no PI keeps"):
+        fastest_pi(linear_plant(model), 55.0, 9.0)
+    duty = usual_duty()
+    aims = Aims(duty=duty._replace(reference=duty.reference[:900]))
+    found = tune_controller(model, aims, uncertainty=0.25, plants=2, n_jobs=1)
+    assert found.linear.crossover_hz > 10.0
+    assert np.isfinite(found.errors).all()
 
 
 def test_a_notch_pays_on_the_papers_drive():
@@ -126,6 +139,38 @@ def test_draws_are_inside_the_ranges_and_the_same_for_every_count():
     assert draw_plants(MODEL, 1, uncertainty=0.0)[0].drive["J_L"] == MODEL.drive["J_L"]
 
 
+def distances(model):
+    """Drawn distances over which friction builds up, (40, 2): reducers, ring gear."""
+    drawn = [p.effects.get("presliding", {}) for p in draw_plants(model, 40, uncertainty=0.25)]
+    names = ("reducer_distance", "ring_distance")
+    return np.array([[one.get(name, 0.0) for name in names] for one in drawn])
+
+
+def test_friction_may_build_up_later_than_the_model_says():
+    """A distance that logs tell is as uncertain as one of which they tell nothing."""
+    none = Model().with_effect("presliding", reducer_distance=0.0, ring_distance=0.0)
+    told = Model().with_effect("presliding", reducer_distance=1e-3, ring_distance=1e-4)
+    for model in (Model(), none):
+        reducer, ring = distances(model).T
+        assert 0.2 < np.mean(ring == 0.0) < 0.5
+        assert 0.8 * HIDDEN_DISTANCE < ring.max() <= HIDDEN_DISTANCE
+        np.testing.assert_allclose(reducer, 8.25 * ring, rtol=1e-12)
+    reducer, ring = distances(told).T
+    assert ring.min() < 1e-4 - 0.4 * HIDDEN_DISTANCE
+    assert ring.max() > 1e-4 + 0.8 * HIDDEN_DISTANCE
+    assert np.ptp(reducer) > 8.25 * HIDDEN_DISTANCE
+    assert draw_plants(told, 1, uncertainty=0.0)[0].effects == told.effects
+
+
+def test_distance_of_a_controller_adds_to_that_of_its_model():
+    told = {"reducer_distance": 1e-3, "ring_distance": 1e-4}
+    by_model = replace(BOTH, distance=0.0, model=Model().with_effect("presliding", **told))
+    longer = {"reducer_distance": 1e-3 + 8.25 * 2e-5, "ring_distance": 1.2e-4}
+    found = replace(by_model, distance=2e-5).law().model.effects["presliding"]
+    assert {k: found[k] for k in longer} == pytest.approx(longer, rel=1e-12)
+    assert by_model.law().model.effects == by_model.model.effects
+
+
 def test_preload_against_the_balance_of_a_turn():
     """A steady turn: the preload at which the root search loses a mesh."""
     speed = 15 * DEG
@@ -158,5 +203,12 @@ def test_command(tmp_path, capsys, monkeypatch, tuned):
     assert json.loads((out / "tuning.json").read_text())["plants"] == tuned.errors.size
     assert read_controller(out / "controller.toml").friction > 0.5
     assert (out / "tuning.png").stat().st_size > 10_000
-    assert main(["tune", str(tmp_path / "none.toml"), "--out", str(tmp_path / "no")]) == 2
-    assert not (tmp_path / "no").exists()
+    bad = [["none.toml"], ["model.toml", "--logs", str(tmp_path / "nowhere")]]
+    for name, *more in bad:
+        assert main(["tune", str(tmp_path / name), "--out", str(tmp_path / "no"), *more]) == 2
+        assert not (tmp_path / "no").exists()
+    # logs tell how far friction builds up
+    logs = path("demo_rig") / "closed_sine_10.csv.gz"
+    again = ["--out", str(out), "--plants", "16", "--logs", str(logs)]
+    assert main(["tune", str(tmp_path / "model.toml"), *again]) == 0
+    assert set(asked["model"].effects) == {*MODEL.effects, "presliding"}

@@ -6,7 +6,7 @@ import control as ct
 import numpy as np
 import pytest
 from tests.export.native import needs_compiler
-from tests.export.test_plant import TIME, VOLTS, rig_model
+from tests.export.test_plant import RIG, TIME, VOLTS, rig_model
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.design.controller import Controller, Notch
@@ -24,6 +24,8 @@ def files(tmp_path):
     CONTROLLER.save(tmp_path / "controller.toml")
     (tmp_path / "model.toml").write_text(to_toml(MODEL), encoding="utf-8")
     (tmp_path / "rig_model.toml").write_text(rig_model_to_toml(rig_model()), encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    (tmp_path / "open.toml").write_text(RIG.replace('"40 N m/rad"', '"unknown"'), encoding="utf-8")
     return tmp_path
 
 
@@ -38,6 +40,9 @@ def files(tmp_path):
         ("model.toml", "python", ["plant.py"]),
         ("rig_model.toml", "c", ["plant.c", "plant.h"]),
         ("rig_model.toml", "python", ["plant.py"]),
+        ("rig.toml", "c", ["plant.c", "plant.h"]),
+        ("rig.toml", "table", ["friction.csv"]),
+        ("rig.toml", "mujoco", ["joint.xml"]),
         pytest.param("rig_model.toml", "fmu", ["plant.fmu"], marks=needs_compiler),
     ],
 )
@@ -55,6 +60,7 @@ def test_writes(files, source, to, names, capsys):
     ("arguments", "message"),
     [
         (["none.toml", "--to", "c"], "none.toml: no readable model or controller file"),
+        (["open.toml", "--to", "c"], "open.toml: link.belt.stiffness is declared unknown; fit the"),
         (["model.toml", "--to", "ladder"], "--to ladder: no such target; there are c, st, fmu"),
         (["model.toml", "--to", "c", "--real", "half"], "--real half: no such type"),
         (["model.toml", "--to", "c", "--sample-time", "0"], "must lie between 0 and 1 s"),
@@ -101,6 +107,17 @@ def test_rig_as_python_program_runs(files):
     found = runpy.run_path(str(files / "out" / "plant.py"))
     assert found["model"].value("body.load.inertia") == 0.05
     assert np.isfinite(found["response"].outputs).all()
+
+
+def test_a_rig_file_of_the_dual_motor_drive_is_that_drive(files):
+    from dmptm_ctrl.data import PAPER_RIG
+
+    (files / "paper.toml").write_text(to_toml(Model()), encoding="utf-8")
+    for source, out in ((PAPER_RIG, "rig"), (files / "paper.toml", "drive")):
+        assert main(["export", str(source), "--to", "c", "--out", str(files / out)]) == 0
+    one, other = ((files / d / "plant.h").read_text("ascii") for d in ("rig", "drive"))
+    assert one.split("#ifndef")[1] == other.split("#ifndef")[1]
+    assert "theta_ml" in one
 
 
 @needs_compiler

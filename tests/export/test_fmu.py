@@ -3,13 +3,16 @@
 import numpy as np
 import pytest
 from tests.export.native import needs_compiler
-from tests.export.test_plant import DT, TIME, VOLTS, close
+from tests.export.test_plant import DT, GEAR, TIME, VOLTS, close
 
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.export.fmu import write_fmu
 from dmptm_ctrl.export.plant import plant_program
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_run import simulate_rig
 
 fmpy = pytest.importorskip("fmpy")
 MODEL = (
@@ -39,6 +42,25 @@ def test_runs_as_the_simulator_does(fmu):
         str(fmu), stop_time=TIME[-1], output_interval=DT, step_size=DT, input=inputs, output=names
     )
     np.testing.assert_allclose(found["time"], TIME, atol=1e-9)
+    close(np.column_stack([found[n] for n in names]), true)
+
+
+@needs_compiler
+def test_rig_of_another_shape(tmp_path):
+    """A motor and a load with a gap, a dead time and gravity."""
+    model = RigModel(parse_rig(GEAR, "rig.toml"))
+    model = model.with_effect(Placed("unbalance", "load", {"cosine": 0.5, "sine": 0.2}))
+    write_fmu(plant_program(model, DT), DT, tmp_path / "plant.fmu")
+    volts = 6.0 * np.sin(2 * np.pi * 4.0 * TIME) + 6.0 * (TIME > 0.2)
+    inputs = np.array(
+        list(zip(TIME, volts, strict=True)), dtype=[("time", float), ("in_voltage", float)]
+    )
+    names = ["out_angle", "out_speed"]
+    found = fmpy.simulate_fmu(
+        str(tmp_path / "plant.fmu"), stop_time=TIME[-1], output_interval=DT, step_size=DT,
+        input=inputs, output=names,
+    )  # fmt: skip
+    true = simulate_rig(model, TIME, volts[None]).outputs.T
     close(np.column_stack([found[n] for n in names]), true)
 
 

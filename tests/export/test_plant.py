@@ -11,6 +11,7 @@ from dmptm_ctrl.export.plant import plant_program
 from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, may_stand
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.rig_run import simulate_rig
 
@@ -93,6 +94,22 @@ def test_dual_motor_drive_with_each_effect(name, tmp_path):
 
 
 @needs_compiler
+def test_all_effects_at_once(tmp_path):
+    """Tables of several effects, each read at its own place, beside every other effect."""
+    rng, model = np.random.default_rng(2), Model()
+    for name, effect in CATALOGUE.items():
+        values = dict(visible(name).effects[name])
+        for p in effect.parameters:
+            if p.name[0] == "k" and p.name[1:].isdigit():  # a knot of a table
+                values[p.name] = p.step * rng.uniform(-1.0, 1.0)
+        model = model.with_effect(name, **values)
+    volts = 3.0 * VOLTS
+    true = simulate(model, TIME, volts).outputs.T
+    assert np.ptp(true[:, 0]) > 3e-3  # the premise: it moves
+    close(c_run(plant_program(model, DT), volts, tmp_path), true)
+
+
+@needs_compiler
 def test_starts_where_it_is_told(tmp_path):
     from dmptm_ctrl.simulate.compiled import rest
 
@@ -141,6 +158,38 @@ def test_rig_of_another_shape(name, tmp_path):
     plain = simulate_rig(rig_model(), TIME, u).outputs
     assert name == "none" or np.abs(true - plain).max() > 1e-6
     close(c_run(plant_program(model, DT), u, tmp_path), np.atleast_2d(true).T)
+
+
+AXIS = RIG[: RIG.index("[body.load]")] + RIG[RIG.index("[input.voltage]") :].replace(
+    '"load"', '"motor"'
+)
+GEAR = RIG.replace("[shaft.belt]", '[mesh.belt]\nbacklash = "0.5 deg"\ncontact = "two_state"')
+
+
+@needs_compiler
+@pytest.mark.parametrize("text", [AXIS, GEAR], ids=["axis", "gear with a gap"])
+def test_rig_with_all_effects_at_once(text, tmp_path):
+    model, rng = RigModel(parse_rig(text, "rig.toml")), np.random.default_rng(4)
+    rig = model.rig
+    parts = {"body": rig.bodies, "link": rig.links, "input": rig.inputs, "sensor": rig.sensors}
+    placed = [
+        (effect, part.name)
+        for effect in PLACED_CATALOGUE.values()
+        for part in parts[effect.place]
+        if may_stand(effect, rig, part.name) and effect.name != "backlash"
+    ]
+    for effect, part in placed:
+        values = dict(zip([p.name for p in effect.keep], effect.defaults, strict=True))
+        step = {p.name: p.step for p in effect.keep}
+        values |= {name: 0.1 * step[name] * rng.uniform(0.5, 1.0) for name in effect.amplitudes}
+        if effect.name in SIZE:
+            values[effect.amplitudes[0]] = SIZE[effect.name]
+        model = model.with_effect(Placed(effect.name, part, values))
+    assert len(placed) > 20
+    u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None] + 6.0 * (TIME > 0.2)
+    true = np.atleast_2d(simulate_rig(model, TIME, u).outputs).T
+    assert (np.ptp(true, axis=0) > 0.1).all()  # the premise: it moves
+    close(c_run(plant_program(model, DT), u, tmp_path), true)
 
 
 @needs_compiler

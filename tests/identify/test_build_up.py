@@ -35,8 +35,20 @@ def test_known_distance_is_found(distance):
     assert found == pytest.approx(distance, abs=5e-6)
 
 
-def test_what_is_known_stays():
-    known = Model().with_effect("presliding", **slow_friction(Model(), 2e-5))
-    assert with_build_up(known, []) is known
+@pytest.mark.parametrize("told", [1.0, 0.5])
+def test_free_runs_tell_which_friction_builds_up_late(told):
+    """Friction of the ring gear builds up over 0.4 mrad, that of the reducers at once."""
+    plant = Model().with_effect("presliding", reducer_distance=0.0, ring_distance=4e-4)
+    wrong = plant.with_effect("presliding", reducer_distance=3e-3, ring_distance=told * 4e-4)
+    found = with_build_up(wrong, [logged(plant, 2)]).effects["presliding"]
+    assert found["reducer_distance"] == 0.0
+    assert found["ring_distance"] == pytest.approx(4e-4, rel=1e-12)
+
+
+def test_right_distances_stay():
+    distances = {"reducer_distance": 1e-3, "ring_distance": 4e-4}
+    plant = Model().with_effect("presliding", **distances)
+    found = with_build_up(plant, [logged(plant, 3)]).effects["presliding"]
+    assert found == plant.effects["presliding"]
     with pytest.raises(ValueError, match="distances are known"):
-        friction_distance(known, [])
+        friction_distance(plant, [])

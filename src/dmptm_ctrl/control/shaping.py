@@ -7,7 +7,7 @@ from typing import NamedTuple
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import matrix_balance, solve_continuous_lyapunov
+from slycot import ab09ad
 
 from dmptm_ctrl.control.pi import common_mode, pi_controller, sampled_drive
 from dmptm_ctrl.control.sections import Section, sampled_notch
@@ -189,21 +189,11 @@ def essential(sys: ct.StateSpace) -> ct.StateSpace:
     """
     if sys.poles().real.max() >= 0.0:
         return sys
-    a, scale = matrix_balance(sys.A, permute=False)
-    b, c = np.linalg.solve(scale, sys.B), sys.C @ scale
-    reach = _half(solve_continuous_lyapunov(a, -b @ b.T))
-    see = _half(solve_continuous_lyapunov(a.T, -c.T @ c))
-    left, values, right = np.linalg.svd(see.T @ reach)
-    keep = (values > NEGLIGIBLE * values[0]) & (np.arange(values.size) < MOST_STATES)
-    root = np.sqrt(values[keep])
-    into, out = (see @ left[:, keep] / root).T, reach @ right[keep].T / root
-    return ct.ss(into @ a @ out, into @ b, c @ out, sys.D)
-
-
-def _half(gramian: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Factor H of a Gramian H Hᵀ; rounding below zero is zero."""
-    values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+    size = sys.nstates, sys.ninputs, sys.noutputs
+    *_, values = ab09ad("C", "B", "S", *size, sys.A, sys.B, sys.C)
+    order = min(int(np.sum(values > NEGLIGIBLE * values[0])), MOST_STATES)
+    _, a, b, c, _ = ab09ad("C", "B", "S", *size, sys.A, sys.B, sys.C, nr=order)
+    return ct.ss(a, b, c, sys.D)
 
 
 def _weighted_peak(plant: ct.StateSpace, controller: ct.StateSpace, weights: tuple) -> float:

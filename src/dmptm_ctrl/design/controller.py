@@ -65,8 +65,7 @@ class Controller(Design):
     notches : tuple of Notch
         Up to two in the simulated loop; any number in the equations and transfer functions.
     distance : float [rad]
-        Over which the friction fed forward builds up, at the ring gear, where `model` does not
-        say it.
+        Over which the friction fed forward builds up beyond what `model` says, at the ring gear.
     relief_from, relief_to : float [V]
         Common voltages between which the preload fades to nothing, as in torque-bias profiles
         of antennas (Gawronski et al. 2000, ref. 15 of the paper); equal ones keep it constant.
@@ -90,7 +89,7 @@ class Controller(Design):
     def law(self) -> Law:
         """Return it as the compiled simulator takes it."""
         model, dt = self.model, self.sample_time
-        if self.distance > 0.0 and "presliding" not in model.effects:
+        if self.distance > 0.0:
             model = model.with_effect("presliding", **slow_friction(model, self.distance))
         return Law(
             **{**self.shared(), "model": model},

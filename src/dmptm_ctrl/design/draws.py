@@ -26,7 +26,7 @@ def draw_plants(
     `uncertainty` is the share of the declared ranges, which are taken around the model's values;
     amplitudes of effects move by :data:`AMPLITUDES` times it, angles and orders of effects stay.
     The damping of the flanks always takes its whole range, unless nothing is uncertain, and
-    friction builds up over a distance of up to :data:`HIDDEN_DISTANCE`.
+    friction builds up over up to :data:`HIDDEN_DISTANCE` more than the model says.
     """
     if count < 0 or uncertainty < 0.0:
         raise ValueError(f"count {count} and uncertainty {uncertainty:g} must not be negative")
@@ -53,15 +53,21 @@ def one_plant(model: Model, uncertainty: float, seed: int, index: int) -> Model:
         effects[name] = {
             key: value * moved if key in amplitudes else value for key, value in parameters.items()
         }
-    distance = HIDDEN_DISTANCE * rng.uniform(-0.5, 1.0)  # none on a third of the plants
-    if "presliding" not in effects and uncertainty > 0.0 and distance > 0.0:
-        effects["presliding"] = slow_friction(model, distance)
-    return Model(model.drive.with_values(**values), effects)
+    plant = Model(model.drive.with_values(**values), effects)
+    more = HIDDEN_DISTANCE * rng.uniform(-0.5, 1.0)
+    if uncertainty > 0.0 and ("presliding" in effects or more > 0.0):
+        plant = plant.with_effect("presliding", **slow_friction(plant, more))
+    return plant
 
 
-def slow_friction(model: Model, distance: float) -> dict[str, float]:
-    """Return parameters of presliding that is alike in all bodies, seen at the ring gear [rad]."""
-    return {"reducer_distance": model.drive["N_2"] * distance, "ring_distance": distance}
+def slow_friction(model: Model, more: float) -> dict[str, float]:
+    """Return presliding over a longer way than the model says, `more` at the ring gear [rad].
+
+    `more` is alike in all bodies, and may be negative; no distance is below 0.
+    """
+    told = model.effects.get("presliding", {})
+    ratios = {"reducer_distance": model.drive["N_2"], "ring_distance": 1.0}
+    return {**told, **{k: max(told.get(k, 0.0) + n * more, 0.0) for k, n in ratios.items()}}
 
 
 def _moved(value: float, declared: tuple[float, float], u: float) -> float:

@@ -187,7 +187,7 @@ def tune_controller(
         Aims that no PI keeps on this model.
     """
     aims = aims or Aims()
-    plant = linear_plant(model)
+    plant = linear_plant(level(model))
     start = fastest_pi(plant, **aims.linear())
     search = _Search(model, aims, plant, start, uncertainty, seed, n_jobs)
     judged = draw_plants(model, plants, uncertainty=uncertainty, seed=seed + 1)
@@ -207,7 +207,7 @@ def tune_controller(
             }
         )
     try:
-        reference = linear_reference(linear_plant(level(model)), start)
+        reference = linear_reference(plant, start)
     except ArithmeticError:
         reference = None
     best = stages[-1]["controller"]
@@ -288,9 +288,8 @@ class _Search:
         best, least = self.cheapest(grid, drawn)
         if self.aims.notch:
             best, least = self.cheapest(self.notched(best), drawn, best, least)
-            if "presliding" not in begin.model.effects:
-                grid = [replace(best, distance=d) for d in DISTANCES]
-                best, least = self.cheapest(grid, drawn, best, least)
+            grid = [replace(best, distance=d) for d in DISTANCES]
+            best, least = self.cheapest(grid, drawn, best, least)
 
         own = [0, 1, 2, 3] if begin.friction > 0.0 else [1]  # of _STEPS, what does something
 

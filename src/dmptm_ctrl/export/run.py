@@ -6,6 +6,8 @@ from typing import Any
 
 from dmptm_ctrl.design.controller import KIND as CONTROLLER
 from dmptm_ctrl.design.controller import Controller, read_controller
+from dmptm_ctrl.drive.rig_dual import dual_motor
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.export.c_source import REALS, c_header, c_source
 from dmptm_ctrl.export.controller import controller_program, provenance
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
@@ -21,7 +23,9 @@ from dmptm_ctrl.export.tables import write_tables
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 OF_EXPERIMENT = ("csv", "c", "st")
 OF_CONTROLLER = ("c", "st", "python")
@@ -42,7 +46,7 @@ def export_file(
     Parameters
     ----------
     source : path
-        model.toml of `dmptm diagnose` or controller.toml of `dmptm tune`.
+        model.toml of `dmptm diagnose`, a rig.toml, or controller.toml of `dmptm tune`.
     target : {"c", "st", "fmu", "python", "table", "mujoco"}
     out : path
         Folder; files of other names in it stay.
@@ -83,6 +87,10 @@ def export_file(
             _write(target, model, source, step, real, folder)
         except NotScalar as error:  # a user's own effect
             raise LogError(f"{source.name}: an effect has no program: {error}") from None
+        except LogError:
+            raise
+        except ValueError as error:  # a value that the rig file leaves open
+            raise LogError(f"{source.name}: {error}") from None
         return sorted(p.name for p in folder.iterdir())
 
 
@@ -127,12 +135,17 @@ def _check_numbers(real: str, sample_time: float | None) -> None:
 
 def _read(source: Path) -> Any:
     try:
-        kind = parse_toml(source.read_text(encoding="utf-8"), source.name).get("kind")
+        text = source.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         raise LogError(f"{source.name}: no readable model or controller file there") from None
-    if kind == CONTROLLER:
+    written = parse_toml(text, source.name)
+    if written.get("kind") == CONTROLLER:
         return read_controller(source)
-    return read_model(source)
+    if "kind" in written or "body" not in written:
+        return read_model(source)
+    rig = parse_rig(text, source.name)
+    drive = dual_motor(rig)
+    return RigModel(rig) if drive is None else Model(drive)
 
 
 def _program(model: Any, source: Path, step: float) -> Program:

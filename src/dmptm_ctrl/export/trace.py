@@ -218,10 +218,12 @@ class Scope(Expressions):
         statements that give plain names their new values.
         """
         tracer = self.tracer
-        env, heap, taken = dict(self.env), dict(tracer.heap), dict(tracer.taken)
+        env, heap = dict(self.env), dict(tracer.heap)
+        taken, tables = dict(tracer.taken), dict(tracer.tables)
         carried: dict[Any, str] = {}
         for _ in range(MOST_ROUNDS):
-            self.env, tracer.heap, tracer.taken = dict(env), dict(heap), dict(taken)
+            self.env, tracer.heap = dict(env), dict(heap)
+            tracer.taken, tracer.tables = dict(taken), dict(tables)
             del block[:]
             names: dict[Any, Name] = {}
             for place, kind in carried.items():

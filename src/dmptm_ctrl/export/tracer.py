@@ -19,7 +19,7 @@ class Tracer:
         self.heap: dict[tuple[int, int], Any] = {}
         self._alive: list[Cells] = []  # so that no identity is given twice
         self.taken: dict[str, int] = {}
-        self._tables: dict[tuple[float, ...], Array] = {}
+        self.tables: dict[tuple[float, ...], Array] = {}
         self.arrays: list[tuple[Array, float]] = []
 
     # names and cells
@@ -55,9 +55,9 @@ class Tracer:
 
     def table(self, values: tuple[float, ...]) -> Array:
         """Return the constant table of these values."""
-        if values not in self._tables:
-            self._tables[values] = Array(self.fresh("table").id, len(values), values)
-        return self._tables[values]
+        if values not in self.tables:
+            self.tables[values] = Array(self.fresh("table").id, len(values), values)
+        return self.tables[values]
 
     # functions and statements
 

@@ -19,6 +19,7 @@ from dmptm_ctrl.simulate.model import Model
 
 # rad at the ring gear; the misfit of logs that rattle has a notch some 8 µrad wide at the true one
 DISTANCES = np.arange(0.0, 65e-6, 4e-6)
+SHARES = (0.0, 0.125, 0.25, 0.5, 1.0, 2.0)  # tried of each distance that a diagnosis gives
 
 
 def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> float:
@@ -55,13 +56,27 @@ def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> 
 
 
 def with_build_up(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> Model:
-    """Return the model with the distance that its logs tell, as presliding; 0 is none.
+    """Return the model with the distances that its logs' free runs tell, as presliding; 0 is none.
 
-    A model that has presliding already is returned as it is.
+    A balance of torques hardly tells which body's friction builds up late. So of presliding that
+    a model has, each distance is tried at :data:`SHARES` of itself.
     """
-    if PRESLIDING.name in model.effects:
-        return model
-    return _built_up(model, friction_distance(model, logs, n_jobs=n_jobs))
+    if PRESLIDING.name not in model.effects:
+        return _built_up(model, friction_distance(model, logs, n_jobs=n_jobs))
+    misfit = Misfit(records(logs, model.drive), jobs=n_jobs)
+    misfit.weigh(model)
+    told = model.effects[PRESLIDING.name]
+    best, least, before = model, misfit.square(model), np.inf
+    while least < before:
+        before = least
+        for name in ("reducer_distance", "ring_distance"):
+            for share in SHARES:
+                tried = {**best.effects[PRESLIDING.name], name: share * told[name]}
+                other = model.with_effect(PRESLIDING.name, **tried)
+                cost = misfit.square(other)
+                if cost < least:
+                    best, least = other, cost
+    return best
 
 
 def _built_up(model: Model, distance: float) -> Model:

@@ -113,22 +113,3 @@ def plot_gains(hz: ArrayLike, gains: Mapping[str, ArrayLike], *, ax: Axes | None
         axis("{x:g}")  # within a decade powers of ten say nothing
     panel.legend()
     return panel
-
-
-def plot_stability(found: Any, *, ax: Axes | None = None) -> Axes:
-    """Draw the oscillation over both gains, and where the linear loop becomes unstable."""
-    panel = axes(ax, 1, figsize=(6.4, 4.4))[0, 0]
-    amplitude = np.log10(np.maximum(np.rad2deg(found.amplitude), 1e-2))
-    image = panel.pcolormesh(found.ki, found.kp, amplitude, cmap="Greys", shading="nearest")
-    ticks = np.arange(-2, 3)
-    bar = panel.figure.colorbar(image, ax=panel, ticks=ticks)
-    bar.ax.set_yticklabels([f"{10.0**k:g}" for k in ticks])
-    bar.set_label("oscillation of the speed [deg/s]")
-    if found.linear.any() and not found.linear.all():
-        panel.contour(
-            found.ki, found.kp, found.linear.astype(float), [0.5], colors="#d1495b", linewidths=2
-        )
-        panel.plot([], [], color="#d1495b", linewidth=2, label="linear loop unstable above")
-        panel.legend(loc="upper left", fontsize=9)
-    panel.set(xscale="log", yscale="log", xlabel="$k_i$ [V/rad]", ylabel="$k_p$ [V/(rad/s)]")
-    return panel

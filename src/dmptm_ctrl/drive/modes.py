@@ -9,7 +9,6 @@ ring still; √(k/J̄3 + 2 k N2²/J_L), the pinions together against the ring.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,18 +31,18 @@ class Modes:
 
     Attributes
     ----------
-    train : GearTrain or RigModel
+    train : GearTrain
     omega : (n,) array [rad/s]
     shapes : (n, n) array [rad]
         Columns, scaled to vᵀ M v = 1 kg·m².
     kinds : tuple of str
         "rigid", "antisymmetric" (left against right, ring still), "symmetric" (left with
-        right), "mixed" where the two chains differ; of a rig file "rigid" or "elastic".
+        right), "mixed" where the two chains differ; "elastic" where there are no two.
     damping_ratios : (n,) array
         ζ of the damped modes, nearest in frequency; 0 for the rigid one.
     """
 
-    train: Any
+    train: GearTrain
     omega: Floats
     shapes: Floats
     kinds: tuple[str, ...]
@@ -101,17 +100,18 @@ def solve_modes(train: GearTrain | Drive) -> Modes:
         raise TypeError(f"modes takes a Drive or a GearTrain, not {type(train).__name__}")
     omega, shapes = free_vibration(train.stiffness, train.mass)
     kinds = tuple(_kind(train, w, v) for w, v in zip(omega, shapes.T, strict=True))
-    return Modes(
-        train, omega, shapes, kinds, damping_ratios(linalg.eigvals(train.to_ss().A), omega)
-    )
+    poles = linalg.eigvals(train.matrices(outputs=())[0])
+    return Modes(train, omega, shapes, kinds, damping_ratios(poles, omega))
 
 
 def _kind(train: GearTrain, omega: float, shape: Floats) -> str:
     if omega == 0.0:
         return "rigid"
     other = {"l": "r", "r": "l"}
-    swap = [train.bodies.index(b[:-1] + other.get(b[-1], b[-1])) for b in train.bodies]
-    other_way = shape[swap]
+    mirrored = [b[:-1] + other.get(b[-1], b[-1]) for b in train.bodies]
+    if sorted(mirrored) != sorted(train.bodies) or mirrored == list(train.bodies):
+        return "elastic"
+    other_way = shape[[train.bodies.index(b) for b in mirrored]]
     parity = shape @ train.mass @ other_way / sqrt(other_way @ train.mass @ other_way)
     if parity > PARITY:
         return "symmetric"

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from dmptm_ctrl.drive.modes import Modes, damping_ratios, free_vibration, solve_modes
+from dmptm_ctrl.drive.modes import Modes, solve_modes
 from dmptm_ctrl.drive.parameters import Drive
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.train import GearTrain
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
-from dmptm_ctrl.simulate.rig_run import CONSERVATIVE, _matrices, _slopes, linear_rig
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import CONSERVATIVE, linear_train
 
 
 def modes(model: Drive | GearTrain | Model | Rig | RigModel) -> Modes:
@@ -42,11 +42,4 @@ def modes(model: Drive | GearTrain | Model | Rig | RigModel) -> Modes:
         if not np.isfinite(model.values.get(key, quantity.value))
         and not key.rpartition(".")[2].startswith(CONSERVATIVE)
     ]  # fmt: skip
-    known = model.with_values(dict.fromkeys(unknown, 0.0))
-    check_physical(known)
-    plant = known.plant()
-    stiffness = _matrices(plant)[0] + np.diag(_slopes(known, None)[0])
-    omega, shapes = free_vibration(stiffness, np.diag(plant.inertia))
-    kinds = tuple("elastic" if w else "rigid" for w in omega)
-    ratios = damping_ratios(linear_rig(known).poles(), omega)
-    return Modes(known, omega, shapes, kinds, ratios)
+    return solve_modes(linear_train(model.with_values(dict.fromkeys(unknown, 0.0))))

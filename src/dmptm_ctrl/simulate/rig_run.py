@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dmptm_ctrl.drive.parameters import physical
-from dmptm_ctrl.drive.rig import Controller, Rig, Sensor
+from dmptm_ctrl.drive.rig import Controller, Rig
+from dmptm_ctrl.drive.train import GearTrain, Joint
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.observer import Observer
 from dmptm_ctrl.simulate.parts import Parts
@@ -98,10 +99,12 @@ class RigRun:
 
 def substeps_for(plant: Plant, dt: float) -> int:
     """Substeps per sample that resolve the fastest mode and the fastest decay of a plant."""
-    stiffness, damping = _matrices(plant)
-    inverse = 1.0 / plant.inertia
-    fast = float(np.sqrt(np.abs(np.linalg.eigvals(inverse[:, None] * stiffness)).max(initial=0.0)))
-    decay = float(np.abs(np.linalg.eigvals(inverse[:, None] * damping)).max(initial=0.0))
+    rows, springs, dampers, viscous = _links(plant)
+    inverse = 1.0 / plant.inertia[:, None]
+    stiffness, damping = ((rows.T * values) @ rows for values in (springs, dampers))
+    damping += np.diag(viscous)
+    fast = float(np.sqrt(np.abs(np.linalg.eigvals(inverse * stiffness)).max(initial=0.0)))
+    decay = float(np.abs(np.linalg.eigvals(inverse * damping)).max(initial=0.0))
     steps = dt * STEPS_PER_RADIAN * max(fast, decay)
     return int(min(max(ceil(steps), 1), MAX_SUBSTEPS))
 
@@ -233,29 +236,53 @@ def simulate_rig(
     )
 
 
-def _row(plant: Plant, k: int) -> Floats:
-    """Twist of a link over the coordinates."""
-    first, second = plant.link_body[k]
-    b: Floats = np.zeros(plant.inertia.size)
-    b[plant.body_coordinate[first]] += plant.body_ratio[first]
-    b[plant.body_coordinate[second]] -= plant.link_values[k, 0] * plant.body_ratio[second]
-    return b
+def _links(plant: Plant) -> tuple[Floats, Floats, Floats, Floats]:
+    """Twists of links over the coordinates, their stiffness and damping; viscous friction."""
+    n, _, links, *_ = plant.size
+    rows = np.zeros((links, n))
+    for end, factor in ((0, np.ones(links)), (1, -plant.link_values[:, 0])):
+        bodies = plant.link_body[:, end]
+        at = np.arange(links), plant.body_coordinate[bodies]
+        np.add.at(rows, at, factor * plant.body_ratio[bodies])
+    # flanks that damp by depth do not where contact begins
+    dampers = np.where(plant.link_gap == ELASTIC_IMPACT, 0.0, plant.link_values[:, 2])
+    slopes = plant.body_ratio**2 * 0.5 * (plant.law[:, 3] + plant.law[:, 7])
+    viscous = np.bincount(plant.body_coordinate, slopes, n).astype(float)
+    return rows, plant.link_values[:, 1], dampers, viscous
 
 
-def _matrices(plant: Plant) -> tuple[Floats, Floats]:
-    """Stiffness and damping of the coordinates: each link adds a rank-one block k b bᵀ."""
-    n = plant.inertia.size
-    stiffness, damping = np.zeros((n, n)), np.zeros((n, n))
-    for k in range(plant.link_gap.size):
-        _, spring, damper = plant.link_values[k, :3]
-        b = _row(plant, k)
-        stiffness += spring * np.outer(b, b)
-        if plant.link_gap[k] != ELASTIC_IMPACT:  # which does not damp where contact begins
-            damping += damper * np.outer(b, b)
-    for b_index, group in enumerate(plant.body_coordinate):
-        viscous = 0.5 * (plant.law[b_index, 3] + plant.law[b_index, 7])
-        damping[group, group] += plant.body_ratio[b_index] ** 2 * viscous
-    return stiffness, damping
+def linear_train(model: RigModel, position: Mapping[str, float] | None = None) -> GearTrain:
+    """Return masses, springs and dampers of a rig in contact, see :func:`linear_rig`."""
+    check_physical(model)
+    plant, layout = model.plant(), model.layout
+    unit = np.eye(layout.coordinates)
+    turn = {b: layout.ratio[b] * unit[layout.coordinate[b]] for b in layout.bodies}
+    ground, lossy = _slopes(model, position)
+    rows, springs, dampers, viscous = _links(plant)
+    for effect in model.effects:
+        if effect.name == "viscous_friction":
+            lossy += turn[effect.on] ** 2 * effect.values["coefficient"]
+    joined = zip(layout.links, rows, springs.tolist(), dampers.tolist(), strict=True)
+    pushed = [turn[layout.input_body[name]] for name in layout.inputs]
+    kinds = {"position": "q", "speed": "v"}
+    return GearTrain(
+        name=model.rig.name.replace(" ", "_").replace(".", "_"),
+        bodies=tuple(_leads(model)),
+        inertia=plant.inertia,
+        viscous=viscous + lossy,
+        joints=tuple(Joint(*link) for link in joined),
+        drives=np.transpose(pushed) * plant.input_values[:, 0],
+        torque_per_volt=1.0,
+        readouts={},
+        ground=ground,
+        lags=plant.input_values[:, 2],
+        labels=layout.inputs,
+        motion=("q", "v"),
+        sensors={
+            s.name: (kinds[s.measures], turn[layout.sensor_body[s.name]]) for s in model.rig.sensors
+        },
+        base=0,
+    )
 
 
 def linear_rig(
@@ -294,66 +321,12 @@ def linear_rig(
         A sensor or body that the rig does not have; a value that is unknown or that no machine
         has.
     """
-    check_physical(model)
-    plant, layout = model.plant(), model.layout
-    sensors = _chosen(model, outputs)
-    n, inputs = layout.coordinates, len(layout.inputs)
-    _, damping = _matrices(plant)
-    grounded, lossy = _slopes(model, position)
-    damping += np.diag(lossy)
-    for effect in model.effects:
-        if effect.name == "viscous_friction":
-            group, r = layout.coordinate[effect.on], layout.ratio[effect.on]
-            damping[group, group] += r**2 * effect.values["coefficient"]
-    angles = {
-        layout.coordinate[layout.sensor_body[s.name]] for s in sensors if s.measures == "position"
-    }
-    into, force, read, names = _positions(model, angles, grounded)
-    push = np.zeros((n, inputs))
-    for j, name in enumerate(layout.inputs):
-        body = layout.input_body[name]
-        push[layout.coordinate[body], j] = layout.ratio[body] * plant.input_values[j, 0]
-    inverse = 1.0 / plant.inertia[:, None]
-    lagging = [j for j in range(inputs) if plant.input_values[j, 2] > 0]
-    m = len(names)
-    size = m + n + len(lagging)
-    a, b = np.zeros((size, size)), np.zeros((size, inputs))
-    speeds = slice(m, m + n)
-    a[:m, speeds] = into
-    a[speeds, :m] = -inverse * force
-    a[speeds, speeds] = -inverse * damping
-    for j in range(inputs):
-        if j in lagging:
-            k = m + n + lagging.index(j)
-            tau = plant.input_values[j, 2]
-            a[speeds, k] = (inverse * push)[:, j]
-            a[k, k], b[k, j] = -1.0 / tau, 1.0 / tau
-        else:
-            b[speeds, j] = (inverse * push)[:, j]
-    leads = _leads(model)
-    c = np.zeros((len(sensors), size))
-    for row, sensor in enumerate(sensors):
-        body = layout.sensor_body[sensor.name]
-        group = layout.coordinate[body]
-        if sensor.measures == "speed":
-            c[row, m + group] = layout.ratio[body]
-        else:
-            c[row, :m] = layout.ratio[body] * read[group]
-    return control.ss(
-        a, b, c, np.zeros((c.shape[0], inputs)),
-        states=[*names, *(f"v_{x}" for x in leads), *(f"lag_{layout.inputs[j]}" for j in lagging)],
-        inputs=list(layout.inputs), outputs=[s.name for s in sensors],
-        name=model.rig.name.replace(" ", "_").replace(".", "_"),
-    )  # fmt: skip
-
-
-def _chosen(model: RigModel, outputs: Sequence[str] | None) -> list[Sensor]:
-    by_name = {s.name: s for s in model.rig.sensors}
-    chosen = list(by_name) if outputs is None else list(outputs)
+    sensors = [s.name for s in model.rig.sensors]
+    chosen = sensors if outputs is None else list(outputs)
     for name in chosen:
-        if name not in by_name:
-            raise ValueError(f"no sensor {name!r} in {model.rig.name}; it has {', '.join(by_name)}")
-    return [by_name[name] for name in chosen]
+        if name not in sensors:
+            raise ValueError(f"no sensor {name!r} in {model.rig.name}; it has {', '.join(sensors)}")
+    return linear_train(model, position).to_ss(outputs=chosen)
 
 
 def _leads(model: RigModel) -> list[str]:
@@ -362,47 +335,6 @@ def _leads(model: RigModel) -> list[str]:
     first = {group: body for body, group in reversed(coordinate.items())}
     ones = {g: b for b, g in coordinate.items() if model.layout.ratio[b] == 1.0}
     return [ones.get(g, first[g]) for g in range(model.layout.coordinates)]
-
-
-def _positions(
-    model: RigModel, angles: set[int], grounded: Floats
-) -> tuple[Floats, Floats, Floats, list[str]]:
-    """Return the position states: rates over the speeds, forces, coordinates, names.
-
-    A train that nothing holds has the torques of its springs as states, one less than its
-    coordinates: the angle of the whole train is left out without any rounding. Where it is
-    asked for it comes first, so that python-control finds its pole at 0 exactly.
-    """
-    plant, layout = model.plant(), model.layout
-    n = layout.coordinates
-    rows = [_row(plant, k) for k in range(plant.link_gap.size)]
-    train = np.arange(n)  # coordinates joined by links have one number
-    for b in rows:
-        joined = np.isin(train, train[b != 0.0])
-        train[joined] = train[joined].min()
-    stiffness = _matrices(plant)[0] + np.diag(grounded)
-    leads, unit = _leads(model), np.eye(n)
-    found: list[tuple[Floats, Floats, Floats, str]] = []  # rate, force, coordinates, name
-    for root in np.unique(train):
-        own = np.flatnonzero(train == root)
-        links = [k for k, b in enumerate(rows) if b[own].any()]
-        springs = [float(plant.link_values[k, 1]) for k in links]
-        asked = bool(angles & set(own.tolist()))
-        if grounded[own].any() or (asked and 0.0 in springs):
-            found += [(unit[g], stiffness[:, g], unit[g], f"q_{leads[g]}") for g in own]
-            continue
-        turn = np.zeros((n, own.size))
-        turn[own] = np.linalg.inv(np.vstack([unit[root], *(rows[k] for k in links)])[:, own])
-        if asked:
-            found.insert(0, (unit[root], np.zeros(n), turn[:, 0], f"q_{leads[root]}"))
-        found += [
-            (spring * rows[k], rows[k], turn[:, i] / spring, f"spring_{layout.links[k]}")
-            for i, (k, spring) in enumerate(zip(links, springs, strict=True), 1)
-            if spring > 0.0
-        ]
-    shape = len(found), n
-    into, force, read = (np.reshape([x[i] for x in found], shape) for i in range(3))
-    return into, force.T, read.T, [x[3] for x in found]
 
 
 def _slopes(model: RigModel, position: Mapping[str, float] | None) -> tuple[Floats, Floats]:
@@ -440,12 +372,12 @@ def modes_text(rig: Rig) -> str:
         model = RigModel(rig)
         losses = [k for k in model.quantities if not k.rpartition(".")[2].startswith(CONSERVATIVE)]
         model = model.with_values(dict.fromkeys(losses, 0.0))
-        squares = _squares(model, None)
-        grounded, _ = _slopes(model, None)
+        train = linear_train(model)
     except ValueError as error:
         return f"modes: not computed; {error.args[0]}"
     except (KeyError, ZeroDivisionError) as error:
         raise LogError(f"{rig.source}: {error.args[0]}") from None
+    squares, grounded = _squares(train), np.asarray(train.ground)
     still = STILL**2 * np.abs(squares).max(initial=0.0)
     text = "modes: " + ", ".join(_mode(square, still) for square in squares)
     if grounded.any():
@@ -482,15 +414,11 @@ def rig_modes(model: RigModel, *, position: Mapping[str, float] | None = None) -
     ValueError
         As :func:`linear_rig`.
     """
-    return np.sqrt(np.maximum(_squares(model, position), 0.0)) / (2 * np.pi)
+    return np.sqrt(np.maximum(_squares(linear_train(model, position)), 0.0)) / (2 * np.pi)
 
 
-def _squares(model: RigModel, position: Mapping[str, float] | None) -> Floats:
+def _squares(train: GearTrain) -> Floats:
     """Squares of the undamped frequencies [rad²/s²], ascending."""
     from scipy.linalg import eigh
 
-    check_physical(model)
-    plant = model.plant()
-    stiffness, _ = _matrices(plant)
-    grounded, _ = _slopes(model, position)
-    return eigh(stiffness + np.diag(grounded), np.diag(plant.inertia), eigvals_only=True)
+    return eigh(train.stiffness, train.mass, eigvals_only=True)

@@ -7,9 +7,9 @@ import pytest
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.simulate.blocks import rig_blocks
-from dmptm_ctrl.simulate.linear import linearize
+from dmptm_ctrl.simulate.linear import linear_rig, linearize, modes, modes_text
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_run import linear_rig, modes_text, rig_modes, simulate_rig
+from dmptm_ctrl.simulate.rig_run import simulate_rig
 
 ARM = """
 name = "arm"
@@ -63,7 +63,7 @@ def test_poles_of_an_arm(text, position, stiffness):
     angle = linear_rig(model, outputs=["angle"], position={"arm": position})
     assert ct.dcgain(angle) == pytest.approx(1.0 / stiffness, rel=1e-9)
     hertz = np.sqrt(max(stiffness, 0.0) / 0.02) / (2 * np.pi)
-    assert rig_modes(model, position={"arm": position}) == pytest.approx([hertz], rel=1e-8)
+    assert modes(model, position={"arm": position}).hz == pytest.approx([hertz], rel=1e-8)
 
 
 def test_linearize_takes_rigs_too():
@@ -172,7 +172,7 @@ def test_free_train_as_it_comes():
     np.testing.assert_allclose(angle(1j * w[::100]), values / (1j * w[::100]), rtol=1e-7)
 
 
-@pytest.mark.parametrize("build", [linear_rig, rig_modes, rig_blocks])
+@pytest.mark.parametrize("build", [linear_rig, modes, rig_blocks])
 @pytest.mark.parametrize(
     ("values", "said"),
     [

@@ -64,17 +64,6 @@ class Modes:
         return turns / turns[peak, range(turns.shape[1])]
 
 
-def free_vibration(
-    stiffness: NDArray[np.float64], mass: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solve det(K − ω²M) = 0: ω [rad/s], 0 where rigid, and shapes, largest entry positive."""
-    squares, shapes = linalg.eigh(stiffness, mass)
-    omega = np.sqrt(np.clip(squares, 0.0, None))
-    omega[omega < RIGID_RATIO * omega[-1]] = 0.0
-    turn = np.sign(shapes[np.abs(shapes).argmax(axis=0), range(omega.size)])
-    return omega, shapes * turn
-
-
 def solve_modes(train: GearTrain | Drive) -> Modes:
     """Solve the generalised symmetric eigenproblem of a drive.
 
@@ -98,7 +87,10 @@ def solve_modes(train: GearTrain | Drive) -> Modes:
         train = three_dof_train(train)
     if not isinstance(train, GearTrain):
         raise TypeError(f"modes takes a Drive or a GearTrain, not {type(train).__name__}")
-    omega, shapes = free_vibration(train.stiffness, train.mass)
+    squares, shapes = linalg.eigh(train.stiffness, train.mass)
+    omega = np.sqrt(np.clip(squares, 0.0, None))
+    omega[omega < RIGID_RATIO * omega[-1]] = 0.0
+    shapes *= np.sign(shapes[np.abs(shapes).argmax(axis=0), range(omega.size)])
     kinds = tuple(_kind(train, w, v) for w, v in zip(omega, shapes.T, strict=True))
     poles = linalg.eigvals(train.matrices(outputs=())[0])
     return Modes(train, omega, shapes, kinds, damping_ratios(poles, omega))
@@ -147,23 +139,6 @@ def closed_form(drive: Drive) -> Floats:
     pinions = drive["k_m"] / pinion_inertia(drive)
     ring = 2.0 * drive["k_m"] * drive["N_2"] ** 2 / drive["J_L"]
     return np.array([0.0, sqrt(pinions), sqrt(pinions + ring)])
-
-
-def determinant(train: GearTrain, omega: float) -> float:
-    """Eq. 20 scaled by det M: det(M⁻¹K − ω² I); zero at each mode.
-
-    Parameters
-    ----------
-    train : GearTrain
-    omega : float [rad/s]
-
-    Returns
-    -------
-    float
-        [rad²/s²] to the number of coordinates.
-    """
-    square = train.stiffness / train.inertia[:, None]
-    return float(linalg.det(square - omega**2 * np.eye(square.shape[0])))
 
 
 def both_readings(drive: Drive | None = None) -> dict[str, Drive]:

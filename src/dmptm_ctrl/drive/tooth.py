@@ -5,6 +5,8 @@
 The tooth is a cantilever with the force on the pitch circle. Eq. 22 knows bending alone;
 shear, compression, the foundation and the contact are as large together, so it is several
 times too stiff. They can be added, and then agree with ISO 6336-1.
+
+Numbers that are not positive and finite are refused with a ValueError.
 """
 
 from collections.abc import Callable
@@ -32,13 +34,7 @@ class Tooth(NamedTuple):
     pressure_angle: float = pi / 9  # rad, 20°
 
     def check(self) -> None:
-        """Refuse a tooth that cannot be.
-
-        Raises
-        ------
-        ValueError
-            A number that is not positive and finite.
-        """
+        """Refuse a tooth with a number that is not positive and finite."""
         positive(**self._asdict())
 
     @property
@@ -113,11 +109,6 @@ def tooth_stiffness(tooth: Tooth, *, as_printed: bool = False) -> float:
     Returns
     -------
     float [N/m]
-
-    Raises
-    ------
-    ValueError
-        A tooth with a number that is not positive and finite.
     """
     tooth.check()
     top = tooth.section(tooth.pitch_radius)[0]
@@ -216,11 +207,6 @@ def iso_single_stiffness(teeth_1: float, teeth_2: float, face_width: float) -> f
     -------
     float [N/m]
 
-    Raises
-    ------
-    ValueError
-        An argument that is not positive and finite.
-
     Source
     ------
     ISO 6336-1, method B: q' = 0.04723 + 0.15551/z1 + 0.25791/z2 [mm·µm/N]; the standard
@@ -243,11 +229,6 @@ def mesh_torsion(stiffness: float, pitch_radius: float) -> float:
     Returns
     -------
     float [N·m/rad]
-
-    Raises
-    ------
-    ValueError
-        An argument that is not positive and finite.
     """
     positive(stiffness=stiffness, pitch_radius=pitch_radius)
     return stiffness * pitch_radius**2
@@ -275,11 +256,6 @@ def mesh_damping(ratio: float, stiffness: float, pinion: float, ring: float, n2:
     Returns
     -------
     float [N·m·s/rad]
-
-    Raises
-    ------
-    ValueError
-        An argument that is not positive and finite.
     """
     positive(ratio=ratio, stiffness=stiffness)
     return 2.0 * ratio * sqrt(stiffness * damping_inertia(pinion, ring, n2))
@@ -293,20 +269,12 @@ def mesh_damping_ratio(
     Parameters
     ----------
     damping : float [N·m·s/rad]
-    stiffness : float [N·m/rad]
-    pinion, ring : float [kg·m²]
-        J̄3 and J_L.
-    n2 : float
-        z_L/z_3.
+    stiffness, pinion, ring, n2 : float
+        As there.
 
     Returns
     -------
     float
-
-    Raises
-    ------
-    ValueError
-        An argument that is not positive and finite.
     """
     positive(damping=damping)
     return damping / mesh_damping(1.0, stiffness, pinion, ring, n2)
@@ -323,18 +291,12 @@ def mesh_damping_as_printed(
         ζ.
     stiffness : float [N·m/rad]
     pinion, ring : float [kg·m²]
-        J̄3 and J_L.
     r3, r_ring : float [m]
         Pitch radii.
 
     Returns
     -------
     float [N·m²·s/rad]
-
-    Raises
-    ------
-    ValueError
-        An argument that is not positive and finite.
     """
     positive(ratio=ratio, stiffness=stiffness, pinion=pinion, ring=ring, r3=r3, r_ring=r_ring)
     reduced = r3**2 * r_ring**2 * pinion * ring / (r3**2 * pinion + r_ring**2 * ring)

@@ -35,5 +35,5 @@ CABLE_SPRING = Effect(
     location="ring gear",
     source="linear spring",
     depends_on=("theta_L",),
-    reveals="a run over the widest angle, both directions",
+    reveals="slow motion over the whole travel, both ways, with stops",
 )

@@ -49,5 +49,5 @@ COGGING = Effect(
     location="motors",
     source="first harmonic of the cogging torque, Hanselman 2003, ch. 7",
     depends_on=("theta_m",),
-    reveals="a slow constant speed, so that order n stays below the mesh resonance",
+    reveals="slow steady motion over several periods of it, at two speeds",
 )

@@ -31,5 +31,5 @@ CURRENT_LAG = Effect(
     location="drives",
     source="bandwidth of the current controller",
     depends_on=("u", "du_dt"),
-    reveals="excitation above 1/(2π τ): steps or a multisine to 100 Hz under preload",
+    reveals="fast changes of the signal (multisine, chirp)",
 )

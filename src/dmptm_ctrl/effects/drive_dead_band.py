@@ -35,5 +35,5 @@ DRIVE_DEAD_BAND = Effect(
     location="drives",
     source="dead time of the bridge's switches",
     depends_on=("u",),
-    reveals="preload, which moves the working point out of the band",
+    reveals="small slow signals around zero, besides large ones",
 )

@@ -31,5 +31,5 @@ DRIVE_DELAY = Effect(
     location="drives",
     source="bus and computation time",
     depends_on=("u", "du_dt"),
-    reveals="excitation above 20 Hz under preload, where a lag rolls off and a delay does not",
+    reveals="fast changes of the signal (multisine, chirp, square)",
 )

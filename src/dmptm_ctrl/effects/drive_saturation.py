@@ -34,5 +34,5 @@ DRIVE_SATURATION = Effect(
     location="drives",
     source="peak current of the drive",
     depends_on=("u",),
-    reveals="voltage above the suspected limit",
+    reveals="signals well below and well above the limit",
 )

@@ -31,5 +31,5 @@ SENSOR_DELAY = Effect(
     location="speed sensor",
     source="digital filter and bus of a gyro",
     depends_on=("omega_L",),
-    reveals="any reversal: the encoder is the reference",
+    reveals="position and speed of the same body, with fast changes",
 )

@@ -31,5 +31,5 @@ SENSOR_GAIN = Effect(
     location="speed sensor",
     source="scale factor of a gyro",
     depends_on=("omega_L",),
-    reveals="any motion: the encoder is the reference",
+    reveals="position and speed of the same body",
 )

@@ -82,6 +82,13 @@ def test_python_control_s_system_is_compiled(compiled):
         sampled(ct.tf([1.0], [1.0, 1.0]))
 
 
+def test_a_system_of_more_inputs_takes_the_target_and_all_readings():
+    both = ct.ss([], [], [], [[KP, -0.5 * KP]], DT)
+    run = under(both)
+    own = under(lambda t, target, y: KP * target - 0.5 * KP * y[0])
+    np.testing.assert_allclose(run.u, own.u, rtol=0.0, atol=1e-12)
+
+
 def test_a_run_goes_on_from_its_state(compiled):
     """Bit for bit: what dead times and the controller remember is in the state."""
     law = Controller(compiled_controller(pi), np.array([KP, KI]), 1)

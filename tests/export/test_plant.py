@@ -12,7 +12,6 @@ from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_run import simulate_rig
 
 DT = 1e-3
 TIME = DT * np.arange(600)
@@ -137,8 +136,8 @@ def test_rig_of_another_shape(name, tmp_path):
     for effect in RIG_EFFECTS[name]:
         model = model.with_effect(effect)
     u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None] + 6.0 * (TIME > 0.2)
-    true = simulate_rig(model, TIME, u).outputs
-    plain = simulate_rig(rig_model(), TIME, u).outputs
+    true = simulate(model, TIME, u).outputs
+    plain = simulate(rig_model(), TIME, u).outputs
     assert name == "none" or np.abs(true - plain).max() > 1e-6
     close(c_run(plant_program(model, DT), u, tmp_path), np.atleast_2d(true).T)
 
@@ -154,7 +153,7 @@ def test_names_that_no_program_can_have(tmp_path):
     assert len({p.name for p in (*program.inputs, *program.outputs)}) == 3
     assert st_source(program).isascii()
     u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None]
-    close(c_run(program, u, tmp_path), simulate_rig(model, TIME, u).outputs.T)
+    close(c_run(program, u, tmp_path), simulate(model, TIME, u).outputs.T)
 
 
 def test_structured_text_of_a_plant():

@@ -6,10 +6,10 @@ import pytest
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.blocks import rig_blocks
-from dmptm_ctrl.simulate.linear import linear_rig, linearize, modes, modes_text
+from dmptm_ctrl.simulate.linear import linearize, modes, modes_text
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_run import simulate_rig
 
 ARM = """
 name = "arm"
@@ -57,10 +57,10 @@ def two(stiffness="40", extra=""):
 def test_poles_of_an_arm(text, position, stiffness):
     """J s² + B s + k = 0, by hand."""
     model = RigModel(parse_rig(text))
-    system = linear_rig(model, position={"arm": position})
+    system = linearize(model, {"arm": position})
     expected = np.roots([0.02, 0.05, stiffness])
     assert np.sort_complex(system.poles()) == pytest.approx(np.sort_complex(expected), rel=1e-8)
-    angle = linear_rig(model, outputs=["angle"], position={"arm": position})
+    angle = linearize(model, {"arm": position}, outputs=["angle"])
     assert ct.dcgain(angle) == pytest.approx(1.0 / stiffness, rel=1e-9)
     hertz = np.sqrt(max(stiffness, 0.0) / 0.02) / (2 * np.pi)
     assert modes(model, position={"arm": position}).hz == pytest.approx([hertz], rel=1e-8)
@@ -108,8 +108,8 @@ def test_small_swing_of_the_simulated_arm_is_the_linear_one():
     time = 1e-3 * np.arange(2000)
     push = np.where(time < 0.1, 1e-3, 0.0)
     model = RigModel(parse_rig(HANGING))
-    nonlinear = simulate_rig(model, time, push, substeps=8)
-    held = ct.c2d(linear_rig(model), 1e-3, "zoh")
+    nonlinear = simulate(model, time, push, substeps=8)
+    held = ct.c2d(linearize(model), 1e-3, "zoh")
     linear = np.asarray(ct.forced_response(held, time, push).outputs)
     off = np.abs(np.asarray(nonlinear.outputs) - linear).max(axis=1)
     assert (off < 1e-3 * np.abs(linear).max(axis=1)).all()
@@ -122,7 +122,7 @@ def test_blocks_linearised_at_rest_with_the_default_step(text):
     blocks = rig_blocks(model)
     at_rest = np.zeros(blocks.nstates)
     found = ct.linearize(blocks, at_rest, 0.0)
-    known = linear_rig(model)
+    known = linearize(model)
     s = 2j * np.pi * np.array([0.1, 1.0, 4.0])
     np.testing.assert_allclose(found(s), known(s), rtol=1e-4)
     if text == SPRING:
@@ -141,7 +141,7 @@ def test_with_dry_friction_it_holds():
 def test_free_train_as_it_comes():
     """Steady speed by the viscous friction; −3 dB and margins by the equations of motion."""
     model = RigModel(parse_rig(two()))
-    plant = linear_rig(model, outputs=["w"])
+    plant = linearize(model, outputs=["w"])
     assert plant.state_labels == ["spring_s", "v_motor", "v_load"]
     # torque 0.5 N·m at the motor: 5 times that at the load, friction 0.5 + 25 · 0.02
     assert ct.dcgain(plant) == pytest.approx(2.5 / 1.0, rel=1e-9)
@@ -166,13 +166,13 @@ def test_free_train_as_it_comes():
     info = ct.step_info(plant)
     assert info["SteadyStateValue"] == pytest.approx(2.5)
     assert info["SettlingTime"] == pytest.approx(3.912 * (0.3 + 25 * 0.01) / 1.0, rel=0.02)
-    angle = linear_rig(model, outputs=["q"])
+    angle = linearize(model, outputs=["q"])
     assert angle.state_labels == ["q_motor", "spring_s", "v_motor", "v_load"]
     assert np.isinf(ct.dcgain(angle))
     np.testing.assert_allclose(angle(1j * w[::100]), values / (1j * w[::100]), rtol=1e-7)
 
 
-@pytest.mark.parametrize("build", [linear_rig, modes, rig_blocks])
+@pytest.mark.parametrize("build", [linearize, modes, rig_blocks])
 @pytest.mark.parametrize(
     ("values", "said"),
     [
@@ -190,14 +190,14 @@ def test_what_no_machine_has_is_refused(build, values, said):
 
 def test_refusals_name_what_there_is():
     model = RigModel(parse_rig(two()))
-    with pytest.raises(ValueError, match="no sensor 'v' in rig; it has w, q"):
-        linear_rig(model, outputs=["v"])
+    with pytest.raises(ValueError, match="no output 'v' in rig; it has w, q"):
+        linearize(model, outputs=["v"])
     with pytest.raises(ValueError, match="no body 'arm' in rig; it has motor, load"):
-        linear_rig(model, position={"arm": 0.0})
+        linearize(model, {"arm": 0.0})
     with pytest.raises(ValueError, match="stiffness of cable_spring@load is no number"):
-        linear_rig(model.with_effect(Placed("cable_spring", "load", {"stiffness": np.nan})))
+        linearize(model.with_effect(Placed("cable_spring", "load", {"stiffness": np.nan})))
     with pytest.raises(ValueError, match="stiffness of cable_spring@load is -8; it must be zero"):
-        linear_rig(model.with_effect(Placed("cable_spring", "load", {"stiffness": -8.0})))
+        linearize(model.with_effect(Placed("cable_spring", "load", {"stiffness": -8.0})))
 
 
 def test_params_in_block_simulation():

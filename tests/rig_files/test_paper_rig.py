@@ -12,7 +12,7 @@ from dmptm_ctrl.drive.rigfile import load_rig, parse_rig
 from dmptm_ctrl.signals import load_log, load_logs
 from dmptm_ctrl.simulate.compiled import march as march_built_in
 from dmptm_ctrl.simulate.compiled import rest
-from dmptm_ctrl.simulate.linear import linear_rig, modes
+from dmptm_ctrl.simulate.linear import linearize, modes
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import march
@@ -38,7 +38,7 @@ def test_modes(rig):
 
 def test_linear_model(rig):
     """Same response from both voltages to both readings."""
-    chain = linear_rig(RigModel(rig))
+    chain = linearize(RigModel(rig))
     built_in = three_dof_ss(outputs=("theta_L", "omega_L"))
     for hertz in (0.1, 5.0, 60.4, 231.0, 900.0):
         s = 2j * np.pi * hertz

@@ -65,23 +65,16 @@ class Modes:
 
 
 def solve_modes(train: GearTrain | Drive) -> Modes:
-    """Solve the generalised symmetric eigenproblem of a drive.
+    """Return the modes of a linear drive; of a Drive those of its 3-DOF model.
 
     Parameters
     ----------
     train : GearTrain or Drive
-        A Drive stands for its 3-DOF model;
-        :func:`~dmptm_ctrl.drive.nine_dof.nine_dof_train` makes the 9-DOF one.
-
-    Returns
-    -------
-    Modes
-        Frequencies [Hz], shapes, damping ratios and classes.
 
     Raises
     ------
     TypeError
-        Neither a GearTrain nor a Drive.
+        Another kind.
     """
     if isinstance(train, Drive):
         train = three_dof_train(train)
@@ -219,25 +212,17 @@ def _family(
     drive: Drive, dof: int, overrides: dict[str, float]
 ) -> tuple[Callable[[str, float], GearTrain], tuple[str, ...]]:
     """Return a builder with one parameter scaled, and the names it can scale."""
-    if dof == 3:
-        if overrides:
-            raise ValueError(f"the 3-DOF model has no {', '.join(overrides)}")
-
-        def three(name: str, factor: float) -> GearTrain:
-            return three_dof_train(
-                drive.with_values(**{name: factor * drive[name]}) if name else drive
-            )
-
-        return three, THREE_DOF_PARAMETERS
-    if dof != 9:
+    if dof not in (3, 9):
         raise ValueError(f"dof is {dof}, it must be 3 or 9")
-    p = nine_dof_parameters(drive, **overrides)
-    own = tuple(k for k in p if not k.startswith("D_"))
+    if dof == 3 and overrides:
+        raise ValueError(f"the 3-DOF model has no {', '.join(overrides)}")
+    p = {} if dof == 3 else nine_dof_parameters(drive, **overrides)
 
-    def nine(name: str, factor: float) -> GearTrain:
-        if name in p:
-            return nine_dof_train(drive, **{**p, name: factor * p[name]})
-        scaled = drive.with_values(**{name: factor * drive[name]}) if name else drive
-        return nine_dof_train(scaled, **p)
+    def build(name: str, factor: float) -> GearTrain:
+        own = {name: factor * p[name]} if name in p else {}
+        other = {name: factor * drive[name]} if name and not own else {}
+        scaled = drive.with_values(**other)
+        return three_dof_train(scaled) if dof == 3 else nine_dof_train(scaled, **{**p, **own})
 
-    return nine, ("J_m", "J_L", *own)
+    nine = ("J_m", "J_L", *(key for key in p if not key.startswith("D_")))
+    return build, THREE_DOF_PARAMETERS if dof == 3 else nine

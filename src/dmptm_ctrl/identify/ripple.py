@@ -26,8 +26,7 @@ from dmptm_ctrl.identify.disturbance import Course, course, disturbance
 from dmptm_ctrl.identify.motion import GYRO_NOISE, WINDOW_SECONDS, Motion, hann, odd_span, smooth
 from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, LOADED
 from dmptm_ctrl.simulate.elementary import cached
-from dmptm_ctrl.simulate.kernel_calls import layout
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
+from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, layout
 
 FAST = ("cogging",)  # effects that act faster than a window passes
 FINER = 2  # steps per sample in which a torque acts: an order may have two samples per period

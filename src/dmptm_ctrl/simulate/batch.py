@@ -12,7 +12,6 @@ from dmptm_ctrl.simulate.compiled import (
     OUTPUTS,
     SUBSTEPS,
     Loop,
-    controller_of,
     march,
     rest,
 )
@@ -75,11 +74,8 @@ def march_many(
     Parameters
     ----------
     arrays : sequence of what :meth:`Model.arrays` gives
-    u : (2, n) or (batch, 2, n) array [V]
-    x0 : (6,) or (batch, 6) array
-    dt, substeps, observer, begin
-        As for :func:`~.compiled.march`, the same for all.
-    measured : (n,) or (batch, n) array [rad]
+    u, x0, measured
+        As there, of all or (batch, …) of each; `dt`, `substeps`, `observer`, `begin` of all.
     columns : sequence of int
         Which of :data:`BATCH_OUTPUTS` to keep.
     jobs : int
@@ -122,21 +118,9 @@ def march_any(
     columns: Sequence[int] = range(len(OUTPUTS)),
     **options: Any,
 ) -> Floats:
-    """Run any number of drives: :func:`march_many`, and one by one those that fill no lanes.
+    """Do the same for any number of drives: one by one those that fill no lanes.
 
-    Parameters
-    ----------
-    arrays, u, x0, dt, measured
-        As for :func:`march_many`.
-    columns : sequence of int
-        Which of :data:`~.compiled.OUTPUTS` to keep.
-    **options
-        What both take: substeps, observer, begin.
-
-    Returns
-    -------
-    (batch, n, len(columns)) array
-        SI.
+    `columns` are of :data:`~.compiled.OUTPUTS`; `options` are substeps, observer, begin.
     """
     count = len(arrays)
     inputs = u if u.ndim == 3 else u[None]
@@ -333,7 +317,7 @@ def _group(
     starts = [start(plant, x0) for plant, x0 in zip(plants, states, strict=True)]
     controllers, observers = None, None
     if loops is not None:
-        known = {id(one): controller_of(one) for one in loops}
+        known = {id(one): one.controller() for one in loops}
         controllers = [known[id(one)] for one in loops]
     if observer is not None:
         observers = [rigid_observer(plant, 0, observer) for plant in plants]

@@ -4,14 +4,12 @@ See :mod:`~.block_parts` for what the blocks are.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from dmptm_ctrl.simulate.base import Floats, refuse_negative
 from dmptm_ctrl.simulate.block_parts import (
     PADE_ORDER,
     REST_SPEED,
@@ -23,17 +21,15 @@ from dmptm_ctrl.simulate.block_parts import (
 )
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
 from dmptm_ctrl.simulate.dual import dual_plant, parts_of
+from dmptm_ctrl.simulate.model import Floats, Model, refuse_negative
 from dmptm_ctrl.simulate.plant import GAP, TWO_STATES, Plant
 from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
-
-if TYPE_CHECKING:
-    from dmptm_ctrl.simulate.model import Model
 
 __all__ = ["REST_SPEED", "drive_states", "initial_state", "rig_blocks", "run", "to_blocks"]
 
 MAX_STEP = 0.01  # s; so that no turn of the motion is stepped over
 SIDES = ("l", "r")
-CONTACTS = ("memoryless", "two_state")
+CONTACTS = ("eq21", "two_state")
 DUAL = Names(
     [
         (f"drive_{s}", f"u_{side}", f"voltage_{s}")
@@ -55,11 +51,11 @@ DUAL = Names(
 
 
 def to_blocks(
-    model: "Model",
+    model: Model,
     *,
     loop: Loop | None = None,
     pade_order: int = PADE_ORDER,
-    contact: str = "memoryless",
+    contact: str = "eq21",
     others: Sequence[str] = (),
 ) -> ct.InterconnectedSystem:
     """Return the drive as python-control blocks joined by name.
@@ -71,7 +67,7 @@ def to_blocks(
         Close the speed loop, in continuous time.
     pade_order : int
         Order of the Padé approximation of a drive or sensor delay.
-    contact : {"memoryless", "two_state"}
+    contact : {"eq21", "two_state"}
         Contact law of the meshes: paper Eq. 21, or its two-state original, which has the
         position in each gap as a state.
     others : sequence of str
@@ -178,17 +174,11 @@ def rig_blocks(
     )
 
 
-def initial_state(model: "Model", sys: ct.InterconnectedSystem, x0: ArrayLike) -> Floats:
-    """Return the state of `sys` from :func:`to_blocks` for a state of the three bodies.
+def initial_state(model: Model, sys: ct.InterconnectedSystem, x0: ArrayLike) -> Floats:
+    """Return the state of `sys`, the blocks of a model, for a state of the three bodies.
 
-    Parameters
-    ----------
-    model : Model
-        Of which `sys` was made.
-    sys : InterconnectedSystem
-    x0 : (6,) array
-        θ3l, θ3r, θL [rad] and their speeds [rad/s]; motors turn with their pinions. No
-        voltage before the start; a late speed sensor has seen this speed for long.
+    `x0` (6,) is θ3l, θ3r, θL [rad] and their speeds [rad/s]; motors turn with their pinions. No
+    voltage before the start; a late speed sensor has seen this speed for long.
     """
     bodies = np.asarray(x0, float)
     known = {"ring_theta": bodies[2], "ring_omega": bodies[5]}
@@ -205,7 +195,7 @@ def initial_state(model: "Model", sys: ct.InterconnectedSystem, x0: ArrayLike) -
 
 
 def drive_states(
-    model: "Model", side: int, u: float, *, pade_order: int = PADE_ORDER
+    model: Model, side: int, u: float, *, pade_order: int = PADE_ORDER
 ) -> dict[str, float]:
     """Return the states of a motor's drive, by their name in `to_blocks`, once `u` [V] lasted."""
     parts, block = parts_of(model), f"drive_{SIDES[side]}"
@@ -218,7 +208,7 @@ def drive_states(
 
 
 def run(
-    model: "Model",
+    model: Model,
     u: Floats,
     x0: Floats,
     dt: float,
@@ -226,7 +216,7 @@ def run(
     rtol: float = 1e-6,
     atol: float = 1e-9,
     pade_order: int = PADE_ORDER,
-    contact: str = "memoryless",
+    contact: str = "eq21",
 ) -> Floats:
     """Run :func:`to_blocks` on held voltages, restarted at each of their jumps.
 

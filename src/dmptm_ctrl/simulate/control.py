@@ -51,7 +51,7 @@ def controller_of(model: RigModel, controller: Controller) -> RunController:
 def sampled(system: ct.LTI) -> Law:
     """Return a discrete system of python-control as a law ``(t, target, y) -> u``.
 
-    Its input is the target less the first reading.
+    Its input is the target less the first reading; or its inputs are the target and all readings.
 
     Raises
     ------
@@ -65,9 +65,10 @@ def sampled(system: ct.LTI) -> Law:
 
     def law(t: float, target: float, y: Floats) -> Floats:
         nonlocal state
-        error = np.array([target - y[0]])
-        u: Floats = state_space.C @ state + state_space.D @ error
-        state = state_space.A @ state + state_space.B @ error
+        one = state_space.ninputs == 1
+        given = np.array([target - y[0]]) if one else np.append(target, y)
+        u: Floats = state_space.C @ state + state_space.D @ given
+        state = state_space.A @ state + state_space.B @ given
         return u
 
     return law

@@ -22,8 +22,8 @@ from dmptm_ctrl.simulate.compiled import OUTPUTS
 from dmptm_ctrl.simulate.dual import MOTORS, RING, parts_of
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
+from dmptm_ctrl.simulate.plant import link_matrices
 from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
-from dmptm_ctrl.simulate.rig_run import link_matrices
 
 TURN = np.deg2rad(10.0)  # rad/s, a speed of the paper's experiments
 PRELOAD = 0.3  # V; holds both meshes closed on opposite flanks at TURN
@@ -124,10 +124,13 @@ def linearize(
 ) -> ct.StateSpace:
     """Return the linear model of a drive about a state.
 
+    Of a rig of any shape in contact and at rest: springs and dampers of links, viscous friction,
+    current lags, and the slopes of torques that depend on an angle (cable springs, gravity,
+    cogging). Not in it: dry friction, gaps, delays, saturation.
+
     Parameters
     ----------
     model : Model, RigModel or Rig
-        Of a rig of any shape: see :func:`linear_rig`.
     x0 : (6,) array, optional
         θ3l, θ3r, θL [rad] and their speeds [rad/s]; by default :func:`turning`. Of a rig of
         any shape a mapping of body to position [rad or m], by default 0.
@@ -135,7 +138,7 @@ def linearize(
         Of a dual-motor model only.
     outputs : sequence of str, optional
         Of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`, by default ``omega_L``; of a rig of any
-        shape its sensors, by default all.
+        shape its sensors, by default all, ``q_BODY``, ``v_BODY`` or torques by their link.
 
     Returns
     -------
@@ -147,10 +150,16 @@ def linearize(
         the pinion] take the place of three angles; so ``dcgain``, ``margin`` and ``step_info``
         are right as they come.
 
+        Of a rig of any shape the states are ``q_BODY`` [rad or m] of each rigid group of bodies
+        that a torque by angle holds; of a train that turns freely ``spring_LINK``, the torque in
+        each link's spring, and one ``q_BODY`` only where an angle is an output; ``v_BODY``;
+        ``lag_INPUT``.
+
     Raises
     ------
     ValueError
-        An output that does not exist; voltages for a rig of any shape.
+        An output or body that does not exist; voltages for a rig of any shape; a value of it that
+        is unknown or that no machine has.
 
     Warns
     -----
@@ -163,8 +172,9 @@ def linearize(
             raise ValueError(
                 "a rig of any shape is linearised at x0, a mapping of body to position"
             )
-        chain = RigModel(model) if isinstance(model, Rig) else model
-        return linear_rig(chain, outputs=outputs, position=x0)
+        rig = RigModel(model) if isinstance(model, Rig) else model
+        train = linear_train(rig, x0)
+        return train.to_ss(outputs=[*train.sensors] if outputs is None else outputs)
     outputs = ("omega_L",) if outputs is None else outputs
     for name in outputs:
         if name not in OUTPUTS:
@@ -265,7 +275,7 @@ def _sustained(model: Model, parts: Parts, state: Floats, labels: list[str], u0:
 
 
 def linear_train(model: RigModel, position: Mapping[str, float] | None = None) -> GearTrain:
-    """Return masses, springs and dampers of a rig in contact, see :func:`linear_rig`."""
+    """Return masses, springs and dampers of a rig in contact at a position [rad or m]."""
     check_physical(model)
     plant, layout = model.plant(), model.layout
     unit = np.eye(layout.coordinates)
@@ -298,50 +308,6 @@ def linear_train(model: RigModel, position: Mapping[str, float] | None = None) -
     )
 
 
-def linear_rig(
-    model: RigModel,
-    *,
-    outputs: Sequence[str] | None = None,
-    position: Mapping[str, float] | None = None,
-) -> ct.StateSpace:
-    """Return the linear model of a chain in contact.
-
-    In it: springs and dampers of links, viscous friction, current lags, and the slopes of
-    torques that depend on an angle (cable springs, gravity, cogging) where all stands still at
-    `position`. Not in it: dry friction, gaps, delays, saturation.
-
-    Parameters
-    ----------
-    model : RigModel
-        ``RigModel(load_rig("rig.toml"))`` has all that the file declares.
-    outputs : sequence of str, optional
-        Sensors of the rig; by default all.
-    position : mapping of body to float, optional
-        Where it is linearised [rad or m]; 0 for bodies not named.
-
-    Returns
-    -------
-    StateSpace
-        Inputs: those of the rig. States: ``q_BODY`` [rad or m] of each rigid group of bodies
-        that a torque by angle holds; of a train that turns freely ``spring_LINK``, the torque in
-        each link's spring, and one ``q_BODY`` only where an angle of it is an output;
-        ``v_BODY``; ``lag_INPUT``. So ``dcgain``, ``margin``, ``bandwidth`` and ``step_info`` are
-        right as they come.
-
-    Raises
-    ------
-    ValueError
-        A sensor or body that the rig does not have; a value that is unknown or that no machine
-        has.
-    """
-    sensors = [s.name for s in model.rig.sensors]
-    chosen = sensors if outputs is None else list(outputs)
-    for name in chosen:
-        if name not in sensors:
-            raise ValueError(f"no sensor {name!r} in {model.rig.name}; it has {', '.join(sensors)}")
-    return linear_train(model, position).to_ss(outputs=chosen)
-
-
 def _leads(model: RigModel) -> list[str]:
     """Body of each group whose angle is the coordinate itself."""
     coordinate = model.layout.coordinate
@@ -363,14 +329,10 @@ def _slopes(model: RigModel, position: Mapping[str, float] | None) -> tuple[Floa
     stiffness, damping = np.zeros(q.size), np.zeros(q.size)
     parts = Parts(plant)
     for b, (group, r) in enumerate(zip(parts.group, parts.ratio, strict=True)):
-        torque, at = partial(_torque, parts, b), r * float(q[group])
+        torque, at = partial(parts.torque, b, 0.0, t=0.0), r * float(q[group])
         stiffness[group] -= r**2 * _slope(lambda x: torque(x, 0.0), at)  # noqa: B023
         damping[group] -= r**2 * _slope(lambda v: torque(at, v), 0.0)  # noqa: B023
     return stiffness, damping
-
-
-def _torque(parts: Parts, body: int, theta: float, omega: float) -> float:
-    return float(parts.torque(body, 0.0, theta, omega, 0.0))
 
 
 def _slope(function: Callable[[float], float], at: float) -> float:

@@ -1,18 +1,17 @@
 """Simulate chains and branched trains: compiled, linear, and as python-control blocks."""
 
 from collections.abc import Mapping
+from inspect import signature
 from math import ceil
-from typing import Any
 
 import control
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dmptm_ctrl.drive.rig import Controller, Rig
 from dmptm_ctrl.simulate.control import Law, controller_of, sampled
 from dmptm_ctrl.simulate.observer import Observer
-from dmptm_ctrl.simulate.plant import ELASTIC_IMPACT, Floats, Plant
-from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
+from dmptm_ctrl.simulate.plant import Floats, Plant, link_matrices
+from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import Controller as RunController
 from dmptm_ctrl.simulate.run import (
     Motion,
@@ -26,10 +25,6 @@ from dmptm_ctrl.simulate.run import (
 STEPS_PER_RADIAN = 8.0  # of the fastest mode, and of the fastest decay
 MAX_SUBSTEPS = 400
 _NO_ROWS = np.zeros((0, 0))
-MARCH_OPTIONS = (
-    *("position", "speed", "substeps", "given", "controller", "reference", "added", "before"),
-    *("push", "state"),
-)
 
 
 def as_rig_model(model: Rig | RigModel, name: str) -> RigModel:
@@ -128,7 +123,7 @@ def march(
         Closes the loop, with (n,) and (n,) arrays: a rig's controller, on whose output `added`
         is put; a :class:`~.run.Controller`, which the compiled loop calls; a Python
         ``law(t, target, y)`` that returns the signals of the inputs, a hundred times slower; or
-        a discrete system, which takes the target less the first reading.
+        a discrete system, see :func:`~.control.sampled`.
     before : (inputs,) array, optional
         Signals before the first sample, which dead times make act in the run; 0.
     push : mapping of body to (n,) array, optional
@@ -180,57 +175,4 @@ def march(
     return RigRun(model, time, done)
 
 
-def simulate_rig(
-    model: RigModel, timepts: ArrayLike, inputs: ArrayLike, **options: Any
-) -> control.TimeResponseData:
-    """Simulate a chain from rest.
-
-    Parameters
-    ----------
-    model : RigModel
-    timepts : (n,) array_like [s]
-        Evenly spaced.
-    inputs : (n,) or (inputs, n) array_like
-        SI.
-    **options
-        As in `march`.
-
-    Returns
-    -------
-    TimeResponseData
-        One output per sensor of the rig, SI.
-
-    Raises
-    ------
-    ValueError
-        A value that is unknown or that no machine has.
-    """
-    check_physical(model)
-    time = np.asarray(timepts, float)
-    u = np.atleast_2d(np.asarray(inputs, float))
-    run = march(model, u, float(time[1] - time[0]), **options)
-    names = [s.name for s in model.rig.sensors]
-    return control.TimeResponseData(
-        time,
-        np.array([run.reading(name) for name in names]),
-        inputs=run.u,
-        output_labels=names,
-        input_labels=list(model.layout.inputs),
-        title=model.rig.name,
-        issiso=False,
-    )
-
-
-def link_matrices(plant: Plant) -> tuple[Floats, Floats, Floats, Floats]:
-    """Twists of links over the coordinates, their stiffness and damping; viscous friction."""
-    n, _, links, *_ = plant.size
-    rows = np.zeros((links, n))
-    for end, factor in ((0, np.ones(links)), (1, -plant.link_values[:, 0])):
-        bodies = plant.link_body[:, end]
-        at = np.arange(links), plant.body_coordinate[bodies]
-        np.add.at(rows, at, factor * plant.body_ratio[bodies])
-    # flanks that damp by depth do not where contact begins
-    dampers = np.where(plant.link_gap == ELASTIC_IMPACT, 0.0, plant.link_values[:, 2])
-    slopes = plant.body_ratio**2 * 0.5 * (plant.law[:, 3] + plant.law[:, 7])
-    viscous = np.bincount(plant.body_coordinate, slopes, n).astype(float)
-    return rows, plant.link_values[:, 1], dampers, viscous
+MARCH_OPTIONS = [p.name for p in signature(march).parameters.values() if p.kind is p.KEYWORD_ONLY]

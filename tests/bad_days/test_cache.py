@@ -12,7 +12,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from dmptm_ctrl.cli import main
-from dmptm_ctrl.simulate import simulate_with_sensitivities
+from dmptm_ctrl.simulate.sensitivity import simulate_with_sensitivities
 from dmptm_ctrl.simulate.loading import cache_folder
 from dmptm_ctrl.simulate.sensitivity import _judge
 

@@ -1,6 +1,5 @@
 """Simulation of a drive: compiled for work, in python-control blocks, or by the reference."""
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -10,27 +9,8 @@ if TYPE_CHECKING:
     import control
 
     from dmptm_ctrl.drive.rig import Rig
-    from dmptm_ctrl.simulate.batch import Batch, simulate_batch
     from dmptm_ctrl.simulate.model import Model
     from dmptm_ctrl.simulate.rig_model import RigModel
-    from dmptm_ctrl.simulate.sensitivity import Sensitivities, simulate_with_sensitivities
-
-# public name -> module that defines it; loaded on first use
-_LAZY = {
-    "Batch": "batch",
-    "simulate_batch": "batch",
-    "Sensitivities": "sensitivity",
-    "simulate_with_sensitivities": "sensitivity",
-}
-
-__all__ = [
-    "METHODS",
-    "Batch",
-    "Sensitivities",
-    "simulate",
-    "simulate_batch",
-    "simulate_with_sensitivities",
-]
 
 METHODS = {  # and their options
     "compiled": ("substeps",),
@@ -38,12 +18,6 @@ METHODS = {  # and their options
     "reference": ("rtol",),
 }
 EVEN = 1e-6  # relative unevenness of the time steps that is rounding
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _LAZY:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
 
 
 def simulate(

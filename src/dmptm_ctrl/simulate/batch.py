@@ -66,7 +66,6 @@ def march_many(
     measured: Floats | None = None,
     begin: float = 0.0,
     columns: Sequence[int] = range(len(OUTPUTS)),
-    jobs: int = 1,
     plants: list[Plant] | None = None,
 ) -> Floats:
     """Run many drives open loop: :func:`~.compiled.march` for each of `arrays`, but faster.
@@ -78,8 +77,6 @@ def march_many(
         As there, of all or (batch, …) of each; `dt`, `substeps`, `observer`, `begin` of all.
     columns : sequence of int
         Which of :data:`BATCH_OUTPUTS` to keep.
-    jobs : int
-        Threads.
     plants : list of Plant, optional
         Of these arrays, where they are known.
 
@@ -104,7 +101,7 @@ def march_many(
         common = common._replace(measured=own_rows(measured)[:, None])
     starts = np.broadcast_to(x0, (len(arrays), 6))
     known = plants or [dual_plant(own) for own in arrays]
-    kept, _ = _run(arrays, known, starts, common, None, jobs, observer)
+    kept, _ = _run(arrays, known, starts, common, None, 1, observer)
     return np.asarray(kept).transpose(0, 2, 1)
 
 

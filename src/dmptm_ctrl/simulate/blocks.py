@@ -194,12 +194,10 @@ def initial_state(model: Model, sys: ct.InterconnectedSystem, x0: ArrayLike) -> 
     return np.array([known.get(label, 0.0) for label in sys.state_labels])
 
 
-def drive_states(
-    model: Model, side: int, u: float, *, pade_order: int = PADE_ORDER
-) -> dict[str, float]:
+def drive_states(model: Model, side: int, u: float) -> dict[str, float]:
     """Return the states of a motor's drive, by their name in `to_blocks`, once `u` [V] lasted."""
     parts, block = parts_of(model), f"drive_{SIDES[side]}"
-    late = Delay(parts.inputs[side][1], pade_order)
+    late = Delay(parts.inputs[side][1], PADE_ORDER)
     states = dict(zip(late.states, late.settled(u), strict=True))
     aim, tau = parts.lag(side, parts.signal(side, u, 0.0))
     if tau > 0.0:

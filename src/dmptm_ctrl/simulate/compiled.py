@@ -73,7 +73,6 @@ def march(
     substeps: int = SUBSTEPS,
     observer: tuple[float, float] | None = None,
     measured: Floats | None = None,
-    extra: Floats | None = None,
     begin: float = 0.0,
     meshes: bool = True,
 ) -> Floats:
@@ -90,8 +89,6 @@ def march(
         :func:`~.observer.observer_gains`.
     measured : (n,) array [rad]
         The angle that the observer follows.
-    extra : (n, 3) array [N·m]
-        Torques added on the two pinions and the ring gear.
     begin : float
         Time of the first sample [s], for what depends on it.
     meshes : bool
@@ -106,7 +103,7 @@ def march(
     led = {}
     if observer is not None:
         led = {"observer": rigid_observer(plant, 0, observer), "measured": measured}
-    return _run(plant, x0, u, dt, substeps, extra, meshes, begin, **led)[1]
+    return _run(plant, x0, u, dt, substeps, None, meshes, begin, **led)[1]
 
 
 def _run(
@@ -151,7 +148,9 @@ def close_loop(
     reference : (n,) array [rad/s]
     noise : (n,) array [rad/s], optional
         Added to the speed reading that the controller sees.
-    extra, meshes
+    extra : (n, 3) array [N·m]
+        Torques added on the two pinions and the ring gear.
+    meshes : bool
         As for :func:`march`.
 
     Returns

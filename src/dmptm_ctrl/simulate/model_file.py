@@ -9,7 +9,7 @@ from typing import Any
 
 import tomlkit
 
-from dmptm_ctrl.drive import Drive, paper_drive
+from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.effects import CATALOGUE
@@ -144,7 +144,7 @@ def to_toml(model: Model) -> str:
     return tomlkit.dumps(document)
 
 
-def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None) -> Model:
+def from_toml(text: str, *, name: str = "model.toml") -> Model:
     """Read the text of a model file.
 
     Raises
@@ -154,7 +154,6 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
         finite number.
     """
     data = _parsed(text, name, DUAL)
-    declared = drive or paper_drive()
     values = finite_numbers(name, "drive", data.get("drive"))
     unknown = sorted(set(values) - set(BASE))
     missing = [n for n in BASE if n not in values]
@@ -170,7 +169,7 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
         raise LogError(f"{name}: [effects] must hold one table per effect")
     tables = {key: finite_numbers(name, f"effects.{key}", table) for key, table in effects.items()}
     try:
-        found = declared.with_values(**values)
+        found = paper_drive().with_values(**values)
         if FLANKS in tables and found[DAMPING] == 0.0:
             found = undamped(found)
         return Model(found, tables)

@@ -172,6 +172,30 @@ def test_free_train_as_it_comes():
     np.testing.assert_allclose(angle(1j * w[::100]), values / (1j * w[::100]), rtol=1e-7)
 
 
+def test_torques_of_links_and_motion_of_bodies_are_outputs():
+    """(k + jω d) times the twist, and jω times the angle, by the equations of motion."""
+    plant = linearize(parse_rig(two()), outputs=["s", "v_motor", "q_load"])
+    b = np.array([1.0, -5.0])
+    for w in np.geomspace(0.1, 500.0, 30):
+        stiff = (40.0 + 0.01j * w) * np.outer(b, b)
+        dynamic = stiff + 1j * w * np.diag([0.02, 0.5]) - w**2 * np.diag([0.01, 0.3])
+        q = np.linalg.solve(dynamic, [0.5, 0.0])
+        expected = [(40.0 + 0.01j * w) * (b @ q), 1j * w * q[0], q[1]]
+        np.testing.assert_allclose(plant(1j * w).ravel(), expected, rtol=1e-7)
+
+
+def test_two_like_sides_swing_together_or_against_each_other():
+    """A base between two arms: ω² = k/J against each other, k (1/J + 2/J0) together."""
+    text = "[body.base]\ninertia = 0.3\n"
+    for side in "lr":
+        text += f"[body.arm_{side}]\ninertia = 0.1\n[shaft.{side}]\n"
+        text += f'between = ["base", "arm_{side}"]\nstiffness = 40\ndamping = 0.01\n'
+    text += '[input.m]\ncolumn = "u_V"\nbody = "base"\ngain = "1 N m/V"\n'
+    found = modes(parse_rig(text + '[sensor.w]\ncolumn = "w_rad_s"\nbody = "base"\n'))
+    assert found.kinds == ("rigid", "antisymmetric", "symmetric")
+    assert found.omega[1:] == pytest.approx(np.sqrt([400.0, 40.0 * (10.0 + 2.0 / 0.3)]))
+
+
 @pytest.mark.parametrize("build", [linearize, modes, rig_blocks])
 @pytest.mark.parametrize(
     ("values", "said"),

@@ -111,7 +111,7 @@ class GearTrain:
     @property
     def stiffness(self) -> Floats:
         """K, (n, n) [N·m/rad]: what holds coordinates and the sum of k b bᵀ."""
-        held = np.diag(np.broadcast_to(self.ground, self.inertia.shape)).astype(float)
+        held = np.diag(self.ground + np.zeros(len(self.bodies)))
         return sum((j.stiffness * np.outer(j.row, j.row) for j in self.joints), held)
 
     @property
@@ -179,10 +179,9 @@ class GearTrain:
         if states not in ("angles", "twists"):
             raise ValueError(f"states is {states!r}, it must be angles or twists")
         rate, springs, angles, _ = self._positions(outputs, states)
-        force = sum(
-            (np.outer(j.row, spring) for j, spring in zip(self.joints, springs, strict=True)),
-            np.broadcast_to(self.ground, self.inertia.shape)[:, None] * angles,
-        )
+        force = self._rows().T @ springs
+        if np.any(self.ground):
+            force += np.reshape(self.ground, (-1, 1)) * angles
         (m, n), solve = rate.shape, 1.0 / self.inertia[:, None]
         gain = self.torque_per_volt if inputs == "voltage" else 1.0
         push = gain * solve * self.drives
@@ -200,12 +199,16 @@ class GearTrain:
             c = np.hstack([c, np.zeros((len(outputs), late.size))])
         return a, b, c
 
+    def _rows(self) -> Floats:
+        """Twists of joints over the coordinates."""
+        return np.reshape([j.row for j in self.joints], (len(self.joints), len(self.bodies)))
+
     def _positions(
         self, outputs: Sequence[str], states: str
     ) -> tuple[Floats, Floats, Floats, list[str]]:
         """Return the states of position: their rates, springs and angles by them, their names."""
         n = len(self.bodies)
-        rows = np.reshape([j.row for j in self.joints], (len(self.joints), n))
+        rows = self._rows()
         stiffness = np.array([j.stiffness for j in self.joints])
         angle = any(self._seen(name)[0] == self.motion[0] for name in outputs)
         if states == "angles" or np.any(self.ground) or (angle and not stiffness.all()):

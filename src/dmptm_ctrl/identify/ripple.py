@@ -24,9 +24,9 @@ from scipy.signal import cont2discrete, freqz, lfilter
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.disturbance import Course, course, disturbance
 from dmptm_ctrl.identify.motion import GYRO_NOISE, WINDOW_SECONDS, Motion, hann, odd_span, smooth
+from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, layout
 from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, LOADED
 from dmptm_ctrl.simulate.elementary import cached
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, layout
 
 FAST = ("cogging",)  # effects that act faster than a window passes
 FINER = 2  # steps per sample in which a torque acts: an order may have two samples per period

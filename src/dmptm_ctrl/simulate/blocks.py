@@ -4,12 +4,14 @@ See :mod:`~.block_parts` for what the blocks are.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
+from dmptm_ctrl.simulate.base import Floats, refuse_negative
 from dmptm_ctrl.simulate.block_parts import (
     PADE_ORDER,
     REST_SPEED,
@@ -21,9 +23,11 @@ from dmptm_ctrl.simulate.block_parts import (
 )
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
 from dmptm_ctrl.simulate.dual import dual_plant, parts_of
-from dmptm_ctrl.simulate.model import Floats, Model, refuse_negative
 from dmptm_ctrl.simulate.plant import GAP, TWO_STATES, Plant
 from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.simulate.model import Model
 
 __all__ = ["REST_SPEED", "drive_states", "initial_state", "rig_blocks", "run", "to_blocks"]
 
@@ -51,7 +55,7 @@ DUAL = Names(
 
 
 def to_blocks(
-    model: Model,
+    model: "Model",
     *,
     loop: Loop | None = None,
     pade_order: int = PADE_ORDER,
@@ -174,7 +178,7 @@ def rig_blocks(
     )
 
 
-def initial_state(model: Model, sys: ct.InterconnectedSystem, x0: ArrayLike) -> Floats:
+def initial_state(model: "Model", sys: ct.InterconnectedSystem, x0: ArrayLike) -> Floats:
     """Return the state of `sys`, the blocks of a model, for a state of the three bodies.
 
     `x0` (6,) is θ3l, θ3r, θL [rad] and their speeds [rad/s]; motors turn with their pinions. No
@@ -194,7 +198,7 @@ def initial_state(model: Model, sys: ct.InterconnectedSystem, x0: ArrayLike) -> 
     return np.array([known.get(label, 0.0) for label in sys.state_labels])
 
 
-def drive_states(model: Model, side: int, u: float) -> dict[str, float]:
+def drive_states(model: "Model", side: int, u: float) -> dict[str, float]:
     """Return the states of a motor's drive, by their name in `to_blocks`, once `u` [V] lasted."""
     parts, block = parts_of(model), f"drive_{SIDES[side]}"
     late = Delay(parts.inputs[side][1], PADE_ORDER)
@@ -206,7 +210,7 @@ def drive_states(model: Model, side: int, u: float) -> dict[str, float]:
 
 
 def run(
-    model: Model,
+    model: "Model",
     u: Floats,
     x0: Floats,
     dt: float,

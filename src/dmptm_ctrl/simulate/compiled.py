@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dmptm_ctrl.simulate.base import Floats
 from dmptm_ctrl.simulate.dual import columns, dual_plant, outputs, pi_loop, start
-from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.observer import rigid_observer
 from dmptm_ctrl.simulate.plant import Plant
 from dmptm_ctrl.simulate.run import Controller, advance, start_state, structure_for
 
 if TYPE_CHECKING:
     from dmptm_ctrl.simulate.law import Law
+    from dmptm_ctrl.simulate.model import Model
 
 OUTPUTS = (
     *("theta_L", "omega_L", "theta_ml", "theta_mr"),
@@ -51,7 +52,9 @@ class Loop(NamedTuple):
         return Controller(pi_loop, np.array(self), 1)
 
 
-def rest(model: Model, theta_L: float, *, motors: Sequence[float] | Floats | None = None) -> Floats:
+def rest(
+    model: "Model", theta_L: float, *, motors: Sequence[float] | Floats | None = None
+) -> Floats:
     """Return the state at rest at ring-gear angle `theta_L` [rad], chains at mid-gap.
 
     Parameters
@@ -128,7 +131,7 @@ def _run(
 
 
 def close_loop(
-    model: Model,
+    model: "Model",
     loop: "Loop | Law",
     reference: ArrayLike,
     dt: float,

@@ -5,17 +5,20 @@ at the pinion. Bodies: pinions, ring gear, motors.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects.stiffness_variation import STIFFNESS_VARIATION
 from dmptm_ctrl.simulate.along import Acting
-from dmptm_ctrl.simulate.model import BASE, Arrays, Model, layout, per_catalogue
+from dmptm_ctrl.simulate.base import BASE, Arrays, layout, per_catalogue
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.plant import GAP, LINEAR, Flags, Floats, Place, Plant
 from dmptm_ctrl.simulate.run import compiled_controller
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.simulate.model import Model
 
 MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the step and rigid
 PINIONS, RING, MOTORS = (0, 1), 2, (3, 4)  # bodies
@@ -130,7 +133,7 @@ def dual_plant(arrays: Arrays) -> Plant:
     )
 
 
-def parts_of(model: Model) -> Parts:
+def parts_of(model: "Model") -> Parts:
     """Return what the kernels say about each part of a drive."""
     return Parts(dual_plant(model.arrays()))
 

@@ -12,8 +12,9 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import lookup, presliding, stribeck
 from dmptm_ctrl.simulate import control_core as core
 from dmptm_ctrl.simulate import elementary
+from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, layout, per_catalogue
 from dmptm_ctrl.simulate.loading import key_of, load
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model, layout, per_catalogue
+from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.run import Controller
 
 PASS = (1.0, 0.0, 0.0, 0.0, 0.0)  # a section that changes nothing

@@ -237,8 +237,8 @@ KINDS = ("log_info", "predict_log", "predict_model", "predict_chain_model", "rig
 def axis_model_text(axis):
     """Model file of the bundled linear axis, as declared."""
     from dmptm_ctrl.drive.rigfile import load_rig
+    from dmptm_ctrl.simulate.model_file import rig_model_to_toml
     from dmptm_ctrl.simulate.rig_model import RigModel
-    from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
 
     rig = load_rig(axis / "rig.toml")
     return rig_model_to_toml(RigModel(rig))

@@ -12,7 +12,7 @@ import tracemalloc
 
 import numpy as np
 
-from dmptm_ctrl.simulate import simulate_batch
+from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model
 

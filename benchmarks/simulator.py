@@ -43,9 +43,11 @@ from starts import starts
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.parallel import each
-from dmptm_ctrl.simulate import simulate, simulate_batch, simulate_with_sensitivities
+from dmptm_ctrl.simulate import simulate
+from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import Loop, close_loop, rest
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.sensitivity import simulate_with_sensitivities
 
 DT, SECONDS = 1e-3, 10.0  # s
 TIME = DT * np.arange(round(SECONDS / DT) + 1)

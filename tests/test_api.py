@@ -15,9 +15,8 @@ import dmptm_ctrl
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.data import path
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.simulate.model_file import to_toml
+from dmptm_ctrl.simulate.model_file import rig_model_to_toml, to_toml
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
 
 PACKAGES = [
     f"dmptm_ctrl.{module.name}" for module in pkgutil.iter_modules(dmptm_ctrl.__path__)

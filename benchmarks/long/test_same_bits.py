@@ -13,7 +13,7 @@ SCRIPT = """
 import sys
 import numpy as np
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate import simulate_batch
+from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import Loop, march, rest
 from dmptm_ctrl.simulate.model import Model
 

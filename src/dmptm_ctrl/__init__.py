@@ -30,7 +30,7 @@ _LAZY = {
     "three_dof": "drive.three_dof:three_dof_ss",
     "nine_dof": "drive.nine_dof:nine_dof_ss",
     "linearize": "simulate.linear",
-    "modes": "simulate.modes",
+    "modes": "simulate.linear",
     "common_mode": "control.pi",
     "close_speed_loop": "control.pi",
     "margins": "control.tuning:assess_pi",
@@ -125,10 +125,9 @@ if TYPE_CHECKING:
     from dmptm_ctrl.simulate.batch import simulate_batch
     from dmptm_ctrl.simulate.closed import close_loop
     from dmptm_ctrl.simulate.compiled import Loop
-    from dmptm_ctrl.simulate.linear import linearize
+    from dmptm_ctrl.simulate.linear import linearize, modes
     from dmptm_ctrl.simulate.model import Model
     from dmptm_ctrl.simulate.model_file import read_model
-    from dmptm_ctrl.simulate.modes import modes
     from dmptm_ctrl.simulate.sensitivity import simulate_with_sensitivities
 
 

@@ -340,7 +340,7 @@ def rig_check(
     """Draw a rig file and print its modes; say what is wrong with it."""
     from dmptm_ctrl.drive.rigfile import load_rig
     from dmptm_ctrl.plots.rig import plot_rig, rig_text
-    from dmptm_ctrl.simulate.rig_run import modes_text
+    from dmptm_ctrl.simulate.linear import modes_text
 
     rig = load_rig(file)
     print(_printable(rig_text(rig)))

@@ -7,9 +7,9 @@ import pytest
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate import compiled, simulate
+from dmptm_ctrl.simulate.base import layout
 from dmptm_ctrl.simulate.blocks import initial_state, to_blocks
 from dmptm_ctrl.simulate.compiled import OUTPUTS, march, rest
-from dmptm_ctrl.simulate.kernel_calls import layout
 from dmptm_ctrl.simulate.plant import structure_of
 
 each = pytest.mark.parametrize("name", CATALOGUE)

@@ -49,7 +49,7 @@ def test_blocks_follow_the_two_state_law(frictionless):
 def test_states_and_refusals(frictionless):
     system = to_blocks(frictionless, contact="two_state")
     assert {"mesh_l_position", "mesh_r_position"} < set(system.state_labels)
-    with pytest.raises(ValueError, match="it must be one of memoryless, two_state"):
+    with pytest.raises(ValueError, match="it must be one of eq21, two_state"):
         to_blocks(frictionless, contact="hertz")
     with pytest.raises(ValueError, match=r"c \+ c_f is 0"):
         to_blocks(frictionless.with_values(c=0.0, c_f=0.0), contact="two_state")

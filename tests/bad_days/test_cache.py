@@ -12,17 +12,14 @@ PROGRAM = """
 import sys
 import numpy as np
 from dmptm_ctrl.cli import main
-from dmptm_ctrl.simulate import simulate_with_sensitivities
+from dmptm_ctrl.identify.ripple import waves
 from dmptm_ctrl.simulate.loading import cache_folder
-from dmptm_ctrl.simulate.sensitivity import _judge
 
 code = main(["log", "info", sys.argv[1]])
-exists = np.zeros((1, 2), bool)
-one = np.ones(1)
-_judge(np.ones((1, 1, 2)), -np.ones((1, 2)), one, 0.0 * one, 0.1, exists)  # a compiled call
+found = waves(np.zeros(3), np.ones(3), 2)  # a compiled call
 with open(cache_folder() / "probe", "x"):
     pass
-print("code", code, "exists", exists.all())
+print("code", code, "sums", (found == 3.0).all())
 """
 
 
@@ -43,5 +40,5 @@ def test_is_no_error(tmp_path):
         env=environment, cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert done.stdout.rstrip().endswith("code 0 exists True")
+    assert done.stdout.rstrip().endswith("code 0 sums True")
     assert "Traceback" not in done.stderr

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.control.sections import sampled_notch
-from dmptm_ctrl.simulate import simulate_batch
+from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop, close_loop
 from dmptm_ctrl.simulate.law import Law
 from dmptm_ctrl.simulate.linear import turning

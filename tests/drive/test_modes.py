@@ -11,7 +11,13 @@ from dmptm_ctrl.drive import (
     solve_modes,
     three_dof_train,
 )
-from dmptm_ctrl.drive.modes import determinant
+
+
+def determinant(train, omega):
+    """Eq. 20 scaled by det M: det(M⁻¹K − ω² I); zero at each mode."""
+    square = train.stiffness / train.inertia[:, None]
+    return np.linalg.det(square - omega**2 * np.eye(len(square)))
+
 
 TRAINS = {"3": three_dof_train, "9": nine_dof_train}
 

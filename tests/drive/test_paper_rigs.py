@@ -8,12 +8,13 @@ from dmptm_ctrl.drive import baseline_drive
 from dmptm_ctrl.drive.modes import solve_modes
 from dmptm_ctrl.drive.nine_dof import nine_dof_train
 from dmptm_ctrl.drive.rigfile import load_rig
-from dmptm_ctrl.simulate.compiled import Loop, close_loop, controller_of, rest
+from dmptm_ctrl.simulate.compiled import Loop, close_loop, rest
 from dmptm_ctrl.simulate.compiled import march as march_dual
+from dmptm_ctrl.simulate.linear import linearize, modes
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.reference import run_exactly
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import linear_rig, march, rig_modes
+from dmptm_ctrl.simulate.rig_run import march
 
 DT = 1e-3
 SHAFTS = ("motor_left", "motor_right", "bevel_left", "bevel_right", "pinion_left", "pinion_right")
@@ -40,13 +41,13 @@ def stiffer(model, factor):
 
 def test_modes_are_those_of_the_matrices_put_together_from_the_paper(nine):
     known = solve_modes(nine_dof_train()).omega / (2 * np.pi)
-    assert rig_modes(nine) == pytest.approx(known, rel=1e-9, abs=1e-3)
+    assert modes(nine).hz == pytest.approx(known, rel=1e-9, abs=1e-3)
 
 
 def test_modes_go_to_those_of_three_bodies_as_shafts_stiffen(nine, three):
     """Springs in series: what is left of them falls with the inverse of the factor."""
-    limit = rig_modes(three)[1:]
-    apart = [np.abs(rig_modes(stiffer(nine, f))[1:3] / limit - 1.0).max() for f in (1e2, 1e3)]
+    limit = modes(three).hz[1:]
+    apart = [np.abs(modes(stiffer(nine, f)).hz[1:3] / limit - 1.0).max() for f in (1e2, 1e3)]
     assert apart[1] < 2e-3
     assert apart[0] / apart[1] == pytest.approx(10.0, rel=0.1)
 
@@ -79,7 +80,7 @@ def test_under_its_speed_loop_it_does_what_three_bodies_do(nine):
     t = DT * np.arange(1000)
     target = np.deg2rad(10.0) * np.sin(2 * np.pi * t)
     u = np.zeros((2, t.size))
-    run = march(nine, u, DT, substeps=24, controller=controller_of(loop), reference=target)
+    run = march(nine, u, DT, substeps=24, controller=loop.controller(), reference=target)
     _, known = close_loop(Model(), loop, target, DT)
     apart = np.sqrt(np.mean((run.speed("ring_gear") - known[:, 1]) ** 2))
     assert apart < 0.05 * np.abs(known[:, 1]).max()
@@ -89,7 +90,7 @@ def test_linear_model_of_nine_bodies_is_that_of_three_at_low_frequency(nine, thr
     """Below all shafts; friction of the file is the mean of both directions in both."""
     for hertz in (0.5, 3.0):
         s = 2j * np.pi * hertz
-        assert linear_rig(nine)(s) == pytest.approx(linear_rig(three)(s), rel=0.02)
+        assert linearize(nine)(s) == pytest.approx(linearize(three)(s), rel=0.02)
 
 
 def test_the_three_inertia_model_as_a_file_is_the_built_in_one():

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.lookup import BRAKING, SPEED, WAVE, WIDEST
-from dmptm_ctrl.simulate import simulate_batch
-from dmptm_ctrl.simulate.batch import BATCH_OUTPUTS, march_any, march_many
+from dmptm_ctrl.simulate.batch import BATCH_OUTPUTS, march_any, march_many, simulate_batch
 from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, Loop, close_loop, march
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.observer import observer_gains

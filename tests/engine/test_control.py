@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.simulate.control import sampled, simulate_with_controller
+from dmptm_ctrl.simulate.control import sampled
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.rig_run import march
 from dmptm_ctrl.simulate.run import Controller, compiled_controller
@@ -53,14 +53,19 @@ class Pi:
         return KP * error + KI * self.total
 
 
+def under(law, target=TARGET, **options):
+    nothing = np.zeros((1, target.size))
+    return march(MODEL, nothing, DT, controller=law, reference=target, **options)
+
+
 @pytest.fixture(scope="module")
 def compiled():
     law = Controller(compiled_controller(pi), np.array([KP, KI]), 1)
-    return simulate_with_controller(MODEL, law, TARGET, DT)
+    return under(law)
 
 
 def test_python_is_compiled(compiled):
-    run = simulate_with_controller(MODEL, Pi(), TARGET, DT)
+    run = under(Pi())
     np.testing.assert_allclose(run.u, compiled.u, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(run.speed("load"), compiled.speed("load"), rtol=0.0, atol=1e-12)
     assert np.ptp(run.speed("load")) > 1.0
@@ -71,17 +76,24 @@ def test_python_control_s_system_is_compiled(compiled):
     z = ct.tf("z")
     law = KP + KI * DT * z / (z - 1)
     law = ct.tf(law.num, law.den, DT)
-    run = simulate_with_controller(MODEL, law, TARGET, DT)
+    run = under(law)
     np.testing.assert_allclose(run.u, compiled.u, rtol=0.0, atol=1e-9)
     with pytest.raises(ValueError, match="the controller is continuous"):
         sampled(ct.tf([1.0], [1.0, 1.0]))
 
 
+def test_a_system_of_more_inputs_takes_the_target_and_all_readings():
+    both = ct.ss([], [], [], [[KP, -0.5 * KP]], DT)
+    run = under(both)
+    own = under(lambda t, target, y: KP * target - 0.5 * KP * y[0])
+    np.testing.assert_allclose(run.u, own.u, rtol=0.0, atol=1e-12)
+
+
 def test_a_run_goes_on_from_its_state(compiled):
     """Bit for bit: what dead times and the controller remember is in the state."""
     law = Controller(compiled_controller(pi), np.array([KP, KI]), 1)
-    first = simulate_with_controller(MODEL, law, TARGET[:150], DT)
-    second = simulate_with_controller(MODEL, law, TARGET[150:], DT, state=first.state)
+    first = under(law, TARGET[:150])
+    second = under(law, TARGET[150:], state=first.state)
     both = np.concatenate([first.speed("load"), second.speed("load")])
     np.testing.assert_array_equal(both, compiled.speed("load"))
     assert second.time[0] == pytest.approx(0.15)

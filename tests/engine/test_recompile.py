@@ -13,9 +13,9 @@ from numba import njit
 from dmptm_ctrl.contract import Effect, Parameter
 from dmptm_ctrl.effects import CATALOGUE, register
 from dmptm_ctrl.simulate import loading
+from dmptm_ctrl.simulate.base import per_catalogue
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.dual import dual_plant
-from dmptm_ctrl.simulate.kernel_calls import per_catalogue
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import structure_of
 from dmptm_ctrl.simulate.scalar import scalar_engine, source

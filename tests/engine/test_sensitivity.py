@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate import simulate, simulate_with_sensitivities
+from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.compiled import OUTPUTS
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.sensitivity import simulate_with_sensitivities
 
 DT = 1e-3  # s
 MOTOR = OUTPUTS.index("theta_ml")

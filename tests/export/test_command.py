@@ -12,8 +12,7 @@ from dmptm_ctrl.cli import main
 from dmptm_ctrl.design.controller import Controller, Notch
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.model_file import to_toml
-from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
+from dmptm_ctrl.simulate.model_file import rig_model_to_toml, to_toml
 
 MODEL = Model().with_effect("unbalance", cosine=4.0)
 CONTROLLER = Controller(12.0, 60.0, notches=(Notch(60.0, 0.1, 0.5),), model=MODEL, effects=1.0)

@@ -12,7 +12,6 @@ from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_run import simulate_rig
 
 fmpy = pytest.importorskip("fmpy")
 MODEL = (
@@ -60,7 +59,7 @@ def test_rig_of_another_shape(tmp_path):
         str(tmp_path / "plant.fmu"), stop_time=TIME[-1], output_interval=DT, step_size=DT,
         input=inputs, output=names,
     )  # fmt: skip
-    true = simulate_rig(model, TIME, volts[None]).outputs.T
+    true = simulate(model, TIME, volts[None]).outputs.T
     close(np.column_stack([found[n] for n in names]), true)
 
 

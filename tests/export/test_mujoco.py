@@ -7,10 +7,10 @@ import pytest
 from tests.export.test_plant import rig_model
 
 from dmptm_ctrl.export.mujoco import mujoco_joint, mujoco_text
+from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_run import simulate_rig
 
 SOURCE = Path(__file__)
 
@@ -61,7 +61,7 @@ def test_rig_follows_where_nothing_is_lost():
     stiff = RigModel(rig.rig, (Placed("current_lag", "voltage", {"time_constant": 0.02}),), values)
     time = 1e-3 * np.arange(1500)
     u = 6.0 * np.sin(2 * np.pi * 1.0 * time)[None]
-    own = simulate_rig(stiff, time, u).outputs[1]
+    own = simulate(stiff, time, u).outputs[1]
     found = run(mujoco_joint(stiff), u)
     assert np.abs(own).max() > 1.0
     assert np.sqrt(np.mean((found - own) ** 2)) < 0.03 * np.abs(own).max()

@@ -13,7 +13,6 @@ from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, may_stand
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_run import simulate_rig
 
 DT = 1e-3
 TIME = DT * np.arange(600)
@@ -154,8 +153,8 @@ def test_rig_of_another_shape(name, tmp_path):
     for effect in RIG_EFFECTS[name]:
         model = model.with_effect(effect)
     u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None] + 6.0 * (TIME > 0.2)
-    true = simulate_rig(model, TIME, u).outputs
-    plain = simulate_rig(rig_model(), TIME, u).outputs
+    true = simulate(model, TIME, u).outputs
+    plain = simulate(rig_model(), TIME, u).outputs
     assert name == "none" or np.abs(true - plain).max() > 1e-6
     close(c_run(plant_program(model, DT), u, tmp_path), np.atleast_2d(true).T)
 
@@ -187,7 +186,7 @@ def test_rig_with_all_effects_at_once(text, tmp_path):
         model = model.with_effect(Placed(effect.name, part, values))
     assert len(placed) > 20
     u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None] + 6.0 * (TIME > 0.2)
-    true = np.atleast_2d(simulate_rig(model, TIME, u).outputs).T
+    true = np.atleast_2d(simulate(model, TIME, u).outputs).T
     assert (np.ptp(true, axis=0) > 0.1).all()  # the premise: it moves
     close(c_run(plant_program(model, DT), u, tmp_path), true)
 
@@ -203,7 +202,7 @@ def test_names_that_no_program_can_have(tmp_path):
     assert len({p.name for p in (*program.inputs, *program.outputs)}) == 3
     assert st_source(program).isascii()
     u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None]
-    close(c_run(program, u, tmp_path), simulate_rig(model, TIME, u).outputs.T)
+    close(c_run(program, u, tmp_path), simulate(model, TIME, u).outputs.T)
 
 
 def test_structured_text_of_a_plant():

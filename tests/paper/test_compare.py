@@ -10,9 +10,8 @@ from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.reproduce.compare import linear_models
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.model_file import to_toml
+from dmptm_ctrl.simulate.model_file import rig_model_to_toml, to_toml
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
 
 ARM = """
 name = "arm"
@@ -84,7 +83,10 @@ def test_model_of_a_diagnosis(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["rig.toml", "--output", "v"], "rig.toml: no sensor 'v' in arm; it has q, w"),
+        (
+            ["rig.toml", "--output", "v"],
+            "rig.toml: no output 'v' in arm; it has q, w",
+        ),
         (["rig.toml", "--input", "u"], "rig.toml: no input 'u'; it has torque"),
         (["none.toml"], "no such rig file"),
         (["rig.toml", "--out", "picture.xyz"], "picture.xyz: call the figure .png, .svg or .pdf"),

@@ -8,8 +8,10 @@ import pytest
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive import paper_drive, solve_modes, three_dof_train
+from dmptm_ctrl.drive.rig_dual import paper_rig
 from dmptm_ctrl.plots.modes import mode_plot
 from dmptm_ctrl.reproduce.resonances import overridden
+from dmptm_ctrl.simulate.linear import modes as modes_of
 
 
 def cells(text, title):
@@ -97,4 +99,17 @@ def test_picture_of_the_modes():
     (hands,) = panels[1].collections[1:]  # of the wheels; the first are the stems
     turned = np.arctan2(hands.U, hands.V) / (np.pi / 3)  # from upright
     np.testing.assert_allclose(turned, [1.0, 0.0, -1.0], atol=1e-9)
+    plt.close("all")
+
+
+def test_picture_of_the_modes_of_a_rig():
+    """Bodies in the order of the file, by their own names."""
+    panels = mode_plot(modes_of(paper_rig()))
+    assert [p.get_title() for p in panels] == [
+        "rigid, 0 Hz",
+        "elastic, 60.4 Hz",
+        "elastic, 230.9 Hz",
+    ]
+    names = [label.get_text() for label in panels[0].get_xticklabels()]
+    assert names == ["motor_left", "motor_right", "ring_gear"]
     plt.close("all")

@@ -6,9 +6,10 @@ import pytest
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.blocks import rig_blocks
+from dmptm_ctrl.simulate.linear import modes
 from dmptm_ctrl.simulate.reference import run_exactly
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import march, rig_modes
+from dmptm_ctrl.simulate.rig_run import march
 
 DT = 1e-3  # s
 NEAR = 4e-4  # of the largest speed: what 32 substeps leave
@@ -74,7 +75,7 @@ def test_place_in_the_gap_is_a_state_of_the_block():
 
 
 def test_modes_do_not_depend_on_the_law():
-    found = [rig_modes(RigModel(parse_rig(text))) for text in LAWS.values()]
+    found = [modes(parse_rig(text)).hz for text in LAWS.values()]
     by_hand = np.sqrt(300 * (1 / 0.01 + 1 / 0.02)) / (2 * np.pi)
     for hertz in found:
         assert hertz[1] == pytest.approx(by_hand, rel=1e-9)

@@ -7,9 +7,10 @@ from scipy.signal import cont2discrete
 
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.simulate.blocks import rig_blocks
+from dmptm_ctrl.simulate.linear import linearize, modes
 from dmptm_ctrl.simulate.reference import run_exactly
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_run import linear_rig, march, rig_modes
+from dmptm_ctrl.simulate.rig_run import march
 
 DT = 1e-3
 
@@ -44,7 +45,7 @@ DRIVE = np.where(TIME < 0.2, 1.0, -0.5)
 def test_compiled_follows_the_exact_linear_response(name):
     """Held inputs: zero-order hold is exact; the step's error falls with its square."""
     model = RigModel(TRAINS[name])
-    system = linear_rig(model)
+    system = linearize(model)
     a, b, c, *_ = cont2discrete((system.A, system.B, system.C, system.D), DT, method="zoh")
     x, exact = np.zeros(a.shape[0]), []
     for u in DRIVE:
@@ -68,7 +69,7 @@ def test_blocks_are_the_linear_model(name):
     # linearised where everything moves: at rest friction would hold it
     moving = np.ones(blocks.nstates)
     linear = ct.linearize(blocks, moving, 1.0, eps=1e-6)
-    known = linear_rig(model)
+    known = linearize(model)
     for hertz in (0.3, 3.0, 30.0):
         s = 2j * np.pi * hertz
         assert linear(s) == pytest.approx(known(s), rel=1e-5)
@@ -81,7 +82,7 @@ def test_modes_of_a_chain_by_hand():
         text += f'[shaft.s{i}]\nbetween = ["b{i}", "b{j}"]\nstiffness = 50\ndamping = 0\n'
     text += '[input.m]\ncolumn = "u_V"\nbody = "b0"\n[sensor.s]\ncolumn = "q_rad"\nbody = "b2"\n'
     expected = np.sqrt(np.array([0, 1, 3]) * 50 / 0.02) / (2 * np.pi)
-    assert rig_modes(RigModel(parse_rig(text))) == pytest.approx(expected, abs=1e-5)
+    assert modes(RigModel(parse_rig(text))).hz == pytest.approx(expected, abs=1e-5)
 
 
 def test_friction_gap_and_cogging_in_blocks_and_compiled():

@@ -6,10 +6,10 @@ import pytest
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.blocks import rig_blocks
-from dmptm_ctrl.simulate.linear import linearize
+from dmptm_ctrl.simulate.linear import linearize, modes, modes_text
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_run import linear_rig, modes_text, rig_modes, simulate_rig
 
 ARM = """
 name = "arm"
@@ -57,13 +57,13 @@ def two(stiffness="40", extra=""):
 def test_poles_of_an_arm(text, position, stiffness):
     """J s² + B s + k = 0, by hand."""
     model = RigModel(parse_rig(text))
-    system = linear_rig(model, position={"arm": position})
+    system = linearize(model, {"arm": position})
     expected = np.roots([0.02, 0.05, stiffness])
     assert np.sort_complex(system.poles()) == pytest.approx(np.sort_complex(expected), rel=1e-8)
-    angle = linear_rig(model, outputs=["angle"], position={"arm": position})
+    angle = linearize(model, {"arm": position}, outputs=["angle"])
     assert ct.dcgain(angle) == pytest.approx(1.0 / stiffness, rel=1e-9)
     hertz = np.sqrt(max(stiffness, 0.0) / 0.02) / (2 * np.pi)
-    assert rig_modes(model, position={"arm": position}) == pytest.approx([hertz], rel=1e-8)
+    assert modes(model, position={"arm": position}).hz == pytest.approx([hertz], rel=1e-8)
 
 
 def test_linearize_takes_rigs_too():
@@ -108,8 +108,8 @@ def test_small_swing_of_the_simulated_arm_is_the_linear_one():
     time = 1e-3 * np.arange(2000)
     push = np.where(time < 0.1, 1e-3, 0.0)
     model = RigModel(parse_rig(HANGING))
-    nonlinear = simulate_rig(model, time, push, substeps=8)
-    held = ct.c2d(linear_rig(model), 1e-3, "zoh")
+    nonlinear = simulate(model, time, push, substeps=8)
+    held = ct.c2d(linearize(model), 1e-3, "zoh")
     linear = np.asarray(ct.forced_response(held, time, push).outputs)
     off = np.abs(np.asarray(nonlinear.outputs) - linear).max(axis=1)
     assert (off < 1e-3 * np.abs(linear).max(axis=1)).all()
@@ -122,7 +122,7 @@ def test_blocks_linearised_at_rest_with_the_default_step(text):
     blocks = rig_blocks(model)
     at_rest = np.zeros(blocks.nstates)
     found = ct.linearize(blocks, at_rest, 0.0)
-    known = linear_rig(model)
+    known = linearize(model)
     s = 2j * np.pi * np.array([0.1, 1.0, 4.0])
     np.testing.assert_allclose(found(s), known(s), rtol=1e-4)
     if text == SPRING:
@@ -141,7 +141,7 @@ def test_with_dry_friction_it_holds():
 def test_free_train_as_it_comes():
     """Steady speed by the viscous friction; −3 dB and margins by the equations of motion."""
     model = RigModel(parse_rig(two()))
-    plant = linear_rig(model, outputs=["w"])
+    plant = linearize(model, outputs=["w"])
     assert plant.state_labels == ["spring_s", "v_motor", "v_load"]
     # torque 0.5 N·m at the motor: 5 times that at the load, friction 0.5 + 25 · 0.02
     assert ct.dcgain(plant) == pytest.approx(2.5 / 1.0, rel=1e-9)
@@ -166,13 +166,37 @@ def test_free_train_as_it_comes():
     info = ct.step_info(plant)
     assert info["SteadyStateValue"] == pytest.approx(2.5)
     assert info["SettlingTime"] == pytest.approx(3.912 * (0.3 + 25 * 0.01) / 1.0, rel=0.02)
-    angle = linear_rig(model, outputs=["q"])
+    angle = linearize(model, outputs=["q"])
     assert angle.state_labels == ["q_motor", "spring_s", "v_motor", "v_load"]
     assert np.isinf(ct.dcgain(angle))
     np.testing.assert_allclose(angle(1j * w[::100]), values / (1j * w[::100]), rtol=1e-7)
 
 
-@pytest.mark.parametrize("build", [linear_rig, rig_modes, rig_blocks])
+def test_torques_of_links_and_motion_of_bodies_are_outputs():
+    """(k + jω d) times the twist, and jω times the angle, by the equations of motion."""
+    plant = linearize(parse_rig(two()), outputs=["s", "v_motor", "q_load"])
+    b = np.array([1.0, -5.0])
+    for w in np.geomspace(0.1, 500.0, 30):
+        stiff = (40.0 + 0.01j * w) * np.outer(b, b)
+        dynamic = stiff + 1j * w * np.diag([0.02, 0.5]) - w**2 * np.diag([0.01, 0.3])
+        q = np.linalg.solve(dynamic, [0.5, 0.0])
+        expected = [(40.0 + 0.01j * w) * (b @ q), 1j * w * q[0], q[1]]
+        np.testing.assert_allclose(plant(1j * w).ravel(), expected, rtol=1e-7)
+
+
+def test_two_like_sides_swing_together_or_against_each_other():
+    """A base between two arms: ω² = k/J against each other, k (1/J + 2/J0) together."""
+    text = "[body.base]\ninertia = 0.3\n"
+    for side in "lr":
+        text += f"[body.arm_{side}]\ninertia = 0.1\n[shaft.{side}]\n"
+        text += f'between = ["base", "arm_{side}"]\nstiffness = 40\ndamping = 0.01\n'
+    text += '[input.m]\ncolumn = "u_V"\nbody = "base"\ngain = "1 N m/V"\n'
+    found = modes(parse_rig(text + '[sensor.w]\ncolumn = "w_rad_s"\nbody = "base"\n'))
+    assert found.kinds == ("rigid", "antisymmetric", "symmetric")
+    assert found.omega[1:] == pytest.approx(np.sqrt([400.0, 40.0 * (10.0 + 2.0 / 0.3)]))
+
+
+@pytest.mark.parametrize("build", [linearize, modes, rig_blocks])
 @pytest.mark.parametrize(
     ("values", "said"),
     [
@@ -190,14 +214,14 @@ def test_what_no_machine_has_is_refused(build, values, said):
 
 def test_refusals_name_what_there_is():
     model = RigModel(parse_rig(two()))
-    with pytest.raises(ValueError, match="no sensor 'v' in rig; it has w, q"):
-        linear_rig(model, outputs=["v"])
+    with pytest.raises(ValueError, match="no output 'v' in rig; it has w, q"):
+        linearize(model, outputs=["v"])
     with pytest.raises(ValueError, match="no body 'arm' in rig; it has motor, load"):
-        linear_rig(model, position={"arm": 0.0})
+        linearize(model, {"arm": 0.0})
     with pytest.raises(ValueError, match="stiffness of cable_spring@load is no number"):
-        linear_rig(model.with_effect(Placed("cable_spring", "load", {"stiffness": np.nan})))
+        linearize(model.with_effect(Placed("cable_spring", "load", {"stiffness": np.nan})))
     with pytest.raises(ValueError, match="stiffness of cable_spring@load is -8; it must be zero"):
-        linear_rig(model.with_effect(Placed("cable_spring", "load", {"stiffness": -8.0})))
+        linearize(model.with_effect(Placed("cable_spring", "load", {"stiffness": -8.0})))
 
 
 def test_params_in_block_simulation():

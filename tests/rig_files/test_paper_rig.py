@@ -12,9 +12,10 @@ from dmptm_ctrl.drive.rigfile import load_rig, parse_rig
 from dmptm_ctrl.signals import load_log, load_logs
 from dmptm_ctrl.simulate.compiled import march as march_built_in
 from dmptm_ctrl.simulate.compiled import rest
+from dmptm_ctrl.simulate.linear import linearize, modes
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import linear_rig, march, rig_modes
+from dmptm_ctrl.simulate.rig_run import march
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +33,12 @@ def test_declared_values_are_the_tables(rig):
 
 def test_modes(rig):
     """Physics of three bodies in closed form: 0, 60.4 and 230.9 Hz."""
-    assert rig_modes(RigModel(rig)) == pytest.approx([0, 60.4, 230.9], abs=0.1)
+    assert modes(rig).hz == pytest.approx([0, 60.4, 230.9], abs=0.1)
 
 
 def test_linear_model(rig):
     """Same response from both voltages to both readings."""
-    chain = linear_rig(RigModel(rig))
+    chain = linearize(RigModel(rig))
     built_in = three_dof_ss(outputs=("theta_L", "omega_L"))
     for hertz in (0.1, 5.0, 60.4, 231.0, 900.0):
         s = 2j * np.pi * hertz

@@ -7,8 +7,8 @@ import pytest
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.drive.rigfile import RigError, parse_rig
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.model_file import rig_model_to_toml
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_model_file import rig_model_to_toml
 
 RIG = """
 [body.motor]

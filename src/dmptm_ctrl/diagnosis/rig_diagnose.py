@@ -37,8 +37,7 @@ from dmptm_ctrl.identify.rig_fit import State
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
-from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import declared_effects
+from dmptm_ctrl.simulate.rig_model import RigModel, declared_effects
 
 MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
 HOLD_EVERY = 3

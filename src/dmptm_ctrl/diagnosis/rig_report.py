@@ -23,9 +23,9 @@ from dmptm_ctrl.identify.free_parameters import on_slide
 from dmptm_ctrl.identify.led import BANDWIDTH_HZ
 from dmptm_ctrl.identify.rig_fit import RigFit, State
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.model_file import input_symbol, rig_model_to_toml, unit_at
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_model_file import input_symbol, rig_model_to_toml, unit_at
 
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Evidence, Overlay

@@ -116,7 +116,7 @@ def gap_exponent(
     *,
     as_printed: bool = False,
 ) -> float:
-    """What Eq. 21 multiplies by −k/(c + c_f) in A⁺: the time since contact was left [s].
+    """Return what Eq. 21 multiplies by −k/(c + c_f) in A⁺: the time since contact was left [s].
 
     Printed (z + b)/(ż + k) adds rad/s to N·m/rad; its value depends on the unit of torque.
 
@@ -130,10 +130,6 @@ def gap_exponent(
     stiffness : float [N·m/rad]
     damping : float [N·m·s/rad]
     as_printed : bool
-
-    Returns
-    -------
-    float [s]
     """
     if as_printed:
         return (z + half_gap) / (rate + stiffness)
@@ -149,7 +145,7 @@ def mesh_stiffness(
     phase: float = 0.0,
     as_printed: tuple[float, float] | None = None,
 ) -> float:
-    """Mesh stiffness k(θ3) [N·m/rad], Eq. 23.
+    """Return the mesh stiffness k(θ3) [N·m/rad], Eq. 23.
 
     Parameters
     ----------
@@ -161,10 +157,6 @@ def mesh_stiffness(
         Pinion angle and φ_r.
     as_printed : (time [s], pinion speed [rad/s]), optional
         Use ω_z t with ω_z = z3 θ̇3 in place of the mesh angle.
-
-    Returns
-    -------
-    float [N·m/rad]
     """
     angle = teeth * theta_3 if as_printed is None else teeth * as_printed[1] * as_printed[0]
     return mean + amplitude * cos(angle + phase)
@@ -178,7 +170,7 @@ def friction_at_rest(
     motor_torque: float,
     as_printed: bool = False,
 ) -> float:
-    """Friction torque [N·m] of a body at rest, Eq. 25; opposes `net_torque` if it can hold it.
+    """Return the friction [N·m] of a body at rest, Eq. 25: it opposes `net_torque` if it can.
 
     Parameters
     ----------
@@ -190,10 +182,6 @@ def friction_at_rest(
         What Eq. 25 prints in its place.
     as_printed : bool
         As Eq. 25 prints it.
-
-    Returns
-    -------
-    float [N·m]
     """
     torque = motor_torque if as_printed else net_torque
     return min(max(torque, static_minus), static_plus)

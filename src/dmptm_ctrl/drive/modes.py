@@ -9,7 +9,6 @@ ring still; √(k/J̄3 + 2 k N2²/J_L), the pinions together against the ring.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,18 +31,18 @@ class Modes:
 
     Attributes
     ----------
-    train : GearTrain or RigModel
+    train : GearTrain
     omega : (n,) array [rad/s]
     shapes : (n, n) array [rad]
         Columns, scaled to vᵀ M v = 1 kg·m².
     kinds : tuple of str
         "rigid", "antisymmetric" (left against right, ring still), "symmetric" (left with
-        right), "mixed" where the two chains differ; of a rig file "rigid" or "elastic".
+        right), "mixed" where the two chains differ; "elastic" where there are no two.
     damping_ratios : (n,) array
         ζ of the damped modes, nearest in frequency; 0 for the rigid one.
     """
 
-    train: Any
+    train: GearTrain
     omega: Floats
     shapes: Floats
     kinds: tuple[str, ...]
@@ -65,53 +64,39 @@ class Modes:
         return turns / turns[peak, range(turns.shape[1])]
 
 
-def free_vibration(
-    stiffness: NDArray[np.float64], mass: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solve det(K − ω²M) = 0: ω [rad/s], 0 where rigid, and shapes, largest entry positive."""
-    squares, shapes = linalg.eigh(stiffness, mass)
-    omega = np.sqrt(np.clip(squares, 0.0, None))
-    omega[omega < RIGID_RATIO * omega[-1]] = 0.0
-    turn = np.sign(shapes[np.abs(shapes).argmax(axis=0), range(omega.size)])
-    return omega, shapes * turn
-
-
 def solve_modes(train: GearTrain | Drive) -> Modes:
-    """Solve the generalised symmetric eigenproblem of a drive.
+    """Return the modes of a linear drive; of a Drive those of its 3-DOF model.
 
     Parameters
     ----------
     train : GearTrain or Drive
-        A Drive stands for its 3-DOF model;
-        :func:`~dmptm_ctrl.drive.nine_dof.nine_dof_train` makes the 9-DOF one.
-
-    Returns
-    -------
-    Modes
-        Frequencies [Hz], shapes, damping ratios and classes.
 
     Raises
     ------
     TypeError
-        Neither a GearTrain nor a Drive.
+        Another kind.
     """
     if isinstance(train, Drive):
         train = three_dof_train(train)
     if not isinstance(train, GearTrain):
         raise TypeError(f"modes takes a Drive or a GearTrain, not {type(train).__name__}")
-    omega, shapes = free_vibration(train.stiffness, train.mass)
+    squares, shapes = linalg.eigh(train.stiffness, train.mass)
+    omega = np.sqrt(np.clip(squares, 0.0, None))
+    omega[omega < RIGID_RATIO * omega[-1]] = 0.0
+    shapes *= np.sign(shapes[np.abs(shapes).argmax(axis=0), range(omega.size)])
     kinds = tuple(_kind(train, w, v) for w, v in zip(omega, shapes.T, strict=True))
-    return Modes(
-        train, omega, shapes, kinds, damping_ratios(linalg.eigvals(train.to_ss().A), omega)
-    )
+    poles = linalg.eigvals(train.matrices(outputs=())[0])
+    return Modes(train, omega, shapes, kinds, damping_ratios(poles, omega))
 
 
 def _kind(train: GearTrain, omega: float, shape: Floats) -> str:
     if omega == 0.0:
         return "rigid"
     other = {"l": "r", "r": "l"}
-    swap = [train.bodies.index(b[:-1] + other.get(b[-1], b[-1])) for b in train.bodies]
-    other_way = shape[swap]
+    mirrored = [b[:-1] + other.get(b[-1], b[-1]) for b in train.bodies]
+    if sorted(mirrored) != sorted(train.bodies) or mirrored == list(train.bodies):
+        return "elastic"
+    other_way = shape[[train.bodies.index(b) for b in mirrored]]
     parity = shape @ train.mass @ other_way / sqrt(other_way @ train.mass @ other_way)
     if parity > PARITY:
         return "symmetric"
@@ -147,23 +132,6 @@ def closed_form(drive: Drive) -> Floats:
     pinions = drive["k_m"] / pinion_inertia(drive)
     ring = 2.0 * drive["k_m"] * drive["N_2"] ** 2 / drive["J_L"]
     return np.array([0.0, sqrt(pinions), sqrt(pinions + ring)])
-
-
-def determinant(train: GearTrain, omega: float) -> float:
-    """Eq. 20 scaled by det M: det(M⁻¹K − ω² I); zero at each mode.
-
-    Parameters
-    ----------
-    train : GearTrain
-    omega : float [rad/s]
-
-    Returns
-    -------
-    float
-        [rad²/s²] to the number of coordinates.
-    """
-    square = train.stiffness / train.inertia[:, None]
-    return float(linalg.det(square - omega**2 * np.eye(square.shape[0])))
 
 
 def both_readings(drive: Drive | None = None) -> dict[str, Drive]:
@@ -244,25 +212,17 @@ def _family(
     drive: Drive, dof: int, overrides: dict[str, float]
 ) -> tuple[Callable[[str, float], GearTrain], tuple[str, ...]]:
     """Return a builder with one parameter scaled, and the names it can scale."""
-    if dof == 3:
-        if overrides:
-            raise ValueError(f"the 3-DOF model has no {', '.join(overrides)}")
-
-        def three(name: str, factor: float) -> GearTrain:
-            return three_dof_train(
-                drive.with_values(**{name: factor * drive[name]}) if name else drive
-            )
-
-        return three, THREE_DOF_PARAMETERS
-    if dof != 9:
+    if dof not in (3, 9):
         raise ValueError(f"dof is {dof}, it must be 3 or 9")
-    p = nine_dof_parameters(drive, **overrides)
-    own = tuple(k for k in p if not k.startswith("D_"))
+    if dof == 3 and overrides:
+        raise ValueError(f"the 3-DOF model has no {', '.join(overrides)}")
+    p = {} if dof == 3 else nine_dof_parameters(drive, **overrides)
 
-    def nine(name: str, factor: float) -> GearTrain:
-        if name in p:
-            return nine_dof_train(drive, **{**p, name: factor * p[name]})
-        scaled = drive.with_values(**{name: factor * drive[name]}) if name else drive
-        return nine_dof_train(scaled, **p)
+    def build(name: str, factor: float) -> GearTrain:
+        own = {name: factor * p[name]} if name in p else {}
+        other = {name: factor * drive[name]} if name and not own else {}
+        scaled = drive.with_values(**other)
+        return three_dof_train(scaled) if dof == 3 else nine_dof_train(scaled, **{**p, **own})
 
-    return nine, ("J_m", "J_L", *own)
+    nine = ("J_m", "J_L", *(key for key in p if not key.startswith("D_")))
+    return build, THREE_DOF_PARAMETERS if dof == 3 else nine

@@ -192,7 +192,7 @@ def nine_dof_ss(
 def reduced_pinion_inertia(
     n1: float, j_m: float, j_1: float, j_2: float, j_3: float, *, as_printed: bool = False
 ) -> float:
-    """J̄3 [kg·m²]: what a rigid reducer and motor weigh at the pinion.
+    """Return J̄3 [kg·m²]: what a rigid reducer and motor weigh at the pinion.
 
     J1 turns with the motor, so it counts N1² fold; as printed below Eq. 16 it does not.
 
@@ -203,10 +203,6 @@ def reduced_pinion_inertia(
     j_m, j_1, j_2, j_3 : float [kg·m²]
         Motor, first and second reducer stage, pinion.
     as_printed : bool
-
-    Returns
-    -------
-    float [kg·m²]
 
     Raises
     ------

@@ -18,21 +18,9 @@ DEG = pi / 180  # rad
 
 
 def physical(what: str, value: float, unit: str = "", *, zero: bool = False) -> None:
-    """Refuse a number that no machine has.
+    """Refuse, as a ValueError that names `what`, a number that no machine has.
 
-    Parameters
-    ----------
-    what : str
-        Names it in the message.
-    value : float
-    unit : str
-    zero : bool
-        Whether it may be zero.
-
-    Raises
-    ------
-    ValueError
-        Negative, not finite, or zero without `zero`.
+    It is negative, not finite, or zero where it may not be `zero`.
     """
     if not (0.0 <= value < inf if zero else 0.0 < value < inf):
         wanted = "zero or more" if zero else "more than zero"
@@ -40,12 +28,7 @@ def physical(what: str, value: float, unit: str = "", *, zero: bool = False) -> 
 
 
 def positive(**values: float) -> None:
-    """Refuse arguments that are not positive and finite, by their names.
-
-    Raises
-    ------
-    ValueError
-    """
+    """Refuse arguments that are not positive and finite, by their names, as a ValueError."""
     for name, value in values.items():
         physical(name, value)
 
@@ -232,7 +215,7 @@ def paper_drive(*, as_printed: bool = False) -> Drive:
 
 
 def viscous_mean(drive: Drive, body: str) -> float:
-    """Viscous friction [N·m·s/rad] of "3" or "L", mean of both directions of Table 2.
+    """Return the viscous friction of "3" or "L" [N·m·s/rad], mean of both directions of Table 2.
 
     The slope of Stribeck friction far above its Stribeck speed: the linear model's D3, DL.
 
@@ -241,23 +224,15 @@ def viscous_mean(drive: Drive, body: str) -> float:
     drive : Drive
     body : {"3", "L"}
         Pinion or ring gear.
-
-    Returns
-    -------
-    float [N·m·s/rad]
     """
     return 0.5 * (drive[f"B{body}_plus"] + drive[f"B{body}_minus"])
 
 
 def pinion_inertia(drive: Drive) -> float:
-    """J̄3 [kg·m²] at the pinion: N1² Jm and what Table 1's J2 adds beside it.
+    """Return J̄3 [kg·m²] at the pinion: N1² Jm and what Table 1's J2 adds beside it.
 
     Parameters
     ----------
     drive : Drive
-
-    Returns
-    -------
-    float [kg·m²]
     """
     return drive["N_1"] ** 2 * drive["J_m"] + drive["J_2"]

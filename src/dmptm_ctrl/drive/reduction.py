@@ -60,17 +60,13 @@ def _largest(response: NDArray[np.complex128]) -> NDArray[np.float64]:
 
 
 def simplification_cost(drive: Drive | None = None, **overrides: float) -> SimplificationCost:
-    """Compare the 3-DOF model with a balanced truncation of the same order.
+    """Return the 3-DOF model beside a balanced truncation of the same order.
 
     Parameters
     ----------
     drive : Drive, optional
     **overrides : float
         9-DOF parameters. The numbers depend on them, and their defaults are ours.
-
-    Returns
-    -------
-    SimplificationCost
 
     Notes
     -----

@@ -346,13 +346,7 @@ class Rig:
         return tuple(sorted(loaded, key=lambda log: log.name))
 
     def load(self, source: Any, columns: Mapping[str, Column] | None = None, **options: Any) -> Log:
-        """Load one log as ``[data]`` says, by default with the rig's own channels.
-
-        Raises
-        ------
-        LogError
-            As `load_log`.
-        """
+        """Load one log as ``[data]`` says, as `load_log`; by default the rig's own channels."""
         if isinstance(source, Log):
             return self._checked(source)
         if columns is None:
@@ -366,13 +360,7 @@ class Rig:
         )  # fmt: skip
 
     def read_inputs(self, source: Any) -> Log:
-        """Load one log for a prediction: the sensors' columns may be missing.
-
-        Raises
-        ------
-        LogError
-            As `load_log`.
-        """
+        """Load one log for a prediction, as `load_log`: the sensors' columns may be missing."""
         try:
             return self.load(source)
         except LogError:

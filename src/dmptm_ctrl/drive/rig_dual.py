@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from dmptm_ctrl.data import PAPER_RIG
-from dmptm_ctrl.drive.parameters import Drive, Quantity, paper_drive
-from dmptm_ctrl.drive.rig import CONTACTS, Body, Input, Link, Rig
+from dmptm_ctrl.drive.parameters import Drive, paper_drive
+from dmptm_ctrl.drive.rig import CONTACTS, Body, Input, Link, Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.signals.columns import Column
 
@@ -39,19 +39,12 @@ def dual_motor(rig: Rig) -> Drive | None:
         return None
     left, right = sides
     source, motor, reducer, pinion, mesh = left
-    if not _alike(left, right):
+    if motor.friction or _own(left) != _own(right):
         return None
-    ring = rig.body(mesh.second)
-    factors = source.factors
-    if not {"amplifier", "torque_constant"} <= set(factors) or not _complete(pinion, ring, mesh):
-        return None
-    assert mesh.stiffness is not None
-    assert mesh.damping is not None
-    base = paper_drive()
-    q: dict[str, Quantity] = {
-        **base.quantities,
-        "K_d": factors["amplifier"],
-        "K_M": factors["torque_constant"],
+    ring, base = rig.body(mesh.second), paper_drive()
+    declared = {
+        "K_d": source.factors.get("amplifier"),
+        "K_M": source.factors.get("torque_constant"),
         "J_m": motor.inertia,
         "J_2": pinion.inertia,
         "J_L": ring.inertia,
@@ -59,18 +52,22 @@ def dual_motor(rig: Rig) -> Drive | None:
         "N_2": mesh.ratio,
         "k_m": mesh.stiffness,
         "c": mesh.damping,
-        "gap_l": _known(mesh.half_gap),
-        "gap_r": _known(right[4].half_gap),
+        "c_f": mesh.gap_damping or base.quantities["c_f"],
+        "gap_l": mesh.half_gap,
+        "gap_r": right[4].half_gap,
     }
-    if mesh.gap_damping is not None:
-        q["c_f"] = mesh.gap_damping
     for body, label in ((pinion, "3"), (ring, "L")):
         for key, name in _FRICTION.items():
             for side in ("plus", "minus"):
-                both = body.friction.get(key)
-                q[f"{name.format(label)}_{side}"] = both or body.friction[f"{key}_{side}"]
+                own = body.friction.get(key) or body.friction.get(f"{key}_{side}")
+                declared[f"{name.format(label)}_{side}"] = own
+    known = {k: v for k, v in declared.items() if v is not None and is_known(v)}
+    if len(known) < len(declared):
+        return None
     units = base.quantities
-    return Drive({k: replace(v, unit=units[k].unit) for k, v in q.items()}, rig.name)
+    return Drive(
+        {k: replace(v, unit=units[k].unit) for k, v in {**units, **known}.items()}, rig.name
+    )
 
 
 def dual_columns(rig: Rig) -> dict[str, Column]:
@@ -117,32 +114,9 @@ def _sides(rig: Rig) -> tuple[_Side, _Side] | None:
     return left, right
 
 
-def _alike(left: _Side, right: _Side) -> bool:
-    one, other = left, right
-    return (
-        one[0].factors == other[0].factors
-        and one[1].inertia == other[1].inertia
-        and not one[1].friction
-        and not other[1].friction
-        and one[2].ratio == other[2].ratio
-        and one[3].inertia == other[3].inertia
-        and one[3].friction == other[3].friction
-        and replace(one[4], name="", first="", half_gap=None)
-        == replace(other[4], name="", first="", half_gap=None)
-    )
-
-
-def _complete(pinion: Body, ring: Body, mesh: Link) -> bool:
-    """Whether everything that the built-in model needs is declared with a value."""
-    quantities = [mesh.ratio, mesh.stiffness, mesh.damping, mesh.half_gap]
-    for body in (pinion, ring):
-        quantities.append(body.inertia)
-        for key in _FRICTION:
-            both = body.friction.get(key)
-            quantities += [both or body.friction.get(f"{key}_{s}") for s in ("plus", "minus")]
-    return all(q is not None and q.value == q.value for q in quantities)
-
-
-def _known(quantity: Quantity | None) -> Quantity:
-    assert quantity is not None
-    return quantity
+def _own(side: _Side) -> tuple[object, ...]:
+    """What both sides have in common: all but names and the half-gap."""
+    source, motor, reducer, pinion, mesh = side
+    rest = replace(mesh, name="", first="", half_gap=None)
+    bodies = motor.inertia, motor.friction, pinion.inertia, pinion.friction
+    return (source.factors, *bodies, reducer.ratio, rest)

@@ -11,12 +11,6 @@ from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.drive.rig import DEFAULT_TOLERANCE, unknown
 from dmptm_ctrl.signals.units import COUNTS
 
-# what a key stands for -> SI unit as shown and as pint writes it
-INERTIA = "kg·m²"
-MASS = "kg"
-TORQUE = "N·m"
-FORCE = "N"
-
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _TEXT = re.compile(
     rf"^\s*(?P<value>{_NUMBER})\s*(?P<unit>[^±]*?)\s*"

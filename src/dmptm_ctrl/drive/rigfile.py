@@ -38,18 +38,8 @@ _LINK = (
     "contact",
 )
 _INPUT = (
-    *(
-        "column",
-        "unit",
-        "sign",
-        "scale",
-        "body",
-        "gain",
-        "amplifier",
-        "torque_constant",
-        "resistance",
-    ),
-    *("inductance", "back_emf_constant", "delay", "time_constant", "limit"),
+    *("column", "unit", "sign", "scale", "body", "gain", "amplifier", "torque_constant"),
+    *("resistance", "inductance", "back_emf_constant", "delay", "time_constant", "limit"),
 )
 _SENSOR = (
     *("column", "unit", "sign", "scale", "body", "measures", "resolution", "counts_per_rev"),

@@ -15,17 +15,11 @@ from dmptm_ctrl.drive.train import GearTrain, Joint
 
 
 def three_dof_train(drive: Drive | None = None) -> GearTrain:
-    """Return the 3-DOF model of a drive in contact, see :class:`GearTrain`.
+    """Return the 3-DOF model of a drive in contact, by default the paper's; see `Drive.check`.
 
     Parameters
     ----------
     drive : Drive, optional
-        The paper's by default.
-
-    Raises
-    ------
-    ValueError
-        An inertia, stiffness, ratio or gain that no drive has, see :meth:`Drive.check`.
     """
     drive = paper_drive() if drive is None else drive
     drive.check()

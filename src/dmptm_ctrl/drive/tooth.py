@@ -5,6 +5,8 @@
 The tooth is a cantilever with the force on the pitch circle. Eq. 22 knows bending alone;
 shear, compression, the foundation and the contact are as large together, so it is several
 times too stiff. They can be added, and then agree with ISO 6336-1.
+
+Numbers that are not positive and finite are refused with a ValueError.
 """
 
 from collections.abc import Callable
@@ -32,13 +34,7 @@ class Tooth(NamedTuple):
     pressure_angle: float = pi / 9  # rad, 20°
 
     def check(self) -> None:
-        """Refuse a tooth that cannot be.
-
-        Raises
-        ------
-        ValueError
-            A number that is not positive and finite.
-        """
+        """Refuse a tooth with a number that is not positive and finite."""
         positive(**self._asdict())
 
     @property
@@ -75,7 +71,7 @@ def cantilever_stiffness(
     *,
     as_printed: bool = False,
 ) -> float:
-    """Bending stiffness [N/m] of a cantilever with a force at its end, Eq. 22.
+    """Return the bending stiffness [N/m] of a cantilever with a force at its end, Eq. 22.
 
     Parameters
     ----------
@@ -85,10 +81,6 @@ def cantilever_stiffness(
     young : float [Pa]
     as_printed : bool
         x from the base and the polar moment, as Eq. 22 prints it.
-
-    Returns
-    -------
-    float [N/m]
     """
 
     def corrected(x: float) -> float:
@@ -102,22 +94,13 @@ def cantilever_stiffness(
 
 
 def tooth_stiffness(tooth: Tooth, *, as_printed: bool = False) -> float:
-    """Stiffness of one tooth by Eq. 22 [N/m], force and deflection circumferential.
+    """Return the stiffness of one tooth by Eq. 22 [N/m], force and deflection circumferential.
 
     Parameters
     ----------
     tooth : Tooth
     as_printed : bool
         See :func:`cantilever_stiffness`.
-
-    Returns
-    -------
-    float [N/m]
-
-    Raises
-    ------
-    ValueError
-        A tooth with a number that is not positive and finite.
     """
     tooth.check()
     top = tooth.section(tooth.pitch_radius)[0]
@@ -140,7 +123,7 @@ def _radius_at(tooth: Tooth, height: float) -> float:
 
 
 def pair_stiffness(one: Tooth, other: Tooth, *, complete: bool = False) -> float:
-    """Stiffness of one pair of teeth in mesh at the pitch point [N/m].
+    """Return the stiffness of one pair of teeth in mesh at the pitch point [N/m].
 
     Parameters
     ----------
@@ -148,10 +131,6 @@ def pair_stiffness(one: Tooth, other: Tooth, *, complete: bool = False) -> float
     complete : bool
         False: Eq. 22 for both teeth in series, circumferential. True: along the line of
         action, with shear, compression, foundation and contact.
-
-    Returns
-    -------
-    float [N/m]
 
     Raises
     ------
@@ -204,22 +183,13 @@ def _compliance(t: Tooth) -> float:
 
 
 def iso_single_stiffness(teeth_1: float, teeth_2: float, face_width: float) -> float:
-    """Theoretical single stiffness c'th b [N/m] of steel spur teeth without profile shift.
+    """Return the single stiffness c'th b [N/m] of steel spur teeth without profile shift.
 
     Parameters
     ----------
     teeth_1, teeth_2 : float
         z1 and z2.
     face_width : float [m]
-
-    Returns
-    -------
-    float [N/m]
-
-    Raises
-    ------
-    ValueError
-        An argument that is not positive and finite.
 
     Source
     ------
@@ -232,22 +202,13 @@ def iso_single_stiffness(teeth_1: float, teeth_2: float, face_width: float) -> f
 
 
 def mesh_torsion(stiffness: float, pitch_radius: float) -> float:
-    """Torsional stiffness [N·m/rad] at a pinion from the circumferential one [N/m].
+    """Return the torsional stiffness [N·m/rad] at a pinion from the circumferential one [N/m].
 
     Parameters
     ----------
     stiffness : float [N/m]
     pitch_radius : float [m]
         Of the pinion.
-
-    Returns
-    -------
-    float [N·m/rad]
-
-    Raises
-    ------
-    ValueError
-        An argument that is not positive and finite.
     """
     positive(stiffness=stiffness, pitch_radius=pitch_radius)
     return stiffness * pitch_radius**2
@@ -260,7 +221,7 @@ def damping_inertia(pinion: float, ring: float, n2: float) -> float:
 
 
 def mesh_damping(ratio: float, stiffness: float, pinion: float, ring: float, n2: float) -> float:
-    """Mesh damping c [N·m·s/rad] at the pinion for a damping ratio ζ, Eq. 24 put right.
+    """Return the mesh damping c [N·m·s/rad] at the pinion for a damping ratio ζ, Eq. 24 put right.
 
     Parameters
     ----------
@@ -271,15 +232,6 @@ def mesh_damping(ratio: float, stiffness: float, pinion: float, ring: float, n2:
         J̄3 and J_L.
     n2 : float
         z_L/z_3.
-
-    Returns
-    -------
-    float [N·m·s/rad]
-
-    Raises
-    ------
-    ValueError
-        An argument that is not positive and finite.
     """
     positive(ratio=ratio, stiffness=stiffness)
     return 2.0 * ratio * sqrt(stiffness * damping_inertia(pinion, ring, n2))
@@ -288,25 +240,13 @@ def mesh_damping(ratio: float, stiffness: float, pinion: float, ring: float, n2:
 def mesh_damping_ratio(
     damping: float, stiffness: float, pinion: float, ring: float, n2: float
 ) -> float:
-    """Damping ratio ζ of a mesh damping c, the inverse of :func:`mesh_damping`.
+    """Return the damping ratio ζ of a mesh damping c, the inverse of :func:`mesh_damping`.
 
     Parameters
     ----------
     damping : float [N·m·s/rad]
-    stiffness : float [N·m/rad]
-    pinion, ring : float [kg·m²]
-        J̄3 and J_L.
-    n2 : float
-        z_L/z_3.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    ValueError
-        An argument that is not positive and finite.
+    stiffness, pinion, ring, n2 : float
+        As there.
     """
     positive(damping=damping)
     return damping / mesh_damping(1.0, stiffness, pinion, ring, n2)
@@ -315,7 +255,7 @@ def mesh_damping_ratio(
 def mesh_damping_as_printed(
     ratio: float, stiffness: float, pinion: float, ring: float, r3: float, r_ring: float
 ) -> float:
-    """Eq. 24 as printed; with k in N·m/rad its unit is N·m²·s/rad, so it changes with R's unit.
+    """Return Eq. 24 as printed, in N·m²·s/rad for k in N·m/rad: it changes with the unit of R.
 
     Parameters
     ----------
@@ -323,18 +263,8 @@ def mesh_damping_as_printed(
         ζ.
     stiffness : float [N·m/rad]
     pinion, ring : float [kg·m²]
-        J̄3 and J_L.
     r3, r_ring : float [m]
         Pitch radii.
-
-    Returns
-    -------
-    float [N·m²·s/rad]
-
-    Raises
-    ------
-    ValueError
-        An argument that is not positive and finite.
     """
     positive(ratio=ratio, stiffness=stiffness, pinion=pinion, ring=ring, r3=r3, r_ring=r_ring)
     reduced = r3**2 * r_ring**2 * pinion * ring / (r3**2 * pinion + r_ring**2 * ring)

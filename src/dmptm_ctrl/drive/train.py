@@ -1,11 +1,11 @@
-"""A linear gear train: bodies joined by springs and dampers, as a control.StateSpace.
+"""The linear model of every drive: bodies joined by springs and dampers, as a control.StateSpace.
 
 Each joint (shaft or mesh) has a twist bᵀq and adds the rank-one blocks k b bᵀ and d b bᵀ
 to stiffness and damping, so that M q̈ + D q̇ + K q = E T (paper Eqs. 1 to 18).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from math import isfinite
 from typing import NamedTuple
 
@@ -50,20 +50,32 @@ class GearTrain:
     ----------
     name : str
     bodies : tuple of str
-        Names of the n coordinates, the ring gear "L" last.
+        Names of the n coordinates.
     inertia, viscous : (n,) arrays [kg·m²], [N·m·s/rad]
     joints : tuple of Joint
-    drives : (n, 2) array
-        Torque on each body per N·m of the left and right motor.
+    drives : (n, m) array
+        Torque on each body per N·m of the motors, or unit of signal.
     torque_per_volt : float [N·m/V]
         K_d K_M, Eq. 3.
     readouts : mapping of str to (n,) array
         Angles that are no coordinate, such as the motors of a rigid reducer.
+    ground : (n,) array [N·m/rad]
+        Stiffness that holds each coordinate itself.
+    lags : (m,) array [s]
+        Time constant of each motor; 0 is none.
+    labels : tuple of str
+        Names of the inputs; by default those of two motors.
+    motion : tuple of str
+        What names of angles and of speeds begin with.
+    sensors : mapping of str to (str, (n,) array)
+        Outputs of other names: which of `motion` they are, and of which turn.
+    base : int
+        The coordinate whose angle is that of the whole train.
 
     Raises
     ------
     ValueError
-        An inertia or stiffness that is not positive, a damping that is negative, a number that
+        An inertia that is not positive, a stiffness or damping that is negative, a number that
         is not finite.
     """
 
@@ -75,6 +87,12 @@ class GearTrain:
     drives: Floats
     torque_per_volt: float
     readouts: dict[str, Floats]
+    ground: Floats | float = 0.0
+    lags: Floats | float = 0.0
+    labels: tuple[str, ...] = ()
+    motion: tuple[str, str] = ("theta", "omega")
+    sensors: Mapping[str, tuple[str, Floats]] = field(default_factory=dict)
+    base: int = -1
 
     def __post_init__(self) -> None:
         for body, inertia, viscous in zip(self.bodies, self.inertia, self.viscous, strict=True):
@@ -82,7 +100,7 @@ class GearTrain:
             if not isfinite(viscous):  # as the slope of friction at a speed it can be negative
                 raise ValueError(f"{self.name}: viscous friction of {body} must be finite")
         for joint in self.joints:
-            physical(f"{self.name}: stiffness of joint {joint.name}", joint.stiffness)
+            physical(f"{self.name}: stiffness of joint {joint.name}", joint.stiffness, zero=True)
             physical(f"{self.name}: damping of joint {joint.name}", joint.damping, zero=True)
 
     @property
@@ -92,8 +110,9 @@ class GearTrain:
 
     @property
     def stiffness(self) -> Floats:
-        """K, (n, n) [N·m/rad]: the sum of k b bᵀ."""
-        return sum((j.stiffness * np.outer(j.row, j.row) for j in self.joints), self._zeros())
+        """K, (n, n) [N·m/rad]: what holds coordinates and the sum of k b bᵀ."""
+        held = np.diag(self.ground + np.zeros(len(self.bodies)))
+        return sum((j.stiffness * np.outer(j.row, j.row) for j in self.joints), held)
 
     @property
     def damping(self) -> Floats:
@@ -101,18 +120,12 @@ class GearTrain:
         blocks = (j.damping * np.outer(j.row, j.row) for j in self.joints)
         return sum(blocks, np.diag(self.viscous))
 
-    def _zeros(self) -> Floats:
-        return np.zeros((len(self.bodies), len(self.bodies)))
-
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of everything that can be an output of :meth:`to_ss`."""
         angles = (*self.bodies, *self.readouts)
-        return (
-            *(f"theta_{a}" for a in angles),
-            *(f"omega_{a}" for a in angles),
-            *(j.name for j in self.joints),
-        )
+        moving = (f"{kind}_{a}" for kind in self.motion for a in angles)
+        return (*self.sensors, *moving, *(j.name for j in self.joints))
 
     def to_ss(
         self,
@@ -130,11 +143,11 @@ class GearTrain:
         outputs : sequence of str
             Of :attr:`outputs`: angles [rad], speeds [rad/s], joint torques [N·m].
         states : {"twists", "angles"}
-            The ring gear's angle only where an output is an angle, joint twists, speeds; or
+            The angle of the base only where an output is an angle, joint twists, speeds; or
             all angles and speeds. A twist is counted as the torque [N·m] (force [N] at a mesh
             of radii) that its spring makes of it. Without that angle, which no speed or torque
             depends on, ``dcgain``, ``margin``, ``bandwidth`` and ``step_info`` are right as
-            they come.
+            they come. A train that something holds has its angles in any case.
 
         Raises
         ------
@@ -143,20 +156,15 @@ class GearTrain:
             not one less than the bodies.
         """
         a, b, c = self.matrices(inputs=inputs, outputs=outputs, states=states)
-        names = [f"theta_{body}" for body in self.bodies]
-        if states == "twists":
-            turns = names[-1:] if _has_angle(outputs) else []
-            names = [*turns, *(f"spring_{joint.name}" for joint in self.joints)]
+        names = self._positions(outputs, states)[3]
+        labels = list(self.labels or INPUTS[inputs])
+        late = [labels[j] for j in np.flatnonzero(self.lags)]
+        speeds = (f"{self.motion[1]}_{body}" for body in self.bodies)
         return ct.ss(
-            a,
-            b,
-            c,
-            np.zeros((len(outputs), 2)),
-            states=[*names, *(f"omega_{body}" for body in self.bodies)],
-            inputs=list(INPUTS[inputs]),
-            outputs=list(outputs),
-            name=self.name,
-        )
+            a, b, c, np.zeros((len(outputs), len(labels))),
+            states=[*names, *speeds, *(f"lag_{name}" for name in late)],
+            inputs=labels, outputs=list(outputs), name=self.name,
+        )  # fmt: skip
 
     def matrices(
         self,
@@ -170,53 +178,82 @@ class GearTrain:
             raise ValueError(f"inputs is {inputs!r}, it must be one of {', '.join(INPUTS)}")
         if states not in ("angles", "twists"):
             raise ValueError(f"states is {states!r}, it must be angles or twists")
-        rows = np.array([j.row for j in self.joints])
-        stiffness = np.array([j.stiffness for j in self.joints])
-        n = len(self.bodies)
-        if states == "angles":
-            position = angles = np.eye(n)
-            springs = stiffness[:, None] * rows
-        else:
-            if len(self.joints) != n - 1:
-                raise ValueError(
-                    f"{self.name} has {len(self.joints)} joints for {n} bodies; twists need one "
-                    'joint less than bodies: use states="angles"'
-                )
-            # the ring gear's angle first: python-control then finds its pole at 0 exactly
-            k = int(_has_angle(outputs))
-            ring = np.eye(n)[n - 1 :]
-            position = np.vstack([ring[:k], stiffness[:, None] * rows])
-            springs = np.eye(n - 1, n - 1 + k, k)
-            angles = np.linalg.inv(np.vstack([ring, rows]))[:, 1 - k :]
-            angles[:, k:] /= stiffness
-        m = position.shape[0]
-        solve = 1.0 / self.inertia[:, None]
+        rate, springs, angles, _ = self._positions(outputs, states)
+        force = self._rows().T @ springs
+        if np.any(self.ground):
+            force += np.reshape(self.ground, (-1, 1)) * angles
+        (m, n), solve = rate.shape, 1.0 / self.inertia[:, None]
         gain = self.torque_per_volt if inputs == "voltage" else 1.0
-        a = np.block(
-            [[np.zeros((m, m)), position], [-solve * (rows.T @ springs), -solve * self.damping]]
-        )
-        b = np.vstack([np.zeros((m, 2)), gain * solve * self.drives])
-        c = np.array([self._output_row(name, angles, springs) for name in outputs])
+        push = gain * solve * self.drives
+        a = np.block([[np.zeros((m, m)), rate], [-solve * force, -solve * self.damping]])
+        b = np.vstack([np.zeros((m, push.shape[1])), push])
+        seen = [self._output_row(name, angles, springs) for name in outputs]
+        c = np.reshape(seen, (len(outputs), m + n))
+        late = np.flatnonzero(self.lags)
+        if late.size:
+            slow = 1.0 / np.atleast_1d(self.lags)[late]
+            through = np.eye(push.shape[1])[late]
+            a = np.block([[a, b[:, late]], [np.zeros((late.size, m + n)), -np.diag(slow)]])
+            b[:, late] = 0.0
+            b = np.vstack([b, slow[:, None] * through])
+            c = np.hstack([c, np.zeros((len(outputs), late.size))])
         return a, b, c
 
-    def _output_row(self, name: str, angles: Floats, springs: Floats) -> Floats:
-        for joint, spring in zip(self.joints, springs, strict=True):
+    def _rows(self) -> Floats:
+        """Twists of joints over the coordinates."""
+        return np.reshape([j.row for j in self.joints], (len(self.joints), len(self.bodies)))
+
+    def _positions(
+        self, outputs: Sequence[str], states: str
+    ) -> tuple[Floats, Floats, Floats, list[str]]:
+        """Return the states of position: their rates, springs and angles by them, their names."""
+        n = len(self.bodies)
+        rows = self._rows()
+        stiffness = np.array([j.stiffness for j in self.joints])
+        angle = any(self._seen(name)[0] == self.motion[0] for name in outputs)
+        if states == "angles" or np.any(self.ground) or (angle and not stiffness.all()):
+            names = [f"{self.motion[0]}_{body}" for body in self.bodies]
+            return np.eye(n), stiffness[:, None] * rows, np.eye(n), names
+        if len(rows) != n - 1:
+            raise ValueError(
+                f"{self.name} has {len(rows)} joints for {n} bodies; twists need one "
+                'joint less than bodies: use states="angles"'
+            )
+        # the base's angle first: python-control then finds its pole at 0 exactly
+        base = np.eye(n)[[self.base]]
+        angles = np.linalg.inv(np.vstack([base, rows]))
+        angles[:, 1:] /= np.where(stiffness > 0.0, stiffness, np.inf)
+        rate = np.vstack([base, stiffness[:, None] * rows])
+        names = [f"{self.motion[0]}_{self.bodies[self.base]}"]
+        names += [f"spring_{joint.name}" for joint in self.joints]
+        kept = np.flatnonzero([angle, *(stiffness > 0.0)])
+        springs = np.eye(n - 1, n, 1)[:, kept]
+        return rate[kept], springs, angles[:, kept], [names[i] for i in kept]
+
+    def _seen(self, name: str) -> tuple[str, Floats]:
+        """What an output is of: "" of a joint, or one of `motion`; and its row."""
+        if name in self.sensors:
+            return self.sensors[name]
+        for joint in self.joints:
             if name == joint.name:
-                return joint.lever * np.concatenate([spring, joint.damping * joint.row])
+                return "", joint.row
         kind, _, body = name.partition("_")
-        if kind in ("theta", "omega") and (body in self.bodies or body in self.readouts):
-            row = self.angle_row(body)
-            if kind == "omega":
-                return np.concatenate([np.zeros(springs.shape[1]), row])
-            return np.concatenate([row @ angles, np.zeros(len(self.bodies))])
+        if kind in self.motion and (body in self.bodies or body in self.readouts):
+            return kind, self.angle_row(body)
         raise ValueError(f"no output {name!r} in {self.name}; it has {', '.join(self.outputs)}")
+
+    def _output_row(self, name: str, angles: Floats, springs: Floats) -> Floats:
+        kind, row = self._seen(name)
+        if kind == self.motion[0]:
+            return np.concatenate([row @ angles, np.zeros(row.size)])
+        if kind:
+            return np.concatenate([np.zeros(angles.shape[1]), row])
+        at = [j.name for j in self.joints].index(name)
+        joint = self.joints[at]
+        return joint.lever * np.concatenate([springs[at], joint.damping * row])
 
     def angle_row(self, body: str) -> Floats:
         """Row that reads the angle of a body or readout from the coordinates, (n,)."""
         if body in self.bodies:
             return np.eye(len(self.bodies))[self.bodies.index(body)]
         return self.readouts[body]
-
-
-def _has_angle(outputs: Sequence[str]) -> bool:
-    return any(name.startswith("theta_") for name in outputs)

@@ -18,9 +18,20 @@ TABLES = (
 LAWS = ("flank_damping",)
 NO_CANDIDATES = (*TABLES, *LAWS)  # in the catalogue, but no candidates
 
-# Each is a file of its name, in which its effect is called so in capitals.
+
+def effect_of(name: str) -> Effect:
+    """Return the effect of the file of its name, in which it is called so in capitals.
+
+    Parameters
+    ----------
+    name : str
+    """
+    found: Effect = getattr(import_module(f"{__name__}.{name}"), name.upper())
+    return found
+
+
 CATALOGUE: dict[str, Effect] = {
-    name: getattr(import_module(f"{__name__}.{name}"), name.upper())
+    name: effect_of(name)
     for name in (
         "current_lag",  # before a delay: every drive has some
         *("drive_delay", "drive_offset", "drive_dead_band", "torque_constant_mismatch"),
@@ -63,4 +74,4 @@ def register(effect: Effect) -> Effect:
     return effect
 
 
-__all__ = ["CATALOGUE", "LAWS", "NO_CANDIDATES", "TABLES", "register"]
+__all__ = ["CATALOGUE", "LAWS", "NO_CANDIDATES", "TABLES", "effect_of", "register"]

@@ -41,6 +41,6 @@ BASE_VIBRATION = Effect(
     location="base",
     source="harmonic inertia torque of a shaken base",
     depends_on=("time",),
-    reveals="the same motion repeated: what stays locked to the clock is not the drive's",
+    reveals="a log at rest, and motion at several speeds",
     search="frequencies",
 )

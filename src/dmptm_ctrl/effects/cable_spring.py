@@ -35,6 +35,6 @@ CABLE_SPRING = Effect(
     location="ring gear",
     source="linear spring",
     depends_on=("theta_L",),
-    reveals="a run over the widest angle, both directions",
+    reveals="slow motion over the whole travel, both ways, with stops",
     constants=("offset",),
 )

@@ -32,5 +32,5 @@ COULOMB_FRICTION = Effect(
     location="bearings and guides",
     source="Coulomb 1785",
     depends_on=("omega_L",),
-    reveals="both directions at several speeds",
+    reveals="motion in both directions at several speeds",
 )

@@ -31,7 +31,7 @@ CURRENT_LAG = Effect(
     location="drives",
     source="bandwidth of the current controller",
     depends_on=("u", "du_dt"),
-    reveals="excitation above 1/(2π τ): steps or a multisine to 100 Hz under preload",
+    reveals="fast changes of the signal (multisine, chirp)",
     starts=(("time_constant", 1.0), ("time_constant", 3.0)),
     kink=0.05,
 )

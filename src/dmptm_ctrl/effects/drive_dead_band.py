@@ -35,7 +35,7 @@ DRIVE_DEAD_BAND = Effect(
     location="drives",
     source="dead time of the bridge's switches",
     depends_on=("u",),
-    reveals="preload, which moves the working point out of the band",
+    reveals="small slow signals around zero, besides large ones",
     starts=(("width", 1.0), ("width", 5.0)),
     kink=0.05,
 )

@@ -31,7 +31,7 @@ DRIVE_DELAY = Effect(
     location="drives",
     source="bus and computation time",
     depends_on=("u", "du_dt"),
-    reveals="excitation above 20 Hz under preload, where a lag rolls off and a delay does not",
+    reveals="fast changes of the signal (multisine, chirp, square)",
     starts=(("delay", 1.0), ("delay", 3.0)),
     kink=0.05,
 )

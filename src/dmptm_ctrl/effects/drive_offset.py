@@ -32,5 +32,5 @@ DRIVE_OFFSET = Effect(
     location="drives",
     source="analogue command interface",
     depends_on=("u",),
-    reveals="both directions at the same voltage, and left and right alone",
+    reveals="motion in both directions at several speeds",
 )

@@ -34,7 +34,7 @@ DRIVE_SATURATION = Effect(
     location="drives",
     source="peak current of the drive",
     depends_on=("u",),
-    reveals="voltage above the suspected limit",
+    reveals="signals well below and well above the limit",
     search="limits",
     kink=0.05,
 )

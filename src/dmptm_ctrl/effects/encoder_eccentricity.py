@@ -36,7 +36,7 @@ ENCODER_ECCENTRICITY = Effect(
     location="ring-gear encoder",
     source="eccentric disc",
     depends_on=("theta_L",),
-    reveals="a full turn with a gyro and motor encoders",
+    reveals="position and speed of the same body over whole turns",
     seen_by=SENSORS,
     matters=5e-5,
 )

@@ -33,5 +33,6 @@ FRICTION_ASYMMETRY = Effect(
     location="bearings and guides",
     source="Table 2 of the paper: every row differs by direction",
     depends_on=("omega_L",),
-    reveals="the same speeds in both directions: an offset does not grow with the speed",
+    reveals="motion in both directions at several speeds; only these tell it from "
+    "an offset of the drive",
 )

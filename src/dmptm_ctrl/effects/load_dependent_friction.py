@@ -39,5 +39,5 @@ LOAD_DEPENDENT_FRICTION = Effect(
     location="reducers",
     source="efficiency of gears under load",
     depends_on=("mesh_torque",),
-    reveals="preload: it adds torque without motion",
+    reveals="the same motion under different loads or preloads",
 )

@@ -41,6 +41,6 @@ LOCAL_SPOT = Effect(
     location="ring-gear bearing",
     source="Gaussian bump",
     depends_on=("theta_L",),
-    reveals="a slow full turn in each direction",
+    reveals="slow motion over the whole travel, both ways, several times",
     search="places",
 )

@@ -42,6 +42,6 @@ POSITION_DEPENDENT_FRICTION = Effect(
     location="ring-gear bearing",
     source="out-of-round raceway; higher orders by its bolts",
     depends_on=("theta_L",),
-    reveals="a full turn in each direction",
+    reveals="slow motion over the whole travel, both ways",
     wave=True,
 )

@@ -70,7 +70,7 @@ PRESLIDING = Effect(
     location="bearings and reducers",
     source="Dahl 1968; Canudas de Wit et al., IEEE TAC 40 (1995) 419; fading: Olsson 1996",
     depends_on=("time_at_rest", "u"),
-    reveals="small voltages below breakaway, and slow reversals",
+    reveals="torque below breakaway, with an encoder that resolves the creep",
     seen_by=RUNS,
     starts=(("ring_distance", 0.5), ("reducer_distance", 0.5)),
 )

@@ -31,5 +31,5 @@ QUADRATIC_DRAG = Effect(
     location="ring gear",
     source="turbulent drag",
     depends_on=("omega_L",),
-    reveals="constant speeds over the whole range",
+    reveals="steady motion from slow to the highest speed",
 )

@@ -31,7 +31,7 @@ SENSOR_DELAY = Effect(
     location="speed sensor",
     source="digital filter and bus of a gyro",
     depends_on=("omega_L",),
-    reveals="any reversal: the encoder is the reference",
+    reveals="position and speed of the same body, with fast changes",
     seen_by=SENSORS,
     matters=0.0007,
 )

@@ -31,7 +31,7 @@ SENSOR_GAIN = Effect(
     location="speed sensor",
     source="scale factor of a gyro",
     depends_on=("omega_L",),
-    reveals="any motion: the encoder is the reference",
+    reveals="position and speed of the same body",
     seen_by=SENSORS,
     matters=0.003,
 )

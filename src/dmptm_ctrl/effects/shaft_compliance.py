@@ -44,5 +44,5 @@ SHAFT_COMPLIANCE = Effect(
     location="shaft",
     source="two-inertia system, Hori et al., IEEE TIE 46 (1999) 162",
     depends_on=("u",),
-    reveals="a sweep or multisine beyond the resonance",
+    reveals="a chirp or multisine past the resonance, at best with sensors on both sides",
 )

@@ -41,5 +41,5 @@ STRIBECK_FRICTION = Effect(
     location="bearings and guides",
     source="Armstrong-Hélouvry et al., Automatica 30 (1994) 1083",
     depends_on=("omega_L",),
-    reveals="slow constant speeds and reversals",
+    reveals="slow reversals, and steady motion from very slow to fast",
 )

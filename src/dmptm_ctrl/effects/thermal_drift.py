@@ -48,5 +48,5 @@ THERMAL_DRIFT = Effect(
     location="all bearings and reducers",
     source="exponential warm-up of viscosity",
     depends_on=("time",),
-    reveals="the same motion early and late in one run",
+    reveals="the same motion early and late in a long log from cold",
 )

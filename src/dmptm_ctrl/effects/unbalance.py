@@ -38,6 +38,6 @@ UNBALANCE = Effect(
     location="ring gear",
     source="m g r of an off-axis mass",
     depends_on=("theta_L",),
-    reveals="one slow turn in each direction",
+    reveals="slow motion over a whole turn, both ways",
     wave=True,
 )

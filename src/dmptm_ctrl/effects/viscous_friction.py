@@ -31,5 +31,5 @@ VISCOUS_FRICTION = Effect(
     location="bearings and guides; of a voltage-driven motor its back-EMF too",
     source="Newton's fluid",
     depends_on=("omega_L",),
-    reveals="several constant speeds",
+    reveals="steady motion at several speeds",
 )

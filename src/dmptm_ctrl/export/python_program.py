@@ -29,8 +29,8 @@ _RIG = """\
 import control as ct
 import numpy as np
 
-from dmptm_ctrl.simulate.rig_model_file import rig_model_from_toml
-from dmptm_ctrl.simulate.rig_run import simulate_rig
+from dmptm_ctrl import simulate
+from dmptm_ctrl.simulate.model_file import rig_model_from_toml
 
 MODEL = r'''
 {text}'''
@@ -38,7 +38,7 @@ MODEL = r'''
 model = rig_model_from_toml(MODEL)
 time = np.arange(0.0, 0.05, 1e-3)  # s
 signals = np.full((len(model.layout.inputs), time.size), 0.1)  # SI
-response = simulate_rig(model, time, signals)  # ct.TimeResponseData
+response = simulate(model, time, signals)  # ct.TimeResponseData
 assert isinstance(response, ct.TimeResponseData)
 """
 

@@ -24,10 +24,9 @@ from scipy.signal import cont2discrete, freqz, lfilter
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.disturbance import Course, course, disturbance
 from dmptm_ctrl.identify.motion import GYRO_NOISE, WINDOW_SECONDS, Motion, hann, odd_span, smooth
+from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, layout
 from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, LOADED
 from dmptm_ctrl.simulate.elementary import cached
-from dmptm_ctrl.simulate.kernel_calls import layout
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
 
 FINER = 2  # steps per sample in which a torque acts: an order may have two samples per period
 WHITE = 8  # coefficients that whiten what is left: the meshes' wobble is a narrow band

@@ -30,9 +30,8 @@ from dmptm_ctrl.identify.motion import (
     smooth,
 )
 from dmptm_ctrl.simulate.along import built_up_along, law_along, reading_along
+from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, layout
 from dmptm_ctrl.simulate.dual import acting, bristles
-from dmptm_ctrl.simulate.kernel_calls import layout
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
 
 INERTIA = (
     36.5  # kg·m², Table 1: of all bodies at the ring gear; expresses an acceleration as a torque

@@ -66,14 +66,14 @@ def _wheels(panel: Axes, x: np.ndarray, turn: np.ndarray) -> None:
 
 def _along(bodies: tuple[str, ...]) -> list[int]:
     """Indices of the bodies from the left motor over the ring gear to the right motor."""
-    left = [i for i, b in enumerate(bodies) if b.endswith("l")]
-    right = [i for i, b in enumerate(bodies) if b.endswith("r")]
+    left, right = (
+        [i for i, b in enumerate(bodies) if b[:-1] in NAMES and b[-1] == side] for side in "lr"
+    )
     middle = [i for i in range(len(bodies)) if i not in left and i not in right]
     return left + middle + right[::-1]
 
 
 def _label(body: str, between: str) -> str:
-    if body in NAMES:
-        return NAMES[body].replace(" ", between)
-    side = {"l": "left", "r": "right"}.get(body[-1], "")
-    return f"{side}{between}{NAMES.get(body[:-1], body)}".strip()
+    if body[:-1] not in NAMES:
+        return NAMES.get(body, body).replace(" ", between)
+    return f"{'left' if body[-1] == 'l' else 'right'}{between}{NAMES[body[:-1]]}"

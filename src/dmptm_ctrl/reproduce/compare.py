@@ -18,10 +18,10 @@ from dmptm_ctrl.plots.linear import bode_compare, step_compare
 from dmptm_ctrl.reproduce.items import figure_of
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.simulate.linear import linearize
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import linear_rig
 
 Row = tuple[str, ...]
 BODE_HEADER = (
@@ -102,7 +102,7 @@ def _chain(
         raise LogError(f"{file.name}: no input {source!r}; it has {', '.join(inputs)}")
     speeds = [s for s in sensors if s.measures == "speed"]
     seen = output or (speeds or list(sensors))[0].name
-    plant = linear_rig(model, outputs=[seen])
+    plant = linearize(model, outputs=[seen])
     return {f"{model.rig.name}: {seen}{OVER}{source}": plant[seen, source]}
 
 

@@ -1,11 +1,6 @@
 """Simulation of a drive: compiled for work, in python-control blocks, or by the reference."""
 
-import gc
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,36 +9,15 @@ if TYPE_CHECKING:
     import control
 
     from dmptm_ctrl.drive.rig import Rig
-    from dmptm_ctrl.simulate.batch import Batch, simulate_batch
     from dmptm_ctrl.simulate.model import Model
     from dmptm_ctrl.simulate.rig_model import RigModel
-    from dmptm_ctrl.simulate.sensitivity import Sensitivities, simulate_with_sensitivities
 
-# public name -> module that defines it; loaded on first use
-_LAZY = {
-    "Batch": "batch",
-    "simulate_batch": "batch",
-    "Sensitivities": "sensitivity",
-    "simulate_with_sensitivities": "sensitivity",
+METHODS = {  # and their options
+    "compiled": ("substeps",),
+    "blocks": ("rtol", "atol", "pade_order", "contact"),
+    "reference": ("rtol",),
 }
-
-__all__ = [
-    "METHODS",
-    "Batch",
-    "Sensitivities",
-    "simulate",
-    "simulate_batch",
-    "simulate_with_sensitivities",
-]
-
-METHODS = ("compiled", "blocks", "reference")
 EVEN = 1e-6  # relative unevenness of the time steps that is rounding
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _LAZY:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
 
 
 def simulate(
@@ -60,8 +34,8 @@ def simulate(
     Parameters
     ----------
     model : Model, RigModel or Rig
-        A rig of any shape runs as :func:`~dmptm_ctrl.simulate.rig_run.simulate_rig` says: one
-        input per input of the rig [SI], from rest, with its options; outputs are its sensors.
+        A rig of any shape has one input per input of the rig [SI], from rest, and the options of
+        :func:`~dmptm_ctrl.simulate.rig_run.march`; outputs are its sensors.
     timepts : (n,) array [s]
         Evenly spaced. Effects that depend on time count it from the first point.
     inputs : (2, n) array [V]
@@ -95,53 +69,34 @@ def simulate(
     """
     if not hasattr(model, "drive"):
         return _rig_simulated(model, timepts, inputs, initial_state, method, options)
-    # the first result waits for imports, of whose time the search takes a twentieth
-    with nullcontext() if "control" in sys.modules else _unsearched():
-        return _simulated(model, timepts, inputs, initial_state, method, options)
-
-
-def _simulated(
-    model: Any,
-    timepts: ArrayLike,
-    inputs: ArrayLike,
-    initial_state: ArrayLike | None,
-    method: str,
-    options: dict[str, Any],
-) -> "control.TimeResponseData":
-    from dmptm_ctrl.simulate.compiled import OUTPUTS, rest
+    drive = cast("Model", model)
+    from dmptm_ctrl.simulate.compiled import OUTPUTS
     from dmptm_ctrl.simulate.model import refuse_negative
     from dmptm_ctrl.simulate.response import response
 
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
-    known = {"compiled": ("substeps",), "reference": ("rtol",)}.get(
-        method, ("rtol", "atol", "pade_order", "contact")
-    )
     for key in options:
-        if key not in known:
-            raise TypeError(f"method {method!r} has no option {key!r}; it has {', '.join(known)}")
-    refuse_negative(model)
+        if key not in METHODS[method]:
+            has = ", ".join(METHODS[method])
+            raise TypeError(f"method {method!r} has no option {key!r}; it has {has}")
+    refuse_negative(drive)
     substeps = options.get("substeps", 1)
     if int(substeps) != substeps or substeps < 1:
         raise ValueError(f"substeps is {substeps!r}; needs a whole number of at least 1")
     time = _timepts(timepts)
     u = _finite("inputs", inputs, (2, time.size), "left and right voltage at each time point")
-    x0 = (
-        rest(model, 0.0)
-        if initial_state is None
-        else _finite("initial_state", initial_state, (6,), "three angles and their speeds")
-    )
+    x0 = _start(drive, initial_state)
     dt = (time[-1] - time[0]) / (time.size - 1)
-    outputs = _run(method, model, u, x0, dt, options)
     return response(
         time,
-        outputs.T,
+        _run(method, drive, u, x0, dt, options).T,
         inputs=u,
         issiso=False,
         output_labels=list(OUTPUTS),
         input_labels=["u_left", "u_right"],
-        sysname=model.drive.name,
-        title=f"{model.drive.name} ({method})",
+        sysname=drive.drive.name,
+        title=f"{drive.drive.name} ({method})",
     )
 
 
@@ -153,7 +108,9 @@ def _rig_simulated(
     method: str,
     options: dict[str, Any],
 ) -> "control.TimeResponseData":
-    from dmptm_ctrl.simulate.rig_run import MARCH_OPTIONS, as_rig_model, simulate_rig
+    from dmptm_ctrl.simulate.response import response
+    from dmptm_ctrl.simulate.rig_model import check_physical
+    from dmptm_ctrl.simulate.rig_run import MARCH_OPTIONS, as_rig_model, march
 
     model = as_rig_model(model, "simulate")
     if method != "compiled" or initial_state is not None:
@@ -161,22 +118,22 @@ def _rig_simulated(
     for key in options:
         if key not in MARCH_OPTIONS:
             raise TypeError(f"no option {key!r} for a rig; there are {', '.join(MARCH_OPTIONS)}")
+    check_physical(model)
     time = _timepts(timepts)
     rows = np.atleast_2d(np.asarray(inputs, float))
     shape = (len(model.layout.inputs), time.size)
-    return simulate_rig(model, time, _finite("inputs", rows, shape, "inputs by time"), **options)
-
-
-@contextmanager
-def _unsearched() -> Iterator[None]:
-    """Search for no garbage: what imports and the loading of compiled code make stays."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
+    u = _finite("inputs", rows, shape, "inputs by time")
+    run = march(model, u, float(time[1] - time[0]), **options)
+    names = [s.name for s in model.rig.sensors]
+    return response(
+        time,
+        np.array([run.reading(name) for name in names]),
+        inputs=run.u,
+        issiso=False,
+        output_labels=names,
+        input_labels=list(model.layout.inputs),
+        title=model.rig.name,
+    )
 
 
 def _run(
@@ -198,6 +155,15 @@ def _run(
     from dmptm_ctrl.simulate.blocks import run
 
     return run(model, u, x0, dt, **options)
+
+
+def _start(model: "Model", state: ArrayLike | None) -> NDArray[np.float64]:
+    """State that a run begins with, by default at rest."""
+    from dmptm_ctrl.simulate.compiled import rest
+
+    if state is None:
+        return rest(model, 0.0)
+    return _finite("initial_state", state, (6,), "three angles and their speeds")
 
 
 def _timepts(timepts: ArrayLike) -> NDArray[np.float64]:

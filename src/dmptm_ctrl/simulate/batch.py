@@ -12,7 +12,6 @@ from dmptm_ctrl.simulate.compiled import (
     OUTPUTS,
     SUBSTEPS,
     Loop,
-    controller_of,
     march,
     rest,
 )
@@ -67,7 +66,6 @@ def march_many(
     measured: Floats | None = None,
     begin: float = 0.0,
     columns: Sequence[int] = range(len(OUTPUTS)),
-    jobs: int = 1,
     plants: list[Plant] | None = None,
 ) -> Floats:
     """Run many drives open loop: :func:`~.compiled.march` for each of `arrays`, but faster.
@@ -75,15 +73,10 @@ def march_many(
     Parameters
     ----------
     arrays : sequence of what :meth:`Model.arrays` gives
-    u : (2, n) or (batch, 2, n) array [V]
-    x0 : (6,) or (batch, 6) array
-    dt, substeps, observer, begin
-        As for :func:`~.compiled.march`, the same for all.
-    measured : (n,) or (batch, n) array [rad]
+    u, x0, measured
+        As there, of all or (batch, …) of each; `dt`, `substeps`, `observer`, `begin` of all.
     columns : sequence of int
         Which of :data:`BATCH_OUTPUTS` to keep.
-    jobs : int
-        Threads.
     plants : list of Plant, optional
         Of these arrays, where they are known.
 
@@ -108,7 +101,7 @@ def march_many(
         common = common._replace(measured=own_rows(measured)[:, None])
     starts = np.broadcast_to(x0, (len(arrays), 6))
     known = plants or [dual_plant(own) for own in arrays]
-    kept, _ = _run(arrays, known, starts, common, None, jobs, observer)
+    kept, _ = _run(arrays, known, starts, common, None, 1, observer)
     return np.asarray(kept).transpose(0, 2, 1)
 
 
@@ -122,21 +115,9 @@ def march_any(
     columns: Sequence[int] = range(len(OUTPUTS)),
     **options: Any,
 ) -> Floats:
-    """Run any number of drives: :func:`march_many`, and one by one those that fill no lanes.
+    """Do the same for any number of drives: one by one those that fill no lanes.
 
-    Parameters
-    ----------
-    arrays, u, x0, dt, measured
-        As for :func:`march_many`.
-    columns : sequence of int
-        Which of :data:`~.compiled.OUTPUTS` to keep.
-    **options
-        What both take: substeps, observer, begin.
-
-    Returns
-    -------
-    (batch, n, len(columns)) array
-        SI.
+    `columns` are of :data:`~.compiled.OUTPUTS`; `options` are substeps, observer, begin.
     """
     count = len(arrays)
     inputs = u if u.ndim == 3 else u[None]
@@ -333,7 +314,7 @@ def _group(
     starts = [start(plant, x0) for plant, x0 in zip(plants, states, strict=True)]
     controllers, observers = None, None
     if loops is not None:
-        known = {id(one): controller_of(one) for one in loops}
+        known = {id(one): one.controller() for one in loops}
         controllers = [known[id(one)] for one in loops]
     if observer is not None:
         observers = [rigid_observer(plant, 0, observer) for plant in plants]

@@ -33,7 +33,7 @@ __all__ = ["REST_SPEED", "drive_states", "initial_state", "rig_blocks", "run", "
 
 MAX_STEP = 0.01  # s; so that no turn of the motion is stepped over
 SIDES = ("l", "r")
-CONTACTS = ("memoryless", "two_state")
+CONTACTS = ("eq21", "two_state")
 DUAL = Names(
     [
         (f"drive_{s}", f"u_{side}", f"voltage_{s}")
@@ -59,7 +59,7 @@ def to_blocks(
     *,
     loop: Loop | None = None,
     pade_order: int = PADE_ORDER,
-    contact: str = "memoryless",
+    contact: str = "eq21",
     others: Sequence[str] = (),
 ) -> ct.InterconnectedSystem:
     """Return the drive as python-control blocks joined by name.
@@ -71,7 +71,7 @@ def to_blocks(
         Close the speed loop, in continuous time.
     pade_order : int
         Order of the Padé approximation of a drive or sensor delay.
-    contact : {"memoryless", "two_state"}
+    contact : {"eq21", "two_state"}
         Contact law of the meshes: paper Eq. 21, or its two-state original, which has the
         position in each gap as a state.
     others : sequence of str
@@ -179,16 +179,10 @@ def rig_blocks(
 
 
 def initial_state(model: "Model", sys: ct.InterconnectedSystem, x0: ArrayLike) -> Floats:
-    """Return the state of `sys` from :func:`to_blocks` for a state of the three bodies.
+    """Return the state of `sys`, the blocks of a model, for a state of the three bodies.
 
-    Parameters
-    ----------
-    model : Model
-        Of which `sys` was made.
-    sys : InterconnectedSystem
-    x0 : (6,) array
-        θ3l, θ3r, θL [rad] and their speeds [rad/s]; motors turn with their pinions. No
-        voltage before the start; a late speed sensor has seen this speed for long.
+    `x0` (6,) is θ3l, θ3r, θL [rad] and their speeds [rad/s]; motors turn with their pinions. No
+    voltage before the start; a late speed sensor has seen this speed for long.
     """
     bodies = np.asarray(x0, float)
     known = {"ring_theta": bodies[2], "ring_omega": bodies[5]}
@@ -204,12 +198,10 @@ def initial_state(model: "Model", sys: ct.InterconnectedSystem, x0: ArrayLike) -
     return np.array([known.get(label, 0.0) for label in sys.state_labels])
 
 
-def drive_states(
-    model: "Model", side: int, u: float, *, pade_order: int = PADE_ORDER
-) -> dict[str, float]:
+def drive_states(model: "Model", side: int, u: float) -> dict[str, float]:
     """Return the states of a motor's drive, by their name in `to_blocks`, once `u` [V] lasted."""
     parts, block = parts_of(model), f"drive_{SIDES[side]}"
-    late = Delay(parts.inputs[side][1], pade_order)
+    late = Delay(parts.inputs[side][1], PADE_ORDER)
     states = dict(zip(late.states, late.settled(u), strict=True))
     aim, tau = parts.lag(side, parts.signal(side, u, 0.0))
     if tau > 0.0:
@@ -226,7 +218,7 @@ def run(
     rtol: float = 1e-6,
     atol: float = 1e-9,
     pade_order: int = PADE_ORDER,
-    contact: str = "memoryless",
+    contact: str = "eq21",
 ) -> Floats:
     """Run :func:`to_blocks` on held voltages, restarted at each of their jumps.
 

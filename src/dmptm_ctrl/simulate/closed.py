@@ -60,72 +60,59 @@ def close_loop(
     TypeError
         A model or a controller of another kind.
     """
-    if not isinstance(model, Model):
+    time = _timepts(timepts)
+    target = _finite("reference", reference, (time.size,), "a setpoint at each time point")
+    heard = None
+    if noise is not None:
+        heard = _finite("noise", noise, (time.size,), "a speed at each time point")
+    dt = float(time[-1] - time[0]) / (time.size - 1)
+    if isinstance(model, Model):
+        name, labels = model.drive.name, [*compiled.OUTPUTS, "u_left", "u_right"]
+        law = _law(controller, dt)
+        refuse_negative(model)
+        u, out = compiled.close_loop(
+            model, law, target, dt, theta_L=theta_L, noise=heard, substeps=substeps
+        )
+        rows = [*out.T, *u]
+    else:
         rig = as_rig_model(model, "close_loop")
-        return _rig_closed(rig, controller, timepts, reference, noise)
-    own_step = getattr(controller, "sample_time", None)
+        if noise is not None:
+            raise ValueError("no noise for a rig of any shape; its sensors read without")
+        own = _of_rig(rig, controller) if isinstance(controller, compiled.Loop) else controller
+        if not isinstance(own, RigController):
+            given = type(controller).__name__
+            raise TypeError(f"close_loop of a rig takes a Loop or its own controller, not {given}")
+        check_physical(rig)
+        still = np.zeros((len(rig.layout.inputs), time.size))
+        run = march(rig, still, dt, controller=own, reference=target)
+        sensors = [s.name for s in rig.rig.sensors]
+        name, labels = rig.rig.name, [*sensors, *rig.layout.inputs]
+        rows = [*(run.reading(sensor) for sensor in sensors), *run.u]
+    return response(
+        time,
+        np.array(rows),
+        inputs=target[np.newaxis],
+        issiso=False,
+        output_labels=labels,
+        input_labels=["ref"],
+        sysname=name,
+        title=f"{name} under its loop",
+    )
+
+
+def _law(controller: Any, dt: float) -> Any:
+    """What the loop of a dual-motor drive calls each `dt` seconds."""
     law = controller.law() if hasattr(controller, "law") else controller
     if not hasattr(law, "kp"):
         raise TypeError(
             f"close_loop takes a Loop or a Controller second, not {type(controller).__name__}"
         )
-    refuse_negative(model)
-    time = _timepts(timepts)
-    dt = float(time[-1] - time[0]) / (time.size - 1)
-    if own_step is not None and abs(dt - own_step) > 1e-6 * own_step:
+    own_step = getattr(controller, "sample_time", dt)
+    if abs(dt - own_step) > 1e-6 * own_step:
         raise ValueError(
             f"timepts are {dt:.6g} s apart; the controller's sample time is {own_step:.6g} s"
         )
-    target = _finite("reference", reference, (time.size,), "a speed at each time point")
-    heard = None
-    if noise is not None:
-        heard = _finite("noise", noise, (time.size,), "a speed at each time point")
-    u, out = compiled.close_loop(
-        model, law, target, dt, theta_L=theta_L, noise=heard, substeps=substeps
-    )
-    return response(
-        time,
-        np.vstack([out.T, u]),
-        inputs=target[np.newaxis],
-        issiso=False,
-        output_labels=[*compiled.OUTPUTS, "u_left", "u_right"],
-        input_labels=["ref"],
-        sysname=model.drive.name,
-        title=f"{model.drive.name} under its speed loop",
-    )
-
-
-def _rig_closed(
-    model: RigModel,
-    controller: Any,
-    timepts: ArrayLike,
-    reference: ArrayLike,
-    noise: ArrayLike | None,
-) -> "control.TimeResponseData":
-    if noise is not None:
-        raise ValueError("no noise for a rig of any shape; its sensors read without")
-    if isinstance(controller, compiled.Loop):
-        controller = _of_rig(model, controller)
-    if not isinstance(controller, RigController):
-        given = type(controller).__name__
-        raise TypeError(f"close_loop of a rig takes a Loop or its own controller, not {given}")
-    check_physical(model)
-    time = _timepts(timepts)
-    dt = float(time[-1] - time[0]) / (time.size - 1)
-    target = _finite("reference", reference, (time.size,), "a setpoint at each time point")
-    still = np.zeros((len(model.layout.inputs), time.size))
-    run = march(model, still, dt, controller=controller, reference=target)
-    names = [s.name for s in model.rig.sensors]
-    return response(
-        time,
-        np.vstack([*(run.reading(name) for name in names), run.u]),
-        inputs=target[np.newaxis],
-        issiso=False,
-        output_labels=[*names, *model.layout.inputs],
-        input_labels=["ref"],
-        sysname=model.rig.name,
-        title=f"{model.rig.name} under its loop",
-    )
+    return law
 
 
 def _of_rig(model: RigModel, loop: compiled.Loop) -> RigController:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,11 +41,15 @@ class Loop(NamedTuple):
         Added on the left and on the right motor.
     """
 
-    kp: float  # V/(rad/s)
-    ki: float  # V/rad
-    limit: float  # V, clip of the common voltage
-    bias_l: float = 0.0  # V
-    bias_r: float = 0.0  # V
+    kp: float
+    ki: float
+    limit: float
+    bias_l: float = 0.0
+    bias_r: float = 0.0
+
+    def controller(self) -> Controller:
+        """Return the loop as the compiled loop calls it."""
+        return Controller(pi_loop, np.array(self), 1)
 
 
 def rest(
@@ -72,28 +76,22 @@ def march(
     substeps: int = SUBSTEPS,
     observer: tuple[float, float] | None = None,
     measured: Floats | None = None,
-    extra: Floats | None = None,
     begin: float = 0.0,
     meshes: bool = True,
 ) -> Floats:
-    """Run the plant open loop on arrays, as the identification does thousands of times.
+    """Run the plant open loop on `arrays` of :meth:`Model.arrays`, as fits do thousands of times.
 
     Parameters
     ----------
-    arrays : from :meth:`Model.arrays`
     u : (2, n) array [V]
-        Held from each sample to the next.
+        Held from each sample of `dt` seconds to the next.
     x0 : (6,) array
         θ3l, θ3r, θL [rad] and their speeds [rad/s].
-    dt : float
-        Sample time [s].
     observer : (angle gain, speed gain) per sample
         Feeds the miss of the ring-gear angle back to the rigid mode, see
         :func:`~.observer.observer_gains`.
     measured : (n,) array [rad]
         The angle that the observer follows.
-    extra : (n, 3) array [N·m]
-        Torques added on the two pinions and the ring gear.
     begin : float
         Time of the first sample [s], for what depends on it.
     meshes : bool
@@ -105,28 +103,31 @@ def march(
         Columns :data:`OUTPUTS`, SI; the first 4 without `meshes`.
     """
     plant = dual_plant(arrays)
+    led = {}
+    if observer is not None:
+        led = {"observer": rigid_observer(plant, 0, observer), "measured": measured}
+    return _run(plant, x0, u, dt, substeps, None, meshes, begin, **led)[1]
+
+
+def _run(
+    plant: Plant,
+    x0: Floats,
+    u: Floats,
+    dt: float,
+    substeps: int,
+    extra: Floats | None,
+    meshes: bool,
+    begin: float = 0.0,
+    **options: Any,
+) -> tuple[Floats, Floats]:
+    """Voltages and outputs of a run, see :func:`march`; `options` are those of `advance`."""
     structure = structure_for(plant)
     state = replace(start_state(structure, *start(plant, np.asarray(x0, float))), time=begin)
-    done = advance(
-        plant,
-        state,
-        u,
-        dt,
-        substeps,
-        structure=structure,
-        push=_on_bodies(plant, extra),
-        observer=None if observer is None else rigid_observer(plant, 0, observer),
-        measured=None if observer is None else measured,
-        columns=columns(plant, meshes),
-    )
-    return outputs(plant, done.rows, meshes)
-
-
-def _on_bodies(plant: Plant, extra: Floats | None) -> Floats | None:
-    """Torques on the pinions and the ring gear as those on coordinates."""
-    if extra is None or plant.inertia.size == 3:
-        return extra
-    return np.hstack([extra, np.zeros((len(extra), plant.inertia.size - 3))])
+    if extra is not None and plant.inertia.size > 3:  # motors behind compliant reducers
+        extra = np.hstack([extra, np.zeros((len(extra), plant.inertia.size - 3))])
+    options |= {"structure": structure, "push": extra, "columns": columns(plant, meshes)}
+    done = advance(plant, state, u, dt, substeps, **options)
+    return done.u, outputs(plant, done.rows, meshes)
 
 
 def close_loop(
@@ -150,10 +151,10 @@ def close_loop(
     reference : (n,) array [rad/s]
     noise : (n,) array [rad/s], optional
         Added to the speed reading that the controller sees.
-    extra : (n, 3) array [N·m], optional
+    extra : (n, 3) array [N·m]
         Torques added on the two pinions and the ring gear.
     meshes : bool
-        Whether torques and relative angles of the meshes are wanted.
+        As for :func:`march`.
 
     Returns
     -------
@@ -162,26 +163,8 @@ def close_loop(
         Columns :data:`OUTPUTS`, the first 4 without `meshes`; the speed without the noise.
     """
     target = np.array(reference, float)
-    plant = dual_plant(model.arrays())
-    structure = structure_for(plant)
-    done = advance(
-        plant,
-        start_state(structure, *start(plant, rest(model, theta_L))),
-        np.zeros((2, target.size)),
-        dt,
-        substeps,
-        structure=structure,
-        push=_on_bodies(plant, extra),
-        controller=controller_of(loop),
-        target=target,
-        noise=None if noise is None else np.asarray(noise, float),
-        columns=columns(plant, meshes),
-    )
-    return done.u, outputs(plant, done.rows, meshes)
-
-
-def controller_of(loop: "Loop | Law") -> Controller:
-    """Return a speed loop as the compiled loop calls it."""
-    if isinstance(loop, Loop):
-        return Controller(pi_loop, np.array(loop), 1)
-    return loop.controller()
+    heard = None if noise is None else np.asarray(noise, float)
+    return _run(
+        dual_plant(model.arrays()), rest(model, theta_L), np.zeros((2, target.size)), dt,
+        substeps, extra, meshes, controller=loop.controller(), target=target, noise=heard,
+    )  # fmt: skip

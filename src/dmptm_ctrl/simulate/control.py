@@ -1,32 +1,57 @@
-"""Controllers of a user's own on the compiled plant, at the sample rate.
-
-Three kinds: a compiled function, which the compiled loop calls; any Python callable; a sampled
-system of python-control. `close` runs a rig under each of them.
-"""
+"""Controllers at the sample rate: of rig files, of python-control, and in plain Python."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import control as ct
 import numpy as np
 
+from dmptm_ctrl.drive.rig import Controller
 from dmptm_ctrl.simulate.plant import Floats
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import RigRun, march
-from dmptm_ctrl.simulate.run import Controller
+from dmptm_ctrl.simulate.run import Controller as RunController
+from dmptm_ctrl.simulate.run import compiled_controller
 
 Law = Callable[[float, float, Floats], Any]
 
 
-def sampled(system: ct.LTI, reading: int | None = None) -> Law:
+@partial(compiled_controller, cache=True)
+def pi_speed(i, t, dt, target, added, y, rule, memory, u):
+    """Drive one input by the error of a speed; rule: sensor, input, limit, kp, ki."""
+    error = target - y[int(rule[0])]
+    memory[0] += error * dt
+    command = rule[3] * error + rule[4] * memory[0] + added
+    u[int(rule[1])] = min(max(command, -rule[2]), rule[2])
+
+
+@partial(compiled_controller, cache=True)
+def cascade(i, t, dt, target, added, y, rule, memory, u):
+    """Drive one input by position and speed; rule: sensor, input, limit, kp, kv."""
+    here = y[int(rule[0])]
+    if memory[2] == 0.0:
+        memory[0], memory[1], memory[2] = here, here, 1.0
+    speed = (here - memory[1]) / (2.0 * dt)  # 2-sample mean, then difference
+    memory[1], memory[0] = memory[0], here
+    command = rule[4] * (rule[3] * (target - here) - speed) + added
+    u[int(rule[1])] = min(max(command, -rule[2]), rule[2])
+
+
+def controller_of(model: RigModel, controller: Controller) -> RunController:
+    """Return a rig's controller for the compiled loop."""
+    gains = controller.gains
+    sensor = [s.name for s in model.rig.sensors].index(controller.sensor)
+    source = model.layout.inputs.index(controller.input)
+    last = "ki" if controller.kind == "pi_speed" else "kv"
+    rule = [sensor, source, controller.limit, gains.get("kp", 0.0), gains.get(last, 0.0)]
+    numbers: Floats = np.array(rule, float)
+    return RunController(pi_speed if last == "ki" else cascade, numbers, 3)
+
+
+def sampled(system: ct.LTI) -> Law:
     """Return a discrete system of python-control as a law ``(t, target, y) -> u``.
 
-    Parameters
-    ----------
-    system : StateSpace or TransferFunction
-        With a sample time. Its inputs are the target and all readings; or, with `reading`, the
-        one input is the target less that reading.
-    reading : int, optional
+    Its input is the target less the first reading; or its inputs are the target and all readings.
 
     Raises
     ------
@@ -40,49 +65,10 @@ def sampled(system: ct.LTI, reading: int | None = None) -> Law:
 
     def law(t: float, target: float, y: Floats) -> Floats:
         nonlocal state
-        given = np.append(target, y) if reading is None else np.array([target - y[reading]])
+        one = state_space.ninputs == 1
+        given = np.array([target - y[0]]) if one else np.append(target, y)
         u: Floats = state_space.C @ state + state_space.D @ given
         state = state_space.A @ state + state_space.B @ given
         return u
 
     return law
-
-
-def simulate_with_controller(
-    model: RigModel,
-    law: Law | Controller | ct.LTI,
-    target: Floats,
-    dt: float,
-    **options: Any,
-) -> RigRun:
-    """Run a rig under a controller of one's own.
-
-    Parameters
-    ----------
-    model : RigModel
-    law : callable, Controller or discrete system
-        ``law(t, target, y)`` returns the signals of the inputs, one each or one number for a
-        single input; `y` are the readings of the sensors, SI, in the order of the rig. A system
-        takes the target less the first reading. A :class:`~.run.Controller` is called by the
-        compiled loop and costs a hundredth.
-    target : (n,) array
-    dt : float
-        Sample time [s].
-    **options
-        `substeps`, `state`, `push`, `position` and `speed` of :func:`~.chain.march`.
-
-    Returns
-    -------
-    RigRun
-        Another call goes on from its `state`.
-
-    Raises
-    ------
-    ValueError
-        A continuous system.
-    """
-    if isinstance(law, ct.LTI):
-        law = sampled(law, 0)
-    nothing = np.zeros((len(model.layout.inputs), len(target)))
-    goal = np.asarray(target, float)
-    return march(model, nothing, dt, controller=law, reference=goal, **options)

@@ -5,22 +5,25 @@ through a design model, and the voltage that undoes that model's drive. With all
 it is the plain PI loop. `law` (L_SIZE,) holds its numbers in the order below, `memory`
 (MEMORY,) what it remembers from sample to sample; both of `law.py`.
 """
+# ruff: noqa: F821 (some names are those of the text in front of this)
 
+from collections.abc import Callable
 from math import exp
+from typing import Any
 
 from numba import njit
 
 from dmptm_ctrl.effects.presliding import build_up_distance
 from dmptm_ctrl.effects.stribeck import sliding_torque, stribeck_law, viscous_torque
-from dmptm_ctrl.simulate.sites import (  # chains
-    active_sites,
-    drive_voltage,
-    friction_level,
-    load_torque,
-    motor_torque,
-    presliding_law,
-    sensor_reading,
-)
+
+# Of each site the kernels that act there; `law.py` writes them in front of this text.
+active_sites: Callable[..., Any]  # whether any does at motors, in friction, on the load
+drive_voltage: Callable[..., Any]
+motor_torque: Callable[..., Any]
+friction_level: Callable[..., Any]
+presliding_law: Callable[..., Any]
+load_torque: Callable[..., Any]
+sensor_reading: Callable[..., Any]
 
 L_KP, L_KI, L_LIMIT, L_BIAS_L, L_BIAS_R, L_CLOSED, L_TRACKING = 0, 1, 2, 3, 4, 5, 6
 L_SECTIONS = 7  # two of (b0, b1, b2, a1, a2)

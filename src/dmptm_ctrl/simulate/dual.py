@@ -12,8 +12,7 @@ import numpy as np
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects.stiffness_variation import STIFFNESS_VARIATION
 from dmptm_ctrl.simulate.along import Acting
-from dmptm_ctrl.simulate.base import BASE, Arrays
-from dmptm_ctrl.simulate.kernel_calls import layout, per_catalogue
+from dmptm_ctrl.simulate.base import BASE, Arrays, layout, per_catalogue
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.plant import GAP, LINEAR, Flags, Floats, Place, Plant
 from dmptm_ctrl.simulate.run import compiled_controller

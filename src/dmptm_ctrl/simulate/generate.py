@@ -236,13 +236,9 @@ def _forces(s: Structure, text: _Text, g: int) -> None:
     for b in bodies:
         volts = next((f"u{j}" for j, source in enumerate(s.inputs) if source[0] == b), "0.0")
         change = f"force{g} = force{g} + {text.lever(b)}{{call}}"
-        motion = text.turned(b, "x"), _speed(text, b)
+        motion = text.turned(b, "x"), text.turned(b, "o")
         text.effects(s.at("motor", b), change, volts, *motion, "t")
         text.effects(s.at("load", b), change, *motion, "t")
-
-
-def _speed(text: _Text, body: int) -> str:
-    return text.turned(body, "o")
 
 
 def _load(s: Structure, text: _Text, body: int) -> str:

@@ -1,5 +1,7 @@
 """What a controller is to the simulator: its numbers, and the model it feeds forward from."""
 
+import ast
+import inspect
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields
 from typing import Any
@@ -10,15 +12,41 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import lookup, presliding, stribeck
 from dmptm_ctrl.simulate import control_core as core
 from dmptm_ctrl.simulate import elementary
-from dmptm_ctrl.simulate.kernel_calls import body_of, chain_text, flags_text, per_catalogue
+from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, layout, per_catalogue
 from dmptm_ctrl.simulate.loading import key_of, load
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
+from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.run import Controller
 
 PASS = (1.0, 0.0, 0.0, 0.0, 0.0)  # a section that changes nothing
 FAR = 1e9  # rad/s², no limit
 SECTIONS = 2
-_SITES = ("drive", "motor", "friction", "presliding", "load", "sensor")  # what a law feeds forward
+# per site: name of its chain, its arguments, how it begins, what one effect changes, its result
+_CHAINS = {
+    "drive": ("drive_voltage", "u, t, side", "", "u = {call}", "u"),
+    "motor": ("motor_torque", "u, theta_m, omega_m, t, side", "r = 0.0", "r += {call}", "r"),
+    "friction": (
+        "friction_level",
+        "theta, omega, t, mesh_torque, body",
+        "r = (1.0, 0.0)",
+        "c = {call}; r = (r[0] * c[0], r[1] + c[1])",
+        "r",
+    ),
+    "presliding": (
+        "presliding_law",
+        "body",
+        "r = (0.0, 0.0, 0.0)",
+        "c = {call}; r = (r[0] + c[0], max(r[1], c[1]), max(r[2], c[2]))",
+        "r",
+    ),
+    "load": ("load_torque", "theta_L, omega_L, t", "r = 0.0", "r += {call}", "r"),
+    "sensor": (
+        "sensor_reading",
+        "theta_L, omega_L, t",
+        "",
+        "theta_L, omega_L = {call}",
+        "theta_L, omega_L",
+    ),
+}
 _HEAD = """\
 from math import cos, exp, floor, log, sin, sqrt, tanh
 
@@ -44,18 +72,42 @@ def controller(i, t, dt, target, noise, y, rule, memory, u):
 """
 
 
+def _chain(site: str, effects: tuple[Effect, ...]) -> str:
+    """Text of the kernels of a site one after another, each behind its flag."""
+    name, args, start, change, result = _CHAINS[site]
+    lines = [f"@njit\ndef {name}({args}, on, values):", f"    {start}" * bool(start)]
+    for effect in (e for e in effects if e.site == site):
+        flag, first = layout()[effect.name]
+        values = ", ".join(f"values[{first + j}]" for j in range(len(effect.parameters)))
+        call = f"kernel_{flag}({args}, Values_{flag}({values}))"
+        lines += [f"    if on[{flag}]:", *(f"        {part}" for part in
+                  change.format(call=call).split("; "))]  # fmt: skip
+    return "\n".join([*lines, f"    return {result}"])
+
+
+def _own_text() -> str:
+    """Text of `control_core` behind what it only names."""
+    text = inspect.getsource(core)
+    named = [n for n in ast.parse(text).body if isinstance(n, ast.ImportFrom | ast.AnnAssign)]
+    return "".join(text.splitlines(keepends=True)[named[-1].end_lineno :])
+
+
 @per_catalogue
 def law_engine(effects: tuple[Effect, ...]) -> Any:
     """Return the compiled law for the catalogue as it is now."""
-    named = {effect.name: effect for effect in effects}
     kernels = "\n".join(
         f"kernel_{i} = hosted(EFFECTS[{i}].kernel)\nValues_{i} = EFFECTS[{i}].values"
         for i, effect in enumerate(effects)
-        if effect.site in _SITES
+        if effect.site in _CHAINS
     )
-    chains = "\n\n\n".join([flags_text(named), *(chain_text(site, named) for site in _SITES)])
+    used = (
+        " or ".join(f"on[{i}] > 0" for i, e in enumerate(effects) if e.site == site) or "False"
+        for site in ("motor", "friction", "load")
+    )
+    chains = [f"@njit\ndef active_sites(on):\n    return {', '.join(used)}"]
+    chains += [_chain(site, effects) for site in _CHAINS]
     ends = core.L_SIZE, core.L_SIZE + len(BASE), core.L_SIZE + len(BASE) + len(effects)
-    text = "\n\n".join([_HEAD, kernels, chains, body_of("control_core.py"), _TAIL.format(*ends)])
+    text = "\n\n".join([_HEAD, kernels, *chains, _own_text(), _TAIL.format(*ends)])
     options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST'
     text = text.replace("@njit\n", f"@njit({options})\n")
     key = key_of(text, (elementary, lookup, presliding, stribeck), effects)

@@ -1,28 +1,37 @@
-"""Linear models of the drive about a steady turn under preload."""
+"""Linear models: of the paper's drive about a steady turn under preload, of rigs at rest."""
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import eigh
 from scipy.optimize import root
 
+from dmptm_ctrl.drive.modes import Modes, solve_modes
+from dmptm_ctrl.drive.parameters import Drive, physical
 from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.drive.train import GearTrain, Joint
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.backlash import mesh_region, mesh_torque
+from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.blocks import REST_SPEED, SIDES, drive_states, initial_state, to_blocks
 from dmptm_ctrl.simulate.compiled import OUTPUTS
 from dmptm_ctrl.simulate.dual import MOTORS, RING, parts_of
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
-from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import linear_rig
+from dmptm_ctrl.simulate.plant import link_matrices
+from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
 
 TURN = np.deg2rad(10.0)  # rad/s, a speed of the paper's experiments
 PRELOAD = 0.3  # V; holds both meshes closed on opposite flanks at TURN
 BALANCED = 1e-6  # rad/s², what may be left of the accelerations
 TWIST = 1e-3  # rad, size of a half-gap: scale of the search
+STEP = 2.0**-13  # rad or m; of slopes: far below the shortest tooth or cogging period
+STILL = 1e-6  # of the fastest mode; slower is the rigid one
+CONSERVATIVE = ("inertia", "stiffness", "ratio", "gain", "stribeck_speed", "stribeck_exponent")
 BODIES = {"left chain": "chain_l", "right chain": "chain_r", "ring gear": "ring"}
 
 
@@ -115,10 +124,13 @@ def linearize(
 ) -> ct.StateSpace:
     """Return the linear model of a drive about a state.
 
+    Of a rig of any shape in contact and at rest: springs and dampers of links, viscous friction,
+    current lags, and the slopes of torques that depend on an angle (cable springs, gravity,
+    cogging). Not in it: dry friction, gaps, delays, saturation.
+
     Parameters
     ----------
     model : Model, RigModel or Rig
-        Of a rig of any shape: :func:`~dmptm_ctrl.simulate.rig_run.linear_rig`.
     x0 : (6,) array, optional
         θ3l, θ3r, θL [rad] and their speeds [rad/s]; by default :func:`turning`. Of a rig of
         any shape a mapping of body to position [rad or m], by default 0.
@@ -126,7 +138,7 @@ def linearize(
         Of a dual-motor model only.
     outputs : sequence of str, optional
         Of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`, by default ``omega_L``; of a rig of any
-        shape its sensors, by default all.
+        shape its sensors, by default all, ``q_BODY``, ``v_BODY`` or torques by their link.
 
     Returns
     -------
@@ -138,10 +150,16 @@ def linearize(
         the pinion] take the place of three angles; so ``dcgain``, ``margin`` and ``step_info``
         are right as they come.
 
+        Of a rig of any shape the states are ``q_BODY`` [rad or m] of each rigid group of bodies
+        that a torque by angle holds; of a train that turns freely ``spring_LINK``, the torque in
+        each link's spring, and one ``q_BODY`` only where an angle is an output; ``v_BODY``;
+        ``lag_INPUT``.
+
     Raises
     ------
     ValueError
-        An output that does not exist; voltages for a rig of any shape.
+        An output or body that does not exist; voltages for a rig of any shape; a value of it that
+        is unknown or that no machine has.
 
     Warns
     -----
@@ -154,8 +172,9 @@ def linearize(
             raise ValueError(
                 "a rig of any shape is linearised at x0, a mapping of body to position"
             )
-        chain = RigModel(model) if isinstance(model, Rig) else model
-        return linear_rig(chain, outputs=outputs, position=x0)
+        rig = RigModel(model) if isinstance(model, Rig) else model
+        train = linear_train(rig, x0)
+        return train.to_ss(outputs=[*train.sensors] if outputs is None else outputs)
     outputs = ("omega_L",) if outputs is None else outputs
     for name in outputs:
         if name not in OUTPUTS:
@@ -253,3 +272,142 @@ def _sustained(model: Model, parts: Parts, state: Floats, labels: list[str], u0:
             share = parts.bristle(g)[1]
             new[f"{block}_friction"] = way * (slides[0] - share * slides[1])
     return np.array([new[label] for label in labels])
+
+
+def linear_train(model: RigModel, position: Mapping[str, float] | None = None) -> GearTrain:
+    """Return masses, springs and dampers of a rig in contact at a position [rad or m]."""
+    check_physical(model)
+    plant, layout = model.plant(), model.layout
+    unit = np.eye(layout.coordinates)
+    turn = {b: layout.ratio[b] * unit[layout.coordinate[b]] for b in layout.bodies}
+    ground, lossy = _slopes(model, position)
+    rows, springs, dampers, viscous = link_matrices(plant)
+    for effect in model.effects:
+        if effect.name == "viscous_friction":
+            lossy += turn[effect.on] ** 2 * effect.values["coefficient"]
+    joined = zip(layout.links, rows, springs.tolist(), dampers.tolist(), strict=True)
+    pushed = [turn[layout.input_body[name]] for name in layout.inputs]
+    kinds = {"position": "q", "speed": "v"}
+    return GearTrain(
+        name=model.rig.name.replace(" ", "_").replace(".", "_"),
+        bodies=tuple(_leads(model)),
+        inertia=plant.inertia,
+        viscous=viscous + lossy,
+        joints=tuple(Joint(*link) for link in joined),
+        drives=np.transpose(pushed) * plant.input_values[:, 0],
+        torque_per_volt=1.0,
+        readouts={},
+        ground=ground,
+        lags=plant.input_values[:, 2],
+        labels=layout.inputs,
+        motion=("q", "v"),
+        sensors={
+            s.name: (kinds[s.measures], turn[layout.sensor_body[s.name]]) for s in model.rig.sensors
+        },
+        base=0,
+    )
+
+
+def _leads(model: RigModel) -> list[str]:
+    """Body of each group whose angle is the coordinate itself."""
+    coordinate = model.layout.coordinate
+    first = {group: body for body, group in reversed(coordinate.items())}
+    ones = {g: b for b, g in coordinate.items() if model.layout.ratio[b] == 1.0}
+    return [ones.get(g, first[g]) for g in range(model.layout.coordinates)]
+
+
+def _slopes(model: RigModel, position: Mapping[str, float] | None) -> tuple[Floats, Floats]:
+    """Stiffness and damping that effects give each coordinate at rest at `position`."""
+    plant, layout = model.plant(), model.layout
+    q = np.zeros(layout.coordinates)
+    for body, value in (position or {}).items():
+        if body not in layout.coordinate:
+            bodies = ", ".join(layout.bodies)
+            raise ValueError(f"position: no body {body!r} in {model.rig.name}; it has {bodies}")
+        physical(f"position of {body}", abs(value), zero=True)
+        q[layout.coordinate[body]] = value / layout.ratio[body]
+    stiffness, damping = np.zeros(q.size), np.zeros(q.size)
+    parts = Parts(plant)
+    for b, (group, r) in enumerate(zip(parts.group, parts.ratio, strict=True)):
+        torque, at = partial(parts.torque, b, 0.0, t=0.0), r * float(q[group])
+        stiffness[group] -= r**2 * _slope(lambda x: torque(x, 0.0), at)  # noqa: B023
+        damping[group] -= r**2 * _slope(lambda v: torque(at, v), 0.0)  # noqa: B023
+    return stiffness, damping
+
+
+def _slope(function: Callable[[float], float], at: float) -> float:
+    """Derivative by five points; of a polynomial to the fourth degree it is exact."""
+    near, far = (function(at + k * STEP) - function(at - k * STEP) for k in (1, 2))
+    return (8.0 * near - far) / (12.0 * STEP)
+
+
+def modes_text(rig: Rig) -> str:
+    """Return the modes of a declared rig as a line of text; or what must be known for them."""
+    try:
+        model = RigModel(rig)
+        losses = [k for k in model.quantities if not k.rpartition(".")[2].startswith(CONSERVATIVE)]
+        model = model.with_values(dict.fromkeys(losses, 0.0))
+        train = linear_train(model)
+    except ValueError as error:
+        return f"modes: not computed; {error.args[0]}"
+    except (KeyError, ZeroDivisionError) as error:
+        raise LogError(f"{rig.source}: {error.args[0]}") from None
+    squares = eigh(train.stiffness, train.mass, eigvals_only=True)
+    grounded = np.asarray(train.ground)
+    still = STILL**2 * np.abs(squares).max(initial=0.0)
+    text = "modes: " + ", ".join(_mode(square, still) for square in squares)
+    if grounded.any():
+        place = model.layout.coordinate
+        by = [e.key for e in model.effects if e.on in place and grounded[place[e.on]]]
+        text += f"; linearised with all angles 0, with {', '.join(by)}"
+    return text
+
+
+def _mode(square: float, still: float) -> str:
+    if abs(square) <= still:
+        return "0 (rigid body)"
+    if square < 0.0:
+        return f"unstable, grows e-fold in {1.0 / np.sqrt(-square):.3g} s"
+    return f"{np.sqrt(square) / (2 * np.pi):.4g} Hz"
+
+
+def modes(
+    model: Drive | GearTrain | Model | Rig | RigModel,
+    *,
+    position: Mapping[str, float] | None = None,
+) -> Modes:
+    """Solve the generalised symmetric eigenproblem of a drive.
+
+    Parameters
+    ----------
+    model : Drive, Model, Rig, RigModel or GearTrain
+        A Drive or a Model stands for its 3-DOF model;
+        :func:`~dmptm_ctrl.drive.nine_dof.nine_dof_train` makes the 9-DOF one. Of a rig, damping
+        that is unknown counts as none.
+    position : mapping of body to float, optional
+        Where torques of a rig that depend on an angle are linearised [rad or m]; 0 for bodies
+        not named. A mode that such a torque makes unstable has the frequency 0.
+
+    Returns
+    -------
+    Modes
+        Frequencies [Hz], shapes, damping ratios and classes.
+
+    Raises
+    ------
+    TypeError
+        Another kind of model.
+    ValueError
+        An inertia or a stiffness of a rig that is unknown.
+    """
+    if isinstance(model, Rig):
+        model = RigModel(model)
+    if not isinstance(model, RigModel):
+        return solve_modes(model.drive if isinstance(model, Model) else model)
+    unknown = [
+        key for key, quantity in model.quantities.items()
+        if np.isnan(model.values.get(key, quantity.value))
+        and not key.rpartition(".")[2].startswith(CONSERVATIVE)
+    ]  # fmt: skip
+    known = model.with_values(dict.fromkeys(unknown, 0.0))
+    return solve_modes(linear_train(known, position))

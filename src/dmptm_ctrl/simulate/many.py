@@ -83,9 +83,7 @@ def run_many(
 
     Parameters
     ----------
-    plants : sequence of Plant
     starts : sequence of (coordinates, speeds)
-    common : Common
     controllers : sequence of Controller, optional
         Of one function.
     observers : sequence of Observer, optional

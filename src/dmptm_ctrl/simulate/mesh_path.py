@@ -37,15 +37,8 @@ def along_path(
 ) -> MeshPath:
     """Lead one mesh along z(t) and return both torques.
 
-    Parameters
-    ----------
-    z, z_rate : function of time [s]
-        Relative angle [rad] and its rate [rad/s].
-    duration : float [s]
-    p : Backlash
-        With c + c_f > 0.
-    position : float [rad]
-        In the gap, at the start.
+    `z` and `z_rate` are functions of time [s], the relative angle [rad] and its rate; `p` is the
+    law, with c + c_f > 0; `position` [rad] is that in the gap at the start.
 
     Raises
     ------

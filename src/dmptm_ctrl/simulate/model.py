@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, refuse_negative
-from dmptm_ctrl.simulate.kernel_calls import layout, per_catalogue
+from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, layout, per_catalogue, refuse_negative
 
 if TYPE_CHECKING:
     import control

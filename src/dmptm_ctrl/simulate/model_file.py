@@ -1,31 +1,134 @@
-"""Models as files: `model.toml`, written by the diagnosis and read by `dmptm predict`."""
+"""Models as files: `model.toml`, written by the diagnosis and read by `dmptm predict`.
+
+That of a rig is complete in itself: the rig file's text, its fitted values, effects.
+"""
 
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import tomlkit
 
-from dmptm_ctrl.drive import Drive, paper_drive
+from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, undamped
 from dmptm_ctrl.simulate.model import BASE, Model
-from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_model_file import KIND as RIG
-from dmptm_ctrl.simulate.rig_model_file import rig_model_from_toml, with_unit
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
-KIND = "dual-motor"
+DUAL, RIG = "dual-motor", "chain"  # kinds
 SCHEMA = 1
+
+
+def _document(kind: str) -> tomlkit.TOMLDocument:
+    document = tomlkit.document()
+    document.add(tomlkit.comment("Drive model of dmptm-ctrl. SI units; angles in radians."))
+    document["schema"] = SCHEMA
+    document["kind"] = kind
+    return document
+
+
+def _parsed(text: str, name: str, kind: str) -> dict[str, Any]:
+    data = parse_toml(text, name)
+    if data.get("kind") != kind or data.get("schema") != SCHEMA:
+        raise LogError(f'{name}: needs kind = "{kind}" and schema = {SCHEMA}, as diagnose writes')
+    return data
+
+
+def with_unit(value: float, unit: str) -> tomlkit.items.Item:
+    """Return a number for a document, its unit in a comment beside it."""
+    item = tomlkit.item(float(value))
+    item.comment(unit or "1")
+    return item
+
+
+def unit_at(effect: Placed, rig: Rig, unit: str) -> str:
+    """Unit of an effect's parameter where it stands: an input's signal need not be a voltage."""
+    if all(source.name != effect.on for source in rig.inputs):
+        return unit
+    symbol = input_symbol(rig, effect.on)
+    return unit.replace("V", f"({symbol})" if unit == "1/V" and "·" in symbol else symbol)
+
+
+def input_symbol(rig: Rig, name: str) -> str:
+    """SI unit of an input's signal."""
+    return parse_unit(next(i for i in rig.inputs if i.name == name).unit).symbol
+
+
+def rig_model_to_toml(model: RigModel) -> str:
+    """Return the text of a model file, complete in itself: the rig file's text is in it."""
+    document = _document(RIG)
+    document["rig"] = tomlkit.string(model.rig.text, multiline=True)
+    values = tomlkit.table()
+    for key, value in model.values.items():
+        values[key] = with_unit(value, model.quantities[key].unit)
+    document["values"] = values
+    effects = tomlkit.aot()
+    for effect in model.effects:
+        table = tomlkit.table()
+        table["name"] = effect.name
+        table["on"] = effect.on
+        if effect.far:
+            table["far"] = list(effect.far)
+        units = {p.name: p.unit for p in PLACED_CATALOGUE[effect.name].keep}
+        for key, value in effect.values.items():
+            table[key] = with_unit(value, unit_at(effect, model.rig, units[key]))
+        effects.append(table)
+    document["effect"] = effects
+    logs = tomlkit.table()
+    for log, shifts in model.zeros.items():
+        if shifts:
+            logs[log] = {key: float(shift) for key, shift in shifts.items()}
+    if logs:
+        document["zero"] = logs
+    return tomlkit.dumps(document)
+
+
+def rig_model_from_toml(text: str, name: str = "model.toml") -> RigModel:
+    """Read the text of a model file.
+
+    Raises
+    ------
+    LogError
+        Not TOML, another kind, a name that does not exist, a value that is no finite number.
+    """
+    data = _parsed(text, name, RIG)
+    if not isinstance(data.get("rig"), str):
+        raise LogError(f"{name}: no rig in it; the diagnosis writes the rig file's text there")
+    rig = parse_rig(data["rig"], f"rig in {name}")
+    values = finite_numbers(name, "values", data.get("values", {}))
+    listed, shifted = data.get("effect", []), data.get("zero", {})
+    if not isinstance(listed, list) or not isinstance(shifted, dict):
+        raise LogError(f"{name}: effects are tables [[effect]], zeros are under [zero]")
+    effects = []
+    for table in listed:
+        known = isinstance(table, dict) and isinstance(table.get("name"), str)
+        if not known or not isinstance(table.get("on"), str):
+            raise LogError(f"{name}: each [[effect]] needs a name and what it is on")
+        numbers = {k: v for k, v in table.items() if k not in ("name", "on", "far")}
+        far = table.get("far", [])
+        if not isinstance(far, list):
+            raise LogError(f"{name}: far of an effect is a list of names")
+        values_of = finite_numbers(name, f"effect {table['name']}", numbers)
+        effects.append(Placed(table["name"], table["on"], values_of, tuple(map(str, far))))
+    zeros = {log: finite_numbers(name, f"zero.{log}", shifts) for log, shifts in shifted.items()}
+    try:
+        model = RigModel(rig, tuple(effects), values, zeros)
+        model.plant()
+    except (KeyError, ValueError) as error:
+        raise LogError(f"{name}: {error.args[0]}") from None
+    return model
 
 
 def to_toml(model: Model) -> str:
     """Return the text of a model file: values in SI, the unit beside each."""
-    document = tomlkit.document()
-    document.add(tomlkit.comment("Drive model of dmptm-ctrl. SI units; angles in radians."))
-    document["schema"] = SCHEMA
-    document["kind"] = KIND
+    document = _document(DUAL)
     drive = tomlkit.table()
     for name in BASE:
         drive[name] = with_unit(model.drive[name], model.drive.quantities[name].unit)
@@ -41,7 +144,7 @@ def to_toml(model: Model) -> str:
     return tomlkit.dumps(document)
 
 
-def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None) -> Model:
+def from_toml(text: str, *, name: str = "model.toml") -> Model:
     """Read the text of a model file.
 
     Raises
@@ -50,28 +153,15 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
         Not TOML, another kind or schema, an unknown or missing name, a value that is not a
         finite number.
     """
-    data = parse_toml(text, name)
-    if data.get("kind") != KIND or data.get("schema") != SCHEMA:
-        raise LogError(f'{name}: needs kind = "{KIND}" and schema = {SCHEMA}, as diagnose writes')
-    declared = drive or paper_drive()
+    data = _parsed(text, name, DUAL)
     values = finite_numbers(name, "drive", data.get("drive"))
     unknown = sorted(set(values) - set(BASE))
     missing = [n for n in BASE if n not in values]
     if unknown or missing:
         what = f"unknown {unknown[0]!r}" if unknown else f"no {missing[0]!r}"
         raise LogError(f"{name}: {what} in [drive]; it needs {', '.join(BASE)}")
-    for key in (
-        "J_m",
-        "J_2",
-        "J_L",
-        "N_1",
-        "N_2",
-        "k_m",
-        "W3_plus",
-        "W3_minus",
-        "WL_plus",
-        "WL_minus",
-    ):
+    speeds = ("W3_plus", "W3_minus", "WL_plus", "WL_minus")
+    for key in ("J_m", "J_2", "J_L", "N_1", "N_2", "k_m", *speeds):
         if values[key] <= 0:
             raise LogError(f"{name}: {key} is {values[key]} in [drive]; it must be positive")
     effects = data.get("effects", {})
@@ -79,7 +169,7 @@ def from_toml(text: str, *, name: str = "model.toml", drive: Drive | None = None
         raise LogError(f"{name}: [effects] must hold one table per effect")
     tables = {key: finite_numbers(name, f"effects.{key}", table) for key, table in effects.items()}
     try:
-        found = declared.with_values(**values)
+        found = paper_drive().with_values(**values)
         if FLANKS in tables and found[DAMPING] == 0.0:
             found = undamped(found)
         return Model(found, tables)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.simulate.plant import Floats, Ints, Plant
+from dmptm_ctrl.simulate.plant import Floats, Ints, Plant, link_matrices
 
 FASTEST = 0.5  # decay of an observer a sample; from 2 on its gains no longer damp
 
@@ -46,19 +46,11 @@ UNLED = Observer(np.zeros(0, np.int64), np.zeros((0, 0)), np.zeros(0))
 
 
 def rigid_mode(plant: Plant, body: int) -> Floats:
-    """Return how coordinates turn with a body where no link twists, (n,); 0 if not joined."""
-    group, ratio = plant.body_coordinate.tolist(), plant.body_ratio.tolist()
-    mode = {group[body]: 1.0 / ratio[body]}
-    links = [(*ends, values[0]) for ends, values in zip(
-        plant.link_body.tolist(), plant.link_values.tolist(), strict=True)]  # fmt: skip
-    for _ in links:
-        for first, second, n in links:
-            a, b = group[first], group[second]
-            if a in mode and b not in mode:
-                mode[b] = mode[a] * ratio[first] / (n * ratio[second])
-            elif b in mode and a not in mode:
-                mode[a] = mode[b] * n * ratio[second] / ratio[first]
-    return np.array([mode.get(g, 0.0) for g in range(plant.inertia.size)])
+    """Return how coordinates turn with a body where no link twists, (n,)."""
+    turned = np.zeros(plant.inertia.size)
+    turned[plant.body_coordinate[body]] = plant.body_ratio[body]
+    rows = np.vstack([turned, link_matrices(plant)[0]])
+    return np.linalg.solve(rows, np.eye(len(rows))[0])
 
 
 def rigid_observer(plant: Plant, sensor: int, gains: Sequence[float]) -> Observer:

@@ -75,14 +75,6 @@ class Plant(NamedTuple):
     given: tuple[int, ...] = ()  # coordinates whose motion is prescribed
 
     @property
-    def distance(self) -> Floats:
-        """Relaxation distance of friction of each coordinate, 0 is none, (n,)."""
-        found = np.zeros(self.inertia.size)
-        for b, g in enumerate(self.body_coordinate):
-            found[g] += self.bristles[b, 0] / abs(self.body_ratio[b])
-        return found
-
-    @property
     def size(self) -> tuple[int, int, int, int, int]:
         """Numbers of coordinates, bodies, links, inputs and sensors."""
         return (
@@ -92,6 +84,21 @@ class Plant(NamedTuple):
             self.input_body.size,
             self.sensor_body.size,
         )
+
+
+def link_matrices(plant: Plant) -> tuple[Floats, Floats, Floats, Floats]:
+    """Twists of links over the coordinates, their stiffness and damping; viscous friction."""
+    n, _, links, *_ = plant.size
+    rows = np.zeros((links, n))
+    for end, factor in ((0, np.ones(links)), (1, -plant.link_values[:, 0])):
+        bodies = plant.link_body[:, end]
+        at = np.arange(links), plant.body_coordinate[bodies]
+        np.add.at(rows, at, factor * plant.body_ratio[bodies])
+    # flanks that damp by depth do not where contact begins
+    dampers = np.where(plant.link_gap == ELASTIC_IMPACT, 0.0, plant.link_values[:, 2])
+    slopes = plant.body_ratio**2 * 0.5 * (plant.law[:, 3] + plant.law[:, 7])
+    viscous = np.bincount(plant.body_coordinate, slopes, n).astype(float)
+    return rows, plant.link_values[:, 1], dampers, viscous
 
 
 class Structure(NamedTuple):

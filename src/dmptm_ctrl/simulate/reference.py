@@ -278,18 +278,8 @@ def run_exactly(
 ) -> Exact:
     """Run a plant open loop, slowly and exactly.
 
-    Parameters
-    ----------
-    plant : Plant
-    u : (inputs, n) array
-        Held from each sample to the next.
-    q0, v0 : (coordinates,) arrays
-    dt : float
-        Sample time [s].
-    rtol : float
-        Relative tolerance of the integrator.
-    before : (inputs,) array, optional
-        What the inputs were before the run; 0.
+    `u` (inputs, n), `dt` [s] and `before` are as for :func:`~.run.advance`, `q0` and `v0` (n,) the
+    coordinates and speeds at the start, `rtol` is the integrator's relative tolerance.
 
     Raises
     ------

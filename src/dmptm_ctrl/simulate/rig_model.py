@@ -64,18 +64,12 @@ def declared(rig: Rig) -> dict[str, Quantity]:
         found[f"body.{body.name}.inertia"] = body.inertia
         for key, quantity in body.friction.items():
             found[f"body.{body.name}.{key}"] = quantity
-    for link in rig.links:
-        found[f"link.{link.name}.ratio"] = link.ratio
-        for key in ("stiffness", "damping", "half_gap", "gap_damping"):
-            quantity = getattr(link, key)
-            if quantity is not None:
-                found[f"link.{link.name}.{key}"] = quantity
-    for source in rig.inputs:
-        found[f"input.{source.name}.gain"] = source.gain
-        for key in ("delay", "time_constant", "limit"):
-            quantity = getattr(source, key)
-            if quantity is not None:
-                found[f"input.{source.name}.{key}"] = quantity
+    of_link = ("ratio", "stiffness", "damping", "half_gap", "gap_damping")
+    of_input = ("gain", "delay", "time_constant", "limit")
+    for kind, parts, keys in (("link", rig.links, of_link), ("input", rig.inputs, of_input)):
+        for part in parts:
+            given = {key: getattr(part, key) for key in keys}
+            found |= {f"{kind}.{part.name}.{k}": q for k, q in given.items() if q is not None}
     return found
 
 
@@ -339,8 +333,8 @@ def _soften(
     if any(effect.on == j.name for j in joints):
         soft = next(j for j in joints if j.name == effect.on)
         rest = [j for j in joints if j.name != effect.on and j.row is None]
-        _, near_ratio = _coordinates(_reached(soft.first, rest), rest, soft.first)
-        _, far_ratio = _coordinates(_reached(soft.second, rest), rest, soft.second)
+        _, near_ratio = _coordinates((), rest, soft.first)
+        _, far_ratio = _coordinates((), rest, soft.second)
         near = sum(r**2 * inertia[b] for b, r in near_ratio.items())
         far = sum(r**2 * inertia[b] for b, r in far_ratio.items()) / soft.ratio**2
         compliance, damping = spring(near + far, ShaftCompliance(far / (near + far), *shape))
@@ -366,19 +360,8 @@ def link_sides(model: RigModel, link: str) -> tuple[dict[str, float], dict[str, 
         if j.row is None
     ]  # fmt: skip
     own = model.rig.link(link)
-    near, far = (_coordinates(_reached(end, rest), rest, end)[1] for end in (own.first, own.second))
+    near, far = (_coordinates((), rest, end)[1] for end in (own.first, own.second))
     return near, far
-
-
-def _reached(start: str, joints: list[_Joint]) -> tuple[str, ...]:
-    """Bodies that rigid joints tie to `start`."""
-    found = [start]
-    for body in found:
-        for j in joints:
-            for one, other in ((j.first, j.second), (j.second, j.first)):
-                if one == body and other not in found:
-                    found.append(other)
-    return tuple(found)
 
 
 def _with_gap(joint: _Joint, effect: Placed) -> _Joint:
@@ -391,7 +374,10 @@ def _with_gap(joint: _Joint, effect: Placed) -> _Joint:
 def _coordinates(
     bodies: Iterable[str], joints: list[_Joint], root: str
 ) -> tuple[dict[str, int], dict[str, float]]:
-    """Index of each body's coordinate and its ratio; the root's group comes first."""
+    """Index of each body's coordinate and its ratio; the root's group comes first.
+
+    Without `bodies` those of that group alone.
+    """
     coordinate: dict[str, int] = {}
     ratio: dict[str, float] = {}
     count = 0

@@ -15,13 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
+from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS
 from dmptm_ctrl.simulate.dual import columns_seen, dual_plant, start
-from dmptm_ctrl.simulate.elementary import cached
-from dmptm_ctrl.simulate.kernel_calls import layout
 from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.many import Common, run_many
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats, Model
+from dmptm_ctrl.simulate.model import Floats, Model
 
 # Share of a parameter's size: truncation and rounding, grown by the run, are both far below 1 %
 STEP = 1e-7
@@ -53,28 +51,8 @@ class Sensitivities(NamedTuple):
     exists: NDArray[np.bool_]
 
 
-class _Place(NamedTuple):
-    """Where a parameter stands in the arrays of a model, and how far it is moved."""
-
-    slot: int  # of the drive's numbers, or of the effects'
-    step: float
-    effect: str  # or "" for the drive
-
-    def move(self, arrays: Arrays, ways: float = 1.0) -> None:
-        """Move the parameter by some steps in the numbers of a drive."""
-        base, on, values = arrays
-        if not self.effect:
-            base[self.slot] += ways * self.step
-            return
-        values[self.slot] += ways * self.step
-        number, first = layout()[self.effect]
-        parameters = CATALOGUE[self.effect].parameters
-        own = values[first : first + len(parameters)]
-        on[number] = any(x and not p.bank for p, x in zip(parameters, own, strict=True))
-
-
-def _place(model: Model, name: str, values: Floats) -> _Place:
-    """Where a parameter is; `values` are those of all effects."""
+def _step(model: Model, name: str) -> float:
+    """How far a parameter is moved."""
     effect, _, parameter = name.rpartition(".")
     if not effect:
         if parameter not in model.drive:
@@ -82,16 +60,31 @@ def _place(model: Model, name: str, values: Floats) -> _Place:
         value = model.drive[parameter]
         if value == 0.0:
             raise ValueError(f"{parameter} is zero: its size is not known; give it a value")
-        return _Place(BASE.index(parameter), STEP * abs(value), "")
-    names = [p.name for p in CATALOGUE[effect].parameters] if effect in CATALOGUE else []
-    if parameter not in names:
+        return STEP * abs(value)
+    known = {p.name: p for p in CATALOGUE[effect].parameters} if effect in CATALOGUE else {}
+    if parameter not in known:
         raise ValueError(f"no parameter {name!r}; effects are named as in 'cogging.left_cosine'")
-    found = CATALOGUE[effect].parameters[names.index(parameter)]
-    index = layout()[effect][1] + names.index(parameter)
-    step = STEP * max(abs(values[index]), found.step)
-    if values[index] - step < found.low:
+    found, value = known[parameter], _values(model, effect)[parameter]
+    step = STEP * max(abs(value), found.step)
+    if value - step < found.low:
         raise ValueError(f"{name} is at its lower bound {found.low:g}: no derivative from below")
-    return _Place(index, step, effect)
+    return step
+
+
+def _values(model: Model, effect: str) -> dict[str, float]:
+    return {**CATALOGUE[effect].absent(), **model.effects.get(effect, {})}
+
+
+def _moved(model: Model, moves: Sequence[tuple[str, float]]) -> Model:
+    """Return a model with parameters moved."""
+    for name, step in moves:
+        effect, _, parameter = name.rpartition(".")
+        if effect:
+            own = _values(model, effect)
+            model = model.with_effect(effect, **{**own, parameter: own[parameter] + step})
+        else:
+            model = model.with_values(**{parameter: model.drive[parameter] + step})
+    return model
 
 
 def simulate_with_sensitivities(
@@ -126,23 +119,18 @@ def simulate_with_sensitivities(
     ValueError
         No parameter of that name, or one whose size or range leaves no room for a difference.
     """
-    from dmptm_ctrl.simulate import _finite, _timepts
+    from dmptm_ctrl.simulate import _finite, _start, _timepts
 
     time = _timepts(timepts)
     u = _finite("inputs", inputs, (2, time.size), "left and right voltage at each time point")
-    x0 = (
-        rest(model, 0.0)
-        if initial_state is None
-        else _finite("initial_state", initial_state, (6,), "three angles and their speeds")
-    )
+    x0 = _start(model, initial_state)
     if len(parameters) == 0:
         raise ValueError("parameters is empty; name at least one")
-    here = model.arrays()
-    places = [_place(model, name, here[2]) for name in parameters]
+    moves = [(name, _step(model, name)) for name in parameters]
     dt = (time[-1] - time[0]) / (time.size - 1)
-    steps = np.array([place.step for place in places])
-    moved = [_moved(here, [place]) for place in places]
-    plants = [dual_plant(a) for a in (here, *moved, _moved(here, places, -1.0))]
+    moved = [_moved(model, [move]) for move in moves]
+    back = _moved(model, [(name, -step) for name, step in moves])
+    plants = [dual_plant(own.arrays()) for own in (model, *moved, back)]
     seen = columns_seen(plants[0])[: len(OUTPUTS)]
     common = Common(
         dt, substeps, time.size, u[None], _NO_ROWS, _NO_ROWS, np.array(seen), statistics=False
@@ -151,38 +139,17 @@ def simulate_with_sensitivities(
     width = FEW if len(plants) <= FEW else LANES
     runs = np.array(run_many(plants, starts, common, n_jobs=jobs, width=width)[0])
     outputs, changes = runs[0], runs[1:] - runs[0]
+    steps = np.array([step for _, step in moves])
     derivatives = changes[:-1] / steps[:, None, None]
     exists = _existing(outputs, derivatives, changes[-1], steps)
     return Sensitivities(time, outputs, tuple(parameters), derivatives, exists)
-
-
-def _moved(arrays: Arrays, places: Sequence[_Place], ways: float = 1.0) -> Arrays:
-    """Numbers of a drive with parameters moved by some of their steps."""
-    found = arrays[0].copy(), arrays[1].copy(), arrays[2].copy()
-    for place in places:
-        place.move(found, ways)
-    return found
 
 
 def _existing(
     outputs: Floats, derivatives: Floats, back: Floats, steps: Floats
 ) -> NDArray[np.bool_]:
     """Where derivatives exist; `back` is what all parameters change the other way."""
-    exists = np.ones(outputs.shape, np.bool_)
     rounding = NOISE * STEP * np.ptp(outputs, axis=1) * steps.size
-    _judge(derivatives, back, steps, rounding, DIFFERENT, exists)
-    return exists
-
-
-@cached(nogil=True)
-def _judge(derivatives, back, steps, rounding, different, exists):
-    """Where one side says the same as the other."""
-    p, rows, n = derivatives.shape
-    for row in range(rows):
-        for i in range(n):
-            together, size = back[row, i], abs(back[row, i])
-            for k in range(p):
-                change = derivatives[k, row, i] * steps[k]
-                together += change
-                size += abs(change)
-            exists[row, i] = abs(together) <= different * size + rounding[row]
+    together = back + np.tensordot(steps, derivatives, 1)
+    size = np.abs(back) + np.tensordot(steps, np.abs(derivatives), 1)
+    return np.abs(together) <= DIFFERENT * size + rounding[:, None]

@@ -17,11 +17,12 @@ from pathlib import Path
 from rigs.rig import make_rig
 
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, name_of
-from dmptm_ctrl.diagnosis.judge import rises
+from dmptm_ctrl.diagnosis.judge import rise
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import cross_check, with_sensors
+from dmptm_ctrl.diagnosis.short import with_short_predictions
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.parallel import crew, small_matrices
 from dmptm_ctrl.signals import load_log
@@ -56,10 +57,9 @@ def absent(seed, ordinary, jobs):
         base = DualState(residual(measured, model, jobs=jobs))
         evidence = DualEvidence(measured, tuple(sensors.values), jobs)
         found = select_effects(evidence, base)
-        named = {
-            name_of(e.key): (round(e.evidence, 1), round(rise, 4))
-            for e, rise in zip(found.entries, rises(found), strict=True)
-        }
+        named = told(found)
+        # what short predictions add, those that are negligible left out
+        named |= told(with_short_predictions(evidence, found))
     own = ORDINARY if ordinary else set()
     rest = [c.evidence for c in found.rest if c.keys[0].partition("@")[0] not in own]
     return {
@@ -69,6 +69,14 @@ def absent(seed, ordinary, jobs):
         "absent": {k: v for k, v in named.items() if k not in own},
         "present": {k: v for k, v in named.items() if k in own},
         "rest": round(max(rest, default=0.0), 1),
+    }
+
+
+def told(found):
+    """Evidence of each name, and the share by which what is left rises without it."""
+    return {
+        name_of(e.key): (round(e.evidence, 1), round(rise(e.without, found.final), 4))
+        for e in found.entries
     }
 
 

@@ -285,15 +285,6 @@ class Fit:
                 )
         raise KeyError(f"{name} of {effect or 'the drive'} was not fitted")
 
-    @property
-    def at_bounds(self) -> tuple[str, ...]:
-        """Names of unknowns that sit on a bound."""
-        return tuple(
-            k.name
-            for k, x in zip(self.unknowns, self.p, strict=True)
-            if min(x - k.low, k.high - x) < 1e-6
-        )
-
 
 def bounded_step(
     r: Floats, jac: Floats, p: Floats, unknowns: Sequence[Unknown], damping: float

@@ -65,8 +65,33 @@ def test_text(tmp_path, kind):
     np.testing.assert_allclose(log["in_u"], U, atol=1e-12)
 
 
+def test_whole_seconds_without_a_fraction(tmp_path):
+    """Programs leave out a fraction of nothing."""
+    texts = [s.strftime("%d.%m.%Y %H:%M:%S.%f")[:-3].removesuffix(".000") for s in stamps(T)]
+    assert len({len(text) for text in texts}) == 2
+    path = tmp_path / "run.csv"
+    pd.DataFrame({"t": texts, "u": U, "q": Q}).to_csv(path, index=False)
+    (log,) = rig().read(path)
+    np.testing.assert_allclose(log.time, T, atol=1e-9)
+
+
+def test_a_row_without_a_time(tmp_path):
+    """Its neighbours say what was there."""
+    frame = pd.DataFrame({"t": T, "u": U, "q": Q})
+    frame.loc[100, "t"] = np.nan
+    (log,) = rig().read(frame)
+    np.testing.assert_allclose(log.time, T, atol=1e-9)
+    others = np.arange(T.size) != 100
+    np.testing.assert_allclose(log["in_u"][others], U[others], atol=1e-9)
+    assert "1 row without a time" in log.warnings[0]
+
+
 @pytest.mark.parametrize(
-    "kind", ["datetime64", "with a zone", "timedelta64", "index", "parquet", "json"]
+    "kind",
+    [
+        *("datetime64", "with a zone", "timedelta64", "index", "parquet", "json"),
+        *("unnamed index", "unnamed index, csv", "unnamed index, parquet"),
+    ],
 )
 def test_dates_of_tables(tmp_path, kind):
     frame = pd.DataFrame({"t": stamps(T).tz_localize(None), "u": U, "q": Q})
@@ -77,6 +102,15 @@ def test_dates_of_tables(tmp_path, kind):
         frame["t"] = pd.to_timedelta(T, unit="s")
     elif kind == "index":
         source = frame.set_index("t")
+    elif kind == "unnamed index":
+        source = frame.set_index("t").rename_axis(None)
+    elif kind == "unnamed index, csv":
+        source = tmp_path / "run.csv"
+        frame.set_index("t").rename_axis(None).to_csv(source)
+    elif kind == "unnamed index, parquet":
+        pytest.importorskip("pyarrow")
+        source = tmp_path / "run.parquet"
+        frame.set_index("t").rename_axis(None).to_parquet(source)
     elif kind == "parquet":
         pytest.importorskip("pyarrow")
         source = tmp_path / "run.parquet"

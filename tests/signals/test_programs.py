@@ -111,6 +111,18 @@ def numbered():
 
 FRAME = pd.DataFrame({"t": T, "u": U, "q": Q})
 PREAMBLE = "Drive;AX-01\nSample rate;100 Hz\nComment;a;b\n\n"
+
+
+def remarked(remark):
+    lines = rows(",", T, U, Q).splitlines()
+    return "".join(line + remark * (k % 50 == 20) + "\n" for k, line in enumerate(lines))
+
+
+SIGNALS = [
+    {"name": n, "unit": u, "y": list(y)}
+    for n, u, y in (("t", "s", T), ("u", "Nm", U), ("q", "rad", Q))
+]
+TRIPLES = [list(r) for r in zip(T, U, Q, strict=True)]
 HALSCOPE = "Sampling period is 10000000 ns \n" + "".join(
     f"\nu {u:+.14f} q {q:+.14f} " for u, q in zip(U, Q, strict=True)
 )
@@ -185,12 +197,35 @@ LAYOUTS = {
     "name value": each("t {:.5f} u {:.5f} q {:.5f}\n"),
     "a name and a value per line": each("t {:.5f}\nu {:.5f}\nq {:.5f}\n"),
     "halscope": HALSCOPE,
+    "Markdown": "| t | u | q |\n|---|:---:|--:|\n" + each("| {:.5f} | {:.5f} | {:.5f} |\n"),
+    "Org": "| t | u | q |\n|---+---+---|\n" + each("| {:.5f} | {:9.5f} | {:.5f} |\n"),
+    "grid": "+--+--+\n| t | u | q |\n+==+==+\n" + each("| {:.5f} | {:.5f} | {:.5f} |\n"),
+    "names underlined": "t u q\n--- --- ---\n" + rows(" ", T, U, Q),
+    "names by commas, rows by blanks": "# t, u, q\n" + rows(" ", T, U, Q),
+    "names by semicolons, rows by commas": "t;u;q\n" + rows(",", T, U, Q),
+    "names by blanks, rows by tabs": "t u q\n" + rows("\t", T, U, Q),
+    "tuples": "t,u,q\n" + each("({:.5f}, {:.5f}, {:.5f})\n"),
+    "single quotes": "'t','u','q'\n" + each("'{:.5f}','{:.5f}','{:.5f}'\n"),
+    "texts of Excel": "t,u,q\n" + each('="{:.5f}",="{:.5f}",="{:.5f}"\n'),
+    "quotes in a name": 't,u,q,"a ""b"""\n' + each("{:.5f},{:.5f},{:.5f},1\n"),
+    "serial monitor": "t,u,q\n" + each("12:00:01.234 -> {:.5f},{:.5f},{:.5f}\n"),
+    "serial monitor, names too": "9:00:01.2 -> t,u,q\n"
+    + each("9:00:01.2 -> {:.5f},{:.5f},{:.5f}\n"),
+    "pairs behind a level": each("2025-11-09 09:27:03,010 INFO t={:.5f} u={:.5f} q={:.5f}\n"),
+    "remarks behind some rows": "t,u,q,event\n" + remarked(",start"),
+    "remarks with their sign": "t,u,q\n" + remarked(" # start"),
+    "lowest and highest above": "t,u,q\nMin,-1.3,-1500\nMax,1.3,1500\n" + rows(",", T, U, Q),
     "JSON columns": json.dumps(FRAME.to_dict("list")),
     "JSON records": FRAME.to_json(orient="records"),
     "JSON lines": FRAME.to_json(orient="records", lines=True),
     "JSON split": FRAME.to_json(orient="split"),
     "JSON by index": FRAME.to_json(),
     "JSON below a key": json.dumps({"name": "run", "data": FRAME.to_dict("list")}),
+    "JSON, signals": json.dumps(SIGNALS),
+    "JSON, signals below a key": json.dumps({"gains": [1, 2, 3], "signals": SIGNALS}),
+    "JSON, signals by name": json.dumps({s["name"]: {"data": s["y"]} for s in SIGNALS}),
+    "JSON, names and rows": json.dumps({"fields": ["t", "u", "q"], "rows": TRIPLES}),
+    "JSON, rows": json.dumps([["t", "u", "q"], *TRIPLES]),
     "JSON, nested records": json.dumps({"log": {"rows": FRAME.to_dict("records")}}),
 }  # fmt: skip
 
@@ -207,7 +242,7 @@ def test_layout(tmp_path, layout):
     assert not [w for w in log.warnings if "ignored" in w]
 
 
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "cp1252"])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-32", "cp1252"])
 def test_encoding(tmp_path, encoding):
     log = read(tmp_path, table(header=("t", "µ °", "q")), rig(u="µ °"), encoding=encoding)
     is_the_run(log)

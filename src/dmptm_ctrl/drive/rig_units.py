@@ -9,28 +9,12 @@ import pint
 
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.drive.rig import DEFAULT_TOLERANCE, unknown
-from dmptm_ctrl.signals.units import COUNTS
+from dmptm_ctrl.signals.units import COUNTS, plain
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _TEXT = re.compile(
     rf"^\s*(?P<value>{_NUMBER})\s*(?P<unit>[^±]*?)\s*"
     rf"(?:(?:±|\+/?-)\s*(?P<tol>{_NUMBER})\s*(?P<tol_unit>[^±]*?)\s*)?$"
-)
-_RUN_TOGETHER = (  # written without a space, pint reads them as something else
-    (r"\bmNms\b", "mN*m*s"),
-    (r"\bNms\b", "N*m*s"),
-    (r"\bmNm\b", "mN*m"),
-    (r"\buNm\b", "uN*m"),
-    (r"\bkNm\b", "kN*m"),
-    (r"\bNcm\b", "N*cm"),
-    (r"\bNm\b", "N*m"),
-    (r"\bVs\b", "V*s"),
-    (r"\bkgm", "kg*m"),
-    (r"\bkgcm", "kg*cm"),
-    (r"\bgcm", "g*cm"),
-    (r"\brevs?\b|\brevolutions?\b", "turn"),
-    (r"%", "percent"),
-    (r"\b(?:pwm|PWM|lsb|LSB|digits?|inc|increments?|ticks?)\b", "count"),  # a number, to pint
 )
 _COUNTS = ("ticks", "tick", *COUNTS)
 _PER_TURN = re.compile(
@@ -56,17 +40,6 @@ class UnitError(ValueError):
 @cache
 def _registry() -> pint.UnitRegistry:
     return pint.UnitRegistry()
-
-
-def plain(unit: str) -> str:
-    """Unit in the spelling that pint reads: ``kg·m²`` → ``kg*m**2``."""
-    text = unit.strip().replace("·", "*").replace("²", "**2").replace("³", "**3")
-    text = text.replace("µ", "u").replace("μ", "u").replace("°", "deg").replace("^", "**")
-    text = text.replace("Ω", "ohm").replace("⁻¹", "**-1")
-    for pattern, right in _RUN_TOGETHER:
-        text = re.sub(pattern, right, text)
-    text = re.sub(r"(?<=[A-Za-z])([23])(?!\d)", r"**\1", text)
-    return re.sub(r"\s*\*\s*", "*", text)
 
 
 def factor(unit: str, si: str) -> float:

@@ -51,7 +51,9 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
         else:
             if ":" not in first:
                 raise ValueError(first)
-            form = _format_of(first.replace(",", "."))
+            # whole seconds may be written without a fraction
+            text = text.str.replace(r"(:\d{2}:\d{2})(?![.:\d])", r"\1.0", regex=True)
+            form = _format_of(text[text.first_valid_index()])
             times = pd.to_datetime(text, format=form, utc=True)
     except (ValueError, OverflowError, AttributeError) as error:
         raise LogError(
@@ -67,7 +69,7 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
 def _format_of(text: str) -> str:
     """Format of a date whose day or month comes first; with dots the day does."""
     for day in ("%d.%m.%Y", "%d.%m.%y", "%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y", "%d-%m-%Y", "%m/%d/%y"):
-        for clock in ("%H:%M:%S.%f", "%H:%M:%S", "%I:%M:%S.%f %p", "%I:%M:%S %p", "%H:%M"):
+        for clock in ("%H:%M:%S.%f", "%I:%M:%S.%f %p", "%H:%M"):
             try:
                 datetime.strptime(text, f"{day} {clock}")
             except ValueError:

@@ -16,6 +16,10 @@ WORDS = frozenset(("true", "false"))
 ODD = str.maketrans({"\xa0": "", "\u202f": "", "\u2009": "", "’": "'", "−": "-", "\ufeff": ""})
 _FORTRAN = re.compile(r"[-+]?[\d.]+[dD][-+]?\d+")
 _PAIR = re.compile(r"(?<![\w.-])([A-Za-z_][\w.\[\]()/-]*)\s*[=:]\s*(?=[-+.\d])")
+_STAMP = re.compile(r"^\s*([\d:.]+)\s*->\s*")  # serial monitors put the time of day before a row
+_ENCLOSED = re.compile(r"^\s*[\[(]([^\[\]()]*)[\])][;,]?\s*$")  # printed tuples and arrays
+_REMARK = re.compile(r"\s+#.*")
+_RULE = re.compile(r"[\s|+:=-]*[-=]{3,}[\s|+:=-]*$")  # below the names of a table, around a grid
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,10 @@ class Dialect(NamedTuple):
         """Fields of a line, without their quotes and the blanks around them."""
         if self.pairs:
             line = _PAIR.sub(rf"\1{self.separator}", line)
-        line = line.rstrip("\r\n").translate(ODD)
+        line = _STAMP.sub(rf"\1{self.separator}", line.rstrip("\r\n").translate(ODD))
+        line = _ENCLOSED.sub(r"\1", line)
+        if self.separator == "|" and line.strip()[:1] == line.strip()[-1:] == "|":
+            line = line.strip()[1:-1]
         if self.separator == " ":
             line = " ".join(line.split())
         if '"' not in line:
@@ -59,7 +66,7 @@ class Dialect(NamedTuple):
                 fields = next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))
             except (csv.Error, StopIteration):
                 fields = line.split(self.separator)
-        return [field.strip().strip('"').strip() for field in fields]
+        return [_unquoted(field) for field in fields]
 
     def kind(self, cell: str) -> str:
         """Kind of a field: "number", "time", "" (no value) or "text"."""
@@ -131,6 +138,24 @@ class Block(NamedTuple):
     @property
     def width(self) -> int:
         return len(self.kinds)
+
+
+def _unquoted(field: str) -> str:
+    """Field without the blanks and quotes around it, also written ="0.1"."""
+    plain = field.strip().removeprefix("=")
+    if len(plain) > 1 and plain[0] == plain[-1] and plain[0] in "'\"":
+        return plain[1:-1].strip()
+    return plain
+
+
+def says_nothing(line: str) -> bool:
+    """Whether a line is a comment or a rule between the rows of a table."""
+    return line.lstrip().startswith(COMMENT) or bool(_RULE.match(line))
+
+
+def without_remark(line: str) -> str:
+    """Line without a remark behind the row."""
+    return _REMARK.sub("", line) if "#" in line else line
 
 
 def trimmed(fields: list[str]) -> list[str]:

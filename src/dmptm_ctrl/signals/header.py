@@ -10,6 +10,7 @@ from dmptm_ctrl.signals.dialect import Block, Dialect, Layout, TextFormat, bare,
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.units import FOREIGN, Unit, named_unit, parse_unit
 
+SEPARATORS = (";", "\t", ",", "|", " ")
 FILE_TIME = 1e16  # a clock without a name that reads more counts ticks since 1601
 SEP_LINE = re.compile(r'(?i)\ufeff?"?sep=(.)"?\s*$')
 _TYPE = re.compile(r"(?i)(l?real|[us]?[dls]?int|float|double|bool|lword|dword|word)\d*$")
@@ -31,8 +32,9 @@ def named(
     if long and len({r[0] for r in block.rows}) <= len(block.rows) / 4:
         return replace(layout, names=["name", "value"], long=True)
     values = [c for c, kind in enumerate(block.kinds) if kind != "text"]
-    if all(c and block.constant[c - 1] for c in values):
-        return replace(layout, names=["", *(n.rstrip(":=") for n in block.constant[:-1])])
+    beside = ["", *(n.rstrip(":=") for n in block.constant[:-1])]
+    if all(beside[c] for c in values) or (block.dialect.pairs and sum(map(bool, beside)) > 1):
+        return replace(layout, names=beside)  # pairs may follow a time and a level
     if how.header is not None:
         rows = [trimmed(block.dialect.split(bare(s))) for s in lines[: how.header][-1:]]
     else:
@@ -50,6 +52,8 @@ def named(
         "ticks" if name == CLOCK and value > FILE_TIME else unit
         for name, unit, value in zip(found.names, found.units, ticks, strict=True)
     ]
+    if found.names[0] == "" and block.kinds.count("time") == 1 and block.kinds[0] == "time":
+        return replace(found, names=[CLOCK, *found.names[1:]], units=units)
     return replace(found, units=units)
 
 
@@ -60,12 +64,16 @@ def _candidates(lines: Sequence[str], block: Block) -> list[list[str]]:
     for line in reversed(lines[: block.first]):
         if not line.strip() or SEP_LINE.match(line):
             continue
-        fields = trimmed(block.dialect.split(bare(line)))
-        comment, short = bare(line) is not line, len(fields) < used
-        fits = len(fields) == block.width if comment else not short
-        fits = fits or (len(fields) == block.width - 1 and _counts_rows(block))
-        if fits and any(block.dialect.kind(f) == "text" for f in fields):
-            found.setdefault((comment, short), []).append(fields)
+        comment = bare(line) is not line
+        for separator in dict.fromkeys((block.dialect.separator, *SEPARATORS)):
+            dialect = block.dialect._replace(separator=separator)
+            fields = trimmed(dialect.split(bare(line)))
+            short, other = len(fields) < used, dialect != block.dialect
+            fits = len(fields) == block.width if comment or other else not short
+            fits = fits or (len(fields) == block.width - 1 and _counts_rows(block))
+            if fits and any(dialect.kind(f) == "text" for f in fields):
+                loose = sum(f[-1:] in SEPARATORS for f in fields if f)
+                found.setdefault((comment, short, loose > 0, other), []).append(fields)
     # names without the sign of a comment, as many as columns, come first
     return found[min(found)] if found else []
 
@@ -73,14 +81,15 @@ def _candidates(lines: Sequence[str], block: Block) -> list[list[str]]:
 def _wordy(above: Sequence[str], block: Block) -> int:
     def is_row(line: str) -> bool:
         kinds = [block.dialect.kind(cell) for cell in block.dialect.split(line)]
-        return len(kinds) == block.fields and block.kinds[0] == kinds[0] != "text"
+        alike = len(kinds) == block.fields and block.kinds[0] == kinds[0] != "text"
+        return alike and "number" in kinds
 
     return sum(1 for _ in itertools.takewhile(is_row, reversed(above)))
 
 
 def _counts_rows(block: Block) -> bool:
     """Whether the first column numbers or names the rows, as R writes it without a name."""
-    if block.kinds[0] == "text":
+    if block.kinds[0] in ("text", "time"):
         return True
     first = [block.dialect.number(r[0]) for r in block.rows]
     return len(first) > 2 and all(
@@ -117,8 +126,9 @@ def _from_rows(rows: list[list[str]], plain: Layout, wanted: Collection[str]) ->
     for row in others:
         # a label before each channel, as Unit, is no unit
         label = row[0] if row.count(row[0]) > 1 and not _is_unit(row[0]) else ""
-        texts = [n for n in row if n not in ("", label) and plain.dialect.number(n) is None]
-        if texts and sum(_is_unit(n) for n in texts) > len(texts) / 2:
+        given = [n for n in row if n not in ("", label)]
+        texts = [n for n in given if plain.dialect.number(n) in (None, 1.0)]  # 1: no unit
+        if sum(_is_unit(n) for n in texts) > len(given) / 2:
             units = [
                 u or (n.strip("[]()") if _is_unit(n) else "")
                 for u, n in zip(units, row, strict=True)

@@ -3,11 +3,18 @@
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 
-from dmptm_ctrl.signals.dialect import COMMENT, Block, Dialect, Layout, TextFormat, bare, trimmed
+from dmptm_ctrl.signals.dialect import (
+    Block,
+    Dialect,
+    Layout,
+    TextFormat,
+    bare,
+    says_nothing,
+    trimmed,
+)
 from dmptm_ctrl.signals.errors import NotALogError
-from dmptm_ctrl.signals.header import SEP_LINE, named
+from dmptm_ctrl.signals.header import SEP_LINE, SEPARATORS, named
 
-SEPARATORS = (";", "\t", ",", "|", " ")
 # decimal sign, sign between thousands; the plainest that reads everything is taken
 NUMBERS = ((".", ""), (",", ""), (".", ","), (",", "."), (".", "'"), (".", " "), (",", " "))
 STEADY = 10  # rows of one kind in a row that are the table and no part of the preamble
@@ -53,9 +60,7 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
     """Rows of the commonest shape; None where no column holds numbers."""
     start = max(how.skip, how.header or 0)
     rows = [
-        (i, dialect.split(s))
-        for i, s in enumerate(lines)
-        if i >= start and not s.lstrip().startswith(COMMENT)
+        (i, dialect.split(s)) for i, s in enumerate(lines) if i >= start and not says_nothing(s)
     ]
     kinds = [[dialect.kind(cell) for cell in row] for _, row in rows]
     fields = Counter(len(k) for k in kinds if "number" in k).most_common(1)
@@ -103,9 +108,8 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
     share = 1 - (cells["text"] + others) / max(sum(cells.values()), 1)
     above = {len(trimmed(dialect.split(bare(s)))) for s in lines[start:first]}
     told = len(column) in above or how.header is not None
-    return Block(
-        (round(share, 2), told, len(column)), dialect, first, width, column, constant, body
-    )
+    values = sum(kind != "text" for kind in column)
+    return Block((round(share, 2), told, values), dialect, first, width, column, constant, body)
 
 
 def _kind_of(cells: list[str]) -> str:

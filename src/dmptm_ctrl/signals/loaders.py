@@ -282,6 +282,8 @@ def read_table(
     }  # fmt: skip
     extension = path.suffix.lower()
     try:
+        if extension == ".gz" and path.stem.lower().endswith(".json"):
+            extension = ".json"
         if extension in readers:
             return readers[extension](path, choose)
         with path.open("rb") as stream:
@@ -290,7 +292,9 @@ def read_table(
             raise NotALogError(f"{path.name}: a packed file, such as Excel's; save it as CSV")
         if head.startswith(b"MDF "):  # also called .mdf and .dat
             return read_mdf(path, choose)
-        if head.startswith(b"{") and extension != ".parquet":  # JSON by another name
+        if (
+            head.startswith((b"{", b"[{", b"[[")) and extension != ".parquet"
+        ):  # JSON by another name
             return read_json(path, choose)
         if extension == ".parquet":
             return read_parquet(path, choose, max_rows)
@@ -358,6 +362,11 @@ def _channels(
                 f"{title}: no sample from {low:.6g} to {high:.6g} s, the log is "
                 f"{np.nanmax(since):.6g} s long"
             )
+    timed = np.isfinite(time)
+    if resample and timed.any() and (lost := int((~np.trim_zeros(timed)).sum())):
+        notes.append(f"{lost} row{'s' * (lost > 1)} without a time between others: left out")
+        timed[: np.argmax(timed)] = timed[timed.size - np.argmax(timed[::-1]) :] = True
+        time, channels = time[timed], {c: v[timed] for c, v in channels.items()}
     rows, filled, done = without_holes({"time": time, **channels}, labels, bridge=bool(resample))
     notes += done
     for channel, values in filled.items():
@@ -407,10 +416,21 @@ def _floats(values: Any, column: str, title: str) -> Any:
             raise TypeError(array.dtype)
         array = array.astype(np.float64, copy=False)
     except (TypeError, ValueError) as error:
-        raise LogError(f"{title}: column {column!r} does not hold numbers") from error
+        words = (v for v in np.ravel(values) if isinstance(v, str) and not _is_number(v))
+        example = next(words, "")[:40]
+        what = f"holds {example!r}, no number" if example else "does not hold numbers"
+        raise LogError(f"{title}: column {column!r} {what}") from error
     if array.ndim != 1:
         raise LogError(f"{title}: column {column!r} holds arrays, not numbers")
     return array
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _unwrap(channels: dict[str, Any], units: Mapping[str, str]) -> list[str]:

@@ -1,22 +1,28 @@
 """Logs as tables: data frames, Parquet and JSON."""
 
+import gzip
 import json
+import zlib
 from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.signals.clock import times_of
-from dmptm_ctrl.signals.columns import Choose, Table
+from dmptm_ctrl.signals.columns import CLOCK, Choose, Table
 from dmptm_ctrl.signals.errors import LogError, NotALogError
+
+_INDEX = "__index_level_0__"  # pandas' name of an index without one
+_GZIP = (EOFError, zlib.error, gzip.BadGzipFile)
 
 
 def from_frame(frame: Any) -> Table:
-    """Columns of a `pandas.DataFrame`; an index called NAME_UNIT is a column too."""
+    """Columns of a `pandas.DataFrame`; an index is a column, too, and a clock without a name."""
     try:
         names = [str(column) for column in frame.columns]
         columns = {name: _values(frame.iloc[:, i]) for i, name in enumerate(names)}
-        if frame.index.name is not None:
-            names.append(str(frame.index.name))
-            columns.setdefault(names[-1], _values(frame.index.to_series()))
+        index = frame.index
+        if index.name is not None or index.dtype.kind in "fmM":
+            names.append(CLOCK if index.name is None else str(index.name))
+            columns.setdefault(names[-1], _values(index.to_series()))
     except AttributeError:
         raise LogError(f"a log is a path or a DataFrame, not {type(frame).__name__}") from None
     twice = [name for name in names if names.count(name) > 1]
@@ -24,7 +30,7 @@ def from_frame(frame: Any) -> Table:
         raise LogError(
             f"column {twice[0]!r} of the data frame occurs {names.count(twice[0])} times"
         )
-    return Table(columns, {}, {})
+    return Table(columns, {CLOCK: "s"} if CLOCK in columns else {}, {})
 
 
 def _values(column: Any) -> Any:
@@ -43,15 +49,16 @@ def read_parquet(path: Path, choose: Choose, max_rows: int | None = None) -> Tab
         ) from error
     try:
         with pq.ParquetFile(path) as file:
-            names = list(file.schema_arrow.names)
-            chosen = choose(names, {})
-            table = _rows(file, chosen, max_rows)
-        columns = {name: table.column(name).to_numpy() for name in chosen}
+            own = {CLOCK if n == _INDEX else n: n for n in file.schema_arrow.names}
+            units = {CLOCK: "s"} if CLOCK in own else {}
+            chosen = choose(list(own), units)
+            table = _rows(file, [own[name] for name in chosen], max_rows)
+        columns = {name: table.column(own[name]).to_numpy() for name in chosen}
     except (LogError, FileNotFoundError, PermissionError):
         raise
     except Exception as error:  # pyarrow has its own family of errors
         raise LogError(f"{path.name}: not a readable Parquet file, or damaged") from error
-    return Table(columns, {}, {})
+    return Table(columns, units, {})
 
 
 def read_json(path: Path, choose: Choose) -> Table:
@@ -63,13 +70,15 @@ def read_json(path: Path, choose: Choose) -> Table:
     import pandas as pd
 
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        data = path.read_bytes()
+        data = gzip.decompress(data) if data.startswith(b"\x1f\x8b") else data
+        text = data.decode(json.detect_encoding(data))
         try:
             content = json.loads(text)
         except ValueError:
             content = [json.loads(line) for line in text.splitlines() if line.strip()]
         frame, beside = _json_table(content, pd)
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, AttributeError, RecursionError, *_GZIP) as error:
         raise NotALogError(f"{path.name}: no JSON of columns or records") from error
     if frame is None:
         raise NotALogError(f"{path.name}: no table of columns or records in the file")
@@ -96,36 +105,71 @@ def read_json(path: Path, choose: Choose) -> Table:
 
 def _json_table(content: Any, pd: Any) -> tuple[Any, dict[str, Any]]:
     """Largest table in a JSON content, and what stands beside it."""
-    if isinstance(content, list):
-        records = [r for r in content if isinstance(r, dict)]
-        if records and len(records) == len(content):
-            return pd.json_normalize(records), {}
+    if not isinstance(content, dict | list):
         return None, {}
-    if not isinstance(content, dict):
-        return None, {}
-    if isinstance(content.get("columns"), list) and isinstance(content.get("data"), list):
-        return pd.DataFrame(content["data"], columns=content["columns"]), content
-    lists = {
-        k: v for k, v in content.items() if isinstance(v, list) and not _holds(v, (list, dict))
-    }
-    longest = max(map(len, lists.values()), default=0)
-    full = {k: v for k, v in lists.items() if len(v) == longest}
-    if longest > 1:
-        return pd.DataFrame(full), content
-    by_row = [v for v in content.values() if isinstance(v, dict) and len(v) > 1]
-    if (
-        by_row
-        and len(by_row) == len(content)
-        and not any(_holds(v.values(), (list, dict)) for v in by_row)
-    ):
-        return pd.DataFrame(content), {}
-    inner = [_json_table(v, pd) for v in content.values() if isinstance(v, list | dict)]
-    tables = [(t, {**content, **b}) for t, b in inner if t is not None]
+    tables = [] if (own := _own_table(content, pd)) is None else [own]
+    if not tables or isinstance(content, dict):
+        beside = content if isinstance(content, dict) else {}
+        inner = beside.values() if beside else content
+        found = (_json_table(v, pd) for v in inner if isinstance(v, list | dict))
+        tables += [(t, {**beside, **b}) for t, b in found if t is not None]
     return max(tables, key=lambda pair: len(pair[0]), default=(None, {}))
 
 
-def _holds(values: Any, kinds: tuple[type, ...]) -> bool:
-    return any(isinstance(v, kinds) for v in values)
+def _own_table(content: Any, pd: Any) -> tuple[Any, dict[str, Any]] | None:
+    """Table that lists or dicts make together, and what stands beside it."""
+    if isinstance(content, list):
+        if content and all(isinstance(r, dict) for r in content):
+            return _signals(content, pd) or (pd.json_normalize(content), {})
+        if len(content) > 1 and all(isinstance(r, list) and len(r) > 1 for r in content):
+            first, *rest = content
+            names = all(isinstance(n, str) for n in first)
+            if names and all(len(r) == len(first) for r in rest):
+                return pd.DataFrame(rest, columns=first), {}
+        return None
+    plain = {k: v for k, v in content.items() if _is_plain(v)}
+    for names in plain.values():
+        for rows in content.values():
+            if isinstance(rows, list) and all(isinstance(n, str) for n in names):
+                whole = len(rows) > 1 and all(isinstance(r, list) for r in rows)
+                if whole and all(len(r) == len(names) for r in rows):
+                    return pd.DataFrame(rows, columns=names), content
+    by_name = [{"name": k, **v} for k, v in content.items() if isinstance(v, dict)]
+    if (signals := _signals(by_name, pd)) is not None:
+        return signals
+    longest = max(map(len, plain.values()), default=0)
+    if longest > 1:
+        return pd.DataFrame({k: v for k, v in plain.items() if len(v) == longest}), content
+    by_row = [v for v in content.values() if isinstance(v, dict) and len(v) > 1]
+    whole = by_row and len(by_row) == len(content)
+    if whole and not any(isinstance(x, list | dict) for v in by_row for x in v.values()):
+        return pd.DataFrame(content), {}
+    return None
+
+
+def _signals(content: list[dict[str, Any]], pd: Any) -> tuple[Any, dict[str, Any]] | None:
+    """Signals of a name, perhaps a unit, and values each."""
+    columns, units = {}, {}
+    for signal in content:
+        values = [v for v in signal.values() if _is_plain(v) and len(v) > 1]
+        name = next((signal[k] for k in _NAMES if isinstance(signal.get(k), str)), None)
+        if name is None or len(values) != 1:
+            continue
+        columns[name] = values[0]
+        unit = signal.get("unit", signal.get("units"))
+        units |= {name: unit} if isinstance(unit, str) else {}
+    longest = max(map(len, columns.values()), default=0)
+    if len(columns) < 2:
+        return None
+    full = {n: v for n, v in columns.items() if len(v) == longest}
+    return pd.DataFrame(full), {"units": units}
+
+
+_NAMES = ("name", "label", "signal", "channel", "id", "key", "title")  # of a signal
+
+
+def _is_plain(value: Any) -> bool:
+    return isinstance(value, list) and not any(isinstance(v, list | dict) for v in value)
 
 
 def _rows(file: Any, columns: list[str], rows: int | None) -> Any:

@@ -14,7 +14,14 @@ import numpy as np
 
 from dmptm_ctrl.signals.clock import seconds_of, times_of
 from dmptm_ctrl.signals.columns import TIMES, Choose, Table
-from dmptm_ctrl.signals.dialect import COMMENT, MISSING, ODD, Layout, TextFormat
+from dmptm_ctrl.signals.dialect import (
+    MISSING,
+    ODD,
+    Layout,
+    TextFormat,
+    says_nothing,
+    without_remark,
+)
 from dmptm_ctrl.signals.errors import LogError, NotALogError
 from dmptm_ctrl.signals.header import is_clock_name
 from dmptm_ctrl.signals.layout import find_layout
@@ -111,6 +118,8 @@ def _encoding(path: Path) -> str:
         head = stream.peek(1 << 16)[: 1 << 16]
     if head[:64].count(0) < 8:  # a file that was to grow, and was not closed
         head = head.rstrip(b"\0")
+    if head.startswith((b"\xff\xfe\0\0", b"\0\0\xfe\xff")):
+        return "utf-32"
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
     if b"\0" in head:
@@ -273,7 +282,7 @@ class _Rows:
             for number, line in enumerate(stream, start=layout.first + 1):
                 if '"' in line and line.count(separator) == fields - 1:
                     line = line.replace('"', "")  # nothing in the quotes separates
-                plain = simple and line[0] in _PLAIN and '"' not in line
+                plain = simple and line[0] in _PLAIN and '"' not in line and "#" not in line
                 if plain and not blanks and line.count(separator) == fields - 1:
                     row, what = line.replace(separator, _FIELD), ""
                 elif plain and blanks and len(line.split()) == fields:
@@ -310,10 +319,11 @@ class _Rows:
         "odd": a row that lacks values or holds words, as at the end of a file.
         """
         layout = self._layout
-        if line.lstrip().startswith(COMMENT):
+        if says_nothing(line):
             return "", "comments"
-        cells = layout.dialect.split(line)
-        while len(cells) > layout.fields and not cells[-1]:
+        cells = layout.dialect.split(without_remark(line))
+        # what a program wrote behind some rows only: nothing, or a remark
+        while len(cells) > layout.fields and layout.dialect.kind(cells[-1]) in ("", "text"):
             cells.pop()
         kinds = [
             layout.dialect.kind(cell)

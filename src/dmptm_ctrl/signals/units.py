@@ -50,7 +50,7 @@ SUFFIXES = {
 TICKS = ("ticks", "tick", "100ns", "100 ns", "filetime")  # of a clock: 100 ns on Windows
 # What counts, as encoders do.
 COUNTS = (
-    *("count", "counts", "cnt", "cnts", "inc", "incr", "increments", "pulses", "steps"),
+    *("count", "counts", "cnt", "cnts", "cts", "inc", "incr", "increments", "pulses", "steps"),
     *("inkr", "ink", "inkremente", "imp", "impulse"),
 )
 _NUMBERS = (  # a signal in such is a number; its gain says what it stands for
@@ -99,17 +99,17 @@ def parse_unit(text: str) -> Unit:
 
     LogError if it does not convert to SI by a factor alone.
     """
-    plain = text.strip().replace("·", "*").replace("²", "**2").replace("µ", "u")
-    suffix = plain.replace("/", "_").replace("*", "").replace("^", "")
+    given = text.strip().replace("·", "*").replace("²", "**2").replace("µ", "u")
+    suffix = given.replace("/", "_").replace("*", "").replace("^", "")
     if suffix in SUFFIXES:
         return SUFFIXES[suffix]
-    if plain.lower() in TICKS:
+    if given.lower() in TICKS:
         return Unit("s", 1e-7)
-    if plain.lower() in _NUMBERS:
+    if given.lower() in _NUMBERS:
         return Unit("", 1.0)
-    if plain.lower() in _SPELLINGS:
-        return SUFFIXES[_SPELLINGS[plain.lower()]]
-    return _parse_with_pint(plain)
+    if given.lower() in _SPELLINGS:
+        return SUFFIXES[_SPELLINGS[given.lower()]]
+    return _parse_with_pint(given)
 
 
 _IN_BRACKETS = re.compile(r"(?P<name>.*?[^\s/])\s*(?P<unit>\[[^\[\]]*\]|\([^()]*\))\s*$")
@@ -147,19 +147,54 @@ _EXPRESSION = re.compile(
 )
 
 
+_RUN_TOGETHER = (  # written without a space, pint reads them as something else
+    (r"\bmNms\b", "mN*m*s"),
+    (r"\bNms\b", "N*m*s"),
+    (r"\bmNm\b", "mN*m"),
+    (r"\buNm\b", "uN*m"),
+    (r"\bkNm\b", "kN*m"),
+    (r"\bNcm\b", "N*cm"),
+    (r"\bNm\b", "N*m"),
+    (r"\bVs\b", "V*s"),
+    (r"\b(oz|lb)f?[-.· ]?(in|ft)\b", r"\1f*\2"),
+    (r"\b(in|ft)[-.· ]?(oz|lb)f?\b", r"\2f*\1"),
+    (r"(?<=[A-Za-z])[.-](?=[A-Za-z])", "*"),
+    (r"(?i)\brpm\b", "rpm"),
+    (r"\b[Gg]rad\b", "deg"),
+    (r"^(Umdr|U|tr|r)\.?(?=/)", "turn"),
+    (r"\bkgm", "kg*m"),
+    (r"\bkgcm", "kg*cm"),
+    (r"\bgcm", "g*cm"),
+    (r"\brevs?\b|\brevolutions?\b", "turn"),
+    (r"%", "percent"),
+    (r"\b(?:pwm|PWM|lsb|LSB|digits?|inc|increments?|ticks?)\b", "count"),  # a number, to pint
+)
+
+
+def plain(unit: str) -> str:
+    """Unit in the spelling that pint reads: ``kg·m²`` → ``kg*m**2``."""
+    text = unit.strip().replace("·", "*").replace("²", "**2").replace("³", "**3")
+    text = text.replace("µ", "u").replace("μ", "u").replace("°", "deg").replace("^", "**")
+    text = text.replace("Ω", "ohm").replace("⁻¹", "**-1")
+    for pattern, right in _RUN_TOGETHER:
+        text = re.sub(pattern, right, text)
+    text = re.sub(r"(?<=[A-Za-z])([23])(?!\d)", r"**\1", text)
+    return re.sub(r"\s*\*\s*", "*", text)
+
+
 def _parse_with_pint(text: str) -> Unit:
     import pint
 
-    plain = text.replace("°", "deg").replace("rev", "turn")
+    spelled = plain(text)
     try:
-        if len(text) > 40 or not _EXPRESSION.fullmatch(plain):
+        if len(text) > 40 or not _EXPRESSION.fullmatch(spelled):
             raise ValueError(text)
-        quantity = pint.Quantity(1.0, plain)
+        quantity = pint.Quantity(1.0, spelled)
         for unit in SUFFIXES.values():
             base = _pint_text(unit.symbol)
             root = quantity.to_root_units()
             if root.units == pint.Quantity(1.0, base).to_root_units().units:
-                if pint.Quantity(0.0, plain).to(base).magnitude != 0:
+                if pint.Quantity(0.0, spelled).to(base).magnitude != 0:
                     break  # °C and the like have another zero
                 return Unit(unit.symbol, float(quantity.to(base).magnitude))
     except Exception as error:  # pint raises its own, tokenizer's and arithmetic errors

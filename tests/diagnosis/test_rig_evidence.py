@@ -41,6 +41,41 @@ def rubbing():
     return prepared(Bench(Machine(fc=0.03), **SMALL))
 
 
+def geared(gap):
+    """A gear with the load behind it; the motor's encoder sees it alone."""
+    machine = Machine(
+        gain=1.0, emf=0.0, j1=2e-4, j2=0.013, ratio=10.0, k=0.4, c=1e-4, gap=gap, fc=5e-3,
+        fc2=0.04, b1=2e-4, b2=0.02,
+    )  # fmt: skip
+    kinds = (("multisine", 0.04), ("sine", 0.02), ("steps", 0.03))
+    bench = Bench(machine, kinds, 6.0, 2e-3, counts=65536, sensors=("position",))
+    text = bench.rig().replace('"unknown"', '"0.013 kg m^2 ± 20 %"', 2)
+    text = text.replace('viscous = "0.013 kg m^2 ± 20 %"', 'viscous = "unknown"', 1)
+    text = text.replace("± 40 %", "± 10 %").replace("shaft.coupling", "mesh.coupling")
+    rig = parse_rig(text.replace("viscous =", 'coulomb = "unknown"\nviscous ='), "rig.toml")
+    logs, held, _, _ = split(rig, balance_of(rig, logs_of(bench, rig)))
+    evidence = RigEvidence(logs, held, 1)
+    return evidence, evidence.base(State(rough_start(RigModel(rig), logs)))
+
+
+def test_a_gap_before_a_load_that_nothing_measures():
+    """A soft spring is the nearest thing; the gap is found beside the stiff one."""
+    evidence, base = geared(0.03)
+    assert base.fit.values["link.coupling.stiffness"] < 0.36  # soft by the gap
+    found = evidence.candidates(base, ["backlash@coupling"])
+    best = max((c for c in found if c.acceptable), key=lambda c: c.evidence)
+    fit = evidence.adopt(base, best).fit
+    assert fit.values["backlash@coupling.half_gap"] == pytest.approx(0.03, rel=0.1)
+    assert fit.values["link.coupling.stiffness"] == pytest.approx(0.4, rel=0.1)
+
+
+def test_no_gap_before_a_load_that_nothing_measures():
+    evidence, base = geared(0.0)
+    assert base.fit.values["link.coupling.stiffness"] == pytest.approx(0.4, rel=0.05)
+    found = evidence.candidates(base, ["backlash@coupling"])
+    assert all(c.evidence < LEVEL or not c.acceptable for c in found)
+
+
 def test_what_is_missing_has_more_evidence_than_the_level(rubbing):
     evidence, base = rubbing
     found = {c.keys[0]: c for c in evidence.candidates(base)}

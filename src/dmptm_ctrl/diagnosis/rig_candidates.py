@@ -21,6 +21,7 @@ from dmptm_ctrl.identify.rig_start import (
     regress,
     regress_gap,
     spring_values,
+    springs_of,
     unknown_inertias,
 )
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
@@ -38,7 +39,8 @@ OFFSET = 0.02  # of the input's size
 BANDS = (0.01, 0.05, 0.15)  # dead bands, of the input's size
 LIMITS = (0.95, 0.8, 0.6, 0.4)  # saturations, of the input's peak
 SPEEDS = (0.01, 0.03, 0.06, 0.12, 0.25)  # Stribeck speeds, of the highest
-SIZES = (1e-5, 1e-4, 1e-3, 1e-2)  # bristles and gaps, of the travel
+SIZES = (1e-5, 1e-4, 1e-3, 1e-2)  # bristles, of the travel
+GAPS = (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel
 WIDTHS = (0.003, 0.01, 0.03)  # local spots, of the travel
 SPOT_BINS = 2048
 HIDDEN_MODES = 14  # antiresonances tried
@@ -468,7 +470,10 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
         ends = ends_of(model, balance, link) if link in declared else None
         if ends is None:
             travel = scales_of(balance).position
-            yield [Placed(BACKLASH.name, link, {"half_gap": s * travel}) for s in SIZES], {}, {}
+            tries = [Placed(BACKLASH.name, link, {"half_gap": s * travel}) for s in GAPS]
+            soft = springs_of(model, balance, link) if link in declared else []
+            for values in soft or [{}]:
+                yield tries, values, {}
             continue
         if not all(p in m.angles for m in balance.motions for p, _ in ends):
             continue  # an integrated speed drifts by more than a gap

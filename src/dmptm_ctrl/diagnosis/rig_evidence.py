@@ -32,6 +32,7 @@ from dmptm_ctrl.identify.rig_fit import (
     stepped,
     total_loss,
 )
+from dmptm_ctrl.identify.rig_start import stiffened
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed
 
@@ -255,7 +256,13 @@ class RigEvidence:
         """Put a candidate into the model and fit to the end."""
         found, news = candidate.fitted[1].state, state.fit.likelihood.news
         fit = fit_rig(found, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
-        return RigState(fit, self.held, (*state.keys, *candidate.keys))
+        return self._stiffened(RigState(fit, self.held, (*state.keys, *candidate.keys)))
+
+    def _stiffened(self, state: RigState) -> RigState:
+        fit = state.fit
+        for link in (k.partition("@")[2] for k in state.keys if k.startswith(f"{BACKLASH.name}@")):
+            fit = stiffened(fit, link, iterations=SETTLE, jobs=self.jobs)
+        return replace(state, fit=fit)
 
     def closed(self, state: RigState) -> RigState:
         """Count anew how many rows are independent, and fit again."""
@@ -276,7 +283,8 @@ class RigEvidence:
         }
         news = state.fit.likelihood.news
         fit = fit_rig(State(model, logs), self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
-        return RigState(fit, self.held, tuple(k for k in state.keys if k not in gone))
+        left = tuple(k for k in state.keys if k not in gone)
+        return self._stiffened(RigState(fit, self.held, left))
 
     def wald(self, state: RigState, key: str) -> float:
         """Square of an effect's amplitudes in standard errors; 0 where only a refit tells."""

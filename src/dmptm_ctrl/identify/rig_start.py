@@ -8,10 +8,11 @@ import numpy as np
 
 from dmptm_ctrl.identify.free_parameters import Floats, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.rig_fit import State, fit_rig
+from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig
 from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
 
 STIFF = 6  # antiresonances tried for a spring of which nothing is known
+STIFFER = 1.5, 3.0  # times the stiffness that was fitted
 LOWEST_MODE = 0.03  # of the bandwidth
 HIGHEST_MODE = 1.5
 DAMPING_RATIO = 0.05
@@ -81,18 +82,56 @@ def _springs(model: RigModel, balance: Balance) -> RigModel:
             inertias = unknown_inertias(model, link.name, spring)
             model = model.with_values({**inertias, **spring_values(model, link.name, spring)})
             continue
-        _, far_ratio = link_sides(model, link.name)
-        far = sum(r**2 * model.value(f"body.{b}.inertia") for b, r in far_ratio.items())
-        far /= model.value(f"link.{link.name}.ratio") ** 2
-        tried = []
-        top = 2 * np.pi * balance.bandwidth
-        for w in np.geomspace(LOWEST_MODE * top, HIGHEST_MODE * top, STIFF):
-            spring = Spring(float(w), DAMPING_RATIO, far, far)
-            start = model.with_values(spring_values(model, link.name, spring))
-            fit = fit_rig(State(start), balance, iterations=3)
-            tried.append((fit.loss, fit.model))
-        model = min(tried, key=lambda t: t[0])[1]
+        starts = map(model.with_values, springs_of(model, balance, link.name))
+        fits = [fit_rig(State(start), balance, iterations=3) for start in starts]
+        model = min(fits, key=lambda fit: fit.loss).model
     return model
+
+
+def springs_of(model: RigModel, balance: Balance, link: str) -> list[dict[str, float]]:
+    """Values of a link of unknown stiffness, soft to stiff, beside the declared inertias.
+
+    A gap that is not in the model makes a spring look soft, and inertias wrong.
+    """
+    declared = {k: q.value for k, q in model.quantities.items() if k.endswith(".inertia")}
+    known = {k: v for k, v in declared.items() if isfinite(v)}
+    model = model.with_values(known)
+    _, far_ratio = link_sides(model, link)
+    far = sum(r**2 * model.value(f"body.{b}.inertia") for b, r in far_ratio.items())
+    far /= model.value(f"link.{link}.ratio") ** 2
+    top = 2 * np.pi * balance.bandwidth
+    found = [
+        spring_values(model, link, Spring(float(w), DAMPING_RATIO, far, far))
+        for w in np.geomspace(LOWEST_MODE * top, HIGHEST_MODE * top, STIFF)
+    ]
+    return [known | values for values in found if values]
+
+
+def stiffened(fit: RigFit, link: str, *, iterations: int, jobs: int) -> RigFit:
+    """Fit again from stiffer springs in a link while that fits better.
+
+    Beside a gap whose far side is not measured, a spring that is too soft is the nearest
+    minimum: it makes up for the gap that is not fitted yet.
+    """
+    key = f"link.{link}.stiffness"
+    declared = fit.model.quantities.get(key)
+    if declared is None or isfinite(declared.value):
+        return fit
+    likelihood = fit.likelihood
+    while True:
+        stiffness = fit.model.value(key)
+        starts = [fit.model.with_values({key: by * stiffness}) for by in STIFFER]
+        fits = [
+            fit_rig(
+                State(start, fit.state.logs), likelihood.balance, news=likelihood.news,
+                iterations=iterations, jobs=jobs,
+            )
+            for start in starts
+        ]  # fmt: skip
+        best = min(fits, key=lambda f: f.loss)
+        if best.loss > fit.loss - 1.0:
+            return fit
+        fit = best
 
 
 def spring_values(model: RigModel, link: str, spring: Spring) -> dict[str, float]:

@@ -60,7 +60,7 @@ def named(
 def _candidates(lines: Sequence[str], block: Block) -> list[list[str]]:
     """Rows of text above the table that have as many fields, the nearest first."""
     used = max(c for c, kind in enumerate(block.kinds) if kind != "text") + 1
-    found: dict[tuple[bool, bool], list[list[str]]] = {}
+    found: dict[tuple[bool, ...], list[list[str]]] = {}
     for line in reversed(lines[: block.first]):
         if not line.strip() or SEP_LINE.match(line):
             continue

@@ -141,7 +141,7 @@ def _own_table(content: Any, pd: Any) -> tuple[Any, dict[str, Any]] | None:
     if longest > 1:
         return pd.DataFrame({k: v for k, v in plain.items() if len(v) == longest}), content
     by_row = [v for v in content.values() if isinstance(v, dict) and len(v) > 1]
-    whole = by_row and len(by_row) == len(content)
+    whole = len(by_row) == len(content) > 0
     if whole and not any(isinstance(x, list | dict) for v in by_row for x in v.values()):
         return pd.DataFrame(content), {}
     return None
@@ -149,7 +149,8 @@ def _own_table(content: Any, pd: Any) -> tuple[Any, dict[str, Any]] | None:
 
 def _signals(content: list[dict[str, Any]], pd: Any) -> tuple[Any, dict[str, Any]] | None:
     """Signals of a name, perhaps a unit, and values each."""
-    columns, units = {}, {}
+    columns: dict[str, list[Any]] = {}
+    units: dict[str, str] = {}
     for signal in content:
         values = [v for v in signal.values() if _is_plain(v) and len(v) > 1]
         name = next((signal[k] for k in _NAMES if isinstance(signal.get(k), str)), None)

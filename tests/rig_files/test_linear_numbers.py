@@ -243,3 +243,21 @@ def test_params_in_block_simulation():
         run(rig_blocks(model), params={"inertia": 0.6})
     with pytest.raises(ValueError, match="more than zero"):
         run(rig_blocks(model), params={"body.load.inertia": -0.6})
+
+
+def test_declared_dead_times_turn_the_phase():
+    """As e^(−jωT) does; the static gain stays, and margins by python-control know of it."""
+    plain = parse_rig(two())
+    late = parse_rig(two().replace("gain =", "delay = 0.002\ngain =", 1))
+    w = np.geomspace(0.1, 500.0, 60)
+    one, other = (linearize(rig).frequency_response(w).complex for rig in (plain, late))
+    expected = one * np.exp(-1j * w * 0.002)
+    np.testing.assert_allclose(other, expected, rtol=1e-3, atol=0)
+    speeds = [linearize(rig, outputs=["w"]).dcgain() for rig in (plain, late)]
+    assert speeds[0] == pytest.approx(speeds[1], rel=1e-9)
+    assert np.isinf(linearize(late, outputs=["q"]).dcgain())
+    blocks = rig_blocks(RigModel(late))
+    model = ct.linearize(blocks, np.zeros(blocks.nstates), 0.0, copy_names=True)
+    names = linearize(late).output_labels
+    model = ct.ss(model)[[model.output_labels.index(n) for n in names], :]
+    np.testing.assert_allclose(model.frequency_response(w).complex, other, rtol=1e-3, atol=0)

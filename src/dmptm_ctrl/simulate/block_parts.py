@@ -47,6 +47,12 @@ class Delay:
     def output(self, x, u: float) -> float:
         return float(self.C @ x) + self.D * u if self.order else float(u)
 
+    def system(self) -> ct.StateSpace:
+        """Return the dead time as a linear system."""
+        if not self.order:
+            return ct.ss([], [], [], 1.0)
+        return ct.ss(self.A, self.B[:, None], self.C[None, :], self.D)
+
     def settled(self, u: float) -> Floats:
         """States after `u` was held for long."""
         return np.linalg.solve(self.A, -self.B * u) if self.order else np.zeros(0)

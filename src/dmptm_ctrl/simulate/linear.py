@@ -17,6 +17,7 @@ from dmptm_ctrl.drive.train import GearTrain, Joint
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.backlash import mesh_region, mesh_torque
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.block_parts import PADE_ORDER, Delay
 from dmptm_ctrl.simulate.blocks import REST_SPEED, SIDES, drive_states, initial_state, to_blocks
 from dmptm_ctrl.simulate.compiled import OUTPUTS
 from dmptm_ctrl.simulate.dual import MOTORS, RING, parts_of
@@ -148,7 +149,8 @@ def linearize(
         of paper Eq. 17 with the slope of the friction as damping. Where nothing depends on the
         angle of the whole drive and no output is an angle, ``twist_l`` and ``twist_r`` [rad at
         the pinion] take the place of three angles; so ``dcgain``, ``margin`` and ``step_info``
-        are right as they come.
+        are right as they come. A dead time is a Padé approximation of order
+        :data:`~dmptm_ctrl.simulate.block_parts.PADE_ORDER`.
 
         Of a rig of any shape the states are ``q_BODY`` [rad or m] of each rigid group of bodies
         that a torque by angle holds; of a train that turns freely ``spring_LINK``, the torque in
@@ -174,7 +176,7 @@ def linearize(
             )
         rig = RigModel(model) if isinstance(model, Rig) else model
         train = linear_train(rig, x0)
-        return train.to_ss(outputs=[*train.sensors] if outputs is None else outputs)
+        return _late(rig, train.to_ss(outputs=[*train.sensors] if outputs is None else outputs))
     outputs = ("omega_L",) if outputs is None else outputs
     for name in outputs:
         if name not in OUTPUTS:
@@ -216,6 +218,30 @@ def linearize(
     return ct.ss(
         a, b, c, d, states=labels, inputs=linear.input_labels, outputs=list(outputs),
         name="drive_linear",
+    )  # fmt: skip
+
+
+def _late(model: RigModel, system: ct.StateSpace) -> ct.StateSpace:
+    """Put the dead times of inputs and sensors before and behind a linear model."""
+    plant = model.plant()
+    late = {s.name: float(t) for s, t in zip(model.rig.sensors, plant.sensor_delay, strict=True)}
+    dead = [Delay(float(t), PADE_ORDER) for t in plant.input_values[:, 1]]
+    behind = [Delay(late[name], PADE_ORDER) for name in system.output_labels]
+    if not any(d.order for d in (*dead, *behind)):
+        return system
+    names = dict(zip(system.input_labels, dead, strict=True))
+    names |= dict(zip(system.output_labels, behind, strict=True))
+    own = {name: [f"{s}_{name}" for s in d.states] for name, d in names.items()}
+    before, after = (ct.append(*map(Delay.system, each)) for each in (dead, behind))
+    states = [x for name in system.input_labels for x in own[name]] + system.state_labels
+    states += [x for name in system.output_labels for x in own[name]]
+    whole = after * system * before
+    # the drive's own states first: python-control then finds a pole at 0 exactly
+    order = sorted(range(whole.nstates), key=lambda k: states[k] not in system.state_labels)
+    return ct.ss(
+        whole.A[np.ix_(order, order)], whole.B[order], whole.C[:, order], whole.D,
+        states=[states[k] for k in order], inputs=system.input_labels,
+        outputs=system.output_labels, name=system.name,
     )  # fmt: skip
 
 

@@ -244,3 +244,19 @@ def warmed(machine, rig, log):
     friction = machine.fc * np.sign(speed) + machine.b1 * speed
     more = 0.6 * np.exp(-log.time / 2.0) * friction
     return {**log.channels, source.channel: log[source.channel] + more / source.gain.value}
+
+
+def test_a_late_sensor_is_the_sentence():
+    """The balance of mended readings lacks nothing; that is not said to be small effects."""
+    bench = Bench(Machine(fc=0.02, emf=0.0), **SMALL, counts=65536, sensors=("position", "speed"))
+    text = bench.rig().replace("viscous =", 'coulomb = "unknown"\nviscous =')
+    rig = parse_rig(text, "rig.toml")
+    late = {"w": 3}  # samples
+
+    def read(name, y):
+        return np.concatenate([np.full(k, y[0]), y[:-k]]) if (k := late.get(name)) else y
+
+    said = diagnose_rig(logs_of(bench, rig, read), rig, jobs=1)
+    assert said.sentence().startswith("Sensors of one motion disagree: sensor delay of speed;")
+    (effect,) = said.effects
+    assert effect.parameters["delay"]["value"] == pytest.approx(3 * bench.dt, rel=0.02)

@@ -304,3 +304,20 @@ def test_inertia_beside_an_input_without_gain(unit, counts):
         judged(geared(u=counts), rig)
     assert judged(geared(u=counts), geared_rig(10, unit=unit, gain=f"gain = {1 / counts}")) == []
     assert judged(geared(u=counts), geared_rig(10, unit=unit, gain="", inertia="unknown")) == []
+
+
+def test_inertia_of_an_arm_with_a_weight():
+    """The torque of a motion by hand; gravity goes with the sine and is no inertia."""
+    t = 2e-3 * np.arange(4000)
+    waves = [(1.2, 2.0, 0.0), (0.6, 3.1, 1.0), (0.1, 9.7, 2.0)]  # rad, rad/s, rad
+    q = sum(a * np.sin(w * t + p) for a, w, p in waves)
+    v = sum(a * w * np.cos(w * t + p) for a, w, p in waves)
+    a = sum(-(w**2) * x * np.sin(w * t + p) for x, w, p in waves)
+    torque = 0.02 * a + 0.05 * v + 0.1 * np.sign(v) + np.sin(q)
+    rig = parse_rig(
+        '[body.arm]\ninertia = "0.002 kg m^2"\n[input.u]\ncolumn = "u"\nunit = "1"\n'
+        '[sensor.q]\ncolumn = "q"\nunit = "rad"\n[data]\ntime = { column = "t", unit = "s" }\n'
+    )
+    log = rig.load(pd.DataFrame({"t": t, "u": 500.0 * torque, "q": q}), name="run")
+    with pytest.raises(LogError, match=r"an inertia of (10(\.\d)?|9\.9\d?) at arm.* 0.0002 N·m"):
+        refuse_no_gain(rig, balance_of(rig, [log]))

@@ -16,6 +16,7 @@ from dmptm_ctrl.diagnosis.summary import correlation_lines, parameter_lines, ver
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ CLOCK = 1e-5  # s: a time is not known more finely than a hundredth of a usual s
 UNNAMED = "unknown"  # name of what lookup tables stand for
 HEADLINE = 0.5  # probability from which a name stands in the sentence
 DIGITS = 3
+PLACES = {name: effect.place for name, effect in PLACED_CATALOGUE.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,12 +204,22 @@ class Diagnosis:
             )
         on = f"; it depends on {', '.join(self.depends_on)}" if self.depends_on else ""
         names = self._headline()
+        if not names and (apart := self._sensors_apart()):
+            return f"Sensors of one motion disagree: {apart}; {left}."
         if not names:
             return f"The declared model lacks something unknown{on}; {left}."
         share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
         if self.verdict == "explained":
             return f"The declared model lacks {names}: {share}; {left}."
         return f"Found {names}: {share}. The rest is unknown{on}; {left}."
+
+    def _sensors_apart(self) -> str:
+        """Errors of sensors, which a balance of mended readings does not show."""
+        return ", ".join(
+            f"{e.name.replace('_', ' ')} of {e.location}"
+            for e in self.effects
+            if e.named and e.probability >= HEADLINE and PLACES.get(e.name) == "sensor"
+        )
 
     def _headline(self) -> str:
         """Effects that matter: names that are likelier than not, and how many others."""
@@ -216,7 +228,7 @@ class Diagnosis:
         doubtful = len(material) - len(sure)
         if doubtful:
             sure.append(f"{doubtful} effect{'s'[: doubtful > 1]} of uncertain name")
-        if not sure and self.verdict == "explained":
+        if not sure and self.verdict == "explained" and not self._sensors_apart():
             sure = ["small effects"]
         return ", ".join(sure)
 

@@ -366,7 +366,7 @@ def _inertia(rig: Rig, balance: Balance, turns: dict[str, float]) -> tuple[float
         torque = np.sum([gains[i.name] * turns[i.body] * motion.u[i.name] for i in rig.inputs], 0)
         energy += float(torque @ v)
         without += float((torque - torque.mean()) @ v)
-        signals = (a, v, np.sign(v), q - q.mean())
+        signals = (a, v, np.sign(v), q - q.mean(), *_weights(rig, turns, q))
         rows.append(np.column_stack([motion.reduce(s)[keep] for s in signals]))
         target.append(motion.reduce(torque)[keep])
     table, push = np.concatenate(rows), np.concatenate(target)
@@ -378,6 +378,12 @@ def _inertia(rig: Rig, balance: Balance, turns: dict[str, float]) -> tuple[float
     left = push - table / size @ found
     se = float(np.sqrt(inverse[0, 0] * np.mean(left**2)) / size[0])
     return float(found[0] / size[0]), se, min(energy, without)
+
+
+def _weights(rig: Rig, turns: dict[str, float], q: Floats) -> list[Floats]:
+    """Sine and cosine of the angles of bodies that turn: what weights on them may do."""
+    ratios = {turns[b.name] for b in rig.bodies if not b.linear and b.name in turns}
+    return [wave(r * q) for r in ratios for wave in (np.sin, np.cos)]
 
 
 def _turns(rig: Rig, body: str) -> dict[str, float]:

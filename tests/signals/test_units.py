@@ -111,3 +111,22 @@ def test_door_name_parses_back(symbol, degrees):
 )
 def test_unit_in_a_name(column, name, unit):
     assert named_unit(column) == (name, unit)
+
+
+@pytest.mark.parametrize(
+    ("text", "symbol", "factor"),
+    [
+        ("kNm", "N·m", 1e3),
+        ("Ncm", "N·m", 1e-2),
+        ("oz-in", "N·m", 0.45359237 / 16 * 9.80665 * 0.0254),
+        ("lb-ft", "N·m", 0.45359237 * 9.80665 * 0.3048),
+        ("Grad/s", "rad/s", math.pi / 180),  # German degrees, no gigaradians
+        ("RPM", "rad/s", math.pi / 30),
+        ("Umdr/min", "rad/s", math.pi / 30),
+        ("r/min", "rad/s", math.pi / 30),
+    ],
+)
+def test_spellings_of_other_programs(text, symbol, factor):
+    unit = parse_unit(text)
+    assert unit.symbol == symbol
+    assert unit.factor == pytest.approx(factor, rel=1e-12)

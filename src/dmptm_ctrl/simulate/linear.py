@@ -226,7 +226,7 @@ def _late(model: RigModel, system: ct.StateSpace) -> ct.StateSpace:
     plant = model.plant()
     late = {s.name: float(t) for s, t in zip(model.rig.sensors, plant.sensor_delay, strict=True)}
     dead = [Delay(float(t), PADE_ORDER) for t in plant.input_values[:, 1]]
-    behind = [Delay(late[name], PADE_ORDER) for name in system.output_labels]
+    behind = [Delay(late.get(name, 0.0), PADE_ORDER) for name in system.output_labels]
     if not any(d.order for d in (*dead, *behind)):
         return system
     names = dict(zip(system.input_labels, dead, strict=True))

@@ -89,6 +89,8 @@ def to_blocks(
 
     Raises
     ------
+    TypeError
+        Something else in the place of the loop.
     ValueError
         A contact law that does not exist, the two-state law without any damping, or an effect
         of negative size.
@@ -103,6 +105,8 @@ def to_blocks(
     between samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
     """
     refuse_negative(model)
+    if not isinstance(loop, Loop | None):
+        raise TypeError(f"loop must be a Loop, not a {type(loop).__name__}")
     if contact not in CONTACTS:
         raise ValueError(f"contact is {contact!r}; it must be one of {', '.join(CONTACTS)}")
     if contact == "two_state" and model.drive["c"] + model.drive["c_f"] <= 0.0:

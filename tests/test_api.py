@@ -151,18 +151,6 @@ def test_unknown_keywords_of_public_functions_are_refused_in_one_sentence(name):
     assert "\n" not in str(said.value)
 
 
-def test_second_arguments_of_another_kind_are_refused_in_one_sentence(tmp_path):
-    dm, log = dmptm_ctrl, path("demo_rig") / "open_sine_0v60.csv.gz"
-    for call, said in [
-        (lambda: dm.predict(dm.Model(), 3.0), "predict takes a log as its second argument"),
-        (lambda: dm.check([log], 3.0), "check takes a model or its file as its second argument"),
-        (lambda: dm.diagnose([log], dm.Model()), "diagnose takes a rig file, Rig or Drive as its"),
-        (lambda: dm.export(dm.Model(), "c", tmp_path), "export takes the path of a model or con"),
-    ]:
-        with pytest.raises(TypeError, match=said):
-            call()
-
-
 def rig_of(text=""):
     """A flywheel, with damping [N·m·s/rad] and a motor without gain: τ = J/b = 0.5 s."""
     return parse_rig(
@@ -258,3 +246,48 @@ def test_only_the_command_prints():
         and node.func.id == "print"
     }
     assert calls == {"cli.py", "progress.py"}  # what the command tells goes through both
+
+
+ONE = np.zeros(9)
+WRONG = {  # call with a first argument that is right -> what is said of another
+    "simulate": (lambda f, m: f(m, "t", ONE), "timepts must be an array, not a str"),
+    "simulate_batch": (lambda f, m: f(m, ONE, ONE), "models must be a sequence of Model, not a M"),
+    "tune_pi": (lambda f, m: f(dmptm_ctrl.three_dof(), "20"), "bandwidth_hz must be a number, not"),
+    "tune_controller": (lambda f, m: f(m, 5), "aims must be an Aims, not an int"),
+    "stepped_sine": (lambda f, m: f(m, 0.6, [1.0, 2.0]), "amplitude must be a number, not a list"),
+    "limit_cycles": (lambda f, m: f(m, "a", 3), "kp must be a number, not a str"),
+    "monte_carlo": (lambda f, m: f(m, 3, 4), "controller must be a Controller, not an int"),
+    "linearize": (lambda f, m: f(m, outputs="omega_L"), "outputs must be a sequence of str, not"),
+    "bode_compare": (lambda f, m: f({"a": 1}), "systems must be a dict of LTI, not a dict"),
+    "check": (lambda f, m: f(ONE, 3), "model must be a Model or a RigModel or a text or a Path, n"),
+    "predict": (lambda f, m: f(m, 3.0), "log must be a Log or a text or a path, not a float"),
+    "diagnose": (
+        lambda f, m: f([], m),
+        "rig must be a Rig or a Drive or a text or a path, not a M",
+    ),
+    "export": (lambda f, m: f(m, "c", "out"), "source must be a text or a path, not a Model"),
+    "register_effect": (lambda f, m: f(3), "effect must be an Effect, not an int"),
+    "reproduce": (lambda f, m: f(3), "out must be a text or a path, not an int"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_arguments_of_a_wrong_type_are_refused_in_one_sentence(name):
+    call, said = WRONG[name]
+    with pytest.raises(TypeError, match=f"^{name}: {said}"):
+        call(getattr(dmptm_ctrl, name), dmptm_ctrl.Model())
+
+
+def test_numbers_of_any_library_are_numbers():
+    plant = dmptm_ctrl.three_dof()
+    for twenty in (20, np.float32(20.0), np.int64(20), np.array(20.0)):
+        assert dmptm_ctrl.tune_pi(plant, twenty).kp == pytest.approx(
+            dmptm_ctrl.tune_pi(plant, 20.0).kp, rel=1e-4
+        )
+
+
+def test_models_and_blocks_refuse_what_is_in_the_place_of_a_part():
+    with pytest.raises(TypeError, match="^Model takes a Drive first, not a StateSpace$"):
+        dmptm_ctrl.Model(dmptm_ctrl.three_dof())
+    with pytest.raises(TypeError, match="^loop must be a Loop, not a int$"):
+        dmptm_ctrl.Model().to_blocks(loop=3)

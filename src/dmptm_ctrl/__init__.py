@@ -84,7 +84,7 @@ _FIRST = {
     ("dict",): ("bode_compare", "step_compare"),
     ("StateSpace",): ("common_mode", "close_speed_loop", "margins", "tune_pi"),
 }
-_MODELS = {"Model", "RigModel", "Rig", "Drive", "Diagnosis", "StateSpace"}
+_NO_LOGS = {"Model", "RigModel", "Rig", "Drive", "Diagnosis", "StateSpace", "int", "float"}
 _LOGS = ("diagnose", "check", "constant_speed", "response_from_log", "load_log", "load_logs")
 
 __all__ = ["__version__", *_LAZY]
@@ -159,6 +159,8 @@ def __getattr__(name: str) -> Any:
 
 def _checked(name: str, function: Any) -> Any:
     """Return the function, with a sentence for arguments that it does not take."""
+    from dmptm_ctrl.arguments import refuse_wrong_types
+
     kinds = next((k for k, names in _FIRST.items() if name in names), ())
     wanted = signature(function)
 
@@ -169,17 +171,18 @@ def _checked(name: str, function: Any) -> Any:
         if given and args[0] is not None and kinds and not given & {*kinds}:
             what = " or ".join(filter(None, (", ".join(kinds[:-1]), kinds[-1])))
             what = f"a {what}"
-        elif name in _LOGS and given & _MODELS:
+        elif name in _LOGS and given & _NO_LOGS:
             what = "logs"
         if what:
             first = f"{name} takes {what} as its first argument"
             raise TypeError(f"{first}, not a {type(args[0]).__name__}")
         try:
             wanted.bind_partial(*args, **options)  # an unknown name before one that is missing
-            wanted.bind(*args, **options)
+            bound = wanted.bind(*args, **options)
         except TypeError as error:
             takes = ", ".join(wanted.parameters)
             raise TypeError(f"{name}: {error}; it takes {takes}") from None
+        refuse_wrong_types(name, bound)
         return function(*args, **options)
 
     return checked

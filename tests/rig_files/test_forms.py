@@ -157,5 +157,5 @@ body = "b"
     slower = blocks.dynamics(0.0, x, [0.1], params={"input.m.delay": 0.02})
     at = blocks.state_labels.index("input_m_delay_0")
     assert slower[at] == pytest.approx(0.5 * blocks.dynamics(0.0, x, [0.1])[at])
-    with pytest.raises(ValueError, match="a dead time or presliding cannot come or go"):
+    with pytest.raises(ValueError, match="a dead time, friction or presliding cannot come or go"):
         blocks.dynamics(0.0, x, [0.1], params={"input.m.delay": 0.0})

@@ -20,7 +20,6 @@ from dmptm_ctrl.check.moved import (
 )
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.signals.atomic import check_folder, output_folder
-from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model
 from dmptm_ctrl.simulate.rig_model import RigModel
 
@@ -133,8 +132,6 @@ def check(
     ------
     LogError
         Logs or a model file that cannot be used.
-    TypeError
-        A model of another kind.
     """
     if isinstance(model, str | Path):
         path = Path(model)
@@ -142,9 +139,6 @@ def check(
         errors = {**_errors(recorded), **(errors or {})}
         floor = _floor(recorded) if floor is None else floor
         model = read_model(path)
-    if not isinstance(model, Model | RigModel):
-        kind = type(model).__name__
-        raise TypeError(f"check takes a model or its file as its second argument, not a {kind}")
     loaded = _loaded(model, logs)
     dated: dict[datetime, list[Log]] = {}
     for log in loaded:

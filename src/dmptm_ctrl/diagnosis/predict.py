@@ -146,11 +146,7 @@ def predict(
     ------
     LogError
         A log file that cannot be used.
-    TypeError
-        A model or a log of another kind.
     """
-    if not isinstance(log, Log | str | PathLike):
-        raise TypeError(f"predict takes a log as its second argument, not a {type(log).__name__}")
     if isinstance(model, Rig):
         model = RigModel(model)
     if isinstance(model, RigModel):

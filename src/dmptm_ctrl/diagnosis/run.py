@@ -56,8 +56,6 @@ def diagnose(
     ------
     LogError
         Bad input, in one sentence.
-    TypeError
-        A rig of another kind.
     """
     if rig is None or isinstance(rig, Drive):
         if isinstance(logs, str | PathLike):
@@ -68,11 +66,6 @@ def diagnose(
             logs = paths
         return diagnose_dual(logs, rig, jobs=jobs, seed=seed, tell=tell)
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
-    if not isinstance(declared, Rig):
-        given = type(rig).__name__
-        raise TypeError(
-            f"diagnose takes a rig file, Rig or Drive as its second argument, not a {given}"
-        )
     drive = dual_motor(declared)
     if drive is None:
         return diagnose_rig(logs, declared, jobs=jobs, seed=seed, tell=tell)

@@ -64,12 +64,7 @@ def export_file(
     ------
     LogError
         No such file, target or number type; nothing is written.
-    TypeError
-        A source that is no path.
     """
-    if not isinstance(source, str | PathLike):
-        given = type(source).__name__
-        raise TypeError(f"export takes the path of a model or controller file, not a {given}")
     source, out = Path(source), Path(out)
     if target not in TARGETS:
         raise LogError(f"--to {target}: no such target; there are {', '.join(TARGETS)}")

@@ -17,7 +17,7 @@ LEAST_COHERENCE = 0.1  # below, gain and phase are not drawn
 
 
 def bode_compare(
-    systems: dict[str, Any],
+    systems: dict[str, ct.lti.LTI],
     *,
     omega_limits: Sequence[float] | None = None,
     ax: Any = None,
@@ -73,7 +73,7 @@ def bode_compare(
 
 
 def step_compare(
-    systems: dict[str, ct.StateSpace],
+    systems: dict[str, ct.lti.LTI],
     duration: float,
     *,
     height: float = 1.0,

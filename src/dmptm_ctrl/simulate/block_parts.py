@@ -1,15 +1,16 @@
 """A drive as python-control blocks, one per part, joined by their signal names.
 
+Bodies, friction, meshes, drives and sensors are blocks of their own, as in the paper's Fig. 13.
 No physics here: each block calls the kernels through :class:`~.parts.Parts`. Blocks are pure
 functions of (t, x, u, params), finite at zero, without memory besides their states. Of `params`
 they take declared values and those of the loop by name, and refuse other names.
 
 Friction with real sticking inside an ODE (Karnopp, J. Dyn. Sys. 107 (1985) 100): below
 :data:`REST_SPEED` a body counts as resting; its friction then takes the value that balances
-the net torque, as long as the breakaway torque allows, and the body does not move: angle
-and speed keep their values. There is no smoothed sign, so nothing creeps. What the band
-costs is a residual speed below REST_SPEED. A body without dry friction never rests, so that
-``control.linearize`` at rest finds its viscous friction.
+the net torque, as long as the breakaway torque allows, and its block says that it holds. The
+body then does not move: angle and speed keep their values. There is no smoothed sign, so
+nothing creeps. What the band costs is a residual speed below REST_SPEED. A body without dry
+friction never rests, so that ``control.linearize`` at rest finds its viscous friction.
 
 A dead time in an ODE is a Padé approximation (order :data:`PADE_ORDER`); the compiled
 simulator and the reference have it exactly.
@@ -78,7 +79,8 @@ class Given:
         self.late = [Delay(x, pade_order) for x in plant.sensor_delay.tolist()]
         self.lags = [self.parts.lag(j, 0.0)[1] > 0.0 for j in range(len(self.dead))]
         orders = tuple(delay.order for delay in (*self.dead, *self.late))
-        self.shape = orders, tuple(self.lags), tuple(self.parts.elastic)
+        rubbing = tuple(map(tuple, self.parts.rubbing))
+        self.shape = orders, tuple(self.lags), tuple(self.parts.elastic), rubbing
         self._varied: dict[tuple[tuple[str, float], ...], Given] = {}
 
     def at(self, params: Mapping[str, float]) -> "Given":
@@ -113,8 +115,8 @@ class Given:
             )  # fmt: skip
             if found.shape != self.shape:
                 raise ValueError(
-                    "params: a lag, a dead time or presliding cannot come or go; build the "
-                    "blocks of another model"
+                    "params: a lag, a dead time, friction or presliding cannot come or go; "
+                    "build the blocks of another model"
                 )
             self._varied[key] = found
         return self._varied[key]
@@ -127,6 +129,7 @@ class Names(NamedTuple):
     ----------
     inputs : (block, command, what acts on the motor) of each input
     groups : block of each coordinate
+    friction : of each coordinate, what its friction's block and signals end in
     motion : position and speed, states of a coordinate
     bodies : (position, speed) of each body
     links : (block, torque, twist) of each link
@@ -135,6 +138,7 @@ class Names(NamedTuple):
 
     inputs: Sequence[tuple[str, str, str]]
     groups: Sequence[str]
+    friction: Sequence[str]
     motion: tuple[str, str]
     bodies: Sequence[tuple[str, str]]
     links: Sequence[tuple[str, str, str]]
@@ -196,62 +200,97 @@ def _link_block(given: Given, names: Names, k: int) -> ct.NonlinearIOSystem:
     )
 
 
-def _group_block(given: Given, names: Names, g: int) -> ct.NonlinearIOSystem:
-    """Bodies that turn together: inertia, friction, torques of effects."""
-    bodies, driven = given.parts.bodies[g], given.parts.driven
-    inputs = [j for j, b in enumerate(driven) if b in bodies]
-    links = sorted({k for b in bodies for k, _ in given.parts.ends_of(b)})
-    aged = [b for b in bodies if given.parts.ageing(b, 0.0)[1] > 0.0]
-    elastic = given.parts.elastic[g] is not None
+def _body_block(given: Given, names: Names, g: int) -> ct.NonlinearIOSystem:
+    """Bodies that turn together: what motors, links and effects bring, on their inertia.
+
+    Its friction is a block of its own: the torque without it goes out, and comes back as
+    friction and whether that holds.
+    """
+    bodies = given.parts.bodies[g]
+    inputs = [j for j, b in enumerate(given.parts.driven) if b in bodies]
+    links = _links_of(given, bodies)
+    rubs, on = bool(given.parts.rubbing[g]), names.friction[g]
+
+    def net(parts, t, x, u):
+        q, v = x.tolist()
+        acting = dict(zip(inputs, u.tolist(), strict=False))
+        torques = dict(zip(links, u[len(inputs) :].tolist(), strict=False))
+        return parts.force(g, q, v, t, acting, torques)
 
     def update(t, x, u, params):
-        parts, x, u = given.at(params).parts, x.tolist(), u.tolist()
-        acting = dict(zip(inputs, u, strict=False))
-        torques = dict(zip(links, u[len(inputs) :], strict=True))
-        ages = dict(zip(aged, x[len(x) - len(aged) :], strict=True))
-        return _rates(parts, g, t, x, acting, torques, ages)
+        parts = given.at(params).parts
+        if rubs and u[-1]:
+            return [0.0, 0.0]
+        return [x[1], (net(parts, t, x, u) - (u[-2] if rubs else 0.0)) / parts.inertia[g]]
 
     def output(t, x, u, params):
-        ratio = given.at(params).parts.ratio
-        return [ratio[b] * s for b in bodies for s in x[:2]]
+        parts = given.at(params).parts
+        motion = [parts.ratio[b] * s for b in bodies for s in x]
+        return [*motion, net(parts, t, x, u)] if rubs else motion
 
-    ages = ["age"] if len(aged) == 1 else [f"age_{b}" for b in aged]
+    torques = [*(names.inputs[j][2] for j in inputs), *(names.links[k][1] for k in links)]
     return ct.NonlinearIOSystem(
         update,
         output,
-        inputs=[*(names.inputs[j][2] for j in inputs), *(names.links[k][1] for k in links)],
-        outputs=[name for b in bodies for name in names.bodies[b]],
-        states=[*names.motion, *["friction"] * elastic, *ages],
+        inputs=torques + [f"friction_torque_{on}", f"held_{on}"] * rubs,
+        outputs=[name for b in bodies for name in names.bodies[b]] + [f"net_{on}"] * rubs,
+        states=list(names.motion),
         name=names.groups[g],
     )
 
 
-def _rates(
-    parts: Parts, g: int, t: float, x: list[float], acting: Mapping[int, float],
-    torques: Mapping[int, float], ages: Mapping[int, float],
-) -> list[float]:  # fmt: skip
-    """Rates of (position, speed[, friction of bristles][, ages]) of a coordinate.
+def _friction_block(given: Given, names: Names, g: int) -> ct.NonlinearIOSystem:
+    """Friction of bodies that turn together, by the kernels: sliding, sticking or presliding.
 
-    Friction by the kernels: sliding, sticking or presliding.
+    In: the torque on them without friction, their motion, and where an effect makes friction
+    depend on load the torques of links. Out: friction, and 1 where it holds them.
     """
-    q, v = x[:2]
-    net, inertia = parts.force(g, q, v, t, acting, torques), parts.inertia[g]
-    older = [parts.ageing_rate(b, v, age) for b, age in ages.items()]
-    if parts.elastic[g] is not None:
+    bodies, rubbing, on = given.parts.bodies[g], given.parts.rubbing[g], names.friction[g]
+    links = _links_of(given, bodies) if any(given.parts.at("friction", b) for b in rubbing) else []
+    aged = [b for b in rubbing if given.parts.ageing(b, 0.0)[1] > 0.0]
+    elastic = given.parts.elastic[g] is not None
+
+    def placed(parts, x, u):
+        net, turned, rate = u[:3].tolist()
+        ratio = parts.ratio[rubbing[0]]
+        q, v = turned / ratio, rate / ratio
+        torques = dict(zip(links, u[3:].tolist(), strict=True))
+        return net, q, v, torques, dict(zip(aged, x[elastic:].tolist(), strict=True))
+
+    def rub(parts, t, x, u):
+        """Friction, whether it holds, and the rate of its bristles."""
+        net, q, v, *rest = placed(parts, x, u)
         way = 1.0 if v >= 0.0 else -1.0
-        slides = parts.friction(g, way, q, v, t, torques, ages, moving=True)
-        rub, built_up = parts.presliding(g, way, v, slides, x[2])
-        return [v, (net - rub) / inertia, built_up, *older]
-    if abs(v) <= REST_SPEED:
-        way = 1.0 if net > 0.0 else -1.0
-        most = parts.friction(g, way, q, 0.0, t, torques, ages, moving=False)[0]
-        if most > 0.0:
-            if abs(net) <= most:
-                return [0.0, 0.0, *older]
-            return [v, (net - way * most) / inertia, *older]
-    way = 1.0 if v > 0.0 else -1.0
-    rub = way * parts.friction(g, way, q, v, t, torques, ages, moving=True)[0]
-    return [v, (net - rub) / inertia, *older]
+        if elastic:
+            slides = parts.friction(g, way, q, v, t, *rest, moving=True)
+            level, built_up = parts.presliding(g, way, v, slides, float(x[0]))
+            return level, 0.0, built_up
+        if abs(v) <= REST_SPEED:
+            side = 1.0 if net > 0.0 else -1.0
+            most = parts.friction(g, side, q, 0.0, t, *rest, moving=False)[0]
+            if most > 0.0:
+                held = abs(net) <= most
+                return (net, 1.0, 0.0) if held else (side * most, 0.0, 0.0)
+        return way * parts.friction(g, way, q, v, t, *rest, moving=True)[0], 0.0, 0.0
+
+    def update(t, x, u, params):
+        parts = given.at(params).parts
+        _, _, v, _, ages = placed(parts, x, u)
+        older = [parts.ageing_rate(b, v, age) for b, age in ages.items()]
+        return [rub(parts, t, x, u)[2], *older] if elastic else older
+
+    return ct.NonlinearIOSystem(
+        update,
+        lambda t, x, u, params: rub(given.at(params).parts, t, x, u)[:2],
+        inputs=[f"net_{on}", *names.bodies[rubbing[0]], *(names.links[k][1] for k in links)],
+        outputs=[f"friction_torque_{on}", f"held_{on}"],
+        states=["bristle"] * elastic + (["age"] if len(aged) == 1 else [f"age_{b}" for b in aged]),
+        name=f"friction_{on}",
+    )
+
+
+def _links_of(given: Given, bodies: Sequence[int]) -> list[int]:
+    return sorted({k for b in bodies for k, _ in given.parts.ends_of[b]})
 
 
 def _sensor_block(given: Given, names: Names, block: str) -> ct.NonlinearIOSystem:
@@ -314,7 +353,8 @@ def part_blocks(given: Given, names: Names) -> list[ct.NonlinearIOSystem]:
     coordinates, _, links, inputs, _ = given.parts.plant.size
     return [
         *(_input_block(given, names, j) for j in range(inputs)),
-        *(_group_block(given, names, g) for g in range(coordinates)),
+        *(_body_block(given, names, g) for g in range(coordinates)),
+        *(_friction_block(given, names, g) for g in range(coordinates) if given.parts.rubbing[g]),
         *(_link_block(given, names, k) for k in range(links)),
         *(_sensor_block(given, names, block) for block in names.sensors),
     ]

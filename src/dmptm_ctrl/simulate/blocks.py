@@ -40,6 +40,7 @@ DUAL = Names(
         for s, side in zip(SIDES, ("left", "right"), strict=True)
     ],
     ["chain_l", "chain_r", "ring", "motor_l", "motor_r"],
+    ["l", "r", "ring", "motor_l", "motor_r"],
     ("theta", "omega"),
     [
         *((f"theta_3{s}", f"omega_3{s}") for s in SIDES),
@@ -82,10 +83,14 @@ def to_blocks(
     InterconnectedSystem
         Inputs u_left, u_right [V], or ref [rad/s] with a loop; outputs
         :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, and u_left, u_right with a loop.
-        Its `syslist` holds the blocks, each of use alone.
+        Its `syslist` holds the blocks, each of use alone: drives, bodies, their friction,
+        meshes, sensor. A friction block takes the torque on a body without friction [N·m] and
+        its motion; it gives the friction [N·m], and 1 where that holds the body at rest.
 
     Raises
     ------
+    TypeError
+        Something else in the place of the loop.
     ValueError
         A contact law that does not exist, the two-state law without any damping, or an effect
         of negative size.
@@ -100,6 +105,8 @@ def to_blocks(
     between samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
     """
     refuse_negative(model)
+    if not isinstance(loop, Loop | None):
+        raise TypeError(f"loop must be a Loop, not a {type(loop).__name__}")
     if contact not in CONTACTS:
         raise ValueError(f"contact is {contact!r}; it must be one of {', '.join(CONTACTS)}")
     if contact == "two_state" and model.drive["c"] + model.drive["c_f"] <= 0.0:
@@ -164,6 +171,7 @@ def rig_blocks(
     names = Names(
         [(f"input_{x}", x, f"{x}_acting") for x in layout.inputs],
         [f"group_{g}" for g in range(layout.coordinates)],
+        [str(g) for g in range(layout.coordinates)],
         ("q", "v"),
         [(f"q_{x}", f"v_{x}") for x in layout.bodies],
         [(f"link_{x}", f"{x}_torque", f"{x}_twist") for x in layout.links],

@@ -18,7 +18,14 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.backlash import mesh_region, mesh_torque
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.block_parts import PADE_ORDER, Delay
-from dmptm_ctrl.simulate.blocks import REST_SPEED, SIDES, drive_states, initial_state, to_blocks
+from dmptm_ctrl.simulate.blocks import (
+    DUAL,
+    REST_SPEED,
+    SIDES,
+    drive_states,
+    initial_state,
+    to_blocks,
+)
 from dmptm_ctrl.simulate.compiled import OUTPUTS
 from dmptm_ctrl.simulate.dual import MOTORS, RING, parts_of
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -290,13 +297,13 @@ def _sustained(model: Model, parts: Parts, state: Floats, labels: list[str], u0:
         new.update(drive_states(model, side, u0[side]))
         twist = parts.twist(side, *motion[side], *motion[RING])
         torques[side] = parts.link_torque(side, *twist)
-    for g, block in enumerate(BODIES.values()):
+    for g in range(len(BODIES)):
         if parts.elastic[g] is not None:
             theta, omega = motion[g]
             way = float(np.sign(omega))
             slides = parts.friction(g, way, theta, omega, 0.0, torques, {}, moving=True)
             share = parts.bristle(g)[1]
-            new[f"{block}_friction"] = way * (slides[0] - share * slides[1])
+            new[f"friction_{DUAL.friction[g]}_bristle"] = way * (slides[0] - share * slides[1])
     return np.array([new[label] for label in labels])
 
 

@@ -40,6 +40,8 @@ class Model:
 
     Raises
     ------
+    TypeError
+        Something else in the place of the drive.
     KeyError
         An effect that is not in the catalogue, or a parameter that it does not have.
     ValueError
@@ -50,6 +52,8 @@ class Model:
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.drive, Drive):
+            raise TypeError(f"Model takes a Drive first, not a {type(self.drive).__name__}")
         self.drive.check()
         for name, parameters in self.effects.items():
             if name not in CATALOGUE:

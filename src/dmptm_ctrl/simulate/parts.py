@@ -40,8 +40,16 @@ class Parts:
         self.links = [tuple(row) for row in plant.link_values.tolist()]
         self.ends = [tuple(row) for row in plant.link_body.tolist()]
         self.laws_of_links = plant.link_gap.tolist()
+        # links at each body, and which of their ends it is
+        self.ends_of = [
+            [(k, end) for k, ends in enumerate(self.ends) for end in (0, 1) if ends[end] == b]
+            for b in range(len(self.group))
+        ]
         self.inputs = [tuple(row) for row in plant.input_values.tolist()]
         self.driven = plant.input_body.tolist()
+        self.inputs_of = [
+            [j for j, b in enumerate(self.driven) if b == body] for body in range(len(self.group))
+        ]
         self.bodies = [
             [b for b, own in enumerate(self.group) if own == g] for g in range(plant.inertia.size)
         ]
@@ -169,10 +177,6 @@ class Parts:
             return self.laws[b]
         return stribeck_law(0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0)
 
-    def ends_of(self, b: int) -> list[tuple[int, int]]:
-        """Links at a body, and which of their ends it is."""
-        return [(k, end) for k, ends in enumerate(self.ends) for end in (0, 1) if ends[end] == b]
-
     def force(
         self, g: int, q: float, v: float, t: float, acting: Mapping[int, float],
         torques: Mapping[int, float],
@@ -184,20 +188,20 @@ class Parts:
         net = 0.0
         for b in self.bodies[g]:
             r = self.ratio[b]
-            own = [j for j, driven in enumerate(self.driven) if driven == b]
+            own = self.inputs_of[b]
             for j in own:
                 net += r * self.inputs[j][0] * acting[j]
-            for k, end in self.ends_of(b):
+            for k, end in self.ends_of[b]:
                 net += r * (self.links[k][0] * torques[k] if end else -torques[k])
             net += r * self.torque(b, acting[own[0]] if own else 0.0, r * q, r * v, t)
         return net
 
     def load(self, b: int, torques: Mapping[int, float]) -> float:
-        """What links carry, which presses on the bearings of a body [N·m]."""
+        """What the links given carry, which presses on the bearings of a body [N·m]."""
         return sum(
             abs(self.links[k][0] * torques[k] if end else torques[k])
-            for k, end in self.ends_of(b)
-            if self.plant.link_load[k]
+            for k, end in self.ends_of[b]
+            if k in torques and self.plant.link_load[k]
         )
 
     def friction(

@@ -1,0 +1,96 @@
+"""Arguments of public functions against their annotations, refused in one sentence."""
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from inspect import BoundArguments, Parameter
+from numbers import Integral, Real
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_NUMBERS = {float: Real, int: Integral}
+_LISTS = (Sequence, Iterable)
+_SAID: dict[Any, str] = {
+    float: "a number",
+    int: "a whole number",
+    str: "a text",
+    os.PathLike: "a path",
+}
+_SAID |= {Sequence: "a sequence", Iterable: "a sequence", dict: "a dict"}
+_SAID |= {ArrayLike: "an array", Callable: "a function"}
+_ARRAY = {*get_args(ArrayLike)}
+
+
+def refuse_wrong_types(name: str, given: BoundArguments) -> None:
+    """Compare arguments with what the function's annotations name.
+
+    Parameters
+    ----------
+    name : str
+        Of the function, for the sentence.
+    given : inspect.BoundArguments
+
+    Raises
+    ------
+    TypeError
+        An argument of another kind: which, what it must be, what it is.
+    """
+    for key, value in given.arguments.items():
+        parameter = given.signature.parameters[key]
+        if parameter.kind is Parameter.VAR_KEYWORD or value is parameter.default:
+            continue
+        kinds = _kinds(parameter.annotation)
+        if not any(_fits(value, kind) for kind in kinds):
+            wanted = " or ".join(dict.fromkeys(_said(k) for k in kinds if k is not NoneType))
+            raise TypeError(f"{name}: {key} must be {wanted}, not {_a(type(value).__name__)}")
+
+
+def _kinds(annotation: Any) -> tuple[Any, ...]:
+    """Return what an annotation allows, with an array as one of them."""
+    kinds = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
+    if set(kinds) >= _ARRAY:
+        kinds = (ArrayLike, *(k for k in kinds if k not in _ARRAY))
+    return kinds
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    origin = get_origin(kind) or kind
+    if kind is ArrayLike:
+        return isinstance(value, Real | Iterable) and not isinstance(value, str | dict)
+    if origin is Literal:
+        return value in get_args(kind)
+    if origin in _NUMBERS:
+        return isinstance(value, _NUMBERS[origin]) or (np.ndim(value) == 0 and _is_array(value))
+    if origin in _LISTS:
+        listed = value if isinstance(value, list | tuple) else ()
+        each = _kinds(get_args(kind)[0])
+        inside = all(any(_fits(x, k) for k in each) for x in listed)
+        return inside and isinstance(value, Iterable) and not isinstance(value, str)
+    if origin is dict:
+        each = _kinds(get_args(kind)[1])
+        return isinstance(value, dict) and all(
+            any(_fits(x, k) for k in each) for x in value.values()
+        )
+    if origin in (bool, Any) or not isinstance(origin, type):
+        return True  # a flag, or what a name in quotes and `Any` leave open
+    return isinstance(value, origin)
+
+
+def _is_array(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
+
+
+def _said(kind: Any) -> str:
+    origin = get_origin(kind) or kind
+    if origin in (*_LISTS, dict):
+        each = " or ".join(k.__name__ for k in _kinds(get_args(kind)[-1]) if k is not Any)
+        return _SAID[origin] + (f" of {each}" if each else "")
+    if origin is Literal:
+        return " or ".join(map(repr, get_args(kind)))
+    return _SAID.get(kind) or _SAID.get(origin) or _a(origin.__name__)
+
+
+def _a(name: str) -> str:
+    return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"

@@ -1,6 +1,6 @@
 """The result of a rig file: its effects, errors, budget and ranking; its runs and pictures."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, pi, sqrt
 from typing import TYPE_CHECKING, Any
@@ -38,6 +38,10 @@ plant = dm.linearize(model)  # ct.StateSpace: springs, dampers, viscous friction
 print(plant)
 """
 SIDES = "before", "after", "floor"
+READ_SPECTRUM = (
+    "The response of the sensor to the input on a held-out log, only where the log excites it. "
+    "Of the models it is that of free runs on the same input, read in the same way."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +104,18 @@ class RigSource:
         """Program that reads the augmented model."""
         return CODE
 
-    def pictures(self) -> tuple[Picture, ...]:
-        """None of its own."""
-        return ()
+    def pictures(self) -> Iterator[Picture]:
+        """The gain over frequency, where a compliance was found."""
+        from dmptm_ctrl.diagnosis.rig_spectrum import gains, gains_uri
+
+        fit = self.selection.final.fit
+        for placed in (e for e in fit.model.effects if e.name == SHAFT_COMPLIANCE.name):
+            told = effect_parameters(placed, fit, fit.errors)
+            marks = {n: told[f"{n}_hz"]["value"] for n in ("antiresonance", "resonance")}
+            if found := gains(self, marks):
+                alt = "Gain over frequency: measured, and free runs of the models before and after."
+                yield Picture("spectrum", "Resonance", gains_uri(found), alt, READ_SPECTRUM)
+                return
 
 
 def report_of(

@@ -44,6 +44,15 @@ class Orders:
     marks: Mapping[str, float]
 
 
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """Gains over frequency: (Hz, gain) of each curve, the quantity, and marked frequencies [Hz]."""
+
+    curves: Mapping[str, tuple[Floats, Floats]]
+    quantity: str
+    marks: Mapping[str, float]
+
+
 def plot_correlation(
     before: Correlation, after: Correlation, *, ax: Any = None, title: str = ""
 ) -> Any:
@@ -90,4 +99,24 @@ def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
     )
     panel.set_title(title, fontsize=10)
     panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    return panel
+
+
+def plot_gains(gains: Gains, *, ax: Any = None, title: str = "") -> Any:
+    """Draw gains over frequency, measured, before and after, with resonances marked."""
+    panel = axes(ax, 1, figsize=(7.4, 3.4), grid="major")[0, 0]
+    styles = {"measured": STYLES["measured"], "before": STYLES["existing"],
+              "after": STYLES["proposed"]}  # fmt: skip
+    for label, (hz, gain) in gains.curves.items():
+        size = 6.0 if label == "measured" else 2.5  # seen beneath a model that agrees
+        panel.loglog(hz, gain, label=label, marker="o", markersize=size, **styles[label])
+    for k, (name, at) in enumerate(sorted(gains.marks.items(), key=lambda mark: mark[1])):
+        panel.axvline(at, color="0.5", linewidth=0.8, linestyle=":")
+        panel.text(  # above the panel, where no line crosses
+            at, 1.01, name, transform=panel.get_xaxis_transform(),
+            ha="left" if k else "right", va="bottom", fontsize=7.5,
+        )  # fmt: skip
+    panel.set(xlabel="frequency [Hz]", ylabel=gains.quantity)
+    panel.set_title(title, fontsize=10)
+    panel.figure.legend(fontsize=7.5, loc="outside right upper")
     return panel

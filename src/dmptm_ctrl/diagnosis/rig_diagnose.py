@@ -107,10 +107,11 @@ def diagnose_rig(
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
         as_read = _as_read(declared, whole, base, jobs)
     selection = without_negligible(evidence, select_effects(evidence, base, say), rise)
-    if within_floor(selection):
-        selection = replace(selection, final=base, entries=[], rest=selection.first)
     say("looking for curves in what is left")
     found = curves(selection.final)
+    if within_floor(selection, predicted(selection.final, found)):
+        selection = replace(selection, final=base, entries=[], rest=selection.first)
+        found = curves(base)
     if selection.entries and (plain := better_without_names(selection)):
         selection, found = replace(selection, final=base, entries=[], rest=selection.first), plain
     return report_of(

@@ -7,7 +7,7 @@ from math import isfinite
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import NONE
+from dmptm_ctrl.diagnosis.budget import NONE, near
 from dmptm_ctrl.diagnosis.candidate import Candidate, Floats, Rows, standard_error
 from dmptm_ctrl.diagnosis.rig_candidates import (
     MAX_ORDER,
@@ -16,7 +16,7 @@ from dmptm_ctrl.diagnosis.rig_candidates import (
     trials,
     unit_columns,
 )
-from dmptm_ctrl.diagnosis.rig_curves import curve_columns, variables_of
+from dmptm_ctrl.diagnosis.rig_curves import curve_columns, mean_square, variables_of
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.diagnosis.select import Selection, ranked
@@ -308,9 +308,14 @@ class RigEvidence:
         return without.tangent.project(without.tangent.stack(change))
 
 
-def within_floor(selection: Selection) -> bool:
-    """Whether the declared model is near what all effects leave, in every equation, held out."""
+def within_floor(selection: Selection, floor: float) -> bool:
+    """Whether the declared model is near what all effects leave, in every equation, held out.
+
+    And near the floor: mean square of the first equation that no model predicts.
+    """
     base, final = selection.base, selection.final
+    if not near(mean_square(base.held_left[0], base.held), floor):
+        return False
     held = Likelihood(final.held, final.fit.likelihood.news)
     sides = (held.parts(one.held_left[0]) for one in (base, final))
     return all(

@@ -87,18 +87,23 @@ def test_luenberger_s_observer():
     assert np.all(missed < 1e-4 * np.abs(rows).max(axis=0)), missed
 
 
+def by_hand(gain, seen):
+    """Readings of x⁺ = A (x + gain (y − x[seen])) + b u: turn, speed, angle."""
+    a, b = linear()
+    x, rows = np.array([0.0, 0.0, 0.3, 0.3]), []
+    for i in range(N):
+        rows.append([x[0], x[3], x[1]])
+        x = a @ (x + gain * (MEASURED[0, i] - x[seen])) + b * U[0, i]
+    return rows
+
+
 @pytest.mark.parametrize("bandwidth_hz", [0.5, 5.0])
 def test_a_slow_lead_is_an_observer_of_the_drifting_run(bandwidth_hz):
     """Of a train that turns freely: gains along the rigid mode, by hand."""
     plant, (angle, speed) = plant_of(), observer_gains(bandwidth_hz, DT)
     found = led(plant, rigid_observer(plant, 2, (angle, speed)), MEASURED[:1])
-    a, b = linear()
     mode = np.array([3.0, 1.0])
-    gain = np.concatenate([angle * mode, speed * mode])
-    x, rows = np.array([0.0, 0.0, 0.3, 0.3]), []
-    for i in range(N):
-        rows.append([x[0], x[3], x[1]])
-        x = a @ (x + gain * (MEASURED[0, i] - x[1])) + b * U[0, i]
+    rows = by_hand(np.concatenate([angle * mode, speed * mode]), 1)
     missed = np.abs(found.readings - rows).max(axis=0)
     assert np.all(missed < 1e-4 * np.abs(rows).max(axis=0)), missed
 
@@ -107,12 +112,7 @@ def test_a_speed_leads_the_speed_alone():
     """By its first gain, and each miss is forgotten: x⁺ = A (x + K (y − C x)) + b u."""
     plant, gains = plant_of(), observer_gains(5.0, DT)
     found = led(plant, rigid_observer(plant, 1, gains), MEASURED[:1])
-    a, b = linear()
-    gain = gains[0] * np.array([0.0, 0.0, 3.0, 1.0])
-    x, rows = np.array([0.0, 0.0, 0.3, 0.3]), []
-    for i in range(N):
-        rows.append([x[0], x[3], x[1]])
-        x = a @ (x + gain * (MEASURED[0, i] - x[3])) + b * U[0, i]
+    rows = by_hand(gains[0] * np.array([0.0, 0.0, 3.0, 1.0]), 3)
     missed = np.abs(found.readings - rows).max(axis=0)
     assert np.all(missed < 1e-4 * np.abs(rows).max(axis=0)), missed
 

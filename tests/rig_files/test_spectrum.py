@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.signal import chirp
 
-from dmptm_ctrl.diagnosis.rig_spectrum import gains, gains_uri
+from dmptm_ctrl.diagnosis.rig_runs import Runs
+from dmptm_ctrl.diagnosis.rig_spectrum import spectrum, spectrum_uri
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.rig_fit import State
 from dmptm_ctrl.signals import Log
@@ -49,7 +50,7 @@ def source(time, u):
     states = (SimpleNamespace(held_state=State(RigModel(r))) for r in (soft, rig))
     return SimpleNamespace(
         rig=rig,
-        runs=SimpleNamespace(logs=(log,), sensor=sensor, unit=sensor.unit),
+        runs=Runs(0.0, sensor, 30.0, (log,), (), None, None, 0.0, 1),
         selection=SimpleNamespace(**dict(zip(("base", "final"), states, strict=True))),
     )
 
@@ -64,7 +65,7 @@ def closed_form(hz):
 
 def test_gains_are_those_of_the_closed_form():
     time = DT * np.arange(N)
-    found = gains(source(time, chirp(time, 2.0, time[-1], 60.0)), MARKS)
+    found = spectrum(source(time, chirp(time, 2.0, time[-1], 60.0)), MARKS)
     hz, measured = found.curves["measured"]
     assert hz[0] < MARKS["antiresonance"] < MARKS["resonance"] < hz[-1]
     apart = np.abs(np.log(measured / closed_form(hz)))
@@ -75,9 +76,9 @@ def test_gains_are_those_of_the_closed_form():
     soft_hz, soft = found.curves["before"]
     near = soft_hz < 1.2 * MARKS["antiresonance"]
     assert soft_hz[near][np.argmin(soft[near])] < 0.8 * MARKS["antiresonance"]
-    assert gains_uri(found).startswith("data:image")
+    assert spectrum_uri(found).startswith("data:image")
 
 
 def test_a_log_that_excites_little_has_no_curve():
     time = DT * np.arange(N)
-    assert gains(source(time, np.sin(2 * np.pi * 1.0 * time)), MARKS) is None
+    assert spectrum(source(time, np.sin(2 * np.pi * 1.0 * time)), MARKS) is None

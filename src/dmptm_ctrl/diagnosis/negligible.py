@@ -41,6 +41,8 @@ def without_negligible(
     if final is selection.final:
         return selection
     for key in final.keys:
+        if key not in final.keys:  # it stood on one that went
+            continue
         without = evidence.without(final, key)
         if evidence.objection(without, final, key):  # nothing stands for what went, but it
             rivals = ranked(rivals_of(evidence, selection, final, without, key))

@@ -27,7 +27,6 @@ CLOCK = 1e-5  # s: a time is not known more finely than a hundredth of a usual s
 UNNAMED = "unknown"  # name of what lookup tables stand for
 HEADLINE = 0.5  # probability from which a name stands in the sentence
 DIGITS = 3
-PLACES = {name: effect.place for name, effect in PLACED_CATALOGUE.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +217,7 @@ class Diagnosis:
         return ", ".join(
             f"{e.name.replace('_', ' ')} of {e.location}"
             for e in self.effects
-            if e.named and e.probability >= HEADLINE and PLACES.get(e.name) == "sensor"
+            if e.named and e.probability >= HEADLINE and _of_sensor(e.name)
         )
 
     def _headline(self) -> str:
@@ -368,3 +367,8 @@ def provenance(
         "seconds": round(seconds, 3),
         "versions": versions(),
     }
+
+
+def _of_sensor(name: str) -> bool:
+    """Whether an effect is an error of a sensor."""
+    return name in PLACED_CATALOGUE and PLACED_CATALOGUE[name].place == "sensor"

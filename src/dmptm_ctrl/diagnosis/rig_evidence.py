@@ -154,10 +154,10 @@ class RigEvidence:
         there, news = state.fit.state, state.fit.likelihood.news
         for trial in group:
             there = trial.placed_in(there)
-        near = None if there.model.layout.links else state.fit
+        alike = None if there.model.layout.links else state.fit
         try:
             fit = fit_rig(
-                there, self.logs, iterations=iterations, news=news, near=near, jobs=self.jobs
+                there, self.logs, iterations=iterations, news=news, near=alike, jobs=self.jobs
             )
             found = self._candidate(state, tuple(group), fit)
             if found.objection and found.demanded:  # impossible on the way is not impossible

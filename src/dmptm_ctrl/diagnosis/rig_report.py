@@ -106,15 +106,15 @@ class RigSource:
 
     def pictures(self) -> Iterator[Picture]:
         """The gain over frequency, where a compliance was found."""
-        from dmptm_ctrl.diagnosis.rig_spectrum import gains, gains_uri
+        from dmptm_ctrl.diagnosis.rig_spectrum import spectrum, spectrum_uri
 
         fit = self.selection.final.fit
         for placed in (e for e in fit.model.effects if e.name == SHAFT_COMPLIANCE.name):
             told = effect_parameters(placed, fit, fit.errors)
             marks = {n: told[f"{n}_hz"]["value"] for n in ("antiresonance", "resonance")}
-            if found := gains(self, marks):
+            if found := spectrum(self, marks):
                 alt = "Gain over frequency: measured, and free runs of the models before and after."
-                yield Picture("spectrum", "Resonance", gains_uri(found), alt, READ_SPECTRUM)
+                yield Picture("spectrum", "Resonance", spectrum_uri(found), alt, READ_SPECTRUM)
                 return
 
 

@@ -110,11 +110,7 @@ class Runs:
         """Run a model on every log; None where it leaves all finite numbers."""
 
         def one(log: Log) -> Floats:
-            model = state.model.shifted(state.nuisance(log.name).zero)
-            return self._seen(
-                readings(model, log, free_run(model, log, lead_hz=self.lead_hz))[self.sensor.name],
-                log,
-            )
+            return self._seen(self.reading(state, log), log)
 
         try:
             with np.errstate(all="ignore"):
@@ -122,6 +118,12 @@ class Runs:
         except (ValueError, ArithmeticError):  # values that no machine has
             return None
         return done if all(np.isfinite(run).all() for run in done) else None
+
+    def reading(self, state: State, log: Log) -> Floats:
+        """What the sensor would have read of a model, (n,), SI."""
+        model = state.model.shifted(state.nuisance(log.name).zero)
+        run = free_run(model, log, lead_hz=self.lead_hz)
+        return readings(model, log, run)[self.sensor.name]
 
     def _seen(self, signal: Floats, log: Log) -> Floats:
         dt = log.sample_time

@@ -9,9 +9,8 @@ from matplotlib.figure import Figure
 
 from dmptm_ctrl.identify.frequency_response import FrequencyResponse, from_log
 from dmptm_ctrl.identify.rig_fit import State
-from dmptm_ctrl.identify.rig_simulate import free_run, readings
 from dmptm_ctrl.plots.page import data_uri
-from dmptm_ctrl.plots.quality import Floats, Gains, plot_gains
+from dmptm_ctrl.plots.quality import Floats, Spectrum, plot_spectrum
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.signals.units import parse_unit
 
@@ -25,7 +24,7 @@ AROUND = 3.0  # times below and above the marks that is shown
 LINEAR = 0.5  # coherence
 
 
-def gains(source: "RigSource", marks: Mapping[str, float]) -> Gains | None:
+def spectrum(source: "RigSource", marks: Mapping[str, float]) -> Spectrum | None:
     """Return the gains on the held-out log that excites most frequencies.
 
     Parameters
@@ -36,7 +35,7 @@ def gains(source: "RigSource", marks: Mapping[str, float]) -> Gains | None:
 
     Returns
     -------
-    Gains or None
+    Spectrum or None
         None where no log shows a curve.
     """
     low, high = min(marks.values()) / AROUND, max(marks.values()) * AROUND
@@ -63,7 +62,7 @@ def gains(source: "RigSource", marks: Mapping[str, float]) -> Gains | None:
     factor, drive = parse_unit(sensor.unit).factor, source.rig.inputs[0]
     unit = f"({source.runs.unit})" if "/" in source.runs.unit else source.runs.unit
     by_input = parse_unit(drive.unit).factor / factor
-    return Gains(
+    return Spectrum(
         {
             label: (hz, by_input * gain * (2.0 * np.pi * hz if rate else 1.0))
             for label, (hz, gain) in curves.items()
@@ -75,11 +74,9 @@ def gains(source: "RigSource", marks: Mapping[str, float]) -> Gains | None:
 
 def _run(source: "RigSource", state: State, log: Log) -> Log:
     """Return a log as a model would have given it."""
-    model = state.model.shifted(state.nuisance(log.name).zero)
-    sensor = source.runs.sensor
     with np.errstate(all="ignore"):
-        seen = readings(model, log, free_run(model, log))[sensor.name]
-    return Log(log.name, log.time, {**log.channels, sensor.channel: seen})
+        seen = source.runs.reading(state, log)
+    return Log(log.name, log.time, {**log.channels, source.runs.sensor.channel: seen})
 
 
 def _response(source: "RigSource", log: Log) -> FrequencyResponse | None:
@@ -96,8 +93,8 @@ def _response(source: "RigSource", log: Log) -> FrequencyResponse | None:
         return None
 
 
-def gains_uri(found: Gains) -> str:
+def spectrum_uri(found: Spectrum) -> str:
     """Draw gains as a picture inside a page."""
     figure = Figure(figsize=(7.4, 3.4), layout="constrained")
-    plot_gains(found, ax=figure.subplots())
+    plot_spectrum(found, ax=figure.subplots())
     return data_uri(figure)

@@ -386,9 +386,8 @@ def trace(
     names = candidates(trace, skip)
     if only is not None:
         names = [name for name in names if name in only]
-    names.sort(
-        key=lambda name: CATALOGUE[name].search not in SEARCHES
-    )  # what takes longest begins first
+    # what takes longest begins first
+    names.sort(key=lambda name: CATALOGUE[name].search not in SEARCHES)
     tries = in_threads(lambda name: try_effect(trace, name, least), names, trace.balance.jobs)
     done = [t for t in tries if t is not None]
     done.sort(key=lambda t: -t.evidence)

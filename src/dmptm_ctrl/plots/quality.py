@@ -45,7 +45,7 @@ class Orders:
 
 
 @dataclass(frozen=True, eq=False)
-class Gains:
+class Spectrum:
     """Gains over frequency: (Hz, gain) of each curve, the quantity, and marked frequencies [Hz]."""
 
     curves: Mapping[str, tuple[Floats, Floats]]
@@ -83,13 +83,8 @@ def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
         (orders.after, "after", STYLES["proposed"]),
     ):
         panel.plot(orders.order, np.maximum(values, 0.5 * least), label=label, **style)
-    seen = sorted((o, name) for name, o in orders.marks.items() if o <= orders.order[-1])
-    for k, (order, name) in enumerate(seen):
-        panel.axvline(order, color="0.5", linewidth=0.8, linestyle=":")
-        panel.text(  # above the panel, where no line crosses
-            order, 1.01, name, transform=panel.get_xaxis_transform(),
-            ha="left" if k else "right", va="bottom", fontsize=7.5,
-        )  # fmt: skip
+    last = orders.order[-1]
+    _mark(panel, {name: o for name, o in orders.marks.items() if o <= last})
     panel.set_yscale("log")
     panel.set(
         xlabel="order per motor turn [1]",
@@ -102,21 +97,26 @@ def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
     return panel
 
 
-def plot_gains(gains: Gains, *, ax: Any = None, title: str = "") -> Any:
-    """Draw gains over frequency, measured, before and after, with resonances marked."""
-    panel = axes(ax, 1, figsize=(7.4, 3.4), grid="major")[0, 0]
-    styles = {"measured": STYLES["measured"], "before": STYLES["existing"],
-              "after": STYLES["proposed"]}  # fmt: skip
-    for label, (hz, gain) in gains.curves.items():
-        size = 6.0 if label == "measured" else 2.5  # seen beneath a model that agrees
-        panel.loglog(hz, gain, label=label, marker="o", markersize=size, **styles[label])
-    for k, (name, at) in enumerate(sorted(gains.marks.items(), key=lambda mark: mark[1])):
+def _mark(panel: Any, marks: Mapping[str, float]) -> None:
+    """Draw named places of the abscissa."""
+    for k, (at, name) in enumerate(sorted((at, name) for name, at in marks.items())):
         panel.axvline(at, color="0.5", linewidth=0.8, linestyle=":")
         panel.text(  # above the panel, where no line crosses
             at, 1.01, name, transform=panel.get_xaxis_transform(),
             ha="left" if k else "right", va="bottom", fontsize=7.5,
         )  # fmt: skip
-    panel.set(xlabel="frequency [Hz]", ylabel=gains.quantity)
+
+
+def plot_spectrum(spectrum: Spectrum, *, ax: Any = None, title: str = "") -> Any:
+    """Draw gains over frequency, measured, before and after, with resonances marked."""
+    panel = axes(ax, 1, figsize=(7.4, 3.4), grid="major")[0, 0]
+    styles = {"measured": STYLES["measured"], "before": STYLES["existing"],
+              "after": STYLES["proposed"]}  # fmt: skip
+    for label, (hz, gain) in spectrum.curves.items():
+        size = 6.0 if label == "measured" else 2.5  # seen beneath a model that agrees
+        panel.loglog(hz, gain, label=label, marker="o", markersize=size, **styles[label])
+    _mark(panel, spectrum.marks)
+    panel.set(xlabel="frequency [Hz]", ylabel=spectrum.quantity)
     panel.set_title(title, fontsize=10)
     panel.figure.legend(fontsize=7.5, loc="outside right upper")
     return panel

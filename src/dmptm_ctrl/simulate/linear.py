@@ -134,7 +134,7 @@ def linearize(
 
     Of a rig of any shape in contact and at rest: springs and dampers of links, viscous friction,
     current lags, and the slopes of torques that depend on an angle (cable springs, gravity,
-    cogging). Not in it: dry friction, gaps, delays, saturation.
+    cogging). Not in it: dry friction, gaps, saturation.
 
     Parameters
     ----------

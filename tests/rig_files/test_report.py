@@ -1,6 +1,7 @@
 """The result of a rig file: errors against another computation, units, pictures, the page."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.signal import butter, sosfiltfilt
 from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl import data, load_rig, predict
+from dmptm_ctrl.diagnosis.budget import Errors, Squares
 from dmptm_ctrl.diagnosis.html import render
 from dmptm_ctrl.diagnosis.quality import fold
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
@@ -101,6 +103,22 @@ def test_where_only_a_position_is_measured_its_rate_counts():
     assert error["after"]["unit"] == "deg/s"
     assert error["after"]["rmse"] == pytest.approx(0.5 * error["before"]["rmse"], rel=1e-9)
     assert error["after"]["rmse"] == pytest.approx(0.5 * wanted[0] / np.sqrt(2), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("runs", "said"),
+    [
+        (Squares(1.21, 1.21, 1.0), "as good as these logs can show"),
+        (Squares(4.0, 4.0, 1.0), "The balance shows no lack"),
+        (None, "as good as these logs can show"),
+    ],
+)
+def test_runs_far_above_their_floor_are_said(found, runs, said):
+    """A balance at its floor does not say that nothing is missing."""
+    errors = Errors(1.0, 1.0, 1.0, runs)
+    none = replace(found, verdict="none", effects=(), errors=errors)
+    assert said in none.sentence()
+    assert ("2.0 times their floor" in none.sentence()) == ("no lack" in said)
 
 
 def test_short_predictions_miss_less_than_free_runs(found):

@@ -25,6 +25,7 @@ VERDICTS = {
     "explained": "effects found",
     "unknown": "something is not explained",
 }
+BALANCED = "the balance shows no lack"  # runs are far above their floor all the same
 READ_EVIDENCE = (
     "Points are means over bins, bars ± 2 standard errors; what stands still is left out. A curve "
     "that stands off zero by many bars without the effect, and lies on zero with it, speaks for "
@@ -45,6 +46,12 @@ NORMAL_95 = 1.96  # standard errors on either side that hold 95 %
 TOLD = 3  # values of an effect that the action tells
 CORRELATED = 0.9  # from here on two parameters are told apart badly
 MOST_LOGS = 6  # that are drawn
+
+
+def _title(diagnosis: "Diagnosis") -> str:
+    if diagnosis.verdict == "none" and not diagnosis.errors.within_floor:
+        return BALANCED
+    return VERDICTS[diagnosis.verdict]
 
 
 def render(diagnosis: "Diagnosis") -> str:
@@ -68,7 +75,7 @@ def render(diagnosis: "Diagnosis") -> str:
         .render(
             d=diagnosis,
             tone=diagnosis.verdict,
-            title=VERDICTS[diagnosis.verdict],
+            title=_title(diagnosis),
             action=action(diagnosis),
             units=diagnosis.units,
             logs=[

@@ -197,9 +197,16 @@ class Diagnosis:
             left += f" are left on {self.error['on']}"
         if self.verdict == "none":
             times = sqrt(self.errors.before / max(self.errors.floor, 1e-300))
+            told = f"is {times:.2f} times the floor"
+            if self.errors.within_floor or self.errors.runs is None:
+                return (
+                    "The declared model is as good as these logs can show: the error of its "
+                    f"balance {told}; {left}."
+                )
+            runs = sqrt(self.errors.runs.before / max(self.errors.runs.floor, 1e-300))
             return (
-                "The declared model is as good as these logs can show: the error of its balance "
-                f"is {times:.2f} times the floor; {left}."
+                f"The balance shows no lack of the declared model: its error {told}; {left}, "
+                f"{runs:.1f} times their floor."
             )
         on = f"; it depends on {', '.join(self.depends_on)}" if self.depends_on else ""
         names = self._headline()

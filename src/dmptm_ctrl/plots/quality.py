@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 
 from dmptm_ctrl.plots.style import STYLES, axes
@@ -116,6 +117,10 @@ def plot_spectrum(spectrum: Spectrum, *, ax: Any = None, title: str = "") -> Any
         size = 6.0 if label == "measured" else 2.5  # seen beneath a model that agrees
         panel.loglog(hz, gain, label=label, marker="o", markersize=size, **styles[label])
     _mark(panel, spectrum.marks)
+    for axis in (panel.xaxis, panel.yaxis):  # within a decade powers of ten say nothing
+        axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("{x:g}")
     panel.set(xlabel="frequency [Hz]", ylabel=spectrum.quantity)
     panel.set_title(title, fontsize=10)
     panel.figure.legend(fontsize=7.5, loc="outside right upper")

@@ -1,5 +1,7 @@
 """Runs led by measurements: any plant, any sensors, against a linear observer of SciPy's."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -156,9 +158,10 @@ def test_lanes_are_led_alike(late):
     observers = [rigid_observer(p, 0, observer_gains(5.0, DT)) for p in plants]
     own = MEASURED[:, None]
     starts = [(np.zeros(2), np.full(2, 0.3))] * 2
-    nothing = np.zeros((0, 0))
-    common = Common(DT, SUBSTEPS, N, U[None], np.zeros((1, 1)), nothing, np.arange(3), measured=own)
-    runs, _ = run_many(plants, starts, common, observers=observers)
+    nothing, seen = np.zeros((0, 0)), tuple(f"reading{i}" for i in range(3))
+    common = Common(DT, SUBSTEPS, N, U[None], np.zeros((1, 1)), nothing, seen, measured=own)
+    models = [SimpleNamespace(plant=lambda p=p: p) for p in plants]
+    runs, _ = run_many(models, starts, common, observers=observers)
     for plant, observer, measured, run in zip(plants, observers, own, runs, strict=True):
         expected = led(plant, observer, measured).readings.T
         np.testing.assert_allclose(run, expected, atol=1e-9)

@@ -10,7 +10,6 @@ from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
 from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import rest
-from dmptm_ctrl.simulate.dual import dual_plant
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 
@@ -115,7 +114,7 @@ def missed(model: Model, duty: Duty, reading: Floats, every: int = 1) -> Floats:
         Without noise, one of `every` samples.
     every : int
     """
-    plant = dual_plant(model.arrays())
+    plant = model.plant()
     gain = Parts(plant).reading(1, 0.0, 1.0, 0.0)
     then = duty.time[::every] - float(plant.sensor_delay[1])
     return np.asarray(reading / gain - np.interp(then, duty.time, duty.reference))

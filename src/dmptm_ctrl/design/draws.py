@@ -3,7 +3,7 @@
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.model import BASE, Model
+from dmptm_ctrl.simulate.model import Model
 
 DECLARED = 1.0  # share of the declared ranges: nothing but the declaration is known
 FITTED = 0.25  # what a fit to a rig's logs usually leaves of them
@@ -37,8 +37,7 @@ def one_plant(model: Model, uncertainty: float, seed: int, index: int) -> Model:
     """Draw plant `index` of the series `seed`."""
     rng = np.random.default_rng([seed, index])
     values = {}
-    for name in BASE:
-        quantity = model.drive.quantities[name]
+    for name, quantity in model.drive.quantities.items():
         u = rng.uniform(-1.0, 1.0)
         if quantity.is_free:
             share = CONTACT_SHARE if name in CONTACT and uncertainty > 0.0 else uncertainty

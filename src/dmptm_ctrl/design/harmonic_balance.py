@@ -28,7 +28,7 @@ from dmptm_ctrl.design.harmonics import Basis, Cycle, block, packed_first, rate_
 from dmptm_ctrl.design.preload import volt_at_pinion
 from dmptm_ctrl.effects.backlash import Backlash, landing, mesh_region, region_torque
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
-from dmptm_ctrl.simulate.dual import RING, dual_plant
+from dmptm_ctrl.simulate.dual import RING
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 
@@ -120,7 +120,7 @@ class Balance:
                 "harmonic balance knows delays and lags only; the model has effects on "
                 + ", ".join(other or ["mesh stiffness"])
             )
-        plant, drive = dual_plant(model.arrays()), model.drive
+        plant, drive = model.plant(), model.drive
         parts = Parts(plant)
         laws = [parts.twist(side, 0.0, 0.0, 0.0, 0.0)[2] for side in range(2)]
         alike = abs(laws[0].half_gap - laws[1].half_gap) < SAME_GAP and preload == 0.0

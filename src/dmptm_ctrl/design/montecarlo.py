@@ -14,6 +14,7 @@ from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.draws import DECLARED, one_plant
 from dmptm_ctrl.parallel import each
+from dmptm_ctrl.simulate.law import design_of
 from dmptm_ctrl.simulate.model import Floats, Model
 
 CHUNK = 64  # plants per task: enough for the lanes, small enough to lose
@@ -128,7 +129,7 @@ def _key(controller: Controller, models: list[Model], aims: Aims, *numbers: floa
     parts: list[Any] = [controller.to_toml(), *numbers, aims.duty.reference.tobytes(), aims.noise]
     parts += [aims.duty.sample_time, aims.duty.settling]
     for model in models:
-        parts += [array.tobytes() for array in model.arrays()]
+        parts += [array.tobytes() for array in design_of(model)]
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part if isinstance(part, bytes) else repr(part).encode())

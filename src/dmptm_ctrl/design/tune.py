@@ -24,7 +24,6 @@ from dmptm_ctrl.design.controller import Controller, Notch
 from dmptm_ctrl.design.draws import DECLARED, draw_plants
 from dmptm_ctrl.design.linear import level, linear_plant
 from dmptm_ctrl.design.preload import smallest_preload
-from dmptm_ctrl.simulate.dual import dual_plant
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 
@@ -217,7 +216,7 @@ def tune_controller(
 
 def feed_forward_start(model: Model, gains: PiTuning, aims: Aims) -> Controller:
     """Everything the model offers, at its natural values."""
-    plant = dual_plant(model.arrays())
+    plant = model.plant()
     dt = aims.duty.sample_time
     return Controller(
         kp=gains.kp,

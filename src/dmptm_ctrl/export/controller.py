@@ -14,7 +14,7 @@ from dmptm_ctrl.export.stepping import counter, finished, origin
 from dmptm_ctrl.export.trace import Scope, follow
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.simulate import control_core as core
-from dmptm_ctrl.simulate.law import law_engine
+from dmptm_ctrl.simulate.law import design_of, law_engine
 
 INPUTS = (
     Port("setpoint", "rad/s", "wanted value of the ring gear's speed"),
@@ -46,7 +46,7 @@ def controller_program(
     `notes` are comment lines for the head of the file; by default what :func:`provenance` gives.
     """
     law, dt = controller.law(), controller.sample_time
-    design = law.model.arrays()
+    design = design_of(law.model)
     if not any(design[1]):
         law = replace(law, invert=False)  # there is no drive to undo
     tracer = Tracer()

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.contract import Effect
+from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.effects import lookup, presliding, stribeck
 from dmptm_ctrl.simulate import control_core as core
 from dmptm_ctrl.simulate import elementary
-from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, layout, per_catalogue
+from dmptm_ctrl.simulate.dual import catalogue, per_catalogue
 from dmptm_ctrl.simulate.loading import key_of, load
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.plant import Flags, Floats
 from dmptm_ctrl.simulate.run import Controller
 
 PASS = (1.0, 0.0, 0.0, 0.0, 0.0)  # a section that changes nothing
@@ -77,7 +79,7 @@ def _chain(site: str, effects: tuple[Effect, ...]) -> str:
     name, args, start, change, result = _CHAINS[site]
     lines = [f"@njit\ndef {name}({args}, on, values):", f"    {start}" * bool(start)]
     for effect in (e for e in effects if e.site == site):
-        flag, first = layout()[effect.name]
+        flag, first = catalogue().slots[effect.name]
         values = ", ".join(f"values[{first + j}]" for j in range(len(effect.parameters)))
         call = f"kernel_{flag}({args}, Values_{flag}({values}))"
         lines += [f"    if on[{flag}]:", *(f"        {part}" for part in
@@ -106,12 +108,20 @@ def law_engine(effects: tuple[Effect, ...]) -> Any:
     )
     chains = [f"@njit\ndef active_sites(on):\n    return {', '.join(used)}"]
     chains += [_chain(site, effects) for site in _CHAINS]
-    ends = core.L_SIZE, core.L_SIZE + len(BASE), core.L_SIZE + len(BASE) + len(effects)
+    size = len(paper_drive())
+    ends = core.L_SIZE, core.L_SIZE + size, core.L_SIZE + size + len(effects)
     text = "\n\n".join([_HEAD, kernels, *chains, _own_text(), _TAIL.format(*ends)])
     options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST'
     text = text.replace("@njit\n", f"@njit({options})\n")
     key = key_of(text, (elementary, lookup, presliding, stribeck), effects)
     return load(f"law_{key}", text, "the controllers of the dual-motor drive", EFFECTS=effects)
+
+
+def design_of(model: Model) -> tuple[Floats, Flags, Floats]:
+    """Return a design model as `control_core` takes it: the drive, flags and numbers of effects."""
+    plant, effects = model.plant(), catalogue()
+    numbers = np.array([q.value for q in model.drive.quantities.values()])
+    return numbers, plant.on[: len(effects.slots)], plant.values[: effects.absent.size]
 
 
 @dataclass(frozen=True)
@@ -202,8 +212,7 @@ class Law(Design):
 
     def controller(self) -> Controller:
         """Return the law as the compiled loop calls it."""
-        base, on, values = self.model.arrays()
-        rule = np.concatenate([self.numbers(), base, on, values])
+        rule = np.concatenate([self.numbers(), *design_of(self.model)])
         return Controller(law_engine().controller, rule, core.MEMORY)
 
     def stepper(self, sample_time: float) -> "Stepper":
@@ -220,7 +229,7 @@ class Stepper:
 
     def __init__(self, law: Law, sample_time: float) -> None:
         self._law, self._dt = law.numbers(), sample_time
-        self._design: Arrays = law.model.arrays()
+        self._design = design_of(law.model)
         self._command = law_engine().command
         self._memory = np.zeros(core.MEMORY)
         self._samples = 0

@@ -27,7 +27,7 @@ from dmptm_ctrl.simulate.blocks import (
     to_blocks,
 )
 from dmptm_ctrl.simulate.compiled import OUTPUTS
-from dmptm_ctrl.simulate.dual import MOTORS, RING, parts_of
+from dmptm_ctrl.simulate.dual import MOTORS, RING
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.plant import link_matrices
@@ -71,7 +71,7 @@ def turning(
     """
     if abs(speed) <= REST_SPEED:
         raise ValueError("a steady turn needs a speed; at rest friction leaves the balance open")
-    parts = parts_of(model)
+    parts = Parts(model.plant())
     n1, n2 = model.drive["N_1"], model.drive["N_2"]
     omega, way = n2 * speed, 1.0 if speed > 0.0 else -1.0
 
@@ -194,7 +194,7 @@ def linearize(
         x0, volts = np.asarray(x0, float), np.zeros(2)
     if u0 is not None:
         volts = np.asarray(u0, float)
-    parts = parts_of(model)
+    parts = Parts(model.plant())
     for side, s in enumerate(("left", "right")):
         z, z_rate, law = parts.twist(side, x0[side], x0[3 + side], x0[2], x0[5])
         if mesh_region(z, z_rate, law) == 0.0:

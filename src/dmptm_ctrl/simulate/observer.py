@@ -45,8 +45,9 @@ class Observer(NamedTuple):
 UNLED = Observer(np.zeros(0, np.int64), np.zeros((0, 0)), np.zeros(0))
 
 
-def rigid_mode(plant: Plant, body: int) -> Floats:
-    """Return how coordinates turn with a body where no link twists, (n,)."""
+def rigid_mode(plant: Plant, body: int | None = None) -> Floats:
+    """Return how coordinates turn with a body, else the driven one, no link twisted, (n,)."""
+    body = int(plant.input_body[0]) if body is None else body
     turned = np.zeros(plant.inertia.size)
     turned[plant.body_coordinate[body]] = plant.body_ratio[body]
     rows = np.vstack([turned, link_matrices(plant)[0]])

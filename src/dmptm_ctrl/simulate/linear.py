@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import control as ct
 import numpy as np
@@ -175,6 +176,12 @@ def linearize(
     UserWarning
         A mesh is in its gap, where it has no stiffness and the model poles at the origin;
         or a body is held by friction, where it does not move at all.
+
+    Examples
+    --------
+    >>> plant = dm.linearize(dm.Model(dm.paper_drive()), outputs=["omega_L", "torque_l"])
+    >>> plant.output_labels
+    ['omega_L', 'torque_l']
     """
     if not isinstance(model, Model):
         if u0 is not None or not isinstance(x0, Mapping | None):
@@ -191,9 +198,9 @@ def linearize(
     if x0 is None:
         x0, volts = turning(model)
     else:
-        x0, volts = np.asarray(x0, float), np.zeros(2)
+        x0, volts = _shaped("x0", x0, (6,)), np.zeros(2)
     if u0 is not None:
-        volts = np.asarray(u0, float)
+        volts = _shaped("u0", u0, (2,))
     parts = parts_of(model)
     for side, s in enumerate(("left", "right")):
         z, z_rate, law = parts.twist(side, x0[side], x0[3 + side], x0[2], x0[5])
@@ -226,6 +233,14 @@ def linearize(
         a, b, c, d, states=labels, inputs=linear.input_labels, outputs=list(outputs),
         name="drive_linear",
     )  # fmt: skip
+
+
+def _shaped(name: str, values: Any, shape: tuple[int]) -> Floats:
+    """Return an array of a shape, or say what is wrong with it."""
+    if isinstance(values, Mapping) or np.shape(values) != shape:
+        given = "a mapping" if isinstance(values, Mapping) else f"of shape {np.shape(values)}"
+        raise ValueError(f"{name} of a Model is {given}; it must be an array of shape {shape}")
+    return np.asarray(values, float)
 
 
 def _late(model: RigModel, system: ct.StateSpace) -> ct.StateSpace:
@@ -432,6 +447,11 @@ def modes(
         Another kind of model.
     ValueError
         An inertia or a stiffness of a rig that is unknown.
+
+    Examples
+    --------
+    >>> dm.modes(dm.paper_drive()).hz.round(1)
+    array([  0. ,  60.4, 230.9])
     """
     if isinstance(model, Rig):
         model = RigModel(model)

@@ -41,7 +41,7 @@ TWIST = 1e-3  # rad, size of a half-gap: scale of the search
 STEP = 2.0**-13  # rad or m; of slopes: far below the shortest tooth or cogging period
 STILL = 1e-6  # of the fastest mode; slower is the rigid one
 CONSERVATIVE = ("inertia", "stiffness", "ratio", "gain", "stribeck_speed", "stribeck_exponent")
-BODIES = {"left chain": "chain_l", "right chain": "chain_r", "ring gear": "ring"}
+BODIES = {"left pinion": "pinion_l", "right pinion": "pinion_r", "ring gear": "ring"}
 
 
 def turning(
@@ -281,7 +281,7 @@ def _turns_freely(model: Model) -> bool:
 def _without_angle(
     a: Floats, b: Floats, c: Floats, labels: list[str], n2: float
 ) -> tuple[Floats, Floats, Floats, list[str]]:
-    """Count the angles of the chains from the ring gear's, and leave that one out.
+    """Count the angles of the pinions from the ring gear's, and leave that one out.
 
     By the structure of the drive nothing depends on the turn of all bodies together; the
     columns of differences that would say so are rounding.
@@ -294,7 +294,7 @@ def _without_angle(
             new[i, ring] = -n2
     old = 2.0 * np.eye(size) - new  # its inverse: the ring gear's angle is added again
     keep = [i for i in range(size) if i != ring]
-    named = {f"chain_{s}_theta": f"twist_{s}" for s in SIDES}
+    named = {f"pinion_{s}_theta": f"twist_{s}" for s in SIDES}
     return (
         (new @ a @ old)[np.ix_(keep, keep)],
         (new @ b)[keep],

@@ -7,7 +7,7 @@ import control as ct
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
 from dmptm_ctrl.drive.reduction import SimplificationCost
@@ -174,6 +174,7 @@ def response_plot(
     if not dB:
         magnitude.set_yscale("log")
     for panel in panels.ravel():
+        panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         panel.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
         panel.xaxis.set_minor_formatter(NullFormatter())
     magnitude.legend(fontsize=8)

@@ -185,6 +185,12 @@ def tune_controller(
     ------
     ValueError
         Aims that no PI keeps on this model.
+
+    Examples
+    --------
+    >>> tuned = dm.tune_controller(dm.Model(), dm.Aims(gain_margin_db=8.0), plants=100)
+    >>> print(tuned.summary())
+    >>> tuned.controller.save("controller.toml")
     """
     aims = aims or Aims()
     plant = linear_plant(level(model))

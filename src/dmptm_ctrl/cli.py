@@ -178,11 +178,12 @@ def export(
     out: _Out = Path("export"),
     real: _Real = "double",
     sample_time: _Step = None,
+    name: Annotated[str | None, typer.Option(help="Where two programs meet.")] = None,
 ) -> None:
     """Write a model or a controller as a program where users run it."""
     from dmptm_ctrl.export.run import export_file
 
-    names = export_file(model, to, out, real=real, sample_time=sample_time)
+    names = export_file(model, to, out, real=real, sample_time=sample_time, name=name)
     print(f"written to {out}: {', '.join(names)}")
 
 

@@ -52,16 +52,20 @@ CONTROLLERS = {
 
 
 def readings(real="double"):
-    """Setpoints with steps and reversals, and readings that lag behind them, as `real` has them."""
+    """Setpoints with steps and reversals, and readings that lag behind them, as `real` has them.
+
+    In the second half the drive is far from its zero: 500 rad, the motors 100 000.
+    """
     rng = np.random.default_rng(5)
     time = 1e-3 * np.arange(SAMPLES)
     ref = 0.3 * np.sin(2 * np.pi * 0.4 * time) + 0.4 * (np.sin(2 * np.pi * 0.15 * time) > 0.6)
     ref[4000:4400] = 0.0
     speed = 0.9 * np.roll(ref, 3) + 0.02 * rng.standard_normal(SAMPLES)
-    angle = 1e-3 * np.cumsum(speed)
+    angle = 1e-3 * np.cumsum(speed) + 500.0 * (time > 5.0)
     motors = [206.25 * angle + offset for offset in (0.4, -0.7)]
-    rows = np.column_stack([ref, angle, speed, *motors])
-    return rows.astype(np.float32).astype(float) if real == "float" else rows
+    if real == "float":
+        ref, speed = (x.astype(np.float32).astype(float) for x in (ref, speed))
+    return np.column_stack([ref, angle, speed, *motors])
 
 
 def expected(controller, rows):

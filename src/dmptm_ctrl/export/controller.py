@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.design.controller import Controller
-from dmptm_ctrl.export.program import Port, Program, make
+from dmptm_ctrl.export.program import WIDE, Port, Program, make
 from dmptm_ctrl.export.stepping import counter, finished, origin
 from dmptm_ctrl.export.trace import Scope, follow
 from dmptm_ctrl.export.tracer import Tracer
@@ -18,10 +18,10 @@ from dmptm_ctrl.simulate.law import law_engine
 
 INPUTS = (
     Port("setpoint", "rad/s", "wanted value of the ring gear's speed"),
-    Port("theta_load", "rad", "reading of the ring gear's angle"),
+    Port("theta_load", "rad", "reading of the ring gear's angle", WIDE),
     Port("omega_load", "rad/s", "reading of the ring gear's speed"),
-    Port("theta_left", "rad", "reading of the left motor's angle"),
-    Port("theta_right", "rad", "reading of the right motor's angle"),
+    Port("theta_left", "rad", "reading of the left motor's angle", WIDE),
+    Port("theta_right", "rad", "reading of the right motor's angle", WIDE),
 )
 OUTPUTS = (
     Port("u_left", "V", "voltage of the left motor"),
@@ -50,11 +50,12 @@ def controller_program(
     if not any(design[1]):
         law = replace(law, invert=False)  # there is no drive to undo
     tracer = Tracer()
-    ports = [tracer.fresh(p.name) for p in INPUTS]
+    ports = [tracer.fresh(p.name, p.kind) for p in INPUTS]
     for port in OUTPUTS:
         tracer.fresh(port.name)
     samples = counter(tracer)
     memory = tracer.cells([0.0] * core.MEMORY, KEPT)
+    tracer.wide.add((id(memory), core.M_INTEGRAL))
     results: list[Any] = []
 
     def step() -> None:

@@ -57,7 +57,7 @@ def plant_program(
     """
     if isinstance(model, RigModel):
         plant, steps = model.plant(), substeps_for(model.plant(), sample_time)
-        inputs, seen = _chain_ports(model)
+        inputs, seen = rig_ports(model)
         q, v = np.zeros((2, plant.inertia.size))
         columns = list(range(len(seen)))
     else:
@@ -143,7 +143,8 @@ def _dual_ports() -> tuple[list[Port], list[Port]]:
     return inputs, [Port(n.lower(), unit, text) for n, unit, text in named]
 
 
-def _chain_ports(model: RigModel) -> tuple[list[Port], list[Port]]:
+def rig_ports(model: RigModel) -> tuple[list[Port], list[Port]]:
+    """Return the ports of a rig: its inputs, and the readings of its sensors."""
     inputs, seen = [], []
     for i in model.rig.inputs:
         unit = parse_unit(i.unit).symbol.replace("·", " ") or "1"

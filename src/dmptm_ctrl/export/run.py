@@ -7,8 +7,6 @@ from typing import Any
 
 from dmptm_ctrl.design.controller import KIND as CONTROLLER
 from dmptm_ctrl.design.controller import Controller, read_controller
-from dmptm_ctrl.drive.rig_dual import dual_motor
-from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.export.c_source import REALS, c_header, c_source
 from dmptm_ctrl.export.controller import controller_program, provenance
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
@@ -25,9 +23,7 @@ from dmptm_ctrl.export.tables import write_tables
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.signals.toml_text import parse_toml
-from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model
-from dmptm_ctrl.simulate.rig_model import RigModel
 
 OF_EXPERIMENT = ("csv", "c", "st")
 OF_CONTROLLER = ("c", "st", "python")
@@ -145,11 +141,7 @@ def _read(source: Path) -> Any:
     written = parse_toml(text, source.name)
     if written.get("kind") == CONTROLLER:
         return read_controller(source)
-    if "kind" in written or "body" not in written:
-        return read_model(source)
-    rig = parse_rig(text, source.name)
-    drive = dual_motor(rig)
-    return RigModel(rig) if drive is None else Model(drive)
+    return read_model(source)
 
 
 def _program(model: Any, source: Path, step: float, name: str | None) -> Program:

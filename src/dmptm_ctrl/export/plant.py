@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from dmptm_ctrl.drive.rig import Input, Sensor
 from dmptm_ctrl.export.places import Latest, Ring, Row, Signals
 from dmptm_ctrl.export.program import Name, Port, Program, Store, make
 from dmptm_ctrl.export.stepping import counter, finished, word
@@ -148,8 +149,14 @@ def rig_ports(model: RigModel) -> tuple[list[Port], list[Port]]:
     inputs, seen = [], []
     for i in model.rig.inputs:
         unit = parse_unit(i.unit).symbol.replace("·", " ") or "1"
-        inputs.append(Port(f"in_{word(i.name)}", unit, f"{i.name}, held until the next step"))
+        text = f"{i.name}, held until the next step; {_column(i)}"
+        inputs.append(Port(f"in_{word(i.name)}", unit, text))
     for s in model.rig.sensors:
         unit = model.rig.body(s.body).angle_unit + ("/s" if s.measures != "position" else "")
-        seen.append(Port(f"out_{word(s.name)}", unit, f"reading of {s.name}"))
+        seen.append(Port(f"out_{word(s.name)}", unit, f"reading of {s.name}; {_column(s)}"))
     return inputs, seen
+
+
+def _column(part: Input | Sensor) -> str:
+    """What a signal is in the logs' own unit, sign and counts."""
+    return f"column {part.column} of the logs times {part.sign * parse_unit(part.unit).factor:.9g}"

@@ -9,6 +9,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, Floats, Keys, Rows, standard_error
 from dmptm_ctrl.diagnosis.measure import Measured
+from dmptm_ctrl.diagnosis.ranking import name_of
 from dmptm_ctrl.diagnosis.residual import Residual, predicting_fit, residual
 from dmptm_ctrl.diagnosis.trace import Trace, Trial, effect_columns, trace, try_effect, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE
@@ -45,11 +46,6 @@ def fall(smaller: Told, larger: Told) -> float:
 def key_of(name: str) -> str:
     """Return ``name@place`` of an effect of the dual-motor drive."""
     return f"{name}@{CATALOGUE[name].location}"
-
-
-def name_of(key: str) -> str:
-    """Return the name in a key."""
-    return key.partition("@")[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,11 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.candidate import Candidate
 from dmptm_ctrl.diagnosis.code import rebuilding_code
-from dmptm_ctrl.diagnosis.dual import DualState, key_of, name_of
+from dmptm_ctrl.diagnosis.dual import DualState
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import low_pass, speeds
-from dmptm_ctrl.diagnosis.report import UNNAMED, NamedEffect, Picture, estimate, ranked_rows
+from dmptm_ctrl.diagnosis.ranking import best_of, name_of, ranking_of
+from dmptm_ctrl.diagnosis.report import UNNAMED, NamedEffect, Picture, estimate
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.drive import Drive
@@ -216,58 +217,31 @@ def detectable(candidate: Candidate) -> dict[str, dict[str, Any]]:
 
 def ranking(
     selection: Selection,
-    untestable: Sequence[str],
+    unseen: Sequence[str],
     sensors: dict[str, dict[str, float]],
     found: Sequence[str],
 ) -> list[dict[str, Any]]:
-    """Status of every catalogue entry, best first.
+    """Status of every catalogue entry, best first, and what size the logs would have shown.
 
     Parameters
     ----------
-    untestable : sequence of str
-        Effects that these logs cannot show.
+    unseen : sequence of str
+        Effects that these logs cannot show, unless they are large.
     sensors : mapping
         Effect of a sensor → standard errors of its amplitudes.
     found : sequence of str
         Effects of sensors that are in the model.
     """
-    entries = {e.key: e for e in selection.entries}
-    beside = {c.keys[0]: c for c in selection.rest}
-    alone = {c.keys[0]: c for c in selection.first}
-    rivals = {key for e in selection.entries for key in e.confusable_with}
-    rows = []
-    for name, effect in CATALOGUE.items():
-        if name in NO_CANDIDATES:
-            continue
-        key = key_of(name)
-        row: dict[str, Any] = {"name": name, "location": effect.location, "reveals": effect.reveals}
-        if key in entries or name in found:
-            row["status"] = "supported"
-            row["score"] = entries[key].evidence if key in entries else float("inf")
-        elif key in beside or key in alone:
-            candidate = beside.get(key, alone.get(key))
-            assert candidate is not None
-            row["status"], row["score"] = "rejected", candidate.evidence
-            row["reason"] = candidate.objection or (
-                "other effects explain the same as well"
-                if key in rivals or alone.get(key, candidate).acceptable
-                else "too little evidence beside what was found"
-            )
-        elif name in sensors:
-            row["status"], row["score"] = "rejected", 0.0
-        else:
-            row["status"], row["score"] = "not testable with these logs", 0.0
-        if name in untestable and row["status"] == "rejected" and key not in beside:
-            row["status"] = "not testable with these logs"
-        if key in alone:
-            row["detectable"] = detectable(beside.get(key, alone[key]))
+    catalogue = [(n, e.location, e.reveals) for n, e in CATALOGUE.items() if n not in NO_CANDIDATES]
+    rows = ranking_of(selection, catalogue, sensors=found, compared=sensors, unseen=unseen)
+    tried = {**best_of(selection.first), **best_of(selection.rest)}
+    for row in rows:
+        name = row["name"]
         if name in sensors:
+            units = {p.name: p.unit for p in CATALOGUE[name].parameters}
             row["detectable"] = {
-                k: {
-                    "value": 3.0 * se,
-                    "unit": next(p.unit for p in effect.parameters if p.name == k),
-                }
-                for k, se in sensors[name].items()
+                k: {"value": 3.0 * se, "unit": units[k]} for k, se in sensors[name].items()
             }
-        rows.append(row)
-    return ranked_rows(rows)
+        elif name in tried:
+            row["detectable"] = detectable(tried[name])
+    return rows

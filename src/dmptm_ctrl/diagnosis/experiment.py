@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dmptm_ctrl.diagnosis.dual import name_of
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import low_pass
+from dmptm_ctrl.diagnosis.ranking import name_of
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.identify.fit import CORRELATION_SECONDS, FLOOR
 from dmptm_ctrl.parallel import in_threads

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, sqrt
+from math import sqrt
 from os import PathLike
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -345,15 +345,6 @@ def estimate(value: float, se: float, unit: str) -> dict[str, Any]:
     """Return a parameter as in diagnosis.json; a time is not known to less than :data:`CLOCK`."""
     floor = CLOCK if unit == "s" else 0.0
     return {"value": float(value), "se": float(np.hypot(se, floor)), "unit": unit}
-
-
-def ranked_rows(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows of the ranking, those in the model first, then by score; finite numbers."""
-    done = [{"location": "", "reason": "", "detectable": {}, **row} for row in rows]
-    for row in done:
-        score = row["score"]
-        row["score"] = float(np.clip(score, -1e9, 1e9)) if isfinite(score) or score > 0 else 0.0
-    return sorted(done, key=lambda row: (row["status"] != "supported", -row["score"]))
 
 
 def provenance(

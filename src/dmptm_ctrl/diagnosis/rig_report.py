@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import EXPLAINED, Errors, Row, error_entry
-from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate
-from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture, ranked_rows
+from dmptm_ctrl.diagnosis.budget import EXPLAINED, Errors, Row, closed_rows, error_entry
+from dmptm_ctrl.diagnosis.candidate import LEVEL
+from dmptm_ctrl.diagnosis.ranking import ranking_of
+from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture
 from dmptm_ctrl.diagnosis.rig_curves import Curve, mean_square
 from dmptm_ctrl.diagnosis.rig_evidence import RigState
 from dmptm_ctrl.diagnosis.rig_runs import Runs, variable_of
@@ -190,7 +191,7 @@ def report_of(
     elif not effects and share_of_curves < 1.0 - EXPLAINED and errors.balanced:
         verdict = "none"
     rows = [
-        Row(e.name, e.location, slower[k], sqrt(costs[k]), costs[k],
+        Row(e.name, e.location, slower[k], sqrt(costs[k]), e.share,
             (variable_of(augmented, f"{e.name}@{e.location}"),))
         for e, k in zip(effects, order, strict=True)
     ]  # fmt: skip
@@ -201,11 +202,16 @@ def report_of(
             "bandwidth_hz": final.fit.likelihood.balance.bandwidth}
         for k, v in roots.items()
     }  # fmt: skip
+    (left, floored), rest = runs.left(), sqrt(max(errors.after - floor, 0.0))
     return Diagnosis(
         verdict=verdict,
         effects=effects,
-        budget=tuple(budget_of(rows, errors, runs.left(), variables)),
-        ranking=ranking_of(selection, final, faults),
+        budget=tuple(closed_rows(rows, errors, (left, rest), (floored, sqrt(floor)), variables)),
+        ranking=ranking_of(
+            selection,
+            ((name, "", one.reveals) for name, one in PLACED_CATALOGUE.items()),
+            sensors={f.placed.name for f in faults},
+        ),
         depends_on=(variables or nearest) if verdict == "unknown" else (),
         error=error_entry(on, runs.error(), torque, short.error()),
         errors=errors,
@@ -236,73 +242,10 @@ def _named(entry: Entry, fit: RigFit, after: float, without: float) -> NamedEffe
     )
 
 
-def budget_of(
-    rows: Sequence[Row],
-    errors: Errors,
-    left: tuple[float | None, float | None],
-    variables: Sequence[str],
-) -> list[Row]:
-    """Return the budget: shares of the mean square before.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-        Of the effects; `share` is the rise of the mean square.
-    errors : Errors
-    left : (float or None, float or None)
-        Free-run error that is not explained, and its floor.
-    variables : sequence of str
-        Of what is not explained.
-    """
-    whole = max(errors.before, errors.after, 1e-300)
-    went, each = max(errors.before - errors.after, 0.0), sum(r.share for r in rows)
-    part = min(1.0, went / each) if each > 0 else 0.0  # effects that hide each other
-    done = [replace(r, torque_rms=sqrt(part * r.share), share=part * r.share / whole) for r in rows]
-    if rows and went > each:
-        shared = went - each
-        done.append(Row("shared", "several of these effects", None, sqrt(shared), shared / whole))
-        done.sort(key=lambda r: -r.share)
-    rest = max(errors.after - errors.floor, 0.0)
-    done.append(Row("not explained", "", left[0], sqrt(rest), rest / whole, tuple(variables)))
-    done.append(Row("floor", "", left[1], sqrt(errors.floor), errors.floor / whole))
-    return done
-
-
 def correlations_of(fit: RigFit) -> list[tuple[str, str, float]]:
     """Pairs of fitted numbers of the drive and its effects whose estimates go together."""
     own = [j for j, f in enumerate(fit.frees) if f.kind in ("value", "effect")]
     return correlated([fit.frees[j].label for j in own], fit.covariance[np.ix_(own, own)])
-
-
-def ranking_of(
-    selection: Selection, final: RigState, faults: Sequence[SensorFault]
-) -> list[dict[str, Any]]:
-    """Status of every effect of the catalogue, most evidence first."""
-    kept = {k.partition("@")[0] for k in final.keys}
-    kept |= {f.placed.name for f in faults}
-    best: dict[str, Candidate] = {}
-    for seen in (*selection.rest, *selection.first):  # what it is worth beside the final model
-        best.setdefault(seen.keys[0].partition("@")[0], seen)
-    rows = []
-    for name, chain in PLACED_CATALOGUE.items():
-        entry = next((e for e in selection.entries if e.key.startswith(f"{name}@")), None)
-        one = best.get(name)
-        score = entry.evidence if entry else one.evidence if one else 0.0
-        status, reason = "rejected", ""
-        if name in kept:
-            status = "supported"
-        elif one is None:
-            status = "not testable with these logs"
-        elif one.objection:
-            reason = one.objection
-        elif one.evidence > LEVEL:
-            reason = "held-out logs speak against it, or an effect that was added explains it"
-        rows.append({
-            "name": name, "location": one.keys[0].partition("@")[2] if one else "",
-            "score": max(score, 0.0), "status": status,
-            "reason": reason, "reveals": chain.reveals,
-        })  # fmt: skip
-    return ranked_rows(rows)
 
 
 def declared_of(fit: RigFit) -> dict[str, dict[str, Any]]:

@@ -16,10 +16,10 @@ from dmptm_ctrl.diagnosis.dual import (
     DualState,
     fall,
     key_of,
-    name_of,
 )
 from dmptm_ctrl.diagnosis.judge import rise
 from dmptm_ctrl.diagnosis.negligible import without_negligible
+from dmptm_ctrl.diagnosis.ranking import name_of
 from dmptm_ctrl.diagnosis.residual import predicting
 from dmptm_ctrl.diagnosis.select import MOST, Entry, Selection, best_of, explained, ranked
 from dmptm_ctrl.diagnosis.trace import bent, candidates, starts, weighted_changes

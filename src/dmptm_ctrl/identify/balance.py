@@ -391,13 +391,15 @@ def fit_balance(
     kinds = balance.kinds
     parts = balance.missing(model)
     value = loss(parts, kinds, unknowns, p, freedom)
-    kept = 0 if jacobian is None else jacobian.shape[1]
-    jac = np.empty((sum(map(len, parts)), 0))
+    kept = np.empty((sum(map(len, parts)), 0)) if jacobian is None else jacobian
+    own = unknowns[kept.shape[1] :]
+
+    def slopes() -> Floats:
+        return np.hstack([kept, columns(balance, model, own, np.concatenate(parts))])
+
+    jac, fresh = slopes(), True
     for k in range(ITERATIONS):
-        e = np.concatenate(parts)
-        if k == 0 or kept < len(unknowns):
-            fresh = columns(balance, model, unknowns[kept:], e)
-            jac = fresh if jacobian is None else np.hstack([jacobian, fresh])
+        e, p0 = np.concatenate(parts), p
         w = weights(parts, kinds, freedom)
         gain = 0.0
         for shrink, damping in STEPS:
@@ -410,10 +412,20 @@ def fit_balance(
                 gain = value - cost
                 p, model, parts, value = trial, moved, tried, cost
                 break
-        if gain < (worth if k == 0 else STALLED):
+        stalled = gain < (worth if k == 0 else STALLED)
+        if stalled and fresh:
             break
+        if stalled or balance.led:  # runs bend too much for secants: they meet impacts
+            jac, fresh = slopes(), True
+        elif own:
+            jac, fresh = secant(jac, np.concatenate(parts) - e, p - p0), False
     covariance = covariance_of(weights(parts, kinds)[:, None] * jac, unknowns)
     return BalanceFit(model, unknowns, p, value, parts, kinds, jac, covariance)
+
+
+def secant(slopes: Floats, change: Floats, step: Floats) -> Floats:
+    """Slopes (m, k) that say what a step (k,) changed (m,), and differ least. Broyden 1965."""
+    return np.asarray(slopes + np.outer((change - slopes @ step) / (step @ step), step))
 
 
 def covariance_of(rows: Floats, unknowns: Sequence[Unknown]) -> Floats:

@@ -53,8 +53,7 @@ def read_text(
     how = how or TextFormat()
     try:
         encoding = _encoding(path)
-        sample = _sample(path, encoding, how, wanted)
-        layout = find_layout(sample, path.name, how, wanted)
+        sample, layout = _sample(path, encoding, how, wanted)
         try:
             return _table(path, encoding, layout, choose, max_rows)
         except _CellError as error:  # the first rows may say too little of how numbers are written
@@ -136,8 +135,10 @@ def _encoding(path: Path) -> str:
     return "utf-8-sig"
 
 
-def _sample(path: Path, encoding: str, how: TextFormat, wanted: Collection[str]) -> list[str]:
-    """As many of the first lines as show rows of numbers."""
+def _sample(
+    path: Path, encoding: str, how: TextFormat, wanted: Collection[str]
+) -> tuple[list[str], Layout]:
+    """As many of the first lines as show rows of numbers, and their layout."""
     lines: list[str] = []
     with _lines(path, encoding) as stream:
         for count in SAMPLES:
@@ -145,10 +146,12 @@ def _sample(path: Path, encoding: str, how: TextFormat, wanted: Collection[str])
             try:
                 layout = find_layout(lines, path.name, how, wanted)
             except LogError:
+                if count == SAMPLES[-1]:
+                    raise
                 continue
             if len(lines) > 2 * layout.first:
                 break
-    return lines
+    return lines, layout
 
 
 def _table(

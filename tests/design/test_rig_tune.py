@@ -17,6 +17,7 @@ from dmptm_ctrl.design.rig_aims import rig_aims
 from dmptm_ctrl.design.tune import tune_controller
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.testing import assert_tracks
 
 DT = 1e-3
 LIMITED = RIG.replace('delay = "1.7 ms"', 'delay = "1.7 ms"\nlimit = "12 V"')
@@ -96,6 +97,11 @@ def test_error_is_that_of_one_plain_run(tuned):
     miss = (speed - aims.duty.reference)[::4][100:]
     assert found[0] == pytest.approx(np.sqrt(np.mean(miss**2)), rel=1e-6)
     assert signals[0] == pytest.approx(np.abs(u).max(), rel=1e-6)
+    every = assert_tracks(c, MODEL, aims.duty.reference, rms=0.5)
+    miss = speed - aims.duty.reference
+    assert every == pytest.approx(np.sqrt(np.mean(miss**2)), rel=1e-6)
+    with pytest.raises(AssertionError, match="rad/s rms"):
+        assert_tracks(c, MODEL, aims.duty.reference, rms=0.5 * every)
 
 
 def test_file_keeps_everything(tuned, tmp_path):

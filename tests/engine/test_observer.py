@@ -8,7 +8,8 @@ from scipy.linalg import expm
 
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.simulate.many import Common, run_many
-from dmptm_ctrl.simulate.observer import Observer, observer_gains, rigid_mode, rigid_observer
+from dmptm_ctrl.simulate.observer import Observer, observer_gains, rigid_observer
+from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.run import advance, start_state, structure_for
 
@@ -130,8 +131,8 @@ def test_observers_of_any_sample_time_settle(dt):
 def test_rigid_mode():
     """From either end of the train; the twist of its link is nothing."""
     plant = plant_of()
-    np.testing.assert_allclose(rigid_mode(plant, 1), [3.0, 1.0])
-    np.testing.assert_allclose(rigid_mode(plant, 0), [1.0, 1.0 / 3.0])
+    np.testing.assert_allclose(untwisted(plant, 1), [3.0, 1.0])
+    np.testing.assert_allclose(untwisted(plant, 0), [1.0, 1.0 / 3.0])
 
 
 def test_what_rests_stays_at_rest():

@@ -25,8 +25,8 @@ from dmptm_ctrl.identify.rig_start import (
     unknown_inertias,
 )
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
-from dmptm_ctrl.simulate.observer import rigid_mode
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE, PlacedEffect
+from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
 
 Floats = NDArray[np.float64]
@@ -199,7 +199,7 @@ def unit_columns(
 ) -> list[Floats]:
     """Derivative of the residual by each amplitude, per log (equations, rows, p)."""
     model = fit.model
-    reach = rigid_mode(model.plant())[model.layout.coordinate[body]]
+    reach = untwisted(model.plant())[model.layout.coordinate[body]]
     r = model.layout.ratio[body]
     parts = []
     for motion in balance.motions:
@@ -225,7 +225,7 @@ def _in_equations(
     """A torque on a body appears in the first equation, and in that of its own coordinate."""
     model = fit.model
     layout, plant = model.layout, model.plant()
-    reach = rigid_mode(plant)
+    reach = untwisted(plant)
     group = layout.coordinate[body]
     out = np.zeros((fit.left[0].shape[0], *column.shape))
     out[0] = column

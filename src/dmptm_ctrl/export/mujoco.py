@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from dmptm_ctrl.export.program import ascii_text
 from dmptm_ctrl.export.stepping import origin
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.observer import rigid_mode
+from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 _KEPT = ("drive_delay", "current_lag", "back_emf", "viscous_friction", "coulomb_friction")
@@ -61,7 +61,7 @@ def _of_dual(model: Model) -> Joint:
 
 def _of_rig(model: RigModel) -> Joint:
     plant, layout = model.plant(), model.layout
-    reach = rigid_mode(plant)
+    reach = untwisted(plant)
     last = model.rig.bodies[-1]
     own = layout.ratio[last.name] * reach[layout.coordinate[last.name]]  # per first coordinate
     inertia = model.value(f"body.{last.name}.inertia")

@@ -90,4 +90,5 @@ def _missed(models: Sequence[Model], logs: Sequence[Log], n_jobs: int) -> Floats
 
 
 def _built_up(model: Model, distance: float) -> Model:
-    return model.with_effect(PRESLIDING.name, **slow_friction(model, distance))
+    found: Model = slow_friction(model, distance)
+    return found

@@ -35,8 +35,8 @@ from dmptm_ctrl.simulate.along import (
     signal_along,
     torque_along,
 )
-from dmptm_ctrl.simulate.observer import rigid_mode
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import march, substeps_for
 
@@ -204,7 +204,7 @@ def residual(
             first, second = (layout.bodies[i] for i in plant.link_body[k])
             load[first] += np.abs(runs[name])
             load[second] += np.abs(plant.link_values[k, 0] * runs[name])
-    reach = rigid_mode(plant)
+    reach = untwisted(plant)
     total, push = np.zeros_like(motion.time), np.zeros_like(motion.time)
     single = []
     for group, (q, v, a) in measured.items():
@@ -335,7 +335,7 @@ def _links(
 ) -> dict[str, Floats]:
     """Torque of every link along the log; coordinates without sensors are simulated."""
     layout = model.layout
-    reach = rigid_mode(model.plant())
+    reach = untwisted(model.plant())
     given, position, speed = {}, {}, {}
     base_group = next(iter(measured))
     q0, v0 = measured[base_group][0][0], measured[base_group][1][0]

@@ -28,7 +28,7 @@ from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, provenance
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
+from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.fit import Fit, drive_unknowns, effect_unknowns, position
 from dmptm_ctrl.plots.diagnosis import plot_budget, plot_diagnosis, plot_evidence
 from dmptm_ctrl.plots.gaps import animate_gaps, busiest, gap_motion
@@ -220,7 +220,7 @@ def test_text_from_files_is_escaped(page):
 def test_every_effect_is_named_and_nothing_is_nan(diagnosis, parsed):
     text = " ".join(parsed.text)
     for name, effect in CATALOGUE.items():
-        if name in NO_CANDIDATES:
+        if name in TABLES:
             continue  # they have no name of their own
         assert name.replace("_", " ") in text
         assert effect.reveals in text

@@ -18,7 +18,6 @@ from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.signals.units import parse_unit
-from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, undamped
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
@@ -171,10 +170,7 @@ def from_toml(text: str, *, name: str = "model.toml") -> Model:
         raise LogError(f"{name}: [effects] must hold one table per effect")
     tables = {key: finite_numbers(name, f"effects.{key}", table) for key, table in effects.items()}
     try:
-        found = paper.with_values(**values)
-        if FLANKS in tables and found[DAMPING] == 0.0:
-            found = undamped(found)
-        return Model(found, tables)
+        return Model(paper.with_values(**values), tables)
     except (KeyError, ValueError) as error:
         raise LogError(f"{name}: {error.args[0]}") from None
 

@@ -43,12 +43,10 @@ def rig_aims(
     """
     source, seen = default_loop(model.rig, input, sensor)
     plant, layout = model.plant(), model.layout
-    if limit is None:
-        if model.rig.inputs[layout.inputs.index(source)].limit is None:
-            raise ValueError(
-                f"input {source} has no limit in the rig file; give the largest signal"
-            )
+    if limit is None and model.rig.inputs[layout.inputs.index(source)].limit is not None:
         limit = model.value(f"input.{source}.limit")
+    if limit is None or (speed is None and not np.isfinite(limit)):
+        raise ValueError(f"input {source} has no limit in the rig file; give the largest signal")
     driven, told = layout.input_body[source], layout.sensor_body[seen]
     reach = untwisted(plant, layout.coordinate[told])  # per motion of the sensor's group
     turn = layout.ratio[driven] * reach[layout.coordinate[driven]] / layout.ratio[told]

@@ -10,6 +10,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 
 SHARE = 0.3  # of the input's limit, for inertia along the duty, and for viscous friction
 RESERVE = 10.0  # of the duty's acceleration; steps of the setpoint are fed forward with this
+HIGHEST_SHARE = 0.06  # of the sample rate, of the bandwidth
 ROUNDING = 12.0**-0.5  # rms over the step of a reading
 
 
@@ -66,7 +67,7 @@ def rig_aims(
     noise = 0.0 if one.noise is None else one.noise.value
     step = 0.0 if one.resolution is None else one.resolution.value
     return Aims(
-        highest_hz=HIGHEST_HZ * 1e-3 / sample_time,
+        highest_hz=min(HIGHEST_HZ, HIGHEST_SHARE / sample_time),
         limit=limit,
         acceleration=min(most, FAR),
         duty=duty,

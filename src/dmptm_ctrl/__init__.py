@@ -8,7 +8,7 @@ them in groups; ``help()`` on each gives units, shapes and errors.
 import sys
 from functools import wraps
 from importlib import import_module
-from inspect import isfunction, signature
+from inspect import Parameter, Signature, isfunction, signature
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -158,8 +158,11 @@ def __getattr__(name: str) -> Any:
 
 
 def _checked(name: str, function: Any) -> Any:
-    """Return the function, with a sentence for arguments that it does not take."""
-    from dmptm_ctrl.arguments import refuse_wrong_types
+    """Return the function, with a sentence for arguments that it does not take.
+
+    Its ``help()`` names them without types, which are in the docstring with units and shapes.
+    """
+    from dmptm_ctrl.arguments import refuse_wrong_call
 
     kinds = next((k for k, names in _FIRST.items() if name in names), ())
     wanted = signature(function)
@@ -176,15 +179,11 @@ def _checked(name: str, function: Any) -> Any:
         if what:
             first = f"{name} takes {what} as its first argument"
             raise TypeError(f"{first}, not a {type(args[0]).__name__}")
-        try:
-            wanted.bind_partial(*args, **options)  # an unknown name before one that is missing
-            bound = wanted.bind(*args, **options)
-        except TypeError as error:
-            takes = ", ".join(wanted.parameters)
-            raise TypeError(f"{name}: {error}; it takes {takes}") from None
-        refuse_wrong_types(name, bound)
+        refuse_wrong_call(name, wanted, args, options)
         return function(*args, **options)
 
+    plain = [p.replace(annotation=Parameter.empty) for p in wanted.parameters.values()]
+    checked.__signature__ = Signature(plain)  # type: ignore[attr-defined]
     return checked
 
 

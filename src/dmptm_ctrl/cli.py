@@ -346,11 +346,11 @@ def rig_check(
 ) -> None:
     """Draw a rig file and print its modes; say what is wrong with it."""
     from dmptm_ctrl.drive.rigfile import load_rig
-    from dmptm_ctrl.plots.rig import plot_rig, rig_text
+    from dmptm_ctrl.plots.rig import plot_rig
     from dmptm_ctrl.simulate.linear import modes_text
 
     rig = load_rig(file)
-    print(_printable(rig_text(rig)))
+    print(_printable(str(rig)))
     print(modes_text(rig))
     if figure is not None:
         _save_picture(plot_rig(rig).get_figure(root=True), figure)

@@ -57,6 +57,11 @@ def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
     ------
     ValueError
         The plant has no such output, or more than two inputs.
+
+    Examples
+    --------
+    >>> dm.common_mode(dm.three_dof(dm.paper_drive())).input_labels
+    ['u']
     """
     if plant.ninputs not in (1, 2):
         raise ValueError(f"the plant has {plant.ninputs} inputs, two motors make 2")
@@ -126,6 +131,11 @@ def close_speed_loop(plant: ct.StateSpace, kp: float, ki: float) -> ct.StateSpac
     -------
     StateSpace
         From ``ref`` [rad/s] to ``omega_L`` [rad/s] and ``u`` [V].
+
+    Examples
+    --------
+    >>> closed = dm.close_speed_loop(dm.three_dof(dm.paper_drive()), kp=5.0, ki=90.0)
+    >>> step = ct.step_response(closed["omega_L", "ref"])
     """
     drive = common_mode(plant)
     compare = ct.summing_junction(inputs=["ref", "-omega_L"], output="error", name="compare")

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from dmptm_ctrl.arguments import refusing
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
 from dmptm_ctrl.simulate.compiled import SUBSTEPS, rest
@@ -24,6 +25,7 @@ HIGHEST_HZ = 60.0
 EVERY = 4  # samples, one of which is judged
 
 
+@refusing
 @dataclass(frozen=True)
 class Aims:
     """What the loop is to do.
@@ -43,6 +45,11 @@ class Aims:
         Standard deviation of the speed reading.
     notch : bool
         Whether the search may add a notch; it then also tries more distances.
+
+    Examples
+    --------
+    >>> dm.Aims(phase_margin_deg=60.0, limit=5.0).limit
+    5.0
     """
 
     phase_margin_deg: float = 55.0

@@ -10,6 +10,7 @@ from typing import Any
 import control as ct
 import tomlkit
 
+from dmptm_ctrl.arguments import refusing
 from dmptm_ctrl.control.pi import pi_controller, sampled_pi
 from dmptm_ctrl.control.sections import in_series, notch, sampled_notch
 from dmptm_ctrl.design.draws import slow_friction
@@ -54,6 +55,7 @@ class Notch:
     width: float
 
 
+@refusing
 @dataclass(frozen=True)
 class Controller(Design):
     """PI on the speed of a ring gear, or of a rig's sensor, with what a model lets one add.
@@ -73,6 +75,12 @@ class Controller(Design):
     relief_from, relief_to : float [V]
         Common voltages between which the preload fades to nothing, as in torque-bias profiles
         of antennas (Gawronski et al. 2000, ref. 15 of the paper); equal ones keep it constant.
+
+    Examples
+    --------
+    >>> controller = dm.Controller(5.0, 90.0, limit=10.0, preload=0.3)
+    >>> controller.to_ss().output_labels
+    ['u']
     """
 
     preload: float = 0.0
@@ -243,6 +251,11 @@ def read_controller(file: str | PathLike[str]) -> Controller:
     ------
     LogError
         No such file, not TOML, another kind, a number that is missing or not finite.
+
+    Examples
+    --------
+    >>> dm.read_controller("controller.toml").kp
+    5.0
     """
     path = Path(file)
     try:

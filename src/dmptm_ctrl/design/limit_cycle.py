@@ -96,6 +96,11 @@ def limit_cycles(
     ------
     ValueError
         An effect that depends on angle or time.
+
+    Examples
+    --------
+    >>> for cycle in dm.limit_cycles(dm.Model(), kp=8.0, ki=3000.0):
+    ...     print(cycle.hz, cycle.amplitude, cycle.confirmed)
     """
     balance = Balance(model, kp, ki, sample_time, preload)
     cycles: list[Cycle] = []

@@ -68,12 +68,18 @@ def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
     ----------
     model : Model
     duty : Duty
+        A setpoint over time, such as ``dm.Aims().duty``.
     theta_L : float [rad]
         Where it starts.
 
     Returns
     -------
     float [V]
+
+    Examples
+    --------
+    >>> round(dm.smallest_preload(dm.Model(), dm.Aims().duty), 2)  # V
+    0.24
     """
     worst = float(np.abs(load_torque_along(model, duty, theta_L)).max())
     return worst / (2.0 * model.drive["N_2"] * volt_at_pinion(model.drive))

@@ -200,6 +200,12 @@ def tune_controller(
     ------
     ValueError
         Aims that no PI keeps on this model; an input that does not drive the sensor.
+
+    Examples
+    --------
+    >>> tuned = dm.tune_controller(dm.Model(), dm.Aims(gain_margin_db=8.0), plants=100)
+    >>> print(tuned.summary())
+    >>> tuned.controller.save("controller.toml")
     """
     if isinstance(model, RigModel):
         aims = aims or rig_aims(model, input, sensor)

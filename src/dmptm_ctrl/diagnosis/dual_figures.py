@@ -1,7 +1,7 @@
 """Numbers behind the pictures of a dual-motor drive: folded residuals, orders per turn, gaps.
 
 The residual that is folded is chosen by where the effect acts: the reading of the speed
-sensor for sensors, the twist of the left chain for meshes (with motor encoders), else the
+sensor for sensors, the twist of the left pinion for meshes (with motor encoders), else the
 torque at the ring gear that the model lacks. That torque is read off an observer: led by
 the measured angle with bandwidth ω0 the model lags by an angle e and a speed v behind a torque
 T = J ω0² e + B v that it does not know.
@@ -154,7 +154,7 @@ def left_over(
         return (
             ARCMIN * (rec.twist[:, 0] - twist),
             keep,
-            "twist of the left chain,\nmeasured − model [arcmin]",
+            "twist of the left pinion,\nmeasured − model [arcmin]",
         )
     inertia = model.drive["J_L"] + 2.0 * n2**2 * pinion_inertia(model.drive)
     forward, backward = (
@@ -183,7 +183,7 @@ def orders_uri(along: Orders) -> str:
 def orders(source: "DualSource") -> Orders:
     """Amplitude of what is left per order of the motor's turn, before and after.
 
-    Of the transmission error (twist of the left chain, measured − model) where there are motor
+    Of the transmission error (twist of the left pinion, measured − model) where there are motor
     encoders, else of the speed.
     """
     records = {r.name: r for r in (*source.measured.fit, *source.measured.held)}.values()

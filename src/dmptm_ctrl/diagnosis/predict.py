@@ -146,6 +146,12 @@ def predict(
     ------
     LogError
         A log file that cannot be used.
+
+    Examples
+    --------
+    >>> table = dm.predict(dm.Model(), "log.csv.gz")
+    >>> list(table)[:2]
+    ['time_s', 'theta_L_deg']
     """
     if isinstance(model, Rig):
         model = RigModel(model)

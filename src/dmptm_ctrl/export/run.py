@@ -67,6 +67,10 @@ def export_file(
     ------
     LogError
         No such file, target or number type; nothing is written.
+
+    Examples
+    --------
+    >>> files = dm.export("controller.toml", "c", "code")
     """
     source, out = Path(source), Path(out)
     if target not in TARGETS:

@@ -93,6 +93,12 @@ def load_log(
         No such file, not readable, a column missing, twice or in an unknown unit, a value that
         is no finite number, time that does not increase evenly, too few samples, channels that
         contradict each other (a mistaken unit or sign).
+
+    Examples
+    --------
+    >>> log = dm.load_log("log.csv.gz")
+    >>> log["omega_L"].shape == log.time.shape
+    True
     """
     if isinstance(source, str | PathLike):
         path = Path(source)
@@ -157,6 +163,11 @@ def load_logs(
     ------
     LogError
         As `load_log`; also an empty folder, and logs of different rigs.
+
+    Examples
+    --------
+    >>> logs = dm.load_logs("logs")
+    >>> [log.name for log in logs]
     """
 
     def load(source: Any, **name: Any) -> Log:

@@ -66,6 +66,13 @@ def simulate(
         an effect of negative size, a method that does not exist.
     TypeError
         An option that the method does not have.
+
+    Examples
+    --------
+    >>> time = np.arange(0.0, 1.0, 1e-3)
+    >>> volts = np.array([0.6 * np.sin(np.pi * time)] * 2)
+    >>> run = dm.simulate(dm.Model(dm.paper_drive()), time, volts)
+    >>> speed = run.outputs[run.output_labels.index("omega_L")]  # rad/s
     """
     if not hasattr(model, "drive"):
         return _rig_simulated(model, timepts, inputs, initial_state, method, options)

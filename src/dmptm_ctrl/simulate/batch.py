@@ -205,6 +205,14 @@ def simulate_batch(
     ------
     ValueError
         Nothing to run, shapes that do not fit, an output that does not exist.
+
+    Examples
+    --------
+    >>> time = np.arange(0.0, 1.0, 1e-3)
+    >>> models = [dm.Model(dm.paper_drive().with_values(J_L=x)) for x in (2.4, 2.5, 2.6)]
+    >>> runs = dm.simulate_batch(models, time, np.full((2, 1000), 0.6), outputs=["omega_L"])
+    >>> runs.outputs.shape  # drives, outputs, samples
+    (3, 1, 1000)
     """
     from dmptm_ctrl.simulate import _timepts
 

@@ -36,10 +36,10 @@ SIDES = ("l", "r")
 CONTACTS = ("eq21", "two_state")
 DUAL = Names(
     [
-        (f"drive_{s}", f"u_{side}", f"voltage_{s}")
+        (f"amplifier_{s}", f"u_{side}", f"voltage_{s}")
         for s, side in zip(SIDES, ("left", "right"), strict=True)
     ],
-    ["chain_l", "chain_r", "ring", "motor_l", "motor_r"],
+    ["pinion_l", "pinion_r", "ring", "motor_l", "motor_r"],
     ["l", "r", "ring", "motor_l", "motor_r"],
     ("theta", "omega"),
     [
@@ -83,7 +83,7 @@ def to_blocks(
     InterconnectedSystem
         Inputs u_left, u_right [V], or ref [rad/s] with a loop; outputs
         :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, and u_left, u_right with a loop.
-        Its `syslist` holds the blocks, each of use alone: drives, bodies, their friction,
+        Its `syslist` holds the blocks, each of use alone: amplifiers, bodies, their friction,
         meshes, sensor. A friction block takes the torque on a body without friction [N·m] and
         its motion; it gives the friction [N·m], and 1 where that holds the body at rest.
 
@@ -195,8 +195,8 @@ def initial_state(model: "Model", sys: ct.InterconnectedSystem, x0: ArrayLike) -
     bodies = np.asarray(x0, float)
     known = {"ring_theta": bodies[2], "ring_omega": bodies[5]}
     for side, s in enumerate(SIDES):
-        known[f"chain_{s}_theta"] = known[f"motor_{s}_theta"] = bodies[side]
-        known[f"chain_{s}_omega"] = known[f"motor_{s}_omega"] = bodies[3 + side]
+        known[f"pinion_{s}_theta"] = known[f"motor_{s}_theta"] = bodies[side]
+        known[f"pinion_{s}_omega"] = known[f"motor_{s}_omega"] = bodies[3 + side]
         twist = bodies[side] - model.drive["N_2"] * bodies[2]
         half_gap = model.drive[f"gap_{s}"]
         known[f"mesh_{s}_position"] = min(max(twist, -half_gap), half_gap)
@@ -208,7 +208,7 @@ def initial_state(model: "Model", sys: ct.InterconnectedSystem, x0: ArrayLike) -
 
 def drive_states(model: "Model", side: int, u: float) -> dict[str, float]:
     """Return the states of a motor's drive, by their name in `to_blocks`, once `u` [V] lasted."""
-    parts, block = parts_of(model), f"drive_{SIDES[side]}"
+    parts, block = parts_of(model), f"amplifier_{SIDES[side]}"
     late = Delay(parts.inputs[side][1], PADE_ORDER)
     states = dict(zip(late.states, late.settled(u), strict=True))
     aim, tau = parts.lag(side, parts.signal(side, u, 0.0))

@@ -59,6 +59,12 @@ def close_loop(
         other than the controller's sample time.
     TypeError
         A model or a controller of another kind.
+
+    Examples
+    --------
+    >>> time = np.arange(0.0, 1.0, 1e-3)
+    >>> loop = dm.Loop(kp=5.0, ki=90.0, limit=10.0, bias_l=0.3, bias_r=-0.3)
+    >>> run = dm.close_loop(dm.Model(), loop, time, np.full(1000, 0.2))
     """
     time = _timepts(timepts)
     target = _finite("reference", reference, (time.size,), "a setpoint at each time point")

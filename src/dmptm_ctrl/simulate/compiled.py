@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dmptm_ctrl.arguments import refusing
 from dmptm_ctrl.simulate.base import Floats
 from dmptm_ctrl.simulate.dual import columns, dual_plant, outputs, pi_loop, start
 from dmptm_ctrl.simulate.observer import rigid_observer
@@ -28,6 +29,7 @@ SUBSTEPS = 8  # steps per sample; at 1 kHz 125 µs resolves the 231 Hz mode with
 FINE_SUBSTEPS = 16
 
 
+@refusing
 class Loop(NamedTuple):
     """PI speed loop at the sample rate, common to both motors, with preload.
 
@@ -39,6 +41,11 @@ class Loop(NamedTuple):
         Clip of the common voltage.
     bias_l, bias_r : float [V]
         Added on the left and on the right motor.
+
+    Examples
+    --------
+    >>> dm.Loop(kp=5.0, ki=90.0, limit=10.0, bias_l=0.3, bias_r=-0.3)
+    Loop(kp=5.0, ki=90.0, limit=10.0, bias_l=0.3, bias_r=-0.3)
     """
 
     kp: float

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import isnan
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,6 +47,11 @@ class Model:
         An effect that is not in the catalogue, or a parameter that it does not have.
     ValueError
         A value that no drive has, see :meth:`~dmptm_ctrl.drive.Drive.check`, or that is NaN.
+
+    Examples
+    --------
+    >>> model = dm.Model(dm.paper_drive()).with_effect("unbalance", cosine=8.0, sine=0.0)  # N·m
+    >>> blocks = model.to_blocks()  # python-control
     """
 
     drive: Drive = field(default_factory=paper_drive)
@@ -55,15 +61,22 @@ class Model:
         if not isinstance(self.drive, Drive):
             raise TypeError(f"Model takes a Drive first, not a {type(self.drive).__name__}")
         self.drive.check()
+        if not isinstance(self.effects, Mapping):
+            raise TypeError(f"effects of a Model are a dict, not {self.effects!r}")
         for name, parameters in self.effects.items():
             if name not in CATALOGUE:
                 known = ", ".join(CATALOGUE)
                 raise KeyError(f"no effect {name!r} in the catalogue; it has {known}")
             has = [p.name for p in CATALOGUE[name].parameters]
+            if not isinstance(parameters, Mapping):
+                raise TypeError(f"effect {name!r} is {parameters!r}; it must be a dict of {has}")
             for key in parameters:
                 if key not in has:
                     raise KeyError(f"effect {name!r} has no parameter {key!r}; it has {has}")
-                if isnan(parameters[key]):
+                value = parameters[key]
+                if not isinstance(value, Real):
+                    raise TypeError(f"effect {name}: {key} is {value!r}; it must be a number")
+                if isnan(value):
                     raise ValueError(f"effect {name}: {key} is NaN; it must be a number")
 
     def with_effect(self, name: str, **parameters: float) -> "Model":

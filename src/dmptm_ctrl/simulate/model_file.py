@@ -194,6 +194,11 @@ def read_model(path: str | PathLike[str]) -> Model | RigModel:
     ------
     LogError
         See :func:`from_toml`; also a file that cannot be read.
+
+    Examples
+    --------
+    >>> dm.read_model("model.toml").effects["unbalance"]["cosine"]
+    8.0
     """
     file = Path(path)
     try:

@@ -118,6 +118,11 @@ def simulate_with_sensitivities(
     ------
     ValueError
         No parameter of that name, or one whose size or range leaves no room for a difference.
+
+    Examples
+    --------
+    >>> time, volts = np.arange(0.0, 1.0, 1e-3), np.full((2, 1000), 0.6)
+    >>> run = dm.simulate_with_sensitivities(dm.Model(), time, volts, ["J_L", "TLc_plus"])
     """
     from dmptm_ctrl.simulate import _finite, _start, _timepts
 

@@ -149,8 +149,8 @@ def _from_rows(rows: list[list[str]], plain: Layout, wanted: Collection[str]) ->
                 names[c], units[c] = CLOCK, period[1] if period else "s"
     # what has no name in its row may have one in a row beside it
     for c in (c for c, n in enumerate(names) if not n):
-        texts = (r[c] for r in others if plain.dialect.kind(r[c]) == "text")
-        names[c] = next((t for t in texts if not _is_unit(t)), "")
+        beside = (r[c] for r in others if plain.dialect.kind(r[c]) == "text")
+        names[c] = next((t for t in beside if not _is_unit(t)), "")
     return replace(plain, names=names, units=units)
 
 

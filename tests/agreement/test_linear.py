@@ -13,8 +13,7 @@ from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
 from dmptm_ctrl.simulate.linear import linearize, turning
 
 SAME = 1e-6
-ORDER = ["pinion_l_theta", "pinion_r_theta", "ring_theta"]
-ORDER += [name.replace("theta", "omega") for name in ORDER]
+ORDER = ["twist_l", "twist_r", "ring_theta", "pinion_l_omega", "pinion_r_omega", "ring_omega"]
 
 
 def three_dof(drive, slopes):
@@ -30,10 +29,15 @@ def three_dof(drive, slopes):
     return A, np.vstack([np.zeros((3, 2)), np.linalg.solve(M, E)])
 
 
-def in_order(linear):
+def in_order(linear, n2):
+    """A, B and C by θ3l, θ3r, θL and their speeds; a twist is θ3 − N2 θL."""
     rows = [linear.state_labels.index(name) for name in ORDER]
     assert linear.nstates == len(rows)
-    return linear.A[np.ix_(rows, rows)], linear.B[rows], linear.C[:, rows]
+    twists = np.eye(6)
+    twists[:2, 2] = -n2
+    angles = np.linalg.inv(twists)
+    A, B, C = linear.A[np.ix_(rows, rows)], linear.B[rows], linear.C[:, rows]
+    return angles @ A @ twists, angles @ B, C @ twists
 
 
 def slope(drive, body, speed):
@@ -51,7 +55,7 @@ def test_is_the_three_dof_model_about_a_turn(paper, preload):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         linear = linearize(paper, x0, u0, outputs=OUTPUTS)
-    A, B, C = in_order(linear)
+    A, B, C = in_order(linear, drive["N_2"])
     reducer = slope(drive, "3", drive["N_2"] * x0[5])
     slopes = [reducer, reducer, slope(drive, "L", x0[5])]
     A_own, B_own = three_dof(drive, slopes)
@@ -60,6 +64,8 @@ def test_is_the_three_dof_model_about_a_turn(paper, preload):
     assert list(linear.input_labels) == ["u_left", "u_right"]
     row = dict(zip(linear.output_labels, C, strict=True))
     np.testing.assert_allclose(row["omega_L"], np.eye(6)[5], rtol=SAME)
+    drives = ct.dcgain(linear)[linear.output_labels.index("omega_L")]
+    np.testing.assert_allclose(drives, ct.dcgain(linearize(paper, x0, u0))[0], rtol=SAME)
     np.testing.assert_allclose(row["theta_ml"], drive["N_1"] * np.eye(6)[0], rtol=SAME)
     twist = np.array([1.0, 0.0, -drive["N_2"], 0.0, 0.0, 0.0])
     torque = drive["k_m"] * twist + drive["c"] * np.roll(twist, 3)
@@ -74,7 +80,7 @@ def test_without_friction_is_the_3_dof_state_space(frictionless):
     x0[0] = drive["gap_l"] + per_volt * 0.5 / drive["k_m"]
     x0[1] = -drive["gap_r"] - per_volt * 0.5 / drive["k_m"]
     linear = linearize(frictionless, x0, [0.5, -0.5], outputs=OUTPUTS)
-    A, B, _ = in_order(linear)
+    A, B, _ = in_order(linear, drive["N_2"])
     system = three_dof_ss(drive, states="angles")  # its states are in ORDER
     np.testing.assert_allclose(A, system.A, rtol=SAME, atol=SAME * np.abs(system.A[3:, 3:]).max())
     np.testing.assert_allclose(B, system.B, rtol=SAME)

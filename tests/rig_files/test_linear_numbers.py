@@ -172,6 +172,27 @@ def test_free_train_as_it_comes():
     np.testing.assert_allclose(angle(1j * w[::100]), values / (1j * w[::100]), rtol=1e-7)
 
 
+@pytest.mark.parametrize("late", ["", "delay = 0.001\n"])
+def test_a_speed_beside_an_angle_has_the_numbers_of_the_speed_alone(late):
+    """The angle of a free train returns to nothing; the speed beside it is not infinite."""
+    rig = parse_rig(two().replace("gain =", late + "gain ="))
+    both, alone = linearize(rig), linearize(rig, outputs=["w"])
+    np.testing.assert_allclose(ct.dcgain(both).ravel(), [2.5, np.inf])
+    assert ct.dcgain(both[0, 0]) == pytest.approx(2.5)
+    assert ct.bandwidth(both["w", 0]) == pytest.approx(ct.bandwidth(alone), rel=1e-9)
+    assert np.array(ct.margin(both["w", "m"])) == pytest.approx(np.array(ct.margin(alone)))
+    said, known = ct.step_info(both)[0][0], ct.step_info(alone)
+    assert said["SteadyStateValue"] == pytest.approx(2.5)
+    assert said["SettlingTime"] == pytest.approx(known["SettlingTime"], rel=0.02)
+    assert both["w", 0].state_labels == alone.state_labels
+
+
+def test_gravity_of_a_level_arm_holds_no_angle():
+    """Its slope is 0 there, not what rounding leaves: the speed by viscous friction, 1/B."""
+    level = linearize(parse_rig(HANGING), {"arm": 20.5 * np.pi}, outputs=["speed"])
+    assert ct.dcgain(level) == pytest.approx(1.0 / 0.05)
+
+
 def test_torques_of_links_and_motion_of_bodies_are_outputs():
     """(k + jω d) times the twist, and jω times the angle, by the equations of motion."""
     plant = linearize(parse_rig(two()), outputs=["s", "v_motor", "q_load"])

@@ -320,6 +320,23 @@ def test_a_slower_channel_on_a_clock_of_its_own(tmp_path):
     assert any("another clock" in w for w in log.warnings)
 
 
+@pytest.mark.parametrize("end", ["", "EOF\n"])
+@pytest.mark.parametrize("separator", ["\t", ";"])
+def test_rows_shorten_where_slower_channels_have_ended(tmp_path, end, separator):
+    """The fastest channel first, as TwinCAT sorts them: later rows hold that one only."""
+    slow = slice(None, None, 5)
+    lines = [f"{1e3 * a:g}{separator}{b:.5f}" for a, b in zip(T, U, strict=True)]
+    for k, (a, b) in enumerate(zip(T[slow], Q[slow], strict=True)):
+        lines[k] += f"{separator}{1e3 * a:g}{separator}{b:.5f}"
+    names = [["Name", "u", "Name", "q"], ["SampleTime[ms]", "10", "SampleTime[ms]", "50"]]
+    text = "\n".join([*map(separator.join, names), "", *lines]) + "\n" + end
+    log = read(tmp_path, text, rig(data='time = { column = "t", unit = "ms" }'))
+    last = T.size - 4
+    is_the_run(log, slice(last), q=np.interp(T, T[slow], Q[slow]))
+    assert len(log) == last
+    assert any("q on another clock" in w for w in log.warnings)
+
+
 KEYS = {
     "header": ("a,b,c\nt,u,q\nx,y,z\n" + rows(",", T, U, Q), "header = 2"),
     "no header": (rows(",", T, U, Q), "header = 0"),

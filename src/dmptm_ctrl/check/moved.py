@@ -41,6 +41,7 @@ class Change:
     entry: Entry
     change: float  # in the entry's unit
     se: float  # with the model's own in it
+    gain: float  # of 2 log-likelihood
 
     @property
     def errors(self) -> float:
@@ -132,7 +133,8 @@ class Information:
         variance = 1.0 / told + max(alike - single, 0.0) / told**2
         if variance > entry.size**2:
             return None
-        return Change(entry, -float(v @ self.gradient) / told, variance**0.5)
+        slope = float(v @ self.gradient)
+        return Change(entry, -slope / told, variance**0.5, slope**2 / told)
 
     def without(self, entry: Entry) -> "Information":
         """Return what is left once an entry is free."""
@@ -208,8 +210,10 @@ def find_moved(
 ) -> tuple[list[Change], list[Change]]:
     """Return what has moved, the clearest first, and every entry refitted alone.
 
-    An entry counts beside others only for what these leave. A factor goes before a
-    single amplitude where it is enough.
+    The clearest is the one that explains most. It need not be the one of most standard errors:
+    where stretches scatter an entry's standard error says so, and not that it explains less. An
+    entry counts beside others only for what these leave. A factor goes before a single amplitude
+    where it is enough.
     """
     alone = [c for entry in entries if (c := information.change(entry)) is not None]
     limit = threshold(len(alone), len(information.scores))
@@ -221,7 +225,7 @@ def find_moved(
         clear = [c for c in tried if c is not None and c.beyond(tolerance) > limit]
         if not clear:
             break
-        best = max(clear, key=lambda c: abs(c.errors))
+        best = max(clear, key=lambda c: c.gain)
         for whole in clear:  # all amplitudes by one factor, where that is enough
             if whole.entry.unit == "" and best.entry.name.startswith(f"{whole.entry.name}."):
                 left = rest.without(whole.entry).change(best.entry)

@@ -45,7 +45,7 @@ def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
     Parameters
     ----------
     plant : StateSpace
-        Two voltages in.
+        Two voltages in, or one.
     output : str
 
     Returns
@@ -56,14 +56,14 @@ def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
     Raises
     ------
     ValueError
-        The plant has no such output, or not two inputs.
+        The plant has no such output, or more than two inputs.
 
     Examples
     --------
     >>> dm.common_mode(dm.three_dof(dm.paper_drive())).input_labels
     ['u']
     """
-    if plant.ninputs != 2:
+    if plant.ninputs not in (1, 2):
         raise ValueError(f"the plant has {plant.ninputs} inputs, two motors make 2")
     if output not in plant.output_labels:
         raise ValueError(f"no output {output!r}; the plant has {', '.join(plant.output_labels)}")

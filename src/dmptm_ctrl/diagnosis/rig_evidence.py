@@ -9,6 +9,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import NONE, near
 from dmptm_ctrl.diagnosis.candidate import Candidate, Floats, Rows, standard_error
+from dmptm_ctrl.diagnosis.impedance import loudness
 from dmptm_ctrl.diagnosis.rig_candidates import (
     MAX_ORDER,
     SPOT_BINS,
@@ -63,6 +64,11 @@ class RigState:
     def loss(self) -> float:
         """−2 log-likelihood of the fitted logs."""
         return self.fit.loss
+
+    @cached_property
+    def loudness(self) -> float:
+        """Logarithm of the torque that the model makes of a motion, over a rigid one's."""
+        return loudness(self.fit.model, self.fit.likelihood.balance)
 
     @cached_property
     def held_state(self) -> State:
@@ -196,14 +202,19 @@ class RigEvidence:
     def gains(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
         """Fall of −2 log-likelihood on the fitted and on the held-out logs.
 
-        On the fitted logs less what searches for the best shapes find anyway.
+        On the fitted logs less what searches for the best shapes find anyway. A model that turns
+        the same motion into less torque must leave less by as much.
         """
         likelihood = larger.fit.likelihood
         fitted = total_loss(smaller.fit.state, smaller.fit.frees, smaller.fit.left, likelihood)
         more = sum(map(self._searched, larger.keys)) - sum(map(self._searched, smaller.keys))
         held = Likelihood(self.held, likelihood.news)
         fall = held.surprise(smaller.held_left[0]) - held.surprise(larger.held_left[0])
-        return fitted - larger.loss - more, fall
+        louder = 2.0 * float(likelihood.news.mean()) * (larger.loudness - smaller.loudness)
+        rows, held_rows = (
+            sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held)
+        )
+        return fitted - larger.loss - more + rows * louder, fall + held_rows * louder
 
     def errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
         """Standard errors of the falls on both parts of the logs."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.drive.parameters import physical
+from dmptm_ctrl.drive.space import StateSpace
 
 Floats = NDArray[np.float64]
 
@@ -160,7 +161,7 @@ class GearTrain:
         labels = list(self.labels or INPUTS[inputs])
         late = [labels[j] for j in np.flatnonzero(self.lags)]
         speeds = (f"{self.motion[1]}_{body}" for body in self.bodies)
-        return ct.ss(
+        return StateSpace(
             a, b, c, np.zeros((len(outputs), len(labels))),
             states=[*names, *speeds, *(f"lag_{name}" for name in late)],
             inputs=labels, outputs=list(outputs), name=self.name,

@@ -80,4 +80,5 @@ def with_build_up(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> Mode
 
 
 def _built_up(model: Model, distance: float) -> Model:
-    return model.with_effect(PRESLIDING.name, **slow_friction(model, distance))
+    found: Model = slow_friction(model, distance)
+    return found

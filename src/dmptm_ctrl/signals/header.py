@@ -138,9 +138,10 @@ def _from_rows(rows: list[list[str]], plain: Layout, wanted: Collection[str]) ->
     # Labels of rows stand where clocks have no name: "Name", "Data-Type", "SampleTime[ms]".
     for name in twice | {n for n in best[:1] if n.lower() == "name"}:
         places = [c for c, n in enumerate(best) if n == name]
-        said = [{r[c] for c in places} for r in others]
-        if places[0] == 0 and said and all(len(s) == 1 for s in said):
-            period = next((m for s in said if (m := re.search(r"\[(\w+)\]", next(iter(s))))), None)
+        said = [[r[c] for c in places] for r in others]
+        same = sum(len({*s}) == 1 for s in said)  # a comma in a time may shift a row
+        if places[0] == 0 and same > len(said) / 2:
+            period = next((m for s in said if (m := re.search(r"\[(\w+)\]", s[0]))), None)
             for c in places:
                 names[c], units[c] = CLOCK, period[1] if period else "s"
     return replace(plain, names=names, units=units, steps=_steps(names, others, plain.dialect))

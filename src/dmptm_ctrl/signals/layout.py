@@ -66,7 +66,7 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
     fields = Counter(len(k) for k in kinds if "number" in k).most_common(1)
     if not fields:
         return None
-    width = fields[0][0]
+    width = _whole(rows, kinds, fields[0][0])
     alike = [k for k in kinds if len(k) == width and "number" in k]
     column = [_kind_of([k[c] for k in alike if k[c]]) for c in range(width)]
     while column and column[-1] == "":
@@ -110,6 +110,24 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
     told = len(column) in above or how.header is not None
     values = sum(kind != "text" for kind in column)
     return Block((round(share, 2), told, values), dialect, first, width, column, constant, body)
+
+
+def _whole(rows: list[tuple[int, list[str]]], kinds: list[list[str]], width: int) -> int:
+    """Fields of whole rows; fill up those after which a column of a slower clock has ended."""
+
+    def numbers(i: int) -> bool:
+        return "number" in kinds[i] and "text" not in kinds[i]
+
+    top = next(i for i, kind in enumerate(kinds) if len(kind) == width and "number" in kind)
+    while top and numbers(top - 1) and len(kinds[top - 1]) >= len(kinds[top]):
+        top -= 1
+    whole = len(kinds[top])
+    if whole > width:
+        for i in filter(numbers, range(top, len(kinds))):
+            lacking = [""] * (whole - len(kinds[i]))
+            kinds[i] += lacking
+            rows[i] = rows[i][0], rows[i][1] + lacking
+    return whole
 
 
 def _kind_of(cells: list[str]) -> str:

@@ -298,13 +298,32 @@ class _Rows:
                     odd.append((number, line, row))
                     continue
                 if what:  # a text after it: the program was stopped there
-                    self._leave_out("incomplete rows", [n for n, _, _ in odd])
+                    yield from self._ended(odd)
                     self._leave_out(what, [number])
                 else:
                     yield from map(self._row_of, odd)
                     yield number, line, row
                 odd.clear()
-        self._leave_out("incomplete rows", [n for n, _, _ in odd])
+        yield from self._ended(odd)
+
+    def _ended(self, odd: list[tuple[int, str, str]]) -> Iterator[tuple[int, str, str]]:
+        """Rows after the last whole one: columns of a slower clock end before the others."""
+        rows = [self._layout.dialect.split(line) for _, line, _ in odd]
+        lengths = [self._layout.fields + 1, *map(len, rows)]
+        numbers = all(
+            {*map(self._layout.dialect.kind, row)} <= {"", "number", "time"} for row in rows
+        )
+        if len(rows) < 2 or not numbers or any(a < b for a, b in itertools.pairwise(lengths)):
+            self._leave_out("incomplete rows", [n for n, _, _ in odd])
+            return
+        for (number, line, _), row in zip(odd, rows, strict=True):
+            yield number, line, self._joined(row + [""] * (self._layout.fields - len(row)))
+
+    def _joined(self, cells: list[str]) -> str:
+        """Fields as pandas gets them."""
+        if self._layout.dialect.separator == " ":
+            return " ".join(cell.replace(" ", "_") or "nan" for cell in cells) + "\n"
+        return _FIELD.join(cells) + "\n"
 
     def _row_of(self, odd: tuple[int, str, str]) -> tuple[int, str, str]:
         """Row of an odd line between others: one of another width is a mistake."""
@@ -337,11 +356,7 @@ class _Rows:
             return "", "text"
         if len(cells) != layout.fields:
             return "", "odd"
-        if layout.dialect.separator == " ":
-            row = " ".join(cell.replace(" ", "_") or "nan" for cell in cells) + "\n"
-        else:
-            row = _FIELD.join(cells) + "\n"
-        return row, "odd" if "text" in kinds else ""
+        return self._joined(cells), "odd" if "text" in kinds else ""
 
     def _leave_out(self, what: str, numbers: list[int]) -> None:
         if numbers:
@@ -426,9 +441,10 @@ class _Rows:
     def _is_cut(self, lately: Sequence[str]) -> bool:
         """Whether the last row of a file lacks a part of its last number."""
         dialect, kinds = self._layout.dialect, self._layout.kinds
-        ends = [dialect.split(line)[len(kinds) - 1] for line in lately]
-        if kinds[-1] != "number":
+        rows = [dialect.split(line) for line in lately]
+        if kinds[-1] != "number" or min(map(len, rows)) < len(kinds):
             return False
+        ends = [row[len(kinds) - 1] for row in rows]
         if dialect.kind(ends[-1]) == "text":
             return True
         if lately[-1].endswith(("\n", "\r")) or len(ends) < 10:

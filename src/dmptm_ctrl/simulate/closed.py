@@ -33,8 +33,8 @@ def close_loop(
     ----------
     model : Model, RigModel or Rig
     controller : Loop or Controller
-        A PI loop, or what :func:`~dmptm_ctrl.design.tune.tune_controller` designs. Of a rig a
-        Loop on its first input and first speed sensor [SI], or the rig file's controller.
+        A PI loop, or what :func:`~dmptm_ctrl.design.tune.tune_controller` designs. Of a rig also
+        the rig file's controller; a Loop is on its first input and first speed sensor [SI].
     timepts : (n,) array [s]
         Evenly spaced; the controller runs once per point.
     reference : (n,) array [rad/s]
@@ -82,15 +82,19 @@ def close_loop(
         rows = [*out.T, *u]
     else:
         rig = as_rig_model(model, "close_loop")
-        if noise is not None:
-            raise ValueError("no noise for a rig of any shape; its sensors read without")
-        own = _of_rig(rig, controller) if isinstance(controller, compiled.Loop) else controller
-        if not isinstance(own, RigController):
+        own: Any = controller
+        if hasattr(controller, "law"):
+            own = _law(controller, dt).controller()
+        elif noise is not None:
+            raise ValueError("noise is heard by a designed controller only; this one reads without")
+        elif isinstance(controller, compiled.Loop):
+            own = _of_rig(rig, controller)
+        elif not isinstance(own, RigController):
             given = type(controller).__name__
             raise TypeError(f"close_loop of a rig takes a Loop or its own controller, not {given}")
         check_physical(rig)
         still = np.zeros((len(rig.layout.inputs), time.size))
-        run = march(rig, still, dt, controller=own, reference=target)
+        run = march(rig, still, dt, controller=own, reference=target, added=heard)
         sensors = [s.name for s in rig.rig.sensors]
         name, labels = rig.rig.name, [*sensors, *rig.layout.inputs]
         rows = [*(run.reading(sensor) for sensor in sensors), *run.u]

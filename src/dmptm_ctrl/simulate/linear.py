@@ -14,6 +14,7 @@ from scipy.optimize import root
 from dmptm_ctrl.drive.modes import Modes, solve_modes
 from dmptm_ctrl.drive.parameters import Drive, physical
 from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.drive.space import StateSpace
 from dmptm_ctrl.drive.train import GearTrain, Joint
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.backlash import mesh_region, mesh_torque
@@ -39,6 +40,7 @@ PRELOAD = 0.3  # V; holds both meshes closed on opposite flanks at TURN
 BALANCED = 1e-6  # rad/s², what may be left of the accelerations
 TWIST = 1e-3  # rad, size of a half-gap: scale of the search
 STEP = 2.0**-13  # rad or m; of slopes: far below the shortest tooth or cogging period
+ROUNDING = 8.0 * np.finfo(float).eps  # of five values and their arguments
 STILL = 1e-6  # of the fastest mode; slower is the rigid one
 CONSERVATIVE = ("inertia", "stiffness", "ratio", "gain", "stribeck_speed", "stribeck_exponent")
 BODIES = {"left pinion": "pinion_l", "right pinion": "pinion_r", "ring gear": "ring"}
@@ -155,10 +157,10 @@ def linearize(
         Signals and states named as in :func:`~dmptm_ctrl.simulate.blocks.to_blocks`. With
         both meshes closed, everything moving and no further effects it is the 3-DOF model
         of paper Eq. 17 with the slope of the friction as damping. Where nothing depends on the
-        angle of the whole drive and no output is an angle, ``twist_l`` and ``twist_r`` [rad at
-        the pinion] take the place of three angles; so ``dcgain``, ``margin`` and ``step_info``
-        are right as they come. A dead time is a Padé approximation of order
-        :data:`~dmptm_ctrl.simulate.block_parts.PADE_ORDER`.
+        angle of the whole drive, ``twist_l`` and ``twist_r`` [rad at the pinion] take the place
+        of two angles, and the third is a state only where an output is an angle; so ``dcgain``,
+        ``margin`` and ``step_info`` are right as they come. A dead time is a Padé approximation
+        of order :data:`~dmptm_ctrl.simulate.block_parts.PADE_ORDER`.
 
         Of a rig of any shape the states are ``q_BODY`` [rad or m] of each rigid group of bodies
         that a torque by angle holds; of a train that turns freely ``spring_LINK``, the torque in
@@ -227,9 +229,10 @@ def linearize(
     rows = [linear.output_labels.index(name) for name in outputs]
     a, b, c, d = linear.A, linear.B, linear.C[rows], linear.D[rows]
     labels = list(linear.state_labels)
-    if _turns_freely(model) and not any(name.startswith("theta_") for name in outputs):
-        a, b, c, labels = _without_angle(a, b, c, labels, model.drive["N_2"])
-    return ct.ss(
+    if _turns_freely(model):
+        angles = [name.startswith("theta_") for name in outputs]
+        a, b, c, labels = _from_ring(a, b, c, labels, model.drive["N_2"], angles)
+    return StateSpace(
         a, b, c, d, states=labels, inputs=linear.input_labels, outputs=list(outputs),
         name="drive_linear",
     )  # fmt: skip
@@ -260,7 +263,7 @@ def _late(model: RigModel, system: ct.StateSpace) -> ct.StateSpace:
     whole = after * system * before
     # the drive's own states first: python-control then finds a pole at 0 exactly
     order = sorted(range(whole.nstates), key=lambda k: states[k] not in system.state_labels)
-    return ct.ss(
+    return StateSpace(
         whole.A[np.ix_(order, order)], whole.B[order], whole.C[:, order], whole.D,
         states=[states[k] for k in order], inputs=system.input_labels,
         outputs=system.output_labels, name=system.name,
@@ -278,12 +281,12 @@ def _turns_freely(model: Model) -> bool:
     return model.drive["k_a"] == 0.0 and not by_angle
 
 
-def _without_angle(
-    a: Floats, b: Floats, c: Floats, labels: list[str], n2: float
+def _from_ring(
+    a: Floats, b: Floats, c: Floats, labels: list[str], n2: float, angles: list[bool]
 ) -> tuple[Floats, Floats, Floats, list[str]]:
-    """Count the angles of the pinions from the ring gear's, and leave that one out.
+    """Count the angles of the pinions from the ring gear's, which is kept for outputs of angle.
 
-    By the structure of the drive nothing depends on the turn of all bodies together; the
+    By the structure of the drive nothing else depends on the turn of all bodies together; the
     columns of differences that would say so are rounding.
     """
     size = len(labels)
@@ -293,12 +296,15 @@ def _without_angle(
         if label.endswith("_theta") and i != ring:
             new[i, ring] = -n2
     old = 2.0 * np.eye(size) - new  # its inverse: the ring gear's angle is added again
-    keep = [i for i in range(size) if i != ring]
+    # that angle first: python-control then finds its pole at 0 exactly
+    keep = [ring] * any(angles) + [i for i in range(size) if i != ring]
     named = {f"pinion_{s}_theta": f"twist_{s}" for s in SIDES}
+    turned, seen = new @ a @ old, c @ old
+    turned[:, ring], seen[np.logical_not(angles), ring] = 0.0, 0.0
     return (
-        (new @ a @ old)[np.ix_(keep, keep)],
+        turned[np.ix_(keep, keep)],
         (new @ b)[keep],
-        (c @ old)[:, keep],
+        seen[:, keep],
         [named.get(labels[i], labels[i]) for i in keep],
     )
 
@@ -385,8 +391,10 @@ def _slopes(model: RigModel, position: Mapping[str, float] | None) -> tuple[Floa
 
 def _slope(function: Callable[[float], float], at: float) -> float:
     """Derivative by five points; of a polynomial to the fourth degree it is exact."""
-    near, far = (function(at + k * STEP) - function(at - k * STEP) for k in (1, 2))
-    return (8.0 * near - far) / (12.0 * STEP)
+    values = np.array([function(at + k * STEP) for k in (-2, -1, 1, 2)])
+    slope = float(values @ [1.0, -8.0, 8.0, -1.0]) / (12.0 * STEP)
+    # of gravity on a level arm nothing is left but rounding, and an angle held by nothing
+    return slope if abs(slope) * STEP > ROUNDING * np.abs(values).max() else 0.0
 
 
 def modes_text(rig: Rig) -> str:

@@ -11,6 +11,7 @@ import tomlkit
 
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.drive.rig_dual import dual_motor
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.signals import LogError
@@ -178,7 +179,7 @@ def from_toml(text: str, *, name: str = "model.toml") -> Model:
 
 
 def read_model(path: str | PathLike[str]) -> Model | RigModel:
-    """Read a model from a model.toml, as `diagnose` writes it for any drive.
+    """Read a model from a model.toml, as `diagnose` writes it for any drive, or from a rig file.
 
     Parameters
     ----------
@@ -204,9 +205,23 @@ def read_model(path: str | PathLike[str]) -> Model | RigModel:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         raise LogError(f"{file.name}: no readable model file there") from None
-    if parse_toml(text, file.name).get("kind") == RIG:
-        return rig_model_from_toml(text, file.name)
-    return from_toml(text, name=file.name)
+    data = parse_toml(text, file.name)
+    if "kind" not in data and "body" in data:
+        rig = parse_rig(text, file.name)
+        drive = dual_motor(rig)
+        return RigModel(rig) if drive is None else Model(drive)
+    return model_of(text, file.name)
+
+
+def model_of(text: str, name: str) -> Model | RigModel:
+    """Read the text of a model file of any drive; LogError as `read_model`."""
+    chain = parse_toml(text, name).get("kind") == RIG
+    return rig_model_from_toml(text, name) if chain else from_toml(text, name=name)
+
+
+def model_text(model: Model | RigModel) -> str:
+    """Return the text of a model file of any drive."""
+    return rig_model_to_toml(model) if isinstance(model, RigModel) else to_toml(model)
 
 
 def read_dual_model(path: str | PathLike[str]) -> Model:

@@ -269,7 +269,7 @@ def test_closed_loop_refuses_what_it_cannot_run_in_one_sentence():
     slow = dmptm_ctrl.Controller(4.6, 86.0, limit=10.0, sample_time=2e-3)
     time, reference = [0.0, 1e-3], [0.0, 0.1]
     for arguments, said in [
-        ((loop, model, time, reference), "^close_loop: model must be a Model or a RigModel or a Rig"),
+        ((loop, model, time, reference), "^close_loop: model must be a Model or a RigModel"),
         ((model, "PI", time, reference), "a Loop or a Controller second, not str"),
         ((model, loop, time, [0.0]), r"reference has shape \(1,\); needs \(2,\)"),
         ((model, slow, time, reference), "the controller's sample time is 0.002 s"),

@@ -1,7 +1,7 @@
+import control as ct
 import numpy as np
 import pytest
 
-import control as ct
 from dmptm_ctrl.control import assess_pi, close_speed_loop, common_mode, pi_controller, tune_pi
 from dmptm_ctrl.control.tuning import gains_at
 from dmptm_ctrl.drive import three_dof_ss

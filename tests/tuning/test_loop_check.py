@@ -1,9 +1,9 @@
 """The nonlinear check of a speed loop; here because it judges what tests/control tunes."""
 
+import control as ct
 import numpy as np
 import pytest
 
-import control as ct
 from dmptm_ctrl.control import common_mode, tune_pi
 from dmptm_ctrl.drive import baseline_drive, paper_drive, three_dof_ss
 from dmptm_ctrl.simulate.compiled import Loop, close_loop

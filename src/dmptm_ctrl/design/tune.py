@@ -99,8 +99,8 @@ class Tuned:
         lines = [f"{head}   rms error, {unit}"]
         for row in self.stages:
             lines.append(
-                f"{row['stage']:28s}{row['rmse_median']:9.4f}{row['rmse_quantile']:9.4f}"
-                f"{row['rmse_worst']:9.4f}{row['voltage_max']:8.2f}"
+                f"{row['stage']:28s}{row['rmse_median']:9.3g}{row['rmse_quantile']:9.3g}"
+                f"{row['rmse_worst']:9.3g}{row['voltage_max']:8.3g}"
             )
         g = self.controller
         lines += [

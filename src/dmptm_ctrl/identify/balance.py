@@ -20,8 +20,8 @@ import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
-from dmptm_ctrl.identify.led import Led
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
+from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.identify.ripple import Ripple
 from dmptm_ctrl.identify.windows import Windowed, frictions, inertias, pull_of
 from dmptm_ctrl.parallel import in_threads

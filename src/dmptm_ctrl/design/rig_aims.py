@@ -55,7 +55,7 @@ def rig_aims(
     if not torque > 0.0:
         raise ValueError(f"a positive signal of {source} moves {seen} backwards; declare a ratio "
                          "or gain of the other sign, and sign = -1 for the column")  # fmt: skip
-    moved = np.array([reach[g] for g in range(layout.coordinates)]) / layout.ratio[told]
+    moved = reach / layout.ratio[told]
     inertia = float(moved**2 @ plant.inertia)
     viscous = float(moved**2 @ link_matrices(plant)[3])
     if speed is None:

@@ -17,10 +17,10 @@ from dmptm_ctrl.signals.columns import Choose, Mapped, Table, Target, names_a_cl
 from dmptm_ctrl.signals.counters import refuse_jumps, unwrapped_counts, with_sign
 from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
-from dmptm_ctrl.signals.holes import on_one_clock, without_holes, without_sentinels
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
 from dmptm_ctrl.signals.mdf import read_mdf
+from dmptm_ctrl.signals.missing_values import on_one_clock, without_missing, without_sentinels
 from dmptm_ctrl.signals.plausible import refuse_inconsistent, suspects, unwrapped
 from dmptm_ctrl.signals.tabular import from_frame, read_json, read_parquet
 from dmptm_ctrl.signals.text import read_text
@@ -378,7 +378,7 @@ def _channels(
         notes.append(f"{lost} row{'s' * (lost > 1)} without a time between others: left out")
         timed[: np.argmax(timed)] = timed[timed.size - np.argmax(timed[::-1]) :] = True
         time, channels = time[timed], {c: v[timed] for c, v in channels.items()}
-    rows, filled, done = without_holes({"time": time, **channels}, labels, bridge=bool(resample))
+    rows, filled, done = without_missing({"time": time, **channels}, labels, bridge=bool(resample))
     notes += done
     for channel, values in filled.items():
         filled[channel] = values[rows]

@@ -35,7 +35,9 @@ from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from tests.rig_files.truth import Bench, Machine
+from tests.rig_files.truth import Bench, Machine, integrate
+
+__all__ = ["integrate"]  # for other benchmarks
 
 DT, SECONDS = 1e-3, 5.0
 DEG = np.pi / 180

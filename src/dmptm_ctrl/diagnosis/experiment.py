@@ -174,7 +174,7 @@ def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experimen
             for m in models.values()
         )
         bent = [np.minimum(np.abs(own - o) / floor, BENT) ** 2 for o in others]
-        return min(signals.shape[1] * step / CORRELATION_SECONDS * float(np.mean(b)) for b in bent)
+        return min(signals.shape[1] * step / LASTING * float(np.mean(b)) for b in bent)
 
     planned: dict[tuple[str, str], Floats] = {}
     for j, source in enumerate(rig.inputs):

@@ -9,10 +9,10 @@ import re
 import shutil
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 
-import control
 import dmptm_ctrl
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.data import PAPER_RIG, path

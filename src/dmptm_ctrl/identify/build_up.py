@@ -14,7 +14,7 @@ import numpy as np
 from dmptm_ctrl.design.draws import slow_friction
 from dmptm_ctrl.effects.presliding import PRESLIDING
 from dmptm_ctrl.identify.balance import surprise
-from dmptm_ctrl.identify.led import Led
+from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.identify.records import records
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log

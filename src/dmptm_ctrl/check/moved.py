@@ -126,11 +126,12 @@ class Information:
     def change(self, entry: Entry, tolerance: float = 0.0) -> Change | None:
         """Refit an entry alone; None where the logs tell it no finer than its own size.
 
-        All other parameters may differ evenly by up to a share `tolerance` of their values.
+        All other parameters may differ by a share `tolerance` of their values; that is taken for
+        three standard deviations.
         """
         v = self.vector(entry)
         values = np.array([abs(p.value) / p.scale for p in self.parameters])
-        loose = np.where(v == 0.0, tolerance * 3.0**-0.5 * values, 0.0)
+        loose = np.where(v == 0.0, tolerance / 3.0 * values, 0.0)
         inner = np.eye(v.size) + loose[:, None] * self.square * loose
         own = v - loose * np.linalg.solve(inner, loose * (self.square @ v))
         told = float(own @ self.square @ v)

@@ -35,7 +35,9 @@ from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from tests.rig_files.truth import Bench, Machine
+from tests.rig_files.truth import Bench, Machine, integrate
+
+__all__ = ["integrate"]  # for other benchmarks
 
 DT, SECONDS = 1e-3, 5.0
 DEG = np.pi / 180
@@ -88,7 +90,14 @@ def rig_campaign(truth, rng):
         speed_noise=0.1, counts=65536, drift=0.01, zero=True, seed=int(rng.integers(1 << 30)),
         extra={"shaft": SHAFT},
     )  # fmt: skip
-    rig = parse_rig(bench.rig(), "rig.toml")
+    text = bench.rig()
+    for column, unit, more in (
+        ("q", "rad", 'resolution = "65536 counts/rev"'), ("w", "rad/s", 'noise = "0.1 rad/s"')
+    ):  # fmt: skip
+        for name in (column, f"{column}2"):
+            begin = f'column = "{name}"\nunit = "{unit}"\n'
+            text = text.replace(begin, f"{begin}{more}\n")
+    rig = parse_rig(text, "rig.toml")
     return rig, rig.read([pd.DataFrame(columns) for columns in bench.logs().values()])
 
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from tests.export.native import needs_compiler
-from tests.export.test_plant import AXIS, RIG
+from tests.export.test_plant import RIG
 
 from dmptm_ctrl import close_loop
 from dmptm_ctrl.cli import main
@@ -22,14 +22,12 @@ from dmptm_ctrl.testing import assert_tracks
 DT = 1e-3
 LIMITED = RIG.replace('delay = "1.7 ms"', 'delay = "1.7 ms"\nlimit = "12 V"')
 MODEL = RigModel(
-    parse_rig(LIMITED, "rig.toml"),
+    parse_rig(RIG, "rig.toml"),
     (
         Placed("cogging", "motor", {"cosine": 0.02, "sine": 0.01, "order": 8.0}),
         Placed("unbalance", "load", {"cosine": 0.3, "sine": -0.1}),
     ),
 )
-# an encoder on the motor, and nothing else
-ENCODER = RigModel(parse_rig(AXIS[: AXIS.index("[sensor.speed]")], "rig.toml"))
 FORWARD = {"inertia": 1.0, "friction": 1.0, "effects": 1.0}
 
 
@@ -60,7 +58,7 @@ def test_feed_forward_by_hand(sensor):
 
 def test_without_a_speed_sensor_the_angle_s_difference_is_the_speed():
     """Exact 1e6 rad from zero."""
-    step = Controller(2.0, 0.0, model=ENCODER).law().stepper(DT)
+    step = Controller(2.0, 0.0, model=RigModel(MODEL.rig), sensor="angle").law().stepper(DT)
     angles = 2.0**20 + 2.0**-10 * np.array([0, 1, 3, 2])
     found = [step(0.5, angle)[0] for angle in angles]
     speeds = np.array([0.0, 1.0, 2.0, -1.0]) * 2.0**-10 / DT
@@ -69,7 +67,7 @@ def test_without_a_speed_sensor_the_angle_s_difference_is_the_speed():
 
 @pytest.fixture(scope="module")
 def tuned():
-    aims = rig_aims(MODEL)
+    aims = rig_aims(MODEL, limit=12.0)
     duty = aims.duty._replace(reference=aims.duty.reference[3400:4800])
     return tune_controller(
         MODEL, aims.__class__(**{**vars(aims), "duty": duty}), uncertainty=0.25, plants=16, n_jobs=1
@@ -164,7 +162,7 @@ def test_command(tmp_path, capsys, monkeypatch, tuned):
 
 
 def test_aims_follow_from_limit_and_inertia():
-    aims = rig_aims(MODEL)
+    aims = rig_aims(RigModel(parse_rig(LIMITED, "rig.toml")))
     inertia = 0.05 / 5 + 5 * 0.002  # at the motor, per acceleration of the load
     steepest = np.abs(usual_duty(DT, aims.duty.reference.max()).acceleration).max()
     assert steepest * inertia == pytest.approx(0.3 * 12.0 * 0.1, rel=1e-6)

@@ -1,13 +1,26 @@
 """The proposed experiment separates what the logs at hand hardly do."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+from tests.export.test_plant import RIG
 
-from dmptm_ctrl.diagnosis.experiment import SAMPLE_TIME, SECONDS, apart, next_experiment
+from dmptm_ctrl.diagnosis.experiment import (
+    SAMPLE_TIME,
+    SECONDS,
+    apart,
+    next_experiment,
+    rig_experiment,
+)
+from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.select import Selection
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_run import march as march_rig
 
 LARGEST = 0.8  # V
 
@@ -66,3 +79,33 @@ def test_a_model_is_not_told_from_itself():
     volts = alike(LARGEST * np.ones(500))
     one, other = (march(m, volts, rest(m, 0.0), SAMPLE_TIME) for m in (model, model))
     assert apart(one, other, SAMPLE_TIME, True) == 0.0
+
+
+def test_of_a_rig_it_has_the_logs_sample_time_and_keeps_their_largest_signal():
+    """At one steady speed drag and viscous friction are alike; at others they differ."""
+    dt, size = 4e-3, 3.0
+    rig = parse_rig(RIG, "rig.toml")
+    speed = 8.79  # rad/s of the load, where the drag leaves it
+    drag = RigModel(rig).with_effect(Placed("quadratic_drag", "load", {"coefficient": 0.01}))
+    slope = Placed("viscous_friction", "load", {"coefficient": 0.01 * speed})
+    slope = RigModel(rig).with_effect(slope)
+    u = np.full((1, 5000), size)
+    run = march_rig(drag, u, dt)
+    channels = {"in_voltage": u[0], "out_angle": run.reading("angle")}
+    noise = 0.02 * np.random.default_rng(1).standard_normal(5000)
+    log = Log("steady", dt * np.arange(5000), {**channels, "out_speed": run.speed("load") + noise})
+    sensor = rig.sensors[1]
+    runs = Runs(0.0, sensor, 20.0, (log,), (np.ones(5000, bool),), None, None, 0.0, 1)
+    runs = replace(runs, after=[runs.seen(run.reading("speed"), dt)])
+    keys = "quadratic_drag@load", "viscous_friction@load"
+    fits = [SimpleNamespace(fit=SimpleNamespace(model=m)) for m in (drag, slope)]
+    rival = SimpleNamespace(keys=keys[1:], fitted=(fits[1],))
+    entry = SimpleNamespace(key=keys[0], rivals=(rival,), confusable_with=keys[1:])
+    chosen = rig_experiment(SimpleNamespace(entries=[entry], final=fits[0]), runs)
+    table = chosen.table()
+    assert list(table.columns) == ["time_s", "voltage_V"]
+    np.testing.assert_allclose(np.diff(table["time_s"]), dt, rtol=1e-9)
+    assert 0.9 * size < np.abs(table["voltage_V"]).max() <= size
+    assert chosen.against == keys
+    assert chosen.gain > 2.0 * chosen.so_far
+    assert rig_experiment(Selection(None, None), runs) is None

@@ -24,6 +24,7 @@ def files(tmp_path):
     CONTROLLER.save(tmp_path / "controller.toml")
     (tmp_path / "model.toml").write_text(to_toml(MODEL), encoding="utf-8")
     (tmp_path / "rig_model.toml").write_text(rig_model_to_toml(rig_model()), encoding="utf-8")
+    Controller(1.0, 5.0, model=rig_model()).save(tmp_path / "rig_controller.toml")
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     (tmp_path / "open.toml").write_text(RIG.replace('"40 N m/rad"', '"unknown"'), encoding="utf-8")
     return tmp_path
@@ -35,6 +36,9 @@ def files(tmp_path):
         ("controller.toml", "c", ["controller.c", "controller.h"]),
         ("controller.toml", "st", ["controller.st"]),
         ("controller.toml", "python", ["controller.py"]),
+        ("rig_controller.toml", "c", ["controller.c", "controller.h"]),
+        ("rig_controller.toml", "st", ["controller.st"]),
+        ("rig_controller.toml", "python", ["controller.py"]),
         ("model.toml", "c", ["plant.c", "plant.h"]),
         ("model.toml", "st", ["plant.st"]),
         ("model.toml", "python", ["plant.py"]),
@@ -67,6 +71,7 @@ def test_writes(files, source, to, names, capsys):
         (["model.toml", "--to", "c", "--name", "Return"], "--name Return: must be a new word"),
         (["model.toml", "--to", "c", "--sample-time", "0"], "must lie between 0 and 1 s"),
         (["controller.toml", "--to", "fmu"], "fmu is of a plant"),
+        (["rig_controller.toml", "--to", "table"], "table is of a plant"),
         (["controller.toml", "--to", "c", "--sample-time", "0.01"], "its own sample time"),
     ],
 )

@@ -57,7 +57,7 @@ CONTROLLERS = {
     ),
     "encoder": Controller(
         2.0, 10.0, LIMIT, inertia=1.0, friction=1.0, effects=1.0, acceleration=20.0,
-        model=rig_model(*RIG_EFFECTS["cogging"], *RIG_EFFECTS["presliding"]), sensor="angle",
+        model=rig_model(*RIG_EFFECTS["cogging"]), sensor="angle",
     ),
 }  # fmt: skip
 

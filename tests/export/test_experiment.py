@@ -45,7 +45,7 @@ def test_of_another_sample_time_it_is_held():
 
 def test_rig_of_another_shape(tmp_path):
     """What is written keeps the limits of the load, also when it coasts behind the end."""
-    table = pd.DataFrame({"time_s": TIME[:900], "u_V": 6.0 * np.sin(2 * np.pi * TIME[:900])})
+    table = pd.DataFrame({"time_s": TIME[:900], "u_V": 6.0 * np.sin(np.pi * TIME[:900])})
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     table.to_csv(tmp_path / "planned.csv", index=False)
     limits = {"max-signal": 5.0, "max-speed": 0.5, "max-travel": 0.1}
@@ -67,7 +67,9 @@ def test_c_and_structured_text_give_the_samples_and_then_nothing(tmp_path):
     table = within(TABLE, Limits(), sample_time=0.1)
     program = experiment_program(table)
     warns_of_nothing(tmp_path, program)
-    block = st_stepper(st_source(program), [p.name for p in program.outputs])
+    text = st_source(program)
+    assert pytest.importorskip("blark.parse").parse_source_code(text).exception is None
+    block = st_stepper(text, [p.name for p in program.outputs])
     steps = Compiled(program), block
     for step in steps:
         rows = np.array([step() for _ in range(len(table) + 3)])

@@ -263,9 +263,13 @@ def test_names_that_no_program_can_have(tmp_path):
     close(c_run(program, u, tmp_path), simulate(model, TIME, u).outputs.T)
 
 
-def test_structured_text_of_a_plant():
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_structured_text_of_a_plant(real):
+    """It gives the simulator's readings; the grammar of another project reads it."""
+    parse = pytest.importorskip("blark.parse")
     model = Model().with_effect("drive_delay", delay=2.6e-3)
-    program = plant_program(model, DT)
-    step = st_stepper(st_source(program), [p.name for p in program.outputs])
+    text = st_source(plant_program(model, DT), real)
+    assert parse.parse_source_code(text).exception is None
+    step = st_stepper(text, [p.name for p in plant_program(model, DT).outputs])
     found = np.array([step(*row) for row in VOLTS[:, :60].T])
     close(found, simulate(model, TIME[:60], VOLTS[:, :60]).outputs.T)

@@ -12,8 +12,11 @@ from numba import njit
 
 
 @njit(cache=True)
-def integrate(u, dt, fine, p, q1, v1, drift):
-    """Return positions and speeds at the samples. `p` in the order of Machine.row()."""
+def integrate(u, dt, fine, p, state, drift):
+    """Return positions and speeds at the samples. `p` in the order of Machine.row().
+
+    `state` (7,) is moved on: q1, v1, q2, v2, bristles of both, torque of the motor.
+    """
     (
         gain,
         emf,
@@ -46,8 +49,7 @@ def integrate(u, dt, fine, p, q1, v1, drift):
     n = u.size
     out = np.empty((n, 4))
     h = dt / fine
-    q2, v2 = q1 / ratio, v1 / ratio
-    z1, z2, torque = 0.0, 0.0, 0.0
+    q1, v1, q2, v2, z1, z2, torque = state
     held = round(delay / h)
     total = n * fine
     for i in range(total):
@@ -100,6 +102,7 @@ def integrate(u, dt, fine, p, q1, v1, drift):
             a1 = (torque - f1) / j1
         v1 += h * a1
         q1 += h * v1
+    state[:] = np.array([q1, v1, q2, v2, z1, z2, torque])
     return out
 
 
@@ -142,7 +145,11 @@ class Machine:
 
     def run(self, u, dt, *, start=(0.0, 0.0), drift=1.0, fine=None):
         fine = fine or max(round(dt / 2e-5), 1)
-        return integrate(np.asarray(u, float), dt, fine, self.row(), *start, drift)
+        return integrate(np.asarray(u, float), dt, fine, self.row(), self.at(*start), drift)
+
+    def at(self, q1=0.0, v1=0.0):
+        """State at a place, with the load in step."""
+        return np.array([q1, v1, q1 / self.ratio, v1 / self.ratio, 0.0, 0.0, 0.0])
 
 
 def signal(kind, seconds, dt, level, seed=0):

@@ -126,11 +126,12 @@ class Information:
     def change(self, entry: Entry, tolerance: float = 0.0) -> Change | None:
         """Refit an entry alone; None where the logs tell it no finer than its own size.
 
-        All other parameters may differ evenly by up to a share `tolerance` of their values.
+        All other parameters may differ by a share `tolerance` of their values; that is taken for
+        three standard deviations.
         """
         v = self.vector(entry)
         values = np.array([abs(p.value) / p.scale for p in self.parameters])
-        loose = np.where(v == 0.0, tolerance * 3.0**-0.5 * values, 0.0)
+        loose = np.where(v == 0.0, tolerance / 3.0 * values, 0.0)
         inner = np.eye(v.size) + loose[:, None] * self.square * loose
         own = v - loose * np.linalg.solve(inner, loose * (self.square @ v))
         told = float(own @ self.square @ v)
@@ -221,10 +222,10 @@ def find_moved(
 ) -> tuple[list[Change], list[Change]]:
     """Return what has moved, the clearest first, and every entry refitted alone.
 
-    The clearest is the one that explains most. It need not be the one of most standard errors:
-    where stretches scatter an entry's standard error says so, and not that it explains less. An
-    entry counts beside others only for what these leave. A factor goes before a single amplitude
-    where it is enough.
+    Something has moved if an entry has while others may differ within the tolerance. Its name is
+    that of the entry which explains most alone; that need not be the one of most standard errors,
+    for these say how stretches scatter. An entry counts beside others only for what these leave.
+    A factor goes before a single amplitude where it is enough.
     """
     alone = [c for entry in entries if (c := information.change(entry, tolerance)) is not None]
     limit = threshold(len(alone), len(information.scores))
@@ -232,14 +233,16 @@ def find_moved(
     rest = information
     while len(moved) < MOST:
         names = {m.entry.name for m in moved}
-        tried = [rest.change(c.entry, tolerance) for c in alone if c.entry.name not in names]
-        clear = [c for c in tried if c is not None and c.beyond(tolerance) > limit]
-        if not clear:
+        left_over = [c.entry for c in alone if c.entry.name not in names]
+        tried = [rest.change(entry, tolerance) for entry in left_over]
+        if not any(c is not None and c.beyond(tolerance) > limit for c in tried):
             break
+        plain = [rest.change(entry) for entry in left_over]
+        clear = [c for c in plain if c is not None and c.beyond(tolerance) > limit]
         best = max(clear, key=lambda c: c.gain)
         for whole in clear:  # all amplitudes by one factor, where that is enough
             if whole.entry.unit == "" and best.entry.name.startswith(f"{whole.entry.name}."):
-                left = rest.without(whole.entry).change(best.entry, tolerance)
+                left = rest.without(whole.entry).change(best.entry)
                 if left is None or left.beyond(tolerance) <= limit:
                     best = whole
                     break

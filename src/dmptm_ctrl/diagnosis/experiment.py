@@ -14,10 +14,14 @@ import pandas as pd
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import low_pass
 from dmptm_ctrl.diagnosis.ranking import name_of
+from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Floats
+from dmptm_ctrl.simulate.model_file import input_symbol
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import march as march_rig
 
 EXPERIMENT_FILE = "next_experiment.csv"
 SECONDS = 20.0
@@ -53,6 +57,12 @@ def quick(t: Floats) -> Floats:
     return np.asarray(np.sin(2 * np.pi * QUICK_HZ * t))
 
 
+WAVES = {  # of one input, with what they are called
+    "slow sine": (slow, "a slow sine"),
+    "quick sine": (quick, "a quick sine"),
+    "stairs": (stairs, "eight levels forth and back"),
+    "sweep": (chirp, "a sweep of frequency"),
+}
 # name → what it does, and voltages of both motors per volt of the largest one seen
 SIGNALS: dict[str, tuple[str, Callable[[Floats], tuple[Floats, Floats]]]] = {
     "slow sine": ("both motors, a slow sine", lambda t: (slow(t), slow(t))),
@@ -85,8 +95,10 @@ class Experiment:
         Expected log-likelihood ratio times two between the two that are hardest to tell.
     so_far : float
         The same of all logs at hand together, per span of the experiment.
-    volts : (2, n) array
-        Of the left and the right motor, every :data:`SAMPLE_TIME`.
+    volts : (inputs, n) array
+        Of the left and the right motor, every `sample_time` [s]; of a rig its inputs' signals, SI.
+    columns : tuple of str
+        What the signals are called in a table, with their units.
     """
 
     name: str
@@ -95,11 +107,13 @@ class Experiment:
     gain: float
     so_far: float
     volts: Floats
+    columns: tuple[str, ...] = ("u_left_V", "u_right_V")
+    sample_time: float = SAMPLE_TIME
 
     def table(self) -> pd.DataFrame:
-        """Return the signal as columns time_s, u_left_V, u_right_V."""
-        time = SAMPLE_TIME * np.arange(self.volts.shape[1])
-        return pd.DataFrame({"time_s": time, "u_left_V": self.volts[0], "u_right_V": self.volts[1]})
+        """Return the signal as columns time_s, u_left_V, u_right_V; of a rig its inputs."""
+        time = self.sample_time * np.arange(self.volts.shape[1])
+        return pd.DataFrame({"time_s": time, **dict(zip(self.columns, self.volts, strict=True))})
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of diagnosis.json."""
@@ -126,6 +140,64 @@ def apart(one: Floats, other: Floats, dt: float, twist: bool) -> float:
     return float(sum(news * np.mean(np.minimum(np.abs(m), BENT) ** 2) for m in misses))
 
 
+def _contested(selection: Selection) -> Any:
+    """Entry with most effects that it may be confused with; None where there is none."""
+    entry = max(selection.entries, key=lambda e: len(e.confusable_with), default=None)
+    return entry if entry is not None and entry.confusable_with else None
+
+
+def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experiment | None:
+    """Choose a signal of one input of a rig, as `next_experiment` does.
+
+    Models are told apart by the sensor that `runs` compare, against what the final model's run
+    leaves of it in the logs. It has the logs' sample time and their largest signals.
+    """
+    entry = _contested(selection)
+    if entry is None or runs.after is None:
+        return None
+    models: dict[str, RigModel] = {entry.key: selection.final.fit.model}
+    models |= {
+        r.keys[0]: r.fitted[0].fit.model for r in entry.rivals if r.keys[0] in entry.confusable_with
+    }
+    rig, dt = models[entry.key].rig, runs.logs[0].sample_time
+    left = np.concatenate([m - a for m, a in zip(runs.measured, runs.after, strict=True)])
+    floor = float(np.sqrt(np.mean(left**2)))
+    time: Floats = dt * np.arange(round(SECONDS / dt), dtype=np.float64)
+    logged = [
+        (np.array([log[i.channel] for i in rig.inputs]), log.sample_time) for log in runs.logs
+    ]
+
+    def told(task: tuple[Floats, float]) -> float:
+        signals, step = task
+        own, *others = (
+            runs.seen(march_rig(m, signals, step).reading(runs.sensor.name), step)
+            for m in models.values()
+        )
+        bent = [np.minimum(np.abs(own - o) / floor, BENT) ** 2 for o in others]
+        return min(signals.shape[1] * step / LASTING * float(np.mean(b)) for b in bent)
+
+    planned: dict[tuple[str, str], Floats] = {}
+    for j, source in enumerate(rig.inputs):
+        largest = max(float(np.abs(signals[j]).max()) for signals, _ in logged)
+        for name, (wave, _) in WAVES.items():
+            planned[source.name, name] = np.zeros((len(rig.inputs), time.size))
+            planned[source.name, name][j] = largest * wave(time)
+    done = in_threads(told, [(signals, dt) for signals in planned.values()] + logged, jobs)
+    gains = dict(zip(planned, done, strict=False))  # first of all
+    best = max(gains, key=lambda key: gains[key])
+    seconds = sum(signals.shape[1] * step for signals, step in logged)
+    return Experiment(
+        best[1],
+        f"{best[0]}, {WAVES[best[1]][1]}",
+        tuple(models),
+        gains[best],
+        sum(done[len(planned) :]) * SECONDS / seconds,
+        planned[best],
+        tuple(f"{i.name}_{input_symbol(rig, i.name) or '1'}" for i in rig.inputs),
+        dt,
+    )
+
+
 def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> Experiment | None:
     """Choose the signal that best separates an effect from its rivals.
 
@@ -141,10 +213,9 @@ def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> 
     Experiment or None
         None where nothing was found, or nothing else comes near.
     """
-    contested = [entry for entry in selection.entries if entry.confusable_with]
-    if not contested:
+    entry = _contested(selection)
+    if entry is None:
         return None
-    entry = max(contested, key=lambda e: len(e.confusable_with))
     # rivals are fitted beside the same other effects, so that only the effect differs
     models = {name_of(entry.key): selection.final.left.base.model}
     models |= {

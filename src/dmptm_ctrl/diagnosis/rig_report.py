@@ -9,6 +9,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import EXPLAINED, Errors, Row, closed_rows, error_entry
 from dmptm_ctrl.diagnosis.candidate import LEVEL
+from dmptm_ctrl.diagnosis.experiment import rig_experiment
 from dmptm_ctrl.diagnosis.ranking import ranking_of
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture
 from dmptm_ctrl.diagnosis.rig_curves import Curve, mean_square
@@ -223,6 +224,7 @@ def report_of(
         correlations=correlations_of(final.fit),
         provenance=provenance,
         warnings=(*warnings, *runs.warnings),
+        experiment=rig_experiment(selection, runs, jobs),
     )
 
 

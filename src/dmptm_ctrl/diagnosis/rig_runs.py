@@ -110,7 +110,7 @@ class Runs:
         """Run a model on every log; None where it leaves all finite numbers."""
 
         def one(log: Log) -> Floats:
-            return self._seen(self.reading(state, log), log)
+            return self.seen(self.reading(state, log), log.sample_time)
 
         try:
             with np.errstate(all="ignore"):
@@ -125,15 +125,15 @@ class Runs:
         run = free_run(model, log, lead_hz=self.lead_hz)
         return readings(model, log, run)[self.sensor.name]
 
-    def _seen(self, signal: Floats, log: Log) -> Floats:
-        dt = log.sample_time
+    def seen(self, signal: Floats, dt: float) -> Floats:
+        """What is compared of a reading [SI], in the sensor's unit."""
         shown = low_pass(signal, dt, self.bandwidth) / parse_unit(self.sensor.unit).factor
         return shown if self.sensor.measures == "speed" else derivative(shown, dt)
 
     @cached_property
     def measured(self) -> list[Floats]:
         """What the sensor read."""
-        return [self._seen(log[self.sensor.channel], log) for log in self.logs]
+        return [self.seen(log[self.sensor.channel], log.sample_time) for log in self.logs]
 
     def agreement(self, runs: Sequence[Floats]) -> dict[str, float]:
         """How far runs are from the readings, where nothing was fitted."""

@@ -20,8 +20,8 @@ feedback = ct.ss(
     {c!r},
     {d!r},
     {dt!r},  # s
-    inputs=["error"],  # rad/s
-    outputs=["u"],  # V
+    inputs=["error"],  # {rad}/s
+    outputs=["u"],  # {volt}
     name="feedback",
 )
 """
@@ -52,7 +52,9 @@ def python_program(model: Any, source: Path) -> str:
         sys = model.to_discrete()
         a, b, c, d = (np.asarray(part, float).tolist() for part in (sys.A, sys.B, sys.C, sys.D))
         head = "".join(f"# {line}\n" for line in provenance(model, source))
-        return head + "\n" + _CONTROLLER.format(a=a, b=b, c=c, d=d, dt=model.sample_time)
+        volt, rad = model.units
+        numbers = {"a": a, "b": b, "c": c, "d": d, "dt": model.sample_time}
+        return head + "\n" + _CONTROLLER.format(**numbers, volt=volt, rad=rad)
     head = "".join(f"# {line}\n" for line in origin(source))
     if isinstance(model, RigModel):
         return head + "\n" + _RIG.format(text=source.read_text(encoding="utf-8"))

@@ -23,7 +23,7 @@ from dmptm_ctrl.diagnosis.ranking import name_of
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import cross_check, with_sensors
-from dmptm_ctrl.diagnosis.short import with_short_predictions
+from dmptm_ctrl.diagnosis.short_predictions import with_short_predictions
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.parallel import crew, small_matrices
 from dmptm_ctrl.signals import load_log

@@ -19,13 +19,12 @@ TOGETHER = {  # folder -> group
     "agreement": "loop",
     "engine": "lanes",
     "design": "lanes",
-    "chain": "chain",
-    "bad_days": "chain",
+    "bad_logs": "bad_logs",
     "diagnosis": "diagnosis",
 }
 APART = ("recovery/test_recovery.py", "test_notebooks.py")  # each test is long by itself
 ORDER = (
-    *("rigs", "agreement", "engine", "design", "chain", "bad_days", "paper", "identify"),
+    *("rigs", "agreement", "engine", "design", "rig_files", "bad_logs", "paper", "identify"),
     *("diagnosis", "recovery", "test_notebooks.py"),
 )
 

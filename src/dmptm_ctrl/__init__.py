@@ -8,7 +8,7 @@ them in groups; ``help()`` on each gives units, shapes and errors.
 import sys
 from functools import wraps
 from importlib import import_module
-from inspect import isfunction, signature
+from inspect import Parameter, Signature, isfunction, signature
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -71,19 +71,7 @@ _LAZY = {
     "reproduce": "reproduce.run",
 }
 
-# what functions take first; another kind is refused in one sentence
-_FIRST = {
-    ("Drive",): ("baseline", "three_dof", "nine_dof"),
-    ("Model",): (
-        *("simulate_with_sensitivities", "stepped_sine", "multisine", "tune_controller"),
-        *("limit_cycles", "smallest_preload", "monte_carlo"),
-    ),
-    ("Model", "RigModel", "Rig"): ("simulate", "close_loop", "linearize", "predict"),
-    ("Drive", "Model", "RigModel", "Rig", "GearTrain"): ("modes",),
-    ("Model", "Diagnosis"): ("impact",),
-    ("dict",): ("bode_compare", "step_compare"),
-    ("StateSpace",): ("common_mode", "close_speed_loop", "margins", "tune_pi"),
-}
+# of functions that read logs, whose first argument may be nearly anything
 _NO_LOGS = {"Model", "RigModel", "Rig", "Drive", "Diagnosis", "StateSpace", "int", "float"}
 _LOGS = ("diagnose", "check", "constant_speed", "response_from_log", "load_log", "load_logs")
 
@@ -158,33 +146,26 @@ def __getattr__(name: str) -> Any:
 
 
 def _checked(name: str, function: Any) -> Any:
-    """Return the function, with a sentence for arguments that it does not take."""
-    from dmptm_ctrl.arguments import refuse_wrong_types
+    """Return the function, with a sentence for arguments that it does not take.
 
-    kinds = next((k for k, names in _FIRST.items() if name in names), ())
+    Its ``help()`` names them without types, which are in the docstring with units and shapes.
+    """
+    from dmptm_ctrl.arguments import refuse_wrong_call
+
     wanted = signature(function)
 
     @wraps(function)
     def checked(*args: Any, **options: Any) -> Any:
         given = {c.__name__ for c in type(args[0]).__mro__} if args else set()
-        what = ""
-        if given and args[0] is not None and kinds and not given & {*kinds}:
-            what = " or ".join(filter(None, (", ".join(kinds[:-1]), kinds[-1])))
-            what = f"a {what}"
-        elif name in _LOGS and given & _NO_LOGS:
-            what = "logs"
-        if what:
-            first = f"{name} takes {what} as its first argument"
-            raise TypeError(f"{first}, not a {type(args[0]).__name__}")
-        try:
-            wanted.bind_partial(*args, **options)  # an unknown name before one that is missing
-            bound = wanted.bind(*args, **options)
-        except TypeError as error:
-            takes = ", ".join(wanted.parameters)
-            raise TypeError(f"{name}: {error}; it takes {takes}") from None
-        refuse_wrong_types(name, bound)
+        if name in _LOGS and given & _NO_LOGS:
+            raise TypeError(
+                f"{name} takes logs as its first argument, not a {type(args[0]).__name__}"
+            )
+        refuse_wrong_call(name, wanted, args, options)
         return function(*args, **options)
 
+    plain = [p.replace(annotation=Parameter.empty) for p in wanted.parameters.values()]
+    checked.__signature__ = Signature(plain)  # type: ignore[attr-defined]
     return checked
 
 

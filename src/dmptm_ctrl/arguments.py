@@ -1,11 +1,12 @@
 """Arguments of public functions against their annotations, refused in one sentence."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
-from inspect import BoundArguments, Parameter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import wraps
+from inspect import BoundArguments, Parameter, Signature, signature
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,33 @@ _SAID: dict[Any, str] = {
 _SAID |= {Sequence: "a sequence", Iterable: "a sequence", dict: "a dict"}
 _SAID |= {ArrayLike: "an array", Callable: "a function"}
 _ARRAY = {*get_args(ArrayLike)}
+_Class = TypeVar("_Class", bound=type)
+
+
+def refusing(cls: _Class) -> _Class:
+    """Let a class refuse, in one sentence, what its fields' annotations do not name."""
+    make = "__new__" if issubclass(cls, tuple) else "__init__"
+    made, wanted = getattr(cls, make), signature(cls)
+
+    @wraps(made)
+    def build(first: Any, *args: Any, **options: Any) -> Any:
+        refuse_wrong_call(cls.__name__, wanted, args, options)
+        return made(first, *args, **options)
+
+    setattr(cls, make, build)
+    return cls
+
+
+def refuse_wrong_call(
+    name: str, wanted: Signature, args: Sequence[Any], options: Mapping[str, Any]
+) -> None:
+    """Refuse arguments that a signature does not take, or of another type, as a TypeError."""
+    try:
+        wanted.bind_partial(*args, **options)  # an unknown name before one that is missing
+        given = wanted.bind(*args, **options)
+    except TypeError as error:
+        raise TypeError(f"{name}: {error}; it takes {', '.join(wanted.parameters)}") from None
+    refuse_wrong_types(name, given)
 
 
 def refuse_wrong_types(name: str, given: BoundArguments) -> None:

@@ -123,7 +123,7 @@ def predict(
 
 @app.command()
 def tune(
-    model: Annotated[Path, typer.Argument(help="model.toml, as diagnose writes it.")],
+    model: Annotated[Path, typer.Argument(help="model.toml of diagnose, or a rig.toml.")],
     out: _Out = Path("tuning"),
     uncertainty: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of the declared ranges still open.")
@@ -132,6 +132,11 @@ def tune(
         Path | None, typer.Option(help="Logs of the machine: they tell how friction builds up.")
     ] = None,
     plants: Annotated[int, typer.Option(min=16, help="Plants drawn to judge it.")] = 1000,
+    limit: Annotated[float | None, typer.Option(help="Of an input [V, or SI].")] = None,
+    speed: Annotated[float | None, typer.Option(help="Largest setpoint [rad/s or m/s].")] = None,
+    input: Annotated[str, typer.Option(help="Of a rig: motor of the loop.")] = "",
+    sensor: Annotated[str, typer.Option(help="Of a rig: what the setpoint is of.")] = "",
+    sample_time: _Step = None,
     seed: Annotated[int, typer.Option(help="Of the draws.")] = 0,
     jobs: _Jobs = 2,
     quiet: _Quiet = False,
@@ -146,7 +151,8 @@ def tune(
     told = () if logs is None else load_logs(logs)
     tuned = tune_file(
         model, out, uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs,
-        refine=lambda drive: with_build_up(drive, told, n_jobs=jobs) if told else drive,
+        refine=(lambda drive: with_build_up(drive, told, n_jobs=jobs)) if told else None,
+        input=input, sensor=sensor, limit=limit, speed=speed, sample_time=sample_time or 1e-3,
     )  # fmt: skip
     if not quiet:
         print(tuned.summary())
@@ -178,11 +184,12 @@ def export(
     out: _Out = Path("export"),
     real: _Real = "double",
     sample_time: _Step = None,
+    name: Annotated[str | None, typer.Option(help="Where two programs meet.")] = None,
 ) -> None:
     """Write a model or a controller as a program where users run it."""
     from dmptm_ctrl.export.run import export_file
 
-    names = export_file(model, to, out, real=real, sample_time=sample_time)
+    names = export_file(model, to, out, real=real, sample_time=sample_time, name=name)
     print(f"written to {out}: {', '.join(names)}")
 
 
@@ -339,11 +346,11 @@ def rig_check(
 ) -> None:
     """Draw a rig file and print its modes; say what is wrong with it."""
     from dmptm_ctrl.drive.rigfile import load_rig
-    from dmptm_ctrl.plots.rig import plot_rig, rig_text
+    from dmptm_ctrl.plots.rig import plot_rig
     from dmptm_ctrl.simulate.linear import modes_text
 
     rig = load_rig(file)
-    print(_printable(rig_text(rig)))
+    print(_printable(str(rig)))
     print(modes_text(rig))
     if figure is not None:
         _save_picture(plot_rig(rig).get_figure(root=True), figure)

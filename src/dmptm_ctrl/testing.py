@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from dmptm_ctrl.check.run import Check
     from dmptm_ctrl.simulate.model import Model
+    from dmptm_ctrl.simulate.rig_model import RigModel
 
 
 def assert_explained(logs: Any, model: Any, *, tolerance: float = 0.05) -> "Check":
@@ -92,7 +93,7 @@ def assert_margins(
 
 def assert_tracks(
     controller: Any,
-    model: "Model",
+    model: "Model | RigModel",
     reference: ArrayLike,
     *,
     rms: float,
@@ -103,10 +104,11 @@ def assert_tracks(
     Parameters
     ----------
     controller : Controller or path of a controller.toml
-    model : Model
+    model : Model or RigModel
         The simulated machine.
     reference : (n,) array_like [rad/s]
-        Setpoint of the ring gear's speed at the controller's sample time.
+        Setpoint of the ring gear's speed at the controller's sample time; of a rig that of its
+        sensor.
     rms : float [rad/s]
         Largest root mean square of the error that is allowed.
     noise : (n,) array_like [rad/s], optional
@@ -127,14 +129,16 @@ def assert_tracks(
     from dmptm_ctrl.design.aims import missed
     from dmptm_ctrl.design.controller import Controller, read_controller
     from dmptm_ctrl.design.duty import Duty
-    from dmptm_ctrl.simulate.compiled import OUTPUTS, close_loop
+    from dmptm_ctrl.simulate.closed import close_loop
+    from dmptm_ctrl.simulate.law import loop_parts
 
     if not isinstance(controller, Controller):
         controller = read_controller(Path(controller))
-    target = np.asarray(reference, float)
-    _, out = close_loop(model, controller.law(), target, controller.sample_time, noise=noise)
-    duty = Duty(target, controller.sample_time)
-    error = float(np.sqrt(np.mean(missed(model, duty, out[:, OUTPUTS.index("omega_L")]) ** 2)))
+    duty = Duty(np.asarray(reference, float), controller.sample_time)
+    run = close_loop(model, controller, duty.time, duty.reference, noise=noise)
+    sensor = loop_parts(controller.model, controller.input, controller.sensor)[1]
+    miss = missed(model, duty, run.outputs[sensor], sensor=sensor)
+    error, unit = float(np.sqrt(np.mean(miss**2))), controller.units[1]
     if not error <= rms:
-        raise AssertionError(f"tracking error is {error:.4g} rad/s rms; {rms:.4g} is allowed")
+        raise AssertionError(f"tracking error is {error:.4g} {unit}/s rms; {rms:.4g} is allowed")
     return error

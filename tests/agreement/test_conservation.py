@@ -67,13 +67,13 @@ def test_power_of_passive_elements_is_never_positive(name, state, twist, damping
     inertias = {"ring": drive["J_L"]}
     terms = []
     for s, gap in (("l", drive["gap_l"]), ("r", drive["gap_r"])):
-        inertias[f"chain_{s}"] = drive["J_2"] + (0.0 if elastic else motor)
-        z = x[f"chain_{s}_theta"] - drive["N_2"] * x["ring_theta"]
-        z_rate = rate[f"chain_{s}_theta"] - drive["N_2"] * rate["ring_theta"]
+        inertias[f"pinion_{s}"] = drive["J_2"] + (0.0 if elastic else motor)
+        z = x[f"pinion_{s}_theta"] - drive["N_2"] * x["ring_theta"]
+        z_rate = rate[f"pinion_{s}_theta"] - drive["N_2"] * rate["ring_theta"]
         terms.append(drive["k_m"] * max(abs(z) - gap, 0.0) * np.sign(z) * z_rate)
         if elastic:
-            turned = x[f"motor_{s}_theta"] - x[f"chain_{s}_theta"]
-            turning = rate[f"motor_{s}_theta"] - rate[f"chain_{s}_theta"]
+            turned = x[f"motor_{s}_theta"] - x[f"pinion_{s}_theta"]
+            turning = rate[f"motor_{s}_theta"] - rate[f"pinion_{s}_theta"]
             terms.append(turned * turning / PASSIVE[name]["compliance"])
             terms.append(motor * x[f"motor_{s}_omega"] * rate[f"motor_{s}_omega"])
     for block, inertia in inertias.items():
@@ -95,7 +95,7 @@ def test_free_decay_of_the_compiled_loop_gains_no_energy(state, damping, dry):
     drive = model.drive
     h, steps = 1e-5, 4000  # s; 40 ms of free decay
     x0 = bodies(*state)
-    out = march(model.arrays(), np.zeros((2, steps)), x0, h, substeps=1)
+    out = march(model, np.zeros((2, steps)), x0, h, substeps=1)
     angles = np.array(
         [out[:, 2] / drive["N_1"], out[:, 3] / drive["N_1"], out[:, OUTPUTS.index("theta_L")]]
     )

@@ -13,7 +13,7 @@ from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
 from dmptm_ctrl.simulate.linear import linearize, turning
 
 SAME = 1e-6
-ORDER = ["twist_l", "twist_r", "ring_theta", "chain_l_omega", "chain_r_omega", "ring_omega"]
+ORDER = ["twist_l", "twist_r", "ring_theta", "pinion_l_omega", "pinion_r_omega", "ring_omega"]
 
 
 def three_dof(drive, slopes):
@@ -116,7 +116,7 @@ def test_a_turn_is_steady(paper):
     rate = dict(
         zip(sys.state_labels, sys.dynamics(0.0, initial_state(model, sys, x0), u0), strict=True)
     )
-    for block in ("chain_l", "chain_r", "ring"):
+    for block in ("pinion_l", "pinion_r", "ring"):
         assert abs(rate[f"{block}_omega"]) < 1e-6
 
 

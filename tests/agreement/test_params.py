@@ -100,7 +100,7 @@ def test_at_rest_with_the_default_step():
     blocks = to_blocks(model)
     found = ct.linearize(blocks, initial_state(model, blocks, wound), np.zeros(2))
     order = [blocks.state_labels.index(f"{b}_{q}") for q in ("theta", "omega")
-             for b in ("chain_l", "chain_r", "ring")]  # fmt: skip
+             for b in ("pinion_l", "pinion_r", "ring")]  # fmt: skip
     known = three_dof_ss(drive, states="angles")
     a = found.A[np.ix_(order, order)]
     np.testing.assert_allclose(a, known.A, rtol=1e-5, atol=1e-5 * np.abs(known.A[3:, 3:]).max())

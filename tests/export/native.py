@@ -15,7 +15,10 @@ from dmptm_ctrl.export.trace import follow, function_tree
 from dmptm_ctrl.export.tracer import Tracer
 
 COMPILER = compiler()
-STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")
+STRICT = (
+    *("-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow", "-Wconversion", "-Wsign-conversion"),
+    *("-Wdouble-promotion", "-Wundef", "-Wcast-qual", "-Wredundant-decls"),
+)
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 
 
@@ -42,14 +45,14 @@ def c_function(function, name, known=None, records=None):
         result = follow(tracer, function, args)
     results = list(result) if isinstance(result, tuple) else [result]
     program = prune(Program(name, [], [Port("", "", "")] * len(results), results, [], body, []))
-    printer = CPrinter("double", set())
+    printer = CPrinter("double")
     lines = [f"    double {key} = in[{k}];" for k, key in enumerate(free)]
     lines += [f"    (void){key};" for key in (*free, *pointers, "in")]
     lines += printer.lines(program.body)
     lines += [f"    out[{k}] = {printer.text(v)};" for k, v in enumerate(program.results)]
     more = "".join(f", const double *{p}" for p in pointers)
     head = ["#include <math.h>", "#include <stdbool.h>", "#include <stdint.h>"]
-    head += [*c_helpers("\n".join(lines)), *(c_table(a, printer) for a in program.tables())]
+    head += [*c_helpers("\n".join(lines), ""), *(c_table(a, printer) for a in program.tables())]
     head.append(f"void {name}(const double *in, double *out{more}) {{")
     return "\n".join([*head, *lines, "}", ""])
 
@@ -74,7 +77,8 @@ WORDS = {"AND": "and", "OR": "or", "NOT": "not", "TRUE": "True", "FALSE": "False
 FUNCTIONS = {
     "EXP": math.exp, "LN": math.log, "SIN": math.sin, "COS": math.cos, "TAN": math.tan,
     "SQRT": math.sqrt, "ABS": abs, "MIN": min, "MAX": max, "EXPT": pow, "TRUNC": math.trunc,
-    "DINT_TO_LREAL": float, "DINT_TO_REAL": float, "BOOL_TO_DINT": int,
+    "LREAL_TO_REAL": float, "REAL_TO_LREAL": float, "DINT_TO_LREAL": float,
+    "DINT_TO_REAL": float, "BOOL_TO_DINT": int,
 }  # fmt: skip
 
 

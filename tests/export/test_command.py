@@ -1,11 +1,12 @@
 """`dmptm export`: files, messages, exit codes."""
 
 import runpy
+import subprocess
 
 import control as ct
 import numpy as np
 import pytest
-from tests.export.native import needs_compiler
+from tests.export.native import STRICT, needs_compiler
 from tests.export.test_plant import RIG, TIME, VOLTS, rig_model
 
 from dmptm_ctrl.cli import main
@@ -62,6 +63,8 @@ def test_writes(files, source, to, names, capsys):
         (["open.toml", "--to", "c"], "open.toml: link.belt.stiffness is declared unknown; fit the"),
         (["model.toml", "--to", "ladder"], "--to ladder: no such target; there are c, st, fmu"),
         (["model.toml", "--to", "c", "--real", "half"], "--real half: no such type"),
+        (["model.toml", "--to", "c", "--name", "2 axes"], "--name 2 axes: must be a new word"),
+        (["model.toml", "--to", "c", "--name", "Return"], "--name Return: must be a new word"),
         (["model.toml", "--to", "c", "--sample-time", "0"], "must lie between 0 and 1 s"),
         (["controller.toml", "--to", "fmu"], "fmu is of a plant"),
         (["controller.toml", "--to", "c", "--sample-time", "0.01"], "its own sample time"),
@@ -89,6 +92,27 @@ def test_an_effect_that_is_no_scalar_arithmetic_is_refused_in_one_line(files, mo
     line = capsys.readouterr().err
     assert "model.toml: an effect has no program: cannot follow a While" in line
     assert not out.exists()
+
+
+@needs_compiler
+def test_programs_stand_beside_each_other_in_c_and_in_cplusplus(files):
+    """Two controllers and a plant as one text, and linked: no name is there twice."""
+    out, names = files / "out", {"axis_a": "double", "axis_b": "float", "drive": "float"}
+    for name, real in names.items():
+        source = "model.toml" if name == "drive" else "controller.toml"
+        options = ["--to", "c", "--name", name, "--real", real, "--out", str(out)]
+        assert main(["export", str(files / source), *options]) == 0
+    starts = "".join(f"    {n}_state {n}_1;\n    {n}_init(&{n}_1);\n" for n in names)
+    program = f"int main(void) {{\n{starts}    return 0;\n}}\n"
+    for ending in ("c", "h"):
+        head = "".join(f'#include "{n}.{ending}"\n' for n in names)
+        (out / f"main_{ending}.c").write_text(head + program, encoding="ascii")
+    apart = ["main_h.c", *(f"{n}.c" for n in names)]
+    for language in (["cc", "-std=c99"], ["c++", "-std=c++11", "-x", "c++"]):
+        for texts in (["main_c.c"], apart):
+            command = [*language, *STRICT, *texts, "-o", "program", "-lm"]
+            subprocess.run(command, cwd=out, check=True)
+            subprocess.run([out / "program"], check=True)
 
 
 def test_controller_as_python_control(files):

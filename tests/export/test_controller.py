@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from tests.export.native import needs_compiler, st_stepper, warns_of_nothing
+from tests.export.test_plant import RIG_EFFECTS, rig_model
 
 from dmptm_ctrl.design.controller import Controller, Notch
 from dmptm_ctrl.export.c_source import c_header, c_source
@@ -10,6 +11,7 @@ from dmptm_ctrl.export.controller import controller_program
 from dmptm_ctrl.export.native import Compiled
 from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 SAMPLES = 10_000
 LIMIT = 10.0  # V, full scale
@@ -48,20 +50,37 @@ CONTROLLERS = {
         .with_effect("sensor_gain", error=0.02)
         .with_effect("encoder_eccentricity", cosine=1e-3, sine=2e-3),
     ),
+    "rig": Controller(
+        2.0, 10.0, LIMIT, inertia=1.0, friction=0.9, effects=1.0, lead=2e-3, invert=True,
+        distance=1e-3, acceleration=20.0, notches=(Notch(60.0, 0.1, 0.5),),
+        model=rig_model(*RIG_EFFECTS["cogging"], *RIG_EFFECTS["sensors"], *RIG_EFFECTS["input"]),
+    ),
+    "encoder": Controller(
+        2.0, 10.0, LIMIT, inertia=1.0, friction=1.0, effects=1.0, acceleration=20.0,
+        model=rig_model(*RIG_EFFECTS["cogging"], *RIG_EFFECTS["presliding"]), sensor="angle",
+    ),
 }  # fmt: skip
 
 
-def readings(real="double"):
-    """Setpoints with steps and reversals, and readings that lag behind them, as `real` has them."""
+def readings(controller, real="double"):
+    """Setpoints with steps and reversals, and readings that lag behind them, as `real` has them.
+
+    In the second half the drive is far from its zero: 500 rad, the motors 100 000.
+    """
     rng = np.random.default_rng(5)
     time = 1e-3 * np.arange(SAMPLES)
     ref = 0.3 * np.sin(2 * np.pi * 0.4 * time) + 0.4 * (np.sin(2 * np.pi * 0.15 * time) > 0.6)
     ref[4000:4400] = 0.0
     speed = 0.9 * np.roll(ref, 3) + 0.02 * rng.standard_normal(SAMPLES)
-    angle = 1e-3 * np.cumsum(speed)
+    angle = 1e-3 * np.cumsum(speed) + 500.0 * (time > 5.0)
     motors = [206.25 * angle + offset for offset in (0.4, -0.7)]
-    rows = np.column_stack([ref, angle, speed, *motors])
-    return rows.astype(np.float32).astype(float) if real == "float" else rows
+    if real == "float":
+        ref, speed = (x.astype(np.float32).astype(float) for x in (ref, speed))
+    if not isinstance(controller.model, RigModel):
+        return np.column_stack([ref, angle, speed, *motors])
+    if controller.sensor:
+        return np.column_stack([ref, angle])
+    return np.column_stack([ref, 5.0 * angle, speed])
 
 
 def expected(controller, rows):
@@ -77,7 +96,7 @@ def test_c_gives_the_voltages_of_the_simulated_loop(name, real, tmp_path):
     program = controller_program(controller)
     warns_of_nothing(tmp_path, program, real)
     step = Compiled(program, real)
-    rows = readings(real)
+    rows = readings(controller, real)
     found = np.array([step(*row) for row in rows])
     true = expected(controller, rows)
     assert np.ptp(true) > 0.5  # the premise: the controller works
@@ -90,7 +109,7 @@ def test_structured_text_does_the_same(name):
     controller = CONTROLLERS[name]
     program = controller_program(controller)
     step = st_stepper(st_source(program), [p.name for p in program.outputs])
-    rows = readings()[2500:4500]
+    rows = readings(controller)[2500:4500]
     np.testing.assert_allclose(
         [step(*row) for row in rows], expected(controller, rows), rtol=0, atol=1e-12 * LIMIT
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from tests.export.native import needs_compiler, st_stepper, warns_of_nothing
-from tests.export.test_plant import rig_model
+from tests.export.test_plant import RIG, rig_model
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
@@ -14,6 +14,7 @@ from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
+from dmptm_ctrl.simulate.rig_run import march
 
 TIME = 1e-3 * np.arange(4000)
 SWEEP = 1.2 * np.sin(2 * np.pi * 0.4 * TIME)
@@ -25,7 +26,8 @@ def test_keeps_speed_and_travel_and_wastes_little():
     limits = Limits(1.3, 0.5 * np.abs(free[1]).max(), 0.6 * np.abs(free[0]).max())
     found = within(TABLE, limits, model=Model())
     u = found[["u_left_V", "u_right_V"]].to_numpy().T
-    out = simulate(Model(), TIME, u).outputs
+    after = np.hstack([u, np.zeros_like(u)])  # the drive coasts
+    out = simulate(Model(), 1e-3 * np.arange(8000), after).outputs
     assert np.abs(u).max() <= limits.signal
     shares = np.abs(out[1]).max() / limits.speed, np.abs(out[0]).max() / limits.travel
     assert max(shares) <= 1.0
@@ -41,10 +43,23 @@ def test_of_another_sample_time_it_is_held():
     np.testing.assert_array_equal(found.u_left_V[:4], TABLE.u_left_V[[0, 2, 5, 7]])
 
 
-def test_rig_of_another_shape():
-    table = pd.DataFrame({"time_s": TIME, "u_V": 6.0 * np.sin(2 * np.pi * TIME)})
-    found = within(table, Limits(speed=0.5), model=rig_model())
-    assert 0.0 < found.u_V.abs().max() < table.u_V.abs().max()
+def test_rig_of_another_shape(tmp_path):
+    """What is written keeps the limits of the load, also when it coasts behind the end."""
+    table = pd.DataFrame({"time_s": TIME[:900], "u_V": 6.0 * np.sin(2 * np.pi * TIME[:900])})
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    table.to_csv(tmp_path / "planned.csv", index=False)
+    limits = {"max-signal": 5.0, "max-speed": 0.5, "max-travel": 0.1}
+    options = [x for name, value in limits.items() for x in (f"--{name}", str(value))]
+    options += ["--model", str(tmp_path / "rig.toml"), "--out", str(tmp_path)]
+    assert main(["experiment", str(tmp_path / "planned.csv"), *options]) == 0
+    written = read_signals(tmp_path / "next_experiment.csv")
+    u = np.append(written.u_V, np.zeros(900))[None]
+    run = march(rig_model(), u, 1e-3)
+    shares = np.abs(run.speed("load")).max() / 0.5, np.abs(run.position("load")).max() / 0.1
+    assert np.abs(u).max() <= 5.0
+    assert 0.97 < max(shares) <= 1.0
+    driven = np.abs(run.position("load"))
+    assert driven[900:].max() > driven[:900].max()  # the premise: it coasts on
 
 
 @needs_compiler

@@ -3,15 +3,13 @@
 import numpy as np
 import pytest
 from tests.export.native import needs_compiler
-from tests.export.test_plant import DT, GEAR, TIME, VOLTS, close
+from tests.export.test_plant import DT, SHAPES, TIME, VOLTS, all_effects, close, driven
 
-from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.export.fmu import write_fmu
 from dmptm_ctrl.export.plant import plant_program
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 fmpy = pytest.importorskip("fmpy")
 MODEL = (
@@ -45,21 +43,19 @@ def test_runs_as_the_simulator_does(fmu):
 
 
 @needs_compiler
-def test_rig_of_another_shape(tmp_path):
-    """A motor and a load with a gap, a dead time and gravity."""
-    model = RigModel(parse_rig(GEAR, "rig.toml"))
-    model = model.with_effect(Placed("unbalance", "load", {"cosine": 0.5, "sine": 0.2}))
-    write_fmu(plant_program(model, DT), DT, tmp_path / "plant.fmu")
-    volts = 6.0 * np.sin(2 * np.pi * 4.0 * TIME) + 6.0 * (TIME > 0.2)
-    inputs = np.array(
-        list(zip(TIME, volts, strict=True)), dtype=[("time", float), ("in_voltage", float)]
-    )
-    names = ["out_angle", "out_speed"]
+@pytest.mark.parametrize("shape", SHAPES)
+def test_rig_with_all_effects_at_once(shape, tmp_path):
+    model = all_effects(SHAPES[shape])
+    u, true = driven(model)
+    program = plant_program(model, DT)
+    write_fmu(program, DT, tmp_path / "plant.fmu")
+    kinds = [("time", float), *((p.name, float) for p in program.inputs)]
+    inputs = np.array([(t, *row) for t, row in zip(TIME, u.T, strict=True)], dtype=kinds)
+    names = [p.name for p in program.outputs]
     found = fmpy.simulate_fmu(
         str(tmp_path / "plant.fmu"), stop_time=TIME[-1], output_interval=DT, step_size=DT,
         input=inputs, output=names,
     )  # fmt: skip
-    true = simulate(model, TIME, volts[None]).outputs.T
     close(np.column_stack([found[n] for n in names]), true)
 
 

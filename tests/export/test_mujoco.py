@@ -45,20 +45,30 @@ def run(joint, signals, dt=1e-3):
 def test_steady_speed_and_start_are_those_of_the_simulator():
     model = Model()
     u = np.full((2, 3000), 1.2)
-    own = march(model.arrays(), u, rest(model, 0.0), 1e-3)[:, 1]
+    own = march(model, u, rest(model, 0.0), 1e-3)[:, 1]
     found = run(mujoco_joint(model), u)
     assert own[-1] > 0.2
     # its friction is the mean of both directions and without Stribeck's part
     assert found[-1] == pytest.approx(own[-1], rel=0.25)
 
 
+VALUES = {"body.load.static": 0.1, "link.belt.stiffness": 4000.0, "link.belt.damping": 2.0}
+
+
+@pytest.mark.parametrize("delay", [0.0, 5e-3, 20e-3])
+def test_a_dead_time_is_the_simulators_to_the_sample(delay):
+    late = rig_model().with_values({**VALUES, "input.voltage.delay": delay})
+    u = 6.0 * (np.arange(400) >= 100.0)[None]
+    own = simulate(late, 1e-3 * np.arange(400), u).outputs[1]
+    found = run(mujoco_joint(late), u)
+    assert np.argmax(own > 0.0) == pytest.approx(101 + 1e3 * delay, abs=1)
+    np.testing.assert_allclose(found, own, rtol=0, atol=2e-3 * own.max())
+
+
 def test_rig_follows_where_nothing_is_lost():
     rig = rig_model()
-    values = {
-        "body.load.static": 0.1, "body.motor.coulomb": 0.02, "link.belt.stiffness": 4000.0,
-        "link.belt.damping": 2.0,
-    }  # fmt: skip
-    stiff = RigModel(rig.rig, (Placed("current_lag", "voltage", {"time_constant": 0.02}),), values)
+    lag = Placed("current_lag", "voltage", {"time_constant": 0.02})
+    stiff = RigModel(rig.rig, (lag,), VALUES)
     time = 1e-3 * np.arange(1500)
     u = 6.0 * np.sin(2 * np.pi * 1.0 * time)[None]
     own = simulate(stiff, time, u).outputs[1]

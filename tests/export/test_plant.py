@@ -163,14 +163,49 @@ AXIS = RIG[: RIG.index("[body.load]")] + RIG[RIG.index("[input.voltage]") :].rep
     '"load"', '"motor"'
 )
 GEAR = RIG.replace("[shaft.belt]", '[mesh.belt]\nbacklash = "0.5 deg"\ncontact = "two_state"')
+# two motors on a rack, one of them by a current in mA and backwards; an encoder in counts
+RACK = (
+    RIG.replace('inertia = "0.05 kg m^2"', 'mass = "20 kg"')
+    .replace('viscous = "0.01 N m s/rad"\ncoulomb = "0.1 N m"', 'viscous = "9 N s/m"')
+    .replace('static = "0.15 N m"\nstribeck_speed = "0.1 rad/s"\n', "")
+    .replace("ratio = 5", 'ratio = "50 rad/m"')
+    .replace('"omega_deg_s"', '"v_mm_s"')
+    + """
+[body.helper]
+inertia = "1e-3 kg m^2"
+coulomb = "0.01 N m"
+
+[mesh.rack]
+between = ["helper", "load"]
+ratio = "-50 rad/m"
+stiffness = "60 N m/rad"
+damping = "0.5 s/rad"
+backlash = "0.3 deg"
+contact = "impact"
+
+[input.current]
+column = "i_mA"
+body = "helper"
+gain = "0.05 N m/A"
+sign = -1
+
+[sensor.counter]
+column = "n"
+unit = "counts"
+counts_per_rev = 20000
+body = "helper"
+"""
+)
+SHAPES = {"axis": AXIS, "gear with a gap": GEAR, "rack with two motors": RACK}
 
 
-@needs_compiler
-@pytest.mark.parametrize("text", [AXIS, GEAR], ids=["axis", "gear with a gap"])
-def test_rig_with_all_effects_at_once(text, tmp_path):
+def all_effects(text):
+    """A rig with every effect it may have; with more than two bodies that takes long to compile."""
     model, rng = RigModel(parse_rig(text, "rig.toml")), np.random.default_rng(4)
     rig = model.rig
     parts = {"body": rig.bodies, "link": rig.links, "input": rig.inputs, "sensor": rig.sensors}
+    if len(rig.bodies) > 2:
+        return model
     placed = [
         (effect, part.name)
         for effect in PLACED_CATALOGUE.values()
@@ -186,10 +221,32 @@ def test_rig_with_all_effects_at_once(text, tmp_path):
             values[effect.amplitudes[0]] = SIZE[effect.name]
         model = model.with_effect(Placed(effect.name, part, values))
     assert len(placed) > 20
+    return model
+
+
+def driven(model):
+    """Signals of its inputs, and what the simulator reads."""
     u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None] + 6.0 * (TIME > 0.2)
+    u = np.vstack([u, *([0.3 * u] * (len(model.rig.inputs) - 1))])
     true = np.atleast_2d(simulate(model, TIME, u).outputs).T
-    assert (np.ptp(true, axis=0) > 0.1).all()  # the premise: it moves
+    assert (np.ptp(true, axis=0) > 0.01).all()  # the premise: it moves
+    return u, true
+
+
+@needs_compiler
+@pytest.mark.parametrize("shape", SHAPES)
+def test_rig_with_all_effects_at_once(shape, tmp_path):
+    model = all_effects(SHAPES[shape])
+    u, true = driven(model)
     close(c_run(plant_program(model, DT), u, tmp_path), true)
+
+
+def test_ports_say_what_the_logs_columns_are():
+    program = plant_program(RigModel(parse_rig(RACK, "rig.toml")), DT)
+    told = {p.name: p.text.rpartition("; ")[2] for p in (*program.inputs, *program.outputs)}
+    assert told["in_current"] == "column i_mA of the logs times -0.001"
+    assert told["out_counter"] == "column n of the logs times 0.000314159265"
+    assert told["out_speed"] == "column v_mm_s of the logs times 0.001"
 
 
 @needs_compiler

@@ -30,7 +30,7 @@ def logged(model, seed):
 def test_known_distance_is_found(distance):
     plant = Model()
     if distance > 0.0:
-        plant = plant.with_effect("presliding", **slow_friction(plant, distance))
+        plant = slow_friction(plant, distance)
     found = friction_distance(Model(), [logged(plant, 1)])
     assert found == pytest.approx(distance, abs=5e-6)
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.io import savemat
 
 from dmptm_ctrl import LogError, load_log
-from dmptm_ctrl.signals import apart, matlab
+from dmptm_ctrl.signals import matlab, subprocess_reader
 
 TIME = np.arange(400) * 2.5e-3
 X = np.sin(TIME)
@@ -191,7 +191,7 @@ def test_file_on_which_scipy_crashes(tmp_path):
 
 def test_file_that_takes_for_ever(tmp_path, monkeypatch):
     savemat(tmp_path / "run.mat", {"x_m": X})
-    monkeypatch.setattr(apart, "MAX_SECONDS", 1e-3)
+    monkeypatch.setattr(subprocess_reader, "MAX_SECONDS", 1e-3)
     with pytest.raises(LogError, match="not read within 0.001 s"):
         load_log(tmp_path / "run.mat", sample_time=1.0)
 

@@ -132,6 +132,11 @@ def check(
     ------
     LogError
         Logs or a model file that cannot be used.
+
+    Examples
+    --------
+    >>> found = dm.check("logs", "model.toml")
+    >>> print(found.summary())
     """
     if isinstance(model, str | Path):
         path = Path(model)

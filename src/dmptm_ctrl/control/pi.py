@@ -45,7 +45,7 @@ def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
     Parameters
     ----------
     plant : StateSpace
-        Two voltages in.
+        Two voltages in, or one.
     output : str
 
     Returns
@@ -56,9 +56,14 @@ def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
     Raises
     ------
     ValueError
-        The plant has no such output, or not two inputs.
+        The plant has no such output, or more than two inputs.
+
+    Examples
+    --------
+    >>> dm.common_mode(dm.three_dof(dm.paper_drive())).input_labels
+    ['u']
     """
-    if plant.ninputs != 2:
+    if plant.ninputs not in (1, 2):
         raise ValueError(f"the plant has {plant.ninputs} inputs, two motors make 2")
     if output not in plant.output_labels:
         raise ValueError(f"no output {output!r}; the plant has {', '.join(plant.output_labels)}")
@@ -126,6 +131,11 @@ def close_speed_loop(plant: ct.StateSpace, kp: float, ki: float) -> ct.StateSpac
     -------
     StateSpace
         From ``ref`` [rad/s] to ``omega_L`` [rad/s] and ``u`` [V].
+
+    Examples
+    --------
+    >>> closed = dm.close_speed_loop(dm.three_dof(dm.paper_drive()), kp=5.0, ki=90.0)
+    >>> step = ct.step_response(closed["omega_L", "ref"])
     """
     drive = common_mode(plant)
     compare = ct.summing_junction(inputs=["ref", "-omega_L"], output="error", name="compare")

@@ -86,6 +86,12 @@ def tune_pi(
     ValueError
         A phase margin outside its range, or aims that no PI meets: a gain would be negative,
         or the loop unstable.
+
+    Examples
+    --------
+    >>> pi = dm.tune_pi(dm.three_dof(dm.paper_drive()), bandwidth_hz=20.0)
+    >>> round(pi.kp, 1), round(pi.ki)  # V/(rad/s), V/rad
+    (17.6, 901)
     """
     if not 20.0 <= phase_margin_deg <= 90.0:
         raise ValueError(f"phase margin {phase_margin_deg:g}°, it must be between 20 and 90")
@@ -152,6 +158,12 @@ def assess_pi(
     ------
     ValueError
         The loop is unstable.
+
+    Examples
+    --------
+    >>> found = dm.margins(dm.three_dof(dm.paper_drive()), kp=5.0, ki=90.0)
+    >>> round(found.phase_margin_deg), round(found.gain_margin_db)
+    (63, 21)
     """
     held = sampled_drive(plant, sample_time)
     controller = in_series(sampled_pi(kp, ki, sample_time), sections, sample_time)
@@ -160,7 +172,7 @@ def assess_pi(
         hz = np.abs(np.angle(unstable)) / (2.0 * pi * sample_time)
         raise ValueError(
             f"the loop is unstable at {hz.max():.3g} Hz with kp {kp:.3g} V/(rad/s), "
-            f"ki {ki:.3g} V/rad"
+            f"ki {ki:.3g} V/rad; lower the gains or the bandwidth"
         )
     omega = np.geomspace(1e-2, 0.999 * pi / sample_time, GRID)
     shift = np.exp(1j * omega * sample_time)

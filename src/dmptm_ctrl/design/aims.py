@@ -6,13 +6,17 @@ from typing import Any
 
 import numpy as np
 
+from dmptm_ctrl.arguments import refusing
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
-from dmptm_ctrl.simulate.batch import simulate_batch
-from dmptm_ctrl.simulate.compiled import rest
-from dmptm_ctrl.simulate.dual import dual_plant
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.compiled import SUBSTEPS, rest
+from dmptm_ctrl.simulate.dual import start
+from dmptm_ctrl.simulate.law import AnyModel, loop_parts
+from dmptm_ctrl.simulate.many import Common, run_many
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.parts import Parts
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import substeps_for
 
 LOST = 1e3  # deg/s, error of a run that left the finite numbers
 GYRO = 0.05 * DEG  # rad/s rms, noise of the speed reading the loop is tuned with
@@ -20,6 +24,7 @@ HIGHEST_HZ = 60.0
 EVERY = 4  # samples, one of which is judged
 
 
+@refusing
 @dataclass(frozen=True)
 class Aims:
     """What the loop is to do.
@@ -39,6 +44,11 @@ class Aims:
         Standard deviation of the speed reading.
     notch : bool
         Whether the search may add a notch; it then also tries more distances.
+
+    Examples
+    --------
+    >>> dm.Aims(phase_margin_deg=60.0, limit=5.0).limit
+    5.0
     """
 
     phase_margin_deg: float = 55.0
@@ -58,7 +68,7 @@ class Aims:
 
 def tracking(
     controller: Controller,
-    plants: Sequence[Model],
+    plants: Sequence[AnyModel],
     aims: Aims,
     *,
     seed: int = 0,
@@ -68,54 +78,79 @@ def tracking(
 
     Returns
     -------
-    errors : (plants,) array [deg/s]
+    errors : (plants,) array [deg/s, of a rig its sensor's SI unit]
         RMS of setpoint minus true speed, after the settling.
-    volts : (plants,) array [V]
-        Largest voltage of either motor.
+    volts : (plants,) array [V, or the SI unit of the input]
+        Largest signal of an input.
     """
-    duty = aims.duty
+    duty, law = aims.duty, controller.law()
     rng = np.random.default_rng(seed)
     noise = aims.noise * rng.standard_normal(duty.reference.size)
-    starts = np.array([rest(plant, 0.0) for plant in plants])
-    runs = simulate_batch(
-        plants,
-        duty.time,
-        duty.reference,
-        starts,
-        loop=controller.law(),
-        noise=noise,
-        outputs=["omega_L"],
-        every=EVERY,
-        n_jobs=n_jobs,
-    )
+    inputs = plants[0].plant().input_body.size
+    _, sensor = loop_parts(controller.model, controller.input, controller.sensor)
+    common = Common(
+        duty.sample_time, max(steps_of(plant, duty.sample_time) for plant in plants),
+        duty.reference.size, np.zeros((1, inputs, 0)), duty.reference[None],
+        noise[None], (f"reading{sensor}",), EVERY, tuple(f"signal{j}" for j in range(inputs)),
+    )  # fmt: skip
+    starts = [at_rest(plant) for plant in plants]
+    runs, statistics = run_many(plants, starts, common, [law] * len(plants), n_jobs=n_jobs)
     first = round(duty.settling / duty.sample_time / EVERY)
     miss = np.array(
         [
-            missed(plant, duty, reading, EVERY)
-            for plant, reading in zip(plants, runs.outputs[:, 0], strict=True)
+            missed(plant, duty, run[0], EVERY, sensor)
+            for plant, run in zip(plants, runs, strict=True)
         ]
     )
-    errors = np.sqrt(np.mean((miss[:, first:] / DEG) ** 2, axis=1))
-    volts = np.maximum(-runs.least, runs.greatest)[:, -2:].max(axis=1)
+    unit = error_unit(controller)[1]
+    errors = np.sqrt(np.mean((miss[:, first:] / unit) ** 2, axis=1))
+    volts = np.array([np.maximum(-s[0], s[1]).max() for s in statistics])
     return np.where(np.isfinite(errors), np.minimum(errors, LOST), LOST), volts
 
 
-def missed(model: Model, duty: Duty, reading: Floats, every: int = 1) -> Floats:
-    """Return true speed minus setpoint [rad/s] at each sample of a simulated speed sensor.
+def error_unit(controller: Controller) -> tuple[str, float]:
+    """Return the unit in which tracking errors are told, and its size in SI."""
+    if isinstance(controller.model, RigModel):
+        return f"{controller.units[1]}/s", 1.0
+    return "deg/s", DEG
+
+
+def steps_of(model: AnyModel, dt: float) -> int:
+    """Return how many steps the simulator takes per sample."""
+    return substeps_for(model.plant(), dt) if isinstance(model, RigModel) else SUBSTEPS
+
+
+def at_rest(model: AnyModel) -> tuple[Floats, Floats]:
+    """Return coordinates and speeds of a drive at rest at angle 0."""
+    plant = model.plant()
+    if isinstance(model, RigModel):
+        return np.zeros(plant.inertia.size), np.zeros(plant.inertia.size)
+    return start(plant, rest(model, 0.0))
+
+
+def missed(model: AnyModel, duty: Duty, reading: Floats, every: int = 1, sensor: int = 1) -> Floats:
+    """Return true speed minus setpoint [rad/s] at each sample of a simulated sensor.
 
     A reading that is late is compared with the setpoint of its time, and one with a wrong gain
     is put right: a loop is to move the load, not the sensor.
 
     Parameters
     ----------
-    model : Model
+    model : Model or RigModel
         That gave the reading.
     duty : Duty
-    reading : (m,) array [rad/s]
+    reading : (m,) array [rad/s, or rad of a position sensor]
         Without noise, one of `every` samples.
     every : int
+    sensor : int
+        Of the plant; by default the speed of the ring gear.
     """
-    plant = dual_plant(model.arrays())
-    gain = Parts(plant).reading(1, 0.0, 1.0, 0.0)
-    then = duty.time[::every] - float(plant.sensor_delay[1])
-    return np.asarray(reading / gain - np.interp(then, duty.time, duty.reference))
+    plant = model.plant()
+    parts = Parts(plant)
+    if plant.sensor_speed[sensor]:
+        speed = reading / parts.reading(sensor, 0.0, 1.0, 0.0)
+    else:
+        gain = parts.reading(sensor, 1.0, 0.0, 0.0) - parts.reading(sensor, 0.0, 0.0, 0.0)
+        speed = np.gradient(reading, every * duty.sample_time) / gain
+    then = duty.time[::every] - float(plant.sensor_delay[sensor])
+    return np.asarray(speed - np.interp(then, duty.time, duty.reference))

@@ -9,7 +9,8 @@ import pandas as pd
 
 from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.law import AnyModel, effect_keys
+from dmptm_ctrl.simulate.model import Floats
 
 QUANTILE = 0.9
 # parts of a compensation besides effects -> fields that switch them off
@@ -28,7 +29,7 @@ def parts_of(controller: Controller) -> list[str]:
         for name, off in _PARTS.items()
         if any(getattr(controller, key) != value for key, value in off.items())
     ]
-    return [*on, *controller.model.effects]
+    return [*on, *effect_keys(controller.model)]
 
 
 def without_part(controller: Controller, part: str) -> Controller:
@@ -39,7 +40,7 @@ def without_part(controller: Controller, part: str) -> Controller:
 
 
 def predicted_parts(
-    controller: Controller, plants: Sequence[Model], aims: Aims, *, seed: int, n_jobs: int
+    controller: Controller, plants: Sequence[AnyModel], aims: Aims, *, seed: int, n_jobs: int
 ) -> pd.DataFrame:
     """Return what each part of a compensation takes off the error, most first.
 

@@ -10,6 +10,7 @@ from typing import Any
 import control as ct
 import tomlkit
 
+from dmptm_ctrl.arguments import refusing
 from dmptm_ctrl.control.pi import pi_controller, sampled_pi
 from dmptm_ctrl.control.sections import in_series, notch, sampled_notch
 from dmptm_ctrl.design.draws import slow_friction
@@ -18,12 +19,13 @@ from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import write_atomic
 from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
-from dmptm_ctrl.simulate.law import Design, Law
-from dmptm_ctrl.simulate.model_file import from_toml, to_toml
+from dmptm_ctrl.simulate.law import Design, Law, default_loop
+from dmptm_ctrl.simulate.model_file import input_symbol, model_of, model_text
+from dmptm_ctrl.simulate.rig_model import RigModel
 
-KIND = "dual-motor speed controller"
+KIND = "speed controller"
 SCHEMA = 1
-# number of a controller -> unit, as in its file
+# number of a controller -> unit, as in its file; V and rad stand for those of a rig's parts
 UNITS = {
     "kp": "V/(rad/s)",
     "ki": "V/rad",
@@ -53,14 +55,18 @@ class Notch:
     width: float
 
 
+@refusing
 @dataclass(frozen=True)
 class Controller(Design):
-    """PI on the ring-gear speed with what a model lets one add.
+    """PI on the speed of a ring gear, or of a rig's sensor, with what a model lets one add.
+
+    Units are those of the dual-motor drive. Of a rig V stands for the SI unit of the input, and
+    rad for that of the sensor's angle or position.
 
     Attributes
     ----------
     preload : float [V]
-        Added on the left motor, taken off on the right.
+        Added on the left motor, taken off on the right. 0 for a rig.
     sample_time : float [s]
     notches : tuple of Notch
         Up to two in the simulated loop; any number in the equations and transfer functions.
@@ -69,6 +75,12 @@ class Controller(Design):
     relief_from, relief_to : float [V]
         Common voltages between which the preload fades to nothing, as in torque-bias profiles
         of antennas (Gawronski et al. 2000, ref. 15 of the paper); equal ones keep it constant.
+
+    Examples
+    --------
+    >>> controller = dm.Controller(5.0, 90.0, limit=10.0, preload=0.3)
+    >>> controller.to_ss().output_labels
+    ['u']
     """
 
     preload: float = 0.0
@@ -85,12 +97,23 @@ class Controller(Design):
             if math.isnan(getattr(self, name)):
                 raise ValueError(f"{name} of the controller is NaN; it must be a number")
         physical("sample_time of the controller", self.sample_time, "s")
+        if self.preload and isinstance(self.model, RigModel):
+            raise ValueError("a preload needs two motors; the controller of a rig has one")
+
+    @property
+    def units(self) -> tuple[str, str]:
+        """SI units of the input and of the sensor's angle or position."""
+        if not isinstance(self.model, RigModel):
+            return "V", "rad"
+        source, sensor = default_loop(self.model.rig, self.input, self.sensor)
+        body = next(s.body for s in self.model.rig.sensors if s.name == sensor)
+        return input_symbol(self.model.rig, source), self.model.rig.body(body).angle_unit
 
     def law(self) -> Law:
         """Return it as the compiled simulator takes it."""
         model, dt = self.model, self.sample_time
         if self.distance > 0.0:
-            model = model.with_effect("presliding", **slow_friction(model, self.distance))
+            model = slow_friction(model, self.distance)
         return Law(
             **{**self.shared(), "model": model},
             bias_l=self.preload,
@@ -123,10 +146,13 @@ class Controller(Design):
         """
         dt, limit = _full(self.sample_time), _full(self.limit)
         top = _full(self.acceleration)
+        sides, measured = [("_left", " +"), ("_right", " -")], "omega_L"
+        if isinstance(self.model, RigModel):
+            sides, measured = [("", "")], "speed"
         lines = [
             f"every {dt} s:",
             f"a[k] = clip((ref[k] - ref[k-1])/{dt}, -{top}, {top})",
-            f"e[k] = ref[k] - {_full(self.late)}*a[k] - omega_L[k]",
+            f"e[k] = ref[k] - {_full(self.late)}*a[k] - {measured}[k]",
             f"I[k] = I[k-1] + {dt}*e[k]",
             f"v[k] = {_full(self.kp)}*e[k] + {_full(self.ki)}*I[k]",
         ]
@@ -140,10 +166,11 @@ class Controller(Design):
                 f"- {a1}*{new}[k-1] - {a2}*{new}[k-2]"
             )
             last = new
+        which = ", s = left, right" if len(sides) > 1 else ""
         lines.append(
-            f"f_s[k] = volts of the model at omega = ref[k] + {_full(self.lead)}*a[k], s = left, "
-            f"right: {self.inertia:g} × inertia + {self.friction:g} × friction "
-            f"- {self.effects:g} × torques of motor and load effects"
+            f"f{'_s' * bool(which)}[k] = signal of the model at speed ref[k] + "
+            f"{_full(self.lead)}*a[k]{which}: {self.inertia:g} × inertia + {self.friction:g} × "
+            f"friction - {self.effects:g} × torques of motor and load effects"
         )
         press = _full(self.preload)
         if self.relief_to > self.relief_from:
@@ -153,17 +180,17 @@ class Controller(Design):
                 f"abs({last}[k] + 0.5*(f_left[k] + f_right[k])))/{span}, 0.0, 1.0)"
             )
             press = "p[k]"
-        inner = "inverse of the drive of wanted_s[k]" if self.invert else "wanted_s[k]"
-        for side, sign in (("left", "+"), ("right", "-")):
-            own = inner.replace("_s[", f"_{side}[")
+        for side, sign in sides:
+            own = f"inverse of the drive of wanted{side}[k]" if self.invert else f"wanted{side}[k]"
+            pressed = f"{sign} {press}" if sign else ""
             lines += [
-                f"wanted_{side}[k] = {last}[k] {sign} {press} + f_{side}[k]",
-                f"u_{side}[k] = clip({own}, -{limit}, {limit})",
+                f"wanted{side}[k] = {last}[k]{pressed} + f{side}[k]",
+                f"u{side}[k] = clip({own}, -{limit}, {limit})",
             ]
         if self.tracking > 0.0 and self.ki > 0.0:
-            back = _full(0.5 * self.tracking * self.sample_time / self.ki)
-            got = "drive of u_{0}[k]" if self.invert else "u_{0}[k]"
-            lost = " + ".join(f"{got} - wanted_{{0}}[k]".format(s) for s in ("left", "right"))
+            back = _full(self.tracking * self.sample_time / self.ki / len(sides))
+            got = "drive of u{0}[k]" if self.invert else "u{0}[k]"
+            lost = " + ".join(f"{got} - wanted{{0}}[k]".format(s) for s, _ in sides)
             lines.append(f"I[k] = I[k] + {back}*({lost})")
         return "\n".join(lines)
 
@@ -178,11 +205,13 @@ class Controller(Design):
         for line in self.equations().splitlines():
             document.add(tomlkit.comment(line))
         table = tomlkit.table()
+        volt, rad = self.units
         for name, unit in UNITS.items():
             item = tomlkit.item(float(getattr(self, name)))
-            item.comment(unit)
+            item.comment(unit.replace("rad", rad).replace("V", volt))
             table[name] = item
         table["invert"] = self.invert
+        table["input"], table["sensor"] = self.input, self.sensor
         document["controller"] = table
         notches = tomlkit.aot()
         for part in self.notches:
@@ -193,7 +222,7 @@ class Controller(Design):
             notches.append(row)
         if self.notches:
             document["notch"] = notches
-        document["model"] = tomlkit.string(to_toml(self.model), multiline=True)
+        document["model"] = tomlkit.string(model_text(self.model), multiline=True)
         return tomlkit.dumps(document)
 
     def save(self, file: str | PathLike[str]) -> None:
@@ -222,6 +251,11 @@ def read_controller(file: str | PathLike[str]) -> Controller:
     ------
     LogError
         No such file, not TOML, another kind, a number that is missing or not finite.
+
+    Examples
+    --------
+    >>> dm.read_controller("controller.toml").kp
+    5.0
     """
     path = Path(file)
     try:
@@ -239,7 +273,11 @@ def read_controller(file: str | PathLike[str]) -> Controller:
     found = numbers(table, UNITS, "controller")
     rows = data.get("notch", [])
     notches = tuple(Notch(**numbers(r, ("hz", "depth", "width"), "notch")) for r in rows)
-    model = from_toml(str(data.get("model", "")), name=f"{path.name}, [model]")
-    return Controller(
-        **found, notches=notches, invert=bool(table.get("invert", False)), model=model
-    )
+    model = model_of(str(data.get("model", "")), f"{path.name}, [model]")
+    names = {name: str(table.get(name, "")) for name in ("input", "sensor")}
+    invert = bool(table.get("invert", False))
+    try:
+        rest: dict[str, Any] = {**found, **names}
+        return Controller(**rest, notches=notches, invert=invert, model=model)
+    except ValueError as error:
+        raise LogError(f"{path.name}: {error}") from None

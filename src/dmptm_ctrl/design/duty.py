@@ -46,11 +46,15 @@ def there_and_back(
     return np.asarray(np.interp(time, corners, levels), float)
 
 
-def usual_duty(sample_time: float = 1e-3) -> Duty:
+FASTEST = 15 * DEG  # rad/s, of the usual duty
+
+
+def usual_duty(sample_time: float = 1e-3, speed: float = FASTEST) -> Duty:
     """Return what controllers are tuned for by default, 9 s.
 
     A rest that is not judged, the paper's closed-loop sines (10 deg/s at 0.5 Hz, 15 deg/s at
-    1 Hz), a slow trapezoid, a rest and a start of a slow sine.
+    1 Hz), a slow trapezoid, a rest and a start of a slow sine. With another `speed` [rad/s or m/s]
+    as the largest all are larger or smaller alike.
     """
     parts = (
         np.zeros(round(SETTLING / sample_time)),
@@ -60,4 +64,4 @@ def usual_duty(sample_time: float = 1e-3) -> Duty:
         np.zeros(round(0.5 / sample_time)),
         sine(2 * DEG, 1.0, 0.9, sample_time)[: round(0.5 / sample_time)],
     )
-    return Duty(np.concatenate(parts), sample_time, SETTLING)
+    return Duty(speed / FASTEST * np.concatenate(parts), sample_time, SETTLING)

@@ -76,6 +76,11 @@ def impact(
         A model without effects and no `nominal` to compare with.
     TypeError
         Of a drive of another shape.
+
+    Examples
+    --------
+    >>> model = dm.Model().with_effect("unbalance", cosine=8.0, sine=0.0)
+    >>> print(dm.impact(model, dm.Controller(5.0, 90.0, preload=0.3)).table)
     """
     augmented: Model = getattr(found, "augmented", found)
     if not isinstance(augmented, Model):

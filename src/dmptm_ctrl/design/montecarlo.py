@@ -14,7 +14,9 @@ from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.draws import DECLARED, one_plant
 from dmptm_ctrl.parallel import each
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.law import AnyModel
+from dmptm_ctrl.simulate.model import Floats
+from dmptm_ctrl.simulate.model_file import model_text
 
 CHUNK = 64  # plants per task: enough for the lanes, small enough to lose
 CONFIDENCE = 0.95
@@ -53,12 +55,12 @@ class MonteCarlo(NamedTuple):
 
 
 def monte_carlo(
-    model: Model,
+    model: AnyModel,
     controller: Controller,
     count: int,
     *,
     uncertainty: float = DECLARED,
-    effects: Sequence[Model] = (),
+    effects: Sequence[AnyModel] = (),
     aims: Aims | None = None,
     seed: int = 0,
     n_jobs: int | None = None,
@@ -68,7 +70,7 @@ def monte_carlo(
 
     Parameters
     ----------
-    model : Model
+    model : Model or RigModel
     controller : Controller
     count : int
     uncertainty : float
@@ -94,6 +96,11 @@ def monte_carlo(
     ------
     ValueError
         No plants asked for, or a folder that holds another run.
+
+    Examples
+    --------
+    >>> runs = dm.monte_carlo(dm.Model(), dm.Controller(5.0, 90.0, preload=0.3), 100)
+    >>> np.quantile(runs.errors, 0.9)  # deg/s
     """
     if count < 1:
         raise ValueError(f"count is {count}; needs at least one plant")
@@ -113,7 +120,7 @@ def monte_carlo(
 
 def _chunk(
     controller: Controller,
-    models: list[Model],
+    models: list[AnyModel],
     task: range,
     uncertainty: float,
     aims: Aims,
@@ -123,12 +130,11 @@ def _chunk(
     return tracking(controller, plants, aims, seed=seed, n_jobs=1)
 
 
-def _key(controller: Controller, models: list[Model], aims: Aims, *numbers: float) -> str:
+def _key(controller: Controller, models: list[AnyModel], aims: Aims, *numbers: float) -> str:
     """Fingerprint of all that the result depends on."""
     parts: list[Any] = [controller.to_toml(), *numbers, aims.duty.reference.tobytes(), aims.noise]
     parts += [aims.duty.sample_time, aims.duty.settling]
-    for model in models:
-        parts += [array.tobytes() for array in model.arrays()]
+    parts += [model_text(model) for model in models]
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part if isinstance(part, bytes) else repr(part).encode())

@@ -17,16 +17,16 @@ from dmptm_ctrl.diagnosis.dual_report import (
     unnamed,
 )
 from dmptm_ctrl.diagnosis.experiment import next_experiment
+from dmptm_ctrl.diagnosis.impact_chatter import rattled
 from dmptm_ctrl.diagnosis.judge import judge, rise
 from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.negligible import without_negligible
-from dmptm_ctrl.diagnosis.rattle import rattled
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
 from dmptm_ctrl.diagnosis.residual import Residual, closed, of_windows, predicting_fit, residual
 from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
 from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import cross_check, sensor_effect, with_sensors
-from dmptm_ctrl.diagnosis.short import with_short_predictions
+from dmptm_ctrl.diagnosis.short_predictions import with_short_predictions
 from dmptm_ctrl.diagnosis.summary import correlated
 from dmptm_ctrl.diagnosis.tables import in_tables
 from dmptm_ctrl.diagnosis.unknown import unexplained

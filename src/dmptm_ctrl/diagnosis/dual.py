@@ -209,7 +209,8 @@ class DualEvidence:
             (trial,) = c.fitted
             model = model.with_effect(trial.name, **trial.fit.model.effects[trial.name])
             unknowns = (*unknowns, *unknowns_of(trial.name))
-        fit = fit_balance(state.left.balance, model, unknowns)
+        slopes = state.left.base.jacobian
+        fit = fit_balance(state.left.balance, model, unknowns, jacobian=slopes)
         return self._candidate(state, tuple(Trial(n, 0.0, 0.0, fit) for n in names))
 
     def adopt(self, state: DualState, candidate: Candidate) -> DualState:

@@ -1,7 +1,7 @@
 """Numbers behind the pictures of a dual-motor drive: folded residuals, orders per turn, gaps.
 
 The residual that is folded is chosen by where the effect acts: the reading of the speed
-sensor for sensors, the twist of the left chain for meshes (with motor encoders), else the
+sensor for sensors, the twist of the left pinion for meshes (with motor encoders), else the
 torque at the ring gear that the model lacks. That torque is read off an observer: led by
 the measured angle with bandwidth ω0 the model lags by an angle e and a speed v behind a torque
 T = J ω0² e + B v that it does not know.
@@ -58,7 +58,7 @@ def folded(source: "DualSource", name: str, unexplained: tuple[str, ...]) -> Evi
         speed = low_pass(rec.omega, rec.dt)
         news = min(1.0, rec.dt * 2.0 * np.pi * OBSERVER_HZ)  # closer samples count as one
         for rows, model in zip(sides, (without, after), strict=True):
-            run = predict(rec, model.arrays(), OBSERVER_HZ)
+            run = predict(rec, model, OBSERVER_HZ)
             x, variable = abscissa(on, rec, run, model, effect, values)
             y, keep, quantity = left_over(rec, run, model, effect)
             keep = keep & (np.abs(speed) > SLOWEST)
@@ -154,7 +154,7 @@ def left_over(
         return (
             ARCMIN * (rec.twist[:, 0] - twist),
             keep,
-            "twist of the left chain,\nmeasured − model [arcmin]",
+            "twist of the left pinion,\nmeasured − model [arcmin]",
         )
     inertia = model.drive["J_L"] + 2.0 * n2**2 * pinion_inertia(model.drive)
     forward, backward = (
@@ -183,7 +183,7 @@ def orders_uri(along: Orders) -> str:
 def orders(source: "DualSource") -> Orders:
     """Amplitude of what is left per order of the motor's turn, before and after.
 
-    Of the transmission error (twist of the left chain, measured − model) where there are motor
+    Of the transmission error (twist of the left pinion, measured − model) where there are motor
     encoders, else of the speed.
     """
     records = {r.name: r for r in (*source.measured.fit, *source.measured.held)}.values()
@@ -203,7 +203,7 @@ def orders(source: "DualSource") -> Orders:
 
 def _along_the_turn(rec: Record, model: Model, twisted: bool) -> tuple[Floats, Floats, Floats]:
     """Motor angle, what is left and the angle passed per block, where the drive moves."""
-    run = predict(rec, model.arrays(), OBSERVER_HZ)
+    run = predict(rec, model, OBSERVER_HZ)
     n1, n2 = model.drive["N_1"], model.drive["N_2"]
     turn = rec.theta * n1 * n2
     if twisted:

@@ -18,7 +18,7 @@ from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
 from dmptm_ctrl.identify.fit import Fit
-from dmptm_ctrl.identify.led import Led
+from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
 

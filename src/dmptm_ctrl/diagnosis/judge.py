@@ -27,7 +27,7 @@ from dmptm_ctrl.diagnosis.unknown import Unexplained
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import FREEDOM, scatter
 from dmptm_ctrl.identify.fit import Fit, place
-from dmptm_ctrl.identify.led import BLOCK_SECONDS, MEMORY_SECONDS, Led
+from dmptm_ctrl.identify.observer_driven import BLOCK_SECONDS, MEMORY_SECONDS, Led
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model

@@ -56,6 +56,12 @@ def diagnose(
     ------
     LogError
         Bad input, in one sentence.
+
+    Examples
+    --------
+    >>> found = dm.diagnose("logs")
+    >>> print(found.summary())
+    >>> found.save("result")
     """
     if rig is None or isinstance(rig, Drive):
         if isinstance(logs, str | PathLike):

@@ -42,6 +42,11 @@ def baseline_drive(drive: Drive | None = None, *, speed: float = USUAL) -> Drive
     ------
     ValueError
         A speed that is not positive.
+
+    Examples
+    --------
+    >>> dm.baseline(dm.paper_drive())["TLc_plus"]
+    0.0
     """
     drive = paper_drive() if drive is None else drive
     physical("speed of the baseline's sine", speed, "rad/s")

@@ -184,6 +184,11 @@ def nine_dof_ss(
     Source
     ------
     Paper, Eqs. 1 to 15 (Eq. 15's F_l34r is F_l34t). Unprinted parameters are ours.
+
+    Examples
+    --------
+    >>> dm.nine_dof(dm.paper_drive(), K_12=2e4).nstates  # a softer first gear
+    17
     """
     train = nine_dof_train(drive, **overrides)
     return train.to_ss(inputs=inputs, outputs=outputs, states=states)

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import inf, isfinite, pi
 from types import MappingProxyType
+from typing import SupportsFloat
 
 from dmptm_ctrl.drive.errata import ERRATA
 
@@ -56,6 +57,14 @@ class Quantity:
     low: float | None = None
     high: float | None = None
 
+    def __str__(self) -> str:
+        if not isfinite(self.value):
+            return "unknown"
+        text = f"{self.value:.4g} {self.unit}".strip()
+        if self.low is not None and self.high is not None:
+            return f"{text} ({self.low:.4g} to {self.high:.4g})"
+        return f"{text} ± {100 * self.tolerance:.3g} %" if self.tolerance else text
+
     def at(self, value: float) -> "Quantity":
         """Return the same declaration with another value."""
         return Quantity(value, self.unit, self.tolerance, self.source, self.low, self.high)
@@ -75,17 +84,29 @@ class Quantity:
         return high > low
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Drive(Mapping[str, float]):
     """Declared parameters of a dual-motor drive; a read-only mapping name → value.
 
-    Every quantity of the plant is here; `drive["k"]` is a value, `drive.quantities["k"]`
-    the value with unit, range and source.
+    ``print(drive)`` lists them. `drive["k_m"]` is a value in SI, `drive.quantities["k_m"]` the
+    value with unit, range and source.
 
     Attributes
     ----------
     quantities : mapping of str to Quantity
+        ``K_d`` amplifier, ``K_M`` torque constant; inertias ``J_m`` of a motor, ``J_2`` beside it
+        at the pinion, ``J_L`` of the ring gear; ``N_1`` motor turns per pinion turn, ``N_2``
+        pinion turns per turn of the ring gear; ``k_m``, ``c``, ``c_f`` stiffness of a mesh, its
+        damping in contact and in the gap; ``gap_l``, ``gap_r`` half-gaps. Friction of a pinion
+        (3) and of the ring gear (L), by direction: ``T3s`` static, ``T3c`` Coulomb, ``W3``
+        Stribeck speed, ``B3`` viscous.
     name : str
+
+    Examples
+    --------
+    >>> heavier = dm.paper_drive().with_values(J_L=3.0)
+    >>> heavier["J_L"]
+    3.0
     """
 
     quantities: Mapping[str, Quantity]
@@ -93,6 +114,13 @@ class Drive(Mapping[str, float]):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "quantities", MappingProxyType(dict(self.quantities)))
+
+    def __repr__(self) -> str:
+        return f"<Drive {self.name!r}: {len(self)} parameters>"
+
+    def __str__(self) -> str:
+        rows = [f"{key:10} {q!s:32} {q.source}" for key, q in self.quantities.items()]
+        return "\n".join([f"drive: {self.name}", *rows])
 
     def __getitem__(self, key: str) -> float:
         try:
@@ -120,10 +148,14 @@ class Drive(Mapping[str, float]):
         ------
         KeyError
             A name that the drive does not have.
+        TypeError
+            A value that is no number.
         """
         new = dict(self.quantities)
         for key, value in values.items():
             self[key]
+            if not isinstance(value, SupportsFloat):
+                raise TypeError(f"{key} is {value!r}; it must be a number")
             new[key] = new[key].at(float(value))
         return Drive(new, self.name)
 
@@ -187,6 +219,12 @@ def paper_drive(*, as_printed: bool = False) -> Drive:
     ------
     Tables 1 and 2; corrections in :data:`ERRATA`. `c_f` is "an adjustable parameter"
     (section 4.2.2) without a printed value: ours, a small fraction of c.
+
+    Examples
+    --------
+    >>> drive = dm.paper_drive()
+    >>> drive["J_L"], drive.quantities["J_L"].unit
+    (2.5, 'kg·m²')
     """
     t1 = "Table 1"
     reducer_plus = (2.5, 2.8, 2.0, 0.01) if as_printed else (2.8, 2.5, 2.0, 0.01)

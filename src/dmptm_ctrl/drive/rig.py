@@ -3,7 +3,7 @@
 Made from a file by :func:`dmptm_ctrl.drive.rigfile.load_rig`.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from math import inf, isfinite, nan
@@ -59,6 +59,11 @@ class Body:
     linear: bool = False
     friction: Mapping[str, Quantity] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        friction = ", ".join(f"{key} {value}" for key, value in self.friction.items())
+        kind = "mass" if self.linear else "inertia"
+        return f"{kind} {self.inertia}" + (f"; friction: {friction}" if friction else "")
+
     @property
     def angle_unit(self) -> str:
         """SI unit of the coordinate."""
@@ -98,6 +103,17 @@ class Link:
     gap_damping: Quantity | None = None
     mesh: bool = False
     contact: str = "eq21"
+
+    def __str__(self) -> str:
+        parts = [f"{'mesh' if self.mesh else 'shaft'} {self.name}"]
+        if self.ratio.value != 1:
+            parts.append(f"ratio {self.ratio.value:.6g} ({self.first} per {self.second})")
+        parts.append("rigid" if self.rigid else f"stiffness {self.stiffness}")
+        if self.damping is not None:
+            parts.append(f"damping {self.damping}")
+        if self.half_gap is not None:
+            parts.append(f"half-gap {self.half_gap}")
+        return ", ".join(parts)
 
     @property
     def rigid(self) -> bool:
@@ -247,9 +263,9 @@ class DataSpec:
         return _of_log(self.start, name), _of_log(self.stop, name)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Rig:
-    """A declared drive of any shape.
+    """A declared drive of any shape; ``print(rig)`` draws it as a tree of text.
 
     Attributes
     ----------
@@ -266,7 +282,43 @@ class Rig:
     controller: Controller | None = None
     data: DataSpec = field(default_factory=DataSpec)
     source: str = ""
-    text: str = field(default="", repr=False)
+    text: str = ""
+
+    def __repr__(self) -> str:
+        parts = (f"{len(getattr(self, k))} {k}" for k in ("bodies", "links", "inputs", "sensors"))
+        return f"<Rig {self.name!r}: {', '.join(parts)}>"
+
+    def __str__(self) -> str:
+        lines = [self.name]
+        for depth, link, body in self.walk():
+            stem = "    " * depth
+            if link is not None:
+                lines.append(f"{stem[4:]}└── {link}")
+            lines.append(f"{stem}[{body.name}] {body}")
+            for source in (i for i in self.inputs if i.body == body.name):
+                gain = source.gain
+                lines.append(f"{stem}  ← {source.name}: column {source.column}, gain {gain}")
+            for sensor in (s for s in self.sensors if s.body == body.name):
+                lines.append(f"{stem}  → {sensor.name}: {sensor.measures}, column {sensor.column}")
+        lines += [f"declared effect: {effect.name} on {effect.on}" for effect in self.effects]
+        if self.controller is not None:
+            loop = self.controller
+            lines.append(f"controller: {loop.kind} from {loop.sensor} to {loop.input}")
+        return "\n".join(lines)
+
+    def walk(self) -> Iterator[tuple[int, Link | None, Body]]:
+        """Bodies from the first driven one outwards, with the link that leads to each."""
+        done = set()
+        waiting: list[tuple[int, Link | None, str]] = [(0, None, self.inputs[0].body)]
+        while waiting:
+            depth, link, name = waiting.pop()
+            done.add(name)
+            yield depth, link, self.body(name)
+            for k in reversed(self.links):
+                if name in (k.first, k.second):
+                    other = k.second if k.first == name else k.first
+                    if other not in done:
+                        waiting.append((depth + 1, k, other))
 
     def body(self, name: str) -> Body:
         """Body by name."""

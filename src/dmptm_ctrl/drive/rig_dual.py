@@ -19,6 +19,11 @@ def paper_rig() -> Rig:
     -------
     Rig
         Five bodies: two motors, two pinions, one ring gear.
+
+    Examples
+    --------
+    >>> dm.paper_rig()
+    <Rig 'paper': 5 bodies, 4 links, 2 inputs, 2 sensors>
     """
     return load_rig(PAPER_RIG)
 

@@ -67,6 +67,11 @@ def load_rig(path: str | PathLike[str]) -> Rig:
     RigError
         No such file, no TOML, a key that does not exist or is missing, a value that cannot
         be read; with line, key, and what would be right.
+
+    Examples
+    --------
+    >>> dm.load_rig("rig.toml")
+    <Rig 'paper': 5 bodies, 4 links, 2 inputs, 2 sensors>
     """
     path = Path(path)
     try:

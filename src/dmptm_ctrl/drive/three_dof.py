@@ -73,5 +73,11 @@ def three_dof_ss(
     Source
     ------
     Paper, Eqs. 16 to 18 and appendix (its R4 is R_L).
+
+    Examples
+    --------
+    >>> plant = dm.three_dof(dm.paper_drive(), outputs=("omega_L", "tau_l"))
+    >>> plant.input_labels, plant.output_labels
+    (['u_left', 'u_right'], ['omega_L', 'tau_l'])
     """
     return three_dof_train(drive).to_ss(inputs=inputs, outputs=outputs, states=states)

@@ -63,6 +63,12 @@ def register(effect: Effect) -> Effect:
     ------
     ValueError
         A name that is taken, or a site that does not exist.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from dmptm_ctrl.effects import CATALOGUE
+    >>> tilt = dm.register_effect(replace(CATALOGUE["unbalance"], name="tilt"))
     """
     if effect.name in CATALOGUE:
         raise ValueError(f"effect {effect.name!r} is in the catalogue already; choose another name")

@@ -1,13 +1,14 @@
 """A program as C99: one header, one source, no allocation and nothing but the C library's maths."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from dmptm_ctrl.export.printer import ATOM, LEVEL, UNARY, Printer
+from dmptm_ctrl.export.printer import ATOM, LEVEL, UNARY, Printer, in_float
 from dmptm_ctrl.export.program import (
     BOOL,
     INT,
     REAL,
+    WIDE,
     Array,
     Assign,
     For,
@@ -17,6 +18,7 @@ from dmptm_ctrl.export.program import (
     Port,
     Program,
     ascii_text,
+    widest,
 )
 
 REALS = ("double", "float")
@@ -46,28 +48,28 @@ def _chosen(block: list[Any]) -> list[Any]:
 
 
 class CPrinter(Printer):
-    """Prints C; variables that are kept stand in the state."""
+    """Prints C; `names` are those of variables that stand in the state, and of tables.
+
+    `prefix` is put before the names of functions of whole numbers.
+    """
 
     signs = {"or": "||", "and": "&&", "neg": "-", "not": "!"}  # noqa: RUF012
     set_to = "="
     words = {"if": "if ({}) {{", "else": "} else {", "end if": "}", "end for": "}"}  # noqa: RUF012
 
-    def __init__(self, real: str, state: set[str]) -> None:
+    def __init__(self, real: str, names: Mapping[str, str] | None = None, prefix: str = "") -> None:
         if real not in REALS:
             raise ValueError(f"real is {real!r}; it must be one of {', '.join(REALS)}")
-        self.real, self.state = real, state
-        self.suffix = "f" if real == "float" else ""
+        self.real, self.names, self.prefix = real, names or {}, prefix
+        self.narrow = real == "float"
 
     def kind(self, kind: str) -> str:
         """C's type of a kind."""
-        return {REAL: self.real, INT: "int32_t", BOOL: "bool"}[kind]
+        return {REAL: self.real, WIDE: "double", INT: "int32_t", BOOL: "bool"}[kind]
 
-    def parts(self, value: Any) -> tuple[str, int]:
-        """Text of an expression, and how strongly it binds."""
-        if isinstance(value, _Choice):
-            test, a, b = (self.text(v, 1) for v in value)
-            return f"{test} ? {a} : {b}", 0
-        return super().parts(value)
+    def cast(self, value: Any, kind: str) -> tuple[str, int]:
+        """Text of a real or wide value as the other of them, and how it binds."""
+        return f"({self.kind(kind)}){self.text(value, UNARY)}", UNARY
 
     def operation(self, op: str, args: tuple[Any, ...], kind: str) -> tuple[str, int]:
         """Text of an operation that is no sign between or before values, and how it binds."""
@@ -80,23 +82,28 @@ class CPrinter(Printer):
             inner = args[0]
             if isinstance(inner, Op) and inner.op == "floor":
                 return self._function("floor", inner.args), ATOM
-            return f"({self.real}){self.text(inner, UNARY)}", UNARY
+            return f"({self.kind(kind)}){self.text(inner, UNARY)}", UNARY
         if op == "trunc":
             return f"(int32_t){self.text(args[0], UNARY)}", UNARY
         if op == "floor":
             return f"(int32_t){self._function('floor', args)}", UNARY
         if kind == INT and op in _OF_INTEGERS:
-            return f"{op}_int({', '.join(self.text(a) for a in args)})", ATOM
-        return self._function({"min": "fmin", "max": "fmax", "abs": "fabs"}.get(op, op), args), ATOM
+            return f"{self.prefix}{op}_int({', '.join(self.text(a) for a in args)})", ATOM
+        name = {"min": "fmin", "max": "fmax", "abs": "fabs"}.get(op, op)
+        if self.narrow and kind == REAL and widest(args) == WIDE:
+            return f"(float){self._function(name, args)}", UNARY
+        return self._function(name, args), ATOM
 
     def _function(self, name: str, args: tuple[Any, ...]) -> str:
-        return f"{name}{self.suffix}({', '.join(self.text(a) for a in args)})"
+        kind = widest(args)
+        suffix = "f" if self.narrow and kind != WIDE else ""
+        return f"{name}{suffix}({', '.join(self.text(a, 0, kind) for a in args)})"
 
     def name(self, name: str) -> str:
-        """Return the name of a variable; of one that is kept, in the state."""
-        return f"state->{name}" if name in self.state else name
+        """Return the name of a variable or table in the program."""
+        return self.names.get(name, name)
 
-    def number(self, value: float) -> str:
+    def number(self, value: float, kind: str | None = None) -> str:
         """Text of a number that comes back to the last bit."""
         if isinstance(value, bool):
             return "true" if value else "false"
@@ -106,13 +113,20 @@ class CPrinter(Printer):
             return "NAN"
         if value in (float("inf"), float("-inf")):
             return "INFINITY" if value > 0 else "-INFINITY"
-        return repr(float(value)) + self.suffix
+        if not self.narrow or kind == WIDE:
+            return repr(float(value))
+        return repr(in_float(value)) + "f"
 
     def assignment(self, item: Assign) -> list[str]:
         """Line that declares a name, or gives it its value."""
-        kind = f"{self.kind(item.name.kind)} " if item.declare else ""
-        value = "" if item.value is None else f" = {self.text(item.value)}"
-        return [f"{kind}{self.name(item.name.id)}{value};"]
+        kind, value = item.name.kind, ""
+        if isinstance(item.value, _Choice):
+            a, b = (self.text(v, 1, kind) for v in item.value[1:])
+            value = f" = {self.text(item.value.test, 1)} ? {a} : {b}"
+        elif item.value is not None:
+            value = f" = {self.text(item.value, 0, kind)}"
+        new = f"{self.kind(kind)} " if item.declare else ""
+        return [f"{new}{self.name(item.name.id)}{value};"]
 
     def loop(self, item: For) -> str:
         """Line above the body of a loop."""
@@ -128,7 +142,7 @@ def c_header(program: Program, real: str = "double") -> str:
     """Return the header: the state, and the two functions that work on it."""
     name = program.name
     guard = f"{name.upper()}_H"
-    printer = CPrinter(real, set())
+    printer = CPrinter(real)
     fields = [f"    {printer.kind(n.kind)} {n.id};" for n, _ in program.state]
     fields += [f"    {real} {a.id}[{a.size}];" for a, _ in program.arrays]
     fields = fields or ["    char unused;"]
@@ -170,20 +184,24 @@ def c_header(program: Program, real: str = "double") -> str:
 def c_source(program: Program, real: str = "double") -> str:
     """Return the source that belongs to :func:`c_header`."""
     name = program.name
-    state = {n.id for n, _ in program.state} | {a.id for a, _ in program.arrays}
-    printer = CPrinter(real, state)
+    kept = [n.id for n, _ in program.state] + [a.id for a, _ in program.arrays]
+    names = {key: f"state->{key}" for key in kept}
+    # of the whole file: another program may stand beside it
+    names |= {a.id: f"{name}_{a.id}" for a in program.tables()}
+    printer = CPrinter(real, names, f"{name}_")
     first = [
-        f"    state->{n.id} = {printer.number(_as(n.kind, value))};" for n, value in program.state
+        f"    state->{n.id} = {printer.number(_as(n.kind, value), n.kind)};"
+        for n, value in program.state
     ]
     for array, value in program.arrays:
         first.append(f"    for (int32_t k = 0; k < {array.size}; k++) {{")
         first += [f"        state->{array.id}[k] = {printer.number(float(value))};", "    }"]
     first = first or ["    state->unused = 0;"]
     body = printer.lines(program.body)
-    body += [f"    *{p.name} = {printer.text(v)};" for p, v in
+    body += [f"    *{p.name} = {printer.text(v, 0, p.kind)};" for p, v in
              zip(program.outputs, program.results, strict=True)]  # fmt: skip
-    body += [f"    state->{n.id} = {printer.text(v)};" for n, v in program.after]
-    unused = [] if state else ["    (void)state;"]
+    body += [f"    state->{n.id} = {printer.text(v, 0, n.kind)};" for n, v in program.after]
+    unused = [] if kept else ["    (void)state;"]
     text = "\n".join(body)
     unused += [f"    (void){p.name};" for p in program.inputs if f"{p.name}" not in text]
     return "\n".join(
@@ -193,7 +211,7 @@ def c_source(program: Program, real: str = "double") -> str:
             "",
             "#include <math.h>",
             "",
-            *c_helpers(text),
+            *c_helpers(text, f"{name}_"),
             *(c_table(a, printer) for a in program.tables()),
             "",
             f"void {name}_init({name}_state *state) {{",
@@ -210,13 +228,14 @@ def c_source(program: Program, real: str = "double") -> str:
 
 
 def _as(kind: str, value: Any) -> Any:
-    return {REAL: float, INT: int, BOOL: bool}[kind](value)
+    return {REAL: float, WIDE: float, INT: int, BOOL: bool}[kind](value)
 
 
 def _signature(program: Program, real: str) -> str:
     parts = [f"{program.name}_state *state"]
-    parts += [f"{real} {p.name}" for p in program.inputs]
-    parts += [f"{real} *{p.name}" for p in program.outputs]
+    kind = CPrinter(real).kind
+    parts += [f"{kind(p.kind)} {p.name}" for p in program.inputs]
+    parts += [f"{kind(p.kind)} *{p.name}" for p in program.outputs]
     return f"void {program.name}_step(\n    " + ",\n    ".join(parts) + ")"
 
 
@@ -240,12 +259,12 @@ _OF_INTEGERS = {
 }
 
 
-def c_helpers(text: str) -> list[str]:
+def c_helpers(text: str, prefix: str) -> list[str]:
     """Functions of whole numbers that a text calls."""
     found = []
     for op, (args, body) in _OF_INTEGERS.items():
-        if f"{op}_int(" in text:
-            found += [f"static int32_t {op}_int({args}) {{ return {body}; }}", ""]
+        if f"{prefix}{op}_int(" in text:
+            found += [f"static int32_t {prefix}{op}_int({args}) {{ return {body}; }}", ""]
     return found
 
 
@@ -256,4 +275,5 @@ def c_table(array: Array, printer: CPrinter) -> str:
         "    " + ", ".join(printer.number(v) for v in values[k : k + 4]) + ","
         for k in range(0, len(values), 4)
     ]
-    return "\n".join([f"static const {printer.real} {array.id}[{array.size}] = {{", *rows, "};"])
+    name = printer.name(array.id)
+    return "\n".join([f"static const {printer.real} {name}[{array.size}] = {{", *rows, "};"])

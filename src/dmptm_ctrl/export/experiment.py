@@ -82,8 +82,11 @@ def _smaller(signals: Floats, dt: float, limits: Limits, model: Model | RigModel
     if len(signals) != inputs:
         raise LogError(f"{len(signals)} signals, and the model has {inputs} inputs")
 
+    # at the end the drive coasts: for as long again
+    whole = np.hstack([signals, np.zeros_like(signals)])
+
     def keeps(factor: float) -> bool:
-        position, speed = _motion(model, factor * signals, dt)
+        position, speed = _motion(model, factor * whole, dt)
         far = float(np.abs(position - position[0]).max())
         return bool(far <= limits.travel and np.abs(speed).max() <= limits.speed)
 
@@ -104,7 +107,7 @@ def _motion(model: Model | RigModel, signals: Floats, dt: float) -> tuple[Floats
         run = march_rig(model, np.ascontiguousarray(signals), dt)
         load = model.rig.bodies[-1].name
         return run.position(load), run.speed(load)
-    out = march(model.arrays(), np.ascontiguousarray(signals), rest(model, 0.0), dt, meshes=False)
+    out = march(model, np.ascontiguousarray(signals), rest(model, 0.0), dt, meshes=False)
     return out[:, 0], out[:, 1]
 
 

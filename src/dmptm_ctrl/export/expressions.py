@@ -13,6 +13,7 @@ from dmptm_ctrl.export.program import (
     FUNCTIONS,
     INT,
     REAL,
+    WIDE,
     Array,
     Item,
     Name,
@@ -20,6 +21,7 @@ from dmptm_ctrl.export.program import (
     kind_of,
     known,
     make,
+    widest,
 )
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.simulate.elementary import borrowed
@@ -107,9 +109,10 @@ class Expressions:
             return self._power(a, b)
         if type(op) not in _SIGNS:
             raise NotScalar(f"no operation {type(op).__name__}")
-        if isinstance(op, ast.Mod) and REAL in (kind_of(a), kind_of(b)):
+        kind = widest((a, b))
+        if isinstance(op, ast.Mod) and kind in (REAL, WIDE):
             a, b = self.tracer.kept("dividend", a), self.tracer.kept("divisor", b)
-            return make("-", a, make("*", b, make("floor", make("/", a, b))))
+            return make("-", a, make("*", b, make(kind, make("floor", make("/", a, b)))))
         return make(_SIGNS[type(op)], a, b)
 
     def _power(self, base: Any, exponent: Any) -> Any:

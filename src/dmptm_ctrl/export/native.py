@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from dmptm_ctrl.export.c_source import c_header, c_source
-from dmptm_ctrl.export.program import Program
+from dmptm_ctrl.export.program import REAL, WIDE, Program
 from dmptm_ctrl.signals import LogError
 
 COMPILERS = ("cc", "gcc", "clang")
@@ -49,18 +49,19 @@ class Compiled:
     """
 
     def __init__(self, program: Program, real: str = "double") -> None:
-        name, number = program.name, _NUMBERS[real]
+        name, number = program.name, {WIDE: ctypes.c_double, REAL: _NUMBERS[real]}
         sources = {f"{name}.h": c_header(program, real), f"{name}.c": c_source(program, real)}
         self._folder = tempfile.TemporaryDirectory()
         library = ctypes.CDLL(str(shared_library(Path(self._folder.name), name, sources)))
         numbers = len(program.state) + sum(array.size for array, _ in program.arrays)
         self._state = ctypes.create_string_buffer(8 * (numbers + 1))  # none is wider
-        self._results = [number() for _ in program.outputs]
+        self._results = [number[p.kind]() for p in program.outputs]
         self._init = getattr(library, f"{name}_init")
         self._init.argtypes = [ctypes.c_void_p]
         self._step = getattr(library, f"{name}_step")
-        pointers = [ctypes.POINTER(number)] * len(self._results)
-        self._step.argtypes = [ctypes.c_void_p, *[number] * len(program.inputs), *pointers]
+        given = [number[p.kind] for p in program.inputs]
+        pointers = [ctypes.POINTER(number[p.kind]) for p in program.outputs]
+        self._step.argtypes = [ctypes.c_void_p, *given, *pointers]
         self._step.restype = None
         self.reset()
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from dmptm_ctrl.drive.rig import Input, Sensor
 from dmptm_ctrl.export.places import Latest, Ring, Row, Signals
 from dmptm_ctrl.export.program import Name, Port, Program, Store, make
 from dmptm_ctrl.export.stepping import counter, finished, word
@@ -18,7 +19,7 @@ from dmptm_ctrl.export.trace import Scope, function_tree
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
-from dmptm_ctrl.simulate.dual import dual_plant, outputs
+from dmptm_ctrl.simulate.dual import outputs
 from dmptm_ctrl.simulate.dual import start as start_of
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import Plant, numbers, structure_of
@@ -57,11 +58,11 @@ def plant_program(
     """
     if isinstance(model, RigModel):
         plant, steps = model.plant(), substeps_for(model.plant(), sample_time)
-        inputs, seen = _chain_ports(model)
+        inputs, seen = rig_ports(model)
         q, v = np.zeros((2, plant.inertia.size))
         columns = list(range(len(seen)))
     else:
-        plant, steps = dual_plant(model.arrays()), SUBSTEPS
+        plant, steps = model.plant(), SUBSTEPS
         inputs, seen = _dual_ports()
         q, v = start_of(plant, rest(model, start))
         count, _, links, _, sensors = plant.size
@@ -143,12 +144,19 @@ def _dual_ports() -> tuple[list[Port], list[Port]]:
     return inputs, [Port(n.lower(), unit, text) for n, unit, text in named]
 
 
-def _chain_ports(model: RigModel) -> tuple[list[Port], list[Port]]:
+def rig_ports(model: RigModel) -> tuple[list[Port], list[Port]]:
+    """Return the ports of a rig: its inputs, and the readings of its sensors."""
     inputs, seen = [], []
     for i in model.rig.inputs:
         unit = parse_unit(i.unit).symbol.replace("·", " ") or "1"
-        inputs.append(Port(f"in_{word(i.name)}", unit, f"{i.name}, held until the next step"))
+        text = f"{i.name}, held until the next step; {_column(i)}"
+        inputs.append(Port(f"in_{word(i.name)}", unit, text))
     for s in model.rig.sensors:
         unit = model.rig.body(s.body).angle_unit + ("/s" if s.measures != "position" else "")
-        seen.append(Port(f"out_{word(s.name)}", unit, f"reading of {s.name}"))
+        seen.append(Port(f"out_{word(s.name)}", unit, f"reading of {s.name}; {_column(s)}"))
     return inputs, seen
+
+
+def _column(part: Input | Sensor) -> str:
+    """What a signal is in the logs' own unit, sign and counts."""
+    return f"column {part.column} of the logs times {part.sign * parse_unit(part.unit).factor:.9g}"

@@ -1,15 +1,36 @@
 """What printers of programs share: brackets by how operators bind, blocks by their depth."""
 
 from collections.abc import Mapping
+from math import copysign
 from typing import Any
 
-from dmptm_ctrl.export.program import Assign, For, If, Item, Name, Op, Store, known
+from dmptm_ctrl.export.program import (
+    REAL,
+    WIDE,
+    Assign,
+    For,
+    If,
+    Item,
+    Name,
+    Op,
+    Store,
+    kind_of,
+    known,
+    widest,
+)
 
 LEVEL = {
     "or": 1, "and": 2, "==": 3, "!=": 3, "<": 4, "<=": 4, ">": 4, ">=": 4,
     "+": 5, "-": 5, "*": 6, "/": 6,
 }  # fmt: skip
 UNARY, ATOM = 7, 9
+LEAST, MOST = 1.1754944e-38, 3.4028234e38  # magnitudes of a float
+
+
+def in_float(value: float) -> float:
+    """Return a number as a float can have it: not 0 where it is small, nor endless."""
+    size = min(max(abs(value), LEAST), MOST)
+    return copysign(size, value) if value else 0.0
 
 
 class Printer:
@@ -17,10 +38,15 @@ class Printer:
 
     signs: Mapping[str, str]  # of operators that are written otherwise
     set_to: str
+    narrow: bool  # whether a real number is narrower than a wide one
     words: Mapping[str, str]  # around the blocks of branches and loops
 
-    def number(self, value: float) -> str:
+    def number(self, value: float, kind: str | None = None) -> str:
         """Text of a number that comes back to the last bit."""
+        raise NotImplementedError
+
+    def cast(self, value: Any, kind: str) -> tuple[str, int]:
+        """Text of a real or wide value as the other of them, and how it binds."""
         raise NotImplementedError
 
     def operation(self, op: str, args: tuple[Any, ...], kind: str) -> tuple[str, int]:
@@ -39,16 +65,18 @@ class Printer:
         """Return the name of a variable where it is read or set."""
         return name
 
-    def text(self, value: Any, above: int = 0) -> str:
-        """Text of an expression, in brackets where what is around it binds more."""
-        text, level = self.parts(value)
+    def text(self, value: Any, above: int = 0, kind: str | None = None) -> str:
+        """Text of an expression, of a kind, in brackets where what is around it binds more."""
+        text, level = self.parts(value, kind)
         return f"({text})" if level < above else text
 
-    def parts(self, value: Any) -> tuple[str, int]:
+    def parts(self, value: Any, kind: str | None = None) -> tuple[str, int]:
         """Text of an expression, and how strongly it binds."""
         if known(value):
-            text = self.number(value)
+            text = self.number(value, kind)
             return text, UNARY if text.startswith("-") else ATOM
+        if self.narrow and {kind, kind_of(value)} == {REAL, WIDE}:
+            return self.cast(value, kind or REAL)
         if isinstance(value, Name):
             return self.name(value.id), ATOM
         if isinstance(value, Item):
@@ -57,8 +85,9 @@ class Printer:
         op, args = value.op, value.args
         sign = self.signs.get(op, op)
         if op in LEVEL:
-            level = LEVEL[op]
-            return f"{self.text(args[0], level)} {sign} {self.text(args[1], level + 1)}", level
+            level, both = LEVEL[op], widest(args)
+            a, b = (self.text(x, level + k, both) for k, x in enumerate(args))
+            return f"{a} {sign} {b}", level
         if op in ("neg", "not"):
             return f"{sign}{self.text(args[0], UNARY + 1)}", UNARY
         return self.operation(op, args, value.kind)
@@ -72,7 +101,7 @@ class Printer:
                 found += [pad + line for line in self.assignment(item)]
             elif isinstance(item, Store):
                 place = self.text(Item(item.array, item.index))
-                found.append(f"{pad}{place} {self.set_to} {self.text(item.value)};")
+                found.append(f"{pad}{place} {self.set_to} {self.text(item.value, 0, REAL)};")
             elif isinstance(item, If):
                 found.append(pad + self.words["if"].format(self.text(item.condition)))
                 found += self.lines(item.body, depth + 1)

@@ -1,7 +1,8 @@
 """What is left of a calculation once its known numbers are put in: scalars, branches, loops.
 
 One description for all printers. Values are Python numbers, or expressions over names. Kinds
-of values are "real", "int" and "bool".
+of values are "real", "wide", "int" and "bool". A wide number is a double in every program: angles
+far from zero, time and integrals lose in a float what the rest of the program needs.
 """
 
 import math
@@ -10,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-REAL, INT, BOOL = "real", "int", "bool"
+REAL, WIDE, INT, BOOL = "real", "wide", "int", "bool"
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,7 @@ class Port:
     name: str
     unit: str
     text: str
+    kind: str = REAL
 
 
 @dataclass
@@ -169,10 +171,11 @@ _FOLDED: dict[str, Callable[..., Any]] = {
     "not": operator.not_, "neg": operator.neg, "min": min, "max": max, "abs": abs,
     "exp": math.exp, "log": math.log, "sin": math.sin, "cos": math.cos, "tan": math.tan,
     "sqrt": math.sqrt, "tanh": math.tanh, "floor": math.floor, "trunc": int, "real": float,
-    "pow": operator.pow, "mod": operator.mod,
+    "pow": operator.pow, "mod": operator.mod, "wide": float,
 }  # fmt: skip
 FUNCTIONS = ("exp", "log", "sin", "cos", "tan", "sqrt", "tanh", "floor")
 _COMPARED = ("<", "<=", ">", ">=", "==", "!=")
+_OF_ITS_ARGUMENTS = ("+", "-", "*", "neg", "min", "max", "abs", "mod")
 _LOGIC = (*_COMPARED, "and", "or", "not")
 FOREVER = 2**62  # an index is always below
 
@@ -183,8 +186,8 @@ def make(op: str, *args: Any) -> Any:
         return _quotient(*args)
     if all(known(a) for a in args):
         return _FOLDED[op](*args)
-    if op == "real" and kind_of(args[0]) == REAL:
-        return args[0]
+    if op in ("real", "wide"):
+        return _as_real(op, args[0])
     simple = _simple(op, *args)
     if simple is not None:
         return simple
@@ -192,14 +195,31 @@ def make(op: str, *args: Any) -> Any:
         kind = BOOL
     elif op in ("floor", "trunc"):
         kind = INT
-    elif op in ("+", "-", "*", "neg", "min", "max", "abs", "mod"):
-        kind = INT if all(kind_of(a) == INT for a in args) else REAL
+    elif op in _OF_ITS_ARGUMENTS:
+        kind = widest(args)
     else:
         kind = REAL
-    mixed = kind == REAL or (op in _COMPARED and any(kind_of(a) == REAL for a in args))
-    if mixed and op != "real":
-        args = tuple(make("real", a) if kind_of(a) == INT else a for a in args)
+    if kind in (REAL, WIDE) or (op in _COMPARED and widest(args) in (REAL, WIDE)):
+        to = "wide" if widest(args) == WIDE else "real"
+        args = tuple(make(to, a) if kind_of(a) == INT else a for a in args)
+        kind = widest(args) if op in _OF_ITS_ARGUMENTS else kind
     return Op(op, args, kind)
+
+
+def widest(values: Iterable[Any]) -> str:
+    """Kind of a sum of values."""
+    kinds = {kind_of(value) for value in values}
+    return next(kind for kind in (WIDE, REAL, INT, BOOL) if kind in kinds)
+
+
+def _as_real(to: str, value: Any) -> Any:
+    """Return a value that is no whole number; a count is wide, for a float soon skips some."""
+    kind = kind_of(value)
+    if kind == WIDE or (kind == REAL and to == "real"):
+        return value
+    wide = to == "wide" or (isinstance(value, Name) and value.counts)
+    wide = wide or (isinstance(value, Op) and kind_of(value.args[0]) == WIDE)
+    return Op("real", (value,), WIDE if wide else REAL)
 
 
 def _quotient(a: Any, b: Any) -> Any:
@@ -210,7 +230,7 @@ def _quotient(a: Any, b: Any) -> Any:
         return a / b
     if b == 1.0 or (known(a) and a == 0.0):
         return a
-    return Op("/", (a, b), REAL)
+    return Op("/", (a, b), widest((a, b)))
 
 
 def _simple(op: str, a: Any, b: Any = None) -> Any:
@@ -220,7 +240,7 @@ def _simple(op: str, a: Any, b: Any = None) -> Any:
     if op == "-":
         if _is(a, 0):
             return make("neg", b)
-        return a if _is(b, 0) else make("*", 0.0, 0.0) if a == b and kind_of(a) == REAL else None
+        return a if _is(b, 0) else 0.0 if a == b and kind_of(a) in (REAL, WIDE) else None
     if op == "*":
         if _is(a, 0) or _is(b, 0):
             return 0 if kind_of(a) == kind_of(b) == INT else 0.0

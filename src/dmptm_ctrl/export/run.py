@@ -1,13 +1,12 @@
 """What the command line calls: a model or controller file in, files to run elsewhere out."""
 
+import re
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.design.controller import KIND as CONTROLLER
 from dmptm_ctrl.design.controller import Controller, read_controller
-from dmptm_ctrl.drive.rig_dual import dual_motor
-from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.export.c_source import REALS, c_header, c_source
 from dmptm_ctrl.export.controller import controller_program, provenance
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
@@ -17,19 +16,19 @@ from dmptm_ctrl.export.places import NotScalar
 from dmptm_ctrl.export.plant import plant_program
 from dmptm_ctrl.export.program import Program
 from dmptm_ctrl.export.python_program import python_program
+from dmptm_ctrl.export.reserved import RESERVED
 from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.export.stepping import origin
 from dmptm_ctrl.export.tables import write_tables
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.signals.toml_text import parse_toml
-from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model
-from dmptm_ctrl.simulate.rig_model import RigModel
 
 OF_EXPERIMENT = ("csv", "c", "st")
 OF_CONTROLLER = ("c", "st", "python")
 TARGETS = ("c", "st", "fmu", "python", "table", "mujoco")
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 SAMPLE_TIME = 1e-3  # s, of a plant's program where none is given
 
 
@@ -40,6 +39,7 @@ def export_file(
     *,
     real: str = "double",
     sample_time: float | None = None,
+    name: str | None = None,
 ) -> list[str]:
     """Write a model or a controller as a program.
 
@@ -54,6 +54,9 @@ def export_file(
         Of C and Structured Text.
     sample_time : float, optional
         Of a plant's program [s]; by default 1 ms. A controller has its own.
+    name : str, optional
+        Of the program in C, Structured Text or FMU; by default "controller" or "plant". Two
+        programs of one project need two.
 
     Returns
     -------
@@ -64,11 +67,17 @@ def export_file(
     ------
     LogError
         No such file, target or number type; nothing is written.
+
+    Examples
+    --------
+    >>> files = dm.export("controller.toml", "c", "code")
     """
     source, out = Path(source), Path(out)
     if target not in TARGETS:
         raise LogError(f"--to {target}: no such target; there are {', '.join(TARGETS)}")
     _check_numbers(real, sample_time)
+    if name is not None and (not _WORD.fullmatch(name) or name.lower() in RESERVED):
+        raise LogError(f"--name {name}: must be a new word of letters, digits and _, 31 at most")
     model = _read(source)
     if isinstance(model, Controller):
         if sample_time is not None:
@@ -79,7 +88,7 @@ def export_file(
     step = sample_time or SAMPLE_TIME
     with output_folder(out) as folder:
         try:
-            _write(target, model, source, step, real, folder)
+            _write(target, model, source, step, real, folder, name)
         except NotScalar as error:  # a user's own effect
             raise LogError(f"{source.name}: an effect has no program: {error}") from None
         except LogError:
@@ -114,7 +123,7 @@ def export_experiment(
     program = experiment_program(table, source)
     with output_folder(out) as folder:
         if target == "csv":
-            text = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+            text = table.to_csv(index=False, lineterminator="\n")
             (folder / f"{program.name}.csv").write_text(text, encoding="utf-8")
         else:
             _write_program(target, program, real, folder)
@@ -136,39 +145,37 @@ def _read(source: Path) -> Any:
     written = parse_toml(text, source.name)
     if written.get("kind") == CONTROLLER:
         return read_controller(source)
-    if "kind" in written or "body" not in written:
-        return read_model(source)
-    rig = parse_rig(text, source.name)
-    drive = dual_motor(rig)
-    return RigModel(rig) if drive is None else Model(drive)
+    return read_model(source)
 
 
-def _program(model: Any, source: Path, step: float) -> Program:
+def _program(model: Any, source: Path, step: float, name: str | None) -> Program:
     if isinstance(model, Controller):
-        return controller_program(model, notes=provenance(model, source))
+        return controller_program(model, name or "controller", provenance(model, source))
     notes = [
         "Drive as diagnosed.",
         f"Sample time: {step!r} s. Call the step once per sample; inputs are held until the next.",
         "Units: SI, angles in rad.",
         *origin(source),
     ]
-    return plant_program(model, step, notes=notes)
+    return plant_program(model, step, name=name or "plant", notes=notes)
 
 
-def _write(target: str, model: Any, source: Path, step: float, real: str, folder: Path) -> None:
+def _write(
+    target: str, model: Any, source: Path, step: float, real: str, folder: Path, name: str | None
+) -> None:
     if target == "python":
-        name = "controller.py" if isinstance(model, Controller) else "plant.py"
-        (folder / name).write_text(python_program(model, source), encoding="utf-8")
+        file = "controller.py" if isinstance(model, Controller) else "plant.py"
+        (folder / file).write_text(python_program(model, source), encoding="utf-8")
     elif target == "table":
         write_tables(model, source, folder)
     elif target == "mujoco":
         text = mujoco_text(mujoco_joint(model), source)
         (folder / "joint.xml").write_text(text, encoding="ascii")
     elif target == "fmu":
-        program = _program(model, source, step)
+        program = _program(model, source, step, name)
         write_fmu(program, step, folder / f"{program.name}.fmu")
     else:
-        _write_program(target, _program(model, source, step), real, folder)
+        _write_program(target, _program(model, source, step, name), real, folder)
 
 
 def _write_program(target: str, program: Program, real: str, folder: Path) -> None:

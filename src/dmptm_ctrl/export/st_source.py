@@ -2,8 +2,19 @@
 
 from typing import Any
 
-from dmptm_ctrl.export.printer import ATOM, LEVEL, UNARY, Printer
-from dmptm_ctrl.export.program import BOOL, INT, REAL, Assign, For, Program, ascii_text, known
+from dmptm_ctrl.export.printer import ATOM, LEVEL, UNARY, Printer, in_float
+from dmptm_ctrl.export.program import (
+    BOOL,
+    INT,
+    REAL,
+    WIDE,
+    Assign,
+    For,
+    Program,
+    ascii_text,
+    known,
+    widest,
+)
 
 REALS = {"double": "LREAL", "float": "REAL"}
 
@@ -18,14 +29,19 @@ class StPrinter(Printer):
     def __init__(self, real: str) -> None:
         if real not in REALS:
             raise ValueError(f"real is {real!r}; it must be one of {', '.join(REALS)}")
-        self.real = REALS[real]
+        self.real, self.narrow = REALS[real], real == "float"
         self.variables: dict[str, str] = {}
 
     def kind(self, kind: str) -> str:
         """Type of a kind."""
-        return {REAL: self.real, INT: "DINT", BOOL: "BOOL"}[kind]
+        return {REAL: self.real, WIDE: "LREAL", INT: "DINT", BOOL: "BOOL"}[kind]
 
-    def number(self, value: float) -> str:
+    def cast(self, value: Any, kind: str) -> tuple[str, int]:
+        """Text of a real or wide value as the other of them, and how it binds."""
+        name = "LREAL_TO_REAL" if kind == REAL else "REAL_TO_LREAL"
+        return f"{name}({self.text(value)})", ATOM
+
+    def number(self, value: float, kind: str | None = None) -> str:
         """Text of a number that comes back to the last bit."""
         if isinstance(value, bool):
             return "TRUE" if value else "FALSE"
@@ -33,7 +49,8 @@ class StPrinter(Printer):
             return str(value)
         if value != value or abs(value) == float("inf"):
             raise ValueError(f"Structured Text has no literal for {value}")
-        mantissa, sign, exponent = repr(float(value)).partition("e")
+        value = in_float(value) if self.narrow and kind != WIDE else float(value)
+        mantissa, sign, exponent = repr(value).partition("e")
         if "." not in mantissa:
             mantissa += ".0"
         return mantissa + (f"E{exponent}" if sign else "")
@@ -43,19 +60,29 @@ class StPrinter(Printer):
         if op == "mod":
             a, n = self.text(args[0], LEVEL["*"]), self.text(args[1], UNARY)
             return f"(({a} MOD {n}) + {n}) MOD {n}", LEVEL["*"]
+        both = widest(args)
         if op == "floor":  # the standard rounds towards zero only
-            x = self.text(args[0])
-            down = f"DINT_TO_{self.real}(TRUNC({x})) > {self.text(args[0], LEVEL['+'])}"
+            x, real = self.text(args[0]), f"DINT_TO_{self.kind(both)}"
+            down = f"{real}(TRUNC({x})) > {self.text(args[0], LEVEL['+'])}"
             return f"TRUNC({x}) - BOOL_TO_DINT({down})", LEVEL["-"]
+        name = {"log": "LN", "pow": "EXPT", "real": f"DINT_TO_{self.kind(kind)}"}
+        text = f"{name.get(op, op.upper())}({', '.join(self.text(a, 0, both) for a in args)})"
+        level = ATOM
         if op == "tanh":  # the standard has none
-            return f"1.0 - 2.0 / (EXP(2.0 * {self.text(args[0], UNARY)}) + 1.0)", LEVEL["-"]
-        name = {"log": "LN", "pow": "EXPT", "real": f"DINT_TO_{self.real}"}.get(op, op.upper())
-        return f"{name}({', '.join(self.text(a) for a in args)})", ATOM
+            text = f"1.0 - 2.0 / (EXP(2.0 * {self.text(args[0], UNARY)}) + 1.0)"
+            level = LEVEL["-"]
+        if self.narrow and both == WIDE and kind == REAL:
+            return f"LREAL_TO_REAL({text})", ATOM
+        return text, level
 
     def assignment(self, item: Assign) -> list[str]:
         """Line that gives a name its value; none where it is only declared."""
         self.variables.setdefault(item.name.id, self.kind(item.name.kind))
-        return [] if item.value is None else [f"{item.name.id} := {self.text(item.value)};"]
+        return (
+            []
+            if item.value is None
+            else [f"{item.name.id} := {self.text(item.value, 0, item.name.kind)};"]
+        )
 
     def loop(self, item: For) -> str:
         """Line above the body of a loop."""
@@ -69,10 +96,10 @@ def st_source(program: Program, real: str = "double") -> str:
     printer = StPrinter(real)
     body = printer.lines(program.body)
     body += [
-        f"    {p.name} := {printer.text(v)};"
+        f"    {p.name} := {printer.text(v, 0, p.kind)};"
         for p, v in zip(program.outputs, program.results, strict=True)
     ]
-    body += [f"    {n.id} := {printer.text(v)};" for n, v in program.after]
+    body += [f"    {n.id} := {printer.text(v, 0, n.kind)};" for n, v in program.after]
     own = {n.id for n, _ in program.state}
     state = [f"    {n.id} : {printer.kind(n.kind)} := {printer.number(v)};" for n, v in
              program.state]  # fmt: skip
@@ -88,7 +115,7 @@ def st_source(program: Program, real: str = "double") -> str:
     ]
     temporary = [f"    {n} : {kind};" for n, kind in printer.variables.items() if n not in own]
     ports = [
-        [f"    {p.name} : {printer.real}; (* [{ascii_text(p.unit)}] {ascii_text(p.text)} *)"
+        [f"    {p.name} : {printer.kind(p.kind)}; (* [{ascii_text(p.unit)}] {ascii_text(p.text)} *)"
          for p in side]
         for side in (program.inputs, program.outputs)
     ]  # fmt: skip

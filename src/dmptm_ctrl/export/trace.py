@@ -18,6 +18,7 @@ from dmptm_ctrl.export.program import (
     BOOL,
     INT,
     REAL,
+    WIDE,
     Array,
     Assign,
     For,
@@ -238,8 +239,9 @@ class Scope(Expressions):
                     continue
                 if not known(new) and not isinstance(new, Name | Op | Item):
                     raise NotScalar(f"{self._base(place)} changes what it is within a loop")
-                kinds = {kind_of(old), kind_of(new), carried.get(place, BOOL)} - {BOOL}
-                changed[place] = REAL if REAL in kinds else INT if kinds else BOOL
+                kinds = {kind_of(old), kind_of(new), carried.get(place, BOOL)}
+                kinds |= {WIDE} if place[1] in tracer.wide else set()
+                changed[place] = next(k for k in (WIDE, REAL, INT, BOOL) if k in kinds)
             if changed == carried:
                 break
             carried = changed
@@ -250,8 +252,8 @@ class Scope(Expressions):
         for place, name in names.items():
             new = _get(place, before_env, before_heap)
             old = _get(place, env, heap)
-            if name.kind == REAL:
-                old, new = make("real", old), make("real", new)
+            if name.kind in (REAL, WIDE):
+                old, new = make(name.kind, old), make(name.kind, new)
             found.append((name, old, new))
             if not keep:
                 self._set(place, name)

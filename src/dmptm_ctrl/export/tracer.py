@@ -7,7 +7,18 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.export.places import Cells, Returned
-from dmptm_ctrl.export.program import REAL, Array, Assign, Item, Name, Op, kind_of, known, make
+from dmptm_ctrl.export.program import (
+    REAL,
+    WIDE,
+    Array,
+    Assign,
+    Item,
+    Name,
+    Op,
+    kind_of,
+    known,
+    make,
+)
 from dmptm_ctrl.export.reserved import RESERVED
 
 
@@ -18,6 +29,7 @@ class Tracer:
         self.block: list[Any] = []
         self.heap: dict[tuple[int, int], Any] = {}
         self._alive: list[Cells] = []  # so that no identity is given twice
+        self.wide: set[tuple[int, int]] = set()  # cells that are doubles in every program
         self.taken: dict[str, int] = {}
         self.tables: dict[tuple[float, ...], Array] = {}
         self.arrays: list[tuple[Array, float]] = []
@@ -103,11 +115,12 @@ class Merge:
         if not scalar:
             return None  # of no use behind the branches
         kinds = {kind_of(a), kind_of(b)}
-        kind = next(iter(kinds)) if len(kinds) == 1 else REAL
+        kind = next(iter(kinds)) if len(kinds) == 1 else WIDE if WIDE in kinds else REAL
         name = self.tracer.fresh(base, kind)
         self.declared.append(Assign(name, None))
         for way, value in zip(self.ways, (a, b), strict=True):
-            way.append(Assign(name, make("real", value) if kind == REAL else value, declare=False))
+            value = make(kind, value) if kind in (REAL, WIDE) else value
+            way.append(Assign(name, value, declare=False))
         return name
 
 

@@ -90,6 +90,11 @@ def constant_speed(logs: Iterable[Log], drive: Drive) -> SteadyResult:
     ------
     ValueError
         Runs that leave something open: one sign or size of preload only.
+
+    Examples
+    --------
+    >>> found = dm.constant_speed(dm.load_logs("turns"), dm.paper_drive())
+    >>> print(found.estimates["gap_l"])
     """
     runs = list(steady_stretches(logs, drive))
     pull = drive["N_1"] * drive["K_d"] * drive["K_M"]

@@ -111,6 +111,12 @@ def stepped_sine(
     ------
     ValueError
         An unknown output, or a frequency too near the sample rate.
+
+    Examples
+    --------
+    >>> found = dm.stepped_sine(dm.Model(), [1.0, 5.0], 0.75)  # Hz, V
+    >>> abs(found.values).round(3)  # (rad/s)/V
+    array([0.327, 0.104])
     """
     column = _column(output)
     omega, values, coherence = [], [], []
@@ -169,6 +175,11 @@ def multisine(
     ------
     ValueError
         An unknown output, a frequency too near the sample rate, fewer than 2 realisations.
+
+    Examples
+    --------
+    >>> found = dm.multisine(dm.Model(), [1.0, 2.0, 5.0], 0.75, realisations=4)
+    >>> plot = ct.bode_plot(found.response)
     """
     column = _column(output)
     if realisations < 2:
@@ -242,6 +253,11 @@ def from_log(
     -----
     UserWarning
         The log is of a closed loop, or a frequency of `lines` is not excited.
+
+    Examples
+    --------
+    >>> log = dm.load_log("log.csv.gz")
+    >>> found = dm.response_from_log(log, ("u_left", "u_right"), "omega_L")
     """
     names = (input,) if isinstance(input, str) else tuple(input)
     u, y, dt = np.mean([log[n] for n in names], axis=0), log[output], log.sample_time
@@ -385,7 +401,7 @@ def _respond(model: Model, signal: Floats, loop: Loop | None, preload: float, dt
     if loop is not None:
         return close_loop(model, loop, signal, dt)[1]
     u = np.array([signal + preload, signal - preload])
-    return march(model.arrays(), u, rest(model, 0.0), dt)
+    return march(model, u, rest(model, 0.0), dt)
 
 
 def _column(output: str) -> int:

@@ -36,6 +36,7 @@ from dmptm_ctrl.simulate.along import (
     torque_along,
 )
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import march, substeps_for
 
@@ -203,7 +204,7 @@ def residual(
             first, second = (layout.bodies[i] for i in plant.link_body[k])
             load[first] += np.abs(runs[name])
             load[second] += np.abs(plant.link_values[k, 0] * runs[name])
-    reach = kinematic(model)
+    reach = untwisted(plant)
     total, push = np.zeros_like(motion.time), np.zeros_like(motion.time)
     single = []
     for group, (q, v, a) in measured.items():
@@ -334,7 +335,7 @@ def _links(
 ) -> dict[str, Floats]:
     """Torque of every link along the log; coordinates without sensors are simulated."""
     layout = model.layout
-    reach = kinematic(model)
+    reach = untwisted(model.plant())
     given, position, speed = {}, {}, {}
     base_group = next(iter(measured))
     q0, v0 = measured[base_group][0][0], measured[base_group][1][0]
@@ -369,23 +370,6 @@ def _links(
 def _second(model: RigModel, link: str) -> str:
     plant, layout = model.plant(), model.layout
     return layout.bodies[plant.link_body[layout.links.index(link), 1]]
-
-
-def kinematic(model: RigModel) -> dict[int, float]:
-    """Motion of each coordinate per motion of the first, all links untwisted."""
-    plant, layout = model.plant(), model.layout
-    reach = {0: 1.0}
-    for _ in range(layout.coordinates):
-        for k in range(len(layout.links)):
-            first, second = (layout.bodies[i] for i in plant.link_body[k])
-            g1, g2 = layout.coordinate[first], layout.coordinate[second]
-            # 0 = r1 q1 − ratio r2 q2
-            factor = layout.ratio[first] / (plant.link_values[k, 0] * layout.ratio[second])
-            if g1 in reach and g2 not in reach:
-                reach[g2] = reach[g1] * factor
-            elif g2 in reach and g1 not in reach:
-                reach[g1] = reach[g2] / factor
-    return reach
 
 
 def _friction(

@@ -7,7 +7,7 @@ import control as ct
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
 from dmptm_ctrl.drive.reduction import SimplificationCost
@@ -42,7 +42,12 @@ def bode_compare(
     Returns
     -------
     ControlPlot
+
+    Examples
+    --------
+    >>> plot = dm.bode_compare({"3-DOF": dm.common_mode(dm.three_dof(dm.paper_drive()))})
     """
+    _refuse_other(systems)
     panels = axes(ax, 2, figsize=(6.5, 5.2), sharex=True)
     low, high = (0.1, 1e3) if omega_limits is None else omega_limits
     per_unit = 2 * np.pi if Hz else 1.0
@@ -100,7 +105,12 @@ def step_compare(
     Returns
     -------
     ControlPlot
+
+    Examples
+    --------
+    >>> plot = dm.step_compare({"3-DOF": dm.common_mode(dm.three_dof(dm.paper_drive()))}, 2.0)
     """
+    _refuse_other(systems)
     panel = axes(ax, 1, figsize=(6.5, 3.4))
     time = np.linspace(0.0, duration, 4000)
     plot = None
@@ -164,6 +174,7 @@ def response_plot(
     if not dB:
         magnitude.set_yscale("log")
     for panel in panels.ravel():
+        panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         panel.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
         panel.xaxis.set_minor_formatter(NullFormatter())
     magnitude.legend(fontsize=8)
@@ -195,6 +206,18 @@ def simplification_plot(
     )
     panel.legend(fontsize=8)
     return panel
+
+
+def _refuse_other(systems: Mapping[str, Any]) -> None:
+    """Refuse nothing to draw, and what has several inputs or outputs."""
+    if not systems:
+        raise ValueError("no systems to draw; give a dict of label to system")
+    for label, system in systems.items():
+        if (system.ninputs, system.noutputs) != (1, 1):
+            raise ValueError(
+                f"{label}: {system.ninputs} inputs and {system.noutputs} outputs, needs one of "
+                "each; see common_mode, or take system[output, input]"
+            )
 
 
 def _cycle(count: int) -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ HAND = np.pi / 3  # turn of a wheel's hand at the largest amplitude; upright is 
 
 
 def mode_plot(modes: Modes, *, ax: Any = None, Hz: bool = True) -> np.ndarray:
-    """Draw each mode: left chain, ring gear, right chain, from outside to the middle.
+    """Draw each mode: left side, ring gear, right side, from outside to the middle.
 
     Above the amplitudes stands each body as a wheel, its hand turned as the mode turns it.
     Amplitudes are angles divided by those of the rigid turn, so that rigid motion is a horizontal

@@ -1,46 +1,22 @@
-"""A declared drive drawn: as text for a terminal, and as a picture."""
+"""A declared drive as a picture."""
 
-from collections.abc import Iterator
-from math import isfinite
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.patches import FancyBboxPatch
 
-from dmptm_ctrl.drive.parameters import Quantity
-from dmptm_ctrl.drive.rig import Body, Link, Rig
+from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.plots.style import axes
 
 WIDTH, HEIGHT = 2.4, 1.1  # of a body's box
-STEP = 4.4, 1.9  # from body to body, along the chain and between branches
-
-
-def rig_text(rig: Rig) -> str:
-    """Return a rig as a tree of text: bodies, what joins, drives and measures them."""
-    lines = [rig.name]
-    for depth, link, body in _walk(rig):
-        stem = "    " * depth
-        if link is not None:
-            lines.append(f"{stem[4:]}└── {_link_text(link)}")
-        lines.append(f"{stem}[{body.name}] {_body_text(body)}")
-        for source in (i for i in rig.inputs if i.body == body.name):
-            gain = show(source.gain)
-            lines.append(f"{stem}  ← {source.name}: column {source.column}, gain {gain}")
-        for sensor in (s for s in rig.sensors if s.body == body.name):
-            lines.append(f"{stem}  → {sensor.name}: {sensor.measures}, column {sensor.column}")
-    for effect in rig.effects:
-        lines.append(f"declared effect: {effect.name} on {effect.on}")
-    if rig.controller is not None:
-        loop = rig.controller
-        lines.append(f"controller: {loop.kind} from {loop.sensor} to {loop.input}")
-    return "\n".join(lines)
+STEP = 4.4, 1.9  # from body to body, along the train and between branches
 
 
 def plot_rig(rig: Rig, *, ax: Any = None) -> Axes:
     """Draw a rig: a box per body, a line per shaft or mesh, arrows for inputs and sensors."""
     place: dict[str, tuple[float, float]] = {}
     rows: dict[int, int] = {}
-    order = list(_walk(rig))
+    order = list(rig.walk())
     for depth, _, body in order:
         row = max(rows.get(depth, 0), max((r for d, r in rows.items() if d > depth), default=1) - 1)
         place[body.name] = (depth * STEP[0], -row * STEP[1])
@@ -57,7 +33,7 @@ def plot_rig(rig: Rig, *, ax: Any = None) -> Axes:
             )
         )  # fmt: skip
         panel.text(x + WIDTH / 2, y + 0.7, body.name, ha="center", va="center", weight="bold")
-        inertia = show(body.inertia).partition(" ±")[0]
+        inertia = str(body.inertia).partition(" ±")[0]
         panel.text(x + WIDTH / 2, y + 0.3, inertia, ha="center", va="center", fontsize=8)
         if link is not None:
             other = link.first if link.second == body.name else link.second
@@ -84,47 +60,3 @@ def plot_rig(rig: Rig, *, ax: Any = None) -> Axes:
     panel.set_axis_off()
     panel.set_title(rig.name)
     return panel
-
-
-def show(quantity: Quantity | None) -> str:
-    """Value, unit and tolerance as people write them."""
-    if quantity is None or not isfinite(quantity.value):
-        return "unknown"
-    low, high = quantity.range
-    text = f"{quantity.value:.4g} {quantity.unit}".strip()
-    if quantity.low is not None:
-        return f"{text} ({low:.4g} to {high:.4g})"
-    return f"{text} ± {100 * quantity.tolerance:.3g} %" if quantity.tolerance else text
-
-
-def _walk(rig: Rig) -> Iterator[tuple[int, Link | None, Body]]:
-    """Bodies from the first driven one outwards, with the link that leads to each."""
-    done = set()
-    waiting: list[tuple[int, Link | None, str]] = [(0, None, rig.inputs[0].body)]
-    while waiting:
-        depth, link, name = waiting.pop()
-        done.add(name)
-        yield depth, link, rig.body(name)
-        for k in reversed(rig.links):
-            if name in (k.first, k.second):
-                other = k.second if k.first == name else k.first
-                if other not in done:
-                    waiting.append((depth + 1, k, other))
-
-
-def _body_text(body: Body) -> str:
-    friction = ", ".join(f"{key} {show(value)}" for key, value in body.friction.items())
-    kind = "mass" if body.linear else "inertia"
-    return f"{kind} {show(body.inertia)}" + (f"; friction: {friction}" if friction else "")
-
-
-def _link_text(link: Link) -> str:
-    parts = [f"{'mesh' if link.mesh else 'shaft'} {link.name}"]
-    if link.ratio.value != 1:
-        parts.append(f"ratio {link.ratio.value:.6g} ({link.first} per {link.second})")
-    parts.append("rigid" if link.rigid else f"stiffness {show(link.stiffness)}")
-    if link.damping is not None:
-        parts.append(f"damping {show(link.damping)}")
-    if link.half_gap is not None:
-        parts.append(f"half-gap {show(link.half_gap)}")
-    return ", ".join(parts)

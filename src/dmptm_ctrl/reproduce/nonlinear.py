@@ -186,7 +186,7 @@ def tuning(context: Context) -> list[Item]:
     for panel in panels:
         panel.set(ylabel="speed [deg/s]", xlim=(0, 1.5))
         panel.grid(alpha=0.3)
-        panel.legend(fontsize=8, loc="lower right")
+        panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0))
     panels[0].set_title("Setpoint step of 10 deg/s on the nonlinear drive")
     panels[1].set_xlabel("time [s]")
     header = (

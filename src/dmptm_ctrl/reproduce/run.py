@@ -50,6 +50,10 @@ def reproduce(
     -------
     Path
         Of ``index.html``.
+
+    Examples
+    --------
+    >>> page = dm.reproduce("paper")
     """
     columns = (
         TextColumn("{task.description:<48}"),

@@ -17,10 +17,10 @@ from dmptm_ctrl.signals.columns import Choose, Mapped, Table, Target, names_a_cl
 from dmptm_ctrl.signals.counters import refuse_jumps, unwrapped_counts, with_sign
 from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
-from dmptm_ctrl.signals.holes import on_one_clock, without_holes, without_sentinels
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
 from dmptm_ctrl.signals.mdf import read_mdf
+from dmptm_ctrl.signals.missing_values import on_one_clock, without_missing, without_sentinels
 from dmptm_ctrl.signals.plausible import refuse_inconsistent, suspects, unwrapped
 from dmptm_ctrl.signals.tabular import from_frame, read_json, read_parquet
 from dmptm_ctrl.signals.text import read_text
@@ -93,6 +93,12 @@ def load_log(
         No such file, not readable, a column missing, twice or in an unknown unit, a value that
         is no finite number, time that does not increase evenly, too few samples, channels that
         contradict each other (a mistaken unit or sign).
+
+    Examples
+    --------
+    >>> log = dm.load_log("log.csv.gz")
+    >>> log["omega_L"].shape == log.time.shape
+    True
     """
     if isinstance(source, str | PathLike):
         path = Path(source)
@@ -157,6 +163,11 @@ def load_logs(
     ------
     LogError
         As `load_log`; also an empty folder, and logs of different rigs.
+
+    Examples
+    --------
+    >>> logs = dm.load_logs("logs")
+    >>> [log.name for log in logs]
     """
 
     def load(source: Any, **name: Any) -> Log:
@@ -367,7 +378,7 @@ def _channels(
         notes.append(f"{lost} row{'s' * (lost > 1)} without a time between others: left out")
         timed[: np.argmax(timed)] = timed[timed.size - np.argmax(timed[::-1]) :] = True
         time, channels = time[timed], {c: v[timed] for c, v in channels.items()}
-    rows, filled, done = without_holes({"time": time, **channels}, labels, bridge=bool(resample))
+    rows, filled, done = without_missing({"time": time, **channels}, labels, bridge=bool(resample))
     notes += done
     for channel, values in filled.items():
         filled[channel] = values[rows]

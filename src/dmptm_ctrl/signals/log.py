@@ -52,6 +52,11 @@ class Log:
     Notes
     -----
     Arrays are copied and read-only. A log compares equal only to itself.
+
+    Examples
+    --------
+    >>> time = np.arange(0.0, 1.0, 1e-3)
+    >>> log = dm.Log("run 7", time, {"u_left": 0.0 * time, "omega_L": np.sin(time)})
     """
 
     name: str

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.signals.apart import Signal, read_apart
 from dmptm_ctrl.signals.columns import Choose, Table
 from dmptm_ctrl.signals.errors import ColumnsError, NotALogError
+from dmptm_ctrl.signals.subprocess_reader import Signal, read_in_subprocess
 
 MAX_WIDTH = 64  # columns of one array that are taken apart
 _OBJECTS = "(objects)"  # their names, among the texts
@@ -23,7 +23,7 @@ def read_matlab(path: Path, choose: Choose) -> Table:
     unique: ``rig.omega_L_deg_s`` is omega_L_deg_s if there is no other; column k of a matrix
     ``data`` is data1, data2, … Scalars and texts are in ``meta``.
     """
-    found, meta = read_apart(path)
+    found, meta = read_in_subprocess(path)
     objects = meta.pop(_OBJECTS, "")
     how = (
         f"objects such as {objects or 'timeseries'} must be saved as structures: s.time_s = ts.Time"
@@ -49,7 +49,7 @@ def read_matlab(path: Path, choose: Choose) -> Table:
 
 
 def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
-    """Signals, scalars and texts of a .mat file; run it by `read_apart`, it may crash."""
+    """Signals, scalars and texts of a .mat file; run it by `read_in_subprocess`, it may crash."""
     from scipy.io import loadmat
 
     with path.open("rb") as stream:

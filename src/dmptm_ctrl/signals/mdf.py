@@ -4,9 +4,9 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from dmptm_ctrl.signals.apart import Signal, read_apart
 from dmptm_ctrl.signals.columns import Choose, Table
 from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.subprocess_reader import Signal, read_in_subprocess
 
 
 def read_mdf(path: Path, choose: Choose) -> Table:
@@ -14,7 +14,7 @@ def read_mdf(path: Path, choose: Choose) -> Table:
 
     The time of the clock that ticks most often is the column time_s.
     """
-    found, meta = read_apart(path)
+    found, meta = read_in_subprocess(path)
     times = {signal.clock: signal.values for signal in found if signal.is_time}
     signals = {signal.path[-1]: signal for signal in found if not signal.is_time}
     units = {name: signal.unit for name, signal in signals.items() if signal.unit}
@@ -30,7 +30,7 @@ def read_mdf(path: Path, choose: Choose) -> Table:
 
 
 def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
-    """Numeric channels of an MDF file; run it by `read_apart`, it may crash."""
+    """Numeric channels of an MDF file; run it by `read_in_subprocess`, it may crash."""
     try:
         from asammdf import MDF
     except ImportError:

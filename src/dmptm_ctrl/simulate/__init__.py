@@ -66,12 +66,18 @@ def simulate(
         an effect of negative size, a method that does not exist.
     TypeError
         An option that the method does not have.
+
+    Examples
+    --------
+    >>> time = np.arange(0.0, 1.0, 1e-3)
+    >>> volts = np.array([0.6 * np.sin(np.pi * time)] * 2)
+    >>> run = dm.simulate(dm.Model(dm.paper_drive()), time, volts)
+    >>> speed = run.outputs[run.output_labels.index("omega_L")]  # rad/s
     """
     if not hasattr(model, "drive"):
         return _rig_simulated(model, timepts, inputs, initial_state, method, options)
     drive = cast("Model", model)
     from dmptm_ctrl.simulate.compiled import OUTPUTS
-    from dmptm_ctrl.simulate.model import refuse_negative
     from dmptm_ctrl.simulate.response import response
 
     if method not in METHODS:
@@ -80,7 +86,7 @@ def simulate(
         if key not in METHODS[method]:
             has = ", ".join(METHODS[method])
             raise TypeError(f"method {method!r} has no option {key!r}; it has {has}")
-    refuse_negative(drive)
+    drive.check()
     substeps = options.get("substeps", 1)
     if int(substeps) != substeps or substeps < 1:
         raise ValueError(f"substeps is {substeps!r}; needs a whole number of at least 1")
@@ -147,7 +153,7 @@ def _run(
     if method == "compiled":
         from dmptm_ctrl.simulate.compiled import march
 
-        return march(model.arrays(), u, x0, dt, **options)
+        return march(model, u, x0, dt, **options)
     if method == "reference":
         from dmptm_ctrl.simulate.reference import simulate as run_reference
 

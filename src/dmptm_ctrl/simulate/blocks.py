@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from dmptm_ctrl.simulate.base import Floats, refuse_negative
 from dmptm_ctrl.simulate.block_parts import (
     PADE_ORDER,
     REST_SPEED,
@@ -22,8 +21,8 @@ from dmptm_ctrl.simulate.block_parts import (
     pi_block,
 )
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
-from dmptm_ctrl.simulate.dual import dual_plant, parts_of
-from dmptm_ctrl.simulate.plant import GAP, TWO_STATES, Plant
+from dmptm_ctrl.simulate.parts import Parts
+from dmptm_ctrl.simulate.plant import GAP, TWO_STATES, Floats, Plant
 from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
 
 if TYPE_CHECKING:
@@ -36,10 +35,10 @@ SIDES = ("l", "r")
 CONTACTS = ("eq21", "two_state")
 DUAL = Names(
     [
-        (f"drive_{s}", f"u_{side}", f"voltage_{s}")
+        (f"amplifier_{s}", f"u_{side}", f"voltage_{s}")
         for s, side in zip(SIDES, ("left", "right"), strict=True)
     ],
-    ["chain_l", "chain_r", "ring", "motor_l", "motor_r"],
+    ["pinion_l", "pinion_r", "ring", "motor_l", "motor_r"],
     ["l", "r", "ring", "motor_l", "motor_r"],
     ("theta", "omega"),
     [
@@ -83,7 +82,7 @@ def to_blocks(
     InterconnectedSystem
         Inputs u_left, u_right [V], or ref [rad/s] with a loop; outputs
         :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, and u_left, u_right with a loop.
-        Its `syslist` holds the blocks, each of use alone: drives, bodies, their friction,
+        Its `syslist` holds the blocks, each of use alone: amplifiers, bodies, their friction,
         meshes, sensor. A friction block takes the torque on a body without friction [N·m] and
         its motion; it gives the friction [N·m], and 1 where that holds the body at rest.
 
@@ -104,7 +103,7 @@ def to_blocks(
     sampled at dt, or short pulses are stepped over; it draws inputs as straight lines
     between samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
     """
-    refuse_negative(model)
+    model.check()
     if not isinstance(loop, Loop | None):
         raise TypeError(f"loop must be a Loop, not a {type(loop).__name__}")
     if contact not in CONTACTS:
@@ -113,7 +112,7 @@ def to_blocks(
         raise ValueError("c + c_f is 0: nothing tells where in its gap an undamped tooth is")
 
     def plant_of(values: Mapping[str, float]) -> Plant:
-        plant = dual_plant(model.with_values(**values).arrays())
+        plant = model.with_values(**values).plant()
         if contact == "two_state":
             laws = np.where(plant.link_gap == GAP, TWO_STATES, plant.link_gap)
             plant = plant._replace(link_gap=laws)
@@ -195,20 +194,20 @@ def initial_state(model: "Model", sys: ct.InterconnectedSystem, x0: ArrayLike) -
     bodies = np.asarray(x0, float)
     known = {"ring_theta": bodies[2], "ring_omega": bodies[5]}
     for side, s in enumerate(SIDES):
-        known[f"chain_{s}_theta"] = known[f"motor_{s}_theta"] = bodies[side]
-        known[f"chain_{s}_omega"] = known[f"motor_{s}_omega"] = bodies[3 + side]
+        known[f"pinion_{s}_theta"] = known[f"motor_{s}_theta"] = bodies[side]
+        known[f"pinion_{s}_omega"] = known[f"motor_{s}_omega"] = bodies[3 + side]
         twist = bodies[side] - model.drive["N_2"] * bodies[2]
         half_gap = model.drive[f"gap_{s}"]
         known[f"mesh_{s}_position"] = min(max(twist, -half_gap), half_gap)
     stored = [label for label in sys.state_labels if label.startswith("sensor_delay")]
-    late = Delay(float(dual_plant(model.arrays()).sensor_delay[1]), len(stored))
+    late = Delay(float(model.plant().sensor_delay[1]), len(stored))
     known.update(zip(stored, late.settled(bodies[5]), strict=True))
     return np.array([known.get(label, 0.0) for label in sys.state_labels])
 
 
 def drive_states(model: "Model", side: int, u: float) -> dict[str, float]:
     """Return the states of a motor's drive, by their name in `to_blocks`, once `u` [V] lasted."""
-    parts, block = parts_of(model), f"drive_{SIDES[side]}"
+    parts, block = Parts(model.plant()), f"amplifier_{SIDES[side]}"
     late = Delay(parts.inputs[side][1], PADE_ORDER)
     states = dict(zip(late.states, late.settled(u), strict=True))
     aim, tau = parts.lag(side, parts.signal(side, u, 0.0))

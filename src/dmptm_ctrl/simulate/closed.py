@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from dmptm_ctrl.drive.rig import Controller as RigController
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.simulate import _finite, _timepts, compiled
-from dmptm_ctrl.simulate.model import Model, refuse_negative
+from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.response import response
 from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
 from dmptm_ctrl.simulate.rig_run import as_rig_model, march
@@ -33,8 +33,8 @@ def close_loop(
     ----------
     model : Model, RigModel or Rig
     controller : Loop or Controller
-        A PI loop, or what :func:`~dmptm_ctrl.design.tune.tune_controller` designs. Of a rig a
-        Loop on its first input and first speed sensor [SI], or the rig file's controller.
+        A PI loop, or what :func:`~dmptm_ctrl.design.tune.tune_controller` designs. Of a rig also
+        the rig file's controller; a Loop is on its first input and first speed sensor [SI].
     timepts : (n,) array [s]
         Evenly spaced; the controller runs once per point.
     reference : (n,) array [rad/s]
@@ -59,6 +59,12 @@ def close_loop(
         other than the controller's sample time.
     TypeError
         A model or a controller of another kind.
+
+    Examples
+    --------
+    >>> time = np.arange(0.0, 1.0, 1e-3)
+    >>> loop = dm.Loop(kp=5.0, ki=90.0, limit=10.0, bias_l=0.3, bias_r=-0.3)
+    >>> run = dm.close_loop(dm.Model(), loop, time, np.full(1000, 0.2))
     """
     time = _timepts(timepts)
     target = _finite("reference", reference, (time.size,), "a setpoint at each time point")
@@ -69,22 +75,26 @@ def close_loop(
     if isinstance(model, Model):
         name, labels = model.drive.name, [*compiled.OUTPUTS, "u_left", "u_right"]
         law = _law(controller, dt)
-        refuse_negative(model)
+        model.check()
         u, out = compiled.close_loop(
             model, law, target, dt, theta_L=theta_L, noise=heard, substeps=substeps
         )
         rows = [*out.T, *u]
     else:
         rig = as_rig_model(model, "close_loop")
-        if noise is not None:
-            raise ValueError("no noise for a rig of any shape; its sensors read without")
-        own = _of_rig(rig, controller) if isinstance(controller, compiled.Loop) else controller
-        if not isinstance(own, RigController):
+        own: Any = controller
+        if hasattr(controller, "law"):
+            own = _law(controller, dt).controller()
+        elif noise is not None:
+            raise ValueError("noise is heard by a designed controller only; this one reads without")
+        elif isinstance(controller, compiled.Loop):
+            own = _of_rig(rig, controller)
+        elif not isinstance(own, RigController):
             given = type(controller).__name__
             raise TypeError(f"close_loop of a rig takes a Loop or its own controller, not {given}")
         check_physical(rig)
         still = np.zeros((len(rig.layout.inputs), time.size))
-        run = march(rig, still, dt, controller=own, reference=target)
+        run = march(rig, still, dt, controller=own, reference=target, added=heard)
         sensors = [s.name for s in rig.rig.sensors]
         name, labels = rig.rig.name, [*sensors, *rig.layout.inputs]
         rows = [*(run.reading(sensor) for sensor in sensors), *run.u]

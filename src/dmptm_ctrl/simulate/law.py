@@ -1,117 +1,78 @@
 """What a controller is to the simulator: its numbers, and the model it feeds forward from."""
 
-import ast
-import inspect
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields
-from typing import Any
+from functools import cached_property
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.contract import Effect
+from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import lookup, presliding, stribeck
 from dmptm_ctrl.simulate import control_core as core
 from dmptm_ctrl.simulate import elementary
-from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, layout, per_catalogue
-from dmptm_ctrl.simulate.loading import key_of, load
-from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.generate import compiled
+from dmptm_ctrl.simulate.law_text import Wiring, law_text, wiring
+from dmptm_ctrl.simulate.loading import LOADING, key_of, load
+from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.plant import Structure, number_names, numbers, structure_of
+from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import Controller
 
 PASS = (1.0, 0.0, 0.0, 0.0, 0.0)  # a section that changes nothing
 FAR = 1e9  # rad/s², no limit
 SECTIONS = 2
-# per site: name of its chain, its arguments, how it begins, what one effect changes, its result
-_CHAINS = {
-    "drive": ("drive_voltage", "u, t, side", "", "u = {call}", "u"),
-    "motor": ("motor_torque", "u, theta_m, omega_m, t, side", "r = 0.0", "r += {call}", "r"),
-    "friction": (
-        "friction_level",
-        "theta, omega, t, mesh_torque, body",
-        "r = (1.0, 0.0)",
-        "c = {call}; r = (r[0] * c[0], r[1] + c[1])",
-        "r",
-    ),
-    "presliding": (
-        "presliding_law",
-        "body",
-        "r = (0.0, 0.0, 0.0)",
-        "c = {call}; r = (r[0] + c[0], max(r[1], c[1]), max(r[2], c[2]))",
-        "r",
-    ),
-    "load": ("load_torque", "theta_L, omega_L, t", "r = 0.0", "r += {call}", "r"),
-    "sensor": (
-        "sensor_reading",
-        "theta_L, omega_L, t",
-        "",
-        "theta_L, omega_L = {call}",
-        "theta_L, omega_L",
-    ),
-}
-_HEAD = """\
-from math import cos, exp, floor, log, sin, sqrt, tanh
-
-import numpy as np
-from functools import partial
-
-from numba import njit
-
-from dmptm_ctrl.effects import presliding, stribeck
-from dmptm_ctrl.simulate.elementary import exp, FAST, hosted
-from dmptm_ctrl.simulate.run import compiled_controller
-
-stribeck_law, sliding_torque = hosted(stribeck.stribeck_law), hosted(stribeck.sliding_torque)
-viscous_torque = hosted(stribeck.viscous_torque)
-build_up_distance = hosted(presliding.build_up_distance)
-"""
-_TAIL = """\
-@partial(compiled_controller, cache=True)
-def controller(i, t, dt, target, noise, y, rule, memory, u):
-    design = rule[{0}:{1}], rule[{1}:{2}], rule[{2}:]
-    command(target, y[0], y[1] + noise, y[2], y[3], t, dt, rule, memory, design)
-    u[0], u[1] = memory[M_LEFT], memory[M_RIGHT]
-"""
+_ENGINES: dict[tuple[int, Wiring], ModuleType] = {}
 
 
-def _chain(site: str, effects: tuple[Effect, ...]) -> str:
-    """Text of the kernels of a site one after another, each behind its flag."""
-    name, args, start, change, result = _CHAINS[site]
-    lines = [f"@njit\ndef {name}({args}, on, values):", f"    {start}" * bool(start)]
-    for effect in (e for e in effects if e.site == site):
-        flag, first = layout()[effect.name]
-        values = ", ".join(f"values[{first + j}]" for j in range(len(effect.parameters)))
-        call = f"kernel_{flag}({args}, Values_{flag}({values}))"
-        lines += [f"    if on[{flag}]:", *(f"        {part}" for part in
-                  change.format(call=call).split("; "))]  # fmt: skip
-    return "\n".join([*lines, f"    return {result}"])
+AnyModel = Model | RigModel
 
 
-def _own_text() -> str:
-    """Text of `control_core` behind what it only names."""
-    text = inspect.getsource(core)
-    named = [n for n in ast.parse(text).body if isinstance(n, ast.ImportFrom | ast.AnnAssign)]
-    return "".join(text.splitlines(keepends=True)[named[-1].end_lineno :])
+def effect_keys(model: AnyModel) -> list[str]:
+    """Return what names the effects of a model, as `without` takes it."""
+    return [e.key for e in model.effects] if isinstance(model, RigModel) else list(model.effects)
 
 
-@per_catalogue
-def law_engine(effects: tuple[Effect, ...]) -> Any:
-    """Return the compiled law for the catalogue as it is now."""
-    kernels = "\n".join(
-        f"kernel_{i} = hosted(EFFECTS[{i}].kernel)\nValues_{i} = EFFECTS[{i}].values"
-        for i, effect in enumerate(effects)
-        if effect.site in _CHAINS
-    )
-    used = (
-        " or ".join(f"on[{i}] > 0" for i, e in enumerate(effects) if e.site == site) or "False"
-        for site in ("motor", "friction", "load")
-    )
-    chains = [f"@njit\ndef active_sites(on):\n    return {', '.join(used)}"]
-    chains += [_chain(site, effects) for site in _CHAINS]
-    ends = core.L_SIZE, core.L_SIZE + len(BASE), core.L_SIZE + len(BASE) + len(effects)
-    text = "\n\n".join([_HEAD, kernels, *chains, _own_text(), _TAIL.format(*ends)])
-    options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST'
-    text = text.replace("@njit\n", f"@njit({options})\n")
-    key = key_of(text, (elementary, lookup, presliding, stribeck), effects)
-    return load(f"law_{key}", text, "the controllers of the dual-motor drive", EFFECTS=effects)
+def loop_parts(model: AnyModel, source: str = "", sensor: str = "") -> tuple[tuple[int, ...], int]:
+    """Return the numbers of a loop's inputs and of its sensor, by the names of a rig's."""
+    if not isinstance(model, RigModel):
+        return (0, 1), 1
+    source, sensor = default_loop(model.rig, source, sensor)
+    names = [one.name for one in model.rig.sensors]
+    return (model.layout.inputs.index(source),), names.index(sensor)
+
+
+class Wired(NamedTuple):
+    """A law as code and numbers.
+
+    Attributes
+    ----------
+    module : module
+        With ``command(ref, *readings, t, dt, law, memory, design)`` and ``controller``.
+    design : (numbers, flags, values) arrays
+        Of the model that is fed forward.
+    wiring : Wiring
+    memory : int
+        Room that it keeps from sample to sample.
+    """
+
+    module: ModuleType
+    design: tuple[Floats, Floats, Floats]
+    wiring: Wiring
+    memory: int
+
+
+def _engine(s: Structure, w: Wiring, flags: int) -> ModuleType:
+    """Return the compiled law of a structure."""
+    with LOADING:
+        if (id(s), w) not in _ENGINES:
+            text = compiled(law_text(s, w, flags), "command")
+            effects = tuple(p.effect for p in s.places)
+            key = key_of(text, (core, elementary, lookup, presliding, stribeck), effects)
+            what = "controllers of a drive of this shape"
+            _ENGINES[id(s), w] = load(f"law_{key}", text, what, EFFECTS=effects)
+        return _ENGINES[id(s), w]
 
 
 @dataclass(frozen=True)
@@ -140,8 +101,10 @@ class Design:
         Below this setpoint speed the friction fed forward fades to 0.
     invert : bool
         Undo offset, dead band and gain errors of the drives.
-    model : Model
+    model : Model or RigModel
         What is fed forward and undone.
+    input, sensor : str
+        Of a rig: the motor, and what the setpoint is of; by default `default_loop`.
     """
 
     kp: float
@@ -157,7 +120,9 @@ class Design:
     acceleration: float = FAR
     softness: float = 0.0
     invert: bool = False
-    model: Model = field(default_factory=Model)
+    model: Model | RigModel = field(default_factory=Model)
+    input: str = ""
+    sensor: str = ""
 
     def shared(self) -> dict[str, Any]:
         """Return the fields above, as keywords of another of its kind."""
@@ -200,37 +165,62 @@ class Law(Design):
             ]
         )
 
+    @cached_property
+    def wired(self) -> Wired:
+        """The law as code and numbers; ValueError where no link joins input and sensor."""
+        plant = self.model.plant()
+        s = structure_of(plant, switched=True)
+        w = wiring(s, *loop_parts(self.model, self.input, self.sensor))
+        row = numbers(plant, number_names(s, values=False), 1.0)
+        design = row, plant.on.astype(float), np.asarray(plant.values, float)
+        memory = core.M_BRISTLES + s.coordinates
+        return Wired(_engine(s, w, plant.on.size), design, w, memory)
+
     def controller(self) -> Controller:
         """Return the law as the compiled loop calls it."""
-        base, on, values = self.model.arrays()
-        rule = np.concatenate([self.numbers(), base, on, values])
-        return Controller(law_engine().controller, rule, core.MEMORY)
+        rule = np.concatenate([self.numbers(), *self.wired.design])
+        return Controller(self.wired.module.controller, rule, self.wired.memory)
 
     def stepper(self, sample_time: float) -> "Stepper":
         """Return the controller as a difference equation to be advanced sample by sample."""
         return Stepper(self, sample_time)
 
 
+def default_loop(rig: Rig, source: str = "", sensor: str = "") -> tuple[str, str]:
+    """Return the names of input and sensor of a rig's loop: those given, its controller's, firsts.
+
+    A speed sensor comes before a position. ValueError for names that the rig does not have.
+    """
+    own = rig.controller
+    source = source or (own.input if own else rig.inputs[0].name)
+    if not sensor:
+        sensor = next((s.name for s in rig.sensors if s.measures == "speed"), rig.sensors[0].name)
+        sensor = own.sensor if own else sensor
+    for kind, name, parts in (("input", source, rig.inputs), ("sensor", sensor, rig.sensors)):
+        names = [part.name for part in parts]
+        if name not in names:
+            raise ValueError(f"{rig.name} has no {kind} {name!r}; it has {', '.join(names)}")
+    return source, sensor
+
+
 class Stepper:
     """A running controller.
 
-    ``stepper(ref, theta_L, omega_L, theta_ml, theta_mr)`` takes SI readings of one sample
-    and returns the voltages (left, right). It is the code that the simulated loop runs.
+    ``stepper(ref, *readings)`` takes SI readings of one sample, of the dual-motor drive ``theta_L,
+    omega_L, theta_ml, theta_mr``, and returns the signals of the inputs. It is the code that the
+    simulated loop runs.
     """
 
     def __init__(self, law: Law, sample_time: float) -> None:
-        self._law, self._dt = law.numbers(), sample_time
-        self._design: Arrays = law.model.arrays()
-        self._command = law_engine().command
-        self._memory = np.zeros(core.MEMORY)
+        self._wired, self._law, self._dt = law.wired, law.numbers(), sample_time
+        self._memory = np.zeros(self._wired.memory)
         self._samples = 0
 
-    def __call__(
-        self, ref: float, theta_L: float, omega_L: float, theta_ml: float, theta_mr: float
-    ) -> tuple[float, float]:
-        self._command(
-            *(ref, theta_L, omega_L, theta_ml, theta_mr, self._samples * self._dt, self._dt),
-            *(self._law, self._memory, self._design),
+    def __call__(self, ref: float, *readings: float) -> tuple[float, ...]:
+        self._wired.module.command(
+            *(ref, *readings, self._samples * self._dt, self._dt, self._law, self._memory),
+            self._wired.design,
         )
         self._samples += 1
-        return float(self._memory[core.M_LEFT]), float(self._memory[core.M_RIGHT])
+        first = core.M_LEFT
+        return tuple(self._memory[first : first + len(self._wired.wiring.inputs)].tolist())

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import control as ct
 import numpy as np
@@ -28,7 +29,7 @@ from dmptm_ctrl.simulate.blocks import (
     to_blocks,
 )
 from dmptm_ctrl.simulate.compiled import OUTPUTS
-from dmptm_ctrl.simulate.dual import MOTORS, RING, parts_of
+from dmptm_ctrl.simulate.dual import MOTORS, RING
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.plant import link_matrices
@@ -42,7 +43,7 @@ STEP = 2.0**-13  # rad or m; of slopes: far below the shortest tooth or cogging 
 ROUNDING = 8.0 * np.finfo(float).eps  # of five values and their arguments
 STILL = 1e-6  # of the fastest mode; slower is the rigid one
 CONSERVATIVE = ("inertia", "stiffness", "ratio", "gain", "stribeck_speed", "stribeck_exponent")
-BODIES = {"left chain": "chain_l", "right chain": "chain_r", "ring gear": "ring"}
+BODIES = {"left pinion": "pinion_l", "right pinion": "pinion_r", "ring gear": "ring"}
 
 
 def turning(
@@ -73,7 +74,7 @@ def turning(
     """
     if abs(speed) <= REST_SPEED:
         raise ValueError("a steady turn needs a speed; at rest friction leaves the balance open")
-    parts = parts_of(model)
+    parts = Parts(model.plant())
     n1, n2 = model.drive["N_1"], model.drive["N_2"]
     omega, way = n2 * speed, 1.0 if speed > 0.0 else -1.0
 
@@ -177,6 +178,12 @@ def linearize(
     UserWarning
         A mesh is in its gap, where it has no stiffness and the model poles at the origin;
         or a body is held by friction, where it does not move at all.
+
+    Examples
+    --------
+    >>> plant = dm.linearize(dm.Model(dm.paper_drive()), outputs=["omega_L", "torque_l"])
+    >>> plant.output_labels
+    ['omega_L', 'torque_l']
     """
     if not isinstance(model, Model):
         if u0 is not None or not isinstance(x0, Mapping | None):
@@ -193,10 +200,10 @@ def linearize(
     if x0 is None:
         x0, volts = turning(model)
     else:
-        x0, volts = np.asarray(x0, float), np.zeros(2)
+        x0, volts = _shaped("x0", x0, (6,)), np.zeros(2)
     if u0 is not None:
-        volts = np.asarray(u0, float)
-    parts = parts_of(model)
+        volts = _shaped("u0", u0, (2,))
+    parts = Parts(model.plant())
     for side, s in enumerate(("left", "right")):
         z, z_rate, law = parts.twist(side, x0[side], x0[3 + side], x0[2], x0[5])
         if mesh_region(z, z_rate, law) == 0.0:
@@ -229,6 +236,14 @@ def linearize(
         a, b, c, d, states=labels, inputs=linear.input_labels, outputs=list(outputs),
         name="drive_linear",
     )  # fmt: skip
+
+
+def _shaped(name: str, values: Any, shape: tuple[int]) -> Floats:
+    """Return an array of a shape, or say what is wrong with it."""
+    if isinstance(values, Mapping) or np.shape(values) != shape:
+        given = "a mapping" if isinstance(values, Mapping) else f"of shape {np.shape(values)}"
+        raise ValueError(f"{name} of a Model is {given}; it must be an array of shape {shape}")
+    return np.asarray(values, float)
 
 
 def _late(model: RigModel, system: ct.StateSpace) -> ct.StateSpace:
@@ -269,7 +284,7 @@ def _turns_freely(model: Model) -> bool:
 def _from_ring(
     a: Floats, b: Floats, c: Floats, labels: list[str], n2: float, angles: list[bool]
 ) -> tuple[Floats, Floats, Floats, list[str]]:
-    """Count the angles of the chains from the ring gear's, which is kept for outputs of angle.
+    """Count the angles of the pinions from the ring gear's, which is kept for outputs of angle.
 
     By the structure of the drive nothing else depends on the turn of all bodies together; the
     columns of differences that would say so are rounding.
@@ -283,7 +298,7 @@ def _from_ring(
     old = 2.0 * np.eye(size) - new  # its inverse: the ring gear's angle is added again
     # that angle first: python-control then finds its pole at 0 exactly
     keep = [ring] * any(angles) + [i for i in range(size) if i != ring]
-    named = {f"chain_{s}_theta": f"twist_{s}" for s in SIDES}
+    named = {f"pinion_{s}_theta": f"twist_{s}" for s in SIDES}
     turned, seen = new @ a @ old, c @ old
     turned[:, ring], seen[np.logical_not(angles), ring] = 0.0, 0.0
     return (
@@ -440,6 +455,11 @@ def modes(
         Another kind of model.
     ValueError
         An inertia or a stiffness of a rig that is unknown.
+
+    Examples
+    --------
+    >>> dm.modes(dm.paper_drive()).hz.round(1)
+    array([  0. ,  60.4, 230.9])
     """
     if isinstance(model, Rig):
         model = RigModel(model)

@@ -11,6 +11,7 @@ import tomlkit
 
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.drive.rig_dual import dual_motor
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.signals import LogError
@@ -18,7 +19,7 @@ from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, undamped
-from dmptm_ctrl.simulate.model import BASE, Model
+from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
@@ -132,7 +133,7 @@ def to_toml(model: Model) -> str:
     """Return the text of a model file: values in SI, the unit beside each."""
     document = _document(DUAL)
     drive = tomlkit.table()
-    for name in BASE:
+    for name in model.drive:
         drive[name] = with_unit(model.drive[name], model.drive.quantities[name].unit)
     document["drive"] = drive
     effects = tomlkit.table()
@@ -157,11 +158,12 @@ def from_toml(text: str, *, name: str = "model.toml") -> Model:
     """
     data = _parsed(text, name, DUAL)
     values = finite_numbers(name, "drive", data.get("drive"))
-    unknown = sorted(set(values) - set(BASE))
-    missing = [n for n in BASE if n not in values]
+    paper = paper_drive()
+    unknown = sorted(set(values) - set(paper))
+    missing = [n for n in paper if n not in values]
     if unknown or missing:
         what = f"unknown {unknown[0]!r}" if unknown else f"no {missing[0]!r}"
-        raise LogError(f"{name}: {what} in [drive]; it needs {', '.join(BASE)}")
+        raise LogError(f"{name}: {what} in [drive]; it needs {', '.join(paper)}")
     speeds = ("W3_plus", "W3_minus", "WL_plus", "WL_minus")
     for key in ("J_m", "J_2", "J_L", "N_1", "N_2", "k_m", *speeds):
         if values[key] <= 0:
@@ -171,7 +173,7 @@ def from_toml(text: str, *, name: str = "model.toml") -> Model:
         raise LogError(f"{name}: [effects] must hold one table per effect")
     tables = {key: finite_numbers(name, f"effects.{key}", table) for key, table in effects.items()}
     try:
-        found = paper_drive().with_values(**values)
+        found = paper.with_values(**values)
         if FLANKS in tables and found[DAMPING] == 0.0:
             found = undamped(found)
         return Model(found, tables)
@@ -180,7 +182,7 @@ def from_toml(text: str, *, name: str = "model.toml") -> Model:
 
 
 def read_model(path: str | PathLike[str]) -> Model | RigModel:
-    """Read a model from a model.toml, as `diagnose` writes it for any drive.
+    """Read a model from a model.toml, as `diagnose` writes it for any drive, or from a rig file.
 
     Parameters
     ----------
@@ -195,15 +197,34 @@ def read_model(path: str | PathLike[str]) -> Model | RigModel:
     ------
     LogError
         See :func:`from_toml`; also a file that cannot be read.
+
+    Examples
+    --------
+    >>> dm.read_model("model.toml").effects["unbalance"]["cosine"]
+    8.0
     """
     file = Path(path)
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         raise LogError(f"{file.name}: no readable model file there") from None
-    if parse_toml(text, file.name).get("kind") == RIG:
-        return rig_model_from_toml(text, file.name)
-    return from_toml(text, name=file.name)
+    data = parse_toml(text, file.name)
+    if "kind" not in data and "body" in data:
+        rig = parse_rig(text, file.name)
+        drive = dual_motor(rig)
+        return RigModel(rig) if drive is None else Model(drive)
+    return model_of(text, file.name)
+
+
+def model_of(text: str, name: str) -> Model | RigModel:
+    """Read the text of a model file of any drive; LogError as `read_model`."""
+    chain = parse_toml(text, name).get("kind") == RIG
+    return rig_model_from_toml(text, name) if chain else from_toml(text, name=name)
+
+
+def model_text(model: Model | RigModel) -> str:
+    """Return the text of a model file of any drive."""
+    return rig_model_to_toml(model) if isinstance(model, RigModel) else to_toml(model)
 
 
 def read_dual_model(path: str | PathLike[str]) -> Model:

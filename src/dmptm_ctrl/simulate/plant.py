@@ -101,6 +101,12 @@ def link_matrices(plant: Plant) -> tuple[Floats, Floats, Floats, Floats]:
     return rows, plant.link_values[:, 1], dampers, viscous
 
 
+def untwisted(plant: Plant, first: int = 0) -> Floats:
+    """Motion of each coordinate per motion of one, no link twisted, (n,)."""
+    rows = np.vstack([np.eye(1, plant.inertia.size, first), link_matrices(plant)[0]])
+    return np.linalg.solve(rows, np.eye(len(rows))[0])
+
+
 class Structure(NamedTuple):
     """What the text of a step depends on; numbers are none of it.
 

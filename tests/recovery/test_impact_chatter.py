@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl import load_log
-from dmptm_ctrl.diagnosis.measure import measure
-from dmptm_ctrl.diagnosis.predict import speed_error
-from dmptm_ctrl.diagnosis.rattle import (
+from dmptm_ctrl.diagnosis.impact_chatter import (
     bands,
     fed_back,
     powers,
@@ -14,6 +12,8 @@ from dmptm_ctrl.diagnosis.rattle import (
     rattled,
     tie,
 )
+from dmptm_ctrl.diagnosis.measure import measure
+from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.drive import paper_drive
 from dmptm_ctrl.identify.records import record

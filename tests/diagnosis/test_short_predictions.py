@@ -13,9 +13,9 @@ from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, key_of
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import of_windows, predicting, residual
 from dmptm_ctrl.diagnosis.select import Selection
-from dmptm_ctrl.diagnosis.short import with_short_predictions
+from dmptm_ctrl.diagnosis.short_predictions import with_short_predictions
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.identify.led import Led
+from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 

@@ -1,8 +1,8 @@
 """Read binary logs in a process of its own.
 
 The libraries for MATLAB and MDF files crash on some damaged ones, or write to standard error.
-``python -m dmptm_ctrl.signals.apart_child FILE`` reads the file and writes what it finds to its
-standard output; if it dies, the file is not readable.
+``python -m dmptm_ctrl.signals.subprocess_child FILE`` reads the file and writes what it finds
+to its standard output; if it dies, the file is not readable.
 """
 
 import io
@@ -30,14 +30,14 @@ class Signal(NamedTuple):
     is_time: bool = False  # the time of a clock [s]
 
 
-def read_apart(path: Path) -> tuple[list[Signal], dict[str, Any]]:
+def read_in_subprocess(path: Path) -> tuple[list[Signal], dict[str, Any]]:
     """Signals of a .mat or .mf4 file, and its scalars and texts; LogError if not readable."""
     path.open("rb").close()
     unreadable = NotALogError(f"{path.name}: not a readable {path.suffix} file, or damaged")
     try:
         child = subprocess.run(
             # -P: no module from the folder that the user happens to be in
-            [sys.executable, "-P", "-m", "dmptm_ctrl.signals.apart_child", str(path)],
+            [sys.executable, "-P", "-m", "dmptm_ctrl.signals.subprocess_child", str(path)],
             env=os.environ | {"PYTHONPATH": _python_path()},
             stdin=subprocess.DEVNULL,
             capture_output=True,

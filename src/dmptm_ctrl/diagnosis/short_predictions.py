@@ -1,8 +1,8 @@
 """Effects that the balances cannot see, chosen by short predictions.
 
 What acts at reversals, between the flanks or near rest leaves no torque missing while a drive
-slides. Short predictions of the speed over all logs (`identify/led.py`) count beside the balances
-then, in the same likelihood, with the same acceptance.
+slides. Then short predictions of the speed over all logs (`identify/observer_driven.py`) count
+beside the balances, in the same likelihood, with the same acceptance.
 """
 
 from collections.abc import Callable, Mapping, Sequence

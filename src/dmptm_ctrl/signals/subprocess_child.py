@@ -1,4 +1,4 @@
-"""The process that reads a binary log for `apart.read_apart`."""
+"""The process that reads a binary log for `subprocess_reader.read_in_subprocess`."""
 
 import io
 import json
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dmptm_ctrl.signals import matlab, mdf
-from dmptm_ctrl.signals.apart import Signal
+from dmptm_ctrl.signals.subprocess_reader import Signal
 
 MAX_BYTES = 16 << 30  # memory of this process; guards against files that unpack endlessly
 

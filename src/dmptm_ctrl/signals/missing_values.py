@@ -83,7 +83,7 @@ def without_sentinels(values: Array) -> tuple[Array, float | None]:
     return values, None
 
 
-def without_holes(
+def without_missing(
     channels: Mapping[str, Array], labels: Mapping[str, str], *, bridge: bool
 ) -> tuple[slice, dict[str, Array], list[str]]:
     """Fill columns sampled more rarely; return the complete rows, filled channels, and notes.

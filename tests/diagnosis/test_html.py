@@ -430,3 +430,12 @@ def test_plots_use_the_axes_given():
     assert list(plot_evidence(diagnosis, ax=pair)) == list(pair)
     with pytest.raises(ValueError, match="axes given"):
         plot_evidence(diagnosis, ax=pair[0])
+
+
+def test_what_effects_explain_together_is_said_by_their_names():
+    """Each alone is small beside what two share; two of one name have their places."""
+    found = made("explained")
+    each = replace(found.effects[0], name="coulomb_friction", share=0.01)
+    two = (replace(each, location="motor"), replace(each, location="table"))
+    said = replace(found, effects=two).sentence()
+    assert "lacks coulomb friction of motor, coulomb friction of table" in said

@@ -57,8 +57,10 @@ def unit_at(effect: Placed, rig: Rig, unit: str) -> str:
 
 
 def input_symbol(rig: Rig, name: str) -> str:
-    """SI unit of an input's signal."""
-    return parse_unit(next(i for i in rig.inputs if i.name == name).unit).symbol
+    """SI unit of an input's signal; of a number what the rig file calls it, or its column."""
+    source = next(i for i in rig.inputs if i.name == name)
+    called = source.column if source.unit.strip() in ("", "1") else source.unit
+    return parse_unit(source.unit).symbol or called
 
 
 def rig_model_to_toml(model: RigModel) -> str:

@@ -151,8 +151,9 @@ def rig_blocks(
     -------
     InterconnectedSystem
         Inputs: those of the rig; outputs: its sensors; states: position and speed of each group
-        of rigidly joined bodies, lags, dead times, friction that builds up. `params` replace
-        declared quantities by their keys, such as ``{"body.load.inertia": 0.02}``.
+        of rigidly joined bodies, named by its first body, lags, dead times, friction that builds
+        up. `params` replace declared quantities by their keys, such as
+        ``{"body.load.inertia": 0.02}``.
 
     Raises
     ------
@@ -168,10 +169,12 @@ def rig_blocks(
     given = Given(plant_of, list(model.quantities), others=others, pade_order=pade_order)
     layout = model.layout
     sensors = [s.name for s in model.rig.sensors]
+    turning = {g: b for b, g in reversed(layout.coordinate.items())}  # the first of each group
+    leading = [turning[g] for g in range(layout.coordinates)]
     names = Names(
         [(f"input_{x}", x, f"{x}_acting") for x in layout.inputs],
-        [f"group_{g}" for g in range(layout.coordinates)],
-        [str(g) for g in range(layout.coordinates)],
+        [f"body_{first}" for first in leading],
+        leading,
         ("q", "v"),
         [(f"q_{x}", f"v_{x}") for x in layout.bodies],
         [(f"link_{x}", f"{x}_torque", f"{x}_twist") for x in layout.links],

@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from dmptm_ctrl.simulate import reference
 from dmptm_ctrl.simulate.blocks import initial_state, to_blocks
 from dmptm_ctrl.simulate.compiled import rest
-from dmptm_ctrl.simulate.dual import dual_plant, start
+from dmptm_ctrl.simulate.dual import start
 
 REST = 1e-5  # rad/s; as in scalar_rk4.c and in the python-control blocks
 SPEED = 5  # of the ring gear among the states
@@ -179,7 +179,7 @@ def sampled_blocks(model, loop, target, dt, rtol):
 
 def located(model, loop, target, dt, rtol):
     """The package's reference under the sampled loop: DOP853, every switch located."""
-    plant = dual_plant(model.arrays())
+    plant = model.plant()
     hybrid = reference._Hybrid(plant)
     y = np.zeros(hybrid.size)
     y[:6] = np.hstack(start(plant, rest(model, 0.0)))

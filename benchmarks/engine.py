@@ -61,7 +61,7 @@ def main():
     repeats = parser.parse_args().repeats
     dual = Model()
     u = np.array([0.9 * WAVE + 0.2, 0.9 * WAVE - 0.2])
-    tasks, bodies = {"dual": lambda: march_dual(dual.arrays(), u, rest(dual, 0.0), DT)}, {"dual": 3}
+    tasks, bodies = {"dual": lambda: march_dual(dual, u, rest(dual, 0.0), DT)}, {"dual": 3}
     for count in (1, 2, 3, 5, 9):
         for gaps in (False, True)[: 2 if count > 1 else 1]:
             name = f"{count} bodies{' with gaps' if gaps else ''}"

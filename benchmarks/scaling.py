@@ -52,8 +52,8 @@ def drives(count):
 
 def run(model, seconds):
     _, u = voltages(seconds)
-    arrays, x0 = model.arrays(), rest(model, 0.0)
-    return lambda: march(arrays, u, x0, DT)
+    x0 = rest(model, 0.0)
+    return lambda: march(model, u, x0, DT)
 
 
 def batch(count, seconds=1.0, jobs=1, **options):

@@ -27,7 +27,7 @@ ARRAYS = """
 import numpy as np
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model
-march(Model().arrays(), np.ones((2, 1000)), rest(Model(), 0.0), 1e-3)
+march(Model(), np.ones((2, 1000)), rest(Model(), 0.0), 1e-3)
 """
 STARTS = {  # what a fresh process does; the first without anything compiled
     "cold_simulate": FIRST,

@@ -4,7 +4,7 @@ from threading import Barrier, Event, Lock, get_ident
 
 import pytest
 
-from dmptm_ctrl.parallel import at_once, crew, free, in_threads
+from dmptm_ctrl.parallel import crew, in_threads
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 5])
@@ -16,7 +16,6 @@ def test_results_come_in_order_however_deep(jobs):
     assert in_threads(inner, range(3), jobs) == wanted
     with crew(jobs):
         assert in_threads(inner, range(3), jobs) == wanted
-        assert at_once(lambda: inner(0), lambda: "b", jobs) == (wanted[0], "b")
 
 
 def test_two_are_at_work_at_once():
@@ -40,7 +39,7 @@ def test_who_waits_for_another_helps_it():
                 return in_threads(lambda _: met.wait() >= 0, range(2), 2)
         return None
 
-    assert at_once(first, second, 2) == (None, [True, True])
+    assert in_threads(lambda own: own(), [first, second], 2) == [None, [True, True]]
 
 
 def test_no_more_are_at_work_than_said():
@@ -59,22 +58,6 @@ def test_no_more_are_at_work_than_said():
     assert 1 <= most[0] <= 2
 
 
-def test_free_threads_are_those_that_have_nothing_to_do():
-    assert free(3) == 3
-    met = Barrier(2, timeout=10.0)
-
-    def seen(_):
-        met.wait()
-        found = free(2)
-        met.wait()
-        return found
-
-    with crew(2):
-        assert free(2) == 2
-        assert free(1) == 1
-        assert in_threads(seen, range(2), 2) == [1, 1]
-
-
 def test_an_error_is_the_caller_s():
     def fails(i):
         if i == 2:
@@ -85,5 +68,3 @@ def test_an_error_is_the_caller_s():
         with pytest.raises(ValueError, match="two"):
             in_threads(fails, range(5), 2)
         assert in_threads(fails, range(2), 2) == [0, 1]  # and the threads go on
-    with pytest.raises(ValueError, match="two"):
-        at_once(lambda: fails(2), lambda: 0, 2)

@@ -27,7 +27,7 @@ for name, effect in CATALOGUE.items():
 time = 1e-3 * np.arange(1000)
 u = 0.9 * np.sin(2 * np.pi * 1.5 * time) + np.array([[0.15], [-0.15]])
 x0 = rest(models[0], 0.1)
-alone = [march(one.arrays(), u, x0, 1e-3) for one in models]
+alone = [march(one, u, x0, 1e-3) for one in models]
 loop = Loop(kp=20.0, ki=60.0, limit=10.0, bias_l=0.4, bias_r=-0.4)
 target = np.deg2rad(10.0) * np.sin(np.pi * time)
 together = simulate_batch(models, time, target, loop=loop, outputs=("omega_L", "torque_l"))

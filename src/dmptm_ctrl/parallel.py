@@ -55,12 +55,6 @@ def in_threads(
         return [done[i] for i in range(len(items))]
 
 
-def free(jobs: int) -> int:
-    """Return how many of `jobs` threads are there now for what this one shares out."""
-    own = getattr(_THREAD, "crew", None)
-    return jobs if own is None else min(jobs, 1 + max(own.idle, 0))
-
-
 @contextmanager
 def crew(jobs: int) -> Iterator[None]:
     """Keep threads for all that this one shares out; begun anew for each takes as long as a run."""
@@ -121,12 +115,6 @@ class _Crew:
         with self.changed:
             self.idle += 1
             self.changed.notify()
-
-
-def at_once(first: Callable[[], T], second: Callable[[], R], jobs: int) -> tuple[T, R]:
-    """Call two functions at once; who is left has the other's thread for what it shares out."""
-    done: list[Any] = in_threads(lambda function: function(), [first, second], jobs)
-    return done[0], done[1]
 
 
 def each(

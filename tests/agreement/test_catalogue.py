@@ -1,15 +1,16 @@
 """What every effect of the catalogue inherits; a new one is tested by being in it."""
 
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate import compiled, simulate
-from dmptm_ctrl.simulate.base import layout
 from dmptm_ctrl.simulate.blocks import initial_state, to_blocks
 from dmptm_ctrl.simulate.compiled import OUTPUTS, march, rest
+from dmptm_ctrl.simulate.dual import catalogue
 from dmptm_ctrl.simulate.plant import structure_of
 
 each = pytest.mark.parametrize("name", CATALOGUE)
@@ -31,7 +32,7 @@ def unused(paper, lively):
     time, u, x0 = lively
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled, "structure_for", partial(structure_of, switched=True))
-        return march(paper.arrays(), u, x0, time[1]).T
+        return march(paper, u, x0, time[1]).T
 
 
 @each
@@ -40,10 +41,10 @@ def test_zero_parameters_change_nothing_bit_for_bit(name, paper, lively, without
     time, u, x0 = lively
     absent = paper.with_effect(name)
     np.testing.assert_array_equal(simulate(absent, time, u, x0).outputs, without)
-    base, on, values = absent.arrays()
-    assert not on.any()
-    on[layout()[name][0]] = 1
-    forced = march((base, on, values), u, x0, time[1])
+    plant = absent.plant()
+    assert not plant.on.any()
+    on = np.array([flag == catalogue().slots[name][0] for flag in range(plant.on.size)], np.uint8)
+    forced = march(SimpleNamespace(plant=lambda: plant._replace(on=on)), u, x0, time[1])
     np.testing.assert_array_equal(forced.T, unused)
 
 

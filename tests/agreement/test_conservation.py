@@ -95,7 +95,7 @@ def test_free_decay_of_the_compiled_loop_gains_no_energy(state, damping, dry):
     drive = model.drive
     h, steps = 1e-5, 4000  # s; 40 ms of free decay
     x0 = bodies(*state)
-    out = march(model.arrays(), np.zeros((2, steps)), x0, h, substeps=1)
+    out = march(model, np.zeros((2, steps)), x0, h, substeps=1)
     angles = np.array(
         [out[:, 2] / drive["N_1"], out[:, 3] / drive["N_1"], out[:, OUTPUTS.index("theta_L")]]
     )

@@ -13,7 +13,7 @@ from dmptm_ctrl.simulate.compiled import (
     march,
     rest,
 )
-from dmptm_ctrl.simulate.dual import dual_plant, start
+from dmptm_ctrl.simulate.dual import start
 from dmptm_ctrl.simulate.observer import observer_gains, rigid_observer
 from dmptm_ctrl.simulate.run import advance, start_state, structure_for
 
@@ -40,7 +40,7 @@ def test_controller_by_hand(closed):
 
 def test_closed_run_is_the_open_run_of_its_voltages(paper, closed):
     _, _, u, out = closed
-    again = march(paper.arrays(), u, rest(paper, 0.0), DT)
+    again = march(paper, u, rest(paper, 0.0), DT)
     np.testing.assert_array_equal(again, out)
 
 
@@ -82,10 +82,10 @@ def test_observer_leaves_a_perfect_run_alone_and_draws_in_a_wrong_one(paper, clo
     angle = np.ascontiguousarray(out[:, 0])
     gains = observer_gains(2.0, DT)
     x0 = rest(paper, 0.0)
-    kept = march(paper.arrays(), u, x0, DT, observer=gains, measured=angle)
+    kept = march(paper, u, x0, DT, observer=gains, measured=angle)
     np.testing.assert_allclose(kept, out, rtol=0.0, atol=1e-8)
     # An angle off by 1 mrad all along: the rigid mode follows, the meshes do not feel it.
-    off = march(paper.arrays(), u, x0, DT, observer=gains, measured=angle + 1e-3)
+    off = march(paper, u, x0, DT, observer=gains, measured=angle + 1e-3)
     assert abs(off[-1, 0] - angle[-1] - 1e-3) < 1e-4
     free = simulate(paper, DT * np.arange(angle.size), u).outputs
     np.testing.assert_array_equal(free[0], angle)
@@ -94,7 +94,7 @@ def test_observer_leaves_a_perfect_run_alone_and_draws_in_a_wrong_one(paper, clo
 def test_a_led_run_goes_on_where_it_was_cut(paper, closed):
     """Bit for bit; and free from there it is another run."""
     _, _, u, out = closed
-    plant = dual_plant(paper.arrays())
+    plant = paper.plant()
     begun = start_state(structure_for(plant), *start(plant, rest(paper, 0.0)))
     angle = out[None, :, 0] + 1e-3
     lead = {"observer": rigid_observer(plant, 0, observer_gains(2.0, DT))}
@@ -114,7 +114,7 @@ def test_a_run_may_begin_late(paper):
         paper.with_effect("base_vibration", frequency=hz, **wave)
         for wave in ({"cosine": 60.0, "sine": 0.0}, {"cosine": 0.0, "sine": -60.0})
     ]
-    late = march(shaken[0].arrays(), u, x0, DT, begin=0.25 / hz)
-    other = march(shaken[1].arrays(), u, x0, DT)
+    late = march(shaken[0], u, x0, DT, begin=0.25 / hz)
+    other = march(shaken[1], u, x0, DT)
     np.testing.assert_allclose(late, other, rtol=0.0, atol=1e-9)
     assert np.ptp(other[:, 0]) > 1e-4

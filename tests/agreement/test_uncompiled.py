@@ -1,6 +1,7 @@
 """The compiled loop against the same text run as plain Python, without numba."""
 
 import os
+import pickle
 import subprocess
 import sys
 
@@ -12,16 +13,13 @@ from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model
 
 SCRIPT = """
-import sys
+import pickle, sys
 import numpy as np
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.compiled import march
 assert not hasattr(CATALOGUE["cogging"].kernel, "py_func"), "numba is on"
-data = np.load(sys.argv[1])
-runs = [
-    march((data["base"], on, values), data["u"], data["x0"], 1e-3, substeps=4)
-    for on, values in zip(data["on"], data["values"])
-]
+models, u, x0 = pickle.load(open(sys.argv[1], "rb"))
+runs = [march(model, u, x0, 1e-3, substeps=4) for model in models]
 np.save(sys.argv[2], np.array(runs))
 """
 
@@ -39,27 +37,19 @@ def runs(tmp_path_factory, request):
         models.append(Model().with_effect(name, **values))
         everything = everything.with_effect(name, **values)
     models.append(everything)
-    arrays = [m.arrays() for m in models]
     time = 1e-3 * np.arange(60)
     u = 0.85 * np.sin(2 * np.pi * 12.0 * time) + np.array([[0.15], [-0.15]])
     x0 = rest(models[0], 0.1)
-    np.savez(
-        folder / "in.npz",
-        base=arrays[0][0],
-        on=np.array([a[1] for a in arrays]),
-        values=np.array([a[2] for a in arrays]),
-        u=u,
-        x0=x0,
-    )
+    (folder / "in").write_bytes(pickle.dumps((models, u, x0)))
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "DMPTM_CACHE_DIR": str(folder)}
     subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(folder / "in.npz"), str(folder / "out.npy")],
+        [sys.executable, "-c", SCRIPT, str(folder / "in"), str(folder / "out.npy")],
         env=environment,
         check=True,
         timeout=300,
     )
     plain = np.load(folder / "out.npy")
-    compiled = np.array([march(a, u, x0, 1e-3, substeps=4) for a in arrays])
+    compiled = np.array([march(m, u, x0, 1e-3, substeps=4) for m in models])
     return ["none", *CATALOGUE, "all"], plain, compiled
 
 

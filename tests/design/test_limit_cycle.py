@@ -56,14 +56,13 @@ def test_derivatives_against_differences():
     n, rng = 4, np.random.default_rng(0)
     x = 0.5 * rng.standard_normal(2 * (2 * n + 1) + 2 * n + 2)
     x[-1] = np.log(100.0)
-    setpoint = 0.1 * rng.standard_normal(2 * n + 1)
 
     def left(y):
-        return balance.equations(y, n, None, setpoint)[0]
+        return balance.equations(y, n)[0]
 
     step = 1e-7
     expected = np.array([(left(x + e) - left(x - e)) / (2 * step) for e in step * np.eye(x.size)]).T
-    found = balance.equations(x, n, None, setpoint)[1]
+    found = balance.equations(x, n)[1]
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
@@ -127,7 +126,7 @@ def test_state_of_a_predicted_cycle_stays_on_it():
     z = 1.5 * GAP
     cycle = balance.guess(z, 600.0, balance.free_ring(z, 600.0))
     for n in (3, 15):
-        cycle = balance.solve(cycle, n, free=True)
+        cycle = balance.solve(cycle, n)
     state, volts = balance.state(cycle)
     count = int(2 * np.pi / cycle.omega / DT)
     run = simulate_batch(

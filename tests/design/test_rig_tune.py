@@ -151,6 +151,9 @@ def test_command(tmp_path, capsys, monkeypatch, tuned):
     bad = [
         ([], "rig.toml: input voltage has no limit in the rig file; give the largest signal"),
         (["--limit", "9", "--input", "brake"], "has no input 'brake'; it has voltage"),
+        (["--limit", "inf"], "has no limit in the rig file"),
+        (["--limit", "-3"], "--limit -3: must be positive"),
+        (["--limit", "9", "--speed", "0"], "--speed 0: must be positive"),
         (["--limit", "9", "--logs", str(tmp_path)], "no logs"),
     ]
     for options, message in bad:

@@ -64,5 +64,5 @@ def test_nothing_contested_needs_no_experiment():
 def test_a_model_is_not_told_from_itself():
     model = Model()
     volts = alike(LARGEST * np.ones(500))
-    one, other = (march(m.arrays(), volts, rest(m, 0.0), SAMPLE_TIME) for m in (model, model))
+    one, other = (march(m, volts, rest(m, 0.0), SAMPLE_TIME) for m in (model, model))
     assert apart(one, other, SAMPLE_TIME, True) == 0.0

@@ -339,19 +339,20 @@ def test_the_code_rebuilds_the_model(tmp_path):
     program = (
         "import runpy, sys, numpy as np\n"
         "made = runpy.run_path('rebuild.py')\n"
-        "base, on, values = made['model'].arrays()\n"
-        "np.savez('made.npz', base=base, on=on, values=values, states=made['plant'].nstates,\n"
+        "plant = made['model'].plant()\n"
+        "np.savez('made.npz', law=plant.law, link_values=plant.link_values, on=plant.on,\n"
+        "         values=plant.values, states=made['plant'].nstates,\n"
         "         outputs=made['response'].outputs)\n"
     )
     source = str(Path(dmptm_ctrl.__file__).parents[1])
     environment = {**os.environ, "PYTHONPATH": source}
     subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True, env=environment)
     found = np.load(tmp_path / "made.npz")
-    for got, wanted in zip(("base", "on", "values"), diagnosis.augmented.arrays(), strict=True):
-        np.testing.assert_array_equal(found[got], wanted)
+    for name in ("law", "link_values", "on", "values"):
+        np.testing.assert_array_equal(found[name], getattr(diagnosis.augmented.plant(), name))
     u = np.full((2, found["outputs"].shape[1]), 0.6)
     model = diagnosis.augmented
-    compiled = march(model.arrays(), u, rest(model, 0.0), 1e-3)
+    compiled = march(model, u, rest(model, 0.0), 1e-3)
     speed = list(OUTPUTS).index("omega_L")
     assert found["outputs"][speed, -1] == pytest.approx(compiled[-1, speed], rel=0.02)
 

@@ -8,7 +8,7 @@ from dmptm_ctrl.simulate.model import Model
 
 def run(drive, u, *, motors=None):
     model = Model(drive)
-    return march(model.arrays(), u, rest(model, 0.0, motors=motors), 1e-3)
+    return march(model, u, rest(model, 0.0, motors=motors), 1e-3)
 
 
 def test_no_torque_in_the_gap():

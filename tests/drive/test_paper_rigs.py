@@ -99,7 +99,7 @@ def test_the_three_inertia_model_as_a_file_is_the_built_in_one():
     push = 0.9 * np.sin(2 * np.pi * 3.0 * t)
     u = np.array([push + 0.2, push - 0.2])
     built_in = Model(baseline_drive())
-    one = march_dual(built_in.arrays(), u, rest(built_in, 0.0), DT)[:, 1]
+    one = march_dual(built_in, u, rest(built_in, 0.0), DT)[:, 1]
     other = march(RigModel(load_rig(data.BASELINE)), u, DT, substeps=8).speed("ring_gear")
     assert np.abs(one).max() > 0.05
     assert np.abs(other - one).max() < 1e-6 * np.abs(one).max()

@@ -9,13 +9,13 @@ from dmptm_ctrl.effects import CATALOGUE, LAWS
 from dmptm_ctrl.effects.stribeck import sliding_torque, stribeck_law
 from dmptm_ctrl.identify.disturbance import PASSES, course, disturbance
 from dmptm_ctrl.simulate.along import (
+    acting_in,
     built_up_along,
     delayed_along,
     lagged_along,
     law_along,
     reading_along,
 )
-from dmptm_ctrl.simulate.dual import acting
 from dmptm_ctrl.simulate.model import Model
 
 N, DT = 203, 1e-3
@@ -49,9 +49,9 @@ def one_by_one(model, u, run, load, passes):
     ((name, values),) = model.effects.items()
     effect = CATALOGUE[name]
     kernel, p = getattr(effect.kernel, "py_func", effect.kernel), effect.values(**values)
-    base, _, _ = model.arrays()
-    gain, n1, n2 = base[0] * base[1], base[5], base[6]
-    laws = [stribeck_law(*base[first : first + 9]) for first in (15, 15, 24)]
+    plant, (n1, n2) = model.plant(), (model.drive[name] for name in ("N_1", "N_2"))
+    gain = model.drive["K_d"] * model.drive["K_M"]
+    laws = [stribeck_law(*plant.law[body]) for body in range(3)]
     torque, shift = np.zeros((3, N)), np.zeros((2, N))
 
     def brake(i, body, angle, speed, way, mesh):
@@ -99,7 +99,7 @@ def test_loops_do_what_kernels_do(name, carries):
         load = np.zeros_like(load)
     model = drawn(name, 2)
     way = course([u], [run], DT)
-    torque, shift, _ = disturbance(way, model.arrays(), load if carries else None)
+    torque, shift, _ = disturbance(way, model.plant(), load if carries else None)
     expected = one_by_one(model, u, run, load, PASSES if carries else 0)
     size = 1.0 + np.abs(expected[0]).max()
     np.testing.assert_allclose(filled(torque), expected[0], rtol=0.0, atol=1e-11 * size)
@@ -113,9 +113,9 @@ def test_motions_one_after_another_are_what_each_is_alone(name):
     u, run, _ = recorded(4)
     model, parts = drawn(name, 5), (slice(0, 90), slice(90, N))
     both = course([u[:, p] for p in parts], [run[p] for p in parts], DT)
-    together = filled(disturbance(both, model.arrays()).torque)
+    together = filled(disturbance(both, model.plant()).torque)
     for p in parts:
-        torque = disturbance(course([u[:, p]], [run[p]], DT), model.arrays()).torque
+        torque = disturbance(course([u[:, p]], [run[p]], DT), model.plant()).torque
         for row, own in zip(together, torque, strict=True):
             if own is not None:
                 np.testing.assert_array_equal(row[p], own)
@@ -124,8 +124,8 @@ def test_motions_one_after_another_are_what_each_is_alone(name):
 def test_sensor_reads_what_its_kernel_says():
     _, run, _ = recorded(6)
     model = drawn("sensor_gain", 7)
-    _, on, values = model.arrays()
-    seen = reading_along(acting(on, values)["sensor", 0], *run.T[:2].copy(), DT * np.arange(N))
+    effects = acting_in(model.plant())
+    seen = reading_along(effects["sensor", 0], *run.T[:2].copy(), DT * np.arange(N))
     effect = CATALOGUE["sensor_gain"]
     p = effect.values(**model.effects["sensor_gain"])
     expected = [effect.kernel.py_func(*run[i, :2], DT * i, p) for i in range(N)]
@@ -135,8 +135,7 @@ def test_sensor_reads_what_its_kernel_says():
 @pytest.mark.parametrize("exponent", [1.0, 1.7])
 def test_friction_of_sliding_is_the_laws(exponent):
     """With an exponent that is a power, and with the one that is none."""
-    base, _, _ = Model(paper_drive()).arrays()
-    law = np.array([*base[15:23], exponent])
+    law = np.array([*Model(paper_drive()).plant().law[0, :8], exponent])
     speed = np.linspace(-0.5, 0.5, N)
     ways = np.where(speed > 0.0, 1.0, -1.0)
     own = stribeck_law(*law)
@@ -146,8 +145,7 @@ def test_friction_of_sliding_is_the_laws(exponent):
 
 def test_presliding_begins_anew_with_each_record():
     """Two records one after another are what each is alone."""
-    base, _, _ = Model(paper_drive()).arrays()
-    law, rng = np.array(base[15:24]), np.random.default_rng(3)
+    law, rng = Model(paper_drive()).plant().law[0], np.random.default_rng(3)
     speed = np.cumsum(rng.standard_normal(N))
     travel = 1e-3 * speed
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.lookup import BRAKING, SPEED, WAVE, WIDEST
-from dmptm_ctrl.simulate.batch import BATCH_OUTPUTS, march_any, march_many, simulate_batch
+from dmptm_ctrl.simulate.batch import BATCH_OUTPUTS, march_any, simulate_batch
 from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, Loop, close_loop, march
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.observer import observer_gains
@@ -88,7 +88,7 @@ def test_lanes_are_the_plain_loop(data, names, amplitude, frequency, bias):
     """Drawn drives side by side, each with another effect of the catalogue or none."""
     models = [drawn(data, name) for name in names]
     u = voltages(amplitude, frequency, bias)
-    assert_same(lanes(models, u), np.array([march(m.arrays(), u, STATE, DT) for m in models]))
+    assert_same(lanes(models, u), np.array([march(m, u, STATE, DT) for m in models]))
 
 
 def test_every_effect_and_all_together():
@@ -97,7 +97,7 @@ def test_every_effect_and_all_together():
     curved = Model().with_values(delta3=0.7, deltaL=1.3)
     models += [full(*OF_SHAPE), varying, curved]
     u = voltages(1.2, 12.0, 0.15)
-    expected = np.array([march(m.arrays(), u, STATE, DT) for m in models])
+    expected = np.array([march(m, u, STATE, DT) for m in models])
     assert_same(lanes(models, u), expected)
 
 
@@ -105,7 +105,7 @@ def test_every_effect_and_all_together():
 def test_without_the_columns_of_the_meshes_the_rest_is_the_same(name):
     model = Model() if name is None else Model().with_effect(name, **visible(name))
     u = voltages(1.2, 12.0, 0.15)
-    whole, bodies = (march(model.arrays(), u, STATE, DT, meshes=m) for m in (True, False))
+    whole, bodies = (march(model, u, STATE, DT, meshes=m) for m in (True, False))
     assert bodies.shape == (u.shape[1], BODIES)
     np.testing.assert_array_equal(bodies, whole[:, :BODIES])
     target = 0.2 * np.sin(20.0 * TIME)
@@ -120,14 +120,14 @@ def test_without_the_columns_of_the_meshes_the_rest_is_the_same(name):
 def test_observer(name):
     """As the diagnosis uses it: led by a measured angle, each lane by its own."""
     model = Model() if name is None else Model().with_effect(name, **visible(name))
-    arrays = [model.with_values(c=c).arrays() for c in (1.0, 3.0, 8.0)]
+    models = [model.with_values(c=c) for c in (1.0, 2.0, 3.0, 5.0, 8.0)]
     u = voltages(1.2, 12.0, 0.15)
-    angle = 0.1 + np.array([[1e-3], [2e-3], [-1e-3]]) * np.sin(40.0 * TIME)
+    angle = 0.1 + np.array([[1e-3], [2e-3], [-1e-3], [3e-3], [-2e-3]]) * np.sin(40.0 * TIME)
     options = {"observer": observer_gains(2.0, DT), "begin": 0.37}
     expected = np.array(
-        [march(a, u, STATE, DT, measured=m, **options) for a, m in zip(arrays, angle, strict=True)]
+        [march(a, u, STATE, DT, measured=m, **options) for a, m in zip(models, angle, strict=True)]
     )
-    assert_same(march_many(arrays, u, STATE, DT, measured=angle, **options), expected)
+    assert_same(march_any(models, u, STATE, DT, measured=angle, **options), expected)
 
 
 @pytest.mark.parametrize("count", [1, 4, 5, 16, 18])
@@ -135,18 +135,18 @@ def test_observer(name):
 def test_any_number_one_by_one_where_lanes_would_be_empty(count, own):
     """Alone, all in lanes, or some of each; with voltages and angles in common, or of their own."""
     model = Model().with_effect("reducer_compliance", **visible("reducer_compliance"))
-    arrays = [model.with_values(c=1.0 + 0.3 * k).arrays() for k in range(count)]
+    models = [model.with_values(c=1.0 + 0.3 * k) for k in range(count)]
     many = count if own else 1
     u = np.array([voltages(1.2, 12.0 + k, 0.15) for k in range(many)])
     angle = 0.1 + np.outer(1e-3 * (1 + np.arange(many)), np.sin(40.0 * TIME))
     starts = STATE + np.outer(1e-3 * np.arange(count), [1, 1, 0, 0, 0, 0])
     options = {"observer": observer_gains(2.0, DT), "substeps": 4, "begin": 0.37}
     columns = (1, 6)
-    found = march_any(arrays, u, starts, DT, measured=angle, columns=columns, **options)
+    found = march_any(models, u, starts, DT, measured=angle, columns=columns, **options)
     assert found.shape == (count, TIME.size, len(columns))
     for k, run in enumerate(found):
         j = k if own else 0
-        alone = march(arrays[k], u[j], starts[k], DT, measured=angle[j], **options)
+        alone = march(models[k], u[j], starts[k], DT, measured=angle[j], **options)
         assert_same(run[None], alone[None][..., columns])
 
 

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.batch import march_many
+from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.compiled import OUTPUTS, march
+from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.model import Model
 
 DT = 1e-3  # s
@@ -41,8 +42,8 @@ def test_teeth_push_but_never_pull(scales, u, substeps):
     """Dry gaps: the torque has the sign of z, and none where z is inside the gap by far."""
     model = drive(scales).with_values(c_f=0.0)
     for out in (
-        march(model.arrays(), u, np.zeros(6), DT, substeps=substeps),
-        march_many([model.arrays()], u, np.zeros(6), DT, substeps=substeps)[0],
+        march(model, u, np.zeros(6), DT, substeps=substeps),
+        march_any(LANES * [model], u, np.zeros(6), DT, substeps=substeps)[0],
     ):
         for s in "lr":
             torque, z = (out[:, OUTPUTS.index(f"{q}_{s}")] for q in ("torque", "z"))
@@ -61,7 +62,7 @@ def test_only_the_angles_know_their_zero(name, scales, u, turn):
         model = model.with_effect(name, **values)
     n1, n2 = model.drive["N_1"], model.drive["N_2"]
     moved = np.array([n2 * turn, n2 * turn, turn, 0.0, 0.0, 0.0])
-    here, there = (march(model.arrays(), u, x0, DT) for x0 in (np.zeros(6), moved))
+    here, there = (march(model, u, x0, DT) for x0 in (np.zeros(6), moved))
     shift = {"theta_L": turn, "theta_ml": n1 * n2 * turn, "theta_mr": n1 * n2 * turn}
     for i, output in enumerate(OUTPUTS):
         difference = there[:, i] - shift.get(output, 0.0) - here[:, i]
@@ -85,7 +86,7 @@ def test_free_decay_in_lanes_gains_no_energy(scales, state, speed):
     n2 = values["N_2"]
     z_l, z_r, theta, v_l, v_r = state
     x0 = np.array([n2 * theta + z_l, n2 * theta + z_r, theta, v_l, v_r, speed])
-    out = march_many([model.arrays()], np.zeros((2, steps)), x0, h, substeps=1)[0]
+    out = march_any(LANES * [model], np.zeros((2, steps)), x0, h, substeps=1)[0]
     angles = np.array([out[:, 2] / values["N_1"], out[:, 3] / values["N_1"], out[:, 0]])
     # q₊ = q + ½ h (v + v₊), solved for v₊ from the first on: an alternating sum
     turns = 2.0 * np.diff(angles, prepend=angles[:, :1]) / h

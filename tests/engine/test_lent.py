@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from dmptm_ctrl.simulate import lanes, scalar
-from dmptm_ctrl.simulate.dual import dual_plant
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import structure_of
 
@@ -38,7 +37,7 @@ def test_only_what_a_caller_keeps_is_lent(path):
 
 @pytest.mark.parametrize("text", [scalar.source, lambda s: lanes.source(s, 16)])
 def test_neither_do_written_functions_lend_more(text):
-    found = dict(lent(text(structure_of(dual_plant(Model().arrays()), switched=True))))
+    found = dict(lent(text(structure_of(Model().plant(), switched=True))))
     assert len(found) == 1
     assert not any(found.values())
 

@@ -1,12 +1,15 @@
 """Runs led by measurements: any plant, any sensors, against a linear observer of SciPy's."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.simulate.many import Common, run_many
-from dmptm_ctrl.simulate.observer import Observer, observer_gains, rigid_mode, rigid_observer
+from dmptm_ctrl.simulate.observer import Observer, observer_gains, rigid_observer
+from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.run import advance, start_state, structure_for
 
@@ -128,8 +131,8 @@ def test_observers_of_any_sample_time_settle(dt):
 def test_rigid_mode():
     """From either end of the train; the twist of its link is nothing."""
     plant = plant_of()
-    np.testing.assert_allclose(rigid_mode(plant, 1), [3.0, 1.0])
-    np.testing.assert_allclose(rigid_mode(plant, 0), [1.0, 1.0 / 3.0])
+    np.testing.assert_allclose(untwisted(plant, 1), [3.0, 1.0])
+    np.testing.assert_allclose(untwisted(plant, 0), [1.0, 1.0 / 3.0])
 
 
 def test_what_rests_stays_at_rest():
@@ -156,9 +159,10 @@ def test_lanes_are_led_alike(late):
     observers = [rigid_observer(p, 0, observer_gains(5.0, DT)) for p in plants]
     own = MEASURED[:, None]
     starts = [(np.zeros(2), np.full(2, 0.3))] * 2
-    nothing = np.zeros((0, 0))
-    common = Common(DT, SUBSTEPS, N, U[None], np.zeros((1, 1)), nothing, np.arange(3), measured=own)
-    runs, _ = run_many(plants, starts, common, observers=observers)
+    nothing, seen = np.zeros((0, 0)), tuple(f"reading{i}" for i in range(3))
+    common = Common(DT, SUBSTEPS, N, U[None], np.zeros((1, 1)), nothing, seen, measured=own)
+    models = [SimpleNamespace(plant=lambda p=p: p) for p in plants]
+    runs, _ = run_many(models, starts, common, observers=observers)
     for plant, observer, measured, run in zip(plants, observers, own, runs, strict=True):
         expected = led(plant, observer, measured).readings.T
         np.testing.assert_allclose(run, expected, atol=1e-9)

@@ -12,6 +12,7 @@ from dmptm_ctrl.simulate.rig_run import march
 
 DT, SUBSTEPS = 1e-3, 256
 TIME = DT * np.arange(181)
+SEEN = "reading0", "reading1", "torque0"
 U = (1.4 * np.sin(2 * np.pi * 7.0 * TIME) + 0.2 * np.sin(2 * np.pi * 31.0 * TIME))[None]
 RIG = parse_rig("""
 name = "place"
@@ -117,11 +118,10 @@ def plain():
 def lanes():
     """Every case in a lane, those of one shape beside each other."""
     models = [model_of(case) for case in CASES]
-    plants = [m.plant() for m in models]
     starts = [(np.zeros(m.layout.coordinates),) * 2 for m in models]
     none = np.zeros((0, 0))
-    common = Common(DT, SUBSTEPS, TIME.size, U[None], none, none, np.arange(3))
-    outputs, _ = run_many(plants, starts, common)
+    common = Common(DT, SUBSTEPS, TIME.size, U[None], none, none, SEEN)
+    outputs, _ = run_many(models, starts, common)
     return dict(zip(CASES, outputs, strict=True))
 
 

@@ -13,9 +13,8 @@ from numba import njit
 from dmptm_ctrl.contract import Effect, Parameter
 from dmptm_ctrl.effects import CATALOGUE, register
 from dmptm_ctrl.simulate import loading
-from dmptm_ctrl.simulate.base import per_catalogue
 from dmptm_ctrl.simulate.compiled import march, rest
-from dmptm_ctrl.simulate.dual import dual_plant
+from dmptm_ctrl.simulate.dual import per_catalogue
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import structure_of
 from dmptm_ctrl.simulate.scalar import scalar_engine, source
@@ -48,7 +47,7 @@ def own_effect():
 
 def engine():
     """Module with the step of the drive that has all effects of the catalogue."""
-    plant = dual_plant(Model().arrays())
+    plant = Model().plant()
     return scalar_engine(structure_of(plant, switched=True)).module
 
 
@@ -98,7 +97,7 @@ def test_threads_that_ask_at_once_for_an_engine_wait_for_one_that_writes_it():
     threads = 4
     together = Barrier(threads)
     written = []
-    structure = structure_of(dual_plant(Model().arrays()), switched=True)
+    structure = structure_of(Model().plant(), switched=True)
 
     @per_catalogue
     def text(_):
@@ -119,5 +118,5 @@ def test_threads_that_ask_at_once_for_an_engine_wait_for_one_that_writes_it():
 
 def test_same_engine_while_the_catalogue_is_the_same():
     model = Model()
-    march(model.arrays(), np.zeros((2, 3)), rest(model, 0.0), 1e-3)
+    march(model, np.zeros((2, 3)), rest(model, 0.0), 1e-3)
     assert engine() is engine()

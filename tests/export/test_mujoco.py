@@ -45,7 +45,7 @@ def run(joint, signals, dt=1e-3):
 def test_steady_speed_and_start_are_those_of_the_simulator():
     model = Model()
     u = np.full((2, 3000), 1.2)
-    own = march(model.arrays(), u, rest(model, 0.0), 1e-3)[:, 1]
+    own = march(model, u, rest(model, 0.0), 1e-3)[:, 1]
     found = run(mujoco_joint(model), u)
     assert own[-1] > 0.2
     # its friction is the mean of both directions and without Stribeck's part

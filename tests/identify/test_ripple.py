@@ -16,10 +16,10 @@ from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, key_of
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.trace import Trace, fast_gains
-from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.drive import paper_drive, pinion_inertia
 from dmptm_ctrl.identify.motion import motion
 from dmptm_ctrl.identify.records import Record
-from dmptm_ctrl.identify.ripple import ANSWER, FINER, WHITE, Ripple, answers, order_gains
+from dmptm_ctrl.identify.ripple import FINER, WHITE, Ripple, answers, closed, order_gains
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -50,9 +50,8 @@ def nothing():
 def test_answers_like_the_linear_drive():
     """A torque on either pinion turns the ring gear, both alike, as three bodies with springs."""
     drive = Model(paper_drive())
-    base, _, _ = drive.arrays()
-    j_m, j_2, jl, n1, n2, k, c = base[ANSWER]
-    mass = np.diag([n1 * n1 * j_m + j_2] * 2 + [jl])
+    jl, n2, k, c = (drive.drive[name] for name in ("J_L", "N_2", "k_m", "c"))
+    mass = np.diag([pinion_inertia(drive.drive)] * 2 + [jl])
     twist = np.array([[1.0, 0.0, -n2], [0.0, 1.0, -n2]])
     spring = twist.T @ twist
     f = np.array([20.0, 60.0, 120.0, 200.0, 231.0, 300.0])  # Hz
@@ -62,7 +61,7 @@ def test_answers_like_the_linear_drive():
         1j * x * np.linalg.solve(-x * x * mass + (1j * x * c + k) * spring, both)[2] for x in w
     ]
     step = DT / FINER
-    _, found = freqz(*answers(base[ANSWER].tobytes(), DT), w * step)
+    _, found = freqz(*answers(closed(drive.plant()), DT), w * step)
     # straight lines between points of a sine have sinc² of it
     assert found == pytest.approx(np.array(exact) * np.sinc(f * step) ** 2, rel=0.02)
 
@@ -129,7 +128,7 @@ def test_logs_without_noise_or_without_calm_tell_nothing_wrong():
     rec = Record("still", DT, *still)
     ripple = Ripple(motion(rec, model))
     assert ripple.tells
-    assert np.abs(ripple.missing(model.arrays())).max() < 1e-9
+    assert np.abs(ripple.missing(model.plant())).max() < 1e-9
     assert np.isfinite(ripple.colour).all()
     np.testing.assert_array_equal(order_gains([], 5), np.zeros(5))
 

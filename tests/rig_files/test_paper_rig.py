@@ -51,7 +51,7 @@ def test_motion_with_gaps_and_friction(rig):
     push = 0.9 * np.sin(2 * np.pi * 1.5 * t)
     u = np.array([push + 0.2, push - 0.2])
     model = Model(paper_drive())
-    one = march_built_in(model.arrays(), u, rest(model, 0.0), 1e-3)
+    one = march_built_in(model, u, rest(model, 0.0), 1e-3)
     other = march(RigModel(rig), u, 1e-3, substeps=50)
     size = np.abs(one[:, 1]).max()
     assert size > 0.05

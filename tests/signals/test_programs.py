@@ -215,6 +215,12 @@ LAYOUTS = {
     "remarks behind some rows": "t,u,q,event\n" + remarked(",start"),
     "remarks with their sign": "t,u,q\n" + remarked(" # start"),
     "lowest and highest above": "t,u,q\nMin,-1.3,-1500\nMax,1.3,1500\n" + rows(",", T, U, Q),
+    "Rigol": "t,u,q,Start,Increment,\nSequence,Volt,Volt,0.0,1.0e-02\n"
+    + "".join(f"{i},{b:.5f},{c:.5f},\n" for i, (b, c) in enumerate(zip(U, Q, strict=True))),
+    "names in two rows": "Date,t,1,2\n,,u,q\n,s,Nm,rad\n"
+    + each("2020-07-24,{:.5f},{:.5f},{:.5f}\n"),
+    "units row with a label": "descr;;run\nunit;s;Nm;rad\ntrace_values;;;\nt;u;q\n"
+    + rows(";", T, U, Q),
     "JSON columns": json.dumps(FRAME.to_dict("list")),
     "JSON records": FRAME.to_json(orient="records"),
     "JSON lines": FRAME.to_json(orient="records", lines=True),
@@ -485,6 +491,19 @@ def test_a_rate_without_a_clock_leaves_the_files_clock_out(tmp_path):
     (tmp_path / "run.csv").write_text("Time [s],u,q\n" + rows(",", broken, U, Q))
     (log,) = rig(data='sample_rate = "100 Hz"').read(tmp_path / "run.csv")
     is_the_run(log)
+
+
+def test_the_clock_of_a_file_that_states_its_unit(tmp_path):
+    """PicoScope: a row of units below the names; time = "t" alone is in milliseconds."""
+    content = "t;u;q\n(ms);(V);(V)\n\n" + rows(";", 1e3 * T, U, Q, decimal=",")
+    is_the_run(read(tmp_path, content, rig(data='time = "t"')))
+
+
+def test_who_counts_columns_knows_of_no_names(tmp_path):
+    """A line of three words above the rows is no line of names then."""
+    content = "MOT: Init\nMOT: sensor direction==CW\nMOT: Ready.\n" + rows("\t", T, U, Q)
+    counted = 'time = { column = "column1", unit = "s" }'
+    is_the_run(read(tmp_path, content, rig("column2", "column3", counted)))
 
 
 @pytest.mark.parametrize("asked", ["Q", "rate", "qq_pos"])

@@ -3,6 +3,7 @@
 With residual e, slopes J and the model's own covariance P, the residual of an unchanged machine
 has the covariance V = 1 + J P Jᵀ. A change d of an entry along v adds −J v d. So
 d = −vᵀg / vᵀHv with g = Jᵀ V⁻¹ e, H = Jᵀ V⁻¹ J, and its standard error is (vᵀHv)^(−1/2).
+Other parameters may differ within the tolerance; that is part of V, too.
 Rows of one second may be wrong alike: where the scores of these stretches scatter by more than
 rows of their own would, the standard error grows as much (the cluster-robust one of Liang & Zeger,
 Biometrika 73 (1986) 13).
@@ -41,7 +42,7 @@ class Change:
     entry: Entry
     change: float  # in the entry's unit
     se: float  # with the model's own in it
-    gain: float  # of 2 log-likelihood
+    gain: float  # of 2 log-likelihood, with all else as in the model
 
     @property
     def errors(self) -> float:
@@ -122,19 +123,26 @@ class Information:
         """Direction of an entry."""
         return np.array([entry.along.get(p.key, 0.0) / p.scale for p in self.parameters])
 
-    def change(self, entry: Entry) -> Change | None:
-        """Refit an entry alone; None where the logs tell it no finer than its own size."""
+    def change(self, entry: Entry, tolerance: float = 0.0) -> Change | None:
+        """Refit an entry alone; None where the logs tell it no finer than its own size.
+
+        All other parameters may differ evenly by up to a share `tolerance` of their values.
+        """
         v = self.vector(entry)
-        told = float(v @ self.square @ v)
+        values = np.array([abs(p.value) / p.scale for p in self.parameters])
+        loose = np.where(v == 0.0, tolerance * 3.0**-0.5 * values, 0.0)
+        inner = np.eye(v.size) + loose[:, None] * self.square * loose
+        own = v - loose * np.linalg.solve(inner, loose * (self.square @ v))
+        told = float(own @ self.square @ v)
         if not told * entry.size**2 > 1.0:
             return None
-        w = self.seen @ v
+        w = self.seen @ own
         single, alike = float(w @ self.rows @ w), float(np.sum((self.scores @ w) ** 2))
         variance = 1.0 / told + max(alike - single, 0.0) / told**2
         if variance > entry.size**2:
             return None
-        slope = float(v @ self.gradient)
-        return Change(entry, -slope / told, variance**0.5, slope**2 / told)
+        gain = float(v @ self.gradient) ** 2 / float(v @ self.square @ v)
+        return Change(entry, -float(own @ self.gradient) / told, variance**0.5, gain)
 
     def without(self, entry: Entry) -> "Information":
         """Return what is left once an entry is free."""
@@ -154,29 +162,32 @@ class Information:
 def information_of(evidence: Evidence, errors: Mapping[str, float]) -> Information:
     """Return what logs say, given the standard errors [SI] of the model's parameters, by key.
 
-    A parameter without one is as uncertain as logs like these leave it.
+    A parameter without one is as uncertain as logs like these leave it, stretches that are wrong
+    alike included: the logs of the fit had them too.
     """
     j, e = evidence.slopes, evidence.left
     square, gradient = j.T @ j, j.T @ e
     prior = np.array([min(p.prior, LARGE) for p in evidence.parameters])
     own = np.linalg.inv(square + np.diag(prior**-2.0))
+    rest = e - j @ (own @ gradient)
+    first = np.flatnonzero(np.diff(evidence.stretch, prepend=-1))
+    scores = np.add.reduceat(j * rest[:, None], first, axis=0)
     sd = np.sqrt(np.diag(own))
+    usual = np.maximum(sd, np.linalg.norm(scores @ own, axis=0))
     told = np.array(
         [
             errors.get(p.key, s * p.scale) / p.scale
-            for p, s in zip(evidence.parameters, sd, strict=True)
+            for p, s in zip(evidence.parameters, usual, strict=True)
         ]
     )
     known = own * np.outer(told / sd, told / sd)
     inner = np.linalg.inv(np.linalg.inv(known) + square)
-    rest = e - j @ (own @ gradient)
-    first = np.flatnonzero(np.diff(evidence.stretch, prepend=-1))
     return Information(
         evidence.parameters,
         gradient - square @ inner @ gradient,
         square - square @ inner @ square,
         square,
-        np.add.reduceat(j * rest[:, None], first, axis=0),
+        scores,
         np.eye(len(square)) - inner @ square,
     )
 
@@ -215,20 +226,20 @@ def find_moved(
     entry counts beside others only for what these leave. A factor goes before a single amplitude
     where it is enough.
     """
-    alone = [c for entry in entries if (c := information.change(entry)) is not None]
+    alone = [c for entry in entries if (c := information.change(entry, tolerance)) is not None]
     limit = threshold(len(alone), len(information.scores))
     moved: list[Change] = []
     rest = information
     while len(moved) < MOST:
         names = {m.entry.name for m in moved}
-        tried = [rest.change(c.entry) for c in alone if c.entry.name not in names]
+        tried = [rest.change(c.entry, tolerance) for c in alone if c.entry.name not in names]
         clear = [c for c in tried if c is not None and c.beyond(tolerance) > limit]
         if not clear:
             break
         best = max(clear, key=lambda c: c.gain)
         for whole in clear:  # all amplitudes by one factor, where that is enough
             if whole.entry.unit == "" and best.entry.name.startswith(f"{whole.entry.name}."):
-                left = rest.without(whole.entry).change(best.entry)
+                left = rest.without(whole.entry).change(best.entry, tolerance)
                 if left is None or left.beyond(tolerance) <= limit:
                     best = whole
                     break

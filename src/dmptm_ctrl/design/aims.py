@@ -11,11 +11,10 @@ from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
 from dmptm_ctrl.simulate.compiled import SUBSTEPS, rest
 from dmptm_ctrl.simulate.dual import start
-from dmptm_ctrl.simulate.law import AnyModel, loop_parts, plant_of
+from dmptm_ctrl.simulate.law import AnyModel, loop_parts
 from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.parts import Parts
-from dmptm_ctrl.simulate.plant import Plant
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import substeps_for
 
@@ -87,16 +86,15 @@ def tracking(
     duty, law = aims.duty, controller.law()
     rng = np.random.default_rng(seed)
     noise = aims.noise * rng.standard_normal(duty.reference.size)
-    arrays = [plant_of(plant) for plant in plants]
+    inputs = plants[0].plant().input_body.size
     _, sensor = loop_parts(controller.model, controller.input, controller.sensor)
     common = Common(
         duty.sample_time, max(steps_of(plant, duty.sample_time) for plant in plants),
-        duty.reference.size, np.zeros((1, arrays[0].input_body.size, 0)), duty.reference[None],
-        noise[None], np.array([sensor]), EVERY,
+        duty.reference.size, np.zeros((1, inputs, 0)), duty.reference[None],
+        noise[None], (f"reading{sensor}",), EVERY, tuple(f"signal{j}" for j in range(inputs)),
     )  # fmt: skip
-    starts = [at_rest(plant, own) for plant, own in zip(plants, arrays, strict=True)]
-    loops = [law.controller()] * len(plants)
-    runs, statistics = run_many(arrays, starts, common, loops, n_jobs=n_jobs)
+    starts = [at_rest(plant) for plant in plants]
+    runs, statistics = run_many(plants, starts, common, [law] * len(plants), n_jobs=n_jobs)
     first = round(duty.settling / duty.sample_time / EVERY)
     miss = np.array(
         [
@@ -106,8 +104,7 @@ def tracking(
     )
     unit = error_unit(controller)[1]
     errors = np.sqrt(np.mean((miss[:, first:] / unit) ** 2, axis=1))
-    inputs = arrays[0].input_body.size
-    volts = np.array([np.maximum(-s[0], s[1])[-inputs:].max() for s in statistics])
+    volts = np.array([np.maximum(-s[0], s[1]).max() for s in statistics])
     return np.where(np.isfinite(errors), np.minimum(errors, LOST), LOST), volts
 
 
@@ -123,8 +120,9 @@ def steps_of(model: AnyModel, dt: float) -> int:
     return substeps_for(model.plant(), dt) if isinstance(model, RigModel) else SUBSTEPS
 
 
-def at_rest(model: AnyModel, plant: Plant) -> tuple[Floats, Floats]:
+def at_rest(model: AnyModel) -> tuple[Floats, Floats]:
     """Return coordinates and speeds of a drive at rest at angle 0."""
+    plant = model.plant()
     if isinstance(model, RigModel):
         return np.zeros(plant.inertia.size), np.zeros(plant.inertia.size)
     return start(plant, rest(model, 0.0))
@@ -147,7 +145,7 @@ def missed(model: AnyModel, duty: Duty, reading: Floats, every: int = 1, sensor:
     sensor : int
         Of the plant; by default the speed of the ring gear.
     """
-    plant = plant_of(model)
+    plant = model.plant()
     parts = Parts(plant)
     if plant.sensor_speed[sensor]:
         speed = reading / parts.reading(sensor, 0.0, 1.0, 0.0)

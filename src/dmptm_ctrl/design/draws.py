@@ -7,7 +7,7 @@ import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.law import AnyModel, effect_keys, loop_parts
-from dmptm_ctrl.simulate.model import BASE, Model
+from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
@@ -77,7 +77,7 @@ def _numbers(model: AnyModel) -> tuple[list[str], Mapping[str, Any], dict[str, f
     if isinstance(model, RigModel):
         known = [k for k in model.quantities if np.isfinite(model.quantities[k].value)]
         return known, model.quantities, {k: model.value(k) for k in known}
-    return list(BASE), model.drive.quantities, dict(model.drive)
+    return [*model.drive], model.drive.quantities, dict(model.drive)
 
 
 def _contact(model: AnyModel) -> tuple[str, ...]:
@@ -122,15 +122,14 @@ def slow_friction(model: AnyModel, more: float) -> Any:
         return model.with_effect("presliding", **{**told, **longer})
     plant, layout = model.plant(), model.layout
     root = int(plant.sensor_body[loop_parts(model)[1]])
-    reach = untwisted(plant, int(plant.body_coordinate[root]))
-    per = {g: r / plant.body_ratio[root] for g, r in reach.items()}
+    per = untwisted(plant, int(plant.body_coordinate[root])) / plant.body_ratio[root]
     for k, body in enumerate(layout.bodies):
         own = next((e for e in model.effects if e.key == f"presliding@{body}"), None)
         g = layout.coordinate[body]
         rubs = plant.law[k, [1, 5]].any() or any(
             e.on == body and PLACED_CATALOGUE[e.name].site == "friction" for e in model.effects
         )
-        if g not in per or not rubs:
+        if not rubs:
             continue
         told = dict(own.values) if own else {}
         longer = told.get("distance", 0.0) + abs(per[g] * layout.ratio[body]) * more

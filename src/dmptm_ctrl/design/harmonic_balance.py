@@ -4,11 +4,11 @@ Per harmonic k of a frequency ω, with the sampled PI C, its hold H and the loop
 
     ring      jkω J_L V = (2/m) N2 Σ T_s − F_L
     pinion s  jkω J̄3 W_s = N1 K_d K_M (U + B_s) − T_s − F_s,   s = 1 … m
-              W_s = jkω Z_s + N2 V,   U = C(e^{jkωdt}) H(jkω) (R − V)
+              W_s = jkω Z_s + N2 V,   U = −C(e^{jkωdt}) H(jkω) V
 
-V, Z_s, W_s, R are harmonics of the ring's speed, of z_s, of the pinions' speed and of the
-setpoint; T_s, F_s, F_L those of the kernels' torques along them (alternating frequency and
-time), B_s the preload. The integral holds the mean error at zero with whatever mean voltage
+V, Z_s, W_s are harmonics of the ring's speed, of z_s and of the pinions' speed under a
+setpoint of 0; T_s, F_s, F_L those of the kernels' torques along them (alternating frequency
+and time), B_s the preload. The integral holds the mean error at zero with whatever mean voltage
 that takes. Where both chains are alike m = 1 stands for both.
 
 Dry friction is set-valued at rest. With p the torque that the other terms ask of it,
@@ -28,7 +28,7 @@ from dmptm_ctrl.design.harmonics import Basis, Cycle, block, packed_first, rate_
 from dmptm_ctrl.design.preload import volt_at_pinion
 from dmptm_ctrl.effects.backlash import Backlash, landing, mesh_region, region_torque
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
-from dmptm_ctrl.simulate.dual import RING, dual_plant
+from dmptm_ctrl.simulate.dual import RING
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 
@@ -120,7 +120,7 @@ class Balance:
                 "harmonic balance knows delays and lags only; the model has effects on "
                 + ", ".join(other or ["mesh stiffness"])
             )
-        plant, drive = dual_plant(model.arrays()), model.drive
+        plant, drive = model.plant(), model.drive
         parts = Parts(plant)
         laws = [parts.twist(side, 0.0, 0.0, 0.0, 0.0)[2] for side in range(2)]
         alike = abs(laws[0].half_gap - laws[1].half_gap) < SAME_GAP and preload == 0.0
@@ -148,26 +148,23 @@ class Balance:
         low, high = np.log(2.0 * np.pi * LOWEST_HZ), np.log(np.pi / self.sample_time)
         return float(np.exp(min(max(log_omega, low), high)))
 
-    def _forward(self, omega: float, n: int, delay: float = 0.0) -> Floats:
+    def _forward(self, omega: float, n: int) -> Floats:
         """Matrix from packed error to packed voltage, all but the mean; with the hold."""
         s = 1j * omega * np.arange(1, n + 1)
         shift = np.exp(s * self.sample_time)
         hold = (1.0 - 1.0 / shift) / (s * self.sample_time)
         pi = self.kp + self.ki * self.sample_time * shift / (shift - 1.0)
-        late = np.exp(-s * (self._delays[0] + delay)) / (1.0 + s * self._lag)
+        late = np.exp(-s * sum(self._delays)) / (1.0 + s * self._lag)
         return block(np.append(0.0, pi * hold * late))
 
-    def equations(
-        self, x: Floats, n: int, omega: float | None, setpoint: Floats
-    ) -> tuple[Floats, Floats]:
+    def equations(self, x: Floats, n: int) -> tuple[Floats, Floats]:
         """Return left-over torques over a usual torque, and their derivatives.
 
-        x: z of each chain over `length`, ring speed without its mean, mean voltage, and, where
-        `omega` is None, log ω; the phase is then fixed by the first sine part of the first z.
-        The setpoint is packed, (2n + 1,) [rad/s].
+        x: z of each chain over `length`, ring speed without its mean, mean voltage, log ω; the
+        phase is fixed by the first sine part of the first z.
         """
         size, chains = 2 * n + 1, self.chains
-        w = self._frequency(x[-1]) if omega is None else omega
+        w = self._frequency(x[-1])
         rates = block(1j * w * np.arange(n + 1))
 
         def unknown(first: int, count: int, scale: float, skip: int) -> _Dual:
@@ -178,21 +175,18 @@ class Balance:
 
         def rate_of(part: _Dual) -> _Dual:
             rate = part.times(rates)
-            if omega is None:
-                rate.slope[:, -1] += rate.value
+            rate.slope[:, -1] += rate.value
             return rate
 
         ring = unknown(chains * size, 2 * n, 1.0, 1)
-        ring.value[0] = setpoint[0]
-        volts = self._volts(ring, setpoint, w, n, free=omega is None)
-        volts = volts + unknown(chains * size + 2 * n, 1, 1.0, 0)
+        volts = self._volts(ring, w, n) + unknown(chains * size + 2 * n, 1, 1.0, 0)
         ring_rate = rate_of(ring)
         load = ring_rate.times(-self._ring)
         left = []
         for i, law in enumerate(self.meshes):
             z = unknown(i * size, size, self.length, 0)
             rate = rate_of(z)
-            mesh = _mesh(z, rate, law, w, n, free=omega is None)
+            mesh = _mesh(z, rate, law, w, n)
             load = load + mesh.times(self._share * self._n2)
             speed = rate + ring.times(self._n2)
             force = volts.times(self._volt) - mesh - rate_of(speed).times(self._pinion)
@@ -201,11 +195,9 @@ class Balance:
         left.append(_less_friction(load, ring, self._ring, self._bearing, n).times(1.0 / self._n2))
         out = np.concatenate([part.value for part in left]) / self._torque
         slopes = np.vstack([part.slope for part in left]) / self._torque
-        if omega is None:
-            phase = np.zeros(x.size)
-            phase[n + 1] = 1.0
-            out, slopes = np.append(out, x[n + 1]), np.vstack([slopes, phase])
-        return out, slopes
+        phase = np.zeros(x.size)
+        phase[n + 1] = 1.0
+        return np.append(out, x[n + 1]), np.vstack([slopes, phase])
 
     def guess(self, z: complex, omega: float, ring: Floats) -> Cycle:
         """Return a start: each z [rad] at its first harmonic, no mean; `ring` is packed."""
@@ -222,18 +214,12 @@ class Balance:
         push = 2.0 * self._n2 * (cosine + 1j * sine)
         return packed_first(push / (viscous + 1j * omega * self._ring))
 
-    def _volts(self, ring: _Dual, setpoint: Floats, w: float, n: int, *, free: bool) -> _Dual:
+    def _volts(self, ring: _Dual, w: float, n: int) -> _Dual:
         """Voltage but for its mean."""
-        up, down = self._forward(w, n), self._forward(w, n, self._delays[1])
-        volts = ring.times(-down)
-        volts.value[:] += up @ setpoint
-        if free:
-            more = w * (1.0 + STEP)
-            d_up, d_down = (
-                self._forward(more, n) - up,
-                self._forward(more, n, self._delays[1]) - down,
-            )
-            volts.slope[:, -1] += (d_up @ setpoint - d_down @ ring.value) / STEP
+        loop = self._forward(w, n)
+        volts = ring.times(-loop)
+        more = self._forward(w * (1.0 + STEP), n) - loop
+        volts.slope[:, -1] -= more @ ring.value / STEP
         return volts
 
     def state(self, cycle: Cycle) -> tuple[Floats, float]:
@@ -252,32 +238,25 @@ class Balance:
         state = np.array([*z, 0.0, *(rates + self._n2 * speed), speed])
         return state, float(cycle.volts + self.ki * summed)
 
-    def solve(self, start: Cycle, n: int, *, free: bool, setpoint: Floats | None = None) -> Cycle:
-        """Solve with n harmonics from a start, which may have fewer, under a packed setpoint.
-
-        The frequency is an unknown if `free`; otherwise it is that of `start`.
-        """
-        given = np.zeros(2 * n + 1) if setpoint is None else widened(setpoint, n)
+    def solve(self, start: Cycle, n: int) -> Cycle:
+        """Solve with n harmonics from a start, which may have fewer."""
         z = np.array([widened(part, n) for part in start.z])
-        x = np.concatenate([(z / self.length).ravel(), widened(start.ring, n)[1:], [start.volts]])
-        omega = None if free else start.omega
-        if free:
-            x = np.append(x, np.log(start.omega))
+        rest = start.volts, np.log(start.omega)
+        x = np.concatenate([(z / self.length).ravel(), widened(start.ring, n)[1:], rest])
         most = EVALUATIONS if n <= MANY else EVALUATIONS // 2
         limits = {"maxiter": most, "ftol": STOP, "xtol": STOP, "gtol": STOP}
         options = {**limits, "diag": np.ones(x.size)}
-        found = root(self.equations, x, (n, omega, given), "lm", jac=True, options=options)
+        found = root(self.equations, x, (n,), "lm", jac=True, options=options)
         size, m = 2 * n + 1, self.chains
         z = found.x[: m * size].reshape(m, size) * self.length
-        ring = np.append(given[0], found.x[m * size : m * size + 2 * n])
-        w = self._frequency(found.x[-1]) if free else start.omega
+        ring = np.append(0.0, found.x[m * size : m * size + 2 * n])
+        w = self._frequency(found.x[-1])
         left = float(np.abs(found.fun).max()) * self._torque / self._largest(z, w, n)
-        moved = _newton(self.equations(found.x, n, omega, given)[1], found.fun)
+        moved = _newton(self.equations(found.x, n)[1], found.fun)
         there = slice(m * size, m * size + 2 * n)
         size_there = max(float(np.linalg.norm(found.x[there])), TINY)
         doubt = float(np.linalg.norm(moved[there])) / size_there
-        if free:
-            doubt = max(doubt, abs(float(moved[-1])))
+        doubt = max(doubt, abs(float(moved[-1])))
         return Cycle(w, z, ring, float(found.x[m * size + 2 * n]), left, doubt)
 
     def _largest(self, z: Floats, w: float, n: int) -> float:
@@ -290,14 +269,13 @@ class Balance:
         return largest
 
 
-def _mesh(z: _Dual, rate: _Dual, law: Backlash, w: float, n: int, *, free: bool) -> _Dual:
+def _mesh(z: _Dual, rate: _Dual, law: Backlash, w: float, n: int) -> _Dual:
     """Torque of a mesh."""
     basis = Basis.of(n)
     kernel = np.empty((4, basis.points))
     mesh_along(basis.wave(z.value), basis.wave(rate.value), law, basis.step(w), kernel)
     slope = basis.through(kernel[1]) @ z.slope + basis.through(kernel[2]) @ rate.slope
-    if free:
-        slope[:, -1] += basis.analyse(kernel[3])
+    slope[:, -1] += basis.analyse(kernel[3])
     return _Dual(basis.analyse(kernel[0]), slope)
 
 

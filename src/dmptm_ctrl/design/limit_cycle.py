@@ -144,7 +144,7 @@ def _from_wave(balance: Balance, run: Run, harmonics: int | None) -> LimitCycle:
         return nothing
     for share in OTHERWISE:
         most = harmonics or round(share * _enough(start))
-        cycle = balance.solve(start, most, free=True)
+        cycle = balance.solve(start, most)
         if not _balanced(cycle) or not _moves(cycle):
             continue
         tried = LimitCycle(*_numbers(cycle), run.numbers, seeded=True)
@@ -177,13 +177,13 @@ def _refined(balance: Balance, start: Cycle, harmonics: int | None) -> Cycle | N
         for n in ladder:
             if n >= (harmonics or _enough(cycle)):
                 break
-            cycle = balance.solve(cycle, n, free=True)
+            cycle = balance.solve(cycle, n)
             if cycle.left > ROUGHLY or not _moves(cycle):
                 break
         if cycle.left > ROUGHLY or not _moves(cycle):
             continue
         for share in OTHERWISE[:2]:
-            last = balance.solve(cycle, harmonics or round(share * _enough(cycle)), free=True)
+            last = balance.solve(cycle, harmonics or round(share * _enough(cycle)))
             if _balanced(last) and _moves(last):
                 return last
     return None
@@ -206,7 +206,7 @@ def _starts(balance: Balance) -> list[Cycle]:
             z = depth * balance.length
             guess = balance.guess(z, omega, balance.free_ring(z, omega))
             for n in FEW:
-                cycle = balance.solve(guess, n, free=True)
+                cycle = balance.solve(guess, n)
                 known = any(
                     abs(cycle.omega / c.omega - 1.0) < ALIKE and c.ring.size == cycle.ring.size
                     for c in found

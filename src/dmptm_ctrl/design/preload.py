@@ -13,8 +13,9 @@ from dmptm_ctrl.design.duty import DEG, Duty, sine
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.compiled import close_loop
-from dmptm_ctrl.simulate.dual import RING, parts_of
+from dmptm_ctrl.simulate.dual import RING
 from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.parts import Parts
 
 NEAR_REVERSAL = 0.05  # s
 SMOOTH = (1.5, 0.15)  # common voltage over the bias at half the bias, and width of the transition
@@ -26,7 +27,7 @@ def load_torque_along(model: Model, duty: Duty, theta_L: float = 0.0) -> Floats:
 
     Inertia, friction with its effects, and the load's effects; of the kernels.
     """
-    parts, inertia = parts_of(model), model.drive["J_L"]
+    parts, inertia = Parts(model.plant()), model.drive["J_L"]
     angle = theta_L + np.cumsum(duty.reference) * duty.sample_time
     rate = duty.acceleration
     torque = np.empty(duty.reference.size)
@@ -40,7 +41,7 @@ def load_torque_along(model: Model, duty: Duty, theta_L: float = 0.0) -> Floats:
 
 def common_volts_along(model: Model, duty: Duty) -> Floats:
     """Return the voltage that both motors share along a duty [V], (n,): half of the load each."""
-    parts, drive = parts_of(model), model.drive
+    parts, drive = Parts(model.plant()), model.drive
     way = np.sign(duty.reference)
     speeds = drive["N_2"] * duty.reference
     rubs = [
@@ -120,7 +121,7 @@ def _assessed(model: Model, duty: Duty, u: Floats, out: Floats, way: float) -> P
     left, right = out[judged, 4], out[judged, 5]
     opened = (way * left <= 0.0) | (way * right >= 0.0)
     miss = np.rad2deg(out[judged, 1] - duty.reference[judged])
-    parts, friction = parts_of(model), 0.0
+    parts, friction = Parts(model.plant()), 0.0
     for side, mesh in ((0, left), (1, right)):
         mean = float(np.abs(mesh).mean())
         friction += parts.sliding(side, 1.0, 0.0, 0.0, 0.0, mean, 0.0)[0]

@@ -10,6 +10,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 
 SHARE = 0.3  # of the input's limit, for inertia along the duty, and for viscous friction
 RESERVE = 10.0  # of the duty's acceleration; steps of the setpoint are fed forward with this
+HIGHEST_SHARE = 0.06  # of the sample rate, of the bandwidth
 ROUNDING = 12.0**-0.5  # rms over the step of a reading
 
 
@@ -43,12 +44,10 @@ def rig_aims(
     """
     source, seen = default_loop(model.rig, input, sensor)
     plant, layout = model.plant(), model.layout
-    if limit is None:
-        if model.rig.inputs[layout.inputs.index(source)].limit is None:
-            raise ValueError(
-                f"input {source} has no limit in the rig file; give the largest signal"
-            )
+    if limit is None and model.rig.inputs[layout.inputs.index(source)].limit is not None:
         limit = model.value(f"input.{source}.limit")
+    if limit is None or (speed is None and not np.isfinite(limit)):
+        raise ValueError(f"input {source} has no limit in the rig file; give the largest signal")
     driven, told = layout.input_body[source], layout.sensor_body[seen]
     reach = untwisted(plant, layout.coordinate[told])  # per motion of the sensor's group
     turn = layout.ratio[driven] * reach[layout.coordinate[driven]] / layout.ratio[told]
@@ -56,7 +55,7 @@ def rig_aims(
     if not torque > 0.0:
         raise ValueError(f"a positive signal of {source} moves {seen} backwards; declare a ratio "
                          "or gain of the other sign, and sign = -1 for the column")  # fmt: skip
-    moved = np.array([reach[g] for g in range(layout.coordinates)]) / layout.ratio[told]
+    moved = reach / layout.ratio[told]
     inertia = float(moved**2 @ plant.inertia)
     viscous = float(moved**2 @ link_matrices(plant)[3])
     if speed is None:
@@ -68,7 +67,7 @@ def rig_aims(
     noise = 0.0 if one.noise is None else one.noise.value
     step = 0.0 if one.resolution is None else one.resolution.value
     return Aims(
-        highest_hz=HIGHEST_HZ * 1e-3 / sample_time,
+        highest_hz=min(HIGHEST_HZ, HIGHEST_SHARE / sample_time),
         limit=limit,
         acceleration=min(most, FAR),
         duty=duty,

@@ -25,6 +25,9 @@ def tune_file(
 
     `limit` of the input and largest `speed` of the duty are SI; `input` and `sensor` are of a rig.
     """
+    for name, value in (("limit", limit), ("speed", speed)):
+        if value is not None and not value > 0.0:
+            raise LogError(f"--{name} {value:g}: must be positive")
     try:
         drive = read_model(model)
         if isinstance(drive, RigModel):

@@ -25,7 +25,7 @@ from dmptm_ctrl.design.draws import DECLARED, draw_plants, hidden_distance
 from dmptm_ctrl.design.linear import DERIVATIVE, level, linear_plant, linear_rig
 from dmptm_ctrl.design.preload import smallest_preload
 from dmptm_ctrl.design.rig_aims import rig_aims
-from dmptm_ctrl.simulate.law import AnyModel, effect_keys, loop_parts, plant_of
+from dmptm_ctrl.simulate.law import AnyModel, effect_keys, loop_parts
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -99,8 +99,8 @@ class Tuned:
         lines = [f"{head}   rms error, {unit}"]
         for row in self.stages:
             lines.append(
-                f"{row['stage']:28s}{row['rmse_median']:9.4f}{row['rmse_quantile']:9.4f}"
-                f"{row['rmse_worst']:9.4f}{row['voltage_max']:8.2f}"
+                f"{row['stage']:28s}{row['rmse_median']:9.3g}{row['rmse_quantile']:9.3g}"
+                f"{row['rmse_worst']:9.3g}{row['voltage_max']:8.3g}"
             )
         g = self.controller
         lines += [
@@ -244,7 +244,7 @@ def feed_forward_start(
     model: AnyModel, gains: PiTuning, aims: Aims, input: str = "", sensor: str = ""
 ) -> Controller:
     """Everything the model offers, at its natural values."""
-    plant, dt = plant_of(model), aims.duty.sample_time
+    plant, dt = model.plant(), aims.duty.sample_time
     (source, *_), seen = loop_parts(model, input, sensor)
     late = 0.0 if plant.sensor_speed[seen] else DERIVATIVE * dt
     return Controller(

@@ -105,8 +105,8 @@ def slew(mo: Motion) -> Floats:
 
 def load_of(mo: Motion) -> Floats:
     """Mesh torque of each chain [N·m], (2, n), of the model that the motion was prepared with."""
-    base, _, _ = mo.declared.arrays()
-    return evened(carried(base, mo.rec.u, frictions(mo, base)), mo.rec.dt, CARRIED_SECONDS)
+    plant = mo.declared.plant()
+    return evened(carried(plant, mo.rec.u, frictions(mo, plant)), mo.rec.dt, CARRIED_SECONDS)
 
 
 def hats(x: Floats, knots: NDArray[np.floating[Any]]) -> Floats:

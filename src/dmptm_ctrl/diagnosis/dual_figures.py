@@ -58,7 +58,7 @@ def folded(source: "DualSource", name: str, unexplained: tuple[str, ...]) -> Evi
         speed = low_pass(rec.omega, rec.dt)
         news = min(1.0, rec.dt * 2.0 * np.pi * OBSERVER_HZ)  # closer samples count as one
         for rows, model in zip(sides, (without, after), strict=True):
-            run = predict(rec, model.arrays(), OBSERVER_HZ)
+            run = predict(rec, model, OBSERVER_HZ)
             x, variable = abscissa(on, rec, run, model, effect, values)
             y, keep, quantity = left_over(rec, run, model, effect)
             keep = keep & (np.abs(speed) > SLOWEST)
@@ -203,7 +203,7 @@ def orders(source: "DualSource") -> Orders:
 
 def _along_the_turn(rec: Record, model: Model, twisted: bool) -> tuple[Floats, Floats, Floats]:
     """Motor angle, what is left and the angle passed per block, where the drive moves."""
-    run = predict(rec, model.arrays(), OBSERVER_HZ)
+    run = predict(rec, model, OBSERVER_HZ)
     n1, n2 = model.drive["N_1"], model.drive["N_2"]
     turn = rec.theta * n1 * n2
     if twisted:

@@ -15,7 +15,6 @@ from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import low_pass
 from dmptm_ctrl.diagnosis.ranking import name_of
 from dmptm_ctrl.diagnosis.select import Selection
-from dmptm_ctrl.identify.fit import CORRELATION_SECONDS, FLOOR
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Floats
@@ -24,6 +23,8 @@ EXPERIMENT_FILE = "next_experiment.csv"
 SECONDS = 20.0
 SAMPLE_TIME = 1e-3  # s
 BENT = 3.0  # standard deviations beyond which a sample tells no more: rattle differs by itself
+# model errors that no parameter mends, rad/s and rad at the pinion, and how long one lasts
+SPEED_FLOOR, TWIST_FLOOR, LASTING = np.deg2rad(0.03), np.deg2rad(0.15 / 60), 0.1
 BIAS = 0.25  # share of the largest voltage, of a preload
 CHIRP_HZ = (0.3, 15.0)
 SLOW_HZ, QUICK_HZ = 0.1, 0.5
@@ -118,10 +119,10 @@ def apart(one: Floats, other: Floats, dt: float, twist: bool) -> float:
 
     Columns as of :func:`~dmptm_ctrl.simulate.compiled.march`.
     """
-    misses = [low_pass(one[:, 1] - other[:, 1], dt) / FLOOR["speed"]]
+    misses = [low_pass(one[:, 1] - other[:, 1], dt) / SPEED_FLOOR]
     if twist:
-        misses += [(one[:, k] - other[:, k]) / FLOOR["twist_l"] for k in (6, 7)]
-    news = len(one) * dt / CORRELATION_SECONDS
+        misses += [(one[:, k] - other[:, k]) / TWIST_FLOOR for k in (6, 7)]
+    news = len(one) * dt / LASTING
     return float(sum(news * np.mean(np.minimum(np.abs(m), BENT) ** 2) for m in misses))
 
 
@@ -159,7 +160,7 @@ def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> 
 
     def told(task: tuple[Floats, float]) -> float:
         volts, dt = task
-        own, *others = (march(m.arrays(), volts, rest(m, 0.0), dt) for m in models.values())
+        own, *others = (march(m, volts, rest(m, 0.0), dt) for m in models.values())
         return min(apart(own, other, dt, twist) for other in others)
 
     signals = {name: largest * np.array(wave(time)) for name, (_, wave) in SIGNALS.items()}

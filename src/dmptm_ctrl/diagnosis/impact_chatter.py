@@ -104,11 +104,10 @@ class Rattle:
 
     def ratios(self, models: Sequence[Model]) -> Floats:
         """Logarithm of simulated over measured power, (len(models), logs times bands)."""
-        drives = [model.arrays() for model in models]
 
         def told(task: tuple[Record, Floats]) -> Floats:
             rec, seen = task
-            runs = march_any(drives, rec.u, rec.x0, rec.dt, substeps=SUBSTEPS, columns=SPEED)
+            runs = march_any(models, rec.u, rec.x0, rec.dt, substeps=SUBSTEPS, columns=SPEED)
             rows = np.array([powers(run[:, 0], rec.dt).mean(1) for run in runs])
             return np.asarray(np.log((rows + self.noise) / seen.mean(1)))
 

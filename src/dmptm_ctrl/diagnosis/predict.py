@@ -109,13 +109,13 @@ def expected(
     aside = count * np.concatenate([[0.0], rng.uniform(-0.5, 0.5, runs - 1)])
     starts = x0 + np.multiply.outer(aside, rest(model, 1.0))
     stiffness, damping = model.drive["k_m"], damping_of(model)
-    jogged = [damped(model.with_values(k_m=stiffness * a), damping * b) for a, b in shares]
-    arrays = [model.arrays(), *(other.arrays() for other in jogged)]
+    jogged = (damped(model.with_values(k_m=stiffness * a), damping * b) for a, b in shares)
+    models = [model, *jogged]
     if runs > 1 and u.shape[1] <= TOGETHER:
-        many = march_any(arrays, u, starts, dt, substeps=substeps, columns=columns)
+        many = march_any(models, u, starts, dt, substeps=substeps, columns=columns)
         return np.asarray(many.mean(axis=0))
-    total = march(arrays[0], u, starts[0], dt, substeps=substeps)
-    for other, start in zip(arrays[1:], starts[1:], strict=True):
+    total = march(model, u, starts[0], dt, substeps=substeps)
+    for other, start in zip(models[1:], starts[1:], strict=True):
         total += march(other, u, start, dt, substeps=substeps)
     return total[:, [*columns]] / runs
 

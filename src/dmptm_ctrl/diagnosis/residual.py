@@ -18,9 +18,10 @@ from dmptm_ctrl.identify.balance import (
     surprise,
     weights,
 )
-from dmptm_ctrl.identify.fit import Misfit, Unknown, drive_unknowns, effect_unknowns
+from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.motion import motions
-from dmptm_ctrl.identify.records import Record
+from dmptm_ctrl.identify.records import Record, predict
+from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -136,7 +137,7 @@ def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: i
     simulated = any(rec.twist is None for rec in records)
     # a model that never touches with both is wrong about it: the declared one then tells
     for tells in (model, declared) if simulated else (model,):
-        runs = Misfit(records, LEAD_HZ, jobs).runs(tells) if simulated else None
+        runs = _runs(records, tells, jobs) if simulated else None
         balance = Balance(motions(records, model, runs, jobs), declared, jobs, simulated)
         if balance.equations:
             break
@@ -147,6 +148,12 @@ def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: i
             "meshes closed; record longer or stronger motions"
         )
     return balance
+
+
+def _runs(records: tuple[Record, ...], model: Model, jobs: int) -> list[Floats]:
+    return in_threads(
+        lambda rec: predict(rec, model, LEAD_HZ), records, jobs, lambda rec: rec.omega.size
+    )
 
 
 def residual(

@@ -13,7 +13,7 @@ from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.effects.stribeck_friction import STRIBECK_FRICTION
 from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
 from dmptm_ctrl.identify.free_parameters import absolute, on_slide, scales_of
-from dmptm_ctrl.identify.inverse_dynamics import Balance, kinematic, measured_motion
+from dmptm_ctrl.identify.inverse_dynamics import Balance, measured_motion
 from dmptm_ctrl.identify.measured_motion import Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.identify.rig_start import (
@@ -26,6 +26,7 @@ from dmptm_ctrl.identify.rig_start import (
 )
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE, PlacedEffect
+from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
 
 Floats = NDArray[np.float64]
@@ -198,7 +199,7 @@ def unit_columns(
 ) -> list[Floats]:
     """Derivative of the residual by each amplitude, per log (equations, rows, p)."""
     model = fit.model
-    reach = kinematic(model)[model.layout.coordinate[body]]
+    reach = untwisted(model.plant())[model.layout.coordinate[body]]
     r = model.layout.ratio[body]
     parts = []
     for motion in balance.motions:
@@ -223,7 +224,8 @@ def _in_equations(
 ) -> Floats:
     """A torque on a body appears in the first equation, and in that of its own coordinate."""
     model = fit.model
-    layout, plant, reach = model.layout, model.plant(), kinematic(model)
+    layout, plant = model.layout, model.plant()
+    reach = untwisted(plant)
     group = layout.coordinate[body]
     out = np.zeros((fit.left[0].shape[0], *column.shape))
     out[0] = column

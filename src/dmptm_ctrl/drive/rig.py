@@ -238,7 +238,7 @@ class DataSpec:
     Attributes
     ----------
     time : (column, unit) or None
-        None: ``time_s``.
+        None: ``time_s``. Without a unit that of the file, else seconds.
     sample_time : float or None
         Of logs without a time column [s].
     fit, held_out : tuple of str

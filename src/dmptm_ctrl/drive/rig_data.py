@@ -26,11 +26,11 @@ class DataReader(TableReader):
         time = raw.get("time")
         if isinstance(time, str):
             split = split_column(time)
-            time = (time, "s" if split is None else split[1].symbol and suffix_unit(time))
+            time = (time, "" if split is None else split[1].symbol and suffix_unit(time))
         elif isinstance(time, dict):
             column = self._text(where, time, "column")
-            time = (column, str(time.get("unit", "s")))
-            if time[1].lower() not in TICKS:
+            time = (column, str(time.get("unit", "")))
+            if time[1].lower() not in ("", *TICKS):
                 self._check_unit(where, "time", time[1], "s")
         elif time is not None:
             self._fail(where, "time", 'time = "t" or { column = "t", unit = "ms" }')

@@ -107,7 +107,7 @@ def _motion(model: Model | RigModel, signals: Floats, dt: float) -> tuple[Floats
         run = march_rig(model, np.ascontiguousarray(signals), dt)
         load = model.rig.bodies[-1].name
         return run.position(load), run.speed(load)
-    out = march(model.arrays(), np.ascontiguousarray(signals), rest(model, 0.0), dt, meshes=False)
+    out = march(model, np.ascontiguousarray(signals), rest(model, 0.0), dt, meshes=False)
     return out[:, 0], out[:, 1]
 
 

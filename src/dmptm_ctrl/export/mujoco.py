@@ -7,8 +7,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from dmptm_ctrl.export.program import ascii_text
 from dmptm_ctrl.export.stepping import origin
-from dmptm_ctrl.identify.inverse_dynamics import kinematic
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 _KEPT = ("drive_delay", "current_lag", "back_emf", "viscous_friction", "coulomb_friction")
@@ -61,12 +61,12 @@ def _of_dual(model: Model) -> Joint:
 
 def _of_rig(model: RigModel) -> Joint:
     plant, layout = model.plant(), model.layout
-    reach = kinematic(model)
+    reach = untwisted(plant)
     last = model.rig.bodies[-1]
     own = layout.ratio[last.name] * reach[layout.coordinate[last.name]]  # per first coordinate
     inertia = model.value(f"body.{last.name}.inertia")
     total = friction = damping = 0.0
-    for group, r in reach.items():
+    for group, r in enumerate(reach.tolist()):
         total += (r / own) ** 2 * float(plant.inertia[group])
     for k, body in enumerate(layout.bodies):
         lever = abs(layout.ratio[body] * reach[layout.coordinate[body]] / own)

@@ -19,7 +19,7 @@ from dmptm_ctrl.export.trace import Scope, function_tree
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
-from dmptm_ctrl.simulate.dual import dual_plant, outputs
+from dmptm_ctrl.simulate.dual import outputs
 from dmptm_ctrl.simulate.dual import start as start_of
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import Plant, numbers, structure_of
@@ -62,7 +62,7 @@ def plant_program(
         q, v = np.zeros((2, plant.inertia.size))
         columns = list(range(len(seen)))
     else:
-        plant, steps = dual_plant(model.arrays()), SUBSTEPS
+        plant, steps = model.plant(), SUBSTEPS
         inputs, seen = _dual_ports()
         q, v = start_of(plant, rest(model, start))
         count, _, links, _, sensors = plant.size

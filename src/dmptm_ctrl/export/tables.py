@@ -10,7 +10,7 @@ import pandas as pd
 from dmptm_ctrl.design.preload import volt_at_pinion
 from dmptm_ctrl.export.stepping import origin
 from dmptm_ctrl.simulate.along import acting_of, friction_along, law_along, torque_along
-from dmptm_ctrl.simulate.dual import MOTORS, RING, parts_of
+from dmptm_ctrl.simulate.dual import MOTORS, RING
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -33,7 +33,7 @@ def compensation_tables(model: Model | RigModel) -> dict[str, pd.DataFrame]:
 
 
 def _of_dual(model: Model) -> dict[str, pd.DataFrame]:
-    parts, drive = parts_of(model), model.drive
+    parts, drive = Parts(model.plant()), model.drive
     n1, n2, gain = drive["N_1"], drive["N_2"], volt_at_pinion(drive)
     speed = np.linspace(-SPEED_RANGE, SPEED_RANGE, SPEEDS)
 

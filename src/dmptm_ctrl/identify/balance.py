@@ -19,12 +19,11 @@ from math import sqrt
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.effects.reducer_compliance import REDUCER_COMPLIANCE
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
 from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.identify.ripple import Ripple
-from dmptm_ctrl.identify.windows import Windowed, frictions
+from dmptm_ctrl.identify.windows import Windowed, frictions, inertias, pull_of
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -166,31 +165,22 @@ class Balance:
         return [*parts, *(one.missing(model) for one in self.leds)] if self.led else parts
 
     def _of_windows(self, model: Model) -> list[Floats]:
-        arrays = model.arrays()
-        reduced = reducer_compliance(model)
-        tables = [w.missing(model.over(w.seconds).arrays(), reduced) for w in self.windowed]
+        tables = [w.missing(model.over(w.seconds)) for w in self.windowed]
         parts = [tables[group][row, windows] for group, row, windows in self.places]
         fast = [self.ripples[e.motion] for e in self.equations if e.kind == "ripple"]  # last of all
-        return [*parts, *(ripple.missing(arrays) for ripple in fast)]
+        return [*parts, *(ripple.missing(model.plant()) for ripple in fast)]
 
 
 def pushes(mo: Motion, model: Model) -> np.ndarray:
     """Windows in which the mesh pushes so firmly that it does not lift in between, (w, 2)."""
-    base, _, _ = model.arrays()
-    n1 = base[5]
-    friction = mo.mean(frictions(mo, base)[:2], held=False)
-    inertia = n1 * n1 * base[2] + base[3]
-    left = n1 * base[0] * base[1] * mo.mean(mo.rec.u) + friction - inertia * mo.pinions.T
+    plant = model.plant()
+    friction = mo.mean(frictions(mo, plant)[:2], held=False)
+    left = pull_of(plant) * mo.mean(mo.rec.u) + friction - inertias(plant)[0] * mo.pinions.T
     return np.asarray((mo.mean(mo.flank.T) * left > FIRM).T)
 
 
 SIDES = ("left", "right")
 ROWS = {"total": 0, "left": 1, "right": 2}
-
-
-def reducer_compliance(model: Model) -> float:
-    """Compliance of the reducers at the pinion [rad/(N·m)], 0 if rigid."""
-    return float(model.effects.get(REDUCER_COMPLIANCE.name, {}).get("compliance", 0.0))
 
 
 def scatter(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREEDOM) -> list[float]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from dmptm_ctrl.simulate.along import (
     Acting,
+    acting_in,
     delayed_along,
     friction_along,
     lag_along,
@@ -19,11 +20,9 @@ from dmptm_ctrl.simulate.along import (
     signal_along,
     torque_along,
 )
-from dmptm_ctrl.simulate.dual import MOTORS, RING, acting, called
-from dmptm_ctrl.simulate.model import BASE, Arrays, Floats
+from dmptm_ctrl.simulate.dual import MOTORS, RING
+from dmptm_ctrl.simulate.plant import Floats, Plant
 
-REDUCER, BEARING = BASE.index("T3s_plus"), BASE.index("TLs_plus")  # in the base array
-LAW = 9  # parameters of a friction law there
 # Friction that takes a tenth of the torque is met to a ten-thousandth of it by the third.
 PASSES = 3
 RECENT = 4  # rows of friction kept
@@ -105,26 +104,24 @@ class Disturbance(NamedTuple):
     pull: Rows
 
 
-def disturbance(way: Course, arrays: Arrays, load: Floats | None = None) -> Disturbance:
+def disturbance(way: Course, plant: Plant, load: Floats | None = None) -> Disturbance:
     """Return what the effects in use do.
 
     `load` (2, n) is the torque of the meshes without the effects. They carry what friction
     leaves, which may depend on what they carry: it is asked :data:`PASSES` times more.
     A wider gap is a shift of z away from the flank it is nearest to.
     """
-    base, on, values = arrays
-    n1, n2 = base[5], base[6]
-    effects = acting(on, values)
+    n1, n2 = plant.body_ratio[MOTORS[0]], plant.link_values[0, 0]
+    effects = acting_in(plant)
     torque, shift, pull = rows = Disturbance([None] * 3, [None] * 2, [None] * 2)
     ring, turning = (way.ring, way.speed), n2 * way.speed
     carried = nothing = np.zeros(way.speed.size)
     for side in (0, 1):
         pinion = way.motors[side] / n1, turning
-        dead = sum(called(on, values, "delay", side))
-        torque[side] = pull[side] = driven(way, effects, base, side, dead)
+        torque[side] = pull[side] = driven(way, effects, plant, side)
         rubs = effects.get(("friction", side))
         if rubs:
-            law = n2, base[REDUCER : REDUCER + LAW].tobytes()
+            law = n2, plant.law[side].tobytes()
             passes, mesh = (0, nothing) if load is None else (PASSES, load[side])
             torque[side], mesh = braked(rubs, way, pinion, law, pull[side], mesh, passes)
             carried = carried + np.abs(mesh)
@@ -134,14 +131,15 @@ def disturbance(way: Course, arrays: Arrays, load: Floats | None = None) -> Dist
     if pushes := effects.get(("load", RING)):
         torque[RING] = torque_along(pushes, nothing, *ring, way.time)
     if rubs := effects.get(("friction", RING)):
-        law = 1.0, base[BEARING : BEARING + LAW].tobytes()
+        law = 1.0, plant.law[RING].tobytes()
         torque[RING], _ = braked(rubs, way, ring, law, torque[RING], carried)
     return rows
 
 
-def driven(way: Course, effects: Places, base: Floats, side: int, dead: float) -> Floats | None:
+def driven(way: Course, effects: Places, plant: Plant, side: int) -> Floats | None:
     """Torque that effects add to a motor's, at the pinion."""
-    n1, n2 = base[5], base[6]
+    n1, n2 = plant.body_ratio[MOTORS[side]], plant.link_values[side, 0]
+    gain, dead = plant.input_values[side, :2]
     u = volts = way.u[side]
     if dead > 0.0:
         volts = np.concatenate([delayed_along(u[p], dead / way.dt, 0.0) for p in way.parts])
@@ -149,7 +147,7 @@ def driven(way: Course, effects: Places, base: Floats, side: int, dead: float) -
     if lags := effects.get(("lag", side)):
         aim, tau = lag_along(lags, volts)
         volts = np.concatenate([lagged_along(aim[p], tau[p], way.dt, 0.0) for p in way.parts])
-    pull = None if volts is u else n1 * base[0] * base[1] * (volts - u)
+    pull = None if volts is u else n1 * gain * (volts - u)
     if motor := effects.get(("motor", MOTORS[side])):
         spin = n1 * n2 * way.speed
         more = n1 * torque_along(motor, volts, way.motors[side], spin, way.time)

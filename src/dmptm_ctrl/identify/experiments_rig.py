@@ -125,7 +125,7 @@ def ramp(
     if from_flank:
         gaps = np.array([model.drive["gap_l"], model.drive["gap_r"]])
         x0[:2] = model.drive["N_2"] * x0[2] + np.sign(rate) * gaps
-    out = march(model.arrays(), u, x0, dt)
+    out = march(model, u, x0, dt)
     noise = sensors.gyro * rng.standard_normal(n)
     where = "flank" if from_flank else "gap"
     return as_log(f"ramp_{where}_{rate:+g}V_s", u, out, noise, dt, sensors=sensors)
@@ -157,7 +157,7 @@ def taps(
         [v * np.r_[np.ones(half), -np.ones(half)] for v in volts for _ in range(repeats)]
     )
     u = np.array([wave, -wave])
-    out = march(model.arrays(), u, rest(model, rng.uniform(-0.5, 0.5)), dt)
+    out = march(model, u, rest(model, rng.uniform(-0.5, 0.5)), dt)
     noise = sensors.gyro * rng.standard_normal(wave.size)
     return as_log("taps", u, out, noise, dt, sensors=sensors)
 
@@ -200,7 +200,7 @@ def shaken_turn(
     sign = -1.0 if differential else 1.0
     u = np.array([turn + preload + wave, turn - preload + sign * wave])
     keep = n - 1  # one sample more than whole periods, so that all their steps are there
-    out = march(model.arrays(), u, rest(model, rng.uniform(-0.5, 0.5)), dt)[keep:]
+    out = march(model, u, rest(model, rng.uniform(-0.5, 0.5)), dt)[keep:]
     noise = sensors.gyro * rng.standard_normal(len(out))
     name = "shaken_differential" if differential else "shaken_common"
     return as_log(name, u[:, keep:], out, noise, dt, sensors=sensors)

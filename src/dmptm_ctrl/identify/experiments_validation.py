@@ -91,7 +91,7 @@ def speed_on(model: Model, log: Log, loop: Loop) -> Floats:
     if "ref" in log:
         return close_loop(model, loop, log["ref"], dt, theta_L=theta)[1][:, 1]
     u = np.array([log["u_left"], log["u_right"]])
-    return march(model.arrays(), u, _at_rest(model, log), dt)[:, 1]
+    return march(model, u, _at_rest(model, log), dt)[:, 1]
 
 
 def speeds_on(models: Sequence[Model], log: Log, loop: Loop) -> Floats:

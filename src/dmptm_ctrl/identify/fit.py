@@ -1,8 +1,7 @@
-"""Maximum-a-posteriori fit of declared parameters, and of effects, to logs.
+"""What a fit of a dual-motor drive moves, and its bounded steps.
 
-J = tau Σ ρ(r/σ) + ‖(p − p0)/s‖², Gauss–Newton with bounds. `p` are the free parameters of
-the drive, each scaled so that its declared range is [−1, 1], and amplitudes and shapes of
-effects, scaled by their `step`.
+The numbers are the free parameters of the drive, each scaled so that its declared range is
+[−1, 1], and amplitudes and shapes of effects, scaled by their `step`.
 """
 
 from collections.abc import Sequence
@@ -12,32 +11,15 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.records import Record, difference, predict, settled
-from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.batch import march_any
-from dmptm_ctrl.simulate.compiled import BODIES
-from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, OF_FLANKS, by_depth, damped, damping_of
+from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, OF_FLANKS, by_depth
 from dmptm_ctrl.simulate.model import Floats, Model
-from dmptm_ctrl.simulate.observer import observer_gains
 
-CORRELATION_SECONDS = 0.1  # how long a model error lasts: samples closer than this are not news
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
 # Standard deviation of an amplitude, as a share of its bound: where logs tell only the sum of
 # two (both motors' cogging without motor encoders), neither runs away.
 AMPLITUDE_SHARE = 0.3
-AT_ONCE = 16  # models of one call
-PERTURBATION = 0.01  # relative; well inside what is known of stiffness and damping
-BEND = 4.0  # standard deviations beyond which a speed residual counts by its logarithm only
 FLATTEST = 1e-14  # curvature of a step's square, as a share of the largest: what rounding leaves
 NOWHERE = 1e-12  # width of a step at a bound
-CAP = (
-    3.0  # standard deviations that a twist residual cannot exceed: on another flank it says no more
-)
-FLOOR = {  # model error that no parameter mends; below it a channel is not judged more finely
-    "speed": np.deg2rad(0.03),  # rad/s in a block
-    "twist_l": np.deg2rad(0.15 / 60),  # rad at the pinion
-    "twist_r": np.deg2rad(0.15 / 60),
-}
 
 
 @dataclass(frozen=True)
@@ -128,142 +110,6 @@ def position(model: Model, unknowns: Sequence[Unknown]) -> Floats:
         for k in unknowns
     ]
     return np.array([(v - k.centre) / k.scale for v, k in zip(values, unknowns, strict=True)])
-
-
-def bend(x: Floats) -> Floats:
-    """Bend large weighted residuals (channels, blocks) over, so that no event rules a fit."""
-    bent = x / np.hypot(1.0, x / CAP)
-    bent[0] = BEND * np.arcsinh(x[0] / BEND)
-    return bent
-
-
-def jogged(model: Model, by: float) -> list[Model]:
-    """Return models with meshes a little other: some times `by`, relative."""
-    k_m, c = model.drive["k_m"], damping_of(model)
-    return [
-        damped(model.with_values(k_m=k_m * (1.0 + by * a)), c * (1.0 + by * b))
-        for a, b in ((1.0, 2.0), (-1.0, 3.0), (2.0, -3.0), (-2.0, -2.0))
-    ]
-
-
-@dataclass(eq=False)
-class Misfit:
-    """The residual of a model on records, as a vector.
-
-    Parameters
-    ----------
-    records : sequence of Record
-    bandwidth_hz : float
-        Of the slow lead by the measured angle; 0 is a free run.
-    jobs : int
-        Threads; the compiled loop does not hold the interpreter lock.
-    weights : tuple of (channels, blocks) arrays, optional
-        1/σ per record, zero where the model is not judged; see :meth:`weigh`.
-    """
-
-    records: Sequence[Record]
-    bandwidth_hz: float = 0.05
-    jobs: int = 2
-    weights: tuple[Floats, ...] | None = None
-
-    def runs(self, model: Model) -> list[Floats]:
-        """Simulate every record."""
-        arrays = model.arrays()
-        return in_threads(
-            lambda rec: predict(rec, arrays, self.bandwidth_hz),
-            self.records,
-            self.jobs,
-            lambda rec: rec.omega.size,
-        )
-
-    def differences(self, models: Sequence[Model]) -> list[list[Floats]]:
-        """Return measured minus simulated of several models per record, (channels, blocks)."""
-        drives = [model.arrays() for model in models]
-        ratios = [(model.drive["N_1"], model.drive["N_2"]) for model in models]
-
-        def some(task: tuple[Record, int]) -> list[Floats]:  # runs take memory
-            rec, first = task
-            led = observer_gains(self.bandwidth_hz, rec.dt) if self.bandwidth_hz > 0 else None
-            runs = march_any(
-                drives[first : first + AT_ONCE],
-                rec.u,
-                rec.x0,
-                rec.dt,
-                observer=led,
-                measured=rec.theta,
-                columns=range(BODIES),
-            )
-            own = ratios[first : first + AT_ONCE]
-            return [difference(rec, run, *n) for run, n in zip(runs, own, strict=True)]
-
-        parts = range(0, len(models), AT_ONCE)
-        tasks = [(rec, first) for rec in self.records for first in parts]
-        done = iter(in_threads(some, tasks, self.jobs))
-        return [[diff for _ in parts for diff in next(done)] for _ in self.records]
-
-    def unpredictable(self, model: Model) -> list[Floats]:
-        """Return, per record, the standard deviation that rattle gives to each block.
-
-        After a reversal the pinions bounce; parameters changed by less than anyone knows them
-        then give another motion. Its spread is what no fit can explain.
-        """
-        kernel = np.ones(10) / 10  # the spread of four runs is smoothed over 50 ms
-        return [
-            np.sqrt(
-                [
-                    np.convolve(row, kernel, "same")
-                    for row in np.mean([(own - other) ** 2 for other in others], axis=0)
-                ]
-            )
-            for own, *others in self.differences([model, *jogged(model, PERTURBATION)])
-        ]
-
-    def weigh(self, model: Model) -> None:
-        """Robust scales and masks from the residual of `model`; kept for what follows."""
-        gaps = (model.drive["gap_l"], model.drive["gap_r"])
-        rows = []
-        outs = self.runs(model)
-        n1, n2 = model.drive["N_1"], model.drive["N_2"]
-        for rec, out, chaos in zip(self.records, outs, self.unpredictable(model), strict=True):
-            diff = difference(rec, out, n1, n2)
-            keep = settled(rec, out, gaps)
-            floor = np.array([FLOOR[c] for c in rec.channels])
-            spread = np.array(
-                [
-                    1.4826 * np.median(np.abs(d[k])) if k.any() else 0.0
-                    for d, k in zip(diff, keep, strict=True)
-                ]
-            )
-            rows.append(keep / np.hypot(np.hypot(floor, spread)[:, None], chaos))
-        self.weights = tuple(rows)
-
-    def vectors(self, models: Sequence[Model]) -> Floats:
-        """Return the weighted residuals of several models, a row each for all records.
-
-        Scaled so that the square counts independent news.
-        """
-        if self.weights is None:
-            self.weigh(models[0])
-        assert self.weights is not None
-        rows = [
-            [(np.sqrt(self.news(rec)) * bend(weight * diff)).ravel() for diff in several]
-            for rec, several, weight in zip(
-                self.records, self.differences(models), self.weights, strict=True
-            )
-        ]
-        return np.concatenate(rows, axis=1)
-
-    def vector(self, model: Model) -> Floats:
-        """Return the weighted residual of all records in one vector."""
-        return np.asarray(self.vectors([model])[0])
-
-    def square(self, model: Model) -> float:
-        """Squared misfit of a model."""
-        return float(np.sum(self.vector(model) ** 2))
-
-    def news(self, rec: Record) -> float:
-        """Share of a block's square that counts as independent."""
-        return min(1.0, rec.block * rec.dt / CORRELATION_SECONDS)
 
 
 @dataclass(frozen=True, eq=False)

@@ -401,7 +401,7 @@ def _respond(model: Model, signal: Floats, loop: Loop | None, preload: float, dt
     if loop is not None:
         return close_loop(model, loop, signal, dt)[1]
     u = np.array([signal + preload, signal - preload])
-    return march(model.arrays(), u, rest(model, 0.0), dt)
+    return march(model, u, rest(model, 0.0), dt)
 
 
 def _column(output: str) -> int:

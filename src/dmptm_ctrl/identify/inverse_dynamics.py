@@ -204,7 +204,7 @@ def residual(
             first, second = (layout.bodies[i] for i in plant.link_body[k])
             load[first] += np.abs(runs[name])
             load[second] += np.abs(plant.link_values[k, 0] * runs[name])
-    reach = kinematic(model)
+    reach = untwisted(plant)
     total, push = np.zeros_like(motion.time), np.zeros_like(motion.time)
     single = []
     for group, (q, v, a) in measured.items():
@@ -335,7 +335,7 @@ def _links(
 ) -> dict[str, Floats]:
     """Torque of every link along the log; coordinates without sensors are simulated."""
     layout = model.layout
-    reach = kinematic(model)
+    reach = untwisted(model.plant())
     given, position, speed = {}, {}, {}
     base_group = next(iter(measured))
     q0, v0 = measured[base_group][0][0], measured[base_group][1][0]
@@ -370,11 +370,6 @@ def _links(
 def _second(model: RigModel, link: str) -> str:
     plant, layout = model.plant(), model.layout
     return layout.bodies[plant.link_body[layout.links.index(link), 1]]
-
-
-def kinematic(model: RigModel) -> dict[int, float]:
-    """Motion of each coordinate per motion of the first, all links untwisted."""
-    return untwisted(model.plant())
 
 
 def _friction(

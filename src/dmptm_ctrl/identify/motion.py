@@ -15,8 +15,8 @@ from scipy.ndimage import convolve1d
 from dmptm_ctrl.identify.disturbance import course, disturbance
 from dmptm_ctrl.identify.records import RING_COUNT, Record
 from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.along import reading_along
-from dmptm_ctrl.simulate.dual import acting, bristles, called
+from dmptm_ctrl.simulate.along import acting_in, reading_along
+from dmptm_ctrl.simulate.dual import MOTORS
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats, Model
 
@@ -169,16 +169,16 @@ def travelled(angle: Floats, speed: Floats) -> Floats:
 
 def corrected(rec: Record, model: Model) -> Record:
     """Take the model's sensor effects off the readings, to first order."""
-    _, on, values = model.arrays()
-    late = sum(called(on, values, "sensor_delay"))
+    plant = model.plant()
+    late = plant.sensor_delay[1]
     t = rec.dt * np.arange(rec.theta.size, dtype=np.float64)
-    theta, omega = reading_along(acting(on, values).get(("sensor", 0), ()), rec.theta, rec.omega, t)
+    theta, omega = reading_along(acting_in(plant).get(("sensor", 0), ()), rec.theta, rec.omega, t)
     theta, omega = 2.0 * rec.theta - theta, 2.0 * rec.omega - omega
     if late > 0.0:
         omega = np.interp(t + late, t, omega)
     twist = rec.twist
     if twist is not None:
-        twist = twist + model.drive["N_2"] * (rec.theta - theta)[:, None]
+        twist = twist + plant.link_values[0, 0] * (rec.theta - theta)[:, None]
     return replace(rec, theta=theta, omega=omega, twist=twist)
 
 
@@ -191,8 +191,8 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
         Needed where the record has no twist.
     """
     rec = corrected(rec, model)
-    d, dt, n = model.drive, rec.dt, rec.theta.size
-    n1, n2 = d["N_1"], d["N_2"]
+    plant, dt, n = model.plant(), rec.dt, rec.theta.size
+    n1, n2 = plant.body_ratio[MOTORS[0]], plant.link_values[0, 0]
     m = 2 * max(3, round(0.5 * WINDOW_SECONDS / dt))
     odd = odd_span(SMOOTH_SECONDS, dt)
     window = hann(m)
@@ -228,7 +228,7 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
     run[:, 6:8] = z
 
     z = z + shifts(rec, run, model)
-    gaps = np.array([d["gap_l"], d["gap_r"]])
+    gaps = plant.link_values[:2, 4]
     touches = np.empty((starts.size, 2), bool)
     for s in (0, 1):
         if rec.twist is not None:
@@ -246,9 +246,8 @@ def motion(rec: Record, model: Model, simulated: Floats | None = None) -> Motion
         slides &= one_way(speed[:, 1], n2 * CREEP, m, starts)
     else:
         slides &= touches.all(1)
-    _, on, values = model.arrays()
     for body, angle in enumerate((run[:, 2] / n1, run[:, 3] / n1, rec.theta)):
-        settled = SETTLED * bristles(on, values, body)[0]
+        settled = SETTLED * plant.bristles[body, 0]
         if settled > 0.0:
             slides &= (travelled(angle, omega) > settled)[starts]
     flank = np.where(z > 0.0, 1.0, -1.0)
@@ -264,7 +263,7 @@ def shifts(rec: Record, run: Floats, model: Model) -> Floats:
     """
     shift = np.zeros((run.shape[0], 2))
     if rec.twist is not None:
-        rows = disturbance(course([rec.u], [run], rec.dt), model.arrays()).shift
+        rows = disturbance(course([rec.u], [run], rec.dt), model.plant()).shift
         for column, row in zip(shift.T, rows, strict=True):
             if row is not None:
                 column[:] = row

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 
-from dmptm_ctrl.identify.records import Record, block_mean, predict
+from dmptm_ctrl.identify.records import Record, block_mean
 from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.observer import observer_gains
@@ -30,9 +30,15 @@ class Led:
     Parameters
     ----------
     rec : Record
+    bandwidth_hz : float
+        Of the observer.
+    steps : int
+        A sample.
     """
 
     rec: Record
+    bandwidth_hz: float = BANDWIDTH_HZ
+    steps: int = STEPS
 
     @property
     def block(self) -> int:
@@ -51,20 +57,18 @@ class Led:
 
     def missing(self, model: Model) -> Floats:
         """Speed [rad/s] that a model does not predict, in blocks, (count,)."""
-        rec = self.rec
-        run = predict(rec, model.over(self.seconds).arrays(), BANDWIDTH_HZ, STEPS)
-        return block_mean(rec.omega - run[:, 1], self.block)
+        return self.missing_of([model])[0]
 
     def missing_of(self, models: Sequence[Model]) -> Floats:
         """Return the same of several models at once, (models, count)."""
         rec = self.rec
         runs = march_any(
-            [model.over(self.seconds).arrays() for model in models],
+            [model.over(self.seconds) for model in models],
             rec.u,
             rec.x0,
             rec.dt,
-            substeps=STEPS,
-            observer=observer_gains(BANDWIDTH_HZ, rec.dt),
+            substeps=self.steps,
+            observer=observer_gains(self.bandwidth_hz, rec.dt),
             measured=rec.theta,
             columns=(1,),
         )

@@ -1,6 +1,6 @@
 """Logs prepared for fitting: arrays, masks and the residual of a simulated run."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,9 +8,9 @@ import numpy as np
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import SUBSTEPS, march, rest
-from dmptm_ctrl.simulate.dual import parts_of
-from dmptm_ctrl.simulate.model import Arrays, Floats, Model
+from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.observer import observer_gains
+from dmptm_ctrl.simulate.parts import Parts
 
 BLOCK_SECONDS = 0.005  # residuals are means over blocks: to 100 Hz, past the 60 Hz mode
 SHORT_BLOCK = 4  # samples
@@ -18,7 +18,6 @@ RING_COUNT = 2 * np.pi / 2**18  # rad
 KNOWN_TO = 4.0 * RING_COUNT  # rad, to which an error of the ring encoder is known
 ROUNDING = 1e-9  # rad, of angles in double precision; no encoder has so fine a step
 INVERSIONS = 8  # of a sensor whose error is far smaller than the angle it varies over
-FLIGHT_MARGIN = 0.02  # s around a gap crossing in which the transmission error is not judged
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +47,6 @@ class Record:
     block: int
     time: Floats
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the residual's rows."""
-        return ("speed",) if self.twist is None else ("speed", "twist_l", "twist_r")
-
 
 def record(log: Log, drive: Drive) -> Record:
     """Prepare a log of the dual-motor rig.
@@ -77,7 +71,7 @@ def record(log: Log, drive: Drive) -> Record:
 
 def true_angle(model: Model, reading: float) -> float:
     """Angle [rad] at which the ring gear rests where its sensor says `reading` [rad]."""
-    parts, angle = parts_of(model), reading
+    parts, angle = Parts(model.plant()), reading
     for _ in range(INVERSIONS):
         angle += reading - parts.reading(0, angle, 0.0, 0.0)
     return angle
@@ -125,7 +119,7 @@ def block_mean(signal: Floats, block: int) -> Floats:
 
 
 def predict(
-    rec: Record, arrays: Arrays, bandwidth_hz: float = 0.0, substeps: int = SUBSTEPS
+    rec: Record, model: Model, bandwidth_hz: float = 0.0, substeps: int = SUBSTEPS
 ) -> Floats:
     """Run the model on a record; with a bandwidth, led slowly by the measured angle.
 
@@ -136,34 +130,5 @@ def predict(
     """
     observer = observer_gains(bandwidth_hz, rec.dt) if bandwidth_hz > 0 else None
     return march(
-        arrays, rec.u, rec.x0, rec.dt, substeps=substeps, observer=observer, measured=rec.theta
+        model, rec.u, rec.x0, rec.dt, substeps=substeps, observer=observer, measured=rec.theta
     )
-
-
-def difference(rec: Record, out: Floats, n1: float, n2: float) -> Floats:
-    """Return measured minus simulated in blocks, (channels, blocks) [rad/s, rad, rad]."""
-    rows = [rec.omega - out[:, 1]]
-    if rec.twist is not None:
-        rows += [rec.twist[:, s] - (out[:, 2 + s] / n1 - n2 * out[:, 0]) for s in (0, 1)]
-    return block_mean(np.array(rows), rec.block)
-
-
-def settled(rec: Record, out: Floats, half_gaps: Sequence[float]) -> np.ndarray:
-    """Tell, per channel and block, where the model can be judged sample by sample.
-
-    The speed always; the twist only where both the measured and the simulated pinion
-    rest on a flank and have done so for :data:`FLIGHT_MARGIN`.
-    """
-    n = rec.omega.size // rec.block
-    keep = np.ones((len(rec.channels), n), bool)
-    if rec.twist is None:
-        return keep
-    margin = max(1, round(FLIGHT_MARGIN / rec.dt))
-    for s in (0, 1):
-        side = np.sign(out[:, 6 + s]) * (np.abs(out[:, 6 + s]) > half_gaps[s])
-        # a quarter gap of slack: the measured gap is not known before the fit
-        seen = np.sign(rec.twist[:, s]) * (np.abs(rec.twist[:, s]) > 0.75 * half_gaps[s])
-        away = (side == 0) | (side != seen)
-        spread = np.convolve(away, np.ones(2 * margin + 1), "same") > 0.5
-        keep[1 + s] = block_mean(spread.astype(float), rec.block) == 0.0
-    return keep

@@ -5,10 +5,10 @@ from functools import partial
 
 import numpy as np
 
-from dmptm_ctrl.identify.inverse_dynamics import kinematic
 from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.observer import observer_gains, rigid_observer
+from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import RigRun, march
 
@@ -23,7 +23,7 @@ def initial(model: RigModel, log: Log) -> tuple[dict[str, float], dict[str, floa
     as most do, has speed 0.
     """
     layout, rig = model.layout, model.rig
-    reach = kinematic(model)
+    reach = untwisted(model.plant())
     position: dict[int, float] = {}
     speed: dict[int, float] = {}
     for sensor in (s for s in rig.sensors if s.channel in log):
@@ -82,7 +82,7 @@ def free_run(
     for body in layout.bodies:
         seen.setdefault(layout.coordinate[body], body)
     # in step with the driven coordinate; readings get their own zero back
-    reach = kinematic(model)
+    reach = untwisted(model.plant())
     base = seen[0]
     q_base = q0[base] / layout.ratio[base]
     position = {b: layout.ratio[b] * q_base * reach[g] for g, b in seen.items()}

@@ -14,19 +14,20 @@ Source: paper Eqs. 16 to 18, closed meshes; matched filter in coloured noise, Ka
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 from scipy.signal import cont2discrete, freqz, lfilter
 
-from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.disturbance import Course, course, disturbance
 from dmptm_ctrl.identify.motion import GYRO_NOISE, WINDOW_SECONDS, Motion, hann, odd_span, smooth
-from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, layout
-from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, LOADED
+from dmptm_ctrl.identify.windows import Keyed, inertias, pull_of
+from dmptm_ctrl.simulate.damping import FLANKS, LOADED
+from dmptm_ctrl.simulate.dual import MOTORS
 from dmptm_ctrl.simulate.elementary import cached
+from dmptm_ctrl.simulate.plant import Floats, Plant
 
 FINER = 2  # steps per sample in which a torque acts: an order may have two samples per period
 WHITE = 8  # coefficients that whiten what is left: the meshes' wobble is a narrow band
@@ -35,9 +36,6 @@ LEAST = 100  # samples of a log, below which nothing is told
 FAINTEST = 0.01  # share of a gyro's usual noise that any has
 NEARLY = 1e-3  # share by which two motors' waves must differ to be told apart
 GRID = 2048  # frequencies at which the response is known
-GAIN = [BASE.index(name) for name in ("K_d", "K_M", "N_1", "N_2")]
-ANSWER = [BASE.index(name) for name in ("J_m", "J_2", "J_L", "N_1", "N_2", "k_m", "c")]
-TOLD = sorted({*GAIN, *ANSWER})  # all of the drive that the fast part depends on
 KEPT = 64  # difference equations kept
 RECENT = 4  # results kept per motion
 
@@ -73,9 +71,10 @@ class Ripple:
     @cached_property
     def driven(self) -> Floats:
         """Fast part of the speed that the commanded voltages give the declared drive, (n,)."""
-        base = loaded(self.motion.declared.arrays())
-        torque = float(np.prod(base[GAIN])) * np.repeat(self.motion.rec.u.sum(0), FINER)
-        return self.fast(self.speed(torque, base[ANSWER].tobytes()))
+        plant = self.motion.declared.plant()
+        gain = plant.link_values[0, 0] * pull_of(plant)
+        torque = gain * np.repeat(self.motion.rec.u.sum(0), FINER)
+        return self.fast(self.speed(torque, closed(plant)))
 
     @cached_property
     def measured(self) -> Floats:
@@ -110,40 +109,38 @@ class Ripple:
         run = np.array([np.interp(at, places, column) for column in mo.run.T]).T
         return course([np.repeat(mo.rec.u, FINER, axis=1)], [run], mo.rec.dt / FINER)
 
-    def torque(self, arrays: Arrays) -> Floats:
+    def torque(self, plant: Plant) -> Floats:
         """Torque of a model's effects, summed at the ring gear, (n FINER,)."""
         # no fast effect depends on what the meshes carry
-        torque = disturbance(self.finer, arrays).torque
-        n2 = arrays[0][BASE.index("N_2")]
+        torque = disturbance(self.finer, plant).torque
+        n2 = plant.link_values[0, 0]
         total = np.zeros_like(self.finer.time)
         for lever, row in zip((n2, n2, 1.0), torque, strict=True):
             if row is not None:
                 total += lever * row
         return total
 
-    def missing(self, arrays: Arrays) -> Floats:
+    def missing(self, plant: Plant) -> Floats:
         """Speed [rad/s] that a model does not explain, whitened, where the drive slides, (k,).
 
         Of its effects the fast ones count: no other may live on what they leave. What
         was computed lately is kept: most that a fit moves changes nothing here.
         """
-        base, on, values = loaded(arrays), *arrays[1:]
-        acts = on * fast_ones(tuple(CATALOGUE))
-        needed, own = np.zeros_like(base), np.zeros_like(values)
-        if acts.any():
-            needed[TOLD] = base[TOLD]
-            for index, first, count in fast_places(tuple(CATALOGUE)):
-                own[first : first + count] = values[first : first + count] * acts[index]
-        return self.left(needed.tobytes(), acts.tobytes(), own.tobytes())
+        fast = [p for p in plant.places if p.effect.fast and plant.on[p.flag]]
+        if not fast:
+            return self.left(Keyed(plant))
+        on = np.zeros_like(plant.on)
+        on[[p.flag for p in fast]] = 1
+        numbers = (plant.values[p.first : p.first + len(p.effect.parameters)] for p in fast)
+        key = on.tobytes(), np.concatenate([*numbers]).tobytes(), closed(plant), pull_of(plant)
+        return self.left(Keyed(plant._replace(on=on), *key))
 
-    def _left(self, *arrays: bytes) -> Floats:
-        """Speed that is left, of the drive's numbers, flags and values that it depends on."""
-        base, values = (np.frombuffer(arrays[i]).copy() for i in (0, 2))
-        acts = np.frombuffer(arrays[1], np.uint8).copy()
+    def _left(self, given: Keyed) -> Floats:
+        """Speed that is left by the effects of a plant, all of them fast."""
         row = self.measured
-        if acts.any():
-            torque = self.torque((base, acts, values))
-            row = row - self.fast(self.speed(torque, base[ANSWER].tobytes()))
+        if given.key:
+            torque = self.torque(given.plant)
+            row = row - self.fast(self.speed(torque, closed(given.plant)))
         return np.asarray(lfilter(self.colour, 1.0, row)[self.used])
 
     def overlap(
@@ -164,8 +161,8 @@ class Ripple:
         own, crossed : (most,) arrays, real and complex
             Each motor's with itself, left with right.
         """
-        base = loaded(self.motion.declared.arrays())
-        answer = answers(base[ANSWER].tobytes(), self.motion.rec.dt)
+        plant = self.motion.declared.plant()
+        answer = answers(closed(plant), self.motion.rec.dt)
         row = np.zeros(self.used.size)
         row[self.used] = weights * missing
         # what a wave's filtered samples weigh is what the wave's own samples weigh, filtered back
@@ -174,7 +171,7 @@ class Ripple:
         back[::FINER] = row
         back = lfilter(*answer, back[::-1])[::-1]
         turns = self.finer.motors
-        gain = base[BASE.index("N_1")] * base[BASE.index("N_2")]
+        gain = plant.body_ratio[MOTORS[0]] * plant.link_values[0, 0]
         found = gain * np.array([waves(angle, back, most) for angle in turns])
         counts = np.zeros(self.used.size)
         counts[self.used] = weights
@@ -196,36 +193,26 @@ class Ripple:
         return np.asarray(np.abs(steady * (1.0 - slow * delay) * white) ** 2)
 
 
-@cache
-def fast_ones(names: tuple[str, ...]) -> NDArray[np.uint8]:
-    """1 for each effect that acts fast."""
-    return np.array([CATALOGUE[name].fast for name in names], np.uint8)
+def closed(plant: Plant) -> bytes:
+    """Inertia of a chain and of the ring gear, ratio, stiffness and damping of closed meshes.
 
-
-@cache
-def fast_places(names: tuple[str, ...]) -> list[tuple[int, int, int]]:
-    """Index of each of these effects, its first slot, and how many it has."""
-    return [(*layout()[n], len(CATALOGUE[n].parameters)) for n in names if CATALOGUE[n].fast]
-
-
-def loaded(arrays: Arrays) -> Floats:
-    """Numbers of a drive; flanks that damp by depth damp as they do when loaded."""
-    base, on, values = arrays
-    index, first = layout()[FLANKS]
-    if on[index]:
-        base = base.copy()
-        base[BASE.index(DAMPING)] += values[first] * LOADED
-    return base
+    Flanks that damp by depth damp as they do when loaded.
+    """
+    n2, stiffness, damping = plant.link_values[0, :3]
+    for p in plant.places:
+        if p.effect.name == FLANKS and plant.on[p.flag]:
+            damping = damping + plant.values[p.first] * LOADED
+            break  # the other mesh has the same
+    return np.array([*inertias(plant), n2, stiffness, damping]).tobytes()
 
 
 @lru_cache(KEPT)
 def answers(numbers: bytes, dt: float) -> tuple[Floats, Floats]:
     """Difference equation from a torque on the ring gear to its speed, in finer steps.
 
-    `numbers` are those of :data:`ANSWER`, `dt` the sample time [s].
+    `numbers` are those of :func:`closed`, `dt` the sample time [s].
     """
-    j_m, j_2, jl, n1, n2, k_m, c = np.frombuffer(numbers)
-    j3 = n1 * n1 * j_m + j_2
+    j3, jl, n2, k_m, c = np.frombuffer(numbers)
     ease = 1.0 / j3 + 2.0 * n2 * n2 / jl
     damping, squared, inertia = c * ease, k_m * ease, jl + 2.0 * n2 * n2 * j3
     system = [damping / inertia, squared / inertia], [1.0, damping, squared, 0.0]

@@ -6,22 +6,14 @@ another parameter; what was computed lately is kept.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
-from dmptm_ctrl.identify.disturbance import (
-    BEARING,
-    LAW,
-    REDUCER,
-    Course,
-    Rows,
-    course,
-    disturbance,
-)
+from dmptm_ctrl.effects.reducer_compliance import REDUCER_COMPLIANCE
+from dmptm_ctrl.identify.disturbance import Course, Rows, course, disturbance
 from dmptm_ctrl.identify.motion import (
     Motion,
     averaged,
@@ -29,9 +21,15 @@ from dmptm_ctrl.identify.motion import (
     second_difference,
     smooth,
 )
-from dmptm_ctrl.simulate.along import built_up_along, law_along, reading_along
-from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, layout
-from dmptm_ctrl.simulate.dual import acting, bristles
+from dmptm_ctrl.simulate.along import (
+    Acting,
+    built_up_along,
+    law_along,
+    reading_along,
+)
+from dmptm_ctrl.simulate.dual import MOTORS, RING
+from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.plant import Plant
 
 INERTIA = (
     36.5  # kg·m², Table 1: of all bodies at the ring gear; expresses an acceleration as a torque
@@ -42,6 +40,19 @@ CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed
 ENCODER_UNIT = 1e-4  # rad, at which the encoder's error is read off its kernel
 RECENT = 4  # results kept
 NOTHING = np.zeros((2, 1))
+
+
+class Keyed:
+    """A plant by those of its numbers that what is asked of it depends on."""
+
+    def __init__(self, plant: Plant, *key: Any) -> None:
+        self.plant, self.key = plant, key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Keyed) and self.key == other.key
 
 
 @dataclass(eq=False)
@@ -108,7 +119,7 @@ class Windowed:
     @cached_property
     def angles(self) -> list[Floats]:
         """Angles of both pinions and of the ring gear, three of (n,) [rad]."""
-        n1 = self.motions[0].declared.drive["N_1"]
+        n1 = self.motions[0].declared.plant().body_ratio[MOTORS[0]]
         return [*(self.course.motors / n1), self.course.ring]
 
     @cached_property
@@ -133,25 +144,22 @@ class Windowed:
     @cached_property
     def waves(self) -> Floats:
         """Window means of the ring encoder's error per unit cosine and sine, (2, w)."""
-        index, first = layout()[ENCODER_ECCENTRICITY.name]
 
         def wave(mo: Motion, k: int) -> Floats:
-            _, on, values = mo.declared.arrays()
-            unit, flags = np.zeros_like(values), np.zeros_like(on)
-            unit[first + k] = ENCODER_UNIT
-            flags[index] = 1
+            unit = Acting(ENCODER_ECCENTRICITY, 0, ENCODER_UNIT * np.eye(2)[k])
             angle, turned = np.ascontiguousarray(mo.run[:, :2].T)
-            encoder, time = acting(flags, unit)["sensor", 0], mo.rec.dt * np.arange(angle.size)
-            return (reading_along(encoder, angle, turned, time)[0] - angle) / ENCODER_UNIT
+            time = mo.rec.dt * np.arange(angle.size)
+            return (reading_along([unit], angle, turned, time)[0] - angle) / ENCODER_UNIT
 
         return self.mean(self.all(lambda mo: np.array([wave(mo, 0), wave(mo, 1)])), held=False)
 
-    def encoder_error(self, on: Any, values: Floats) -> Floats:
+    def encoder_error(self, model: Model) -> Floats:
         """Error of the ring encoder [rad], (w,), beyond what was taken off the readings."""
-        _, on_before, before = self.motions[0].declared.arrays()
-        index, first = layout()[ENCODER_ECCENTRICITY.name]
-        now = values[first : first + 2] * on[index]
-        then = before[first : first + 2] * on_before[index]
+        now, then = (
+            np.array([one.effects.get(ENCODER_ECCENTRICITY.name, {}).get(name, 0.0)
+                      for name in ENCODER_ECCENTRICITY.amplitudes])
+            for one in (model, self.motions[0].declared)
+        )  # fmt: skip
         if np.array_equal(now, then):
             return np.zeros(1)
         return np.asarray((now - then) @ self.waves)
@@ -159,7 +167,7 @@ class Windowed:
     def _friction(
         self, body: int, law: bytes, distance: float, share: float
     ) -> tuple[Floats, Floats]:
-        """Friction on a body, (n,) and window means (w,) [N·m]; `law` as in the base array."""
+        """Friction on a body, (n,) and window means (w,) [N·m]; `law` as in the plant."""
         given, omega = np.frombuffer(law), self.speeds[body]
         level = law_along(omega, given)
         if distance > 0.0:
@@ -193,31 +201,27 @@ class Windowed:
             self.all(lambda mo: np.array([second_difference(x, mo.rec.dt) for x in mo.run.T[2:4]]))
         )
 
-    def load(self, base: Floats, on: Any, values: Floats) -> Floats:
+    def load(self, plant: Plant) -> Floats:
         """Torque that each mesh carries without what depends on it, (2, n) [N·m].
 
         The readings are smoothed, not what follows from them: it is linear in each.
         """
-        friction = [self.even_friction(*law) for law in self.laws(base, on, values)]
+        friction = [self.even_friction(*law) for law in laws(plant)]
         if not self.twisted:
-            return carried(base, self.even_volts, friction)
-        drive = base[5] * base[0] * base[1] * self.even_volts + np.array(friction[:2])
-        j3 = base[5] * base[5] * base[2] + base[3]
-        return np.asarray(drive - j3 * self.even_accelerations / base[5])
+            return carried(plant, self.even_volts, friction)
+        drive = pull_of(plant) * self.even_volts + np.array(friction[:2])
+        n1 = plant.body_ratio[MOTORS[0]]
+        return np.asarray(drive - inertias(plant)[0] * self.even_accelerations / n1)
 
-    def _disturbed(
-        self, arrays: tuple[bytes, bytes, bytes], soft: bool
-    ) -> tuple[Floats, Floats, Floats, Floats]:
+    def _disturbed(self, given: Keyed) -> tuple[Floats, Floats, Floats, Floats]:
         """Window means of what a model's effects do, (3, w) [N·m] and (2, w) [rad].
 
         Torques on pinions and ring gear, and shifts of z. Where the twist is not measured, the
         shifts also as accelerations, (2, w) [rad/s²]. Last what motors give where the reducers
         are soft, (2, w) [N·m].
         """
-        base, values = (np.frombuffer(arrays[i]) for i in (0, 2))
-        on = np.frombuffer(arrays[1], np.uint8)
-        load = self.load(base, on, values) if loads(on) else None
-        torque, moved, pull = disturbance(self.course, (base, on, values), load)
+        plant, (soft, loaded, *_) = given.plant, given.key
+        torque, moved, pull = disturbance(self.course, plant, self.load(plant) if loaded else None)
         shifts = self.means(moved, held=False)
         shaken = np.zeros_like(shifts)
         if not self.twisted:
@@ -236,31 +240,22 @@ class Windowed:
                 out[k] = self.mean(row, held=held)
         return out
 
-    def frictions(self, base: Floats, on: Any, values: Floats) -> Floats:
-        """Window means of the friction on pinions and ring gear, (3, w) [N·m]."""
-        return np.array([self.friction(*law)[1] for law in self.laws(base, on, values)])
-
-    def laws(self, base: Floats, on: Any, values: Floats) -> list[tuple[int, bytes, float, float]]:
-        """Friction of each body: which, law, distance and what is at once of pre-sliding."""
-        return [(body, law, *bristles(on, values, body)[:2]) for body, law in enumerate(laws(base))]
-
-    def missing(self, arrays: Arrays, compliance: float) -> Floats:
+    def missing(self, model: Model) -> Floats:
         """All balances on all windows, (3, w) [N·m]."""
-        base, on, values = arrays
-        n1, n2 = base[5], base[6]
-        j3, jl = n1 * n1 * base[2] + base[3], base[4]
-        force, pull = self.frictions(base, on, values), NOTHING
-        shift = n2 * self.encoder_error(on, values) * np.ones((2, 1))
-        if on.any():
-            needed = base.copy()
-            needed[unneeded(on)] = 0.0  # so that a result lately kept is found again
-            given = needed.tobytes(), on.tobytes(), values.tobytes()
-            torque, moved, shaken, pull = self.disturbed(given, compliance > 0.0)
+        plant = model.plant()
+        n2, stiffness, damping = plant.link_values[0, :3]
+        j3, jl = inertias(plant)
+        compliance = model.effects.get(REDUCER_COMPLIANCE.name, {}).get("compliance", 0.0)
+        force = np.array([self.friction(*law)[1] for law in laws(plant)])
+        shift = n2 * self.encoder_error(model) * np.ones((2, 1))
+        pull = NOTHING
+        if plant.on.any():
+            torque, moved, shaken, pull = self.disturbed(needed(plant, compliance > 0.0))
             force += torque
             # the flanks push the pinions, whose motion is not measured, out of their way
             force[:2] += j3 * shaken
             shift = shift + moved
-        drive = n1 * base[0] * base[1] * self.volts
+        drive = pull_of(plant) * self.volts
         force[:2] += drive
         if compliance > 0.0:
             drive = drive + pull
@@ -269,15 +264,22 @@ class Windowed:
         out[0] = jl * self.ring + n2 * j3 * self.pinions.sum(0) - n2 * force[:2].sum(0) - force[2]
         out[0] *= INERTIA / (jl + 2.0 * n2 * n2 * j3)
         if self.twisted:
-            gaps = base[13:15, None]
-            twist = self.twist + shift - gaps * self.flank + base[11] / base[8] * self.rate(n2)
+            gaps = plant.link_values[:2, 4:]
+            twist = self.twist + shift - gaps * self.flank + damping / stiffness * self.rate(n2)
             carried = force[:2] - j3 * self.pinions
             # In the twist, not in the torque: the twist's noise must not bias the stiffness.
             # A soft reducer adds its own, for z is seen at the motor; it carries what the motor
             # gives, before the friction on the pinion.
-            shaft = drive - n1 * n1 * base[2] * self.pinions
-            out[1:] = STIFFNESS * (twist - carried / base[8] - compliance * shaft)
+            motor = model.drive["N_1"] ** 2 * model.drive["J_m"]
+            shaft = drive - motor * self.pinions
+            out[1:] = STIFFNESS * (twist - carried / stiffness - compliance * shaft)
         return out
+
+
+def inertias(plant: Plant) -> tuple[float, float]:
+    """Inertia of a chain at its pinion, motor included, and of the ring gear [kg·m²]."""
+    behind = plant.inertia[3] if plant.inertia.size > 3 else 0.0
+    return plant.inertia[0] + behind, plant.inertia[RING]
 
 
 def speed_of(mo: Motion, body: int) -> Floats:
@@ -285,45 +287,33 @@ def speed_of(mo: Motion, body: int) -> Floats:
     return np.ascontiguousarray(mo.run[:, 1] if body == 2 else mo.pinion_speed[:, body])
 
 
-def laws(base: Floats) -> tuple[bytes, bytes, bytes]:
-    """Friction law of each body in the base array."""
-    reducer = base[REDUCER : REDUCER + LAW].tobytes()
-    return reducer, reducer, base[BEARING : BEARING + LAW].tobytes()
+def pull_of(plant: Plant) -> float:
+    """Torque of a motor at its pinion per unit of its signal [N·m/V]."""
+    return float(plant.body_ratio[MOTORS[0]] * plant.input_values[0, 0])
 
 
-def unneeded(on: Any) -> list[int]:
-    """Places in the base array that the disturbance by effects in use does not depend on."""
-    return _unneeded(tuple(CATALOGUE), on.tobytes())
-
-
-@cache
-def _unneeded(names: tuple[str, ...], on: bytes) -> list[int]:
-    needed = {0, 1, 5, 6}  # gain and ratios
-    acts = any(used and CATALOGUE[n].site == "friction" for n, used in zip(names, on, strict=True))
-    if acts:
-        needed |= {*range(REDUCER, BEARING + LAW)}
-    if _loads(names, on):
-        needed |= {2, 3, 4}  # inertias
-    return [i for i in range(len(BASE)) if i not in needed]
-
-
-def loads(on: Any) -> bool:
-    """Whether an effect in use depends on the torque of the meshes."""
-    return _loads(tuple(CATALOGUE), on.tobytes())
-
-
-@cache
-def _loads(names: tuple[str, ...], on: bytes) -> bool:
-    effects = [CATALOGUE[name] for name, used in zip(names, on, strict=True) if used]
-    return any(e.site == "friction" and "mesh_torque" in e.depends_on for e in effects)
-
-
-def frictions(mo: Motion, base: Floats) -> Floats:
-    """Friction on pinions and ring gear along a motion, (3, n) [N·m], negative when forward."""
-    rows = [
-        law_along(speed_of(mo, body), np.frombuffer(law)) for body, law in enumerate(laws(base))
+def laws(plant: Plant) -> list[tuple[int, bytes, float, float]]:
+    """Friction of each body: which, law, distance and what is at once of pre-sliding."""
+    return [
+        (body, plant.law[body].tobytes(), *plant.bristles[body, :2].tolist())
+        for body in range(RING + 1)
     ]
-    return -np.array(rows)
+
+
+def needed(plant: Plant, soft: bool) -> Keyed:
+    """Return a plant by what the disturbance by its effects in use depends on."""
+    rubs = [p.effect for p in plant.places if plant.on[p.flag] and p.effect.site == "friction"]
+    loaded = any("mesh_torque" in effect.depends_on for effect in rubs)
+    ratios = plant.body_ratio.tobytes(), plant.link_values[:2, 0].tobytes()
+    own = plant.input_values.tobytes(), plant.on.tobytes(), plant.values.tobytes()
+    laws = plant.law.tobytes() + plant.bristles.tobytes() if rubs else b""
+    masses = plant.inertia.tobytes() if loaded else b""
+    return Keyed(plant, soft, loaded, laws, masses, *ratios, *own)
+
+
+def frictions(mo: Motion, plant: Plant) -> Floats:
+    """Friction on pinions and ring gear along a motion, (3, n) [N·m], negative when forward."""
+    return -np.array([law_along(speed_of(mo, b), plant.law[b]) for b in range(RING + 1)])
 
 
 def evened(rows: Floats, dt: float, seconds: float) -> Floats:
@@ -336,14 +326,13 @@ def halfway(held: Floats) -> Floats:
     return 0.5 * (held + np.concatenate([held[:, :1], held[:, :-1]], axis=1))
 
 
-def carried(base: Floats, volts: Floats, friction: Sequence[Floats] | Floats) -> Floats:
+def carried(plant: Plant, volts: Floats, friction: Sequence[Floats] | Floats) -> Floats:
     """Torque that each mesh carries [N·m], (2, n), by what drives and brakes.
 
     From the voltages, not from the measured acceleration: without motor encoders its noise
     would pass for friction that grows with the load.
     """
-    n2 = base[6]
-    j3 = base[5] * base[5] * base[2] + base[3]
-    drive = base[5] * base[0] * base[1] * volts + np.array(friction[:2])
+    n2, (j3, jl) = plant.link_values[0, 0], inertias(plant)
+    drive = pull_of(plant) * volts + np.array(friction[:2])
     force = n2 * drive.sum(0) + friction[2]
-    return np.asarray(drive - j3 * n2 * force / (base[4] + 2.0 * n2 * n2 * j3))
+    return np.asarray(drive - j3 * n2 * force / (jl + 2.0 * n2 * n2 * j3))

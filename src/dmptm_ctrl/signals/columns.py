@@ -63,6 +63,7 @@ CLOCK = "(clock)"  # a clock without a name of its own
 TIMES = "(times)"  # instead of the unit of a column of dates or times of day
 
 
+_BESIDE = " #%"  # blanks and signs of comments around names
 _CLOCKS = ("t", "time", "zeit", "timestamp")
 Mapped = Mapping[str, "Column | tuple | str"]
 
@@ -89,8 +90,9 @@ def resolve(
     for column in names:
         seen = {t.channel for t in targets.values()}
         if column in mapping:
-            targets[column] = _mapped(column, mapping[column], source)
-            if other := _other_unit(mapping[column], units.get(column, "")):
+            target = _in_its_unit(mapping[column], units.get(column, ""))
+            targets[column] = _mapped(column, target, source)
+            if other := _other_unit(target, units.get(column, "")):
                 contradictions.append(f"column {column!r} {other}")
         else:
             target = _by_name(column, units.get(column), source, strict=not mapping)
@@ -125,7 +127,7 @@ def _as_named(names: Sequence[str], mapping: dict[str, Any]) -> dict[str, Any]:
     found = {}
     for column, target in mapping.items():
         if column not in names:
-            alike = [n for n in names if n.strip() == column.strip()]
+            alike = [n for n in names if n.strip(_BESIDE) == column.strip(_BESIDE)]
             alike = alike or [n for n in names if named_unit(n)[0] == column]
             alike = alike or [n for n in names if named_unit(column)[0] == n]
             if not alike and not isinstance(target, str) and target[0] == "time":
@@ -133,6 +135,17 @@ def _as_named(names: Sequence[str], mapping: dict[str, Any]) -> dict[str, Any]:
             column = alike[0] if len(alike) == 1 else column
         found[column] = target
     return found
+
+
+def _in_its_unit(target: Any, stated: str) -> Any:
+    """Target of a column; of a clock without a unit in that of the file, else in seconds."""
+    if isinstance(target, str) or target[0] != "time" or target[1]:
+        return target
+    try:
+        known = parse_unit(stated).symbol == "s"
+    except LogError:
+        known = False
+    return (target[0], stated if known else "s", *target[2:])
 
 
 def _other_unit(target: Any, stated: str) -> str:

@@ -47,6 +47,7 @@ def named(
                 "in [data] of the rig file, as in header = 3, or header = 0 for none"
             )
     found = _from_rows([_fitted(r, block.width) for r in rows], layout, wanted)
+    found = replace(found, steps=_steps(rows, block.dialect))
     ticks = [block.dialect.number(cell) or 0.0 for cell in block.rows[0][: block.width]]
     units = [
         "ticks" if name == CLOCK and value > FILE_TIME else unit
@@ -101,6 +102,8 @@ def _fitted(row: list[str], width: int) -> list[str]:
     """As many names as columns; one less: the first column counts the rows."""
     if len(row) == width - 1 and width > 1:
         return ["", *row]
+    if len(row) == width + 1 and not _is_unit(row[0]) and all(map(_is_unit, row[1:])):
+        return row[1:]  # what the row is, before the units
     if len(row) == 2 * width and len({*row[::2]}) == 1:
         return row[1::2]  # clocks that were not exported still have their labels
     return (row + [""] * width)[:width]
@@ -144,19 +147,18 @@ def _from_rows(rows: list[list[str]], plain: Layout, wanted: Collection[str]) ->
             period = next((m for s in said if (m := re.search(r"\[(\w+)\]", s[0]))), None)
             for c in places:
                 names[c], units[c] = CLOCK, period[1] if period else "s"
-    return replace(plain, names=names, units=units, steps=_steps(names, others, plain.dialect))
+    # what has no name in its row may have one in a row beside it
+    for c in (c for c, n in enumerate(names) if not n):
+        beside = (r[c] for r in others if plain.dialect.kind(r[c]) == "text")
+        names[c] = next((t for t in beside if not _is_unit(t)), "")
+    return replace(plain, names=names, units=units)
 
 
-def _steps(
-    names: list[str], others: list[list[str]], dialect: Dialect
-) -> tuple[float, float] | None:
+def _steps(rows: list[list[str]], dialect: Dialect) -> tuple[float, float] | None:
     """Start and increment that oscilloscopes write beside the names of their channels."""
-    place = {name.lower(): c for c, name in enumerate(names)}
-    for row in others:
-        start, step = (
-            dialect.number(row[place[key]]) if key in place else None
-            for key in ("start", "increment")
-        )
+    for row, below in itertools.permutations(rows, 2):
+        beside = dict(zip(map(str.lower, row), map(dialect.number, below), strict=False))
+        start, step = beside.get("start"), beside.get("increment")
         if start is not None and step is not None and step > 0:
             return start, step
     return None

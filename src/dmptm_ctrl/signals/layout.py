@@ -1,7 +1,9 @@
 """Where the rows of numbers are in a text file."""
 
+import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
 
 from dmptm_ctrl.signals.dialect import (
     Block,
@@ -17,6 +19,7 @@ from dmptm_ctrl.signals.header import SEP_LINE, SEPARATORS, named
 
 # decimal sign, sign between thousands; the plainest that reads everything is taken
 NUMBERS = ((".", ""), (",", ""), (".", ","), (",", "."), (".", "'"), (".", " "), (",", " "))
+_PLACE = re.compile(r"column\d+")
 STEADY = 10  # rows of one kind in a row that are the table and no part of the preamble
 
 
@@ -28,6 +31,8 @@ def find_layout(
     `wanted` columns tell which of several lines of names is meant. NotALogError without numbers,
     LogError for names that do not fit the rows.
     """
+    if wanted and all(_PLACE.fullmatch(name) for name in wanted):
+        how = replace(how, header=0)  # who counts columns knows of no names
     best = None
     for dialects in _dialects(lines, how):
         blocks = [b for d in dialects if (b := _block(lines, d, how)) is not None]

@@ -78,7 +78,6 @@ def simulate(
         return _rig_simulated(model, timepts, inputs, initial_state, method, options)
     drive = cast("Model", model)
     from dmptm_ctrl.simulate.compiled import OUTPUTS
-    from dmptm_ctrl.simulate.model import refuse_negative
     from dmptm_ctrl.simulate.response import response
 
     if method not in METHODS:
@@ -87,7 +86,7 @@ def simulate(
         if key not in METHODS[method]:
             has = ", ".join(METHODS[method])
             raise TypeError(f"method {method!r} has no option {key!r}; it has {has}")
-    refuse_negative(drive)
+    drive.check()
     substeps = options.get("substeps", 1)
     if int(substeps) != substeps or substeps < 1:
         raise ValueError(f"substeps is {substeps!r}; needs a whole number of at least 1")
@@ -154,7 +153,7 @@ def _run(
     if method == "compiled":
         from dmptm_ctrl.simulate.compiled import march
 
-        return march(model.arrays(), u, x0, dt, **options)
+        return march(model, u, x0, dt, **options)
     if method == "reference":
         from dmptm_ctrl.simulate.reference import simulate as run_reference
 

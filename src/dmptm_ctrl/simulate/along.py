@@ -17,7 +17,7 @@ from dmptm_ctrl.simulate import elementary, step
 from dmptm_ctrl.simulate.generate import compiled
 from dmptm_ctrl.simulate.loading import key_of, load
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
-from dmptm_ctrl.simulate.plant import Floats, Ints
+from dmptm_ctrl.simulate.plant import Floats, Ints, Plant
 from dmptm_ctrl.simulate.rig_model import Placed, value_row
 
 # site -> what its kernel does to the rows `out` and `more`, of rows a to d in its arguments' order
@@ -127,6 +127,17 @@ def acting_of(placed: Placed) -> Acting:
     """Return an effect of a rig with its numbers."""
     chain = PLACED_CATALOGUE[placed.name]
     return Acting(chain.effect, chain.told, value_row(placed))
+
+
+def acting_in(plant: Plant) -> dict[tuple[str, int], list[Acting]]:
+    """Return the effects in use by site and part of a plant; the sites that kernels act at."""
+    found: dict[tuple[str, int], list[Acting]] = {}
+    flags = plant.on.tolist()
+    for effect, part, told, flag, first in plant.places:
+        if flags[flag]:
+            row = plant.values[first : first + len(effect.parameters)]
+            found.setdefault((effect.site, part), []).append(Acting(effect, told, row))
+    return found
 
 
 @cache

@@ -1,30 +1,31 @@
 """Many drives at once: 16 per vector loop, such groups over the cores."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.compiled import (
     BODIES,
     OUTPUTS,
+    SEEN,
     SUBSTEPS,
     Loop,
     march,
     rest,
 )
-from dmptm_ctrl.simulate.dual import columns_seen, dual_plant, start
-from dmptm_ctrl.simulate.lanes import LANES, lane_engine
+from dmptm_ctrl.simulate.dual import start
+from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.law import Law
-from dmptm_ctrl.simulate.many import Common, run_lanes, same_shape
-from dmptm_ctrl.simulate.model import Arrays, Floats, Model
+from dmptm_ctrl.simulate.many import Common, run_many, same_shape
+from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.observer import rigid_observer
-from dmptm_ctrl.simulate.plant import Flags, Plant, structure_of
+from dmptm_ctrl.simulate.plant import Plant
 from dmptm_ctrl.simulate.run import own_rows
 
-BATCH_OUTPUTS = (*OUTPUTS, "u_left", "u_right")
+_SEEN = SEEN | {"u_left": "signal0", "u_right": "signal1"}
+BATCH_OUTPUTS = tuple(_SEEN)
 # Drives left over by full groups, which one after another take the plain loop less than lanes of
 # which most are empty: these take as long as four or five, however many are in them.
 ALONE = 4
@@ -55,8 +56,8 @@ class Batch(NamedTuple):
     rms: Floats
 
 
-def march_many(
-    arrays: Sequence[Arrays],
+def march_any(
+    models: Sequence[Model],
     u: Floats,
     x0: Floats,
     dt: float,
@@ -66,82 +67,52 @@ def march_many(
     measured: Floats | None = None,
     begin: float = 0.0,
     columns: Sequence[int] = range(len(OUTPUTS)),
-    plants: list[Plant] | None = None,
 ) -> Floats:
-    """Run many drives open loop: :func:`~.compiled.march` for each of `arrays`, but faster.
+    """Run any number of drives open loop: :func:`~.compiled.march` for each, but faster.
 
     Parameters
     ----------
-    arrays : sequence of what :meth:`Model.arrays` gives
+    models : sequence of Model
     u, x0, measured
         As there, of all or (batch, …) of each; `dt`, `substeps`, `observer`, `begin` of all.
     columns : sequence of int
-        Which of :data:`BATCH_OUTPUTS` to keep.
-    plants : list of Plant, optional
-        Of these arrays, where they are known.
+        Which of :data:`~.compiled.OUTPUTS` to keep.
 
     Returns
     -------
     (batch, n, len(columns)) array
         SI. The same scheme as `march`; rounding differs.
     """
-    inputs = u if u.ndim == 3 else u[None]
-    common = Common(
-        dt,
-        substeps,
-        inputs.shape[2],
-        np.ascontiguousarray(inputs),
-        np.zeros((1, 1)),
-        _NO_ROWS,
-        np.array(columns, np.int64),
-        statistics=False,
-        begin=begin,
-    )
-    if observer is not None and measured is not None:
-        common = common._replace(measured=own_rows(measured)[:, None])
-    starts = np.broadcast_to(x0, (len(arrays), 6))
-    known = plants or [dual_plant(own) for own in arrays]
-    kept, _ = _run(arrays, known, starts, common, None, 1, observer)
-    return np.asarray(kept).transpose(0, 2, 1)
-
-
-def march_any(
-    arrays: Sequence[Arrays],
-    u: Floats,
-    x0: Floats,
-    dt: float,
-    *,
-    measured: Floats | None = None,
-    columns: Sequence[int] = range(len(OUTPUTS)),
-    **options: Any,
-) -> Floats:
-    """Do the same for any number of drives: one by one those that fill no lanes.
-
-    `columns` are of :data:`~.compiled.OUTPUTS`; `options` are substeps, observer, begin.
-    """
-    count = len(arrays)
-    inputs = u if u.ndim == 3 else u[None]
-    angles = None if measured is None else np.atleast_2d(measured)
-    starts = np.broadcast_to(x0, (count, 6))
-    plants = [dual_plant(own) for own in arrays]
+    inputs = np.ascontiguousarray(u if u.ndim == 3 else u[None])
+    angles = None if measured is None else own_rows(measured)
+    states = np.broadcast_to(x0, (len(models), 6))
+    plants = [model.plant() for model in models]
     together, alone = _shared_out(plants)
-    out = np.empty((count, len(columns), inputs.shape[2]))
+    out = np.empty((len(models), len(columns), inputs.shape[2]))
     if together:
-        volts, led = (None if t is None else t[together] if len(t) > 1 else t
-                      for t in (inputs, angles))  # fmt: skip
-        assert volts is not None
-        some, begun = [arrays[k] for k in together], starts[together]
-        known = [plants[k] for k in together]
-        given = {"measured": led, "columns": columns, "plants": known, **options}
-        runs = march_many(some, volts, begun, dt, **given)
+        kept = tuple(SEEN[OUTPUTS[c]] for c in columns)
+        common = Common(
+            dt, substeps, inputs.shape[2], inputs, np.zeros((1, 1)), _NO_ROWS, kept, begin=begin
+        )
+        observers = None
+        if observer is not None and angles is not None:
+            common = common._replace(measured=angles[:, None])
+            observers = [rigid_observer(plants[k], 0, observer) for k in together]
+        starts = [start(plants[k], states[k]) for k in together]
+        runs, _ = run_many(
+            [models[k] for k in together], starts, common.of(together), observers=observers,
+            switched=True,
+        )  # fmt: skip
         if not alone:
-            return runs
-        out[together] = runs.transpose(0, 2, 1)
-    meshes = max(columns) >= BODIES
+            return np.asarray(runs).transpose(0, 2, 1)
+        out[together] = runs
     for k in alone:
         volts = inputs[k if len(inputs) > 1 else 0]
         lead = None if angles is None else angles[k if len(angles) > 1 else 0]
-        run = march(arrays[k], volts, starts[k], dt, measured=lead, meshes=meshes, **options)
+        run = march(
+            models[k], volts, states[k], dt, substeps=substeps, observer=observer, measured=lead,
+            begin=begin, meshes=max(columns) >= BODIES,
+        )  # fmt: skip
         out[k] = run.T[[*columns]]
     return out.transpose(0, 2, 1)
 
@@ -241,12 +212,13 @@ def simulate_batch(
     else:
         rows = _rows("initial_state", initial_state, count, (6,))
         states = np.broadcast_to(rows, (count, 6))
-    arrays = [model.arrays() for model in models]
-    wanted = [BATCH_OUTPUTS.index(name) for name in outputs]
+    wanted = tuple(_SEEN[name] for name in outputs)
     dt = (time[-1] - time[0]) / (n - 1)
-    common = Common(dt, substeps, n, drive, target, measured, np.array(wanted, np.int64), every)
-    plants = [dual_plant(own) for own in arrays]
-    kept, found = _run(arrays, plants, states, common, loops, n_jobs)
+    common = Common(
+        dt, substeps, n, drive, target, measured, wanted, every, tuple(_SEEN.values())
+    )  # fmt: skip
+    starts = [start(model.plant(), x0) for model, x0 in zip(models, states, strict=True)]
+    kept, found = run_many(models, starts, common, loops, n_jobs=n_jobs)
     least, greatest, total, squares = np.array(found).transpose(1, 0, 2)
     return Batch(
         time[::every] if outputs else time[:0],
@@ -257,78 +229,6 @@ def simulate_batch(
         total / n,
         np.sqrt(squares / n),
     )
-
-
-def _run(
-    arrays: Sequence[Arrays],
-    plants: list[Plant],
-    states: Floats,
-    whole: Common,
-    loops: list[Loop | Law] | None,
-    n_jobs: int,
-    observer: tuple[float, float] | None = None,
-) -> tuple[Floats | list[Floats], list[Floats]]:
-    """Run drives in groups of lanes, on threads or joblib's backend.
-
-    With statistics, as studies have them, with steps of just the effects that act; others, as a
-    diagnosis has them with ever other effects, with all behind flags.
-    """
-    kept: list[Floats] = [np.empty(0)] * len(plants)
-    found: list[Floats] = [np.empty(0)] * len(plants)
-    tasks: list[Any] = []
-    switched = not whole.statistics
-    for members, acting, structure in same_shape(plants, switched=switched):
-        lane_engine(structure)
-        for first in range(0, len(members), LANES):
-            some = members[first : first + LANES]
-            own = None if loops is None else [loops[k] for k in some]
-            given = [arrays[k] for k in some], states[some], whole.of(some), own
-            tasks.append((some, *given, acting, switched, observer))
-    # threads: the loop does not hold the interpreter's lock
-    alone = n_jobs == 1 or len(tasks) == 1
-    done = (
-        (_group(*task, known_plants=[plants[k] for k in task[0]]) for task in tasks)
-        if alone
-        else each(_group, tasks, n_jobs, prefer="threads")
-    )
-    if len(tasks) == 1:  # nothing to copy
-        ((_, runs, statistics),) = done
-        return runs, statistics
-    for some, runs, statistics in done:
-        for k, out, stats in zip(some, runs, statistics, strict=True):
-            kept[k], found[k] = out, stats
-    return kept, found
-
-
-def _group(
-    some: list[int],
-    arrays: list[Arrays],
-    states: Floats,
-    common: Common,
-    loops: list[Loop | Law] | None,
-    acting: Flags,
-    switched: bool,
-    observer: tuple[float, float] | None,
-    *,
-    known_plants: list[Plant] | None = None,
-) -> tuple[list[int], Floats, list[Floats]]:
-    """Run drives of one shape, on whatever thread or machine."""
-    plants = known_plants or [dual_plant(own) for own in arrays]
-    flagged = switched and bool(acting.any())
-    structure = structure_of(plants[0]._replace(on=acting), switched=flagged)
-    # where compliant reducers are links too, the outputs are elsewhere among what is seen
-    seen = np.array(columns_seen(plants[0]))
-    common = common._replace(columns=seen[common.columns])
-    starts = [start(plant, x0) for plant, x0 in zip(plants, states, strict=True)]
-    controllers, observers = None, None
-    if loops is not None:
-        known = {id(one): one.controller() for one in loops}
-        controllers = [known[id(one)] for one in loops]
-    if observer is not None:
-        observers = [rigid_observer(plant, 0, observer) for plant in plants]
-    given = structure, acting, plants, starts, common, controllers, observers
-    _, runs, stats = run_lanes(some, *given)
-    return some, runs, [stats[:, seen, lane] for lane in range(len(some))]
 
 
 def _loops(loop: Loop | Law | Sequence[Loop] | Sequence[Law], count: int) -> list[Loop | Law]:

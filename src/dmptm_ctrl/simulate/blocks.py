@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from dmptm_ctrl.simulate.base import Floats, refuse_negative
 from dmptm_ctrl.simulate.block_parts import (
     PADE_ORDER,
     REST_SPEED,
@@ -22,12 +21,12 @@ from dmptm_ctrl.simulate.block_parts import (
     pi_block,
 )
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
-from dmptm_ctrl.simulate.dual import dual_plant, parts_of
-from dmptm_ctrl.simulate.plant import GAP, TWO_STATES, Plant
-from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
+from dmptm_ctrl.simulate.parts import Parts
+from dmptm_ctrl.simulate.plant import GAP, TWO_STATES, Floats, Plant
 
 if TYPE_CHECKING:
     from dmptm_ctrl.simulate.model import Model
+    from dmptm_ctrl.simulate.rig_model import RigModel
 
 __all__ = ["REST_SPEED", "drive_states", "initial_state", "rig_blocks", "run", "to_blocks"]
 
@@ -104,7 +103,7 @@ def to_blocks(
     sampled at dt, or short pulses are stepped over; it draws inputs as straight lines
     between samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
     """
-    refuse_negative(model)
+    model.check()
     if not isinstance(loop, Loop | None):
         raise TypeError(f"loop must be a Loop, not a {type(loop).__name__}")
     if contact not in CONTACTS:
@@ -113,7 +112,7 @@ def to_blocks(
         raise ValueError("c + c_f is 0: nothing tells where in its gap an undamped tooth is")
 
     def plant_of(values: Mapping[str, float]) -> Plant:
-        plant = dual_plant(model.with_values(**values).arrays())
+        plant = model.with_values(**values).plant()
         if contact == "two_state":
             laws = np.where(plant.link_gap == GAP, TWO_STATES, plant.link_gap)
             plant = plant._replace(link_gap=laws)
@@ -135,7 +134,7 @@ def to_blocks(
 
 
 def rig_blocks(
-    model: RigModel, *, pade_order: int = PADE_ORDER, others: Sequence[str] = ()
+    model: "RigModel", *, pade_order: int = PADE_ORDER, others: Sequence[str] = ()
 ) -> ct.InterconnectedSystem:
     """Return a rig of any shape as one block per group of bodies, link, input and sensor.
 
@@ -163,7 +162,7 @@ def rig_blocks(
 
     def plant_of(values: Mapping[str, float]) -> Plant:
         own = model.with_values(values) if values else model
-        check_physical(own)
+        own.check()
         return own.plant()
 
     given = Given(plant_of, list(model.quantities), others=others, pade_order=pade_order)
@@ -204,14 +203,14 @@ def initial_state(model: "Model", sys: ct.InterconnectedSystem, x0: ArrayLike) -
         half_gap = model.drive[f"gap_{s}"]
         known[f"mesh_{s}_position"] = min(max(twist, -half_gap), half_gap)
     stored = [label for label in sys.state_labels if label.startswith("sensor_delay")]
-    late = Delay(float(dual_plant(model.arrays()).sensor_delay[1]), len(stored))
+    late = Delay(float(model.plant().sensor_delay[1]), len(stored))
     known.update(zip(stored, late.settled(bodies[5]), strict=True))
     return np.array([known.get(label, 0.0) for label in sys.state_labels])
 
 
 def drive_states(model: "Model", side: int, u: float) -> dict[str, float]:
     """Return the states of a motor's drive, by their name in `to_blocks`, once `u` [V] lasted."""
-    parts, block = parts_of(model), f"amplifier_{SIDES[side]}"
+    parts, block = Parts(model.plant()), f"amplifier_{SIDES[side]}"
     late = Delay(parts.inputs[side][1], PADE_ORDER)
     states = dict(zip(late.states, late.settled(u), strict=True))
     aim, tau = parts.lag(side, parts.signal(side, u, 0.0))

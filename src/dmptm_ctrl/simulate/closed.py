@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from dmptm_ctrl.drive.rig import Controller as RigController
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.simulate import _finite, _timepts, compiled
-from dmptm_ctrl.simulate.model import Model, refuse_negative
+from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.response import response
 from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
 from dmptm_ctrl.simulate.rig_run import as_rig_model, march
@@ -75,7 +75,7 @@ def close_loop(
     if isinstance(model, Model):
         name, labels = model.drive.name, [*compiled.OUTPUTS, "u_left", "u_right"]
         law = _law(controller, dt)
-        refuse_negative(model)
+        model.check()
         u, out = compiled.close_loop(
             model, law, target, dt, theta_L=theta_L, noise=heard, substeps=substeps
         )

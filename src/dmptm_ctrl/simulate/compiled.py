@@ -5,13 +5,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dmptm_ctrl.arguments import refusing
-from dmptm_ctrl.simulate.base import Floats
-from dmptm_ctrl.simulate.dual import columns, dual_plant, outputs, pi_loop, start
+from dmptm_ctrl.simulate.dual import columns, outputs, pi_loop, start
 from dmptm_ctrl.simulate.observer import rigid_observer
-from dmptm_ctrl.simulate.plant import Plant
+from dmptm_ctrl.simulate.plant import Floats, Plant
 from dmptm_ctrl.simulate.run import Controller, advance, start_state, structure_for
 
 if TYPE_CHECKING:
@@ -21,6 +20,14 @@ if TYPE_CHECKING:
 OUTPUTS = (
     *("theta_L", "omega_L", "theta_ml", "theta_mr"),
     *("torque_l", "torque_r", "z_l", "z_r"),
+)
+# the same by the names that runs of many drives have for them
+SEEN = dict(
+    zip(
+        OUTPUTS,
+        (*(f"reading{i}" for i in range(4)), "torque0", "torque1", "twist0", "twist1"),
+        strict=True,
+    )
 )
 BODIES = 4  # of these, the first: what turns; then torques and relative angles of the meshes
 SUBSTEPS = 8  # steps per sample; at 1 kHz 125 µs resolves the 231 Hz mode with 35 steps
@@ -75,7 +82,7 @@ def rest(
 
 
 def march(
-    arrays: tuple[Floats, NDArray[np.uint8], Floats],
+    model: "Model",
     u: Floats,
     x0: Floats,
     dt: float,
@@ -86,7 +93,7 @@ def march(
     begin: float = 0.0,
     meshes: bool = True,
 ) -> Floats:
-    """Run the plant open loop on `arrays` of :meth:`Model.arrays`, as fits do thousands of times.
+    """Run the drive open loop, as fits do thousands of times.
 
     Parameters
     ----------
@@ -109,7 +116,7 @@ def march(
     (n, 8) array
         Columns :data:`OUTPUTS`, SI; the first 4 without `meshes`.
     """
-    plant = dual_plant(arrays)
+    plant = model.plant()
     led = {}
     if observer is not None:
         led = {"observer": rigid_observer(plant, 0, observer), "measured": measured}
@@ -172,6 +179,6 @@ def close_loop(
     target = np.array(reference, float)
     heard = None if noise is None else np.asarray(noise, float)
     return _run(
-        dual_plant(model.arrays()), rest(model, theta_L), np.zeros((2, target.size)), dt,
+        model.plant(), rest(model, theta_L), np.zeros((2, target.size)), dt,
         substeps, extra, meshes, controller=loop.controller(), target=target, noise=heard,
     )  # fmt: skip

@@ -4,22 +4,23 @@ Coordinates: left and right pinion, ring gear, and behind compliant reducers the
 at the pinion. Bodies: pinions, ring gear, motors.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from dmptm_ctrl.contract import Effect
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.stiffness_variation import STIFFNESS_VARIATION
-from dmptm_ctrl.simulate.along import Acting
-from dmptm_ctrl.simulate.base import BASE, Arrays, layout, per_catalogue
-from dmptm_ctrl.simulate.parts import Parts
-from dmptm_ctrl.simulate.plant import GAP, LINEAR, Flags, Floats, Place, Plant
+from dmptm_ctrl.simulate.loading import LOADING
+from dmptm_ctrl.simulate.plant import GAP, LINEAR, Floats, Place, Plant
 from dmptm_ctrl.simulate.run import compiled_controller
 
 if TYPE_CHECKING:
     from dmptm_ctrl.simulate.model import Model
 
+_T = TypeVar("_T")
 MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the step and rigid
 PINIONS, RING, MOTORS = (0, 1), 2, (3, 4)  # bodies
 # site -> parts where it acts, and the side or body that the kernel is told
@@ -33,85 +34,100 @@ _PLACES: dict[str, tuple[tuple[int, int], ...]] = {
     "load": ((RING, 0),),
     "sensor": ((0, 0), (1, 0)),
 }
+_LAWS = [
+    [*(f"{x}_{way}" for way in ("plus", "minus") for x in (f"T{b}s", f"T{b}c", f"W{b}", f"B{b}")),
+     f"delta{b}"]
+    for b in "33L"
+]  # fmt: skip
 _LINKS = np.array([[0, 2], [1, 2], [3, 0], [4, 1]])
 _SENSORS = np.array([2, 2, 3, 4]), np.array([0, 1, 0, 0], np.uint8)
 
 
-class _Catalogue(NamedTuple):
+def per_catalogue(function: Callable[..., _T]) -> Callable[..., _T]:
+    """Keep what a function returns for as long as the catalogue has the same effects.
+
+    A fit asks hundred thousands of times. The effects are told apart by identity, for to compare
+    all their numbers takes longer than what is asked for. Threads that ask at once get one answer.
+    """
+    known: dict[tuple[int, ...], tuple[tuple[Effect, ...], _T]] = {}
+    last: list[tuple[tuple[Effect, ...], _T]] = []
+
+    def found() -> _T:
+        effects = tuple(CATALOGUE.values())
+        kept = next(iter(last), None)
+        if kept is not None and kept[0] == effects:  # compares those first that are the same
+            return kept[1]
+        key = tuple(map(id, effects))
+        with LOADING:
+            if key not in known:
+                # the effects too, or another may get an identity
+                known[key] = effects, function(effects)
+            last[:] = [known[key]]
+        return known[key][1]
+
+    return found
+
+
+class Catalogue(NamedTuple):
+    """Where the effects of the catalogue act; both sides share an effect's numbers."""
+
     places: tuple[Place, ...]
-    numbered: dict[str, list[tuple[Effect, int, int]]]  # site -> effect, flag, first number
-    flagged: list[list[Place]]
+    slots: dict[str, tuple[int, int]]  # effect -> its flag, its first number
+    absent: Floats  # numbers of effects that are not in use
 
 
 @per_catalogue
-def _catalogue(effects: tuple[Effect, ...]) -> _Catalogue:
-    """Every effect where it acts; both sides share its numbers."""
+def catalogue(effects: tuple[Effect, ...]) -> Catalogue:
+    """Return the places of the catalogue as it is now."""
     places: list[Place] = []
-    numbered: dict[str, list[tuple[Effect, int, int]]] = {}
-    slots = layout()
-    for effect in effects:
-        flag, first = slots[effect.name]
-        numbered.setdefault(effect.site, []).append((effect, flag, first))
+    slots: dict[str, tuple[int, int]] = {}
+    absent: list[float] = []
+    for flag, effect in enumerate(effects):
+        slots[effect.name] = flag, len(absent)
         for index, told in _PLACES.get(effect.site, ()):
-            places.append(Place(effect, index, told, flag, first))
-    end = sum(len(effect.parameters) for effect in effects)
+            places.append(Place(effect, index, told, *slots[effect.name]))
+        absent += effect.defaults()
     for side in (0, 1):
-        places.append(Place(STIFFNESS_VARIATION, side, side, len(effects), end))
-    flagged = [[p for p in places if p.flag == flag] for flag in range(len(effects) + 1)]
-    return _Catalogue(tuple(places), numbered, flagged)
+        places.append(Place(STIFFNESS_VARIATION, side, side, len(effects), len(absent)))
+    return Catalogue(tuple(places), slots, np.array(absent))
 
 
-def acting(on: Flags, values: Floats) -> dict[tuple[str, int], list[Acting]]:
-    """Return the effects in use by site and part of the plant; the sites that kernels act at."""
-    found: dict[tuple[str, int], list[Acting]] = {}
-    known = _catalogue().flagged
-    for flag in np.flatnonzero(on).tolist():
-        for effect, part, told, _, first in known[flag]:
-            row = values[first : first + len(effect.parameters)]
-            found.setdefault((effect.site, part), []).append(Acting(effect, told, row))
-    return found
-
-
-def called(on: Flags, values: Floats, site: str, *arguments: float) -> list:
-    """Return what the kernels in use at a site say whose results are numbers of the plant."""
-    found = []
-    for effect, flag, first in _catalogue().numbered.get(site, ()):
+def dual_plant(model: "Model") -> Plant:
+    """Return the plant of a dual-motor drive."""
+    d = {name: quantity.value for name, quantity in model.drive.quantities.items()}
+    known = catalogue()
+    on, values = np.zeros(len(known.slots), np.uint8), known.absent.copy()
+    used: list[tuple[Effect, Any]] = []
+    for name, given in model.effects.items():
+        effect, (flag, first) = CATALOGUE[name], known.slots[name]
+        row = [float(x) for x in {**effect.absent(), **given}.values()]
+        values[first : first + len(row)] = row
+        on[flag] = any(given.get(a, 0.0) != 0.0 for a in effect.amplitudes)
         if on[flag]:
-            p = effect.values(*values[first : first + len(effect.parameters)].tolist())
-            found.append(effect.kernel(*arguments, p))
-    return found
+            used.append((effect, effect.values(*row)))
 
+    def said(site: str, *arguments: float) -> list:
+        """What kernels say whose results are numbers of the plant."""
+        return [effect.kernel(*arguments, p) for effect, p in used if effect.site == site]
 
-def bristles(on: Flags, values: Floats, body: int) -> tuple[float, float, float]:
-    """Relaxation distance [rad] of a body's friction, share at once, damping ratio."""
-    found = called(on, values, "presliding", body)
-    if not found:
-        return 0.0, 0.0, 0.0
-    distance, share, ratio = zip(*found, strict=True)
-    return sum(distance), max(share), max(ratio)
-
-
-def dual_plant(arrays: Arrays) -> Plant:
-    """Return the plant of a drive's numbers, as `Model.arrays` gives them."""
-    base, on, values = arrays
-    d = dict(zip(BASE, base.tolist(), strict=True))
     n1, motor = d["N_1"], d["N_1"] ** 2 * d["J_m"]
     compliance, damping = 0.0, 0.0
-    for found in called(on, values, "shaft", motor * d["J_2"] / (motor + d["J_2"])):
+    for found in said("shaft", motor * d["J_2"] / (motor + d["J_2"])):
         compliance, damping = found
     elastic = compliance > MIN_COMPLIANCE
     chain = d["J_2"] + (0.0 if elastic else motor)
     inertia = [chain, chain, d["J_L"], *([motor, motor] if elastic else [])]
     mesh = [[d["N_2"], d["k_m"], d["c"], d["c_f"], d[gap]] for gap in ("gap_l", "gap_r")]
     shaft = [[n1, 1.0 / (compliance * n1**2), damping / n1**2, 0.0, 0.0]] * 2 if elastic else []
-    first = BASE.index("T3s_plus")
-    laws = np.zeros((5, 9))
+    laws, slow = np.zeros((5, 9)), np.zeros((5, 3))
     laws[:, [2, 6, 8]] = 1.0
-    laws[:2], laws[RING] = base[first : first + 9], base[first + 9 : first + 18]
-    slow = np.zeros((5, 3))
-    slow[: RING + 1] = [bristles(on, values, body) for body in (*PINIONS, RING)]
+    laws[: RING + 1] = [[d[key] for key in names] for names in _LAWS]
+    if any(effect.site == "presliding" for effect, _ in used):
+        for body in (*PINIONS, RING):
+            distance, share, ratio = zip(*said("presliding", body), strict=True)
+            slow[body] = sum(distance), max(share), max(ratio)
     gain = d["K_d"] * d["K_M"]
-    delay = [sum(called(on, values, "delay", side)) for side in (0, 1)]
+    delay = [sum(said("delay", side)) for side in (0, 1)]
     return Plant(
         np.array(inertia),
         np.array([0, 1, 2, 3, 4] if elastic else [0, 1, 2, 0, 1]),
@@ -126,16 +142,11 @@ def dual_plant(arrays: Arrays) -> Plant:
         np.array(MOTORS),
         np.array([[gain, late, 0.0, 0.0] for late in delay]),
         *_SENSORS,
-        np.array([0.0, sum(called(on, values, "sensor_delay")), 0.0, 0.0]),
-        _catalogue().places,
+        np.array([0.0, sum(said("sensor_delay")), 0.0, 0.0]),
+        known.places,
         np.append(on, np.uint8(d["k_a"] != 0.0)),
         np.concatenate([values, [d["k_a"], d["z_3"], d["phi_r"]]]),
     )
-
-
-def parts_of(model: "Model") -> Parts:
-    """Return what the kernels say about each part of a drive."""
-    return Parts(dual_plant(model.arrays()))
 
 
 def start(plant: Plant, x0: Floats) -> tuple[Floats, Floats]:
@@ -147,13 +158,6 @@ def start(plant: Plant, x0: Floats) -> tuple[Floats, Floats]:
 def columns(plant: Plant, meshes: bool) -> int:
     """How many of a run's columns hold the outputs, :data:`~.compiled.OUTPUTS` or the first 4."""
     return 4 + 2 * plant.link_gap.size if meshes else 4
-
-
-def columns_seen(plant: Plant) -> list[int]:
-    """Where :data:`~.batch.BATCH_OUTPUTS` are among what lanes see of a drive."""
-    links = plant.link_gap.size
-    last = 4 + 2 * links
-    return [*range(6), 4 + links, 5 + links, last, last + 1]
 
 
 def outputs(plant: Plant, rows: Floats, meshes: bool = True) -> Floats:

@@ -166,7 +166,7 @@ def march_lanes(
         t = now
 {read_late}{rows.calls("observed", 8)}\
         if links:
-{rows.calls("links", 12) or "            pass"}\
+{rows.calls("links", 12) or "            pass" + chr(10)}\
         if watched.size > 0:
             observed(i, read, watched, measured, gains, shown, leak, lead, moves)
             for g in range({s.coordinates}):

@@ -12,12 +12,11 @@ from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import lookup, presliding, stribeck
 from dmptm_ctrl.simulate import control_core as core
 from dmptm_ctrl.simulate import elementary
-from dmptm_ctrl.simulate.dual import dual_plant
 from dmptm_ctrl.simulate.generate import compiled
 from dmptm_ctrl.simulate.law_text import Wiring, law_text, wiring
 from dmptm_ctrl.simulate.loading import LOADING, key_of, load
 from dmptm_ctrl.simulate.model import Floats, Model
-from dmptm_ctrl.simulate.plant import Plant, Structure, number_names, numbers, structure_of
+from dmptm_ctrl.simulate.plant import Structure, number_names, numbers, structure_of
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import Controller
 
@@ -28,11 +27,6 @@ _ENGINES: dict[tuple[int, Wiring], ModuleType] = {}
 
 
 AnyModel = Model | RigModel
-
-
-def plant_of(model: AnyModel) -> Plant:
-    """Return the parts and numbers of a drive of any shape."""
-    return model.plant() if isinstance(model, RigModel) else dual_plant(model.arrays())
 
 
 def effect_keys(model: AnyModel) -> list[str]:
@@ -174,7 +168,7 @@ class Law(Design):
     @cached_property
     def wired(self) -> Wired:
         """The law as code and numbers; ValueError where no link joins input and sensor."""
-        plant = plant_of(self.model)
+        plant = self.model.plant()
         s = structure_of(plant, switched=True)
         w = wiring(s, *loop_parts(self.model, self.input, self.sensor))
         row = numbers(plant, number_names(s, values=False), 1.0)

@@ -29,7 +29,7 @@ from dmptm_ctrl.simulate.blocks import (
     to_blocks,
 )
 from dmptm_ctrl.simulate.compiled import OUTPUTS
-from dmptm_ctrl.simulate.dual import MOTORS, RING, parts_of
+from dmptm_ctrl.simulate.dual import MOTORS, RING
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.plant import link_matrices
@@ -74,7 +74,7 @@ def turning(
     """
     if abs(speed) <= REST_SPEED:
         raise ValueError("a steady turn needs a speed; at rest friction leaves the balance open")
-    parts = parts_of(model)
+    parts = Parts(model.plant())
     n1, n2 = model.drive["N_1"], model.drive["N_2"]
     omega, way = n2 * speed, 1.0 if speed > 0.0 else -1.0
 
@@ -203,7 +203,7 @@ def linearize(
         x0, volts = _shaped("x0", x0, (6,)), np.zeros(2)
     if u0 is not None:
         volts = _shaped("u0", u0, (2,))
-    parts = parts_of(model)
+    parts = Parts(model.plant())
     for side, s in enumerate(("left", "right")):
         z, z_rate, law = parts.twist(side, x0[side], x0[3 + side], x0[2], x0[5])
         if mesh_region(z, z_rate, law) == 0.0:

@@ -1,10 +1,9 @@
-"""Many plants at once: sixteen per vector loop, such groups over the cores."""
+"""Many drives at once: sixteen per vector loop, such groups over the cores."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.lanes import LANES, aligned, lane_engine, rows_of
@@ -16,15 +15,30 @@ _NO_ROWS = np.zeros((0, 0))
 _NO_TABLES = np.zeros((0, 0, 0))
 
 
+class Drawn(Protocol):
+    """A model of any drive; on another machine its plant is made anew."""
+
+    def plant(self) -> Plant:
+        """Return its parts and numbers."""
+
+
+class Closed(Protocol):
+    """What closes a loop."""
+
+    def controller(self) -> Controller:
+        """Return it as the compiled loop calls it."""
+
+
 class Common(NamedTuple):
-    """What is the same for all plants of a batch.
+    """What is the same for all drives of a batch.
 
     Attributes
     ----------
     u : (batch or 1, inputs, n) array
         Signals of the inputs, held between samples; none of them under controllers.
-    columns : (c,) array of int
-        Kept of what is seen: readings, torques and twists of links, signals of inputs.
+    columns, judged : tuple of str
+        Kept of what is seen, and of what statistics are: ``reading0``, ``torque0`` and ``twist0``
+        of a link, ``signal0`` of an input.
     measured : (batch or 1, m, n) array
         What observers follow, or none.
     """
@@ -35,9 +49,9 @@ class Common(NamedTuple):
     u: Floats
     target: Floats  # (batch or 1, n)
     noise: Floats  # (batch or 1, n), or none
-    columns: NDArray[np.int64]
+    columns: tuple[str, ...]
     every: int = 1
-    statistics: bool = True
+    judged: tuple[str, ...] = ()
     begin: float = 0.0
     measured: Floats = _NO_TABLES
 
@@ -70,78 +84,81 @@ def same_shape(
 
 
 def run_many(
-    plants: Sequence[Plant],
+    models: Sequence[Drawn],
     starts: Sequence[tuple[Floats, Floats]],
     common: Common,
-    controllers: Sequence[Controller] | None = None,
+    loops: Sequence[Closed] | None = None,
     *,
     observers: Sequence[Observer] | None = None,
     n_jobs: int = 1,
     width: int = LANES,
-) -> tuple[list[Floats], list[Floats]]:
-    """Run plants open loop or each under its controller.
+    switched: bool = False,
+) -> tuple[Floats | list[Floats], Floats | list[Floats]]:
+    """Run drives open loop or each under its loop.
 
     Parameters
     ----------
     starts : sequence of (coordinates, speeds)
-    controllers : sequence of Controller, optional
-        Of one function.
+    loops : sequence, optional
+        Their controllers are of one function.
     observers : sequence of Observer, optional
         Of the same sensors and leaks; they follow what is measured.
     n_jobs : int
-        Threads, −1 for one per core.
+        Threads, −1 for one per core; else joblib's, on whatever backend is chosen.
     width : int
         Of the lanes, 16 or 8.
+    switched : bool
+        See :func:`same_shape`.
 
     Returns
     -------
-    outputs : list of (columns, kept samples) arrays
-    statistics : list of (4, seen) arrays
-        Least, greatest, sum and sum of squares of all that is seen.
+    outputs : sequence of (columns, kept samples) arrays
+    statistics : sequence of (4, judged) arrays
+        Least, greatest, sum and sum of squares of what is judged.
     """
-    tasks = []
-    for members, on, structure in same_shape(plants):
+    tasks: list[Any] = []
+    for members, on, structure in same_shape([m.plant() for m in models], switched=switched):
+        lane_engine(structure, width)
         for first in range(0, len(members), width):
             some = members[first : first + width]
-            given = (
-                on,
-                [plants[k] for k in some],
-                [starts[k] for k in some],
-                common.of(some),
-                None if controllers is None else [controllers[k] for k in some],
-                None if observers is None else [observers[k] for k in some],
-                width,
+            lists = (
+                None if one is None else [one[k] for k in some]
+                for one in (models, starts, loops, observers)
             )
-            tasks.append((some, structure, *given))
-    outputs: list[Floats] = [np.empty(0)] * len(plants)
-    statistics: list[Floats] = [np.empty(0)] * len(plants)
-    for structure in {id(task[1]): task[1] for task in tasks}.values():
-        lane_engine(structure, width)
+            tasks.append((some, on, structure.switched, common.of(some), width, *lists))
     # threads: the loop does not hold the interpreter's lock
-    done = (
-        [run_lanes(*t) for t in tasks]
-        if len(tasks) == 1
-        else each(run_lanes, tasks, n_jobs, prefer="threads")
-    )
-    for some, out, stats in done:
-        for lane, k in enumerate(some):
-            outputs[k], statistics[k] = out[lane], stats[:, :, lane]
+    alone = n_jobs == 1 or len(tasks) == 1
+    done = (_lanes(*t) for t in tasks) if alone else each(_lanes, tasks, n_jobs, prefer="threads")
+    if len(tasks) == 1:  # nothing to copy
+        ((_, kept, found),) = done
+        return kept, found
+    outputs: list[Floats] = [np.empty(0)] * len(models)
+    statistics = list(outputs)
+    for some, kept, found in done:
+        for k, out, judged in zip(some, kept, found, strict=True):
+            outputs[k], statistics[k] = out, judged
     return outputs, statistics
 
 
-def run_lanes(
+def _lanes(
     some: list[int],
-    structure: Structure,
     on: Flags,
-    plants: list[Plant],
-    starts: list[tuple[Floats, Floats]],
+    switched: bool,
     common: Common,
-    controllers: list[Controller] | None,
+    width: int,
+    models: list[Drawn],
+    starts: list[tuple[Floats, Floats]],
+    loops: list[Closed] | None,
     observers: list[Observer] | None,
-    width: int = LANES,
 ) -> tuple[list[int], Floats, Floats]:
-    """Run plants of one structure beside each other, as many as there are lanes at most."""
+    """Run drives of one shape beside each other, as many as there are lanes at most."""
+    plants = [model.plant() for model in models]
+    structure = structure_of(plants[0]._replace(on=on), switched=switched)
     engine, rows = lane_engine(structure, width), rows_of(structure, width)
+    laws = [NOBODY] * width
+    if loops is not None:
+        known = {id(one): one.controller() for one in loops}
+        laws = [known[id(one)] for one in loops]
     h, lanes = common.dt / common.substeps, len(plants)
     w = aligned(len(rows.all) * width)
     table = w.reshape(-1, width)
@@ -166,21 +183,24 @@ def run_lanes(
     room = int(np.ceil(dead.max(initial=0.0))) + 2
     inputs = len(structure.inputs)
     kept = np.zeros((width, inputs, room))
-    law = NOBODY if controllers is None else controllers[0]
-    rules = np.array([c.rule for c in controllers] if controllers else [law.rule] * width)
     led = (observers or [UNLED] * lanes) + [observers[-1] if observers else UNLED] * (width - lanes)
     gains = np.stack([o.gains for o in led], axis=-1)
     shown = np.stack([o.shown(p) for o, p in zip(led, padded, strict=True)], axis=-1)
-    kept_samples = -(-common.samples // common.every) if common.columns.size else 0
-    out = np.empty((lanes, common.columns.size, kept_samples))
+    kept_samples = -(-common.samples // common.every) if common.columns else 0
+    out = np.empty((lanes, len(common.columns), kept_samples))
+    columns, judged = (
+        np.array([rows.seen.index(name) for name in names], np.int64)
+        for names in (common.columns, common.judged)
+    )
     engine.module.march_lanes(
         w, lanes, on, common.u, kept, np.zeros(inputs), dead, _NO_ROWS, ring,
-        np.ascontiguousarray(delays), common.begin, common.dt, common.substeps, law.function,
-        rules, np.zeros((width, law.memory)), common.target, common.noise,
-        controllers is not None, np.zeros(max(len(structure.sensors), 1)), np.zeros(inputs),
+        np.ascontiguousarray(delays), common.begin, common.dt, common.substeps,
+        laws[0].function, np.array([law.rule for law in laws]), np.zeros((width, laws[0].memory)),
+        common.target, common.noise, loops is not None,
+        np.zeros(max(len(structure.sensors), 1)), np.zeros(inputs),
         led[0].sensors, common.measured, gains, shown, led[0].leak,
         np.zeros((led[0].leak.size, width)), np.zeros((2 * structure.coordinates, width)),
-        common.columns, common.every, out, common.statistics,
-        common.samples,
+        columns, common.every, out, judged.size > 0, common.samples,
     )  # fmt: skip
-    return some, out, table[first : first + 4 * count].reshape(4, count, width)
+    found = table[first : first + 4 * count].reshape(4, count, width)[:, judged, :lanes]
+    return some, out, found.transpose(2, 0, 1)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import isnan
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -9,23 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.base import BASE, Arrays, Floats, layout, per_catalogue, refuse_negative
 
 if TYPE_CHECKING:
     import control
 
-__all__ = ["BASE", "Arrays", "Floats", "Model", "refuse_negative"]
+    from dmptm_ctrl.simulate.plant import Plant
+
+Floats = NDArray[np.float64]
 
 LOG_LENGTH = "log_length"  # parameter of an effect: of the log that is simulated
-
-
-@per_catalogue
-def _neutral(effects: tuple[Effect, ...]) -> Floats:
-    """Parameters of all effects at which they are absent."""
-    return np.array([v for effect in effects for v in effect.defaults()])
 
 
 @dataclass(frozen=True)
@@ -81,6 +76,16 @@ class Model:
                 if isnan(value):
                     raise ValueError(f"effect {name}: {key} is NaN; it must be a number")
 
+    def check(self) -> None:
+        """Refuse effects whose size is negative where it is a magnitude, as a ValueError."""
+        for name, values in self.effects.items():
+            for parameter in CATALOGUE[name].parameters:
+                value = values.get(parameter.name, 0.0)
+                if parameter.low == 0.0 > value:
+                    raise ValueError(
+                        f"effect {name}: {parameter.name} is {value:g}; it must be zero or more"
+                    )
+
     def with_effect(self, name: str, **parameters: float) -> "Model":
         """Return the model with an effect added or replaced."""
         return Model(self.drive, {**self.effects, name: parameters})
@@ -103,28 +108,28 @@ class Model:
         }
         return Model(self.drive, {**self.effects, **told}) if told else self
 
-    def arrays(self) -> tuple[Floats, NDArray[np.uint8], Floats]:
-        """Return (base, on, values) as the compiled loop takes them."""
-        quantities = self.drive.quantities
-        base = np.array([quantities[name].value for name in BASE])
-        values = _neutral().copy()
-        on = np.zeros(len(CATALOGUE), np.uint8)
-        if self.effects:
-            slots = layout()
-        for name, parameters in self.effects.items():
-            index, first = slots[name]
-            effect = CATALOGUE[name]
-            for j, p in enumerate(effect.parameters):
-                if p.name in parameters:
-                    values[first + j] = parameters[p.name]
-            on[index] = any(parameters.get(a, 0.0) != 0.0 for a in effect.amplitudes)
-        return base, on, values
+    def plant(self) -> "Plant":
+        """Return the parts and numbers that the simulator takes."""
+        return self._plant
+
+    @cached_property
+    def _plant(self) -> "Plant":
+        from dmptm_ctrl.simulate.dual import dual_plant
+
+        return dual_plant(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # kernels are no luggage: where it arrives the plant is made anew
+        return {"drive": self.drive, "effects": self.effects}
 
     @property
     def sites(self) -> set[str]:
         """Sites at which an effect acts."""
-        _, on, _ = self.arrays()
-        return {e.site for e, acts in zip(CATALOGUE.values(), on, strict=True) if acts}
+        return {
+            CATALOGUE[name].site
+            for name, given in self.effects.items()
+            if any(given.get(a, 0.0) != 0.0 for a in CATALOGUE[name].amplitudes)
+        }
 
     def to_blocks(self, **options: Any) -> "control.InterconnectedSystem":
         """Return the model as python-control blocks, see :func:`.blocks.to_blocks`."""

@@ -19,7 +19,7 @@ from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, undamped
-from dmptm_ctrl.simulate.model import BASE, Model
+from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
@@ -131,7 +131,7 @@ def to_toml(model: Model) -> str:
     """Return the text of a model file: values in SI, the unit beside each."""
     document = _document(DUAL)
     drive = tomlkit.table()
-    for name in BASE:
+    for name in model.drive:
         drive[name] = with_unit(model.drive[name], model.drive.quantities[name].unit)
     document["drive"] = drive
     effects = tomlkit.table()
@@ -156,11 +156,12 @@ def from_toml(text: str, *, name: str = "model.toml") -> Model:
     """
     data = _parsed(text, name, DUAL)
     values = finite_numbers(name, "drive", data.get("drive"))
-    unknown = sorted(set(values) - set(BASE))
-    missing = [n for n in BASE if n not in values]
+    paper = paper_drive()
+    unknown = sorted(set(values) - set(paper))
+    missing = [n for n in paper if n not in values]
     if unknown or missing:
         what = f"unknown {unknown[0]!r}" if unknown else f"no {missing[0]!r}"
-        raise LogError(f"{name}: {what} in [drive]; it needs {', '.join(BASE)}")
+        raise LogError(f"{name}: {what} in [drive]; it needs {', '.join(paper)}")
     speeds = ("W3_plus", "W3_minus", "WL_plus", "WL_minus")
     for key in ("J_m", "J_2", "J_L", "N_1", "N_2", "k_m", *speeds):
         if values[key] <= 0:
@@ -170,7 +171,7 @@ def from_toml(text: str, *, name: str = "model.toml") -> Model:
         raise LogError(f"{name}: [effects] must hold one table per effect")
     tables = {key: finite_numbers(name, f"effects.{key}", table) for key, table in effects.items()}
     try:
-        found = paper_drive().with_values(**values)
+        found = paper.with_values(**values)
         if FLANKS in tables and found[DAMPING] == 0.0:
             found = undamped(found)
         return Model(found, tables)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.simulate.plant import Floats, Ints, Plant, link_matrices
+from dmptm_ctrl.simulate.plant import Floats, Ints, Plant, untwisted
 
 FASTEST = 0.5  # decay of an observer a sample; from 2 on its gains no longer damp
 
@@ -45,14 +45,6 @@ class Observer(NamedTuple):
 UNLED = Observer(np.zeros(0, np.int64), np.zeros((0, 0)), np.zeros(0))
 
 
-def rigid_mode(plant: Plant, body: int) -> Floats:
-    """Return how coordinates turn with a body where no link twists, (n,)."""
-    turned = np.zeros(plant.inertia.size)
-    turned[plant.body_coordinate[body]] = plant.body_ratio[body]
-    rows = np.vstack([turned, link_matrices(plant)[0]])
-    return np.linalg.solve(rows, np.eye(len(rows))[0])
-
-
 def rigid_observer(plant: Plant, sensor: int, gains: Sequence[float]) -> Observer:
     """Return the observer that leads the rigid motion of a plant by one sensor.
 
@@ -64,7 +56,8 @@ def rigid_observer(plant: Plant, sensor: int, gains: Sequence[float]) -> Observe
     gains : (angle gain, speed gain) per sample
         As of :func:`observer_gains`.
     """
-    mode = rigid_mode(plant, int(plant.sensor_body[sensor]))
+    body = int(plant.sensor_body[sensor])
+    mode = untwisted(plant, int(plant.body_coordinate[body])) / plant.body_ratio[body]
     angle, speed = gains
     if plant.sensor_speed[sensor] > 0:
         both = np.concatenate([0.0 * mode, angle * mode])[:, None]

@@ -101,19 +101,10 @@ def link_matrices(plant: Plant) -> tuple[Floats, Floats, Floats, Floats]:
     return rows, plant.link_values[:, 1], dampers, viscous
 
 
-def untwisted(plant: Plant, first: int = 0) -> dict[int, float]:
-    """Motion of each coordinate that links join with one, per its motion, no link twisted."""
-    reach = {first: 1.0}
-    for _ in range(plant.inertia.size):
-        for (one, other), ratio in zip(plant.link_body, plant.link_values[:, 0], strict=True):
-            g, h = (int(plant.body_coordinate[b]) for b in (one, other))
-            # 0 = r1 q1 − ratio r2 q2
-            factor = float(plant.body_ratio[one] / (ratio * plant.body_ratio[other]))
-            if g in reach and h not in reach:
-                reach[h] = reach[g] * factor
-            elif h in reach and g not in reach:
-                reach[g] = reach[h] / factor
-    return reach
+def untwisted(plant: Plant, first: int = 0) -> Floats:
+    """Motion of each coordinate per motion of one, no link twisted, (n,)."""
+    rows = np.vstack([np.eye(1, plant.inertia.size, first), link_matrices(plant)[0]])
+    return np.linalg.solve(rows, np.eye(len(rows))[0])
 
 
 class Structure(NamedTuple):

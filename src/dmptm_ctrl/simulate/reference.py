@@ -303,9 +303,9 @@ def simulate(
     model: "Model", u: ArrayLike, x0: ArrayLike, dt: float, *, rtol: float = 1e-10
 ) -> Floats:
     """Run the dual-motor drive: (n, 8) array of :data:`~.compiled.OUTPUTS`, see `run_exactly`."""
-    from dmptm_ctrl.simulate.dual import dual_plant, start
+    from dmptm_ctrl.simulate.dual import start
 
-    plant = dual_plant(model.arrays())
+    plant = model.plant()
     exact = run_exactly(plant, u, *start(plant, np.asarray(x0, float)), dt, rtol=rtol)
     ratio = plant.link_values[:2, 0]
     twists = exact.q[:, :2] - ratio * exact.q[:, 2:3]

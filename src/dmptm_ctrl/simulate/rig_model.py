@@ -153,6 +153,10 @@ class RigModel:
         """Return the model with values of declared quantities replaced."""
         return replace(self, values={**self.values, **values})
 
+    def check(self) -> None:
+        """Refuse values that no machine has, as a ValueError; see :func:`check_physical`."""
+        check_physical(self)
+
     def to_blocks(self, **options: Any) -> "control.InterconnectedSystem":
         """Return the model as python-control blocks, see :func:`.blocks.rig_blocks`."""
         from dmptm_ctrl.simulate.blocks import rig_blocks

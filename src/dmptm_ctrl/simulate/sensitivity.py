@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS
-from dmptm_ctrl.simulate.dual import columns_seen, dual_plant, start
+from dmptm_ctrl.simulate.compiled import SEEN, SUBSTEPS
+from dmptm_ctrl.simulate.dual import start
 from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -135,14 +135,12 @@ def simulate_with_sensitivities(
     dt = (time[-1] - time[0]) / (time.size - 1)
     moved = [_moved(model, [move]) for move in moves]
     back = _moved(model, [(name, -step) for name, step in moves])
-    plants = [dual_plant(own.arrays()) for own in (model, *moved, back)]
-    seen = columns_seen(plants[0])[: len(OUTPUTS)]
-    common = Common(
-        dt, substeps, time.size, u[None], _NO_ROWS, _NO_ROWS, np.array(seen), statistics=False
-    )
-    starts = [start(plant, x0) for plant in plants]
-    width = FEW if len(plants) <= FEW else LANES
-    runs = np.array(run_many(plants, starts, common, n_jobs=jobs, width=width)[0])
+    models = [model, *moved, back]
+    kept = tuple(SEEN.values())
+    common = Common(dt, substeps, time.size, u[None], _NO_ROWS, _NO_ROWS, kept)
+    starts = [start(one.plant(), x0) for one in models]
+    width = FEW if len(models) <= FEW else LANES
+    runs = np.array(run_many(models, starts, common, n_jobs=jobs, width=width)[0])
     outputs, changes = runs[0], runs[1:] - runs[0]
     steps = np.array([step for _, step in moves])
     derivatives = changes[:-1] / steps[:, None, None]

@@ -21,8 +21,9 @@ from dmptm_ctrl.simulate.block_parts import (
     pi_block,
 )
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
+from dmptm_ctrl.simulate.dual import plant_with
 from dmptm_ctrl.simulate.parts import Parts
-from dmptm_ctrl.simulate.plant import GAP, TWO_STATES, Floats, Plant
+from dmptm_ctrl.simulate.plant import Floats, Plant
 
 if TYPE_CHECKING:
     from dmptm_ctrl.simulate.model import Model
@@ -32,7 +33,6 @@ __all__ = ["REST_SPEED", "drive_states", "initial_state", "rig_blocks", "run", "
 
 MAX_STEP = 0.01  # s; so that no turn of the motion is stepped over
 SIDES = ("l", "r")
-CONTACTS = ("eq21", "two_state")
 DUAL = Names(
     [
         (f"amplifier_{s}", f"u_{side}", f"voltage_{s}")
@@ -106,17 +106,10 @@ def to_blocks(
     model.check()
     if not isinstance(loop, Loop | None):
         raise TypeError(f"loop must be a Loop, not a {type(loop).__name__}")
-    if contact not in CONTACTS:
-        raise ValueError(f"contact is {contact!r}; it must be one of {', '.join(CONTACTS)}")
-    if contact == "two_state" and model.drive["c"] + model.drive["c_f"] <= 0.0:
-        raise ValueError("c + c_f is 0: nothing tells where in its gap an undamped tooth is")
+    plant_with(model, contact)  # refuses before anything is built
 
     def plant_of(values: Mapping[str, float]) -> Plant:
-        plant = model.with_values(**values).plant()
-        if contact == "two_state":
-            laws = np.where(plant.link_gap == GAP, TWO_STATES, plant.link_gap)
-            plant = plant._replace(link_gap=laws)
-        return plant
+        return plant_with(model.with_values(**values), contact)
 
     given = Given(plant_of, [*model.drive], others=others, loop=loop, pade_order=pade_order)
     blocks = part_blocks(given, DUAL)

@@ -220,6 +220,8 @@ def test_a_rig_simulates_linearises_and_closes_its_loop_as_a_model_does():
         plant = dmptm_ctrl.linearize(model)
         assert plant.poles() == pytest.approx([-2.0])
         assert dmptm_ctrl.modes(model).hz == pytest.approx([0.0])
+    blocks = RigModel(rig).to_blocks()
+    assert (blocks.input_labels, blocks.output_labels) == (["motor"], ["w"])
     loop = dmptm_ctrl.Loop(4.0, 0.0, 100.0)  # pole at −(2 + 5·4) 1/s, end at 20/22
     closed = dmptm_ctrl.close_loop(rig, loop, time, np.ones_like(time))
     assert closed.output_labels == ["w", "motor"]
@@ -338,6 +340,8 @@ def test_numbers_of_any_library_are_numbers():
 def test_models_and_blocks_refuse_what_is_in_the_place_of_a_part():
     with pytest.raises(TypeError, match="^Model takes a Drive first, not a StateSpace$"):
         dmptm_ctrl.Model(dmptm_ctrl.three_dof())
+    with pytest.raises(TypeError, match="not a Rig; read_model makes the model of a rig file$"):
+        dmptm_ctrl.Model(dmptm_ctrl.paper_rig())
     with pytest.raises(TypeError, match="^loop must be a Loop, not a int$"):
         dmptm_ctrl.Model().to_blocks(loop=3)
     with pytest.raises(TypeError, match="^impact takes a Model, or the Diagnosis of a dual-mo"):

@@ -17,7 +17,7 @@ from dmptm_ctrl.cli import main
 from dmptm_ctrl.diagnosis import predict
 from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
+from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.simulate.model_file import read_model
 
 DEMO = data.path("demo_rig")  # without motor encoders
@@ -198,7 +198,7 @@ def test_budget(found):
 
 def test_ranking(found):
     names = [row["name"] for row in found["ranking"]]
-    assert sorted(names) == sorted(set(CATALOGUE) - set(NO_CANDIDATES))
+    assert sorted(names) == sorted(set(CATALOGUE) - set(TABLES))
     added = {effect["name"] for effect in found["effects"]}
     rivals = {name for effect in found["effects"] for name in effect["confusable_with"]}
     least = min(row["score"] for row in found["ranking"] if row["name"] in added)

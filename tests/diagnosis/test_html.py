@@ -28,7 +28,7 @@ from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, provenance
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
+from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.fit import Fit, drive_unknowns, effect_unknowns, position
 from dmptm_ctrl.plots.diagnosis import plot_budget, plot_diagnosis, plot_evidence
 from dmptm_ctrl.plots.gaps import animate_gaps, busiest, gap_motion
@@ -220,7 +220,7 @@ def test_text_from_files_is_escaped(page):
 def test_every_effect_is_named_and_nothing_is_nan(diagnosis, parsed):
     text = " ".join(parsed.text)
     for name, effect in CATALOGUE.items():
-        if name in NO_CANDIDATES:
+        if name in TABLES:
             continue  # they have no name of their own
         assert name.replace("_", " ") in text
         assert effect.reveals in text
@@ -430,3 +430,12 @@ def test_plots_use_the_axes_given():
     assert list(plot_evidence(diagnosis, ax=pair)) == list(pair)
     with pytest.raises(ValueError, match="axes given"):
         plot_evidence(diagnosis, ax=pair[0])
+
+
+def test_what_effects_explain_together_is_said_by_their_names():
+    """Each alone is small beside what two share; two of one name have their places."""
+    found = made("explained")
+    each = replace(found.effects[0], name="coulomb_friction", share=0.01)
+    two = (replace(each, location="motor"), replace(each, location="table"))
+    said = replace(found, effects=two).sentence()
+    assert "lacks coulomb friction of motor, coulomb friction of table" in said

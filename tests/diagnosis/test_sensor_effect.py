@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dmptm_ctrl.diagnosis.sensors import SensorCheck, sensor_effect
+from dmptm_ctrl.diagnosis.rig_sensors import _Reading as Readings
+from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check, sensor_effect
 from dmptm_ctrl.identify.fit import Fit, effect_unknowns, position
 from dmptm_ctrl.simulate.model import Model
 
@@ -37,3 +38,17 @@ def test_what_no_fit_tells_is_reported_as_the_sensors_tell_it(fit):
     told = sensor_effect("sensor_gain", SEEN, fit, 0.0).parameters["error"]
     assert (told["value"], told["se"]) == (0.01, 1e-3)
     assert told["value"] == fit.model.effects["sensor_gain"]["error"]
+
+
+@pytest.mark.parametrize("eccentric", [0.0, 3e-4])
+def test_an_unbalance_that_speeds_up_and_slows_down_is_no_eccentricity(eccentric):
+    """Fifteen turns a second, by closed forms: what both sensors see is faster than the filter."""
+    t = 2e-3 * np.arange(5000)
+    turn, rate = 75.0 * (1.0 - np.cos(1.25 * t)), 94.0 * np.sin(1.25 * t)
+    theta = turn + 0.02 * np.sin(turn)
+    omega = rate * (1.0 + 0.02 * np.cos(turn)) + np.random.default_rng(1).normal(0, 0.02, t.size)
+    found = cross_check([Readings(2e-3, theta + eccentric * np.cos(theta), omega)])
+    assert found.significant("encoder_eccentricity") == (eccentric > 0.0)
+    assert not found.significant("sensor_gain")
+    values = found.values["encoder_eccentricity"]
+    assert values["cosine"] == pytest.approx(eccentric, abs=6e-5)

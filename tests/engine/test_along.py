@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.effects import CATALOGUE, LAWS
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.stribeck import sliding_torque, stribeck_law
 from dmptm_ctrl.identify.disturbance import PASSES, course, disturbance
 from dmptm_ctrl.simulate.along import (
@@ -20,8 +20,7 @@ from dmptm_ctrl.simulate.model import Model
 
 N, DT = 203, 1e-3
 SITES = ("drive", "motor", "mesh", "friction", "load")
-# A law of the flanks changes what they carry, which no motion tells: no torque, no shift
-NAMES = [name for name, effect in CATALOGUE.items() if effect.site in SITES and name not in LAWS]
+NAMES = [name for name, effect in CATALOGUE.items() if effect.site in SITES]
 
 
 def recorded(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

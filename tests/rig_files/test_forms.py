@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
+from dmptm_ctrl.diagnosis.rig_report import counted_unit, torque_unit
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.simulate.blocks import rig_blocks
 from dmptm_ctrl.simulate.linear import linearize, modes
@@ -159,3 +160,16 @@ body = "b"
     assert slower[at] == pytest.approx(0.5 * blocks.dynamics(0.0, x, [0.1])[at])
     with pytest.raises(ValueError, match="a dead time, friction or presliding cannot come or go"):
         blocks.dynamics(0.0, x, [0.1], params={"input.m.delay": 0.0})
+
+
+@pytest.mark.parametrize(
+    ("unit", "torque", "inertia"),
+    [("PWM", "PWM", "PWM·s²/rad"), ("1", "duty", "duty·s²/rad"), ("percent", "%", "%·s²/rad")],
+)
+def test_torques_count_in_what_the_rig_calls_its_input(unit, torque, inertia):
+    rig = parse_rig(
+        f'[body.a]\ninertia = "unknown"\n[input.u]\ncolumn = "duty"\nunit = "{unit}"\n'
+        '[sensor.q]\ncolumn = "q_rad"\n'
+    )
+    assert torque_unit(rig) == torque
+    assert counted_unit(rig, "kg·m²") == inertia

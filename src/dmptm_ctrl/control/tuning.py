@@ -96,7 +96,9 @@ def tune_pi(
     if not 20.0 <= phase_margin_deg <= 90.0:
         raise ValueError(f"phase margin {phase_margin_deg:g}°, it must be between 20 and 90")
     if not 0.0 < bandwidth_hz < 0.25 / sample_time:
-        raise ValueError(f"bandwidth {bandwidth_hz:g} Hz is not below a quarter of the sample rate")
+        raise ValueError(
+            f"bandwidth {bandwidth_hz:g} Hz is not between 0 and a quarter of the sample rate"
+        )
     drive = common_mode(plant)
     target = 2.0 * pi * bandwidth_hz
 

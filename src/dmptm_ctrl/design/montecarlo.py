@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import binom, binomtest
+from scipy.stats import binom
 
 from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller
@@ -42,16 +42,6 @@ class MonteCarlo(NamedTuple):
             float(ordered[low]) if low >= 0 else 0.0,
             float(ordered[high]) if high < n else np.inf,
         )
-
-    def share_above(
-        self, limit: float, confidence: float = CONFIDENCE
-    ) -> tuple[float, float, float]:
-        """Return (share, low, high) of plants with an error above `limit` [deg/s].
-
-        Bounds of Clopper and Pearson, Biometrika 26 (1934) 404.
-        """
-        found = binomtest(int(np.sum(self.errors > limit)), self.errors.size)
-        return found.statistic, *found.proportion_ci(confidence)
 
 
 def monte_carlo(

@@ -16,7 +16,7 @@ from dmptm_ctrl.diagnosis.report import UNNAMED, NamedEffect, Picture, estimate
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.drive import Drive
-from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
+from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.simulate.model import Model
@@ -232,7 +232,7 @@ def ranking(
     found : sequence of str
         Effects of sensors that are in the model.
     """
-    catalogue = [(n, e.location, e.reveals) for n, e in CATALOGUE.items() if n not in NO_CANDIDATES]
+    catalogue = [(n, e.location, e.reveals) for n, e in CATALOGUE.items() if n not in TABLES]
     rows = ranking_of(selection, catalogue, sensors=found, compared=sensors, unseen=unseen)
     tried = {**best_of(selection.first), **best_of(selection.rest)}
     for row in rows:

@@ -18,15 +18,14 @@ from scipy.stats import chi2
 from dmptm_ctrl.diagnosis.predict import SPEED
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.balance import BalanceFit
-from dmptm_ctrl.identify.fit import Unknown, is_damping, position
+from dmptm_ctrl.identify.fit import Unknown, position
 from dmptm_ctrl.identify.records import Record, block_mean
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.compiled import SUBSTEPS
-from dmptm_ctrl.simulate.damping import damped, damping_of, possible
 from dmptm_ctrl.simulate.model import Floats, Model
 
-GAP_DAMPING = "c_f"
+DAMPING, GAP_DAMPING = "c", "c_f"
 VALUES = 9  # of the damping, even on a logarithmic scale
 FINER = 101  # values between which the powers are interpolated
 BANDS_HZ = ((30.0, 120.0), (120.0, 400.0))  # about the two modes
@@ -58,10 +57,11 @@ def rattled(records: Sequence[Record], start: BalanceFit, declared: Drive, jobs:
     if GAP_DAMPING in names:
         model = model.with_values(**{GAP_DAMPING: declared[GAP_DAMPING]})
         tie(covariance, names.index(GAP_DAMPING))
-    for j in (j for j, k in enumerate(start.unknowns) if is_damping(k)):
+    if DAMPING in names:
+        j = names.index(DAMPING)
         rattle = Rattle(records, declared, jobs)
         value, error = rattle.damping(model)
-        model = damped(model, value)
+        model = model.with_values(**{DAMPING: value})
         others = [i for i, name in enumerate(names) if name in BESIDE]
         sigmas = np.sqrt(covariance[others, others])
         relative = value / start.unknowns[j].scale
@@ -116,10 +116,10 @@ class Rattle:
         return np.concatenate(done, axis=1)
 
     def damping(self, model: Model) -> tuple[float, float]:
-        """Return the meshes' damping, as `damping_of`, and its relative standard deviation."""
-        low, high, declared = possible(model, self.declared)
+        """Return the meshes' damping and its relative standard deviation."""
+        (low, high), declared = self.declared.quantities[DAMPING].range, self.declared[DAMPING]
         scale = np.log(np.geomspace(max(low, 1e-3 * high), high, VALUES))
-        off = self.ratios([damped(model, float(np.exp(x))) for x in scale])
+        off = self.ratios([model.with_values(**{DAMPING: float(np.exp(x))}) for x in scale])
         fine = np.linspace(scale[0], scale[-1], FINER)
         off = np.array([np.interp(fine, scale, column) for column in off.T])
         scatter = np.maximum(np.sqrt(np.mean(off**2, axis=0).min()), LEAST)
@@ -132,9 +132,9 @@ class Rattle:
 
     def slopes(self, model: Model, others: Sequence[Unknown], sigmas: Floats) -> Floats:
         """Relative change of the damping, per unit of others, that leaves the power as it is."""
-        value = damping_of(model)
+        value = model.drive[DAMPING]
         apart = np.maximum(sigmas, APART)
-        ends = [damped(model, value * (1.0 + x)) for x in (STEP, -STEP)]
+        ends = [model.with_values(**{DAMPING: value * (1.0 + x)}) for x in (STEP, -STEP)]
         for k, d in zip(others, apart, strict=True):
             here, by = model.drive[k.name], k.scale * d
             ends += [model.with_values(**{k.name: here + x}) for x in (by, -by)]

@@ -21,7 +21,6 @@ from dmptm_ctrl.signals import Log, load_log
 from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.batch import march_any
 from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, OUTPUTS, march, rest
-from dmptm_ctrl.simulate.damping import damped, damping_of
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.rig_model import RigModel
 
@@ -108,8 +107,8 @@ def expected(
     shares = 1.0 + SPREAD * rng.standard_normal((runs - 1, 2))
     aside = count * np.concatenate([[0.0], rng.uniform(-0.5, 0.5, runs - 1)])
     starts = x0 + np.multiply.outer(aside, rest(model, 1.0))
-    stiffness, damping = model.drive["k_m"], damping_of(model)
-    jogged = (damped(model.with_values(k_m=stiffness * a), damping * b) for a, b in shares)
+    stiffness, damping = model.drive["k_m"], model.drive["c"]
+    jogged = (model.with_values(k_m=stiffness * a, c=damping * b) for a, b in shares)
     models = [model, *jogged]
     if runs > 1 and u.shape[1] <= TOGETHER:
         many = march_any(models, u, starts, dt, substeps=substeps, columns=columns)

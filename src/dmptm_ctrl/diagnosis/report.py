@@ -229,13 +229,19 @@ class Diagnosis:
 
     def _headline(self) -> str:
         """Effects that matter: names that are likelier than not, and how many others."""
+        named = [e for e in self.effects if e.named and not _of_sensor(e.name)]
         material = [e for e in self.effects if e.material and e.named]
-        sure = [e.name.replace("_", " ") for e in material if e.probability >= HEADLINE]
+        if self.verdict == "explained":
+            material = material or named  # what they explain, they share
+        names = [e.name.replace("_", " ") for e in material]
+        sure = [
+            f"{name} of {e.location}" if names.count(name) > 1 else name
+            for name, e in zip(names, material, strict=True)
+            if e.probability >= HEADLINE
+        ]
         doubtful = len(material) - len(sure)
         if doubtful:
             sure.append(f"{doubtful} effect{'s'[: doubtful > 1]} of uncertain name")
-        if not sure and self.verdict == "explained" and not self._sensors_apart():
-            sure = ["small effects"]
         return ", ".join(sure)
 
     def summary(self) -> str:

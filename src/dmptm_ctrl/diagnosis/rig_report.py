@@ -363,4 +363,4 @@ def torque_unit(rig: Rig) -> str:
     source = rig.inputs[0]
     if isfinite(source.gain.value):
         return rig.body(source.body).force_unit
-    return input_symbol(rig, source.name) or "of the input"
+    return input_symbol(rig, source.name)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.contract import BALANCE, MOTOR_ENCODERS, RUNS, Effect
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.effects import CATALOGUE, NO_CANDIDATES
+from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import (
     ROWS,
     STALLED,
@@ -365,7 +365,7 @@ def settled(trace: Trace, trial: Trial) -> Trial:
 def candidates(trace: Trace, skip: Iterable[str], *, everything: bool = False) -> list[str]:
     """Effects that the balances can show, or everything that runs can; `skip` are left out."""
     twisted = any(mo.rec.twist is not None for mo in trace.balance.motions)
-    out = {*skip, *trace.base.model.effects, *NO_CANDIDATES}
+    out = {*skip, *trace.base.model.effects, *TABLES}
     seen = {BALANCE, *([MOTOR_ENCODERS] if twisted else [])}
     if everything:
         seen = {BALANCE, MOTOR_ENCODERS, RUNS}

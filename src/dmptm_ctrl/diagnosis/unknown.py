@@ -36,8 +36,6 @@ class Unexplained:
     curve : Curve or None
         The best of those that count.
     bursts : Bursts
-    beyond_names : bool
-        A curve explains more than the named effects do: they only stand in for it.
     slips : float
         How far a flank wanders within a log that no curve follows [N·m of twist]; 0 if it does not.
     """
@@ -45,7 +43,6 @@ class Unexplained:
     variables: tuple[str, ...]
     curve: Curve | None
     bursts: Bursts
-    beyond_names: bool
     slips: float = 0.0
 
 
@@ -67,20 +64,18 @@ def unexplained(before: Residual, after: Residual, named: float) -> Unexplained 
     slips = wanders(before, after) if few else 0.0
     if few and slips == 0.0:
         return None
-    beyond = False
     best = left
     if after is not before:
         bare = curves(before)
         top = significant(bare, CURVE)
         if top is not None and top.evidence > named:
-            best, beyond, told = top, True, bare
-        shots = bursts(before) if beyond else shots
+            best, told, shots = top, bare, bursts(before)
     variables = alike(told, best) if best is not None else ()
     if shots.share >= BURSTS and (best is None or "time" in shots.variables[:1]):
         variables = (*variables, *shots.variables)
     if slips > 0.0 and best is None:
         variables = SLIP
-    return Unexplained(tuple(dict.fromkeys(variables)), best, shots, beyond, slips)
+    return Unexplained(tuple(dict.fromkeys(variables)), best, shots, slips)
 
 
 def alike(found: Sequence[Curve], best: Curve) -> tuple[str, ...]:

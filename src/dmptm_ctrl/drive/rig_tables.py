@@ -59,7 +59,10 @@ class TableReader:
         try:
             return unit, si_symbol(unit)
         except ValueError as error:
-            self._fail(where, "unit", str(error))
+            other = (
+                'for one of your own give a known one and scale, as in unit = "deg", scale = 0.001'
+            )
+            self._fail(where, "unit", f"{error}; {other}")
 
     def _check_unit(self, where: str, key: str, unit: str, si: str) -> None:
         try:

@@ -175,7 +175,8 @@ class _Reader(DataReader):
                     self._fail(where, key_, f"a static friction needs a {other} beside it")
         inertia = self._need(where, raw, key, unit)
         if is_known(inertia) and inertia.value == 0:
-            self._fail(where, key, f"a {key} of 0 cannot be; write 'unknown' if it is not known")
+            of = f"{'an' if key[0] in 'aeiou' else 'a'} {key} of 0"
+            self._fail(where, key, f"{of} cannot be; write 'unknown' if it is not known")
         return Body(name, inertia, linear, friction)
 
     def _link(self, kind: str, name: str, raw: dict[str, Any], bodies: Mapping[str, Body]) -> Link:

@@ -14,9 +14,6 @@ TABLES = (
     *("unknown_voltage", "unknown_friction", "unknown_torque", "unknown_breakaway"),
     "unknown_motor",
 )
-# Another law of what a drive has anyway: told by what the model leaves, never named as a lack.
-LAWS = ("flank_damping",)
-NO_CANDIDATES = (*TABLES, *LAWS)  # in the catalogue, but no candidates
 
 
 def effect_of(name: str) -> Effect:
@@ -36,7 +33,7 @@ CATALOGUE: dict[str, Effect] = {
         "current_lag",  # before a delay: every drive has some
         *("drive_delay", "drive_offset", "drive_dead_band", "torque_constant_mismatch"),
         *("drive_saturation", "cogging", "back_emf", "reducer_compliance", "pinion_runout"),
-        *("ring_gear_eccentricity", "backlash_variation", "mesh_error", "flank_damping"),
+        *("ring_gear_eccentricity", "backlash_variation", "mesh_error"),
         *("load_dependent_friction", "position_dependent_friction", "local_spot"),
         *("thermal_drift", "presliding", "unbalance", "cable_spring", "quadratic_drag"),
         *("base_vibration", "encoder_eccentricity", "sensor_gain", "sensor_delay"),
@@ -80,4 +77,4 @@ def register(effect: Effect) -> Effect:
     return effect
 
 
-__all__ = ["CATALOGUE", "LAWS", "NO_CANDIDATES", "TABLES", "effect_of", "register"]
+__all__ = ["CATALOGUE", "TABLES", "effect_of", "register"]

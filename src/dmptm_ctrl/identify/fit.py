@@ -11,7 +11,6 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, OF_FLANKS, by_depth
 from dmptm_ctrl.simulate.model import Floats, Model
 
 PRIOR_SHARE = 0.6  # standard deviation of a uniform range, as a share of its half-width
@@ -49,27 +48,14 @@ class Unknown:
 
 
 def drive_unknowns(model: Model) -> tuple[Unknown, ...]:
-    """Return the free parameters of the drive, centred on their declared ranges.
-
-    With flanks that damp by depth, their damping as well.
-    """
+    """Return the free parameters of the drive, centred on their declared ranges."""
     unknowns = []
     for name in model.drive.free:
         low, high = model.drive.quantities[name].range
         unknowns.append(
             Unknown(None, name, 0.5 * (low + high), 0.5 * (high - low), -1.0, 1.0, PRIOR_SHARE)
         )
-    if by_depth(model):
-        (own,) = (p for p in CATALOGUE[FLANKS].parameters if p.name == OF_FLANKS)
-        usual = 4.0 * own.step  # about the middle of what is possible, see `simulate.damping`
-        most = own.high / usual - 1.0
-        unknowns.append(Unknown(FLANKS, OF_FLANKS, usual, usual, -1.0, most, PRIOR_SHARE))
     return tuple(unknowns)
-
-
-def is_damping(unknown: Unknown) -> bool:
-    """Whether an unknown is the damping of the meshes, by either law of their flanks."""
-    return (unknown.effect, unknown.name) in ((None, DAMPING), (FLANKS, OF_FLANKS))
 
 
 def effect_unknowns(name: str) -> tuple[Unknown, ...]:

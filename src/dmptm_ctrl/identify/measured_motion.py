@@ -1,7 +1,7 @@
 """Position, speed and acceleration of measured bodies from a log, at the bandwidth it allows."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil
 
@@ -82,7 +82,6 @@ class Motion:
     angles: frozenset[str]  # bodies whose position is measured, not integrated
     by_speed: bool = False  # the first point's acceleration is that of a speed sensor
     rest_share: float = REST_SHARE  # of the highest speed; slower is at rest, or noise
-    unclear: Mapping[str, float] = field(default_factory=dict)  # speed that is not told from rest
     part: str = ""  # "fit" or "held-out" stretches of the log; "" is all of it
 
     @cached_property
@@ -237,7 +236,7 @@ def prepare(
     cut = min(MOTION_OVER_BALANCE * bandwidth, 0.45 * rate)
     sos = butter(6, cut, fs=rate, output="sos")
     q, v, a = {}, {}, {}
-    rest, unclear = REST_SHARE, {}
+    rest = REST_SHARE
     for body, sight in sights.items():
         raw = log[sight.sensor.channel]
         if late and late.get(sight.sensor.name):
@@ -255,9 +254,9 @@ def prepare(
             )
         a[body] = derivative(v[body], dt)
         fastest = float(np.abs(v[body]).max())
-        unclear[body] = _unclear_speed(sight.sensor, raw, signal, cut, rate)
+        unclear = _unclear_speed(sight.sensor, raw, signal, cut, rate)
         if fastest > 0:
-            rest = max(rest, min(unclear[body] / fastest, MOST_REST))
+            rest = max(rest, min(unclear / fastest, MOST_REST))
     return Motion(
         log.name,
         dt,
@@ -270,7 +269,6 @@ def prepare(
         frozenset(body for body, sight in sights.items() if sight.angle is not None),
         next(iter(sights.values())).sensor.measures == "speed",
         rest,
-        unclear,
     )
 
 

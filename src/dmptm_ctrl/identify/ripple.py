@@ -24,7 +24,6 @@ from scipy.signal import cont2discrete, freqz, lfilter
 from dmptm_ctrl.identify.disturbance import Course, course, disturbance
 from dmptm_ctrl.identify.motion import GYRO_NOISE, WINDOW_SECONDS, Motion, hann, odd_span, smooth
 from dmptm_ctrl.identify.windows import Keyed, inertias, pull_of
-from dmptm_ctrl.simulate.damping import FLANKS, LOADED
 from dmptm_ctrl.simulate.dual import MOTORS
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.plant import Floats, Plant
@@ -194,16 +193,8 @@ class Ripple:
 
 
 def closed(plant: Plant) -> bytes:
-    """Inertia of a chain and of the ring gear, ratio, stiffness and damping of closed meshes.
-
-    Flanks that damp by depth damp as they do when loaded.
-    """
-    n2, stiffness, damping = plant.link_values[0, :3]
-    for p in plant.places:
-        if p.effect.name == FLANKS and plant.on[p.flag]:
-            damping = damping + plant.values[p.first] * LOADED
-            break  # the other mesh has the same
-    return np.array([*inertias(plant), n2, stiffness, damping]).tobytes()
+    """Inertia of a chain and of the ring gear, ratio, stiffness and damping of closed meshes."""
+    return np.array([*inertias(plant), *plant.link_values[0, :3]]).tobytes()
 
 
 @lru_cache(KEPT)

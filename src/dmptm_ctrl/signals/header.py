@@ -16,6 +16,7 @@ SEP_LINE = re.compile(r'(?i)\ufeff?"?sep=(.)"?\s*$')
 _TYPE = re.compile(r"(?i)(l?real|[us]?[dls]?int|float|double|bool|lword|dword|word)\d*$")
 _TIME_NAME = re.compile(r"(?i)(time|zeit|uhrzeit|timestamp|x_value|t)(\W|_|\d|$)")
 _PERIOD = re.compile(r"(?i)sampl\w*[ _-]?(time|period|interval|rate|frequency)|delta_x|abtastzeit")
+_KIND = re.compile(r"(?<=\S) \([A-Z][a-z]+\)$")  # TwinCAT: V (Voltage)
 _AMOUNT = re.compile(r"[\s:=\"]*(?:is\s+)?([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ]*)")
 
 
@@ -133,7 +134,7 @@ def _from_rows(rows: list[list[str]], plain: Layout, wanted: Collection[str]) ->
         texts = [n for n in given if plain.dialect.number(n) in (None, 1.0)]  # 1: no unit
         if sum(_is_unit(n) for n in texts) > len(given) / 2:
             units = [
-                u or (n.strip("[]()") if _is_unit(n) else "")
+                u or (_KIND.sub("", n).strip("[]()") if _is_unit(n) else "")
                 for u, n in zip(units, row, strict=True)
             ]
     twice = {n for n in best if n and best.count(n) > 1}
@@ -166,7 +167,7 @@ def _steps(rows: list[list[str]], dialect: Dialect) -> tuple[float, float] | Non
 
 def _is_unit(text: str) -> bool:
     """Whether a field is a unit, also in brackets."""
-    inside = text.strip()
+    inside = _KIND.sub("", text.strip())
     bracket = inside[:1] + inside[-1:] in ("[]", "()")
     inside = inside.strip("[]()").strip()
     if not inside:

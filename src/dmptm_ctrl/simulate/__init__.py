@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from dmptm_ctrl.simulate.rig_model import RigModel
 
 METHODS = {  # and their options
-    "compiled": ("substeps",),
+    "compiled": ("substeps", "contact"),
     "blocks": ("rtol", "atol", "pade_order", "contact"),
     "reference": ("rtol",),
 }
@@ -42,15 +42,16 @@ def simulate(
         Left and right motor voltage.
     initial_state : (6,) array, optional
         θ3l, θ3r, θL [rad] and their speeds [rad/s]; by default at rest at angle 0, the
-        chains at mid-gap.
+        pinions at mid-gap.
     method : {"compiled", "blocks", "reference"}
         The compiled loop, for work; the blocks of
         :func:`~dmptm_ctrl.simulate.blocks.to_blocks`; or the slow
         :mod:`~dmptm_ctrl.simulate.reference` with every switch located.
     **options
         `substeps` (int, steps per sample) of "compiled"; `rtol` of "reference";
-        `rtol`, `atol`, `pade_order` of "blocks", and `contact`: its "two_state" is the law
-        that paper Eq. 21 stands for.
+        `rtol`, `atol`, `pade_order` of "blocks". `contact` of "compiled" and "blocks" is the law
+        of the meshes: "eq21", or "two_state", the law that paper Eq. 21 stands for; its teeth
+        relax within 0.1 ms, so compiled it wants 64 substeps or more.
 
     Returns
     -------

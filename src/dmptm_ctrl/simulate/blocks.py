@@ -21,18 +21,18 @@ from dmptm_ctrl.simulate.block_parts import (
     pi_block,
 )
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop
+from dmptm_ctrl.simulate.dual import plant_with
 from dmptm_ctrl.simulate.parts import Parts
-from dmptm_ctrl.simulate.plant import GAP, TWO_STATES, Floats, Plant
-from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
+from dmptm_ctrl.simulate.plant import Floats, Plant
 
 if TYPE_CHECKING:
     from dmptm_ctrl.simulate.model import Model
+    from dmptm_ctrl.simulate.rig_model import RigModel
 
 __all__ = ["REST_SPEED", "drive_states", "initial_state", "rig_blocks", "run", "to_blocks"]
 
 MAX_STEP = 0.01  # s; so that no turn of the motion is stepped over
 SIDES = ("l", "r")
-CONTACTS = ("eq21", "two_state")
 DUAL = Names(
     [
         (f"amplifier_{s}", f"u_{side}", f"voltage_{s}")
@@ -106,17 +106,10 @@ def to_blocks(
     model.check()
     if not isinstance(loop, Loop | None):
         raise TypeError(f"loop must be a Loop, not a {type(loop).__name__}")
-    if contact not in CONTACTS:
-        raise ValueError(f"contact is {contact!r}; it must be one of {', '.join(CONTACTS)}")
-    if contact == "two_state" and model.drive["c"] + model.drive["c_f"] <= 0.0:
-        raise ValueError("c + c_f is 0: nothing tells where in its gap an undamped tooth is")
+    plant_with(model, contact)  # refuses before anything is built
 
     def plant_of(values: Mapping[str, float]) -> Plant:
-        plant = model.with_values(**values).plant()
-        if contact == "two_state":
-            laws = np.where(plant.link_gap == GAP, TWO_STATES, plant.link_gap)
-            plant = plant._replace(link_gap=laws)
-        return plant
+        return plant_with(model.with_values(**values), contact)
 
     given = Given(plant_of, [*model.drive], others=others, loop=loop, pade_order=pade_order)
     blocks = part_blocks(given, DUAL)
@@ -134,7 +127,7 @@ def to_blocks(
 
 
 def rig_blocks(
-    model: RigModel, *, pade_order: int = PADE_ORDER, others: Sequence[str] = ()
+    model: "RigModel", *, pade_order: int = PADE_ORDER, others: Sequence[str] = ()
 ) -> ct.InterconnectedSystem:
     """Return a rig of any shape as one block per group of bodies, link, input and sensor.
 
@@ -150,8 +143,9 @@ def rig_blocks(
     -------
     InterconnectedSystem
         Inputs: those of the rig; outputs: its sensors; states: position and speed of each group
-        of rigidly joined bodies, lags, dead times, friction that builds up. `params` replace
-        declared quantities by their keys, such as ``{"body.load.inertia": 0.02}``.
+        of rigidly joined bodies, named by its first body, lags, dead times, friction that builds
+        up. `params` replace declared quantities by their keys, such as
+        ``{"body.load.inertia": 0.02}``.
 
     Raises
     ------
@@ -161,16 +155,18 @@ def rig_blocks(
 
     def plant_of(values: Mapping[str, float]) -> Plant:
         own = model.with_values(values) if values else model
-        check_physical(own)
+        own.check()
         return own.plant()
 
     given = Given(plant_of, list(model.quantities), others=others, pade_order=pade_order)
     layout = model.layout
     sensors = [s.name for s in model.rig.sensors]
+    turning = {g: b for b, g in reversed(layout.coordinate.items())}  # the first of each group
+    leading = [turning[g] for g in range(layout.coordinates)]
     names = Names(
         [(f"input_{x}", x, f"{x}_acting") for x in layout.inputs],
-        [f"group_{g}" for g in range(layout.coordinates)],
-        [str(g) for g in range(layout.coordinates)],
+        [f"body_{first}" for first in leading],
+        leading,
         ("q", "v"),
         [(f"q_{x}", f"v_{x}") for x in layout.bodies],
         [(f"link_{x}", f"{x}_torque", f"{x}_twist") for x in layout.links],

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dmptm_ctrl.arguments import refusing
-from dmptm_ctrl.simulate.dual import columns, outputs, pi_loop, start
+from dmptm_ctrl.simulate.dual import columns, outputs, pi_loop, plant_with, start
 from dmptm_ctrl.simulate.observer import rigid_observer
 from dmptm_ctrl.simulate.plant import Floats, Plant
 from dmptm_ctrl.simulate.run import Controller, advance, start_state, structure_for
@@ -92,6 +92,7 @@ def march(
     measured: Floats | None = None,
     begin: float = 0.0,
     meshes: bool = True,
+    contact: str = "eq21",
 ) -> Floats:
     """Run the drive open loop, as fits do thousands of times.
 
@@ -110,13 +111,15 @@ def march(
         Time of the first sample [s], for what depends on it.
     meshes : bool
         Whether torques and relative angles of the meshes are wanted.
+    contact : str
+        Law of the meshes, see :func:`~.dual.plant_with`.
 
     Returns
     -------
     (n, 8) array
         Columns :data:`OUTPUTS`, SI; the first 4 without `meshes`.
     """
-    plant = model.plant()
+    plant = plant_with(model, contact)
     led = {}
     if observer is not None:
         led = {"observer": rigid_observer(plant, 0, observer), "measured": measured}

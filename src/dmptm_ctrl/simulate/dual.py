@@ -14,11 +14,13 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.stiffness_variation import STIFFNESS_VARIATION
 from dmptm_ctrl.simulate.loading import LOADING
-from dmptm_ctrl.simulate.plant import GAP, LINEAR, Floats, Place, Plant
+from dmptm_ctrl.simulate.plant import GAP, LINEAR, TWO_STATES, Floats, Place, Plant
 from dmptm_ctrl.simulate.run import compiled_controller
 
 if TYPE_CHECKING:
     from dmptm_ctrl.simulate.model import Model
+
+CONTACTS = ("eq21", "two_state")  # laws of the meshes: paper Eq. 21, and what it stands for
 
 _T = TypeVar("_T")
 MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the step and rigid
@@ -147,6 +149,25 @@ def dual_plant(model: "Model") -> Plant:
         np.append(on, np.uint8(d["k_a"] != 0.0)),
         np.concatenate([values, [d["k_a"], d["z_3"], d["phi_r"]]]),
     )
+
+
+def plant_with(model: "Model", contact: str) -> Plant:
+    """Return the plant of a model whose meshes have a contact law, of :data:`CONTACTS`.
+
+    Raises
+    ------
+    ValueError
+        Another law, or the two-state law without any damping.
+    """
+    if contact not in CONTACTS:
+        raise ValueError(f"contact is {contact!r}; it must be one of {', '.join(CONTACTS)}")
+    plant = model.plant()
+    if contact == "eq21":
+        return plant
+    if model.drive["c"] + model.drive["c_f"] <= 0.0:
+        raise ValueError("c + c_f is 0: nothing tells where in its gap an undamped tooth is")
+    laws = np.where(plant.link_gap == GAP, TWO_STATES, plant.link_gap)
+    return plant._replace(link_gap=laws)
 
 
 def start(plant: Plant, x0: Floats) -> tuple[Floats, Floats]:

@@ -54,7 +54,9 @@ class Model:
 
     def __post_init__(self) -> None:
         if not isinstance(self.drive, Drive):
-            raise TypeError(f"Model takes a Drive first, not a {type(self.drive).__name__}")
+            given = type(self.drive).__name__
+            hint = "; read_model makes the model of a rig file" if given == "Rig" else ""
+            raise TypeError(f"Model takes a Drive first, not a {given}{hint}")
         self.drive.check()
         if not isinstance(self.effects, Mapping):
             raise TypeError(f"effects of a Model are a dict, not {self.effects!r}")

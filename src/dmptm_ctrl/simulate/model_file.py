@@ -18,7 +18,6 @@ from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.signals.units import parse_unit
-from dmptm_ctrl.simulate.damping import DAMPING, FLANKS, undamped
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
@@ -58,8 +57,10 @@ def unit_at(effect: Placed, rig: Rig, unit: str) -> str:
 
 
 def input_symbol(rig: Rig, name: str) -> str:
-    """SI unit of an input's signal."""
-    return parse_unit(next(i for i in rig.inputs if i.name == name).unit).symbol
+    """SI unit of an input's signal; of a number what the rig file calls it, or its column."""
+    source = next(i for i in rig.inputs if i.name == name)
+    called = source.column if source.unit.strip() in ("", "1") else source.unit
+    return parse_unit(source.unit).symbol or called
 
 
 def rig_model_to_toml(model: RigModel) -> str:
@@ -171,10 +172,7 @@ def from_toml(text: str, *, name: str = "model.toml") -> Model:
         raise LogError(f"{name}: [effects] must hold one table per effect")
     tables = {key: finite_numbers(name, f"effects.{key}", table) for key, table in effects.items()}
     try:
-        found = paper.with_values(**values)
-        if FLANKS in tables and found[DAMPING] == 0.0:
-            found = undamped(found)
-        return Model(found, tables)
+        return Model(paper.with_values(**values), tables)
     except (KeyError, ValueError) as error:
         raise LogError(f"{name}: {error.args[0]}") from None
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from math import cos, isfinite, isnan, sin
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects.shaft_compliance import ShaftCompliance, spring
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import CALLED, GAP, GAP_LAWS, LINEAR, Flags, Floats, Place, Plant
+
+if TYPE_CHECKING:
+    import control
 
 LARGE_SPEED = 1e12  # rad/s or m/s, Stribeck speed of a law without Stribeck friction
 FAR = "_far"  # suffix of the body behind a compliance that splits a declared one
@@ -149,6 +152,16 @@ class RigModel:
     def with_values(self, values: Mapping[str, float]) -> "RigModel":
         """Return the model with values of declared quantities replaced."""
         return replace(self, values={**self.values, **values})
+
+    def check(self) -> None:
+        """Refuse values that no machine has, as a ValueError; see :func:`check_physical`."""
+        check_physical(self)
+
+    def to_blocks(self, **options: Any) -> "control.InterconnectedSystem":
+        """Return the model as python-control blocks, see :func:`.blocks.rig_blocks`."""
+        from dmptm_ctrl.simulate.blocks import rig_blocks
+
+        return rig_blocks(self, **options)
 
     def shifted(self, zeros: Mapping[str, float]) -> "RigModel":
         """Return the model with harmonics of the angle counted from another zero.

@@ -3,6 +3,8 @@
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import cache
+from math import inf
 from os import PathLike
 
 from dmptm_ctrl.diagnosis.negligible import without_negligible
@@ -21,6 +23,7 @@ from dmptm_ctrl.diagnosis.rig_evidence import (
     within_floor,
 )
 from dmptm_ctrl.diagnosis.rig_report import report_of
+from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.rig_screen import (
     other_scale,
     refuse_no_gain,
@@ -33,6 +36,7 @@ from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
+from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.rig_fit import State
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.parallel import small_matrices
@@ -107,6 +111,8 @@ def diagnose_rig(
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
         as_read = _as_read(declared, whole, base, jobs)
     selection = without_negligible(evidence, select_effects(evidence, base, say), rise)
+    helps = confirmation(declared, right, held_logs, jobs)
+    selection = without_negligible(evidence, selection, helps)
     say("looking for curves in what is left")
     found = curves(selection.final)
     if within_floor(selection, predicted(selection.final, found)):
@@ -134,6 +140,24 @@ def diagnose_rig(
         warnings=(*_notes(loaded), *warnings),
         jobs=jobs,
     )
+
+
+def confirmation(
+    rig: Rig, logs: Sequence[Log], held: Balance, jobs: int
+) -> Callable[[RigState, RigState], float]:
+    """Return what tells whether held-out predictions get worse without an effect.
+
+    Infinite where a free run or a short prediction does, else nothing: what helps the balance
+    alone makes up for how it was filtered.
+    """
+    runs = [Runs.none_yet(rig, logs, held, jobs, lead) for lead in (0.0, BANDWIDTH_HZ)]
+    missed = cache(lambda state: [one.missed(state.held_state) for one in runs])
+
+    def helps(without: RigState, final: RigState) -> float:
+        pairs = zip(missed(without), missed(final), strict=True)
+        return inf if any(bare > whole or whole == inf for bare, whole in pairs) else 0.0
+
+    return helps
 
 
 def _as_read(rig: Rig, balance: Balance, base: RigState, jobs: int) -> RigState:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import pi
+from math import inf, pi
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -88,6 +88,16 @@ class Runs:
         lead_hz: float = 0.0,
     ) -> "Runs":
         """Run the models before and after, and some within the standard errors of the latter."""
+        bare = cls.none_yet(rig, logs, balance, jobs, lead_hz)
+        runs = [bare.run(state) for state in (before, after)]
+        floor = bare.scatter(after, fit) if None not in runs else 0.0
+        return replace(bare, before=runs[0], after=runs[1], floor=floor)
+
+    @classmethod
+    def none_yet(
+        cls, rig: Rig, logs: Sequence[Log], balance: Balance, jobs: int, lead_hz: float = 0.0
+    ) -> "Runs":
+        """Return what models are run on, before any is."""
         sensor = next((s for s in rig.sensors if s.measures == "speed"), rig.sensors[0])
         named = {log.name: log for log in logs}
         held = tuple(named[m.name] for m in balance.motions)
@@ -96,10 +106,7 @@ class Runs:
             tenth = np.arange(len(log)) * STRETCHES // len(log)
             masks.append(np.isin(tenth, HELD_STRETCHES) | (motion.part == ""))
         widest = min(BANDWIDTH_HZ, MOTION_OVER_BALANCE * balance.bandwidth)
-        bare = cls(lead_hz, sensor, widest, held, tuple(masks), None, None, 0.0, jobs)
-        runs = [bare.run(state) for state in (before, after)]
-        floor = bare.scatter(after, fit) if None not in runs else 0.0
-        return replace(bare, before=runs[0], after=runs[1], floor=floor)
+        return cls(lead_hz, sensor, widest, held, tuple(masks), None, None, 0.0, jobs)
 
     @property
     def unit(self) -> str:
@@ -139,6 +146,11 @@ class Runs:
         """How far runs are from the readings, where nothing was fitted."""
         rows = zip(self.measured, runs, self.held, strict=True)
         return agreement([(seen[use], run[use]) for seen, run, use in rows])
+
+    def missed(self, state: State) -> float:
+        """What the runs of a model miss, root mean square; infinite where one diverges."""
+        runs = self.run(state)
+        return inf if runs is None else self.agreement(runs)["rmse"]
 
     def scatter(self, after: State, fit: RigFit) -> float:
         """Scatter of runs of models within the standard errors of a fit, and noise."""

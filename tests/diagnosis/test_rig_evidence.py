@@ -1,11 +1,13 @@
 """Evidence for drives by rig.toml, on small machines that are simulated by other means."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL
-from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, split
+from dmptm_ctrl.diagnosis.rig_diagnose import confirmation, diagnose_rig, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, correlation_length
 from dmptm_ctrl.diagnosis.rig_objections import objection
 from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
@@ -95,6 +97,26 @@ def test_an_effect_is_taken_out_again_at_the_cost_of_putting_it_in(rubbing):
     # to second order, the square in standard errors is the evidence; no block is far from normal
     assert evidence.wald(state, "coulomb_friction@motor") > LEVEL
     assert state.fit.errors["coulomb_friction@motor.level"] < 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A model as predictions ask for it."""
+
+    held_state: State
+
+
+def test_predictions_confirm_friction_and_refute_a_delay(rubbing):
+    evidence, base = rubbing
+    (friction,) = evidence.candidates(base, ["coulomb_friction@motor"])
+    state = evidence.adopt(base, friction)
+    held, rig = state.held_state, state.fit.model.rig
+    delay = Placed("drive_delay", rig.inputs[0].name, {"delay": 0.02})
+    late = Held(State(held.model.with_effect(delay), held.logs))
+    logs = logs_of(Bench(Machine(fc=0.03), **SMALL), rig)
+    helps = confirmation(rig, logs, evidence.held, 1)
+    assert helps(base, state) == np.inf
+    assert helps(state, late) == 0.0
 
 
 def test_share_is_what_the_effect_changes(rubbing):

@@ -29,10 +29,16 @@ def loudness(model: RigModel, balance: Balance) -> float:
     Returns
     -------
     float
-        0 where no compliance was added to the declared model.
+        0 without a compliance that was added to the declared model and a lag of the input, which
+        the balance undoes.
     """
     springs = tuple(e for e in model.effects if e.name == SHAFT_COMPLIANCE.name)
-    return _level(model, balance, springs) - _level(model, balance, ()) if springs else 0.0
+    apart = _level(model, balance, springs) - _level(model, balance, ()) if springs else 0.0
+    lags = model.plant().input_values[:, 2]
+    if lags.size > 1:  # the balance does not undo them
+        return apart
+    w = 2 * np.pi * balance.bandwidth * (np.arange(LINES) + 0.5) / LINES
+    return apart + float(0.5 * np.log1p((w * lags[0]) ** 2).mean())
 
 
 def _level(whole: RigModel, balance: Balance, springs: tuple[Placed, ...]) -> float:

@@ -16,10 +16,10 @@ from pathlib import Path
 
 from rigs.rig import make_rig
 
+from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.judge import rise
 from dmptm_ctrl.diagnosis.measure import measure
-from dmptm_ctrl.diagnosis.ranking import name_of
 from dmptm_ctrl.diagnosis.residual import residual
 from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import cross_check, with_sensors

@@ -20,6 +20,11 @@ LEVEL = 50.0
 SURE = 4.0
 
 
+def name_of(key: str) -> str:
+    """Return the name in ``name@place``."""
+    return key.partition("@")[0]
+
+
 def needed(effects: int, *errors: float) -> float:
     """Evidence above which effects are accepted, by their number and its standard errors."""
     return max(LEVEL * effects, SURE * hypot(*errors))

@@ -7,9 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, Floats, Keys, Rows, standard_error
+from dmptm_ctrl.diagnosis.candidate import (
+    LEVEL,
+    Candidate,
+    Floats,
+    Keys,
+    Rows,
+    name_of,
+    standard_error,
+)
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.ranking import name_of
 from dmptm_ctrl.diagnosis.residual import Residual, predicting_fit, residual
 from dmptm_ctrl.diagnosis.trace import Trace, Trial, effect_columns, trace, try_effect, unknowns_of
 from dmptm_ctrl.effects import CATALOGUE

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.candidate import Candidate
+from dmptm_ctrl.diagnosis.candidate import Candidate, name_of
 from dmptm_ctrl.diagnosis.code import rebuilding_code
 from dmptm_ctrl.diagnosis.dual import DualState
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import low_pass, speeds
-from dmptm_ctrl.diagnosis.ranking import best_of, name_of, ranking_of
+from dmptm_ctrl.diagnosis.ranking import best_of, ranking_of
 from dmptm_ctrl.diagnosis.report import UNNAMED, NamedEffect, Picture, estimate
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.tables import Tables

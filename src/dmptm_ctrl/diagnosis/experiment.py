@@ -4,24 +4,27 @@ Both are in fitted models; a signal that drives these apart, against what a free
 anyway, tells one from the other.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
 
+from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import low_pass
-from dmptm_ctrl.diagnosis.ranking import name_of
 from dmptm_ctrl.diagnosis.rig_runs import Runs
-from dmptm_ctrl.diagnosis.select import Selection
+from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.model_file import input_symbol
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import march as march_rig
+
+Task = tuple[Floats, float]  # signals, sample time [s]
+_Key = TypeVar("_Key")
 
 EXPERIMENT_FILE = "next_experiment.csv"
 SECONDS = 20.0
@@ -140,10 +143,32 @@ def apart(one: Floats, other: Floats, dt: float, twist: bool) -> float:
     return float(sum(news * np.mean(np.minimum(np.abs(m), BENT) ** 2) for m in misses))
 
 
-def _contested(selection: Selection) -> Any:
-    """Entry with most effects that it may be confused with; None where there is none."""
+def _contested(selection: Selection) -> tuple[Entry, dict[str, Any]] | None:
+    """Entry with most effects that it may be confused with, and the fits of these, by key.
+
+    They are fitted beside the same other effects, so that only the effect differs. None where
+    there is none.
+    """
     entry = max(selection.entries, key=lambda e: len(e.confusable_with), default=None)
-    return entry if entry is not None and entry.confusable_with else None
+    if entry is None or not entry.confusable_with:
+        return None
+    rivals = (r for r in entry.rivals if r.keys[0] in entry.confusable_with)
+    return entry, {r.keys[0]: r.fitted[0].fit for r in rivals}
+
+
+def _best(
+    told: Callable[[Task], float],
+    planned: Mapping[_Key, Floats],
+    dt: float,
+    logged: Sequence[Task],
+    jobs: int,
+) -> tuple[_Key, float, float]:
+    """Signal that tells most, what it tells, and what the logs told per span of an experiment."""
+    done = in_threads(told, [*((signals, dt) for signals in planned.values()), *logged], jobs)
+    gains = dict(zip(planned, done, strict=False))  # first of all
+    best = max(gains, key=lambda key: gains[key])
+    seconds = sum(signals.shape[1] * step for signals, step in logged)
+    return best, gains[best], sum(done[len(planned) :]) * SECONDS / seconds
 
 
 def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experiment | None:
@@ -152,13 +177,12 @@ def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experimen
     Models are told apart by the sensor that `runs` compare, against what the final model's run
     leaves of it in the logs. It has the logs' sample time and their largest signals.
     """
-    entry = _contested(selection)
-    if entry is None or runs.after is None:
+    contested = _contested(selection)
+    if contested is None or runs.after is None:
         return None
+    entry, rivals = contested
     models: dict[str, RigModel] = {entry.key: selection.final.fit.model}
-    models |= {
-        r.keys[0]: r.fitted[0].fit.model for r in entry.rivals if r.keys[0] in entry.confusable_with
-    }
+    models |= {key: fit.model for key, fit in rivals.items()}
     rig, dt = models[entry.key].rig, runs.logs[0].sample_time
     left = np.concatenate([m - a for m, a in zip(runs.measured, runs.after, strict=True)])
     floor = float(np.sqrt(np.mean(left**2)))
@@ -167,7 +191,7 @@ def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experimen
         (np.array([log[i.channel] for i in rig.inputs]), log.sample_time) for log in runs.logs
     ]
 
-    def told(task: tuple[Floats, float]) -> float:
+    def told(task: Task) -> float:
         signals, step = task
         own, *others = (
             runs.seen(march_rig(m, signals, step).reading(runs.sensor.name), step)
@@ -182,16 +206,13 @@ def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experimen
         for name, (wave, _) in WAVES.items():
             planned[source.name, name] = np.zeros((len(rig.inputs), time.size))
             planned[source.name, name][j] = largest * wave(time)
-    done = in_threads(told, [(signals, dt) for signals in planned.values()] + logged, jobs)
-    gains = dict(zip(planned, done, strict=False))  # first of all
-    best = max(gains, key=lambda key: gains[key])
-    seconds = sum(signals.shape[1] * step for signals, step in logged)
+    best, gain, so_far = _best(told, planned, dt, logged, jobs)
     return Experiment(
         best[1],
         f"{best[0]}, {WAVES[best[1]][1]}",
         tuple(models),
-        gains[best],
-        sum(done[len(planned) :]) * SECONDS / seconds,
+        gain,
+        so_far,
         planned[best],
         tuple(f"{i.name}_{input_symbol(rig, i.name) or '1'}" for i in rig.inputs),
         dt,
@@ -213,23 +234,19 @@ def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> 
     Experiment or None
         None where nothing was found, or nothing else comes near.
     """
-    entry = _contested(selection)
-    if entry is None:
+    contested = _contested(selection)
+    if contested is None:
         return None
-    # rivals are fitted beside the same other effects, so that only the effect differs
+    entry, rivals = contested
     models = {name_of(entry.key): selection.final.left.base.model}
-    models |= {
-        name_of(r.keys[0]): r.fitted[0].fit.model
-        for r in entry.rivals
-        if r.keys[0] in entry.confusable_with
-    }
+    models |= {name_of(key): fit.model for key, fit in rivals.items()}
     twist = measured.has_motor_encoders
     left = selection.base.left
     motions = [*left.balance.motions, *left.held.motions]
     largest = max(float(np.abs(mo.rec.u).max()) for mo in motions)
     time: Floats = SAMPLE_TIME * np.arange(round(SECONDS / SAMPLE_TIME), dtype=np.float64)
 
-    def told(task: tuple[Floats, float]) -> float:
+    def told(task: Task) -> float:
         volts, dt = task
         own, *others = (march(m, volts, rest(m, 0.0), dt) for m in models.values())
         return min(apart(own, other, dt, twist) for other in others)
@@ -237,11 +254,6 @@ def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> 
     signals = {name: largest * np.array(wave(time)) for name, (_, wave) in SIGNALS.items()}
     for volts in signals.values():
         np.clip(volts, -largest, largest, out=volts)
-    planned = [(volts, SAMPLE_TIME) for volts in signals.values()]
-    done = in_threads(told, planned + [(mo.rec.u, mo.rec.dt) for mo in motions], jobs)
-    gains = dict(zip(signals, done, strict=False))  # first of all
-    best = max(gains, key=lambda name: gains[name])
-    seconds = sum(mo.rec.dt * mo.rec.theta.size for mo in motions)
-    so_far = sum(done[len(signals) :]) * SECONDS / seconds
-    description = SIGNALS[best][0]
-    return Experiment(best, description, tuple(models), gains[best], so_far, signals[best])
+    logged = [(mo.rec.u, mo.rec.dt) for mo in motions]
+    best, gain, so_far = _best(told, signals, SAMPLE_TIME, logged, jobs)
+    return Experiment(best, SIGNALS[best][0], tuple(models), gain, so_far, signals[best])

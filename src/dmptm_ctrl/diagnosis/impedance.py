@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dmptm_ctrl.diagnosis.candidate import Floats
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.simulate.linear import linear_train
@@ -18,7 +19,10 @@ LINES = 200  # of the band, over which a resonance's logarithm is even
 
 
 def loudness(model: RigModel, balance: Balance) -> float:
-    """Mean over the band of the logarithm of |torque/acceleration|, over that without springs.
+    """Mean over the band of the logarithm of |torque/acceleration|, less that of a rigid drive.
+
+    Springs that were added to the declared model change it, and the lag of an input: the balance
+    undoes it.
 
     Parameters
     ----------
@@ -29,22 +33,25 @@ def loudness(model: RigModel, balance: Balance) -> float:
     Returns
     -------
     float
-        0 without a compliance that was added to the declared model and a lag of the input, which
-        the balance undoes.
+        0 without such springs and lags.
     """
     springs = tuple(e for e in model.effects if e.name == SHAFT_COMPLIANCE.name)
     apart = _level(model, balance, springs) - _level(model, balance, ()) if springs else 0.0
     lags = model.plant().input_values[:, 2]
     if lags.size > 1:  # the balance does not undo them
         return apart
-    w = 2 * np.pi * balance.bandwidth * (np.arange(LINES) + 0.5) / LINES
-    return apart + float(0.5 * np.log1p((w * lags[0]) ** 2).mean())
+    return apart + float(0.5 * np.log1p((_lines(balance) * lags[0]) ** 2).mean())
+
+
+def _lines(balance: Balance) -> Floats:
+    """Frequencies of the band [rad/s], evenly spaced."""
+    return np.asarray(2 * np.pi * balance.bandwidth * (np.arange(LINES) + 0.5) / LINES)
 
 
 def _level(whole: RigModel, balance: Balance, springs: tuple[Placed, ...]) -> float:
     model = replace(whole, effects=springs)
     train, layout = linear_train(model), model.layout
-    w = 2 * np.pi * balance.bandwidth * (np.arange(LINES)[:, None, None] + 0.5) / LINES
+    w = _lines(balance)[:, None, None]
     torque = train.mass - train.stiffness / w**2 - 1j * train.damping / w
     seen = sorted({layout.coordinate[layout.sensor_body[p.name]] for p in balance.points})
     if 0 not in seen:  # the driven side follows from the other through the spring

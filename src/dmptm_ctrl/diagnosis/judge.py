@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import Errors, Row, Squares, closed_rows, error_entry
+from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.dual import DualState
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import (
@@ -18,7 +19,6 @@ from dmptm_ctrl.diagnosis.predict import (
     speed_error,
     twin_steps,
 )
-from dmptm_ctrl.diagnosis.ranking import name_of
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.diagnosis.sensors import SensorCheck

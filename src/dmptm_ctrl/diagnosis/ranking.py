@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate
+from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, name_of
 from dmptm_ctrl.diagnosis.select import Selection
 
 NOT_TESTABLE = "not testable with these logs"
@@ -49,13 +49,7 @@ def ranking_of(
         elif one is not None and (name in beside or name not in unseen):
             status = "rejected"
             explained = name in rivals or alone.get(name, one).acceptable
-            reason = one.objection or (
-                "other effects explain the same as well"
-                if explained
-                else "held-out logs speak against it"
-                if one.evidence > LEVEL
-                else "too little evidence beside what was found"
-            )
+            reason = why_rejected(one, explained)
         elif name in compared:
             status = "rejected"
         rows.append({
@@ -66,9 +60,15 @@ def ranking_of(
     return sorted(rows, key=lambda row: (row["status"] != "supported", -row["score"]))
 
 
-def name_of(key: str) -> str:
-    """Return the name in ``name@place``."""
-    return key.partition("@")[0]
+def why_rejected(one: Candidate, explained: bool) -> str:
+    """Return the reason; `explained` says whether other effects do what it would."""
+    if one.objection:
+        return one.objection
+    if explained:
+        return "other effects explain the same as well"
+    if one.evidence > LEVEL:
+        return "held-out logs speak against it"
+    return "too little evidence beside what was found"
 
 
 def best_of(candidates: Iterable[Candidate]) -> dict[str, Candidate]:

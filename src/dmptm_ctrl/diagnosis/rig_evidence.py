@@ -8,7 +8,7 @@ from math import isfinite
 import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import NONE, near
-from dmptm_ctrl.diagnosis.candidate import Candidate, Floats, Rows, standard_error
+from dmptm_ctrl.diagnosis.candidate import Candidate, Floats, Rows, name_of, standard_error
 from dmptm_ctrl.diagnosis.impedance import loudness
 from dmptm_ctrl.diagnosis.rig_candidates import (
     MAX_ORDER,
@@ -182,8 +182,8 @@ class RigEvidence:
         keys = tuple(t.key for t in group)
         found = (objection(key, fit, state.fit) for key in keys)
         why = next(filter(None, found), "") if look else ""
-        numbers = sum(len(PLACED_CATALOGUE[k.partition("@")[0]].keep) for k in keys)
-        order = sum(list(PLACED_CATALOGUE).index(k.partition("@")[0]) for k in keys)
+        numbers = sum(len(PLACED_CATALOGUE[name_of(k)].keep) for k in keys)
+        order = sum(list(PLACED_CATALOGUE).index(name_of(k)) for k in keys)
         one = Candidate(keys, -np.inf, 0.0, (group, fit), why, numbers, order)
         try:
             there = self.beside(state, one)
@@ -232,7 +232,7 @@ class RigEvidence:
 
     def _searched(self, key: str) -> float:
         """Evidence that the best of all starts finds where there is none: 2 log of their number."""
-        name = key.partition("@")[0]
+        name = name_of(key)
         seconds = max(float(m.time[-1]) for m in self.logs.motions)
         starts = {"orders": MAX_ORDER, "places": SPOT_BINS,
                   "frequencies": max(int(seconds * self.logs.bandwidth), 1)}  # fmt: skip
@@ -299,7 +299,7 @@ class RigEvidence:
 
     def wald(self, state: RigState, key: str) -> float:
         """Square of an effect's amplitudes in standard errors; 0 where only a refit tells."""
-        if key.partition("@")[0] in STRUCTURES:
+        if name_of(key) in STRUCTURES:
             return 0.0
         own = amplitudes_of(state.fit, key)
         p = np.array([state.fit.state.get(state.fit.frees[j]) for j in own])
@@ -385,7 +385,7 @@ def correlation_length(x: Floats) -> float:
 
 def standing_on(fit: RigFit, key: str) -> set[str]:
     """Effects that sit on a body or link that another effect makes."""
-    if key.partition("@")[0] != SHAFT_COMPLIANCE.name:
+    if name_of(key) != SHAFT_COMPLIANCE.name:
         return set()
     rig, layout = fit.model.rig, fit.model.layout
     own = {b.name for b in rig.bodies} | {k.name for k in rig.links if not k.rigid}

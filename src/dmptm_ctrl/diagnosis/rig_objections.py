@@ -6,7 +6,7 @@ from math import isfinite, pi
 import numpy as np
 from scipy.signal import csd, welch
 
-from dmptm_ctrl.diagnosis.candidate import Floats
+from dmptm_ctrl.diagnosis.candidate import Floats, name_of
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.inverse_dynamics import effective_input
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
@@ -30,7 +30,7 @@ def amplitudes_of(fit: RigFit, key: str) -> list[int]:
 
     A constant beside another amplitude does not make an effect: it would be an offset.
     """
-    chain = PLACED_CATALOGUE[key.partition("@")[0]]
+    chain = PLACED_CATALOGUE[name_of(key)]
     names = [n for n in chain.amplitudes if n not in chain.effect.constants]
     return [
         j for j, f in enumerate(fit.frees)
@@ -54,7 +54,7 @@ def objection(key: str, fit: RigFit, before: RigFit) -> str:
 
 def _nothing(key: str, fit: RigFit) -> str:
     """An amplitude that does not differ from zero."""
-    if key.partition("@")[0] == SPRING:
+    if name_of(key) == SPRING:
         return ""  # its absence is no value of its parameters
     own = amplitudes_of(fit, key)
     if not own:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import EXPLAINED, Errors, Row, closed_rows, error_entry
-from dmptm_ctrl.diagnosis.candidate import LEVEL
+from dmptm_ctrl.diagnosis.candidate import LEVEL, name_of
 from dmptm_ctrl.diagnosis.experiment import rig_experiment
 from dmptm_ctrl.diagnosis.ranking import ranking_of
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture
@@ -236,7 +236,7 @@ def _named(entry: Entry, fit: RigFit, after: float, without: float) -> NamedEffe
         placed.on,
         entry.probability,
         effect_parameters(placed, fit, fit.errors),
-        tuple(dict.fromkeys(k.partition("@")[0] for k in entry.confusable_with)),
+        tuple(dict.fromkeys(name_of(k) for k in entry.confusable_with)),
         f"Without it, −2 log-likelihood rises by {entry.gain:.0f} on the fitted and "
         f"{entry.held_gain:.0f} on the held-out logs (at least {LEVEL:.0f} are needed), and the "
         f"error of the balance from {sqrt(after):.3g} to {sqrt(without):.3g} "

@@ -98,7 +98,6 @@ class Runs:
         cls, rig: Rig, logs: Sequence[Log], balance: Balance, jobs: int, lead_hz: float = 0.0
     ) -> "Runs":
         """Return what models are run on, before any is."""
-        sensor = next((s for s in rig.sensors if s.measures == "speed"), rig.sensors[0])
         named = {log.name: log for log in logs}
         held = tuple(named[m.name] for m in balance.motions)
         masks = []
@@ -106,7 +105,7 @@ class Runs:
             tenth = np.arange(len(log)) * STRETCHES // len(log)
             masks.append(np.isin(tenth, HELD_STRETCHES) | (motion.part == ""))
         widest = min(BANDWIDTH_HZ, MOTION_OVER_BALANCE * balance.bandwidth)
-        return cls(lead_hz, sensor, widest, held, tuple(masks), None, None, 0.0, jobs)
+        return cls(lead_hz, rig.speed_sensor, widest, held, tuple(masks), None, None, 0.0, jobs)
 
     @property
     def unit(self) -> str:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from math import inf
 
 from dmptm_ctrl.contract import RUNS
-from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, needed
+from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, name_of, needed
 from dmptm_ctrl.diagnosis.dual import (
     DualEvidence,
     DualState,
@@ -19,7 +19,6 @@ from dmptm_ctrl.diagnosis.dual import (
 )
 from dmptm_ctrl.diagnosis.judge import rise
 from dmptm_ctrl.diagnosis.negligible import without_negligible
-from dmptm_ctrl.diagnosis.ranking import name_of
 from dmptm_ctrl.diagnosis.residual import predicting
 from dmptm_ctrl.diagnosis.select import MOST, Entry, Selection, best_of, explained, ranked
 from dmptm_ctrl.diagnosis.trace import bent, candidates, starts, weighted_changes

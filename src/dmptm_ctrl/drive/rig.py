@@ -320,6 +320,11 @@ class Rig:
                     if other not in done:
                         waiting.append((depth + 1, k, other))
 
+    @property
+    def speed_sensor(self) -> Sensor:
+        """The first sensor of speed, else the first of all."""
+        return next((s for s in self.sensors if s.measures == "speed"), self.sensors[0])
+
     def body(self, name: str) -> Body:
         """Body by name."""
         return next(b for b in self.bodies if b.name == name)

@@ -19,7 +19,7 @@ from math import sqrt
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position
+from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position, secant
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
 from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.identify.ripple import Ripple
@@ -405,17 +405,14 @@ def fit_balance(
         stalled = gain < (worth if k == 0 else STALLED)
         if stalled and fresh:
             break
+        if not own:
+            continue
         if stalled or balance.led:  # runs bend too much for secants: they meet impacts
             jac, fresh = slopes(), True
-        elif own:
+        else:
             jac, fresh = secant(jac, np.concatenate(parts) - e, p - p0), False
     covariance = covariance_of(weights(parts, kinds)[:, None] * jac, unknowns)
     return BalanceFit(model, unknowns, p, value, parts, kinds, jac, covariance)
-
-
-def secant(slopes: Floats, change: Floats, step: Floats) -> Floats:
-    """Slopes (m, k) that say what a step (k,) changed (m,), and differ least. Broyden 1965."""
-    return np.asarray(slopes + np.outer((change - slopes @ step) / (step @ step), step))
 
 
 def covariance_of(rows: Floats, unknowns: Sequence[Unknown]) -> Floats:

@@ -12,7 +12,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.identify.fit import least_in_box
+from dmptm_ctrl.identify.fit import least_in_box, secant
 from dmptm_ctrl.identify.free_parameters import Floats, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
 from dmptm_ctrl.parallel import in_threads, small_matrices
@@ -310,7 +310,9 @@ def fit_rig(
         gain, was_fresh = 0.0, fresh
         if better is not None:
             gain, fresh = loss - better[3], False
-            slopes = _secant(frees, slopes, left, better[1], state, better[0])
+            step = np.array([(better[0].get(f) - state.get(f)) / f.scale for f in frees])
+            rows = zip(slopes, left, better[1], strict=True)
+            slopes = tuple(secant(p, new - old, step) for p, old, new in rows)
             state, left, drive, loss = better
             frees, slopes = _rescaled(frees, slopes, state)
         if gain < tolerance and was_fresh:
@@ -386,22 +388,6 @@ def slopes_near(
                 other = known[free.label]
                 part[..., j] = near.slopes[k][..., other] * (free.scale / near.frees[other].scale)
     return tuple(slopes)
-
-
-def _secant(
-    frees: Sequence[Free],
-    slopes: Sequence[Floats],
-    old: Sequence[Floats],
-    new: Sequence[Floats],
-    before: State,
-    after: State,
-) -> tuple[Floats, ...]:
-    """Slopes that say what a step did, and change least."""
-    step = np.array([(after.get(f) - before.get(f)) / f.scale for f in frees])
-    return tuple(
-        p + ((n - o - p @ step) / (step @ step))[..., None] * step
-        for p, o, n in zip(slopes, old, new, strict=True)
-    )
 
 
 def _rescaled(

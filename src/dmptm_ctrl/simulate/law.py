@@ -193,9 +193,7 @@ def default_loop(rig: Rig, source: str = "", sensor: str = "") -> tuple[str, str
     """
     own = rig.controller
     source = source or (own.input if own else rig.inputs[0].name)
-    if not sensor:
-        sensor = next((s.name for s in rig.sensors if s.measures == "speed"), rig.sensors[0].name)
-        sensor = own.sensor if own else sensor
+    sensor = sensor or (own.sensor if own else rig.speed_sensor.name)
     for kind, name, parts in (("input", source, rig.inputs), ("sensor", sensor, rig.sensors)):
         names = [part.name for part in parts]
         if name not in names:

@@ -138,7 +138,9 @@ def _command_text(s: Structure, w: Wiring) -> str:
     for side, j in enumerate(w.inputs):
         text.add(*_SIGNAL.format(j=j, side=side, n=len(w.inputs), **vars(core)).splitlines())
     text.add(f"if law[{core.L_KI}] > 0.0:")
-    text.add(f"    memory[{core.M_INTEGRAL}] += law[{core.L_TRACKING}] * dt * lost / law[1]")
+    text.add(
+        f"    memory[{core.M_INTEGRAL}] += law[{core.L_TRACKING}] * dt * lost / law[{core.L_KI}]"
+    )
     arguments = ", ".join(["ref", *(f"y{i}" for i in w.sensors), "t, dt, law, memory, design"])
     return f"@njit\ndef command({arguments}):\n" + "\n".join(text.lines)
 
@@ -175,6 +177,9 @@ memory[{M_LEFT} + {side}] = u
 if law[{L_INVERT}] > 0.0:
     u = drive_{j}(u, t, on, e)
 lost += (u - wanted) / {n}.0"""
+_BACK = """\
+if law[{L_KI}] > 0.0:
+    memory[{M_INTEGRAL}] += law[{L_TRACKING}] * dt * lost / law[{L_KI}]"""
 
 
 def _readings(s: Structure, w: Wiring, text: _Text) -> None:

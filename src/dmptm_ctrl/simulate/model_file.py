@@ -221,12 +221,3 @@ def model_of(text: str, name: str) -> Model | RigModel:
 def model_text(model: Model | RigModel) -> str:
     """Return the text of a model file of any drive."""
     return rig_model_to_toml(model) if isinstance(model, RigModel) else to_toml(model)
-
-
-def read_dual_model(path: str | PathLike[str]) -> Model:
-    """Read the model of a dual-motor drive; one of a rig file is refused in one sentence."""
-    model = read_model(path)
-    if isinstance(model, RigModel):
-        raise LogError(f"{Path(path).name}: a model of rig {model.rig.name!r}; this is only for "
-                       "dual-motor drives")  # fmt: skip
-    return model

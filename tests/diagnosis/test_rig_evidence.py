@@ -104,6 +104,7 @@ class Held:
     """A model as predictions ask for it."""
 
     held_state: State
+    keys: tuple[str, ...]
 
 
 def test_predictions_confirm_friction_and_refute_a_delay(rubbing):
@@ -112,11 +113,13 @@ def test_predictions_confirm_friction_and_refute_a_delay(rubbing):
     state = evidence.adopt(base, friction)
     held, rig = state.held_state, state.fit.model.rig
     delay = Placed("drive_delay", rig.inputs[0].name, {"delay": 0.02})
-    late = Held(State(held.model.with_effect(delay), held.logs))
+    late = Held(State(held.model.with_effect(delay), held.logs), (*state.keys, delay.key))
     logs = logs_of(Bench(Machine(fc=0.03), **SMALL), rig)
     helps = confirmation(rig, logs, evidence.held, 1)
     assert helps(base, state) == np.inf
     assert helps(state, late) == 0.0
+    true = Held(held, late.keys)  # predictions get worse without what it has
+    assert helps(Held(late.held_state, state.keys), true) == np.inf
 
 
 def test_share_is_what_the_effect_changes(rubbing):

@@ -7,6 +7,7 @@ from functools import cache
 from math import inf
 from os import PathLike
 
+from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
 from dmptm_ctrl.diagnosis.rig_curves import (
@@ -41,10 +42,12 @@ from dmptm_ctrl.identify.rig_fit import State
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel, declared_effects
 
 MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
 HOLD_EVERY = 3
+TIMING = ("delay", "lag")  # sites of effects that only shift a signal in time
 MIN_ROWS = 60  # of a log's balance; fewer tell nothing
 
 
@@ -145,15 +148,18 @@ def diagnose_rig(
 def confirmation(
     rig: Rig, logs: Sequence[Log], held: Balance, jobs: int
 ) -> Callable[[RigState, RigState], float]:
-    """Return what tells whether held-out predictions get worse without an effect.
+    """Return what tells whether held-out predictions get worse without a delay or a lag.
 
-    Infinite where a free run or a short prediction does, else nothing: what helps the balance
-    alone makes up for how it was filtered.
+    Infinite where a free run or a short prediction does, and for all other effects; else nothing.
+    The balance compares filtered signals, and what a filter does to them looks like a delay.
     """
     runs = [Runs.none_yet(rig, logs, held, jobs, lead) for lead in (0.0, BANDWIDTH_HZ)]
     missed = cache(lambda state: [one.missed(state.held_state) for one in runs])
 
     def helps(without: RigState, final: RigState) -> float:
+        gone = {name_of(key) for key in final.keys if key not in without.keys}
+        if not any(PLACED_CATALOGUE[name].site in TIMING for name in gone):
+            return inf
         pairs = zip(missed(without), missed(final), strict=True)
         return inf if any(bare > whole or whole == inf for bare, whole in pairs) else 0.0
 

@@ -213,6 +213,8 @@ class Diagnosis:
         if not names and (apart := self._sensors_apart()):
             return f"Sensors of one motion disagree: {apart}; {left}."
         if not names:
+            if self.outside:
+                left += f"; fitted values leave their declared ranges: {', '.join(self.outside)}"
             return f"The declared model lacks something unknown{on}; {left}."
         share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
         if self.verdict == "explained":

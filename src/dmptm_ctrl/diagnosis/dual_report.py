@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dmptm_ctrl.diagnosis.candidate import Candidate, name_of
-from dmptm_ctrl.diagnosis.code import rebuilding_code
 from dmptm_ctrl.diagnosis.dual import DualState
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.predict import low_pass, speeds
@@ -106,10 +105,6 @@ class DualSource:
     def model_toml(self) -> str:
         """Text of model.toml."""
         return to_toml(self.augmented)
-
-    def code(self) -> str:
-        """Program that builds the augmented model from nothing but the package."""
-        return rebuilding_code(self.augmented)
 
     def pictures(self) -> Iterator[Picture]:
         """Orders per turn, and the pinions in their gaps."""

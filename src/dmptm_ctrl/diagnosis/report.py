@@ -101,9 +101,6 @@ class Source(Protocol):
     def model_toml(self) -> str:
         """Text of model.toml."""
 
-    def code(self) -> str:
-        """Program that builds the augmented model in python-control."""
-
     def pictures(self) -> Iterable[Picture]:
         """Pictures that only this kind of drive has."""
 

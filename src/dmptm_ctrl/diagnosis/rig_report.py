@@ -102,10 +102,6 @@ class RigSource:
         """Text of model.toml."""
         return rig_model_to_toml(self.augmented)
 
-    def code(self) -> str:
-        """Program that reads the augmented model."""
-        return CODE
-
     def pictures(self) -> Iterator[Picture]:
         """The gain over frequency, where a compliance was found."""
         from dmptm_ctrl.diagnosis.rig_spectrum import spectrum, spectrum_uri

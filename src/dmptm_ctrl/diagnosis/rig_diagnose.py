@@ -60,30 +60,7 @@ def diagnose_rig(
     jobs: int = 2,
     tell: Callable[[str], None] | None = None,
 ) -> Diagnosis:
-    """Find what the declared model of a rig lacks.
-
-    Parameters
-    ----------
-    logs : folder, files or Logs of the rig
-    rig : Rig or path of a rig file
-        See docs/rig_toml.md.
-    seed : int
-        Kept in the provenance; nothing is drawn at random.
-    jobs : int
-        Threads. The result does not depend on it.
-    tell : callable, optional
-        Gets a line of text as the work goes on.
-
-    Returns
-    -------
-    Diagnosis
-        `.summary()`, `.to_dict()`, `.augmented`, `.plot()`, `.save(folder)`.
-
-    Raises
-    ------
-    LogError
-        Logs or a rig file that cannot be used; the message says why.
-    """
+    """Find what the declared model of a rig lacks; see :func:`~.run.diagnose`."""
     started, say = time.perf_counter(), tell or (lambda _: None)
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
     _refuse_floating(declared)

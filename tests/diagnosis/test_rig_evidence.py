@@ -10,7 +10,7 @@ from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.rig_diagnose import confirmation, diagnose_rig, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, correlation_length
 from dmptm_ctrl.diagnosis.rig_objections import objection
-from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
+from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.rig_fit import Likelihood, State, fit_rig, residuals

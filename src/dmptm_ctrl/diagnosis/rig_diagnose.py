@@ -31,9 +31,9 @@ from dmptm_ctrl.diagnosis.rig_screen import (
     refuse_reversed,
     screen_rig,
 )
-from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.diagnosis.select import select_effects
+from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of

@@ -15,9 +15,8 @@ from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture
 from dmptm_ctrl.diagnosis.rig_curves import Curve, mean_square
 from dmptm_ctrl.diagnosis.rig_evidence import RigState
 from dmptm_ctrl.diagnosis.rig_runs import Runs, variable_of
-from dmptm_ctrl.diagnosis.rig_sensors import SensorFault
 from dmptm_ctrl.diagnosis.select import Entry, Selection
-from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY
+from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY, SensorFault
 from dmptm_ctrl.diagnosis.summary import correlated
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE

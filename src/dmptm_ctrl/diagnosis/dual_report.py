@@ -9,7 +9,7 @@ import numpy as np
 from dmptm_ctrl.diagnosis.candidate import Candidate, name_of
 from dmptm_ctrl.diagnosis.dual import DualState
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.predict import low_pass, speeds
+from dmptm_ctrl.diagnosis.predict import speeds
 from dmptm_ctrl.diagnosis.ranking import best_of, ranking_of
 from dmptm_ctrl.diagnosis.report import UNNAMED, NamedEffect, Picture, estimate
 from dmptm_ctrl.diagnosis.select import Entry, Selection
@@ -17,6 +17,7 @@ from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.fit import Fit
+from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml

@@ -13,9 +13,9 @@ import pandas as pd
 
 from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.predict import low_pass
 from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.select import Entry, Selection
+from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Floats

@@ -10,15 +10,7 @@ from dmptm_ctrl.diagnosis.budget import Errors, Row, Squares, closed_rows, error
 from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.dual import DualState
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.predict import (
-    BANDWIDTH_HZ,
-    apart,
-    free_run,
-    low_pass,
-    noise_below,
-    speed_error,
-    twin_steps,
-)
+from dmptm_ctrl.diagnosis.predict import apart, free_run, speed_error, twin_steps
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.diagnosis.sensors import SensorCheck
@@ -27,6 +19,7 @@ from dmptm_ctrl.diagnosis.unknown import Unexplained
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import FREEDOM, scatter
 from dmptm_ctrl.identify.fit import Fit, place
+from dmptm_ctrl.identify.measured_motion import BANDWIDTH_HZ, low_pass, noise_below
 from dmptm_ctrl.identify.observer_driven import BLOCK_SECONDS, MEMORY_SECONDS, Led
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.diagnosis.predict import BANDWIDTH_HZ
+from dmptm_ctrl.identify.measured_motion import BANDWIDTH_HZ
 from dmptm_ctrl.plots.diagnosis import Curve, Evidence, Overlay
 from dmptm_ctrl.plots.quality import Correlation
 

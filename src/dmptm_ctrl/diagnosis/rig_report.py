@@ -31,13 +31,6 @@ from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Evidence, Overlay
 
-CODE = """\
-import dmptm_ctrl as dm
-
-model = dm.read_model("model.toml")  # beside this report
-plant = dm.linearize(model)  # ct.StateSpace: springs, dampers, viscous friction, lags
-print(plant)
-"""
 SIDES = "before", "after", "floor"
 READ_SPECTRUM = (
     "The response of the sensor to the input on a held-out log, only where the log excites it. "

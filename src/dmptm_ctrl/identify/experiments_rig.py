@@ -126,9 +126,15 @@ def ramp(
         gaps = np.array([model.drive["gap_l"], model.drive["gap_r"]])
         x0[:2] = model.drive["N_2"] * x0[2] + np.sign(rate) * gaps
     out = march(model, u, x0, dt)
-    noise = sensors.gyro * rng.standard_normal(n)
     where = "flank" if from_flank else "gap"
-    return as_log(f"ramp_{where}_{rate:+g}V_s", u, out, noise, dt, sensors=sensors)
+    return as_log(
+        f"ramp_{where}_{rate:+g}V_s",
+        u,
+        out,
+        sensors.gyro * rng.standard_normal(len(out)),
+        dt,
+        sensors=sensors,
+    )
 
 
 def taps(
@@ -158,8 +164,7 @@ def taps(
     )
     u = np.array([wave, -wave])
     out = march(model, u, rest(model, rng.uniform(-0.5, 0.5)), dt)
-    noise = sensors.gyro * rng.standard_normal(wave.size)
-    return as_log("taps", u, out, noise, dt, sensors=sensors)
+    return as_log("taps", u, out, sensors.gyro * rng.standard_normal(len(out)), dt, sensors=sensors)
 
 
 def shaken_turn(
@@ -201,6 +206,7 @@ def shaken_turn(
     u = np.array([turn + preload + wave, turn - preload + sign * wave])
     keep = n - 1  # one sample more than whole periods, so that all their steps are there
     out = march(model, u, rest(model, rng.uniform(-0.5, 0.5)), dt)[keep:]
-    noise = sensors.gyro * rng.standard_normal(len(out))
     name = "shaken_differential" if differential else "shaken_common"
-    return as_log(name, u[:, keep:], out, noise, dt, sensors=sensors)
+    return as_log(
+        name, u[:, keep:], out, sensors.gyro * rng.standard_normal(len(out)), dt, sensors=sensors
+    )

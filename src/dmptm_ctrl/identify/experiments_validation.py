@@ -11,16 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import butter, sosfiltfilt
 
 from dmptm_ctrl.drive import Drive
+from dmptm_ctrl.identify.measured_motion import agreement, low_pass
+from dmptm_ctrl.identify.records import block_mean
 from dmptm_ctrl.signals import Campaign, Log
 from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import Loop, close_loop, march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
 
-BANDWIDTH_HZ = 30.0
-ORDER = 4
 BLOCK = 10  # samples of 1 ms; the fit sees means over 10 ms
 STEP = 0.05  # of half a declared range: beyond the roughness that rattle gives
 STEP_OF_VALUE = 0.1  # at most, where the range is wide
@@ -64,21 +63,9 @@ class Trial(NamedTuple):
     scores: dict[str, Score]
 
 
-def below(signal: Floats, dt: float) -> Floats:
-    """Return the signal below 30 Hz, without delay."""
-    sections = butter(ORDER, BANDWIDTH_HZ, fs=1.0 / dt, output="sos")
-    return np.asarray(sosfiltfilt(sections, signal))
-
-
 def score(measured: Floats, simulated: Floats) -> Score:
     """Compare two signals; r alone ignores a wrong gain and offset, the others do not."""
-    error = measured - simulated
-    spread = measured - measured.mean()
-    return Score(
-        float(np.corrcoef(measured, simulated)[0, 1]),
-        float(100.0 * (1.0 - np.linalg.norm(error) / np.linalg.norm(spread))),
-        float(np.sqrt(np.mean(error**2))),
-    )
+    return Score(**agreement([(measured, simulated)]))
 
 
 def speed_on(model: Model, log: Log, loop: Loop) -> Floats:
@@ -142,7 +129,7 @@ def fit_to_logs(
     low, high = np.array([drive.quantities[n].range for n in names]).T
     declared = np.array([drive[n] for n in names])
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    measured = [_blocks(log["omega_L"]) for log in logs]
+    measured = [block_mean(log["omega_L"], BLOCK) for log in logs]
 
     def place(p: Floats) -> Drive:
         return drive.with_values(**dict(zip(names, (middle + half * p).tolist(), strict=True)))
@@ -151,7 +138,7 @@ def fit_to_logs(
         models = [Model(place(p)) for p in several]
         parts = [several / PRIOR]
         for log, seen in zip(logs, measured, strict=True):
-            miss = (seen - _blocks(speeds_on(models, log, loop))) / SPEED_ERROR
+            miss = (seen - block_mean(speeds_on(models, log, loop), BLOCK)) / SPEED_ERROR
             parts.append(miss * np.sqrt(100.0 / seen.size))  # a log counts as 100 news
         return np.concatenate(parts, axis=1)
 
@@ -193,11 +180,6 @@ def _gauss_newton(
         residual, p, jac=jacobian, bounds=(-1.0, 1.0), max_nfev=ITERATIONS, ftol=1e-3
     )
     return float(fit.cost), np.asarray(fit.x)
-
-
-def _blocks(signal: Floats) -> Floats:
-    n = signal.shape[-1] // BLOCK
-    return np.asarray(signal[..., : n * BLOCK].reshape(*signal.shape[:-1], n, BLOCK).mean(axis=-1))
 
 
 def validate(
@@ -245,8 +227,8 @@ def validate(
         for experiment in judged:
             log = campaign[EXPERIMENTS[experiment][0]]
             dt = log.sample_time
-            measured = below(log["omega_L"], dt)
-            speeds = {n: below(speed_on(m, log, loop), dt) for n, m in models.items()}
+            measured = low_pass(log["omega_L"], dt)
+            speeds = {n: low_pass(speed_on(m, log, loop), dt) for n, m in models.items()}
             scores = {n: score(measured, speed) for n, speed in speeds.items()}
             trials[experiment] = Trial(experiment, log.time, measured, speeds, scores)
     return [trials[e] for e in EXPERIMENTS], fitted

@@ -137,10 +137,7 @@ def _command_text(s: Structure, w: Wiring) -> str:
     text.add(*_SIGNALS.format(n=len(w.inputs), **vars(core)).splitlines())
     for side, j in enumerate(w.inputs):
         text.add(*_SIGNAL.format(j=j, side=side, n=len(w.inputs), **vars(core)).splitlines())
-    text.add(f"if law[{core.L_KI}] > 0.0:")
-    text.add(
-        f"    memory[{core.M_INTEGRAL}] += law[{core.L_TRACKING}] * dt * lost / law[{core.L_KI}]"
-    )
+    text.add(*_BACK.format(**vars(core)).splitlines())
     arguments = ", ".join(["ref", *(f"y{i}" for i in w.sensors), "t, dt, law, memory, design"])
     return f"@njit\ndef command({arguments}):\n" + "\n".join(text.lines)
 

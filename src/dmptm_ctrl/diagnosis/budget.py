@@ -89,13 +89,11 @@ class Row:
 
     Attributes
     ----------
-    name, location : str
     speed_rms, torque_rms : float or None
         What the held-out error rises by without it, root mean square, in the drive's own units;
         None where it does not act on that quantity.
     share : float
         Of the removable mean square; of the mean square before for the last two rows.
-    depends_on : tuple of str
     """
 
     name: str
@@ -122,7 +120,6 @@ def verdict_of(errors: Errors, material: bool, curve: bool) -> str:
 
     Parameters
     ----------
-    errors : Errors
     material : bool
         Whether any named effect is material.
     curve : bool
@@ -148,7 +145,6 @@ def closed_rows(
     ----------
     rows : sequence of Row
         Of the effects, shares of the removable mean square.
-    errors : Errors
     left, floor : (speed, torque)
         Root mean squares of what is not explained, and of the floor.
     depends_on : tuple of str
@@ -177,7 +173,6 @@ def table_lines(rows: Sequence[Row], units: tuple[str, str]) -> list[str]:
 
     Parameters
     ----------
-    rows : sequence of Row
     units : (speed, torque)
         Empty where the drive has no such column.
     """

@@ -62,7 +62,6 @@ class Basis(NamedTuple):
 
     Attributes
     ----------
-    variables : tuple of str
     pinions, ring, shifts : (2, k, n), (k, n), (2, k, n) array
         Torques and twists of each of its knots; those that do not act are of no size.
     order : int

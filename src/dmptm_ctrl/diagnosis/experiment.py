@@ -91,7 +91,6 @@ class Experiment:
 
     Attributes
     ----------
-    name, description : str
     against : tuple of str
         The candidates that it tells apart.
     gain : float
@@ -224,8 +223,6 @@ def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> 
 
     Parameters
     ----------
-    selection : Selection
-    measured : Measured
     jobs : int
         Threads. The result does not depend on it.
 

@@ -70,10 +70,6 @@ def _title(diagnosis: "Diagnosis") -> str:
 def render(diagnosis: "Diagnosis") -> str:
     """Return the report of a diagnosis.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-
     Returns
     -------
     str

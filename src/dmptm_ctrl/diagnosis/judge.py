@@ -36,8 +36,6 @@ class Judged:
 
     Attributes
     ----------
-    errors : Errors
-    rows : tuple of Row
     error : dict
         The entry of diagnosis.json.
     """

@@ -18,7 +18,6 @@ class Measured:
 
     Attributes
     ----------
-    logs : sequence of Log
     fit, held : tuples of Record
         Fitted on, and judged on: other amplitudes of the same kinds of experiment.
     drive : Drive

@@ -182,8 +182,6 @@ def speed_error(model: Model, logs: Sequence[Log], jobs: int = 1) -> dict[str, f
 
     Parameters
     ----------
-    model : Model
-    logs : sequence of Log
     jobs : int
         Threads.
 

@@ -29,7 +29,6 @@ def correlations(overlays: Sequence[Overlay], which: str) -> tuple[Correlation, 
 
     Parameters
     ----------
-    overlays : sequence of Overlay
     which : "before" or "after"
 
     Returns
@@ -60,7 +59,6 @@ def autocorrelation(signals: Sequence[Floats], lags: int, step: float) -> Correl
     Parameters
     ----------
     signals : sequence of (n,) arrays
-    lags : int
     step : float
         Time between samples [s].
     """

@@ -38,10 +38,8 @@ class Residual:
 
     Attributes
     ----------
-    measured : Measured
     balance, held : Balance
         Missing torques on the logs that fit and on those that judge.
-    base : BalanceFit
     """
 
     measured: Measured

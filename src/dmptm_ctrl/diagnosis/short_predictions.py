@@ -35,7 +35,6 @@ def with_short_predictions(
 
     Parameters
     ----------
-    evidence : DualEvidence
     selection : Selection
         Of the balances.
     say : callable

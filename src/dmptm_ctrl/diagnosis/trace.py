@@ -50,7 +50,6 @@ class Trial:
         Fall of the loss on the fitted logs, a log-likelihood ratio times two.
     held_gain : float
         Fall of the loss on the held-out logs, nothing refitted.
-    fit : BalanceFit
     """
 
     name: str

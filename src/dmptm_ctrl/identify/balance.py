@@ -64,7 +64,6 @@ class Balance:
 
     Parameters
     ----------
-    motions : sequence of Motion
     declared : Model
         Tells which meshes push firmly; which windows count does not follow a fit.
     jobs : int

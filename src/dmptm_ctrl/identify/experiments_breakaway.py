@@ -62,7 +62,6 @@ def ring_breakaway(
 
     Parameters
     ----------
-    logs : iterable of Log
     drive : Drive
         K_d, K_M, N1, N2 and the inertias are used.
     reducers : dict of str to Estimate

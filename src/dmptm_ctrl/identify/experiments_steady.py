@@ -63,7 +63,6 @@ class SteadyResult:
     ----------
     estimates : mapping of str to Estimate
         gap_l, gap_r [rad], k_m [N·m/rad].
-    reducer, ring : FrictionPoints
     """
 
     estimates: Mapping[str, Estimate]
@@ -178,7 +177,6 @@ def stribeck_fit(points: FrictionPoints, *, exponent: float = 1.0) -> dict[str, 
 
     Parameters
     ----------
-    points : FrictionPoints
     exponent : float
         δ, which the paper takes as 1.
 

@@ -117,7 +117,6 @@ def fit_to_logs(
     ----------
     drive : Drive
         Declares which parameters are free and their ranges; its values are the first start.
-    logs : sequence of Log
     loop : Loop
         Of the closed-loop logs.
     starts : int

@@ -29,7 +29,6 @@ class Unknown:
     ----------
     effect : str or None
         None for a parameter of the drive.
-    name : str
     centre, scale : float
         value = centre + scale · p.
     low, high : float

@@ -53,7 +53,6 @@ class Point:
     ----------
     name : str
         Of the sensor that gives the acceleration.
-    sensors : tuple of str
     """
 
     name: str
@@ -94,8 +93,6 @@ class Balance:
 
     Attributes
     ----------
-    rig : Rig
-    points : tuple of Point
     bandwidth : float
         Of the balance [Hz].
     motions : tuple of Motion

@@ -60,7 +60,6 @@ class Motion:
 
     Attributes
     ----------
-    name : str
     dt : float
         Sample time [s].
     time : (n,) array

@@ -78,15 +78,12 @@ class RigFit:
 
     Attributes
     ----------
-    state : State
-    frees : tuple of Free
     left : tuple of (equations, rows) arrays
         Residual per log.
     drive : tuple of (rows,) arrays
         Driving torque per log.
     slopes : tuple of (equations, rows, free numbers) arrays
         Derivatives of the residual per log, per scale of each number.
-    likelihood : Likelihood
     loss : float
         −2 log-likelihood, and the declared ranges.
     """
@@ -141,7 +138,6 @@ class Likelihood:
 
     Attributes
     ----------
-    balance : Balance
     news : (equations,) array
         Share of the rows of each equation that is independent.
     """
@@ -279,7 +275,6 @@ def fit_rig(
     ----------
     state : State
         Where to start; every quantity has a value.
-    balance : Balance
     frees : sequence of Free, optional
         By default all of `free_parameters`.
     iterations : int
@@ -290,10 +285,6 @@ def fit_rig(
         Share of the rows of each equation that is independent.
     near : RigFit, optional
         Of a model without some effects: the slopes of what both have are nearly its own.
-
-    Returns
-    -------
-    RigFit
     """
     scales = scales_of(balance)
     if frees is None:

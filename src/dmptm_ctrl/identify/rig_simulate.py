@@ -68,8 +68,6 @@ def free_run(
 
     Parameters
     ----------
-    model : RigModel
-    log : Log
     start : positions and speeds of bodies, optional
         By default what the log shows.
     lead_hz : float

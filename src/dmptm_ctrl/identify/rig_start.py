@@ -27,7 +27,6 @@ class Spring(NamedTuple):
     Attributes
     ----------
     antiresonance : float [rad/s]
-    damping_ratio : float
     near, far : float
         Inertias [kg·m² or kg].
     """

@@ -72,7 +72,6 @@ def march_any(
 
     Parameters
     ----------
-    models : sequence of Model
     u, x0, measured
         As there, of all or (batch, …) of each; `dt`, `substeps`, `observer`, `begin` of all.
     columns : sequence of int

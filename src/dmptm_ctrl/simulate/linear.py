@@ -53,7 +53,6 @@ def turning(
 
     Parameters
     ----------
-    model : Model
     speed : float
         Of the ring gear [rad/s]; not 0, where friction leaves the balance open.
     preload : float

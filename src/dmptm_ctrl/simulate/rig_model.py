@@ -87,7 +87,6 @@ class RigModel:
 
     Attributes
     ----------
-    rig : Rig
     effects : tuple of Placed
         Left out: those that the rig declares.
     values : mapping
@@ -203,7 +202,6 @@ class Layout(NamedTuple):
 
     Attributes
     ----------
-    bodies, links, inputs : tuple of str
     coordinate : dict
         Body → index of its coordinate.
     ratio : dict

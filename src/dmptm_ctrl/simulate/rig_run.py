@@ -107,7 +107,6 @@ def march(
 
     Parameters
     ----------
-    model : RigModel
     u : (inputs, n) array
         Signals of the inputs, SI, held from each sample to the next.
     dt : float
@@ -132,10 +131,6 @@ def march(
         Of an earlier run of the same model, to go on from.
     observer, measured : Observer and (m, n) array, optional
         Lead the run by what its sensors measured.
-
-    Returns
-    -------
-    RigRun
     """
     plant, layout = model.plant(), model.layout
     n = u.shape[1]

@@ -104,14 +104,12 @@ def _at_rest(model: Model, log: Log) -> Floats:
     return rest(model, theta, motors=motors if len(motors) == 2 else None)
 
 
-def fit_to_logs(
-    drive: Drive, logs: Sequence[Log], loop: Loop, *, starts: int = STARTS, seed: int = 0
-) -> Drive:
+def fit_to_logs(drive: Drive, logs: Sequence[Log], loop: Loop) -> Drive:
     """Fit all free parameters of a drive to the speeds of logs, inside their ranges.
 
     The same for every model, so that none is favoured: least squares on 10 ms means, every
     log with the same weight, a weak pull to the middle of the declared ranges, the best of
-    several starts.
+    :data:`STARTS` places scattered over the ranges.
 
     Parameters
     ----------
@@ -119,10 +117,6 @@ def fit_to_logs(
         Declares which parameters are free and their ranges; its values are the first start.
     loop : Loop
         Of the closed-loop logs.
-    starts : int
-        The others are scattered over the ranges.
-    seed : int
-        Of the scatter.
     """
     names = drive.free
     low, high = np.array([drive.quantities[n].range for n in names]).T
@@ -146,10 +140,10 @@ def fit_to_logs(
         by_value = STEP_OF_VALUE * np.abs(middle + half * p) / half
         return np.clip(by_value, 1e-3 * STEP, STEP)
 
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     wide = half > np.abs(declared)
     found = []
-    for i in range(starts):
+    for i in range(STARTS):
         start = declared
         if i > 0:
             start = np.where(

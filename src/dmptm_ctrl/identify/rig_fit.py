@@ -13,15 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.identify.fit import least_in_box, secant
-from dmptm_ctrl.identify.free_parameters import Floats, Free, free_parameters, scales_of
+from dmptm_ctrl.identify.free_parameters import Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
 from dmptm_ctrl.parallel import in_threads, small_matrices
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 ROWS_PER_NEWS = 8.0  # rows that count as one, where nothing better is known
 LEAST_SCALE = 0.005  # of the torque; friction laws are not known more finely
 BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
+TOLERANCE = 0.3  # a fit stops when −2 log-likelihood falls by less
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
 
 
@@ -261,7 +263,6 @@ def fit_rig(
     *,
     frees: Sequence[Free] | None = None,
     iterations: int = 6,
-    tolerance: float = 0.3,
     news: Floats | None = None,
     near: RigFit | None = None,
     jobs: int = 2,
@@ -279,8 +280,6 @@ def fit_rig(
         By default all of `free_parameters`.
     iterations : int
         At most.
-    tolerance : float
-        Stops when −2 log-likelihood falls by less.
     news : (equations,) array, optional
         Share of the rows of each equation that is independent.
     near : RigFit, optional
@@ -306,10 +305,10 @@ def fit_rig(
             slopes = tuple(secant(p, new - old, step) for p, old, new in rows)
             state, left, drive, loss = better
             frees, slopes = _rescaled(frees, slopes, state)
-        if gain < tolerance and was_fresh:
+        if gain < TOLERANCE and was_fresh:
             break
         # gaps bend too much for secants
-        if gain < tolerance or state.model.layout.links:
+        if gain < TOLERANCE or state.model.layout.links:
             slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs), True
     if not fresh:
         slopes = jacobian(state, balance, frees, left, jobs=jobs)

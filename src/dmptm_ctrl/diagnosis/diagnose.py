@@ -46,38 +46,33 @@ def diagnose_dual(
     `logs` have channels u_left, u_right [V], theta_L [rad], omega_L [rad/s]; theta_ml, theta_mr
     [rad] where there are motor encoders.
     """
-    with crew(jobs):
-        return _diagnosed(logs, declared, jobs, seed, tell)
-
-
-def _diagnosed(
-    logs: Iterable[Log], declared: Drive, jobs: int, seed: int, tell: Callable[[str], None]
-) -> Diagnosis:
     start = time.perf_counter()
-    campaign, notes = screen(logs, declared)
-    measured = measure(tuple(campaign), declared)
-    sensors = cross_check((*measured.fit, *measured.held))
-    model = with_sensors(Model(declared), sensors)
-    if model.effects:
-        measured = measured.started(model)
-    base = DualState(residual(measured, model, jobs=jobs))
-    evidence = DualEvidence(measured, tuple(sensors.values), jobs)
-    selection = without_negligible(evidence, select_effects(evidence, base, tell), rise)
-    selection = with_short_predictions(evidence, selection, tell)
-    left = of_windows(selection.final.left)
-    rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
-    rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)
-    before = simulated(measured, base.left, declared, jobs)
-    best = tables.left if tables else selection.final.left
-    after = simulated(measured, best, declared, jobs)
-    judged = judge(measured, selection, sensors, (before, after), tables, rest, jobs)
-    final = on_all_logs(measured, best, after, declared, jobs)
-    effects = [named(e, final, judged.share_of(e.key)) for e in selection.entries]
-    effects += [
-        sensor_effect(name, sensors, final, judged.share_of(name)) for name in model.effects
-    ]
-    curve = [] if tables is None else [unnamed(tables, judged.unexplained_share)]
-    material = any(e.material for e in effects)
+    with crew(jobs):
+        campaign, notes = screen(logs, declared)
+        measured = measure(tuple(campaign), declared)
+        sensors = cross_check((*measured.fit, *measured.held))
+        model = with_sensors(Model(declared), sensors)
+        if model.effects:
+            measured = measured.started(model)
+        base = DualState(residual(measured, model, jobs=jobs))
+        evidence = DualEvidence(measured, tuple(sensors.values), jobs)
+        selection = without_negligible(evidence, select_effects(evidence, base, tell), rise)
+        selection = with_short_predictions(evidence, selection, tell)
+        left = of_windows(selection.final.left)
+        rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
+        rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)
+        before = simulated(measured, base.left, declared, jobs)
+        best = tables.left if tables else selection.final.left
+        after = simulated(measured, best, declared, jobs)
+        judged = judge(measured, selection, (before, after), tables, rest, jobs)
+        final = on_all_logs(measured, best, after, declared, jobs)
+        effects = [named(e, final, judged.share_of(e.key)) for e in selection.entries]
+        effects += [
+            sensor_effect(name, sensors, final, judged.share_of(name)) for name in model.effects
+        ]
+        curve = [] if tables is None else [unnamed(tables, judged.unexplained_share)]
+        material = any(e.material for e in effects)
+        experiment = next_experiment(selection, measured, jobs)
     by_encoders = tuple(n for n, e in CATALOGUE.items() if e.seen_by == MOTOR_ENCODERS)
     return Diagnosis(
         verdict=verdict_of(judged.errors, material, rest is not None),
@@ -105,7 +100,7 @@ def _diagnosed(
             time.perf_counter() - start,
         ),
         warnings=tuple(dict.fromkeys((*notes, *measured.warnings))),
-        experiment=next_experiment(selection, measured, jobs),
+        experiment=experiment,
     )
 
 

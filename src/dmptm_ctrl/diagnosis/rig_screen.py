@@ -9,8 +9,8 @@ import numpy as np
 from dmptm_ctrl.diagnosis.screen import MAX_ROWS, STRANGE, VAGUE, cut
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
 from dmptm_ctrl.drive.rig_tables import si_symbol
-from dmptm_ctrl.identify.free_parameters import Floats
 from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.signals.campaign import without_duplicates
 from dmptm_ctrl.signals.plausible import (

@@ -197,12 +197,12 @@ def sensor_faults(rig: Rig, logs: Sequence[Log]) -> list[SensorFault]:
             for log in logs
         ]
         check = cross_check(readings, turns=not rig.body(angle.body).linear)
-        for fault in _of(rig, check, angle, speed):
+        for fault in _of(check, angle, speed):
             found.setdefault(fault.placed.key, fault)
     return list(found.values())
 
 
-def _of(rig: Rig, check: SensorCheck, angle: Sensor, speed: Sensor) -> list[SensorFault]:
+def _of(check: SensorCheck, angle: Sensor, speed: Sensor) -> list[SensorFault]:
     faults = []
     for name in check.values:
         if not check.significant(name):

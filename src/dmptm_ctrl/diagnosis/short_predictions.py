@@ -50,7 +50,7 @@ def with_short_predictions(
     found: dict[str, list[Candidate]] = {}
     tried: list[Candidate] = []
     while len(state.keys) < MOST:
-        names = likely(evidence, state, open_names(evidence, state))
+        names = likely(state, open_names(evidence, state))
         tried = ranked(evidence.beyond(state, names))
         able = [c for c in tried if c.acceptable]
         if not able:
@@ -107,7 +107,7 @@ def open_names(evidence: DualEvidence, state: DualState) -> list[str]:
     return [name for name in names if key_of(name) not in state.keys]
 
 
-def likely(evidence: DualEvidence, state: DualState, names: Sequence[str]) -> list[str]:
+def likely(state: DualState, names: Sequence[str]) -> list[str]:
     """Effects that may explain most: to first order, or as they are at a clearly visible size."""
     base, view = state.left.base, state.trace
     models: list[Model] = []

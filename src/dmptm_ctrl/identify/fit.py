@@ -45,6 +45,12 @@ class Unknown:
     high: float
     prior: float
 
+    def of(self, model: Model) -> float:
+        """Return the value that a model has."""
+        if self.effect is None:
+            return float(model.drive[self.name])
+        return float(model.effects.get(self.effect, {}).get(self.name, 0.0))
+
 
 def drive_unknowns(model: Model) -> tuple[Unknown, ...]:
     """Return the free parameters of the drive, centred on their declared ranges."""
@@ -88,13 +94,7 @@ def place(model: Model, unknowns: Sequence[Unknown], p: Floats) -> Model:
 
 def position(model: Model, unknowns: Sequence[Unknown]) -> Floats:
     """Return `p` for the values that the model has."""
-    values = [
-        model.drive[k.name]
-        if k.effect is None
-        else model.effects.get(k.effect, {}).get(k.name, 0.0)
-        for k in unknowns
-    ]
-    return np.array([(v - k.centre) / k.scale for v, k in zip(values, unknowns, strict=True)])
+    return np.array([(k.of(model) - k.centre) / k.scale for k in unknowns])
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """Position, speed and acceleration of measured bodies from a log, at the bandwidth it allows."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from math import ceil
@@ -216,14 +216,8 @@ def _step(sensor: Sensor, y: Floats) -> float:
     return float(np.median(different))
 
 
-def prepare(
-    log: Log,
-    rig: Rig,
-    sights: dict[str, Sight],
-    bandwidth: float,
-    late: Mapping[str, float] | None = None,
-) -> Motion:
-    """Filter one log into the motion of its measured bodies, late sensors put right.
+def prepare(log: Log, rig: Rig, sights: dict[str, Sight], bandwidth: float) -> Motion:
+    """Filter one log into the motion of its measured bodies.
 
     Parameters
     ----------
@@ -240,8 +234,6 @@ def prepare(
     rest = REST_SHARE
     for body, sight in sights.items():
         raw = log[sight.sensor.channel]
-        if late and late.get(sight.sensor.name):
-            raw = on_time(raw, dt, late[sight.sensor.name])
         signal = sosfiltfilt(sos, raw, padlen=_padding(log, cut))
         if sight.sensor.measures == "position":
             q[body] = signal
@@ -346,3 +338,12 @@ def noise_below(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -
     rough = np.diff(signal, 2)
     white = float(np.median(np.abs(rough))) / NORMAL_MEDIAN / np.sqrt(6.0)
     return white * float(np.sqrt(min(2.0 * bandwidth_hz * dt, 1.0)))
+
+
+def correlation_length(x: Floats) -> float:
+    """Rows that count as one: 1 + 2 Σ ρ, up to the first that is not positive."""
+    power = np.abs(np.fft.rfft(x, 2 * x.size)) ** 2
+    rho = np.fft.irfft(power)[: x.size]
+    rho = rho / rho[0] if rho[0] > 0.0 else rho
+    ends = np.flatnonzero(rho <= 0.0)
+    return 1.0 + 2.0 * float(np.sum(rho[1 : ends[0] if ends.size else x.size]))

@@ -256,7 +256,7 @@ def _forward(s: Structure, w: Wiring, text: _Text) -> None:
             _pressed(s, k, c, through, loads)
             _need(s, w, text, c, loads)
             text.add(f"share = share + need{c}")
-        _volts(s, w, text, side, path[-1])
+        _volts(s, w, text, side)
 
 
 def _press(
@@ -337,7 +337,7 @@ def _rub(s: Structure, text: _Text, g: int, b: int, load: str) -> None:
     )
 
 
-def _volts(s: Structure, w: Wiring, text: _Text, side: int, g: int) -> None:
+def _volts(s: Structure, w: Wiring, text: _Text, side: int) -> None:
     """Signal of an input that gives its share, and what effects at the motor take."""
     j = w.inputs[side]
     b = s.inputs[j][0]

@@ -37,6 +37,7 @@ from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop, close_loop, march, rest
 from dmptm_ctrl.simulate.linear import linearize
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model_file import model_text
 
 COSINE, SINE = 6.0, -3.0  # N·m
 DEG = np.pi / 180
@@ -336,7 +337,7 @@ def test_the_code_reads_the_model(tmp_path):
     diagnosis = made("explained")
     shown = re.search(r"<code>(import numpy.*?)</code>", rendered("explained"), re.S)
     (tmp_path / "read.py").write_text(unescape(shown[1]), encoding="utf-8")
-    (tmp_path / "model.toml").write_text(diagnosis.source.model_toml(), encoding="utf-8")
+    (tmp_path / "model.toml").write_text(model_text(diagnosis.augmented), encoding="utf-8")
     program = (
         "import runpy, numpy as np\n"
         "made = runpy.run_path('read.py')\n"

@@ -20,7 +20,6 @@ from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.model_file import to_toml
 
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Evidence, Overlay
@@ -102,10 +101,6 @@ class DualSource:
         from dmptm_ctrl.diagnosis.dual_figures import folded
 
         return folded(self, effect.name if effect else "", tuple(depends_on))
-
-    def model_toml(self) -> str:
-        """Text of model.toml."""
-        return to_toml(self.augmented)
 
     def pictures(self) -> Iterator[Picture]:
         """Orders per turn, and the pinions in their gaps."""

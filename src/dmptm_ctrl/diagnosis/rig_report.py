@@ -24,7 +24,7 @@ from dmptm_ctrl.identify.free_parameters import on_slide
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.rig_fit import RigFit, State
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.model_file import input_symbol, rig_model_to_toml, unit_at
+from dmptm_ctrl.simulate.model_file import input_symbol, unit_at
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
@@ -89,10 +89,6 @@ class RigSource:
             effect.name if effect else "",
             torque_unit(self.rig),
         )
-
-    def model_toml(self) -> str:
-        """Text of model.toml."""
-        return rig_model_to_toml(self.augmented)
 
     def pictures(self) -> Iterator[Picture]:
         """The gain over frequency, where a compliance was found."""

@@ -94,10 +94,7 @@ def diagnose_dual(
         source=DualSource(measured, selection, (before, after), final.model),
         correlations=correlated(labels(final), final.covariance),
         provenance=provenance(
-            measured.logs,
-            [rec.name for rec in measured.held],
-            seed,
-            time.perf_counter() - start,
+            measured.logs, [rec.name for rec in measured.held], seed, time.perf_counter() - start
         ),
         warnings=tuple(dict.fromkeys((*notes, *measured.warnings))),
         experiment=experiment,

@@ -105,10 +105,7 @@ def abscissa(
     table: dict[str, tuple[Floats, str]] = {
         "theta_L": (np.rad2deg(rec.theta), "ring-gear angle [deg]"),
         "omega_L": (np.rad2deg(low_pass(rec.omega, rec.dt)), "ring-gear speed [deg/s]"),
-        "omega_m": (
-            low_pass(rec.omega, rec.dt) * n1 * model.drive["N_2"],
-            "motor speed [rad/s]",
-        ),
+        "omega_m": (low_pass(rec.omega, rec.dt) * n1 * model.drive["N_2"], "motor speed [rad/s]"),
         "acceleration": (
             np.rad2deg(np.gradient(low_pass(rec.omega, rec.dt), rec.dt)),
             "acceleration of the ring gear [deg/s²]",

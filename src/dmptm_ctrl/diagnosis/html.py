@@ -7,13 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dmptm_ctrl.diagnosis.quality import correlations
-from dmptm_ctrl.plots.diagnosis import (
-    Evidence,
-    Overlay,
-    plot_budget,
-    plot_evidence,
-    plot_overlay,
-)
+from dmptm_ctrl.plots.diagnosis import Evidence, Overlay, plot_budget, plot_evidence, plot_overlay
 from dmptm_ctrl.plots.page import data_uri, environment, number, words
 from dmptm_ctrl.plots.quality import Correlation, plot_correlation
 

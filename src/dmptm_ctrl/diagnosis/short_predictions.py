@@ -11,12 +11,7 @@ from math import inf
 
 from dmptm_ctrl.contract import RUNS
 from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, name_of, needed
-from dmptm_ctrl.diagnosis.dual import (
-    DualEvidence,
-    DualState,
-    fall,
-    key_of,
-)
+from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, fall, key_of
 from dmptm_ctrl.diagnosis.judge import rise
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.residual import predicting

@@ -372,10 +372,7 @@ def candidates(trace: Trace, skip: Iterable[str], *, everything: bool = False) -
 
 
 def trace(
-    left: Residual,
-    skip: Iterable[str] = (),
-    only: Sequence[str] | None = None,
-    least: float = 0.0,
+    left: Residual, skip: Iterable[str] = (), only: Sequence[str] | None = None, least: float = 0.0
 ) -> list[Trial]:
     """Fit testable effects, all or some, beside the model of `left`; most evidence first.
 

@@ -415,10 +415,7 @@ def covariance_of(rows: Floats, unknowns: Sequence[Unknown]) -> Floats:
 
 
 def settled_fit(
-    balance: Balance,
-    model: Model,
-    unknowns: Sequence[Unknown],
-    jacobian: Floats | None = None,
+    balance: Balance, model: Model, unknowns: Sequence[Unknown], jacobian: Floats | None = None
 ) -> BalanceFit:
     """Fit to the end, from here and from where outliers count in full; return the better.
 

@@ -147,9 +147,7 @@ def fit_to_logs(drive: Drive, logs: Sequence[Log], loop: Loop) -> Drive:
         start = declared
         if i > 0:
             start = np.where(
-                wide,
-                declared * np.exp(rng.normal(size=low.size)),
-                rng.uniform(low, high),
+                wide, declared * np.exp(rng.normal(size=low.size)), rng.uniform(low, high)
             )
         p = np.clip((start - middle) / half, -INSIDE, INSIDE)
         found.append(_gauss_newton(residuals, p, steps))

@@ -314,10 +314,7 @@ def _through_spring(
 
 
 def _links(
-    model: RigModel,
-    motion: Motion,
-    measured: Moves,
-    nuisance: Nuisance,
+    model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance
 ) -> dict[str, Floats]:
     """Torque of every link along the log; coordinates without sensors are simulated."""
     layout = model.layout

@@ -221,12 +221,7 @@ def _one(state: State, balance: Balance, k: int) -> tuple[Floats, Floats]:
 
 
 def jacobian(
-    state: State,
-    balance: Balance,
-    frees: Sequence[Free],
-    left: Sequence[Floats],
-    *,
-    jobs: int = 2,
+    state: State, balance: Balance, frees: Sequence[Free], left: Sequence[Floats], *, jobs: int = 2
 ) -> tuple[Floats, ...]:
     """Return the derivatives of the residual per log, per scale of each number."""
     columns = [np.zeros((*part.shape, len(frees))) for part in left]

@@ -14,19 +14,8 @@ import numpy as np
 from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
 from dmptm_ctrl.effects.reducer_compliance import REDUCER_COMPLIANCE
 from dmptm_ctrl.identify.disturbance import Course, Rows, course, disturbance
-from dmptm_ctrl.identify.motion import (
-    Motion,
-    averaged,
-    odd_span,
-    second_difference,
-    smooth,
-)
-from dmptm_ctrl.simulate.along import (
-    Acting,
-    built_up_along,
-    law_along,
-    reading_along,
-)
+from dmptm_ctrl.identify.motion import Motion, averaged, odd_span, second_difference, smooth
+from dmptm_ctrl.simulate.along import Acting, built_up_along, law_along, reading_along
 from dmptm_ctrl.simulate.dual import MOTORS, RING
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plant import Plant

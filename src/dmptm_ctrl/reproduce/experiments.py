@@ -6,13 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.identify.experiments_validation import (
-    EXPERIMENTS,
-    Score,
-    Trial,
-    score,
-    speed_on,
-)
+from dmptm_ctrl.identify.experiments_validation import EXPERIMENTS, Score, Trial, score, speed_on
 from dmptm_ctrl.identify.frequency_response import (
     FrequencyResponse,
     from_log,

@@ -6,7 +6,7 @@ out and the rest is refitted, over the removable mean square, before less floor.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import sqrt
 from typing import Any, NamedTuple
 
@@ -105,14 +105,7 @@ class Row:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of diagnosis.json."""
-        return {
-            "name": self.name,
-            "location": self.location,
-            "speed_rms": self.speed_rms,
-            "torque_rms": self.torque_rms,
-            "share": self.share,
-            "depends_on": list(self.depends_on),
-        }
+        return {**asdict(self), "depends_on": list(self.depends_on)}
 
 
 def verdict_of(errors: Errors, material: bool, curve: bool) -> str:

@@ -258,19 +258,14 @@ def places(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     return [trials[i] for i in np.argsort(-np.array(gains))[:STARTS]]
 
 
-def saturations(trace: Trace, effect: Effect) -> list[dict[str, float]]:
-    """Limits below the largest voltage of the logs."""
-    top = max(float(np.abs(mo.rec.u).max()) for mo in trace.balance.motions)
-    return [{"inverse_limit": 1.0 / (share * top)} for share in SATURATED]
-
-
 SEARCHES = {"frequencies": frequencies, "orders": orders, "places": places}
 
 
 def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     """Values to start fits of an effect at."""
     if effect.search == "limits":
-        return saturations(trace, effect)
+        top = max(float(np.abs(mo.rec.u).max()) for mo in trace.balance.motions)
+        return [{"inverse_limit": 1.0 / (share * top)} for share in SATURATED]
     if effect.starts:
         still = dict.fromkeys(effect.amplitudes, 0.0)
         steps = {p.name: p.step for p in effect.parameters}
@@ -318,17 +313,11 @@ def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
     if trace.balance.led:  # runs cost most: from the best start alone
         parts = trace.balance.missing_of(models)
         models = [models[int(np.argmin([surprise(one, trace.base.kinds) for one in parts]))]]
-    fits: list[BalanceFit] = []
-    for model in models:
-        fits.append(
-            fit_balance(
-                trace.balance,
-                model,
-                (*trace.base.unknowns, *unknowns_of(name)),
-                jacobian=trace.base.jacobian,
-                worth=STALLED,
-            )
-        )
+    unknowns, jacobian = (*trace.base.unknowns, *unknowns_of(name)), trace.base.jacobian
+    fits = [
+        fit_balance(trace.balance, model, unknowns, jacobian=jacobian, worth=STALLED)
+        for model in models
+    ]
     return tried(trace, name, min(fits, key=lambda f: f.loss))
 
 

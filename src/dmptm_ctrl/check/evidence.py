@@ -15,7 +15,7 @@ from dmptm_ctrl.diagnosis.measure import MIN_SAMPLES
 from dmptm_ctrl.diagnosis.residual import balances
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import columns as dual_columns
-from dmptm_ctrl.identify.balance import role_of, weights
+from dmptm_ctrl.identify.balance import role_of, split, weights
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.free_parameters import Free, free_parameters, log_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
@@ -81,7 +81,7 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
     left = np.concatenate(parts)
     slopes = dual_columns(balance, model, unknowns, left)
     prior = np.array([k.prior for k in unknowns])
-    weight = _settled(left, slopes, prior, lambda rest: _dual_weights(balance.kinds, parts, rest))
+    weight = _settled(left, slopes, prior, lambda rest: weights(split(rest, parts), balance.kinds))
     total = np.concatenate(
         [part for part, kind in zip(parts, balance.kinds, strict=True) if role_of(kind) == "total"]
         or parts
@@ -129,11 +129,6 @@ def _unit(model: Model, unknown: Unknown) -> str:
     if unknown.effect is None:
         return model.drive.quantities[unknown.name].unit
     return next(p.unit for p in CATALOGUE[unknown.effect].parameters if p.name == unknown.name)
-
-
-def _dual_weights(kinds: Sequence[str], parts: Sequence[Floats], rest: Floats) -> Floats:
-    edges = np.cumsum([part.size for part in parts])[:-1]
-    return weights(np.split(rest, edges), kinds)
 
 
 def _settled(

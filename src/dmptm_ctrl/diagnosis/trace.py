@@ -21,6 +21,7 @@ from dmptm_ctrl.identify.balance import (
     BalanceFit,
     columns,
     fit_balance,
+    split,
     surprise,
 )
 from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
@@ -229,8 +230,7 @@ def orders(trace: Trace, effect: Effect) -> list[dict[str, float]]:
 
 def fast_gains(trace: Trace, bank: Sequence[float]) -> Floats:
     """What the same orders explain of the fast part."""
-    ends = np.cumsum([part.size for part in trace.base.parts])[:-1]
-    counts = np.split(trace.base.weights**2, ends)
+    counts = split(trace.base.weights**2, trace.base.parts)
     fast = [
         (trace.balance.ripples[e.motion], part, count)
         for e, part, count in zip(trace.balance.equations, trace.base.parts, counts, strict=True)

@@ -319,6 +319,11 @@ def loss(
     return surprise(parts, kinds, freedom) + float(prior)
 
 
+def split(vector: Floats, like: Sequence[Floats]) -> list[Floats]:
+    """Cut a vector into parts of the sizes of `like`."""
+    return np.split(vector, np.cumsum([x.size for x in like])[:-1])
+
+
 def role_of(kind: str) -> str:
     """Tell the balance of the whole, that of a chain and the fast part apart."""
     return "chain" if kind in SIDES else kind

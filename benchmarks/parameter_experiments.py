@@ -48,7 +48,10 @@ def rig(rng: Rng) -> Drive:
 
 def steady(truth: Drive, rng: Rng) -> dict[str, Estimate]:
     """Constant speeds under preload: gaps, stiffness, both Stribeck curves."""
-    logs = [staircase(Model(truth), [*SPEEDS, *-SPEEDS[::-1]], b, rng) for b in (0.6, -0.6, 1.2)]
+    logs = [
+        staircase(Model(truth), [*SPEEDS, *-SPEEDS[::-1]], b, rng, seconds=2.0)
+        for b in (0.6, -0.6, 1.2)
+    ]
     found = constant_speed(logs, DECLARED)
     return {**found.estimates, **stribeck_fit(found.reducer), **stribeck_fit(found.ring)}
 
@@ -78,7 +81,7 @@ def shaken(truth: Drive, rng: Rng) -> dict[str, Estimate]:
 
 def flights(truth: Drive, rng: Rng) -> dict[str, Estimate]:
     """Flights through the gaps: gap damping."""
-    log = taps(Model(truth), (0.45, 0.6, 0.8, 1.0), rng)
+    log = taps(Model(truth), (0.45, 0.6, 0.8, 1.0), rng, repeats=3)
     known = {}
     for name, share in KNOWN_SE.items():
         se = share * truth[name]

@@ -22,9 +22,7 @@ MOTOR_COUNT = 2 * np.pi / 10_000  # rad
 # slope at the ring gear is −1300 N·m·s/rad; kp alone gives 2800.
 SPEED_LOOP = Loop(kp=0.3 / DEG, ki=10.0 / DEG, limit=10.0)  # V/(rad/s), V/rad, V
 RAMP_SECONDS = 0.5  # between two speeds of a staircase
-SPEED_SECONDS = 2.0  # at each speed of a staircase
 TAP_SECONDS = 0.4  # of each tap: long enough to cross the gap and come to rest
-TAPS = 3  # there and back, of each height
 TURN, TURN_PRELOAD = 0.75, 1.2  # V, keep the shaken drive turning, and hold its flanks
 SHAKEN_SECONDS = 4.0  # of one period of the multisine
 SHAKEN_PERIODS = 8  # kept; one more runs before them to settle
@@ -55,7 +53,12 @@ def as_log(name: str, u: Floats, out: Floats, noise: Floats, ref: Floats | None 
 
 
 def staircase(
-    model: Model, speeds: Sequence[float], preload: float, rng: np.random.Generator
+    model: Model,
+    speeds: Sequence[float],
+    preload: float,
+    rng: np.random.Generator,
+    *,
+    seconds: float = 2.0,
 ) -> Log:
     """Hold one speed after another under preload.
 
@@ -65,8 +68,10 @@ def staircase(
         Of the ring gear.
     preload : float [V]
         On the left motor, its negative on the right one: holds the flanks.
+    seconds : float [s]
+        At each speed.
     """
-    flat, slope = round(SPEED_SECONDS / DT), round(RAMP_SECONDS / DT)
+    flat, slope = round(seconds / DT), round(RAMP_SECONDS / DT)
     parts, before = [], 0.0
     for speed in speeds:
         parts += [np.linspace(before, speed, slope, endpoint=False), np.full(flat, speed)]
@@ -106,17 +111,21 @@ def ramp(
     return as_log(f"ramp_{where}_{rate:+g}V_s", u, out, GYRO * rng.standard_normal(n))
 
 
-def taps(model: Model, volts: Sequence[float], rng: np.random.Generator) -> Log:
+def taps(
+    model: Model, volts: Sequence[float], rng: np.random.Generator, *, repeats: int = 3
+) -> Log:
     """Push both pinions from flank to flank, against each other.
 
     Parameters
     ----------
     volts : sequence of float [V]
         Heights of the differential square wave; different ones tell damping from friction.
+    repeats : int
+        Periods of each height.
     """
     half = round(TAP_SECONDS / DT)
     wave = np.concatenate(
-        [v * np.r_[np.ones(half), -np.ones(half)] for v in volts for _ in range(TAPS)]
+        [v * np.r_[np.ones(half), -np.ones(half)] for v in volts for _ in range(repeats)]
     )
     u = np.array([wave, -wave])
     out = march(model, u, rest(model, rng.uniform(-0.5, 0.5)), DT)

@@ -104,12 +104,12 @@ def _at_rest(model: Model, log: Log) -> Floats:
     return rest(model, theta, motors=motors if len(motors) == 2 else None)
 
 
-def fit_to_logs(drive: Drive, logs: Sequence[Log], loop: Loop) -> Drive:
+def fit_to_logs(drive: Drive, logs: Sequence[Log], loop: Loop, *, starts: int = STARTS) -> Drive:
     """Fit all free parameters of a drive to the speeds of logs, inside their ranges.
 
     The same for every model, so that none is favoured: least squares on 10 ms means, every
     log with the same weight, a weak pull to the middle of the declared ranges, the best of
-    :data:`STARTS` places scattered over the ranges.
+    several starts.
 
     Parameters
     ----------
@@ -117,6 +117,8 @@ def fit_to_logs(drive: Drive, logs: Sequence[Log], loop: Loop) -> Drive:
         Declares which parameters are free and their ranges; its values are the first start.
     loop : Loop
         Of the closed-loop logs.
+    starts : int
+        The others are scattered over the ranges.
     """
     names = drive.free
     low, high = np.array([drive.quantities[n].range for n in names]).T
@@ -143,7 +145,7 @@ def fit_to_logs(drive: Drive, logs: Sequence[Log], loop: Loop) -> Drive:
     rng = np.random.default_rng(0)
     wide = half > np.abs(declared)
     found = []
-    for i in range(STARTS):
+    for i in range(starts):
         start = declared
         if i > 0:
             start = np.where(

@@ -9,11 +9,12 @@ from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.rig_diagnose import confirmation, diagnose_rig, split
-from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, correlation_length, rise
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, rise
 from dmptm_ctrl.diagnosis.rig_objections import objection
-from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
+from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.measured_motion import correlation_length
 from dmptm_ctrl.identify.rig_fit import Likelihood, State, fit_rig, residuals
 from dmptm_ctrl.identify.rig_start import friction_beyond, rough_start
 from dmptm_ctrl.signals import Log

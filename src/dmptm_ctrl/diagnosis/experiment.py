@@ -13,9 +13,9 @@ import pandas as pd
 
 from dmptm_ctrl.diagnosis.candidate import Candidate, name_of
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.predict import low_pass
 from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.select import Entry, Selection
+from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Floats
@@ -91,7 +91,6 @@ class Experiment:
 
     Attributes
     ----------
-    name, description : str
     against : tuple of str
         The candidates that it tells apart.
     gain : float
@@ -223,8 +222,6 @@ def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> 
 
     Parameters
     ----------
-    selection : Selection
-    measured : Measured
     jobs : int
         Threads. The result does not depend on it.
 

@@ -32,6 +32,7 @@ from dmptm_ctrl.diagnosis.select import Selection, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
+from dmptm_ctrl.identify.measured_motion import correlation_length
 from dmptm_ctrl.identify.rig_fit import (
     Likelihood,
     RigFit,
@@ -398,15 +399,6 @@ def independent(state: RigState) -> Floats:
         start += len(part)
         found.append(1.0 / correlation_length(own) if own.size > 2 else 1.0)
     return np.array(found)
-
-
-def correlation_length(x: Floats) -> float:
-    """Rows that count as one: 1 + 2 Σ ρ, up to the first that is not positive."""
-    spectrum = np.fft.rfft(x, 2 * x.size)
-    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[: x.size]
-    rho = covariance / covariance[0] if covariance[0] > 0 else 0.0 * covariance
-    ends = np.flatnonzero(rho <= 0)
-    return 1.0 + 2.0 * float(np.sum(rho[1 : ends[0] if ends.size else rho.size]))
 
 
 def standing_on(fit: RigFit, key: str) -> set[str]:

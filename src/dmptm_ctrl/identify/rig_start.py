@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.identify.free_parameters import Floats, scales_of
+from dmptm_ctrl.identify.free_parameters import scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
 
 STIFF = 6  # antiresonances tried for a spring of which nothing is known
@@ -29,7 +30,6 @@ class Spring(NamedTuple):
     Attributes
     ----------
     antiresonance : float [rad/s]
-    damping_ratio : float
     near, far : float
         Inertias [kg·m² or kg].
     """

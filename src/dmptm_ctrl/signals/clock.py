@@ -19,7 +19,7 @@ COARSE = 0.05  # of the steps are another multiple of a coarse clock's tick than
 # Counters of 16 and 32 bits run over, also where they are printed in thousandths; so do days.
 _DURATION = re.compile(
     r"(-?\d+ days?\s+)?\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?$|\S+ (s|sec|ms|us|µs|ns|min|h|hr)$"
-    r"|P\d+DT\S+$"
+    r"|P\d+DT\S+$|L?T(IME)?#"
 )
 _ISO_DATE = re.compile(r"^(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T ,_-]+")
 ROUNDS = (*(2.0**b * 10.0**-e for b in (16, 32) for e in (0, 3, 6)), DAY, 1e3 * DAY)
@@ -44,7 +44,7 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
                 text = text.str.replace(r":(\d+)$", r".\1", regex=True)
             elif first.count(":") == 1:  # 27:03.010
                 text = "00:" + text
-            times = pd.to_timedelta(text)
+            times = pd.to_timedelta(text.str.replace(r"^L?T(IME)?#", "", regex=True))
         elif re.match(r"\d{4}\D|\d{8}T", first):
             iso = text.str.replace(_ISO_DATE, r"\1-\2-\3 ", regex=True)
             times = pd.to_datetime(iso, format="ISO8601", utc=True)

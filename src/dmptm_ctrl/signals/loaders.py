@@ -13,7 +13,7 @@ from dmptm_ctrl.signals import checks
 from dmptm_ctrl.signals.bags import read_bag
 from dmptm_ctrl.signals.campaign import Campaign
 from dmptm_ctrl.signals.clock import mended, resampled, seconds_of, times_of
-from dmptm_ctrl.signals.columns import Choose, Mapped, Table, Target, names_a_clock, resolve
+from dmptm_ctrl.signals.columns import CLOCKS, Choose, Mapped, Table, Target, names_a_clock, resolve
 from dmptm_ctrl.signals.counters import refuse_jumps, unwrapped_counts, with_sign
 from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
@@ -325,7 +325,7 @@ def _channels(
 ) -> tuple[Any, dict[str, Any], dict[str, str], list[str]]:
     """Time [s], channels in SI without holes, their units, and warnings."""
     labels = {target.channel: column for column, target in targets.items()}
-    time, notes = _time(table, targets, sample_time, title)
+    time, notes = _time(table, targets, sample_time, title, needed)
     channels, units, clocks = {}, {}, {}
     shown = dict(labels)
     factors = {target.channel: target.factor for target in targets.values()}
@@ -388,7 +388,11 @@ def _channels(
 
 
 def _time(
-    table: Table, targets: Mapping[str, Target], sample_time: float | None, title: str
+    table: Table,
+    targets: Mapping[str, Target],
+    sample_time: float | None,
+    title: str,
+    needed: set[str],
 ) -> tuple[Any, list[str]]:
     """Time [s]; None where the samples are counted."""
     clock = next((c for c, target in targets.items() if target.channel == "time"), None)
@@ -397,11 +401,14 @@ def _time(
         if values.dtype.kind not in "mMiu":
             values = numbers_or_times(values, clock, title)
         time, note = seconds_of(values, targets[clock].factor)
-        return time, [f"{clock}: {note}"] if note else []
+        notes = [f"{clock}: {note}"] if note else []
+        if clock.lower() in CLOCKS and clock not in needed and clock not in table.units:
+            notes.append(f"the clock is column {clock!r}, taken in seconds")
+        return time, notes
     if sample_time is None and table.period is None:
         raise ColumnsError(
-            f"{title}: no time column; call it time_s, give the sample time, or say in a rig.toml "
-            "what each column is (dmptm rig init makes one)"
+            f"{title}: no time column; call it time_s, or give time or sample_rate in [data] of a "
+            "rig file (dmptm rig init makes one)"
         )
     if sample_time is not None and not sample_time > checks.SHORTEST_STEP:
         raise LogError(f"{title}: sample time {sample_time} s is not positive")

@@ -158,10 +158,10 @@ def _table(
     path: Path, encoding: str, layout: Layout, choose: Choose, max_rows: int | None
 ) -> Table:
     names = [name or f"column{c + 1}" for c, name in enumerate(layout.names)]
-    if layout.long:
-        return _long_table(path, encoding, layout, choose)
     stated = [TIMES if k == "time" else u for k, u in zip(layout.kinds, layout.units, strict=True)]
     units = {n: u for n, u in zip(names, stated, strict=True) if u}
+    if layout.long:
+        return _long_table(_Rows(path, encoding, layout), layout, names, units, choose)
     chosen = choose(list(dict.fromkeys(names)), units)
     clocks = [c for c, n in enumerate(names) if is_clock_name(n) and layout.kinds[c] != "text"]
     clocks += [c for c, n in enumerate(names) if n in chosen and names.count(n) > 1]
@@ -234,20 +234,34 @@ def _same_clock(main: Any, other: Any) -> bool:
     return bool(np.abs(y - rate * x).max() <= 0.01 * abs(rate) * step and shift <= 0.01 * step)
 
 
-def _long_table(path: Path, encoding: str, layout: Layout, choose: Choose) -> Table:
-    """Rows of one name and one value each: a column per name."""
-    values: dict[str, list[float]] = {}
-    rows = _Rows(path, encoding, layout)
-    for _, line in rows:
-        name, text = line.split(None if layout.dialect.separator == " " else _FIELD)[:2]
-        value = layout.dialect.number(text.strip())
-        values.setdefault(name.strip().rstrip(":="), []).append(np.nan if value is None else value)
-    length = max(map(len, values.values()))
-    full = {n: v for n, v in values.items() if len(v) >= length - 1}
-    shortest = min(map(len, full.values()))
-    chosen = choose(list(full), {})
-    columns = {n: np.array(full[n][:shortest]) for n in chosen}
-    return Table(columns, {}, {}, tuple(rows.notes()), {}, layout.period)
+def _long_table(
+    rows: "_Rows", layout: Layout, names: list[str], units: dict[str, str], choose: Choose
+) -> Table:
+    """Rows of one name and one value each: a column, and a clock if there is one, per name."""
+    import pandas as pd
+
+    of, value = layout.long or (0, 1)
+    clocks = [c for c, k in enumerate(layout.kinds) if k == "time" or is_clock_name(names[c])]
+    data = rows.read({c: names[c] for c in {of, value, *clocks}}, sys.maxsize)
+    labels = pd.Series(data.pop(of)).str.strip().str.rstrip(":=")
+    places = {str(n): p for n, p in labels.groupby(labels, sort=False).indices.items()}
+    values = data.pop(value)
+    if names[value] == "VarValue":  # WinCC counts days in millionths
+        data = {c: 86.4 * (v - v[0]) if names[c] == "Time_ms" else v for c, v in data.items()}
+    if not data:  # a name that comes as often as the others is one of a row
+        longest = max(map(len, places.values()))
+        places = {n: p for n, p in places.items() if len(p) >= longest - 1}
+        places = {n: p[: min(map(len, places.values()))] for n, p in places.items()}
+    finest = sorted(data, key=lambda c: -np.unique(data[c]).size)
+    chosen = choose([*(names[c] for c in finest), *places], units)
+    columns = {n: values[places[n]] for n in chosen if n in places}
+    clock = next((c for c in finest if names[c] in chosen), None)
+    if clock is None or not columns:
+        return Table(columns, units, {}, tuple(rows.notes()), {}, layout.period)
+    times = {n: data[clock][places[n]] for n in columns}
+    main = max(times.values(), key=len)
+    own = {n: t for n, t in times.items() if not _equal(t, main)}
+    return Table({names[clock]: main, **columns}, units, {}, tuple(rows.notes()), own)
 
 
 class _Rows:
@@ -277,7 +291,7 @@ class _Rows:
     def _all(self) -> Iterator[tuple[int, str, str]]:
         layout = self._layout
         separator, fields = layout.dialect.separator, layout.fields
-        blanks, simple = separator == " ", not layout.dialect.pairs
+        blanks, simple = separator == " ", not (layout.dialect.pairs or layout.dialect.units)
         odd: list[tuple[int, str, str]] = []  # no rows, unless a row follows
         with _lines(self._path, self._encoding) as stream:
             for _ in range(layout.first):
@@ -347,9 +361,10 @@ class _Rows:
         # what a program wrote behind some rows only: nothing, or a remark
         while len(cells) > layout.fields and layout.dialect.kind(cells[-1]) in ("", "text"):
             cells.pop()
-        kinds = [
-            layout.dialect.kind(cell)
-            for cell, of in zip(cells, layout.kinds, strict=False)
+        found = [*map(layout.dialect.kind, cells)]
+        kinds = [  # a number is no time
+            "text" if (kind, of) == ("number", "time") else kind
+            for kind, of in zip(found, layout.kinds, strict=False)
             if of != "text"
         ]
         if not any(kind in ("number", "time") for kind in kinds) and any(kinds):

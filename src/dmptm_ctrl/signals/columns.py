@@ -210,7 +210,7 @@ def _mapped(column: str, target: Any, source: str) -> Target:
 
 
 def _by_name(column: str, stated: str | None, source: str, *, strict: bool) -> Target | None:
-    if stated == TIMES:
+    if stated == TIMES and split_column(column) is None:
         return Target("time", "s", 1.0) if column.lower() in CLOCKS else None
     if stated and split_column(column) is None:
         try:

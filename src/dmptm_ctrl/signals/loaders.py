@@ -1,6 +1,7 @@
 """From files and tables to logs."""
 
 import hashlib
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
@@ -295,10 +296,11 @@ def read_table(
     try:
         if extension == ".gz" and path.stem.lower().endswith(".json"):
             extension = ".json"
-        if extension in readers:
-            return readers[extension](path, choose)
         with path.open("rb") as stream:
             head = stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
+        ascii = extension == ".mat" and re.fullmatch(rb"[\d\s.,eE+-]+", head)  # of save -ascii
+        if extension in readers and not ascii:
+            return readers[extension](path, choose)
         if head.startswith((b"PK\3\4", b"\xd0\xcf\x11\xe0")):
             raise NotALogError(f"{path.name}: a packed file, such as Excel's; save it as CSV")
         if head.startswith(b"MDF "):  # also called .mdf and .dat
@@ -307,7 +309,7 @@ def read_table(
             head.startswith((b"{", b"[{", b"[[")) and extension != ".parquet"
         ):  # JSON by another name
             return read_json(path, choose)
-        if extension == ".parquet":
+        if extension == ".parquet" or head.startswith(b"PAR1"):
             return read_parquet(path, choose, max_rows)
         return read_text(path, choose, max_rows, how, wanted)
     except OSError as error:
@@ -402,7 +404,8 @@ def _time(
             values = numbers_or_times(values, clock, title)
         time, note = seconds_of(values, targets[clock].factor)
         notes = [f"{clock}: {note}"] if note else []
-        if clock.lower() in CLOCKS and clock not in needed and clock not in table.units:
+        guessed = clock.lower() in CLOCKS and clock not in needed and clock not in table.units
+        if guessed and values.dtype.kind not in "mM":
             notes.append(f"the clock is column {clock!r}, taken in seconds")
         return time, notes
     if sample_time is None and table.period is None:

@@ -301,6 +301,7 @@ WITHOUT_KEYS = {  # what says nothing of the clock in the rig file
     .replace("0.11684 Nm", "116.84 mNm"),
     "units in cells": "t;u;q\n" + each("{:.5f} s;{:.5f} Nm;{:.5f} rad\n").replace(".", ","),
     "monitor, pairs": dated("", "{} -> u:{:.5f},q:{:.5f}\n", "%H:%M:%S.%f"),
+    "date and time": dated("Date;Time;u;q\n", "{};{:.5f};{:.5f}\n", "%d.%m.%Y;%H:%M:%S.%f"),
     "LabVIEW": dated(
         "waveform\t[0]\t[1]\ndelta t\t0,01\t0,01\n\ntime\tu\tq\n", "{}\t{:.5f}\t{:.5f}\n"
     ),

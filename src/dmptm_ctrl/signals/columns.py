@@ -115,7 +115,7 @@ def resolve(
             ignored = [n for n in ignored if n != found]
     if ignored and not mapping:
         warnings.append(
-            f"ignored {_listed(ignored)}: no unit in the name, as in theta_L_deg or current_A"
+            f"ignored {_listed(ignored)}: no known unit in the name, as in theta_L_deg or current_A"
         )
     if clocks and not mapping:
         warnings.append(f"ignored {_listed(clocks)}: another clock")

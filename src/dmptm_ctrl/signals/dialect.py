@@ -82,9 +82,11 @@ class Dialect(NamedTuple):
 
     def _bare(self, cell: str, unit: str) -> str:
         """Number of a cell that holds its unit; in another unit of the column's quantity too."""
-        found = _WITH_UNIT.fullmatch(cell) if unit else None
-        if found is None or found[2] == unit:
-            return cell if found is None else found[1]
+        text = cell.removesuffix(unit).rstrip()
+        if text[-1:].isdigit():
+            return text
+        if (found := _WITH_UNIT.fullmatch(cell)) is None:
+            return cell
         own, number = unit_of(found[2]), self.number(found[1])
         if own is None or number is None or own.symbol != (of := parse_unit(unit)).symbol:
             return cell

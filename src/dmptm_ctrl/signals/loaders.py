@@ -287,7 +287,7 @@ def read_table(
     if not path.exists():
         raise LogError(f"no such file: {path}")
     if path.is_dir():
-        raise LogError(f"{path.name} is a folder, not a log")
+        raise LogError(f"{path.name or path} is a folder, not a log; name a file in it")
     readers = {
         ".mat": read_matlab, ".mf4": read_mdf, ".json": read_json, ".mcap": read_bag,
         ".bag": read_bag, ".db3": read_bag,

@@ -5,7 +5,7 @@ import io
 import itertools
 import sys
 import zlib
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -291,7 +291,9 @@ class _Rows:
     def _all(self) -> Iterator[tuple[int, str, str]]:
         layout = self._layout
         separator, fields = layout.dialect.separator, layout.fields
-        blanks, simple = separator == " ", not (layout.dialect.pairs or layout.dialect.units)
+        blanks, simple = separator == " ", not layout.dialect.pairs
+        units = Counter(filter(None, layout.dialect.units))
+        named = layout.long is not None  # rows begin with words, and end with numbers
         odd: list[tuple[int, str, str]] = []  # no rows, unless a row follows
         with _lines(self._path, self._encoding) as stream:
             for _ in range(layout.first):
@@ -299,7 +301,10 @@ class _Rows:
             for number, line in enumerate(stream, start=layout.first + 1):
                 if '"' in line and line.count(separator) == fields - 1:
                     line = line.replace('"', "")  # nothing in the quotes separates
-                plain = simple and line[0] in _PLAIN and '"' not in line and "#" not in line
+                alone = _without(units, line) if units else line
+                line = alone or line
+                whole = alone and (line[0] in _PLAIN or (named and line[-2:-1].isdigit()))
+                plain = simple and whole and '"' not in line and "#" not in line
                 if plain and not blanks and line.count(separator) == fields - 1:
                     row, what = line.replace(separator, _FIELD), ""
                 elif plain and blanks and len(line.split()) == fields:
@@ -466,6 +471,15 @@ class _Rows:
             return False
         decimals = [len(end.partition(dialect.decimal)[2]) for end in ends]
         return len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]
+
+
+def _without(units: Counter[str], line: str) -> str:
+    """Row without the units of its columns; empty where it has others, or words."""
+    for unit, count in units.items():
+        if line.count(unit) != count:
+            return ""
+        line = line.replace(unit, "")
+    return line if _PLAIN.issuperset(line.strip().replace(":", "")) else ""
 
 
 def _listed(lines: list[int]) -> str:

@@ -451,7 +451,7 @@ class _Rows:
             elif kind:
                 error = _CellError(
                     f"{self._path.name}: line {chunk[row][0]}: {name} is {cell[:40]!r}, "
-                    "not a number; leave that part out (start, stop in [data] of the rig file)"
+                    "not a number"
                 )
                 near = chunk[max(0, row - 200) : row + 200]
                 error.lines = tuple(line.replace(_FIELD, dialect.separator) for _, line in near)

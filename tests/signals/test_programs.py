@@ -318,6 +318,23 @@ def test_layout_without_keys(tmp_path, layout):
     assert not [w for w in log.warnings if "ignored" in w or "by the file" in w]
 
 
+def test_what_the_rig_file_says_against_the_file(tmp_path):
+    log = read(tmp_path, table(), rig(data='time = "t"\nsample_rate = "1 kHz"'))
+    assert "samples are 0.01 s apart by the clock, and 0.001 s as you say" in log.warnings[0]
+    log = read(tmp_path, "Delta_X,0.01\nu,q\n" + rows(",", U, Q), rig(data="sample_time = 0.02"))
+    assert "0.01 s apart by the preamble, and 0.02 s as you say; the latter" in log.warnings[0]
+    with pytest.raises(LogError, match="no rows of numbers, read with separator = ';' of"):
+        read(tmp_path, table(), rig(data='time = "t"\nseparator = ";"'))
+
+
+@pytest.mark.parametrize("layout", ["WinCC", "Influx", "a row per signal", "Keysight"])
+def test_columns_of_a_table_without_units_are_listed(tmp_path, layout):
+    (tmp_path / "run.csv").write_text(WITHOUT_KEYS[layout])
+    info = describe_file(tmp_path / "run.csv")
+    assert {c.column for c in info.channels} >= {"u", "q"}
+    assert info.samples == ROWS
+
+
 def test_name_with_an_unknown_unit(tmp_path):
     is_the_run(read(tmp_path, table(header=("t", "IL.FB (Arms)", "q")), rig("IL.FB")))
 
@@ -457,6 +474,8 @@ def test_start_and_stop_of_single_logs(tmp_path):
         ("header = -1", "line 11.*header = -1 is no number of lines"),
         ('separator = "ab"', 'separator = ";"'),
         ('decimal = ";"', 'decimal = "."'),
+        ("sample_rate = 0", "sample_rate above 0"),
+        ('sample_rate = "1 kHz"\nsample_time = 0.1', "or sample_time, not both"),
     ],
 )
 def test_bad_keys(key, message):

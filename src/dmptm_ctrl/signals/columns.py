@@ -223,6 +223,8 @@ def _by_name(column: str, stated: str | None, source: str, *, strict: bool) -> T
     split = split_column(column)
     if split is not None:
         channel, unit = split
+        if unit.symbol == "s" and channel.lower() in CLOCKS:
+            channel = "time"
         if channel in CANONICAL or not _is_canonical(column):
             return Target(channel, unit.symbol, unit.factor)
     if strict and _is_canonical(column):

@@ -40,7 +40,8 @@ def named(
     nothing = [""] * block.width
     layout = Layout(
         nothing, nothing, block.dialect, block.first, block.kinds, block.fields,
-        _period(lines[: block.first], block.dialect), wordy=_wordy(lines[: block.first], block),
+        _period(lines[: block.first], block.dialect),
+        wordy=_wordy(lines[how.skip : block.first], block),
     )  # fmt: skip
     if block.kinds == ["text", "number"] and (long := _long(["", ""], block, wanted)):
         return replace(layout, long=long)
@@ -54,9 +55,10 @@ def named(
     else:
         rows = _candidates(lines, block)
         last = next((s for s in lines[: block.first][::-1] if s.strip() and bare(s) is s), "")
-        if not rows and last and not SEP_LINE.match(last):
+        given = len(trimmed(block.dialect.split(last)))
+        if not rows and given > 1 and not SEP_LINE.match(last):
             raise LogError(
-                f"{source}: the header names {len(block.dialect.split(last))} columns, the first "
+                f"{source}: the header names {given} columns, the first "
                 f"row has {block.width} values; if another line holds the names, write its number "
                 "in [data] of the rig file, as in header = 3, or header = 0 for none"
             )
@@ -104,6 +106,8 @@ def _candidates(lines: Sequence[str], block: Block) -> list[list[str]]:
         comment = bare(line) is not line
         for separator in dict.fromkeys((block.dialect.separator, *SEPARATORS)):
             dialect = block.dialect._replace(separator=separator)
+            if separator == " " and dialect != block.dialect and block.dialect.separator in line:
+                continue  # a sentence
             fields = trimmed(dialect.split(bare(line)))
             short, other = len(fields) < used, dialect != block.dialect
             fits = len(fields) == block.width if comment or other else not short

@@ -50,7 +50,9 @@ def find_layout(
         if best is not None and best.score[0] > 0.99:
             break
     if best is None or (best.score[0] < 0.5 and len(best.rows) < STEADY):  # prose
+        given = ", ".join(f"{k} = {v!r}" for k, v in vars(how).items() if v not in (None, 0))
         what = "no rows of numbers" if any(s.strip() for s in lines) else "the file is empty"
+        what += f", read with {given} of [data] in the rig file" * bool(given)
         raise NotALogError(f"{source}: {what}")
     return named(lines, best, source, how, wanted)
 

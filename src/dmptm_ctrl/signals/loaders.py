@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 Source = str | PathLike[str]
 
+OTHER_RATE = 0.01  # relative; a nominal rate is as good as this
 PACKED = (".mat", ".parquet", ".mf4", ".json", ".mcap", ".bag")
 OTHER = (  # what stands beside logs in a folder and is none by its name
     *(".toml", ".md", ".rst", ".html", ".htm", ".xml", ".yaml", ".yml", ".ini", ".cfg"),
@@ -130,6 +131,13 @@ def load_log(
         notes += done
     checks.even_time(title, time)
     notes += checks.slow(time)
+    clocked = any(target.channel == "time" for target in targets.values())
+    step = float(time[-1] - time[0]) / (time.size - 1) if clocked else table.period
+    if sample_time and step and abs(step / sample_time - 1) > OTHER_RATE:
+        notes.append(
+            f"samples are {step:.6g} s apart by the {'clock' if clocked else 'preamble'}, and "
+            f"{sample_time:.6g} s as you say; the {'clock' if clocked else 'latter'} is taken"
+        )
     notes += _unwrap(channels, units)
     for column, target in targets.items():
         if units.get(target.channel) in ("rad", "m"):

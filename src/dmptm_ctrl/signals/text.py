@@ -256,10 +256,10 @@ def _long_table(
     chosen = choose([*(names[c] for c in finest), *places], units)
     columns = {n: values[places[n]] for n in chosen if n in places}
     clock = next((c for c in finest if names[c] in chosen), None)
-    if clock is None or not columns:
+    if clock is None:
         return Table(columns, units, {}, tuple(rows.notes()), {}, layout.period)
     times = {n: data[clock][places[n]] for n in columns}
-    main = max(times.values(), key=len)
+    main = data[clock][max(places.values(), key=len)]
     own = {n: t for n, t in times.items() if not _equal(t, main)}
     return Table({names[clock]: main, **columns}, units, {}, tuple(rows.notes()), own)
 

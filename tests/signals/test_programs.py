@@ -335,6 +335,13 @@ def test_columns_of_a_table_without_units_are_listed(tmp_path, layout):
     assert info.samples == ROWS
 
 
+def test_columns_beside_a_clock_with_gaps_are_listed(tmp_path):
+    (tmp_path / "run.csv").write_text("t,u,q\n" + rows(",", T + 3.0 * (T > 1), U, Q))
+    info = describe_file(tmp_path / "run.csv")
+    assert [c.column for c in info.channels] == ["t", "u", "q"]
+    assert "1 gap in time" in info.warnings[0]
+
+
 def test_name_with_an_unknown_unit(tmp_path):
     is_the_run(read(tmp_path, table(header=("t", "IL.FB (Arms)", "q")), rig("IL.FB")))
 

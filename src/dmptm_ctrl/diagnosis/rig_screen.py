@@ -28,6 +28,7 @@ SURE = 10.0  # standard errors of an inertia that contradicts its declaration
 KINEMATIC = 0.99  # correlation above which one position follows another through a soft link
 INVERSE = 0.25  # of a ratio's error in logarithms, below which its inverse fits far better
 TOLD = 1.05  # factor between two sensors of one motion that a good pair does not have
+TWIST = 10.0  # times more than a wrong ratio leaves, a soft link would have to twist
 HIDDEN = 20.0  # times less: behind a soft shaft, a load hides that much of the inertia, not more
 
 
@@ -111,10 +112,14 @@ def refuse_other_units(rig: Rig, log: Log) -> list[str]:
             refuse_factor(log, y, x, this, expected, detrend=True)
         elif not SAME_UNIT[0] <= slope <= SAME_UNIT[1] or _inverted(path, slope):
             raise LogError(f"{log.name}: {_other_ratio(one, other, path, slope)}")
-        if path.rigid and not 1 / TOLD < abs(slope) < TOLD and abs(correlation) > KINEMATIC:
+        # the twist of a soft link is no multiple of the motion
+        scaled = path.rigid or np.std(y - x) > TWIST * np.std(y - slope * x)
+        if scaled and not 1 / TOLD < abs(slope) < TOLD and abs(correlation) > KINEMATIC:
             notes.append(
                 f"{one.column} moves {slope * path.ratio:.4g} times what {other.column} {what}, "
-                f"where {path.ratio:.4g} is right: one of the two has another scale"
+                f"where {path.ratio:.4g} is declared: one of the two has another scale"
+                + ", or the ratio is wrong"
+                * bool(path.links)
             )
     return notes
 

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from math import isfinite
 from typing import Any
 
 import control as ct
@@ -12,7 +13,7 @@ from scipy.linalg import eigh
 from scipy.optimize import root
 
 from dmptm_ctrl.drive.modes import Modes, solve_modes
-from dmptm_ctrl.drive.parameters import Drive, physical
+from dmptm_ctrl.drive.parameters import Drive
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.space import StateSpace
 from dmptm_ctrl.drive.train import GearTrain, Joint
@@ -371,7 +372,8 @@ def _slopes(model: RigModel, position: Mapping[str, float] | None) -> tuple[Floa
         if body not in layout.coordinate:
             bodies = ", ".join(layout.bodies)
             raise ValueError(f"position: no body {body!r} in {model.rig.name}; it has {bodies}")
-        physical(f"position of {body}", abs(value), zero=True)
+        if not isfinite(value):
+            raise ValueError(f"position of {body} is {value:g}; it must be finite")
         q[layout.coordinate[body]] = value / layout.ratio[body]
     stiffness, damping = np.zeros(q.size), np.zeros(q.size)
     parts = Parts(plant)

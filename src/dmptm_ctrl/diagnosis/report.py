@@ -171,6 +171,8 @@ class Diagnosis:
                 left += f", those of the declared model by {before}"
         else:
             left += f" are left on {self.error['on']}"
+        if self.outside and not self.effects:
+            left += f"; fitted values leave their declared ranges: {', '.join(self.outside)}"
         if self.verdict == "none":
             times = sqrt(self.errors.before / max(self.errors.floor, 1e-300))
             told = f"is {times:.2f} times the floor"
@@ -189,8 +191,6 @@ class Diagnosis:
         if not names and (apart := self._sensors_apart()):
             return f"Sensors of one motion disagree: {apart}; {left}."
         if not names:
-            if self.outside:
-                left += f"; fitted values leave their declared ranges: {', '.join(self.outside)}"
             return f"The declared model lacks something unknown{on}; {left}."
         share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
         if self.verdict == "explained":

@@ -174,8 +174,7 @@ def report_of(
     if effects and (errors.explained >= EXPLAINED or errors.balanced):
         verdict = "explained"
     elif not effects and share_of_curves < 1.0 - EXPLAINED and errors.balanced:
-        # with other values than the declared ones it is not the declared model that fits
-        verdict = "none" if base.fit.in_ranges else "unknown"
+        verdict = "none"
     rows = [
         Row(e.name, e.location, slower[k], sqrt(costs[k]), e.share,
             (variable_of(augmented, f"{e.name}@{e.location}"),))

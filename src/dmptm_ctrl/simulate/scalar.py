@@ -7,24 +7,32 @@ from dmptm_ctrl.simulate.generate import (
     engine_by,
     head_text,
     observe_text,
-    row_text,
     sensed,
     step_text,
 )
 from dmptm_ctrl.simulate.plant import Structure
 
 
+def product(s: Structure, i: int) -> str:
+    """Text of what a sensor sees."""
+    return " * ".join(filter(None, sensed(s, i)))
+
+
 def scalar_text(s: Structure) -> str:
     """Text of the loop over samples of one drive; see `run.march` for its arguments."""
     names = Names(s)
-    state, count = ", ".join(names.state), len(names.state)
+    state = ", ".join(names.state)
     inputs, links, g_all = len(s.inputs), len(s.links), range(s.coordinates)
     late = [i for i, sensor in enumerate(s.sensors) if sensor[2]]
-    rows = "".join(f"    {name} = p[{i}]\n" for i, name in enumerate(names.numbers))
-    rows += "".join(f"    {name} = x[{i}]\n" for i, name in enumerate(names.state))
+    # as tuples: one by one, or as a slice with its error's message, they are long to compile
+    rows = f"    {', '.join(names.numbers)}, = spread(p, {len(names.numbers)})\n"
+    rows += f"    {state}, = spread(x, {len(names.state)})\n"
+    store = f"    gather(x, ({state},))\n"
+    functions = "".join(f"{name}, " for name in names.functions)
     sensors = len(s.sensors)
     lags = "".join(
-        f"        late{i} = read_late(ring, {n}, step0 + done, delays[{n}] / h)\n"
+        f"        late{i} = read_late(ring, {n}, step0 + done, delays[{n}] / h)"
+        + (f" if delays[{n}] > 0.0 else {product(s, i)}\n" if s.either else "\n")
         for n, i in enumerate(late)
     )
     plain = [*names.state, "t", *names.numbers, *names.switches]
@@ -57,8 +65,8 @@ def scalar_text(s: Structure) -> str:
     )
     push = "".join(f"        push{g} = push[i, {g}] if pushed else 0.0\n" for g in g_all)
     ring = "".join(
-        f"            ring[{n}, (step0 + done) % ring.shape[1]] = "
-        f"{' * '.join(filter(None, sensed(s, i)))}\n"
+        (f"            if delays[{n}] > 0.0:\n    " if s.either else "")
+        + f"            ring[{n}, (step0 + done) % ring.shape[1]] = {product(s, i)}\n"
         for n, i in enumerate(late)
     )
     read = "".join(f"            read[{i}, 0] = seen[{i}]\n" for i in range(sensors))
@@ -76,11 +84,13 @@ def scalar_text(s: Structure) -> str:
     return f"""\
 @njit
 def march(
-    x, p, on, e, u, first, before, dead, push, given_q, given_v, ring, delays, step0, begin,
+    x, p, on, e, acts, posts, r, {functions}
+    u, first, before, dead, push, given_q, given_v, ring, delays, step0, begin,
     dt, substeps, control, rule, memory, target, noise, closed, y, command,
     read, watched, measured, gains, shown, leak, lead, moves, out,
 ):
-    on, e, y, command = borrowed(on), borrowed(e), borrowed(y), borrowed(command)
+    acts, posts, on, e, r = borrowed(acts), borrowed(posts), borrowed(on), borrowed(e), borrowed(r)
+    y, command = borrowed(y), borrowed(command)
     rule, memory, read, moves = borrowed(rule), borrowed(memory), borrowed(read), borrowed(moves)
     watched, measured, gains = borrowed(watched), borrowed(measured), borrowed(gains)
     shown, leak, lead = borrowed(shown), borrowed(leak), borrowed(lead)
@@ -104,8 +114,7 @@ def march(
             part, after = (k + 0.5) / substeps, min(i + 1, out.shape[0] - 1)
 {signals}{given}            {state}, = step({_given(names, "middle")})
             done += 1
-{ring}    x[:{count}] = {row_text(names.state)}
-    return done
+{ring}{store}    return done
 """
 
 
@@ -125,7 +134,13 @@ def read_late(ring, row, step, lag):
 
 def source(s: Structure) -> str:
     """Return the text of the scalar engine of a structure."""
-    parts = [head_text(s), _LATE, observe_text(s), step_text(s), scalar_text(s)]
+    parts = [
+        head_text(s, kernels=not s.either),
+        _LATE,
+        observe_text(s),
+        step_text(s),
+        scalar_text(s),
+    ]
     text = "\n\n".join(parts)
     # a state named as a coordinate's middle speed would hide it
     return compiled(text, "march")

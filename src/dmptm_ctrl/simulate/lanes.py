@@ -1,7 +1,7 @@
 """The loop over lanes of a structure: sixteen drives a step, as vector code."""
 
 from functools import cached_property
-from itertools import groupby
+from itertools import compress, groupby
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from dmptm_ctrl.simulate.generate import (
     torque_lines,
 )
 from dmptm_ctrl.simulate.loading import LOADING
-from dmptm_ctrl.simulate.plant import Flags, Floats, Structure
+from dmptm_ctrl.simulate.plant import Flags, Floats, Ints, Structure
 from dmptm_ctrl.simulate.segments import Segment, segments
 
 LANES = 16
@@ -84,9 +84,8 @@ class Rows:
             if apart:
                 first = numbers[own[0][0]]
                 lines += [
-                    f"for n in range({first}, {first + len(own)}):",
-                    "    if calls[n] != 0:",
-                    "        called_at(calls[n], w, t, h)",
+                    f"for n in range(ends[{first}], ends[{first + len(own)}]):",
+                    "    called_at(calls[n], w, t, h)",
                 ]
             else:
                 lines += [part.call(one, self.first) for one, part in own]
@@ -164,13 +163,13 @@ def read_lane(ring, row, step, lag, lane):
 
 @njit
 def march_lanes(
-    w, lanes, calls, u, kept, before, dead, push, ring, delays, begin, dt, substeps,
+    w, lanes, calls, ends, u, kept, before, dead, push, ring, delays, begin, dt, substeps,
     control, rules, memory, target, noise, closed, y, command,
     watched, measured, gains, shown, leak, lead, moves,
     columns, every, out, statistics, samples,
 ):
     wide()
-    w, calls, kept = borrowed(w), borrowed(calls), borrowed(kept)
+    w, calls, ends, kept = borrowed(w), borrowed(calls), borrowed(ends), borrowed(kept)
     rules, memory = borrowed(rules), borrowed(memory)
     y, command, moves = borrowed(y), borrowed(command), borrowed(moves)
     measured, gains = borrowed(measured), borrowed(gains)
@@ -262,13 +261,14 @@ _PART = types.void(types.CPointer(float64), float64, float64)
 _PARTS: dict[tuple[str, str], Any] = {}
 
 
-def calls_of(s: Structure, width: int, on: Flags) -> Any:
-    """Addresses of the loops of effects that act, compiled when they are asked for; 0 of others."""
+def calls_of(s: Structure, width: int, on: Flags) -> tuple[Any, Ints]:
+    """Addresses of the loops of effects that act, and how many come before each loop there is.
+
+    They are compiled when they are asked for.
+    """
     module, found = lane_engine(s, width).module, []
-    for name, flags in rows_of(s, width).apart.items():
-        if not on[flags].any():
-            found.append(0)
-            continue
+    acts = [bool(on[flags].any()) for flags in rows_of(s, width).apart.values()]
+    for name in compress(rows_of(s, width).apart, acts):
         with LOADING:
             key = module.__name__, name
             if key not in _PARTS:
@@ -276,7 +276,7 @@ def calls_of(s: Structure, width: int, on: Flags) -> Any:
                     _PART, getattr(module, name), cache=True, error_model="numpy", fastmath=FAST
                 )
             found.append(getattr(_PARTS[key], "address", _PARTS[key]))
-    return np.array(found, np.int64 if COMPILED else object)
+    return np.array(found, np.int64 if COMPILED else object), np.cumsum([0, *acts])
 
 
 def aligned(size: int) -> Floats:

@@ -193,7 +193,7 @@ def _lanes(
         for names in (common.columns, common.judged)
     )
     engine.module.march_lanes(
-        w, lanes, calls_of(structure, width, on), common.u, kept, np.zeros(inputs), dead,
+        w, lanes, *calls_of(structure, width, on), common.u, kept, np.zeros(inputs), dead,
         _NO_ROWS, ring, np.ascontiguousarray(delays), common.begin, common.dt, common.substeps,
         laws[0].function, np.array([law.rule for law in laws]), np.zeros((width, laws[0].memory)),
         common.target, common.noise, loops is not None,

@@ -66,7 +66,7 @@ class Names:
         self.state += [f"age{b}" for b in range(len(s.bodies)) if s.at("ageing", b)]
         self.signals = [f"u{j}" for j in range(len(s.inputs))]
         self.signals += [f"push{g}" for g in coordinates]
-        for g in s.given:
+        for g in coordinates if s.either else s.given:
             self.signals += [f"xg{g}", f"sg{g}"]
         self.numbers = number_names(s, values=rows or not s.switched)
         self.functions = [f"site{k}" for k in range(sites_of(s).functions if s.either else 0)]
@@ -194,6 +194,8 @@ def step_lines(s: Structure, rows: bool = False) -> list[str]:
                 speed = f"0.5 * {text.lever(b)}(v{g} + new{g})"
                 text.where("slip", b, f"age{b} = aged(age{b}, {speed}, h, slip{b})")
         text.add(f"p{g}, v{g} = v{g}, new{g}", f"q{g} = x{g} + 0.5 * h * v{g}")
+        if s.either:
+            text.add(f"if is{g} > 0.0:", f"    q{g}, v{g}, p{g} = x{g}, o{g}, o{g}")
     return text.lines
 
 
@@ -207,8 +209,10 @@ def _middle(s: Structure, text: _Text) -> None:
     for g in range(s.coordinates):
         if g in s.given:
             text.add(f"x{g} = xg{g}", f"o{g} = sg{g}")
-        else:
-            text.add(f"x{g} = q{g} + 0.5 * h * v{g}", f"o{g} = 1.5 * v{g} - 0.5 * p{g}")
+            continue
+        given, turning = (f"{x}g{g} if is{g} > 0.0 else " * s.either for x in "xs")
+        text.add(f"x{g} = {given}q{g} + 0.5 * h * v{g}")
+        text.add(f"o{g} = {turning}1.5 * v{g} - 0.5 * p{g}")
 
 
 def _inputs(s: Structure, text: _Text) -> None:
@@ -450,10 +454,11 @@ def compiled(text: str, *entries: str) -> str:
     Those marked ``njit_apart`` are not inline.
     """
     options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST'
+    entered = f"{options}, no_cfunc_wrapper=True"
     apart = options + "".join(f", {key}={value}" for key, value in elementary.INNER.items())
     inner = f"{apart}, forceinline=True"
     for entry in entries:
-        text = text.replace(f"@njit\ndef {entry}(", f"@njit({options})\ndef {entry}(")
+        text = text.replace(f"@njit\ndef {entry}(", f"@njit({entered})\ndef {entry}(")
     text = text.replace("@njit_apart\n", f"@njit({apart})\n")
     return text.replace("@njit\n", f"@njit({inner})\n")
 

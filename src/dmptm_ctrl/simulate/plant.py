@@ -125,8 +125,8 @@ class Structure(NamedTuple):
         Bodies with presliding.
     either : bool
         What may be absent by its numbers is there, behind conditions: lags of all inputs, delays
-        of all sensors, presliding of all coordinates; effects change what they do by functions
-        of their own. One structure, compiled once, then serves what would be many.
+        of all sensors, presliding and given motion of all coordinates. Effects change what they
+        do by functions of their own. One structure, compiled once, serves what would be many.
     """
 
     switched: bool
@@ -195,7 +195,7 @@ def structure_of(plant: Plant, *, switched: bool, either: bool = False) -> Struc
         places = [p for p in plant.places if p.effect.site in CALLED]
         if not switched:
             places = [p for p in places if plant.on[p.flag]]
-        found = Structure(switched, *rest, tuple(places), plant.given, either)
+        found = Structure(switched, *rest, tuple(places), () if either else plant.given, either)
         _ALIVE.append(plant.places)  # or another may get its identity
         _KNOWN[key] = _SAME.setdefault(found, found)
     return _KNOWN[key]
@@ -230,7 +230,9 @@ def number_names(structure: Structure, *, values: bool) -> list[str]:
     for b in structure.bristles:
         names += [f"bd{b}", f"bs{b}", f"bl{b}"]
     for g in range(structure.coordinates if structure.either else 0):
-        names += [f"{x}{g}" for x in ("by", "share", "lag")] + [f"of{g}_{x}" for x in LAW_FIELDS]
+        names += [f"{x}{g}" for x in ("is", "by", "share", "lag")] + [
+            f"of{g}_{x}" for x in LAW_FIELDS
+        ]
     if values:
         for p in structure.places:
             names += [f"e{p.first + j}" for j in range(len(p.effect.parameters))]
@@ -253,6 +255,7 @@ def numbers(plant: Plant, names: Sequence[str], h: float) -> Floats:
         found[f"f{k}"], found[f"g{k}"] = gap_damping, gap
     for j, (gain, _, lag, limit) in enumerate(plant.input_values.tolist()):
         found[f"gain{j}"], found[f"lim{j}"], found[f"tau{j}"] = gain, limit, lag
+    found |= {f"is{g}": 1.0 for g in plant.given}
     bodies = plant.body_coordinate.tolist()
     for b, (distance, share, damping) in reversed(list(enumerate(plant.bristles.tolist()))):
         g = bodies[b]

@@ -145,8 +145,9 @@ def start_state(structure: Structure, q: Floats, v: Floats, **others: float) -> 
 
 def structure_for(plant: Plant) -> Structure:
     """Structure that a scalar run of a plant takes: bare, or what has all that effects may ask."""
-    any_ = plant.on.any() or (plant.bristles[:, 0] > 0.0).any() or (plant.sensor_delay > 0.0).any()
-    return structure_of(plant, switched=bool(any_), either=bool(any_))
+    asked = plant.on, plant.bristles[:, 0], plant.sensor_delay, plant.input_values[:, 2]
+    any_ = any(np.any(part) for part in asked) or bool(plant.given)
+    return structure_of(plant, switched=any_, either=any_)
 
 
 def advance(
@@ -198,6 +199,10 @@ def advance(
     signals = np.hstack([state.signals, u]) if kept else np.asarray(u, float)
     if controller is not None or not signals.flags.c_contiguous or not signals.flags.writeable:
         signals = np.array(signals, order="C")
+    if structure.either and plant.given:
+        rows = np.zeros((2, plant.inertia.size, n))
+        rows[:, list(plant.given)] = given
+        given = rows[0], rows[1]
     delays = plant.sensor_delay[[late for *_, late in structure.sensors]]
     ring = np.array(state.late)
     x = np.array(state.values)

@@ -50,14 +50,16 @@ def scalar_text(s: Structure) -> str:
         out += f"            out[i, {first_q + c}] = q{c}\n"
         out += f"            out[i, {first_q + s.coordinates + c}] = v{c}\n"
     y = "".join(f"            y[{i}] = seen[{i}]\n" for i in range(sensors))
-    given = "".join(
-        f"            xg{g} = given_q[{n}, i] + part * (given_q[{n}, after] - given_q[{n}, i])\n"
-        f"            sg{g} = given_v[{n}, i] + part * (given_v[{n}, after] - given_v[{n}, i])\n"
-        for n, g in enumerate(s.given)
-    )
-    set_given = "".join(
-        f"        q{g}, v{g} = given_q[{n}, i], given_v[{n}, i]\n" for n, g in enumerate(s.given)
-    )
+    given, set_given = "", ""
+    for n, g in enumerate(g_all if s.either else s.given):
+        if s.either:
+            given += f"            xg{g}, sg{g} = 0.0, 0.0\n            if is{g} > 0.0:\n"
+            set_given += f"        if is{g} > 0.0:\n"
+        for x, table in (("x", "given_q"), ("s", "given_v")):
+            now = f"{table}[{n}, i]"
+            given += f"{'    ' * (3 + s.either)}{x}g{g} = "
+            given += f"{now} + part * ({table}[{n}, after] - {now})\n"
+        set_given += f"{'    ' * (2 + s.either)}q{g}, v{g} = given_q[{n}, i], given_v[{n}, i]\n"
     signals = "".join(
         f"            u{j} = u[{j}, at] if dead[{j}] <= 0.0 else held_average(u, {j}, "
         f"at + k / substeps - dead[{j}], at + (k + 1) / substeps - dead[{j}], before)\n"

@@ -155,18 +155,28 @@ def _gather(typingctx, array, items):
     return types.none(array, doubles), codegen
 
 
+def _call(context, builder, signature, args):
+    """Call the function of an address; of arrays it is given where their numbers are."""
+    given = [
+        make_array(kind)(context, builder, arg).data if isinstance(kind, types.Array) else arg
+        for kind, arg in zip(signature.args[1:], args[1:], strict=True)
+    ]
+    called = ir.FunctionType(ir.VoidType(), [one.type for one in given])
+    builder.call(builder.inttoptr(args[0], called.as_pointer()), given)
+    return context.get_dummy_value()
+
+
 def _called_at(typingctx, address, array, t, h):
     """Call the function of an address with an array of doubles and two numbers."""
-
-    def codegen(context, builder, signature, args):
-        data = make_array(signature.args[1])(context, builder, args[1]).data
-        called = ir.FunctionType(ir.VoidType(), [data.type, args[2].type, args[3].type])
-        builder.call(builder.inttoptr(args[0], called.as_pointer()), [data, *args[2:]])
-        return context.get_dummy_value()
-
-    return types.none(types.int64, array, types.float64, types.float64), codegen
+    return types.none(types.int64, array, types.float64, types.float64), _call
 
 
+def _site_at(typingctx, address, a, b, c, d, t, lever, n, posts, on, e, r):
+    """Call the function of a site."""
+    return types.none(types.int64, *[types.float64] * 6, types.int64, posts, on, e, r), _call
+
+
+site_at: Callable[..., None] = intrinsic(_site_at)
 called_at: Callable[..., None] = intrinsic(_called_at)
 spread: Any = intrinsic(prefer_literal=True)(_spread)
 gather: Callable[..., None] = intrinsic(_gather)
@@ -256,9 +266,11 @@ if not COMPILED:
         """Nothing is counted."""
         return array
 
-    def called_at(function, array, t, h):
+    def called_at(function, *given):
         """Call a function."""
-        function(array, t, h)
+        function(*given)
+
+    site_at = called_at
 
     def spread(array, count):
         """First numbers of an array."""

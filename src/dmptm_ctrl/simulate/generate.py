@@ -44,7 +44,7 @@ from dmptm_ctrl.effects.stribeck import Stribeck
 from dmptm_ctrl.effects import backlash, stribeck
 from dmptm_ctrl.simulate import step as pieces
 from dmptm_ctrl.simulate.elementary import FAST, borrowed, called, called_at, gather, hosted
-from dmptm_ctrl.simulate.elementary import spread, wide
+from dmptm_ctrl.simulate.elementary import site_at, spread, wide
 from dmptm_ctrl.simulate.generate import vector_kernel
 
 TINY, UNKNOWN = pieces.TINY, pieces.UNKNOWN
@@ -69,10 +69,9 @@ class Names:
         for g in coordinates if s.either else s.given:
             self.signals += [f"xg{g}", f"sg{g}"]
         self.numbers = number_names(s, values=rows or not s.switched)
-        self.functions = [f"site{k}" for k in range(sites_of(s).functions if s.either else 0)]
         self.switches = ["on", "e"] if s.switched else []
         if s.either:  # what leads to the functions of sites
-            self.switches += ["acts", "posts", "r", *self.functions]
+            self.switches += ["acts", "sites", "posts", "r"]
         self.arguments = [*self.state, *self.signals, "t", "h", *self.numbers, *self.switches]
         # at zero, meshes that have been nowhere
         meshes = {f"s{k}" for k, link in enumerate(s.links) if link[2] == GAP}
@@ -110,7 +109,7 @@ class _Text:
             self.add(
                 f"if acts[{n}]:",
                 f"    {row} = {changed}",
-                f"    site{k}({given_}, posts, on, e, r)",
+                f"    site_at(sites[{k}], {given_}, posts, on, e, r)",
                 f"    {changed} = {row}",
             )
 

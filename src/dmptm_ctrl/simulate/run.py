@@ -216,10 +216,10 @@ def advance(
     lead = np.array(state.lead) if state.lead.size == led.leak.size else np.zeros(led.leak.size)
     out = np.empty((n, whole if columns is None else columns))
     engine = scalar_engine(structure)
-    acts, posts, functions = acting(structure, plant)
+    acts, posts, sites = acting(structure, plant)
     steps = engine.module.march(
-        x, numbers(plant, engine.names.numbers, h), plant.on, plant.values, acts, posts,
-        np.zeros(4), *functions, signals, kept,
+        x, numbers(plant, engine.names.numbers, h), plant.on, plant.values, acts, sites,
+        posts, np.zeros(4), signals, kept,
         np.zeros(inputs) if before is None else np.array(before, float), dead,
         _NO_ROWS if push is None else np.ascontiguousarray(push, float),
         *(np.ascontiguousarray(g, float) for g in given), ring, delays, state.steps, state.time,

@@ -28,7 +28,6 @@ def scalar_text(s: Structure) -> str:
     rows = f"    {', '.join(names.numbers)}, = spread(p, {len(names.numbers)})\n"
     rows += f"    {state}, = spread(x, {len(names.state)})\n"
     store = f"    gather(x, ({state},))\n"
-    functions = "".join(f"{name}, " for name in names.functions)
     sensors = len(s.sensors)
     lags = "".join(
         f"        late{i} = read_late(ring, {n}, step0 + done, delays[{n}] / h)"
@@ -86,12 +85,13 @@ def scalar_text(s: Structure) -> str:
     return f"""\
 @njit
 def march(
-    x, p, on, e, acts, posts, r, {functions}
+    x, p, on, e, acts, sites, posts, r,
     u, first, before, dead, push, given_q, given_v, ring, delays, step0, begin,
     dt, substeps, control, rule, memory, target, noise, closed, y, command,
     read, watched, measured, gains, shown, leak, lead, moves, out,
 ):
-    acts, posts, on, e, r = borrowed(acts), borrowed(posts), borrowed(on), borrowed(e), borrowed(r)
+    acts, sites, posts = borrowed(acts), borrowed(sites), borrowed(posts)
+    on, e, r = borrowed(on), borrowed(e), borrowed(r)
     y, command = borrowed(y), borrowed(command)
     rule, memory, read, moves = borrowed(rule), borrowed(memory), borrowed(read), borrowed(moves)
     watched, measured, gains = borrowed(watched), borrowed(measured), borrowed(gains)

@@ -5,8 +5,6 @@ serves all drives, and an effect that is added changes no step.
 """
 
 import dis
-from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +13,6 @@ from numba import float64, int64, types, uint8
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import lookup
 from dmptm_ctrl.simulate import elementary
-from dmptm_ctrl.simulate.elementary import compiled_callback
 from dmptm_ctrl.simulate.loading import LOADING, key_of, load
 from dmptm_ctrl.simulate.plant import NO_FLAGS, Flags, Ints, Place, Plant, Structure
 
@@ -37,15 +34,15 @@ CHANGES = {
 CHANGES["turning"] = CHANGES["friction"]  # by the direction of the motion too
 _SITE = {"slip": "ageing", "aged": "ageing", "turning": "friction"}
 _UNTOLD = ("load", "sensor")  # kernels that are told no side
-_ROW = float64[::1]
 _NO_POSTS = np.zeros(0, np.int64)
-SIGNATURE = types.void(*[float64] * 6, int64, int64[::1], uint8[::1], _ROW, _ROW)
+_ARRAYS = int64, uint8, float64, float64
+SIGNATURE = types.void(*[float64] * 6, int64, *map(types.CPointer, _ARRAYS))
 _TEXT = """\
 from functools import partial
 
 from numba import njit
 
-from dmptm_ctrl.simulate.elementary import FAST, borrowed, compiled_callback, hosted
+from dmptm_ctrl.simulate.elementary import FAST, compiled_callback, hosted
 from dmptm_ctrl.simulate.sites import SIGNATURE
 
 {kernels}
@@ -53,7 +50,6 @@ from dmptm_ctrl.simulate.sites import SIGNATURE
 
 @njit(error_model="numpy", fastmath=FAST, forceinline=True)
 def change(a, b, c, d, t, lever, n, posts, on, e, r):
-    posts, on, e, r = borrowed(posts), borrowed(on), borrowed(e), borrowed(r)
     told, flag, first = posts[3 * n], posts[3 * n + 1], posts[3 * n + 2]
 {lines}
 
@@ -103,8 +99,6 @@ class Sites:
     index : dict of (kind, part) to int
     function : dict of kind and part to int
         Number of the function.
-    functions : int
-        How many they are.
     posts : (3 n,) array
         Side, first flag and first number of each.
     """
@@ -134,21 +128,19 @@ class Sites:
                 posts += [told, flag, first]
                 self._begins.append(len(self._flags))
                 self._flags += [p.flag for p in places]
-        self.functions = len(self._own)
         self.posts: Ints = np.array(posts, np.int64)
-        self._known: dict[bytes, tuple[Flags, tuple[Any, ...]]] = {}
+        self._known: dict[bytes, tuple[Flags, Any]] = {}
 
-    def of(self, plant: Plant) -> tuple[Flags, tuple[Any, ...]]:
+    def of(self, plant: Plant) -> tuple[Flags, Any]:
         """At which sites an effect of a plant acts, and the functions of those."""
         if not self.index:
-            return NO_FLAGS, ()
+            return NO_FLAGS, _NO_POSTS
         key = plant.on.tobytes()
         if key not in self._known:
             acts = np.bitwise_or.reduceat(plant.on[self._flags], self._begins)
             used = {self.function[where] for where, n in self.index.items() if acts[n]}
-            functions = tuple(
-                _function(*own) if k in used else nothing for k, own in enumerate(self._own)
-            )
+            found = [_function(*own) if k in used else 0 for k, own in enumerate(self._own)]
+            functions = np.array(found, np.int64 if elementary.COMPILED else object)
             self._known[key] = acts, functions
         return self._known[key]
 
@@ -163,21 +155,16 @@ def sites_of(s: Structure) -> Sites:
     return _SITES[id(s)]
 
 
-def acting(s: Structure, plant: Plant) -> tuple[Flags, Ints, tuple[Any, ...]]:
+def acting(s: Structure, plant: Plant) -> tuple[Flags, Ints, Any]:
     """At which sites of a structure an effect acts, their posts and functions; none inline."""
     if not s.either:
-        return NO_FLAGS, _NO_POSTS, ()
+        return NO_FLAGS, _NO_POSTS, _NO_POSTS
     sites = sites_of(s)
     acts, functions = sites.of(plant)
     return acts, sites.posts, functions
 
 
-@partial(compiled_callback, SIGNATURE, cache=True)
-def nothing(a, b, c, d, t, lever, n, posts, on, e, r):
-    """Stand for a function that no effect needs."""
-
-
-def _function(kind: str, effects: tuple[_One, ...]) -> Callable[..., None]:
+def _function(kind: str, effects: tuple[_One, ...]) -> Any:
     arguments, change = CHANGES[kind]
     names = {"lever": "lever * ", **{x: x for x in "abcd"}}
     changed = [f"r[{i}]" for i in range(4)]
@@ -199,4 +186,5 @@ def _function(kind: str, effects: tuple[_One, ...]) -> Callable[..., None]:
     used = tuple(one.effect for one in effects)
     key = key_of(text, (elementary, lookup), used)
     with LOADING:
-        return load(f"site_{key}", text, EFFECTS=used).at_site
+        found = load(f"site_{key}", text, EFFECTS=used).at_site
+    return getattr(found, "address", found)

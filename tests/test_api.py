@@ -365,6 +365,14 @@ def test_classes_refuse_what_functions_refuse():
             make()
 
 
+@pytest.mark.parametrize("call", ["Loop", "Aims", "Controller", "multisine"])
+def test_no_number_is_refused(call):
+    arguments = {"Loop": (1.0, np.nan, 2.0), "multisine": (dmptm_ctrl.Model(), [10.0], np.nan)}
+    arguments |= {"Aims": (np.float64("nan"),), "Controller": (1.0, np.nan)}
+    with pytest.raises(ValueError, match=f"^{call}: .* is NaN; it must be a number$"):
+        getattr(dmptm_ctrl, call)(*arguments[call])
+
+
 def test_linear_models_and_pictures_refuse_other_shapes_in_one_sentence():
     model, plant = dmptm_ctrl.Model(), dmptm_ctrl.three_dof()
     for x0 in (3, [0.0] * 5, {"ring_gear": 1.0}):

@@ -64,6 +64,8 @@ def refuse_wrong_types(name: str, given: BoundArguments) -> None:
     ------
     TypeError
         An argument of another kind: which, what it must be, what it is.
+    ValueError
+        A number that is none.
     """
     for key, value in given.arguments.items():
         parameter = given.signature.parameters[key]
@@ -73,6 +75,8 @@ def refuse_wrong_types(name: str, given: BoundArguments) -> None:
         if not any(_fits(value, kind) for kind in kinds):
             wanted = " or ".join(dict.fromkeys(_said(k) for k in kinds if k is not NoneType))
             raise TypeError(f"{name}: {key} must be {wanted}, not {_a(type(value).__name__)}")
+        if isinstance(value, Real) and value != value:
+            raise ValueError(f"{name}: {key} is NaN; it must be a number")
 
 
 def _kinds(annotation: Any) -> tuple[Any, ...]:

@@ -85,10 +85,11 @@ def diagnose(
 
     with Progress(quiet=quiet, as_json=log_json) as progress:
         progress.stage("loading the program")
-        from dmptm_ctrl.diagnosis.run import diagnose_files
+        from dmptm_ctrl.diagnosis.run import diagnose as run
 
         progress.stage("reading and diagnosing the logs")
-        result = diagnose_files(logs, rig=rig, jobs=jobs, seed=seed, tell=progress.stage)
+        paths = logs[0] if len(logs) == 1 else logs
+        result = run(paths, rig, jobs=jobs, seed=seed, tell=progress.stage)
         progress.stage("writing the report")
         result.save(out)
         for warning in result.warnings:

@@ -88,7 +88,9 @@ def show_info(info: "LogInfo") -> None:
     for warning in info.warnings:
         console.print(f"warning: {_plain(warning)}")
     if info.excitation is None:
-        console.print("No input and no motion known in this log: nothing to diagnose.")
+        console.print(
+            "No input with a motion is known by its unit: a rig file says what the columns are."
+        )
         return
     can = [row.effect for row in info.testable if row.testable]
     console.print(f"\n[bold]Can tell about[/bold] {', '.join(can) or 'nothing'}")

@@ -13,9 +13,12 @@ from dmptm_ctrl.diagnosis.experiment import (
     next_experiment,
     rig_experiment,
 )
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_runs import Runs
-from dmptm_ctrl.diagnosis.select import Selection
+from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.rig_fit import State
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model
@@ -82,26 +85,37 @@ def test_a_model_is_not_told_from_itself():
 
 
 def test_of_a_rig_it_has_the_logs_sample_time_and_keeps_their_largest_signal():
-    """At one steady speed drag and viscous friction are alike; at others they differ."""
+    """At one steady speed drag and an offset are alike; at others they differ."""
     dt, size = 4e-3, 3.0
     rig = parse_rig(RIG, "rig.toml")
-    speed = 8.79  # rad/s of the load, where the drag leaves it
     drag = RigModel(rig).with_effect(Placed("quadratic_drag", "load", {"coefficient": 0.01}))
-    slope = Placed("viscous_friction", "load", {"coefficient": 0.01 * speed})
-    slope = RigModel(rig).with_effect(slope)
     u = np.full((1, 5000), size)
     run = march_rig(drag, u, dt)
-    channels = {"in_voltage": u[0], "out_angle": run.reading("angle")}
-    noise = 0.02 * np.random.default_rng(1).standard_normal(5000)
-    log = Log("steady", dt * np.arange(5000), {**channels, "out_speed": run.speed("load") + noise})
+    rng = np.random.default_rng(1)
+    channels = {
+        "in_voltage": u[0],
+        "out_angle": run.reading("angle") + 1e-5 * rng.standard_normal(5000),
+        "out_speed": run.speed("load") + 1.0 * rng.standard_normal(5000),
+    }
+    log = Log("steady", dt * np.arange(5000), channels)
     sensor = rig.sensors[1]
     runs = Runs(0.0, sensor, 20.0, (log,), (np.ones(5000, bool),), None, None, 0.0, 1)
     runs = replace(runs, after=[runs.seen(run.reading("speed"), dt)])
-    keys = "quadratic_drag@load", "viscous_friction@load"
-    fits = [SimpleNamespace(fit=SimpleNamespace(model=m)) for m in (drag, slope)]
-    rival = SimpleNamespace(keys=keys[1:], fitted=(fits[1],))
-    entry = SimpleNamespace(key=keys[0], rivals=(rival,), confusable_with=keys[1:])
-    chosen = rig_experiment(SimpleNamespace(entries=[entry], final=fits[0]), runs)
+    balance = balance_of(rig, [log])
+    evidence = RigEvidence(balance.part("fit"), balance.part("held-out"), 1)
+    base = evidence.base(State(RigModel(rig)))
+    keys = "quadratic_drag@load", "drive_offset@voltage"
+    speed = 8.79  # rad/s of the load, where the drag leaves it; by the belt 5 times, 0.1 N·m/V
+    offset = Placed("drive_offset", "voltage", {"offset": -0.01 * speed**2 / (5 * 0.1)})
+    models = drag, RigModel(rig).with_effect(offset)
+    found = {c.keys[0]: c for c in evidence.candidates(base, keys)}
+    own, rival = (
+        replace(one, fitted=(one.fitted[0], replace(one.fitted[1], state=State(model))))
+        for one, model in zip((found[k] for k in keys), models, strict=True)
+    )
+    entry = Entry(keys[0], rival.gain, rival.held_gain, (replace(rival, objection=""),), base)
+    selection = Selection(base, evidence.beside(base, own), [entry])
+    chosen = rig_experiment(selection, runs)
     table = chosen.table()
     assert list(table.columns) == ["time_s", "voltage_V"]
     np.testing.assert_allclose(np.diff(table["time_s"]), dt, rtol=1e-9)

@@ -35,7 +35,9 @@ from dmptm_ctrl.plots.gaps import animate_gaps, busiest, gap_motion
 from dmptm_ctrl.plots.page import number, words
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import OUTPUTS, Loop, close_loop, march, rest
+from dmptm_ctrl.simulate.linear import linearize
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model_file import model_text
 
 COSINE, SINE = 6.0, -3.0  # N·m
 DEG = np.pi / 180
@@ -330,19 +332,19 @@ def test_same_bytes_every_time():
     assert render(made("explained")) == rendered("explained")
 
 
-def test_the_code_rebuilds_the_model(tmp_path):
-    """Another process runs it and gets the same numbers, plant and motion."""
+def test_the_code_reads_the_model(tmp_path):
+    """Another process runs it beside model.toml and gets the same numbers, plant and motion."""
     diagnosis = made("explained")
-    shown = re.search(r"<code>(&#34;&#34;&#34;The drive as.*?)</code>", rendered("explained"), re.S)
-    code = unescape(shown[1])
-    (tmp_path / "rebuild.py").write_text(code, encoding="utf-8")
+    shown = re.search(r"<code>(import numpy.*?)</code>", rendered("explained"), re.S)
+    (tmp_path / "read.py").write_text(unescape(shown[1]), encoding="utf-8")
+    (tmp_path / "model.toml").write_text(model_text(diagnosis.augmented), encoding="utf-8")
     program = (
-        "import runpy, sys, numpy as np\n"
-        "made = runpy.run_path('rebuild.py')\n"
+        "import runpy, numpy as np\n"
+        "made = runpy.run_path('read.py')\n"
         "plant = made['model'].plant()\n"
         "np.savez('made.npz', law=plant.law, link_values=plant.link_values, on=plant.on,\n"
-        "         values=plant.values, states=made['plant'].nstates,\n"
-        "         outputs=made['response'].outputs)\n"
+        "         values=plant.values, inputs=made['plant'].ninputs,\n"
+        "         poles=made['linear'].poles(), outputs=made['response'].outputs)\n"
     )
     source = str(Path(dmptm_ctrl.__file__).parents[1])
     environment = {**os.environ, "PYTHONPATH": source}
@@ -355,6 +357,7 @@ def test_the_code_rebuilds_the_model(tmp_path):
     compiled = march(model, u, rest(model, 0.0), 1e-3)
     speed = list(OUTPUTS).index("omega_L")
     assert found["outputs"][speed, -1] == pytest.approx(compiled[-1, speed], rel=0.02)
+    np.testing.assert_array_equal(found["poles"], linearize(model).poles())
 
 
 def test_gaps_are_in_contact_where_the_motor_pushes():

@@ -1,6 +1,7 @@
 """Evidence for drives by rig.toml, on small machines that are simulated by other means."""
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,13 +9,14 @@ from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.rig_diagnose import confirmation, diagnose_rig, split
-from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, correlation_length
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, rise
 from dmptm_ctrl.diagnosis.rig_objections import objection
-from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
+from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.measured_motion import correlation_length
 from dmptm_ctrl.identify.rig_fit import Likelihood, State, fit_rig, residuals
-from dmptm_ctrl.identify.rig_start import rough_start
+from dmptm_ctrl.identify.rig_start import friction_beyond, rough_start
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
@@ -120,6 +122,76 @@ def test_predictions_confirm_friction_and_refute_a_delay(rubbing):
     assert helps(state, late) == 0.0
     true = Held(held, late.keys)  # predictions get worse without what it has
     assert helps(Held(late.held_state, state.keys), true) == np.inf
+
+
+def test_values_far_outside_their_ranges_are_no_declared_model(rubbing):
+    """Chances of a normal distribution: 3.29 standard deviations are one in a thousand."""
+    _, base = rubbing
+    (inertia,) = (f for f in base.fit.frees if f.label == "body.motor.inertia")
+    centre, sigma = inertia.prior
+    middle = {f.owner: f.prior[0] for f in base.fit.frees if f.prior is not None}
+
+    def at(value):
+        model = base.fit.model.with_values({**middle, inertia.owner: value})
+        state = State(model, base.fit.state.logs)
+        return replace(base, fit=replace(base.fit, state=state, frees=(inertia,)))
+
+    inside, outside = at(centre + 3.2 * sigma), at(centre + 3.4 * sigma)
+    assert inside.fit.in_ranges
+    assert not outside.fit.in_ranges
+    assert rise(outside, inside) == np.inf
+    assert rise(inside, inside) == 0.0
+
+
+def test_a_wrong_inertia_is_not_the_declared_model():
+    bench = Bench(Machine(), **SMALL)
+    right = parse_rig(bench.rig(), "rig.toml")
+    declared = right.body("motor").inertia
+    low = f'inertia = "{0.5 * declared.value:g} kg m^2 ± 5 %"'
+    rig = parse_rig(re.sub(r'inertia = ".*"', low, bench.rig(), count=1), "rig.toml")
+    found = diagnose_rig(logs_of(bench, rig), rig, jobs=1)
+    assert found.verdict == "unknown"
+    assert "leave their declared ranges: body.motor.inertia" in found.sentence()
+
+
+def test_friction_beyond_a_gap_is_half_of_all():
+    rig = parse_rig(
+        """
+[body.motor]
+inertia = "1 kg m^2"
+coulomb = "unknown"
+viscous = "unknown"
+[body.load]
+inertia = "1 kg m^2"
+coulomb = "unknown"
+viscous = "unknown"
+[mesh.gear]
+between = ["motor", "load"]
+ratio = 10
+stiffness = "1 N m/rad"
+damping = "1 N m s/rad"
+[input.drive]
+column = "u"
+unit = "N m"
+body = "motor"
+gain = 1
+[sensor.encoder]
+column = "q"
+unit = "rad"
+body = "motor"
+""",
+        "rig.toml",
+    )
+    own = {"body.motor.coulomb": 3.0, "body.load.coulomb": 10.0}
+    own |= {"body.motor.viscous": 2.0, "body.load.viscous": 400.0}
+    moved = friction_beyond(RigModel(rig).with_values(own), "gear")
+    # seen at the motor: 3 + 10/10 = 4, 2 + 400/10² = 6
+    assert moved == pytest.approx(
+        {
+            "body.motor.coulomb": 2.0, "body.load.coulomb": 20.0,
+            "body.motor.viscous": 3.0, "body.load.viscous": 300.0,
+        }
+    )  # fmt: skip
 
 
 def test_share_is_what_the_effect_changes(rubbing):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dmptm_ctrl.diagnosis.rig_sensors import _Reading as Readings
+from dmptm_ctrl.diagnosis.sensors import Reading as Readings
 from dmptm_ctrl.diagnosis.sensors import SensorCheck, cross_check, sensor_effect
 from dmptm_ctrl.identify.fit import Fit, effect_unknowns, position
 from dmptm_ctrl.simulate.model import Model

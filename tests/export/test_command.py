@@ -13,7 +13,7 @@ from dmptm_ctrl.cli import main
 from dmptm_ctrl.design.controller import Controller, Notch
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.model_file import rig_model_to_toml, to_toml
+from dmptm_ctrl.simulate.model_file import read_model, rig_model_to_toml, to_toml
 
 MODEL = Model().with_effect("unbalance", cosine=4.0)
 CONTROLLER = Controller(12.0, 60.0, notches=(Notch(60.0, 0.1, 0.5),), model=MODEL, effects=1.0)
@@ -130,10 +130,14 @@ def test_controller_as_python_control(files):
     np.testing.assert_allclose(found(z), true(z), rtol=1e-12)
 
 
-def test_rig_as_python_program_runs(files):
-    main(["export", str(files / "rig_model.toml"), "--to", "python", "--out", str(files / "out")])
+@pytest.mark.parametrize("source", ["model.toml", "rig_model.toml"])
+def test_python_program_has_the_model(files, source):
+    main(["export", str(files / source), "--to", "python", "--out", str(files / "out")])
     found = runpy.run_path(str(files / "out" / "plant.py"))
-    assert found["model"].value("body.load.inertia") == 0.05
+    assert isinstance(found["plant"], ct.InterconnectedSystem)
+    made, read = found["model"].plant(), read_model(files / source).plant()
+    for name in ("law", "link_values", "inertia", "on", "values"):
+        np.testing.assert_array_equal(getattr(made, name), getattr(read, name))
     assert np.isfinite(found["response"].outputs).all()
 
 

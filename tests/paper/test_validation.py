@@ -14,12 +14,12 @@ from dmptm_ctrl.identify.experiments_validation import (
     EXPERIMENTS,
     HALVES,
     SPEED_ERROR,
-    below,
     fit_to_logs,
     score,
     speed_on,
     speeds_on,
 )
+from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.reproduce.items import RIG_LOOP
 from dmptm_ctrl.signals import load_logs
 from dmptm_ctrl.simulate.model import Model
@@ -50,7 +50,7 @@ def test_below_30_hz_is_kept_and_rattle_is_not():
     t = dt * np.arange(8000)
     slow, rattle = np.sin(2 * np.pi * 5.0 * t), 0.7 * np.sin(2 * np.pi * 231.0 * t)
     middle = slice(1000, 7000)
-    np.testing.assert_allclose(below(slow + rattle, dt)[middle], slow[middle], atol=2e-3)
+    np.testing.assert_allclose(low_pass(slow + rattle, dt)[middle], slow[middle], atol=2e-3)
 
 
 def test_halves_share_no_experiment():

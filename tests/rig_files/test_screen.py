@@ -288,8 +288,13 @@ def test_one_log_that_counts_the_other_way_is_named():
 
 def test_a_factor_between_two_sensors_is_told():
     (said,) = judged(geared(l=1.2), geared_rig(10))  # of both logs once
-    assert "m moves 8.333 times what l does, where 10 is right" in said
+    assert "m moves 8.333 times what l does, where 10 is declared" in said
     assert said.startswith("run0")
+
+
+def test_a_wrong_ratio_of_a_soft_shaft_is_told():
+    (said,) = judged(geared(soft=True, noise=1e-5), geared_rig(12, shaft="unknown"))
+    assert "where 12 is declared: one of the two has another scale, or the ratio is wrong" in said
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,9 @@ def test_revolutions():
         ("phi", 'unit = "counts"\nresolution = "50 counts/mm"', 10, "another quantity than rad"),
         ("phi", 'unit = "rad"\nmeasures = "speed"', 10, "is in rad, no speed"),
         ("phi", 'unit = "rad"\ncounts_per_rev = "many"', 10, "such as 8192"),
+        ("phi", 'unit = "rad"\nsign = 2', 10, "sign = 1 or -1, not 2; scale takes any factor"),
+        ("phi", 'unit = "rad"\nscale = nan', 10, "scale is a number other than 0"),
+        ("phi", 'unit = "rad"\nresolution = "0,05 deg"', 10, "decimal comma; write a point"),
     ],
 )
 def test_a_wrong_unit_is_answered_with_the_right_one(column, rest, line, words):

@@ -42,6 +42,9 @@ TEXTS = {
     "ISO, decimal comma": lambda s: s.strftime("%Y-%m-%d %H:%M:%S,%f")[:-3],
     "ISO, slashes": lambda s: s.strftime("%Y/%m/%d %H:%M:%S.%f"),
     "basic ISO": lambda s: s.strftime("%Y%m%dT%H%M%S.%f"),
+    "basic ISO, dash": lambda s: s.strftime("%Y%m%d-%H%M%S.%f"),
+    "UTC": lambda s: s.strftime("%Y-%m-%d %H:%M:%S.%f UTC"),
+    "zone in brackets": lambda s: s.strftime("%Y-%m-%dT%H:%M:%S.%f+02:00[Europe/Berlin]"),
     "ISO, underscore": lambda s: s.strftime("%Y-%m-%d_%H:%M:%S.%f"),
     "ctime": lambda s: s.strftime("%a %b %d %H:%M:%S.%f %Y"),
     "German": lambda s: s.strftime("%d.%m.%Y %H:%M:%S.%f"),
@@ -135,6 +138,7 @@ NUMBERS = {  # column, unit
     "32 bits with a sign": (
         ((1e6 * T).round().astype(np.int64) + 2**31 - 500_000 + 2**31) % 2**32 - 2**31, "us",
     ),
+    "24 bits of us": (((1e6 * T).round().astype(np.int64) + 2**24 - 500_000) % 2**24, "us"),
     "16 bits of ms": (((1e3 * T).round().astype(np.int64) + 2**16 - 500) % 2**16, "ms"),
     "32 bits of us in ms": (
         np.round(1e-3 * (((1e6 * T).round().astype(np.int64) + 2**32 - 500_000) % 2**32), 3), "ms",
@@ -221,7 +225,7 @@ def test_logger_started_again():
     time = np.concatenate([T[:100], T[:200]])
     (log,) = rig().read(pd.DataFrame({"t": time, "u": U, "q": Q}))
     np.testing.assert_allclose(log["in_u"], U[100:], atol=1e-12)
-    assert any("time starts anew: rows 101 to 300 of 300" in w for w in log.warnings)
+    assert log.warnings == ("time starts anew: rows 101 to 300 of 300 are used",)
 
 
 @pytest.mark.parametrize(

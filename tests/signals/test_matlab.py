@@ -204,6 +204,25 @@ def test_missing_library_is_named(tmp_path, monkeypatch):
         matlab.find_signals(path)
 
 
+def test_structures_of_time_and_data(tmp_path):
+    """Called by their variables, also where the names in them are alike."""
+    path = tmp_path / "run.mat"
+    savemat(path, {n: {"time": TIME, "data": v} for n, v in (("x_mm", X), ("u_mV", U))})
+    np.testing.assert_array_equal(load_log(path)["u"], 1e-3 * U)
+    series = {n: {"Time": TIME, "Data": v, "Name": "y"} for n, v in (("x", X), ("u", U))}
+    savemat(path, series)
+    columns = {"x.y": ("x", "m"), "u.y": ("u", "V")}
+    np.testing.assert_array_equal(load_log(path, columns)["u"], U)
+
+
+def test_text_of_matlab(tmp_path):
+    """Of ``save run.mat -ascii``."""
+    path = tmp_path / "run.mat"
+    np.savetxt(path, np.column_stack([TIME, X]))
+    columns = {"column1": ("time", "s"), "column2": ("x", "m")}
+    np.testing.assert_allclose(load_log(path, columns)["x"], X, rtol=1e-15)
+
+
 def test_timeseries_on_clocks_of_their_own(tmp_path):
     """Three series on two clocks: the slower one is interpolated to the faster."""
     fast, slow = 0.01 * np.arange(400), 0.04 * np.arange(100)

@@ -248,6 +248,110 @@ def test_layout(tmp_path, layout):
     assert not [w for w in log.warnings if "ignored" in w]
 
 
+def date(form):
+    return [
+        f"{m:{form}}" for m in pd.Timestamp("2024-04-28 23:59:58") + pd.to_timedelta(T, unit="s")
+    ]
+
+
+def winCC():
+    """A row per variable; Time_ms counts days in millionths since 1899-12-30."""
+    days = 40e3 + T / 0.0864
+    head = '"VarName";"TimeString";"VarValue";"Validity";"Time_ms"\n'
+    return (
+        head
+        + "".join(
+            f'"{n}";"{s}";{v:.5f};1;{d:.8f}\n'.replace(".", ",").replace(",04,", ".04.")
+            for s, d, *values in zip(date("%d.04.%Y %H:%M:%S"), days, U, Q, strict=True)
+            for n, v in zip("uq", values, strict=True)
+        )
+        + '"$RT_COUNT$";480;;;\n'
+    )
+
+
+def influx():
+    """A table per field, one after the other."""
+    head = (
+        "#datatype,string,long,dateTime:RFC3339,double,string\n,result,table,_time,_value,_field\n"
+    )
+    return head + "".join(
+        f",,{k},{s}Z,{v:.5f},{n}\n"
+        for k, (n, values) in enumerate((("q", Q), ("u", U)))
+        for s, v in zip(date("%Y-%m-%dT%H:%M:%S.%f"), values, strict=True)
+    )
+
+
+def dated(head, line, form="%d.%m.%Y %H:%M:%S,%f"):
+    return head + "".join(line.format(*r) for r in zip(date(form), U, Q, strict=True))
+
+
+WITHOUT_KEYS = {  # what says nothing of the clock in the rig file
+    "WinCC": winCC(),
+    "Influx": influx(),
+    "a row per signal": "tag,t,value\n" + each("u,{0:.5f},{1:.5f}\nq,{0:.5f},{2:.5f}\n"),
+    "dSPACE": "# Device: MicroLabBox\ntime;u;q\n" + rows(";", T, U, Q),
+    "elapsed": "Elapsed [ms];u;q\n" + rows(";", 1e3 * T, U, Q),
+    "Rohde": '"in s","u in Nm","q in rad"\n' + rows(",", T, U, Q),
+    "Rigol MSO": "u,q,t0 =-0.004, tInc = 0.01,\n" + rows(",", U, Q, end=",,\n"),
+    "Rigol DS": "X,u,q,Start,Increment,\nSequence,,,0.0,1.0e-02\n"
+    + "".join(f"{i},{b:.5f},{c:.5f},\n" for i, (b, c) in enumerate(zip(U, Q, strict=True))),
+    "Keysight": "XInc:,1.0E-02\nData:,\nu,q\n" + rows(",", U, Q),
+    "Grafana": dated("Time,u,q\n", "{},{:.5f} N·m,{:.5f} rad\n", "%Y-%m-%d %H:%M:%S.%f"),
+    "Grafana, scaled": dated("Time,u,q\n", "{},{:.5f} Nm,{:.5f} rad\n", "%Y-%m-%d %H:%M:%S.%f")
+    .replace("0.11684 Nm", "116.84 mNm"),
+    "units in cells": "t;u;q\n" + each("{:.5f} s;{:.5f} Nm;{:.5f} rad\n").replace(".", ","),
+    "monitor, pairs": dated("", "{} -> u:{:.5f},q:{:.5f}\n", "%H:%M:%S.%f"),
+    "date and time": dated("Date;Time;u;q\n", "{};{:.5f};{:.5f}\n", "%d.%m.%Y;%H:%M:%S.%f"),
+    "LabVIEW": dated(
+        "waveform\t[0]\t[1]\ndelta t\t0,01\t0,01\n\ntime\tu\tq\n", "{}\t{:.5f}\t{:.5f}\n"
+    ),
+    "SignalExpress": dated("channel names:\nu\tq\n", "{}\t{:.5f}\t{:.5f}\n"),
+    "CODESYS": "Time;u;q\n" + each("T#{:.3f}s;{:.5f};{:.5f}\n"),
+    "terminal": "\x1b[2J\x1b[Ht,u,q\n" + rows(",", T, U, Q),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("layout", WITHOUT_KEYS)
+def test_layout_without_keys(tmp_path, layout):
+    log = read(tmp_path, WITHOUT_KEYS[layout], rig(data=""))
+    is_the_run(log)
+    assert not [w for w in log.warnings if "ignored" in w or "by the file" in w]
+
+
+def test_what_the_rig_file_says_against_the_file(tmp_path):
+    log = read(tmp_path, table(), rig(data='time = "t"\nsample_rate = "1 kHz"'))
+    assert "samples are 0.01 s apart by the clock, and 0.001 s as you say" in log.warnings[0]
+    log = read(tmp_path, "Delta_X,0.01\nu,q\n" + rows(",", U, Q), rig(data="sample_time = 0.02"))
+    assert "0.01 s apart by the preamble, and 0.02 s as you say; the latter" in log.warnings[0]
+    with pytest.raises(LogError, match="no rows of numbers, read with separator = ';' of"):
+        read(tmp_path, table(), rig(data='time = "t"\nseparator = ";"'))
+
+
+@pytest.mark.parametrize("layout", ["WinCC", "Influx", "a row per signal", "Keysight"])
+def test_columns_of_a_table_without_units_are_listed(tmp_path, layout):
+    (tmp_path / "run.csv").write_text(WITHOUT_KEYS[layout])
+    info = describe_file(tmp_path / "run.csv")
+    assert {c.column for c in info.channels} >= {"u", "q"}
+    assert info.samples == ROWS
+
+
+def test_columns_beside_a_clock_with_gaps_are_listed(tmp_path):
+    (tmp_path / "run.csv").write_text("t,u,q\n" + rows(",", T + 3.0 * (T > 1), U, Q))
+    info = describe_file(tmp_path / "run.csv")
+    assert [c.column for c in info.channels] == ["t", "u", "q"]
+    assert "1 gap in time" in info.warnings[0]
+
+
+def test_name_with_an_unknown_unit(tmp_path):
+    is_the_run(read(tmp_path, table(header=("t", "IL.FB (Arms)", "q")), rig("IL.FB")))
+
+
+def test_frames_of_a_bus_are_no_log(tmp_path):
+    lines = "".join(f"({1e9 + t:.6f}) can0 1A0#0011223344\n" for t in T)
+    with pytest.raises(LogError, match="frames of a CAN bus"):
+        read(tmp_path, lines)
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-32", "cp1252"])
 def test_encoding(tmp_path, encoding):
     log = read(tmp_path, table(header=("t", "µ °", "q")), rig(u="µ °"), encoding=encoding)
@@ -309,7 +413,7 @@ def test_a_column_sampled_more_rarely(tmp_path):
     log = read(tmp_path, "t,u,q\n" + slow)
     assert len(log) == ROWS - 3  # after the last value nothing is known
     assert np.abs(log["out_q"] - Q[:-3]).max() < 1.1e4 * (4 * STEP) ** 2 / 8 * 2.1**2
-    assert any("every 4th row" in w for w in log.warnings)
+    assert any("one of 4 rows" in w for w in log.warnings)
 
 
 def test_a_slower_channel_on_a_clock_of_its_own(tmp_path):
@@ -377,6 +481,8 @@ def test_start_and_stop_of_single_logs(tmp_path):
         ("header = -1", "line 11.*header = -1 is no number of lines"),
         ('separator = "ab"', 'separator = ";"'),
         ('decimal = ";"', 'decimal = "."'),
+        ("sample_rate = 0", "sample_rate above 0"),
+        ('sample_rate = "1 kHz"\nsample_time = 0.1', "or sample_time, not both"),
     ],
 )
 def test_bad_keys(key, message):

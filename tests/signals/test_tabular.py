@@ -22,6 +22,18 @@ def test_frame_indexed_by_time(columns):
     assert load_log(frame).sample_time == 1e-3
 
 
+@pytest.mark.parametrize("kind", ["frame", "Arrow", "Parquet by another name"])
+def test_dates_are_the_clock(columns, tmp_path, kind):
+    frame = pd.DataFrame({"taken": pd.date_range("2024", periods=2000, freq="ms"), **columns})
+    source = frame = frame.drop(columns="time_s")
+    if kind != "frame":
+        source = pytest.importorskip("pyarrow").Table.from_pandas(frame)
+    if kind == "Parquet by another name":
+        source = tmp_path / "run.pq"
+        frame.to_parquet(source)
+    assert load_log(source).sample_time == pytest.approx(1e-3, rel=1e-12)
+
+
 def test_frame_is_not_changed(columns):
     frame = pd.DataFrame(columns)
     before = frame.copy(deep=True)

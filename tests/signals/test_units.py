@@ -19,7 +19,7 @@ WRITTEN_OUT = {
     "m": "meter", "mm": "millimeter", "um": "micrometer",
     "m_s": "meter / second", "mm_s": "millimeter / second", "m_s2": "meter / second**2",
     "g": "standard_gravity", "Hz": "hertz", "W": "watt", "K": "kelvin",
-    "ns": "nanosecond", "percent": "percent",
+    "ns": "nanosecond", "percent": "percent", "permille": "permille",
 }  # fmt: skip
 
 

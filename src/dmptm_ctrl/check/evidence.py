@@ -15,19 +15,17 @@ from dmptm_ctrl.diagnosis.measure import MIN_SAMPLES
 from dmptm_ctrl.diagnosis.residual import balances
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import columns as dual_columns
-from dmptm_ctrl.identify.balance import role_of, weights
+from dmptm_ctrl.identify.balance import role_of, split, weights
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.free_parameters import Free, free_parameters, log_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.records import Record, record, started
 from dmptm_ctrl.identify.rig_fit import ROWS_PER_NEWS, State, fit_rig, jacobian, residuals
 from dmptm_ctrl.signals import Log, LogError
-from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.law import AnyModel
+from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
-
-Floats = NDArray[np.float64]
-AnyModel = Model | RigModel
 
 
 @dataclass(frozen=True)
@@ -83,12 +81,11 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
     left = np.concatenate(parts)
     slopes = dual_columns(balance, model, unknowns, left)
     prior = np.array([k.prior for k in unknowns])
-    weight = _settled(left, slopes, prior, lambda rest: _dual_weights(balance.kinds, parts, rest))
+    weight = _settled(left, slopes, prior, lambda rest: weights(split(rest, parts), balance.kinds))
     total = np.concatenate(
         [part for part, kind in zip(parts, balance.kinds, strict=True) if role_of(kind) == "total"]
         or parts
     )
-    values = [_value(model, k) for k in unknowns]
     seconds = [rec.dt * rec.omega.size for rec in records]
     sizes = [(p.size, seconds[e.motion]) for p, e in zip(parts, balance.equations, strict=True)]
     return Evidence(
@@ -97,9 +94,9 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
         tuple(
             Parameter(
                 k.name if k.effect is None else f"{k.effect}.{k.name}",
-                _unit(model, k), value, k.scale, float(k.prior), _shows(k, records),
+                _unit(model, k), k.of(model), k.scale, float(k.prior), _shows(k, records),
             )
-            for k, value in zip(unknowns, values, strict=True)
+            for k in unknowns
         ),
         _stretches(sizes),
         float(1.4826 * np.median(np.abs(total))),
@@ -128,21 +125,10 @@ def _moves(unknown: Unknown) -> bool:
     return unknown.name in CATALOGUE[unknown.effect].amplitudes
 
 
-def _value(model: Model, unknown: Unknown) -> float:
-    if unknown.effect is None:
-        return float(model.drive[unknown.name])
-    return float(model.effects[unknown.effect].get(unknown.name, 0.0))
-
-
 def _unit(model: Model, unknown: Unknown) -> str:
     if unknown.effect is None:
         return model.drive.quantities[unknown.name].unit
     return next(p.unit for p in CATALOGUE[unknown.effect].parameters if p.name == unknown.name)
-
-
-def _dual_weights(kinds: Sequence[str], parts: Sequence[Floats], rest: Floats) -> Floats:
-    edges = np.cumsum([part.size for part in parts])[:-1]
-    return weights(np.split(rest, edges), kinds)
 
 
 def _settled(

@@ -13,12 +13,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from dmptm_ctrl.check.evidence import LARGE, Evidence, Parameter
+from dmptm_ctrl.simulate.model import Floats
 
-Floats = NDArray[np.float64]
 FALSE_ALARMS = 0.01  # of checks of an unchanged machine, over all entries together
 MOST = 4  # entries named in one check
 TOLERANCE = 0.05  # of an entry's value: a change within it is none

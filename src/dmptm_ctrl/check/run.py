@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from dmptm_ctrl.check.evidence import AnyModel, Evidence, evidence_of, only_own
+from dmptm_ctrl.check.evidence import Evidence, evidence_of, only_own
 from dmptm_ctrl.check.moved import (
     TOLERANCE,
     Change,
@@ -20,6 +20,7 @@ from dmptm_ctrl.check.moved import (
 )
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.signals.atomic import check_folder, output_folder
+from dmptm_ctrl.simulate.law import AnyModel
 from dmptm_ctrl.simulate.model_file import read_model
 from dmptm_ctrl.simulate.rig_model import RigModel
 

@@ -138,10 +138,8 @@ def missed(model: AnyModel, duty: Duty, reading: Floats, every: int = 1, sensor:
     ----------
     model : Model or RigModel
         That gave the reading.
-    duty : Duty
     reading : (m,) array [rad/s, or rad of a position sensor]
         Without noise, one of `every` samples.
-    every : int
     sensor : int
         Of the plant; by default the speed of the ring gear.
     """

@@ -1,6 +1,5 @@
 """A designed controller: as gains, python-control systems, difference equations and a file."""
 
-import math
 from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
 from os import PathLike
@@ -93,9 +92,6 @@ class Controller(Design):
     relief_to: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in UNITS:
-            if math.isnan(getattr(self, name)):
-                raise ValueError(f"{name} of the controller is NaN; it must be a number")
         physical("sample_time of the controller", self.sample_time, "s")
         if self.preload and isinstance(self.model, RigModel):
             raise ValueError("a preload needs two motors; the controller of a rig has one")

@@ -27,7 +27,6 @@ def rig_aims(
 
     Parameters
     ----------
-    model : RigModel
     input, sensor : str
         See :func:`~dmptm_ctrl.simulate.law.default_loop`.
     limit : float, optional

@@ -13,7 +13,7 @@ from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model
-from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 
 def tune_file(
@@ -33,7 +33,7 @@ def tune_file(
         if isinstance(drive, RigModel):
             if refine is not None:
                 raise LogError(f"{model.name}: --logs is for the dual-motor drive; leave it out")
-            check_physical(drive)
+            drive.check()
             aims = rig_aims(drive, input, sensor, limit=limit, speed=speed, sample_time=sample_time)
         else:
             if input or sensor:

@@ -54,7 +54,6 @@ class Tuned:
 
     Attributes
     ----------
-    controller : Controller
     linear : PiTuning
         The start.
     reference : LinearReference or None
@@ -66,7 +65,6 @@ class Tuned:
         its sensor and its input.
     errors : (plants,) array [deg/s]
         RMS tracking error of the controller on every plant drawn.
-    aims : Aims
     parts : DataFrame
         What each part of the compensation takes off the error, alone: ``median``, and ``sure``,
         which nine of ten drawn plants reach. Shares of the error without the part.

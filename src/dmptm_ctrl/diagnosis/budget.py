@@ -6,7 +6,7 @@ out and the rest is refitted, over the removable mean square, before less floor.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import sqrt
 from typing import Any, NamedTuple
 
@@ -89,13 +89,11 @@ class Row:
 
     Attributes
     ----------
-    name, location : str
     speed_rms, torque_rms : float or None
         What the held-out error rises by without it, root mean square, in the drive's own units;
         None where it does not act on that quantity.
     share : float
         Of the removable mean square; of the mean square before for the last two rows.
-    depends_on : tuple of str
     """
 
     name: str
@@ -107,14 +105,7 @@ class Row:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of diagnosis.json."""
-        return {
-            "name": self.name,
-            "location": self.location,
-            "speed_rms": self.speed_rms,
-            "torque_rms": self.torque_rms,
-            "share": self.share,
-            "depends_on": list(self.depends_on),
-        }
+        return {**asdict(self), "depends_on": list(self.depends_on)}
 
 
 def verdict_of(errors: Errors, material: bool, curve: bool) -> str:
@@ -122,7 +113,6 @@ def verdict_of(errors: Errors, material: bool, curve: bool) -> str:
 
     Parameters
     ----------
-    errors : Errors
     material : bool
         Whether any named effect is material.
     curve : bool
@@ -148,7 +138,6 @@ def closed_rows(
     ----------
     rows : sequence of Row
         Of the effects, shares of the removable mean square.
-    errors : Errors
     left, floor : (speed, torque)
         Root mean squares of what is not explained, and of the floor.
     depends_on : tuple of str
@@ -177,7 +166,6 @@ def table_lines(rows: Sequence[Row], units: tuple[str, str]) -> list[str]:
 
     Parameters
     ----------
-    rows : sequence of Row
     units : (speed, torque)
         Empty where the drive has no such column.
     """

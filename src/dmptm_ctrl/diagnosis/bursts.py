@@ -19,6 +19,7 @@ FINE, FINER = 0.004, 101  # share about a period in which it is looked for once 
 REGULAR = 0.9  # |mean exp(2πi t/T)| of what comes by the clock; excitations differ from log to log
 RAYLEIGH = 12.0  # n R² of burst onsets folded on a period: p below 1e-5 per period tried
 ONSET_GAP = 0.1  # s between bursts that count as two
+BINS = 12  # of a variable that may tell where bursts are
 
 
 @dataclass(frozen=True)
@@ -111,17 +112,17 @@ def telling(names: Sequence[str], table: Floats, flag: np.ndarray, most: int) ->
     return [names[i] for i in np.argsort(told)[::-1][:most]]
 
 
-def information(x: Floats, flag: np.ndarray, bins: int = 12) -> float:
+def information(x: Floats, flag: np.ndarray) -> float:
     """Mutual information [nat] of a variable in bins and the flag, less its bias."""
-    edges = np.quantile(x, np.linspace(0.0, 1.0, bins + 1)[1:-1])
+    edges = np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)[1:-1])
     place = np.searchsorted(edges, x)
     rate = flag.mean()
     total = 0.0
-    for b in range(bins):
+    for b in range(BINS):
         inside = flag[place == b]
         if inside.size == 0:
             continue
         for q, p in ((inside.mean(), rate), (1.0 - inside.mean(), 1.0 - rate)):
             if q > 0.0:
                 total += inside.size / flag.size * q * np.log(q / p)
-    return float(total) - (bins - 1) / (2.0 * flag.size)
+    return float(total) - (BINS - 1) / (2.0 * flag.size)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from dmptm_ctrl.diagnosis.residual import Residual
-from dmptm_ctrl.identify.balance import Balance, columns, correlation_lengths, surprises
+from dmptm_ctrl.identify.balance import Balance, columns, correlation_lengths, split, surprises
 from dmptm_ctrl.identify.motion import Motion, first_difference, smooth
 from dmptm_ctrl.identify.windows import CARRIED_SECONDS, STIFFNESS, carried, evened, frictions
 from dmptm_ctrl.parallel import in_threads
@@ -62,7 +62,6 @@ class Basis(NamedTuple):
 
     Attributes
     ----------
-    variables : tuple of str
     pinions, ring, shifts : (2, k, n), (k, n), (2, k, n) array
         Torques and twists of each of its knots; those that do not act are of no size.
     order : int
@@ -284,8 +283,3 @@ def fall(before: Sequence[Floats], after: Sequence[Floats], kinds: Sequence[str]
 def freedom(normal: Floats, ridge: Floats) -> float:
     """Effective number of parameters of a ridge regression."""
     return float(np.trace(np.linalg.solve(normal + np.diag(ridge), normal)))
-
-
-def split(vector: Floats, like: Sequence[Floats]) -> list[Floats]:
-    """Cut a vector into parts of the sizes of `like`."""
-    return np.split(vector, np.cumsum([x.size for x in like])[:-1])

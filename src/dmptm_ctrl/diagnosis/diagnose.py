@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from os import PathLike
 
 from dmptm_ctrl.contract import MOTOR_ENCODERS
 from dmptm_ctrl.diagnosis.budget import verdict_of
@@ -23,94 +22,57 @@ from dmptm_ctrl.diagnosis.measure import Measured, measure
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
 from dmptm_ctrl.diagnosis.residual import Residual, closed, of_windows, predicting_fit, residual
-from dmptm_ctrl.diagnosis.screen import READ_ROWS, screen
+from dmptm_ctrl.diagnosis.screen import screen
 from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import cross_check, sensor_effect, with_sensors
 from dmptm_ctrl.diagnosis.short_predictions import with_short_predictions
 from dmptm_ctrl.diagnosis.summary import correlated
 from dmptm_ctrl.diagnosis.tables import in_tables
 from dmptm_ctrl.diagnosis.unknown import unexplained
-from dmptm_ctrl.drive import Drive, paper_drive
+from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.parallel import crew, small_matrices
-from dmptm_ctrl.signals import Log, LogError, load_logs
+from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.model import Model
 
 
 @small_matrices
 def diagnose_dual(
-    logs: str | PathLike[str] | Iterable[Log],
-    drive: Drive | None = None,
-    *,
-    jobs: int = 2,
-    seed: int = 0,
-    tell: Callable[[str], None] = lambda _: None,
+    logs: Iterable[Log], declared: Drive, jobs: int, seed: int, tell: Callable[[str], None]
 ) -> Diagnosis:
-    """Find what the declared model of a dual-motor drive lacks.
+    """Find what the declared model of a dual-motor drive lacks; see :func:`~.run.diagnose`.
 
-    Parameters
-    ----------
-    logs : folder, or Logs of one rig
-        Channels u_left, u_right [V], theta_L [rad], omega_L [rad/s]; theta_ml, theta_mr
-        [rad] where there are motor encoders.
-    drive : Drive, optional
-        The declared model with its tolerances; the paper's rig by default.
-    jobs : int
-        Threads. The result does not depend on it.
-    seed : int
-        Kept in the provenance; nothing is drawn at random.
-    tell : callable
-        Hears each step of the selection.
-
-    Returns
-    -------
-    Diagnosis
-        `.summary()`, `.to_dict()`, `.augmented`, `.plot()`, `.save(folder)`.
-
-    Raises
-    ------
-    LogError
-        Logs that cannot be read, lack a channel or are not of one rig.
+    `logs` have channels u_left, u_right [V], theta_L [rad], omega_L [rad/s]; theta_ml, theta_mr
+    [rad] where there are motor encoders.
     """
-    with crew(jobs):
-        return _diagnosed(logs, drive or paper_drive(), jobs, seed, tell)
-
-
-def _diagnosed(
-    logs: str | PathLike[str] | Iterable[Log],
-    declared: Drive,
-    jobs: int,
-    seed: int,
-    tell: Callable[[str], None],
-) -> Diagnosis:
     start = time.perf_counter()
-    if isinstance(logs, str | PathLike):
-        logs = load_logs(logs, max_rows=READ_ROWS)
-    campaign, notes = screen(logs, declared)
-    measured = measure(tuple(campaign), declared)
-    sensors = cross_check((*measured.fit, *measured.held))
-    model = with_sensors(Model(declared), sensors)
-    if model.effects:
-        measured = measured.started(model)
-    base = DualState(residual(measured, model, jobs=jobs))
-    evidence = DualEvidence(measured, tuple(sensors.values), jobs)
-    selection = without_negligible(evidence, select_effects(evidence, base, tell), rise)
-    selection = with_short_predictions(evidence, selection, tell)
-    left = of_windows(selection.final.left)
-    rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
-    rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)
-    before = simulated(measured, base.left, declared, jobs)
-    best = tables.left if tables else selection.final.left
-    after = simulated(measured, best, declared, jobs)
-    judged = judge(measured, selection, sensors, (before, after), tables, rest, jobs)
-    final = on_all_logs(measured, best, after, declared, jobs)
-    effects = [named(e, final, judged.share_of(e.key)) for e in selection.entries]
-    effects += [
-        sensor_effect(name, sensors, final, judged.share_of(name)) for name in model.effects
-    ]
-    curve = [] if tables is None else [unnamed(tables, judged.unexplained_share)]
-    material = any(e.material for e in effects)
+    with crew(jobs):
+        campaign, notes = screen(logs, declared)
+        measured = measure(tuple(campaign), declared)
+        sensors = cross_check((*measured.fit, *measured.held))
+        model = with_sensors(Model(declared), sensors)
+        if model.effects:
+            measured = measured.started(model)
+        base = DualState(residual(measured, model, jobs=jobs))
+        evidence = DualEvidence(measured, tuple(sensors.values), jobs)
+        selection = without_negligible(evidence, select_effects(evidence, base, tell), rise)
+        selection = with_short_predictions(evidence, selection, tell)
+        left = of_windows(selection.final.left)
+        rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
+        rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)
+        before = simulated(measured, base.left, declared, jobs)
+        best = tables.left if tables else selection.final.left
+        after = simulated(measured, best, declared, jobs)
+        judged = judge(measured, selection, (before, after), tables, rest, jobs)
+        final = on_all_logs(measured, best, after, declared, jobs)
+        effects = [named(e, final, judged.share_of(e.key)) for e in selection.entries]
+        effects += [
+            sensor_effect(name, sensors, final, judged.share_of(name)) for name in model.effects
+        ]
+        curve = [] if tables is None else [unnamed(tables, judged.unexplained_share)]
+        material = any(e.material for e in effects)
+        experiment = next_experiment(selection, measured, jobs)
     by_encoders = tuple(n for n, e in CATALOGUE.items() if e.seen_by == MOTOR_ENCODERS)
     return Diagnosis(
         verdict=verdict_of(judged.errors, material, rest is not None),
@@ -132,13 +94,10 @@ def _diagnosed(
         source=DualSource(measured, selection, (before, after), final.model),
         correlations=correlated(labels(final), final.covariance),
         provenance=provenance(
-            measured.logs,
-            [rec.name for rec in measured.held],
-            seed,
-            time.perf_counter() - start,
+            measured.logs, [rec.name for rec in measured.held], seed, time.perf_counter() - start
         ),
         warnings=tuple(dict.fromkeys((*notes, *measured.warnings))),
-        experiment=next_experiment(selection, measured, jobs),
+        experiment=experiment,
     )
 
 

@@ -14,10 +14,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dmptm_ctrl.contract import Effect
-from dmptm_ctrl.diagnosis.predict import low_pass
 from dmptm_ctrl.diagnosis.quality import Rows, fold, order_amplitudes
 from dmptm_ctrl.drive import pinion_inertia
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.identify.records import Record, block_mean, predict
 from dmptm_ctrl.plots.diagnosis import Evidence
 from dmptm_ctrl.plots.gaps import animated_uri, busiest, gap_motion
@@ -105,10 +105,7 @@ def abscissa(
     table: dict[str, tuple[Floats, str]] = {
         "theta_L": (np.rad2deg(rec.theta), "ring-gear angle [deg]"),
         "omega_L": (np.rad2deg(low_pass(rec.omega, rec.dt)), "ring-gear speed [deg/s]"),
-        "omega_m": (
-            low_pass(rec.omega, rec.dt) * n1 * model.drive["N_2"],
-            "motor speed [rad/s]",
-        ),
+        "omega_m": (low_pass(rec.omega, rec.dt) * n1 * model.drive["N_2"], "motor speed [rad/s]"),
         "acceleration": (
             np.rad2deg(np.gradient(low_pass(rec.omega, rec.dt), rec.dt)),
             "acceleration of the ring gear [deg/s²]",
@@ -148,14 +145,8 @@ def left_over(
         return y, everywhere, "speed reading − model [deg/s]"
     fast = effect is not None and effect.depends_on == ("theta_m",)
     if rec.twist is not None and (site == "mesh" or fast):
-        twist = run[:, 2] / model.drive["N_1"] - n2 * run[:, 0]
-        flank = np.sign(rec.twist[:, 0]) * (np.abs(rec.twist[:, 0]) > 0.75 * model.drive["gap_l"])
-        keep = (flank != 0.0) & (flank == np.sign(run[:, 6]))
-        return (
-            ARCMIN * (rec.twist[:, 0] - twist),
-            keep,
-            "twist of the left pinion,\nmeasured − model [arcmin]",
-        )
+        label = "twist of the left pinion,\nmeasured − model [arcmin]"
+        return *_twist_missed(rec.twist[:, 0], run, model), label
     inertia = model.drive["J_L"] + 2.0 * n2**2 * pinion_inertia(model.drive)
     forward, backward = (
         model.drive[f"BL_{way}"] + 2.0 * n2**2 * model.drive[f"B3_{way}"]
@@ -165,6 +156,13 @@ def left_over(
     lag, slower = rec.theta - run[:, 0], low_pass(rec.omega - run[:, 1], rec.dt)
     lacking = inertia * (2.0 * np.pi * OBSERVER_HZ) ** 2 * lag + viscous * slower
     return lacking, everywhere, TORQUE
+
+
+def _twist_missed(twist: Floats, run: Floats, model: Model) -> tuple[Floats, np.ndarray]:
+    """What a run misses of the left pinion's twist [arcmin], and where both are on one flank."""
+    flank = np.sign(twist) * (np.abs(twist) > 0.75 * model.drive["gap_l"])
+    predicted = run[:, 2] / model.drive["N_1"] - model.drive["N_2"] * run[:, 0]
+    return ARCMIN * (twist - predicted), (flank != 0.0) & (flank == np.sign(run[:, 6]))
 
 
 def gaps_uri(source: "DualSource") -> str:
@@ -204,14 +202,12 @@ def orders(source: "DualSource") -> Orders:
 def _along_the_turn(rec: Record, model: Model, twisted: bool) -> tuple[Floats, Floats, Floats]:
     """Motor angle, what is left and the angle passed per block, where the drive moves."""
     run = predict(rec, model, OBSERVER_HZ)
-    n1, n2 = model.drive["N_1"], model.drive["N_2"]
-    turn = rec.theta * n1 * n2
+    n1 = model.drive["N_1"]
+    turn = rec.theta * n1 * model.drive["N_2"]
     if twisted:
         assert rec.twist is not None
         turn = turn + n1 * rec.twist[:, 0]
-        left = ARCMIN * (rec.twist[:, 0] - (run[:, 2] / n1 - n2 * run[:, 0]))
-        side = np.sign(rec.twist[:, 0]) * (np.abs(rec.twist[:, 0]) > 0.75 * model.drive["gap_l"])
-        good = (side != 0.0) & (side == np.sign(run[:, 6]))
+        left, good = _twist_missed(rec.twist[:, 0], run, model)
     else:
         left = np.rad2deg(low_pass(rec.omega - run[:, 1], rec.dt))
         good = np.ones(rec.theta.size, bool)

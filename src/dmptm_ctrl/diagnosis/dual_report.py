@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dmptm_ctrl.diagnosis.candidate import Candidate, name_of
-from dmptm_ctrl.diagnosis.code import rebuilding_code
 from dmptm_ctrl.diagnosis.dual import DualState
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.predict import low_pass, speeds
+from dmptm_ctrl.diagnosis.predict import speeds
 from dmptm_ctrl.diagnosis.ranking import best_of, ranking_of
 from dmptm_ctrl.diagnosis.report import UNNAMED, NamedEffect, Picture, estimate
 from dmptm_ctrl.diagnosis.select import Entry, Selection
@@ -18,9 +17,9 @@ from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.fit import Fit
+from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.model_file import to_toml
 
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Evidence, Overlay
@@ -102,14 +101,6 @@ class DualSource:
         from dmptm_ctrl.diagnosis.dual_figures import folded
 
         return folded(self, effect.name if effect else "", tuple(depends_on))
-
-    def model_toml(self) -> str:
-        """Text of model.toml."""
-        return to_toml(self.augmented)
-
-    def code(self) -> str:
-        """Program that builds the augmented model from nothing but the package."""
-        return rebuilding_code(self.augmented)
 
     def pictures(self) -> Iterator[Picture]:
         """Orders per turn, and the pinions in their gaps."""

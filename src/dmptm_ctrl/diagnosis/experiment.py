@@ -11,11 +11,11 @@ from typing import Any, TypeVar
 import numpy as np
 import pandas as pd
 
-from dmptm_ctrl.diagnosis.candidate import name_of
+from dmptm_ctrl.diagnosis.candidate import Candidate, name_of
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.predict import low_pass
 from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.select import Entry, Selection
+from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Floats
@@ -91,7 +91,6 @@ class Experiment:
 
     Attributes
     ----------
-    name, description : str
     against : tuple of str
         The candidates that it tells apart.
     gain : float
@@ -143,8 +142,8 @@ def apart(one: Floats, other: Floats, dt: float, twist: bool) -> float:
     return float(sum(news * np.mean(np.minimum(np.abs(m), BENT) ** 2) for m in misses))
 
 
-def _contested(selection: Selection) -> tuple[Entry, dict[str, Any]] | None:
-    """Entry with most effects that it may be confused with, and the fits of these, by key.
+def _contested(selection: Selection) -> tuple[Entry, list[Candidate]] | None:
+    """Entry with most effects that it may be confused with, and these.
 
     They are fitted beside the same other effects, so that only the effect differs. None where
     there is none.
@@ -152,8 +151,7 @@ def _contested(selection: Selection) -> tuple[Entry, dict[str, Any]] | None:
     entry = max(selection.entries, key=lambda e: len(e.confusable_with), default=None)
     if entry is None or not entry.confusable_with:
         return None
-    rivals = (r for r in entry.rivals if r.keys[0] in entry.confusable_with)
-    return entry, {r.keys[0]: r.fitted[0].fit for r in rivals}
+    return entry, [r for r in entry.rivals if r.keys[0] in entry.confusable_with]
 
 
 def _best(
@@ -182,7 +180,7 @@ def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experimen
         return None
     entry, rivals = contested
     models: dict[str, RigModel] = {entry.key: selection.final.fit.model}
-    models |= {key: fit.model for key, fit in rivals.items()}
+    models |= {r.keys[0]: r.fitted[1].model for r in rivals}
     rig, dt = models[entry.key].rig, runs.logs[0].sample_time
     left = np.concatenate([m - a for m, a in zip(runs.measured, runs.after, strict=True)])
     floor = float(np.sqrt(np.mean(left**2)))
@@ -224,8 +222,6 @@ def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> 
 
     Parameters
     ----------
-    selection : Selection
-    measured : Measured
     jobs : int
         Threads. The result does not depend on it.
 
@@ -239,7 +235,7 @@ def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> 
         return None
     entry, rivals = contested
     models = {name_of(entry.key): selection.final.left.base.model}
-    models |= {name_of(key): fit.model for key, fit in rivals.items()}
+    models |= {name_of(r.keys[0]): r.fitted[0].fit.model for r in rivals}
     twist = measured.has_motor_encoders
     left = selection.base.left
     motions = [*left.balance.motions, *left.held.motions]

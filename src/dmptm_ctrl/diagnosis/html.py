@@ -7,13 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dmptm_ctrl.diagnosis.quality import correlations
-from dmptm_ctrl.plots.diagnosis import (
-    Evidence,
-    Overlay,
-    plot_budget,
-    plot_evidence,
-    plot_overlay,
-)
+from dmptm_ctrl.plots.diagnosis import Evidence, Overlay, plot_budget, plot_evidence, plot_overlay
 from dmptm_ctrl.plots.page import data_uri, environment, number, words
 from dmptm_ctrl.plots.quality import Correlation, plot_correlation
 
@@ -42,6 +36,19 @@ READ_CORRELATION = (
     "that correlates with itself lacks dynamics or an effect; one that follows the input (positive "
     "lags) lacks a path from the input. At negative lags only a closed loop's feedback shows."
 )
+CODE = """\
+import numpy as np
+
+import dmptm_ctrl as dm
+
+model = dm.read_model("model.toml")  # beside this report
+plant = model.to_blocks()  # ct.InterconnectedSystem, the effects included
+linear = dm.linearize(model)  # ct.StateSpace
+
+time = np.arange(0.0, 0.05, 1e-3)  # s
+signals = np.full((plant.ninputs, time.size), 0.6)  # of the inputs, SI
+response = dm.simulate(model, time, signals)  # ct.TimeResponseData
+"""
 NORMAL_95 = 1.96  # standard errors on either side that hold 95 %
 TOLD = 3  # values of an effect that the action tells
 CORRELATED = 0.9  # from here on two parameters are told apart badly
@@ -56,10 +63,6 @@ def _title(diagnosis: "Diagnosis") -> str:
 
 def render(diagnosis: "Diagnosis") -> str:
     """Return the report of a diagnosis.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
 
     Returns
     -------
@@ -101,7 +104,7 @@ def render(diagnosis: "Diagnosis") -> str:
             quality_figure=quality_figure(tests),
             read_correlation=READ_CORRELATION,
             pairs=[p for p in diagnosis.correlations if abs(p[2]) >= CORRELATED],
-            code=diagnosis.source.code(),
+            code=CODE,
         )
     )
 

@@ -26,7 +26,6 @@ def loudness(model: RigModel, balance: Balance) -> float:
 
     Parameters
     ----------
-    model : RigModel
     balance : Balance
         Of the sensors and the bandwidth.
 

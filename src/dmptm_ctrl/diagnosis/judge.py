@@ -10,23 +10,15 @@ from dmptm_ctrl.diagnosis.budget import Errors, Row, Squares, closed_rows, error
 from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.dual import DualState
 from dmptm_ctrl.diagnosis.measure import Measured
-from dmptm_ctrl.diagnosis.predict import (
-    BANDWIDTH_HZ,
-    apart,
-    free_run,
-    low_pass,
-    noise_below,
-    speed_error,
-    twin_steps,
-)
+from dmptm_ctrl.diagnosis.predict import apart, free_run, speed_error, twin_steps
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.select import Selection
-from dmptm_ctrl.diagnosis.sensors import SensorCheck
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.unknown import Unexplained
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import FREEDOM, scatter
 from dmptm_ctrl.identify.fit import Fit, place
+from dmptm_ctrl.identify.measured_motion import BANDWIDTH_HZ, low_pass, noise_below
 from dmptm_ctrl.identify.observer_driven import BLOCK_SECONDS, MEMORY_SECONDS, Led
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
@@ -43,8 +35,6 @@ class Judged:
 
     Attributes
     ----------
-    errors : Errors
-    rows : tuple of Row
     error : dict
         The entry of diagnosis.json.
     """
@@ -89,7 +79,6 @@ def systematic(left: Residual, scale: "Scale") -> float:
 def judge(
     measured: Measured,
     selection: Selection,
-    sensors: SensorCheck,
     fits: tuple[Fit, Fit],
     tables: Tables | None,
     rest: Unexplained | None,
@@ -114,10 +103,7 @@ def judge(
     freely, shortly = scatters(twins_of(augmented), measured, jobs)
     speed["floor"] = {"rmse": min(freely, *(one["rmse"] for one in speed.values()))}
     names = ("before", "after", "floor")
-    torque = {
-        name: torque_error(left, measured)
-        for name, left in zip(names, (first, final.left, best), strict=True)
-    }
+    torque = dict(zip(names, map(torque_error, (first, final.left, best)), strict=True))
     horizons = dict(
         zip(names[:2], (horizon(m, measured.held, jobs) for m in (bare, augmented.model)),
             strict=True)
@@ -199,7 +185,7 @@ def mean_square(left: Residual, scale: Scale) -> float:
     return total / float(sum(w.sum() for w in scale.weights))
 
 
-def torque_error(left: Residual, measured: Measured) -> dict[str, float]:
+def torque_error(left: Residual) -> dict[str, float]:
     """Root mean square of what the balance at the ring gear misses, and over the drive's torque."""
     parts = left.held.missing(left.base.model)
     pairs = list(zip(left.held.equations, parts, strict=True))
@@ -280,7 +266,7 @@ def effect_row(
     left = on_rows_of(final.left, without.left)
     lost = mean_square(left, scale) - errors.after
     share = max(lost, 0.0) / max(errors.removable, 1e-300)
-    torque = apart(torque_error(left, measured)["rmse"], torque_error(final.left, measured)["rmse"])
+    torque = apart(torque_error(left)["rmse"], torque_error(final.left)["rmse"])
     damping = {k: augmented.model.drive[k] for k in ("c", "c_f")}
     model = left.base.model.with_values(**damping)
     slower = speed_error(model, measured.held_logs, jobs)["rmse"]

@@ -18,7 +18,6 @@ class Measured:
 
     Attributes
     ----------
-    logs : sequence of Log
     fit, held : tuples of Record
         Fitted on, and judged on: other amplitudes of the same kinds of experiment.
     drive : Drive
@@ -76,8 +75,6 @@ def measure(logs: Sequence[Log], drive: Drive) -> Measured:
     if not logs:
         raise LogError("no logs to diagnose")
     for log in logs:
-        for channel in ("u_left", "u_right", "theta_L", "omega_L"):
-            log[channel]
         if len(log) < MIN_SAMPLES:
             raise LogError(
                 f"{log.name}: {len(log)} samples; a diagnosis needs at least {MIN_SAMPLES}"

@@ -18,14 +18,8 @@ def without_negligible(
 
     Parameters
     ----------
-    evidence : Evidence
-    selection : Selection
     rise : callable
         Share by which what is left rises without an effect: of (without, with).
-
-    Returns
-    -------
-    Selection
     """
     final = selection.final
     left_out = {e.key: e.without for e in selection.entries if rise(e.without, final) < NEGLIGIBLE}

@@ -5,14 +5,13 @@ motion to be expected is the mean of runs that differ in them: it misses least.
 """
 
 from collections.abc import Sequence
-from functools import cache
 from os import PathLike
 
 import numpy as np
 import pandas as pd
-from scipy.signal import butter, sosfiltfilt
 
 from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.identify.measured_motion import agreement, low_pass
 from dmptm_ctrl.identify.records import RING_COUNT, true_angle
 from dmptm_ctrl.identify.rig_simulate import free_run as rig_free_run
 from dmptm_ctrl.identify.rig_simulate import readings
@@ -25,9 +24,6 @@ from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 SPEED = (OUTPUTS.index("omega_L"),)
-BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
-ORDER = 4
-NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
 RUNS = 16
 TOGETHER = 100_000  # samples of a log, up to which the runs are held at once: 100 MB
 # Standard deviation of how stiffness and damping of the meshes change, which decide when a pinion
@@ -175,18 +171,6 @@ def _predict_rig(model: RigModel, log: Log) -> pd.DataFrame:
     return pd.DataFrame({key: np.asarray(values) for key, values in columns.items()})
 
 
-def low_pass(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> Floats:
-    """Zero-phase Butterworth low-pass; a signal that has no more than that stays as it is."""
-    if 2.0 * bandwidth_hz * dt >= 1.0:
-        return signal
-    return np.asarray(sosfiltfilt(_sections(1.0 / dt, bandwidth_hz), signal))
-
-
-@cache  # to design it takes longer than to filter a log
-def _sections(rate: float, bandwidth_hz: float) -> Floats:
-    return np.asarray(butter(ORDER, bandwidth_hz, fs=rate, output="sos"), np.float64)
-
-
 def speeds(model: Model, log: Log) -> tuple[Floats, Floats]:
     """Measured and predicted speed below 30 Hz [rad/s]."""
     dt = log.sample_time
@@ -198,8 +182,6 @@ def speed_error(model: Model, logs: Sequence[Log], jobs: int = 1) -> dict[str, f
 
     Parameters
     ----------
-    model : Model
-    logs : sequence of Log
     jobs : int
         Threads.
 
@@ -210,36 +192,3 @@ def speed_error(model: Model, logs: Sequence[Log], jobs: int = 1) -> dict[str, f
     """
     pairs = in_threads(lambda log: speeds(model, log), logs, jobs, lambda log: log.time.size)
     return agreement([(np.rad2deg(seen), np.rad2deg(run)) for seen, run in pairs])
-
-
-def agreement(pairs: Sequence[tuple[Floats, Floats]]) -> dict[str, float]:
-    """How far runs are from what was measured, over all logs together.
-
-    Parameters
-    ----------
-    pairs : sequence of ((n,) array, (n,) array)
-        Measured and run, in one unit.
-
-    Returns
-    -------
-    dict
-        `rmse`, `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
-    """
-    seen, run = (np.concatenate([p[k] for p in pairs]) for k in (0, 1))
-    rmse = float(np.sqrt(np.mean((seen - run) ** 2)))
-    spread = float(np.std(seen))
-    both = spread * float(np.std(run))
-    r = float(np.mean((seen - seen.mean()) * (run - run.mean())) / both) if both > 0 else 0.0
-    fit = 100.0 * (1.0 - rmse / spread) if spread > 0 else 0.0
-    return {"rmse": rmse, "fit_percent": fit, "pearson_r": r}
-
-
-def noise_below(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> float:
-    """Standard deviation of white noise below a bandwidth, in the unit of the signal.
-
-    The second difference of a smooth motion is small, that of white noise is √6 times it; the
-    median leaves impacts out.
-    """
-    rough = np.diff(signal, 2)
-    white = float(np.median(np.abs(rough))) / NORMAL_MEDIAN / np.sqrt(6.0)
-    return white * float(np.sqrt(min(2.0 * bandwidth_hz * dt, 1.0)))

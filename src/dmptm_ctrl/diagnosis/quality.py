@@ -7,13 +7,11 @@ hundred lags then lie inside the band (Ljung, System Identification, 2nd ed., 16
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dmptm_ctrl.diagnosis.predict import BANDWIDTH_HZ
+from dmptm_ctrl.identify.measured_motion import BANDWIDTH_HZ, Floats
 from dmptm_ctrl.plots.diagnosis import Curve, Evidence, Overlay
 from dmptm_ctrl.plots.quality import Correlation
 
-Floats = NDArray[np.float64]
 # variable, residual, direction of motion, share of a sample that is independent
 Rows = tuple[Floats, Floats, Floats, float]
 
@@ -29,7 +27,6 @@ def correlations(overlays: Sequence[Overlay], which: str) -> tuple[Correlation, 
 
     Parameters
     ----------
-    overlays : sequence of Overlay
     which : "before" or "after"
 
     Returns
@@ -60,7 +57,6 @@ def autocorrelation(signals: Sequence[Floats], lags: int, step: float) -> Correl
     Parameters
     ----------
     signals : sequence of (n,) arrays
-    lags : int
     step : float
         Time between samples [s].
     """

@@ -25,7 +25,6 @@ def ranking_of(
 
     Parameters
     ----------
-    selection : Selection
     catalogue : iterable of (name, location, reveals)
         Location of those that have one place only, else empty.
     sensors : collection of str

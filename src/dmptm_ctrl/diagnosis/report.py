@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from math import sqrt
 from os import PathLike
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -16,10 +16,13 @@ from dmptm_ctrl.diagnosis.summary import correlation_lines, parameter_lines, ver
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model_file import model_text
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 if TYPE_CHECKING:
+    from dmptm_ctrl.diagnosis.dual_report import DualSource
+    from dmptm_ctrl.diagnosis.rig_report import RigSource
     from dmptm_ctrl.plots.diagnosis import Evidence, Overlay
 
 SCHEMA = 2
@@ -81,33 +84,6 @@ class Picture(NamedTuple):
     plain: bool = False  # kept as it is on a dark page
 
 
-class Source(Protocol):
-    """What the report asks of a kind of drive."""
-
-    @property
-    def title(self) -> str:
-        """The drive in words."""
-
-    @property
-    def shares(self) -> str:
-        """What the budget's shares are of."""
-
-    def overlays(self) -> "Sequence[Overlay]":
-        """A reading per held-out log: measured, and free runs before and after."""
-
-    def evidence(self, effect: NamedEffect | None, depends_on: Sequence[str]) -> "Evidence | None":
-        """Residual without and with an effect, over what it depends on; None: nothing to fold."""
-
-    def model_toml(self) -> str:
-        """Text of model.toml."""
-
-    def code(self) -> str:
-        """Program that builds the augmented model in python-control."""
-
-    def pictures(self) -> Iterable[Picture]:
-        """Pictures that only this kind of drive has."""
-
-
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
     """What the declared model lacks, and what each part of it is worth.
@@ -132,7 +108,7 @@ class Diagnosis:
     declared_values : dict
         Declared and fitted value of each declared parameter.
     selection : Selection
-    source : Source
+    source : DualSource or RigSource
         Logs, runs and pictures of this kind of drive.
     correlations : list of (str, str, float)
         Pairs of fitted parameters whose estimates go together.
@@ -152,7 +128,7 @@ class Diagnosis:
     augmented: Model | RigModel
     declared_values: dict[str, dict[str, Any]]
     selection: Selection
-    source: Source
+    source: "DualSource | RigSource"
     correlations: list[tuple[str, str, float]] = field(default_factory=list)
     provenance: dict[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
@@ -213,6 +189,8 @@ class Diagnosis:
         if not names and (apart := self._sensors_apart()):
             return f"Sensors of one motion disagree: {apart}; {left}."
         if not names:
+            if self.outside:
+                left += f"; fitted values leave their declared ranges: {', '.join(self.outside)}"
             return f"The declared model lacks something unknown{on}; {left}."
         share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
         if self.verdict == "explained":
@@ -340,7 +318,7 @@ class Diagnosis:
         with output_folder(folder) as out:
             text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
             (out / "diagnosis.json").write_text(text + "\n", encoding="utf-8")
-            (out / "model.toml").write_text(self.source.model_toml(), encoding="utf-8")
+            (out / "model.toml").write_text(model_text(self.augmented), encoding="utf-8")
             if self.experiment is not None:
                 table = self.experiment.table()
                 table.to_csv(out / EXPERIMENT_FILE, index=False, float_format="%.6g")

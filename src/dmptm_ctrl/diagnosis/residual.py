@@ -38,10 +38,8 @@ class Residual:
 
     Attributes
     ----------
-    measured : Measured
     balance, held : Balance
         Missing torques on the logs that fit and on those that judge.
-    base : BalanceFit
     """
 
     measured: Measured
@@ -157,11 +155,7 @@ def _runs(records: tuple[Record, ...], model: Model, jobs: int) -> list[Floats]:
 
 
 def residual(
-    measured: Measured,
-    model: Model,
-    *,
-    unknowns: tuple[Unknown, ...] | None = None,
-    jobs: int = 2,
+    measured: Measured, model: Model, *, unknowns: tuple[Unknown, ...] | None = None, jobs: int = 2
 ) -> Residual:
     """Fit a model to the balances and return what it leaves.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from dmptm_ctrl.identify.measured_motion import Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.identify.rig_start import (
     ends_of,
+    friction_beyond,
     regress,
     regress_gap,
     spring_values,
@@ -41,9 +43,10 @@ BANDS = (0.01, 0.05, 0.15)  # dead bands, of the input's size
 LIMITS = (0.95, 0.8, 0.6, 0.4)  # saturations, of the input's peak
 SPEEDS = (0.01, 0.03, 0.06, 0.12, 0.25)  # Stribeck speeds, of the highest
 SIZES = (1e-5, 1e-4, 1e-3, 1e-2)  # bristles, of the travel
-GAPS = (1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel
+GAPS = tuple(np.geomspace(1e-5, 3e-2, 24))  # of the travel
 WIDTHS = (0.003, 0.01, 0.03)  # local spots, of the travel
 SPOT_BINS = 2048
+INELASTIC = 1.0  # damping ratio of a contact that does not bounce: what it does hangs least on when
 HIDDEN_MODES = 14  # antiresonances tried
 SHARES = (0.25, 0.6)  # of the inertia behind a spring, tried
 FRICTION = COULOMB_FRICTION.name, VISCOUS_FRICTION.name, STRIBECK_FRICTION.name
@@ -384,16 +387,19 @@ def _frequencies(tangent: Tangent) -> list[float]:
 def _finite(
     tangent: Tangent,
     tries: Sequence[Placed],
-    values: Mapping[str, float] | None = None,
+    values: Sequence[Mapping[str, float]] = ({},),
     twist: Mapping[str, Mapping[str, float]] | None = None,
     *,
     scaled: bool = False,
 ) -> Trial | None:
-    """Best of several finite sizes; `scaled` where the effect is linear in its amplitude."""
+    """Best of several finite sizes, each beside several `values` of the declared quantities.
+
+    `scaled` where the effect is linear in its amplitude.
+    """
     best: tuple[float, Trial] | None = None
     target = tangent.target
-    for placed in tries:
-        trial = Trial(placed, (), (), {}, values or {}, twist or {})
+    for beside, placed in product(values, tries):
+        trial = Trial(placed, (), (), {}, beside, twist or {})
         try:
             moved, _ = residuals(trial.placed_in(tangent.fit.state), tangent.balance)
         except (ValueError, ArithmeticError):
@@ -416,7 +422,10 @@ def _finite(
     return best[1] if best else None
 
 
-Structure = tuple[list[Placed], Mapping[str, float], Mapping[str, Mapping[str, float]]]
+# effects to try, values of declared quantities to try each beside, and twists per log
+Structure = tuple[
+    Sequence[Placed], Sequence[Mapping[str, float]], Mapping[str, Mapping[str, float]]
+]
 
 
 def _compliances(tangent: Tangent) -> Iterator[Structure]:
@@ -430,11 +439,11 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
     for link in (k for k in model.rig.links if k.rigid):
         ends = ends_of(model, balance, link.name)
         if ends is None:
-            yield [_spring(link.name, 0.5, float(w)) for w in modes], {}, {}
+            yield [_spring(link.name, 0.5, float(w)) for w in modes], [{}], {}
         else:
             spring = regress(balance, *ends)
             start = _spring(link.name, 0.5, spring.antiresonance, spring.damping_ratio)
-            yield [start], unknown_inertias(model, link.name, spring), {}
+            yield [start], [unknown_inertias(model, link.name, spring)], {}
     for body in () if model.rig.links else model.rig.bodies:
         own = [p for p in balance.points if p.body == body.name]
         far = tuple(s for p in own[1:] for s in p.sensors)
@@ -443,13 +452,13 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
             spring = regress(balance, *ends_here)
             share = spring.far / (spring.near + spring.far)
             start = _spring(body.name, share, spring.antiresonance, spring.damping_ratio, far)
-            yield [start], {}, {}
+            yield [start], [{}], {}
             continue
         sides = [(), own[0].sensors] if own else [()]  # the sensor may be behind the spring
         yield [
             _spring(body.name, share, float(w), 0.05, side)
             for side in sides for w in modes for share in SHARES
-        ], {}, {}  # fmt: skip
+        ], [{}], {}  # fmt: skip
 
 
 def _spring(
@@ -473,9 +482,10 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
         if ends is None:
             travel = scales_of(balance).position
             tries = [Placed(BACKLASH.name, link, {"half_gap": s * travel}) for s in GAPS]
-            soft = springs_of(model, balance, link) if link in declared else []
+            soft = springs_of(model, balance, link, INELASTIC) if link in declared else []
+            beyond = friction_beyond(model, link) if link in declared else {}
             for values in soft or [{}]:
-                yield tries, values, {}
+                yield tries, [values, values | beyond] if beyond else [values], {}
             continue
         if not all(p in m.angles for m in balance.motions for p, _ in ends):
             continue  # an integrated speed drifts by more than a gap
@@ -485,4 +495,4 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
             values |= spring_values(model, link, gap.spring)
             ratio = model.value(f"link.{link}.ratio")
             twist = {log: {link: zero / ratio} for log, zero in gap.zero.items()}
-            yield [Placed(BACKLASH.name, link, {"half_gap": gap.half_gap})], values, twist
+            yield [Placed(BACKLASH.name, link, {"half_gap": gap.half_gap})], [values], twist

@@ -31,9 +31,9 @@ from dmptm_ctrl.diagnosis.rig_screen import (
     refuse_reversed,
     screen_rig,
 )
-from dmptm_ctrl.diagnosis.rig_sensors import put_right, sensor_faults
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.diagnosis.select import select_effects
+from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
@@ -60,30 +60,7 @@ def diagnose_rig(
     jobs: int = 2,
     tell: Callable[[str], None] | None = None,
 ) -> Diagnosis:
-    """Find what the declared model of a rig lacks.
-
-    Parameters
-    ----------
-    logs : folder, files or Logs of the rig
-    rig : Rig or path of a rig file
-        See docs/rig_toml.md.
-    seed : int
-        Kept in the provenance; nothing is drawn at random.
-    jobs : int
-        Threads. The result does not depend on it.
-    tell : callable, optional
-        Gets a line of text as the work goes on.
-
-    Returns
-    -------
-    Diagnosis
-        `.summary()`, `.to_dict()`, `.augmented`, `.plot()`, `.save(folder)`.
-
-    Raises
-    ------
-    LogError
-        Logs or a rig file that cannot be used; the message says why.
-    """
+    """Find what the declared model of a rig lacks; see :func:`~.run.diagnose`."""
     started, say = time.perf_counter(), tell or (lambda _: None)
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
     _refuse_floating(declared)

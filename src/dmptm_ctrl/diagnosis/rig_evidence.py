@@ -1,14 +1,22 @@
 """Evidence from the torque balance of a drive of any shape, for the selection of effects."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isfinite
+from math import inf, isfinite
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import NONE, near
-from dmptm_ctrl.diagnosis.candidate import Candidate, Floats, Rows, name_of, standard_error
+from dmptm_ctrl.diagnosis.candidate import (
+    Candidate,
+    Floats,
+    Keys,
+    Rows,
+    name_of,
+    standard_error,
+)
 from dmptm_ctrl.diagnosis.impedance import loudness
 from dmptm_ctrl.diagnosis.rig_candidates import (
     MAX_ORDER,
@@ -24,6 +32,7 @@ from dmptm_ctrl.diagnosis.select import Selection, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
+from dmptm_ctrl.identify.measured_motion import correlation_length
 from dmptm_ctrl.identify.rig_fit import (
     Likelihood,
     RigFit,
@@ -33,7 +42,7 @@ from dmptm_ctrl.identify.rig_fit import (
     stepped,
     total_loss,
 )
-from dmptm_ctrl.identify.rig_start import stiffened
+from dmptm_ctrl.identify.rig_start import from_elsewhere
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed
 
@@ -129,8 +138,8 @@ class RigEvidence:
         The few that explain most are fitted; the others are judged to first order.
         """
         if only is not None:
-            named = [*trials(state.tangent, only), *structures(state.tangent, only)]
-            return [self._fitted(state, (t,), FIRST) for t in named]
+            named = [self._fitted(state, (t,), FIRST) for t in trials(state.tangent, only)]
+            return [*named, *self._structures(state, only)]
         steps = sorted(state.trials, key=lambda t: -state.tangent.score(t.columns)[0])
         judged = [self._fitted(state, (t,), FIRST) for t in steps[:FITTED]]
         rough = ranked([self._first_order(state, t) for t in steps[FITTED:]])
@@ -140,8 +149,21 @@ class RigEvidence:
             if rough[0].evidence < best:
                 break
             judged.append(self._fitted(state, rough.pop(0).fitted[0], FIRST))
-        judged += [self._fitted(state, (t,), FIRST) for t in structures(state.tangent)]
-        return [*judged, *rough]
+        return [*judged, *self._structures(state), *rough]
+
+    def _structures(self, state: RigState, only: Sequence[str] | None = None) -> list[Candidate]:
+        """Fit springs and gaps: from each start a little, the best of each to the end."""
+        best: dict[Keys, Candidate] = {}
+        for trial in structures(state.tangent, only):
+            one = self._fitted(state, (trial,), FIRST)
+            if one.keys not in best or one.evidence > best[one.keys].evidence:
+                best[one.keys] = one
+        for keys, one in best.items():
+            group, fit = one.fitted
+            if one.demanded:
+                with suppress(ValueError, ArithmeticError):
+                    best[keys] = self._candidate(state, group, self._to_the_end(fit.state, fit))
+        return list(best.values())
 
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:
         """Judge a candidate after one step of the model's parameters, by their known slopes."""
@@ -265,15 +287,17 @@ class RigEvidence:
 
     def adopt(self, state: RigState, candidate: Candidate) -> RigState:
         """Put a candidate into the model and fit to the end."""
-        found, news = candidate.fitted[1].state, state.fit.likelihood.news
-        fit = fit_rig(found, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
-        return self._stiffened(RigState(fit, self.held, (*state.keys, *candidate.keys)))
+        fit = self._to_the_end(candidate.fitted[1].state, state.fit)
+        return RigState(fit, self.held, (*state.keys, *candidate.keys))
 
-    def _stiffened(self, state: RigState) -> RigState:
-        fit = state.fit
-        for link in (k.partition("@")[2] for k in state.keys if k.startswith(f"{BACKLASH.name}@")):
-            fit = stiffened(fit, link, iterations=SETTLE, jobs=self.jobs)
-        return replace(state, fit=fit)
+    def _to_the_end(self, start: State, like: RigFit) -> RigFit:
+        """Fit to the end, where a gap is among the effects from several of its sizes."""
+        news = like.likelihood.news
+        fit = fit_rig(start, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
+        for effect in fit.model.effects:
+            if effect.name == BACKLASH.name:
+                fit = from_elsewhere(fit, effect.key, iterations=SETTLE, jobs=self.jobs)
+        return fit
 
     def closed(self, state: RigState) -> RigState:
         """Count anew how many rows are independent, and fit again."""
@@ -292,10 +316,8 @@ class RigEvidence:
             )
             for log, n in state.fit.state.logs.items()
         }
-        news = state.fit.likelihood.news
-        fit = fit_rig(State(model, logs), self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
-        left = tuple(k for k in state.keys if k not in gone)
-        return self._stiffened(RigState(fit, self.held, left))
+        fit = self._to_the_end(State(model, logs), state.fit)
+        return RigState(fit, self.held, tuple(k for k in state.keys if k not in gone))
 
     def wald(self, state: RigState, key: str) -> float:
         """Square of an effect's amplitudes in standard errors; 0 where only a refit tells."""
@@ -337,7 +359,12 @@ def within_floor(selection: Selection, floor: float) -> bool:
 
 
 def rise(without: RigState, final: RigState) -> float:
-    """Share by which what is left of all balances rises without an effect."""
+    """Share by which what is left of all balances rises without an effect.
+
+    Infinite where only declared values far outside their ranges stand for it.
+    """
+    if final.fit.in_ranges and not without.fit.in_ranges:
+        return inf
     likelihood, held = final.fit.likelihood, Likelihood(final.held, final.fit.likelihood.news)
     squares = [
         sum(
@@ -372,15 +399,6 @@ def independent(state: RigState) -> Floats:
         start += len(part)
         found.append(1.0 / correlation_length(own) if own.size > 2 else 1.0)
     return np.array(found)
-
-
-def correlation_length(x: Floats) -> float:
-    """Rows that count as one: 1 + 2 Σ ρ, up to the first that is not positive."""
-    spectrum = np.fft.rfft(x, 2 * x.size)
-    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[: x.size]
-    rho = covariance / covariance[0] if covariance[0] > 0 else 0.0 * covariance
-    ends = np.flatnonzero(rho <= 0)
-    return 1.0 + 2.0 * float(np.sum(rho[1 : ends[0] if ends.size else rho.size]))
 
 
 def standing_on(fit: RigFit, key: str) -> set[str]:

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.quality import Floats, Rows, fold
+from dmptm_ctrl.diagnosis.quality import Rows, fold
 from dmptm_ctrl.diagnosis.rig_curves import Signal, variables_of
 from dmptm_ctrl.diagnosis.rig_evidence import RigState
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.identify.measured_motion import Motion
+from dmptm_ctrl.identify.measured_motion import Floats, Motion
 from dmptm_ctrl.plots.diagnosis import Evidence
 from dmptm_ctrl.signals.units import parse_unit
 

@@ -15,9 +15,8 @@ from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture
 from dmptm_ctrl.diagnosis.rig_curves import Curve, mean_square
 from dmptm_ctrl.diagnosis.rig_evidence import RigState
 from dmptm_ctrl.diagnosis.rig_runs import Runs, variable_of
-from dmptm_ctrl.diagnosis.rig_sensors import SensorFault
 from dmptm_ctrl.diagnosis.select import Entry, Selection
-from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY
+from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY, SensorFault
 from dmptm_ctrl.diagnosis.summary import correlated
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
@@ -25,20 +24,13 @@ from dmptm_ctrl.identify.free_parameters import on_slide
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.rig_fit import RigFit, State
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.model_file import input_symbol, rig_model_to_toml, unit_at
+from dmptm_ctrl.simulate.model_file import input_symbol, unit_at
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Evidence, Overlay
 
-CODE = """\
-import dmptm_ctrl as dm
-
-model = dm.read_model("model.toml")  # beside this report
-plant = dm.linearize(model)  # ct.StateSpace: springs, dampers, viscous friction, lags
-print(plant)
-"""
 SIDES = "before", "after", "floor"
 READ_SPECTRUM = (
     "The response of the sensor to the input on a held-out log, only where the log excites it. "
@@ -97,14 +89,6 @@ class RigSource:
             effect.name if effect else "",
             torque_unit(self.rig),
         )
-
-    def model_toml(self) -> str:
-        """Text of model.toml."""
-        return rig_model_to_toml(self.augmented)
-
-    def code(self) -> str:
-        """Program that reads the augmented model."""
-        return CODE
 
     def pictures(self) -> Iterator[Picture]:
         """The gain over frequency, where a compliance was found."""
@@ -190,7 +174,8 @@ def report_of(
     if effects and (errors.explained >= EXPLAINED or errors.balanced):
         verdict = "explained"
     elif not effects and share_of_curves < 1.0 - EXPLAINED and errors.balanced:
-        verdict = "none"
+        # with other values than the declared ones it is not the declared model that fits
+        verdict = "none" if base.fit.in_ranges else "unknown"
     rows = [
         Row(e.name, e.location, slower[k], sqrt(costs[k]), e.share,
             (variable_of(augmented, f"{e.name}@{e.location}"),))

@@ -10,21 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.budget import Squares
-from dmptm_ctrl.diagnosis.predict import (
-    BANDWIDTH_HZ,
-    agreement,
-    apart,
-    low_pass,
-    noise_below,
-    twin_steps,
-)
+from dmptm_ctrl.diagnosis.predict import apart, twin_steps
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import (
+    BANDWIDTH_HZ,
     HELD_STRETCHES,
     MOTION_OVER_BALANCE,
     STRETCHES,
+    agreement,
     derivative,
+    low_pass,
+    noise_below,
 )
 from dmptm_ctrl.identify.rig_fit import RigFit, State
 from dmptm_ctrl.identify.rig_simulate import free_run, readings

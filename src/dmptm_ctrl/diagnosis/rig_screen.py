@@ -9,8 +9,8 @@ import numpy as np
 from dmptm_ctrl.diagnosis.screen import MAX_ROWS, STRANGE, VAGUE, cut
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
 from dmptm_ctrl.drive.rig_tables import si_symbol
-from dmptm_ctrl.identify.free_parameters import Floats
 from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.signals.campaign import without_duplicates
 from dmptm_ctrl.signals.plausible import (
@@ -28,6 +28,7 @@ SURE = 10.0  # standard errors of an inertia that contradicts its declaration
 KINEMATIC = 0.99  # correlation above which one position follows another through a soft link
 INVERSE = 0.25  # of a ratio's error in logarithms, below which its inverse fits far better
 TOLD = 1.05  # factor between two sensors of one motion that a good pair does not have
+TWIST = 10.0  # times more than a wrong ratio leaves, a soft link would have to twist
 HIDDEN = 20.0  # times less: behind a soft shaft, a load hides that much of the inertia, not more
 
 
@@ -111,10 +112,14 @@ def refuse_other_units(rig: Rig, log: Log) -> list[str]:
             refuse_factor(log, y, x, this, expected, detrend=True)
         elif not SAME_UNIT[0] <= slope <= SAME_UNIT[1] or _inverted(path, slope):
             raise LogError(f"{log.name}: {_other_ratio(one, other, path, slope)}")
-        if path.rigid and not 1 / TOLD < abs(slope) < TOLD and abs(correlation) > KINEMATIC:
+        # the twist of a soft link is no multiple of the motion
+        scaled = path.rigid or np.std(y - x) > TWIST * np.std(y - slope * x)
+        if scaled and not 1 / TOLD < abs(slope) < TOLD and abs(correlation) > KINEMATIC:
             notes.append(
                 f"{one.column} moves {slope * path.ratio:.4g} times what {other.column} {what}, "
-                f"where {path.ratio:.4g} is right: one of the two has another scale"
+                f"where {path.ratio:.4g} is declared: one of the two has another scale"
+                + ", or the ratio is wrong"
+                * bool(path.links)
             )
     return notes
 
@@ -232,7 +237,7 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
     LogError
     """
     point = balance.points[0]
-    turns = _turns(rig, point.body)
+    turns = rig.turns(point.body)
     if any(i.body not in turns for i in rig.inputs):
         return ""
     if len(rig.inputs) > 1 and not all(is_known(i.gain) for i in rig.inputs):
@@ -291,7 +296,7 @@ def refuse_no_gain(rig: Rig, balance: Balance) -> None:
     """
     source = rig.inputs[0]
     point = balance.points[0]
-    turns = _turns(rig, point.body)
+    turns = rig.turns(point.body)
     known = all(is_known(b.inertia) for b in rig.bodies)
     if len(rig.inputs) > 1 or is_known(source.gain) or not known or len(turns) < len(rig.bodies):
         return
@@ -317,7 +322,7 @@ def other_scale(rig: Rig, balance: Balance) -> str:
     Σ gain u = J a + b v + c sign(v) + k q, by least squares.
     """
     point = balance.points[0]
-    turns = _turns(rig, point.body)
+    turns = rig.turns(point.body)
     known = [b.inertia for b in rig.bodies] + [i.gain for i in rig.inputs]
     if len(turns) < len(rig.bodies) or not all(is_known(q) for q in known):
         return ""
@@ -330,7 +335,7 @@ def other_scale(rig: Rig, balance: Balance) -> str:
     for link in rig.links:
         other = replace(link, ratio=replace(link.ratio, value=1 / link.ratio.value))
         inverted = replace(rig, links=tuple(other if k is link else k for k in rig.links))
-        if 1.0 / VAGUE < inertia / _declared(inverted, _turns(inverted, point.body))[1] < VAGUE:
+        if 1.0 / VAGUE < inertia / _declared(inverted, inverted.turns(point.body))[1] < VAGUE:
             near = [f"the ratio of {link.name} is the wrong way round", *near]
     perhaps = f": perhaps {near[0]}" if near else ""  # the commonest first
     return (
@@ -384,17 +389,3 @@ def _weights(rig: Rig, turns: dict[str, float], q: Floats) -> list[Floats]:
     """Sine and cosine of the angles of bodies that turn: what weights on them may do."""
     ratios = {turns[b.name] for b in rig.bodies if not b.linear and b.name in turns}
     return [wave(r * q) for r in ratios for wave in (np.sin, np.cos)]
-
-
-def _turns(rig: Rig, body: str) -> dict[str, float]:
-    """Turns of each body per turn of one of them, through links of known ratio."""
-    turns = {body: 1.0}
-    for _ in rig.links:
-        for link in rig.links:
-            if not is_known(link.ratio):
-                continue
-            if link.first in turns:  # q_first = ratio · q_second
-                turns.setdefault(link.second, turns[link.first] / link.ratio.value)
-            elif link.second in turns:
-                turns[link.first] = turns[link.second] * link.ratio.value
-    return turns

@@ -1,6 +1,6 @@
 """What the command line calls: files in, results out."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from dmptm_ctrl.diagnosis.predict import RUNS, predict
 from dmptm_ctrl.diagnosis.report import Diagnosis
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
-from dmptm_ctrl.drive import Drive
+from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
@@ -64,13 +64,11 @@ def diagnose(
     >>> found.save("result")
     """
     if rig is None or isinstance(rig, Drive):
-        if isinstance(logs, str | PathLike):
-            logs = load_logs(logs, max_rows=READ_ROWS)
-        elif (paths := list(logs)) and all(isinstance(p, str | PathLike) for p in paths):
-            logs = load_logs(paths, max_rows=READ_ROWS)
-        else:
-            logs = paths
-        return diagnose_dual(logs, rig, jobs=jobs, seed=seed, tell=tell)
+        given: Any = logs if isinstance(logs, str | PathLike) else list(logs)
+        first = given[:1] if isinstance(given, list) else [given]
+        if any(isinstance(path, str | PathLike) for path in first):
+            given = load_logs(given, max_rows=READ_ROWS)
+        return diagnose_dual(given, rig or paper_drive(), jobs, seed, tell)
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
     drive = dual_motor(declared)
     if drive is None:
@@ -82,26 +80,7 @@ def diagnose(
         declared.ignores,
     )
     campaign = Campaign(read, tuple(left_out))
-    return diagnose_dual(campaign, drive, jobs=jobs, seed=seed, tell=tell)
-
-
-def diagnose_files(
-    paths: Sequence[Path],
-    *,
-    rig: Path | None = None,
-    jobs: int = 2,
-    seed: int = 0,
-    tell: Callable[[str], None] = lambda _: None,
-) -> Diagnosis:
-    """Diagnose a folder of logs or log files; `tell` hears what is being done.
-
-    Raises
-    ------
-    LogError
-        Bad input, in one sentence.
-    """
-    source = paths[0] if len(paths) == 1 else list(paths)
-    return diagnose(source, rig, jobs=jobs, seed=seed, tell=tell)
+    return diagnose_dual(campaign, drive, jobs, seed, tell)
 
 
 def predict_file(log: Path, model: Path, *, single: bool = False) -> Iterator[str]:

@@ -42,7 +42,6 @@ def screen(logs: Iterable[Log], drive: Drive) -> tuple[Campaign, tuple[str, ...]
 
     Parameters
     ----------
-    logs : iterable of Log
     drive : Drive
         The declared model.
 

@@ -5,19 +5,24 @@ The speed sensor and the ring encoder see one motion, so
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.report import NamedEffect, estimate
+from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
 from dmptm_ctrl.effects.sensor_delay import SENSOR_DELAY
 from dmptm_ctrl.effects.sensor_gain import SENSOR_GAIN
 from dmptm_ctrl.identify.fit import Fit
-from dmptm_ctrl.identify.records import block_mean
+from dmptm_ctrl.identify.measured_motion import on_time
+from dmptm_ctrl.identify.records import Record, block_mean
+from dmptm_ctrl.parallel import small_matrices
+from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.rig_model import Placed
 
 # The two sensors settle it without a model; what is left is that both are wrong alike.
 SENSOR_PROBABILITY = 0.99
@@ -33,20 +38,28 @@ NAMES = (
 )
 
 
-class Readings(Protocol):
-    """A position and a speed of one motion."""
+class Reading(NamedTuple):
+    """A position [rad or m] and a speed of one motion, and their sample time [s]."""
 
-    @property
-    def dt(self) -> float:
-        """Sample time [s]."""
+    dt: float
+    theta: Floats
+    omega: Floats
 
-    @property
-    def theta(self) -> Floats:
-        """Position [rad or m]."""
 
-    @property
-    def omega(self) -> Floats:
-        """Speed [rad/s or m/s]."""
+@dataclass(frozen=True, eq=False)
+class SensorFault:
+    """What a sensor does to its reading.
+
+    Attributes
+    ----------
+    placed : Placed
+        The effect, with its values.
+    errors : dict of str to float
+        Standard errors.
+    """
+
+    placed: Placed
+    errors: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -63,7 +76,7 @@ class SensorCheck:
         return bool(size > SIGNIFICANT * error and size > CATALOGUE[name].matters)
 
 
-def cross_check(records: Sequence[Readings], *, turns: bool = True) -> SensorCheck:
+def cross_check(records: Sequence[Reading | Record], *, turns: bool = True) -> SensorCheck:
     """Regress the speed reading on the encoder's derivative over all records.
 
     A delay is linear only while it is short: the reading is moved by what was found, and
@@ -83,7 +96,7 @@ def cross_check(records: Sequence[Readings], *, turns: bool = True) -> SensorChe
 
 
 def regressed(
-    records: Sequence[Readings], late: float, turns: bool = True
+    records: Sequence[Reading | Record], late: float, turns: bool = True
 ) -> tuple[Floats, Floats]:
     """Estimates of :data:`NAMES` and their standard errors, the delay beyond `late` [s]."""
     left, right = [], []
@@ -164,3 +177,57 @@ def sensor_effect(name: str, sensors: SensorCheck, final: Fit, share: float) -> 
         "whatever the drive does.",
         share,
     )
+
+
+@small_matrices
+def sensor_faults(rig: Rig, logs: Sequence[Log]) -> list[SensorFault]:
+    """Compare every speed sensor with the first position sensor that shows the same motion.
+
+    A gain and a delay are put down to the speed sensor, an eccentricity to the encoder.
+    """
+    found: dict[str, SensorFault] = {}
+    for speed in (s for s in rig.sensors if s.measures == "speed"):
+        turns = rig.turns(speed.body, rigidly=True)
+        angle = next((s for s in rig.sensors if s.measures == "position" and s.body in turns), None)
+        if angle is None:
+            continue
+        factor = turns[angle.body]  # of the encoder's motion per that of the speed sensor
+        readings = [
+            Reading(log.sample_time, log[angle.channel], log[speed.channel] * factor)
+            for log in logs
+        ]
+        check = cross_check(readings, turns=not rig.body(angle.body).linear)
+        for fault in _of(check, angle, speed):
+            found.setdefault(fault.placed.key, fault)
+    return list(found.values())
+
+
+def _of(check: SensorCheck, angle: Sensor, speed: Sensor) -> list[SensorFault]:
+    faults = []
+    for name in check.values:
+        if not check.significant(name):
+            continue
+        if name == SENSOR_DELAY.name and check.values[name]["delay"] < 0:
+            continue  # no sensor reads ahead
+        on = angle if name == ENCODER_ECCENTRICITY.name else speed
+        faults.append(SensorFault(Placed(name, on.name, check.values[name]), check.errors[name]))
+    return faults
+
+
+def put_right(rig: Rig, log: Log, faults: Sequence[SensorFault]) -> Log:
+    """Return a log as right sensors would have read it."""
+    channels = dict(log.channels)
+    sensors = {s.name: s for s in rig.sensors}
+    for fault in faults:
+        name, values = fault.placed.name, fault.placed.values
+        channel = sensors[fault.placed.on].channel
+        signal = channels[channel]
+        if name == SENSOR_GAIN.name:
+            signal = signal / (1.0 + values["error"])
+        elif name == SENSOR_DELAY.name:
+            signal = on_time(signal, log.sample_time, values["delay"])
+        else:
+            c, s = values["cosine"], values["sine"]
+            signal = signal - c * np.cos(signal) - s * np.sin(signal)
+        channels[channel] = signal
+    return replace(log, channels=channels)

@@ -11,12 +11,7 @@ from math import inf
 
 from dmptm_ctrl.contract import RUNS
 from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, name_of, needed
-from dmptm_ctrl.diagnosis.dual import (
-    DualEvidence,
-    DualState,
-    fall,
-    key_of,
-)
+from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, fall, key_of
 from dmptm_ctrl.diagnosis.judge import rise
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.residual import predicting
@@ -35,7 +30,6 @@ def with_short_predictions(
 
     Parameters
     ----------
-    evidence : DualEvidence
     selection : Selection
         Of the balances.
     say : callable
@@ -51,7 +45,7 @@ def with_short_predictions(
     found: dict[str, list[Candidate]] = {}
     tried: list[Candidate] = []
     while len(state.keys) < MOST:
-        names = likely(evidence, state, open_names(evidence, state))
+        names = likely(state, open_names(evidence, state))
         tried = ranked(evidence.beyond(state, names))
         able = [c for c in tried if c.acceptable]
         if not able:
@@ -108,7 +102,7 @@ def open_names(evidence: DualEvidence, state: DualState) -> list[str]:
     return [name for name in names if key_of(name) not in state.keys]
 
 
-def likely(evidence: DualEvidence, state: DualState, names: Sequence[str]) -> list[str]:
+def likely(state: DualState, names: Sequence[str]) -> list[str]:
     """Effects that may explain most: to first order, or as they are at a clearly visible size."""
     base, view = state.left.base, state.trace
     models: list[Model] = []

@@ -14,7 +14,7 @@ MOST = 10
 
 
 def correlated(
-    names: Sequence[str], covariance: NDArray[np.float64], least: float = SHOWN
+    names: Sequence[str], covariance: NDArray[np.float64]
 ) -> list[tuple[str, str, float]]:
     """Return pairs of fitted parameters and their correlation, strongest first."""
     sizes = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -23,7 +23,7 @@ def correlated(
         (names[i], names[j], float(matrix[i, j]))
         for i in range(len(names))
         for j in range(i)
-        if abs(matrix[i, j]) >= least
+        if abs(matrix[i, j]) >= SHOWN
     ]
     return sorted(found, key=lambda row: -abs(row[2]))
 

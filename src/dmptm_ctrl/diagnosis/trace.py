@@ -21,6 +21,7 @@ from dmptm_ctrl.identify.balance import (
     BalanceFit,
     columns,
     fit_balance,
+    split,
     surprise,
 )
 from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
@@ -50,7 +51,6 @@ class Trial:
         Fall of the loss on the fitted logs, a log-likelihood ratio times two.
     held_gain : float
         Fall of the loss on the held-out logs, nothing refitted.
-    fit : BalanceFit
     """
 
     name: str
@@ -230,8 +230,7 @@ def orders(trace: Trace, effect: Effect) -> list[dict[str, float]]:
 
 def fast_gains(trace: Trace, bank: Sequence[float]) -> Floats:
     """What the same orders explain of the fast part."""
-    ends = np.cumsum([part.size for part in trace.base.parts])[:-1]
-    counts = np.split(trace.base.weights**2, ends)
+    counts = split(trace.base.weights**2, trace.base.parts)
     fast = [
         (trace.balance.ripples[e.motion], part, count)
         for e, part, count in zip(trace.balance.equations, trace.base.parts, counts, strict=True)
@@ -259,19 +258,14 @@ def places(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     return [trials[i] for i in np.argsort(-np.array(gains))[:STARTS]]
 
 
-def saturations(trace: Trace, effect: Effect) -> list[dict[str, float]]:
-    """Limits below the largest voltage of the logs."""
-    top = max(float(np.abs(mo.rec.u).max()) for mo in trace.balance.motions)
-    return [{"inverse_limit": 1.0 / (share * top)} for share in SATURATED]
-
-
 SEARCHES = {"frequencies": frequencies, "orders": orders, "places": places}
 
 
 def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     """Values to start fits of an effect at."""
     if effect.search == "limits":
-        return saturations(trace, effect)
+        top = max(float(np.abs(mo.rec.u).max()) for mo in trace.balance.motions)
+        return [{"inverse_limit": 1.0 / (share * top)} for share in SATURATED]
     if effect.starts:
         still = dict.fromkeys(effect.amplitudes, 0.0)
         steps = {p.name: p.step for p in effect.parameters}
@@ -319,17 +313,11 @@ def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
     if trace.balance.led:  # runs cost most: from the best start alone
         parts = trace.balance.missing_of(models)
         models = [models[int(np.argmin([surprise(one, trace.base.kinds) for one in parts]))]]
-    fits: list[BalanceFit] = []
-    for model in models:
-        fits.append(
-            fit_balance(
-                trace.balance,
-                model,
-                (*trace.base.unknowns, *unknowns_of(name)),
-                jacobian=trace.base.jacobian,
-                worth=STALLED,
-            )
-        )
+    unknowns, jacobian = (*trace.base.unknowns, *unknowns_of(name)), trace.base.jacobian
+    fits = [
+        fit_balance(trace.balance, model, unknowns, jacobian=jacobian, worth=STALLED)
+        for model in models
+    ]
     return tried(trace, name, min(fits, key=lambda f: f.loss))
 
 
@@ -373,10 +361,7 @@ def candidates(trace: Trace, skip: Iterable[str], *, everything: bool = False) -
 
 
 def trace(
-    left: Residual,
-    skip: Iterable[str] = (),
-    only: Sequence[str] | None = None,
-    least: float = 0.0,
+    left: Residual, skip: Iterable[str] = (), only: Sequence[str] | None = None, least: float = 0.0
 ) -> list[Trial]:
     """Fit testable effects, all or some, beside the model of `left`; most evidence first.
 

@@ -35,7 +35,6 @@ class Unexplained:
         That it depends on.
     curve : Curve or None
         The best of those that count.
-    bursts : Bursts
     slips : float
         How far a flank wanders within a log that no curve follows [N·m of twist]; 0 if it does not.
     """

@@ -17,9 +17,7 @@ from scipy import linalg
 from dmptm_ctrl.drive.nine_dof import nine_dof_parameters, nine_dof_train
 from dmptm_ctrl.drive.parameters import Drive, paper_drive, pinion_inertia
 from dmptm_ctrl.drive.three_dof import three_dof_train
-from dmptm_ctrl.drive.train import GearTrain
-
-Floats = NDArray[np.float64]
+from dmptm_ctrl.drive.train import Floats, GearTrain
 
 RIGID_RATIO = 1e-5  # of the highest frequency; eigh leaves √ε ≈ 1e-8 of it for a rigid mode
 PARITY = 0.99  # |⟨v, swap v⟩| of a mode that is (anti)symmetric in left and right

@@ -333,6 +333,19 @@ class Rig:
         """Shaft or mesh by name."""
         return next(link for link in self.links if link.name == name)
 
+    def turns(self, body: str, *, rigidly: bool = False) -> dict[str, float]:
+        """Turns of each body per turn of one, through links of known ratio, all or rigid ones."""
+        turns = {body: 1.0}
+        for _ in self.links:
+            for link in self.links:
+                if not is_known(link.ratio) or (rigidly and not link.rigid):
+                    continue
+                if link.first in turns:  # q_first = ratio · q_second
+                    turns.setdefault(link.second, turns[link.first] / link.ratio.value)
+                elif link.second in turns:
+                    turns[link.first] = turns[link.second] * link.ratio.value
+        return turns
+
     def columns(self) -> dict[str, Column]:
         """Columns of the logs that the rig needs, as the loaders take them."""
         mapping: dict[str, Column] = {}

@@ -36,7 +36,9 @@ class DataReader(TableReader):
             self._fail(where, "time", 'time = "t" or { column = "t", unit = "ms" }')
         step = self._number(where, raw, "sample_time", "s")
         rate = self._number(where, raw, "sample_rate", "Hz")
-        if rate is not None and step is None:
+        if rate is not None:
+            if step is not None or not rate.value > 0:
+                self._fail(where, "sample_rate", "sample_rate above 0, or sample_time, not both")
             step = Quantity(1 / rate.value, "s", 0.0, "sample_rate")
         names = {}
         for key in ("fit", "held_out", "ignore"):

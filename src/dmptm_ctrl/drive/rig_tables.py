@@ -3,6 +3,7 @@
 import difflib
 import re
 from collections.abc import Mapping
+from math import inf
 from typing import Any, NoReturn
 
 from dmptm_ctrl.drive.parameters import Quantity
@@ -72,10 +73,14 @@ class TableReader:
 
     def _sign(self, where: str, raw: dict[str, Any]) -> float:
         sign = raw.get("sign", 1)
-        if isinstance(sign, bool) or not isinstance(sign, int | float) or sign == 0:
-            self._fail(where, "sign", "sign = 1 or -1")
+        if isinstance(sign, bool) or sign not in (1, -1):
+            self._fail(where, "sign", f"sign = 1 or -1, not {sign!r}; scale takes any factor")
         scale = raw.get("scale", 1)
-        if isinstance(scale, bool) or not isinstance(scale, int | float) or scale == 0:
+        if (
+            isinstance(scale, bool)
+            or not isinstance(scale, int | float)
+            or not 0 < abs(scale) < inf
+        ):
             self._fail(where, "scale", "scale is a number other than 0")
         return float(sign) * float(scale)
 

@@ -94,6 +94,8 @@ def quantity(raw: Any, si: str, *, exact: bool = False, positive: bool = True) -
         match = _TEXT.match(raw)
         if match is None:
             raise UnitError(f"{raw!r} is no number with a unit; write it as in '1.5 {si}'")
+        if match["unit"].startswith(","):
+            raise UnitError(f"{raw!r} has a decimal comma; write a point, as in '1.5 {si}'")
         scale = factor(match["unit"], si) if match["unit"] else 1.0
         value = float(match["value"]) * scale
         tol_unit = match["tol_unit"] or match["unit"] or si  # "95 kg ± 5" means 5 kg

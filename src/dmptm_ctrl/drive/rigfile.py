@@ -384,6 +384,8 @@ class _Reader(DataReader):
                 value = re.split(r"\s", value.strip())[0]
             try:
                 gains[key] = float(value or 0.0)
+                if not isfinite(gains[key]):
+                    raise ValueError
             except (TypeError, ValueError):
                 self._fail(where, key, f"{key} = {value!r} is no number (SI)")
         reference = self._text(where, raw, "reference")

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -125,27 +126,26 @@ def experiment_program(table: pd.DataFrame, source: Path | None = None) -> Progr
     ports.append(Port("running", "1", "1 while the experiment lasts, then 0"))
     ports = [replace(p, name=tracer.fresh(p.name).id) for p in ports]
     samples = counter(tracer)
-    body, results = [], []
+    running = make("<", samples, len(table))
+    body: list[Any] = []
+
+    def shown(name: str, value: Any) -> Name:
+        """Return a name that has a value while the experiment lasts, then 0."""
+        now = tracer.fresh(name)
+        body.extend([Assign(now, 0.0), If(running, [Assign(now, value, declare=False)], [])])
+        return now
+
+    results = []
     for port, name in zip(ports, names, strict=False):
         values = tuple(float(v) for v in table[name])
         array = Array(tracer.fresh(f"{port.name}_table").id, len(values), values)
-        value = tracer.fresh(f"{port.name}_now")
-        running = make("<", samples, len(values))
-        body += [
-            Assign(value, 0.0),
-            If(running, [Assign(value, Item(array, samples), declare=False)], []),
-        ]
-        results.append(value)
-    here = Name(tracer.fresh("lasts").id)
-    body += [
-        Assign(here, 0.0),
-        If(make("<", samples, len(table)), [Assign(here, 1.0, declare=False)], []),
-    ]
+        results.append(shown(f"{port.name}_now", Item(array, samples)))
+    results.append(shown("lasts", 1.0))
     dt = float(table[TIME].iloc[1] - table[TIME].iloc[0])
     notes = [
         "Experiment that tells effects apart. Call the step once per sample.",
         f"Sample time: {dt!r} s, {len(table)} samples.",
         *origin(source),
     ]
-    program = Program("next_experiment", [], ports, [*results, here], [], body, [], notes=notes)
+    program = Program("next_experiment", [], ports, results, [], body, [], notes=notes)
     return finished(tracer, program, samples, [])

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.design.controller import Controller
-from dmptm_ctrl.diagnosis.code import rebuilding_code
 from dmptm_ctrl.export.controller import provenance
 from dmptm_ctrl.export.stepping import origin
-from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.model_file import model_text
 
 _CONTROLLER = """\
 import control as ct
@@ -25,21 +24,21 @@ feedback = ct.ss(
     name="feedback",
 )
 """
-_RIG = """\
-import control as ct
+_PLANT = """\
 import numpy as np
 
 from dmptm_ctrl import simulate
-from dmptm_ctrl.simulate.model_file import rig_model_from_toml
+from dmptm_ctrl.simulate.model_file import model_of
 
 MODEL = r'''
 {text}'''
 
-model = rig_model_from_toml(MODEL)
+model = model_of(MODEL, "MODEL")
+plant = model.to_blocks()  # ct.InterconnectedSystem, the effects included
+
 time = np.arange(0.0, 0.05, 1e-3)  # s
-signals = np.full((len(model.layout.inputs), time.size), 0.1)  # SI
+signals = np.full((plant.ninputs, time.size), 0.1)  # SI
 response = simulate(model, time, signals)  # ct.TimeResponseData
-assert isinstance(response, ct.TimeResponseData)
 """
 
 
@@ -48,14 +47,12 @@ def python_program(model: Any, source: Path) -> str:
 
     Of a controller the feedback part, as it runs; what it feeds forward is in comments.
     """
-    if isinstance(model, Controller):
-        sys = model.to_discrete()
-        a, b, c, d = (np.asarray(part, float).tolist() for part in (sys.A, sys.B, sys.C, sys.D))
-        head = "".join(f"# {line}\n" for line in provenance(model, source))
-        volt, rad = model.units
-        numbers = {"a": a, "b": b, "c": c, "d": d, "dt": model.sample_time}
-        return head + "\n" + _CONTROLLER.format(**numbers, volt=volt, rad=rad)
-    head = "".join(f"# {line}\n" for line in origin(source))
-    if isinstance(model, RigModel):
-        return head + "\n" + _RIG.format(text=source.read_text(encoding="utf-8"))
-    return head + rebuilding_code(model)
+    if not isinstance(model, Controller):
+        head = "".join(f"# {line}\n" for line in origin(source))
+        return head + "\n" + _PLANT.format(text=model_text(model))
+    sys = model.to_discrete()
+    a, b, c, d = (np.asarray(part, float).tolist() for part in (sys.A, sys.B, sys.C, sys.D))
+    head = "".join(f"# {line}\n" for line in provenance(model, source))
+    volt, rad = model.units
+    numbers = {"a": a, "b": b, "c": c, "d": d, "dt": model.sample_time}
+    return head + "\n" + _CONTROLLER.format(**numbers, volt=volt, rad=rad)

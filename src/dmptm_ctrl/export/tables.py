@@ -9,11 +9,9 @@ import pandas as pd
 
 from dmptm_ctrl.design.preload import volt_at_pinion
 from dmptm_ctrl.export.stepping import origin
-from dmptm_ctrl.simulate.along import acting_of, friction_along, law_along, torque_along
 from dmptm_ctrl.simulate.dual import MOTORS, RING
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
-from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 SPEEDS = 101  # rows over speed, from backward to forward; the middle one is at rest
@@ -73,26 +71,14 @@ def _friction(parts: Parts, body: int, omega: float) -> float:
 
 
 def _of_rig(model: RigModel) -> dict[str, pd.DataFrame]:
-    plant, layout = model.plant(), model.layout
+    parts, layout = Parts(model.plant()), model.layout
     speed = np.linspace(-SPEED_RANGE, SPEED_RANGE, SPEEDS)
     angle = np.linspace(0.0, 2 * pi, ANGLES)
-    still = np.zeros(ANGLES)
     friction, torques = {"speed_SI": speed}, {"position_SI": angle}
     for k, body in enumerate(layout.bodies):
-        level, scale = law_along(speed, plant.law[k]), np.ones(SPEEDS)
-        level[speed == 0.0] = 0.0
-        torque = np.zeros(ANGLES)
-        for effect in model.effects:
-            site = PLACED_CATALOGUE[effect.name].site
-            if effect.on == body and site == "friction":
-                none = np.zeros(SPEEDS)
-                factor, added = friction_along([acting_of(effect)], none, speed, none, none)
-                scale *= factor
-                level += np.sign(speed) * added
-            elif effect.on == body and site in ("motor", "load"):
-                torque -= torque_along([acting_of(effect)], still, angle, still, still)
         unit = "N" if any(b.name == body and b.linear for b in model.rig.bodies) else "N_m"
-        friction[f"{body}_{unit}"] = scale * level
+        friction[f"{body}_{unit}"] = _along(lambda w, b=k: _friction(parts, b, w), speed)
+        torque = _along(lambda q, b=k: 0.0 - parts.torque(b, 0.0, q, 0.0, 0.0), angle)
         if torque.any():
             torques[f"{body}_{unit}"] = torque
     return {

@@ -20,6 +20,7 @@ import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position, secant
+from dmptm_ctrl.identify.measured_motion import correlation_length
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
 from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.identify.ripple import Ripple
@@ -64,7 +65,6 @@ class Balance:
 
     Parameters
     ----------
-    motions : sequence of Motion
     declared : Model
         Tells which meshes push firmly; which windows count does not follow a fit.
     jobs : int
@@ -296,21 +296,14 @@ def surprises(parts: Sequence[Floats], kinds: Sequence[str]) -> Floats:
 def correlation_lengths(parts: Sequence[Floats], kinds: Sequence[str]) -> Floats:
     """Windows of each equation that count as one, as what is left of them correlates.
 
-    1 + 2 Σ ρ up to the first ρ that is not positive. A law that is only nearly right is wrong
-    alike in neighbouring windows; counted as independent, they would speak for any effect.
-    Overlap is in :data:`NEWS` already.
+    A law that is only nearly right is wrong alike in neighbouring windows; counted as
+    independent, they would speak for any effect. Overlap is in :data:`NEWS` already.
     """
     lengths = []
     for part, kind, sigma in zip(parts, kinds, scatter(parts, kinds), strict=True):
         x = part / sigma
         x = x / np.sqrt(1.0 + x * x / FREEDOM)
-        n = x.size
-        power = np.abs(np.fft.rfft(x - x.mean(), 2 * n)) ** 2
-        rho = np.fft.irfft(power)[:n]
-        rho = rho / rho[0] if rho[0] > 0.0 else rho
-        ends = np.flatnonzero(rho <= 0.0)
-        whole = 1.0 + 2.0 * float(np.sum(rho[1 : ends[0] if ends.size else n]))
-        lengths.append(max(1.0, NEWS[role_of(kind)] * whole))
+        lengths.append(max(1.0, NEWS[role_of(kind)] * correlation_length(x - x.mean())))
     return np.array(lengths)
 
 
@@ -324,6 +317,11 @@ def loss(
     """Scale-free misfit plus the prior's."""
     prior = sum((x / k.prior) ** 2 for x, k in zip(p, unknowns, strict=True))
     return surprise(parts, kinds, freedom) + float(prior)
+
+
+def split(vector: Floats, like: Sequence[Floats]) -> list[Floats]:
+    """Cut a vector into parts of the sizes of `like`."""
+    return np.split(vector, np.cumsum([x.size for x in like])[:-1])
 
 
 def role_of(kind: str) -> str:
@@ -422,10 +420,7 @@ def covariance_of(rows: Floats, unknowns: Sequence[Unknown]) -> Floats:
 
 
 def settled_fit(
-    balance: Balance,
-    model: Model,
-    unknowns: Sequence[Unknown],
-    jacobian: Floats | None = None,
+    balance: Balance, model: Model, unknowns: Sequence[Unknown], jacobian: Floats | None = None
 ) -> BalanceFit:
     """Fit to the end, from here and from where outliers count in full; return the better.
 

@@ -11,6 +11,8 @@ from dmptm_ctrl.simulate.model import Floats
 
 SUM_DIFFERENCE = np.array([[1.0, 1.0], [1.0, -1.0]])
 BATCHES = 10  # of a stretch; the scatter of their means gives its standard error
+SETTLE = 0.5  # s, left out at the start of a stretch
+SHORTEST = 1.0  # s, of what is kept of it
 
 
 class Estimate(NamedTuple):
@@ -61,19 +63,13 @@ def twists(log: Log, drive: Drive) -> Floats:
     return motors / drive["N_1"] - drive["N_2"] * log["theta_L"]
 
 
-def steady_stretches(
-    logs: Iterable[Log], drive: Drive, *, settle: float = 0.5, shortest: float = 1.0
-) -> Iterator[Steady]:
+def steady_stretches(logs: Iterable[Log], drive: Drive) -> Iterator[Steady]:
     """Yield the means over each stretch of constant, non-zero setpoint.
 
     Parameters
     ----------
     logs : iterable of Log
         With setpoint ``ref`` and both motor angles.
-    settle : float [s]
-        Left out at the start of a stretch.
-    shortest : float [s]
-        Of what is kept.
 
     Raises
     ------
@@ -89,8 +85,8 @@ def steady_stretches(
         u = np.array([log["u_left"], log["u_right"]])
         edges = np.flatnonzero(np.diff(ref) != 0.0) + 1
         for start, stop in zip([0, *edges], [*edges, ref.size], strict=True):
-            begin = start + round(settle / dt)
-            if ref[start] == 0.0 or (stop - begin) * dt < shortest:
+            begin = start + round(SETTLE / dt)
+            if ref[start] == 0.0 or (stop - begin) * dt < SHORTEST:
                 continue
             found = True
             part = slice(begin, stop)
@@ -102,7 +98,7 @@ def steady_stretches(
                 nominal=float(ref[start]),
             )
     if not found:
-        raise ValueError(f"no stretch of constant speed of {settle + shortest:g} s or longer")
+        raise ValueError(f"no stretch of constant speed of {SETTLE + SHORTEST:g} s or longer")
 
 
 def standard_error(signal: Floats) -> Floats:

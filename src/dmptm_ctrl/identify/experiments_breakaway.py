@@ -52,7 +52,7 @@ def reducer_breakaway(logs: Iterable[Log], drive: Drive) -> dict[str, Estimate]:
             torque, se = _taken_off(torque, rate, moved, pinion_inertia(drive))
             label = "plus" if u[at] > 0.0 else "minus"
             found.setdefault(f"T3s_{label}", []).append((abs(torque), se))
-    return {name: _combine(values, "N·m") for name, values in found.items()}
+    return {name: _combine(values) for name, values in found.items()}
 
 
 def ring_breakaway(
@@ -62,7 +62,6 @@ def ring_breakaway(
 
     Parameters
     ----------
-    logs : iterable of Log
     drive : Drive
         K_d, K_M, N1, N2 and the inertias are used.
     reducers : dict of str to Estimate
@@ -93,7 +92,7 @@ def ring_breakaway(
         found.setdefault(f"TLs_{label}", []).append((torque, se))
     result = {}
     for name, values in found.items():
-        direct = _combine(values, "N·m")
+        direct = _combine(values)
         shared = 2.0 * n2 * reducers[name.replace("TL", "T3")].se  # the same in every ramp
         result[name] = Estimate(direct.value, float(np.hypot(direct.se, shared)), "N·m")
     return result
@@ -123,9 +122,9 @@ def _taken_off(torque: float, rate: float, moved: float, inertia: float) -> tupl
     return torque - 0.5 * excess, abs(excess) / np.sqrt(12.0)
 
 
-def _combine(values: Sequence[tuple[float, float]], unit: str) -> Estimate:
+def _combine(values: Sequence[tuple[float, float]]) -> Estimate:
     """Mean; the lateness is alike in all, so it does not average out, the scatter does."""
     torque = np.array([v for v, _ in values])
     late = float(np.mean([se for _, se in values]))
     scatter = float(torque.std(ddof=1) / np.sqrt(torque.size)) if torque.size > 1 else 0.0
-    return Estimate(float(torque.mean()), float(np.hypot(late, scatter)), unit)
+    return Estimate(float(torque.mean()), float(np.hypot(late, scatter)), "N·m")

@@ -20,6 +20,7 @@ from dmptm_ctrl.drive import Drive, pinion_inertia
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque, stribeck_law
 from dmptm_ctrl.identify.experiments import Estimate, twists
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.dual import LAWS
 from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats
 
@@ -112,17 +113,7 @@ def _smooth(angle: Floats) -> Floats:
 
 def _miss(flight: _Flight, drive: Drive, dt: float) -> Floats:
     """Measured minus flown angle [rad], start and initial speed fitted by least squares."""
-    law = stribeck_law(
-        drive["T3s_plus"],
-        drive["T3c_plus"],
-        drive["W3_plus"],
-        drive["B3_plus"],
-        drive["T3s_minus"],
-        drive["T3c_minus"],
-        drive["W3_minus"],
-        drive["B3_minus"],
-        drive["delta3"],
-    )
+    law = stribeck_law(*(drive[name] for name in LAWS[0]))
     n, inertia, c_f = flight.angle.size, pinion_inertia(drive), drive["c_f"]
     speed = flight.speed
     for change in (0.02, 0.001):  # twice, since the flight is not quite linear in its speed

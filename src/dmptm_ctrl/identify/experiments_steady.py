@@ -63,7 +63,6 @@ class SteadyResult:
     ----------
     estimates : mapping of str to Estimate
         gap_l, gap_r [rad], k_m [N·m/rad].
-    reducer, ring : FrictionPoints
     """
 
     estimates: Mapping[str, Estimate]
@@ -173,14 +172,8 @@ def _mean_push(runs: list[Steady], speeds: list[float], pull: float) -> tuple[Fl
     return np.array([g.mean() for g in groups]), np.array([scatter / g.size for g in groups])
 
 
-def stribeck_fit(points: FrictionPoints, *, exponent: float = 1.0) -> dict[str, Estimate]:
-    """Fit both branches of Eq. 25 to friction points.
-
-    Parameters
-    ----------
-    points : FrictionPoints
-    exponent : float
-        δ, which the paper takes as 1.
+def stribeck_fit(points: FrictionPoints) -> dict[str, Estimate]:
+    """Fit both branches of Eq. 25 to friction points, with δ = 1 as in the paper.
 
     Returns
     -------
@@ -205,20 +198,18 @@ def stribeck_fit(points: FrictionPoints, *, exponent: float = 1.0) -> dict[str, 
         covariance = points.covariance[np.ix_(here, here)]
         names = [f"T{points.body}s", f"T{points.body}c", f"W{points.body}", f"B{points.body}"]
         units = ("N·m", "N·m", "rad/s", "N·m·s/rad")
-        values, spread = _branch(speed, torque, covariance, exponent)
+        values, spread = _branch(speed, torque, covariance)
         for name, unit, value, variance in zip(names, units, values, np.diag(spread), strict=True):
             found[f"{name}_{label}"] = Estimate(float(value), float(np.sqrt(variance)), unit)
     return found
 
 
-def _branch(
-    speed: Floats, torque: Floats, covariance: Floats, exponent: float
-) -> tuple[Floats, Floats]:
+def _branch(speed: Floats, torque: Floats, covariance: Floats) -> tuple[Floats, Floats]:
     """Ts, Tc, Ω, B and their covariance by generalised least squares."""
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
 
     def model(q: Floats) -> Floats:
-        law = stribeck_law(q[0], q[1], q[2], q[3], q[0], q[1], q[2], q[3], exponent)
+        law = stribeck_law(q[0], q[1], q[2], q[3], q[0], q[1], q[2], q[3], 1.0)
         return np.array([sliding_torque(w, 1.0, law) for w in speed])
 
     slope, level = np.polyfit(speed[-3:], torque[-3:], 1)

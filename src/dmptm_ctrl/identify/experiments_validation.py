@@ -11,16 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import butter, sosfiltfilt
 
 from dmptm_ctrl.drive import Drive
+from dmptm_ctrl.identify.measured_motion import agreement, low_pass
+from dmptm_ctrl.identify.records import block_mean
 from dmptm_ctrl.signals import Campaign, Log
 from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import Loop, close_loop, march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
 
-BANDWIDTH_HZ = 30.0
-ORDER = 4
 BLOCK = 10  # samples of 1 ms; the fit sees means over 10 ms
 STEP = 0.05  # of half a declared range: beyond the roughness that rattle gives
 STEP_OF_VALUE = 0.1  # at most, where the range is wide
@@ -64,21 +63,9 @@ class Trial(NamedTuple):
     scores: dict[str, Score]
 
 
-def below(signal: Floats, dt: float) -> Floats:
-    """Return the signal below 30 Hz, without delay."""
-    sections = butter(ORDER, BANDWIDTH_HZ, fs=1.0 / dt, output="sos")
-    return np.asarray(sosfiltfilt(sections, signal))
-
-
 def score(measured: Floats, simulated: Floats) -> Score:
     """Compare two signals; r alone ignores a wrong gain and offset, the others do not."""
-    error = measured - simulated
-    spread = measured - measured.mean()
-    return Score(
-        float(np.corrcoef(measured, simulated)[0, 1]),
-        float(100.0 * (1.0 - np.linalg.norm(error) / np.linalg.norm(spread))),
-        float(np.sqrt(np.mean(error**2))),
-    )
+    return Score(**agreement([(measured, simulated)]))
 
 
 def speed_on(model: Model, log: Log, loop: Loop) -> Floats:
@@ -117,9 +104,7 @@ def _at_rest(model: Model, log: Log) -> Floats:
     return rest(model, theta, motors=motors if len(motors) == 2 else None)
 
 
-def fit_to_logs(
-    drive: Drive, logs: Sequence[Log], loop: Loop, *, starts: int = STARTS, seed: int = 0
-) -> Drive:
+def fit_to_logs(drive: Drive, logs: Sequence[Log], loop: Loop, *, starts: int = STARTS) -> Drive:
     """Fit all free parameters of a drive to the speeds of logs, inside their ranges.
 
     The same for every model, so that none is favoured: least squares on 10 ms means, every
@@ -130,19 +115,16 @@ def fit_to_logs(
     ----------
     drive : Drive
         Declares which parameters are free and their ranges; its values are the first start.
-    logs : sequence of Log
     loop : Loop
         Of the closed-loop logs.
     starts : int
         The others are scattered over the ranges.
-    seed : int
-        Of the scatter.
     """
     names = drive.free
     low, high = np.array([drive.quantities[n].range for n in names]).T
     declared = np.array([drive[n] for n in names])
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    measured = [_blocks(log["omega_L"]) for log in logs]
+    measured = [block_mean(log["omega_L"], BLOCK) for log in logs]
 
     def place(p: Floats) -> Drive:
         return drive.with_values(**dict(zip(names, (middle + half * p).tolist(), strict=True)))
@@ -151,7 +133,7 @@ def fit_to_logs(
         models = [Model(place(p)) for p in several]
         parts = [several / PRIOR]
         for log, seen in zip(logs, measured, strict=True):
-            miss = (seen - _blocks(speeds_on(models, log, loop))) / SPEED_ERROR
+            miss = (seen - block_mean(speeds_on(models, log, loop), BLOCK)) / SPEED_ERROR
             parts.append(miss * np.sqrt(100.0 / seen.size))  # a log counts as 100 news
         return np.concatenate(parts, axis=1)
 
@@ -160,16 +142,14 @@ def fit_to_logs(
         by_value = STEP_OF_VALUE * np.abs(middle + half * p) / half
         return np.clip(by_value, 1e-3 * STEP, STEP)
 
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     wide = half > np.abs(declared)
     found = []
     for i in range(starts):
         start = declared
         if i > 0:
             start = np.where(
-                wide,
-                declared * np.exp(rng.normal(size=low.size)),
-                rng.uniform(low, high),
+                wide, declared * np.exp(rng.normal(size=low.size)), rng.uniform(low, high)
             )
         p = np.clip((start - middle) / half, -INSIDE, INSIDE)
         found.append(_gauss_newton(residuals, p, steps))
@@ -193,11 +173,6 @@ def _gauss_newton(
         residual, p, jac=jacobian, bounds=(-1.0, 1.0), max_nfev=ITERATIONS, ftol=1e-3
     )
     return float(fit.cost), np.asarray(fit.x)
-
-
-def _blocks(signal: Floats) -> Floats:
-    n = signal.shape[-1] // BLOCK
-    return np.asarray(signal[..., : n * BLOCK].reshape(*signal.shape[:-1], n, BLOCK).mean(axis=-1))
 
 
 def validate(
@@ -245,8 +220,8 @@ def validate(
         for experiment in judged:
             log = campaign[EXPERIMENTS[experiment][0]]
             dt = log.sample_time
-            measured = below(log["omega_L"], dt)
-            speeds = {n: below(speed_on(m, log, loop), dt) for n, m in models.items()}
+            measured = low_pass(log["omega_L"], dt)
+            speeds = {n: low_pass(speed_on(m, log, loop), dt) for n, m in models.items()}
             scores = {n: score(measured, speed) for n, speed in speeds.items()}
             trials[experiment] = Trial(experiment, log.time, measured, speeds, scores)
     return [trials[e] for e in EXPERIMENTS], fitted

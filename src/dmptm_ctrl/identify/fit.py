@@ -29,7 +29,6 @@ class Unknown:
     ----------
     effect : str or None
         None for a parameter of the drive.
-    name : str
     centre, scale : float
         value = centre + scale · p.
     low, high : float
@@ -45,6 +44,12 @@ class Unknown:
     low: float
     high: float
     prior: float
+
+    def of(self, model: Model) -> float:
+        """Return the value that a model has."""
+        if self.effect is None:
+            return float(model.drive[self.name])
+        return float(model.effects.get(self.effect, {}).get(self.name, 0.0))
 
 
 def drive_unknowns(model: Model) -> tuple[Unknown, ...]:
@@ -89,13 +94,7 @@ def place(model: Model, unknowns: Sequence[Unknown], p: Floats) -> Model:
 
 def position(model: Model, unknowns: Sequence[Unknown]) -> Floats:
     """Return `p` for the values that the model has."""
-    values = [
-        model.drive[k.name]
-        if k.effect is None
-        else model.effects.get(k.effect, {}).get(k.name, 0.0)
-        for k in unknowns
-    ]
-    return np.array([(v - k.centre) / k.scale for v, k in zip(values, unknowns, strict=True)])
+    return np.array([(k.of(model) - k.centre) / k.scale for k in unknowns])
 
 
 @dataclass(frozen=True, eq=False)

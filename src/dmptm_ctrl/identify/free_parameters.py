@@ -5,16 +5,14 @@ from dataclasses import dataclass
 from math import inf, isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.effects.drive_offset import DRIVE_OFFSET
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.fit import PRIOR_SHARE
 from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
-
-Floats = NDArray[np.float64]
 
 OFFSET = DRIVE_OFFSET.name
 LEAST_SCALE = 0.01  # of the typical size of a quantity

@@ -198,10 +198,10 @@ def multisine(
         y = _respond(model, twice, loop, preload, sample_time)[n:, column]
         inputs.append(np.fft.rfft(signal)[bins])
         outputs.append(np.fft.rfft(y)[bins])
-    values, coherence = _average(np.array(inputs), np.array(outputs))
+    cross, power, coherence = _average(np.array(inputs), np.array(outputs))
     omega = 2.0 * pi * bins / period
     labels = ("u" if loop is None else "ref", output)
-    return _pack(omega, values, coherence, labels, name or f"multisine_{rms:g}_rms")
+    return _pack(omega, cross / power, coherence, labels, name or f"multisine_{rms:g}_rms")
 
 
 def from_log(
@@ -279,11 +279,8 @@ def from_log(
     else:
         f, spectra = _windowed((x, u, y), n, dt)
     own, drive, out = spectra
-    power, cross = np.mean(np.abs(own) ** 2, axis=0), np.mean(out * own.conj(), axis=0)
+    cross, power, coherence = _average(own, out)
     through = np.mean(drive * own.conj(), axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        coherence = np.abs(cross) ** 2 / (power * np.mean(np.abs(out) ** 2, axis=0))
-    coherence = np.nan_to_num(coherence)
     total = power.sum() if lines is None else 0.5 * float(np.var(x))
     keep = _excited(power, total)
     if lines is not None and not keep.all():
@@ -387,14 +384,14 @@ def _windowed(
     return hz, [np.fft.rfft(window * p)[:, 1:-1] for p in pieces]
 
 
-def _average(inputs: NDArray, outputs: NDArray) -> tuple[NDArray[np.complex128], Floats]:
-    """H1 and coherence over realisations, (realisations, lines) each."""
+def _average(inputs: NDArray, outputs: NDArray) -> tuple[NDArray[np.complex128], Floats, Floats]:
+    """Cross spectrum, power of the input and coherence over realisations or segments."""
     cross = np.mean(outputs * inputs.conj(), axis=0)
     power = np.mean(np.abs(inputs) ** 2, axis=0)
     total = np.mean(np.abs(outputs) ** 2, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         coherence = np.nan_to_num(np.abs(cross) ** 2 / (power * total))
-    return cross / power, coherence
+    return cross, power, coherence
 
 
 def _respond(model: Model, signal: Floats, loop: Loop | None, preload: float, dt: float) -> Floats:

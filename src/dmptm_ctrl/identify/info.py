@@ -10,7 +10,6 @@ def describe_log(file: Path, rig: Path | None = None, *, resample: bool = False)
 
     Parameters
     ----------
-    file : path
     rig : path of a rig file, optional
         Says what the columns are; else their names do.
     resample : bool

@@ -53,7 +53,6 @@ class Point:
     ----------
     name : str
         Of the sensor that gives the acceleration.
-    sensors : tuple of str
     """
 
     name: str
@@ -94,8 +93,6 @@ class Balance:
 
     Attributes
     ----------
-    rig : Rig
-    points : tuple of Point
     bandwidth : float
         Of the balance [Hz].
     motions : tuple of Motion
@@ -138,21 +135,14 @@ class Balance:
         return Balance(self.rig, self.points, self.bandwidth, cut, {})
 
 
-def balance_of(
-    rig: Rig,
-    logs: Sequence[Log],
-    *,
-    bandwidth: float | None = None,
-    late: Mapping[str, float] | None = None,
-) -> Balance:
+def balance_of(rig: Rig, logs: Sequence[Log], *, bandwidth: float | None = None) -> Balance:
     """Filter logs into motions, at the bandwidth that the poorest point allows."""
     points = points_of(rig, logs)
     if bandwidth is None:
         bandwidth = min(p.sight.bandwidth for p in points)
     sights = {p.name: p.sight for p in points}
-    return Balance(
-        rig, points, bandwidth, tuple(prepare(log, rig, sights, bandwidth, late) for log in logs)
-    )
+    motions = tuple(prepare(log, rig, sights, bandwidth) for log in logs)
+    return Balance(rig, points, bandwidth, motions)
 
 
 @dataclass(frozen=True)
@@ -285,7 +275,7 @@ def measured_motion(
             found[group] = (q, v, a) if r == 1.0 else (q / r, v / r, a / r)
             bodies[group] = body
     if 0 not in found:
-        driven = _through_spring(model, motion, found, bodies, nuisance)
+        driven = _through_spring(model, motion, found, nuisance)
         if driven is not None:
             at = layout.input_body[layout.inputs[0]]
             return {0: driven, **found}, {0: at, **bodies}
@@ -293,11 +283,7 @@ def measured_motion(
 
 
 def _through_spring(
-    model: RigModel,
-    motion: Motion,
-    found: Moves,
-    bodies: Mapping[int, str],
-    nuisance: Nuisance,
+    model: RigModel, motion: Motion, found: Moves, nuisance: Nuisance
 ) -> tuple[Floats, Floats, Floats] | None:
     """Motion of the driven coordinate from that at the other end of its spring."""
     layout, plant = model.layout, model.plant()
@@ -328,10 +314,7 @@ def _through_spring(
 
 
 def _links(
-    model: RigModel,
-    motion: Motion,
-    measured: Moves,
-    nuisance: Nuisance,
+    model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance
 ) -> dict[str, Floats]:
     """Torque of every link along the log; coordinates without sensors are simulated."""
     layout = model.layout

@@ -60,14 +60,9 @@ def resonant_gains(model: Model, hz: float, kp: float, amplitude: float) -> Reso
     ----------
     model : Model
         Nonlinear: the resonance depends on the amplitude.
-    hz : float
     kp : float [V/(rad/s)]
     amplitude : float [rad/s]
         Of the setpoint.
-
-    Returns
-    -------
-    ResonantGains
 
     Raises
     ------

@@ -271,10 +271,7 @@ def shifts(rec: Record, run: Floats, model: Model) -> Floats:
 
 
 def motions(
-    records: Sequence[Record],
-    model: Model,
-    runs: Sequence[Floats] | None = None,
-    jobs: int = 1,
+    records: Sequence[Record], model: Model, runs: Sequence[Floats] | None = None, jobs: int = 1
 ) -> tuple[Motion, ...]:
     """Prepare several records."""
     given = [None] * len(records) if runs is None else list(runs)

@@ -29,7 +29,6 @@ class Led:
 
     Parameters
     ----------
-    rec : Record
     bandwidth_hz : float
         Of the observer.
     steps : int

@@ -7,7 +7,7 @@ import numpy as np
 
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.signals import Log
-from dmptm_ctrl.simulate.compiled import SUBSTEPS, march, rest
+from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.observer import observer_gains
 from dmptm_ctrl.simulate.parts import Parts
@@ -118,9 +118,7 @@ def block_mean(signal: Floats, block: int) -> Floats:
     return signal[..., : n * block].reshape(*signal.shape[:-1], n, block).mean(-1)
 
 
-def predict(
-    rec: Record, model: Model, bandwidth_hz: float = 0.0, substeps: int = SUBSTEPS
-) -> Floats:
+def predict(rec: Record, model: Model, bandwidth_hz: float = 0.0) -> Floats:
     """Run the model on a record; with a bandwidth, led slowly by the measured angle.
 
     Returns
@@ -129,6 +127,4 @@ def predict(
         Columns of `compiled.OUTPUTS`.
     """
     observer = observer_gains(bandwidth_hz, rec.dt) if bandwidth_hz > 0 else None
-    return march(
-        model, rec.u, rec.x0, rec.dt, substeps=substeps, observer=observer, measured=rec.theta
-    )
+    return march(model, rec.u, rec.x0, rec.dt, observer=observer, measured=rec.theta)

@@ -11,17 +11,21 @@ from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from dmptm_ctrl.identify.fit import least_in_box, secant
-from dmptm_ctrl.identify.free_parameters import Floats, Free, free_parameters, scales_of
+from dmptm_ctrl.identify.free_parameters import Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
 from dmptm_ctrl.parallel import in_threads, small_matrices
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 ROWS_PER_NEWS = 8.0  # rows that count as one, where nothing better is known
 LEAST_SCALE = 0.005  # of the torque; friction laws are not known more finely
+RARE = 1e-3  # chance below which honest ranges are no longer believed
 BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
+TOLERANCE = 0.3  # a fit stops when −2 log-likelihood falls by less
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
 
 
@@ -78,15 +82,12 @@ class RigFit:
 
     Attributes
     ----------
-    state : State
-    frees : tuple of Free
     left : tuple of (equations, rows) arrays
         Residual per log.
     drive : tuple of (rows,) arrays
         Driving torque per log.
     slopes : tuple of (equations, rows, free numbers) arrays
         Derivatives of the residual per log, per scale of each number.
-    likelihood : Likelihood
     loss : float
         −2 log-likelihood, and the declared ranges.
     """
@@ -103,6 +104,15 @@ class RigFit:
     def model(self) -> RigModel:
         """The fitted model."""
         return self.state.model
+
+    @cached_property
+    def in_ranges(self) -> bool:
+        """Whether the values are those of a drive whose declared ranges are honest.
+
+        By the χ² of their distances from the declared values, in the ranges' standard deviations.
+        """
+        miss = prior_rows(self.state, self.frees)[1]
+        return bool(chi2.sf(miss @ miss, max(miss.size, 1)) > RARE)
 
     @cached_property
     def covariance(self) -> Floats:
@@ -141,7 +151,6 @@ class Likelihood:
 
     Attributes
     ----------
-    balance : Balance
     news : (equations,) array
         Share of the rows of each equation that is independent.
     """
@@ -223,12 +232,7 @@ def _one(state: State, balance: Balance, k: int) -> tuple[Floats, Floats]:
 
 
 def jacobian(
-    state: State,
-    balance: Balance,
-    frees: Sequence[Free],
-    left: Sequence[Floats],
-    *,
-    jobs: int = 2,
+    state: State, balance: Balance, frees: Sequence[Free], left: Sequence[Floats], *, jobs: int = 2
 ) -> tuple[Floats, ...]:
     """Return the derivatives of the residual per log, per scale of each number."""
     columns = [np.zeros((*part.shape, len(frees))) for part in left]
@@ -265,7 +269,6 @@ def fit_rig(
     *,
     frees: Sequence[Free] | None = None,
     iterations: int = 6,
-    tolerance: float = 0.3,
     news: Floats | None = None,
     near: RigFit | None = None,
     jobs: int = 2,
@@ -279,21 +282,14 @@ def fit_rig(
     ----------
     state : State
         Where to start; every quantity has a value.
-    balance : Balance
     frees : sequence of Free, optional
         By default all of `free_parameters`.
     iterations : int
         At most.
-    tolerance : float
-        Stops when −2 log-likelihood falls by less.
     news : (equations,) array, optional
         Share of the rows of each equation that is independent.
     near : RigFit, optional
         Of a model without some effects: the slopes of what both have are nearly its own.
-
-    Returns
-    -------
-    RigFit
     """
     scales = scales_of(balance)
     if frees is None:
@@ -315,10 +311,10 @@ def fit_rig(
             slopes = tuple(secant(p, new - old, step) for p, old, new in rows)
             state, left, drive, loss = better
             frees, slopes = _rescaled(frees, slopes, state)
-        if gain < tolerance and was_fresh:
+        if gain < TOLERANCE and was_fresh:
             break
         # gaps bend too much for secants
-        if gain < tolerance or state.model.layout.links:
+        if gain < TOLERANCE or state.model.layout.links:
             slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs), True
     if not fresh:
         slopes = jacobian(state, balance, frees, left, jobs=jobs)

@@ -1,6 +1,5 @@
 """Free run of a chain on a log: what the sensors would have read."""
 
-from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -54,13 +53,7 @@ def initial(model: RigModel, log: Log) -> tuple[dict[str, float], dict[str, floa
     return q0, v0
 
 
-def free_run(
-    model: RigModel,
-    log: Log,
-    *,
-    start: tuple[Mapping[str, float], Mapping[str, float]] | None = None,
-    lead_hz: float = 0.0,
-) -> RigRun:
+def free_run(model: RigModel, log: Log, *, lead_hz: float = 0.0) -> RigRun:
     """Run a chain on a log's inputs, from its first sample.
 
     Angles of bodies on both sides of a spring may have zeros of their own: such a spring
@@ -68,14 +61,10 @@ def free_run(
 
     Parameters
     ----------
-    model : RigModel
-    log : Log
-    start : positions and speeds of bodies, optional
-        By default what the log shows.
     lead_hz : float
         Bandwidth of an observer that leads the run by the log's first position, or else speed.
     """
-    q0, v0 = start or initial(model, log)
+    q0, v0 = initial(model, log)
     u = np.array([log[i.channel] for i in model.rig.inputs])
     layout = model.layout
     seen: dict[int, str] = {}

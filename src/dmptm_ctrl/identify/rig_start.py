@@ -6,13 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.identify.free_parameters import Floats, scales_of
+from dmptm_ctrl.identify.free_parameters import scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
 
 STIFF = 6  # antiresonances tried for a spring of which nothing is known
 STIFFER = 1.5, 3.0  # times the stiffness that was fitted
+LOOK = 6  # iterations of each such start; the best is fitted to the end
+WIDER = 0.75, 1.3  # times the gap that was fitted
 LOWEST_MODE = 0.03  # of the bandwidth
 HIGHEST_MODE = 1.5
 DAMPING_RATIO = 0.05
@@ -27,7 +30,6 @@ class Spring(NamedTuple):
     Attributes
     ----------
     antiresonance : float [rad/s]
-    damping_ratio : float
     near, far : float
         Inertias [kg·m² or kg].
     """
@@ -88,7 +90,9 @@ def _springs(model: RigModel, balance: Balance) -> RigModel:
     return model
 
 
-def springs_of(model: RigModel, balance: Balance, link: str) -> list[dict[str, float]]:
+def springs_of(
+    model: RigModel, balance: Balance, link: str, damping_ratio: float = DAMPING_RATIO
+) -> list[dict[str, float]]:
     """Values of a link of unknown stiffness, soft to stiff, beside the declared inertias.
 
     A gap that is not in the model makes a spring look soft, and inertias wrong.
@@ -101,37 +105,68 @@ def springs_of(model: RigModel, balance: Balance, link: str) -> list[dict[str, f
     far /= model.value(f"link.{link}.ratio") ** 2
     top = 2 * np.pi * balance.bandwidth
     found = [
-        spring_values(model, link, Spring(float(w), DAMPING_RATIO, far, far))
+        spring_values(model, link, Spring(float(w), damping_ratio, far, far))
         for w in np.geomspace(LOWEST_MODE * top, HIGHEST_MODE * top, STIFF)
     ]
     return [known | values for values in found if values]
 
 
-def stiffened(fit: RigFit, link: str, *, iterations: int, jobs: int) -> RigFit:
-    """Fit again from stiffer springs in a link while that fits better.
+def friction_beyond(model: RigModel, link: str) -> dict[str, float]:
+    """Values that put half of what friction is unknown on the far side of a link.
 
-    Beside a gap whose far side is not measured, a spring that is too soft is the nearest
-    minimum: it makes up for the gap that is not fitted yet.
+    Without a gap only the sum of both sides shows, and a fit leaves it where it began; through
+    a gap the far side's does not pass.
     """
-    key = f"link.{link}.stiffness"
-    declared = fit.model.quantities.get(key)
-    if declared is None or isfinite(declared.value):
+    near, far = link_sides(model, link)
+    far = {body: r / model.value(f"link.{link}.ratio") for body, r in far.items()}
+    found: dict[str, float] = {}
+    for kind, power in (("coulomb", 1), ("viscous", 2)):
+        weight = {b: abs(r) ** power for b, r in (near | far).items()}
+        keys = {b: f"body.{b}.{kind}" for b in weight}
+        free = [
+            [b for b in side if (q := model.quantities.get(keys[b])) and not isfinite(q.value)]
+            for side in (near, far)
+        ]
+        if all(free):
+            whole = sum(weight[b] * model.value(keys[b]) for side in free for b in side)
+            found |= {keys[b]: 0.5 * whole / len(s) / weight[b] for s in free for b in s}
+    return found
+
+
+def from_elsewhere(fit: RigFit, gap: str, *, iterations: int, jobs: int) -> RigFit:
+    """Fit a gap whose far side is not measured again from other sizes, while that fits better.
+
+    When teeth meet hangs on every value before, so that a fit has many minima. A spring that is
+    too soft is often the nearest: it makes up for the size of the gap.
+    """
+    link, likelihood = gap.partition("@")[2], fit.likelihood
+    links = [k.name for k in fit.model.rig.links]
+    if link not in links or ends_of(fit.model, likelihood.balance, link):
         return fit
-    likelihood = fit.likelihood
+    stiffness = f"link.{link}.stiffness"
+    declared = fit.model.quantities.get(stiffness)
+    soft = declared is not None and not isfinite(declared.value)
+
+    def again(state: State, steps: int) -> RigFit:
+        news = likelihood.news
+        return fit_rig(state, likelihood.balance, news=news, iterations=steps, jobs=jobs)
+
     while True:
-        stiffness = fit.model.value(key)
-        starts = [fit.model.with_values({key: by * stiffness}) for by in STIFFER]
-        fits = [
-            fit_rig(
-                State(start, fit.state.logs), likelihood.balance, news=likelihood.news,
-                iterations=iterations, jobs=jobs,
-            )
-            for start in starts
-        ]  # fmt: skip
-        best = min(fits, key=lambda f: f.loss)
+        model = fit.model
+        placed = next(e for e in model.effects if e.key == gap)
+        half = placed.values["half_gap"]
+        starts = [
+            model.with_effect(placed._replace(values={**placed.values, "half_gap": by * half}))
+            for by in WIDER
+        ]
+        if soft:
+            value = model.value(stiffness)
+            starts += [model.with_values({stiffness: by * value}) for by in STIFFER]
+        tried = (again(State(one, fit.state.logs), LOOK) for one in starts)
+        best = min(tried, key=lambda f: f.loss)
         if best.loss > fit.loss - 1.0:
             return fit
-        fit = best
+        fit = again(best.state, iterations)
 
 
 def spring_values(model: RigModel, link: str, spring: Spring) -> dict[str, float]:

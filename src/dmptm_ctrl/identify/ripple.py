@@ -41,12 +41,7 @@ RECENT = 4  # results kept per motion
 
 @dataclass(eq=False)
 class Ripple:
-    """The fast part of one motion.
-
-    Parameters
-    ----------
-    motion : Motion
-    """
+    """The fast part of one motion."""
 
     motion: Motion
 

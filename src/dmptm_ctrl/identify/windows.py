@@ -14,26 +14,14 @@ import numpy as np
 from dmptm_ctrl.effects.encoder_eccentricity import ENCODER_ECCENTRICITY
 from dmptm_ctrl.effects.reducer_compliance import REDUCER_COMPLIANCE
 from dmptm_ctrl.identify.disturbance import Course, Rows, course, disturbance
-from dmptm_ctrl.identify.motion import (
-    Motion,
-    averaged,
-    odd_span,
-    second_difference,
-    smooth,
-)
-from dmptm_ctrl.simulate.along import (
-    Acting,
-    built_up_along,
-    law_along,
-    reading_along,
-)
+from dmptm_ctrl.identify.motion import Motion, averaged, odd_span, second_difference, smooth
+from dmptm_ctrl.simulate.along import Acting, built_up_along, law_along, reading_along
 from dmptm_ctrl.simulate.dual import MOTORS, RING
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.plant import Plant
 
-INERTIA = (
-    36.5  # kg·m², Table 1: of all bodies at the ring gear; expresses an acceleration as a torque
-)
+# of all bodies at the ring gear; expresses an acceleration as a torque
+INERTIA = 36.5  # kg·m², Table 1
 STIFFNESS = 3.6e4  # N·m/rad, Table 1: expresses a twist as a torque, whatever k_m is fitted
 SEEN_SECONDS = 0.01  # passes what the multisine excites, keeps the encoders' noise small
 CARRIED_SECONDS = 0.02  # span over which the mesh torque is smoothed

@@ -100,19 +100,19 @@ def animate_gaps(motion: GapMotion, *, frames: int = FRAMES) -> FuncAnimation:
     return FuncAnimation(drawn.figure, drawn.draw, frames=frames, interval=interval, blit=False)
 
 
-def animated_uri(motion: GapMotion, *, frames: int = FRAMES) -> str:
+def animated_uri(motion: GapMotion) -> str:
     """Return the animation as an animated image to put into a page without scripts.
 
     What stands still is drawn once, as interactive backends do.
     """
-    drawn = scene(motion, frames)
+    drawn = scene(motion, FRAMES)
     for artist in drawn.draw(0):
         artist.set_animated(True)
     canvas = FigureCanvasAgg(drawn.figure)
     canvas.draw()
     still = canvas.copy_from_bbox(drawn.figure.bbox)
     images = []
-    for frame in range(frames):
+    for frame in range(FRAMES):
         canvas.restore_region(still)
         for artist in drawn.draw(frame):
             drawn.figure.draw_artist(artist)

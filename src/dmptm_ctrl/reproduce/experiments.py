@@ -6,14 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.identify.experiments_validation import (
-    EXPERIMENTS,
-    Score,
-    Trial,
-    below,
-    score,
-    speed_on,
-)
+from dmptm_ctrl.identify.experiments_validation import EXPERIMENTS, Score, Trial, score, speed_on
 from dmptm_ctrl.identify.frequency_response import (
     FrequencyResponse,
     from_log,
@@ -21,6 +14,7 @@ from dmptm_ctrl.identify.frequency_response import (
     stepped_sine,
 )
 from dmptm_ctrl.identify.loop_resonance import resonant_gains
+from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.plots.linear import LEAST_COHERENCE, response_plot
 from dmptm_ctrl.plots.paper import amplitude_styles, experiment_plot
 from dmptm_ctrl.plots.style import STYLES
@@ -258,7 +252,7 @@ def _one_loop(context: Context, loops: Mapping[str, Loop], said: Mapping[str, st
                 peak = float(np.abs(sines.values[top]))
                 peaks[name, model, amplitude] = float(sines.hz[top]), peak
                 over = _overshoot(speeds[model, i], log, amplitude)
-                both = (below(speeds[m, i], log.sample_time) for m in (model, "proposed"))
+                both = (low_pass(speeds[m, i], log.sample_time) for m in (model, "proposed"))
                 r = 100.0 * score(*both).pearson_r
                 if model != "proposed":
                     alike.append(r)

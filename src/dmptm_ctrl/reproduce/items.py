@@ -15,13 +15,13 @@ from dmptm_ctrl.identify.experiments_validation import (
     EXPERIMENTS,
     Score,
     Trial,
-    below,
     fit_to_logs,
     score,
     speed_on,
     validate,
 )
 from dmptm_ctrl.identify.loop_resonance import ResonantGains, resonant_gains
+from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.signals import Campaign, load_logs
 from dmptm_ctrl.simulate.compiled import Loop
 from dmptm_ctrl.simulate.model import Model
@@ -100,7 +100,7 @@ class Context:
             log = self.campaign[name]
             model = Model(fit_to_logs(baseline_drive(self.drive), [log], RIG_LOOP))
             speeds = (log["omega_L"], speed_on(model, log, RIG_LOOP))
-            result[experiment] = score(*(below(x, log.sample_time) for x in speeds))
+            result[experiment] = score(*(low_pass(x, log.sample_time) for x in speeds))
         return result
 
     @cached_property

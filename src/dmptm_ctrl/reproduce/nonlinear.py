@@ -69,7 +69,7 @@ def parameters(context: Context) -> list[Item]:
     """Every experiment of section 4.2 on a rig of known parameters."""
     rng, model, drive = np.random.default_rng(SEED), Model(context.drive), context.drive
     context.say("constant speeds under preload")
-    stairs = [staircase(model, [*SPEEDS, *-SPEEDS[::-1]], b, rng, seconds=2.0) for b in PRELOADS]
+    stairs = [staircase(model, [*SPEEDS, *-SPEEDS[::-1]], b, rng) for b in PRELOADS]
     steady = constant_speed(stairs, drive)
     curves = {**stribeck_fit(steady.reducer), **stribeck_fit(steady.ring)}
     context.say("ramps")
@@ -83,7 +83,7 @@ def parameters(context: Context) -> list[Item]:
     dynamic = shaken_turns(shaken, drive, period=PERIOD, lines=LINES)
     context.say("flights through the gaps")
     known = {**curves, **{n: static[n] for n in reducers}, "J_2": dynamic["J_2"]}
-    flights = gap_damping(taps(model, (0.45, 0.6, 0.8, 1.0), rng, repeats=3), drive, known)
+    flights = gap_damping(taps(model, (0.45, 0.6, 0.8, 1.0), rng), drive, known)
     found = [
         ("reverse motion under preload", steady.estimates),
         ("constant speeds", {n: e for n, e in curves.items() if n[2] != "s"}),

@@ -16,13 +16,14 @@ Array = NDArray[np.float64]
 MAX_BRIDGED = 10
 DAY = 86400.0  # s
 COARSE = 0.05  # of the steps are another multiple of a coarse clock's tick than most
-# Counters of 16 and 32 bits run over, also where they are printed in thousandths; so do days.
+# Counters of 16 to 32 bits run over, also where they are printed in thousandths; so do days.
 _DURATION = re.compile(
     r"(-?\d+ days?\s+)?\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?$|\S+ (s|sec|ms|us|µs|ns|min|h|hr)$"
-    r"|P\d+DT\S+$"
+    r"|P\d+DT\S+$|L?T(IME)?#"
 )
+_ZONE = re.compile(r"\[[^\[\]]*\]$|\s?(UTC|GMT)$")
 _ISO_DATE = re.compile(r"^(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T ,_-]+")
-ROUNDS = (*(2.0**b * 10.0**-e for b in (16, 32) for e in (0, 3, 6)), DAY, 1e3 * DAY)
+ROUNDS = (*(2.0**b * 10.0**-e for b in (16, 24, 31, 32) for e in (0, 3, 6)), DAY, 1e3 * DAY)
 
 
 def times_of(texts: NDArray, source: str, column: str) -> NDArray:
@@ -39,14 +40,16 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
     first = next((str(v).strip() for v in values if isinstance(v, str) and v.strip()), "")
     try:
         text = values.where(values.notna(), None).str.strip().str.replace(",", ".", regex=False)
+        text = text.str.replace(_ZONE, "", regex=True)
         if _DURATION.match(first):
             if first.count(":") == 3:  # 09:27:03:010
                 text = text.str.replace(r":(\d+)$", r".\1", regex=True)
             elif first.count(":") == 1:  # 27:03.010
                 text = "00:" + text
-            times = pd.to_timedelta(text)
-        elif re.match(r"\d{4}\D|\d{8}T", first):
+            times = pd.to_timedelta(text.str.replace(r"^L?T(IME)?#", "", regex=True))
+        elif re.match(r"\d{4}\D|\d{8}[T_-]", first):
             iso = text.str.replace(_ISO_DATE, r"\1-\2-\3 ", regex=True)
+            iso = iso.str.replace(r"^(\d{8})[_-]", r"\1T", regex=True)
             times = pd.to_datetime(iso, format="ISO8601", utc=True)
         else:
             if ":" not in first:
@@ -122,12 +125,13 @@ def mended(
                 f"they were spread evenly, one each {even[1] - even[0]:.6g} s; if the rate is "
                 "known, give sample_rate in [data] of the rig file"
             ]  # fmt: skip
-        notes = []
         if (part := _longest_run(time)) is not None:
             notes = [
                 f"time starts anew: rows {part.start + 1} to {part.stop} of {time.size} are used"
             ]
             time, channels = time[part], {c: v[part] for c, v in channels.items()}
+            time, channels, done = mended(source, time, channels, sample_time)
+            return time, channels, notes + done
         try:
             time, channels, done = resampled(source, time, channels)
         except LogError:
@@ -135,7 +139,7 @@ def mended(
                 f"{error}; or say in [data] of the rig file which part is good (start, stop), or "
                 "leave out time there and give sample_rate"
             ) from None
-        return time, channels, notes + done
+        return time, channels, done
     return time, channels, []
 
 

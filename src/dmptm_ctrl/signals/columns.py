@@ -1,6 +1,7 @@
 """From columns as a file names them to channels in SI."""
 
 import difflib
+import re
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ from dmptm_ctrl.signals.errors import ColumnsError, LogError
 from dmptm_ctrl.signals.units import (
     CANONICAL,
     SUFFIXES,
+    Unit,
     expected_symbol,
     named_unit,
     parse_unit,
@@ -64,7 +66,8 @@ TIMES = "(times)"  # instead of the unit of a column of dates or times of day
 
 
 _BESIDE = " #%"  # blanks and signs of comments around names
-_CLOCKS = ("t", "time", "zeit", "timestamp")
+CLOCKS = ("t", "time", "_time", "zeit", "uhrzeit", "timestamp", "datetime", "date", "datum")
+_BRACKET = re.compile(r"\s*[\[(][^\[\]()]*[\])]$")  # a unit, known or not
 Mapped = Mapping[str, "Column | tuple | str"]
 
 
@@ -104,9 +107,15 @@ def resolve(
                 targets[column] = target
     _refuse_wrong(targets, source)
     warnings = contradictions
+    if not clocks and not any(t.channel == "time" for t in targets.values()):
+        free = [n for n in names if n not in mapping and n not in targets]
+        if (found := _clock_of(free, [*names, ""][0], units)) is not None:
+            factor = unit.factor if (unit := _unit_of(found, units)) is not None else 1.0
+            targets[found] = Target("time", "s", factor)
+            ignored = [n for n in ignored if n != found]
     if ignored and not mapping:
         warnings.append(
-            f"ignored {_listed(ignored)}: no unit in the name, as in theta_L_deg or current_A"
+            f"ignored {_listed(ignored)}: no known unit in the name, as in theta_L_deg or current_A"
         )
     if clocks and not mapping:
         warnings.append(f"ignored {_listed(clocks)}: another clock")
@@ -122,6 +131,27 @@ def names_a_clock(mapping: Mapped) -> bool:
     return False
 
 
+def _clock_of(names: Sequence[str], first: str, units: Mapping[str, str]) -> str | None:
+    """Column that is the clock by its unit or, without one, by its name."""
+    own = {n: _unit_of(n, units) for n in names}
+    timed = [n for n, unit in own.items() if unit is not None and unit.symbol == "s"]
+    dates = [n for n in names if units.get(n) == TIMES]
+    named = [n for n in names if n != "T" and n.lower() in CLOCKS]
+    best = [n for n in [*timed, *dates] if n.lower().startswith(CLOCKS)]
+    best += [*(n for n in timed if n == first), *dates, *(n for n in named if own[n] is None)]
+    return best[0] if best else None
+
+
+def _unit_of(column: str, units: Mapping[str, str]) -> Unit | None:
+    """Unit of a column, as the file or its name states it."""
+    split = split_column(column)
+    try:
+        unit = units.get(column) or named_unit(column)[1]
+        return parse_unit(unit) if unit else split[1] if split is not None else None
+    except LogError:
+        return None
+
+
 def _as_named(names: Sequence[str], mapping: dict[str, Any]) -> dict[str, Any]:
     """Mapping with the names as the file has them: ``q [deg]`` where it says ``q``."""
     found = {}
@@ -130,6 +160,7 @@ def _as_named(names: Sequence[str], mapping: dict[str, Any]) -> dict[str, Any]:
             alike = [n for n in names if n.strip(_BESIDE) == column.strip(_BESIDE)]
             alike = alike or [n for n in names if named_unit(n)[0] == column]
             alike = alike or [n for n in names if named_unit(column)[0] == n]
+            alike = alike or [n for n in names if _BRACKET.sub("", n) == column]
             if not alike and not isinstance(target, str) and target[0] == "time":
                 alike = [n for n in names if n == CLOCK]
             column = alike[0] if len(alike) == 1 else column
@@ -141,10 +172,7 @@ def _in_its_unit(target: Any, stated: str) -> Any:
     """Target of a column; of a clock without a unit in that of the file, else in seconds."""
     if isinstance(target, str) or target[0] != "time" or target[1]:
         return target
-    try:
-        known = parse_unit(stated).symbol == "s"
-    except LogError:
-        known = False
+    known = (unit := _unit_of("", {"": stated})) is not None and unit.symbol == "s"
     return (target[0], stated if known else "s", *target[2:])
 
 
@@ -182,19 +210,21 @@ def _mapped(column: str, target: Any, source: str) -> Target:
 
 
 def _by_name(column: str, stated: str | None, source: str, *, strict: bool) -> Target | None:
-    if stated == TIMES:
-        return Target("time", "s", 1.0) if column.lower() in _CLOCKS else None
+    if stated == TIMES and split_column(column) is None:
+        return Target("time", "s", 1.0) if column.lower() in CLOCKS else None
     if stated and split_column(column) is None:
         try:
             unit = parse_unit(stated)
         except LogError:
             return None
         name = named_unit(column)[0]
-        clock = column == CLOCK or (unit.symbol == "s" and name.lower() in _CLOCKS)
+        clock = column == CLOCK or (unit.symbol == "s" and name.lower() in CLOCKS)
         return Target("time" if clock else name, unit.symbol, unit.factor)
     split = split_column(column)
     if split is not None:
         channel, unit = split
+        if unit.symbol == "s" and channel.lower() in CLOCKS:
+            channel = "time"
         if channel in CANONICAL or not _is_canonical(column):
             return Target(channel, unit.symbol, unit.factor)
     if strict and _is_canonical(column):

@@ -1,5 +1,7 @@
 """Counters of few bits: readings that jump where they run over, or count negative from the top."""
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,9 @@ BITS = (8, 10, 12, 13, 14, 16, 18, 20, 24, 32)
 WHOLE = 1e-6  # whole numbers are such within this
 GRID = 0.01  # counts; readings that were scaled are whole numbers of steps within this
 SLACK = 8  # counts; a counter may be read in two parts, or count to one less
+PASSES = 4  # samples after which a failure that passes is over
+FEW = 3  # times that a counter is set in a log
+SINGLE = 10.0  # times the greatest other step; motion comes and goes over several samples
 CALM = 0.5  # of the change that is left when a reading is taken with its sign
 
 
@@ -71,12 +76,17 @@ def unwrapped_counts(column: str, values: Array) -> tuple[Array, str]:
 
 
 def refuse_jumps(source: str, column: str, values: Array, time: Array) -> None:
-    """Refuse a position that jumps by half its range and stays; shorter failures pass."""
+    """Refuse a position that jumps by half its range, or once, and stays elsewhere.
+
+    Shorter failures pass.
+    """
     far, usual = _jumps(values)
+    if not far.any():
+        far, usual = _single(np.abs(np.diff(values)))
+    ways = np.sign(np.diff(values)) * far
     for row in np.flatnonzero(far):
         jump = abs(values[row + 1] - values[row])
-        before, after = values[max(row - 4, 0) : row + 1], values[row + 1 : row + 6]
-        if abs(np.median(after) - np.median(before)) < 0.5 * jump:
+        if -ways[row] in ways[max(row - PASSES, 0) : row + PASSES + 1]:
             continue
         raise LogError(
             f"{source}: {column} jumps by {jump:.6g} after "
@@ -96,24 +106,34 @@ def _jumps(values: Array) -> tuple[NDArray[np.bool_], float]:
     return far, usual
 
 
+def _single(step: Array) -> tuple[NDArray[np.bool_], float]:
+    """Which few steps are far greater than all others, as where a counter was set."""
+    largest = np.sort(step)[-FEW - 1 :]
+    for usual, next_one in pairwise(largest):
+        if 0 < SINGLE * usual < next_one:
+            return step > usual, float(usual)
+    return np.zeros(step.size, bool), 0.0
+
+
 def with_sign(column: str, values: Array) -> tuple[Array, str]:
     """Signal of 8, 16 or 32 bits whose negative values were read as large positive ones."""
     good = np.isfinite(values)
     reading = values[good]
-    if reading.size < 3 or reading.min() < 0 or not whole_numbers(reading):
+    if reading.size < 3 or reading.min() < 0 or (unit := step_of_counts(reading)) == 0.0:
         return values, ""
-    for bits in (8, 12, 16, 32):
-        size = 2.0**bits
+    for bits in (8, 12, 16, 32) if unit == 1.0 else (16,):
+        size = 2.0**bits * unit
         if not size / 2 < reading.max() < size:
             continue
         signed = np.where(reading >= size / 2, reading - size, reading)
         step, calm = np.abs(np.diff(reading)), np.abs(np.diff(signed))
         crosses = signed.max() > 0 and (step > size / 2).any()
-        if crosses and calm.max() < size / 2 and calm.sum() < CALM * step.sum():
+        near = reading.max() >= size - calm.max()  # the first one below zero
+        if crosses and near and calm.max() < size / 2 and calm.sum() < CALM * step.sum():
             result = values.copy()
             result[good] = signed
             return result, (
                 f"{column} holds numbers of {bits} bits with a sign, read without it: values "
-                f"from {size / 2:.0f} on were taken as negative"
+                f"from {size / 2:.6g} on were taken as negative"
             )
     return values, ""

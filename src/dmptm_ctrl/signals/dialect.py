@@ -2,8 +2,12 @@
 
 import csv
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
+
+from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.units import Unit, parse_unit
 
 COMMENT = ("#", "%", "//", "!")
 MISSING = frozenset(
@@ -13,11 +17,15 @@ MISSING = frozenset(
     )
 )
 WORDS = frozenset(("true", "false"))
-ODD = str.maketrans({"\xa0": "", "\u202f": "", "\u2009": "", "’": "'", "−": "-", "\ufeff": ""})
+ODD = str.maketrans(
+    {"\xa0": "", "\u202f": "", "\u2009": "", "’": "'", "−": "-", "\ufeff": "", "∞": "inf"}
+)
 _FORTRAN = re.compile(r"[-+]?[\d.]+[dD][-+]?\d+")
 _PAIR = re.compile(r"(?<![\w.-])([A-Za-z_][\w.\[\]()/-]*)\s*[=:]\s*(?=[-+.\d])")
 _STAMP = re.compile(r"^\s*([\d:.]+)\s*->\s*")  # serial monitors put the time of day before a row
 _ENCLOSED = re.compile(r"^\s*[\[(]([^\[\]()]*)[\])][;,]?\s*$")  # printed tuples and arrays
+_ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # colours and places on a terminal
+_WITH_UNIT = re.compile(r"([-+]?[\d.,]*\d(?:[eE][-+]?\d+)?)\s*([^\d\s.,:;+-][^\s:;,]*)")
 _REMARK = re.compile(r"\s+#.*")
 _RULE = re.compile(r"[\s|+:=-]*[-=]{3,}[\s|+:=-]*$")  # below the names of a table, around a grid
 
@@ -48,11 +56,14 @@ class Dialect(NamedTuple):
     decimal: str = "."
     thousands: str = ""
     pairs: bool = False  # name and value side by side
+    units: tuple[str, ...] = ()  # of each field, behind its number
 
     def split(self, line: str) -> list[str]:
         """Fields of a line, without their quotes and the blanks around them."""
         if self.pairs:
             line = _PAIR.sub(rf"\1{self.separator}", line)
+        if "\x1b" in line:
+            line = _ESCAPE.sub("", line)
         line = _STAMP.sub(rf"\1{self.separator}", line.rstrip("\r\n").translate(ODD))
         line = _ENCLOSED.sub(r"\1", line)
         if self.separator == "|" and line.strip()[:1] == line.strip()[-1:] == "|":
@@ -66,7 +77,20 @@ class Dialect(NamedTuple):
                 fields = next(csv.reader([line], delimiter=self.separator, skipinitialspace=True))
             except (csv.Error, StopIteration):
                 fields = line.split(self.separator)
-        return [_unquoted(field) for field in fields]
+        cells = [_unquoted(field) for field in fields]
+        return [*map(self._bare, cells, self.units)] if len(self.units) == len(cells) else cells
+
+    def _bare(self, cell: str, unit: str) -> str:
+        """Number of a cell that holds its unit; in another unit of the column's quantity too."""
+        text = cell.removesuffix(unit).rstrip()
+        if text[-1:].isdigit():
+            return text
+        if (found := _WITH_UNIT.fullmatch(cell)) is None:
+            return cell
+        own, number = unit_of(found[2]), self.number(found[1])
+        if own is None or number is None or own.symbol != (of := parse_unit(unit)).symbol:
+            return cell
+        return f"{number * own.factor / of.factor:.12g}".replace(".", self.decimal)
 
     def kind(self, cell: str) -> str:
         """Kind of a field: "number", "time", "" (no value) or "text"."""
@@ -98,12 +122,14 @@ class Dialect(NamedTuple):
 
 
 # MATLAB's "0.01 sec"; a date, a time of day, or both; pandas' "0 days 00:00:01".
+_IEC_TIME = r"L?T(?:IME)?#\S+"  # of a PLC: T#1s20ms
 DURATION = r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)? (?:s|sec|ms|us|µs|ns|min|h|hr)"
 _CLOCK_TEXT = r"\d{1,2}:\d{2}(:\d{2})?([.,:]\d{1,9})?\s*([AaPp][Mm])?(Z|[-+]\d{2}:?\d{2})?"
+_ZONE = r"(\[[\w/+-]+\]|\s?UTC|\s?GMT)?"  # besides an offset
 _DATE_TEXT = r"(\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.](\d{1,2}|[A-Za-z]{3})[-/.]\d{2,4})"
 TIME = re.compile(
-    rf"{DURATION}|(-?\d+ days?\s+)?{_CLOCK_TEXT}|{_DATE_TEXT}([T ,_-]+{_CLOCK_TEXT})?"
-    r"|\d{8}T\d{6}\S*"
+    rf"{DURATION}|{_IEC_TIME}|(-?\d+ days?\s+)?{_CLOCK_TEXT}"
+    rf"|{_DATE_TEXT}[T ,_-]+{_CLOCK_TEXT}{_ZONE}|\d{{8}}[T_-]\d{{6}}\S*"
 )
 
 
@@ -120,7 +146,7 @@ class Layout:
     period: float | None = None  # time between samples that the preamble states [s]
     # start and increment of a clock that counts samples [s]
     steps: tuple[float, float] | None = None
-    long: bool = False  # each row is a name and its value
+    long: tuple[int, int] | None = None  # columns of names and of values: one signal per row
     wordy: int = 0  # lines right above the first row that are such but for a word, as ERR
 
 
@@ -138,6 +164,24 @@ class Block(NamedTuple):
     @property
     def width(self) -> int:
         return len(self.kinds)
+
+
+def unit_of(text: str) -> Unit | None:
+    """Unit of a drive's signals, None if it is none."""
+    try:
+        return parse_unit(text)
+    except LogError:
+        return None
+
+
+def with_units(dialect: Dialect, lines: Sequence[str]) -> Dialect | None:
+    """Dialect of cells as "12.5 V", None where no row looks like that."""
+    for line in lines:
+        found = [_WITH_UNIT.fullmatch(cell) for cell in dialect.split(line)]
+        units = tuple(m[2] if m and unit_of(m[2]) else "" for m in found)
+        if any(units):
+            return dialect._replace(units=units)
+    return None
 
 
 def _unquoted(field: str) -> str:

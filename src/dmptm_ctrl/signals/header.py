@@ -6,7 +6,15 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from dmptm_ctrl.signals.columns import CLOCK
-from dmptm_ctrl.signals.dialect import Block, Dialect, Layout, TextFormat, bare, trimmed
+from dmptm_ctrl.signals.dialect import (
+    Block,
+    Dialect,
+    Layout,
+    TextFormat,
+    bare,
+    trimmed,
+    unit_of,
+)
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.units import FOREIGN, Unit, named_unit, parse_unit
 
@@ -15,7 +23,12 @@ FILE_TIME = 1e16  # a clock without a name that reads more counts ticks since 16
 SEP_LINE = re.compile(r'(?i)\ufeff?"?sep=(.)"?\s*$')
 _TYPE = re.compile(r"(?i)(l?real|[us]?[dls]?int|float|double|bool|lword|dword|word)\d*$")
 _TIME_NAME = re.compile(r"(?i)(time|zeit|uhrzeit|timestamp|x_value|t)(\W|_|\d|$)")
-_PERIOD = re.compile(r"(?i)sampl\w*[ _-]?(time|period|interval|rate|frequency)|delta_x|abtastzeit")
+_PERIOD = re.compile(
+    r"(?i)sampl\w*[ _-]?(time|period|interval|rate|frequency)|delta_x|\b[tx]inc\b"
+    r"|abtast(zeit|rate|frequenz|intervall|periode)"
+)
+_LABEL = re.compile(r"(?i)_?(var|signal|tag|channel|field|name|item|topic|kanal|sensor|metric|key)")
+_VALUE = re.compile(r"(?i)\w*(val|wert|reading)")
 _KIND = re.compile(r"(?<=\S) \([A-Z][a-z]+\)$")  # TwinCAT: V (Voltage)
 _AMOUNT = re.compile(r"[\s:=\"]*(?:is\s+)?([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ]*)")
 
@@ -27,36 +40,60 @@ def named(
     nothing = [""] * block.width
     layout = Layout(
         nothing, nothing, block.dialect, block.first, block.kinds, block.fields,
-        _period(lines[: block.first], block.dialect), wordy=_wordy(lines[: block.first], block),
+        _period(lines[: block.first], block.dialect),
+        wordy=_wordy(lines[how.skip : block.first], block),
     )  # fmt: skip
-    long = block.kinds == ["text", "number"] and not block.constant[0]
-    if long and len({r[0] for r in block.rows}) <= len(block.rows) / 4:
-        return replace(layout, names=["name", "value"], long=True)
+    if block.kinds == ["text", "number"] and (long := _long(["", ""], block, wanted)):
+        return replace(layout, long=long)
     values = [c for c, kind in enumerate(block.kinds) if kind != "text"]
     beside = ["", *(n.rstrip(":=") for n in block.constant[:-1])]
     if all(beside[c] for c in values) or (block.dialect.pairs and sum(map(bool, beside)) > 1):
-        return replace(layout, names=beside)  # pairs may follow a time and a level
+        # pairs may follow a time and a level
+        return _finished(replace(layout, names=beside), block, wanted)
     if how.header is not None:
         rows = [trimmed(block.dialect.split(bare(s))) for s in lines[: how.header][-1:]]
     else:
         rows = _candidates(lines, block)
         last = next((s for s in lines[: block.first][::-1] if s.strip() and bare(s) is s), "")
-        if not rows and last and not SEP_LINE.match(last):
+        given = len(trimmed(block.dialect.split(last)))
+        if not rows and given > 1 and not SEP_LINE.match(last):
             raise LogError(
-                f"{source}: the header names {len(block.dialect.split(last))} columns, the first "
+                f"{source}: the header names {given} columns, the first "
                 f"row has {block.width} values; if another line holds the names, write its number "
                 "in [data] of the rig file, as in header = 3, or header = 0 for none"
             )
     found = _from_rows([_fitted(r, block.width) for r in rows], layout, wanted)
-    found = replace(found, steps=_steps(rows, block.dialect))
-    ticks = [block.dialect.number(cell) or 0.0 for cell in block.rows[0][: block.width]]
-    units = [
-        "ticks" if name == CLOCK and value > FILE_TIME else unit
-        for name, unit, value in zip(found.names, found.units, ticks, strict=True)
-    ]
-    if found.names[0] == "" and block.kinds.count("time") == 1 and block.kinds[0] == "time":
-        return replace(found, names=[CLOCK, *found.names[1:]], units=units)
-    return replace(found, units=units)
+    return _finished(replace(found, steps=_steps(rows, block.dialect)), block, wanted)
+
+
+def _finished(found: Layout, block: Block, wanted: Collection[str]) -> Layout:
+    """Layout with a name for its clock, units of its cells, and what makes it a long table."""
+    names, units = list(found.names), list(found.units)
+    for c, unit in enumerate(block.dialect.units[: block.width]):
+        units[c] = unit or units[c]
+    for c, name in enumerate(names):
+        if name == CLOCK and (block.dialect.number(block.rows[0][c]) or 0.0) > FILE_TIME:
+            units[c] = "ticks"
+    dates = block.kinds[0] == "time" and block.kinds.count("time") == 1
+    seconds = (first := unit_of(units[0])) is not None and first.symbol == "s"
+    if found.steps is not None:
+        names[0], units[0] = CLOCK, "s"
+    elif names[0] == "" and (dates or seconds):
+        names[0] = CLOCK
+    return replace(found, names=names, units=units, long=_long(names, block, wanted))
+
+
+def _long(names: Sequence[str], block: Block, wanted: Collection[str]) -> tuple[int, int] | None:
+    """Columns of the names and the values, where each row holds one value of one signal."""
+    numbers = [c for c, kind in enumerate(block.kinds) if kind == "number"]
+    value = next((c for c in numbers if _VALUE.match(names[c])), numbers[-1])
+    labelled = len(block.kinds) == 2 or _VALUE.match(names[value])
+    for c in (c for c, kind in enumerate(block.kinds) if kind == "text"):
+        said = {row[c].rstrip(":=") for row in block.rows}
+        few = 1 < len(said) <= len(block.rows) / 4 and (not names[c] or _LABEL.match(names[c]))
+        if said & {*wanted} - {*names} or (labelled and few):
+            return c, value
+    return None
 
 
 def _candidates(lines: Sequence[str], block: Block) -> list[list[str]]:
@@ -69,6 +106,8 @@ def _candidates(lines: Sequence[str], block: Block) -> list[list[str]]:
         comment = bare(line) is not line
         for separator in dict.fromkeys((block.dialect.separator, *SEPARATORS)):
             dialect = block.dialect._replace(separator=separator)
+            if separator == " " and dialect != block.dialect and block.dialect.separator in line:
+                continue  # a sentence
             fields = trimmed(dialect.split(bare(line)))
             short, other = len(fields) < used, dialect != block.dialect
             fits = len(fields) == block.width if comment or other else not short
@@ -138,7 +177,12 @@ def _from_rows(rows: list[list[str]], plain: Layout, wanted: Collection[str]) ->
                 for u, n in zip(units, row, strict=True)
             ]
     twice = {n for n in best if n and best.count(n) > 1}
+    if twice and all(map(_is_unit, best)):  # Second,Volt,Volt
+        return replace(plain, units=best)
     names = list(best)
+    for c, name in enumerate(names):
+        if name.startswith("in ") and _is_unit(name[3:]):
+            names[c], units[c] = "", name[3:]
     # Labels of rows stand where clocks have no name: "Name", "Data-Type", "SampleTime[ms]".
     for name in twice | {n for n in best[:1] if n.lower() == "name"}:
         places = [c for c, n in enumerate(best) if n == name]

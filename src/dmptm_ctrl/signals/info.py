@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.clock import seconds_of
-from dmptm_ctrl.signals.columns import TIMES, Table, resolve
-from dmptm_ctrl.signals.errors import ColumnsError, LogError
+from dmptm_ctrl.signals.columns import CLOCKS, TIMES, Table, resolve
+from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
 from dmptm_ctrl.signals.loaders import load_log, numbers_or_times, read_table
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.units import door_column, named_unit, parse_unit
@@ -255,10 +255,13 @@ def describe_file(path: Path, *, resample: bool = False) -> LogInfo:
     """Say what is in a file without a rig; columns whose names say nothing are listed, too."""
     try:
         info = describe(load_log(path, resample=resample))
-    except ColumnsError as error:
-        found, table, _ = _columns_of(path)
+    except LogError as error:
+        if isinstance(error, NotALogError) and not isinstance(error, ColumnsError):
+            raise
+        found, table, stated = _columns_of(path)
         samples = max((len(values) for values in table.columns.values()), default=0)
-        if samples < MIN_SAMPLES:
+        guessed = any(n.lower() in CLOCKS and n not in stated for n in table.columns)
+        if samples < MIN_SAMPLES or not (guessed or isinstance(error, ColumnsError)):
             raise
         notes = (*table.notes, str(error))
         period = table.period or 0.0

@@ -13,6 +13,7 @@ from dmptm_ctrl.signals.dialect import (
     bare,
     says_nothing,
     trimmed,
+    with_units,
 )
 from dmptm_ctrl.signals.errors import NotALogError
 from dmptm_ctrl.signals.header import SEP_LINE, SEPARATORS, named
@@ -20,6 +21,9 @@ from dmptm_ctrl.signals.header import SEP_LINE, SEPARATORS, named
 # decimal sign, sign between thousands; the plainest that reads everything is taken
 NUMBERS = ((".", ""), (",", ""), (".", ","), (",", "."), (".", "'"), (".", " "), (",", " "))
 _PLACE = re.compile(r"column\d+")
+_FRAME = re.compile(  # candump, Vector's .asc
+    r"\b\w*can\d+\s+[\dA-F]{3,8}(#|\s+\[\d+\])|^\s*[\d.]+\s+\d+\s+[\dA-Fa-f]{3,8}x?\s+[RT]x\s"
+)
 STEADY = 10  # rows of one kind in a row that are the table and no part of the preamble
 
 
@@ -31,6 +35,11 @@ def find_layout(
     `wanted` columns tell which of several lines of names is meant. NotALogError without numbers,
     LogError for names that do not fit the rows.
     """
+    if sum(bool(_FRAME.search(line)) for line in lines[:50]) > 0.5 * len(lines[:50]):
+        raise NotALogError(
+            f"{source}: frames of a CAN bus; decode them by their .dbc file, as cantools and "
+            "asammdf do, and save the signals as CSV or MF4"
+        )
     if wanted and all(_PLACE.fullmatch(name) for name in wanted):
         how = replace(how, header=0)  # who counts columns knows of no names
     best = None
@@ -41,7 +50,9 @@ def find_layout(
         if best is not None and best.score[0] > 0.99:
             break
     if best is None or (best.score[0] < 0.5 and len(best.rows) < STEADY):  # prose
+        given = ", ".join(f"{k} = {v!r}" for k, v in vars(how).items() if v not in (None, 0))
         what = "no rows of numbers" if any(s.strip() for s in lines) else "the file is empty"
+        what += f", read with {given} of [data] in the rig file" * bool(given)
         raise NotALogError(f"{source}: {what}")
     return named(lines, best, source, how, wanted)
 
@@ -59,6 +70,8 @@ def _dialects(lines: Sequence[str], how: TextFormat) -> Iterator[list[Dialect]]:
         Dialect(s, *n) for s in separators for n in usual if n[1] and n[1] != s.strip(",")
     ]
     yield [d._replace(pairs=True) for d in plain]
+    start = max(how.skip, how.header or 0)
+    yield [u for d in plain if (u := with_units(d, lines[start:])) is not None]
 
 
 def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | None:
@@ -114,7 +127,9 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
     above = {len(trimmed(dialect.split(bare(s)))) for s in lines[start:first]}
     told = len(column) in above or how.header is not None
     values = sum(kind != "text" for kind in column)
-    return Block((round(share, 2), told, values), dialect, first, width, column, constant, body)
+    tabs = dialect.separator == " " and any("\t" in lines[i] for i, _ in rows[begin : begin + 9])
+    score = (round(share, 2), told, values * (not tabs))
+    return Block(score, dialect, first, width, column, constant, body)
 
 
 def _whole(rows: list[tuple[int, list[str]]], kinds: list[list[str]], width: int) -> int:

@@ -1,6 +1,7 @@
 """From files and tables to logs."""
 
 import hashlib
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
@@ -13,7 +14,7 @@ from dmptm_ctrl.signals import checks
 from dmptm_ctrl.signals.bags import read_bag
 from dmptm_ctrl.signals.campaign import Campaign
 from dmptm_ctrl.signals.clock import mended, resampled, seconds_of, times_of
-from dmptm_ctrl.signals.columns import Choose, Mapped, Table, Target, names_a_clock, resolve
+from dmptm_ctrl.signals.columns import CLOCKS, Choose, Mapped, Table, Target, names_a_clock, resolve
 from dmptm_ctrl.signals.counters import refuse_jumps, unwrapped_counts, with_sign
 from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 Source = str | PathLike[str]
 
+OTHER_RATE = 0.01  # relative; a nominal rate is as good as this
 PACKED = (".mat", ".parquet", ".mf4", ".json", ".mcap", ".bag")
 OTHER = (  # what stands beside logs in a folder and is none by its name
     *(".toml", ".md", ".rst", ".html", ".htm", ".xml", ".yaml", ".yml", ".ini", ".cfg"),
@@ -129,6 +131,13 @@ def load_log(
         notes += done
     checks.even_time(title, time)
     notes += checks.slow(time)
+    clocked = any(target.channel == "time" for target in targets.values())
+    step = float(time[-1] - time[0]) / (time.size - 1) if clocked else table.period
+    if sample_time and step and abs(step / sample_time - 1) > OTHER_RATE:
+        notes.append(
+            f"samples are {step:.6g} s apart by the {'clock' if clocked else 'preamble'}, and "
+            f"{sample_time:.6g} s as you say; the {'clock' if clocked else 'latter'} is taken"
+        )
     notes += _unwrap(channels, units)
     for column, target in targets.items():
         if units.get(target.channel) in ("rad", "m"):
@@ -286,7 +295,7 @@ def read_table(
     if not path.exists():
         raise LogError(f"no such file: {path}")
     if path.is_dir():
-        raise LogError(f"{path.name} is a folder, not a log")
+        raise LogError(f"{path.name or path} is a folder, not a log; name a file in it")
     readers = {
         ".mat": read_matlab, ".mf4": read_mdf, ".json": read_json, ".mcap": read_bag,
         ".bag": read_bag, ".db3": read_bag,
@@ -295,10 +304,11 @@ def read_table(
     try:
         if extension == ".gz" and path.stem.lower().endswith(".json"):
             extension = ".json"
-        if extension in readers:
-            return readers[extension](path, choose)
         with path.open("rb") as stream:
             head = stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
+        ascii = extension == ".mat" and re.fullmatch(rb"[\d\s.,eE+-]+", head)  # of save -ascii
+        if extension in readers and not ascii:
+            return readers[extension](path, choose)
         if head.startswith((b"PK\3\4", b"\xd0\xcf\x11\xe0")):
             raise NotALogError(f"{path.name}: a packed file, such as Excel's; save it as CSV")
         if head.startswith(b"MDF "):  # also called .mdf and .dat
@@ -307,7 +317,7 @@ def read_table(
             head.startswith((b"{", b"[{", b"[[")) and extension != ".parquet"
         ):  # JSON by another name
             return read_json(path, choose)
-        if extension == ".parquet":
+        if extension == ".parquet" or head.startswith(b"PAR1"):
             return read_parquet(path, choose, max_rows)
         return read_text(path, choose, max_rows, how, wanted)
     except OSError as error:
@@ -325,7 +335,7 @@ def _channels(
 ) -> tuple[Any, dict[str, Any], dict[str, str], list[str]]:
     """Time [s], channels in SI without holes, their units, and warnings."""
     labels = {target.channel: column for column, target in targets.items()}
-    time, notes = _time(table, targets, sample_time, title)
+    time, notes = _time(table, targets, sample_time, title, needed)
     channels, units, clocks = {}, {}, {}
     shown = dict(labels)
     factors = {target.channel: target.factor for target in targets.values()}
@@ -388,7 +398,11 @@ def _channels(
 
 
 def _time(
-    table: Table, targets: Mapping[str, Target], sample_time: float | None, title: str
+    table: Table,
+    targets: Mapping[str, Target],
+    sample_time: float | None,
+    title: str,
+    needed: set[str],
 ) -> tuple[Any, list[str]]:
     """Time [s]; None where the samples are counted."""
     clock = next((c for c, target in targets.items() if target.channel == "time"), None)
@@ -397,11 +411,15 @@ def _time(
         if values.dtype.kind not in "mMiu":
             values = numbers_or_times(values, clock, title)
         time, note = seconds_of(values, targets[clock].factor)
-        return time, [f"{clock}: {note}"] if note else []
+        notes = [f"{clock}: {note}"] if note else []
+        guessed = clock.lower() in CLOCKS and clock not in needed and clock not in table.units
+        if guessed and values.dtype.kind not in "mM":
+            notes.append(f"the clock is column {clock!r}, taken in seconds")
+        return time, notes
     if sample_time is None and table.period is None:
         raise ColumnsError(
-            f"{title}: no time column; call it time_s, give the sample time, or say in a rig.toml "
-            "what each column is (dmptm rig init makes one)"
+            f"{title}: no time column; call it time_s, or give time or sample_rate in [data] of a "
+            "rig file (dmptm rig init makes one)"
         )
     if sample_time is not None and not sample_time > checks.SHORTEST_STEP:
         raise LogError(f"{title}: sample time {sample_time} s is not positive")

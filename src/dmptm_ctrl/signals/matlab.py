@@ -80,6 +80,8 @@ def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[S
             yield from _simulink(path, value)
         elif {"Time", "Data"} <= value.keys():
             yield from _timeseries(path, value)
+        elif {n for n, v in value.items() if np.size(v) > 1} == {"time", "data"}:
+            yield from _timeseries(path, {"Time": value["time"], "Data": value["data"]})
         else:
             for name, inner in value.items():
                 yield from _walk((*path, str(name)), inner, meta)
@@ -143,7 +145,7 @@ def _timeseries(path: tuple[str, ...], series: Mapping[str, Any]) -> Iterator[Si
     info = series.get("DataInfo")
     unit = info.get("Units") if isinstance(info, Mapping) else None
     name = series.get("Name")
-    own = (*path[:-1], str(name)) if _text(name) and name != "unnamed" else path
+    own = (*path, str(name)) if _text(name) and name != "unnamed" else path
     for found in _array(own or ("Data",), series["Data"], unit if _text(unit) else None):
         yield found._replace(clock=id(series))
 

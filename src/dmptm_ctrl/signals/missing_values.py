@@ -103,7 +103,7 @@ def without_missing(
         usual = float(np.median(gaps)) if gaps.size else 0.0
         label = labels.get(name, name)
         if name != "time" and usual >= RARE and gaps.max() <= EVEN_HOLES * usual:
-            notes.append(f"{label} has a value in every {usual:g}th row only and was interpolated")
+            notes.append(f"{label} has a value in one of {usual:g} rows only and was interpolated")
         elif not (bridge and holes and gaps.max() <= MAX_BRIDGED + 1 and name != "time"):
             continue
         else:
@@ -124,7 +124,7 @@ def without_missing(
             lacking = [
                 labels.get(n, n) for n, v in filled.items() if not np.isfinite(v[part]).all()
             ]
-            gone = "1 row was" if count == 1 else f"{count} rows were"
+            gone = "row was" if count == 1 else f"{count} rows were"
             notes.append(f"the {what} {gone} left out: no value for {_listed(lacking)}")
     return rows, filled, notes
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.signals.clock import times_of
-from dmptm_ctrl.signals.columns import CLOCK, Choose, Table
+from dmptm_ctrl.signals.columns import CLOCK, TIMES, Choose, Table
 from dmptm_ctrl.signals.errors import LogError, NotALogError
 
 _INDEX = "__index_level_0__"  # pandas' name of an index without one
@@ -17,6 +17,7 @@ _GZIP = (EOFError, zlib.error, gzip.BadGzipFile)
 def from_frame(frame: Any) -> Table:
     """Columns of a `pandas.DataFrame`; an index is a column, too, and a clock without a name."""
     try:
+        frame = frame.to_pandas() if hasattr(frame, "to_pandas") else frame  # of polars or Arrow
         names = [str(column) for column in frame.columns]
         columns = {name: _values(frame.iloc[:, i]) for i, name in enumerate(names)}
         index = frame.index
@@ -30,7 +31,8 @@ def from_frame(frame: Any) -> Table:
         raise LogError(
             f"column {twice[0]!r} of the data frame occurs {names.count(twice[0])} times"
         )
-    return Table(columns, {CLOCK: "s"} if CLOCK in columns else {}, {})
+    units = {n: TIMES for n, values in columns.items() if values.dtype.kind in "mM"}
+    return Table(columns, units | ({CLOCK: "s"} if CLOCK in columns else {}), {})
 
 
 def _values(column: Any) -> Any:
@@ -42,6 +44,7 @@ def _values(column: Any) -> Any:
 def read_parquet(path: Path, choose: Choose, max_rows: int | None = None) -> Table:
     """Read columns of a Parquet file (extra ``parquet``)."""
     try:
+        import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError as error:
         raise LogError(
@@ -50,7 +53,10 @@ def read_parquet(path: Path, choose: Choose, max_rows: int | None = None) -> Tab
     try:
         with pq.ParquetFile(path) as file:
             own = {CLOCK if n == _INDEX else n: n for n in file.schema_arrow.names}
-            units = {CLOCK: "s"} if CLOCK in own else {}
+            units = {
+                n: TIMES for n in own if pa.types.is_temporal(file.schema_arrow.field(own[n]).type)
+            }
+            units |= {CLOCK: "s"} if CLOCK in own else {}
             chosen = choose(list(own), units)
             table = _rows(file, [own[name] for name in chosen], max_rows)
         columns = {name: table.column(own[name]).to_numpy() for name in chosen}

@@ -5,7 +5,7 @@ import io
 import itertools
 import sys
 import zlib
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -158,10 +158,10 @@ def _table(
     path: Path, encoding: str, layout: Layout, choose: Choose, max_rows: int | None
 ) -> Table:
     names = [name or f"column{c + 1}" for c, name in enumerate(layout.names)]
-    if layout.long:
-        return _long_table(path, encoding, layout, choose)
     stated = [TIMES if k == "time" else u for k, u in zip(layout.kinds, layout.units, strict=True)]
     units = {n: u for n, u in zip(names, stated, strict=True) if u}
+    if layout.long:
+        return _long_table(_Rows(path, encoding, layout), layout, names, units, choose)
     chosen = choose(list(dict.fromkeys(names)), units)
     clocks = [c for c, n in enumerate(names) if is_clock_name(n) and layout.kinds[c] != "text"]
     clocks += [c for c, n in enumerate(names) if n in chosen and names.count(n) > 1]
@@ -234,20 +234,34 @@ def _same_clock(main: Any, other: Any) -> bool:
     return bool(np.abs(y - rate * x).max() <= 0.01 * abs(rate) * step and shift <= 0.01 * step)
 
 
-def _long_table(path: Path, encoding: str, layout: Layout, choose: Choose) -> Table:
-    """Rows of one name and one value each: a column per name."""
-    values: dict[str, list[float]] = {}
-    rows = _Rows(path, encoding, layout)
-    for _, line in rows:
-        name, text = line.split(None if layout.dialect.separator == " " else _FIELD)[:2]
-        value = layout.dialect.number(text.strip())
-        values.setdefault(name.strip().rstrip(":="), []).append(np.nan if value is None else value)
-    length = max(map(len, values.values()))
-    full = {n: v for n, v in values.items() if len(v) >= length - 1}
-    shortest = min(map(len, full.values()))
-    chosen = choose(list(full), {})
-    columns = {n: np.array(full[n][:shortest]) for n in chosen}
-    return Table(columns, {}, {}, tuple(rows.notes()), {}, layout.period)
+def _long_table(
+    rows: "_Rows", layout: Layout, names: list[str], units: dict[str, str], choose: Choose
+) -> Table:
+    """Rows of one name and one value each: a column, and a clock if there is one, per name."""
+    import pandas as pd
+
+    of, value = layout.long or (0, 1)
+    clocks = [c for c, k in enumerate(layout.kinds) if k == "time" or is_clock_name(names[c])]
+    data = rows.read({c: names[c] for c in {of, value, *clocks}}, sys.maxsize)
+    labels = pd.Series(data.pop(of)).str.strip().str.rstrip(":=")
+    places = {str(n): p for n, p in labels.groupby(labels, sort=False).indices.items()}
+    values = data.pop(value)
+    if names[value] == "VarValue":  # WinCC counts days in millionths
+        data = {c: 86.4 * (v - v[0]) if names[c] == "Time_ms" else v for c, v in data.items()}
+    if not data:  # a name that comes as often as the others is one of a row
+        longest = max(map(len, places.values()))
+        places = {n: p for n, p in places.items() if len(p) >= longest - 1}
+        places = {n: p[: min(map(len, places.values()))] for n, p in places.items()}
+    finest = sorted(data, key=lambda c: -np.unique(data[c]).size)
+    chosen = choose([*(names[c] for c in finest), *places], units)
+    columns = {n: values[places[n]] for n in chosen if n in places}
+    clock = next((c for c in finest if names[c] in chosen), None)
+    if clock is None:
+        return Table(columns, units, {}, tuple(rows.notes()), {}, layout.period)
+    times = {n: data[clock][places[n]] for n in columns}
+    main = data[clock][max(places.values(), key=len)]
+    own = {n: t for n, t in times.items() if not _equal(t, main)}
+    return Table({names[clock]: main, **columns}, units, {}, tuple(rows.notes()), own)
 
 
 class _Rows:
@@ -278,6 +292,8 @@ class _Rows:
         layout = self._layout
         separator, fields = layout.dialect.separator, layout.fields
         blanks, simple = separator == " ", not layout.dialect.pairs
+        units = Counter(filter(None, layout.dialect.units))
+        named = layout.long is not None  # rows begin with words, and end with numbers
         odd: list[tuple[int, str, str]] = []  # no rows, unless a row follows
         with _lines(self._path, self._encoding) as stream:
             for _ in range(layout.first):
@@ -285,7 +301,10 @@ class _Rows:
             for number, line in enumerate(stream, start=layout.first + 1):
                 if '"' in line and line.count(separator) == fields - 1:
                     line = line.replace('"', "")  # nothing in the quotes separates
-                plain = simple and line[0] in _PLAIN and '"' not in line and "#" not in line
+                alone = _without(units, line) if units else line
+                line = alone or line
+                whole = alone and (line[0] in _PLAIN or (named and line[-2:-1].isdigit()))
+                plain = simple and whole and '"' not in line and "#" not in line
                 if plain and not blanks and line.count(separator) == fields - 1:
                     row, what = line.replace(separator, _FIELD), ""
                 elif plain and blanks and len(line.split()) == fields:
@@ -347,9 +366,10 @@ class _Rows:
         # what a program wrote behind some rows only: nothing, or a remark
         while len(cells) > layout.fields and layout.dialect.kind(cells[-1]) in ("", "text"):
             cells.pop()
-        kinds = [
-            layout.dialect.kind(cell)
-            for cell, of in zip(cells, layout.kinds, strict=False)
+        found = [*map(layout.dialect.kind, cells)]
+        kinds = [  # a number is no time
+            "text" if (kind, of) == ("number", "time") else kind
+            for kind, of in zip(found, layout.kinds, strict=False)
             if of != "text"
         ]
         if not any(kind in ("number", "time") for kind in kinds) and any(kinds):
@@ -451,6 +471,15 @@ class _Rows:
             return False
         decimals = [len(end.partition(dialect.decimal)[2]) for end in ends]
         return len(set(decimals[:-1])) == 1 and decimals[-1] < decimals[0]
+
+
+def _without(units: Counter[str], line: str) -> str:
+    """Row without the units of its columns; empty where it has others, or words."""
+    for unit, count in units.items():
+        if line.count(unit) != count:
+            return ""
+        line = line.replace(unit, "")
+    return line if _PLAIN.issuperset(line.strip().replace(":", "")) else ""
 
 
 def _listed(lines: list[int]) -> str:

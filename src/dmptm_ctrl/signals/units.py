@@ -39,7 +39,7 @@ _TABLE = {  # SI symbol -> column suffixes and their factors
     "Hz": {"Hz": 1.0},
     "W": {"W": 1.0},
     "K": {"K": 1.0},
-    "%": {"percent": 1.0},  # of what, the gain says
+    "%": {"percent": 1.0, "permille": 0.1},  # of what, the gain says
 }  # fmt: skip
 SUFFIXES = {
     suffix: Unit(symbol, factor)
@@ -62,7 +62,8 @@ FOREIGN = (
 )
 _SPELLINGS = {
     "%": "percent", "pwm %": "percent", "% pwm": "percent", "pwm%": "percent",
-    "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A",
+    "‰": "permille", "promille": "permille", "arms": "A", "apk": "A", "adc": "A", "vrms": "V",
+    "vdc": "V", "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A",
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us",
     "degree": "deg", "degrees": "deg", "grad": "deg", "°": "deg", "u/min": "rpm", "1/min": "rpm",
     "min-1": "rpm", "min^-1": "rpm", "min⁻¹": "rpm", "upm": "rpm", "nmm": "mNm", "n.m": "Nm",
@@ -148,13 +149,9 @@ _EXPRESSION = re.compile(
 
 
 _RUN_TOGETHER = (  # written without a space, pint reads them as something else
-    (r"\bmNms\b", "mN*m*s"),
-    (r"\bNms\b", "N*m*s"),
-    (r"\bmNm\b", "mN*m"),
-    (r"\buNm\b", "uN*m"),
-    (r"\bkNm\b", "kN*m"),
+    (r"\b([mcuk]?)Nms\b", r"\1N*m*s"),
+    (r"\b([mcuk]?)Nm\b", r"\1N*m"),
     (r"\bNcm\b", "N*cm"),
-    (r"\bNm\b", "N*m"),
     (r"\bVs\b", "V*s"),
     (r"\b(oz|lb)f?[-.· ]?(in|ft)\b", r"\1f*\2"),
     (r"\b(in|ft)[-.· ]?(oz|lb)f?\b", r"\2f*\1"),
@@ -167,6 +164,7 @@ _RUN_TOGETHER = (  # written without a space, pint reads them as something else
     (r"\bgcm", "g*cm"),
     (r"\brevs?\b|\brevolutions?\b", "turn"),
     (r"%", "percent"),
+    (r"‰|\b[Pp]romille\b", "permille"),
     (r"\b(?:pwm|PWM|lsb|LSB|digits?|inc|increments?|ticks?)\b", "count"),  # a number, to pint
 )
 

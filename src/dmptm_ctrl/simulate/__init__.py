@@ -99,7 +99,6 @@ def simulate(
         time,
         _run(method, drive, u, x0, dt, options).T,
         inputs=u,
-        issiso=False,
         output_labels=list(OUTPUTS),
         input_labels=["u_left", "u_right"],
         sysname=drive.drive.name,
@@ -116,7 +115,6 @@ def _rig_simulated(
     options: dict[str, Any],
 ) -> "control.TimeResponseData":
     from dmptm_ctrl.simulate.response import response
-    from dmptm_ctrl.simulate.rig_model import check_physical
     from dmptm_ctrl.simulate.rig_run import MARCH_OPTIONS, as_rig_model, march
 
     model = as_rig_model(model, "simulate")
@@ -125,7 +123,7 @@ def _rig_simulated(
     for key in options:
         if key not in MARCH_OPTIONS:
             raise TypeError(f"no option {key!r} for a rig; there are {', '.join(MARCH_OPTIONS)}")
-    check_physical(model)
+    model.check()
     time = _timepts(timepts)
     rows = np.atleast_2d(np.asarray(inputs, float))
     shape = (len(model.layout.inputs), time.size)
@@ -136,7 +134,6 @@ def _rig_simulated(
         time,
         np.array([run.reading(name) for name in names]),
         inputs=run.u,
-        issiso=False,
         output_labels=names,
         input_labels=list(model.layout.inputs),
         title=model.rig.name,

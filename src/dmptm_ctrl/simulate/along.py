@@ -111,7 +111,6 @@ class Acting(NamedTuple):
 
     Attributes
     ----------
-    effect : Effect
     told : int
         Side or body that the kernel is told.
     values : array

@@ -6,15 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dmptm_ctrl.simulate.compiled import (
-    BODIES,
-    OUTPUTS,
-    SEEN,
-    SUBSTEPS,
-    Loop,
-    march,
-    rest,
-)
+from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, SEEN, SUBSTEPS, Loop, march, rest
 from dmptm_ctrl.simulate.dual import start
 from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.law import Law
@@ -72,7 +64,6 @@ def march_any(
 
     Parameters
     ----------
-    models : sequence of Model
     u, x0, measured
         As there, of all or (batch, …) of each; `dt`, `substeps`, `observer`, `begin` of all.
     columns : sequence of int

@@ -66,7 +66,6 @@ def to_blocks(
 
     Parameters
     ----------
-    model : Model
     loop : Loop, optional
         Close the speed loop, in continuous time.
     pade_order : int
@@ -133,7 +132,6 @@ def rig_blocks(
 
     Parameters
     ----------
-    model : RigModel
     pade_order : int
         Order of the Padé approximation of a dead time.
     others : sequence of str

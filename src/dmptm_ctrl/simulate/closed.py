@@ -10,7 +10,7 @@ from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.simulate import _finite, _timepts, compiled
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.response import response
-from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
+from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import as_rig_model, march
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def close_loop(
         elif not isinstance(own, RigController):
             given = type(controller).__name__
             raise TypeError(f"close_loop of a rig takes a Loop or its own controller, not {given}")
-        check_physical(rig)
+        rig.check()
         still = np.zeros((len(rig.layout.inputs), time.size))
         run = march(rig, still, dt, controller=own, reference=target, added=heard)
         sensors = [s.name for s in rig.rig.sensors]
@@ -102,7 +102,6 @@ def close_loop(
         time,
         np.array(rows),
         inputs=target[np.newaxis],
-        issiso=False,
         output_labels=labels,
         input_labels=["ref"],
         sysname=name,

@@ -36,7 +36,7 @@ _PLACES: dict[str, tuple[tuple[int, int], ...]] = {
     "load": ((RING, 0),),
     "sensor": ((0, 0), (1, 0)),
 }
-_LAWS = [
+LAWS = [  # names of the arguments of `stribeck_law`, by body
     [*(f"{x}_{way}" for way in ("plus", "minus") for x in (f"T{b}s", f"T{b}c", f"W{b}", f"B{b}")),
      f"delta{b}"]
     for b in "33L"
@@ -123,7 +123,7 @@ def dual_plant(model: "Model") -> Plant:
     shaft = [[n1, 1.0 / (compliance * n1**2), damping / n1**2, 0.0, 0.0]] * 2 if elastic else []
     laws, slow = np.zeros((5, 9)), np.zeros((5, 3))
     laws[:, [2, 6, 8]] = 1.0
-    laws[: RING + 1] = [[d[key] for key in names] for names in _LAWS]
+    laws[: RING + 1] = [[d[key] for key in names] for names in LAWS]
     if any(effect.site == "presliding" for effect, _ in used):
         for body in (*PINIONS, RING):
             distance, share, ratio = zip(*said("presliding", body), strict=True)

@@ -52,7 +52,6 @@ class Wired(NamedTuple):
         With ``command(ref, *readings, t, dt, law, memory, design)`` and ``controller``.
     design : (numbers, flags, values) arrays
         Of the model that is fed forward.
-    wiring : Wiring
     memory : int
         Room that it keeps from sample to sample.
     """

@@ -137,10 +137,7 @@ def _command_text(s: Structure, w: Wiring) -> str:
     text.add(*_SIGNALS.format(n=len(w.inputs), **vars(core)).splitlines())
     for side, j in enumerate(w.inputs):
         text.add(*_SIGNAL.format(j=j, side=side, n=len(w.inputs), **vars(core)).splitlines())
-    text.add(f"if law[{core.L_KI}] > 0.0:")
-    text.add(
-        f"    memory[{core.M_INTEGRAL}] += law[{core.L_TRACKING}] * dt * lost / law[{core.L_KI}]"
-    )
+    text.add(*_BACK.format(**vars(core)).splitlines())
     arguments = ", ".join(["ref", *(f"y{i}" for i in w.sensors), "t, dt, law, memory, design"])
     return f"@njit\ndef command({arguments}):\n" + "\n".join(text.lines)
 
@@ -259,7 +256,7 @@ def _forward(s: Structure, w: Wiring, text: _Text) -> None:
             _pressed(s, k, c, through, loads)
             _need(s, w, text, c, loads)
             text.add(f"share = share + need{c}")
-        _volts(s, w, text, side, path[-1])
+        _volts(s, w, text, side)
 
 
 def _press(
@@ -340,7 +337,7 @@ def _rub(s: Structure, text: _Text, g: int, b: int, load: str) -> None:
     )
 
 
-def _volts(s: Structure, w: Wiring, text: _Text, side: int, g: int) -> None:
+def _volts(s: Structure, w: Wiring, text: _Text, side: int) -> None:
     """Signal of an input that gives its share, and what effects at the motor take."""
     j = w.inputs[side]
     b = s.inputs[j][0]

@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from math import isfinite
 from typing import Any
 
 import control as ct
@@ -12,11 +13,10 @@ from scipy.linalg import eigh
 from scipy.optimize import root
 
 from dmptm_ctrl.drive.modes import Modes, solve_modes
-from dmptm_ctrl.drive.parameters import Drive, physical
+from dmptm_ctrl.drive.parameters import Drive
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.space import StateSpace
 from dmptm_ctrl.drive.train import GearTrain, Joint
-from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.backlash import mesh_region, mesh_torque
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.block_parts import PADE_ORDER, Delay
@@ -33,7 +33,7 @@ from dmptm_ctrl.simulate.dual import MOTORS, RING
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.plant import link_matrices
-from dmptm_ctrl.simulate.rig_model import RigModel, check_physical
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 TURN = np.deg2rad(10.0)  # rad/s, a speed of the paper's experiments
 PRELOAD = 0.3  # V; holds both meshes closed on opposite flanks at TURN
@@ -53,7 +53,6 @@ def turning(
 
     Parameters
     ----------
-    model : Model
     speed : float
         Of the ring gear [rad/s]; not 0, where friction leaves the balance open.
     preload : float
@@ -272,12 +271,7 @@ def _late(model: RigModel, system: ct.StateSpace) -> ct.StateSpace:
 
 def _turns_freely(model: Model) -> bool:
     """Whether nothing in a model depends on the angle of the whole drive."""
-    acting = (
-        CATALOGUE[name]
-        for name, values in model.effects.items()
-        if any(values.get(a, 0.0) != 0.0 for a in CATALOGUE[name].amplitudes)
-    )
-    by_angle = any("theta" in x for effect in acting for x in effect.depends_on)
+    by_angle = any("theta" in x for effect in model.acting for x in effect.depends_on)
     return model.drive["k_a"] == 0.0 and not by_angle
 
 
@@ -330,7 +324,7 @@ def _sustained(model: Model, parts: Parts, state: Floats, labels: list[str], u0:
 
 def linear_train(model: RigModel, position: Mapping[str, float] | None = None) -> GearTrain:
     """Return masses, springs and dampers of a rig in contact at a position [rad or m]."""
-    check_physical(model)
+    model.check()
     plant, layout = model.plant(), model.layout
     unit = np.eye(layout.coordinates)
     turn = {b: layout.ratio[b] * unit[layout.coordinate[b]] for b in layout.bodies}
@@ -378,7 +372,8 @@ def _slopes(model: RigModel, position: Mapping[str, float] | None) -> tuple[Floa
         if body not in layout.coordinate:
             bodies = ", ".join(layout.bodies)
             raise ValueError(f"position: no body {body!r} in {model.rig.name}; it has {bodies}")
-        physical(f"position of {body}", abs(value), zero=True)
+        if not isfinite(value):
+            raise ValueError(f"position of {body} is {value:g}; it must be finite")
         q[layout.coordinate[body]] = value / layout.ratio[body]
     stiffness, damping = np.zeros(q.size), np.zeros(q.size)
     parts = Parts(plant)

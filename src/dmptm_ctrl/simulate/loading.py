@@ -67,6 +67,9 @@ def cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="dmptm_ctrl_"))
 
 
+_SAID: set[str] = set()  # of what is compiled
+
+
 def load(key: str, text: str, what: str = "", **names: Any) -> ModuleType:
     """Return the module of a text, with `names` in it before it runs; each key once."""
     with LOADING:
@@ -78,7 +81,8 @@ def load(key: str, text: str, what: str = "", **names: Any) -> ModuleType:
 def _load(key: str, text: str, what: str, names: dict[str, Any]) -> ModuleType:
     file = cache_folder() / f"engine_{key}.py"
     if not file.exists() or file.read_text(encoding="utf-8") != text:
-        if what and elementary.COMPILED:
+        if what and what not in _SAID and elementary.COMPILED:
+            _SAID.add(what)
             sys.stderr.write(f"Compiling {what}, once; some seconds.\n")
             sys.stderr.flush()
         fresh = file.with_suffix(f".{os.getpid()}")

@@ -52,8 +52,6 @@ def check_loop(
 
     Parameters
     ----------
-    model : Model
-    loop : Loop
     speed : float [rad/s]
         Height of the step, not 0. Try slow ones: sticking shows there.
     duration : float [s]

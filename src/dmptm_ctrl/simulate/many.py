@@ -7,19 +7,14 @@ import numpy as np
 
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.lanes import LANES, aligned, calls_of, lane_engine, rows_of
+from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.observer import UNLED, Observer
 from dmptm_ctrl.simulate.plant import Flags, Floats, Plant, Structure, numbers, structure_of
+from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import NOBODY, Controller
 
 _NO_ROWS = np.zeros((0, 0))
 _NO_TABLES = np.zeros((0, 0, 0))
-
-
-class Drawn(Protocol):
-    """A model of any drive; on another machine its plant is made anew."""
-
-    def plant(self) -> Plant:
-        """Return its parts and numbers."""
 
 
 class Closed(Protocol):
@@ -84,7 +79,7 @@ def same_shape(
 
 
 def run_many(
-    models: Sequence[Drawn],
+    models: Sequence[Model | RigModel],
     starts: Sequence[tuple[Floats, Floats]],
     common: Common,
     loops: Sequence[Closed] | None = None,
@@ -146,7 +141,7 @@ def _lanes(
     switched: bool,
     common: Common,
     width: int,
-    models: list[Drawn],
+    models: list[Model | RigModel],
     starts: list[tuple[Floats, Floats]],
     loops: list[Closed] | None,
     observers: list[Observer] | None,

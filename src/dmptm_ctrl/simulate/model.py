@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.drive import Drive, paper_drive
 from dmptm_ctrl.effects import CATALOGUE
 
@@ -123,13 +124,18 @@ class Model:
         return {"drive": self.drive, "effects": self.effects}
 
     @property
-    def sites(self) -> set[str]:
-        """Sites at which an effect acts."""
-        return {
-            CATALOGUE[name].site
+    def acting(self) -> list[Effect]:
+        """Effects that change anything."""
+        return [
+            CATALOGUE[name]
             for name, given in self.effects.items()
             if any(given.get(a, 0.0) != 0.0 for a in CATALOGUE[name].amplitudes)
-        }
+        ]
+
+    @property
+    def sites(self) -> set[str]:
+        """Sites at which an effect acts."""
+        return {effect.site for effect in self.acting}
 
     def to_blocks(self, **options: Any) -> "control.InterconnectedSystem":
         """Return the model as python-control blocks, see :func:`.blocks.to_blocks`."""

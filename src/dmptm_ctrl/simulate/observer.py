@@ -50,7 +50,6 @@ def rigid_observer(plant: Plant, sensor: int, gains: Sequence[float]) -> Observe
 
     Parameters
     ----------
-    plant : Plant
     sensor : int
         Of a speed, it moves the speed by the first gain and forgets each miss.
     gains : (angle gain, speed gain) per sample

@@ -35,7 +35,6 @@ class Place(NamedTuple):
 
     Attributes
     ----------
-    effect : Effect
     part : int
         Number of the input, body, link or sensor where it acts.
     told : int

@@ -25,6 +25,7 @@ def response(time: NDArray[Any], outputs: NDArray[Any], **given: Any) -> "contro
     **given
         Keywords of :class:`control.TimeResponseData`; `inputs`, an (m, n) array, among them.
     """
+    given = {"issiso": False, **given}
     if "control" in sys.modules:
         from control import TimeResponseData
 

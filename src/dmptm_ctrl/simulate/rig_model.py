@@ -87,7 +87,6 @@ class RigModel:
 
     Attributes
     ----------
-    rig : Rig
     effects : tuple of Placed
         Left out: those that the rig declares.
     values : mapping
@@ -154,8 +153,33 @@ class RigModel:
         return replace(self, values={**self.values, **values})
 
     def check(self) -> None:
-        """Refuse values that no machine has, as a ValueError; see :func:`check_physical`."""
-        check_physical(self)
+        """Refuse declared values and effects that no machine has.
+
+        Raises
+        ------
+        ValueError
+            An inertia that is not positive, a stiffness, damping or time that is negative, an
+            unknown or any other value that is not finite.
+        """
+        for key, quantity in self.quantities.items():
+            kind = key.rpartition(".")[2]
+            if kind == "gain" and key not in self.values:  # an unknown one counts as 1
+                continue
+            value = self.value(key)
+            if kind in ("ratio", "gain"):
+                if value == 0.0:
+                    raise ValueError(f"{self.rig.name}: {key} is 0; it must be another number")
+            else:
+                positive = kind == "inertia" or kind.startswith("stribeck_speed")
+                physical(f"{self.rig.name}: {key}", value, quantity.unit, zero=not positive)
+        for effect in self.effects:
+            for parameter in PLACED_CATALOGUE[effect.name].keep:
+                value = effect.values.get(parameter.name, 0.0)
+                what = f"{self.rig.name}: {parameter.name} of {effect.key}"
+                if isnan(value):
+                    raise ValueError(f"{what} is no number; fit the model first, or set a value")
+                if parameter.low == 0.0 > value:  # a magnitude
+                    raise ValueError(f"{what} is {value:g}; it must be zero or more")
 
     def to_blocks(self, **options: Any) -> "control.InterconnectedSystem":
         """Return the model as python-control blocks, see :func:`.blocks.rig_blocks`."""
@@ -203,7 +227,6 @@ class Layout(NamedTuple):
 
     Attributes
     ----------
-    bodies, links, inputs : tuple of str
     coordinate : dict
         Body → index of its coordinate.
     ratio : dict
@@ -278,36 +301,6 @@ def _build(model: RigModel) -> tuple[Plant, Layout]:
         *_placed(model, layout),
     )
     return plant, layout
-
-
-def check_physical(model: RigModel) -> None:
-    """Refuse declared values and effects that no machine has.
-
-    Raises
-    ------
-    ValueError
-        An inertia that is not positive, a stiffness, damping or time that is negative, an
-        unknown or any other value that is not finite.
-    """
-    for key, quantity in model.quantities.items():
-        kind = key.rpartition(".")[2]
-        if kind == "gain" and key not in model.values:  # an unknown one counts as 1
-            continue
-        value = model.value(key)
-        if kind in ("ratio", "gain"):
-            if value == 0.0:
-                raise ValueError(f"{model.rig.name}: {key} is 0; it must be another number")
-        else:
-            positive = kind == "inertia" or kind.startswith("stribeck_speed")
-            physical(f"{model.rig.name}: {key}", value, quantity.unit, zero=not positive)
-    for effect in model.effects:
-        for parameter in PLACED_CATALOGUE[effect.name].keep:
-            value = effect.values.get(parameter.name, 0.0)
-            what = f"{model.rig.name}: {parameter.name} of {effect.key}"
-            if isnan(value):
-                raise ValueError(f"{what} is no number; fit the model first, or set a value")
-            if parameter.low == 0.0 > value:  # a magnitude
-                raise ValueError(f"{what} is {value:g}; it must be zero or more")
 
 
 def _rubs(rig: Rig, body: str) -> bool:

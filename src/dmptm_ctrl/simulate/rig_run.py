@@ -13,14 +13,7 @@ from dmptm_ctrl.simulate.observer import Observer
 from dmptm_ctrl.simulate.plant import Floats, Plant, link_matrices
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import Controller as RunController
-from dmptm_ctrl.simulate.run import (
-    Motion,
-    State,
-    advance,
-    advance_by,
-    start_state,
-    structure_for,
-)
+from dmptm_ctrl.simulate.run import Motion, State, advance, advance_by, start_state, structure_for
 
 STEPS_PER_RADIAN = 8.0  # of the fastest mode, and of the fastest decay
 MAX_SUBSTEPS = 400
@@ -107,7 +100,6 @@ def march(
 
     Parameters
     ----------
-    model : RigModel
     u : (inputs, n) array
         Signals of the inputs, SI, held from each sample to the next.
     dt : float
@@ -132,10 +124,6 @@ def march(
         Of an earlier run of the same model, to go on from.
     observer, measured : Observer and (m, n) array, optional
         Lead the run by what its sensors measured.
-
-    Returns
-    -------
-    RigRun
     """
     plant, layout = model.plant(), model.layout
     n = u.shape[1]

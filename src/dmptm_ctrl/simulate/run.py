@@ -172,7 +172,6 @@ def advance(
 
     Parameters
     ----------
-    plant : Plant
     state : State
         As `start_state` or an earlier run gave it.
     u : (inputs, n) array

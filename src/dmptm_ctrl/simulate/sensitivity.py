@@ -37,7 +37,6 @@ class Sensitivities(NamedTuple):
     time : (n,) array [s]
     outputs : (8, n) array
         Of the run, in the order of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`.
-    parameters : tuple of str
     derivatives : (p, 8, n) array
         ∂output/∂parameter, SI.
     exists : (8, n) array of bool

@@ -31,7 +31,7 @@ def unused(paper, lively):
     """The loop with all chains, of which none is in use."""
     time, u, x0 = lively
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "structure_for", partial(structure_of, switched=True))
+        patch.setattr(compiled, "structure_for", partial(structure_of, switched=True, either=True))
         return march(paper, u, x0, time[1]).T
 
 

@@ -67,12 +67,11 @@ def full(*shape):
     return model
 
 
-# beside these any drive with one effect runs in an engine that is there already
-FULL = [full(), *(full(name) for name in OF_SHAPE)]
+FULL = full()  # beside it any drive of the shape runs in an engine that is there already
 
 
 def lanes(models, u):
-    runs = simulate_batch([*models, *FULL], TIME, u, STATE, outputs=OUTPUTS)
+    runs = simulate_batch([*models, FULL], TIME, u, STATE, outputs=OUTPUTS)
     return runs.outputs[: len(models)].transpose(0, 2, 1)
 
 

@@ -35,9 +35,11 @@ def test_only_what_a_caller_keeps_is_lent(path):
     assert {name: own for name, own in lent(path.read_text()) if own} == {}
 
 
-@pytest.mark.parametrize("text", [scalar.source, lambda s: lanes.source(s, 16)])
-def test_neither_do_written_functions_lend_more(text):
-    found = dict(lent(text(structure_of(Model().plant(), switched=True))))
+@pytest.mark.parametrize(
+    ("text", "either"), [(scalar.source, True), (lambda s: lanes.source(s, 16), False)]
+)
+def test_neither_do_written_functions_lend_more(text, either):
+    found = dict(lent(text(structure_of(Model().plant(), switched=True, either=either))))
     assert len(found) == 1
     assert not any(found.values())
 

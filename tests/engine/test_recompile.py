@@ -1,4 +1,4 @@
-"""A new effect costs one recompile, and that is said."""
+"""A new effect costs its site alone; what is compiled is said."""
 
 import gc
 import sys
@@ -18,6 +18,7 @@ from dmptm_ctrl.simulate.dual import per_catalogue
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import structure_of
 from dmptm_ctrl.simulate.scalar import scalar_engine, source
+from dmptm_ctrl.simulate.sites import acting
 
 
 @pytest.fixture
@@ -45,18 +46,43 @@ def own_effect():
     CATALOGUE.pop("own_spring", None)
 
 
+def structure(plant):
+    return structure_of(plant, switched=True, either=True)
+
+
 def engine():
     """Module with the step of the drive that has all effects of the catalogue."""
-    plant = Model().plant()
-    return scalar_engine(structure_of(plant, switched=True)).module
+    return scalar_engine(structure(Model().plant())).module
 
 
-def test_an_effect_changes_the_engine_s_name_and_taking_it_back_restores_it(own_effect):
-    before = engine()
+def sites():
+    """Addresses of the functions of sites; 0 but of the motors and of the load."""
+    plant = (
+        Model().with_effect("unbalance", cosine=1.0).with_effect("back_emf", damping=1e-3).plant()
+    )
+    return acting(structure(plant), plant)[2].tolist()
+
+
+def test_an_effect_changes_its_site_alone_and_taking_it_back_restores_it(own_effect):
+    step, before = engine(), sites()
     register(own_effect)
-    assert engine().__name__ != before.__name__
+    assert engine() is step
+    assert [a == b for a, b in zip(sites(), before, strict=True)].count(False) == 1
     del CATALOGUE["own_spring"]
-    assert engine() is before
+    assert sites() == before
+
+
+def test_an_own_effect_acts_with_the_torque_that_it_says(own_effect):
+    """On a ring gear of 2.5 kg·m² that turns with the pinions, all meshes open."""
+    register(own_effect)
+    n = Model().drive["N_2"]
+    x0 = np.array([0.0, 0.0, 0.0, n, n, 1.0])
+    stiff, soft = (
+        march(Model().with_effect("own_spring", stiffness=k), np.zeros((2, 2)), x0, 1e-3)[1, 1]
+        for k in (900.0, 400.0)
+    )
+    turned = 1e-3 * np.arange(2)
+    assert soft - stiff == pytest.approx(500.0 * np.trapezoid(turned, turned) / 2.5, rel=0.05)
 
 
 def test_says_once_that_it_compiles(tmp_path, monkeypatch, capsys):
@@ -97,11 +123,11 @@ def test_threads_that_ask_at_once_for_an_engine_wait_for_one_that_writes_it():
     threads = 4
     together = Barrier(threads)
     written = []
-    structure = structure_of(Model().plant(), switched=True)
+    own = structure(Model().plant())
 
     @per_catalogue
     def text(_):
-        written.append(source(structure))
+        written.append(source(own))
         return written[-1]
 
     def asked(_):

@@ -13,7 +13,8 @@ from functools import cache
 from types import FunctionType
 from typing import Any
 
-from numba import njit, types
+from llvmlite import ir
+from numba import cfunc, njit, types
 from numba.core import cgutils
 from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
@@ -127,6 +128,59 @@ def _borrowed(typingctx, array):
     return array(array), codegen
 
 
+def _spread(typingctx, array, count):
+    """First numbers of an array of doubles, as a tuple."""
+
+    def codegen(context, builder, signature, args):
+        data = make_array(signature.args[0])(context, builder, args[0]).data
+        items = [
+            builder.load(builder.gep(data, [context.get_constant(types.intp, i)]))
+            for i in range(count.literal_value)
+        ]
+        return context.make_tuple(builder, signature.return_type, items)
+
+    return types.UniTuple(types.float64, count.literal_value)(array, count), codegen
+
+
+def _gather(typingctx, array, items):
+    """Write a tuple of doubles to the front of an array."""
+
+    def codegen(context, builder, signature, args):
+        data = make_array(signature.args[0])(context, builder, args[0]).data
+        for i, item in enumerate(cgutils.unpack_tuple(builder, args[1])):
+            builder.store(item, builder.gep(data, [context.get_constant(types.intp, i)]))
+        return context.get_dummy_value()
+
+    doubles = types.UniTuple(types.float64, len(items))
+    return types.none(array, doubles), codegen
+
+
+def _call(context, builder, signature, args):
+    """Call the function of an address; of arrays it is given where their numbers are."""
+    given = [
+        make_array(kind)(context, builder, arg).data if isinstance(kind, types.Array) else arg
+        for kind, arg in zip(signature.args[1:], args[1:], strict=True)
+    ]
+    called = ir.FunctionType(ir.VoidType(), [one.type for one in given])
+    builder.call(builder.inttoptr(args[0], called.as_pointer()), given)
+    return context.get_dummy_value()
+
+
+def _called_at(typingctx, address, array, t, h):
+    """Call the function of an address with an array of doubles and two numbers."""
+    return types.none(types.int64, array, types.float64, types.float64), _call
+
+
+def _site_at(typingctx, address, a, b, c, d, t, lever, n, posts, on, e, r):
+    """Call the function of a site."""
+    return types.none(types.int64, *[types.float64] * 6, types.int64, posts, on, e, r), _call
+
+
+site_at: Callable[..., None] = intrinsic(_site_at)
+called_at: Callable[..., None] = intrinsic(_called_at)
+spread: Any = intrinsic(prefer_literal=True)(_spread)
+gather: Callable[..., None] = intrinsic(_gather)
+
 # The caller keeps the array for as long as it is lent: it is an argument, for one that is made in
 # the function itself is freed after its last use, which lending it may be. Each function that is
 # given an array counts itself among its users, and off again, which as atomic operations takes as
@@ -211,6 +265,32 @@ if not COMPILED:
     def borrowed(array):
         """Nothing is counted."""
         return array
+
+    def called_at(function, *given):
+        """Call a function."""
+        function(*given)
+
+    site_at = called_at
+
+    def spread(array, count):
+        """First numbers of an array."""
+        return tuple(array[:count])
+
+    def gather(array, items):
+        """Write a tuple to the front of an array."""
+        array[: len(items)] = items
+
+
+def compiled_callback(
+    signature: Any, function: Callable[..., None], *, cache: bool = False, **options: Any
+) -> Any:
+    """Compile what compiled loops are given to call; `cache` it where there is a place."""
+    if not COMPILED:
+        return function
+    try:
+        return cfunc(signature, cache=cache, **options)(function)
+    except RuntimeError:  # installed read-only, no home
+        return cfunc(signature, **options)(function)
 
 
 _INSTEAD: dict[Any, Any] = {math.exp: exp, math.sin: sin, math.cos: cos}

@@ -5,12 +5,9 @@ loop and the loop over lanes call it; derivatives are written from its text. The
 carries the hash of all that it is made of, so numba's cache on disk serves what is unchanged.
 """
 
-import dis
 from collections.abc import Callable, Iterable
 from types import ModuleType
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from dmptm_ctrl.effects import backlash, lookup, presliding, stribeck
 from dmptm_ctrl.simulate import elementary, step
@@ -26,6 +23,7 @@ from dmptm_ctrl.simulate.plant import (
     Structure,
     number_names,
 )
+from dmptm_ctrl.simulate.sites import CHANGES, kernel_call, places_at, sites_of
 
 _OWN = (
     *("aged", "at_once", "at_rest", "friction", "held_average", "lagged", "mesh_step"),
@@ -45,7 +43,8 @@ from dmptm_ctrl.effects.backlash import Backlash
 from dmptm_ctrl.effects.stribeck import Stribeck
 from dmptm_ctrl.effects import backlash, stribeck
 from dmptm_ctrl.simulate import step as pieces
-from dmptm_ctrl.simulate.elementary import FAST, borrowed, called, hosted, wide
+from dmptm_ctrl.simulate.elementary import FAST, borrowed, called, called_at, gather, hosted
+from dmptm_ctrl.simulate.elementary import site_at, spread, wide
 from dmptm_ctrl.simulate.generate import vector_kernel
 
 TINY, UNKNOWN = pieces.TINY, pieces.UNKNOWN
@@ -63,14 +62,16 @@ class Names:
         self.state = [f"{x}{g}" for x in "qvp" for g in coordinates]
         self.state += [f"s{k}" for k, link in enumerate(s.links) if link[2] in (GAP, TWO_STATES)]
         self.state += [f"l{j}" for j, source in enumerate(s.inputs) if source[2]]
-        self.state += [f"f{b}_bristle" for b in s.bristles]
+        self.state += [f"f{b}_bristle" for b in (coordinates if s.either else s.bristles)]
         self.state += [f"age{b}" for b in range(len(s.bodies)) if s.at("ageing", b)]
         self.signals = [f"u{j}" for j in range(len(s.inputs))]
         self.signals += [f"push{g}" for g in coordinates]
-        for g in s.given:
+        for g in coordinates if s.either else s.given:
             self.signals += [f"xg{g}", f"sg{g}"]
         self.numbers = number_names(s, values=rows or not s.switched)
         self.switches = ["on", "e"] if s.switched else []
+        if s.either:  # what leads to the functions of sites
+            self.switches += ["acts", "sites", "posts", "r"]
         self.arguments = [*self.state, *self.signals, "t", "h", *self.numbers, *self.switches]
         # at zero, meshes that have been nowhere
         meshes = {f"s{k}" for k, link in enumerate(s.links) if link[2] == GAP}
@@ -82,11 +83,35 @@ class _Text:
 
     def __init__(self, s: Structure, rows: bool = False) -> None:
         self.s, self.rows = s, rows
+        self.sites = sites_of(s)
         self.lines: list[str] = []
         self.numbers = {id(p): i for i, p in enumerate(s.places)}
 
     def add(self, *lines: str) -> None:
         self.lines += [f"    {line}" for line in lines]
+
+    def act(self, kind: str, part: int, changed: str, *told: str, lever: str = "") -> None:
+        """What effects change at a site: by its function, or behind their flags where inline."""
+        arguments, change = CHANGES[kind]
+        names = [changed] if "," not in changed else changed.split(", ")
+        if not self.s.either:
+            given = dict(zip("abcd", told, strict=False))
+            own = arguments.format(*names, **given)
+            self.effects(
+                places_at(self.s, kind, part),
+                change.format(*names, lever=lever, call="{call}"), *own.split(", "),
+            )  # fmt: skip
+        elif (kind, part) in self.sites.index:
+            n, k = self.sites.index[kind, part], self.sites.function[kind, part]
+            row = ", ".join(f"r[{i}]" for i in range(len(names)))
+            zeros = ["0.0"] * (4 - len(told))
+            given_ = ", ".join([*told, *zeros, "t", lever.removesuffix(" * ") or "1.0", str(n)])
+            self.add(
+                f"if acts[{n}]:",
+                f"    {row} = {changed}",
+                f"    site_at(sites[{k}], {given_}, posts, on, e, r)",
+                f"    {changed} = {row}",
+            )
 
     def effects(self, places: Iterable[Place], change: str, *arguments: str) -> None:
         """What places change: behind their flags, where they have some."""
@@ -98,20 +123,21 @@ class _Text:
             for part in change.format(call=self.call(p, *arguments)).split("; "):
                 self.add(indent + part)
 
-    def where(self, places: Iterable[Place], *lines: str) -> None:
-        """Lines that are of matter where one of some places acts."""
-        flags = dict.fromkeys(f"on[{p.flag}]" for p in places)
+    def where(self, kind: str, part: int, *lines: str) -> None:
+        """Lines that are of matter where an effect acts at a site."""
         if not self.s.switched:
             self.add(*lines)
-        elif flags:
+        elif places := places_at(self.s, kind, part):
+            flags = dict.fromkeys(f"on[{p.flag}]" for p in places)
+            if self.s.either:
+                flags = {f"acts[{self.sites.index[kind, part]}]": None}
             self.add(f"if {' or '.join(flags)}:", *(f"    {line}" for line in lines))
 
     def call(self, p: Place, *arguments: str) -> str:
         e = "e[{}]" if self.s.switched and not self.rows else "e{}"
         values = ", ".join(e.format(p.first + j) for j in range(len(p.effect.parameters)))
-        i = self.numbers[id(p)]
-        told = [] if p.effect.site in ("load", "sensor") else [str(p.told)]
-        return f"kernel_{i}({', '.join([*arguments, *told])}, Values_{i}({values}))"
+        i = str(self.numbers[id(p)])
+        return kernel_call(i, ", ".join(arguments), p.effect.site, str(p.told), values)
 
     def turned(self, body: int, name: str) -> str:
         """Motion of a body by that of its coordinate."""
@@ -131,8 +157,7 @@ class _Text:
         stiff, gap = f"k{k}", f"g{k}"
         if meshes:
             self.add(f"za{k}, zb{k}, zc{k}, zd{k} = 0.0, 0.0, 0.0, 0.0")
-            sums = (f"{x}{k} = {x}{k} + c[{i}]" for i, x in enumerate(("za", "zb", "zc", "zd")))
-            self.effects(meshes, "c = {call}; " + "; ".join(sums), *ends)
+            self.act("mesh", k, f"za{k}, zb{k}, zc{k}, zd{k}", *ends)
             self.add(f"z{k} = z{k} + za{k}", f"zr{k} = zr{k} + zb{k}")
             stiff, gap = f"k{k} + zd{k}", f"max(g{k} + zc{k}, 0.0)"
         if law == LINEAR:
@@ -166,8 +191,10 @@ def step_lines(s: Structure, rows: bool = False) -> list[str]:
         for b in s.body_names(g):
             if s.at("ageing", b):
                 speed = f"0.5 * {text.lever(b)}(v{g} + new{g})"
-                text.where(s.at("ageing", b), f"age{b} = aged(age{b}, {speed}, h, slip{b})")
+                text.where("slip", b, f"age{b} = aged(age{b}, {speed}, h, slip{b})")
         text.add(f"p{g}, v{g} = v{g}, new{g}", f"q{g} = x{g} + 0.5 * h * v{g}")
+        if s.either:
+            text.add(f"if is{g} > 0.0:", f"    q{g}, v{g}, p{g} = x{g}, o{g}, o{g}")
     return text.lines
 
 
@@ -181,23 +208,27 @@ def _middle(s: Structure, text: _Text) -> None:
     for g in range(s.coordinates):
         if g in s.given:
             text.add(f"x{g} = xg{g}", f"o{g} = sg{g}")
-        else:
-            text.add(f"x{g} = q{g} + 0.5 * h * v{g}", f"o{g} = 1.5 * v{g} - 0.5 * p{g}")
+            continue
+        given, turning = (f"{x}g{g} if is{g} > 0.0 else " * s.either for x in "xs")
+        text.add(f"x{g} = {given}q{g} + 0.5 * h * v{g}")
+        text.add(f"o{g} = {turning}1.5 * v{g} - 0.5 * p{g}")
 
 
 def _inputs(s: Structure, text: _Text) -> None:
     for j, (_, limited, lags) in enumerate(s.inputs):
-        text.effects(s.at("drive", j), f"u{j} = {{call}}", f"u{j}", "t")
+        text.act("drive", j, f"u{j}")
         if limited:
             text.add(f"u{j} = min(lim{j}, max(-lim{j}, u{j}))")
         if lags:
-            places, relax = s.at("lag", j), f"u{j}, l{j} = lagged(l{j}, u{j}, time{j}, h)"
+            relax = f"u{j}, l{j} = lagged(l{j}, u{j}, time{j}, h)"
             text.add(f"time{j} = tau{j}")
-            text.effects(places, f"c = {{call}}; u{j} = c[0]; time{j} = time{j} + c[1]", f"u{j}")
-            if lags == DECLARED:
+            text.act("lag", j, f"u{j}, time{j}")
+            if s.either:
+                text.add(f"if time{j} > 0.0:", f"    {relax}")
+            elif lags == DECLARED:
                 text.add(relax)
             else:
-                text.where(places, relax)
+                text.where("lag", j, relax)
         text.add(f"drive{j} = gain{j} * u{j}")
 
 
@@ -235,10 +266,9 @@ def _forces(s: Structure, text: _Text, g: int) -> None:
     text.add(f"force{g} = {' + '.join(terms)}".replace("+ -", "- "))
     for b in bodies:
         volts = next((f"u{j}" for j, source in enumerate(s.inputs) if source[0] == b), "0.0")
-        change = f"force{g} = force{g} + {text.lever(b)}{{call}}"
         motion = text.turned(b, "x"), text.turned(b, "o")
-        text.effects(s.at("motor", b), change, volts, *motion, "t")
-        text.effects(s.at("load", b), change, *motion, "t")
+        text.act("motor", b, f"force{g}", volts, *motion, lever=text.lever(b))
+        text.act("load", b, f"force{g}", *motion, lever=text.lever(b))
 
 
 def _load(s: Structure, text: _Text, body: int) -> str:
@@ -250,14 +280,6 @@ def _load(s: Structure, text: _Text, body: int) -> str:
     return " + ".join(f"abs({term})" for term in terms) or "0.0"
 
 
-def _uses_speed(p: Place) -> bool:
-    """Whether what a kernel of friction returns depends on the speed or its direction."""
-    code = getattr(p.effect.kernel, "py_func", p.effect.kernel).__code__
-    speed = code.co_varnames[1]
-    read = (i for i in dis.get_instructions(code) if i.opname.startswith("LOAD_FAST"))
-    return any(speed == i.argval or speed in np.atleast_1d(i.argval) for i in read)
-
-
 def _rub(s: Structure, text: _Text, g: int) -> None:
     """Speed of a coordinate after friction of its bodies."""
     bodies = [
@@ -267,30 +289,38 @@ def _rub(s: Structure, text: _Text, g: int) -> None:
         text.add(f"new{g} = v{g} + force{g} * m{g}")
         return
     bristle = next((b for b in s.bristles if b in bodies), None)
-    text.add(f"rest{g} = 1.0 if force{g} > 0.0 else -1.0")
-    if bristle is None:
-        text.add(f"way{g} = 1.0 if v{g} > 0.0 else -1.0")  # of no matter at rest
-    else:
-        text.add(f"way{g} = 1.0 if o{g} > 0.0 else -1.0")
-    text.add(f"level{g} = 0.0")
-    if bristle is not None:
+    speed = f"v{g}" if bristle is None else f"o{g}"  # which way, is of no matter at rest
+    if s.either:
+        speed = f"(o{g} if by{g} > 0.0 else v{g})"
+    text.add(
+        f"rest{g} = 1.0 if force{g} > 0.0 else -1.0",
+        f"way{g} = 1.0 if {speed} > 0.0 else -1.0",
+        f"level{g} = 0.0",
+    )
+    if s.either or bristle is not None:
         text.add(f"once{g} = 0.0")
     holds = [_rub_of_body(s, text, g, b, bristle) for b in bodies]
-    if bristle is None:
-        text.add(
-            f"new{g} = v{g} + force{g} * m{g} - level{g} * (way{g} * m{g})",
-            f"new{g} = at_rest("
-            f"v{g}, new{g}, way{g}, rest{g}, {' + '.join(holds)}, force{g}, m{g}"
-            f") if v{g} == 0.0 or new{g} * way{g} < 0.0 else new{g}",
-        )
-        return
-    b = bristle
-    distance = f"bd{b} / abs(r{b})" if s.bodies[b][1] else f"bd{b}"
-    text.add(
-        f"new{g}, f{b}_bristle = preslide("
+    rigid = [
+        f"new{g} = v{g} + force{g} * m{g} - level{g} * (way{g} * m{g})",
+        f"new{g} = at_rest("
+        f"v{g}, new{g}, way{g}, rest{g}, {' + '.join(holds)}, force{g}, m{g}"
+        f") if v{g} == 0.0 or new{g} * way{g} < 0.0 else new{g}",
+    ]
+    own, law = g, f"Stribeck({', '.join(f'of{g}_{x}' for x in LAW_FIELDS)})"
+    numbers = f"by{g}, lag{g}"
+    if bristle is not None:
+        own, law = bristle, f"law_{bristle}"
+        distance = f"bd{own} / abs(r{own})" if s.bodies[own][1] else f"bd{own}"
+        numbers = f"{distance}, bl{own}"
+    elastic = (
+        f"new{g}, f{own}_bristle = preslide("
         f"v{g}, o{g}, force{g}, m{g}, h, way{g} * level{g} - once{g}, once{g}, "
-        f"f{b}_bristle, {distance}, bl{b}, law_{b})"
+        f"f{own}_bristle, {numbers}, {law})"
     )
+    if s.either:
+        text.add(f"if by{g} > 0.0:", f"    {elastic}", "else:", *(f"    {x}" for x in rigid))
+    else:
+        text.add(*([elastic] if bristle is not None else rigid))
 
 
 def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None) -> str:
@@ -314,16 +344,13 @@ def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None)
     )
     if s.at("ageing", b):
         text.add(f"slip{b} = 0.0")
-        places = s.at("ageing", b)
-        text.effects(places, f"slip{b} = max(slip{b}, {{call}}[1])", f"age{b}")
+        text.act("slip", b, f"slip{b}", f"age{b}")
         speed = f"0.5 * {text.lever(b)}(v{g} + o{g})"
-        text.where(places, f"middle{b} = aged(age{b}, {speed}, 0.5 * h, slip{b})")
-        text.effects(places, f"added_{b} = added_{b} + {{call}}[0]", f"middle{b}")
-    change = f"c = {{call}}; scale_{b} = scale_{b} * c[0]; added_{b} = added_{b} + c[1]"
-    places = s.at("friction", b)
-    same = [p for p in places if not _uses_speed(p)]
-    turning = [p for p in places if _uses_speed(p)]
-    text.effects(same, change, theta, f"omega_{b}", "t", f"load_{b}")
+        text.where("slip", b, f"middle{b} = aged(age{b}, {speed}, 0.5 * h, slip{b})")
+        text.act("aged", b, f"added_{b}", f"middle{b}")
+    change = f"scale_{b}, added_{b}"
+    text.act("friction", b, change, theta, f"omega_{b}", f"load_{b}")
+    turning = places_at(s, "turning", b)
     at_rest = f"scale_{b}", f"added_{b}"
     if turning:
         text.add(f"size_{b} = way_{b} * ({lever}max(o{g} * way{g}, 0.0) + TINY)")
@@ -333,10 +360,8 @@ def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None)
             f"{', '.join(at_rest)} = scale_{b}, added_{b}",
             f"omega0_{b} = {flip}rest{g} * TINY",
         )
-        rest = f"c = {{call}}; {at_rest[0]} = {at_rest[0]} * c[0]; "
-        rest += f"{at_rest[1]} = {at_rest[1]} + c[1]"
-        text.effects(turning, rest, theta, f"omega0_{b}", "t", f"load_{b}")
-    text.effects(turning, change, theta, f"size_{b}", "t", f"load_{b}")
+        text.act("turning", b, ", ".join(at_rest), theta, f"omega0_{b}", f"load_{b}")
+    text.act("turning", b, change, theta, f"size_{b}", f"load_{b}")
     if law:
         text.add(
             f"level{g} = level{g} + {lever}"
@@ -344,12 +369,12 @@ def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None)
         )
     else:
         text.add(f"level{g} = level{g} + {lever}max(scale_{b} * added_{b}, 0.0)")
-    if bristle is not None:
-        if law:
-            once = f"at_once(omega_{b}, way{g}, scale_{b}, bs{bristle}, law_{b})"
-            once = once.replace(f"way{g}", f"way_{b}")
-            text.add(f"once{g} = once{g} + {text.lever(b)}{once}")
-        return ""
+    if law and (s.either or bristle is not None):
+        share = f"share{g}" if s.either else f"bs{bristle}"
+        once = f"at_once(omega_{b}, way_{b}, scale_{b}, {share}, law_{b})"
+        if s.either:
+            text.add(f"if by{g} > 0.0:")
+        text.add(f"{'    ' * s.either}once{g} = once{g} + {text.lever(b)}{once}")
     held = f"breakaway_torque({flip}rest{g}, law_{b}) + {at_rest[1]}" if law else at_rest[1]
     return f"{lever}max({at_rest[0]} * ({held}), 0.0)"
 
@@ -376,7 +401,7 @@ def reading_lines(s: Structure, rows: bool = False) -> tuple[list[str], list[str
         text.add(f"a{i}, w{i} = {text.turned(b, 'q')}, {text.turned(b, 'v')}")
         if is_late:
             text.add(f"{'w' if speed else 'a'}{i} = late{i}")
-        text.effects(s.at("sensor", i), f"a{i}, w{i} = {{call}}", f"a{i}", f"w{i}", "t")
+        text.act("sensor", i, f"a{i}, w{i}")
     return text.lines, [f"{'w' if speed else 'a'}{i}" for i, (_, speed, _) in enumerate(s.sensors)]
 
 
@@ -408,13 +433,13 @@ def vector_kernel(kernel: Callable[..., Any]) -> Callable[..., Any]:
     return elementary.hosted(kernel, (lookup.looked_up, lookup.summed))
 
 
-def head_text(s: Structure, rows: bool = False) -> str:
-    """Text of the names that the functions use."""
+def head_text(s: Structure, rows: bool = False, *, kernels: bool = True) -> str:
+    """Text of the names that the functions use, of effects their kernels."""
     host = "vector_kernel" if rows else "called" if s.switched else "hosted"
     lines = [_HEAD]
     lines += [f"{name} = hosted(pieces.{name})" for name in _OWN]
     lines += [f"{name} = hosted({module}.{name})" for module, name in _KERNELS]
-    for i in range(len(s.places)):
+    for i in range(len(s.places) if kernels else 0):
         lines += [
             f"kernel_{i} = {host}(EFFECTS[{i}].kernel)",
             f"Values_{i} = EFFECTS[{i}].values",
@@ -428,10 +453,11 @@ def compiled(text: str, *entries: str) -> str:
     Those marked ``njit_apart`` are not inline.
     """
     options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST'
+    entered = f"{options}, no_cfunc_wrapper=True"
     apart = options + "".join(f", {key}={value}" for key, value in elementary.INNER.items())
     inner = f"{apart}, forceinline=True"
     for entry in entries:
-        text = text.replace(f"@njit\ndef {entry}(", f"@njit({options})\ndef {entry}(")
+        text = text.replace(f"@njit\ndef {entry}(", f"@njit({entered})\ndef {entry}(")
     text = text.replace("@njit_apart\n", f"@njit({apart})\n")
     return text.replace("@njit\n", f"@njit({inner})\n")
 
@@ -458,6 +484,6 @@ def engine_by(s: Structure, kind: str, text: Callable[[Structure], str]) -> Engi
 def engine_of(s: Structure, text: str, kind: str) -> ModuleType:
     """Return the module of a text written for a structure."""
     modules = (backlash, lookup, presliding, stribeck, elementary, step)
-    effects = tuple(p.effect for p in s.places)
+    effects = tuple(p.effect for p in s.places) if "EFFECTS" in text else ()
     key = key_of(text, modules, effects)
     return load(f"{kind}_{key}", text, f"{kind} runs of a drive of this shape", EFFECTS=effects)

@@ -1,7 +1,13 @@
 """The loop over lanes of a structure: sixteen drives a step, as vector code."""
 
-import numpy as np
+from functools import cached_property
+from itertools import compress, groupby
+from typing import Any
 
+import numpy as np
+from numba import float64, types
+
+from dmptm_ctrl.simulate.elementary import COMPILED, FAST, compiled_callback
 from dmptm_ctrl.simulate.generate import (
     Engine,
     Names,
@@ -13,7 +19,8 @@ from dmptm_ctrl.simulate.generate import (
     step_lines,
     torque_lines,
 )
-from dmptm_ctrl.simulate.plant import Floats, Structure
+from dmptm_ctrl.simulate.loading import LOADING
+from dmptm_ctrl.simulate.plant import Flags, Floats, Ints, Structure
 from dmptm_ctrl.simulate.segments import Segment, segments
 
 LANES = 16
@@ -70,8 +77,29 @@ class Rows:
     def calls(self, name: str, indent: int) -> str:
         """Text that calls those of the step, of what is observed, or of the links."""
         parts: list[Segment] = getattr(self, name)
-        lines = (part.call(f"{name}_{i}", self.first) for i, part in enumerate(parts))
+        lines: list[str] = []
+        numbers = {one: n for n, one in enumerate(self.apart)}
+        for apart, group in groupby(enumerate(parts), lambda one: bool(one[1].flags)):
+            own = [(f"{name}_{i}", part) for i, part in group]
+            if apart:
+                first = numbers[own[0][0]]
+                lines += [
+                    f"for n in range(ends[{first}], ends[{first + len(own)}]):",
+                    "    called_at(calls[n], w, t, h)",
+                ]
+            else:
+                lines += [part.call(one, self.first) for one, part in own]
         return "".join(f"{' ' * indent}{line}\n" for line in lines)
+
+    @cached_property
+    def apart(self) -> dict[str, list[int]]:
+        """Loops of effects, and the flags of which one has to be up for each."""
+        return {
+            f"{name}_{i}": part.flags
+            for name in ("step", "observed", "links")
+            for i, part in enumerate(getattr(self, name))
+            if part.flags
+        }
 
 
 _ROWS: dict[tuple[int, int], Rows] = {}
@@ -105,14 +133,11 @@ def lanes_text(s: Structure, width: int) -> str:
         if not s.sensors[i][1]:
             move_late += "            for lane in range(LANES):\n"
             move_late += f"                ring[{n}, :, lane] += {lever}moves[{signal[1:]}, lane]\n"
-    statistics = ""
-    for name in rows.seen:
-        x = rows.at(name)
-        low, top, total, square = (rows.at(f"{a}_{name}") for a in ("low", "top", "sum", "square"))
-        statistics += (
-            f"                {low} = min({low}, {x})\n                {top} = max({top}, {x})\n"
-            f"                {total} += {x}\n                {square} += {x} * {x}\n"
-        )
+    kinds = ("low", "top", "sum", "square")
+    seen, low, top, total, square = (
+        f"w[{rows.first(f'{kind}{rows.seen[0]}')} + lane]"
+        for kind in ("", *(f"{k}_" for k in kinds))
+    )
     base = {part: rows.first(part) for part in ("reading0", "signal0", "u0", "q0", "v0", "p0")}
     push = "".join(
         f"            {rows.at(f'push{g}')} = push[i, {g}] if pushed else 0.0\n"
@@ -138,13 +163,13 @@ def read_lane(ring, row, step, lag, lane):
 
 @njit
 def march_lanes(
-    w, lanes, on, u, kept, before, dead, push, ring, delays, begin, dt, substeps,
+    w, lanes, calls, ends, u, kept, before, dead, push, ring, delays, begin, dt, substeps,
     control, rules, memory, target, noise, closed, y, command,
     watched, measured, gains, shown, leak, lead, moves,
     columns, every, out, statistics, samples,
 ):
     wide()
-    w, on, kept = borrowed(w), borrowed(on), borrowed(kept)
+    w, calls, ends, kept = borrowed(w), borrowed(calls), borrowed(ends), borrowed(kept)
     rules, memory = borrowed(rules), borrowed(memory)
     y, command, moves = borrowed(y), borrowed(command), borrowed(moves)
     measured, gains = borrowed(measured), borrowed(gains)
@@ -194,8 +219,11 @@ def march_lanes(
                     kept[lane, j, i % room] = command[j]
                 w[{base["signal0"]} + j * LANES + lane] = command[j]
         if statistics:
-            for lane in range(LANES):
-{statistics}
+            for lane in range({len(rows.seen)} * LANES):
+                {low} = min({low}, {seen})
+                {top} = max({top}, {seen})
+                {total} += {seen}
+                {square} += {seen} * {seen}
         if i % every == 0:
             for c in range(columns.size):
                 for lane in range(lanes):
@@ -229,6 +257,28 @@ def lane_engine(s: Structure, width: int = LANES) -> Engine:
     return engine_by(s, f"lanes{width}", lambda s: source(s, width))
 
 
+_PART = types.void(types.CPointer(float64), float64, float64)
+_PARTS: dict[tuple[str, str], Any] = {}
+
+
+def calls_of(s: Structure, width: int, on: Flags) -> tuple[Any, Ints]:
+    """Addresses of the loops of effects that act, and how many come before each loop there is.
+
+    They are compiled when they are asked for.
+    """
+    module, found = lane_engine(s, width).module, []
+    acts = [bool(on[flags].any()) for flags in rows_of(s, width).apart.values()]
+    for name in compress(rows_of(s, width).apart, acts):
+        with LOADING:
+            key = module.__name__, name
+            if key not in _PARTS:
+                _PARTS[key] = compiled_callback(
+                    _PART, getattr(module, name), cache=True, error_model="numpy", fastmath=FAST
+                )
+            found.append(getattr(_PARTS[key], "address", _PARTS[key]))
+    return np.array(found, np.int64 if COMPILED else object), np.cumsum([0, *acts])
+
+
 def aligned(size: int) -> Floats:
     """Room that begins where a cache line does: no vector register's row lies in two of them."""
     room = np.zeros(size + LINE - 1)
@@ -236,4 +286,4 @@ def aligned(size: int) -> Floats:
     return room[first : first + size]
 
 
-__all__ = ["LANES", "Rows", "aligned", "lane_engine", "rows_of"]
+__all__ = ["LANES", "Rows", "aligned", "calls_of", "lane_engine", "rows_of"]

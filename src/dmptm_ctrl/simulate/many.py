@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from dmptm_ctrl.parallel import each
-from dmptm_ctrl.simulate.lanes import LANES, aligned, lane_engine, rows_of
+from dmptm_ctrl.simulate.lanes import LANES, aligned, calls_of, lane_engine, rows_of
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.observer import UNLED, Observer
 from dmptm_ctrl.simulate.plant import Flags, Floats, Plant, Structure, numbers, structure_of
@@ -188,8 +188,8 @@ def _lanes(
         for names in (common.columns, common.judged)
     )
     engine.module.march_lanes(
-        w, lanes, on, common.u, kept, np.zeros(inputs), dead, _NO_ROWS, ring,
-        np.ascontiguousarray(delays), common.begin, common.dt, common.substeps,
+        w, lanes, *calls_of(structure, width, on), common.u, kept, np.zeros(inputs), dead,
+        _NO_ROWS, ring, np.ascontiguousarray(delays), common.begin, common.dt, common.substeps,
         laws[0].function, np.array([law.rule for law in laws]), np.zeros((width, laws[0].memory)),
         common.target, common.noise, loops is not None,
         np.zeros(max(len(structure.sensors), 1)), np.zeros(inputs),

@@ -25,6 +25,7 @@ DECLARED, BY_EFFECT = 1, 2  # lags of an input
 # sites whose kernels the step calls; those of the others become numbers of the plant
 CALLED = ("drive", "lag", "motor", "mesh", "friction", "ageing", "load", "sensor")
 LAW_FIELDS = Stribeck._fields
+NO_LAW = Stribeck._make([*[0.0] * 8, 1.0, 1.0, 1.0])
 NO_EFFECTS = np.zeros(0)
 NO_FLAGS = np.zeros(0, np.uint8)
 
@@ -121,6 +122,10 @@ class Structure(NamedTuple):
     sensors : tuple of (body, measures speed, may be late)
     bristles : tuple of int
         Bodies with presliding.
+    either : bool
+        What may be absent by its numbers is there, behind conditions: lags of all inputs, delays
+        of all sensors, presliding and given motion of all coordinates. Effects change what they
+        do by functions of their own. One structure, compiled once, serves what would be many.
     """
 
     switched: bool
@@ -132,6 +137,7 @@ class Structure(NamedTuple):
     bristles: tuple[int, ...]
     places: tuple[Place, ...]
     given: tuple[int, ...]
+    either: bool = False
 
     def at(self, site: str, part: int) -> list[Place]:
         """Places of a site at one part."""
@@ -145,7 +151,7 @@ class Structure(NamedTuple):
 _KNOWN: dict[tuple[Any, ...], "Structure"] = {}
 
 
-def structure_of(plant: Plant, *, switched: bool) -> Structure:
+def structure_of(plant: Plant, *, switched: bool, either: bool = False) -> Structure:
     """Return the structure of a plant: with all its places behind flags, or those that act.
 
     The same object each time: a fit asks often, and effects are long to compare.
@@ -158,15 +164,18 @@ def structure_of(plant: Plant, *, switched: bool) -> Structure:
     )
     lags = {p.part for p in plant.places if p.effect.site == "lag" and plant.on[p.flag]}
     inputs = tuple(
-        (b, row[3] > 0.0, DECLARED if row[2] > 0.0 else BY_EFFECT if switched or j in lags else 0)
+        (
+            b, row[3] > 0.0,
+            DECLARED if row[2] > 0.0 or either else BY_EFFECT if switched or j in lags else 0,
+        )
         for j, (b, row) in enumerate(
             zip(plant.input_body.tolist(), plant.input_values.tolist(), strict=True)
         )
-    )
+    )  # fmt: skip
     sensors = zip(
         plant.sensor_body.tolist(),
         (plant.sensor_speed > 0).tolist(),
-        (plant.sensor_delay > 0.0).tolist(),
+        ((plant.sensor_delay > 0.0) | either).tolist(),
         strict=True,
     )
     links = zip(
@@ -178,14 +187,14 @@ def structure_of(plant: Plant, *, switched: bool) -> Structure:
     on = b"" if switched else plant.on.tobytes()
     rest = (
         plant.inertia.size, bodies, tuple(links), inputs, tuple(sensors),
-        tuple(np.flatnonzero(plant.bristles[:, 0] > 0.0).tolist()),
+        () if either else tuple(np.flatnonzero(plant.bristles[:, 0] > 0.0).tolist()),
     )  # fmt: skip
-    key = switched, id(plant.places), on, plant.given, *rest
+    key = switched, either, id(plant.places), on, plant.given, *rest
     if key not in _KNOWN:
         places = [p for p in plant.places if p.effect.site in CALLED]
         if not switched:
             places = [p for p in places if plant.on[p.flag]]
-        found = Structure(switched, *rest, tuple(places), plant.given)
+        found = Structure(switched, *rest, tuple(places), () if either else plant.given, either)
         _ALIVE.append(plant.places)  # or another may get its identity
         _KNOWN[key] = _SAME.setdefault(found, found)
     return _KNOWN[key]
@@ -219,6 +228,10 @@ def number_names(structure: Structure, *, values: bool) -> list[str]:
         names += [f"gain{j}", *([f"lim{j}"] if limited else []), *([f"tau{j}"] if lags else [])]
     for b in structure.bristles:
         names += [f"bd{b}", f"bs{b}", f"bl{b}"]
+    for g in range(structure.coordinates if structure.either else 0):
+        names += [f"{x}{g}" for x in ("is", "by", "share", "lag")] + [
+            f"of{g}_{x}" for x in LAW_FIELDS
+        ]
     if values:
         for p in structure.places:
             names += [f"e{p.first + j}" for j in range(len(p.effect.parameters))]
@@ -241,7 +254,10 @@ def numbers(plant: Plant, names: Sequence[str], h: float) -> Floats:
         found[f"f{k}"], found[f"g{k}"] = gap_damping, gap
     for j, (gain, _, lag, limit) in enumerate(plant.input_values.tolist()):
         found[f"gain{j}"], found[f"lim{j}"], found[f"tau{j}"] = gain, limit, lag
-    for b, (distance, share, damping) in enumerate(plant.bristles.tolist()):
+    found |= {f"is{g}": 1.0 for g in plant.given}
+    bodies = plant.body_coordinate.tolist()
+    for b, (distance, share, damping) in reversed(list(enumerate(plant.bristles.tolist()))):
+        g = bodies[b]
         if distance > 0.0:
             law = stribeck_law(*plant.law[b].tolist())
             inertia = float(plant.inertia[plant.body_coordinate[b]]) / ratios[b] ** 2
@@ -249,5 +265,14 @@ def numbers(plant: Plant, names: Sequence[str], h: float) -> Floats:
             # so short a distance that a step cannot follow the body on it: no more than it takes
             most = bristle_lag(distance, 0.5, inertia, law) ** 2 / h
             found |= {f"bd{b}": distance, f"bs{b}": share, f"bl{b}": min(lag, most)}
+            # one body's bristles carry what rubs on all that are tied to it: the first's
+            own = distance / abs(ratios[b]), share, min(lag, most)
+            found |= zip((f"by{g}", f"share{g}", f"lag{g}"), own, strict=True)
+            found |= {
+                f"of{g}_{name}": x
+                for name, x in zip(LAW_FIELDS, law if plant.rubs[b] else NO_LAW, strict=True)
+            }
     values = plant.values
-    return np.array([found[n] if n in found else values[int(n[1:])] for n in names])
+    return np.array(
+        [found[n] if n in found else values[int(n[1:])] if n[0] == "e" else 0.0 for n in names]
+    )

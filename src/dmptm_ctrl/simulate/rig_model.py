@@ -472,13 +472,15 @@ def _all_places(
     places: list[Place] = []
     index: dict[str, tuple[int, int]] = {}
     first = 0
-    for chain in PLACED_CATALOGUE.values():
-        if chain.site not in CALLED or chain.site == "lag":  # a lag is a number of its input
-            continue
-        for k, part in enumerate(named[chain.place]):
-            index[f"{chain.name}@{part}"] = len(places), first
-            places.append(Place(chain.effect, k, chain.told, len(places), first))
-            first += len(chain.fields)
+    # a lag is a number of its input
+    chains = [c for c in PLACED_CATALOGUE.values() if c.site in CALLED and c.site != "lag"]
+    # part by part, so that flags and numbers of each stand alike
+    for kind, parts_ in named.items():
+        for k, part in enumerate(parts_):
+            for chain in (c for c in chains if c.place == kind):
+                index[f"{chain.name}@{part}"] = len(places), first
+                places.append(Place(chain.effect, k, chain.told, len(places), first))
+                first += len(chain.fields)
     return tuple(places), index
 
 

@@ -6,12 +6,13 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import cfunc, float64, int64, types
+from numba import float64, int64, types
 
-from dmptm_ctrl.simulate.elementary import COMPILED
+from dmptm_ctrl.simulate.elementary import compiled_callback
 from dmptm_ctrl.simulate.observer import UNLED, Observer
 from dmptm_ctrl.simulate.plant import Floats, Plant, Structure, numbers, structure_of
 from dmptm_ctrl.simulate.scalar import scalar_engine
+from dmptm_ctrl.simulate.sites import acting
 
 _ROW = float64[::1]
 SIGNATURE = types.void(int64, *[float64] * 4, *[_ROW] * 4)
@@ -41,12 +42,7 @@ class Controller(NamedTuple):
 
 def compiled_controller(function: Callable[..., None], *, cache: bool = False) -> Any:
     """Compile a controller so that any loop can call it; `cache` it where there is a place."""
-    if not COMPILED:
-        return function
-    try:
-        return cfunc(SIGNATURE, cache=cache)(function)
-    except RuntimeError:  # installed read-only, no home
-        return cfunc(SIGNATURE)(function)
+    return compiled_callback(SIGNATURE, function, cache=cache)
 
 
 @partial(compiled_controller, cache=True)
@@ -148,8 +144,10 @@ def start_state(structure: Structure, q: Floats, v: Floats, **others: float) -> 
 
 
 def structure_for(plant: Plant) -> Structure:
-    """Structure that a scalar run of a plant takes: with places only where one of them acts."""
-    return structure_of(plant, switched=bool(plant.on.any()))
+    """Structure that a scalar run of a plant takes: bare, or what has all that effects may ask."""
+    asked = plant.on, plant.bristles[:, 0], plant.sensor_delay, plant.input_values[:, 2]
+    any_ = any(np.any(part) for part in asked) or bool(plant.given)
+    return structure_of(plant, switched=any_, either=any_)
 
 
 def advance(
@@ -200,7 +198,11 @@ def advance(
     signals = np.hstack([state.signals, u]) if kept else np.asarray(u, float)
     if controller is not None or not signals.flags.c_contiguous or not signals.flags.writeable:
         signals = np.array(signals, order="C")
-    delays = plant.sensor_delay[plant.sensor_delay > 0.0]
+    if structure.either and plant.given:
+        rows = np.zeros((2, plant.inertia.size, n))
+        rows[:, list(plant.given)] = given
+        given = rows[0], rows[1]
+    delays = plant.sensor_delay[[late for *_, late in structure.sensors]]
     ring = np.array(state.late)
     x = np.array(state.values)
     if ring.size == 0 and delays.size:
@@ -213,8 +215,10 @@ def advance(
     lead = np.array(state.lead) if state.lead.size == led.leak.size else np.zeros(led.leak.size)
     out = np.empty((n, whole if columns is None else columns))
     engine = scalar_engine(structure)
+    acts, posts, sites = acting(structure, plant)
     steps = engine.module.march(
-        x, numbers(plant, engine.names.numbers, h), plant.on, plant.values, signals, kept,
+        x, numbers(plant, engine.names.numbers, h), plant.on, plant.values, acts, sites,
+        posts, np.zeros(4), signals, kept,
         np.zeros(inputs) if before is None else np.array(before, float), dead,
         _NO_ROWS if push is None else np.ascontiguousarray(push, float),
         *(np.ascontiguousarray(g, float) for g in given), ring, delays, state.steps, state.time,

@@ -7,24 +7,31 @@ from dmptm_ctrl.simulate.generate import (
     engine_by,
     head_text,
     observe_text,
-    row_text,
     sensed,
     step_text,
 )
 from dmptm_ctrl.simulate.plant import Structure
 
 
+def product(s: Structure, i: int) -> str:
+    """Text of what a sensor sees."""
+    return " * ".join(filter(None, sensed(s, i)))
+
+
 def scalar_text(s: Structure) -> str:
     """Text of the loop over samples of one drive; see `run.march` for its arguments."""
     names = Names(s)
-    state, count = ", ".join(names.state), len(names.state)
+    state = ", ".join(names.state)
     inputs, links, g_all = len(s.inputs), len(s.links), range(s.coordinates)
     late = [i for i, sensor in enumerate(s.sensors) if sensor[2]]
-    rows = "".join(f"    {name} = p[{i}]\n" for i, name in enumerate(names.numbers))
-    rows += "".join(f"    {name} = x[{i}]\n" for i, name in enumerate(names.state))
+    # as tuples: one by one, or as a slice with its error's message, they are long to compile
+    rows = f"    {', '.join(names.numbers)}, = spread(p, {len(names.numbers)})\n"
+    rows += f"    {state}, = spread(x, {len(names.state)})\n"
+    store = f"    gather(x, ({state},))\n"
     sensors = len(s.sensors)
     lags = "".join(
-        f"        late{i} = read_late(ring, {n}, step0 + done, delays[{n}] / h)\n"
+        f"        late{i} = read_late(ring, {n}, step0 + done, delays[{n}] / h)"
+        + (f" if delays[{n}] > 0.0 else {product(s, i)}\n" if s.either else "\n")
         for n, i in enumerate(late)
     )
     plain = [*names.state, "t", *names.numbers, *names.switches]
@@ -42,14 +49,16 @@ def scalar_text(s: Structure) -> str:
         out += f"            out[i, {first_q + c}] = q{c}\n"
         out += f"            out[i, {first_q + s.coordinates + c}] = v{c}\n"
     y = "".join(f"            y[{i}] = seen[{i}]\n" for i in range(sensors))
-    given = "".join(
-        f"            xg{g} = given_q[{n}, i] + part * (given_q[{n}, after] - given_q[{n}, i])\n"
-        f"            sg{g} = given_v[{n}, i] + part * (given_v[{n}, after] - given_v[{n}, i])\n"
-        for n, g in enumerate(s.given)
-    )
-    set_given = "".join(
-        f"        q{g}, v{g} = given_q[{n}, i], given_v[{n}, i]\n" for n, g in enumerate(s.given)
-    )
+    given, set_given = "", ""
+    for n, g in enumerate(g_all if s.either else s.given):
+        if s.either:
+            given += f"            xg{g}, sg{g} = 0.0, 0.0\n            if is{g} > 0.0:\n"
+            set_given += f"        if is{g} > 0.0:\n"
+        for x, table in (("x", "given_q"), ("s", "given_v")):
+            now = f"{table}[{n}, i]"
+            given += f"{'    ' * (3 + s.either)}{x}g{g} = "
+            given += f"{now} + part * ({table}[{n}, after] - {now})\n"
+        set_given += f"{'    ' * (2 + s.either)}q{g}, v{g} = given_q[{n}, i], given_v[{n}, i]\n"
     signals = "".join(
         f"            u{j} = u[{j}, at] if dead[{j}] <= 0.0 else held_average(u, {j}, "
         f"at + k / substeps - dead[{j}], at + (k + 1) / substeps - dead[{j}], before)\n"
@@ -57,8 +66,8 @@ def scalar_text(s: Structure) -> str:
     )
     push = "".join(f"        push{g} = push[i, {g}] if pushed else 0.0\n" for g in g_all)
     ring = "".join(
-        f"            ring[{n}, (step0 + done) % ring.shape[1]] = "
-        f"{' * '.join(filter(None, sensed(s, i)))}\n"
+        (f"            if delays[{n}] > 0.0:\n    " if s.either else "")
+        + f"            ring[{n}, (step0 + done) % ring.shape[1]] = {product(s, i)}\n"
         for n, i in enumerate(late)
     )
     read = "".join(f"            read[{i}, 0] = seen[{i}]\n" for i in range(sensors))
@@ -76,11 +85,14 @@ def scalar_text(s: Structure) -> str:
     return f"""\
 @njit
 def march(
-    x, p, on, e, u, first, before, dead, push, given_q, given_v, ring, delays, step0, begin,
+    x, p, on, e, acts, sites, posts, r,
+    u, first, before, dead, push, given_q, given_v, ring, delays, step0, begin,
     dt, substeps, control, rule, memory, target, noise, closed, y, command,
     read, watched, measured, gains, shown, leak, lead, moves, out,
 ):
-    on, e, y, command = borrowed(on), borrowed(e), borrowed(y), borrowed(command)
+    acts, sites, posts = borrowed(acts), borrowed(sites), borrowed(posts)
+    on, e, r = borrowed(on), borrowed(e), borrowed(r)
+    y, command = borrowed(y), borrowed(command)
     rule, memory, read, moves = borrowed(rule), borrowed(memory), borrowed(read), borrowed(moves)
     watched, measured, gains = borrowed(watched), borrowed(measured), borrowed(gains)
     shown, leak, lead = borrowed(shown), borrowed(leak), borrowed(lead)
@@ -104,8 +116,7 @@ def march(
             part, after = (k + 0.5) / substeps, min(i + 1, out.shape[0] - 1)
 {signals}{given}            {state}, = step({_given(names, "middle")})
             done += 1
-{ring}    x[:{count}] = {row_text(names.state)}
-    return done
+{ring}{store}    return done
 """
 
 
@@ -125,7 +136,13 @@ def read_late(ring, row, step, lag):
 
 def source(s: Structure) -> str:
     """Return the text of the scalar engine of a structure."""
-    parts = [head_text(s), _LATE, observe_text(s), step_text(s), scalar_text(s)]
+    parts = [
+        head_text(s, kernels=not s.either),
+        _LATE,
+        observe_text(s),
+        step_text(s),
+        scalar_text(s),
+    ]
     text = "\n\n".join(parts)
     # a state named as a coordinate's middle speed would hide it
     return compiled(text, "march")

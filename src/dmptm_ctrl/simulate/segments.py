@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 # a record of numbers has no row: where a later loop needs it, it is made again
 RECORDS = ("Backlash", "Stribeck")
+ON = r"on\[(\d+)\]"  # condition: whether an effect acts
 SOME = r"some\((\w+)\)"  # condition: whether a row has a positive number in any lane
 PASSING = "c"  # what a kernel returned, used up at once
 
@@ -29,11 +30,16 @@ class Segment(NamedTuple):
         body = [f"{name} = {at(name)}" for name in self.takes]
         body += [*self.lines, *(f"{at(name)} = {name}" for name in self.leaves)]
         rows = "".join(f"        {line}\n" for line in body)
-        # what is rarely on is not to swell the function that calls it
-        mark = "@njit_apart" if self.condition else "@njit"
-        return (
-            f"{mark}\ndef {name}(w, t, h):\n    wide()\n    for lane in range(LANES):\n{rows}\n\n"
-        )
+        # what is rarely on is not to swell the function that calls it; of effects those are
+        # compiled that act
+        mark = "@njit_apart\n" if self.condition else "@njit\n"
+        mark = "" if self.flags else mark
+        return f"{mark}def {name}(w, t, h):\n    wide()\n    for lane in range(LANES):\n{rows}\n\n"
+
+    @property
+    def flags(self) -> list[int]:
+        """Flags of effects of which one has to act."""
+        return [int(flag) for flag in re.findall(ON, self.condition)]
 
     def call(self, name: str, first: Callable[[str], int]) -> str:
         """Text that calls it; `first` tells where a row begins."""

@@ -24,7 +24,7 @@ from dmptm_ctrl.export.program import (
     widest,
 )
 from dmptm_ctrl.export.tracer import Tracer
-from dmptm_ctrl.simulate.elementary import borrowed
+from dmptm_ctrl.simulate.elementary import borrowed, spread
 
 _SIGNS: dict[type, str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=",
@@ -234,6 +234,8 @@ def _called(scope: Expressions, function: Any, args: list[Any]) -> Any:
         return make(name, arg)
     if function is borrowed:
         return args[0]
+    if function is spread:
+        return tuple(scope.item(args[0], i) for i in range(args[1]))
     if function is np.zeros or function is np.full or function is np.empty:
         value = args[1] if function is np.full else 0.0
         return scope.tracer.cells([value] * int(args[0]))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf, isfinite
+from math import isfinite
 
 import numpy as np
 
@@ -359,12 +359,7 @@ def within_floor(selection: Selection, floor: float) -> bool:
 
 
 def rise(without: RigState, final: RigState) -> float:
-    """Share by which what is left of all balances rises without an effect.
-
-    Infinite where only declared values far outside their ranges stand for it.
-    """
-    if final.fit.in_ranges and not without.fit.in_ranges:
-        return inf
+    """Share by which what is left of all balances rises without an effect."""
     likelihood, held = final.fit.likelihood, Likelihood(final.held, final.fit.likelihood.news)
     squares = [
         sum(

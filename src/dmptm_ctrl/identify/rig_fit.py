@@ -11,7 +11,6 @@ from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from dmptm_ctrl.identify.fit import least_in_box, secant
 from dmptm_ctrl.identify.free_parameters import Free, free_parameters, scales_of
@@ -23,7 +22,6 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 
 ROWS_PER_NEWS = 8.0  # rows that count as one, where nothing better is known
 LEAST_SCALE = 0.005  # of the torque; friction laws are not known more finely
-RARE = 1e-3  # chance below which honest ranges are no longer believed
 BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
 TOLERANCE = 0.3  # a fit stops when −2 log-likelihood falls by less
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
@@ -104,15 +102,6 @@ class RigFit:
     def model(self) -> RigModel:
         """The fitted model."""
         return self.state.model
-
-    @cached_property
-    def in_ranges(self) -> bool:
-        """Whether the values are those of a drive whose declared ranges are honest.
-
-        By the χ² of their distances from the declared values, in the ranges' standard deviations.
-        """
-        miss = prior_rows(self.state, self.frees)[1]
-        return bool(chi2.sf(miss @ miss, max(miss.size, 1)) > RARE)
 
     @cached_property
     def covariance(self) -> Floats:

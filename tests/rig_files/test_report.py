@@ -119,6 +119,12 @@ def test_runs_far_above_their_floor_are_said(found, runs, said):
     none = replace(found, verdict="none", effects=(), errors=errors)
     assert said in none.sentence()
     assert ("2.0 times their floor" in none.sentence()) == ("no lack" in said)
+    far = {"body.motor.inertia": {"outside": True}}
+    listed = replace(none, declared_values=far).sentence()
+    # behind all that is said of the runs
+    assert listed == none.sentence()[:-1] + (
+        "; fitted values leave their declared ranges: body.motor.inertia."
+    )
 
 
 def test_short_predictions_miss_less_than_free_runs(found):

@@ -171,27 +171,28 @@ class Diagnosis:
                 left += f", those of the declared model by {before}"
         else:
             left += f" are left on {self.error['on']}"
+        beyond = ""
         if self.outside and not self.effects:
-            left += f"; fitted values leave their declared ranges: {', '.join(self.outside)}"
+            beyond = f"; fitted values leave their declared ranges: {', '.join(self.outside)}"
         if self.verdict == "none":
             times = sqrt(self.errors.before / max(self.errors.floor, 1e-300))
             told = f"is {times:.2f} times the floor"
             if self.errors.within_floor or self.errors.runs is None:
                 return (
                     "The declared model is as good as these logs can show: the error of its "
-                    f"balance {told}; {left}."
+                    f"balance {told}; {left}{beyond}."
                 )
             runs = sqrt(self.errors.runs.before / max(self.errors.runs.floor, 1e-300))
             return (
                 f"The balance shows no lack of the declared model: its error {told}; {left}, "
-                f"{runs:.1f} times their floor."
+                f"{runs:.1f} times their floor{beyond}."
             )
         on = f"; it depends on {', '.join(self.depends_on)}" if self.depends_on else ""
         names = self._headline()
         if not names and (apart := self._sensors_apart()):
             return f"Sensors of one motion disagree: {apart}; {left}."
         if not names:
-            return f"The declared model lacks something unknown{on}; {left}."
+            return f"The declared model lacks something unknown{on}; {left}{beyond}."
         share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
         if self.verdict == "explained":
             return f"The declared model lacks {names}: {share}; {left}."

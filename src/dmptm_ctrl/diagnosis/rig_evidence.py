@@ -162,7 +162,8 @@ class RigEvidence:
             group, fit = one.fitted
             if one.demanded:
                 with suppress(ValueError, ArithmeticError):
-                    best[keys] = self._candidate(state, group, self._to_the_end(fit.state, fit))
+                    done = self._to_the_end(fit.state, fit, (*state.keys, *keys))
+                    best[keys] = self._candidate(state, group, done)
         return list(best.values())
 
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:
@@ -287,16 +288,17 @@ class RigEvidence:
 
     def adopt(self, state: RigState, candidate: Candidate) -> RigState:
         """Put a candidate into the model and fit to the end."""
-        fit = self._to_the_end(candidate.fitted[1].state, state.fit)
-        return RigState(fit, self.held, (*state.keys, *candidate.keys))
+        keys = (*state.keys, *candidate.keys)
+        return RigState(
+            self._to_the_end(candidate.fitted[1].state, state.fit, keys), self.held, keys
+        )
 
-    def _to_the_end(self, start: State, like: RigFit) -> RigFit:
-        """Fit to the end, where a gap is among the effects from several of its sizes."""
+    def _to_the_end(self, start: State, like: RigFit, keys: Keys) -> RigFit:
+        """Fit to the end; where a gap is among the added effects, from several of its sizes."""
         news = like.likelihood.news
         fit = fit_rig(start, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
-        for effect in fit.model.effects:
-            if effect.name == BACKLASH.name:
-                fit = from_elsewhere(fit, effect.key, iterations=SETTLE, jobs=self.jobs)
+        for key in (k for k in keys if name_of(k) == BACKLASH.name):
+            fit = from_elsewhere(fit, key, iterations=SETTLE, jobs=self.jobs)
         return fit
 
     def closed(self, state: RigState) -> RigState:
@@ -316,8 +318,8 @@ class RigEvidence:
             )
             for log, n in state.fit.state.logs.items()
         }
-        fit = self._to_the_end(State(model, logs), state.fit)
-        return RigState(fit, self.held, tuple(k for k in state.keys if k not in gone))
+        keys = tuple(k for k in state.keys if k not in gone)
+        return RigState(self._to_the_end(State(model, logs), state.fit, keys), self.held, keys)
 
     def wald(self, state: RigState, key: str) -> float:
         """Square of an effect's amplitudes in standard errors; 0 where only a refit tells."""

@@ -114,8 +114,8 @@ def springs_of(
 def friction_beyond(model: RigModel, link: str) -> dict[str, float]:
     """Values that put half of what friction is unknown on the far side of a link.
 
-    Without a gap only the sum of both sides shows, and a fit leaves it where it began; through
-    a gap the far side's does not pass.
+    Without a gap the logs show only the sum of both sides. Through a gap, friction of the far
+    side does not pass.
     """
     near, far = link_sides(model, link)
     far = {body: r / model.value(f"link.{link}.ratio") for body, r in far.items()}
@@ -134,10 +134,10 @@ def friction_beyond(model: RigModel, link: str) -> dict[str, float]:
 
 
 def from_elsewhere(fit: RigFit, gap: str, *, iterations: int, jobs: int) -> RigFit:
-    """Fit a gap whose far side is not measured again from other sizes, while that fits better.
+    """Fit a gap with a hidden far side again, from other sizes, while that fits better.
 
-    When teeth meet hangs on every value before, so that a fit has many minima. A spring that is
-    too soft is often the nearest: it makes up for the size of the gap.
+    The moments at which teeth meet depend on all that came before, so such a fit has many
+    minima. A spring that is too soft is often the nearest: it makes up for the size of the gap.
     """
     link, likelihood = gap.partition("@")[2], fit.likelihood
     links = [k.name for k in fit.model.rig.links]

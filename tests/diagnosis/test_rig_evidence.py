@@ -1,7 +1,7 @@
 """Evidence for drives by rig.toml, on small machines that are simulated by other means."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -313,3 +313,47 @@ def test_a_late_sensor_is_the_sentence():
     assert said.sentence().startswith("Sensors of one motion disagree: sensor delay of speed;")
     (effect,) = said.effects
     assert effect.parameters["delay"]["value"] == pytest.approx(3 * bench.dt, rel=0.02)
+
+
+GEARED = Machine(
+    gain=1.0, emf=0.0, j1=2e-3, j2=0.2, ratio=4.0, k=300.0, c=0.3, gap=6e-3, fc=0.05, b1=0.01,
+    fc2=0.2, b2=0.1,
+)  # fmt: skip
+MESH = {
+    "pinion_runout": {"runout": 5e-4},
+    "ring_gear_eccentricity": {"eccentric": 5e-4},
+    "mesh_error": {"tooth": 3e-4},
+    "backlash_variation": {"tight": 2e-3},
+    "stiffness_variation": {"uneven": 0.3},
+}
+
+
+@pytest.mark.parametrize("name", ["ring_gear_eccentricity", "mesh_error", "backlash_variation"])
+def test_errors_of_a_mesh_between_two_encoders(name):
+    machine = replace(GEARED, **MESH[name])
+    kinds = (("steps", 0.9), ("sine", 0.7), ("steps", 0.6))
+    bench = Bench(machine, kinds, 10.0, 2e-3, counts=2**20, sensors=("position", "position2"))
+    text = bench.rig().replace("shaft.coupling", "mesh.coupling")
+    text = text.replace('inertia = "unknown"', 'inertia = "0.2 kg m^2 ± 10 %"')
+    text = text.replace('stiffness = "unknown"', 'stiffness = "300 N m/rad ± 10 %"\n'
+        'damping = "0.3 N m s/rad ± 20 %"\nhalf_gap = "6 mrad ± 10 %"')  # fmt: skip
+    for coulomb, viscous in ((0.05, 0.01), (0.2, 0.1)):
+        own = f'coulomb = "{coulomb} N m ± 12 %"\nviscous = "{viscous} N m s/rad ± 20 %"'
+        text = text.replace('viscous = "unknown"', own, 1)
+    text = re.sub(r"(\[sensor.*\])", r"\1\nabsolute = true", text)
+    rig = parse_rig(text, "rig.toml")
+    logs, held, _, _ = split(rig, balance_of(rig, logs_of(bench, rig)))
+    evidence = RigEvidence(logs, held, 1)
+    base = evidence.base(State(rough_start(RigModel(rig), logs)))
+    key = f"{name}@coupling"
+    alike = [f"{other}@coupling" for other in MESH if other != name]
+    (one,), others = (evidence.candidates(base, keys) for keys in ([key], alike))
+    assert one.gain > LEVEL
+    assert one.held_gain > LEVEL
+    assert not one.objection
+    assert one.evidence > max(c.evidence for c in others)
+    true, share = next(iter(MESH[name].values())), 300.0 if name == "stiffness_variation" else 1.0
+    found = one.fitted[1].values
+    assert np.hypot(found[f"{key}.cosine"], found[f"{key}.sine"]) == pytest.approx(
+        true * share, rel=0.2
+    )

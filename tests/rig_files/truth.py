@@ -45,6 +45,12 @@ def integrate(u, dt, fine, p, state, drift):
         bristle,
         dead,
         limit,
+        runout,
+        eccentric,
+        tooth,
+        teeth,
+        tight,
+        uneven,
     ) = p
     n = u.size
     out = np.empty((n, 4))
@@ -85,15 +91,19 @@ def integrate(u, dt, fine, p, state, drift):
                 z2 = min(bristle, max(-bristle, z2))
                 f2 += g2 / bristle * z2
             tw, rate = q1 - ratio * q2, v1 - ratio * v2
+            tw += runout * np.cos(q1) + eccentric * np.cos(q2) + tooth * np.cos(teeth * q1)
+            rate -= runout * np.sin(q1) * v1 + eccentric * np.sin(q2) * v2
+            rate -= tooth * teeth * np.sin(teeth * q1) * v1
+            half, stiffness = gap + tight * np.cos(q2), k * (1.0 + uneven * np.cos(teeth * q1))
             if gap > 0.0:
-                if tw > gap:
-                    shaft = max(k * (tw - gap) + c * rate, 0.0)
-                elif tw < -gap:
-                    shaft = min(k * (tw + gap) + c * rate, 0.0)
+                if tw > half:
+                    shaft = max(stiffness * (tw - half) + c * rate, 0.0)
+                elif tw < -half:
+                    shaft = min(stiffness * (tw + half) + c * rate, 0.0)
                 else:
                     shaft = 0.0
             else:
-                shaft = k * tw + c * rate
+                shaft = stiffness * tw + c * rate
             a1 = (torque - f1 - shaft) / j1
             a2 = (ratio * shaft - f2) / j2
             v2 += h * a2
@@ -137,6 +147,12 @@ class Machine:
     bristle: float = 1e-4
     dead: float = 0.0
     limit: float = 0.0
+    runout: float = 0.0  # rad, of the pinion
+    eccentric: float = 0.0  # rad at the pinion, of the gear
+    tooth: float = 0.0  # rad, error of each
+    teeth: float = 20.0
+    tight: float = 0.0  # rad, change of half the gap around the gear
+    uneven: float = 0.0  # share of the stiffness, once per tooth
 
     def row(self):
         values = {**self.__dict__}

@@ -7,16 +7,22 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.diagnosis.rig_shapes import (
+    frequencies,
+    orders,
+    speed_of,
+    spots,
+    unit_columns,
+)
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
-from dmptm_ctrl.drive.rig import DECLARES
+from dmptm_ctrl.drive.rig import DECLARES, Link
 from dmptm_ctrl.effects.coulomb_friction import COULOMB_FRICTION
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.effects.stribeck_friction import STRIBECK_FRICTION
 from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
-from dmptm_ctrl.identify.free_parameters import absolute, on_slide, scales_of
-from dmptm_ctrl.identify.inverse_dynamics import Balance, measured_motion
-from dmptm_ctrl.identify.measured_motion import Motion
-from dmptm_ctrl.identify.rig_fit import RigFit, residuals
+from dmptm_ctrl.identify.free_parameters import ALL, absolute, on_slide, same_twist, scales_of
+from dmptm_ctrl.identify.inverse_dynamics import measured_motion
+from dmptm_ctrl.identify.rig_fit import residuals
 from dmptm_ctrl.identify.rig_start import (
     ends_of,
     friction_beyond,
@@ -26,16 +32,11 @@ from dmptm_ctrl.identify.rig_start import (
     springs_of,
     unknown_inertias,
 )
-from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE, PlacedEffect
-from dmptm_ctrl.simulate.plant import untwisted
-from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
+from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel, angle_body
 
 Floats = NDArray[np.float64]
 
-MAX_ORDER = 400  # per turn
-SCREENED = 6  # orders and places of a screening that are looked at closely
-LEAST_PERIODS = 3.0  # in the travel, or a spring or a slope would do as well
 DELAYS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample times
 LONGEST_DELAY = 0.2  # s
 OFFSET = 0.02  # of the input's size
@@ -44,8 +45,6 @@ LIMITS = (0.95, 0.8, 0.6, 0.4)  # saturations, of the input's peak
 SPEEDS = (0.01, 0.03, 0.06, 0.12, 0.25)  # Stribeck speeds, of the highest
 SIZES = (1e-5, 1e-4, 1e-3, 1e-2)  # bristles, of the travel
 GAPS = tuple(np.geomspace(1e-5, 3e-2, 24))  # of the travel
-WIDTHS = (0.003, 0.01, 0.03)  # local spots, of the travel
-SPOT_BINS = 2048
 INELASTIC = 1.0  # damping ratio of a contact that does not bounce; the easiest to fit
 HIDDEN_MODES = 14  # antiresonances tried
 SHARES = (0.25, 0.6)  # of the inertia behind a spring, tried
@@ -76,6 +75,10 @@ def trials(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
                 continue
             if wanted(name, body) and not declared_already(model, name, body):
                 found.append(_body_effect(tangent, chain, body))
+    for link in model.rig.links:
+        for name, chain in PLACED_CATALOGUE.items():
+            if chain.site == "mesh" and wanted(name, link.name):
+                found.append(_mesh_effect(tangent, chain, link))
     return [t for t in found if t is not None]
 
 
@@ -150,22 +153,50 @@ def _body_effect(tangent: Tangent, chain: PlacedEffect, body: str) -> Trial | No
     return _linear(tangent, chain, body, shapes, ("cosine", "sine"), same)
 
 
+def _mesh_effect(tangent: Tangent, chain: PlacedEffect, link: Link) -> Trial | None:
+    """Try an error of teeth or gears where the angle that it goes with is measured."""
+    own, tangent = tangent.fit, tangent.beside_declared_meshes
+    model, balance, layout = tangent.fit.model, tangent.balance, tangent.fit.model.layout
+    body = angle_body(model, Placed(chain.name, link.name))
+    measured, _ = measured_motion(model, balance, balance.motions[0])
+    if not link.mesh or link.rigid or on_slide(model, body):
+        return None
+    if layout.coordinate[body] not in measured:
+        return None
+    if (
+        chain.name == "backlash_variation"
+        and not model.plant().link_gap[layout.links.index(link.name)]
+    ):
+        return None
+    shapes: list[dict[str, float]] = [{}]
+    if chain.effect.search == "orders":
+        pushed = unit_columns(tangent.fit, balance, chain, link.name, {"order": 0.0}, ("cosine",))
+        shapes = [{"order": n} for n in orders(tangent, body, False, pushed)]
+    same = absolute(model, balance, body)
+    found = _linear(tangent, chain, link.name, shapes, ("cosine", "sine"), same)
+    moved = {k: v for k, v in model.values.items() if v != own.model.values.get(k)}
+    twist = {log: n.twist for log, n in tangent.fit.state.logs.items()}
+    return found and replace(found, values=moved, twist=twist)
+
+
 def _shapes(tangent: Tangent, chain: PlacedEffect, body: str) -> list[dict[str, float]]:
     """Values of what has no meaning at zero amplitude, to try."""
     model, motions = tangent.fit.model, tangent.balance.motions
     search = chain.effect.search
     if search == "orders":
-        return [{"order": n} for n in _orders(tangent, body, on_slide(model, body))]
+        return [{"order": n} for n in orders(tangent, body, on_slide(model, body))]
     if search == "frequencies":
-        return [{"frequency": f} for f in _frequencies(tangent)]
+        return [{"frequency": f} for f in frequencies(tangent)]
     if search == "places":
-        return _spots(tangent, body)
+        return spots(tangent, body)
     banks = {p.name: p.bank for p in chain.keep if p.bank}
     if "time_constant" in banks:
         longest = max(float(m.time[-1]) for m in motions)
         return [{"time_constant": s * longest} for s in (0.1, 0.3, 1.0)]
     if "speed" in banks:
-        fastest = max(float(np.abs(_speed(tangent.balance, m, model, body)).max()) for m in motions)
+        fastest = max(
+            float(np.abs(speed_of(tangent.balance, m, model, body)).max()) for m in motions
+        )
         return [{"speed": s * fastest} for s in SPEEDS]
     return [{"order": n} for n in sorted(banks["order"])] if "order" in banks else [{}]
 
@@ -177,68 +208,7 @@ def _rubs(model: RigModel, body: str, laws: Sequence[str] = FRICTION) -> bool:
     return any(declared_already(model, name, body) for name in laws)
 
 
-def _speed(balance: Balance, motion: Motion, model: RigModel, body: str) -> Floats:
-    measured, _ = measured_motion(model, balance, motion)
-    layout = model.layout
-    return layout.ratio[body] * measured[layout.coordinate[body]][1]
-
-
-def _angle(balance: Balance, motion: Motion, model: RigModel, body: str) -> Floats:
-    measured, _ = measured_motion(model, balance, motion)
-    layout = model.layout
-    return layout.ratio[body] * measured[layout.coordinate[body]][0]
-
-
 # -- by amplitude: linear ----------------------------------------------------------------------
-
-
-def unit_columns(
-    fit: RigFit,
-    balance: Balance,
-    chain: PlacedEffect,
-    body: str,
-    shapes: Mapping[str, float],
-    names: tuple[str, ...],
-) -> list[Floats]:
-    """Derivative of the residual by each amplitude, per log (equations, rows, p)."""
-    model = fit.model
-    reach = untwisted(model.plant())[model.layout.coordinate[body]]
-    r = model.layout.ratio[body]
-    parts = []
-    for motion in balance.motions:
-        theta, omega = (f(balance, motion, model, body) for f in (_angle, _speed))
-        load = np.zeros_like(theta)  # what goes with it is tried at a finite size
-        slow = motion.rest_share * np.abs(omega).max(initial=0.0)
-        columns = []
-        for name in names:
-            placed = Placed(chain.name, body, {**shapes, name: 1.0})
-            if chain.site == "friction":
-                _, out = friction_along([acting_of(placed)], theta, omega, motion.time, load)
-                out = -np.sign(omega) * out * (np.abs(omega) > slow)
-            else:
-                out = torque_along([acting_of(placed)], load, theta, omega, motion.time)
-            columns.append(motion.reduce(reach * r * out))
-        parts.append(_in_equations(fit, balance, motion, body, np.array(columns).T))
-    return parts
-
-
-def _in_equations(
-    fit: RigFit, balance: Balance, motion: Motion, body: str, column: Floats
-) -> Floats:
-    """A torque on a body appears in the first equation, and in that of its own coordinate."""
-    model = fit.model
-    layout, plant = model.layout, model.plant()
-    reach = untwisted(plant)
-    group = layout.coordinate[body]
-    out = np.zeros((fit.left[0].shape[0], *column.shape))
-    out[0] = column
-    seen: list[int] = []
-    for k, point in enumerate(balance.points):
-        here = layout.coordinate[layout.sensor_body[point.name]]
-        if k > 0 and here == group and here not in seen:
-            out[k] = column * balance.heft / (reach[group] ** 2 * plant.inertia[group])
-        seen.append(here)
-    return out
 
 
 def _linear(
@@ -270,7 +240,7 @@ def _linear(
         sized = {n: max(float(a), 0.0) if low[n] >= 0 else float(a)
                  for n, a in zip(names, sizes, strict=True)}  # fmt: skip
         placed = Placed(chain.name, body, {**shape, **sized})
-        best = gain, Trial(placed, tuple(wide), names, zero)
+        best = gain, Trial(placed, tuple(wide), names, zero, gain=gain)
     return best[1] if best else None
 
 
@@ -296,89 +266,6 @@ def _common_phase(pairs: Floats, logs: list[str], order: float) -> tuple[Floats,
         for log, c in zip(logs[1:], complex_[1:], strict=True)
     }
     return np.array([first.real, -first.imag]), zero
-
-
-def _rows_of(tangent: Tangent, log: int, body: str) -> tuple[Floats, Floats, Floats]:
-    """Angle, speed and weighted residual at the rows of a log's first equation that count."""
-    motion, model = tangent.balance.motions[log], tangent.fit.model
-    use = motion.moving
-    angle, speed = (
-        np.interp(motion.rows[use], motion.time, f(tangent.balance, motion, model, body))
-        for f in (_angle, _speed)
-    )
-    return angle, speed, tangent.fit.left[log][0][use]
-
-
-def _spots(tangent: Tangent, body: str) -> list[dict[str, float]]:
-    """Places at which friction is most unlike that around, by the residual over the angle."""
-    logs = [_rows_of(tangent, k, body) for k in range(len(tangent.balance.motions))]
-    angle, speed, left = (np.concatenate(x) for x in zip(*logs, strict=True))
-    if angle.size == 0 or np.ptp(angle) == 0:
-        return []
-    slide = on_slide(tangent.fit.model, body)
-    low, span = float(angle.min()), float(np.ptp(angle))
-    if not slide and span > 2 * np.pi:
-        angle, low, span = np.mod(angle, 2 * np.pi), 0.0, 2 * np.pi
-    place = np.minimum(((angle - low) / span * SPOT_BINS).astype(int), SPOT_BINS - 1)
-    push = np.bincount(place, -np.sign(speed) * left, SPOT_BINS)
-    count = np.bincount(place, minlength=SPOT_BINS).astype(float)
-    found: list[tuple[float, dict[str, float]]] = []
-    for width in WIDTHS:
-        half = int(3 * width * SPOT_BINS)
-        bump = np.exp(-0.5 * (np.arange(-half, half + 1) / (width * SPOT_BINS)) ** 2)
-        along = np.convolve(push, bump, "same")
-        gain = along**2 / np.maximum(np.convolve(count, bump**2, "same"), 1.0)
-        gain[along > 0] = 0.0  # a spot holds
-        k = int(np.argmax(gain))
-        found.append((gain[k], {"place": low + span * (k + 0.5) / SPOT_BINS,
-                                "width": width * span}))  # fmt: skip
-    return [shape for _, shape in sorted(found, key=lambda f: -f[0])]
-
-
-def _orders(tangent: Tangent, body: str, slide: bool) -> list[float]:
-    """Orders at which the residual repeats with the angle, by FFT over the angle."""
-    balance = tangent.balance
-    logs = [_rows_of(tangent, k, body) for k in range(len(balance.motions))]
-    span = max((float(np.ptp(a)) for a, _, _ in logs if a.size), default=0.0)
-    if span <= 0:
-        return []
-    bins = 16384
-    length = 2 * span if slide else 2 * np.pi
-    orders = 2 * np.pi * np.arange(bins // 2 + 1) / length
-    power = np.zeros(orders.size)
-    slow = np.inf
-    for (angle, speed, left), motion in zip(logs, balance.motions, strict=True):
-        place = (angle - angle.min(initial=0.0)) if slide else np.mod(angle, length)
-        sums = np.bincount((place / length * bins).astype(int) % bins, left, bins)
-        fastest = 2 * np.pi * motion.bandwidth / np.maximum(orders, 1e-12)
-        seen = np.searchsorted(np.sort(np.abs(speed)), fastest) / max(speed.size, 1)
-        power += np.abs(np.fft.rfft(sums)) ** 2 / (np.maximum(seen, 0.05) * max(speed.size, 1))
-        slow = min(slow, float(np.median(np.abs(speed))) if speed.size else slow)
-    lowest = LEAST_PERIODS * 2 * np.pi / span if slide else max(
-        LEAST_PERIODS * 2 * np.pi / span, 2.0
-    )  # fmt: skip
-    highest = orders[-1] / 2 if slide else MAX_ORDER
-    highest = min(highest, 4 * np.pi * balance.bandwidth / max(slow, 1e-9))
-    peak = np.zeros(power.size, bool)
-    peak[1:-1] = (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
-    usable = np.flatnonzero(peak & (orders >= lowest) & (orders <= highest))
-    return [float(orders[i]) for i in usable[np.argsort(-power[usable])][:SCREENED]]
-
-
-def _frequencies(tangent: Tangent) -> list[float]:
-    """Frequencies at which the residual repeats with the clock."""
-    motions = tangent.balance.motions
-    grid = np.linspace(0.0, 0.8 * tangent.balance.bandwidth, 2000)[1:]
-    total = np.zeros(grid.size)
-    for left, motion in zip(tangent.fit.left, motions, strict=True):
-        size = 4 * left.shape[1]
-        if size == 0:
-            continue
-        f = np.fft.rfftfreq(size, motion.dt * motion.step)
-        total += np.interp(grid, f, np.abs(np.fft.rfft(left[0] * motion.moving, size)) ** 2)
-    longest = max(float(m.time[-1]) for m in motions)
-    top = float(grid[int(np.argmax(total))])
-    return [max(top + d / longest, 0.1 / longest) for d in (-0.4, -0.2, 0.0, 0.2, 0.4)]
 
 
 # -- at finite sizes ---------------------------------------------------------------------------
@@ -418,7 +305,7 @@ def _finite(
                      for k, v in placed.values.items()}  # fmt: skip
             placed = placed._replace(values=sized)
         if best is None or gain > best[0]:
-            best = gain, replace(trial, placed=placed, columns=parts)
+            best = gain, replace(trial, placed=placed, columns=parts, gain=gain)
     return best[1] if best else None
 
 
@@ -495,4 +382,6 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
             values |= spring_values(model, link, gap.spring)
             ratio = model.value(f"link.{link}.ratio")
             twist = {log: {link: zero / ratio} for log, zero in gap.zero.items()}
+            if same_twist(model, balance, link):
+                twist = {ALL: {link: float(np.mean([t[link] for t in twist.values()]))}}
             yield [Placed(BACKLASH.name, link, {"half_gap": gap.half_gap})], [values], twist

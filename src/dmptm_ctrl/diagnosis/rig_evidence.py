@@ -18,15 +18,10 @@ from dmptm_ctrl.diagnosis.candidate import (
     standard_error,
 )
 from dmptm_ctrl.diagnosis.impedance import loudness
-from dmptm_ctrl.diagnosis.rig_candidates import (
-    MAX_ORDER,
-    SPOT_BINS,
-    structures,
-    trials,
-    unit_columns,
-)
+from dmptm_ctrl.diagnosis.rig_candidates import structures, trials
 from dmptm_ctrl.diagnosis.rig_curves import curve_columns, mean_square, variables_of
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
+from dmptm_ctrl.diagnosis.rig_shapes import MAX_ORDER, SPOT_BINS, unit_columns
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.diagnosis.select import Selection, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
@@ -140,7 +135,7 @@ class RigEvidence:
         if only is not None:
             named = [self._fitted(state, (t,), FIRST) for t in trials(state.tangent, only)]
             return [*named, *self._structures(state, only)]
-        steps = sorted(state.trials, key=lambda t: -state.tangent.score(t.columns)[0])
+        steps = sorted(state.trials, key=lambda t: -t.gain)
         judged = [self._fitted(state, (t,), FIRST) for t in steps[:FITTED]]
         rough = ranked([self._first_order(state, t) for t in steps[FITTED:]])
         # none is chosen that was not fitted

@@ -29,7 +29,7 @@ from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
-from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel, angle_body
 
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Overlay
@@ -241,6 +241,7 @@ def variable_of(model: RigModel, key: str) -> str:
     if kind not in ("theta", "omega", "mesh"):
         return wanted
     layout = model.layout
-    links = {k.name: k.first for k in model.rig.links}
-    places = {**layout.sensor_body, **layout.input_body, **links}
-    return f"{'theta' if kind == 'mesh' else kind}:{places.get(on, on)}"
+    places = {**layout.sensor_body, **layout.input_body}
+    here = angle_body(model, Placed(name, on))
+    body = here if PLACED_CATALOGUE[name].place == "link" else places.get(on, here)
+    return f"{'theta' if kind == 'mesh' else kind}:{body}"

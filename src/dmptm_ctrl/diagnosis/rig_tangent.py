@@ -1,17 +1,19 @@
 """An effect at a place, and the residual that it is held against."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
-from dmptm_ctrl.identify.rig_fit import RigFit, State, prior_rows
+from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, prior_rows
 from dmptm_ctrl.simulate.rig_model import Placed
 
 Floats = NDArray[np.float64]
+LOOK = 6  # iterations of a fit whose meshes are held
 Parts = tuple[Floats, ...]  # (equations, rows, k) per log
 
 
@@ -31,6 +33,8 @@ class Trial:
         Shift of the angle in logs after the first.
     values, twist : mapping
         Declared quantities that change with it, and twists per log.
+    gain : float
+        Fall of −2 log-likelihood to first order.
     """
 
     placed: Placed
@@ -39,6 +43,7 @@ class Trial:
     zero: Mapping[str, float] = field(default_factory=dict)
     values: Mapping[str, float] = field(default_factory=dict)
     twist: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    gain: float = 0.0
 
     @property
     def key(self) -> str:
@@ -66,6 +71,20 @@ class Tangent:
     def balance(self) -> Balance:
         """Logs that were fitted."""
         return self.fit.likelihood.balance
+
+    @cached_property
+    def beside_declared_meshes(self) -> "Tangent":
+        """The same of a fit whose meshes are as declared: errors of teeth bend them."""
+        model = self.fit.model
+        meshes = [f"link.{k.name}." for k in model.rig.links if k.mesh and not k.rigid]
+        known = {
+            key: q.value for key, q in model.quantities.items()
+            if isfinite(q.value) and any(map(key.startswith, meshes))
+        }  # fmt: skip
+        state = replace(self.fit.state, model=model.with_values(known))
+        rest = [f for f in self.fit.frees if f.label not in known]
+        news = self.fit.likelihood.news
+        return Tangent(fit_rig(state, self.balance, frees=rest, iterations=LOOK, news=news))
 
     @cached_property
     def weights(self) -> Floats:

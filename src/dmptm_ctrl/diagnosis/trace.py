@@ -7,6 +7,7 @@ best of its bank of shapes; what it lowers the loss by is its evidence.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -274,8 +275,8 @@ def starts(trace: Trace, effect: Effect) -> list[dict[str, float]]:
     if effect.search:
         shapes = SEARCHES[effect.search](trace, effect)
     elif effect.shapes and not effect.ringing:
-        (shape,) = (p for p in effect.parameters if len(p.bank) > 1)
-        shapes = [{shape.name: value} for value in shape.bank]
+        banks = [p.bank for p in effect.parameters if p.bank]
+        shapes = [dict(zip(effect.shapes, values, strict=True)) for values in product(*banks)]
     else:
         shapes = [{}]
     if len(shapes) > STARTS:

@@ -50,4 +50,5 @@ BACKLASH_VARIATION = Effect(
     depends_on=("theta_L",),
     reveals="reversals at many ring-gear angles",
     seen_by=MOTOR_ENCODERS,
+    wave=True,
 )

@@ -1,6 +1,6 @@
 """Mesh error: tooth-to-tooth error and varying stiffness, once per tooth.
 
-z += C cos(z3 θp) + S sin(z3 θp), each pinion with its own
+z += C cos(n θp) + S sin(n θp), n teeth of the pinion, each pinion with its own
 """
 
 from math import cos, sin
@@ -10,7 +10,7 @@ from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
 
-TEETH = 20.0  # z3, Table 1
+TEETH = 20.0  # z3, Table 1: of the dual-motor drive
 
 
 class MeshError(NamedTuple):
@@ -20,6 +20,7 @@ class MeshError(NamedTuple):
     left_sine: float  # rad
     right_cosine: float  # rad
     right_sine: float  # rad
+    order: float  # per turn of the pinion, n
 
 
 @njit
@@ -29,9 +30,9 @@ def tooth_shift(theta_p, omega_p, theta_L, omega_L, side, p):
         cosine, sine = p.left_cosine, p.left_sine
     else:
         cosine, sine = p.right_cosine, p.right_sine
-    phase = TEETH * theta_p
+    phase = p.order * theta_p
     c, s = cos(phase), sin(phase)
-    return cosine * c + sine * s, TEETH * (sine * c - cosine * s) * omega_p, 0.0, 0.0
+    return cosine * c + sine * s, p.order * (sine * c - cosine * s) * omega_p, 0.0, 0.0
 
 
 MESH_ERROR = Effect(
@@ -43,10 +44,12 @@ MESH_ERROR = Effect(
         Parameter("left_sine", "rad", -5e-3, 5e-3, 2e-5),
         Parameter("right_cosine", "rad", -5e-3, 5e-3, 2e-5),
         Parameter("right_sine", "rad", -5e-3, 5e-3, 2e-5),
+        Parameter("order", "1/turn", 1.0, 400.0, 1.0, (TEETH,), fixed=True),
     ),
     values=MeshError,
     location="pinions",
     source="first harmonic of the tooth-to-tooth error; phase by mesh angle (Eq. 23, erratum)",
     depends_on=("theta_m",),
     reveals="slow constant speed with motor encoders",
+    wave=True,
 )

@@ -47,4 +47,5 @@ PINION_RUNOUT = Effect(
     depends_on=("theta_m",),
     reveals="several turns with motor encoders",
     seen_by=MOTOR_ENCODERS,
+    wave=True,
 )

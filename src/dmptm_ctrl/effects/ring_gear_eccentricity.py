@@ -44,4 +44,5 @@ RING_GEAR_ECCENTRICITY = Effect(
     depends_on=("theta_L",),
     reveals="a full turn with motor encoders",
     seen_by=MOTOR_ENCODERS,
+    wave=True,
 )

@@ -12,9 +12,10 @@ from dmptm_ctrl.identify.fit import PRIOR_SHARE
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
-from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel
+from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel, angle_body
 
 OFFSET = DRIVE_OFFSET.name
+ALL = ""  # in place of a log: what belongs to all of them
 LEAST_SCALE = 0.01  # of the typical size of a quantity
 WIDEST = 0.1  # of the travel; of a local spot
 SHARES = 0.005, 0.99  # of the inertia behind a spring
@@ -187,8 +188,12 @@ def log_parameters(model: RigModel, balance: Balance, log: str, reference: str) 
     seen = {layout.coordinate[layout.sensor_body[p.name]] for p in balance.points}
     for k, link in enumerate(layout.links):
         ends = [layout.bodies[i] for i in model.plant().link_body[k]]
-        if all(layout.coordinate[b] in seen for b in ends):
+        if not all(layout.coordinate[b] in seen for b in ends):
+            continue
+        if not same_twist(model, balance, link):
             frees.append(Free("twist", log, link, -inf, inf, 1e-3))
+        elif log == reference:  # the same zeros in every log
+            frees.append(Free("twist", ALL, link, -inf, inf, 1e-3))
     for effect in model.effects:
         if log != reference and has_phase(model, balance, effect):
             size = 0.1 / effect.values.get("order", 1.0)
@@ -196,11 +201,20 @@ def log_parameters(model: RigModel, balance: Balance, log: str, reference: str) 
     return frees
 
 
+def same_twist(model: RigModel, balance: Balance, link: str) -> bool:
+    """Whether the angles of both ends of a link have the same zeros in every log."""
+    layout, plant = model.layout, model.plant()
+    ends = plant.link_body[layout.links.index(link)]
+    return all(absolute(model, balance, layout.bodies[i]) for i in ends)
+
+
 def has_phase(model: RigModel, balance: Balance, effect: Placed) -> bool:
     """Whether an effect goes with the angle, of which each log has its own zero."""
     chain = PLACED_CATALOGUE[effect.name]
     slope = chain.site == "friction" and on_slide(model, effect.on)
-    return chain.effect.wave and not slope and not absolute(model, balance, effect.on)
+    return (
+        chain.effect.wave and not slope and not absolute(model, balance, angle_body(model, effect))
+    )
 
 
 def absolute(model: RigModel, balance: Balance, body: str) -> bool:

@@ -339,7 +339,7 @@ def _links(
     u = np.array([motion.u[name] for name in layout.inputs])
     everything = len(measured) == layout.coordinates
     run = march(
-        model,
+        model.shifted(nuisance.zero) if nuisance.zero else model,
         u,
         motion.dt,
         position=position,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.identify.fit import least_in_box, secant
-from dmptm_ctrl.identify.free_parameters import Free, free_parameters, scales_of
+from dmptm_ctrl.identify.free_parameters import ALL, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
 from dmptm_ctrl.parallel import in_threads, small_matrices
 from dmptm_ctrl.simulate.model import Floats
@@ -35,8 +35,9 @@ class State:
     logs: Mapping[str, Nuisance] = field(default_factory=dict)
 
     def nuisance(self, log: str) -> Nuisance:
-        """What belongs to a log."""
-        return self.logs.get(log, NONE)
+        """What belongs to a log, and to all of them."""
+        own, every = self.logs.get(log, NONE), self.logs.get(ALL, NONE)
+        return replace(own, twist={**every.twist, **own.twist}) if every.twist else own
 
     def without(self, keys: Iterable[str]) -> "State":
         """Return the state without the effects of these keys."""
@@ -234,7 +235,7 @@ def jacobian(
             step = -step
         there = state.moved([free], [here + step])
         for k, motion in enumerate(balance.motions):
-            if free.kind in ("zero", "twist") and free.owner != motion.name:
+            if free.kind in ("zero", "twist") and free.owner not in (ALL, motion.name):
                 continue
             try:
                 moved, _ = _one(there, balance, k)

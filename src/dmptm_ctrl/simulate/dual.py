@@ -6,6 +6,7 @@ at the pinion. Bodies: pinions, ring gear, motors.
 
 from collections.abc import Callable
 from functools import partial
+from math import cos, sin
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -128,7 +129,7 @@ def dual_plant(model: "Model") -> Plant:
         for body in (*PINIONS, RING):
             distance, share, ratio = zip(*said("presliding", body), strict=True)
             slow[body] = sum(distance), max(share), max(ratio)
-    gain = d["K_d"] * d["K_M"]
+    gain, k_a, phase = d["K_d"] * d["K_M"], d["k_a"], d["phi_r"]
     delay = [sum(said("delay", side)) for side in (0, 1)]
     return Plant(
         np.array(inertia),
@@ -146,8 +147,8 @@ def dual_plant(model: "Model") -> Plant:
         *_SENSORS,
         np.array([0.0, sum(said("sensor_delay")), 0.0, 0.0]),
         known.places,
-        np.append(on, np.uint8(d["k_a"] != 0.0)),
-        np.concatenate([values, [d["k_a"], d["z_3"], d["phi_r"]]]),
+        np.append(on, np.uint8(k_a != 0.0)),
+        np.concatenate([values, [k_a * cos(phase), -k_a * sin(phase), d["z_3"]]]),
     )
 
 

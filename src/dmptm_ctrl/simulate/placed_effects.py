@@ -106,12 +106,14 @@ def whole(effect: Effect) -> PlacedEffect:
     return PlacedEffect(effect, effect.parameters, tuple(range(len(effect.parameters))), told)
 
 
-def _one_side(name: str, names: dict[str, str], told: int = 0) -> PlacedEffect:
+def _one_side(name: str, names: dict[str, str], told: int = 0, search: str = "") -> PlacedEffect:
     """Return an effect with parameters per side, reduced to one side.
 
-    `names` maps the kernel's parameters to those of a place; the others are zero.
+    `names` maps the kernel's parameters to those of a place; the others are zero. `search`
+    is how its shape is found, where it is another way than the effect's own.
     """
     effect = effect_of(name)
+    effect = effect._replace(search=search or effect.search)
     keep = [p._replace(name=names[p.name]) for p in effect.parameters if p.name in names]
     kept = [p.name for p in keep]
     fields = [kept.index(names[p.name]) if p.name in names else 0.0 for p in effect.parameters]
@@ -120,7 +122,9 @@ def _one_side(name: str, names: dict[str, str], told: int = 0) -> PlacedEffect:
 
 _DRIFT, _LOAD = effect_of("thermal_drift"), effect_of("load_dependent_friction")
 _SHAFT = effect_of("shaft_compliance")
-_COGGING = {"left_cosine": "cosine", "left_sine": "sine", "order": "order"}
+_WAVE = {"left_cosine": "cosine", "left_sine": "sine", "order": "order"}
+_GAP = {"cosine": "cosine", "sine": "sine"}  # of one mesh
+_TEETH = "orders"  # search of numbers that no file states
 
 PLACED_CATALOGUE: dict[str, PlacedEffect] = {
     chain.name: chain
@@ -139,7 +143,7 @@ PLACED_CATALOGUE: dict[str, PlacedEffect] = {
         ),
         *(whole(effect_of(name)) for name in ("quadratic_drag", "unbalance", "cable_spring")),
         whole(effect_of("base_vibration")),
-        _one_side("cogging", _COGGING),
+        _one_side("cogging", _WAVE),
         _one_side("drive_offset", {"left": "offset"}),
         *(whole(effect_of(f"drive_{name}")) for name in ("dead_band", "saturation")),
         *(whole(effect_of(name)) for name in ("current_lag", "drive_delay")),
@@ -150,6 +154,11 @@ PLACED_CATALOGUE: dict[str, PlacedEffect] = {
             (0, 1, 2),
         ),
         whole(BACKLASH),
+        _one_side("pinion_runout", _WAVE),
+        whole(effect_of("ring_gear_eccentricity")),
+        _one_side("mesh_error", _WAVE, search=_TEETH),
+        _one_side("backlash_variation", _GAP),
+        whole(effect_of("stiffness_variation")._replace(search=_TEETH)),
         *(whole(effect_of(f"sensor_{name}")) for name in ("delay", "gain")),
         whole(effect_of("encoder_eccentricity")),
     )

@@ -255,12 +255,10 @@ def _build(model: RigModel) -> tuple[Plant, Layout]:
     joints = [_joint(model, link.name) for link in rig.links]
     sensor_body = {s.name: s.body for s in rig.sensors}
     input_body = {i.name: i.body for i in rig.inputs}
-    for effect in model.effects:
-        if effect.name == "shaft_compliance":
-            joints = _soften(rig, effect, inertia, joints, sensor_body, input_body)
-    for effect in model.effects:
-        if effect.name == "backlash":
-            joints = [_with_gap(j, effect) if j.name == effect.on else j for j in joints]
+    for effect in (e for e in model.effects if e.name == "shaft_compliance"):
+        joints = _soften(rig, effect, inertia, joints, sensor_body, input_body)
+    for effect in (e for e in model.effects if PLACED_CATALOGUE[e.name].place == "link"):
+        joints = [_with_effect(j, effect) if j.name == effect.on else j for j in joints]
     bodies = tuple(inertia)
     root = input_body[rig.inputs[0].name]
     coordinate, ratio = _coordinates(bodies, joints, root)
@@ -370,9 +368,19 @@ def link_sides(model: RigModel, link: str) -> tuple[dict[str, float], dict[str, 
     return near, far
 
 
-def _with_gap(joint: _Joint, effect: Placed) -> _Joint:
+def angle_body(model: RigModel, effect: Placed) -> str:
+    """Body whose angle an effect goes with: in a mesh the pinion comes first, the gear second."""
+    chain, name = PLACED_CATALOGUE[effect.name], effect.on
+    for link in (k for k in model.rig.links if chain.place == "link" and k.name == name):
+        return link.second if "theta_L" in chain.effect.depends_on else link.first
+    return name
+
+
+def _with_effect(joint: _Joint, effect: Placed) -> _Joint:
     if joint.row is None:
-        raise ValueError(f"backlash on {joint.name}, which is rigid; give it a stiffness")
+        raise ValueError(f"{effect.name} on {joint.name}, which is rigid; give it a stiffness")
+    if effect.name != "backlash":
+        return joint
     half_gap = joint.row[3] + effect.values.get("half_gap", 0.0)
     return joint._replace(row=(*joint.row[:3], half_gap), law=joint.law or GAP)
 

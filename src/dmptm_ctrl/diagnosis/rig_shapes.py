@@ -1,0 +1,208 @@
+"""What effects change of the balances of a rig, and shapes at which they explain most."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.diagnosis.rig_tangent import Tangent
+from dmptm_ctrl.identify.free_parameters import on_slide, scales_of
+from dmptm_ctrl.identify.inverse_dynamics import Balance, measured_motion
+from dmptm_ctrl.identify.measured_motion import Motion
+from dmptm_ctrl.identify.rig_fit import RigFit, residuals
+from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
+from dmptm_ctrl.simulate.placed_effects import PlacedEffect
+from dmptm_ctrl.simulate.plant import untwisted
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+
+Floats = NDArray[np.float64]
+
+MAX_ORDER = 400  # per turn
+SCREENED = 6  # orders and places of a screening that are looked at closely
+LEAST_PERIODS = 3.0  # in the travel, or a spring or a slope would do as well
+WIDTHS = (0.003, 0.01, 0.03)  # local spots, of the travel
+SPOT_BINS = 2048
+SMALL = 0.01  # of the wind-up of a mesh or of its stiffness: a difference step
+
+
+def speed_of(balance: Balance, motion: Motion, model: RigModel, body: str) -> Floats:
+    measured, _ = measured_motion(model, balance, motion)
+    layout = model.layout
+    return layout.ratio[body] * measured[layout.coordinate[body]][1]
+
+
+def angle_of(balance: Balance, motion: Motion, model: RigModel, body: str) -> Floats:
+    measured, _ = measured_motion(model, balance, motion)
+    layout = model.layout
+    return layout.ratio[body] * measured[layout.coordinate[body]][0]
+
+
+def unit_columns(
+    fit: RigFit,
+    balance: Balance,
+    chain: PlacedEffect,
+    body: str,
+    shapes: Mapping[str, float],
+    names: tuple[str, ...],
+) -> list[Floats]:
+    """Derivative of the residual by each amplitude, per log (equations, rows, p)."""
+    if chain.place == "link":
+        return _mesh_columns(fit, balance, chain, body, shapes, names)
+    model = fit.model
+    reach = untwisted(model.plant())[model.layout.coordinate[body]]
+    r = model.layout.ratio[body]
+    parts = []
+    for motion in balance.motions:
+        theta, omega = (f(balance, motion, model, body) for f in (angle_of, speed_of))
+        load = np.zeros_like(theta)  # what goes with it is tried at a finite size
+        slow = motion.rest_share * np.abs(omega).max(initial=0.0)
+        columns = []
+        for name in names:
+            placed = Placed(chain.name, body, {**shapes, name: 1.0})
+            if chain.site == "friction":
+                _, out = friction_along([acting_of(placed)], theta, omega, motion.time, load)
+                out = -np.sign(omega) * out * (np.abs(omega) > slow)
+            else:
+                out = torque_along([acting_of(placed)], load, theta, omega, motion.time)
+            columns.append(motion.reduce(reach * r * out))
+        parts.append(_in_equations(fit, balance, motion, body, np.array(columns).T))
+    return parts
+
+
+def _mesh_columns(
+    fit: RigFit,
+    balance: Balance,
+    chain: PlacedEffect,
+    link: str,
+    shapes: Mapping[str, float],
+    names: tuple[str, ...],
+) -> list[Floats]:
+    """Do so for an effect on a link, by differences: bodies that nothing measures move with it."""
+    bare = fit.state.without([Placed(chain.name, link).key])
+    stiffness = bare.model.value(f"link.{link}.stiffness")
+    wind = scales_of(balance).force / stiffness
+    units = {p.name: p.unit for p in chain.keep}
+    left, columns = residuals(bare, balance)[0], []
+    for name in names:
+        step = SMALL * (wind if units[name] == "rad" else stiffness)
+        placed = Placed(chain.name, link, {**shapes, name: step})
+        moved, _ = residuals(replace(bare, model=bare.model.with_effect(placed)), balance)
+        columns.append([(m - e) / step for m, e in zip(moved, left, strict=True)])
+    return [np.stack(parts, axis=-1) for parts in zip(*columns, strict=True)]
+
+
+def _in_equations(
+    fit: RigFit, balance: Balance, motion: Motion, body: str, column: Floats
+) -> Floats:
+    """A torque on a body appears in the first equation, and in that of its own coordinate."""
+    model = fit.model
+    layout, plant = model.layout, model.plant()
+    reach = untwisted(plant)
+    group = layout.coordinate[body]
+    out = np.zeros((fit.left[0].shape[0], *column.shape))
+    out[0] = column
+    seen: list[int] = []
+    for k, point in enumerate(balance.points):
+        here = layout.coordinate[layout.sensor_body[point.name]]
+        if k > 0 and here == group and here not in seen:
+            out[k] = column * balance.heft / (reach[group] ** 2 * plant.inertia[group])
+        seen.append(here)
+    return out
+
+
+def rows_of(tangent: Tangent, log: int, body: str) -> tuple[Floats, Floats, Floats]:
+    """Angle, speed and weighted residual at the rows of a log's first equation that count."""
+    motion, model = tangent.balance.motions[log], tangent.fit.model
+    use = motion.moving
+    angle, speed = (
+        np.interp(motion.rows[use], motion.time, f(tangent.balance, motion, model, body))
+        for f in (angle_of, speed_of)
+    )
+    return angle, speed, tangent.fit.left[log][0][use]
+
+
+def spots(tangent: Tangent, body: str) -> list[dict[str, float]]:
+    """Places at which friction is most unlike that around, by the residual over the angle."""
+    logs = [rows_of(tangent, k, body) for k in range(len(tangent.balance.motions))]
+    angle, speed, left = (np.concatenate(x) for x in zip(*logs, strict=True))
+    if angle.size == 0 or np.ptp(angle) == 0:
+        return []
+    slide = on_slide(tangent.fit.model, body)
+    low, span = float(angle.min()), float(np.ptp(angle))
+    if not slide and span > 2 * np.pi:
+        angle, low, span = np.mod(angle, 2 * np.pi), 0.0, 2 * np.pi
+    place = np.minimum(((angle - low) / span * SPOT_BINS).astype(int), SPOT_BINS - 1)
+    push = np.bincount(place, -np.sign(speed) * left, SPOT_BINS)
+    count = np.bincount(place, minlength=SPOT_BINS).astype(float)
+    found: list[tuple[float, dict[str, float]]] = []
+    for width in WIDTHS:
+        half = int(3 * width * SPOT_BINS)
+        bump = np.exp(-0.5 * (np.arange(-half, half + 1) / (width * SPOT_BINS)) ** 2)
+        along = np.convolve(push, bump, "same")
+        gain = along**2 / np.maximum(np.convolve(count, bump**2, "same"), 1.0)
+        gain[along > 0] = 0.0  # a spot holds
+        k = int(np.argmax(gain))
+        found.append((gain[k], {"place": low + span * (k + 0.5) / SPOT_BINS,
+                                "width": width * span}))  # fmt: skip
+    return [shape for _, shape in sorted(found, key=lambda f: -f[0])]
+
+
+def orders(
+    tangent: Tangent, body: str, slide: bool, pushed: Sequence[Floats] | None = None
+) -> list[float]:
+    """Orders at which the residual repeats with the angle, by FFT over the angle.
+
+    `pushed` is what a constant amplitude changes of all equations, (equations, rows, 1) per log;
+    by default of the first, everywhere alike. In the first, mesh torques cancel.
+    """
+    balance = tangent.balance
+    logs = [rows_of(tangent, k, body) for k in range(len(balance.motions))]
+    if pushed is not None:
+        weights = tangent.fit.likelihood.scales(tangent.fit.left) ** -2.0
+        weights[0] *= len(weights) == 1
+        rows = zip(logs, tangent.fit.left, pushed, balance.motions, strict=True)
+        logs = [
+            (angle, speed, np.einsum("er,er,e->r", own, push[..., 0], weights)[motion.moving])
+            for (angle, speed, _), own, push, motion in rows
+        ]
+    span = max((float(np.ptp(a)) for a, _, _ in logs if a.size), default=0.0)
+    if span <= 0:
+        return []
+    bins = 16384
+    length = 2 * span if slide else 2 * np.pi
+    counts = 2 * np.pi * np.arange(bins // 2 + 1) / length
+    power = np.zeros(counts.size)
+    slow = np.inf
+    for (angle, speed, left), motion in zip(logs, balance.motions, strict=True):
+        place = (angle - angle.min(initial=0.0)) if slide else np.mod(angle, length)
+        sums = np.bincount((place / length * bins).astype(int) % bins, left, bins)
+        fastest = 2 * np.pi * motion.bandwidth / np.maximum(counts, 1e-12)
+        seen = np.searchsorted(np.sort(np.abs(speed)), fastest) / max(speed.size, 1)
+        power += np.abs(np.fft.rfft(sums)) ** 2 / (np.maximum(seen, 0.05) * max(speed.size, 1))
+        slow = min(slow, float(np.median(np.abs(speed))) if speed.size else slow)
+    lowest = LEAST_PERIODS * 2 * np.pi / span if slide else max(
+        LEAST_PERIODS * 2 * np.pi / span, 2.0
+    )  # fmt: skip
+    highest = counts[-1] / 2 if slide else MAX_ORDER
+    highest = min(highest, 4 * np.pi * balance.bandwidth / max(slow, 1e-9))
+    peak = np.zeros(power.size, bool)
+    peak[1:-1] = (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
+    usable = np.flatnonzero(peak & (counts >= lowest) & (counts <= highest))
+    return [float(counts[i]) for i in usable[np.argsort(-power[usable])][:SCREENED]]
+
+
+def frequencies(tangent: Tangent) -> list[float]:
+    """Frequencies at which the residual repeats with the clock."""
+    motions = tangent.balance.motions
+    grid = np.linspace(0.0, 0.8 * tangent.balance.bandwidth, 2000)[1:]
+    total = np.zeros(grid.size)
+    for left, motion in zip(tangent.fit.left, motions, strict=True):
+        size = 4 * left.shape[1]
+        if size == 0:
+            continue
+        f = np.fft.rfftfreq(size, motion.dt * motion.step)
+        total += np.interp(grid, f, np.abs(np.fft.rfft(left[0] * motion.moving, size)) ** 2)
+    longest = max(float(m.time[-1]) for m in motions)
+    top = float(grid[int(np.argmax(total))])
+    return [max(top + d / longest, 0.1 / longest) for d in (-0.4, -0.2, 0.0, 0.2, 0.4)]

@@ -32,7 +32,7 @@ BOTH = Controller(
 
 @pytest.fixture(scope="module")
 def tuned():
-    return tune_controller(MODEL, uncertainty=0.5, plants=48, n_jobs=1)
+    return tune_controller(MODEL, uncertainty=0.5, plants=24, n_jobs=1)
 
 
 def test_tuning_is_better_over_the_plants_and_stays_in_the_margins(tuned):
@@ -59,7 +59,7 @@ def test_strong_cogging_leaves_a_linear_start():
         fastest_pi(linear_plant(model), 55.0, 9.0)
     duty = usual_duty()
     aims = Aims(duty=duty._replace(reference=duty.reference[:900]))
-    found = tune_controller(model, aims, uncertainty=0.25, plants=2, n_jobs=1)
+    found = tune_controller(model, aims, uncertainty=0.25, plants=1, n_jobs=1)
     assert found.linear.crossover_hz > 10.0
     assert np.isfinite(found.errors).all()
 

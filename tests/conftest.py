@@ -46,8 +46,23 @@ simulate_batch([Model()] * 40, np.arange(9) * 1e-3, np.zeros((2, 9)), n_jobs=1)
 
 
 def pytest_sessionstart(session):
+    """Compile them while tests are collected, and wait before any of them runs."""
     if not hasattr(session.config, "workerinput") and not session.config.option.collectonly:
-        subprocess.run([sys.executable, "-c", LANES], check=True)
+        session.config.lanes = subprocess.Popen([sys.executable, "-c", LANES])
+
+
+def lanes_are_there(config):
+    if (compiling := getattr(config, "lanes", None)) and compiling.wait() != 0:
+        raise pytest.UsageError("the lanes do not compile")
+
+
+def pytest_collection_finish(session):
+    lanes_are_there(session.config)
+
+
+@pytest.hookimpl(optionalhook=True)  # of xdist, before it hands out the first test
+def pytest_xdist_node_collection_finished(node):
+    lanes_are_there(node.config)
 
 
 @pytest.hookimpl(optionalhook=True)  # of xdist

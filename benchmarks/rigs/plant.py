@@ -114,23 +114,21 @@ def derivative(time, y, dy, p, m, volts, mode, decide):
 
 @njit(cache=True)
 def advance(time, step, y, p, m, volts, mode, work):
-    """One Runge-Kutta step in place; work is (6, STATES) of scratch."""
+    """One Runge-Kutta step in place; work is (3, STATES) of scratch."""
     trial, total, k = work[0], work[1], work[2]
-    derivative(time, y, k, p, m, volts, mode, True)
     for j in range(STATES):
-        total[j] = k[j]
-        trial[j] = y[j] + 0.5 * step * k[j]
-    derivative(time + 0.5 * step, trial, k, p, m, volts, mode, False)
+        trial[j], total[j] = y[j], 0.0
+    for stage in range(4):
+        first, last = stage == 0, stage == 3
+        ahead = 0.0 if first else step if last else 0.5 * step
+        # called at one place and not at four: it is long to compile
+        derivative(time + ahead, trial, k, p, m, volts, mode, first)
+        ahead = 0.5 * step if stage < 2 else step
+        for j in range(STATES):
+            total[j] += k[j] if first or last else 2.0 * k[j]
+            trial[j] = y[j] + ahead * k[j]
     for j in range(STATES):
-        total[j] += 2.0 * k[j]
-        trial[j] = y[j] + 0.5 * step * k[j]
-    derivative(time + 0.5 * step, trial, k, p, m, volts, mode, False)
-    for j in range(STATES):
-        total[j] += 2.0 * k[j]
-        trial[j] = y[j] + step * k[j]
-    derivative(time + step, trial, k, p, m, volts, mode, False)
-    for j in range(STATES):
-        y[j] += step / 6.0 * (total[j] + k[j])
+        y[j] += step / 6.0 * total[j]
     for i in range(3):
         if mode[i] != 0.0 and mode[i] * y[SPEED + i] <= 0.0:
             y[SPEED + i] = 0.0
@@ -236,6 +234,7 @@ def record_log(p, signal, closed, gains, preload, start, noise, substeps):
             command = min(CLIP, max(-CLIP, gains[0] * error + gains[1] * integral))
         out[0, k] = command + preload
         out[1, k] = command - preload
-        out[2:, k] = seen
+        for i in range(4):
+            out[2 + i, k] = seen[i]
         filtered = hold(p, y, m, mode, out, k, n, substeps, history, filtered, work)
     return out

@@ -97,7 +97,7 @@ def test_blocks_are_compiled(visible, smooth):
     A drive or sensor delay is exact in the compiled loop and a Padé approximation in the
     blocks; what that leaves is 0.2 % of the range.
     """
-    time, u, x0 = smooth
+    time, u, x0 = smooth[0][:61], smooth[1][:, :61], smooth[2]
     (name,) = visible.effects
     site = CATALOGUE[name].site
     found = simulate(visible, time, u, x0, method="blocks", rtol=1e-7, atol=1e-10).outputs

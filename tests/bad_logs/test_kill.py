@@ -19,7 +19,7 @@ from dmptm_ctrl.signals.atomic import output_folder
 BENCH = Bench(Machine(fc=0.03), kinds=(("steps", 6.0), ("sine", 5.0)), seconds=4.0)
 FILES = {"diagnosis.json", "model.toml", "report.html"}
 WRITES = {"open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.truncate"}
-KILLS = 2
+KILLS = 1
 watch = []  # called before each event of the interpreter that may change a file
 
 

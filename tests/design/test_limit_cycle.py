@@ -83,10 +83,13 @@ def simulated(model, kp, ki):
     [
         (GAP, 0.0, 8.0, 300.0),  # just outside the gap: pulses, which take many harmonics
         (2e-3, 0.3, 18.7, 1500.0),  # near a fold: a thousandth of the torque is 5 % in frequency
-        (GAP, 1.0, 8.0, 6000.0),  # the ring sticks at times
     ],
 )
 def test_predicted_cycle_is_the_simulated_one(gap, dry, kp, ki):
+    predicted_is_simulated(gap, dry, kp, ki)
+
+
+def predicted_is_simulated(gap, dry, kp, ki):
     model = drive(gap, dry)
     hz, amplitude, twist = simulated(model, kp, ki)
     cycles = limit_cycles(model, kp, ki, check=False)

@@ -139,6 +139,7 @@ def written(tmp_path_factory):
     for name in SHORT:
         shutil.copy(DEMO / f"{name}.csv.gz", folder / "logs")
     arguments = ["diagnose", str(folder / "logs"), "--out", str(folder / "out"), "--seed", "5"]
+    arguments += ["--jobs", "2"]
     with redirect_stdout(io.StringIO()) as printed:
         assert main(arguments) == 0
     (folder / "printed.txt").write_text(printed.getvalue(), encoding="utf-8")
@@ -163,6 +164,16 @@ def test_files_and_keys(written, found):
     assert found["verdict"] in {"none", "explained", "unknown"}
     assert found["verdict"] == "explained"
     assert set(found["depends_on"]) <= VARIABLES
+
+
+def test_threads_change_nothing(found):
+    """One set of logs has one verdict, to the bit, on any number of threads."""
+    logs = dmptm_ctrl.load_logs([DEMO / f"{name}.csv.gz" for name in sorted(SHORT)])
+    alone = json.loads(json.dumps(dmptm_ctrl.diagnose(logs, jobs=1).to_dict()))
+    assert alone["effects"]
+    assert {k: v for k, v in alone.items() if k != "provenance"} == {
+        k: v for k, v in found.items() if k != "provenance"
+    }
 
 
 def test_effects(found):

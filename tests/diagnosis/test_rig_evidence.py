@@ -166,7 +166,7 @@ def test_loss_is_that_of_a_normal_distribution(rubbing):
     (rows,) = likelihood.parts(left)
     s = np.hypot(np.sqrt(np.mean(rows**2)), likelihood.floor)
     expected = 0.5 * np.sum(2 * np.log(s) + (rows / s) ** 2)
-    assert likelihood.surprise(left) == pytest.approx(expected, rel=1e-12)
+    assert likelihood.surprise(left, base.fit.model) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.8])

@@ -67,7 +67,12 @@ def full(*shape):
     return model
 
 
-FULL = full()  # beside it any drive of the shape runs in an engine that is there already
+# beside it any drive of the shape runs in an engine that is there already
+FULL = full().with_values(k_a=9e3, phi_r=0.3)
+# Alone they would have engines of their own; they stand among all effects, and
+# `test_observer` has one of them alone.
+AMONG_OTHERS = ("reducer_compliance", "sensor_delay")
+ALONE = [name for name in CATALOGUE if name not in AMONG_OTHERS]
 
 
 def lanes(models, u):
@@ -75,10 +80,10 @@ def lanes(models, u):
     return runs.outputs[: len(models)].transpose(0, 2, 1)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=20, deadline=None, derandomize=True)
 @given(
     data=st.data(),
-    names=st.lists(st.sampled_from([None, *CATALOGUE]), min_size=1, max_size=9),
+    names=st.lists(st.sampled_from([None, *ALONE]), min_size=1, max_size=9),
     amplitude=st.floats(0.3, 2.0),
     frequency=st.floats(5.0, 40.0),
     bias=st.floats(-0.3, 0.3),
@@ -91,10 +96,10 @@ def test_lanes_are_the_plain_loop(data, names, amplitude, frequency, bias):
 
 
 def test_every_effect_and_all_together():
-    models = [Model(), *(Model().with_effect(name, **visible(name)) for name in CATALOGUE)]
+    models = [Model(), *(Model().with_effect(name, **visible(name)) for name in ALONE)]
     varying = Model().with_values(k_a=9e3, phi_r=0.3)
-    curved = Model().with_values(delta3=0.7, deltaL=1.3)
-    models += [full(*OF_SHAPE), varying, curved]
+    curved = full(*OF_SHAPE).with_values(delta3=0.7, deltaL=1.3)
+    models += [varying, FULL, curved]
     u = voltages(1.2, 12.0, 0.15)
     expected = np.array([march(m, u, STATE, DT) for m in models])
     assert_same(lanes(models, u), expected)

@@ -114,15 +114,21 @@ def plain():
     return seen(march(RigModel(RIG), U, DT, substeps=SUBSTEPS))
 
 
+# Effects that change a drive's shape make lanes of their own, which are long to compile: here one
+# does, at one place; `test_batch` has the others on the dual drive.
+OF_SHAPE = ("current_lag", "presliding", "sensor_delay", "shaft_compliance")
+IN_LANES = [c for c in CASES if CASES[c].name not in OF_SHAPE] + ["shaft_compliance@arm"]
+
+
 @pytest.fixture(scope="module")
 def lanes():
-    """Every case in a lane, those of one shape beside each other."""
-    models = [model_of(case) for case in CASES]
+    """Cases in lanes, those of one shape beside each other."""
+    models = [model_of(case) for case in IN_LANES]
     starts = [(np.zeros(m.layout.coordinates),) * 2 for m in models]
     none = np.zeros((0, 0))
     common = Common(DT, SUBSTEPS, TIME.size, U[None], none, none, SEEN)
     outputs, _ = run_many(models, starts, common)
-    return dict(zip(CASES, outputs, strict=True))
+    return dict(zip(IN_LANES, outputs, strict=True))
 
 
 def apart(found, expected):
@@ -137,8 +143,9 @@ def test_acts_and_is_the_same_in_every_run(case, plain, lanes):
     error, moved = apart(found, true), apart(found, plain)
     assert moved.max() > 1e-3
     assert error.max() < min(2e-3, 0.1 * moved.max()), error
-    side_by_side = np.array([found[0], found[1], found[4]])
-    assert apart(lanes[case], side_by_side).max() < 1e-7
+    if case in IN_LANES:
+        side_by_side = np.array([found[0], found[1], found[4]])
+        assert apart(lanes[case], side_by_side).max() < 1e-7
 
 
 ADDITIVE = [c for c in CASES if CASES[c].name not in ("backlash", "shaft_compliance")]

@@ -121,7 +121,11 @@ def test_derivatives_are_differences_of_whole_runs(names):
         assert np.all(apart < 1e-2 * size), (name, apart / size)
 
 
-@pytest.mark.parametrize("name", list(CATALOGUE)[::4])
+# a late sensor would have lanes of its own, 8 s to compile
+FOURTH = [name for name in list(CATALOGUE)[::4] if name != "sensor_delay"]
+
+
+@pytest.mark.parametrize("name", FOURTH)
 def test_derivatives_by_an_effect_are_differences_of_whole_runs(name):
     """Every fourth effect; `benchmarks/long/test_derivatives.py` has all."""
     derivatives_are_differences(CATALOGUE[name])

@@ -263,12 +263,11 @@ def test_names_that_no_program_can_have(tmp_path):
     close(c_run(program, u, tmp_path), simulate(model, TIME, u).outputs.T)
 
 
-@pytest.mark.parametrize("real", ["double", "float"])
-def test_structured_text_of_a_plant(real):
+def test_structured_text_of_a_plant():
     """It gives the simulator's readings; the grammar of another project reads it."""
     parse = pytest.importorskip("blark.parse")
     model = Model().with_effect("drive_delay", delay=2.6e-3)
-    text = st_source(plant_program(model, DT), real)
+    text = st_source(plant_program(model, DT))
     assert parse.parse_source_code(text).exception is None
     step = st_stepper(text, [p.name for p in plant_program(model, DT).outputs])
     found = np.array([step(*row) for row in VOLTS[:, :60].T])

@@ -70,7 +70,7 @@ def test_resonances_of_the_closed_meshes():
     for j in range(6):
         change = np.zeros(STATES)
         change[j] = small
-        jacobian[:, j] = (function(0, y + change) - function(0, y - change))[:6] / (2 * small)
+        jacobian[:, j] = (function(0.0, y + change) - function(0.0, y - change))[:6] / (2 * small)
     found = np.abs(np.linalg.eigvals(jacobian)[np.abs(np.linalg.eigvals(jacobian).imag) > 1])
     k, pinion, ring = nominal.MESH_STIFFNESS, nominal.PINION_INERTIA, nominal.RING_INERTIA
     low = np.sqrt(k / pinion)

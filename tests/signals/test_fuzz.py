@@ -18,7 +18,7 @@ from scipy.io import savemat
 from dmptm_ctrl import LogError, load_log
 
 QUIET = settings(
-    max_examples=int(os.environ.get("DMPTM_FUZZ_EXAMPLES", "300")),
+    max_examples=int(os.environ.get("DMPTM_FUZZ_EXAMPLES", "120")),
     deadline=None,
     derandomize="DMPTM_FUZZ_EXAMPLES" not in os.environ,  # a check of a change; else a search
     database=None,
@@ -102,7 +102,7 @@ def packed_formats():
 @pytest.mark.parametrize(("name", "content"), list(packed_formats()), ids=lambda v: str(v)[:12])
 def test_packed_file_with_wounds(tmp_path, name, content):
     # A .mat file is read in a process of its own, which takes its time to start.
-    examples = 8 if name.endswith(".mat") else 200
+    examples = 8 if name.endswith(".mat") else 100
 
     @settings(QUIET, max_examples=examples)
     @given(wounds=wounded(content))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import MATERIAL, Errors, Row, table_lines
+from dmptm_ctrl.diagnosis.budget import MATERIAL, NONE, Errors, Row, table_lines
 from dmptm_ctrl.diagnosis.experiment import EXPERIMENT_FILE, Experiment
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.diagnosis.summary import correlation_lines, parameter_lines, versions
@@ -165,8 +165,12 @@ class Diagnosis:
         """Return the result in one sentence that says no more than the budget."""
         before, after = (f"{self.error[k]['rmse']:.{DIGITS}g}" for k in ("before", "after"))
         left = f"{after} {self.error['unit']}"
+        runs, times = self.errors.runs, 1.0
         if "speed" in self.error["after"]:
             left = f"free runs miss {self.error['on']} by {left}"
+            times = sqrt(runs.after / max(runs.floor, 1e-300)) if runs else times
+            if times > NONE:
+                left += f", {times:.1f} times their floor"
             if float(after) > float(before):  # as shown, so that no last bit decides
                 left += f", those of the declared model by {before}"
         else:
@@ -175,17 +179,13 @@ class Diagnosis:
         if self.outside and not self.effects:
             beyond = f"; fitted values leave their declared ranges: {', '.join(self.outside)}"
         if self.verdict == "none":
-            times = sqrt(self.errors.before / max(self.errors.floor, 1e-300))
-            told = f"is {times:.2f} times the floor"
-            if self.errors.within_floor or self.errors.runs is None:
-                return (
-                    "The declared model is as good as these logs can show: the error of its "
-                    f"balance {told}; {left}{beyond}."
-                )
-            runs = sqrt(self.errors.runs.before / max(self.errors.runs.floor, 1e-300))
+            balance = sqrt(self.errors.before / max(self.errors.floor, 1e-300))
+            told = f"is {balance:.2f} times the floor; {left}{beyond}."
+            if times > NONE:
+                return f"The balance shows no lack of the declared model: its error {told}"
             return (
-                f"The balance shows no lack of the declared model: its error {told}; {left}, "
-                f"{runs:.1f} times their floor{beyond}."
+                "The declared model is as good as these logs can show: the error of its balance "
+                f"{told}"
             )
         on = f"; it depends on {', '.join(self.depends_on)}" if self.depends_on else ""
         names = self._headline()

@@ -10,7 +10,7 @@ from dmptm_ctrl.diagnosis.candidate import LEVEL, Floats
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.identify.inverse_dynamics import Balance, measured_motion
 from dmptm_ctrl.identify.measured_motion import Motion
-from dmptm_ctrl.identify.rig_fit import Likelihood, RigFit
+from dmptm_ctrl.identify.rig_fit import RigFit
 
 if TYPE_CHECKING:
     from dmptm_ctrl.diagnosis.rig_evidence import RigState
@@ -170,14 +170,13 @@ def better_without_names(selection: Selection) -> list[Curve]:
     """
     base, final = selection.base, selection.final
     found = accepted(curves(base))
-    news = base.fit.likelihood.news
-    fall = 0.0
-    for balance, before, after in (
-        (base.fit.likelihood.balance, base.fit.left, final.fit.left),
-        (base.held, base.held_left[0], final.held_left[0]),
+    like, fall = base.fit.likelihood, 0.0
+    for likelihood, before, after in (
+        (like, base.fit.left, final.fit.left),
+        (like.on(base.held), base.held_left[0], final.held_left[0]),
     ):
-        likelihood = Likelihood(balance, news)
-        fall += likelihood.surprise(before) - likelihood.surprise(after)
+        both = likelihood.between(base.fit.model, final.fit.model)
+        fall += both.surprise(before, base.fit.model) - both.surprise(after, final.fit.model)
     numbers = sum(f.kind == "effect" for f in final.fit.frees)
     return found if found and found[0].evidence > fall - 2.0 * numbers + LEVEL else []
 
@@ -223,7 +222,7 @@ def _fit(
         return None
     second = np.diff(np.eye(table.shape[1]), 2, axis=0)
     square = table.T @ table
-    beyond = Likelihood(state.held, likelihood.news)
+    beyond, model = likelihood.on(state.held), state.fit.model
     before = state.held_left[0]
     best: tuple[float, Floats] | None = None
     for stiff in STIFFNESS:
@@ -240,6 +239,6 @@ def _fit(
     assert best is not None
     values = best[1]
     after = tuple(b + h @ values for b, h in zip(before, held, strict=True))
-    held_gain = beyond.surprise(before) - beyond.surprise(after)
+    held_gain = beyond.surprise(before, model) - beyond.surprise(after, model)
     was, now = (mean_square(x, state.held) for x in (before, after))
     return values, best[0] + held_gain, held_gain, 1 - now / was if was > 0 else 0.0, after

@@ -123,8 +123,8 @@ class RigEvidence:
 
     def refit(self, state: RigState) -> RigState:
         """Fit a model that was fitted to other logs."""
-        news = state.fit.likelihood.news
-        fit = fit_rig(state.fit.state, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
+        like = state.fit.likelihood
+        fit = fit_rig(state.fit.state, self.logs, iterations=SETTLE, like=like, jobs=self.jobs)
         return RigState(fit, self.held, state.keys)
 
     def candidates(self, state: RigState, only: Sequence[str] | None = None) -> list[Candidate]:
@@ -175,17 +175,17 @@ class RigEvidence:
         return self._candidate(state, (trial,), rough, look=False)
 
     def _fitted(self, state: RigState, group: Sequence[Trial], iterations: int) -> Candidate:
-        there, news = state.fit.state, state.fit.likelihood.news
+        there, like = state.fit.state, state.fit.likelihood
         for trial in group:
             there = trial.placed_in(there)
         alike = None if there.model.layout.links else state.fit
         try:
             fit = fit_rig(
-                there, self.logs, iterations=iterations, news=news, near=alike, jobs=self.jobs
+                there, self.logs, iterations=iterations, like=like, near=alike, jobs=self.jobs
             )
             found = self._candidate(state, tuple(group), fit)
             if found.objection and found.demanded:  # impossible on the way is not impossible
-                fit = fit_rig(fit.state, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
+                fit = fit_rig(fit.state, self.logs, iterations=SETTLE, like=like, jobs=self.jobs)
                 found = self._candidate(state, tuple(group), fit)
         except (ValueError, ArithmeticError) as error:
             keys = tuple(t.key for t in group)
@@ -223,24 +223,26 @@ class RigEvidence:
         On the fitted logs less what searches for the best shapes find anyway. A model that turns
         the same motion into less torque must leave less by as much.
         """
-        likelihood = larger.fit.likelihood
-        fitted = total_loss(smaller.fit.state, smaller.fit.frees, smaller.fit.left, likelihood)
-        more = sum(map(self._searched, larger.keys)) - sum(map(self._searched, smaller.keys))
-        held = Likelihood(self.held, likelihood.news)
-        fall = held.surprise(smaller.held_left[0]) - held.surprise(larger.held_left[0])
+        likelihood, more = larger.fit.likelihood, larger.fit.model
+        both = likelihood.between(smaller.fit.model, more)
+        fitted = total_loss(smaller.fit.state, smaller.fit.frees, smaller.fit.left, both)
+        fitted -= total_loss(larger.fit.state, larger.fit.frees, larger.fit.left, both)
+        held = likelihood.on(self.held).between(smaller.fit.model, more)
+        fall = held.surprise(smaller.held_left[0], smaller.fit.model)
+        fall -= held.surprise(larger.held_left[0], more)
+        searched = sum(map(self._searched, larger.keys)) - sum(map(self._searched, smaller.keys))
         louder = 2.0 * float(likelihood.news.mean()) * (larger.loudness - smaller.loudness)
         rows, held_rows = (
             sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held)
         )
-        return fitted - larger.loss - more + rows * louder, fall + held_rows * louder
+        return fitted - searched + rows * louder, fall + held_rows * louder
 
     def errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
         """Standard errors of the falls on both parts of the logs."""
         news = larger.fit.likelihood.news
 
         def of(balance: Balance, few: Sequence[Floats], more: Sequence[Floats]) -> float:
-            likelihood = Likelihood(balance, news)
-            rows = likelihood.row_surprises
+            rows = larger.fit.likelihood.on(balance).row_surprises
             return standard_error(rows(few), rows(more), 1.0 / news)
 
         return (
@@ -290,17 +292,16 @@ class RigEvidence:
 
     def _to_the_end(self, start: State, like: RigFit, keys: Keys) -> RigFit:
         """Fit to the end; where a gap is among the added effects, from several of its sizes."""
-        news = like.likelihood.news
-        fit = fit_rig(start, self.logs, iterations=SETTLE, news=news, jobs=self.jobs)
+        known = like.likelihood
+        fit = fit_rig(start, self.logs, iterations=SETTLE, like=known, jobs=self.jobs)
         for key in (k for k in keys if name_of(k) == BACKLASH.name):
             fit = from_elsewhere(fit, key, iterations=SETTLE, jobs=self.jobs)
         return fit
 
     def closed(self, state: RigState) -> RigState:
-        """Count anew how many rows are independent, and fit again."""
-        news = independent(state)
-        same = replace(state.fit, likelihood=Likelihood(self.logs, news))
-        return self.refit(replace(state, fit=same))
+        """Count anew how many rows are independent, tell noise of readings apart, and fit again."""
+        like = Likelihood(self.logs, independent(state)).knowing(state.fit.model, state.fit.left)
+        return self.refit(replace(state, fit=replace(state.fit, likelihood=like)))
 
     def without(self, state: RigState, key: str) -> RigState:
         """Take an effect out, and what stands on it, and fit the rest again."""
@@ -346,7 +347,7 @@ def within_floor(selection: Selection, floor: float) -> bool:
     base, final = selection.base, selection.final
     if not near(mean_square(base.held_left[0], base.held), floor):
         return False
-    held = Likelihood(final.held, final.fit.likelihood.news)
+    held = final.fit.likelihood.on(final.held)
     sides = (held.parts(one.held_left[0]) for one in (base, final))
     return all(
         np.linalg.norm(before)
@@ -357,7 +358,7 @@ def within_floor(selection: Selection, floor: float) -> bool:
 
 def rise(without: RigState, final: RigState) -> float:
     """Share by which what is left of all balances rises without an effect."""
-    likelihood, held = final.fit.likelihood, Likelihood(final.held, final.fit.likelihood.news)
+    likelihood, held = final.fit.likelihood, final.fit.likelihood.on(final.held)
     squares = [
         sum(
             float(p @ p) / scale**2

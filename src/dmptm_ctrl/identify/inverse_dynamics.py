@@ -12,8 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.measured_motion import (
@@ -24,6 +26,7 @@ from dmptm_ctrl.identify.measured_motion import (
     derivative,
     prepare,
 )
+from dmptm_ctrl.identify.reading_noise import spectrum
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.along import (
     acting_of,
@@ -42,6 +45,7 @@ from dmptm_ctrl.simulate.rig_run import march, substeps_for
 
 TINY = 1e-300  # a speed that has a direction and no size
 LEAST_DRIVE = 0.05  # of the logged signal gets through to a motor at least
+TAIL = 0.005  # of the twists, beyond the ends of the gap and its wind-up
 SUBSTEPS = 40  # of hidden coordinates; faster ones are far above the bandwidth
 
 
@@ -79,9 +83,9 @@ def points_of(rig: Rig, logs: Sequence[Log]) -> tuple[Point, ...]:
             else:
                 groups.append([sensor])
         for group in groups:
-            best = max(group, key=lambda s: reach[s.name])
+            best = max(group, key=lambda s: reach[s.name][0])
             angle = next((s for s in group if s.measures == "position"), None)
-            sight = Sight(best, angle, reach[best.name])
+            sight = Sight(best, angle, *reach[best.name])
             found.append(Point(best.name, body.name, sight, tuple(s.name for s in group)))
     driven = [i.body for i in rig.inputs]
     return tuple(sorted(found, key=lambda p: p.body not in driven))
@@ -103,7 +107,7 @@ class Balance:
     points: tuple[Point, ...]
     bandwidth: float
     motions: tuple[Motion, ...]
-    columns: dict = field(default_factory=dict)  # what does not depend on the model, reduced
+    known: dict[Any, Floats] = field(default_factory=dict)  # twists that were asked for
 
     @cached_property
     def push(self) -> list[Floats]:
@@ -124,15 +128,30 @@ class Balance:
         )
         return force / acceleration if acceleration > 0 else 1.0
 
+    @cached_property
+    def noise_spectrum(self) -> tuple[NDArray[np.complex128], Floats]:
+        """Noise of readings in the band of the balance; see :func:`.reading_noise.spectrum`."""
+        return spectrum(self)
+
+    def twists(self, factors: tuple[tuple[str, float], ...]) -> Floats:
+        """Sizes of a twist from the middle of its range, sorted; by points and their factors."""
+        if factors not in self.known:
+            sizes = []
+            for m in self.motions:
+                z = sum(factor * m.q[name] for name, factor in factors)
+                sizes.append(np.abs(z - 0.5 * np.quantile(z, [TAIL, 1.0 - TAIL]).sum()))
+            self.known[factors] = np.sort(np.concatenate(sizes))
+        return self.known[factors]
+
     def only(self, names: Sequence[str]) -> "Balance":
         """Return the balance of some of the logs."""
         kept = tuple(m for m in self.motions if m.name in names)
-        return Balance(self.rig, self.points, self.bandwidth, kept, {})
+        return Balance(self.rig, self.points, self.bandwidth, kept)
 
     def part(self, part: str) -> "Balance":
         """Return the balance of the "fit" or "held-out" stretches of every log."""
         cut = tuple(replace(m, part=part) for m in self.motions)
-        return Balance(self.rig, self.points, self.bandwidth, cut, {})
+        return Balance(self.rig, self.points, self.bandwidth, cut)
 
 
 def balance_of(rig: Rig, logs: Sequence[Log], *, bandwidth: float | None = None) -> Balance:

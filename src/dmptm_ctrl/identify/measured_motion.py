@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, firwin, sosfiltfilt, upfirdn, welch
+from scipy.signal import butter, firwin, freqz, sosfiltfilt, upfirdn, welch
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.signals import Log
@@ -47,11 +47,15 @@ class Sight:
         The one that gives position; None: integral of the speed.
     bandwidth : float
         Up to which the acceleration is signal [Hz].
+    noise : float
+        Density of the sensor's noise, in its unit squared per Hz; the lower of what the
+        readings show and what is declared.
     """
 
     sensor: Sensor
     angle: Sensor | None
     bandwidth: float
+    noise: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -121,6 +125,12 @@ class Motion:
         first = (self.taps.size - 1) // down
         return upfirdn(self.taps, sums, down=down)[first : first + count]
 
+    def response(self, omega: Floats) -> Floats:
+        """Gain of `reduce` at angular frequencies [rad/s], as far as the filter goes."""
+        if self.step == 1:
+            return np.ones_like(omega)
+        return freqz(self.taps * self.box, worN=omega * self.dt * self.box)[1]
+
     @property
     def _inset(self) -> int:
         """Samples at each end that the motion's own filter spoils."""
@@ -174,21 +184,25 @@ def _long_runs(flag: NDArray[np.bool_], shortest: float) -> Floats:
     return out
 
 
-def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> float:
-    """Frequency up to which a sensor gives acceleration with little noise [Hz].
+def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, float]:
+    """Frequency up to which a sensor gives acceleration with little noise [Hz]; its noise.
 
     The noise is taken as white, at the level of the spectrum above 0.4 of the sample rate (the
     quietest log tells), but not below what the declared resolution and noise give.
     """
     order = 2 if sensor.measures == "position" else 1
-    reach = []
+    reach, floors = [], []
     for log in logs:
         y, rate = log[sensor.channel], 1.0 / log.sample_time
         length = min(y.size, 4096)
         trend = np.polyval(np.polyfit(log.time - log.time[0], y, 1), log.time - log.time[0])
         f, power = welch(y - trend, rate, nperseg=length, detrend="linear")
-        floor = float(np.median(power[f > FLOOR_BAND * rate]))
-        floor = max(floor, _declared_variance(sensor, y) / (rate / 2))
+        # the median of χ², of two degrees of freedom per segment, over its mean
+        low = (1.0 - 1.0 / (9.0 * max(2 * y.size // length - 1, 1))) ** 3
+        floor = float(np.median(power[f > FLOOR_BAND * rate])) / low
+        declared = _declared_variance(sensor, y) / (rate / 2)
+        floors.append(min(floor, declared or floor))
+        floor = max(floor, declared)
         weight = (2 * np.pi * f) ** (2 * order)
         noise = np.cumsum(weight * floor)
         whole = np.cumsum(weight * np.maximum(power, floor))
@@ -197,7 +211,7 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> float:
         below = f[good]
         best = float(below.max()) if below.size else 0.0
         reach.append(float(np.clip(best, LOWEST * rate, HIGHEST * rate)))
-    return float(np.median(reach))
+    return float(np.median(reach)), float(np.median(floors))
 
 
 def _declared_variance(sensor: Sensor, y: Floats) -> float:

@@ -11,10 +11,12 @@ from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from dmptm_ctrl.identify.fit import least_in_box, secant
 from dmptm_ctrl.identify.free_parameters import ALL, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
+from dmptm_ctrl.identify.reading_noise import noise_in_balance
 from dmptm_ctrl.parallel import in_threads, small_matrices
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -24,6 +26,8 @@ ROWS_PER_NEWS = 8.0  # rows that count as one, where nothing better is known
 LEAST_SCALE = 0.005  # of the torque; friction laws are not known more finely
 BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
 TOLERANCE = 0.3  # a fit stops when −2 log-likelihood falls by less
+MOST_NOISE = 0.95  # of the curvature in any direction is taken for noise in one step
+PAST_IMPACTS = 0.05  # the same where impacts that nothing shows decide a run
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
 
 
@@ -115,7 +119,11 @@ class RigFit:
         weights = likelihood.weights(self.left)
         rows = likelihood.stack(self.slopes) * weights[:, None]
         extra = prior_rows(self.state, self.frees)[0]
-        inverse = np.linalg.pinv(rows.T @ rows + extra.T @ extra, rcond=1e-12)
+        whole = rows.T @ rows + extra.T @ extra + 1e-300 * np.eye(len(self.frees))
+        clear, _ = noise_taken_out(
+            self.state, self.frees, likelihood, likelihood.scales(self.left), whole, np.diag(whole)
+        )
+        inverse = np.linalg.pinv(clear, rcond=1e-12)
         products = rows * (weights * likelihood.stack(self.left))[:, None]
         ids = likelihood.blocks(self.left[0].shape[0])
         sums = np.array([np.bincount(ids, p) for p in products.T])
@@ -143,10 +151,33 @@ class Likelihood:
     ----------
     news : (equations,) array
         Share of the rows of each equation that is independent.
+    noise : (equations,) array, optional
+        Variance of the residual by the noise of readings to which all models are brought.
+        Without it, what a model makes of that noise counts like anything else that is left.
     """
 
     balance: Balance
     news: Floats
+    noise: Floats | None = None
+
+    def on(self, balance: Balance) -> "Likelihood":
+        """Return the same for other logs."""
+        return Likelihood(balance, self.news, self.noise)
+
+    def knowing(self, model: RigModel, left: Sequence[Floats]) -> "Likelihood":
+        """Return the same with the noise of readings told from what else a model leaves."""
+        noise = self._noise(model)
+        share = noise / self.scales(left) ** 2
+        return replace(self, noise=noise if np.sum(self.counts * share) > TOLERANCE else None)
+
+    def between(self, *models: RigModel) -> "Likelihood":
+        """Return the same with all models brought to the least noise of these."""
+        if self.noise is None:
+            return self
+        return replace(self, noise=np.min([self._noise(m) for m in models], axis=0))
+
+    def _noise(self, model: RigModel) -> Floats:
+        return np.array([float(f @ f) for f in noise_in_balance(model, self.balance)])
 
     @cached_property
     def floor(self) -> float:
@@ -193,12 +224,18 @@ class Likelihood:
         counts = [len(p) for p in self.parts(left)]
         return np.repeat(np.sqrt(self.news) / self.scales(left), counts)
 
-    def surprise(self, left: Sequence[Floats]) -> float:
-        """−2 log-likelihood, each equation at its own scale."""
-        s = self.scales(left)
-        counts = np.array([len(p) for p in self.parts(left)])
-        # the mean square over s² is left in: near the floor it still falls
-        return float(np.sum(self.news * counts * (2.0 * np.log(s) + 1.0 - (self.floor / s) ** 2)))
+    def surprise(self, left: Sequence[Floats], model: RigModel) -> float:
+        """−2 log-likelihood, each equation at its own scale, of the same noise for all models."""
+        squares = self.scales(left) ** 2
+        if self.noise is not None:
+            squares = np.maximum(squares - self._noise(model) + self.noise, self.floor**2)
+        # the mean square over the scale's is left in: near the floor it still falls
+        return float(np.sum(self.counts * (np.log(squares) + 1.0 - self.floor**2 / squares)))
+
+    @cached_property
+    def counts(self) -> Floats:
+        """Independent rows of each equation, (equations,)."""
+        return self.news * sum(int(m.sum()) for m in self.moving)
 
     def row_surprises(self, left: Sequence[Floats]) -> list[Floats]:
         """The same of each row as if it were independent, per equation."""
@@ -222,15 +259,25 @@ def _one(state: State, balance: Balance, k: int) -> tuple[Floats, Floats]:
 
 
 def jacobian(
-    state: State, balance: Balance, frees: Sequence[Free], left: Sequence[Floats], *, jobs: int = 2
+    state: State,
+    balance: Balance,
+    frees: Sequence[Free],
+    left: Sequence[Floats],
+    *,
+    jobs: int = 2,
+    fine: bool = False,
 ) -> tuple[Floats, ...]:
-    """Return the derivatives of the residual per log, per scale of each number."""
+    """Return the derivatives of the residual per log, per scale of each number.
+
+    With `fine` those nearby, even where impacts that nothing shows decide a run.
+    """
     columns = [np.zeros((*part.shape, len(frees))) for part in left]
+    rough = not fine and unseen_impacts(state.model, balance)
 
     def column(j: int) -> None:
         free = frees[j]
         here = state.get(free)
-        step = _step(free)
+        step = _step(free, rough)
         if here + step > free.high:
             step = -step
         there = state.moved([free], [here + step])
@@ -248,8 +295,19 @@ def jacobian(
     return tuple(columns)
 
 
-def _step(free: Free) -> float:
-    return (_kink(free) or DIFFERENCE) * free.scale
+def _step(free: Free, rough: bool) -> float:
+    return (PAST_IMPACTS if rough else _kink(free) or DIFFERENCE) * free.scale
+
+
+def unseen_impacts(model: RigModel, balance: Balance) -> bool:
+    """Whether bodies that nothing measures move behind a gap.
+
+    When teeth meet depends on all that came before. Slopes nearby are then chance.
+    """
+    layout, plant = model.layout, model.plant()
+    seen = {layout.coordinate[layout.sensor_body[p.name]] for p in balance.points}
+    ends = plant.body_coordinate[plant.link_body[plant.link_gap > 0]]
+    return not {*ends.ravel().tolist()} <= seen
 
 
 @small_matrices
@@ -259,7 +317,7 @@ def fit_rig(
     *,
     frees: Sequence[Free] | None = None,
     iterations: int = 6,
-    news: Floats | None = None,
+    like: Likelihood | None = None,
     near: RigFit | None = None,
     jobs: int = 2,
 ) -> RigFit:
@@ -276,8 +334,8 @@ def fit_rig(
         By default all of `free_parameters`.
     iterations : int
         At most.
-    news : (equations,) array, optional
-        Share of the rows of each equation that is independent.
+    like : Likelihood, optional
+        How much rows tell, as another fit found.
     near : RigFit, optional
         Of a model without some effects: the slopes of what both have are nearly its own.
     """
@@ -287,11 +345,17 @@ def fit_rig(
     frees = tuple(frees)
     left, drive = residuals(state, balance)
     count = left[0].shape[0]
-    likelihood = Likelihood(balance, np.full(count, 1.0 / ROWS_PER_NEWS) if news is None else news)
-    loss = total_loss(state, frees, left, likelihood)
+    if like is None:
+        like = Likelihood(balance, np.full(count, 1.0 / ROWS_PER_NEWS))
+    likelihood = like.on(balance)
     slopes = slopes_near(state, balance, frees, left, near, jobs)
     fresh = near is None or not near.frees  # differences taken where the state is
+    # where slopes are rough, those of wide and of narrow differences find different steps
+    rough = unseen_impacts(state.model, balance)
+    vain, fine = 0, rough
     for _ in range(iterations if frees else 0):
+        likelihood = likelihood.between(state.model)
+        loss = total_loss(state, frees, left, likelihood)
         better = stepped(state, frees, left, slopes, likelihood, loss)
         gain, was_fresh = 0.0, fresh
         if better is not None:
@@ -299,15 +363,19 @@ def fit_rig(
             step = np.array([(better[0].get(f) - state.get(f)) / f.scale for f in frees])
             rows = zip(slopes, left, better[1], strict=True)
             slopes = tuple(secant(p, new - old, step) for p, old, new in rows)
-            state, left, drive, loss = better
+            state, left, drive, _ = better
             frees, slopes = _rescaled(frees, slopes, state)
-        if gain < TOLERANCE and was_fresh:
+        vain = vain + 1 if gain < TOLERANCE and was_fresh else 0
+        if vain > rough:
             break
+        fine ^= vain > 0
         # gaps bend too much for secants
         if gain < TOLERANCE or state.model.layout.links:
-            slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs), True
-    if not fresh:
+            slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs, fine=fine), True
+    if fine or not fresh:
         slopes = jacobian(state, balance, frees, left, jobs=jobs)
+    likelihood = likelihood.between(state.model)
+    loss = total_loss(state, frees, left, likelihood)
     return RigFit(state, frees, left, drive, slopes, likelihood, loss)
 
 
@@ -363,7 +431,7 @@ def slopes_near(
     """Return the slopes of a model: those of a fit nearby where it has the same number."""
     known = {} if near is None else {f.label: k for k, f in enumerate(near.frees)}
     new = [j for j, f in enumerate(frees) if f.label not in known]
-    own = jacobian(state, balance, [frees[j] for j in new], left, jobs=jobs)
+    own = jacobian(state, balance, [frees[j] for j in new], left, jobs=jobs, fine=True)
     if near is None:
         return own
     slopes = [np.empty((*part.shape, len(frees))) for part in left]
@@ -395,7 +463,11 @@ def total_loss(
     """−2 log-likelihood, the declared ranges, and the price of the numbers of effects."""
     price = likelihood.price * sum(f.kind == "effect" for f in frees)
     with np.errstate(over="ignore", invalid="ignore"):  # an unstable trial is a costly one
-        return price + likelihood.surprise(left) + float(np.sum(prior_rows(state, frees)[1] ** 2))
+        return (
+            price
+            + likelihood.surprise(left, state.model)
+            + float(np.sum(prior_rows(state, frees)[1] ** 2))
+        )
 
 
 def prior_rows(state: State, frees: Sequence[Free]) -> tuple[Floats, Floats]:
@@ -428,4 +500,39 @@ def _step_of(
     rows = np.vstack([rows, extra, 1e-6 * size * np.eye(len(frees))])
     target = np.concatenate([target, miss, np.zeros(len(frees))])
     # Normal equations: numbers are scaled, and their condition is well below 1e8.
-    return least_in_box(rows.T @ rows, -rows.T @ target, low, high)
+    scales, square, slope = likelihood.scales(left), rows.T @ rows, -rows.T @ target
+    return least_in_box(
+        *noise_taken_out(state, frees, likelihood, scales, square, slope), low, high
+    )
+
+
+def noise_taken_out(
+    state: State,
+    frees: Sequence[Free],
+    likelihood: Likelihood,
+    scales: Floats,
+    square: Floats,
+    slope: Floats,
+) -> tuple[Floats, Floats]:
+    """Take what the noise of readings adds to normal equations out of them."""
+    if likelihood.noise is None or not frees:
+        return square, slope
+    own, slope = np.zeros_like(square), slope.copy()
+    here = noise_in_balance(state.model, likelihood.balance)
+    moved, rough = [], unseen_impacts(state.model, likelihood.balance)
+    for free in frees:
+        if free.kind in ("zero", "twist"):
+            moved.append([np.zeros_like(f) for f in here])
+            continue
+        step = _step(free, rough)
+        there = state.moved([free], [state.get(free) + step]).model
+        change = zip(noise_in_balance(there, likelihood.balance), here, strict=True)
+        moved.append([(new - old) / (step / free.scale) for new, old in change])
+    for e, noise in enumerate(here):
+        weight = likelihood.counts[e] / scales[e] ** 2
+        columns = np.array([m[e] for m in moved])
+        own += weight * columns @ columns.T
+        slope += weight * columns @ noise
+    # where logs show little but noise, what is left of the curvature must stay positive
+    largest = float(eigh(own, square, eigvals_only=True)[-1])
+    return square - min(1.0, MOST_NOISE / max(largest, 1e-300)) * own, slope

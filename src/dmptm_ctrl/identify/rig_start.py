@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from dmptm_ctrl.identify.free_parameters import scales_of
-from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig
+from dmptm_ctrl.identify.inverse_dynamics import TAIL, Balance
+from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, total_loss
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
 
@@ -19,7 +19,6 @@ WIDER = 0.75, 1.3  # times the gap that was fitted
 LOWEST_MODE = 0.03  # of the bandwidth
 HIGHEST_MODE = 1.5
 DAMPING_RATIO = 0.05
-TAIL = 0.005  # of the twists, beyond the ends of the gap and its wind-up
 GAP_SHARES = tuple(np.linspace(0.05, 0.98, 32))  # of half the range of twists, tried
 MODEST = 0.02, 0.98  # share of the inertia behind a spring
 
@@ -147,9 +146,11 @@ def from_elsewhere(fit: RigFit, gap: str, *, iterations: int, jobs: int) -> RigF
     declared = fit.model.quantities.get(stiffness)
     soft = declared is not None and not isfinite(declared.value)
 
+    def beside(one: RigFit) -> float:
+        return total_loss(one.state, one.frees, one.left, likelihood)
+
     def again(state: State, steps: int) -> RigFit:
-        news = likelihood.news
-        return fit_rig(state, likelihood.balance, news=news, iterations=steps, jobs=jobs)
+        return fit_rig(state, likelihood.balance, like=likelihood, iterations=steps, jobs=jobs)
 
     while True:
         model = fit.model
@@ -163,8 +164,8 @@ def from_elsewhere(fit: RigFit, gap: str, *, iterations: int, jobs: int) -> RigF
             value = model.value(stiffness)
             starts += [model.with_values({stiffness: by * value}) for by in STIFFER]
         tried = (again(State(one, fit.state.logs), LOOK) for one in starts)
-        best = min(tried, key=lambda f: f.loss)
-        if best.loss > fit.loss - 1.0:
+        best = min(tried, key=beside)
+        if beside(best) > beside(fit) - 1.0:
             return fit
         fit = again(best.state, iterations)
 

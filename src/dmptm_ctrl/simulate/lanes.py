@@ -132,7 +132,9 @@ def lanes_text(s: Structure, width: int) -> str:
         keep_late += f"{lever}{rows.at(signal)}\n"
         if not s.sensors[i][1]:
             move_late += "            for lane in range(LANES):\n"
-            move_late += f"                ring[{n}, :, lane] += {lever}moves[{signal[1:]}, lane]\n"
+            move_late += "                for back in range(ring.shape[1]):\n"
+            move_late += f"                    ring[{n}, back, lane] += "
+            move_late += f"{lever}moves[{signal[1:]}, lane]\n"
     kinds = ("low", "top", "sum", "square")
     seen, low, top, total, square = (
         f"w[{rows.first(f'{kind}{rows.seen[0]}')} + lane]"

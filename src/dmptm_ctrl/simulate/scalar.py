@@ -80,7 +80,9 @@ def scalar_text(s: Structure) -> str:
     for n, i in enumerate(late):
         if not s.sensors[i][1]:
             ratio, name = sensed(s, i)
-            led += f"            ring[{n}] += {ratio or 1.0} * moves[{name[1:]}, 0]\n"
+            # not as one row: its error's message would be long to compile
+            led += "            for back in range(ring.shape[1]):\n"
+            led += f"                ring[{n}, back] += {ratio or 1.0} * moves[{name[1:]}, 0]\n"
     led += "".join(f"            out[i, {i}] = read[{i}, 0]\n" for i in range(sensors))
     return f"""\
 @njit

@@ -1,0 +1,100 @@
+"""Noise of readings in a balance, against readings with more noise, and what it does to fits."""
+
+import numpy as np
+import pytest
+from tests.rig_files.truth import Bench, Machine
+
+from dmptm_ctrl.diagnosis.rig_diagnose import split
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.reading_noise import noise_in_balance
+from dmptm_ctrl.identify.rig_fit import State, residuals
+from dmptm_ctrl.identify.rig_start import rough_start
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.rig_model import RigModel
+
+J1, J2, RATIO, K = 2e-4, 0.013, 10.0, 40.0
+DRAWS = 6
+GEAR = f"""
+[body.motor]
+inertia = "{J1 * 1.05} kg m^2 ± 10 %"
+viscous = "unknown"
+coulomb = "unknown"
+[body.load]
+inertia = "{J2} kg m^2 ± 20 %"
+viscous = "unknown"
+coulomb = "unknown"
+[mesh.gear]
+between = ["motor", "load"]
+ratio = {RATIO}
+stiffness = "{K} N m/rad ± 20 %"
+damping = "0.05 N m s/rad ± 50 %"
+[input.drive]
+column = "u"
+unit = "N m"
+body = "motor"
+gain = 1
+"""
+SENSORS = {
+    "q": '[sensor.q]\ncolumn = "q"\nunit = "rad"\nbody = "motor"\n',
+    "w": '[sensor.w]\ncolumn = "w"\nunit = "rad/s"\nbody = "motor"\n',
+    "q2": '[sensor.q2]\ncolumn = "q2"\nunit = "rad"\nbody = "load"\n',
+}
+
+
+def geared(sensors, counts=2**16):
+    """Logs of a gear with rounded angles, and white noise on a speed."""
+    machine = Machine(
+        gain=1.0, emf=0.0, j1=J1, j2=J2, ratio=RATIO, k=K, c=0.05,
+        fc=4e-3, fc2=0.05, b1=2e-4, b2=0.02,
+    )  # fmt: skip
+    kinds = (("sine", 0.3), ("steps", 0.2), ("square", 0.2))
+    measured = ("position", "speed", "position2")
+    bench = Bench(machine, kinds, 4.0, 1e-3, 0.02, counts, sensors=measured)
+    rig = parse_rig(GEAR + "".join(SENSORS[s] for s in sensors), "rig.toml")
+    channels = {"u": "in_drive"} | {s: f"out_{s}" for s in sensors}
+    logs = [
+        Log(name, columns["t"], {channels[k]: columns[k] for k in channels})
+        for name, columns in bench.logs().items()
+    ]
+    return rig, logs
+
+
+@pytest.mark.parametrize("sensors", [("q",), ("q2",), ("q", "q2"), ("w", "q2"), ("q", "w", "q2")])
+def test_is_what_more_noise_adds(sensors):
+    """Twice the readings' noise, against the variance that one such noise is said to give."""
+    rig, logs = geared(sensors)
+    balance = balance_of(rig, logs)
+    state = State(rough_start(RigModel(rig), balance))
+    before, _ = residuals(state, balance)
+    rng, variances = np.random.default_rng(3), []
+    for _ in range(DRAWS):
+        noisy = []
+        for log in logs:
+            channels = dict(log.channels)
+            for point in balance.points:
+                size = np.sqrt(0.5 * point.sight.noise / log.sample_time)
+                name = point.sight.sensor.channel
+                channels[name] = log[name] + rng.normal(0.0, size, len(log))
+            noisy.append(Log(log.name, log.time, channels))
+        after, _ = residuals(state, balance_of(rig, noisy, bandwidth=balance.bandwidth))
+        variances += [np.var(a - b, axis=1) for a, b in zip(after, before, strict=True)]
+    for e, noise in enumerate(noise_in_balance(state.model, balance)):
+        seen, told = float(np.mean(variances, axis=0)[e]), float(noise @ noise)
+        if told == 0.0:  # two readings of one motion: nothing that is fitted
+            assert {"q", "w"} <= {*sensors}
+            continue
+        assert told == pytest.approx(seen, rel=0.25)
+
+
+def test_coarse_encoders_do_not_bend_inertias_and_springs():
+    """Without their noise told apart, motor and load are wrong by half and by two thirds."""
+    rig, logs = geared(("q", "q2"))
+    fitted, held, _, _ = split(rig, balance_of(rig, logs))
+    fit = RigEvidence(fitted, held, 1).base(State(rough_start(RigModel(rig), fitted))).fit
+    true = {"body.motor.inertia": J1, "body.load.inertia": J2, "link.gear.stiffness": K}
+    for name, value in true.items():
+        assert fit.values[name] == pytest.approx(value, rel=0.3)
+        assert abs(fit.values[name] - value) < 3.0 * fit.errors[name]
+        assert fit.errors[name] > 0.02 * value  # so coarse readings do not tell more

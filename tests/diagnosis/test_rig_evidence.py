@@ -328,7 +328,7 @@ MESH = {
 }
 
 
-@pytest.mark.parametrize("name", ["ring_gear_eccentricity", "mesh_error", "backlash_variation"])
+@pytest.mark.parametrize("name", ["pinion_runout", "mesh_error", "backlash_variation"])
 def test_errors_of_a_mesh_between_two_encoders(name):
     machine = replace(GEARED, **MESH[name])
     kinds = (("steps", 0.9), ("sine", 0.7), ("steps", 0.6))

@@ -83,8 +83,8 @@ class Tangent:
         }  # fmt: skip
         state = replace(self.fit.state, model=model.with_values(known))
         rest = [f for f in self.fit.frees if f.label not in known]
-        news = self.fit.likelihood.news
-        return Tangent(fit_rig(state, self.balance, frees=rest, iterations=LOOK, news=news))
+        like = self.fit.likelihood
+        return Tangent(fit_rig(state, self.balance, frees=rest, iterations=LOOK, like=like))
 
     @cached_property
     def weights(self) -> Floats:

@@ -138,9 +138,8 @@ def simulate_with_sensitivities(
     kept = tuple(SEEN.values())
     common = Common(dt, substeps, time.size, u[None], _NO_ROWS, _NO_ROWS, kept)
     starts = [start(one.plant(), x0) for one in models]
-    # with effects as a diagnosis runs it: one engine for all of them
-    width = FEW if len(models) <= FEW and not any(one.effects for one in models) else LANES
-    runs = np.array(run_many(models, starts, common, n_jobs=jobs, width=width, switched=True)[0])
+    width = FEW if len(models) <= FEW else LANES
+    runs = np.array(run_many(models, starts, common, n_jobs=jobs, width=width)[0])
     outputs, changes = runs[0], runs[1:] - runs[0]
     steps = np.array([step for _, step in moves])
     derivatives = changes[:-1] / steps[:, None, None]

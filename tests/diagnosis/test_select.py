@@ -203,6 +203,25 @@ def test_a_rival_that_fits_better_takes_the_place(seed):
     assert entry.evidence > entry.rivals[0].evidence
 
 
+class Quarrel(Linear):
+    """Each of two effects looks better than the other where the other stands."""
+
+    def gains(self, smaller, larger):
+        if {smaller.keys, larger.keys} == {("like",), ("x1",)}:
+            return -60.0, -60.0
+        return super().gains(smaller, larger)
+
+
+def test_effects_that_replace_each_other_end():
+    made = drawn(0, {"like": lambda x, e: x["x1"] + 0.3 * e}, {"x1": 1.0})
+    data = Quarrel(made.x, made.y, made.held_x, made.held_y)
+    base, steps = Model(data), []
+    before = Selection(base, base, known={c.keys: c for c in data.candidates(base)})
+    found = compared(data, before, Model(data, ("like",)), steps.append)
+    assert len(steps) == 1
+    assert [e.key for e in found.entries] == list(found.final.keys) == ["x1"]
+
+
 def test_what_held_out_logs_contradict_is_not_accepted():
     """As strong as can be on the fitted logs, of the other sign on the held-out ones."""
     data = drawn(1, {}, {"x3": 1.0}, flip=-0.5)

@@ -274,7 +274,8 @@ def compared(
 
     An effect that others have made impossible gives way to a rival, or goes.
     """
-    for _ in range(MOST):
+    seen = {frozenset(state.keys)}
+    while True:
         entries = []
         for key in state.keys:
             without = evidence.without(state, key)
@@ -284,11 +285,16 @@ def compared(
             better = other_way(evidence, selection, state, without, key, gains, rivals)
             if better is None and evidence.objection(without, state, key):
                 better = given_way(evidence, without, rivals)
-            if better is not None:
-                news = [k for k in better.keys if k not in state.keys]
-                step(f"{key} → {', '.join(news) or 'nothing'}")
-                state = pruned(evidence, better, step)
-                break
+            if better is not None and len(seen) <= MOST:
+                said: list[str] = []
+                changed = pruned(evidence, better, said.append)
+                if frozenset(changed.keys) not in seen:  # else effects would replace each other
+                    news = [k for k in better.keys if k not in state.keys]
+                    for text in (f"{key} → {', '.join(news) or 'nothing'}", *said):
+                        step(text)
+                    state = changed
+                    seen.add(frozenset(state.keys))
+                    break
             entries.append(Entry(key, *gains, tuple(rivals), without))
         else:
             break

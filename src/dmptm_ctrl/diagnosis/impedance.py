@@ -12,6 +12,7 @@ import numpy as np
 from dmptm_ctrl.diagnosis.candidate import Floats
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.simulate.linear import linear_train
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
@@ -52,7 +53,7 @@ def _level(whole: RigModel, balance: Balance, springs: tuple[Placed, ...]) -> fl
     train, layout = linear_train(model), model.layout
     w = _lines(balance)[:, None, None]
     torque = train.mass - train.stiffness / w**2 - 1j * train.damping / w
-    seen = sorted({layout.coordinate[layout.sensor_body[p.name]] for p in balance.points})
+    seen = sorted({*coordinates_of(layout, [p.name for p in balance.points])})
     if 0 not in seen:  # the driven side follows from the other through the spring
         return float(-np.log(np.abs(np.linalg.inv(torque)[:, seen[0], 0])).mean())
     hidden = [k for k in range(layout.coordinates) if k not in seen]

@@ -9,19 +9,21 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.rig_shapes import (
     frequencies,
+    motion_of,
     orders,
-    speed_of,
     spots,
     unit_columns,
 )
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.drive.rig import DECLARES, Link
+from dmptm_ctrl.effects.backlash_variation import BACKLASH_VARIATION
 from dmptm_ctrl.effects.coulomb_friction import COULOMB_FRICTION
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.effects.stribeck_friction import STRIBECK_FRICTION
 from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
 from dmptm_ctrl.identify.free_parameters import ALL, absolute, on_slide, same_twist, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import measured_motion
+from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.identify.rig_fit import residuals
 from dmptm_ctrl.identify.rig_start import (
     ends_of,
@@ -164,13 +166,14 @@ def _mesh_effect(tangent: Tangent, chain: PlacedEffect, link: Link) -> Trial | N
     if layout.coordinate[body] not in measured:
         return None
     if (
-        chain.name == "backlash_variation"
+        chain.name == BACKLASH_VARIATION.name
         and not model.plant().link_gap[layout.links.index(link.name)]
     ):
         return None
     shapes: list[dict[str, float]] = [{}]
     if chain.effect.search == "orders":
-        pushed = unit_columns(tangent.fit, balance, chain, link.name, {"order": 0.0}, ("cosine",))
+        constant = Placed(chain.name, link.name, {"order": 0.0})
+        pushed = unit_columns(tangent.fit, balance, constant, ("cosine",))
         shapes = [{"order": n} for n in orders(tangent, body, False, pushed)]
     same = absolute(model, balance, body)
     found = _linear(tangent, chain, link.name, shapes, ("cosine", "sine"), same)
@@ -195,7 +198,7 @@ def _shapes(tangent: Tangent, chain: PlacedEffect, body: str) -> list[dict[str, 
         return [{"time_constant": s * longest} for s in (0.1, 0.3, 1.0)]
     if "speed" in banks:
         fastest = max(
-            float(np.abs(speed_of(tangent.balance, m, model, body)).max()) for m in motions
+            float(np.abs(motion_of(tangent.balance, m, model, body)[1]).max()) for m in motions
         )
         return [{"speed": s * fastest} for s in SPEEDS]
     return [{"order": n} for n in sorted(banks["order"])] if "order" in banks else [{}]
@@ -225,7 +228,7 @@ def _linear(
     low = {p.name: p.low for p in chain.keep}
     best: tuple[float, Trial] | None = None
     for shape in shapes:
-        parts = unit_columns(tangent.fit, tangent.balance, chain, body, shape, names)
+        parts = unit_columns(tangent.fit, tangent.balance, Placed(chain.name, body, shape), names)
         apart = not same and len(parts) > 1 and chain.effect.wave
         wide = _per_log(parts) if apart else parts
         gain, amplitudes = tangent.score(wide)
@@ -359,7 +362,7 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
     """Gaps in links that are not rigid."""
     model, balance = tangent.fit.model, tangent.balance
     declared = {k.name: k for k in model.rig.links}
-    seen = {model.layout.coordinate[model.layout.sensor_body[p.name]] for p in balance.points}
+    seen = coordinates_of(model.layout, [p.name for p in balance.points])
     for link in model.layout.links:
         if link in declared and declared[link].half_gap is not None:
             continue

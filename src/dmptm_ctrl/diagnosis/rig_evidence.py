@@ -27,9 +27,9 @@ from dmptm_ctrl.diagnosis.select import Selection, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
 from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
+from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.identify.measured_motion import correlation_length
 from dmptm_ctrl.identify.rig_fit import (
-    Likelihood,
     RigFit,
     State,
     fit_rig,
@@ -426,9 +426,8 @@ def _phases(fit: RigFit, state: State, held: Balance, effect: Placed, new: set[s
     logs, bare = dict(state.logs), State(state.model.without([effect.key]), state.logs)
     left, _ = residuals(bare, held)
     order = effect.values.get("order", 1.0)
-    chain, names = PLACED_CATALOGUE[effect.name], ("cosine", "sine")
-    columns = unit_columns(fit, held, chain, effect.on, {"order": order}
-                           if "order" in effect.values else {}, names)  # fmt: skip
+    shape = {k: v for k, v in effect.values.items() if k == "order"}
+    columns = unit_columns(fit, held, effect._replace(values=shape), ("cosine", "sine"))
     here = effect.values["cosine"] - 1j * effect.values["sine"]
     for motion, column, miss in zip(held.motions, columns, left, strict=True):
         if motion.name not in new or here == 0:

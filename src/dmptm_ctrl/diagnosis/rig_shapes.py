@@ -1,6 +1,6 @@
 """What effects change of the balances of a rig, and shapes at which they explain most."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent
 from dmptm_ctrl.identify.free_parameters import on_slide, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance, measured_motion
-from dmptm_ctrl.identify.measured_motion import Motion
+from dmptm_ctrl.identify.measured_motion import Motion, coordinates_of
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
-from dmptm_ctrl.simulate.placed_effects import PlacedEffect
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
@@ -26,70 +26,66 @@ SPOT_BINS = 2048
 SMALL = 0.01  # of the wind-up of a mesh or of its stiffness: a difference step
 
 
-def speed_of(balance: Balance, motion: Motion, model: RigModel, body: str) -> Floats:
+def motion_of(
+    balance: Balance, motion: Motion, model: RigModel, body: str
+) -> tuple[Floats, Floats]:
+    """Return angle and speed of a body along a log, (n,) each."""
     measured, _ = measured_motion(model, balance, motion)
     layout = model.layout
-    return layout.ratio[body] * measured[layout.coordinate[body]][1]
-
-
-def angle_of(balance: Balance, motion: Motion, model: RigModel, body: str) -> Floats:
-    measured, _ = measured_motion(model, balance, motion)
-    layout = model.layout
-    return layout.ratio[body] * measured[layout.coordinate[body]][0]
+    angle, speed, _ = measured[layout.coordinate[body]]
+    return layout.ratio[body] * angle, layout.ratio[body] * speed
 
 
 def unit_columns(
-    fit: RigFit,
-    balance: Balance,
-    chain: PlacedEffect,
-    body: str,
-    shapes: Mapping[str, float],
-    names: tuple[str, ...],
+    fit: RigFit, balance: Balance, shape: Placed, names: tuple[str, ...]
 ) -> list[Floats]:
-    """Derivative of the residual by each amplitude, per log (equations, rows, p)."""
+    """Derivative of the residual by each amplitude, per log (equations, rows, p).
+
+    `shape` is the effect at its place, without amplitudes.
+    """
+    chain, body = PLACED_CATALOGUE[shape.name], shape.on
     if chain.place == "link":
-        return _mesh_columns(fit, balance, chain, body, shapes, names)
+        return _mesh_columns(fit, balance, shape, names)
     model = fit.model
     reach = untwisted(model.plant())[model.layout.coordinate[body]]
     r = model.layout.ratio[body]
     parts = []
     for motion in balance.motions:
-        theta, omega = (f(balance, motion, model, body) for f in (angle_of, speed_of))
+        theta, omega = motion_of(balance, motion, model, body)
         load = np.zeros_like(theta)  # what goes with it is tried at a finite size
         slow = motion.rest_share * np.abs(omega).max(initial=0.0)
         columns = []
         for name in names:
-            placed = Placed(chain.name, body, {**shapes, name: 1.0})
+            acting = [acting_of(_sized(shape, name, 1.0))]
             if chain.site == "friction":
-                _, out = friction_along([acting_of(placed)], theta, omega, motion.time, load)
+                _, out = friction_along(acting, theta, omega, motion.time, load)
                 out = -np.sign(omega) * out * (np.abs(omega) > slow)
             else:
-                out = torque_along([acting_of(placed)], load, theta, omega, motion.time)
+                out = torque_along(acting, load, theta, omega, motion.time)
             columns.append(motion.reduce(reach * r * out))
         parts.append(_in_equations(fit, balance, motion, body, np.array(columns).T))
     return parts
 
 
 def _mesh_columns(
-    fit: RigFit,
-    balance: Balance,
-    chain: PlacedEffect,
-    link: str,
-    shapes: Mapping[str, float],
-    names: tuple[str, ...],
+    fit: RigFit, balance: Balance, shape: Placed, names: tuple[str, ...]
 ) -> list[Floats]:
-    """Do so for an effect on a link, by differences: bodies that nothing measures move with it."""
-    bare = fit.state.without([Placed(chain.name, link).key])
-    stiffness = bare.model.value(f"link.{link}.stiffness")
+    """The same on a link, by differences: bodies that nothing measures move with it."""
+    bare = fit.state.without([shape.key])
+    stiffness = bare.model.value(f"link.{shape.on}.stiffness")
     wind = scales_of(balance).force / stiffness
-    units = {p.name: p.unit for p in chain.keep}
+    units = {p.name: p.unit for p in PLACED_CATALOGUE[shape.name].keep}
     left, columns = residuals(bare, balance)[0], []
     for name in names:
         step = SMALL * (wind if units[name] == "rad" else stiffness)
-        placed = Placed(chain.name, link, {**shapes, name: step})
-        moved, _ = residuals(replace(bare, model=bare.model.with_effect(placed)), balance)
+        model = bare.model.with_effect(_sized(shape, name, step))
+        moved, _ = residuals(replace(bare, model=model), balance)
         columns.append([(m - e) / step for m, e in zip(moved, left, strict=True)])
     return [np.stack(parts, axis=-1) for parts in zip(*columns, strict=True)]
+
+
+def _sized(shape: Placed, name: str, amplitude: float) -> Placed:
+    return shape._replace(values={**shape.values, name: amplitude})
 
 
 def _in_equations(
@@ -102,12 +98,9 @@ def _in_equations(
     group = layout.coordinate[body]
     out = np.zeros((fit.left[0].shape[0], *column.shape))
     out[0] = column
-    seen: list[int] = []
-    for k, point in enumerate(balance.points):
-        here = layout.coordinate[layout.sensor_body[point.name]]
-        if k > 0 and here == group and here not in seen:
-            out[k] = column * balance.heft / (reach[group] ** 2 * plant.inertia[group])
-        seen.append(here)
+    seen = coordinates_of(layout, [p.name for p in balance.points])
+    if group in seen[1:] and group != seen[0]:
+        out[seen.index(group)] = column * balance.heft / (reach[group] ** 2 * plant.inertia[group])
     return out
 
 
@@ -116,8 +109,8 @@ def rows_of(tangent: Tangent, log: int, body: str) -> tuple[Floats, Floats, Floa
     motion, model = tangent.balance.motions[log], tangent.fit.model
     use = motion.moving
     angle, speed = (
-        np.interp(motion.rows[use], motion.time, f(tangent.balance, motion, model, body))
-        for f in (angle_of, speed_of)
+        np.interp(motion.rows[use], motion.time, along)
+        for along in motion_of(tangent.balance, motion, model, body)
     )
     return angle, speed, tangent.fit.left[log][0][use]
 

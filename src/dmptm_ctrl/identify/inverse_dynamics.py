@@ -23,6 +23,7 @@ from dmptm_ctrl.identify.measured_motion import (
     Motion,
     Sight,
     acceleration_bandwidth,
+    coordinates_of,
     derivative,
     prepare,
 )
@@ -250,11 +251,10 @@ def residual(
     fair = sent / size if sent > 0 else 1.0
     alone = dict(zip(measured, single, strict=True))
     equations = [fair * (push - total)]
+    seen = coordinates_of(layout, [p.name for p in balance.points])
     for k, point in enumerate(balance.points):
-        body = layout.sensor_body[point.name]
-        group, r = layout.coordinate[body], layout.ratio[body]
-        before = {layout.coordinate[layout.sensor_body[p.name]] for p in balance.points[:k]}
-        if group in before:
+        group, r = seen[k], layout.ratio[layout.sensor_body[point.name]]
+        if group in seen[:k]:
             # rigidly tied to a point before it: as fast, whatever moves them
             apart = motion.a[point.name] / r - measured[group][2]
             equations.append(apart * balance.heft / reach[group])

@@ -1,6 +1,6 @@
 """Position, speed and acceleration of measured bodies from a log, at the bandwidth it allows."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from math import ceil
@@ -13,6 +13,7 @@ from scipy.signal import butter, firwin, freqz, sosfiltfilt, upfirdn, welch
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.rig_model import Layout
 
 Floats = NDArray[np.float64]
 
@@ -172,6 +173,11 @@ class Motion:
         tenth = (np.arange(self.rows.size) * STRETCHES) // max(self.rows.size, 1)
         held = np.isin(tenth, HELD_STRETCHES)
         return {"fit": ~held, "held-out": held}.get(self.part, np.ones_like(held))
+
+
+def coordinates_of(layout: Layout, sensors: Iterable[str]) -> list[int]:
+    """Return the coordinate that each sensor sees."""
+    return [layout.coordinate[layout.sensor_body[name]] for name in sensors]
 
 
 def _long_runs(flag: NDArray[np.bool_], shortest: float) -> Floats:

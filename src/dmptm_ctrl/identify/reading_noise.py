@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.plant import Plant, link_matrices, untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 FREQUENCIES = 100  # at which noise is added up
 ABOVE = 1.5  # of the bandwidth; the balance's filter passes no more
-OPEN = 1e-12  # of the stiffness of teeth that do not touch
 WALK = 3.0 / np.pi**2  # ∫ df/(2πf)² from here, over one second, is its mean square, 1/12
 Complex = NDArray[np.complex128]
 
@@ -35,30 +35,37 @@ def noise_in_balance(model: RigModel, balance: "Balance") -> list[Floats]:
     """
     s, size = balance.noise_spectrum
     plant = model.plant()
-    found = [size * equation for equation in _equations(model, plant, balance, s)]
-    if np.any(plant.link_gap):
-        share = _contact(model, plant, balance)
-        values = plant.link_values * np.where(plant.link_gap == 0, 1.0, OPEN)[:, None]
-        values[:, 0] = plant.link_values[:, 0]
-        opened = _equations(model, plant._replace(link_values=values), balance, s)
-        found = [
-            np.concatenate([np.sqrt(share) * one, np.sqrt(1.0 - share) * size * other])
-            for one, other in zip(found, opened, strict=True)
-        ]
-    return [np.concatenate([part.real.ravel(), part.imag.ravel()]) for part in found]
+    rows, springs, dampers, viscous = link_matrices(plant)
+    motion = plant.inertia * s[:, None] ** 2 + viscous * s[:, None]
+    pull = springs + dampers * s[:, None]
+    gaps = plant.link_gap > 0
+    ways = [(1.0, np.ones(gaps.size))]  # share of the time, and which links are in contact
+    if gaps.any():
+        share = _contact(model, plant, rows, balance)
+        ways = [(share, np.ones(gaps.size)), (1.0 - share, np.where(gaps, 0.0, 1.0))]
+    parts = []
+    for share, touching in ways:
+        need = np.eye(plant.inertia.size) * motion[:, None]
+        need = need + (rows.T * (pull * touching)[:, None]) @ rows
+        found = _equations(model, plant, rows, need, balance, s)
+        parts.append([np.sqrt(share) * size * equation for equation in found])
+    both = [np.concatenate(each) for each in zip(*parts, strict=True)]
+    return [np.concatenate([part.real.ravel(), part.imag.ravel()]) for part in both]
 
 
-def _contact(model: RigModel, plant: Plant, balance: "Balance") -> float:
+def _contact(model: RigModel, plant: Plant, rows: Floats, balance: "Balance") -> float:
     """Share of the time in which links with a gap touch; none where an end is not measured."""
     layout, shares = model.layout, []
-    seen = {layout.coordinate[layout.sensor_body[p.name]]: p for p in reversed(balance.points)}
+    names = [p.name for p in balance.points]
+    seen = coordinates_of(layout, names)
     for k in np.flatnonzero(plant.link_gap).tolist():
-        row = link_matrices(plant)[0][k]
-        ends = np.flatnonzero(row).tolist()
+        ends = np.flatnonzero(rows[k]).tolist()
         if not {*ends} <= {*seen}:
             return 0.0
+        first = [names[seen.index(g)] for g in ends]
         factors = tuple(
-            (seen[g].name, row[g] / layout.ratio[layout.sensor_body[seen[g].name]]) for g in ends
+            (name, rows[k, g] / layout.ratio[layout.sensor_body[name]])
+            for name, g in zip(first, ends, strict=True)
         )
         twists = balance.twists(factors)
         shares.append(1.0 - np.searchsorted(twists, plant.link_values[k, 4]) / len(twists))
@@ -80,29 +87,33 @@ def spectrum(balance: "Balance") -> tuple[Complex, Floats]:
     return np.asarray(1j * omega, np.complex128), np.array(size).T
 
 
-def _equations(model: RigModel, plant: Plant, balance: "Balance", s: Complex) -> list[Complex]:
-    """Factors of the points' positions, (ω, points), as in :func:`.inverse_dynamics.residual`."""
+def _equations(
+    model: RigModel, plant: Plant, rows: Floats, need: Complex, balance: "Balance", s: Complex
+) -> list[Complex]:
+    """Factors of the points' positions, (ω, points), as in :func:`.inverse_dynamics.residual`.
+
+    `rows` are the twists of links over the coordinates, `need` is the torque of each coordinate
+    per position, (ω, coordinates, coordinates).
+    """
     layout = model.layout
     bodies = [layout.sensor_body[p.name] for p in balance.points]
     seen = [layout.coordinate[b] for b in bodies]
-    motion, stiffness = _moving(plant, s), _twisting(plant, s)
-    need = motion + stiffness
     first = {g: seen.index(g) for g in seen}
-    hidden = [g for g in range(len(plant.inertia)) if g not in first]
-    rows = list(hidden)  # equations that say how hidden coordinates move
-    ends = [np.flatnonzero(r).tolist() for r in link_matrices(plant)[0][plant.link_gap == 0]]
+    hidden = [g for g in range(plant.inertia.size) if g not in first]
+    told = list(hidden)  # equations that say how hidden coordinates move
+    ends = [np.flatnonzero(r).tolist() for r in rows[plant.link_gap == 0]]
     beyond = [g for pair in ends if 0 in pair for g in pair if g in first]
     if 0 in hidden and beyond:
-        rows[0] = beyond[0]
-    position = np.zeros((s.size, len(plant.inertia), len(seen)), complex)
+        told[0] = beyond[0]
+    position = np.zeros((s.size, plant.inertia.size, len(seen)), complex)
     for g, k in first.items():
         position[:, g, k] = 1.0 / layout.ratio[bodies[k]]
     if hidden:
-        told = need[:, rows] @ position
-        position[:, hidden] = -np.linalg.solve(need[:, rows][..., hidden], told)
+        known = need[:, told] @ position
+        position[:, hidden] = -np.linalg.solve(need[:, told][..., hidden], known)
     torque = need @ position
     reach = untwisted(plant)
-    counted = [*first, 0] if rows != hidden else [*first]
+    counted = [*first, 0] if told != hidden else [*first]
     lag = plant.input_values[0, 2] if len(layout.inputs) == 1 else 0.0
     found = [(1.0 + lag * s)[:, None] * np.einsum("g,wgp->wp", reach[counted], torque[:, counted])]
     for k, g in enumerate(seen[1:], 1):
@@ -110,18 +121,3 @@ def _equations(model: RigModel, plant: Plant, balance: "Balance", s: Complex) ->
         factor = 0.0 if g in seen[:k] else balance.heft / (reach[g] * plant.inertia[g])
         found.append(factor * torque[:, g])
     return found
-
-
-def _moving(plant: Plant, s: Complex) -> Complex:
-    """Torque that inertia and friction take per position, (ω, coordinates, coordinates)."""
-    viscous = link_matrices(plant)[3]
-    return (
-        np.eye(len(plant.inertia))
-        * (plant.inertia * s[:, None] ** 2 + viscous * s[:, None])[:, None]
-    )
-
-
-def _twisting(plant: Plant, s: Complex) -> Complex:
-    """Torque of the links per position, (ω, coordinates, coordinates)."""
-    rows, stiffness, dampers, _ = link_matrices(plant)
-    return (rows.T * (stiffness + dampers * s[:, None])[:, None]) @ rows

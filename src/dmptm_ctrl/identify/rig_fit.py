@@ -10,12 +10,13 @@ from functools import cached_property
 from math import isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from dmptm_ctrl.identify.fit import least_in_box, secant
 from dmptm_ctrl.identify.free_parameters import ALL, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
+from dmptm_ctrl.identify.likelihood import TOLERANCE, Likelihood
+from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.identify.reading_noise import noise_in_balance
 from dmptm_ctrl.parallel import in_threads, small_matrices
 from dmptm_ctrl.simulate.model import Floats
@@ -23,12 +24,9 @@ from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 ROWS_PER_NEWS = 8.0  # rows that count as one, where nothing better is known
-LEAST_SCALE = 0.005  # of the torque; friction laws are not known more finely
-BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
-TOLERANCE = 0.3  # a fit stops when −2 log-likelihood falls by less
 MOST_NOISE = 0.95  # of the curvature in any direction is taken for noise in one step
-PAST_IMPACTS = 0.05  # the same where impacts that nothing shows decide a run
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
+PAST_IMPACTS = 0.05  # the same where impacts that nothing shows decide a run
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +98,7 @@ class RigFit:
     left: tuple[Floats, ...]
     drive: tuple[Floats, ...]
     slopes: tuple[Floats, ...]
-    likelihood: "Likelihood"
+    likelihood: Likelihood
     loss: float
 
     @property
@@ -141,108 +139,6 @@ class RigFit:
     def values(self) -> dict[str, float]:
         """Fitted numbers by label."""
         return {f.label: self.state.get(f) for f in self.frees}
-
-
-@dataclass(frozen=True, eq=False)
-class Likelihood:
-    """How much the rows of a balance tell.
-
-    Attributes
-    ----------
-    news : (equations,) array
-        Share of the rows of each equation that is independent.
-    noise : (equations,) array, optional
-        Variance of the residual by the noise of readings to which all models are brought.
-        Without it, what a model makes of that noise counts like anything else that is left.
-    """
-
-    balance: Balance
-    news: Floats
-    noise: Floats | None = None
-
-    def on(self, balance: Balance) -> "Likelihood":
-        """Return the same for other logs."""
-        return Likelihood(balance, self.news, self.noise)
-
-    def knowing(self, model: RigModel, left: Sequence[Floats]) -> "Likelihood":
-        """Return the same with the noise of readings told from what else a model leaves."""
-        noise = self._noise(model)
-        share = noise / self.scales(left) ** 2
-        return replace(self, noise=noise if np.sum(self.counts * share) > TOLERANCE else None)
-
-    def between(self, *models: RigModel) -> "Likelihood":
-        """Return the same with all models brought to the least noise of these."""
-        if self.noise is None:
-            return self
-        return replace(self, noise=np.min([self._noise(m) for m in models], axis=0))
-
-    def _noise(self, model: RigModel) -> Floats:
-        return np.array([float(f @ f) for f in noise_in_balance(model, self.balance)])
-
-    @cached_property
-    def floor(self) -> float:
-        """Least scale of an equation."""
-        return LEAST_SCALE * scales_of(self.balance).force
-
-    @cached_property
-    def moving(self) -> list[NDArray[np.bool_]]:
-        """Rows that count, per log."""
-        return [m.moving for m in self.balance.motions]
-
-    @cached_property
-    def price(self) -> float:
-        """What a fitted number costs: the logarithm of the number of independent rows.
-
-        Schwarz, Ann. Statist. 6 (1978) 461.
-        """
-        rows = sum(int(m.sum()) for m in self.moving)
-        return float(np.log(max(float(self.news[0]) * rows, 1.0)))
-
-    def parts(self, left: Sequence[Floats]) -> list[Floats]:
-        """Rows that count, (rows[, k]) per equation."""
-        return [
-            np.concatenate([part[e][use] for part, use in zip(left, self.moving, strict=True)])
-            for e in range(left[0].shape[0])
-        ]
-
-    def blocks(self, equations: int) -> NDArray[np.int64]:
-        """Block of every row, in the order of `stack`: equal numbers of rows on end."""
-        count = sum(int(m.sum()) for m in self.moving)
-        return np.tile(np.arange(count) * min(BLOCKS, max(count, 1)) // max(count, 1), equations)
-
-    def stack(self, left: Sequence[Floats]) -> Floats:
-        """Rows that count, equation after equation, (all rows[, k])."""
-        return np.concatenate(self.parts(left))
-
-    def scales(self, left: Sequence[Floats]) -> Floats:
-        """Scale of each equation, (equations,): its rms, and what no law is known below."""
-        squares = [float(np.mean(p**2)) if p.size else 1.0 for p in self.parts(left)]
-        return np.sqrt(np.array(squares) + self.floor**2)
-
-    def weights(self, left: Sequence[Floats]) -> Floats:
-        """Square roots of what each row counts, in the order of `stack`."""
-        counts = [len(p) for p in self.parts(left)]
-        return np.repeat(np.sqrt(self.news) / self.scales(left), counts)
-
-    def surprise(self, left: Sequence[Floats], model: RigModel) -> float:
-        """−2 log-likelihood, each equation at its own scale, of the same noise for all models."""
-        squares = self.scales(left) ** 2
-        if self.noise is not None:
-            squares = np.maximum(squares - self._noise(model) + self.noise, self.floor**2)
-        # the mean square over the scale's is left in: near the floor it still falls
-        return float(np.sum(self.counts * (np.log(squares) + 1.0 - self.floor**2 / squares)))
-
-    @cached_property
-    def counts(self) -> Floats:
-        """Independent rows of each equation, (equations,)."""
-        return self.news * sum(int(m.sum()) for m in self.moving)
-
-    def row_surprises(self, left: Sequence[Floats]) -> list[Floats]:
-        """The same of each row as if it were independent, per equation."""
-        scales = self.scales(left)
-        return [
-            2.0 * np.log(s) + (p / s) ** 2 for p, s in zip(self.parts(left), scales, strict=True)
-        ]
 
 
 def residuals(state: State, balance: Balance) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
@@ -305,7 +201,7 @@ def unseen_impacts(model: RigModel, balance: Balance) -> bool:
     When teeth meet depends on all that came before. Slopes nearby are then chance.
     """
     layout, plant = model.layout, model.plant()
-    seen = {layout.coordinate[layout.sensor_body[p.name]] for p in balance.points}
+    seen = {*coordinates_of(layout, [p.name for p in balance.points])}
     ends = plant.body_coordinate[plant.link_body[plant.link_gap > 0]]
     return not {*ends.ravel().tolist()} <= seen
 

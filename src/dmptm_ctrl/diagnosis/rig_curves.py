@@ -2,15 +2,20 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import pi
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.fft import rfft
+from scipy.linalg import null_space
 
+from dmptm_ctrl.diagnosis.budget import EXPLAINED, share
 from dmptm_ctrl.diagnosis.candidate import LEVEL, Floats
 from dmptm_ctrl.diagnosis.select import Selection
-from dmptm_ctrl.identify.inverse_dynamics import Balance, measured_motion
+from dmptm_ctrl.identify.free_parameters import on_slide
+from dmptm_ctrl.identify.inverse_dynamics import Balance, measured_motion, resting
 from dmptm_ctrl.identify.measured_motion import Motion
-from dmptm_ctrl.identify.rig_fit import RigFit
+from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 
 if TYPE_CHECKING:
     from dmptm_ctrl.diagnosis.rig_evidence import RigState
@@ -19,15 +24,11 @@ KNOTS = 17
 STIFFNESS = (1e-3, 1e-1, 1e1)  # weights of the second differences, tried
 EDGES = 0.002  # share of the rows beyond the first and last knot
 STEADY = 0.02  # of the highest speed; slower is at rest
+HARMONICS = KNOTS // 2  # of a clock that knots over its period resolve
+FINE = 2 * HARMONICS  # frequencies tried per one that a log tells apart: the last one in step
+PERIODS = 2  # in the longest log, from which something comes by the clock
 
 Signal = Callable[[Motion], Floats]
-
-
-@dataclass(frozen=True, eq=False)
-class Columns:
-    """Hat functions of a variable: alike, odd in the direction, and as factor of the drive."""
-
-    parts: tuple[Floats, ...]  # (equations, rows, kinds · knots) per log
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +38,6 @@ class Curve:
     Attributes
     ----------
     variable : str
-    kind : str
-        What the curve gives: a torque, a friction, or a factor of the drive.
-    knots, values : (k,) array
     evidence : float
         Fall of −2 log-likelihood on all logs, less two per effective parameter.
     held_gain, share : float
@@ -49,16 +47,10 @@ class Curve:
     """
 
     variable: str
-    kind: str
-    knots: Floats
-    values: Floats
     evidence: float
     held_gain: float
     share: float
     left: tuple[Floats, ...]
-
-
-KINDS = "torque", "friction", "gain"
 
 
 def variables_of(fit: RigFit) -> dict[str, Signal]:
@@ -108,54 +100,130 @@ def _rested(speed: Floats, dt: float) -> Floats:
     return out
 
 
-def knots_of(fit: RigFit, signal: Signal) -> Floats:
-    """Knots over the range of a variable, by its quantiles half, evenly half."""
+def _range(fit: RigFit, signal: Signal) -> tuple[float, float]:
     every = np.concatenate([signal(m) for m in fit.likelihood.balance.motions])
     low, high = np.quantile(every, [EDGES, 1 - EDGES])
-    return np.linspace(low, high, KNOTS) if high > low else np.zeros(0)
+    return float(low), float(high)
 
 
-def curve_columns(fit: RigFit, balance: Balance, signal: Signal) -> Columns:
-    """Change of the residual by the value at each knot, per log."""
-    knots, count = knots_of(fit, signal), fit.left[0].shape[0]
-    gains = fit.model.plant().input_values[:, 0]
+def _hats(x: Floats, low: float, high: float) -> Floats:
+    """Hat functions at even knots, (n, knots)."""
+    place = (np.clip(x, low, high) - low) / (high - low) * (KNOTS - 1)
+    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(KNOTS)))
+
+
+def _stops(x: Floats, low: float, high: float) -> Floats:
+    """How far a variable is within plays of several widths, (n, knots).
+
+    A sum of these is any hysteresis that forgets small loops inside of large ones (Prandtl and
+    Ishlinskii; Visintin, Differential Models of Hysteresis, 1994).
+    """
+    half = 0.5 * (high - low) * np.geomspace(1.0 / KNOTS**2, 1.0, KNOTS)
+    out, now = np.zeros((x.size, KNOTS)), np.zeros(KNOTS)
+    for i, change in enumerate(np.diff(x, prepend=x[:1])):
+        now = np.clip(now + change, -half, half)
+        out[i] = now
+    return out
+
+
+def torques_of(fit: RigFit, signal: Signal) -> list[tuple[str, Signal]]:
+    """Torques that curves over a variable give, (n, knots) each: alike, odd, and by the drive."""
+    low, high = _range(fit, signal)
+    if not high > low:
+        return []
+    model, balance = fit.model, fit.likelihood.balance
+    gains, inputs = model.plant().input_values[:, 0], model.layout.inputs
+    group = next(iter(measured_motion(model, balance, balance.motions[0])[1]))
+
+    def torque(m: Motion) -> Floats:
+        return _hats(signal(m), low, high)
+
+    def friction(m: Motion) -> Floats:
+        speed = measured_motion(model, balance, m)[0][group][1]
+        return (np.sign(speed) * ~resting(speed, m.rest_share))[:, None] * torque(m)
+
+    def gain(m: Motion) -> Floats:
+        push = np.sum([g * m.u[n] for g, n in zip(gains, inputs, strict=True)], axis=0)
+        return np.asarray(push[:, None] * torque(m))
+
+    return [("torque", torque), ("friction", friction), ("gain", gain)]
+
+
+def columns_of(count: int, balance: Balance, torque: Signal) -> tuple[Floats, ...]:
+    """Change of the residual by each column of a torque, (equations, rows, columns) per log."""
     parts = []
-    _, bodies = measured_motion(fit.model, balance, balance.motions[0])
-    group = next(iter(bodies))
     for m in balance.motions:
-        if knots.size == 0:
-            parts.append(np.zeros((count, m.rows.size, 0)))
-            continue
-        x = np.clip(signal(m), knots[0], knots[-1])
-        place = (x - knots[0]) / (knots[1] - knots[0])
-        hats = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(KNOTS)))
-        sign = np.sign(measured_motion(fit.model, balance, m)[0][group][1])
-        push = sum(g * m.u[n] for g, n in zip(gains, fit.model.layout.inputs, strict=True))
-        both = [m.reduce(f * h) for f in (np.ones_like(x), sign, push) for h in hats.T]
-        part = np.zeros((count, m.rows.size, len(both)))
-        part[0] = np.array(both).T
+        own = np.array([m.reduce(column) for column in torque(m).T]).T
+        part = np.zeros((count, *own.shape))
+        part[0] = own
         parts.append(part)
-    return Columns(tuple(parts))
+    return tuple(parts)
 
 
 def curves(state: "RigState") -> list[Curve]:
     """Fit curves over every variable to what a model leaves, most evidence first."""
-    found = []
-    for name, signal in variables_of(state.fit).items():
-        knots = knots_of(state.fit, signal)
-        if knots.size == 0:
+    fit, found = state.fit, []
+    count = fit.left[0].shape[0]
+    tried = variables_of(fit)
+    families = [(n, *one, 0.0) for n, s in tried.items() for one in torques_of(fit, s)]
+    for name in (n for n in tried if n.startswith(("theta", "u"))):
+        low, high = _range(fit, tried[name])
+        if high > low:
+            families.append((name, "hysteresis", _within(tried[name], low, high), 0.0))
+        body = name.partition(":")[2]
+        if name.startswith("theta") and high - low > 2 * pi and not on_slide(fit.model, body):
+            turn = _folded(tried[name], 2 * pi)
+            families += [(name, *one, 0.0) for one in torques_of(fit, turn)]
+    time = tried["time"]
+    for kind, torque in torques_of(fit, time)[::2]:
+        period, price = _clock(state, torque)
+        if period > 0.0:
+            again = dict(torques_of(fit, _folded(time, period)))
+            families.append(("time", kind, again[kind], price))
+    push = dict(torques_of(fit, time))["gain"]
+    drive = state.tangent.stack(columns_of(count, fit.likelihood.balance, push)).sum(1)
+    for name, kind, torque, price in families:
+        if kind == "gain" and name.startswith("du"):
             continue
-        own = curve_columns(state.fit, state.fit.likelihood.balance, signal).parts
-        held = curve_columns(state.fit, state.held, signal).parts
-        for k, kind in enumerate(KINDS):
-            if kind == "gain" and name.startswith("du"):
-                continue
-            cut = slice(k * KNOTS, (k + 1) * KNOTS)
-            one = _fit(state, [p[..., cut] for p in own], [p[..., cut] for p in held])
-            if one is not None:
-                values, evidence, held_gain, share, left = one
-                found.append(Curve(name, kind, knots, values, evidence, held_gain, share, left))
+        own, held = (columns_of(count, b, torque) for b in (fit.likelihood.balance, state.held))
+        # a drive that gives nothing and a model that needs nothing leave nothing
+        of_drive = kind == "gain" or name.startswith("u")
+        free = null_space(drive[None] @ state.tangent.stack(own)) if of_drive else np.eye(KNOTS)
+        one = _fit(state, own, held, free, price)
+        if one is not None:
+            found.append(Curve(name, *one))
     return sorted(found, key=lambda c: -c.evidence)
+
+
+def _within(signal: Signal, low: float, high: float) -> Signal:
+    return lambda m: _stops(signal(m), low, high)
+
+
+def _folded(signal: Signal, period: float) -> Signal:
+    return lambda m: signal(m) % period
+
+
+def _clock(state: "RigState", torque: Signal) -> tuple[float, float]:
+    """Period in a log's time that what is left follows most, and the price of looking for it.
+
+    By the power of its harmonics, of all logs together: each begins the clock anew.
+    """
+    motions = state.fit.likelihood.balance.motions
+    spacing = motions[0].dt * motions[0].step
+    alike = [k for k, m in enumerate(motions) if np.isclose(m.dt * m.step, spacing)]
+    rows = max(motions[k].rows.size for k in alike)
+    size = FINE * rows
+    total = np.zeros(size // 2 + 1, complex)
+    for k in alike:
+        m = motions[k]
+        total += rfft(state.fit.left[k][0] * m.moving * m.reduce(torque(m).sum(1)), size)
+    power = np.abs(total) ** 2
+    first = PERIODS * FINE
+    trials = np.arange(first, power.size // HARMONICS)
+    if trials.size == 0:
+        return 0.0, 0.0
+    best = trials[np.argmax(sum(power[h * trials] for h in range(1, HARMONICS + 1)))]
+    return size * spacing / float(best), 2.0 * float(np.log(trials.size / FINE))
 
 
 def accepted(found: Sequence[Curve]) -> list[Curve]:
@@ -166,7 +234,8 @@ def accepted(found: Sequence[Curve]) -> list[Curve]:
 def better_without_names(selection: Selection) -> list[Curve]:
     """Return curves beside the declared model, where one explains more than all effects do.
 
-    Names next to something that is on no list then explain only a part of it.
+    Names next to something that is on no list then explain only a part of it. They stay where they
+    explain most of what the curve does: it bends as it likes, and a law is never quite right.
     """
     base, final = selection.base, selection.final
     found = accepted(curves(base))
@@ -178,7 +247,10 @@ def better_without_names(selection: Selection) -> list[Curve]:
         both = likelihood.between(base.fit.model, final.fit.model)
         fall += both.surprise(before, base.fit.model) - both.surprise(after, final.fit.model)
     numbers = sum(f.kind == "effect" for f in final.fit.frees)
-    return found if found and found[0].evidence > fall - 2.0 * numbers + LEVEL else []
+    if not found or found[0].evidence < fall - 2.0 * numbers + LEVEL:
+        return []
+    was, now = (mean_square(one.held_left[0], one.held) for one in (base, final))
+    return [] if share(was, now, (1.0 - found[0].share) * was) >= EXPLAINED else found
 
 
 def predicted(state: "RigState", found: Sequence[Curve]) -> float:
@@ -213,32 +285,52 @@ def mean_square(left: Sequence[Floats], balance: Balance) -> float:
 
 
 def _fit(
-    state: "RigState", own: Sequence[Floats], held: Sequence[Floats]
-) -> tuple[Floats, float, float, float, tuple[Floats, ...]] | None:
-    tangent, likelihood = state.tangent, state.fit.likelihood
-    table = tangent.project(tangent.stack(own))
-    size = float(np.linalg.norm(table))
-    if size == 0.0:
+    state: "RigState",
+    own: Sequence[Floats],
+    held: Sequence[Floats],
+    free: Floats,
+    price: float,
+) -> tuple[float, float, float, tuple[Floats, ...]] | None:
+    """Fit values at the knots, of what `free` spans, and look at the logs that are held out."""
+    fit, tangent = state.fit, state.tangent
+    table = tangent.stack(own) @ free
+    alone = tangent.project(table)
+    square, aim = alone.T @ alone, -alone.T @ tangent.target
+    size = float(np.trace(square))
+    if size <= 1e-12 * float(np.sum(table**2)):
         return None
-    second = np.diff(np.eye(table.shape[1]), 2, axis=0)
-    square = table.T @ table
-    beyond, model = likelihood.on(state.held), state.fit.model
-    before = state.held_left[0]
-    best: tuple[float, Floats] | None = None
+    second = np.diff(np.eye(len(free)), 2, axis=0) @ free
+    best: tuple[float, float, Floats] | None = None
     for stiff in STIFFNESS:
-        whole = square + (size**2 / len(square)) * (
-            stiff * second.T @ second + 1e-8 * np.eye(len(square))
-        )
-        inverse = np.linalg.inv(whole)
-        values = -inverse @ (table.T @ tangent.target)
-        free = float(np.trace(inverse @ square))
-        rest = tangent.target + table @ values
-        gain = float(tangent.target @ tangent.target - rest @ rest) - 2.0 * free
+        smooth = size / len(square) * (stiff * second.T @ second + 1e-8 * np.eye(len(square)))
+        solved = np.linalg.inv(square + smooth)
+        values = solved @ aim
+        used = float(np.trace(solved @ square))
+        gain = float(values @ (2.0 * aim - square @ values)) - 2.0 * used
         if best is None or gain > best[0]:
-            best = gain, values
+            best = gain, used, values
     assert best is not None
-    values = best[1]
-    after = tuple(b + h @ values for b, h in zip(before, held, strict=True))
-    held_gain = beyond.surprise(before, model) - beyond.surprise(after, model)
-    was, now = (mean_square(x, state.held) for x in (before, after))
-    return values, best[0] + held_gain, held_gain, 1 - now / was if was > 0 else 0.0, after
+    values, shift = free @ best[2], tangent.shift(table @ best[2])
+    moved = [
+        float(np.clip(fit.state.get(f) + f.scale * d, f.low, f.high))
+        for f, d in zip(fit.frees, shift, strict=True)
+    ]
+    gains = []
+    for balance, before, columns, start in (
+        (fit.likelihood.balance, fit.left, own, fit.state),
+        (state.held, state.held_left[0], held, state.held_state),
+    ):
+        there = start.moved(fit.frees, moved)
+        try:
+            left, _ = residuals(there, balance)
+        except (ValueError, ArithmeticError):
+            return None
+        after = tuple(b + c @ values for b, c in zip(left, columns, strict=True))
+        # a model that makes less of the readings' noise leaves less; that is no evidence
+        like = fit.likelihood.on(balance).between(fit.model, there.model)
+        gains.append(like.surprise(before, fit.model) - like.surprise(after, there.model))
+    was, now = (mean_square(x, state.held) for x in (state.held_left[0], after))
+    if like.noise is not None:
+        now += float(like.noise_of(fit.model)[0] - like.noise_of(there.model)[0])
+    evidence = sum(gains) - 2.0 * best[1] - price
+    return evidence, gains[1], 1 - now / was if was > 0 else 0.0, after

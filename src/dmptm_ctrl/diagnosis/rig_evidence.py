@@ -19,7 +19,7 @@ from dmptm_ctrl.diagnosis.candidate import (
 )
 from dmptm_ctrl.diagnosis.impedance import loudness
 from dmptm_ctrl.diagnosis.rig_candidates import structures, trials
-from dmptm_ctrl.diagnosis.rig_curves import curve_columns, mean_square, variables_of
+from dmptm_ctrl.diagnosis.rig_curves import columns_of, mean_square, torques_of, variables_of
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
 from dmptm_ctrl.diagnosis.rig_shapes import MAX_ORDER, SPOT_BINS, unit_columns
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
@@ -119,6 +119,7 @@ class RigEvidence:
     def base(self, start: State) -> RigState:
         """Fit the declared model, from rough values."""
         fit = fit_rig(start, self.logs, jobs=self.jobs, iterations=SETTLE)
+        fit = from_elsewhere(fit, iterations=SETTLE, jobs=self.jobs)
         return self.closed(RigState(fit, self.held))
 
     def refit(self, state: RigState) -> RigState:
@@ -294,8 +295,8 @@ class RigEvidence:
         """Fit to the end; where a gap is among the added effects, from several of its sizes."""
         known = like.likelihood
         fit = fit_rig(start, self.logs, iterations=SETTLE, like=known, jobs=self.jobs)
-        for key in (k for k in keys if name_of(k) == BACKLASH.name):
-            fit = from_elsewhere(fit, key, iterations=SETTLE, jobs=self.jobs)
+        if any(name_of(k) == BACKLASH.name for k in keys):
+            fit = from_elsewhere(fit, iterations=SETTLE, jobs=self.jobs)
         return fit
 
     def closed(self, state: RigState) -> RigState:
@@ -379,7 +380,9 @@ def independent(state: RigState) -> Floats:
     tangent, likelihood = state.tangent, state.fit.likelihood
     table = [tangent.slopes, *(tangent.stack(t.columns) for t in state.trials)]
     for signal in variables_of(state.fit).values():
-        table.append(tangent.stack(curve_columns(state.fit, likelihood.balance, signal).parts))
+        for _, torque in torques_of(state.fit, signal):
+            own = columns_of(state.fit.left[0].shape[0], likelihood.balance, torque)
+            table.append(tangent.stack(own))
     columns = np.hstack(table)
     size = np.linalg.norm(columns, axis=0)
     good = np.isfinite(size) & (size > 0)

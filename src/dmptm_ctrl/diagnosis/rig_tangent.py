@@ -136,6 +136,12 @@ class Tangent:
         """Take out what the fitted numbers could do."""
         return columns - self.basis @ (self.basis.T @ columns)
 
+    def shift(self, change: Floats) -> Floats:
+        """Change of the fitted numbers that does most against a weighted change, (p,)."""
+        norm = np.linalg.norm(self.slopes, axis=0)
+        norm[norm <= 1e-12 * norm.max(initial=0.0)] = np.inf
+        return -np.linalg.lstsq(self.slopes / norm, change, rcond=1e-7)[0] / norm
+
     def score(self, parts: Sequence[Floats]) -> tuple[float, Floats]:
         """Return the fall of −2 log-likelihood to first order, and the amplitudes."""
         table = self.stack(parts)

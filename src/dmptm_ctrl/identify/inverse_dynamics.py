@@ -422,8 +422,12 @@ def _friction(
 def _at_rest(friction: Floats, needed: Floats, v: Floats, share: float) -> Floats:
     """Friction with the set-valued part at rest: whatever holds the body, up to its level."""
     level = np.abs(friction)
-    rest = np.abs(v) < share * np.abs(v).max(initial=0.0)
-    return np.where(rest, np.clip(needed, -level, level), friction)
+    return np.where(resting(v, share), np.clip(needed, -level, level), friction)
+
+
+def resting(v: Floats, share: float) -> NDArray[np.bool_]:
+    """Where a body counts as at rest: friction there is whatever holds it."""
+    return np.asarray(np.abs(v) < share * np.abs(v).max(initial=0.0))
 
 
 def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:

@@ -41,7 +41,7 @@ class Likelihood:
 
     def knowing(self, model: RigModel, left: Sequence[Floats]) -> "Likelihood":
         """Return the same with the noise of readings told from what else a model leaves."""
-        noise = self._noise(model)
+        noise = self.noise_of(model)
         share = noise / self.scales(left) ** 2
         return replace(self, noise=noise if np.sum(self.counts * share) > TOLERANCE else None)
 
@@ -49,9 +49,10 @@ class Likelihood:
         """Return the same with all models brought to the least noise of these."""
         if self.noise is None:
             return self
-        return replace(self, noise=np.min([self._noise(m) for m in models], axis=0))
+        return replace(self, noise=np.min([self.noise_of(m) for m in models], axis=0))
 
-    def _noise(self, model: RigModel) -> Floats:
+    def noise_of(self, model: RigModel) -> Floats:
+        """Variance that the noise of readings gives the residual of a model, (equations,)."""
         return np.array([float(f @ f) for f in noise_in_balance(model, self.balance)])
 
     @cached_property
@@ -107,7 +108,7 @@ class Likelihood:
         """−2 log-likelihood, each equation at its own scale, all models with the same noise."""
         squares = self.scales(left) ** 2
         if self.noise is not None:
-            squares = np.maximum(squares - self._noise(model) + self.noise, self.floor**2)
+            squares = np.maximum(squares - self.noise_of(model) + self.noise, self.floor**2)
         # the mean square over the scale's is left in: near the floor it still falls
         return float(np.sum(self.counts * (np.log(squares) + 1.0 - self.floor**2 / squares)))
 

@@ -66,7 +66,7 @@ TIMES = "(times)"  # instead of the unit of a column of dates or times of day
 
 
 _BESIDE = " #%"  # blanks and signs of comments around names
-CLOCKS = ("t", "time", "_time", "zeit", "uhrzeit", "timestamp", "datetime", "date", "datum")
+CLOCKS = ("t", "time", "tout", "_time", "zeit", "uhrzeit", "timestamp", "datetime", "date", "datum")
 _BRACKET = re.compile(r"\s*[\[(][^\[\]()]*[\])]$")  # a unit, known or not
 Mapped = Mapping[str, "Column | tuple | str"]
 

@@ -420,19 +420,19 @@ def test_words_among_the_numbers_are_no_values(tmp_path):
     log = read(tmp_path, "t,u,q\n" + "".join(smooth))
     np.testing.assert_allclose(log["out_q"], T, atol=1.1e-5)
     assert "q is 'OVL' in lines 102, 103, 152: taken as no value" in log.warnings
-    for i in range(60, 100):
+    for i in range(20, 60):
         smooth[i] = smooth[i].replace(f",{T[i]:.5f}", ",OVL")
-    with pytest.raises(LogError, match="q, which is 'OVL' in lines 62, .*leave that part out .start, stop"):
+    with pytest.raises(LogError, match="q, which is 'OVL' in lines 22, .* out .start, stop"):
         read(tmp_path, "t,u,q\n" + "".join(smooth))
-    clock = 'time = { column = "t", unit = "s" }\nstop = 0.5'
+    clock = 'time = { column = "t", unit = "s" }\nstart = 0.7'
     log = read(tmp_path, "t,u,q\n" + "".join(smooth), rig(data=clock))
-    assert len(log) == 51
+    assert len(log) == ROWS - 70
 
 
 @pytest.mark.parametrize("cell", ["", "NaN", "off"])
 def test_a_column_without_a_value_is_named(tmp_path, cell):
     for head, line in (("t,u,q", "{:.5f},{:.5f},%s\n"), ("t,q,u", "{:.5f},%s,{:.5f}\n")):
-        with pytest.raises(LogError, match="run.csv: (q has no value in any row|.*'q' holds 'off')"):
+        with pytest.raises(LogError, match="q has no value in any row|'q' holds 'off'"):
             read(tmp_path, f"{head}\n" + each(line % cell))
 
 

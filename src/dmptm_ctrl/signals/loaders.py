@@ -197,6 +197,8 @@ def gather(
     logs: list[Log] = []
     left_out: list[str] = []
     first: NotALogError | None = None
+    if not single and not isinstance(sources, Iterable):
+        raise LogError(f"logs are paths, tables or Logs, not {type(sources).__name__}")
     for source in [sources] if single else sources:
         if isinstance(source, Log):
             logs.append(load(source))

@@ -199,3 +199,10 @@ def test_what_is_no_log_at_all(logs):
     for take in (load_logs, diagnose):
         with pytest.raises((LogError, TypeError), match=r"logs? .*, not (a )?(NoneType|int|float)"):
             take(logs)
+
+
+def test_a_column_called_time_is_the_clock_without_a_unit(tmp_path):
+    FRAME.rename(columns={"t": "time", "u": "u_V"}).to_csv(tmp_path / "run.csv", index=False)
+    log = load_log(tmp_path / "run.csv")
+    assert log.sample_time == pytest.approx(0.01)
+    assert "the clock is column 'time', taken in seconds" in log.warnings

@@ -322,6 +322,16 @@ WRONG = {  # call with a first argument that is right -> what is said of another
 }
 
 
+def test_an_inertia_that_may_be_zero(tmp_path):
+    """What the pinion adds to the rotor: a model without it is read, a negative one is not."""
+    text = to_toml(dmptm_ctrl.Model(dmptm_ctrl.paper_drive().with_values(J_2=0.0)))
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    assert dmptm_ctrl.read_model(tmp_path / "m.toml").drive["J_2"] == 0.0
+    (tmp_path / "m.toml").write_text(text.replace("J_2 = 0.0", "J_2 = -1.0"), encoding="utf-8")
+    with pytest.raises(dmptm_ctrl.LogError, match="J_2 is -1 kg·m², it must be zero or more"):
+        dmptm_ctrl.read_model(tmp_path / "m.toml")
+
+
 @pytest.mark.parametrize("name", WRONG)
 def test_arguments_of_a_wrong_type_are_refused_in_one_sentence(name):
     call, said = WRONG[name]

@@ -122,9 +122,8 @@ def test_runs_far_above_their_floor_are_said(found, runs, said):
     far = {"body.motor.inertia": {"outside": True}}
     listed = replace(none, declared_values=far).sentence()
     # behind all that is said of the runs
-    assert listed == none.sentence()[:-1] + (
-        "; fitted values leave their declared ranges: body.motor.inertia."
-    )
+    same = none.sentence()[:-1].replace("show:", "show, but only with other values than declared:")
+    assert listed == same + ("; fitted values leave their declared ranges: body.motor.inertia.")
 
 
 def test_short_predictions_miss_less_than_free_runs(found):

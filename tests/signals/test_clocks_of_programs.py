@@ -162,6 +162,33 @@ def test_numbers(tmp_path, kind, by_file):
         assert any("ran over 1 times" in w for w in log.warnings), log.warnings
 
 
+@pytest.mark.parametrize(
+    "kind", ["Unix ms", "Unix us", "Unix ns", "file time", ".NET", "Excel", "MATLAB"]
+)
+def test_what_no_seconds_since_any_epoch_are(kind):
+    per_second, since = {
+        "Unix ms": (1e3, 1_760_000_000_000), "Unix us": (1e6, 1_760_000_000_000_000),
+        "Unix ns": (1e9, 1_760_000_000_000_000_000), "file time": (1e7, 133_000_000_000_000_000),
+        ".NET": (1e7, 638_000_000_000_000_000), "Excel": (1 / 86400, 45_000.4),
+        "MATLAB": (1 / 86400, 738_000.4),
+    }[kind]  # fmt: skip
+    time = since + (per_second * T if per_second < 1 else (per_second * T).round().astype(np.int64))
+    (log,) = rig("s").read(pd.DataFrame({"t": time, "u": U, "q": Q}))
+    assert log.sample_time == pytest.approx(STEP, rel=1e-5)
+    assert "since" in log.warnings[0]
+
+
+@pytest.mark.parametrize("size", [1.0, 0.256, 60.0])
+def test_a_clock_that_runs_over_while_the_drive_goes_on(size):
+    """Milliseconds within a second or a minute; one fall to the first time is a new run."""
+    time = 0.004 * np.arange(1500) + (57.0 if size == 60 else 0.0)
+    frame = pd.DataFrame({"t": np.round(time % size, 3), "u": np.sin(time), "q": np.cos(time)})
+    (log,) = rig().read(frame)
+    assert len(log) == 1500
+    assert log.sample_time == pytest.approx(0.004, rel=1e-9)
+    assert f"times at {size:g} s" in log.warnings[0]
+
+
 def coarse(tick, step):
     return np.round(np.floor(step * INDEX / tick + 1e-9) * tick, 3)
 

@@ -51,6 +51,22 @@ def test_unwrapped(bits, signed, lacking):
     assert f"{bits} bit counter" in note
 
 
+@pytest.mark.parametrize(
+    ("size", "turn"),
+    [(1000, 0), (3333, 0), (25000, 0), (360, 360), (7200, 3600), (500, 0), (1440, 0)],
+)
+@pytest.mark.parametrize("digits", [0, 3])
+@pytest.mark.parametrize("low", [0.0, -0.5])
+def test_any_modulus(size, turn, digits, low):
+    """Also where the shaft turns by a seventh of it from one sample to the next."""
+    true = np.round(20 * size * np.sin(4 * T) ** 3 + 300 * T, digits)
+    fast = np.round(15 * size * np.sin(10 * T), digits) if turn else true
+    for motion in (true, fast):
+        values, note = unwrapped_counts("q", (motion / size - low) % 1.0 * size, turn)
+        np.testing.assert_allclose(np.diff(values), np.diff(motion), atol=1.01 * 10.0**-digits)
+        assert "unwrapped" in note
+
+
 @given(st.integers(0, 2**16 - 1), st.integers(1, 20), st.integers(1, 6))
 def test_any_start(start, speed, turns):
     true = start + np.cumsum(np.round(speed * 40 * np.sin(np.linspace(0, 2 * np.pi * turns, 3000))))

@@ -215,6 +215,49 @@ def test_structures_of_time_and_data(tmp_path):
     np.testing.assert_array_equal(load_log(path, columns)["u"], U)
 
 
+def one_per_signal():
+    return {"s": structs({"name": "x_mm", "t": TIME, "y": X}, {"name": "u_mV", "t": TIME, "y": U})}
+
+
+def names_and_data():
+    return {"time_s": TIME, "s": structs(*({"Name": n, "Data": v} for n, v in NAMED.items()))}
+
+
+def one_per_sample():
+    rows = zip(TIME, X, U, strict=True)
+    return {"s": structs(*({"time_s": t, "x_mm": x, "u_mV": u} for t, x, u in rows))}
+
+
+def dataset():
+    return {"out": {n: {"Values": {"Time": TIME, "Data": v}} for n, v in NAMED.items()}}
+
+
+def in_milliseconds():
+    info = {"Units": "milliseconds"}
+    return {n: {"Time": 1e3 * TIME, "Data": v, "TimeInfo": info} for n, v in NAMED.items()}
+
+
+def rasters():
+    """ControlDesk: each signal says which axis is its own."""
+    axes = structs({"Name": "slow", "Data": TIME[::2]}, {"Name": "fast", "Data": TIME})
+    signals = structs(*({"Name": n, "Data": v, "XIndex": 2} for n, v in NAMED.items()))
+    return {"rec": {"X": axes, "Y": signals}}
+
+
+NAMED = {"x_mm": X, "u_mV": U}
+
+
+@pytest.mark.parametrize(
+    "kind", [one_per_signal, names_and_data, one_per_sample, dataset, in_milliseconds, rasters]
+)
+def test_structures_of_signals(tmp_path, kind):
+    savemat(tmp_path / "run.mat", kind())
+    log = load_log(tmp_path / "run.mat")
+    np.testing.assert_allclose(log.time, TIME, rtol=1e-13)
+    np.testing.assert_array_equal(log["x"], 1e-3 * X)
+    np.testing.assert_array_equal(log["u"], 1e-3 * U)
+
+
 def test_text_of_matlab(tmp_path):
     """Of ``save run.mat -ascii``."""
     path = tmp_path / "run.mat"

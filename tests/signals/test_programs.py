@@ -232,6 +232,10 @@ LAYOUTS = {
     "JSON, signals by name": json.dumps({s["name"]: {"data": s["y"]} for s in SIGNALS}),
     "JSON, names and rows": json.dumps({"fields": ["t", "u", "q"], "rows": TRIPLES}),
     "JSON, rows": json.dumps([["t", "u", "q"], *TRIPLES]),
+    "JSON by row": FRAME.to_json(orient="index"),
+    "JSON, signals and their clocks": json.dumps(
+        {n: {"t": T.tolist(), "y": FRAME[n].tolist()} for n in "uq"}
+    ),
     "JSON, nested records": json.dumps({"log": {"rows": FRAME.to_dict("records")}}),
 }  # fmt: skip
 
@@ -395,6 +399,41 @@ LEFT_OUT = {  # content, rows that stay, what is said
     "NULL at the start": (replaced(1, 3, ",NULL,NULL\n"), slice(2, None), "first 2 rows"),
     "n/a at the end": (replaced(-3, ROWS + 1, ",1.0,n/a\n"), slice(0, -3), "last 3 rows"),
 }
+
+
+def test_json_without_a_clock_or_names(tmp_path):
+    columns = FRAME[["u", "q"]].to_dict("list")
+    for rate in ({"dt": STEP}, {"meta": 1, "fs": 1 / STEP}):
+        is_the_run(read(tmp_path, json.dumps({**rate, **columns}), rig(data=""), "run.json"))
+    a_rig = rig("column2", "column3", 'time = { column = "column1", unit = "s" }')
+    is_the_run(read(tmp_path, json.dumps(FRAME.to_numpy().tolist()), a_rig, "run.json"))
+    cut = FRAME.to_json(orient="records", lines=True).rstrip()[:-9]
+    log = read(tmp_path, cut, name="run.json")
+    is_the_run(log, slice(0, -1))
+    assert log.warnings == ("left out incomplete rows in line 240",)
+
+
+def test_words_among_the_numbers_are_no_values(tmp_path):
+    smooth = rows(",", T, 0 * T + 1 + T, 0 * T + T).splitlines(keepends=True)
+    for i, word in ((100, "OVL"), (101, "OVL"), (150, "---.--")):
+        smooth[i] = smooth[i].replace(f",{T[i]:.5f}", f",{word}")
+    log = read(tmp_path, "t,u,q\n" + "".join(smooth))
+    np.testing.assert_allclose(log["out_q"], T, atol=1.1e-5)
+    assert "q is 'OVL' in lines 102, 103, 152: taken as no value" in log.warnings
+    for i in range(20, 60):
+        smooth[i] = smooth[i].replace(f",{T[i]:.5f}", ",OVL")
+    with pytest.raises(LogError, match="q, which is 'OVL' in lines 22, .* out .start, stop"):
+        read(tmp_path, "t,u,q\n" + "".join(smooth))
+    clock = 'time = { column = "t", unit = "s" }\nstart = 0.7'
+    log = read(tmp_path, "t,u,q\n" + "".join(smooth), rig(data=clock))
+    assert len(log) == ROWS - 70
+
+
+@pytest.mark.parametrize("cell", ["", "NaN", "off"])
+def test_a_column_without_a_value_is_named(tmp_path, cell):
+    for head, line in (("t,u,q", "{:.5f},{:.5f},%s\n"), ("t,q,u", "{:.5f},%s,{:.5f}\n")):
+        with pytest.raises(LogError, match="q has no value in any row|'q' holds 'off'"):
+            read(tmp_path, f"{head}\n" + each(line % cell))
 
 
 @pytest.mark.parametrize("kind", LEFT_OUT)

@@ -9,9 +9,10 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
+from dmptm_ctrl import diagnose
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.signals import LogError, load_log
+from dmptm_ctrl.signals import LogError, load_log, load_logs
 
 T = 0.01 * np.arange(400)
 FRAME = pd.DataFrame({"t": T, "u": np.sin(T), "q": np.cos(T)})
@@ -191,3 +192,17 @@ def test_a_log_is_not_changed_by_reading(tmp_path):
     parse_rig(RIG.format(unit="N m")).read(tmp_path)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
     shutil.rmtree(tmp_path)
+
+
+@pytest.mark.parametrize("logs", [None, 3, [1.0, 2.0]])
+def test_what_is_no_log_at_all(logs):
+    for take in (load_logs, diagnose):
+        with pytest.raises((LogError, TypeError), match=r"logs? .*, not (a )?(NoneType|int|float)"):
+            take(logs)
+
+
+def test_a_column_called_time_is_the_clock_without_a_unit(tmp_path):
+    FRAME.rename(columns={"t": "time", "u": "u_V"}).to_csv(tmp_path / "run.csv", index=False)
+    log = load_log(tmp_path / "run.csv")
+    assert log.sample_time == pytest.approx(0.01)
+    assert "the clock is column 'time', taken in seconds" in log.warnings

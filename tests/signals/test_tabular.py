@@ -119,6 +119,15 @@ def test_mdf_on_two_clocks(columns, save_mdf):
     assert "x on another clock" in log.warnings[0]
 
 
+def test_mdf_channels_of_one_name(save_mdf):
+    time = 0.01 * np.arange(200)
+    path = save_mdf((time, [("u", time, "V")]), (time, [("u", -time, "V"), ("x", time, "m")]))
+    log = load_log(path, {"u (group 2)": ("u", "V"), "x": ("x", "m"), "t": ("time", "s")})
+    np.testing.assert_allclose(log["u"], -time)
+    with pytest.raises(LogError, match=r"did you mean 'u \(group 1\)', 'u \(group 2\)'"):
+        load_log(path, {"u": ("u", "V")})
+
+
 def test_damaged_mdf(tmp_path):
     pytest.importorskip("asammdf")
     (tmp_path / "run.mf4").write_bytes(b"MDF     4.10    " + b"\xff" * 200)

@@ -124,7 +124,7 @@ def test_many_chunks_are_one_log(columns, write_csv, monkeypatch):
     np.testing.assert_array_equal(load_log(write_csv(columns))["theta_L"], whole["theta_L"])
     monkeypatch.setattr(text, "CHUNK_ROWS", 333)
     np.testing.assert_array_equal(load_log(write_csv(columns))["theta_L"], whole["theta_L"])
-    with pytest.raises(LogError, match=r"line 1702: theta_L_deg is 'bad', not a number"):
+    with pytest.raises(LogError, match=r"theta_L_deg, which is 'bad' in line 1702, is missing"):
         load_log(write_csv(broken(columns, "theta_L_deg", 1700, "bad")))
 
 
@@ -136,7 +136,7 @@ def test_many_chunks_are_one_log(columns, write_csv, monkeypatch):
         ("1e999", r"^run.csv: theta_L_deg is infinite in row 1235;"),
         ("1e200", r"^run.csv: theta_L_deg is 1e\+200, no measured value, in row 1235;"),
         ("", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235;"),
-        ("off", r"^run.csv: line 1236: theta_L_deg is 'off', not a number$"),
+        ("off", r"^run.csv: theta_L_deg, which is 'off' in line 1236, is missing"),
         ("1,2", r"^run.csv: line 1236 has 8 values, the header names 7 columns$"),
     ],
 )

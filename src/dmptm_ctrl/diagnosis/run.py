@@ -64,10 +64,7 @@ def diagnose(
     >>> found.save("result")
     """
     if rig is None or isinstance(rig, Drive):
-        given: Any = logs if isinstance(logs, str | PathLike) else list(logs)
-        first = given[:1] if isinstance(given, list) else [given]
-        if any(isinstance(path, str | PathLike) for path in first):
-            given = load_logs(given, max_rows=READ_ROWS)
+        given = logs if isinstance(logs, Campaign) else load_logs(logs, max_rows=READ_ROWS)
         return diagnose_dual(given, rig or paper_drive(), jobs, seed, tell)
     declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
     drive = dual_motor(declared)

@@ -23,6 +23,8 @@ def finite(source: str, column: str, values: Array, above: int = 0) -> None:
     """
     good = np.abs(values) < HUGE  # False for NaN
     if not good.all():
+        if np.isnan(values).all():
+            raise LogError(f"{source}: {column} has no value in any row")
         row, count = int(np.argmin(good)), int((~good).sum())
         more = f" ({count} such values)" if count > 1 else ""
         value = values[row]

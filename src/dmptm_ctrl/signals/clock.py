@@ -3,11 +3,12 @@
 import re
 from collections.abc import Mapping
 from datetime import datetime
+from datetime import time as daytime
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.signals.checks import even_time, usual_step
+from dmptm_ctrl.signals.checks import GAP_STEPS, even_time, usual_step
 from dmptm_ctrl.signals.errors import LogError
 
 Array = NDArray[np.float64]
@@ -21,8 +22,18 @@ _DURATION = re.compile(
     r"(-?\d+ days?\s+)?\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?$|\S+ (s|sec|ms|us|µs|ns|min|h|hr)$"
     r"|P\d+DT\S+$|L?T(IME)?#"
 )
-_ZONE = re.compile(r"\[[^\[\]]*\]$|\s?(UTC|GMT)$")
+_ZONE = re.compile(r"\[[^\[\]]*\]$|\s?[A-Z]{3,4}$")  # CET
 _ISO_DATE = re.compile(r"^(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T ,_-]+")
+# What clocks count since an epoch, from 2001 to 2060: unit [s], epoch, and seconds since then.
+EPOCHS = (
+    *((u, f, "1970", 0.98e9, 2.84e9) for u, f in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))),
+    ("ticks of 100 ns", 1e-7, "1601", 1.26e10, 1.45e10),
+    ("ticks of 100 ns", 1e-7, "the year 1", 6.31e10, 6.5e10),
+    ("days", DAY, "1900", 3.18e9, 5.06e9),
+    ("days", DAY, "the year 0", 6.31e10, 6.5e10),
+)
+LATEST = 1e11  # s; no clock counts so many since any epoch
+SHORTEST = 2e-6  # s; nothing samples a drive so fast
 ROUNDS = (*(2.0**b * 10.0**-e for b in (16, 24, 31, 32) for e in (0, 3, 6)), DAY, 1e3 * DAY)
 
 
@@ -35,7 +46,7 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
     import pandas as pd
 
     values = pd.Series(texts, dtype=object).map(
-        lambda v: v.isoformat() if isinstance(v, datetime) else v
+        lambda v: v.isoformat() if isinstance(v, datetime | daytime) else v
     )
     first = next((str(v).strip() for v in values if isinstance(v, str) and v.strip()), "")
     try:
@@ -91,9 +102,13 @@ def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
         since = values - values[~np.isnat(values)][:1]
         missing = np.where(np.isnat(values), np.nan, 0.0)
         return since.astype("timedelta64[ns]").astype(np.float64) * 1e-9 + missing, ""
+    own = _epoch(values.astype(np.float64), factor)
     if values.dtype.kind in "iu" and values.size and abs(int(values[0])) > 2**53:
         values = values - values[0]
     raw = values.astype(np.float64)
+    if own is not None:
+        unit, factor, since = own
+        return (raw - raw[np.isfinite(raw)][0]) * factor, f"counts {unit} since {since}: taken so"
     step = np.diff(raw)
     falls = np.flatnonzero(step < 0)
     if falls.size and falls.size < 0.05 * raw.size:
@@ -104,6 +119,19 @@ def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
                 raw[1:] += size * np.cumsum(step < 0)
                 return raw * factor, f"the clock ran over {falls.size} times at {size:.10g}"
     return raw * factor, ""
+
+
+def _epoch(raw: Array, factor: float) -> tuple[str, float, str] | None:
+    """Unit that a clock must have because no seconds since any epoch are that many, or tick so."""
+    good = raw[np.isfinite(raw)]
+    if good.size < 2:
+        return None
+    first, step = abs(float(good[0])), float(np.median(np.diff(good)))
+    for unit, size, since, low, high in EPOCHS:
+        other = first * factor > LATEST if size < 1 else 0 < step < SHORTEST and factor == 1.0
+        if other and low < first * size < high:
+            return unit, size, since
+    return None
 
 
 def mended(
@@ -125,6 +153,10 @@ def mended(
                 f"they were spread evenly, one each {even[1] - even[0]:.6g} s; if the rate is "
                 "known, give sample_rate in [data] of the rig file"
             ]  # fmt: skip
+        if (whole := _run_over(time, channels)) is not None:
+            time, size, times = whole
+            time, channels, done = mended(source, time, channels, sample_time)
+            return time, channels, [f"the clock ran over {times} times at {size:.6g} s", *done]
         if (part := _longest_run(time)) is not None:
             notes = [
                 f"time starts anew: rows {part.start + 1} to {part.stop} of {time.size} are used"
@@ -177,6 +209,29 @@ def _spread(time: Array, channels: Mapping[str, Array], known: float | None) -> 
     return float(time[0]) + rate * index
 
 
+def _run_over(time: Array, channels: Mapping[str, Array]) -> tuple[Array, float, int] | None:
+    """Time of a clock that falls by the same each time while all channels go on, and its modulus.
+
+    One fall back to the first time is a logger started again.
+    """
+    step = np.diff(time)
+    falls = step < 0
+    if not falls.any() or falls.mean() > COARSE:
+        return None
+    usual = float(np.median(step))
+    sizes = usual - step[falls]
+    if np.ptp(sizes) > usual or (
+        sizes.size == 1 and abs(time[1:][falls][0] - time[0]) < 1.5 * usual
+    ):
+        return None
+    for values in channels.values():
+        change = np.abs(np.diff(values))
+        if change[falls].max() > change[~falls].max():
+            return None
+    size = float(np.median(sizes))
+    return time + size * np.concatenate([[0.0], np.cumsum(falls)]), size, int(falls.sum())
+
+
 def _longest_run(time: Array) -> slice | None:
     """Longest part between falls of the clock, where they are few: a logger started again."""
     falls = np.flatnonzero(np.diff(time) < 0) + 1
@@ -211,6 +266,7 @@ def resampled(
         notes.append(f"sorted by time, {again.size} repeated rows dropped")
     step = np.diff(time)
     usual = usual_step(source, step)
+    usual = float(step[step < GAP_STEPS * usual].mean())  # not the median: stamps may be grouped
     if step.max() > (MAX_BRIDGED + 0.5) * usual:
         row = int(np.argmax(step))
         raise LogError(

@@ -66,7 +66,7 @@ TIMES = "(times)"  # instead of the unit of a column of dates or times of day
 
 
 _BESIDE = " #%"  # blanks and signs of comments around names
-CLOCKS = ("t", "time", "_time", "zeit", "uhrzeit", "timestamp", "datetime", "date", "datum")
+CLOCKS = ("t", "time", "tout", "_time", "zeit", "uhrzeit", "timestamp", "datetime", "date", "datum")
 _BRACKET = re.compile(r"\s*[\[(][^\[\]()]*[\])]$")  # a unit, known or not
 Mapped = Mapping[str, "Column | tuple | str"]
 
@@ -227,7 +227,7 @@ def _by_name(column: str, stated: str | None, source: str, *, strict: bool) -> T
             channel = "time"
         if channel in CANONICAL or not _is_canonical(column):
             return Target(channel, unit.symbol, unit.factor)
-    if strict and _is_canonical(column):
+    if strict and _is_canonical(column) and column != "time":
         known = [c for c in CANONICAL if column == c or column.startswith(f"{c}_")]
         raise ColumnsError(
             f"{source}: column {column!r} ends in no known unit; write {known[-1]}_UNIT "

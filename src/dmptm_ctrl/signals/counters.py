@@ -1,5 +1,6 @@
 """Counters of few bits: readings that jump where they run over, or count negative from the top."""
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -9,10 +10,13 @@ from dmptm_ctrl.signals.errors import LogError
 
 Array = NDArray[np.float64]
 
-BITS = (8, 10, 12, 13, 14, 16, 18, 20, 24, 32)
+BITS = range(8, 33)
 WHOLE = 1e-6  # whole numbers are such within this
 GRID = 0.01  # counts; readings that were scaled are whole numbers of steps within this
 SLACK = 8  # counts; a counter may be read in two parts, or count to one less
+FEWEST = 100  # readings of a counter
+SMOOTH = 0.25  # of a modulus; steps that differ by more are noise or spikes
+OFTEN = 0.2  # of the steps may be jumps
 PASSES = 4  # samples after which a failure that passes is over
 FEW = 3  # times that a counter is set in a log
 SINGLE = 10.0  # times the greatest other step; motion comes and goes over several samples
@@ -43,36 +47,94 @@ def step_of_counts(values: Array) -> float:
     return size if (np.abs(counts - np.round(counts)) < GRID).all() else 0.0
 
 
-def unwrapped_counts(column: str, values: Array) -> tuple[Array, str]:
+def unwrapped_counts(column: str, values: Array, turn: float = 0.0) -> tuple[Array, str]:
     """Position without the jumps of a counter that runs over, and a note if there were any.
 
-    Values are as the file has them: counts, or counts times a factor; NaN is passed over.
+    Values are as the file has them, `turn` is a whole turn in them (0: they slide); NaN is passed
+    over. Moduli of whole turns, of 2^n counts and of round numbers come first, then what the jumps
+    tell. The motion must go on across each jump.
     """
     good = np.isfinite(values)
     reading = values[good]
-    far, usual = _jumps(reading)
-    unit = step_of_counts(reading) if far.any() else 0.0
-    if unit == 0.0:
+    step = np.diff(reading)
+    span = float(np.ptp(reading)) if reading.size else 0.0
+    if step.size < 2 or not (np.abs(step) > 0.5 * span).any():
         return values, ""
-    step = np.diff(reading) / unit
-    for bits in BITS:
-        left = step - 2.0**bits * np.sign(step)
-        if np.ptp(reading) / unit >= 2.0**bits:
-            continue
-        if unit == 1.0:
-            fits = np.abs(left[far]) <= max(1.5 * usual, SLACK)
-        else:  # any number is 2^n of something: the motion must go on as before
-            before, after = (np.concatenate(p) for p in (([0.0], step[:-1]), (step[1:], [0.0])))
-            fits = (np.abs(left - before) <= np.abs(after - before) + SLACK)[far]
-        if fits.all():
-            turns = np.where(far, np.sign(step), 0.0)
-            result = values.copy()
-            result[good] = reading - 2.0**bits * unit * np.concatenate([[0.0], np.cumsum(turns)])
-            return result, (
-                f"{column} is a {bits} bit counter that ran over {int(far.sum())} times and was "
-                "unwrapped"
-            )
-    return values, ""
+    unit = step_of_counts(reading)
+    unit *= span > FEWEST * unit  # a few levels are no counter
+    best = None
+    for size, what in _known_moduli(span, unit, turn):
+        turns, misfit = _jumps_of(step, size, span, SLACK * unit)
+        if turns is not None and (best is None or misfit < best[0]):
+            best = misfit, size, turns, what
+    if best is None and (told := _told_modulus(step, unit)) is not None:
+        turns, misfit = _jumps_of(step, told, span, SLACK * unit)
+        if turns is not None and span < told + 0.5 * unit:
+            best = misfit, told, turns, f"started anew after {told:.6g}"
+    if best is None:
+        return values, ""
+    _, size, turns, what = best
+    result = values.copy()
+    result[good] = reading - size * np.concatenate([[0.0], np.cumsum(turns)])
+    return result, f"{column} {what}, {int((turns != 0).sum())} times: unwrapped"
+
+
+def _known_moduli(span: float, unit: float, turn: float) -> Iterator[tuple[float, str]]:
+    """Usual moduli of counters whose readings have this span."""
+    if turn:
+        yield max(np.ceil(span / turn - WHOLE), 1.0) * turn, "jumped by whole turns"
+    for bits in BITS if unit else ():
+        if 0.5 * 2.0**bits * unit <= span < (2.0**bits - 0.5) * unit:
+            yield 2.0**bits * unit, f"is a {bits} bit counter that ran over"
+    decade = 10.0 ** np.floor(np.log10(span))
+    for size in (decade, 2 * decade, 3.6 * decade, 5 * decade, 10 * decade):
+        if 0.5 * size <= span < size:
+            yield size, f"started anew after {size:g}"
+
+
+def _told_modulus(step: Array, unit: float) -> float | None:
+    """Modulus by two jumps or more, through which the motion goes on at a speed that shows."""
+    size = np.abs(step)
+    far = size > 0.5 * size.max()
+    if far.mean() > OFTEN or size[~far].max(initial=0.0) > 0.5 * size[far].min():
+        return None
+    middle, change = _around(step, far)
+    ahead = -np.sign(step[far]) * middle
+    moving = ahead > np.abs(change)
+    if moving.sum() < 2:
+        return None
+    sizes = (size[far] + ahead)[moving]
+    told = float(np.median(sizes))
+    error = max(3 / np.sqrt(sizes.size), 1.0) * float(np.std(sizes)) + 0.6 * unit
+    # the roundest number that fits
+    return next((r for d in range(1, 8) if abs((r := float(f"{told:.{d}g}")) - told) < error), told)
+
+
+def _around(step: Array, over: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Steps at jumps by a cubic through two calm ones before and after them, and their change."""
+    calm = np.flatnonzero(~over)
+    right = np.searchsorted(calm, np.flatnonzero(over))
+    far, before, after, beyond = (
+        step[calm[(right + k).clip(0, calm.size - 1)]] for k in (-2, -1, 0, 1)
+    )
+    return (4 * (before + after) - far - beyond) / 6, after - before
+
+
+def _jumps_of(step: Array, size: float, span: float, slack: float) -> tuple[Array | None, float]:
+    """Times that each step runs over a modulus, and how far it is from the motion around it.
+
+    None where none does, the motion does not go on, or the readings stay away from the ends.
+    """
+    turns = np.round(step / size)
+    over = turns != 0
+    if not over.any() or over.mean() > OFTEN:
+        return None, 0.0
+    left = (step - size * turns)[over]
+    misfit = float(np.abs(left - _around(step, over)[0]).max())
+    usual = float(np.abs(np.diff(step[~over])).max(initial=0.0))
+    smooth = misfit <= usual + slack and usual < SMOOTH * size
+    fits = smooth and span >= size - np.abs(left).min() - slack
+    return (turns, misfit) if fits else (None, misfit)
 
 
 def refuse_jumps(source: str, column: str, values: Array, time: Array) -> None:
@@ -101,7 +163,7 @@ def _jumps(values: Array) -> tuple[NDArray[np.bool_], float]:
     step = np.abs(np.diff(values))
     far = step > 0.5 * float(np.ptp(values)) if values.size > 2 else step > np.inf
     usual = float(step[~far].max(initial=0.0))
-    if not far.any() or far.mean() > 0.2 or not 0 < usual <= 0.25 * float(step[far].min()):
+    if not far.any() or far.mean() > OFTEN or not 0 < usual <= 0.25 * float(step[far].min()):
         return np.zeros(step.size, bool), usual
     return far, usual
 
@@ -116,12 +178,12 @@ def _single(step: Array) -> tuple[NDArray[np.bool_], float]:
 
 
 def with_sign(column: str, values: Array) -> tuple[Array, str]:
-    """Signal of 8, 16 or 32 bits whose negative values were read as large positive ones."""
+    """Signal of 8 to 32 bits whose negative values were read as large positive ones."""
     good = np.isfinite(values)
     reading = values[good]
     if reading.size < 3 or reading.min() < 0 or (unit := step_of_counts(reading)) == 0.0:
         return values, ""
-    for bits in (8, 12, 16, 32) if unit == 1.0 else (16,):
+    for bits in BITS if unit == 1.0 else (16,):
         size = 2.0**bits * unit
         if not size / 2 < reading.max() < size:
             continue

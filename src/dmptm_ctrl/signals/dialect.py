@@ -125,7 +125,7 @@ class Dialect(NamedTuple):
 _IEC_TIME = r"L?T(?:IME)?#\S+"  # of a PLC: T#1s20ms
 DURATION = r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)? (?:s|sec|ms|us|µs|ns|min|h|hr)"
 _CLOCK_TEXT = r"\d{1,2}:\d{2}(:\d{2})?([.,:]\d{1,9})?\s*([AaPp][Mm])?(Z|[-+]\d{2}:?\d{2})?"
-_ZONE = r"(\[[\w/+-]+\]|\s?UTC|\s?GMT)?"  # besides an offset
+_ZONE = r"(\[[\w/+-]+\]|\s?[A-Z]{3,4})?"  # besides an offset
 _DATE_TEXT = r"(\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.](\d{1,2}|[A-Za-z]{3})[-/.]\d{2,4})"
 TIME = re.compile(
     rf"{DURATION}|{_IEC_TIME}|(-?\d+ days?\s+)?{_CLOCK_TEXT}"

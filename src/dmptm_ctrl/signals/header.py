@@ -30,7 +30,7 @@ _PERIOD = re.compile(
 _LABEL = re.compile(r"(?i)_?(var|signal|tag|channel|field|name|item|topic|kanal|sensor|metric|key)")
 _VALUE = re.compile(r"(?i)\w*(val|wert|reading)")
 _KIND = re.compile(r"(?<=\S) \([A-Z][a-z]+\)$")  # TwinCAT: V (Voltage)
-_AMOUNT = re.compile(r"[\s:=\"]*(?:is\s+)?([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ]*)")
+_AMOUNT = re.compile(r"[\s:=,;\"]*(?:is\s+)?([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ]*)")
 
 
 def named(

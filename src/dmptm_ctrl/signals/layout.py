@@ -127,6 +127,9 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
     above = {len(trimmed(dialect.split(bare(s)))) for s in lines[start:first]}
     told = len(column) in above or how.header is not None
     values = sum(kind != "text" for kind in column)
+    # columns without a value that have a name
+    column += ["text"] * max([w - len(column) for w in above if w <= width], default=0)
+    constant += [""] * (len(column) - len(constant))
     tabs = dialect.separator == " " and any("\t" in lines[i] for i, _ in rows[begin : begin + 9])
     score = (round(share, 2), told, values * (not tabs))
     return Block(score, dialect, first, width, column, constant, body)
@@ -155,7 +158,7 @@ def _kind_of(cells: list[str]) -> str:
     counted = Counter(cells)
     if not counted:
         return ""
-    if counted["text"] > 0.1 * len(cells):
+    if counted["text"] > 0.3 * len(cells):
         return "text"
     return "time" if counted["time"] > counted["number"] else "number"
 

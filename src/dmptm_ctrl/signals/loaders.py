@@ -22,9 +22,9 @@ from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
 from dmptm_ctrl.signals.mdf import read_mdf
 from dmptm_ctrl.signals.missing_values import on_one_clock, without_missing, without_sentinels
-from dmptm_ctrl.signals.plausible import refuse_inconsistent, suspects, unwrapped
+from dmptm_ctrl.signals.plausible import refuse_inconsistent, suspects
 from dmptm_ctrl.signals.tabular import from_frame, read_json, read_parquet
-from dmptm_ctrl.signals.text import read_text
+from dmptm_ctrl.signals.text import NO_VALUE, read_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -138,7 +138,6 @@ def load_log(
             f"samples are {step:.6g} s apart by the {'clock' if clocked else 'preamble'}, and "
             f"{sample_time:.6g} s as you say; the {'clock' if clocked else 'latter'} is taken"
         )
-    notes += _unwrap(channels, units)
     for column, target in targets.items():
         if units.get(target.channel) in ("rad", "m"):
             refuse_jumps(title, column, channels[target.channel] / target.factor, time)
@@ -198,6 +197,8 @@ def gather(
     logs: list[Log] = []
     left_out: list[str] = []
     first: NotALogError | None = None
+    if not single and not isinstance(sources, Iterable):
+        raise LogError(f"logs are paths, tables or Logs, not {type(sources).__name__}")
     for source in [sources] if single else sources:
         if isinstance(source, Log):
             logs.append(load(source))
@@ -338,6 +339,10 @@ def _channels(
     time, notes = _time(table, targets, sample_time, title, needed)
     channels, units, clocks = {}, {}, {}
     shown = dict(labels)
+    for note in table.notes:  # words
+        column, _, words = note.removesuffix(NO_VALUE).partition(" is ")
+        if note.endswith(NO_VALUE) and column in targets:
+            shown[targets[column].channel] = f"{column}, which is {words},"
     factors = {target.channel: target.factor for target in targets.values()}
     for column, target in targets.items():
         if target.channel == "time":
@@ -357,7 +362,8 @@ def _channels(
             )
             shown[target.channel] = f"{column}, where {nothing:.6g} stands for no value,"
         if target.symbol in ("rad", "m"):
-            values, note = unwrapped_counts(column, values)
+            turn = 2 * np.pi / abs(target.factor) if target.symbol == "rad" else 0.0
+            values, note = unwrapped_counts(column, values, turn)
         else:
             values, note = with_sign(column, values) if target.symbol != "s" else (values, "")
         notes += [note] if note else []
@@ -460,17 +466,6 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _unwrap(channels: dict[str, Any], units: Mapping[str, str]) -> list[str]:
-    """Undo jumps of whole turns in place; say so."""
-    notes = []
-    for channel in [c for c, symbol in units.items() if symbol == "rad"]:
-        plain = unwrapped(channels[channel])
-        if plain is not None:
-            channels[channel] = plain
-            notes.append(f"{channel} jumped by whole turns and was unwrapped")
-    return notes
 
 
 def _require(required: Sequence[str], channels: Any, title: str) -> None:

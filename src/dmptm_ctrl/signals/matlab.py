@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.signals.columns import Choose, Table
+from dmptm_ctrl.signals.dialect import unit_of
 from dmptm_ctrl.signals.errors import ColumnsError, NotALogError
 from dmptm_ctrl.signals.subprocess_reader import Signal, read_in_subprocess
 
@@ -78,13 +79,15 @@ def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[S
             yield from _dspace(path, value)
         elif {"time", "signals"} <= value.keys():
             yield from _simulink(path, value)
-        elif {"Time", "Data"} <= value.keys():
-            yield from _timeseries(path, value)
-        elif {n for n, v in value.items() if np.size(v) > 1} == {"time", "data"}:
-            yield from _timeseries(path, {"Time": value["time"], "Data": value["data"]})
+        elif (series := _series(value)) is not None:
+            yield from _timeseries(path, series)
         else:
             for name, inner in value.items():
-                yield from _walk((*path, str(name)), inner, meta)
+                # of an element of a Dataset
+                own = path if name == "Values" and path else (*path, str(name))
+                yield from _walk(own, inner, meta)
+    elif isinstance(value, list) and (columns := _columns(value)) is not None:
+        yield from _walk(path, columns, meta)
     elif isinstance(value, list):
         for index, inner in enumerate(value, start=1):
             yield from _walk((*path[:-1], f"{path[-1]}{index}"), inner, meta)
@@ -115,16 +118,22 @@ def _array(path: tuple[str, ...], value: Any, unit: str | None) -> Iterator[Sign
 
 
 def _dspace(path: tuple[str, ...], record: Mapping[str, Any]) -> Iterator[Signal]:
-    """Recording of dSPACE ControlDesk: axes X, signals Y with Name, Data and Unit."""
+    """Recording of dSPACE ControlDesk: axes X, signals Y with Name, Data, Unit and XIndex."""
+    clocks: list[tuple[int, int]] = []  # and their samples
     for axis in _structs(record["X"]):
         for found in _array((*path, "time_s"), axis.get("Data"), "s"):
-            yield found._replace(is_time=True, clock=id(record))
+            clocks.append((id(axis), found.values.size))
+            yield found._replace(is_time=True, clock=id(axis))
     for signal in _structs(record["Y"]):
         # Names are paths into the model: "Model Root"/"Plant"/"omega_L"
         name = tuple(p.strip().strip('"') for p in str(signal.get("Name", "Y")).split("/"))
         unit = signal.get("Unit")
         for found in _array((*path, *name), signal.get("Data"), unit if _text(unit) else None):
-            yield found._replace(clock=id(record))
+            own = signal.get("XIndex", 0)
+            like = [c for c, size in clocks if size == found.values.size]
+            if own in range(1, len(clocks) + 1) and clocks[own - 1][0] in like:
+                like = [clocks[own - 1][0]]
+            yield found._replace(clock=(like or [0])[0])
 
 
 def _simulink(path: tuple[str, ...], log: Mapping[str, Any]) -> Iterator[Signal]:
@@ -138,16 +147,55 @@ def _simulink(path: tuple[str, ...], log: Mapping[str, Any]) -> Iterator[Signal]
             yield found._replace(clock=id(log))
 
 
+def _series(value: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Fields of a structure that holds one signal, as those of a timeseries; None if it does not.
+
+    Such a structure has one array and a name, or two arrays of which one is the time.
+    """
+    fields = {
+        "time": "Time", "t": "Time", "data": "Data", "values": "Data", "value": "Data", "y": "Data",
+        "name": "Name", "label": "Name", "unit": "Unit", "units": "Unit",
+    }  # fmt: skip
+    found = {fields.get(n.lower(), n): v for n, v in value.items()}
+    arrays = {n for n, v in found.items() if not isinstance(v, str | Mapping) and np.size(v) > 1}
+    named = arrays == {"Data"} and _text(found.get("Name"))
+    if len(found) < len(value) or not (named or arrays == {"Time", "Data"}):
+        return None
+    return found
+
+
+def _columns(value: list[Any]) -> dict[str, Any] | None:
+    """Columns of an array of structures with a number in each field: a structure per sample."""
+    if len(value) < 2 or not all(isinstance(v, Mapping) for v in value):
+        return None
+    if not all(np.isscalar(x) and not isinstance(x, str) for v in value for x in v.values()):
+        return None
+    names = value[0].keys()
+    if any(v.keys() != names for v in value):
+        return None
+    return {name: np.array([v[name] for v in value]) for name in names}
+
+
 def _timeseries(path: tuple[str, ...], series: Mapping[str, Any]) -> Iterator[Signal]:
-    """Fields of a timeseries: Time, Data, Name, DataInfo.Units."""
-    for found in _array((*path, "time_s"), series["Time"], "s"):
-        yield found._replace(is_time=True, clock=id(series))
-    info = series.get("DataInfo")
-    unit = info.get("Units") if isinstance(info, Mapping) else None
+    """Fields of a timeseries: Time, Data, Name, DataInfo.Units, TimeInfo.Units."""
+    clock = id(series) if "Time" in series else 0
+    if "Time" in series:
+        unit = unit_of(str(_inner(series, "TimeInfo", "Units")))
+        factor = unit.factor if unit is not None and unit.symbol == "s" else 1.0
+        for found in _array((*path, "time_s"), series["Time"], "s"):
+            yield found._replace(values=factor * found.values, is_time=True, clock=clock)
+    stated = series.get("Unit") or _inner(series, "DataInfo", "Units")
     name = series.get("Name")
     own = (*path, str(name)) if _text(name) and name != "unnamed" else path
-    for found in _array(own or ("Data",), series["Data"], unit if _text(unit) else None):
-        yield found._replace(clock=id(series))
+    for found in _array(own or ("Data",), series["Data"], stated if _text(stated) else None):
+        yield found._replace(clock=clock)
+
+
+def _inner(value: Mapping[str, Any], *keys: str) -> Any:
+    """What stands below keys, "" if nothing does."""
+    for key in keys:
+        value = value.get(key, "") if isinstance(value, Mapping) else ""
+    return value
 
 
 def _text(value: Any) -> bool:

@@ -1,10 +1,11 @@
 """MDF 4 files of measurement systems."""
 
 import logging
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from dmptm_ctrl.signals.columns import Choose, Table
+from dmptm_ctrl.signals.columns import CLOCK, Choose, Table
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.subprocess_reader import Signal, read_in_subprocess
 
@@ -12,13 +13,19 @@ from dmptm_ctrl.signals.subprocess_reader import Signal, read_in_subprocess
 def read_mdf(path: Path, choose: Choose) -> Table:
     """Read channels of an MDF 4 file (extra ``mf4``).
 
-    The time of the clock that ticks most often is the column time_s.
+    The clock is that of the chosen channel that ticks most often. Channels of one name are told
+    apart by their groups, as in ``u (group 2)``.
     """
     found, meta = read_in_subprocess(path)
     times = {signal.clock: signal.values for signal in found if signal.is_time}
-    signals = {signal.path[-1]: signal for signal in found if not signal.is_time}
+    named = Counter(signal.path[-1] for signal in found)
+    signals = {
+        s.path[-1] if named[s.path[-1]] == 1 else f"{s.path[-1]} ({s.path[0]})": s
+        for s in found
+        if not s.is_time
+    }
     units = {name: signal.unit for name, signal in signals.items() if signal.unit}
-    chosen = [name for name in choose(["time_s", *signals], units) if name in signals]
+    chosen = [n for n in choose([CLOCK, *signals], {CLOCK: "s", **units}) if n in signals]
     if not chosen:
         raise LogError(
             f"{path.name}: none of its channels has a unit; it has {', '.join(signals) or 'none'}"
@@ -26,7 +33,7 @@ def read_mdf(path: Path, choose: Choose) -> Table:
     main = max((signals[name].clock for name in chosen), key=lambda c: len(times[c]))
     columns = {name: signals[name].values for name in chosen}
     clocks = {n: times[signals[n].clock] for n in chosen if signals[n].clock != main}
-    return Table({"time_s": times[main], **columns}, units, meta, (), clocks)
+    return Table({CLOCK: times[main], **columns}, {CLOCK: "s", **units}, meta, (), clocks)
 
 
 def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
@@ -48,5 +55,6 @@ def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
                 time = Signal(("time_s",), channel.timestamps, "s", clocks[ticks], is_time=True)
                 found.append(time)
             unit = str(channel.unit) if channel.unit else None
-            found.append(Signal((channel.name,), channel.samples, unit, clocks[ticks]))
+            path_of = f"group {channel.group_index + 1}", channel.name
+            found.append(Signal(path_of, channel.samples, unit, clocks[ticks]))
     return found, {}

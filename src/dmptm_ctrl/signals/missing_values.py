@@ -108,7 +108,8 @@ def without_missing(
             continue
         else:
             notes.append(
-                f"{label} lacks {holes} values, at most {gaps.max() - 1} in a row: bridged"
+                f"{label} lacks {holes} value{'s' * (holes > 1)}, at most {gaps.max() - 1} in a "
+                "row: bridged"
             )
         filled[name] = np.interp(
             np.arange(values.size), there, values[there], left=np.nan, right=np.nan

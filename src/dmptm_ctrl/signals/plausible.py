@@ -78,21 +78,6 @@ def suspects(log: Log) -> list[str]:
     return found
 
 
-def unwrapped(angle: Array) -> Array | None:
-    """Angle without jumps of whole turns, or None if it has none.
-
-    Only jumps that are whole turns within 0.2 rad, between steps that are small otherwise.
-    """
-    step = np.diff(angle)
-    jumps = np.abs(step) > np.pi
-    turns = np.round(step / (2 * np.pi))
-    if not jumps.any() or np.median(np.abs(step)) > np.pi / 8:
-        return None
-    if (np.abs(step - 2 * np.pi * turns)[jumps] > 0.2).any():
-        return None
-    return angle - 2 * np.pi * np.concatenate([[0.0], np.cumsum(np.where(jumps, turns, 0.0))])
-
-
 def travelled(log: Log, channel: str = "omega_L") -> Array:
     """Angle that a speed adds up to [rad], trapezoidal."""
     speed = log[channel]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.signals.clock import times_of
-from dmptm_ctrl.signals.columns import CLOCK, TIMES, Choose, Table
+from dmptm_ctrl.signals.columns import CLOCK, CLOCKS, TIMES, Choose, Table
 from dmptm_ctrl.signals.errors import LogError, NotALogError
 
 _INDEX = "__index_level_0__"  # pandas' name of an index without one
@@ -75,6 +75,7 @@ def read_json(path: Path, choose: Choose) -> Table:
     """
     import pandas as pd
 
+    notes: tuple[str, ...] = ()
     try:
         data = path.read_bytes()
         data = gzip.decompress(data) if data.startswith(b"\x1f\x8b") else data
@@ -82,7 +83,12 @@ def read_json(path: Path, choose: Choose) -> Table:
         try:
             content = json.loads(text)
         except ValueError:
-            content = [json.loads(line) for line in text.splitlines() if line.strip()]
+            lines = [line for line in text.splitlines() if line.strip()]
+            content = [json.loads(line) for line in lines[:-1]]
+            try:
+                content.append(json.loads(lines[-1]))
+            except ValueError:
+                notes = (f"left out incomplete rows in line {len(lines)}",)
         frame, beside = _json_table(content, pd)
     except (ValueError, TypeError, AttributeError, RecursionError, *_GZIP) as error:
         raise NotALogError(f"{path.name}: no JSON of columns or records") from error
@@ -106,7 +112,18 @@ def read_json(path: Path, choose: Choose) -> Table:
                     continue
                 values = numbers
         columns[name] = values.to_numpy()
-    return Table(columns, stated, {})
+    return Table(columns, stated, {}, notes, {}, _period(beside))
+
+
+def _period(beside: dict[str, Any]) -> float | None:
+    """Time between samples [s] that stands beside a table as dt, or as fs [Hz]."""
+    for name, value in beside.items():
+        if isinstance(value, int | float) and 0 < value < float("inf"):
+            if name.lower() in ("fs", "sample_rate", "sampling_rate", "rate"):
+                return 1 / value
+            if name.lower() in ("dt", "ts", "sample_time", "sampling_time", "period"):
+                return float(value)
+    return None
 
 
 def _json_table(content: Any, pd: Any) -> tuple[Any, dict[str, Any]]:
@@ -129,9 +146,12 @@ def _own_table(content: Any, pd: Any) -> tuple[Any, dict[str, Any]] | None:
             return _signals(content, pd) or (pd.json_normalize(content), {})
         if len(content) > 1 and all(isinstance(r, list) and len(r) > 1 for r in content):
             first, *rest = content
-            names = all(isinstance(n, str) for n in first)
-            if names and all(len(r) == len(first) for r in rest):
-                return pd.DataFrame(rest, columns=first), {}
+            if all(len(r) == len(first) for r in rest):
+                if all(isinstance(n, str) for n in first):
+                    return pd.DataFrame(rest, columns=first), {}
+                if not any(isinstance(v, list | dict | str) for r in content for v in r):
+                    names = [f"column{c + 1}" for c in range(len(first))]
+                    return pd.DataFrame(content, columns=names), {}
         return None
     plain = {k: v for k, v in content.items() if _is_plain(v)}
     for names in plain.values():
@@ -149,7 +169,8 @@ def _own_table(content: Any, pd: Any) -> tuple[Any, dict[str, Any]] | None:
     by_row = [v for v in content.values() if isinstance(v, dict) and len(v) > 1]
     whole = len(by_row) == len(content) > 0
     if whole and not any(isinstance(x, list | dict) for v in by_row for x in v.values()):
-        return pd.DataFrame(content), {}
+        frame = pd.DataFrame(content)
+        return (frame.T.infer_objects() if len(frame) < len(content) else frame), {}
     return None
 
 
@@ -157,17 +178,23 @@ def _signals(content: list[dict[str, Any]], pd: Any) -> tuple[Any, dict[str, Any
     """Signals of a name, perhaps a unit, and values each."""
     columns: dict[str, list[Any]] = {}
     units: dict[str, str] = {}
+    clocks: list[list[Any]] = []
     for signal in content:
-        values = [v for v in signal.values() if _is_plain(v) and len(v) > 1]
+        lists = {k: v for k, v in signal.items() if _is_plain(v) and len(v) > 1}
+        times = [k for k in lists if k.lower() in CLOCKS]
+        if len(lists) == 2 and len(times) == 1:  # of all signals, if it is the same
+            clocks.append(lists.pop(times[0]))
         name = next((signal[k] for k in _NAMES if isinstance(signal.get(k), str)), None)
-        if name is None or len(values) != 1:
+        if name is None or len(lists) != 1:
             continue
-        columns[name] = values[0]
+        (columns[name],) = lists.values()
         unit = signal.get("unit", signal.get("units"))
         units |= {name: unit} if isinstance(unit, str) else {}
     longest = max(map(len, columns.values()), default=0)
-    if len(columns) < 2:
+    if len(columns) < 2 or any(clock != clocks[0] for clock in clocks):
         return None
+    if clocks and len(clocks) == len(columns):
+        columns = {"t": clocks[0], **columns}
     full = {n: v for n, v in columns.items() if len(v) == longest}
     return pd.DataFrame(full), {"units": units}
 

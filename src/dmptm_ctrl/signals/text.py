@@ -31,6 +31,7 @@ MAX_LINE = 1 << 20  # bytes; a line longer than this is no row of numbers
 MAX_BYTES = 20 << 30  # unpacked; guards against archives that unpack without end
 SAMPLES = (1000, 20_000)  # lines looked at before the first row of numbers is found
 
+NO_VALUE = ": taken as no value"  # ends the note on words in a column
 _GZIP_MAGIC = b"\x1f\x8b"
 _FIELD = "\x1f"  # between the fields that pandas gets
 _NOTHING = "\0\x1a \t\r\n"  # of lines that say nothing
@@ -58,9 +59,7 @@ def read_text(
             return _table(path, encoding, layout, choose, max_rows)
         except _CellError as error:  # the first rows may say too little of how numbers are written
             again = find_layout([*sample, *error.lines], path.name, how, wanted)
-            if again == layout:
-                raise
-            return _table(path, encoding, again, choose, max_rows)
+            return _table(path, encoding, again, choose, max_rows, words=True)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise NotALogError(f"{path.name}: the gzip archive is damaged or cut short") from error
     except OSError as error:
@@ -155,19 +154,25 @@ def _sample(
 
 
 def _table(
-    path: Path, encoding: str, layout: Layout, choose: Choose, max_rows: int | None
+    path: Path,
+    encoding: str,
+    layout: Layout,
+    choose: Choose,
+    max_rows: int | None,
+    *,
+    words: bool = False,
 ) -> Table:
     names = [name or f"column{c + 1}" for c, name in enumerate(layout.names)]
     stated = [TIMES if k == "time" else u for k, u in zip(layout.kinds, layout.units, strict=True)]
     units = {n: u for n, u in zip(names, stated, strict=True) if u}
     if layout.long:
-        return _long_table(_Rows(path, encoding, layout), layout, names, units, choose)
+        return _long_table(_Rows(path, encoding, layout, words), layout, names, units, choose)
     chosen = choose(list(dict.fromkeys(names)), units)
     clocks = [c for c, n in enumerate(names) if is_clock_name(n) and layout.kinds[c] != "text"]
     clocks += [c for c, n in enumerate(names) if n in chosen and names.count(n) > 1]
     used = [c for c, n in enumerate(names) if n in chosen]
     read = sorted({*used, *(max((k for k in clocks if k < c), default=c) for c in used)})
-    rows = _Rows(path, encoding, layout)
+    rows = _Rows(path, encoding, layout, words)
     data = rows.read({c: names[c] for c in read}, sys.maxsize if max_rows is None else max_rows)
     if layout.steps is not None and 0 in data:
         data[0] = layout.steps[0] + layout.steps[1] * data[0]
@@ -265,10 +270,14 @@ def _long_table(
 
 
 class _Rows:
-    """Rows of numbers of a file; remembers what else stands between them."""
+    """Rows of numbers of a file; remembers what else stands between them.
 
-    def __init__(self, path: Path, encoding: str, layout: Layout) -> None:
-        self._path, self._encoding, self._layout = path, encoding, layout
+    `words` among the numbers of a column are no values, else refused.
+    """
+
+    def __init__(self, path: Path, encoding: str, layout: Layout, words: bool) -> None:
+        self._path, self._encoding, self._layout, self._words = path, encoding, layout, words
+        self._no_numbers: dict[str, list[tuple[str, int]]] = {}
         self._left_out: dict[str, list[int]] = {}
         self._leave_out(
             "incomplete rows", [*range(layout.first - layout.wordy + 1, layout.first + 1)]
@@ -387,6 +396,10 @@ class _Rows:
         return [
             f"left out {what} in line{'s' * (len(where) > 1)} {_listed(where)}"
             for what, where in self._left_out.items()
+        ] + [
+            f"{name} is {cells[0][0]!r} in line{'s' * (len(cells) > 1)} "
+            f"{_listed([line for _, line in cells])}{NO_VALUE}"
+            for name, cells in self._no_numbers.items()
         ]
 
     def read(self, places: dict[int, str], most: int) -> dict[int, Any]:
@@ -448,6 +461,8 @@ class _Rows:
             if kind == "number":
                 number = dialect.number(cell.strip())
                 values[row] = cell.strip().lower() == "true" if number is None else number
+            elif kind and self._words:
+                self._no_numbers.setdefault(name, []).append((cell[:20], chunk[row][0]))
             elif kind:
                 error = _CellError(
                     f"{self._path.name}: line {chunk[row][0]}: {name} is {cell[:40]!r}, "

@@ -164,7 +164,7 @@ def from_toml(text: str, *, name: str = "model.toml") -> Model:
         what = f"unknown {unknown[0]!r}" if unknown else f"no {missing[0]!r}"
         raise LogError(f"{name}: {what} in [drive]; it needs {', '.join(paper)}")
     speeds = ("W3_plus", "W3_minus", "WL_plus", "WL_minus")
-    for key in ("J_m", "J_2", "J_L", "N_1", "N_2", "k_m", *speeds):
+    for key in ("J_m", "J_L", "N_1", "N_2", "k_m", *speeds):
         if values[key] <= 0:
             raise LogError(f"{name}: {key} is {values[key]} in [drive]; it must be positive")
     effects = data.get("effects", {})

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from dmptm_ctrl.simulate import lanes, scalar
+from dmptm_ctrl.simulate import lanes
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import structure_of
 
-SOURCES = sorted(Path(lanes.__file__).parent.glob("*core.py"))
+SOURCES = sorted(Path(lanes.__file__).parent.glob("*.py"))
 
 
 def lent(source):
@@ -35,11 +35,8 @@ def test_only_what_a_caller_keeps_is_lent(path):
     assert {name: own for name, own in lent(path.read_text()) if own} == {}
 
 
-@pytest.mark.parametrize(
-    ("text", "either"), [(scalar.source, True), (lambda s: lanes.source(s, 16), False)]
-)
-def test_neither_do_written_functions_lend_more(text, either):
-    found = dict(lent(text(structure_of(Model().plant(), switched=True, either=either))))
+def test_neither_do_written_functions_lend_more():
+    found = dict(lent(lanes.source(structure_of(Model().plant(), switched=True), 16)))
     assert len(found) == 1
     assert not any(found.values())
 

@@ -43,8 +43,8 @@ from dmptm_ctrl.effects.backlash import Backlash
 from dmptm_ctrl.effects.stribeck import Stribeck
 from dmptm_ctrl.effects import backlash, stribeck
 from dmptm_ctrl.simulate import step as pieces
-from dmptm_ctrl.simulate.elementary import FAST, borrowed, called, called_at, gather, hosted
-from dmptm_ctrl.simulate.elementary import site_at, spread, wide
+from dmptm_ctrl.simulate.elementary import FAST, arrays_at, borrowed, called
+from dmptm_ctrl.simulate.elementary import called_at, gather, hosted, spread, wide
 from dmptm_ctrl.simulate.generate import vector_kernel
 
 TINY, UNKNOWN = pieces.TINY, pieces.UNKNOWN
@@ -66,13 +66,9 @@ class Names:
         self.state += [f"age{b}" for b in range(len(s.bodies)) if s.at("ageing", b)]
         self.signals = [f"u{j}" for j in range(len(s.inputs))]
         self.signals += [f"push{g}" for g in coordinates]
-        for g in coordinates if s.either else s.given:
+        for g in coordinates if s.either else ():
             self.signals += [f"xg{g}", f"sg{g}"]
         self.numbers = number_names(s, values=rows or not s.switched)
-        self.switches = ["on", "e"] if s.switched else []
-        if s.either:  # what leads to the functions of sites
-            self.switches += ["acts", "sites", "posts", "r"]
-        self.arguments = [*self.state, *self.signals, "t", "h", *self.numbers, *self.switches]
         # at zero, meshes that have been nowhere
         meshes = {f"s{k}" for k, link in enumerate(s.links) if link[2] == GAP}
         self.start = [step.UNKNOWN if name in meshes else 0.0 for name in self.state]
@@ -109,7 +105,7 @@ class _Text:
             self.add(
                 f"if acts[{n}]:",
                 f"    {row} = {changed}",
-                f"    site_at(sites[{k}], {given_}, posts, on, e, r)",
+                f"    called_at(sites[{k}], ({given_}, posts, on, e, r))",
                 f"    {changed} = {row}",
             )
 
@@ -166,13 +162,6 @@ class _Text:
             self.add(f"law{k} = Backlash({stiff}, c{k}, f{k}, {gap})")
 
 
-def step_text(s: Structure) -> str:
-    """Text of the step."""
-    names = Names(s)
-    lines = [*step_lines(s), f"    return {row_text(names.state)}"]
-    return f"@njit\ndef step({', '.join(names.arguments)}):\n" + "\n".join(lines)
-
-
 def step_lines(s: Structure, rows: bool = False) -> list[str]:
     """Lines of the step, up to its end."""
     text = _Text(s, rows)
@@ -182,12 +171,8 @@ def step_lines(s: Structure, rows: bool = False) -> list[str]:
     for g in range(s.coordinates):
         _forces(s, text, g)
     for g in range(s.coordinates):
-        if g not in s.given:
-            _rub(s, text, g)
+        _rub(s, text, g)
     for g in range(s.coordinates):
-        if g in s.given:
-            text.add(f"q{g}, v{g}, p{g} = x{g}, o{g}, o{g}")
-            continue
         for b in s.body_names(g):
             if s.at("ageing", b):
                 speed = f"0.5 * {text.lever(b)}(v{g} + new{g})"
@@ -206,9 +191,6 @@ def row_text(names: Iterable[str]) -> str:
 def _middle(s: Structure, text: _Text) -> None:
     """Coordinates and speeds in the middle of the step."""
     for g in range(s.coordinates):
-        if g in s.given:
-            text.add(f"x{g} = xg{g}", f"o{g} = sg{g}")
-            continue
         given, turning = (f"{x}g{g} if is{g} > 0.0 else " * s.either for x in "xs")
         text.add(f"x{g} = {given}q{g} + 0.5 * h * v{g}")
         text.add(f"o{g} = {turning}1.5 * v{g} - 0.5 * p{g}")
@@ -379,21 +361,6 @@ def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None)
     return f"{lever}max({at_rest[0]} * ({held}), 0.0)"
 
 
-def observe_text(s: Structure) -> str:
-    """Text of what is seen at a sample: readings of sensors; torques and twists of links."""
-    names = Names(s)
-    late = [f"late{i}" for i, sensor in enumerate(s.sensors) if sensor[2]]
-    plain = ["t", *names.numbers, *names.switches]
-    return "\n\n\n".join(
-        f"@njit\ndef {name}({', '.join([*names.state, *more, *plain])}):\n"
-        + "\n".join([*lines, f"    return {row_text(found or ['0.0'])}"])
-        for name, more, (lines, found) in (
-            ("readings", late, reading_lines(s)),
-            ("torques", [], torque_lines(s)),
-        )
-    )
-
-
 def reading_lines(s: Structure, rows: bool = False) -> tuple[list[str], list[str]]:
     """Lines that read the sensors, and the names of what they read."""
     text = _Text(s, rows)
@@ -479,6 +446,21 @@ def engine_by(s: Structure, kind: str, text: Callable[[Structure], str]) -> Engi
         with LOADING:
             _ENGINES[key] = Engine(engine_of(s, text(s), kind), Names(s))
     return _ENGINES[key]
+
+
+_CALLED: dict[tuple[str, str], Any] = {}
+
+
+def called_of(module: ModuleType, name: str, signature: Any) -> Any:
+    """Address of a function of an engine, compiled when it is first asked for."""
+    key = module.__name__, name
+    with LOADING:
+        if key not in _CALLED:
+            _CALLED[key] = elementary.compiled_callback(
+                signature, getattr(module, name), cache=True,
+                error_model="numpy", fastmath=elementary.FAST,
+            )  # fmt: skip
+        return elementary.address_of(_CALLED[key])
 
 
 def engine_of(s: Structure, text: str, kind: str) -> ModuleType:

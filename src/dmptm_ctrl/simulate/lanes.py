@@ -85,7 +85,7 @@ class Rows:
                 first = numbers[own[0][0]]
                 lines += [
                     f"for n in range(ends[{first}], ends[{first + len(own)}]):",
-                    "    called_at(calls[n], w, t, h)",
+                    "    called_at(calls[n], (w, t, h))",
                 ]
             else:
                 lines += [part.call(one, self.first) for one, part in own]
@@ -211,7 +211,10 @@ def march_lanes(
                 own = lane if target.shape[0] > 1 else 0
                 other = lane if noise.shape[0] > 1 else 0
                 added = noise[other, i] if noise.size > 0 else 0.0
-                control(i, now, dt, target[own, i], added, y, rules[lane], memory[lane], command)
+                called_at(
+                    control,
+                    (i, now, dt, target[own, i], added, y, rules[lane], memory[lane], command),
+                )
             else:
                 own = lane if u.shape[0] > 1 else 0
                 for j in range({inputs}):

@@ -67,6 +67,16 @@ def cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="dmptm_ctrl_"))
 
 
+@cache
+def loops() -> ModuleType:
+    """Return `loops.py` as a module of the cache.
+
+    Numba's own cache knows the file of a function alone, this one all that the file uses.
+    """
+    text = Path(__file__).with_name("loops.py").read_text(encoding="utf-8")
+    return load(f"loops_{key_of(text, (elementary,), ())}", text, "the loops over samples")
+
+
 _SAID: set[str] = set()  # of what is compiled
 
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from dmptm_ctrl.parallel import each
+from dmptm_ctrl.simulate.elementary import address_of
 from dmptm_ctrl.simulate.lanes import LANES, aligned, calls_of, lane_engine, rows_of
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.observer import UNLED, Observer
@@ -190,7 +191,8 @@ def _lanes(
     engine.module.march_lanes(
         w, lanes, *calls_of(structure, width, on), common.u, kept, np.zeros(inputs), dead,
         _NO_ROWS, ring, np.ascontiguousarray(delays), common.begin, common.dt, common.substeps,
-        laws[0].function, np.array([law.rule for law in laws]), np.zeros((width, laws[0].memory)),
+        address_of(laws[0].function), np.array([law.rule for law in laws]),
+        np.zeros((width, laws[0].memory)),
         common.target, common.noise, loops is not None,
         np.zeros(max(len(structure.sensors), 1)), np.zeros(inputs),
         led[0].sensors, common.measured, gains, shown, led[0].leak,

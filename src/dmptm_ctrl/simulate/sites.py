@@ -187,4 +187,4 @@ def _function(kind: str, effects: tuple[_One, ...]) -> Any:
     key = key_of(text, (elementary, lookup), used)
     with LOADING:
         found = load(f"site_{key}", text, EFFECTS=used).at_site
-    return getattr(found, "address", found)
+    return elementary.address_of(found)

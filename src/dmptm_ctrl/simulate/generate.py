@@ -26,8 +26,8 @@ from dmptm_ctrl.simulate.plant import (
 from dmptm_ctrl.simulate.sites import CHANGES, kernel_call, places_at, sites_of
 
 _OWN = (
-    *("aged", "at_once", "at_rest", "friction", "held_average", "lagged", "mesh_step"),
-    *("observed", "plain_mesh", "preslide", "two_state_step"),
+    *("aged", "at_once", "at_rest", "friction", "lagged", "mesh_step"),
+    *("plain_mesh", "preslide", "two_state_step"),
 )
 _KERNELS = (
     *(("backlash", n) for n in ("impact_torque", "mesh_torque", "twist_torque")),

@@ -8,8 +8,9 @@ from typing import Any
 
 from numba import njit
 
-from dmptm_ctrl.simulate.elementary import INNER, OPTIONS, borrowed, called_at
+from dmptm_ctrl.simulate.elementary import INNER, OPTIONS, borrowed, called_at, wide
 
+LANES = 16  # drives beside each other; `loading.loops` writes another number here
 _inline = njit(**OPTIONS, **INNER)
 _CALLED: dict[str, Any] = {**OPTIONS, "forceinline": False, "no_cfunc_wrapper": True}
 _loop = njit(cache=True, **_CALLED)
@@ -163,3 +164,127 @@ def march(
             for n in range(lates):
                 ring[n, done % ring.shape[1]] = latest[own + n]
             own += lates
+
+
+@_inline
+def some(w, row):
+    """Whether a row has a positive number."""
+    found = 0
+    for lane in range(LANES):
+        found |= w[row, lane] > 0.0
+    return found > 0
+
+
+@_loop
+def march_lanes(
+    w, lanes, calls, when, steps, count, inputs, u_row, reading, seen,
+    u, kept, before, dead, late_inputs, ring, delays, late_of, late_ratio, begin, dt, substeps,
+    control, rules, memory, target, noise, closed, y, command,
+    watched, measured, gains, shown, leak, lead, moves,
+    columns, every, out, statistics, samples,
+):  # fmt: skip
+    """Run drives beside each other over so many samples; see `many.run_many`.
+
+    Parameters
+    ----------
+    w, lanes : (rows, LANES) array and int
+        What all drives have, a row for each name, the state of `count` coordinates first; how many
+        of the lanes are asked for.
+    calls, when, steps : arrays and int
+        Addresses of loops over lanes, first so many of a step, then those of what is seen; the
+        row of which one number has to be positive for a loop, or -1.
+    inputs, u_row, reading, seen : int
+        How many inputs; first row of their signals; that of all that is seen, so many: readings
+        first, signals as given last. Before them are late readings, behind them the least,
+        greatest, sums and sums of squares of what is seen.
+    u, kept, before, dead, late_inputs : arrays and bool
+        Signals, room for the last ones, what they were before, dead times in samples, if any.
+    ring, delays, late_of, late_ratio : arrays
+        Readings of late sensors at the last steps; their delays [s]; the row that each sees, and
+        the ratios.
+    """
+    wide()
+    w, calls, when, kept = borrowed(w), borrowed(calls), borrowed(when), borrowed(kept)
+    ring, rules, memory = borrowed(ring), borrowed(rules), borrowed(memory)
+    y, command, moves = borrowed(y), borrowed(command), borrowed(moves)
+    measured, gains = borrowed(measured), borrowed(gains)
+    watched, shown, leak, lead = borrowed(watched), borrowed(shown), borrowed(leak), borrowed(lead)
+    sensors, lates, done = y.size, late_of.size, 0
+    late_row, low = reading - lates, reading + seen
+    signal = low - inputs
+    read = w[reading : reading + sensors]
+    h = dt / substeps
+    room = kept.shape[2]
+    for i in range(samples):
+        now = begin + i * dt
+        for n in range(lates):
+            for lane in range(LANES):
+                lag = delays[n, lane] / h
+                w[late_row + n, lane] = read_late(ring[:, :, lane], n, done, lag)
+        for n in range(steps, calls.size):
+            if when[n] < 0 or some(w, when[n]):
+                called_at(calls[n], (w, now, h))
+        if watched.size > 0:
+            observed(i, read, watched, measured, gains, shown, leak, lead, moves)
+            for g in range(count):
+                for lane in range(LANES):
+                    w[g, lane] += moves[g, lane]
+                    kick = moves[count + g, lane] if w[count + g, lane] != 0.0 else 0.0
+                    w[count + g, lane] += kick
+                    w[2 * count + g, lane] += kick
+            for n in range(lates):
+                if late_of[n] < count:
+                    for back in range(ring.shape[1]):
+                        for lane in range(LANES):
+                            ring[n, back, lane] += late_ratio[n, lane] * moves[late_of[n], lane]
+        for lane in range(lanes):
+            if closed:
+                for k in range(sensors):
+                    y[k] = w[reading + k, lane]
+                own = lane if target.shape[0] > 1 else 0
+                other = lane if noise.shape[0] > 1 else 0
+                added = noise[other, i] if noise.size > 0 else 0.0
+                called_at(
+                    control,
+                    (i, now, dt, target[own, i], added, y, rules[lane], memory[lane], command),
+                )
+            else:
+                own = lane if u.shape[0] > 1 else 0
+                for j in range(inputs):
+                    command[j] = u[own, j, i]
+            for j in range(inputs):
+                if late_inputs:
+                    kept[lane, j, i % room] = command[j]
+                w[signal + j, lane] = command[j]
+        if statistics:
+            for n in range(seen):
+                for lane in range(LANES):
+                    value = w[reading + n, lane]
+                    w[low + n, lane] = min(w[low + n, lane], value)
+                    w[low + seen + n, lane] = max(w[low + seen + n, lane], value)
+                    w[low + 2 * seen + n, lane] += value
+                    w[low + 3 * seen + n, lane] += value * value
+        if i % every == 0:
+            for c in range(columns.size):
+                for lane in range(lanes):
+                    out[lane, c, i // every] = w[reading + columns[c], lane]
+        for k in range(substeps):
+            for j in range(inputs):
+                for lane in range(LANES):
+                    w[u_row + j, lane] = w[signal + j, lane]
+            if late_inputs:
+                for lane in range(lanes):
+                    for j in range(inputs):
+                        begins = i + k / substeps - dead[j, lane]
+                        w[u_row + j, lane] = held_average(
+                            kept[lane], j, begins, begins + 1.0 / substeps, before
+                        )
+            t = now + (k + 0.5) * h
+            for n in range(steps):
+                if when[n] < 0 or some(w, when[n]):
+                    called_at(calls[n], (w, t, h))
+            done += 1
+            for n in range(lates):
+                for lane in range(LANES):
+                    seen_now = late_ratio[n, lane] * w[late_of[n], lane]
+                    ring[n, done % ring.shape[1], lane] = seen_now

@@ -1,8 +1,8 @@
-"""Write the step of a structure as source text, and the loops around it.
+"""Write the step of a structure as source text.
 
-One scalar function `step` per structure: state, signals and numbers in, state out. The scalar
-loop and the loop over lanes call it; derivatives are written from its text. The file's name
-carries the hash of all that it is made of, so numba's cache on disk serves what is unchanged.
+Lines of a step: state, signals and numbers in, state out. One drive takes them in a row, lanes cut
+them into loops; what is written so is called by the loops over samples of `loops.py`. The file's
+name carries the hash of all that it is made of, so numba's cache on disk serves what is unchanged.
 """
 
 from collections.abc import Callable, Iterable
@@ -415,17 +415,11 @@ def head_text(s: Structure, rows: bool = False, *, kernels: bool = True) -> str:
 
 
 def compiled(text: str, *entries: str) -> str:
-    """Text whose functions numba compiles; `entries` are called from Python, others inline.
-
-    Those marked ``njit_apart`` are not inline.
-    """
-    options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST'
-    entered = f"{options}, no_cfunc_wrapper=True"
-    apart = options + "".join(f", {key}={value}" for key, value in elementary.INNER.items())
-    inner = f"{apart}, forceinline=True"
+    """Text whose functions numba compiles; `entries` are called from Python, others inline."""
+    options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST, no_cfunc_wrapper=True'
     for entry in entries:
-        text = text.replace(f"@njit\ndef {entry}(", f"@njit({entered})\ndef {entry}(")
-    text = text.replace("@njit_apart\n", f"@njit({apart})\n")
+        text = text.replace(f"@njit\ndef {entry}(", f"@njit({options})\ndef {entry}(")
+    inner = f"{options}, no_cpython_wrapper=True, forceinline=True"
     return text.replace("@njit\n", f"@njit({inner})\n")
 
 

@@ -53,6 +53,8 @@ class Rows:
         self.all = list(dict.fromkeys([*given, *self.seen, *self.statistics, *own]))
         self.index = {name: i for i, name in enumerate(self.all)}
         self.state, self.numbers = names.state, names.numbers
+        # whether a step changes signals, which the next one needs as they were
+        self.anew = any(name in names.signals for one in self.step for name in one.leaves)
 
     def at(self, name: str) -> str:
         """Text of a name in the loop over lanes."""

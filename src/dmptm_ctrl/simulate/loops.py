@@ -177,7 +177,7 @@ def some(w, row):
 
 @_loop
 def march_lanes(
-    w, lanes, calls, when, steps, count, inputs, u_row, reading, seen,
+    w, lanes, calls, when, steps, count, inputs, u_row, anew, reading, seen,
     u, kept, before, dead, late_inputs, ring, delays, late_of, late_ratio, begin, dt, substeps,
     control, rules, memory, target, noise, closed, y, command,
     watched, measured, gains, shown, leak, lead, moves,
@@ -193,10 +193,10 @@ def march_lanes(
     calls, when, steps : arrays and int
         Addresses of loops over lanes, first so many of a step, then those of what is seen; the
         row of which one number has to be positive for a loop, or -1.
-    inputs, u_row, reading, seen : int
-        How many inputs; first row of their signals; that of all that is seen, so many: readings
-        first, signals as given last. Before them are late readings, behind them the least,
-        greatest, sums and sums of squares of what is seen.
+    inputs, u_row, anew, reading, seen : int and bool
+        How many inputs; first row of their signals, and whether steps change it; that of all that
+        is seen, so many: readings first, signals as given last. Before them are late readings,
+        behind them the least, greatest, sums and sums of squares of what is seen.
     u, kept, before, dead, late_inputs : arrays and bool
         Signals, room for the last ones, what they were before, dead times in samples, if any.
     ring, delays, late_of, late_ratio : arrays
@@ -209,10 +209,19 @@ def march_lanes(
     y, command, moves = borrowed(y), borrowed(command), borrowed(moves)
     measured, gains = borrowed(measured), borrowed(gains)
     watched, shown, leak, lead = borrowed(watched), borrowed(shown), borrowed(leak), borrowed(lead)
-    sensors, lates, done = y.size, late_of.size, 0
+    sensors, lates, done, row = y.size, late_of.size, 0, 0
     late_row, low = reading - lates, reading + seen
     signal = low - inputs
     read = w[reading : reading + sensors]
+    # in one piece each, which the compiler makes vectors of
+    flat, size = w.reshape(w.size), seen * LANES
+    value, least, most, total, squares = (
+        flat[reading * LANES : low * LANES],
+        flat[low * LANES : low * LANES + size],
+        flat[low * LANES + size : low * LANES + 2 * size],
+        flat[low * LANES + 2 * size : low * LANES + 3 * size],
+        flat[low * LANES + 3 * size : low * LANES + 4 * size],
+    )
     h = dt / substeps
     room = kept.shape[2]
     for i in range(samples):
@@ -237,10 +246,10 @@ def march_lanes(
                     for back in range(ring.shape[1]):
                         for lane in range(LANES):
                             ring[n, back, lane] += late_ratio[n, lane] * moves[late_of[n], lane]
-        for lane in range(lanes):
-            if closed:
+        if closed:
+            for lane in range(lanes):
                 for k in range(sensors):
-                    y[k] = w[reading + k, lane]
+                    y[k] = read[k, lane]
                 own = lane if target.shape[0] > 1 else 0
                 other = lane if noise.shape[0] > 1 else 0
                 added = noise[other, i] if noise.size > 0 else 0.0
@@ -248,28 +257,29 @@ def march_lanes(
                     control,
                     (i, now, dt, target[own, i], added, y, rules[lane], memory[lane], command),
                 )
-            else:
-                own = lane if u.shape[0] > 1 else 0
                 for j in range(inputs):
-                    command[j] = u[own, j, i]
+                    w[signal + j, lane] = command[j]
+        else:
             for j in range(inputs):
-                if late_inputs:
-                    kept[lane, j, i % room] = command[j]
-                w[signal + j, lane] = command[j]
+                for lane in range(lanes):
+                    w[signal + j, lane] = u[lane if u.shape[0] > 1 else 0, j, i]
         if statistics:
-            for n in range(seen):
-                for lane in range(LANES):
-                    value = w[reading + n, lane]
-                    w[low + n, lane] = min(w[low + n, lane], value)
-                    w[low + seen + n, lane] = max(w[low + seen + n, lane], value)
-                    w[low + 2 * seen + n, lane] += value
-                    w[low + 3 * seen + n, lane] += value * value
-        if i % every == 0:
+            for n in range(size):
+                least[n] = min(least[n], value[n])
+                most[n] = max(most[n], value[n])
+                total[n] += value[n]
+                squares[n] += value[n] * value[n]
+        if i == row * every:
             for c in range(columns.size):
                 for lane in range(lanes):
-                    out[lane, c, i // every] = w[reading + columns[c], lane]
+                    out[lane, c, row] = w[reading + columns[c], lane]
+            row += 1
+        if late_inputs:
+            for lane in range(lanes):
+                for j in range(inputs):
+                    kept[lane, j, i % room] = w[signal + j, lane]
         for k in range(substeps):
-            for j in range(inputs):
+            for j in range(inputs if anew or k == 0 else 0):
                 for lane in range(LANES):
                     w[u_row + j, lane] = w[signal + j, lane]
             if late_inputs:

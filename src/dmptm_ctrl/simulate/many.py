@@ -192,7 +192,8 @@ def _lanes(
     torques = (columns >= sensors) & (columns < count - inputs)
     loops_of(width).march_lanes(
         table, lanes, *calls_of(structure, width, on, bool(torques.any() or judged.size)),
-        structure.coordinates, inputs, rows.index["u0"], rows.index[rows.seen[0]], count,
+        structure.coordinates, inputs, rows.index["u0"], rows.anew or bool(dead.any()),
+        rows.index[rows.seen[0]], count,
         common.u, kept, np.zeros(inputs), dead, bool(dead.any()), ring,
         np.ascontiguousarray(delays), late_of, late_ratio, common.begin, common.dt,
         common.substeps, address_of(laws[0].function), np.array([law.rule for law in laws]),

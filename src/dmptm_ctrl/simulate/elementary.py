@@ -37,20 +37,20 @@ OPTIONS: dict[str, Any] = {
 INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
-def cached(**options: Any) -> Callable[[Callable], Any]:
+def cached(signature: Any = None, **options: Any) -> Callable[[Callable], Any]:
     """Compile with numba and keep the result on disk, where there is a place to write.
 
     Parameters
     ----------
-    **options
+    signature, **options
         Of ``numba.njit``.
     """
 
     def compiled(function: Callable) -> Any:
         try:
-            return njit(cache=True, **options)(function)
+            return njit(signature, cache=True, **options)(function)
         except RuntimeError:  # installed read-only, no home: compiled anew in each process
-            return njit(**options)(function)
+            return njit(signature, **options)(function)
 
     return compiled
 
@@ -130,13 +130,6 @@ def _borrowed(typingctx, array):
     return array(array), codegen
 
 
-def _data(context, builder, kind, value):
-    """Where the numbers of an array are, or of a pointer to them."""
-    return (
-        make_array(kind)(context, builder, value).data if isinstance(kind, types.Array) else value
-    )
-
-
 def _arrays_at(typingctx, table, kinds):
     """Where arrays are whose addresses a table has, as a tuple; a letter says what is in each."""
     types_ = [types.CPointer(_KINDS[letter]) for letter in kinds.literal_value]
@@ -155,10 +148,10 @@ def _arrays_at(typingctx, table, kinds):
 
 
 def _spread(typingctx, array, count, first):
-    """So many numbers of an array of doubles, as a tuple."""
+    """So many numbers of a pointer, as a tuple."""
 
     def codegen(context, builder, signature, args):
-        data = builder.gep(_data(context, builder, signature.args[0], args[0]), [args[2]])
+        data = builder.gep(args[0], [args[2]])
         items = [
             builder.load(builder.gep(data, [context.get_constant(types.intp, i)]))
             for i in range(count.literal_value)
@@ -169,10 +162,10 @@ def _spread(typingctx, array, count, first):
 
 
 def _gather(typingctx, array, items, first):
-    """Write a tuple of doubles to an array."""
+    """Write a tuple of doubles behind a pointer."""
 
     def codegen(context, builder, signature, args):
-        data = builder.gep(_data(context, builder, signature.args[0], args[0]), [args[2]])
+        data = builder.gep(args[0], [args[2]])
         for i, item in enumerate(cgutils.unpack_tuple(builder, args[1])):
             builder.store(item, builder.gep(data, [context.get_constant(types.intp, i)]))
         return context.get_dummy_value()
@@ -185,8 +178,10 @@ def _called_at(typingctx, address, given):
     """Call the function of an address with a tuple, of arrays with where their numbers are."""
 
     def codegen(context, builder, signature, args):
-        items = cgutils.unpack_tuple(builder, args[1])
-        items = [_data(context, builder, *one) for one in zip(given, items, strict=True)]
+        items = [
+            make_array(kind)(context, builder, one).data if isinstance(kind, types.Array) else one
+            for kind, one in zip(given, cgutils.unpack_tuple(builder, args[1]), strict=True)
+        ]
         # as numba calls a function: first where to put its result and an exception, of which
         # there is none
         slots = [cgutils.alloca_once(builder, ir.IntType(8).as_pointer()) for _ in range(2)]
@@ -340,10 +335,8 @@ def compiled_callback(
     """Compile what compiled loops are given to call; `cache` it where there is a place."""
     if not COMPILED:
         return function
-    try:
-        return njit(signature, cache=cache, **options, **INNER)(function)
-    except RuntimeError:  # installed read-only, no home
-        return njit(signature, **options, **INNER)(function)
+    made: Any = cached if cache else njit
+    return made(signature, **options, **INNER)(function)
 
 
 _INSTEAD: dict[Any, Any] = {math.exp: exp, math.sin: sin, math.cos: cos}

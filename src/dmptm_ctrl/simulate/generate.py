@@ -6,6 +6,7 @@ name carries the hash of all that it is made of, so numba's cache on disk serves
 """
 
 from collections.abc import Callable, Iterable
+from functools import cache
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -43,8 +44,8 @@ from dmptm_ctrl.effects.backlash import Backlash
 from dmptm_ctrl.effects.stribeck import Stribeck
 from dmptm_ctrl.effects import backlash, stribeck
 from dmptm_ctrl.simulate import step as pieces
-from dmptm_ctrl.simulate.elementary import FAST, arrays_at, borrowed, called
-from dmptm_ctrl.simulate.elementary import called_at, gather, hosted, spread, wide
+from dmptm_ctrl.simulate.elementary import FAST, arrays_at, called, called_at, gather, hosted
+from dmptm_ctrl.simulate.elementary import spread, wide
 from dmptm_ctrl.simulate.generate import vector_kernel
 
 TINY, UNKNOWN = pieces.TINY, pieces.UNKNOWN
@@ -437,29 +438,22 @@ def engine_by(s: Structure, kind: str, text: Callable[[Structure], str]) -> Engi
     """Return an engine, written once for each structure."""
     key = id(s), kind
     if key not in _ENGINES:
+        modules = (backlash, lookup, presliding, stribeck, elementary, step)
         with LOADING:
-            _ENGINES[key] = Engine(engine_of(s, text(s), kind), Names(s))
+            written = text(s)
+            effects = tuple(p.effect for p in s.places) if "EFFECTS" in written else ()
+            name = f"{kind}_{key_of(written, modules, effects)}"
+            module = load(name, written, f"{kind} runs of a drive of this shape", EFFECTS=effects)
+            _ENGINES[key] = Engine(module, Names(s))
     return _ENGINES[key]
 
 
-_CALLED: dict[tuple[str, str], Any] = {}
-
-
+@cache
 def called_of(module: ModuleType, name: str, signature: Any) -> Any:
     """Address of a function of an engine, compiled when it is first asked for."""
-    key = module.__name__, name
     with LOADING:
-        if key not in _CALLED:
-            _CALLED[key] = elementary.compiled_callback(
-                signature, getattr(module, name), cache=True,
-                error_model="numpy", fastmath=elementary.FAST,
-            )  # fmt: skip
-        return elementary.address_of(_CALLED[key])
-
-
-def engine_of(s: Structure, text: str, kind: str) -> ModuleType:
-    """Return the module of a text written for a structure."""
-    modules = (backlash, lookup, presliding, stribeck, elementary, step)
-    effects = tuple(p.effect for p in s.places) if "EFFECTS" in text else ()
-    key = key_of(text, modules, effects)
-    return load(f"{kind}_{key}", text, f"{kind} runs of a drive of this shape", EFFECTS=effects)
+        options: dict[str, Any] = {"error_model": "numpy", "fastmath": elementary.FAST}
+        function = getattr(module, name)
+        return elementary.address_of(
+            elementary.compiled_callback(signature, function, cache=True, **options)
+        )

@@ -119,6 +119,3 @@ def aligned(size: int) -> Floats:
     room = np.zeros(size + LINE - 1)
     first = -(room.__array_interface__["data"][0] // room.itemsize) % LINE
     return room[first : first + size]
-
-
-__all__ = ["LANES", "Rows", "aligned", "calls_of", "lane_engine", "rows_of"]

@@ -69,10 +69,7 @@ def cache_folder() -> Path:
 
 @cache
 def loops(lanes: int = 16) -> ModuleType:
-    """Return `loops.py` as a module of the cache.
-
-    Numba's own cache knows the file of a function alone, this one all that the file uses.
-    """
+    """Return `loops.py` as a module of the cache, which knows all that the file uses."""
     text = Path(__file__).with_name("loops.py").read_text(encoding="utf-8")
     text = text.replace("LANES = 16", f"LANES = {lanes}")
     return load(f"loops_{key_of(text, (elementary,), ())}", text, "the loops over samples")

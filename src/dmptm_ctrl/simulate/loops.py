@@ -78,25 +78,12 @@ def march(
 ):  # fmt: skip
     """Run one drive over the samples of `out`; see `run.advance`.
 
-    Parameters
-    ----------
-    advance, drive : address and array
-        Code of the drive, see `scalar.source`, and the table of arrays that it is given.
-    x, count, signals, stride, late, latest, kept : arrays and int
-        Of those: state, of so many coordinates; signals, torques and given motion of each substep,
-        rows a stride apart or one for all; readings of late sensors; those of the steps of a
-        sample, so many a step or none.
-    sensors, y, seen : int, (k,) and (k, 1) arrays
-        How many sensors; what is seen, twice the same: their readings, torques and twists of links.
-    again : bool
-        What is seen is not what is seen behind the last step.
-    u, first, before, dead : arrays
-        Signals, the first of this run's, what they were before, dead times in samples.
-    push, given, given_q, given_v : arrays
-        Torques added; coordinates whose motion is prescribed, and that motion.
-    ring, delays, late_of, late_ratio : arrays
-        Readings of late sensors at the last steps; their delays [s]; the number of the state that
-        each of them sees, and the ratio.
+    Its code `advance`, see `scalar.source`, is given the table `drive` of arrays. Of these are: the
+    state `x` of so many coordinates; `signals`, torques and given motion of substeps, rows a
+    `stride` apart or one for all; readings of `late` sensors and the `latest` of each step, `kept`
+    a step or none; what is seen, `y` and as one column `seen`. Of late sensors, `late_of` are the
+    numbers of the state that they see. With `again`, what is seen is not what was seen behind the
+    last step. `u` has the signals of this run from `first` on; `dead` times are in samples.
     """
     drive, x, signals, late = borrowed(drive), borrowed(x), borrowed(signals), borrowed(late)
     latest, seen, ring = borrowed(latest), borrowed(seen), borrowed(ring)
@@ -185,23 +172,13 @@ def march_lanes(
 ):  # fmt: skip
     """Run drives beside each other over so many samples; see `many.run_many`.
 
-    Parameters
-    ----------
-    w, lanes : (rows, LANES) array and int
-        What all drives have, a row for each name, the state of `count` coordinates first; how many
-        of the lanes are asked for.
-    calls, when, steps : arrays and int
-        Addresses of loops over lanes, first so many of a step, then those of what is seen; the
-        row of which one number has to be positive for a loop, or -1.
-    inputs, u_row, anew, reading, seen : int and bool
-        How many inputs; first row of their signals, and whether steps change it; that of all that
-        is seen, so many: readings first, signals as given last. Before them are late readings,
-        behind them the least, greatest, sums and sums of squares of what is seen.
-    u, kept, before, dead, late_inputs : arrays and bool
-        Signals, room for the last ones, what they were before, dead times in samples, if any.
-    ring, delays, late_of, late_ratio : arrays
-        Readings of late sensors at the last steps; their delays [s]; the row that each sees, and
-        the ratios.
+    Rows of `w` are what drives have, so many `lanes` of them: first the state of `count`
+    coordinates, from `u_row` on signals as steps take them, which they change or not (`anew`).
+    From `reading` on are the rows that are seen: readings first, signals as given last. Before
+    them are late readings, behind them the least, greatest, sums and sums of squares of the seen.
+    `calls` are addresses of loops over lanes, first the `steps` of a step, then those of what is
+    seen; `when` the row of which one number has to be positive for that, or -1. Late sensors see
+    the rows `late_of`.
     """
     wide()
     w, calls, when, kept = borrowed(w), borrowed(calls), borrowed(when), borrowed(kept)
@@ -213,15 +190,8 @@ def march_lanes(
     late_row, low = reading - lates, reading + seen
     signal = low - inputs
     read = w[reading : reading + sensors]
-    # in one piece each, which the compiler makes vectors of
-    flat, size = w.reshape(w.size), seen * LANES
-    value, least, most, total, squares = (
-        flat[reading * LANES : low * LANES],
-        flat[low * LANES : low * LANES + size],
-        flat[low * LANES + size : low * LANES + 2 * size],
-        flat[low * LANES + 2 * size : low * LANES + 3 * size],
-        flat[low * LANES + 3 * size : low * LANES + 4 * size],
-    )
+    size = seen * LANES
+    found = w[reading : reading + 5 * seen].reshape((5, size))  # what is seen, least, and so on
     h = dt / substeps
     room = kept.shape[2]
     for i in range(samples):
@@ -265,10 +235,11 @@ def march_lanes(
                     w[signal + j, lane] = u[lane if u.shape[0] > 1 else 0, j, i]
         if statistics:
             for n in range(size):
-                least[n] = min(least[n], value[n])
-                most[n] = max(most[n], value[n])
-                total[n] += value[n]
-                squares[n] += value[n] * value[n]
+                value = found[0, n]
+                found[1, n] = min(found[1, n], value)
+                found[2, n] = max(found[2, n], value)
+                found[3, n] += value
+                found[4, n] += value * value
         if i == row * every:
             for c in range(columns.size):
                 for lane in range(lanes):

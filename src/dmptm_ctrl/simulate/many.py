@@ -168,8 +168,8 @@ def _lanes(
     count = len(rows.seen)
     table[first : first + count], table[first + count : first + 2 * count] = np.inf, -np.inf
     padded = [plants[min(lane, lanes - 1)] for lane in range(width)]
-    dead = np.array([p.input_values[:, 1] / common.dt for p in padded]).T
-    delays = np.array([p.sensor_delay[p.sensor_delay > 0.0] for p in padded]).T
+    dead = np.stack([p.input_values[:, 1] / common.dt for p in padded], axis=-1)
+    delays = np.stack([p.sensor_delay[p.sensor_delay > 0.0] for p in padded], axis=-1)
     ring = np.zeros((len(delays), int(delays.max(initial=0.0) / h) + 2, width))
     late_of, late_ratio = np.zeros(len(delays), np.int64), np.ones(delays.shape)
     for n, (b, speed, _) in enumerate(sensor for sensor in structure.sensors if sensor[2]):
@@ -195,7 +195,7 @@ def _lanes(
         structure.coordinates, inputs, rows.index["u0"], rows.anew or bool(dead.any()),
         rows.index[rows.seen[0]], count,
         common.u, kept, np.zeros(inputs), dead, bool(dead.any()), ring,
-        np.ascontiguousarray(delays), late_of, late_ratio, common.begin, common.dt,
+        delays, late_of, late_ratio, common.begin, common.dt,
         common.substeps, address_of(laws[0].function), np.array([law.rule for law in laws]),
         np.zeros((width, laws[0].memory)), common.target, common.noise, closed,
         np.zeros(sensors), np.zeros(inputs),

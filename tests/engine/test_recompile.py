@@ -11,14 +11,32 @@ import pytest
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.effects import CATALOGUE, register
 from dmptm_ctrl.simulate import loading
+from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.dual import per_catalogue
+from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import structure_of
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import march as march_rig
 from dmptm_ctrl.simulate.scalar import scalar_engine, source
 from dmptm_ctrl.simulate.sites import acting
+
+AXIS = """
+name = "axis"
+[body.table]
+inertia = 0.01
+[input.motor]
+column = "u_V"
+body = "table"
+gain = "0.5 N m/V"
+[sensor.angle]
+column = "q_rad"
+body = "table"
+"""
 
 
 @pytest.fixture
@@ -146,3 +164,19 @@ def test_same_engine_while_the_catalogue_is_the_same():
     model = Model()
     march(model, np.zeros((2, 3)), rest(model, 0.0), 1e-3)
     assert engine() is engine()
+
+
+def test_drives_of_other_shapes_share_the_loops():
+    """One motor in place of two: arrays of another size, none of another kind."""
+    loops = loading.loops()
+    drive = parse_rig(AXIS)
+    dual, time = Model(), 1e-3 * np.arange(3)
+    start = rest(dual, 0.0)
+    simulate_batch([dual], time, np.zeros((2, 3)), initial_state=start)
+    march(dual, np.zeros((2, 3)), start, 1e-3)
+    before = loops.march.signatures, loops.march_lanes.signatures
+    still = np.zeros(1), np.zeros(1)
+    tables = np.zeros((1, 1, 3)), np.zeros((1, 3)), np.zeros((0, 0))
+    run_many([RigModel(drive)], [still], Common(1e-3, 8, 3, *tables, ("reading0",)))
+    march_rig(RigModel(drive), np.zeros((1, 3)), 1e-3)
+    assert (loops.march.signatures, loops.march_lanes.signatures) == before

@@ -24,7 +24,7 @@ from dmptm_ctrl.export.program import (
     widest,
 )
 from dmptm_ctrl.export.tracer import Tracer
-from dmptm_ctrl.simulate.elementary import borrowed, spread
+from dmptm_ctrl.simulate.elementary import arrays_at, borrowed, called_at, gather, spread
 
 _SIGNS: dict[type, str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=",
@@ -46,6 +46,10 @@ class Expressions:
 
     def follow(self, function: Any, args: list[Any]) -> Any:
         """Follow a call."""
+        raise NotImplementedError
+
+    def put(self, container: Any, index: Any, value: Any) -> None:
+        """Write an element."""
         raise NotImplementedError
 
     def value(self, node: ast.expr) -> Any:
@@ -232,10 +236,16 @@ def _called(scope: Expressions, function: Any, args: list[Any]) -> Any:
     if name in FUNCTIONS and (module == "math" or module.endswith("elementary")):
         arg = make("real", args[0])
         return make(name, arg)
-    if function is borrowed:
+    if function is borrowed or function is arrays_at:
         return args[0]
     if function is spread:
-        return tuple(scope.item(args[0], i) for i in range(args[1]))
+        return tuple(scope.item(args[0], make("+", args[2], i)) for i in range(args[1]))
+    if function is gather:
+        for i, item in enumerate(args[1]):
+            scope.put(args[0], make("+", args[2], i), item)
+        return None
+    if function is called_at:
+        return scope.follow(args[0], list(args[1]))
     if function is np.zeros or function is np.full or function is np.empty:
         value = args[1] if function is np.full else 0.0
         return scope.tracer.cells([value] * int(args[0]))

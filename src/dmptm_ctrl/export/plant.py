@@ -1,6 +1,6 @@
 """An augmented model as a program: what the simulator runs, with the model's numbers put in.
 
-The loop over samples is the simulator's own, :mod:`.simulate.scalar`; this file alone knows how
+The loop over samples is the simulator's own, :mod:`.simulate.loops`; this file alone knows how
 that loop is called.
 """
 
@@ -21,11 +21,12 @@ from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
 from dmptm_ctrl.simulate.dual import outputs
 from dmptm_ctrl.simulate.dual import start as start_of
+from dmptm_ctrl.simulate.loading import loops
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import Plant, numbers, structure_of
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import substeps_for
-from dmptm_ctrl.simulate.run import start_state
+from dmptm_ctrl.simulate.run import late_parts, start_state
 from dmptm_ctrl.simulate.scalar import scalar_engine
 
 UNITS = ("rad", "rad/s", "rad", "rad", "N m", "N m", "rad", "rad")
@@ -96,19 +97,31 @@ def _program(
     state = start_state(structure, q, v)
     count, _, links, _, sensors = plant.size
     row = tracer.cells([0.0] * (sensors + 2 * links + 2 * count))
+    width, own = len(engine.names.signals), numbers(plant, engine.names.numbers, dt / steps)
+    x = tracer.cells(state.values, dict(enumerate(state.names)))
+    late, y = tracer.cells([0.0] * delays.size), tracer.cells([0.0] * (sensors + 2 * links))
+    # what differs from step to step stands in arrays
+    at_once = tracer.array("signal", steps * width) if dead.any() else tracer.cells([0.0] * width)
+    latest = tracer.array("reading", steps * delays.size) if delays.size else None
+    none = np.zeros(0)
+    late_of, late_ratio = late_parts(plant, structure)
     given = {
-        "x": state.values, "p": numbers(plant, engine.names.numbers, dt / steps),
-        "on": plant.on, "e": plant.values,
+        "advance": engine.module.advance, "x": x, "count": count,
+        "drive": (x, own, plant.on, plant.values, none, none, none, none, at_once, late, latest, y),
+        "signals": at_once, "stride": width if dead.any() else 0, "late": late, "latest": latest,
+        "kept": delays.size, "sensors": sensors, "y": y, "again": True,
         "u": Signals(tuple(signals)), "first": 0, "before": np.zeros(len(names)), "dead": dead,
-        "push": np.zeros((0, 0)), "ring": ring, "delays": delays, "step0": 0, "begin": 0.0,
-        "dt": dt, "substeps": steps, "closed": False, "watched": np.zeros(0),
+        "push": np.zeros((0, 0)), "given": none, "ring": ring, "delays": delays,
+        "late_of": late_of, "late_ratio": late_ratio, "step0": 0, "begin": 0.0,
+        "dt": dt, "substeps": steps, "closed": False, "watched": none,
         "out": Row(row, row.size),
     }  # fmt: skip
 
-    tree = function_tree(getattr(engine.module.march, "py_func", engine.module.march))
+    march = loops().march
+    tree = function_tree(getattr(march, "py_func", march))
     loop = next(n for n in tree.body if isinstance(n, ast.For))
     env = {a.arg: given.get(a.arg) for a in tree.args.args}
-    scope = Scope(tracer, env, vars(engine.module), "march")
+    scope = Scope(tracer, env, vars(loops()), "march")
     scope.run(tree.body[: tree.body.index(loop)])
     scope.env["i"] = samples
     body: list[Any] = []

@@ -116,11 +116,12 @@ class Scope(Expressions):
             for part, given in zip(target.elts, parts, strict=True):
                 self.assign(part, given)
         elif isinstance(target, ast.Subscript):
-            self._put(self.value(target.value), self.value(target.slice), value)
+            self.put(self.value(target.value), self.value(target.slice), value)
         else:
             raise NotScalar(f"cannot assign to a {type(target).__name__}")
 
-    def _put(self, container: Any, index: Any, value: Any) -> None:
+    def put(self, container: Any, index: Any, value: Any) -> None:
+        """Write an element of cells or of an array."""
         if isinstance(container, Row):
             container, index = container.cells, index[1]
         if isinstance(container, Signals):

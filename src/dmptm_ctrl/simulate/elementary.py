@@ -13,8 +13,9 @@ from functools import cache
 from types import FunctionType
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
-from numba import cfunc, njit, types
+from numba import njit, types
 from numba.core import cgutils
 from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
@@ -25,6 +26,7 @@ from numba.np.arrayobj import make_array
 # disk would be another one than with the same code just compiled, to the last bit, and after the
 # next bounce not only there.
 FAST = {"nsz"}
+_KINDS = {"d": types.float64, "l": types.int64, "B": types.uint8}
 OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "nogil": True,
@@ -35,20 +37,20 @@ OPTIONS: dict[str, Any] = {
 INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
-def cached(**options: Any) -> Callable[[Callable], Any]:
+def cached(signature: Any = None, **options: Any) -> Callable[[Callable], Any]:
     """Compile with numba and keep the result on disk, where there is a place to write.
 
     Parameters
     ----------
-    **options
+    signature, **options
         Of ``numba.njit``.
     """
 
     def compiled(function: Callable) -> Any:
         try:
-            return njit(cache=True, **options)(function)
+            return njit(signature, cache=True, **options)(function)
         except RuntimeError:  # installed read-only, no home: compiled anew in each process
-            return njit(**options)(function)
+            return njit(signature, **options)(function)
 
     return compiled
 
@@ -128,56 +130,80 @@ def _borrowed(typingctx, array):
     return array(array), codegen
 
 
-def _spread(typingctx, array, count):
-    """First numbers of an array of doubles, as a tuple."""
+def _arrays_at(typingctx, table, kinds):
+    """Where arrays are whose addresses a table has, as a tuple; a letter says what is in each."""
+    types_ = [types.CPointer(_KINDS[letter]) for letter in kinds.literal_value]
 
     def codegen(context, builder, signature, args):
-        data = make_array(signature.args[0])(context, builder, args[0]).data
+        items = [
+            builder.inttoptr(
+                builder.load(builder.gep(args[0], [context.get_constant(types.intp, i)])),
+                context.get_value_type(kind),
+            )
+            for i, kind in enumerate(types_)
+        ]
+        return context.make_tuple(builder, signature.return_type, items)
+
+    return types.Tuple(types_)(table, kinds), codegen
+
+
+def _spread(typingctx, array, count, first):
+    """So many numbers of a pointer, as a tuple."""
+
+    def codegen(context, builder, signature, args):
+        data = builder.gep(args[0], [args[2]])
         items = [
             builder.load(builder.gep(data, [context.get_constant(types.intp, i)]))
             for i in range(count.literal_value)
         ]
         return context.make_tuple(builder, signature.return_type, items)
 
-    return types.UniTuple(types.float64, count.literal_value)(array, count), codegen
+    return types.UniTuple(types.float64, count.literal_value)(array, count, types.intp), codegen
 
 
-def _gather(typingctx, array, items):
-    """Write a tuple of doubles to the front of an array."""
+def _gather(typingctx, array, items, first):
+    """Write a tuple of doubles behind a pointer."""
 
     def codegen(context, builder, signature, args):
-        data = make_array(signature.args[0])(context, builder, args[0]).data
+        data = builder.gep(args[0], [args[2]])
         for i, item in enumerate(cgutils.unpack_tuple(builder, args[1])):
             builder.store(item, builder.gep(data, [context.get_constant(types.intp, i)]))
         return context.get_dummy_value()
 
     doubles = types.UniTuple(types.float64, len(items))
-    return types.none(array, doubles), codegen
+    return types.none(array, doubles, types.intp), codegen
 
 
-def _call(context, builder, signature, args):
-    """Call the function of an address; of arrays it is given where their numbers are."""
-    given = [
-        make_array(kind)(context, builder, arg).data if isinstance(kind, types.Array) else arg
-        for kind, arg in zip(signature.args[1:], args[1:], strict=True)
-    ]
-    called = ir.FunctionType(ir.VoidType(), [one.type for one in given])
-    builder.call(builder.inttoptr(args[0], called.as_pointer()), given)
-    return context.get_dummy_value()
+def _called_at(typingctx, address, given):
+    """Call the function of an address with a tuple, of arrays with where their numbers are."""
+
+    def codegen(context, builder, signature, args):
+        items = [
+            make_array(kind)(context, builder, one).data if isinstance(kind, types.Array) else one
+            for kind, one in zip(given, cgutils.unpack_tuple(builder, args[1]), strict=True)
+        ]
+        # as numba calls a function: first where to put its result and an exception, of which
+        # there is none
+        slots = [cgutils.alloca_once(builder, ir.IntType(8).as_pointer()) for _ in range(2)]
+        called = ir.FunctionType(ir.IntType(32), [one.type for one in (*slots, *items)])
+        builder.call(builder.inttoptr(args[0], called.as_pointer()), [*slots, *items])
+        return context.get_dummy_value()
+
+    return types.none(types.int64, given), codegen
 
 
-def _called_at(typingctx, address, array, t, h):
-    """Call the function of an address with an array of doubles and two numbers."""
-    return types.none(types.int64, array, types.float64, types.float64), _call
+def _behind(typingctx, array, count):
+    """What follows so many numbers of what a pointer points to."""
+
+    def codegen(context, builder, signature, args):
+        return builder.gep(args[0], [args[1]])
+
+    return array(array, types.intp), codegen
 
 
-def _site_at(typingctx, address, a, b, c, d, t, lever, n, posts, on, e, r):
-    """Call the function of a site."""
-    return types.none(types.int64, *[types.float64] * 6, types.int64, posts, on, e, r), _call
-
-
-site_at: Callable[..., None] = intrinsic(_site_at)
-called_at: Callable[..., None] = intrinsic(_called_at)
+behind: Callable[[Any, int], Any] = intrinsic(_behind)  # type: ignore[assignment]
+called_at: Callable[[Any, tuple[Any, ...]], None] = intrinsic(_called_at)  # type: ignore[assignment]
+arrays_at: Any = intrinsic(prefer_literal=True)(_arrays_at)
 spread: Any = intrinsic(prefer_literal=True)(_spread)
 gather: Callable[..., None] = intrinsic(_gather)
 
@@ -266,19 +292,41 @@ if not COMPILED:
         """Nothing is counted."""
         return array
 
-    def called_at(function, *given):
+    def arrays_at(table, kinds):
+        """Arrays of a table."""
+        return tuple(table)
+
+    def behind(array, count):
+        """What follows so many numbers."""
+        return array[count:]
+
+    def called_at(function, given):
         """Call a function."""
         function(*given)
 
-    site_at = called_at
+    def spread(array, count, first):
+        """So many numbers of an array."""
+        return tuple(array[first : first + count])
 
-    def spread(array, count):
-        """First numbers of an array."""
-        return tuple(array[:count])
+    def gather(array, items, first):
+        """Write a tuple to an array."""
+        array[first : first + len(items)] = items
 
-    def gather(array, items):
-        """Write a tuple to the front of an array."""
-        array[: len(items)] = items
+
+@cache
+def address_of(callback: Any) -> Any:
+    """Address of what `compiled_callback` gave, for `called_at`."""
+    if not COMPILED:
+        return callback
+    (made,) = callback.overloads.values()
+    return made.library.get_pointer_to_function(made.fndesc.llvm_func_name)
+
+
+def table_of(*arrays: Any) -> Any:
+    """Table of arrays as `arrays_at` takes it; they are not kept."""
+    if not COMPILED:
+        return arrays
+    return np.array([a.__array_interface__["data"][0] for a in arrays], np.int64)
 
 
 def compiled_callback(
@@ -287,10 +335,8 @@ def compiled_callback(
     """Compile what compiled loops are given to call; `cache` it where there is a place."""
     if not COMPILED:
         return function
-    try:
-        return cfunc(signature, cache=cache, **options)(function)
-    except RuntimeError:  # installed read-only, no home
-        return cfunc(signature, **options)(function)
+    made: Any = cached if cache else njit
+    return made(signature, **options, **INNER)(function)
 
 
 _INSTEAD: dict[Any, Any] = {math.exp: exp, math.sin: sin, math.cos: cos}

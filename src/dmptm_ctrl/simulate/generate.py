@@ -1,11 +1,12 @@
-"""Write the step of a structure as source text, and the loops around it.
+"""Write the step of a structure as source text.
 
-One scalar function `step` per structure: state, signals and numbers in, state out. The scalar
-loop and the loop over lanes call it; derivatives are written from its text. The file's name
-carries the hash of all that it is made of, so numba's cache on disk serves what is unchanged.
+Lines of a step: state, signals and numbers in, state out. One drive takes them in a row, lanes cut
+them into loops; what is written so is called by the loops over samples of `loops.py`. The file's
+name carries the hash of all that it is made of, so numba's cache on disk serves what is unchanged.
 """
 
 from collections.abc import Callable, Iterable
+from functools import cache
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -26,8 +27,8 @@ from dmptm_ctrl.simulate.plant import (
 from dmptm_ctrl.simulate.sites import CHANGES, kernel_call, places_at, sites_of
 
 _OWN = (
-    *("aged", "at_once", "at_rest", "friction", "held_average", "lagged", "mesh_step"),
-    *("observed", "plain_mesh", "preslide", "two_state_step"),
+    *("aged", "at_once", "at_rest", "friction", "lagged", "mesh_step"),
+    *("plain_mesh", "preslide", "two_state_step"),
 )
 _KERNELS = (
     *(("backlash", n) for n in ("impact_torque", "mesh_torque", "twist_torque")),
@@ -43,8 +44,8 @@ from dmptm_ctrl.effects.backlash import Backlash
 from dmptm_ctrl.effects.stribeck import Stribeck
 from dmptm_ctrl.effects import backlash, stribeck
 from dmptm_ctrl.simulate import step as pieces
-from dmptm_ctrl.simulate.elementary import FAST, borrowed, called, called_at, gather, hosted
-from dmptm_ctrl.simulate.elementary import site_at, spread, wide
+from dmptm_ctrl.simulate.elementary import FAST, arrays_at, called, called_at, gather, hosted
+from dmptm_ctrl.simulate.elementary import spread, wide
 from dmptm_ctrl.simulate.generate import vector_kernel
 
 TINY, UNKNOWN = pieces.TINY, pieces.UNKNOWN
@@ -66,13 +67,9 @@ class Names:
         self.state += [f"age{b}" for b in range(len(s.bodies)) if s.at("ageing", b)]
         self.signals = [f"u{j}" for j in range(len(s.inputs))]
         self.signals += [f"push{g}" for g in coordinates]
-        for g in coordinates if s.either else s.given:
+        for g in coordinates if s.either else ():
             self.signals += [f"xg{g}", f"sg{g}"]
         self.numbers = number_names(s, values=rows or not s.switched)
-        self.switches = ["on", "e"] if s.switched else []
-        if s.either:  # what leads to the functions of sites
-            self.switches += ["acts", "sites", "posts", "r"]
-        self.arguments = [*self.state, *self.signals, "t", "h", *self.numbers, *self.switches]
         # at zero, meshes that have been nowhere
         meshes = {f"s{k}" for k, link in enumerate(s.links) if link[2] == GAP}
         self.start = [step.UNKNOWN if name in meshes else 0.0 for name in self.state]
@@ -109,7 +106,7 @@ class _Text:
             self.add(
                 f"if acts[{n}]:",
                 f"    {row} = {changed}",
-                f"    site_at(sites[{k}], {given_}, posts, on, e, r)",
+                f"    called_at(sites[{k}], ({given_}, posts, on, e, r))",
                 f"    {changed} = {row}",
             )
 
@@ -166,13 +163,6 @@ class _Text:
             self.add(f"law{k} = Backlash({stiff}, c{k}, f{k}, {gap})")
 
 
-def step_text(s: Structure) -> str:
-    """Text of the step."""
-    names = Names(s)
-    lines = [*step_lines(s), f"    return {row_text(names.state)}"]
-    return f"@njit\ndef step({', '.join(names.arguments)}):\n" + "\n".join(lines)
-
-
 def step_lines(s: Structure, rows: bool = False) -> list[str]:
     """Lines of the step, up to its end."""
     text = _Text(s, rows)
@@ -182,12 +172,8 @@ def step_lines(s: Structure, rows: bool = False) -> list[str]:
     for g in range(s.coordinates):
         _forces(s, text, g)
     for g in range(s.coordinates):
-        if g not in s.given:
-            _rub(s, text, g)
+        _rub(s, text, g)
     for g in range(s.coordinates):
-        if g in s.given:
-            text.add(f"q{g}, v{g}, p{g} = x{g}, o{g}, o{g}")
-            continue
         for b in s.body_names(g):
             if s.at("ageing", b):
                 speed = f"0.5 * {text.lever(b)}(v{g} + new{g})"
@@ -206,9 +192,6 @@ def row_text(names: Iterable[str]) -> str:
 def _middle(s: Structure, text: _Text) -> None:
     """Coordinates and speeds in the middle of the step."""
     for g in range(s.coordinates):
-        if g in s.given:
-            text.add(f"x{g} = xg{g}", f"o{g} = sg{g}")
-            continue
         given, turning = (f"{x}g{g} if is{g} > 0.0 else " * s.either for x in "xs")
         text.add(f"x{g} = {given}q{g} + 0.5 * h * v{g}")
         text.add(f"o{g} = {turning}1.5 * v{g} - 0.5 * p{g}")
@@ -379,21 +362,6 @@ def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None)
     return f"{lever}max({at_rest[0]} * ({held}), 0.0)"
 
 
-def observe_text(s: Structure) -> str:
-    """Text of what is seen at a sample: readings of sensors; torques and twists of links."""
-    names = Names(s)
-    late = [f"late{i}" for i, sensor in enumerate(s.sensors) if sensor[2]]
-    plain = ["t", *names.numbers, *names.switches]
-    return "\n\n\n".join(
-        f"@njit\ndef {name}({', '.join([*names.state, *more, *plain])}):\n"
-        + "\n".join([*lines, f"    return {row_text(found or ['0.0'])}"])
-        for name, more, (lines, found) in (
-            ("readings", late, reading_lines(s)),
-            ("torques", [], torque_lines(s)),
-        )
-    )
-
-
 def reading_lines(s: Structure, rows: bool = False) -> tuple[list[str], list[str]]:
     """Lines that read the sensors, and the names of what they read."""
     text = _Text(s, rows)
@@ -448,17 +416,11 @@ def head_text(s: Structure, rows: bool = False, *, kernels: bool = True) -> str:
 
 
 def compiled(text: str, *entries: str) -> str:
-    """Text whose functions numba compiles; `entries` are called from Python, others inline.
-
-    Those marked ``njit_apart`` are not inline.
-    """
-    options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST'
-    entered = f"{options}, no_cfunc_wrapper=True"
-    apart = options + "".join(f", {key}={value}" for key, value in elementary.INNER.items())
-    inner = f"{apart}, forceinline=True"
+    """Text whose functions numba compiles; `entries` are called from Python, others inline."""
+    options = 'cache=True, error_model="numpy", nogil=True, fastmath=FAST, no_cfunc_wrapper=True'
     for entry in entries:
-        text = text.replace(f"@njit\ndef {entry}(", f"@njit({entered})\ndef {entry}(")
-    text = text.replace("@njit_apart\n", f"@njit({apart})\n")
+        text = text.replace(f"@njit\ndef {entry}(", f"@njit({options})\ndef {entry}(")
+    inner = f"{options}, no_cpython_wrapper=True, forceinline=True"
     return text.replace("@njit\n", f"@njit({inner})\n")
 
 
@@ -476,14 +438,22 @@ def engine_by(s: Structure, kind: str, text: Callable[[Structure], str]) -> Engi
     """Return an engine, written once for each structure."""
     key = id(s), kind
     if key not in _ENGINES:
+        modules = (backlash, lookup, presliding, stribeck, elementary, step)
         with LOADING:
-            _ENGINES[key] = Engine(engine_of(s, text(s), kind), Names(s))
+            written = text(s)
+            effects = tuple(p.effect for p in s.places) if "EFFECTS" in written else ()
+            name = f"{kind}_{key_of(written, modules, effects)}"
+            module = load(name, written, f"{kind} runs of a drive of this shape", EFFECTS=effects)
+            _ENGINES[key] = Engine(module, Names(s))
     return _ENGINES[key]
 
 
-def engine_of(s: Structure, text: str, kind: str) -> ModuleType:
-    """Return the module of a text written for a structure."""
-    modules = (backlash, lookup, presliding, stribeck, elementary, step)
-    effects = tuple(p.effect for p in s.places) if "EFFECTS" in text else ()
-    key = key_of(text, modules, effects)
-    return load(f"{kind}_{key}", text, f"{kind} runs of a drive of this shape", EFFECTS=effects)
+@cache
+def called_of(module: ModuleType, name: str, signature: Any) -> Any:
+    """Address of a function of an engine, compiled when it is first asked for."""
+    with LOADING:
+        options: dict[str, Any] = {"error_model": "numpy", "fastmath": elementary.FAST}
+        function = getattr(module, name)
+        return elementary.address_of(
+            elementary.compiled_callback(signature, function, cache=True, **options)
+        )

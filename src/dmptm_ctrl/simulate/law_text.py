@@ -93,6 +93,7 @@ _HEAD = """\
 from functools import partial
 
 from dmptm_ctrl.simulate import control_core as core
+from dmptm_ctrl.simulate.elementary import behind
 from dmptm_ctrl.simulate.run import compiled_controller
 
 section, direction_of, signed = (hosted(f) for f in (core.section, core.direction_of, core.signed))
@@ -116,7 +117,7 @@ def _entry_text(s: Structure, w: Wiring, flags: int) -> str:
     return (
         "@partial(compiled_controller, cache=True)\n"
         "def controller(i, t, dt, target, noise, y, rule, memory, u):\n"
-        f"    design = rule[{core.L_SIZE}:{first}], rule[{first}:{last}], rule[{last}:]\n"
+        f"    design = {', '.join(f'behind(rule, {n})' for n in (core.L_SIZE, first, last))}\n"
         f"    command(target, {given}, t, dt, rule, memory, design)\n{signals}"
     )
 

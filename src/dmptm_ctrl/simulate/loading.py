@@ -67,6 +67,14 @@ def cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="dmptm_ctrl_"))
 
 
+@cache
+def loops(lanes: int = 16) -> ModuleType:
+    """Return `loops.py` as a module of the cache, which knows all that the file uses."""
+    text = Path(__file__).with_name("loops.py").read_text(encoding="utf-8")
+    text = text.replace("LANES = 16", f"LANES = {lanes}")
+    return load(f"loops_{key_of(text, (elementary,), ())}", text, "the loops over samples")
+
+
 _SAID: set[str] = set()  # of what is compiled
 
 

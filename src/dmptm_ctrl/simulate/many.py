@@ -6,14 +6,15 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from dmptm_ctrl.parallel import each
+from dmptm_ctrl.simulate.elementary import address_of
 from dmptm_ctrl.simulate.lanes import LANES, aligned, calls_of, lane_engine, rows_of
+from dmptm_ctrl.simulate.loading import loops as loops_of
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.observer import UNLED, Observer
 from dmptm_ctrl.simulate.plant import Flags, Floats, Plant, Structure, numbers, structure_of
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import NOBODY, Controller
 
-_NO_ROWS = np.zeros((0, 0))
 _NO_TABLES = np.zeros((0, 0, 0))
 
 
@@ -143,20 +144,19 @@ def _lanes(
     width: int,
     models: list[Model | RigModel],
     starts: list[tuple[Floats, Floats]],
-    loops: list[Closed] | None,
+    closers: list[Closed] | None,
     observers: list[Observer] | None,
 ) -> tuple[list[int], Floats, Floats]:
     """Run drives of one shape beside each other, as many as there are lanes at most."""
     plants = [model.plant() for model in models]
     structure = structure_of(plants[0]._replace(on=on), switched=switched)
     engine, rows = lane_engine(structure, width), rows_of(structure, width)
-    laws = [NOBODY] * width
-    if loops is not None:
-        known = {id(one): one.controller() for one in loops}
-        laws = [known[id(one)] for one in loops]
+    laws, closed = [NOBODY] * width, closers is not None
+    if closers is not None:
+        known = {id(one): one.controller() for one in closers}
+        laws = [known[id(one)] for one in closers]
     h, lanes = common.dt / common.substeps, len(plants)
-    w = aligned(len(rows.all) * width)
-    table = w.reshape(-1, width)
+    table = aligned(len(rows.all) * width).reshape(-1, width)
     begun = len(engine.names.state)
     where = rows.index[rows.numbers[0]]
     for lane in range(width):  # those that are left over run along, and nobody looks
@@ -168,13 +168,14 @@ def _lanes(
     count = len(rows.seen)
     table[first : first + count], table[first + count : first + 2 * count] = np.inf, -np.inf
     padded = [plants[min(lane, lanes - 1)] for lane in range(width)]
-    dead = np.array([p.input_values[:, 1] / common.dt for p in padded]).T
-    delays = np.array([p.sensor_delay[p.sensor_delay > 0.0] for p in padded]).T
+    dead = np.stack([p.input_values[:, 1] / common.dt for p in padded], axis=-1)
+    delays = np.stack([p.sensor_delay[p.sensor_delay > 0.0] for p in padded], axis=-1)
     ring = np.zeros((len(delays), int(delays.max(initial=0.0) / h) + 2, width))
-    for n, i in enumerate(k for k, sensor in enumerate(structure.sensors) if sensor[2]):
-        b, speed, _ = structure.sensors[i]
-        name = f"{'v' if speed else 'q'}{structure.bodies[b][0]}"
-        ring[n] = table[rows.index[name]] * [p.body_ratio[b] for p in padded]
+    late_of, late_ratio = np.zeros(len(delays), np.int64), np.ones(delays.shape)
+    for n, (b, speed, _) in enumerate(sensor for sensor in structure.sensors if sensor[2]):
+        seen_row = rows.index[f"{'v' if speed else 'q'}{structure.bodies[b][0]}"]
+        late_of[n], late_ratio[n] = seen_row, [p.body_ratio[b] for p in padded]
+        ring[n] = table[seen_row] * late_ratio[n]
     room = int(np.ceil(dead.max(initial=0.0))) + 2
     inputs = len(structure.inputs)
     kept = np.zeros((width, inputs, room))
@@ -187,12 +188,17 @@ def _lanes(
         np.array([rows.seen.index(name) for name in names], np.int64)
         for names in (common.columns, common.judged)
     )
-    engine.module.march_lanes(
-        w, lanes, *calls_of(structure, width, on), common.u, kept, np.zeros(inputs), dead,
-        _NO_ROWS, ring, np.ascontiguousarray(delays), common.begin, common.dt, common.substeps,
-        laws[0].function, np.array([law.rule for law in laws]), np.zeros((width, laws[0].memory)),
-        common.target, common.noise, loops is not None,
-        np.zeros(max(len(structure.sensors), 1)), np.zeros(inputs),
+    sensors = len(structure.sensors)
+    torques = (columns >= sensors) & (columns < count - inputs)
+    loops_of(width).march_lanes(
+        table, lanes, *calls_of(structure, width, on, bool(torques.any() or judged.size)),
+        structure.coordinates, inputs, rows.index["u0"], rows.anew or bool(dead.any()),
+        rows.index[rows.seen[0]], count,
+        common.u, kept, np.zeros(inputs), dead, bool(dead.any()), ring,
+        delays, late_of, late_ratio, common.begin, common.dt,
+        common.substeps, address_of(laws[0].function), np.array([law.rule for law in laws]),
+        np.zeros((width, laws[0].memory)), common.target, common.noise, closed,
+        np.zeros(sensors), np.zeros(inputs),
         led[0].sensors, common.measured, gains, shown, led[0].leak,
         np.zeros((led[0].leak.size, width)), np.zeros((2 * structure.coordinates, width)),
         columns, common.every, out, judged.size > 0, common.samples,

@@ -136,7 +136,6 @@ class Structure(NamedTuple):
     sensors: tuple[tuple[int, bool, bool], ...]
     bristles: tuple[int, ...]
     places: tuple[Place, ...]
-    given: tuple[int, ...]
     either: bool = False
 
     def at(self, site: str, part: int) -> list[Place]:
@@ -189,12 +188,12 @@ def structure_of(plant: Plant, *, switched: bool, either: bool = False) -> Struc
         plant.inertia.size, bodies, tuple(links), inputs, tuple(sensors),
         () if either else tuple(np.flatnonzero(plant.bristles[:, 0] > 0.0).tolist()),
     )  # fmt: skip
-    key = switched, either, id(plant.places), on, plant.given, *rest
+    key = switched, either, id(plant.places), on, *rest
     if key not in _KNOWN:
         places = [p for p in plant.places if p.effect.site in CALLED]
         if not switched:
             places = [p for p in places if plant.on[p.flag]]
-        found = Structure(switched, *rest, tuple(places), () if either else plant.given, either)
+        found = Structure(switched, *rest, tuple(places), either)
         _ALIVE.append(plant.places)  # or another may get its identity
         _KNOWN[key] = _SAME.setdefault(found, found)
     return _KNOWN[key]

@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import float64, int64, types
 
-from dmptm_ctrl.simulate.elementary import compiled_callback
+from dmptm_ctrl.simulate.elementary import address_of, compiled_callback, table_of
+from dmptm_ctrl.simulate.loading import loops
 from dmptm_ctrl.simulate.observer import UNLED, Observer
-from dmptm_ctrl.simulate.plant import Floats, Plant, Structure, numbers, structure_of
-from dmptm_ctrl.simulate.scalar import scalar_engine
+from dmptm_ctrl.simulate.plant import Floats, Ints, Plant, Structure, numbers, structure_of
+from dmptm_ctrl.simulate.scalar import advance_of, scalar_engine
 from dmptm_ctrl.simulate.sites import acting
 
-_ROW = float64[::1]
+_ROW = types.CPointer(float64)
 SIGNATURE = types.void(int64, *[float64] * 4, *[_ROW] * 4)
 _NO_ROWS = np.zeros((0, 0))
 _NO_TABLES = np.zeros((0, 0, 0))
@@ -198,15 +199,13 @@ def advance(
     signals = np.hstack([state.signals, u]) if kept else np.asarray(u, float)
     if controller is not None or not signals.flags.c_contiguous or not signals.flags.writeable:
         signals = np.array(signals, order="C")
-    if structure.either and plant.given:
-        rows = np.zeros((2, plant.inertia.size, n))
-        rows[:, list(plant.given)] = given
-        given = rows[0], rows[1]
     delays = plant.sensor_delay[[late for *_, late in structure.sensors]]
     ring = np.array(state.late)
     x = np.array(state.values)
-    if ring.size == 0 and delays.size:
-        ring = _filled_ring(plant, structure, x, int(delays.max() / h) + 2)
+    late_of, late_ratio = late_parts(plant, structure)
+    if ring.size == 0 and delays.size:  # before the run: as at its start
+        length = int(delays.max() / h) + 2
+        ring = np.repeat((late_ratio * x[late_of])[:, None], length, axis=1)
     law = NOBODY if controller is None else controller
     memory = np.array(state.memory) if state.memory.size else np.zeros(law.memory)
     count, _, links, inputs, sensors = plant.size
@@ -216,17 +215,23 @@ def advance(
     out = np.empty((n, whole if columns is None else columns))
     engine = scalar_engine(structure)
     acts, posts, sites = acting(structure, plant)
-    steps = engine.module.march(
-        x, numbers(plant, engine.names.numbers, h), plant.on, plant.values, acts, sites,
-        posts, np.zeros(4), signals, kept,
+    own = numbers(plant, engine.names.numbers, h)
+    effects = plant.on, plant.values, acts, sites, posts, np.zeros(4)
+    width, lates = len(engine.names.signals), delays.size
+    rows, now, latest = (np.zeros(size) for size in (substeps * width, lates, substeps * lates))
+    y, late = np.zeros(sensors + 2 * links), bool(delays.any())
+    loops().march(
+        advance_of(structure), table_of(x, own, *effects, rows, now, latest, y), x, count,
+        rows, width if dead.any() or plant.given else 0, now, latest, lates if late else 0,
+        sensors, y, y[:, None], late or bool(plant.given), signals, kept,
         np.zeros(inputs) if before is None else np.array(before, float), dead,
         _NO_ROWS if push is None else np.ascontiguousarray(push, float),
-        *(np.ascontiguousarray(g, float) for g in given), ring, delays, state.steps, state.time,
-        dt, substeps, law.function, law.rule, memory,
+        np.array(plant.given, np.int64), *(np.ascontiguousarray(g, float) for g in given),
+        ring, delays, late_of, late_ratio, state.steps, state.time,
+        dt, substeps, address_of(law.function), law.rule, memory,
         _NONE if target is None else np.array(target, float),
         _NONE if noise is None else np.array(noise, float),
-        controller is not None, np.zeros(max(sensors, 1)), np.zeros(inputs),
-        np.zeros((sensors, 1)), led.sensors,
+        controller is not None, np.zeros(inputs), led.sensors,
         _NO_TABLES if measured is None else own_rows(measured)[None],
         np.ascontiguousarray(led.gains)[..., None], led.shown(plant)[..., None], led.leak,
         lead[:, None], np.zeros((2 * count, 1)), out,
@@ -234,7 +239,7 @@ def advance(
     used = int(np.ceil(dead.max(initial=0.0))) + 1 if dead.any() else 0
     after = replace(
         state, values=x, time=state.time + n * dt, memory=memory, late=ring,
-        steps=state.steps + steps, signals=signals[:, max(signals.shape[1] - used, 0) :],
+        steps=state.steps + n * substeps, signals=signals[:, max(signals.shape[1] - used, 0) :],
         lead=lead,
     )  # fmt: skip
     if not used:
@@ -277,14 +282,9 @@ def advance_by(
     return Motion(u, out, plant.size, state)
 
 
-def _filled_ring(plant: Plant, structure: Structure, x: Floats, length: int) -> Floats:
-    """Readings before the run: those at its start."""
-    count = structure.coordinates
-    rows = []
-    for (b, speed, late), ratio in zip(
-        structure.sensors, plant.body_ratio[plant.sensor_body], strict=True
-    ):
-        if late:
-            g = structure.bodies[b][0]
-            rows.append(np.full(length, ratio * x[g + (count if speed else 0)]))
-    return np.array(rows)
+def late_parts(plant: Plant, structure: Structure) -> tuple[Ints, Floats]:
+    """Return the numbers of the state that late sensors see, and their ratios to those."""
+    own = [i for i, (_, _, late) in enumerate(structure.sensors) if late]
+    bodies = plant.sensor_body[own]
+    fast = structure.coordinates * (plant.sensor_speed[own] > 0)
+    return plant.body_coordinate[bodies] + fast, plant.body_ratio[bodies]

@@ -30,21 +30,18 @@ class Segment(NamedTuple):
         body = [f"{name} = {at(name)}" for name in self.takes]
         body += [*self.lines, *(f"{at(name)} = {name}" for name in self.leaves)]
         rows = "".join(f"        {line}\n" for line in body)
-        # what is rarely on is not to swell the function that calls it; of effects those are
-        # compiled that act
-        mark = "@njit_apart\n" if self.condition else "@njit\n"
-        mark = "" if self.flags else mark
-        return f"{mark}def {name}(w, t, h):\n    wide()\n    for lane in range(LANES):\n{rows}\n\n"
+        return f"def {name}(w, t, h):\n    wide()\n    for lane in range(LANES):\n{rows}"
 
     @property
     def flags(self) -> list[int]:
         """Flags of effects of which one has to act."""
         return [int(flag) for flag in re.findall(ON, self.condition)]
 
-    def call(self, name: str, first: Callable[[str], int]) -> str:
-        """Text that calls it; `first` tells where a row begins."""
-        condition = re.sub(SOME, lambda found: f"some(w, {first(found[1])})", self.condition)
-        return f"{condition} {name}(w, t, h)".strip()
+    @property
+    def row(self) -> str | None:
+        """Row of which a number has to be positive."""
+        found = re.search(SOME, self.condition)
+        return found and found[1]
 
 
 def segments(lines: Iterable[str], rows: Iterable[str], kept: Iterable[str]) -> list[Segment]:

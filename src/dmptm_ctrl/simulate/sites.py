@@ -40,23 +40,16 @@ SIGNATURE = types.void(*[float64] * 6, int64, *map(types.CPointer, _ARRAYS))
 _TEXT = """\
 from functools import partial
 
-from numba import njit
-
 from dmptm_ctrl.simulate.elementary import FAST, compiled_callback, hosted
 from dmptm_ctrl.simulate.sites import SIGNATURE
 
 {kernels}
 
 
-@njit(error_model="numpy", fastmath=FAST, forceinline=True)
-def change(a, b, c, d, t, lever, n, posts, on, e, r):
+@partial(compiled_callback, SIGNATURE, cache=True, error_model="numpy", fastmath=FAST)
+def at_site(a, b, c, d, t, lever, n, posts, on, e, r):
     told, flag, first = posts[3 * n], posts[3 * n + 1], posts[3 * n + 2]
 {lines}
-
-
-@partial(compiled_callback, SIGNATURE, cache=True)
-def at_site(a, b, c, d, t, lever, n, posts, on, e, r):
-    change(a, b, c, d, t, lever, n, posts, on, e, r)
 """
 
 
@@ -187,4 +180,4 @@ def _function(kind: str, effects: tuple[_One, ...]) -> Any:
     key = key_of(text, (elementary, lookup), used)
     with LOADING:
         found = load(f"site_{key}", text, EFFECTS=used).at_site
-    return getattr(found, "address", found)
+    return elementary.address_of(found)

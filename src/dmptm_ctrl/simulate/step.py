@@ -10,7 +10,7 @@ its share of the step, which keeps the order through contacts.
 Choices are ternaries, so that a loop over lanes becomes vector code.
 """
 
-from math import exp, floor
+from math import exp
 
 from numba import njit
 
@@ -20,27 +20,6 @@ from dmptm_ctrl.effects.stribeck import sliding_torque, viscous_torque
 
 UNKNOWN = 2.0  # region of a link before the first step
 TINY = 1e-300  # a speed that has a direction and no size
-
-
-@njit
-def held(u, row, i, before):
-    """Sample i of a signal held from each sample to the next; `u` may be a ring of the last."""
-    size = u.shape[1]
-    return before[row] if i < 0 else u[row, i if i < size else i % size]
-
-
-@njit
-def held_average(u, row, start, end, before):
-    """Mean of such a signal between two times in samples; `before` is what it was earlier."""
-    first = floor(start)
-    last = floor(end)
-    if last == first or end == last:
-        return held(u, row, first, before)
-    total = 0.0
-    for i in range(first, last + 1):
-        width = min(end, i + 1.0) - max(start, float(i))
-        total += width * held(u, row, i, before)
-    return total / (end - start)
 
 
 @njit
@@ -147,25 +126,3 @@ def friction(omega, way, scale, added, law):
 def at_once(omega, way, scale, share, law):
     """Part of it that presliding does not hold back, with its sign [N·m]."""
     return way * share * scale * viscous_torque(omega, way, law)
-
-
-@njit
-def observed(i, y, watched, measured, gains, shown, leak, lead, moves):
-    """Let readings show how runs drift, and write what moves coordinates and speeds.
-
-    See `observer`; `lead` is what the coordinates are ahead of the run that is shown. The last
-    axis of all but `measured` is that of the runs, the first of `measured`.
-    """
-    count, runs, own = moves.shape[0] // 2, moves.shape[1], measured.shape[0] - 1
-    for k in range(watched.size):
-        for s in range(shown.shape[0]):
-            for run in range(runs):
-                y[s, run] -= shown[s, k, run] * lead[k, run]
-    moves[:] = 0.0
-    for k in range(watched.size):
-        for run in range(runs):
-            miss = measured[min(run, own), k, i] - y[watched[k], run]
-            for g in range(count):
-                moves[g, run] += gains[g, k, run] * (miss - lead[k, run])
-                moves[count + g, run] += gains[count + g, k, run] * miss
-            lead[k, run] = (1.0 - leak[k]) * miss

@@ -119,7 +119,6 @@ class RigEvidence:
     def base(self, start: State) -> RigState:
         """Fit the declared model, from rough values."""
         fit = fit_rig(start, self.logs, jobs=self.jobs, iterations=SETTLE)
-        fit = from_elsewhere(fit, iterations=SETTLE, jobs=self.jobs)
         return self.closed(RigState(fit, self.held))
 
     def refit(self, state: RigState) -> RigState:
@@ -295,8 +294,8 @@ class RigEvidence:
         """Fit to the end; where a gap is among the added effects, from several of its sizes."""
         known = like.likelihood
         fit = fit_rig(start, self.logs, iterations=SETTLE, like=known, jobs=self.jobs)
-        if any(name_of(k) == BACKLASH.name for k in keys):
-            fit = from_elsewhere(fit, iterations=SETTLE, jobs=self.jobs)
+        for key in (k for k in keys if name_of(k) == BACKLASH.name):
+            fit = from_elsewhere(fit, key, iterations=SETTLE, jobs=self.jobs)
         return fit
 
     def closed(self, state: RigState) -> RigState:

@@ -6,16 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.drive.rig import Link
 from dmptm_ctrl.identify.free_parameters import scales_of
 from dmptm_ctrl.identify.inverse_dynamics import TAIL, Balance
 from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, total_loss
 from dmptm_ctrl.simulate.model import Floats
-from dmptm_ctrl.simulate.placed_effects import BACKLASH
 from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
 
 STIFF = 6  # antiresonances tried for a spring of which nothing is known
-STIFFER = 0.3, 1.5, 3.0  # times the stiffness that was fitted
+STIFFER = 1.5, 3.0  # times the stiffness that was fitted
 LOOK = 6  # iterations of each such start; the best is fitted to the end
 WIDER = 0.75, 1.3  # times the gap that was fitted
 LOWEST_MODE = 0.03  # of the bandwidth
@@ -134,44 +132,42 @@ def friction_beyond(model: RigModel, link: str) -> dict[str, float]:
     return found
 
 
-def from_elsewhere(fit: RigFit, *, iterations: int, jobs: int) -> RigFit:
-    """Fit a model with gaps again, from other sizes and stiffnesses, while that fits better.
+def from_elsewhere(fit: RigFit, gap: str, *, iterations: int, jobs: int) -> RigFit:
+    """Fit a gap with a hidden far side again, from other sizes, while that fits better.
 
     The moments at which teeth meet depend on all that came before, so such a fit has many
     minima. A spring that is too soft is often the nearest: it makes up for the size of the gap.
     """
-    likelihood = fit.likelihood
+    link, likelihood = gap.partition("@")[2], fit.likelihood
+    links = [k.name for k in fit.model.rig.links]
+    if link not in links or ends_of(fit.model, likelihood.balance, link):
+        return fit
+    stiffness = f"link.{link}.stiffness"
+    declared = fit.model.quantities.get(stiffness)
+    soft = declared is not None and not isfinite(declared.value)
 
     def beside(one: RigFit) -> float:
         return total_loss(one.state, one.frees, one.left, likelihood)
 
-    def again(model: RigModel, steps: int) -> RigFit:
-        state = State(model, fit.state.logs)
+    def again(state: State, steps: int) -> RigFit:
         return fit_rig(state, likelihood.balance, like=likelihood, iterations=steps, jobs=jobs)
 
-    while starts := [start for link in fit.model.rig.links for start in _near(fit.model, link)]:
-        best = min((again(start, LOOK) for start in starts), key=beside)
-        if beside(best) > beside(fit) - 1.0:
-            break
-        fit = again(best.model, iterations)
-    return fit
-
-
-def _near(model: RigModel, link: Link) -> list[RigModel]:
-    """Models with another gap in a link, and with other stiffnesses where it is unknown."""
-    found: list[RigModel] = []
-    placed = next((e for e in model.effects if e.key == f"{BACKLASH.name}@{link.name}"), None)
-    if placed is not None:
+    while True:
+        model = fit.model
+        placed = next(e for e in model.effects if e.key == gap)
         half = placed.values["half_gap"]
-        other = (placed._replace(values={**placed.values, "half_gap": by * half}) for by in WIDER)
-        found += map(model.with_effect, other)
-    elif link.half_gap is not None:
-        key = f"link.{link.name}.half_gap"
-        found += [model.with_values({key: by * model.value(key)}) for by in WIDER]
-    if found and link.stiffness is not None and not isfinite(link.stiffness.value):
-        key = f"link.{link.name}.stiffness"
-        found += [model.with_values({key: by * model.value(key)}) for by in STIFFER]
-    return found
+        starts = [
+            model.with_effect(placed._replace(values={**placed.values, "half_gap": by * half}))
+            for by in WIDER
+        ]
+        if soft:
+            value = model.value(stiffness)
+            starts += [model.with_values({stiffness: by * value}) for by in STIFFER]
+        tried = (again(State(one, fit.state.logs), LOOK) for one in starts)
+        best = min(tried, key=beside)
+        if beside(best) > beside(fit) - 1.0:
+            return fit
+        fit = again(best.state, iterations)
 
 
 def spring_values(model: RigModel, link: str, spring: Spring) -> dict[str, float]:

@@ -270,10 +270,7 @@ def _long_table(
 
 
 class _Rows:
-    """Rows of numbers of a file; remembers what else stands between them.
-
-    `words` among the numbers of a column are no values, else refused.
-    """
+    """Rows of numbers of a file; remembers what else stands between them, or refuses words."""
 
     def __init__(self, path: Path, encoding: str, layout: Layout, words: bool) -> None:
         self._path, self._encoding, self._layout, self._words = path, encoding, layout, words

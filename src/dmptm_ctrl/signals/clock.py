@@ -8,7 +8,7 @@ from datetime import time as daytime
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.signals.checks import GAP_STEPS, even_time, usual_step
+from dmptm_ctrl.signals.checks import even_time, usual_step
 from dmptm_ctrl.signals.errors import LogError
 
 Array = NDArray[np.float64]
@@ -266,7 +266,6 @@ def resampled(
         notes.append(f"sorted by time, {again.size} repeated rows dropped")
     step = np.diff(time)
     usual = usual_step(source, step)
-    usual = float(step[step < GAP_STEPS * usual].mean())  # not the median: stamps may be grouped
     if step.max() > (MAX_BRIDGED + 0.5) * usual:
         row = int(np.argmax(step))
         raise LogError(

@@ -59,6 +59,7 @@ class Table(NamedTuple):
     # times of the columns that have another clock than the table's
     clocks: Mapping[str, Any] = MappingProxyType({})
     period: float | None = None  # time between samples that the file states [s]
+    words: Mapping[str, str] = MappingProxyType({})  # among the numbers of columns, and where
 
 
 CLOCK = "(clock)"  # a clock without a name of its own

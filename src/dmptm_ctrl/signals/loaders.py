@@ -24,7 +24,7 @@ from dmptm_ctrl.signals.mdf import read_mdf
 from dmptm_ctrl.signals.missing_values import on_one_clock, without_missing, without_sentinels
 from dmptm_ctrl.signals.plausible import refuse_inconsistent, suspects
 from dmptm_ctrl.signals.tabular import from_frame, read_json, read_parquet
-from dmptm_ctrl.signals.text import NO_VALUE, read_text
+from dmptm_ctrl.signals.text import read_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -339,10 +339,8 @@ def _channels(
     time, notes = _time(table, targets, sample_time, title, needed)
     channels, units, clocks = {}, {}, {}
     shown = dict(labels)
-    for note in table.notes:  # words
-        column, _, words = note.removesuffix(NO_VALUE).partition(" is ")
-        if note.endswith(NO_VALUE) and column in targets:
-            shown[targets[column].channel] = f"{column}, which is {words},"
+    for column in table.words.keys() & targets.keys():
+        shown[targets[column].channel] = f"{column}, which is {table.words[column]},"
     factors = {target.channel: target.factor for target in targets.values()}
     for column, target in targets.items():
         if target.channel == "time":

@@ -31,7 +31,6 @@ MAX_LINE = 1 << 20  # bytes; a line longer than this is no row of numbers
 MAX_BYTES = 20 << 30  # unpacked; guards against archives that unpack without end
 SAMPLES = (1000, 20_000)  # lines looked at before the first row of numbers is found
 
-NO_VALUE = ": taken as no value"  # ends the note on words in a column
 _GZIP_MAGIC = b"\x1f\x8b"
 _FIELD = "\x1f"  # between the fields that pandas gets
 _NOTHING = "\0\x1a \t\r\n"  # of lines that say nothing
@@ -56,7 +55,7 @@ def read_text(
         encoding = _encoding(path)
         sample, layout = _sample(path, encoding, how, wanted)
         try:
-            return _table(path, encoding, layout, choose, max_rows)
+            return _table(path, encoding, layout, choose, max_rows, words=False)
         except _CellError as error:  # the first rows may say too little of how numbers are written
             again = find_layout([*sample, *error.lines], path.name, how, wanted)
             return _table(path, encoding, again, choose, max_rows, words=True)
@@ -154,13 +153,7 @@ def _sample(
 
 
 def _table(
-    path: Path,
-    encoding: str,
-    layout: Layout,
-    choose: Choose,
-    max_rows: int | None,
-    *,
-    words: bool = False,
+    path: Path, encoding: str, layout: Layout, choose: Choose, max_rows: int | None, words: bool
 ) -> Table:
     names = [name or f"column{c + 1}" for c, name in enumerate(layout.names)]
     stated = [TIMES if k == "time" else u for k, u in zip(layout.kinds, layout.units, strict=True)]
@@ -177,7 +170,7 @@ def _table(
     if layout.steps is not None and 0 in data:
         data[0] = layout.steps[0] + layout.steps[1] * data[0]
     columns, own = _one_each(path.name, names, chosen, data, sorted({*clocks} & {*read}))
-    return Table(columns, units, {}, tuple(rows.notes()), own, layout.period)
+    return Table(columns, units, {}, tuple(rows.notes()), own, layout.period, rows.words())
 
 
 def _one_each(
@@ -262,11 +255,12 @@ def _long_table(
     columns = {n: values[places[n]] for n in chosen if n in places}
     clock = next((c for c in finest if names[c] in chosen), None)
     if clock is None:
-        return Table(columns, units, {}, tuple(rows.notes()), {}, layout.period)
+        return Table(columns, units, {}, tuple(rows.notes()), {}, layout.period, rows.words())
     times = {n: data[clock][places[n]] for n in columns}
     main = data[clock][max(places.values(), key=len)]
     own = {n: t for n, t in times.items() if not _equal(t, main)}
-    return Table({names[clock]: main, **columns}, units, {}, tuple(rows.notes()), own)
+    columns = {names[clock]: main, **columns}
+    return Table(columns, units, {}, tuple(rows.notes()), own, None, rows.words())
 
 
 class _Rows:
@@ -393,11 +387,15 @@ class _Rows:
         return [
             f"left out {what} in line{'s' * (len(where) > 1)} {_listed(where)}"
             for what, where in self._left_out.items()
-        ] + [
-            f"{name} is {cells[0][0]!r} in line{'s' * (len(cells) > 1)} "
-            f"{_listed([line for _, line in cells])}{NO_VALUE}"
+        ] + [f"{name} is {words}: taken as no value" for name, words in self.words().items()]
+
+    def words(self) -> dict[str, str]:
+        """First word among the numbers of each column that has some, and the lines of all."""
+        return {
+            name: f"{cells[0][0]!r} in line{'s' * (len(cells) > 1)} "
+            f"{_listed([line for _, line in cells])}"
             for name, cells in self._no_numbers.items()
-        ]
+        }
 
     def read(self, places: dict[int, str], most: int) -> dict[int, Any]:
         """Values of some columns, by position."""

@@ -16,6 +16,7 @@ from dmptm_ctrl.identify.free_parameters import on_slide
 from dmptm_ctrl.identify.inverse_dynamics import Balance, measured_motion, resting
 from dmptm_ctrl.identify.measured_motion import Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
+from dmptm_ctrl.simulate.along import stops_along
 
 if TYPE_CHECKING:
     from dmptm_ctrl.diagnosis.rig_evidence import RigState
@@ -112,20 +113,6 @@ def _hats(x: Floats, low: float, high: float) -> Floats:
     return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(KNOTS)))
 
 
-def _stops(x: Floats, low: float, high: float) -> Floats:
-    """How far a variable is within plays of several widths, (n, knots).
-
-    A sum of these is any hysteresis that forgets small loops inside of large ones (Prandtl and
-    Ishlinskii; Visintin, Differential Models of Hysteresis, 1994).
-    """
-    half = 0.5 * (high - low) * np.geomspace(1.0 / KNOTS**2, 1.0, KNOTS)
-    out, now = np.zeros((x.size, KNOTS)), np.zeros(KNOTS)
-    for i, change in enumerate(np.diff(x, prepend=x[:1])):
-        now = np.clip(now + change, -half, half)
-        out[i] = now
-    return out
-
-
 def torques_of(fit: RigFit, signal: Signal) -> list[tuple[str, Signal]]:
     """Torques that curves over a variable give, (n, knots) each: alike, odd, and by the drive."""
     low, high = _range(fit, signal)
@@ -174,14 +161,14 @@ def curves(state: "RigState") -> list[Curve]:
         if name.startswith("theta") and high - low > 2 * pi and not on_slide(fit.model, body):
             turn = _folded(tried[name], 2 * pi)
             families += [(name, *one, 0.0) for one in torques_of(fit, turn)]
-    time = tried["time"]
-    for kind, torque in torques_of(fit, time)[::2]:
-        period, price = _clock(state, torque)
+    over_time = dict(torques_of(fit, tried["time"]))
+    for kind in ("torque", "gain"):
+        period, price = _clock(state, over_time[kind])
         if period > 0.0:
-            again = dict(torques_of(fit, _folded(time, period)))
+            again = dict(torques_of(fit, _folded(tried["time"], period)))
             families.append(("time", kind, again[kind], price))
-    push = dict(torques_of(fit, time))["gain"]
-    drive = state.tangent.stack(columns_of(count, fit.likelihood.balance, push)).sum(1)
+    push = columns_of(count, fit.likelihood.balance, over_time["gain"])
+    drive = state.tangent.stack(push).sum(1)
     for name, kind, torque, price in families:
         if kind == "gain" and name.startswith("du"):
             continue
@@ -196,7 +183,8 @@ def curves(state: "RigState") -> list[Curve]:
 
 
 def _within(signal: Signal, low: float, high: float) -> Signal:
-    return lambda m: _stops(signal(m), low, high)
+    half = 0.5 * (high - low) * np.geomspace(1.0 / KNOTS**2, 1.0, KNOTS)
+    return lambda m: stops_along(np.asarray(signal(m), float), half)
 
 
 def _folded(signal: Signal, period: float) -> Signal:

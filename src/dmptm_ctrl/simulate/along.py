@@ -93,6 +93,15 @@ def built_up(omega, travel, begins, distance, share, p, level):
 
 
 @njit
+def stops(x, half, out):
+    for k in range(half.size):
+        state = 0.0
+        for i in range(1, x.size):
+            state = min(half[k], max(-half[k], state + (x[i] - x[i - 1])))
+            out[i, k] = state
+
+
+@njit
 def lagged(aim, tau, dt, before, out):
     state = before
     if (tau == tau[0]).all():  # an exponential is taken once
@@ -149,7 +158,7 @@ def _loop(effect: Effect) -> ModuleType:
 
 @cache
 def _signals() -> ModuleType:
-    text = compiled(_HEAD + _SIGNALS, "law_along", "built_up", "lagged")
+    text = compiled(_HEAD + _SIGNALS, "law_along", "built_up", "stops", "lagged")
     return load(f"along_{key_of(text, _MODULES, ())}", text)
 
 
@@ -255,6 +264,17 @@ def built_up_along(
     """
     out = level.copy()
     _signals().built_up(omega, travel, begins, *bristles[:2], law, out)
+    return out
+
+
+def stops_along(x: Floats, half: Floats) -> Floats:
+    """How far a variable is within plays of these half-widths, (n, k); in the middle at first.
+
+    A sum of these is any hysteresis that forgets small loops inside of large ones (Prandtl and
+    Ishlinskii; Visintin, Differential Models of Hysteresis, 1994).
+    """
+    out = np.zeros((x.size, half.size))
+    _signals().stops(x, half, out)
     return out
 
 

@@ -157,7 +157,7 @@ def error_rows(error: Mapping[str, Any]) -> list[dict[str, Any]]:
             if "seconds" in told:
                 name += f", {told['seconds']:g} s"
             if "bandwidth_hz" in told:
-                name += f", below {told['bandwidth_hz']:g} Hz"
+                name += f", below {told['bandwidth_hz']:.3g} Hz"
             sides = {side: error[side][kind]["rmse"] for side in ("before", "after", "floor")}
             rows.append({"name": name, "unit": told["unit"], **sides})
     return rows

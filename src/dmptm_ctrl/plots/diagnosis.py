@@ -109,7 +109,7 @@ def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) 
     reading.set_ylabel(f"{overlay.quantity} [{overlay.unit}]")
     # Above the axes, where it cannot cover a line.
     reading.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, **LEGEND)
-    ylabel = f"measured − model\n[{overlay.unit}]"
+    ylabel = f"measured −\nmodel [{overlay.unit}]"
     left.set(xlabel="time [s]", ylabel=ylabel, xlim=(t[0], t[-1]))
     return panels
 

@@ -100,8 +100,8 @@ class Tuned:
     def summary(self) -> str:
         """Return the stages as a text."""
         volt, rad = self.controller.units
-        title, most = f"rms error [{self.unit}]", f"largest {volt}"
-        lines = [f"{title:28s}{'median':>9s}{'90 %':>9s}{'worst':>9s}{most:>11s}"]
+        title, largest = f"rms error [{self.unit}]", f"largest {volt}"
+        lines = [f"{title:28s}{'median':>9s}{'90 %':>9s}{'worst':>9s}{largest:>11s}"]
         for row in self.stages:
             lines.append(
                 f"{row['stage']:28s}{row['rmse_median']:9.3g}{row['rmse_quantile']:9.3g}"

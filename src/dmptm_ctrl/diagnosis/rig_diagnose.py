@@ -104,6 +104,7 @@ def diagnose_rig(
         declared,
         loaded,
         selection,
+        evidence,
         as_read=as_read,
         faults=faults,
         curves=accepted(found),

@@ -10,10 +10,11 @@ import numpy as np
 from dmptm_ctrl.diagnosis.budget import EXPLAINED, Errors, Row, closed_rows, error_entry
 from dmptm_ctrl.diagnosis.candidate import LEVEL, name_of
 from dmptm_ctrl.diagnosis.experiment import rig_experiment
+from dmptm_ctrl.diagnosis.negligible import material_together
 from dmptm_ctrl.diagnosis.ranking import ranking_of
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture
 from dmptm_ctrl.diagnosis.rig_curves import Curve, mean_square
-from dmptm_ctrl.diagnosis.rig_evidence import RigState
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, RigState
 from dmptm_ctrl.diagnosis.rig_runs import Runs, variable_of
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY, SensorFault
@@ -108,6 +109,7 @@ def report_of(
     rig: Rig,
     logs: Sequence[Log],
     selection: Selection,
+    evidence: RigEvidence,
     *,
     as_read: RigState,
     faults: Sequence[SensorFault],
@@ -157,16 +159,22 @@ def report_of(
     healed = max(errors.before - mean_square(base.held_left[0], base.held), 0.0)
     costs = [healed / len(faults) for _ in faults]
     slower = [runs.rise(after.without({f.placed.key})) for f in faults]
+    size = max(errors.removable, 1e-300)
+
+    def lacks(state: RigState) -> float:
+        return (mean_square(state.held_left[0], final.held) - errors.after) / size
+
+    together = material_together(evidence, selection, lacks)
     for entry in selection.entries:
         without = mean_square(entry.without.held_left[0], final.held)
-        found.append(_named(entry, final.fit, errors.after, without))
+        named = _named(entry, final.fit, errors.after, without)
+        found.append(replace(named, together=entry.key in together))
         costs.append(max(without - errors.after, 0.0))
         bare = entry.without.held_state
         for fault in faults:
             bare = State(bare.model.with_effect(fault.placed), bare.logs)
         slower.append(runs.rise(bare))
     order = sorted(range(len(found)), key=lambda k: -costs[k])
-    size = max(errors.removable, 1e-300)
     effects = tuple(replace(found[k], share=costs[k] / size) for k in order)
     strong = (c.variable for c in curves if c.evidence > 0.5 * curves[0].evidence)
     variables = tuple(dict.fromkeys(strong))[:2]

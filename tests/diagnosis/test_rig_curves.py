@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cache
+from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -10,6 +11,7 @@ from tests.diagnosis.test_rig_evidence import prepared
 from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL
+from dmptm_ctrl.diagnosis.html import evidence
 from dmptm_ctrl.diagnosis.rig_curves import _clock, accepted, curves, torques_of, variables_of
 from dmptm_ctrl.diagnosis.rig_figures import folded
 from dmptm_ctrl.plots.diagnosis import plot_evidence
@@ -92,6 +94,9 @@ def test_picture_of_a_play_is_by_the_way_of_the_input():
     np.testing.assert_allclose(middle, PLAY * Machine().gain, rtol=0.25)
     assert plot_evidence(made)[0].get_legend_handles_labels()[1] == ["rising", "falling"]
     plt.close("all")
+    page = SimpleNamespace(effects=(), depends_on=("u",), source=SimpleNamespace())
+    page.source.evidence = lambda effect, variables: made
+    assert "Where rising and falling stand apart" in next(iter(evidence(page)))["read"]
     never = folded(base, base, "u", "", "N·m")  # of an effect: by the way of the motion
     assert never.ways == ("forward", "backward")
 

@@ -21,6 +21,7 @@ TOGETHER = {  # folder -> group
     "design": "lanes",
     "bad_logs": "bad_logs",
     "diagnosis": "diagnosis",
+    "rig_files": "rig_files",
 }
 APART = ("recovery/test_recovery.py", "test_notebooks.py")  # each test is long by itself
 ORDER = (

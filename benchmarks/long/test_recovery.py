@@ -10,6 +10,7 @@ from tests.recovery.test_recovery import MULTISINE, TURN, named_and_gone, no_fal
         ("unbalance", 3.0, "karnopp", "load", TURN, 0.5),
         ("thermal_drift", 1.0, "karnopp", "all", TURN, 0.5),
         ("current_lag", 1.0, "tanh", "all", MULTISINE, 0.8),
+        ("base_vibration", 1.0, "tanh", "load", MULTISINE, 0.8),
     ],
 )
 def test_named_and_gone(name, strength, friction, sensors, more, left):

@@ -45,11 +45,6 @@ def named_and_gone(name, strength, friction, sensors, more, left):
         assert after < left * before, kind
 
 
-def test_a_base_that_vibrates():
-    """Friction here is a tanh in place of real sticking."""
-    named_and_gone("base_vibration", 1.0, "tanh", "load", MULTISINE, 0.8)
-
-
 def best_of_null(seed):
     """Most evidence of any effect on a rig that lacks nothing; none may be selected.
 

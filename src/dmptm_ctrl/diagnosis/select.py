@@ -179,7 +179,7 @@ def likely_sets(
 ) -> list[Candidate]:
     """Fit the pairs and triples that may explain most; they may hide each other one by one.
 
-    Beside effects already, those alone that are more than their members to first order.
+    Those alone that are more than their members to first order.
     """
     by_keys = {c.keys: c for c in candidates if np.isfinite(c.gain)}
     gain = cache(joint_gain(evidence.rows(state, list(by_keys.values()))))
@@ -196,8 +196,7 @@ def likely_sets(
     def more(group: tuple[Keys, ...]) -> float:
         return gain(group) - max(gain((one,)) for one in group)
 
-    if state.keys:
-        likely = [g for g in likely if more(g) > LEVEL * (len(g) - 1)]
+    likely = [g for g in likely if more(g) > LEVEL * (len(g) - 1)]
     return [evidence.together(state, [by_keys[k] for k in group]) for group in likely]
 
 

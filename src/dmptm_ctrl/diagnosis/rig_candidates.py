@@ -161,7 +161,7 @@ def _mesh_effect(tangent: Tangent, chain: PlacedEffect, link: Link) -> Trial | N
     model, balance, layout = tangent.fit.model, tangent.balance, tangent.fit.model.layout
     body = angle_body(model, Placed(chain.name, link.name))
     measured, _ = measured_motion(model, balance, balance.motions[0])
-    if not link.mesh or link.rigid or on_slide(model, body):
+    if not link.mesh or link.rigid or link.name in model.closed or on_slide(model, body):
         return None
     if layout.coordinate[body] not in measured:
         return None
@@ -328,6 +328,8 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
     modes = 2 * np.pi * np.geomspace(low, balance.bandwidth, HIDDEN_MODES)
     for link in (k for k in model.rig.links if k.rigid):
         ends = ends_of(model, balance, link.name)
+        if ends is None and model.closed:
+            continue  # hidden bodies follow; how a spring moves them shows in runs only
         if ends is None:
             yield [_spring(link.name, 0.5, float(w)) for w in modes], [{}], {}
         else:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
+from dmptm_ctrl.identify.following import followed, loaded, loads_of
 from dmptm_ctrl.identify.measured_motion import (
     Floats,
     Motion,
@@ -42,11 +43,12 @@ from dmptm_ctrl.simulate.along import (
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import march, substeps_for
+from dmptm_ctrl.simulate.rig_run import RigRun, march, substeps_for
 
 TINY = 1e-300  # a speed that has a direction and no size
 LEAST_DRIVE = 0.05  # of the logged signal gets through to a motor at least
 TAIL = 0.005  # of the twists, beyond the ends of the gap and its wind-up
+LOADED = 3  # times that friction under load is taken from the load that it leaves
 SUBSTEPS = 40  # of hidden coordinates; faster ones are far above the bandwidth
 
 
@@ -102,12 +104,15 @@ class Balance:
         Of the balance [Hz].
     motions : tuple of Motion
         One per log, keyed by the points' names.
+    closed : frozenset of str
+        Links beyond which hidden bodies follow the measured ones, see :mod:`.following`.
     """
 
     rig: Rig
     points: tuple[Point, ...]
     bandwidth: float
     motions: tuple[Motion, ...]
+    closed: frozenset[str] = frozenset()
     known: dict[Any, Floats] = field(default_factory=dict)  # twists that were asked for
 
     @cached_property
@@ -147,22 +152,26 @@ class Balance:
     def only(self, names: Sequence[str]) -> "Balance":
         """Return the balance of some of the logs."""
         kept = tuple(m for m in self.motions if m.name in names)
-        return Balance(self.rig, self.points, self.bandwidth, kept)
+        return Balance(self.rig, self.points, self.bandwidth, kept, self.closed)
 
     def part(self, part: str) -> "Balance":
         """Return the balance of the "fit" or "held-out" stretches of every log."""
         cut = tuple(replace(m, part=part) for m in self.motions)
-        return Balance(self.rig, self.points, self.bandwidth, cut)
+        return Balance(self.rig, self.points, self.bandwidth, cut, self.closed)
 
 
 def balance_of(rig: Rig, logs: Sequence[Log], *, bandwidth: float | None = None) -> Balance:
-    """Filter logs into motions, at the bandwidth that the poorest point allows."""
+    """Filter logs into motions, at the bandwidth that the poorest point allows.
+
+    And up to which hidden bodies follow the measured ones.
+    """
     points = points_of(rig, logs)
+    closed, follows = followed(rig, (p.name for p in points))
     if bandwidth is None:
-        bandwidth = min(p.sight.bandwidth for p in points)
+        bandwidth = min(follows, *(p.sight.bandwidth for p in points))
     sights = {p.name: p.sight for p in points}
     motions = tuple(prepare(log, rig, sights, bandwidth) for log in logs)
-    return Balance(rig, points, bandwidth, motions)
+    return Balance(rig, points, bandwidth, motions, closed)
 
 
 @dataclass(frozen=True)
@@ -183,6 +192,7 @@ class Nuisance:
 
 
 NONE = Nuisance()
+Moves = dict[int, tuple[Floats, Floats, Floats]]  # coordinate -> position, speed, acceleration
 
 
 def residual(
@@ -214,6 +224,15 @@ def residual(
             first, second = (layout.bodies[i] for i in plant.link_body[k])
             load[first] += np.abs(runs[name])
             load[second] += np.abs(plant.link_values[k, 0] * runs[name])
+
+    def braked(body: str) -> Floats:
+        group = layout.coordinate[body]
+        q, v, _ = measured[group]
+        rubs, other = _friction(model, motion, group, q, v, load, volts, nuisance, body)
+        return (rubs + other) / layout.ratio[body]
+
+    for _ in range(LOADED if model.closed and loaded(model) else 0):
+        load |= loads_of(model, measured, dict(pushes), braked)
     reach = untwisted(plant)
     total, push = np.zeros_like(motion.time), np.zeros_like(motion.time)
     single = []
@@ -270,9 +289,6 @@ def _ahead(need: Floats, motion: Motion, dead: float, tau: float) -> Floats:
     if dead > 0:
         need = np.interp(motion.time + dead, motion.time, need)
     return need
-
-
-Moves = dict[int, tuple[Floats, Floats, Floats]]  # coordinate -> position, speed, acceleration
 
 
 def measured_motion(
@@ -336,6 +352,12 @@ def _links(
     model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance
 ) -> dict[str, Floats]:
     """Torque of every link along the log; coordinates without sensors are simulated."""
+    run = hidden_run(model, motion, measured, nuisance)
+    return {name: run.link(name) for name in model.layout.links}
+
+
+def hidden_run(model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance) -> RigRun:
+    """Run the coordinates that nothing measures along the measured ones."""
     layout = model.layout
     reach = untwisted(model.plant())
     given, position, speed = {}, {}, {}
@@ -357,7 +379,7 @@ def _links(
     shared = {layout.coordinate[b]: b for b in given}
     u = np.array([motion.u[name] for name in layout.inputs])
     everything = len(measured) == layout.coordinates
-    run = march(
+    return march(
         model.shifted(nuisance.zero) if nuisance.zero else model,
         u,
         motion.dt,
@@ -366,7 +388,6 @@ def _links(
         given={b: given[b] for b in shared.values()},
         substeps=1 if everything else min(substeps_for(model.plant(), motion.dt), SUBSTEPS),
     )
-    return {name: run.link(name) for name in layout.links}
 
 
 def _second(model: RigModel, link: str) -> str:
@@ -383,13 +404,17 @@ def _friction(
     load: Mapping[str, Floats],
     volts: Mapping[str, Floats],
     nuisance: Nuisance,
+    only: str = "",
 ) -> tuple[Floats, Floats]:
-    """Friction, and load torques, of a coordinate, signed against the motion (to be overcome)."""
+    """Friction, and load torques, of a coordinate, signed against the motion (to be overcome).
+
+    Of all its bodies, or of one.
+    """
     layout, plant = model.layout, model.plant()
     v = np.where(v == 0.0, TINY, v)  # friction at rest has a size, if no direction
     friction, other, none = np.zeros_like(v), np.zeros_like(v), np.zeros_like(v)
     for k, body in enumerate(layout.bodies):
-        if layout.coordinate[body] != group:
+        if layout.coordinate[body] != group or only not in ("", body):
             continue
         r = layout.ratio[body]
         angle, omega = r * q, r * v

@@ -89,6 +89,7 @@ class Motion:
     by_speed: bool = False  # the first point's acceleration is that of a speed sensor
     rest_share: float = REST_SHARE  # of the highest speed; slower is at rest, or noise
     part: str = ""  # "fit" or "held-out" stretches of the log; "" is all of it
+    apart: Floats | None = None  # 1.0 at samples that do not count: followed links are open
 
     @cached_property
     def box(self) -> int:
@@ -156,6 +157,8 @@ class Motion:
             slow = np.abs(v) < self.rest_share * np.abs(v).max(initial=0.0)
             slow |= v == 0
             shares.append(self.reduce(_long_runs(slow, REST_TIME / (self.bandwidth * self.dt))))
+        if self.apart is not None:
+            shares.append(self.reduce(self.apart))
         rest = np.max(shares, axis=0)
         return (rest < 0.05) & self._own
 

@@ -5,12 +5,14 @@ sensor) and which of their parameters a single such place has. A user's own effe
 with :func:`register`.
 """
 
+from functools import cache
 from math import inf
 from typing import NamedTuple
 
 from dmptm_ctrl.contract import Effect, Parameter
 from dmptm_ctrl.effects import backlash, effect_of
 from dmptm_ctrl.effects.load_dependent_friction import body_load_friction
+from dmptm_ctrl.simulate.plant import CALLED, Place
 
 # site of the contract -> where it acts
 SITES = {
@@ -179,3 +181,24 @@ def register(chain: PlacedEffect) -> PlacedEffect:
         raise ValueError(f"effect {chain.name!r}: chains have no site {chain.site!r}")
     PLACED_CATALOGUE[chain.name] = chain
     return chain
+
+
+@cache
+def all_places(
+    _: tuple[int, ...], parts: tuple[tuple[str, ...], ...]
+) -> tuple[tuple[Place, ...], dict[str, tuple[int, int]]]:
+    """Places of the catalogue's effects in a rig; where each one's flag and numbers are."""
+    named = dict(zip(("input", "body", "link", "sensor"), parts, strict=True))
+    places: list[Place] = []
+    index: dict[str, tuple[int, int]] = {}
+    first = 0
+    # a lag is a number of its input
+    chains = [c for c in PLACED_CATALOGUE.values() if c.site in CALLED and c.site != "lag"]
+    # part by part, so that flags and numbers of each stand alike
+    for kind, parts_ in named.items():
+        for k, part in enumerate(parts_):
+            for chain in (c for c in chains if c.place == kind):
+                index[f"{chain.name}@{part}"] = len(places), first
+                places.append(Place(chain.effect, k, chain.told, len(places), first))
+                first += len(chain.fields)
+    return tuple(places), index

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.signal import welch
 from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.rig_diagnose import split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.measured_motion import rounding_noise
 from dmptm_ctrl.identify.reading_noise import noise_in_balance
 from dmptm_ctrl.identify.rig_fit import State, residuals
 from dmptm_ctrl.identify.rig_start import rough_start
@@ -98,3 +100,22 @@ def test_coarse_encoders_do_not_bend_inertias_and_springs():
         assert fit.values[name] == pytest.approx(value, rel=0.3)
         assert abs(fit.values[name] - value) < 3.0 * fit.errors[name]
         assert fit.errors[name] > 0.02 * value  # so coarse readings do not tell more
+
+
+@pytest.mark.parametrize(("speed", "white"), [(0.02, 3.6), (0.2, 0.8), (3.0, 0.6)])
+def test_rounding_makes_more_noise_where_motion_is_slow(speed, white):
+    """Against what rounding did to the true angles, which the readings do not show."""
+    step, dt, reach = 1e-3, 1e-3, 25.0
+    time = dt * np.arange(20_000)
+    angle = speed * np.where(time < 12.0, np.sin(2.0 * time) + 0.3 * np.sin(7.1 * time), 0.0)
+    errors = np.round((angle + step * np.arange(0.0, 1.0, 0.125)[:, None]) / step) * step
+    errors -= angle + step * np.arange(0.0, 1.0, 0.125)[:, None]
+    f, power = welch(errors, 1.0 / dt, nperseg=4096)
+    low = (f <= reach) * f**4
+    true = float(low @ power.mean(axis=0) / low.sum())
+    assert true == pytest.approx(white * 2.0 * dt * step**2 / 12.0, rel=0.1)
+    told = [
+        rounding_noise(step * np.round((angle + step * k / 8.0) / step), step, 1.0 / dt, reach, 2)
+        for k in range(8)
+    ]
+    assert np.mean(told) == pytest.approx(true, rel=0.3)

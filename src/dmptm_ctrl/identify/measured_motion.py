@@ -33,6 +33,7 @@ STRETCHES = 10  # that a log is cut into where there are few logs
 HELD_STRETCHES = (2, 5, 8)  # of these, not fitted
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
 ORDER = 4  # of the filter that leaves it out
+NO_STAIRS = 0.4  # of the bandwidth; a filter that lets single counts of slow motion pass no more
 FLOOR_BAND = 0.4  # of the sample rate; above it the spectrum of a sensor is its noise
 
 
@@ -197,7 +198,8 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, 
     """Frequency up to which a sensor gives acceleration with little noise [Hz]; its noise.
 
     The noise is taken as white, at the level of the spectrum above 0.4 of the sample rate (the
-    quietest log tells), but not below what the declared resolution and noise give.
+    quietest log tells), but not below what the declared resolution and noise give. What
+    rounding makes at low frequencies is not white: none at rest, and more where motion is slow.
     """
     order = 2 if sensor.measures == "position" else 1
     reach, floors = [], []
@@ -210,7 +212,7 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, 
         low = (1.0 - 1.0 / (9.0 * max(2 * y.size // length - 1, 1))) ** 3
         floor = float(np.median(power[f > FLOOR_BAND * rate])) / low
         declared = _declared_variance(sensor, y) / (rate / 2)
-        floors.append(min(floor, declared or floor))
+        told = min(floor, declared or floor)
         floor = max(floor, declared)
         weight = (2 * np.pi * f) ** (2 * order)
         noise = np.cumsum(weight * floor)
@@ -220,7 +222,25 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, 
         below = f[good]
         best = float(below.max()) if below.size else 0.0
         reach.append(float(np.clip(best, LOWEST * rate, HIGHEST * rate)))
+        step = _step(sensor, y)
+        white = min(told, 2.0 * step**2 / (12.0 * rate))
+        slow = rounding_noise(y, step, rate, reach[-1], order) if step else 0.0
+        floors.append(told - white + slow)
     return float(np.median(reach)), float(np.median(floors))
+
+
+def rounding_noise(y: Floats, step: float, rate: float, reach: float, order: int) -> float:
+    """Density below `reach` of what rounding adds to a motion like that of the readings.
+
+    The smoothed readings are rounded anew, from several places between two counts; an
+    acceleration weighs the noise of each frequency.
+    """
+    sos = butter(6, NO_STAIRS * reach, fs=rate, output="sos")
+    smooth = sosfiltfilt(sos, y) / step + np.arange(0.125, 1.0, 0.25)[:, None]
+    error = (np.round(smooth) - smooth) * step
+    f, power = welch(error, rate, nperseg=min(y.size, 4096))
+    weight = np.where(f <= reach, f ** (2 * order), 0.0)
+    return float(np.sum(weight * power.mean(axis=0)) / np.sum(weight))
 
 
 def _declared_variance(sensor: Sensor, y: Floats) -> float:

@@ -9,10 +9,12 @@ from functools import cache
 from math import inf
 from typing import NamedTuple
 
+import numpy as np
+
 from dmptm_ctrl.contract import Effect, Parameter
 from dmptm_ctrl.effects import backlash, effect_of
 from dmptm_ctrl.effects.load_dependent_friction import body_load_friction
-from dmptm_ctrl.simulate.plant import CALLED, Place
+from dmptm_ctrl.simulate.plant import CALLED, Floats, Place
 
 # site of the contract -> where it acts
 SITES = {
@@ -186,8 +188,11 @@ def register(chain: PlacedEffect) -> PlacedEffect:
 @cache
 def all_places(
     _: tuple[int, ...], parts: tuple[tuple[str, ...], ...]
-) -> tuple[tuple[Place, ...], dict[str, tuple[int, int]]]:
-    """Places of the catalogue's effects in a rig; where each one's flag and numbers are."""
+) -> tuple[tuple[Place, ...], dict[str, tuple[int, int]], Floats]:
+    """Places of the catalogue's effects in a rig; where each one's flag and numbers are.
+
+    And the numbers of effects that are absent.
+    """
     named = dict(zip(("input", "body", "link", "sensor"), parts, strict=True))
     places: list[Place] = []
     index: dict[str, tuple[int, int]] = {}
@@ -201,4 +206,4 @@ def all_places(
                 index[f"{chain.name}@{part}"] = len(places), first
                 places.append(Place(chain.effect, k, chain.told, len(places), first))
                 first += len(chain.fields)
-    return tuple(places), index
+    return tuple(places), index, np.hstack([p.effect.defaults() for p in places])

@@ -125,8 +125,13 @@ class RigModel:
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
-        """Declared quantities by key."""
-        return declared(self.rig)
+        """Declared quantities by key, without those that are tied to another's."""
+        ties = self.rig.ties
+        return {k: q for k, q in declared(self.rig).items() if k not in ties}
+
+    def quantity(self, key: str) -> Quantity:
+        """Declared quantity by its key, or by that of one tied to it."""
+        return self.quantities[self.rig.ties.get(key, key)]
 
     def value(self, key: str) -> float:
         """Value of a declared quantity as the model has it.
@@ -136,6 +141,7 @@ class RigModel:
         ValueError
             Declared as unknown and not yet fitted.
         """
+        key = self.rig.ties.get(key, key)
         value = self.values.get(key, self.quantities[key].value)
         if not isfinite(value):
             raise ValueError(f"{key} is declared unknown; fit the model first, or set a value")
@@ -153,7 +159,10 @@ class RigModel:
 
     def with_values(self, values: Mapping[str, float]) -> "RigModel":
         """Return the model with values of declared quantities replaced."""
-        return replace(self, values={**self.values, **values})
+        ties = self.rig.ties
+        return replace(
+            self, values={**self.values, **{ties.get(k, k): v for k, v in values.items()}}
+        )
 
     @property
     def opened(self) -> "RigModel":
@@ -469,8 +478,8 @@ def _placed(model: RigModel, layout: Layout) -> tuple[tuple[Place, ...], Flags, 
     sensors = tuple(s.name for s in model.rig.sensors)
     catalogue = tuple(PLACED_CATALOGUE.values())
     parts = layout.inputs, layout.bodies, layout.links, sensors
-    places, index = all_places(tuple(map(id, catalogue)), parts)
-    on, values = np.zeros(len(index), np.uint8), np.hstack([p.effect.defaults() for p in places])
+    places, index, absent = all_places(tuple(map(id, catalogue)), parts)
+    on, values = np.zeros(len(index), np.uint8), absent.copy()
     for effect in model.effects:
         if effect.key in index:
             flag, first = index[effect.key]

@@ -20,10 +20,13 @@ from numpy.typing import NDArray
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.following import followed, loaded, loads_of
 from dmptm_ctrl.identify.measured_motion import (
+    HELD_POSITION,
+    HELD_SPEED,
     Floats,
     Motion,
     Sight,
     acceleration_bandwidth,
+    at_samples,
     coordinates_of,
     derivative,
     prepare,
@@ -49,6 +52,7 @@ TINY = 1e-300  # a speed that has a direction and no size
 LEAST_DRIVE = 0.05  # of the logged signal gets through to a motor at least
 TAIL = 0.005  # of the twists, beyond the ends of the gap and its wind-up
 LOADED = 3  # times that friction under load is taken from the load that it leaves
+RECENT = 16  # frictions of bodies that are kept
 SUBSTEPS = 40  # of hidden coordinates; faster ones are far above the bandwidth
 
 
@@ -306,8 +310,7 @@ def measured_motion(
         body = layout.sensor_body[point.name]
         group, r = layout.coordinate[body], layout.ratio[body]
         if group not in found:
-            q, v, a = motion.q[point.name], motion.v[point.name], motion.a[point.name]
-            found[group] = (q, v, a) if r == 1.0 else (q / r, v / r, a / r)
+            found[group] = motion.at(point.name, r)
             bodies[group] = body
     if 0 not in found:
         driven = _through_spring(model, motion, found, nuisance)
@@ -411,37 +414,55 @@ def _friction(
     Of all its bodies, or of one.
     """
     layout, plant = model.layout, model.plant()
-    v = np.where(v == 0.0, TINY, v)  # friction at rest has a size, if no direction
     friction, other, none = np.zeros_like(v), np.zeros_like(v), np.zeros_like(v)
     for k, body in enumerate(layout.bodies):
         if layout.coordinate[body] != group or only not in ("", body):
             continue
-        r = layout.ratio[body]
-        angle, omega = r * q, r * v
-        level, factor = np.zeros_like(v), np.ones_like(v)
-        if np.any(plant.law[k, [0, 1, 3, 4, 5, 7]]):
-            level = law_along(omega, plant.law[k])
-        for effect in model.effects:
-            if effect.on != body:
-                continue
+        r, level = layout.ratio[body], _sliding(motion, v, layout.ratio[body], plant.law[k])
+        acting = [e for e in model.effects if e.on == body]
+        angle, omega = (r * q, r * _nowhere_still(v)) if acting else (q, v)
+        factor: Floats | float = 1.0
+        more: Floats | float = 0.0
+        for effect in acting:
             chain = PLACED_CATALOGUE[effect.name]
             theta = angle + nuisance.zero.get(effect.key, 0.0)
             if chain.site == "friction":
                 moves = theta, omega, motion.time, load[body]
                 scale, added = friction_along([acting_of(effect)], *moves)
-                factor *= scale
-                level += np.sign(omega) * added
+                factor = factor * scale
+                more = more + np.sign(omega) * added
             elif chain.site in ("motor", "load"):
                 moves = volts.get(body, none), theta, omega, motion.time
                 other -= r * torque_along([acting_of(effect)], *moves)
-        friction += r * factor * level
+        friction += factor * (level + r * more)
     for k in np.flatnonzero(plant.bristles[:, 0]).tolist():
         if plant.body_coordinate[k] == group:
             bristles = plant.bristles[k, 0] / abs(plant.body_ratio[k]), plant.bristles[k, 1]
             begins, travel = np.zeros(1, np.int64), np.gradient(q)
-            friction = built_up_along(friction, v, travel, begins, bristles, plant.law[k])
+            friction = built_up_along(
+                friction, _nowhere_still(v), travel, begins, bristles, plant.law[k]
+            )
             break  # one body's bristles carry what rubs on all that are tied to it
     return friction, other
+
+
+def _nowhere_still(v: Floats) -> Floats:
+    """Speed with a direction everywhere: friction at rest has a size, if no direction."""
+    return np.where(v == 0.0, TINY, v)
+
+
+def _sliding(motion: Motion, v: Floats, ratio: float, law: Floats) -> Floats | float:
+    """Friction of a body at its coordinate; kept along measured motion, for fits ask again."""
+    if not np.any(law[[0, 1, 3, 4, 5, 7]]):
+        return 0.0
+    kept, key = motion.known.get(id(v), {}), (ratio, law.tobytes())
+    found: Floats | None = kept.get(key)
+    if found is None:
+        found = ratio * law_along(ratio * _nowhere_still(v), law)
+        for old in list(kept)[: max(len(kept) - RECENT, 0)]:
+            kept.pop(old, None)
+        kept[key] = found
+    return found
 
 
 def _at_rest(friction: Floats, needed: Floats, v: Floats, share: float) -> Floats:
@@ -470,22 +491,8 @@ def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
     _, dead, tau, limit = model.plant().input_values[j]
     if limit > 0:
         signal = np.clip(signal, -limit, limit)
-    if len(model.layout.inputs) > 1:
+    if len(model.layout.inputs) > 1 and dead + tau > 0:
         before = float(signal[0])
         signal = delayed_along(signal, dead / motion.dt, before)
         signal = lagged_along(signal, np.full_like(signal, tau), motion.dt, before)
-    return _at_samples(signal, HELD_SPEED if motion.by_speed else HELD_POSITION)
-
-
-# A signal held from sample to sample, as the derivative of sampled motion shows it: weights of
-# the two samples around and of the two beyond. A body J gives v(k+1) − v(k) = dt u(k)/J, so that
-# the band-limited derivative of sampled speed is u e^{−jx/2}/sinc(x/2), x = ω dt; of sampled
-# position twice differentiated it is u e^{−jx/2} cos(x/2)/sinc²(x/2). Right to x².
-HELD_SPEED = (7 / 12, -1 / 12)
-HELD_POSITION = (13 / 24, -1 / 24)
-
-
-def _at_samples(signal: Floats, weights: tuple[float, float]) -> Floats:
-    near, far = weights
-    padded = np.concatenate(([signal[0]] * 2, signal, [signal[-1]]))
-    return near * (padded[1:-2] + padded[2:-1]) + far * (padded[:-3] + padded[3:])
+    return at_samples(signal, HELD_SPEED if motion.by_speed else HELD_POSITION)

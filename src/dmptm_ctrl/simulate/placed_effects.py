@@ -149,6 +149,7 @@ PLACED_CATALOGUE: dict[str, PlacedEffect] = {
         whole(effect_of("base_vibration")),
         _one_side("cogging", _WAVE),
         _one_side("drive_offset", {"left": "offset"}),
+        _one_side("torque_constant_mismatch", {"error": "error"}),  # of its own motor, side 0
         *(whole(effect_of(f"drive_{name}")) for name in ("dead_band", "saturation")),
         *(whole(effect_of(name)) for name in ("current_lag", "drive_delay")),
         PlacedEffect(

@@ -4,11 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
+from scipy.stats import t
 
 import dmptm_ctrl
 from dmptm_ctrl.drive.rigfile import load_rig, parse_rig
 from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
+from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.rig_run import march
@@ -63,6 +66,29 @@ def test_friction_under_load_takes_the_load_of_closed_teeth(rig):
         sizes.append(np.sqrt(np.mean(left[0, use] ** 2)))
     assert sizes[0] < 0.1 * sizes[1]
     assert sizes[0] < 0.02 * np.std(drive[use])
+
+
+def test_rows_beside_impacts_count_as_those_of_students_t(rig):
+    model = RigModel(rig)
+    log, _ = log_of(model)
+    balance = touching(balance_of(rig, [log]), model, [log])
+    rng = np.random.default_rng(1)
+    likelihood, told = Likelihood(balance, np.ones(1)), []
+    for size in (0.02, 0.03):
+        rows = size * rng.standard_t(4.0, (1, balance.motions[0].rows.size))
+        rows[0, 40:43] += 5.0
+        used = rows[0, balance.motions[0].moving]
+
+        def doubled(scale, used=used):  # −2 log-likelihood
+            return -2.0 * np.sum(t.logpdf(used, 4.0, scale=scale))
+
+        told.append((likelihood.surprise([rows], model), minimize_scalar(
+            doubled, bounds=(1e-3, 1.0), method="bounded").fun))  # fmt: skip
+        assert likelihood.sizes([rows])[0] < 1.3 * size
+        mass = np.square(likelihood.weights([rows])) * used**2
+        assert mass.max() < 5.1  # of one row, however far off
+    (one, true_one), (other, true_other) = told
+    assert other - one == pytest.approx(true_other - true_one, rel=0.01)
 
 
 def test_seen_or_unknown_bodies_are_not_closed(rig):

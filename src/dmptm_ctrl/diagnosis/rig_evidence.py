@@ -351,22 +351,18 @@ def within_floor(selection: Selection, floor: float) -> bool:
     if not near(mean_square(base.held_left[0], base.held), floor):
         return False
     held = final.fit.likelihood.on(final.held)
-    sides = (held.parts(one.held_left[0]) for one in (base, final))
-    return all(
-        np.linalg.norm(before)
-        <= NONE * np.hypot(np.linalg.norm(after), held.floor * np.sqrt(len(after)))
-        for before, after in zip(*sides, strict=True)
-    )
+    before, after = (held.sizes(one.held_left[0]) for one in (base, final))
+    return bool(np.all(before <= NONE * np.hypot(after, held.floor)))
 
 
 def rise(without: RigState, final: RigState) -> float:
     """Share by which what is left of all balances rises without an effect."""
     likelihood, held = final.fit.likelihood, final.fit.likelihood.on(final.held)
+    scales = likelihood.scales(final.fit.left)
     squares = [
         sum(
-            float(p @ p) / scale**2
+            side.rows * float(np.sum((side.sizes(left) / scales) ** 2))
             for side, left in ((likelihood, one.fit.left), (held, one.held_left[0]))
-            for p, scale in zip(side.parts(left), likelihood.scales(final.fit.left), strict=True)
         )
         for one in (without, final)
     ]

@@ -35,6 +35,19 @@ def test_without_a_command_shows_help(capsys):
     assert "Usage: dmptm" in capsys.readouterr().out
 
 
+def test_help_keeps_its_units(capsys):
+    assert main(["tune", "--help"]) == 0
+    out = capsys.readouterr().out
+    assert "program [s]." in out
+    assert "[rad/s or" in out
+
+
+def test_a_log_of_another_drive_needs_a_rig_file(tmp_path, capsys):
+    (tmp_path / "axis.csv").write_text("t_s,u_V\n" + "".join(f"{k / 1e3},0\n" for k in range(3000)))
+    assert main(["diagnose", str(tmp_path)]) == 2
+    assert "no channel 'u_left'; it has u. Other columns" in one_line(capsys)
+
+
 def test_log_info(capsys):
     assert main(["log", "info", LOG]) == 0
     out, err = capsys.readouterr()

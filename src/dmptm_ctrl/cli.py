@@ -21,6 +21,7 @@ app = typer.Typer(
     help="Control-design workbench for geared servo drives.",
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",  # "rich" takes units, such as [s], for marks
 )
 log_app = typer.Typer(help="Look at logs.")
 app.add_typer(log_app, name="log")
@@ -110,7 +111,7 @@ def predict(
         bool,
         typer.Option(
             "--single",
-            help="One run with its rattle, not the mean of runs with nearly equal meshes.",
+            help="One run with its impact chatter, not the mean of runs with nearly equal meshes.",
         ),
     ] = False,
 ) -> None:
@@ -130,15 +131,15 @@ def tune(
         float, typer.Option(min=0.0, max=1.0, help="Share of the declared ranges still open.")
     ] = 0.25,
     logs: Annotated[
-        Path | None, typer.Option(help="Logs of the machine: they tell how friction builds up.")
+        Path | None, typer.Option(help="Logs of the machine: they show how friction builds up.")
     ] = None,
-    plants: Annotated[int, typer.Option(min=16, help="Plants drawn to judge it.")] = 1000,
-    limit: Annotated[float | None, typer.Option(help="Of an input [V, or SI].")] = None,
+    plants: Annotated[int, typer.Option(min=16, help="Plants drawn to judge it on.")] = 1000,
+    limit: Annotated[float | None, typer.Option(help="Of each input [V or SI].")] = None,
     speed: Annotated[float | None, typer.Option(help="Largest setpoint [rad/s or m/s].")] = None,
-    input: Annotated[str, typer.Option(help="Of a rig: motor of the loop.")] = "",
-    sensor: Annotated[str, typer.Option(help="Of a rig: what the setpoint is of.")] = "",
+    input: Annotated[str, typer.Option(help="Input of the loop, by its name.")] = "",
+    sensor: Annotated[str, typer.Option(help="Sensor of the loop, by its name.")] = "",
     sample_time: _Step = None,
-    seed: Annotated[int, typer.Option(help="Of the draws.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of the drawn plants.")] = 0,
     jobs: _Jobs = 2,
     quiet: _Quiet = False,
 ) -> None:
@@ -185,7 +186,7 @@ def export(
     out: _Out = Path("export"),
     real: _Real = "double",
     sample_time: _Step = None,
-    name: Annotated[str | None, typer.Option(help="Where two programs meet.")] = None,
+    name: Annotated[str | None, typer.Option(help="Of the program in its code.")] = None,
 ) -> None:
     """Write a model or a controller as a program where users run it."""
     from dmptm_ctrl.export.run import export_file

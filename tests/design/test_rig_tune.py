@@ -2,6 +2,7 @@
 
 import json
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from tests.export.native import needs_compiler
@@ -16,6 +17,7 @@ from dmptm_ctrl.design.duty import usual_duty
 from dmptm_ctrl.design.rig_aims import rig_aims
 from dmptm_ctrl.design.tune import tune_controller
 from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.plots.control import plot_tuning
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.testing import assert_tracks
 
@@ -81,8 +83,10 @@ def test_tuning_pays_and_keeps_its_limits(tuned):
     assert errors["optimised"] <= errors["PI, optimised"]
     assert max(row["voltage_max"] for row in tuned.stages) <= 12.0
     assert "friction" in tuned.parts.index
-    assert "rms error, rad/s" in tuned.summary()
+    assert "rms error [rad/s]" in tuned.summary()
     assert tuned.to_dict()["unit"] == "rad/s"
+    assert plot_tuning(tuned).get_xlabel() == "rms tracking error [rad/s]"
+    plt.close("all")
 
 
 def test_error_is_that_of_one_plain_run(tuned):

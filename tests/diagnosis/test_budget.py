@@ -1,5 +1,7 @@
 """The error budget adds up, and the verdict follows from it."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,8 @@ from dmptm_ctrl.diagnosis.budget import (
     table_lines,
     verdict_of,
 )
+from dmptm_ctrl.diagnosis.negligible import material_together
+from dmptm_ctrl.diagnosis.select import Entry, Selection
 
 SPEED, TORQUE = (0.2, 0.1), (3.0, 1.0)  # deg/s and N·m: not explained, floor
 
@@ -140,3 +144,39 @@ def test_the_error_is_the_speeds_where_there_is_one_else_the_torques():
     assert alone["unit"] == alone["floor"]["unit"] == "N"
     assert alone["floor"]["rmse"] == 0.5
     assert "speed" not in alone["floor"]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A model by what it keeps."""
+
+    keys: tuple[str, ...]
+
+
+class Stub:
+    """Refits nothing."""
+
+    def without(self, state, key):
+        return Kept(tuple(k for k in state.keys if k != key))
+
+
+@pytest.mark.parametrize(
+    ("pair", "single", "found"),
+    [
+        (0.5, 0.001, {"motor"}),  # either friction stands for the other: one is needed
+        (0.0, 0.01, {"motor"}),  # 0.1 % and 1 % can go, 1.5 % not as well
+        (0.0, 0.001, set()),  # none is
+    ],
+)
+def test_what_stands_for_each_other_is_not_immaterial(pair, single, found):
+    """Shares by hand: 0.1 % and 1.5 % alone, `pair` more without both."""
+
+    def share(state):
+        gone = {"load": 0.001, "motor": 0.015, "single": single, "delay": 0.3}
+        missing = [k for k in gone if k not in state.keys]
+        return sum(gone[k] for k in missing) + pair * ({"load", "motor"} <= {*missing})
+
+    final = Kept(("load", "motor", "single", "delay"))
+    entries = [Entry(k, 100.0, 100.0, (), Stub().without(final, k)) for k in final.keys]
+    selection = Selection(Kept(()), final, entries)
+    assert material_together(Stub(), selection, share) == found

@@ -2,14 +2,19 @@
 
 from dataclasses import dataclass
 from functools import cache
+from types import SimpleNamespace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from tests.diagnosis.test_rig_evidence import prepared
 from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL
+from dmptm_ctrl.diagnosis.html import evidence
 from dmptm_ctrl.diagnosis.rig_curves import _clock, accepted, curves, torques_of, variables_of
+from dmptm_ctrl.diagnosis.rig_figures import folded
+from dmptm_ctrl.plots.diagnosis import plot_evidence
 
 KINDS = (("multisine", 6.0), ("sine", 5.0), ("chirp", 4.0))
 PLAY = 0.4  # V, to each side
@@ -68,6 +73,49 @@ def test_friction_in_a_part_of_the_turn():
     base = base_of(alike, fc=0.02, pos=0.02)
     found = accepted(curves(base))
     assert found[0].variable == "theta:motor"
+
+
+def picture(base):
+    """Half the sum and half the difference of the curves by direction, over the variable."""
+    best = curves(base)[0]
+    made = folded(base, base, best.variable, "", "N·m", best)
+    plus, minus = (made.before[way] for way in ("forward", "backward"))
+    both, a, b = np.intersect1d(plus.x, minus.x, return_indices=True)
+    there, back = plus.mean[a], minus.mean[b]
+    return made, both, 0.5 * (there + back), 0.5 * (there - back)
+
+
+def test_picture_of_a_play_is_by_the_way_of_the_input():
+    """While it rises, the drive gets PLAY less than the log says; while it falls, more."""
+    base = base_of(play)
+    made, u, _, odd = picture(base)
+    assert made.ways == ("rising", "falling")
+    middle = odd[np.abs(u) < 3.0]
+    np.testing.assert_allclose(middle, PLAY * Machine().gain, rtol=0.25)
+    assert plot_evidence(made)[0].get_legend_handles_labels()[1] == ["rising", "falling"]
+    plt.close("all")
+    page = SimpleNamespace(effects=(), depends_on=("u",), source=SimpleNamespace())
+    page.source.evidence = lambda effect, variables: made
+    assert "Where rising and falling stand apart" in next(iter(evidence(page)))["read"]
+    never = folded(base, base, "u", "", "N·m")  # of an effect: by the way of the motion
+    assert never.ways == ("forward", "backward")
+
+
+def test_picture_of_what_comes_again_is_over_one_period():
+    made, time, even, _ = picture(base_of(dropouts))
+    assert made.variable.startswith("time [s], over a period of 0.8")
+    assert 0.9 * PERIOD < time.max() < PERIOD
+    late = time > 3.0 * GONE  # and before the end, since the period is not found exactly
+    late &= time < PERIOD - GONE
+    assert np.abs(even[~late]).max() > 10.0 * np.abs(even[late]).max()
+
+
+def test_picture_of_what_comes_again_each_turn_is_over_one_turn():
+    """Friction 0.02 cos θ N·m over many turns, beside what the model takes for friction."""
+    made, angle, _, odd = picture(base_of(alike, fc=0.02, pos=0.02))
+    assert made.variable == "position of motor [rad], over a turn"
+    assert 6.0 < angle.max() < 2.0 * np.pi
+    assert 2.0 * np.mean(odd * np.cos(angle)) == pytest.approx(0.02, rel=0.2)
 
 
 def test_nothing_where_nothing_is_missing():

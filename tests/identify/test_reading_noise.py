@@ -1,5 +1,7 @@
 """Noise of readings in a balance, against readings with more noise, and what it does to fits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import welch
@@ -11,7 +13,7 @@ from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.measured_motion import rounding_noise
 from dmptm_ctrl.identify.reading_noise import noise_in_balance
-from dmptm_ctrl.identify.rig_fit import State, residuals
+from dmptm_ctrl.identify.rig_fit import State, fit_rig, residuals
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import RigModel
@@ -90,16 +92,38 @@ def test_is_what_more_noise_adds(sensors):
         assert told == pytest.approx(seen, rel=0.25)
 
 
-def test_coarse_encoders_do_not_bend_inertias_and_springs():
-    """Without their noise told apart, motor and load are wrong by half and by two thirds."""
+@pytest.fixture(scope="module")
+def coarse():
+    """The declared model, fitted to two coarse encoders of a gear."""
     rig, logs = geared(("q", "q2"))
     fitted, held, _, _ = split(rig, balance_of(rig, logs))
-    fit = RigEvidence(fitted, held, 1).base(State(rough_start(RigModel(rig), fitted))).fit
+    return RigEvidence(fitted, held, 1).base(State(rough_start(RigModel(rig), fitted))).fit
+
+
+def test_coarse_encoders_do_not_bend_inertias_and_springs(coarse):
+    """Without their noise told apart, motor and load are wrong by half and by two thirds."""
     true = {"body.motor.inertia": J1, "body.load.inertia": J2, "link.gear.stiffness": K}
     for name, value in true.items():
-        assert fit.values[name] == pytest.approx(value, rel=0.3)
-        assert abs(fit.values[name] - value) < 3.0 * fit.errors[name]
-        assert fit.errors[name] > 0.02 * value  # so coarse readings do not tell more
+        assert coarse.values[name] == pytest.approx(value, rel=0.3)
+        assert abs(coarse.values[name] - value) < 3.0 * coarse.errors[name]
+        assert coarse.errors[name] > 0.02 * value  # so coarse readings do not tell more
+
+
+def test_ranges_weigh_as_much_as_the_scatter_of_the_score_leaves_them(coarse):
+    """Against what rows without ranges say, and ranges without rows, added by their precision."""
+    known = replace(coarse.likelihood, doubt=dict.fromkeys(coarse.doubt, 1e-6))
+    rows = fit_rig(coarse.state, coarse.likelihood.balance, like=known, iterations=12, jobs=1)
+    scale = np.array([f.scale for f in rows.frees])
+    told = np.linalg.inv(rows.covariance * np.outer(scale, scale))
+    centre, sigma = np.array([f.prior or (0.0, np.inf) for f in rows.frees]).T
+    both = np.linalg.inv(told + np.diag(sigma**-2.0))
+    values = both @ (told @ list(rows.values.values()) + centre * sigma**-2.0)
+    for free, value, error in zip(coarse.frees, values, np.sqrt(np.diag(both)), strict=True):
+        if free.prior is None:
+            continue
+        assert coarse.errors[free.label] == pytest.approx(error, rel=0.25)
+        assert coarse.errors[free.label] < 0.85 * rows.errors[free.label]
+        assert coarse.values[free.label] == pytest.approx(value, abs=0.8 * error)
 
 
 @pytest.mark.parametrize(("speed", "white"), [(0.02, 3.6), (0.2, 0.8), (3.0, 0.6)])

@@ -91,13 +91,13 @@ def test_model_of_a_diagnosis(tmp_path):
         (["none.toml"], "no such rig file"),
         (["rig.toml", "--out", "picture.xyz"], "picture.xyz: call the figure .png, .svg or .pdf"),
         (["rig.toml", "--low", "10", "--high", "1"], "--low 10 must be below --high 1"),
-        (["open.toml"], "open.toml: body.arm.viscous is declared unknown"),
+        (["open.toml"], "open.toml: body.arm.inertia is declared unknown"),
     ],
 )
 def test_refusals(tmp_path, monkeypatch, capsys, arguments, said):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "rig.toml").write_text(ARM)
-    (tmp_path / "open.toml").write_text(ARM.replace("viscous = 0.05", 'viscous = "unknown"'))
+    (tmp_path / "open.toml").write_text(ARM.replace("inertia = 0.02", 'inertia = "unknown"'))
     assert main(["bode", *arguments]) == 2
     err = capsys.readouterr().err
     assert said in err
@@ -111,3 +111,20 @@ def test_model_of_nonsense(tmp_path):
     (tmp_path / "model.toml").write_text(text)
     with pytest.raises(LogError, match=r"model\.toml: .*K_M is -0\.13 N·m/A, it must be more than"):
         linear_models(tmp_path / "model.toml")
+
+
+def test_template_of_a_rig_file_is_drawn(tmp_path, capsys):
+    """Unknown friction and damping count as none, and are named; a spring must be known."""
+    rig = tmp_path / "rig.toml"
+    assert main(["rig", "init", str(rig)]) == 0
+    with pytest.warns(UserWarning, match="taken as 0: body.motor.viscous, body.load.viscous, link"):
+        own = linear_models(rig)["two-inertia bench: load_speed over voltage"]
+    resonance = np.sqrt(40.0 * (1.0 / 2.1e-4 + 10.0**2 / 0.013))
+    assert np.abs(own.poles().imag).max() == pytest.approx(resonance)
+    capsys.readouterr()
+    for command in ("bode", "step"):
+        assert main([command, str(rig), "--out", str(tmp_path / "p.svg")]) == 0
+        assert "declared unknown, taken as 0: body.motor" in capsys.readouterr().err
+    rig.write_text(rig.read_text().replace("40 N m/rad ± 50 %", "unknown"))
+    assert main(["bode", str(rig)]) == 2
+    assert "link.gear.stiffness is declared unknown" in capsys.readouterr().err

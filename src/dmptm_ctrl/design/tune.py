@@ -92,22 +92,28 @@ class Tuned:
     def _without(self) -> dict[str, Any]:
         return next(row for row in self.stages if row["stage"] == WITHOUT)
 
+    @property
+    def unit(self) -> str:
+        """Unit of the errors."""
+        return error_unit(self.controller)[0]
+
     def summary(self) -> str:
         """Return the stages as a text."""
-        (volt, rad), (unit, _) = self.controller.units, error_unit(self.controller)
-        head = f"{'':28s}{'median':>9s}{'90 %':>9s}{'worst':>9s}{volt:>8s}"
-        lines = [f"{head}   rms error, {unit}"]
+        volt, rad = self.controller.units
+        title, largest = f"rms error [{self.unit}]", f"largest {volt}"
+        lines = [f"{title:28s}{'median':>9s}{'90 %':>9s}{'worst':>9s}{largest:>11s}"]
         for row in self.stages:
             lines.append(
                 f"{row['stage']:28s}{row['rmse_median']:9.3g}{row['rmse_quantile']:9.3g}"
-                f"{row['rmse_worst']:9.3g}{row['voltage_max']:8.3g}"
+                f"{row['rmse_worst']:9.3g}{row['voltage_max']:11.3g}"
             )
         g = self.controller
+        preload = f", preload {g.preload:.3g} {volt}" if g.preload else ""
         lines += [
             "",
-            f"kp {g.kp:.4g} {volt}/({rad}/s), ki {g.ki:.4g} {volt}/{rad}, preload {g.preload:.3g} "
-            f"{volt}, friction share {g.friction:.2f} over {1e6 * g.distance:.0f} µ{rad}, "
-            f"lead {1e3 * g.lead:.2f} ms",
+            f"kp {g.kp:.4g} {volt}/({rad}/s), ki {g.ki:.4g} {volt}/{rad}{preload}, "
+            f"{g.friction:.0%} of the friction fed forward, built up over {1e6 * g.distance:.0f} "
+            f"µ{rad}, lead {1e3 * g.lead:.2f} ms",
             *(f"notch at {n.hz:.1f} Hz, depth {n.depth:g}, width {n.width:g}" for n in g.notches),
             f"linear start: bandwidth {self.linear.bandwidth_hz:.1f} Hz, "
             f"{self.linear.phase_margin_deg:.0f}°, {self.linear.gain_margin_db:.1f} dB",
@@ -116,7 +122,7 @@ class Tuned:
         least, most = OPTIMISM[isinstance(self.controller.model, RigModel)]
         lines.append(
             f"the compensation takes off {median:.0%} of the error; on nine of ten plants at "
-            f"least {sure:.0%}; measured elsewhere: {least} to {most} points less than predicted"
+            f"least {sure:.0%}; on drives it was tried on, {least} to {most} points less"
         )
         lines += [
             f"  {name}: {median:.0%}, {sure:.0%}" for name, median, sure in self.parts.itertuples()
@@ -138,7 +144,7 @@ class Tuned:
             ],
             "plants": int(self.errors.size),
             "quantile": QUANTILE,
-            "unit": error_unit(self.controller)[0],
+            "unit": self.unit,
             "compensation": {
                 "median": float(np.median(self.gains)),
                 "sure": float(np.quantile(self.gains, 1.0 - QUANTILE)),

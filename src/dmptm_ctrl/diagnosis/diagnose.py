@@ -64,9 +64,12 @@ def diagnose_dual(
         before = simulated(measured, base.left, declared, jobs)
         best = tables.left if tables else selection.final.left
         after = simulated(measured, best, declared, jobs)
-        judged = judge(measured, selection, (before, after), tables, rest, jobs)
+        judged = judge(measured, evidence, selection, (before, after), tables, rest, jobs)
         final = on_all_logs(measured, best, after, declared, jobs)
-        effects = [named(e, final, judged.share_of(e.key)) for e in selection.entries]
+        effects = [
+            replace(named(e, final, judged.share_of(e.key)), together=e.key in judged.together)
+            for e in selection.entries
+        ]
         effects += [
             sensor_effect(name, sensors, final, judged.share_of(name)) for name in model.effects
         ]

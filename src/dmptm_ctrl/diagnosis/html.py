@@ -31,6 +31,11 @@ READ_NOTHING = (
     "offsets that differ by direction are friction inside its declared range; a wave that both "
     "directions share is not in the model."
 )
+READ_HYSTERESIS = (
+    "Points are means over bins, bars ± 2 standard errors; what stands still is left out. Where "
+    "rising and falling stand apart, the torque depends on where the variable came from, as "
+    "behind a play or in a hysteresis."
+)
 READ_CORRELATION = (
     "What a true model leaves is noise: 99 of a hundred lags lie inside the grey band. A residual "
     "that correlates with itself lacks dynamics or an effect; one that follows the input (positive "
@@ -157,7 +162,7 @@ def error_rows(error: Mapping[str, Any]) -> list[dict[str, Any]]:
             if "seconds" in told:
                 name += f", {told['seconds']:g} s"
             if "bandwidth_hz" in told:
-                name += f", below {told['bandwidth_hz']:g} Hz"
+                name += f", below {told['bandwidth_hz']:.3g} Hz"
             sides = {side: error[side][kind]["rmse"] for side in ("before", "after", "floor")}
             rows.append({"name": name, "unit": told["unit"], **sides})
     return rows
@@ -170,11 +175,12 @@ def evidence(diagnosis: "Diagnosis") -> Iterable[dict[str, Any]]:
         shown.append(None)
     for effect in shown:
         found = diagnosis.source.evidence(effect, diagnosis.depends_on)
+        read = READ_EVIDENCE if found and found.effect else READ_NOTHING
         yield {
             "effect": effect,
             "variable": found.variable if found else "",
             "figure": evidence_figure(found) if found else "",
-            "read": READ_EVIDENCE if found and found.effect else READ_NOTHING,
+            "read": READ_HYSTERESIS if found and "rising" in found.ways else read,
         }
 
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import Errors, Row, Squares, closed_rows, error_entry
 from dmptm_ctrl.diagnosis.candidate import name_of
-from dmptm_ctrl.diagnosis.dual import DualState
+from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.measure import Measured
+from dmptm_ctrl.diagnosis.negligible import material_together
 from dmptm_ctrl.diagnosis.predict import apart, free_run, speed_error, twin_steps
 from dmptm_ctrl.diagnosis.residual import Residual
 from dmptm_ctrl.diagnosis.select import Selection
@@ -38,11 +39,14 @@ class Judged:
     ----------
     error : dict
         The entry of diagnosis.json.
+    together : frozenset of str
+        Keys of effects that only look immaterial, since others stand for them.
     """
 
     errors: Errors
     rows: tuple[Row, ...]
     error: dict[str, Any]
+    together: frozenset[str]
 
     def share_of(self, key: str) -> float:
         """Share of an effect in the budget."""
@@ -79,6 +83,7 @@ def systematic(left: Residual, scale: "Scale") -> float:
 
 def judge(
     measured: Measured,
+    evidence: DualEvidence,
     selection: Selection,
     fits: tuple[Fit, Fit],
     tables: Tables | None,
@@ -134,7 +139,10 @@ def judge(
         {k: {**torque[k], "unit": TORQUE} for k in names},
         {k: {"rmse": horizons[k], "unit": UNIT, "seconds": HORIZON} for k in names},
     )
-    return Judged(errors, tuple(closed), error)
+    together = material_together(
+        evidence, selection, lambda state: lacked(state, final, errors, scale)
+    )
+    return Judged(errors, tuple(closed), error, together)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,6 +258,12 @@ def scatters(twins: Sequence[Model], measured: Measured, jobs: int) -> tuple[flo
     )
 
 
+def lacked(state: DualState, final: DualState, errors: Errors, scale: Scale) -> float:
+    """Share of the removable mean square that a model with fewer effects leaves."""
+    more = mean_square(on_rows_of(final.left, state.left), scale) - errors.after
+    return more / max(errors.removable, 1e-300)
+
+
 def effect_row(
     key: str,
     without: DualState,
@@ -265,8 +279,6 @@ def effect_row(
     name = name_of(key)
     effect = CATALOGUE[name]
     left = on_rows_of(final.left, without.left)
-    lost = mean_square(left, scale) - errors.after
-    share = max(lost, 0.0) / max(errors.removable, 1e-300)
     torque = apart(torque_error(left)["rmse"], torque_error(final.left)["rmse"])
     damping = {k: augmented.model.drive[k] for k in ("c", "c_f")}
     model = left.base.model.with_values(**damping)
@@ -276,7 +288,7 @@ def effect_row(
         effect.location,
         apart(slower, speed["after"]["rmse"]),
         torque,
-        min(share, 1.0),
+        min(max(lacked(without, final, errors, scale), 0.0), 1.0),
         effect.depends_on,
     )
 

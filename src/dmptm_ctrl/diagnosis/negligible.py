@@ -1,10 +1,10 @@
-"""Effects that hardly change what is left: they are taken out of a selection."""
+"""Effects that hardly change what is left: alone, or with others that stand for them."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from dmptm_ctrl.diagnosis.budget import NEGLIGIBLE
+from dmptm_ctrl.diagnosis.budget import MATERIAL, NEGLIGIBLE
 from dmptm_ctrl.diagnosis.candidate import Evidence
 from dmptm_ctrl.diagnosis.select import Entry, Selection, given_way, ranked, rivals_of
 
@@ -60,3 +60,26 @@ def _again(evidence: Evidence, entry: Entry | None, key: str, final: Any) -> Ent
         if r.keys[0] not in final.keys
     )
     return Entry(key, *gains, rivals, without)
+
+
+def material_together(
+    evidence: Evidence, selection: Selection, share: Callable[[Any], float]
+) -> frozenset[str]:
+    """Return keys of effects that only look immaterial, since others stand for them.
+
+    Weakest first, effects are left out together as long as that hardly moves the budget.
+
+    Parameters
+    ----------
+    share : callable
+        Share of the removable mean square that a model lacks.
+    """
+    alone = {e.key: share(e.without) for e in selection.entries}
+    small = sorted((key for key in alone if alone[key] < MATERIAL), key=lambda key: alone[key])
+    state = selection.final
+    for k, key in enumerate(small):
+        if key in state.keys:  # else it stood on one that went
+            state = evidence.without(state, key)
+        if share(state) >= MATERIAL:
+            return frozenset(small[k:])
+    return frozenset()

@@ -40,6 +40,8 @@ class NamedEffect:
     ----------
     share : float
         Of the error budget; 2 % and more is material.
+    together : bool
+        Whether it takes as much together with weaker ones.
     """
 
     name: str
@@ -49,6 +51,7 @@ class NamedEffect:
     confusable_with: tuple[str, ...]
     evidence: str
     share: float = 0.0
+    together: bool = False
 
     @property
     def named(self) -> bool:
@@ -58,7 +61,7 @@ class NamedEffect:
     @property
     def material(self) -> bool:
         """Whether it moves the budget."""
-        return self.share >= MATERIAL
+        return self.share >= MATERIAL or self.together
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of diagnosis.json."""

@@ -47,6 +47,10 @@ class Curve:
         Fall on the held-out logs, and share of their mean square that goes.
     left : tuple of arrays
         What stays of the held-out logs' residual, (equations, rows) per log.
+    kind : str
+        "torque", "friction" (odd in the speed), "gain" (times the drive's torque), "hysteresis".
+    period : float
+        After which it comes again, in SI of the variable; 0 where it does not.
     """
 
     variable: str
@@ -54,6 +58,8 @@ class Curve:
     held_gain: float
     share: float
     left: tuple[Floats, ...]
+    kind: str = "torque"
+    period: float = 0.0
 
 
 def variables_of(fit: RigFit) -> dict[str, Signal]:
@@ -154,24 +160,24 @@ def curves(state: "RigState") -> list[Curve]:
     fit, found = state.fit, []
     count = fit.left[0].shape[0]
     tried = variables_of(fit)
-    families = [(n, *one, 0.0) for n, s in tried.items() for one in torques_of(fit, s)]
+    families = [(n, *one, 0.0, 0.0) for n, s in tried.items() for one in torques_of(fit, s)]
     for name in (n for n in tried if n.startswith(("theta", "u"))):
         low, high = _range(fit, tried[name])
         if high > low:
-            families.append((name, "hysteresis", _within(tried[name], low, high), 0.0))
+            families.append((name, "hysteresis", _within(tried[name], low, high), 0.0, 0.0))
         body = name.partition(":")[2]
         if name.startswith("theta") and high - low > 2 * pi and not on_slide(fit.model, body):
             turn = _folded(tried[name], 2 * pi)
-            families += [(name, *one, 0.0) for one in torques_of(fit, turn)]
+            families += [(name, *one, 2 * pi, 0.0) for one in torques_of(fit, turn)]
     over_time = dict(torques_of(fit, tried["time"]))
     for kind in ("torque", "gain"):
         period, price = _clock(state, over_time[kind])
         if period > 0.0:
             again = dict(torques_of(fit, _folded(tried["time"], period)))
-            families.append(("time", kind, again[kind], price))
+            families.append(("time", kind, again[kind], period, price))
     push = columns_of(count, fit.likelihood.balance, over_time["gain"])
     drive = state.tangent.stack(push).sum(1)
-    for name, kind, torque, price in families:
+    for name, kind, torque, period, price in families:
         if kind == "gain" and name.startswith("du"):
             continue
         own, held = (columns_of(count, b, torque) for b in (fit.likelihood.balance, state.held))
@@ -180,7 +186,7 @@ def curves(state: "RigState") -> list[Curve]:
         free = null_space(drive[None] @ state.tangent.stack(own)) if of_drive else np.eye(KNOTS)
         one = _fit(state, own, held, free, price)
         if one is not None:
-            found.append(Curve(name, *one))
+            found.append(Curve(name, *one, kind, period))
     return sorted(found, key=lambda c: -c.evidence)
 
 

@@ -11,9 +11,7 @@ from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
 from dmptm_ctrl.diagnosis.rig_curves import (
-    accepted,
     better_without_names,
-    curve_share,
     curves,
     predicted,
 )
@@ -105,12 +103,10 @@ def diagnose_rig(
         declared,
         loaded,
         selection,
+        evidence,
         as_read=as_read,
         faults=faults,
-        curves=accepted(found),
-        floor=predicted(selection.final, found),
-        nearest=tuple(c.variable for c in sorted(found, key=lambda c: -c.evidence)[:1]),
-        share_of_curves=curve_share(selection.final, accepted(found)),
+        found_curves=found,
         on=on,
         provenance=provenance(
             loaded,

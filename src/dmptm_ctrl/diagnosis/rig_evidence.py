@@ -188,8 +188,10 @@ class RigEvidence:
             )
             found = self._candidate(state, tuple(group), fit)
             if found.objection and found.demanded:  # impossible on the way is not impossible
+                like = replace(like, doubt=fit.doubt)
+                bare = fit_rig(state.fit.state, self.logs, like=like, jobs=self.jobs)
                 fit = fit_rig(fit.state, self.logs, iterations=SETTLE, like=like, jobs=self.jobs)
-                found = self._candidate(state, tuple(group), fit)
+                found = self._candidate(replace(state, fit=bare), tuple(group), fit)
         except (ValueError, ArithmeticError) as error:
             keys = tuple(t.key for t in group)
             return Candidate(
@@ -303,7 +305,8 @@ class RigEvidence:
 
     def closed(self, state: RigState) -> RigState:
         """Count anew how many rows are independent, tell noise of readings apart, and fit again."""
-        like = Likelihood(self.logs, independent(state)).knowing(state.fit.model, state.fit.left)
+        like = Likelihood(self.logs, independent(state), doubt=state.fit.doubt)
+        like = like.knowing(state.fit.model, state.fit.left)
         return self.refit(replace(state, fit=replace(state.fit, likelihood=like)))
 
     def without(self, state: RigState, key: str) -> RigState:

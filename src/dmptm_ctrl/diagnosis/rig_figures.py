@@ -1,11 +1,12 @@
 """Residual of a rig file's balance, folded over what an effect depends on."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from dmptm_ctrl.diagnosis.quality import Rows, fold
-from dmptm_ctrl.diagnosis.rig_curves import Signal, variables_of
+from dmptm_ctrl.diagnosis.rig_curves import Curve, Signal, variables_of
 from dmptm_ctrl.diagnosis.rig_evidence import RigState
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.measured_motion import Floats, Motion
@@ -16,9 +17,17 @@ MEASURES = {"theta": "position", "omega": "speed"}
 
 
 def folded(
-    without: RigState, final: RigState, variable: str, effect: str, unit: str
+    without: RigState,
+    final: RigState,
+    variable: str,
+    effect: str,
+    unit: str,
+    curve: Curve | None = None,
 ) -> Evidence | None:
     """Fold what the drive gave more than a model over a variable, on all logs.
+
+    Over a turn or a period if a curve comes again by it, and by the way that the variable itself
+    goes if the curve is a hysteresis.
 
     Parameters
     ----------
@@ -30,6 +39,8 @@ def folded(
         Name; empty where there is none.
     unit : str
         Of the balance.
+    curve : Curve, optional
+        Over this variable.
 
     Returns
     -------
@@ -42,6 +53,10 @@ def folded(
         return None
     name = _measured(final, signals, variable)
     factor, label = _label(final.fit.model.rig, name)
+    period = curve.period if curve else 0.0
+    by_itself = curve is not None and curve.kind == "hysteresis"
+    if period:
+        label += f", over {'a turn' if name != 'time' else f'a period of {period:.3g} s'}"
 
     def rows(state: RigState) -> list[Rows]:
         found = []
@@ -52,11 +67,14 @@ def folded(
         for balance, left in sides:
             for motion, part in zip(balance.motions, left, strict=True):
                 use = motion.moving
-                x, way = (reduced(motion, s)[use] for s in (signals[name], speed))
-                found.append((x / factor, part[0][use], np.sign(way), news))
+                x, way = (reduced(motion, s) for s in (signals[name], speed))
+                way = np.gradient(x) if by_itself else way
+                x = x % period if period else x
+                found.append((x[use] / factor, part[0][use], np.sign(way[use]), news))
         return found
 
-    return fold(rows(without), rows(final), label, f"drive − model\n[{unit}]", effect)
+    made = fold(rows(without), rows(final), label, f"drive − model\n[{unit}]", effect)
+    return replace(made, ways=("rising", "falling")) if by_itself else made
 
 
 def reduced(motion: Motion, signal: Signal) -> Floats:

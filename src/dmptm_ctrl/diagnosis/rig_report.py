@@ -10,10 +10,11 @@ import numpy as np
 from dmptm_ctrl.diagnosis.budget import EXPLAINED, Errors, Row, closed_rows, error_entry
 from dmptm_ctrl.diagnosis.candidate import LEVEL, name_of
 from dmptm_ctrl.diagnosis.experiment import rig_experiment
+from dmptm_ctrl.diagnosis.negligible import material_together
 from dmptm_ctrl.diagnosis.ranking import ranking_of
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture
-from dmptm_ctrl.diagnosis.rig_curves import Curve, mean_square
-from dmptm_ctrl.diagnosis.rig_evidence import RigState
+from dmptm_ctrl.diagnosis.rig_curves import Curve, accepted, curve_share, mean_square, predicted
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, RigState
 from dmptm_ctrl.diagnosis.rig_runs import Runs, variable_of
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY, SensorFault
@@ -49,6 +50,8 @@ class RigSource:
     selection : Selection
     augmented : RigModel
     runs : Runs
+    curve : Curve, optional
+        Over the first variable of what is unknown.
     """
 
     rig: Rig
@@ -56,6 +59,7 @@ class RigSource:
     selection: Selection
     augmented: RigModel
     runs: Runs
+    curve: Curve | None = None
 
     @property
     def title(self) -> str:
@@ -83,11 +87,12 @@ class RigSource:
         if effect and entry is None:
             return None
         return folded(
-            entry.without if entry else self.selection.final,
+            entry.without if entry else self.selection.base,
             self.selection.final,
             variable_of(self.augmented, key) if effect else next(iter(depends_on), ""),
             effect.name if effect else "",
             torque_unit(self.rig),
+            self.curve if depends_on and not effect else None,
         )
 
     def pictures(self) -> Iterator[Picture]:
@@ -108,13 +113,11 @@ def report_of(
     rig: Rig,
     logs: Sequence[Log],
     selection: Selection,
+    evidence: RigEvidence,
     *,
     as_read: RigState,
     faults: Sequence[SensorFault],
-    curves: Sequence[Curve],
-    floor: float,
-    share_of_curves: float,
-    nearest: tuple[str, ...],
+    found_curves: Sequence[Curve],
     on: str,
     provenance: dict[str, Any],
     warnings: Sequence[str],
@@ -128,16 +131,12 @@ def report_of(
         As the sensors read them.
     as_read : RigState
         The declared model on these.
-    curves : sequence of Curve
-        Those that the logs demand, beside the effects.
-    floor : float
-        Mean square that no model predicts.
-    share_of_curves : float
-        Share of the held-out mean square that the best curve takes.
-    nearest : tuple of str
-        Variable of the best curve, demanded or not.
+    found_curves : sequence of Curve
+        Beside the effects, most evidence first, demanded by the logs or not.
     """
     final: RigState = selection.final
+    curves, floor = accepted(found_curves), predicted(final, found_curves)
+    best = next(iter([*curves, *found_curves]), None)
     base: RigState = selection.base
     errors = Errors(
         mean_square(as_read.held_left[0], as_read.held),
@@ -157,23 +156,30 @@ def report_of(
     healed = max(errors.before - mean_square(base.held_left[0], base.held), 0.0)
     costs = [healed / len(faults) for _ in faults]
     slower = [runs.rise(after.without({f.placed.key})) for f in faults]
+    size = max(errors.removable, 1e-300)
+
+    def lacks(state: RigState) -> float:
+        return (mean_square(state.held_left[0], final.held) - errors.after) / size
+
+    together = material_together(evidence, selection, lacks)
     for entry in selection.entries:
         without = mean_square(entry.without.held_left[0], final.held)
-        found.append(_named(entry, final.fit, errors.after, without))
+        named = _named(entry, final.fit, errors.after, without)
+        found.append(replace(named, together=entry.key in together))
         costs.append(max(without - errors.after, 0.0))
         bare = entry.without.held_state
         for fault in faults:
             bare = State(bare.model.with_effect(fault.placed), bare.logs)
         slower.append(runs.rise(bare))
     order = sorted(range(len(found)), key=lambda k: -costs[k])
-    size = max(errors.removable, 1e-300)
     effects = tuple(replace(found[k], share=costs[k] / size) for k in order)
     strong = (c.variable for c in curves if c.evidence > 0.5 * curves[0].evidence)
     variables = tuple(dict.fromkeys(strong))[:2]
+    nearest = (best.variable,) if best else ()
     verdict = "unknown"
     if effects and (errors.explained >= EXPLAINED or errors.balanced):
         verdict = "explained"
-    elif not effects and share_of_curves < 1.0 - EXPLAINED and errors.balanced:
+    elif not effects and curve_share(final, curves) < 1.0 - EXPLAINED and errors.balanced:
         verdict = "none"
     rows = [
         Row(e.name, e.location, slower[k], sqrt(costs[k]), e.share,
@@ -204,7 +210,7 @@ def report_of(
         augmented=augmented,
         declared_values=declared_of(final.fit),
         selection=selection,
-        source=RigSource(rig, on, selection, augmented, runs),
+        source=RigSource(rig, on, selection, augmented, runs, best),
         correlations=correlations_of(final.fit),
         provenance=provenance,
         warnings=(*warnings, *runs.warnings),

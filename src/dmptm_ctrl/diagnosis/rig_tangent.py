@@ -94,7 +94,7 @@ class Tangent:
 
     @cached_property
     def _priors(self) -> tuple[Floats, Floats]:
-        return prior_rows(self.fit.state, self.fit.frees)
+        return prior_rows(self.fit.state, self.fit.frees, self.fit.likelihood)
 
     def stack(self, parts: Sequence[Floats]) -> Floats:
         """Weight (equations, rows[, k]) per log and put them into one array, (m[, k])."""

@@ -18,7 +18,7 @@ from dmptm_ctrl.identify.motion import (
     one_way,
     smooth,
 )
-from dmptm_ctrl.signals import Campaign, Log, LogError
+from dmptm_ctrl.signals import Campaign, Log, LogError, MissingChannelError
 from dmptm_ctrl.signals.plausible import MISTAKES, refuse_inconsistent
 from dmptm_ctrl.simulate.model import Model
 
@@ -60,8 +60,11 @@ def screen(logs: Iterable[Log], drive: Drive) -> tuple[Campaign, tuple[str, ...]
     warnings = list(campaign.warnings)
     useless: dict[str, str] = {}
     for log in campaign:
-        for channel in NEEDED:
-            log[channel]
+        if missing := [channel for channel in NEEDED if channel not in log]:
+            raise MissingChannelError(
+                f"{log.name}: no channel {missing[0]!r}; it has {', '.join(log.channels)}. "
+                "Other columns, or another drive, need a rig file: dmptm rig init writes one"
+            )
         refuse_inconsistent(log, drive["N_1"] * drive["N_2"])
         refuse_one_sign(log)
         if why := nothing_in(log):

@@ -1,7 +1,7 @@
 """How much the rows of a balance of torques tell about a model."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,15 +30,19 @@ class Likelihood:
     noise : (equations,) array, optional
         Variance of the residual by the noise of readings to which all models are brought.
         Without it, what a model makes of that noise counts like anything else that is left.
+    doubt : dict of label to float
+        How many times less surely the rows tell a number than their count says. Its declared range
+        weighs so much more beside them (Pauli, Racugno and Ventura, Stat. Sinica 21 (2011) 149).
     """
 
     balance: Balance
     news: Floats
     noise: Floats | None = None
+    doubt: Mapping[str, float] = field(default_factory=dict)
 
     def on(self, balance: Balance) -> "Likelihood":
         """Return the same for other logs."""
-        return Likelihood(balance, self.news, self.noise)
+        return replace(self, balance=balance)
 
     def knowing(self, model: RigModel, left: Sequence[Floats]) -> "Likelihood":
         """Return the same with the noise of readings told from what else a model leaves."""

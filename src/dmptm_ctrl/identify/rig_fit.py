@@ -108,27 +108,49 @@ class RigFit:
         return self.state.model
 
     @cached_property
-    def covariance(self) -> Floats:
-        """Covariance of the fitted numbers, in their scales.
+    def _spread(self) -> tuple[Floats, Floats]:
+        """Inverse of the curvature A, and covariance by the scatter of the score, in scales.
 
-        Robust against residuals that correlate, or come in bursts: A⁻¹ (Σ_blocks s sᵀ) A⁻¹, with
-        s the score of a block, where that is more than A⁻¹.
+        The latter is robust against residuals that correlate, or come in bursts:
+        A⁻¹ (Σ_blocks s sᵀ) A⁻¹, with s the score of a block. Where it is less than A⁻¹, that holds.
         """
+        if not self.frees:
+            return np.zeros((0, 0)), np.zeros((0, 0))
         likelihood = self.likelihood
         weights = likelihood.weights(self.left)
         rows = likelihood.stack(self.slopes) * weights[:, None]
-        extra = prior_rows(self.state, self.frees)[0]
+        extra = prior_rows(self.state, self.frees, likelihood)[0]
         whole = rows.T @ rows + extra.T @ extra + 1e-300 * np.eye(len(self.frees))
         clear, _ = noise_taken_out(
             self.state, self.frees, likelihood, likelihood.scales(self.left), whole, np.diag(whole)
         )
-        inverse = np.linalg.pinv(clear, rcond=1e-12)
+        inverse = np.asarray(np.linalg.pinv(clear, rcond=1e-12), np.float64)
         products = rows * (weights * likelihood.stack(self.left))[:, None]
         ids = likelihood.blocks(self.left[0].shape[0])
         sums = np.array([np.bincount(ids, p) for p in products.T])
-        spread = inverse @ (sums @ sums.T) @ inverse if len(self.frees) else inverse
-        size = np.sqrt(np.maximum(np.diag(spread) / np.maximum(np.diag(inverse), 1e-300), 1.0))
-        return inverse * np.outer(size, size)
+        # all together they are what the noise of readings and the declared ranges balance
+        sums -= sums.mean(axis=-1, keepdims=True)
+        sure = [likelihood.doubt.get(f.label, 1.0) for f in self.frees]
+        ranges = (extra.T @ extra) * np.square(sure)
+        return inverse, inverse @ (sums @ sums.T + ranges) @ inverse
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Covariance of the fitted numbers, in their scales."""
+        inverse, _ = self._spread
+        return inverse * np.outer(self._doubt, self._doubt)
+
+    @cached_property
+    def _doubt(self) -> Floats:
+        """How many times less surely each number is told than its curvature says."""
+        inverse, spread = (np.diag(m) for m in self._spread)
+        return np.sqrt(np.maximum(spread / np.maximum(inverse, 1e-300), 1.0))
+
+    @property
+    def doubt(self) -> dict[str, float]:
+        """The same by label, of the numbers that have a declared range."""
+        pairs = zip(self.frees, self._doubt, strict=True)
+        return {f.label: float(d) for f, d in pairs if f.prior is not None}
 
     @property
     def errors(self) -> dict[str, float]:
@@ -370,18 +392,21 @@ def total_loss(
         return (
             price
             + likelihood.surprise(left, state.model)
-            + float(np.sum(prior_rows(state, frees)[1] ** 2))
+            + float(np.sum(prior_rows(state, frees, likelihood)[1] ** 2))
         )
 
 
-def prior_rows(state: State, frees: Sequence[Free]) -> tuple[Floats, Floats]:
+def prior_rows(
+    state: State, frees: Sequence[Free], likelihood: Likelihood
+) -> tuple[Floats, Floats]:
     """Rows of the declared ranges in a least-squares step, (k, frees), and their misfit, (k,)."""
     known = [(j, f) for j, f in enumerate(frees) if f.prior is not None and f.prior[1] > 0]
     rows, miss = np.zeros((len(known), len(frees))), np.zeros(len(known))
     for k, (j, free) in enumerate(known):
         assert free.prior is not None
-        rows[k, j] = free.scale / free.prior[1]
-        miss[k] = (state.get(free) - free.prior[0]) / free.prior[1]
+        sigma = free.prior[1] / likelihood.doubt.get(free.label, 1.0)
+        rows[k, j] = free.scale / sigma
+        miss[k] = (state.get(free) - free.prior[0]) / sigma
     return rows, miss
 
 
@@ -398,7 +423,7 @@ def _step_of(
     target = weights * likelihood.stack(left)
     low = np.array([(f.low - state.get(f)) / f.scale for f in frees])
     high = np.array([(f.high - state.get(f)) / f.scale for f in frees])
-    extra, miss = prior_rows(state, frees)
+    extra, miss = prior_rows(state, frees, likelihood)
     # A little of Levenberg's damping decides directions that the logs do not show.
     size = np.sqrt(np.mean(np.sum(rows**2, axis=0))) if rows.size else 1.0
     rows = np.vstack([rows, extra, 1e-6 * size * np.eye(len(frees))])

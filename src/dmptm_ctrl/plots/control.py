@@ -34,7 +34,7 @@ def plot_tuning(tuned: Any, *, ax: Axes | None = None) -> Axes:
     panel.set(
         xscale="log",
         ylim=(0.0, 101.0),
-        xlabel="rms tracking error [deg/s]",
+        xlabel=f"rms tracking error [{tuned.unit}]",
         ylabel=f"share of {errors.size} drawn plants below [%]",
     )
     panel.legend(loc="lower right", fontsize=9)

@@ -83,6 +83,7 @@ class Evidence:
     before: Mapping[str, Curve]  # without
     after: Mapping[str, Curve]  # with it
     effect: str = ""  # the one in question; empty where there is none
+    ways: tuple[str, str] = ("forward", "backward")  # what the two curves are called
 
 
 def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) -> np.ndarray:
@@ -109,7 +110,7 @@ def plot_overlay(overlay: Overlay, *, ax: Any = None, title: str | None = None) 
     reading.set_ylabel(f"{overlay.quantity} [{overlay.unit}]")
     # Above the axes, where it cannot cover a line.
     reading.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, **LEGEND)
-    ylabel = f"measured − model\n[{overlay.unit}]"
+    ylabel = f"measured −\nmodel [{overlay.unit}]"
     left.set(xlabel="time [s]", ylabel=ylabel, xlim=(t[0], t[-1]))
     return panels
 
@@ -157,7 +158,7 @@ def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     what = words(evidence.effect) or "the effects"
     titles = (f"without {what}", "with all that was found")
     for panel, title, curves in zip(panels, titles, (evidence.before, evidence.after), strict=True):
-        _draw(panel, curves)
+        _draw(panel, curves, evidence.ways)
         panel.set_title(title, fontsize=10)
         panel.set_xlabel(evidence.variable)
     panels[0].set_ylabel(evidence.quantity)
@@ -179,9 +180,10 @@ def apart(curve: Curve) -> tuple[Floats, Floats, Floats]:
     return x, mean, se
 
 
-def _draw(panel: Axes, curves: Mapping[str, Curve]) -> None:
+def _draw(panel: Axes, curves: Mapping[str, Curve], ways: tuple[str, str]) -> None:
     panel.axhline(0.0, color="0.65", linewidth=0.8)
+    names = dict(zip(DIRECTIONS, ways, strict=True))
     for direction, curve in curves.items():
         x, mean, se = apart(curve)
         look = {"linewidth": 1.0, "elinewidth": 0.8, "capsize": 1.5, **DIRECTIONS[direction]}
-        panel.errorbar(x, mean, 2.0 * se, label=direction, **look)
+        panel.errorbar(x, mean, 2.0 * se, label=names[direction], **look)

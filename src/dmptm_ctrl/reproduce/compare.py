@@ -96,7 +96,7 @@ def _is_model(file: Path) -> bool:
 def _chain(
     file: Path, model: RigModel, input: str | None, output: str | None
 ) -> dict[str, ct.StateSpace]:
-    sensors, inputs = model.rig.sensors, model.layout.inputs
+    sensors, inputs = model.rig.sensors, [i.name for i in model.rig.inputs]
     source = input or inputs[0]
     if source not in inputs:
         raise LogError(f"{file.name}: no input {source!r}; it has {', '.join(inputs)}")

@@ -169,14 +169,15 @@ def linearize(
     Raises
     ------
     ValueError
-        An output or body that does not exist; voltages for a rig of any shape; a value of it that
-        is unknown or that no machine has.
+        An output or body that does not exist; voltages for a rig of any shape; an inertia or a
+        stiffness of it that is unknown, a value that no machine has.
 
     Warns
     -----
     UserWarning
         A mesh is in its gap, where it has no stiffness and the model poles at the origin;
-        or a body is held by friction, where it does not move at all.
+        or a body is held by friction, where it does not move at all; or friction or damping of
+        a rig is declared unknown, and counts as none.
 
     Examples
     --------
@@ -189,7 +190,10 @@ def linearize(
             raise ValueError(
                 "a rig of any shape is linearised at x0, a mapping of body to position"
             )
-        rig = RigModel(model) if isinstance(model, Rig) else model
+        rig, unknown = lossless(RigModel(model) if isinstance(model, Rig) else model)
+        if unknown:
+            text = f"declared unknown, taken as 0: {', '.join(unknown)}"
+            warnings.warn(text, UserWarning, stacklevel=2)
         train = linear_train(rig, x0)
         return _late(rig, train.to_ss(outputs=[*train.sensors] if outputs is None else outputs))
     outputs = ("omega_L",) if outputs is None else outputs
@@ -322,6 +326,17 @@ def _sustained(model: Model, parts: Parts, state: Floats, labels: list[str], u0:
     return np.array([new[label] for label in labels])
 
 
+def lossless(model: RigModel) -> tuple[RigModel, list[str]]:
+    """Return a model whose unknown friction and damping is none, and the keys of these."""
+    unknown = [
+        key
+        for key, quantity in model.quantities.items()
+        if np.isnan(model.values.get(key, quantity.value))
+        and not key.rpartition(".")[2].startswith(CONSERVATIVE)
+    ]
+    return model.with_values(dict.fromkeys(unknown, 0.0)), unknown
+
+
 def linear_train(model: RigModel, position: Mapping[str, float] | None = None) -> GearTrain:
     """Return masses, springs and dampers of a rig in contact at a position [rad or m]."""
     model.check()
@@ -395,9 +410,7 @@ def _slope(function: Callable[[float], float], at: float) -> float:
 def modes_text(rig: Rig) -> str:
     """Return the modes of a declared rig as a line of text; or what must be known for them."""
     try:
-        model = RigModel(rig)
-        losses = [k for k in model.quantities if not k.rpartition(".")[2].startswith(CONSERVATIVE)]
-        model = model.with_values(dict.fromkeys(losses, 0.0))
+        model, _ = lossless(RigModel(rig))
         train = linear_train(model)
     except ValueError as error:
         return f"modes: not computed; {error.args[0]}"
@@ -460,10 +473,4 @@ def modes(
         model = RigModel(model)
     if not isinstance(model, RigModel):
         return solve_modes(model.drive if isinstance(model, Model) else model)
-    unknown = [
-        key for key, quantity in model.quantities.items()
-        if np.isnan(model.values.get(key, quantity.value))
-        and not key.rpartition(".")[2].startswith(CONSERVATIVE)
-    ]  # fmt: skip
-    known = model.with_values(dict.fromkeys(unknown, 0.0))
-    return solve_modes(linear_train(known, position))
+    return solve_modes(linear_train(lossless(model)[0], position))

@@ -34,7 +34,6 @@ from dmptm_ctrl.identify.rig_fit import (
     State,
     fit_rig,
     residuals,
-    simulated,
     stepped,
     total_loss,
 )
@@ -181,7 +180,7 @@ class RigEvidence:
         there, like = state.fit.state, state.fit.likelihood
         for trial in group:
             there = trial.placed_in(there)
-        alike = None if simulated(there.model, self.logs) else state.fit
+        alike = None if there.model.layout.links else state.fit
         try:
             fit = fit_rig(
                 there, self.logs, iterations=iterations, like=like, near=alike, jobs=self.jobs

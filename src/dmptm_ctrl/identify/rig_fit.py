@@ -218,12 +218,6 @@ def _step(free: Free, rough: bool) -> float:
     return (PAST_IMPACTS if rough else _kink(free) or DIFFERENCE) * free.scale
 
 
-def simulated(model: RigModel, balance: Balance) -> bool:
-    """Whether coordinates of links are simulated, as nothing measures them."""
-    seen = coordinates_of(model.layout, [p.name for p in balance.points])
-    return bool(model.layout.links) and len({*seen}) < model.layout.coordinates
-
-
 def unseen_impacts(model: RigModel, balance: Balance) -> bool:
     """Whether bodies that nothing measures move behind a gap.
 
@@ -248,9 +242,8 @@ def fit_rig(
 ) -> RigFit:
     """Fit by Gauss–Newton.
 
-    Where nothing is simulated, steps go on with slopes that follow from how the residual moved
-    (Broyden, Math. Comp. 19 (1965) 577). Differences are taken anew where these gain no more,
-    and at the end.
+    Without links, steps go on with slopes that follow from how the residual moved (Broyden, Math.
+    Comp. 19 (1965) 577). Differences are taken anew where these gain no more, and at the end.
 
     Parameters
     ----------
@@ -295,8 +288,8 @@ def fit_rig(
         if vain > rough:
             break
         fine ^= vain > 0
-        # runs bend too much for secants
-        if gain < TOLERANCE or simulated(state.model, balance):
+        # gaps bend too much for secants
+        if gain < TOLERANCE or state.model.layout.links:
             slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs, fine=fine), True
     if fine or not fresh:
         slopes = jacobian(state, balance, frees, left, jobs=jobs)

@@ -21,8 +21,9 @@ TOGETHER = {  # folder -> group
     "design": "lanes",
     "bad_logs": "bad_logs",
     "diagnosis": "diagnosis",
+    "rig_files": "rig_files",
 }
-APART = ("recovery/test_recovery.py", "test_notebooks.py")  # each test is long by itself
+APART = ("test_notebooks.py",)  # each test is long by itself
 ORDER = (
     *("rigs", "agreement", "engine", "design", "rig_files", "bad_logs", "paper", "identify"),
     *("diagnosis", "recovery", "test_notebooks.py"),

@@ -35,7 +35,7 @@ AIMS = Aims(duty=usual_duty()._replace(reference=HALF))
 
 @pytest.fixture(scope="module")
 def tuned():
-    return tune_controller(MODEL, AIMS, uncertainty=0.5, plants=48, n_jobs=1)
+    return tune_controller(MODEL, AIMS, uncertainty=0.5, plants=24, n_jobs=1)
 
 
 def test_tuning_is_better_over_the_plants_and_stays_in_the_margins(tuned):

@@ -18,6 +18,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import dmptm_ctrl
+from dmptm_ctrl.diagnosis import html
 from dmptm_ctrl.diagnosis.budget import Errors, Row, closed_rows, error_entry
 from dmptm_ctrl.diagnosis.candidate import Candidate
 from dmptm_ctrl.diagnosis.dual import key_of
@@ -269,7 +270,15 @@ def test_the_budget_is_drawn_as_it_is():
     assert "%" in panel.get_xlabel()
 
 
-def test_what_left_its_declared_range_is_on_the_first_screen():
+@pytest.fixture
+def undrawn(monkeypatch):
+    """A page without its pictures, which take seconds; words are what is looked at."""
+    for figure in ("overlay_figure", "evidence_figure", "quality_figure"):
+        monkeypatch.setattr(html, figure, lambda _: "")
+    monkeypatch.setattr(DualSource, "pictures", lambda _: ())
+
+
+def test_what_left_its_declared_range_is_on_the_first_screen(undrawn):
     diagnosis = made("none")
     values = {**diagnosis.declared_values}
     assert diagnosis.outside == ()
@@ -278,11 +287,11 @@ def test_what_left_its_declared_range_is_on_the_first_screen():
     assert "At or outside the declared range: J_L." in first
 
 
-def test_an_effect_that_hardly_matters_is_called_so():
+def test_an_effect_that_hardly_matters_is_called_so(undrawn):
     diagnosis = made("explained")
     small = replace(diagnosis.effects[0], share=0.001)
     assert "immaterial" in render(replace(diagnosis, effects=(small,)))
-    assert "immaterial" not in rendered("explained")
+    assert "immaterial" not in render(diagnosis)
 
 
 def test_the_sentence_says_what_the_budget_says(diagnosis):

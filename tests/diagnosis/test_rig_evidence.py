@@ -54,7 +54,7 @@ def geared(gap):
         fc2=0.04, b1=2e-4, b2=0.02,
     )  # fmt: skip
     kinds = (("multisine", 0.04), ("sine", 0.02), ("steps", 0.03))
-    bench = Bench(machine, kinds, 6.0, 2e-3, counts=65536, sensors=("position",))
+    bench = Bench(machine, kinds, 3.0, 2e-3, counts=65536, sensors=("position",))
     text = bench.rig().replace('"unknown"', '"0.013 kg m^2 ± 20 %"', 2)
     text = text.replace('viscous = "0.013 kg m^2 ± 20 %"', 'viscous = "unknown"', 1)
     text = text.replace("± 40 %", "± 10 %").replace("shaft.coupling", "mesh.coupling")
@@ -333,7 +333,7 @@ MESH = {
 def test_errors_of_a_mesh_between_two_encoders(name):
     machine = replace(GEARED, **MESH[name])
     kinds = (("steps", 0.9), ("sine", 0.7), ("steps", 0.6))
-    bench = Bench(machine, kinds, 10.0, 2e-3, counts=2**20, sensors=("position", "position2"))
+    bench = Bench(machine, kinds, 5.0, 2e-3, counts=2**20, sensors=("position", "position2"))
     text = bench.rig().replace("shaft.coupling", "mesh.coupling")
     text = text.replace('inertia = "unknown"', 'inertia = "0.2 kg m^2 ± 10 %"')
     text = text.replace('stiffness = "unknown"', 'stiffness = "300 N m/rad ± 10 %"\n'

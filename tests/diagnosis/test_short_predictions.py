@@ -1,6 +1,7 @@
 """What short predictions show and balances do not, on rigs of another program."""
 
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ LOGS = ("open_sine_0v60", "open_sine_0v75", "open_square_0v60", "open_square_0v7
 LAWS = {"friction": "karnopp", "contact": "eq21", "sensors": "load"}
 
 
+@cache
 def fitted(effects, seed=5, spread=None):
     """The declared model fitted to short logs without motor encoders."""
     rig = make_rig(seed, effects, logs=LOGS, spread=spread, **LAWS)

@@ -21,7 +21,7 @@ from dmptm_ctrl.identify.experiments_steady import (
 )
 from dmptm_ctrl.signals import Log
 
-SEEDS = 12  # the whole campaign: benchmarks/parameter_experiments.py
+SEEDS = 6  # the whole campaign: benchmarks/parameter_experiments.py
 
 
 @pytest.fixture(scope="module")

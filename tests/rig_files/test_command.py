@@ -1,34 +1,22 @@
-"""`dmptm diagnose --rig` and `dmptm predict` on a small motor bench: files, names, exit codes."""
+"""Files of a diagnosis of a small motor bench, `dmptm predict` on them, and what is refused."""
 
 import json
 
 import numpy as np
 import pandas as pd
 import pytest
-from tests.rig_files.truth import Bench, Machine
+from tests.rig_files.test_report import BENCH, diagnosed
 
 from dmptm_ctrl.cli import main
-
-BENCH = Bench(Machine(fc=0.03, fs=0.03), seconds=5.0)
-
-
-def write(folder, bench=BENCH):
-    logs = folder / "logs"
-    logs.mkdir()
-    for name, columns in bench.logs().items():
-        pd.DataFrame(columns).to_csv(logs / f"{name}.csv", index=False)
-    (folder / "rig.toml").write_text(bench.rig())
-    return logs
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
-    logs = write(folder)
-    code = main(
-        ["diagnose", str(logs), "--rig", str(folder / "rig.toml"), "--out", str(folder / "out")]
-    )
-    assert code == 0
+    (folder / "logs").mkdir()
+    for name, columns in BENCH.logs().items():
+        pd.DataFrame(columns).to_csv(folder / "logs" / f"{name}.csv", index=False)
+    diagnosed().save(folder / "out")
     return folder
 
 
@@ -36,12 +24,13 @@ def test_diagnosis_names_the_friction(bench):
     found = json.loads((bench / "out" / "diagnosis.json").read_text())
     assert found["schema"] == 2
     assert found["verdict"] == "explained"
-    assert [e["name"] for e in found["effects"]] == ["coulomb_friction"]
-    level = found["effects"][0]["parameters"]["level"]
-    assert level["value"] == pytest.approx(0.03, rel=0.05)
+    values = {e["name"]: e["parameters"] for e in found["effects"]}
+    assert set(values) == {"coulomb_friction", "drive_offset"}
+    assert values["coulomb_friction"]["level"]["value"] == pytest.approx(0.03, rel=0.05)
     assert found["error"]["after"]["rmse"] < 0.5 * found["error"]["before"]["rmse"]
     rows = {row["name"]: row for row in found["budget"]}
-    assert rows["coulomb_friction"]["share"] > 0.5
+    assert rows["not explained"]["share"] + rows["floor"]["share"] < 0.1
+    assert min(rows[name]["share"] for name in values) > 0.1
     assert rows["coulomb_friction"]["torque_rms"] < found["error"]["before"]["rmse"]
     assert {row["status"] for row in found["ranking"]} <= {
         "supported", "rejected", "not testable with these logs",

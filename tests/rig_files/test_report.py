@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,17 +27,28 @@ BENCH = Bench(
 PARTS = ("speed", "torque")
 
 
-@pytest.fixture(scope="module")
-def logs():
+@cache
+def recorded():
     return [
         Log(name, columns["t"], {"in_drive": columns["u"], "out_speed": columns["w"]})
         for name, columns in BENCH.logs().items()
     ]
 
 
+@cache
+def diagnosed():
+    """The diagnosis that tests of this folder look at."""
+    return diagnose_rig(recorded(), parse_rig(BENCH.rig(), "rig.toml"), jobs=1)
+
+
 @pytest.fixture(scope="module")
-def found(logs):
-    return diagnose_rig(logs, parse_rig(BENCH.rig(), "rig.toml"), jobs=1)
+def logs():
+    return recorded()
+
+
+@pytest.fixture(scope="module")
+def found():
+    return diagnosed()
 
 
 def test_every_key_of_the_contract_is_there(found):

@@ -7,6 +7,7 @@ from scipy.signal import cont2discrete
 
 from dmptm_ctrl.diagnosis.rig_report import counted_unit, torque_unit
 from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.blocks import rig_blocks
 from dmptm_ctrl.simulate.linear import linearize, modes
 from dmptm_ctrl.simulate.reference import run_exactly
@@ -174,3 +175,61 @@ def test_torques_count_in_what_the_rig_calls_its_input(unit, torque, inertia):
     )
     assert torque_unit(rig) == torque
     assert counted_unit(rig, "kg·m²") == inertia
+
+
+LIKE = """
+[body.left]
+inertia = "2e-4 kg m^2 ± 10 %"
+viscous = 0.01
+[body.right]
+like = "left"
+viscous = 0.02
+[body.table]
+inertia = 0.01
+[mesh.one]
+between = ["left", "table"]
+ratio = 3
+backlash = 0.004
+stiffness = "90 ± 20 %"
+damping = 0.05
+[mesh.two]
+like = "one"
+between = ["right", "table"]
+[input.m]
+column = "u_V"
+body = "left"
+gain = 0.5
+[sensor.first]
+column = "w0_rad_s"
+body = "table"
+"""
+
+
+def test_what_is_like_another_is_one_number_with_it():
+    model = RigModel(parse_rig(LIKE))
+    apart = LIKE.replace('like = "left"', 'inertia = "2e-4 kg m^2"')
+    whole = "ratio = 3\nbacklash = 0.004\nstiffness = 90\ndamping = 0.05"
+    apart = RigModel(parse_rig(apart.replace('like = "one"', whole)))
+    one, other = model.plant(), apart.plant()
+    for field in ("inertia", "law", "link_values"):
+        np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+    assert "body.right.inertia" not in model.quantities
+    assert {"body.right.viscous", "link.one.half_gap"} <= set(model.quantities)
+    for key in ("body.left.inertia", "body.right.inertia"):
+        moved = model.with_values({key: 5e-4})
+        assert moved.value("body.left.inertia") == moved.value("body.right.inertia") == 5e-4
+    moved = model.with_values({"link.two.half_gap": 3e-3}).plant()
+    np.testing.assert_array_equal(moved.link_values[:, 4], 3e-3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('like = "left"', 'like = "top"', "top"),
+        ('like = "left"', 'like = "right"', "right"),
+        ("[body.table]\ninertia = 0.01", '[body.table]\nlike = "right"', "like another itself"),
+    ],
+)
+def test_what_is_like_nothing_is_refused(old, new, told):
+    with pytest.raises(LogError, match=told):
+        parse_rig(LIKE.replace(old, new))

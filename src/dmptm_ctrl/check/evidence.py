@@ -17,6 +17,7 @@ from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import columns as dual_columns
 from dmptm_ctrl.identify.balance import role_of, split, weights
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
+from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.free_parameters import Free, free_parameters, log_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.records import Record, record, started
@@ -157,7 +158,8 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
     sensors = [s.channel for s in model.rig.sensors]
     if not any(np.ptp(log[channel]) > 0.0 for log in logs for channel in sensors):
         raise LogError("nothing to check: the drive does not move in these logs")
-    balance = balance_of(model.rig, logs)
+    balance = touching(balance_of(model.rig, logs), model, logs)
+    model = replace(model, closed=balance.closed)
     of_logs = [log_parameters(model, balance, m.name, "") for m in balance.motions]
     state = _zeroed(State(model), balance, of_logs)
     machine = free_parameters(model, balance, scales_of(balance), nuisances=False)

@@ -192,7 +192,7 @@ def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experimen
     def told(task: Task) -> float:
         signals, step = task
         own, *others = (
-            runs.seen(march_rig(m, signals, step).reading(runs.sensor.name), step)
+            runs.seen(march_rig(m.opened, signals, step).reading(runs.sensor.name), step)
             for m in models.values()
         )
         bent = [np.minimum(np.abs(own - o) / floor, BENT) ** 2 for o in others]

@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.contract import Parameter
 from dmptm_ctrl.diagnosis.rig_shapes import (
     frequencies,
     motion_of,
@@ -20,6 +21,7 @@ from dmptm_ctrl.effects.backlash_variation import BACKLASH_VARIATION
 from dmptm_ctrl.effects.coulomb_friction import COULOMB_FRICTION
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.effects.stribeck_friction import STRIBECK_FRICTION
+from dmptm_ctrl.effects.torque_constant_mismatch import TORQUE_CONSTANT_MISMATCH
 from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
 from dmptm_ctrl.identify.free_parameters import ALL, absolute, on_slide, same_twist, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import measured_motion
@@ -52,6 +54,7 @@ HIDDEN_MODES = 14  # antiresonances tried
 SHARES = (0.25, 0.6)  # of the inertia behind a spring, tried
 FRICTION = COULOMB_FRICTION.name, VISCOUS_FRICTION.name, STRIBECK_FRICTION.name
 SPRING = SHAFT_COMPLIANCE.name
+MISMATCH = TORQUE_CONSTANT_MISMATCH.name
 
 
 # -- every place -------------------------------------------------------------------------------
@@ -69,12 +72,13 @@ def trials(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
 
     for source in model.rig.inputs:
         for name, chain in PLACED_CATALOGUE.items():
-            if chain.place == "input" and wanted(name, source.name):
+            alone = name == MISMATCH and len(model.rig.inputs) == 1  # the scale of everything
+            if chain.place == "input" and wanted(name, source.name) and not alone:
                 found.append(_input_effect(tangent, name, source.name))
-    for body in distinct_bodies(tangent):
-        for name, chain in PLACED_CATALOGUE.items():
-            if chain.place != "body" or name == SPRING:
-                continue
+    for name, chain in PLACED_CATALOGUE.items():
+        if chain.place != "body" or name == SPRING:
+            continue
+        for body in bodies_for(tangent, chain):
             if wanted(name, body) and not declared_already(model, name, body):
                 found.append(_body_effect(tangent, chain, body))
     for link in model.rig.links:
@@ -109,6 +113,36 @@ def distinct_bodies(tangent: Tangent) -> list[str]:
     return list(bodies.values())
 
 
+def bodies_for(tangent: Tangent, chain: PlacedEffect) -> list[str]:
+    """Bodies at which an effect is told apart: of a rigid group the one that it can act on.
+
+    Friction under load acts where links end, what scales friction where there is some, and what
+    goes with a motor's angle at the motor.
+    """
+    model = tangent.fit.model
+    layout, ends = model.layout, {b for k in model.rig.links for b in (k.first, k.second)}
+    driven = {*layout.input_body.values()}
+    under_load = "mesh_torque" in chain.effect.depends_on
+    found = []
+    for seen in distinct_bodies(tangent):
+        group = [b for b in layout.bodies if layout.coordinate[b] == layout.coordinate[seen]]
+        group.sort(key=lambda b: b != seen)
+        if under_load:
+            found += [b for b in group if b in ends and _rubs(model, b)] or [seen]
+        elif chain.site == "presliding" or _factors(chain):
+            found.append(next((b for b in group if _rubs(model, b)), seen))
+        elif chain.site == "motor" and chain.effect.wave:
+            found.append(next((b for b in group if b in driven), seen))
+        else:
+            found.append(seen)
+    return found
+
+
+def _factors(chain: PlacedEffect) -> list[Parameter]:
+    """Amplitudes that scale the friction which is there."""
+    return [p for p in chain.keep if p.name in chain.amplitudes and not p.unit]
+
+
 def _input_effect(tangent: Tangent, name: str, on: str) -> Trial | None:
     scales = scales_of(tangent.balance)
     size, dt = scales.u[on], scales.dt
@@ -132,7 +166,7 @@ def _body_effect(tangent: Tangent, chain: PlacedEffect, body: str) -> Trial | No
     name, slide = chain.name, on_slide(model, body)
     if name == STRIBECK_FRICTION.name and not _rubs(model, body, (COULOMB_FRICTION.name,)):
         return None  # it is what breakaway exceeds Coulomb friction by
-    factors = [p for p in chain.keep if p.name in chain.amplitudes and not p.unit]
+    factors = _factors(chain)
     slow = chain.site == "presliding"
     own = (slow or factors) and "mesh_torque" not in chain.effect.depends_on
     if own and not _rubs(model, body):
@@ -161,7 +195,7 @@ def _mesh_effect(tangent: Tangent, chain: PlacedEffect, link: Link) -> Trial | N
     model, balance, layout = tangent.fit.model, tangent.balance, tangent.fit.model.layout
     body = angle_body(model, Placed(chain.name, link.name))
     measured, _ = measured_motion(model, balance, balance.motions[0])
-    if not link.mesh or link.rigid or on_slide(model, body):
+    if not link.mesh or link.rigid or link.name in model.closed or on_slide(model, body):
         return None
     if layout.coordinate[body] not in measured:
         return None
@@ -328,6 +362,8 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
     modes = 2 * np.pi * np.geomspace(low, balance.bandwidth, HIDDEN_MODES)
     for link in (k for k in model.rig.links if k.rigid):
         ends = ends_of(model, balance, link.name)
+        if ends is None and model.closed:
+            continue  # hidden bodies follow; how a spring moves them shows in runs only
         if ends is None:
             yield [_spring(link.name, 0.5, float(w)) for w in modes], [{}], {}
         else:

@@ -34,6 +34,7 @@ from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
+from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.rig_fit import State
@@ -41,11 +42,12 @@ from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
-from dmptm_ctrl.simulate.rig_model import RigModel, declared_effects
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
 HOLD_EVERY = 3
 TIMING = ("delay", "lag")  # sites of effects that only shift a signal in time
+ROUNDS = 2  # fits of the declared model where hidden bodies follow the measured ones
 MIN_ROWS = 60  # of a log's balance; fewer tell nothing
 
 
@@ -78,16 +80,15 @@ def diagnose_rig(
         if all(link.rigid for link in declared.links):
             raise LogError(strange)
         warnings = (*warnings, strange)  # a resonance may look like that
-    fit_logs, held_logs, roles, on = split(declared, balance)
     say("fitting the declared model")
-    model = RigModel(declared, tuple(declared_effects(declared)))
-    evidence = RigEvidence(fit_logs, held_logs, jobs)
-    base = evidence.base(State(rough_start(model, fit_logs)))
+    model = RigModel(declared, closed=balance.closed)
+    balance, evidence, base = _fitted(model, balance, right, jobs)
+    _, held_logs, roles, on = split(declared, balance)
     as_read = base
     if faults:
         names = [m.name for m in balance.motions]
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
-        as_read = _as_read(declared, whole, base, jobs)
+        as_read = _as_read(declared, touching(whole, base.fit.model, loaded), base, jobs)
     selection = without_negligible(evidence, select_effects(evidence, base, say), rise)
     helps = confirmation(declared, right, held_logs, jobs)
     selection = without_negligible(evidence, selection, helps)
@@ -116,6 +117,19 @@ def diagnose_rig(
         warnings=(*_notes(loaded), *warnings),
         jobs=jobs,
     )
+
+
+def _fitted(
+    model: RigModel, balance: Balance, read: Sequence[Log], jobs: int
+) -> tuple[Balance, RigEvidence, RigState]:
+    """Fit the declared model; where hidden bodies follow, each fit tells better when they do."""
+    for _ in range(ROUNDS if balance.closed else 1):
+        balance = touching(balance, model, read)
+        logs, held, _, _ = split(model.rig, balance)
+        evidence = RigEvidence(logs, held, jobs)
+        base = evidence.base(State(rough_start(model, logs)))
+        model = base.fit.model
+    return balance, evidence, base
 
 
 def confirmation(

@@ -143,7 +143,7 @@ def report_of(
         mean_square(final.held_left[0], final.held),
         floor,
     )
-    augmented = final.fit.model
+    augmented = final.fit.model.opened
     for fault in faults:
         augmented = augmented.with_effect(fault.placed)
     zeros = {log: dict(n.zero) for log, n in final.held_state.logs.items()}
@@ -206,7 +206,7 @@ def report_of(
         depends_on=(variables or nearest) if verdict == "unknown" else (),
         error=error_entry(on, runs.error(), torque, short.error()),
         errors=errors,
-        declared=base.fit.model,
+        declared=base.fit.model.opened,
         augmented=augmented,
         declared_values=declared_of(final.fit),
         selection=selection,

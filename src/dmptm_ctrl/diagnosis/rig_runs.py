@@ -124,7 +124,7 @@ class Runs:
 
     def reading(self, state: State, log: Log) -> Floats:
         """What the sensor would have read of a model, (n,), SI."""
-        model = state.model.shifted(state.nuisance(log.name).zero)
+        model = state.model.opened.shifted(state.nuisance(log.name).zero)
         run = free_run(model, log, lead_hz=self.lead_hz)
         return readings(model, log, run)[self.sensor.name]
 

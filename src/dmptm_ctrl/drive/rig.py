@@ -271,6 +271,8 @@ class Rig:
     ----------
     bodies, links, inputs, sensors : tuples
         In the order of the file.
+    ties : mapping
+        Keys of quantities that are another's, as ``body.right.inertia`` → ``body.left.inertia``.
     """
 
     name: str
@@ -283,6 +285,7 @@ class Rig:
     data: DataSpec = field(default_factory=DataSpec)
     source: str = ""
     text: str = ""
+    ties: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         parts = (f"{len(getattr(self, k))} {k}" for k in ("bodies", "links", "inputs", "sensors"))

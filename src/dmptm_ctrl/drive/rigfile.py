@@ -100,6 +100,9 @@ class _Reader(DataReader):
     def rig(self, raw: dict[str, Any]) -> Rig:
         self._only("", raw, _TOP)
         tables = {kind: self._tables(raw, kind) for kind in _TOP if kind in _NAMED}
+        ties: dict[str, str] = {}
+        for kind in ("body", "shaft", "mesh"):
+            tables[kind] = {n: self._like(kind, n, tables[kind], ties) for n in tables[kind]}
         if not tables["body"]:
             self._fail("", "", "no [body.NAME]: a rig has at least one body")
         bodies = tuple(self._body(name, t) for name, t in tables["body"].items())
@@ -134,7 +137,26 @@ class _Reader(DataReader):
             self._data(raw.get("data", {})),
             self._source,
             "\n".join(self._lines) + "\n",
+            ties,
         )
+
+    def _like(
+        self, kind: str, name: str, tables: Mapping[str, Any], ties: dict[str, str]
+    ) -> dict[str, Any]:
+        """Return a table with what it does not say itself taken from the one that it is like."""
+        own = {k: v for k, v in tables[name].items() if k != "like"}
+        if "like" not in tables[name]:
+            return own
+        where, other = f"{kind}.{name}", tables[name]["like"]
+        self._known(where, "like", other, {k: v for k, v in tables.items() if k != name}, kind)
+        if "like" in tables[other]:
+            self._fail(where, "like", f"{other} is like another itself; name that one")
+        begin = kind if kind == "body" else "link"
+        taken = {k: v for k, v in tables[other].items() if k not in own}
+        for key in taken:
+            same = {"mass": "inertia", "backlash": "half_gap"}.get(key, key)
+            ties[f"{begin}.{name}.{same}"] = f"{begin}.{other}.{same}"
+        return taken | own
 
     # -- tables ------------------------------------------------------------------------------
 

@@ -13,28 +13,24 @@ Source: paper Eqs. 16 to 18, 21, 25.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from math import sqrt
+from functools import cached_property
 
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position, secant
+from dmptm_ctrl.identify.heavy_tails import FREEDOM, robust_scale
 from dmptm_ctrl.identify.measured_motion import correlation_length
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
 from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.identify.ripple import Ripple
 from dmptm_ctrl.identify.windows import Windowed, frictions, inertias, pull_of
 from dmptm_ctrl.parallel import in_threads
-from dmptm_ctrl.simulate.elementary import cached
 from dmptm_ctrl.simulate.model import Floats, Model
 
 FIRM = 1.0  # N·m at the pinion; below, the flanks part and meet again within a window
 MIN_WINDOWS = 8  # of a log and equation; fewer tell nothing about their own scatter
-FREEDOM = 4.0  # of Student's t: how a window may scatter, bursts and rattle included
-GAUSSIAN = 1e6  # the same, where every window counts in full
-SCALE_STEPS = 12
-RECENT = 256  # scales kept: of all equations of a few fits at a time
+GAUSSIAN = 1e6  # freedom of Student's t, where every window counts in full
 # N·m, rad/s for ripple and led; friction laws, and a sensor's noise, are not known more finely
 FLOOR = {"total": 0.1, "chain": 0.4, "ripple": 0.5 * GYRO_NOISE, "led": 0.2 * GYRO_NOISE}
 # Difference steps, in scales of an unknown; small for what enters a phase or an exponent.
@@ -189,41 +185,6 @@ def scatter(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREE
         float(np.hypot(robust_scale(part, freedom), FLOOR[role_of(kind)]))
         for part, kind in zip(parts, kinds, strict=True)
     ]
-
-
-def robust_scale(e: Floats, freedom: float = FREEDOM) -> float:
-    """Most likely scale about zero of Student's t."""
-    return _robust_scale(e.tobytes(), freedom)
-
-
-@lru_cache(RECENT)
-def _robust_scale(windows: bytes, freedom: float) -> float:
-    """The same; weights and loss ask for that of the same windows in turn."""
-    e = np.frombuffer(windows)
-    s = max(1.4826 * _median(np.abs(e)), 1e-9)
-    counted = np.empty_like(e)
-    for _ in range(SCALE_STEPS):  # expectation–maximisation
-        _count(e, s, freedom, counted)
-        s = max(sqrt(np.add.reduce(counted) / e.size), 1e-9)
-    return s
-
-
-@cached(nogil=True)
-def _count(e: Floats, s: float, freedom: float, out: Floats) -> None:
-    """Write squares, each by how much it counts at a scale."""
-    for i in range(e.size):
-        ratio = e[i] / s
-        out[i] = (freedom + 1.0) / (ratio * ratio + freedom) * (e[i] * e[i])
-
-
-def _median(x: Floats) -> float:
-    """Median; NumPy's own takes longer to begin than to find it. Reorders x."""
-    middle = x.size // 2
-    if x.size % 2:
-        x.partition(middle)
-        return float(x[middle])
-    x.partition((middle - 1, middle))
-    return float(0.5 * (x[middle - 1] + x[middle]))
 
 
 @dataclass(frozen=True, eq=False)

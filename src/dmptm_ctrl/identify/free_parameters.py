@@ -110,6 +110,8 @@ def free_parameters(
         name = key.rpartition(".")[2]
         if name in NOT_FITTED or not quantity.is_free:
             continue
+        if key.startswith("link.") and key.split(".")[1] in model.closed:
+            continue
         low, high = quantity.range
         known = isfinite(quantity.value)
         prior = None

@@ -18,11 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
+from dmptm_ctrl.identify.following import followed, loaded, loads_of
 from dmptm_ctrl.identify.measured_motion import (
+    HELD_POSITION,
+    HELD_SPEED,
     Floats,
     Motion,
     Sight,
     acceleration_bandwidth,
+    at_samples,
     coordinates_of,
     derivative,
     prepare,
@@ -42,11 +46,13 @@ from dmptm_ctrl.simulate.along import (
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import march, substeps_for
+from dmptm_ctrl.simulate.rig_run import RigRun, march, substeps_for
 
 TINY = 1e-300  # a speed that has a direction and no size
 LEAST_DRIVE = 0.05  # of the logged signal gets through to a motor at least
 TAIL = 0.005  # of the twists, beyond the ends of the gap and its wind-up
+LOADED = 3  # times that friction under load is taken from the load that it leaves
+RECENT = 16  # frictions of bodies that are kept
 SUBSTEPS = 40  # of hidden coordinates; faster ones are far above the bandwidth
 
 
@@ -102,12 +108,15 @@ class Balance:
         Of the balance [Hz].
     motions : tuple of Motion
         One per log, keyed by the points' names.
+    closed : frozenset of str
+        Links beyond which hidden bodies follow the measured ones, see :mod:`.following`.
     """
 
     rig: Rig
     points: tuple[Point, ...]
     bandwidth: float
     motions: tuple[Motion, ...]
+    closed: frozenset[str] = frozenset()
     known: dict[Any, Floats] = field(default_factory=dict)  # twists that were asked for
 
     @cached_property
@@ -147,22 +156,26 @@ class Balance:
     def only(self, names: Sequence[str]) -> "Balance":
         """Return the balance of some of the logs."""
         kept = tuple(m for m in self.motions if m.name in names)
-        return Balance(self.rig, self.points, self.bandwidth, kept)
+        return Balance(self.rig, self.points, self.bandwidth, kept, self.closed)
 
     def part(self, part: str) -> "Balance":
         """Return the balance of the "fit" or "held-out" stretches of every log."""
         cut = tuple(replace(m, part=part) for m in self.motions)
-        return Balance(self.rig, self.points, self.bandwidth, cut)
+        return Balance(self.rig, self.points, self.bandwidth, cut, self.closed)
 
 
 def balance_of(rig: Rig, logs: Sequence[Log], *, bandwidth: float | None = None) -> Balance:
-    """Filter logs into motions, at the bandwidth that the poorest point allows."""
+    """Filter logs into motions, at the bandwidth that the poorest point allows.
+
+    And up to which hidden bodies follow the measured ones.
+    """
     points = points_of(rig, logs)
+    closed, follows = followed(rig, (p.name for p in points))
     if bandwidth is None:
-        bandwidth = min(p.sight.bandwidth for p in points)
+        bandwidth = min(follows, *(p.sight.bandwidth for p in points))
     sights = {p.name: p.sight for p in points}
     motions = tuple(prepare(log, rig, sights, bandwidth) for log in logs)
-    return Balance(rig, points, bandwidth, motions)
+    return Balance(rig, points, bandwidth, motions, closed)
 
 
 @dataclass(frozen=True)
@@ -183,6 +196,7 @@ class Nuisance:
 
 
 NONE = Nuisance()
+Moves = dict[int, tuple[Floats, Floats, Floats]]  # coordinate -> position, speed, acceleration
 
 
 def residual(
@@ -214,6 +228,15 @@ def residual(
             first, second = (layout.bodies[i] for i in plant.link_body[k])
             load[first] += np.abs(runs[name])
             load[second] += np.abs(plant.link_values[k, 0] * runs[name])
+
+    def braked(body: str) -> Floats:
+        group = layout.coordinate[body]
+        q, v, _ = measured[group]
+        rubs, other = _friction(model, motion, group, q, v, load, volts, nuisance, body)
+        return (rubs + other) / layout.ratio[body]
+
+    for _ in range(LOADED if model.closed and loaded(model) else 0):
+        load |= loads_of(model, measured, dict(pushes), braked)
     reach = untwisted(plant)
     total, push = np.zeros_like(motion.time), np.zeros_like(motion.time)
     single = []
@@ -272,9 +295,6 @@ def _ahead(need: Floats, motion: Motion, dead: float, tau: float) -> Floats:
     return need
 
 
-Moves = dict[int, tuple[Floats, Floats, Floats]]  # coordinate -> position, speed, acceleration
-
-
 def measured_motion(
     model: RigModel, balance: Balance, motion: Motion, nuisance: Nuisance = NONE
 ) -> tuple[Moves, dict[int, str]]:
@@ -290,8 +310,7 @@ def measured_motion(
         body = layout.sensor_body[point.name]
         group, r = layout.coordinate[body], layout.ratio[body]
         if group not in found:
-            q, v, a = motion.q[point.name], motion.v[point.name], motion.a[point.name]
-            found[group] = (q, v, a) if r == 1.0 else (q / r, v / r, a / r)
+            found[group] = motion.at(point.name, r)
             bodies[group] = body
     if 0 not in found:
         driven = _through_spring(model, motion, found, nuisance)
@@ -336,6 +355,12 @@ def _links(
     model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance
 ) -> dict[str, Floats]:
     """Torque of every link along the log; coordinates without sensors are simulated."""
+    run = hidden_run(model, motion, measured, nuisance)
+    return {name: run.link(name) for name in model.layout.links}
+
+
+def hidden_run(model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance) -> RigRun:
+    """Run the coordinates that nothing measures along the measured ones."""
     layout = model.layout
     reach = untwisted(model.plant())
     given, position, speed = {}, {}, {}
@@ -357,7 +382,7 @@ def _links(
     shared = {layout.coordinate[b]: b for b in given}
     u = np.array([motion.u[name] for name in layout.inputs])
     everything = len(measured) == layout.coordinates
-    run = march(
+    return march(
         model.shifted(nuisance.zero) if nuisance.zero else model,
         u,
         motion.dt,
@@ -366,7 +391,6 @@ def _links(
         given={b: given[b] for b in shared.values()},
         substeps=1 if everything else min(substeps_for(model.plant(), motion.dt), SUBSTEPS),
     )
-    return {name: run.link(name) for name in layout.links}
 
 
 def _second(model: RigModel, link: str) -> str:
@@ -383,40 +407,62 @@ def _friction(
     load: Mapping[str, Floats],
     volts: Mapping[str, Floats],
     nuisance: Nuisance,
+    only: str = "",
 ) -> tuple[Floats, Floats]:
-    """Friction, and load torques, of a coordinate, signed against the motion (to be overcome)."""
+    """Friction, and load torques, of a coordinate, signed against the motion (to be overcome).
+
+    Of all its bodies, or of one.
+    """
     layout, plant = model.layout, model.plant()
-    v = np.where(v == 0.0, TINY, v)  # friction at rest has a size, if no direction
     friction, other, none = np.zeros_like(v), np.zeros_like(v), np.zeros_like(v)
     for k, body in enumerate(layout.bodies):
-        if layout.coordinate[body] != group:
+        if layout.coordinate[body] != group or only not in ("", body):
             continue
-        r = layout.ratio[body]
-        angle, omega = r * q, r * v
-        level, factor = np.zeros_like(v), np.ones_like(v)
-        if np.any(plant.law[k, [0, 1, 3, 4, 5, 7]]):
-            level = law_along(omega, plant.law[k])
-        for effect in model.effects:
-            if effect.on != body:
-                continue
+        r, level = layout.ratio[body], _sliding(motion, v, layout.ratio[body], plant.law[k])
+        acting = [e for e in model.effects if e.on == body]
+        angle, omega = (r * q, r * _nowhere_still(v)) if acting else (q, v)
+        factor: Floats | float = 1.0
+        more: Floats | float = 0.0
+        for effect in acting:
             chain = PLACED_CATALOGUE[effect.name]
             theta = angle + nuisance.zero.get(effect.key, 0.0)
             if chain.site == "friction":
                 moves = theta, omega, motion.time, load[body]
                 scale, added = friction_along([acting_of(effect)], *moves)
-                factor *= scale
-                level += np.sign(omega) * added
+                factor = factor * scale
+                more = more + np.sign(omega) * added
             elif chain.site in ("motor", "load"):
                 moves = volts.get(body, none), theta, omega, motion.time
                 other -= r * torque_along([acting_of(effect)], *moves)
-        friction += r * factor * level
+        friction += factor * (level + r * more)
     for k in np.flatnonzero(plant.bristles[:, 0]).tolist():
         if plant.body_coordinate[k] == group:
             bristles = plant.bristles[k, 0] / abs(plant.body_ratio[k]), plant.bristles[k, 1]
             begins, travel = np.zeros(1, np.int64), np.gradient(q)
-            friction = built_up_along(friction, v, travel, begins, bristles, plant.law[k])
+            friction = built_up_along(
+                friction, _nowhere_still(v), travel, begins, bristles, plant.law[k]
+            )
             break  # one body's bristles carry what rubs on all that are tied to it
     return friction, other
+
+
+def _nowhere_still(v: Floats) -> Floats:
+    """Speed with a direction everywhere: friction at rest has a size, if no direction."""
+    return np.where(v == 0.0, TINY, v)
+
+
+def _sliding(motion: Motion, v: Floats, ratio: float, law: Floats) -> Floats | float:
+    """Friction of a body at its coordinate; kept along measured motion, for fits ask again."""
+    if not np.any(law[[0, 1, 3, 4, 5, 7]]):
+        return 0.0
+    kept, key = motion.known.get(id(v), {}), (ratio, law.tobytes())
+    found: Floats | None = kept.get(key)
+    if found is None:
+        found = ratio * law_along(ratio * _nowhere_still(v), law)
+        for old in list(kept)[: max(len(kept) - RECENT, 0)]:
+            kept.pop(old, None)
+        kept[key] = found
+    return found
 
 
 def _at_rest(friction: Floats, needed: Floats, v: Floats, share: float) -> Floats:
@@ -445,22 +491,8 @@ def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
     _, dead, tau, limit = model.plant().input_values[j]
     if limit > 0:
         signal = np.clip(signal, -limit, limit)
-    if len(model.layout.inputs) > 1:
+    if len(model.layout.inputs) > 1 and dead + tau > 0:
         before = float(signal[0])
         signal = delayed_along(signal, dead / motion.dt, before)
         signal = lagged_along(signal, np.full_like(signal, tau), motion.dt, before)
-    return _at_samples(signal, HELD_SPEED if motion.by_speed else HELD_POSITION)
-
-
-# A signal held from sample to sample, as the derivative of sampled motion shows it: weights of
-# the two samples around and of the two beyond. A body J gives v(k+1) − v(k) = dt u(k)/J, so that
-# the band-limited derivative of sampled speed is u e^{−jx/2}/sinc(x/2), x = ω dt; of sampled
-# position twice differentiated it is u e^{−jx/2} cos(x/2)/sinc²(x/2). Right to x².
-HELD_SPEED = (7 / 12, -1 / 12)
-HELD_POSITION = (13 / 24, -1 / 24)
-
-
-def _at_samples(signal: Floats, weights: tuple[float, float]) -> Floats:
-    near, far = weights
-    padded = np.concatenate(([signal[0]] * 2, signal, [signal[-1]]))
-    return near * (padded[1:-2] + padded[2:-1]) + far * (padded[:-3] + padded[3:])
+    return at_samples(signal, HELD_SPEED if motion.by_speed else HELD_POSITION)

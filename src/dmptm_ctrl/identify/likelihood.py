@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.identify.free_parameters import scales_of
+from dmptm_ctrl.identify.heavy_tails import FREEDOM, robust_scale
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.reading_noise import noise_in_balance
 from dmptm_ctrl.simulate.model import Floats
@@ -98,15 +99,27 @@ class Likelihood:
         """Rows that count, equation after equation, (all rows[, k])."""
         return np.concatenate(self.parts(left))
 
+    def sizes(self, left: Sequence[Floats]) -> Floats:
+        """What is left of each equation, (equations,): its rms, or its scale beside bursts."""
+        size = robust_scale if self.bursts else root_mean_square
+        return np.array([size(p) if p.size else 1.0 for p in self.parts(left)])
+
     def scales(self, left: Sequence[Floats]) -> Floats:
-        """Scale of each equation, (equations,): its rms, and what no law is known below."""
-        squares = [float(np.mean(p**2)) if p.size else 1.0 for p in self.parts(left)]
-        return np.sqrt(np.array(squares) + self.floor**2)
+        """Scale of each equation, (equations,): its size, and what no law is known below."""
+        return np.sqrt(self.sizes(left) ** 2 + self.floor**2)
+
+    @property
+    def bursts(self) -> bool:
+        """Whether rows are those of Student's t: impacts that nothing measures are chance."""
+        return bool(self.balance.closed)
 
     def weights(self, left: Sequence[Floats]) -> Floats:
         """Square roots of what each row counts, in the order of `stack`."""
-        counts = [len(p) for p in self.parts(left)]
-        return np.repeat(np.sqrt(self.news) / self.scales(left), counts)
+        found = []
+        for news, scale, part in zip(self.news, self.scales(left), self.parts(left), strict=True):
+            bent = (FREEDOM + 1.0) / (FREEDOM + (part / scale) ** 2) if self.bursts else 1.0
+            found.append(np.sqrt(news * bent * np.ones(len(part))) / scale)
+        return np.concatenate(found)
 
     def surprise(self, left: Sequence[Floats], model: RigModel) -> float:
         """−2 log-likelihood, each equation at its own scale, all models with the same noise."""
@@ -114,7 +127,11 @@ class Likelihood:
         if self.noise is not None:
             squares = np.maximum(squares - self.noise_of(model) + self.noise, self.floor**2)
         # the mean square over the scale's is left in: near the floor it still falls
-        return float(np.sum(self.counts * (np.log(squares) + 1.0 - self.floor**2 / squares)))
+        spread = self.counts * (1.0 - self.floor**2 / squares)
+        if self.bursts:
+            rows = zip(self.parts(left), squares, strict=True)
+            spread = self.news * [np.sum(tails(part**2 / square)) for part, square in rows]
+        return float(np.sum(self.counts * np.log(squares) + spread))
 
     @cached_property
     def counts(self) -> Floats:
@@ -123,7 +140,16 @@ class Likelihood:
 
     def row_surprises(self, left: Sequence[Floats]) -> list[Floats]:
         """The same of each row as if it were independent, per equation."""
-        scales = self.scales(left)
-        return [
-            2.0 * np.log(s) + (p / s) ** 2 for p, s in zip(self.parts(left), scales, strict=True)
-        ]
+        rows = zip(self.parts(left), self.scales(left), strict=True)
+        shape = tails if self.bursts else np.asarray
+        return [2.0 * np.log(s) + shape((p / s) ** 2) for p, s in rows]
+
+
+def root_mean_square(rows: Floats) -> float:
+    """Size of rows that are as likely as normal ones."""
+    return float(np.sqrt(np.mean(rows**2)))
+
+
+def tails(squares: Floats) -> Floats:
+    """−2 log of Student's t at squares over the scale's, without its constant."""
+    return np.asarray((FREEDOM + 1.0) * np.log1p(squares / FREEDOM))

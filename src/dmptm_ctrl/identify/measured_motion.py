@@ -1,9 +1,10 @@
 """Position, speed and acceleration of measured bodies from a log, at the bandwidth it allows."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from math import ceil
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +91,8 @@ class Motion:
     by_speed: bool = False  # the first point's acceleration is that of a speed sensor
     rest_share: float = REST_SHARE  # of the highest speed; slower is at rest, or noise
     part: str = ""  # "fit" or "held-out" stretches of the log; "" is all of it
+    apart: Floats | None = None  # 1.0 at samples that do not count: followed links are open
+    known: dict[Any, Any] = field(default_factory=dict, repr=False)  # what fits ask for again
 
     @cached_property
     def box(self) -> int:
@@ -157,8 +160,20 @@ class Motion:
             slow = np.abs(v) < self.rest_share * np.abs(v).max(initial=0.0)
             slow |= v == 0
             shares.append(self.reduce(_long_runs(slow, REST_TIME / (self.bandwidth * self.dt))))
+        if self.apart is not None:
+            shares.append(self.reduce(self.apart))
         rest = np.max(shares, axis=0)
         return (rest < 0.05) & self._own
+
+    def at(self, point: str, ratio: float) -> tuple[Floats, Floats, Floats]:
+        """Position, speed and acceleration of a point's coordinate; the same arrays each time."""
+        key = point, ratio
+        if key not in self.known:
+            q, v, a = (x[point] / ratio for x in (self.q, self.v, self.a))
+            self.known[key] = q, v, a
+            self.known[id(v)] = {}
+        found: tuple[Floats, Floats, Floats] = self.known[key]
+        return found
 
     def stretch(self, start: int, stop: int) -> "Motion":
         """Return the samples from `start` up to `stop` as a motion of its own."""
@@ -166,7 +181,7 @@ class Motion:
         u, q, v, a = (
             {k: x[cut] for k, x in signals.items()} for signals in (self.u, self.q, self.v, self.a)
         )
-        return replace(self, time=self.time[cut], part="", u=u, q=q, v=v, a=a)
+        return replace(self, time=self.time[cut], part="", u=u, q=q, v=v, a=a, known={})
 
     @property
     def _own(self) -> NDArray[np.bool_]:
@@ -327,6 +342,21 @@ def derivative(signal: Floats, dt: float) -> Floats:
             45 * (s[4:-2] - s[2:-4]) - 9 * (s[5:-1] - s[1:-5]) + (s[6:] - s[:-6])
         ) / (60 * dt)  # fmt: skip
     return out
+
+
+# A signal held from sample to sample, as the derivative of sampled motion shows it: weights of
+# the two samples around and of the two beyond. A body J gives v(k+1) − v(k) = dt u(k)/J, so that
+# the band-limited derivative of sampled speed is u e^{−jx/2}/sinc(x/2), x = ω dt; of sampled
+# position twice differentiated it is u e^{−jx/2} cos(x/2)/sinc²(x/2). Right to x².
+HELD_SPEED = (7 / 12, -1 / 12)
+HELD_POSITION = (13 / 24, -1 / 24)
+
+
+def at_samples(signal: Floats, weights: tuple[float, float]) -> Floats:
+    """Signal that is held from sample to sample, as it acts at the samples."""
+    near, far = weights
+    padded = np.concatenate(([signal[0]] * 2, signal, [signal[-1]]))
+    return near * (padded[1:-2] + padded[2:-1]) + far * (padded[:-3] + padded[3:])
 
 
 def on_time(signal: Floats, dt: float, delay: float) -> Floats:

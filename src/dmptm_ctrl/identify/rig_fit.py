@@ -25,6 +25,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 
 ROWS_PER_NEWS = 8.0  # rows that count as one, where nothing better is known
 MOST_NOISE = 0.95  # of the curvature in any direction is taken for noise in one step
+SINGULAR = 1e-12  # of the largest curvature; numbers that share one effect have none apart
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
 PAST_IMPACTS = 0.05  # the same where impacts that nothing shows decide a run
 
@@ -455,5 +456,6 @@ def noise_taken_out(
         own += weight * columns @ columns.T
         slope += weight * columns @ noise
     # where logs show little but noise, what is left of the curvature must stay positive
-    largest = float(eigh(own, square, eigvals_only=True)[-1])
+    ridge = SINGULAR * float(np.max(np.diag(square), initial=0.0)) * np.eye(len(frees))
+    largest = float(eigh(own, square + ridge, eigvals_only=True)[-1])
     return square - min(1.0, MOST_NOISE / max(largest, 1e-300)) * own, slope

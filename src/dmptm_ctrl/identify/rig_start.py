@@ -303,8 +303,8 @@ def unknown_inertias(model: RigModel, link: str, spring: Spring) -> dict[str, fl
 def _shared(model: RigModel, side: Mapping[str, float], whole: float) -> dict[str, float]:
     """Give what known inertias leave of a whole to the unknown ones, alike."""
     keys = {b: f"body.{b}.inertia" for b in side}
-    free = [b for b in side if not isfinite(model.quantities[keys[b]].value)]
-    declared = {b: model.quantities[keys[b]].value for b in side if b not in free}
+    free = [b for b in side if not isfinite(model.quantity(keys[b]).value)]
+    declared = {b: model.quantity(keys[b]).value for b in side if b not in free}
     known = sum(side[b] ** 2 * value for b, value in declared.items())
     rest = max(whole - known, 0.05 * whole)
     found = {keys[b]: rest / len(free) / side[b] ** 2 for b in free}

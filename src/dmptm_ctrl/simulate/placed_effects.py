@@ -5,12 +5,16 @@ sensor) and which of their parameters a single such place has. A user's own effe
 with :func:`register`.
 """
 
+from functools import cache
 from math import inf
 from typing import NamedTuple
+
+import numpy as np
 
 from dmptm_ctrl.contract import Effect, Parameter
 from dmptm_ctrl.effects import backlash, effect_of
 from dmptm_ctrl.effects.load_dependent_friction import body_load_friction
+from dmptm_ctrl.simulate.plant import CALLED, Floats, Place
 
 # site of the contract -> where it acts
 SITES = {
@@ -145,6 +149,7 @@ PLACED_CATALOGUE: dict[str, PlacedEffect] = {
         whole(effect_of("base_vibration")),
         _one_side("cogging", _WAVE),
         _one_side("drive_offset", {"left": "offset"}),
+        _one_side("torque_constant_mismatch", {"error": "error"}),  # of its own motor, side 0
         *(whole(effect_of(f"drive_{name}")) for name in ("dead_band", "saturation")),
         *(whole(effect_of(name)) for name in ("current_lag", "drive_delay")),
         PlacedEffect(
@@ -179,3 +184,27 @@ def register(chain: PlacedEffect) -> PlacedEffect:
         raise ValueError(f"effect {chain.name!r}: chains have no site {chain.site!r}")
     PLACED_CATALOGUE[chain.name] = chain
     return chain
+
+
+@cache
+def all_places(
+    _: tuple[int, ...], parts: tuple[tuple[str, ...], ...]
+) -> tuple[tuple[Place, ...], dict[str, tuple[int, int]], Floats]:
+    """Places of the catalogue's effects in a rig; where each one's flag and numbers are.
+
+    And the numbers of effects that are absent.
+    """
+    named = dict(zip(("input", "body", "link", "sensor"), parts, strict=True))
+    places: list[Place] = []
+    index: dict[str, tuple[int, int]] = {}
+    first = 0
+    # a lag is a number of its input
+    chains = [c for c in PLACED_CATALOGUE.values() if c.site in CALLED and c.site != "lag"]
+    # part by part, so that flags and numbers of each stand alike
+    for kind, parts_ in named.items():
+        for k, part in enumerate(parts_):
+            for chain in (c for c in chains if c.place == kind):
+                index[f"{chain.name}@{part}"] = len(places), first
+                places.append(Place(chain.effect, k, chain.told, len(places), first))
+                first += len(chain.fields)
+    return tuple(places), index, np.hstack([p.effect.defaults() for p in places])

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 from math import cos, isfinite, isnan, sin
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,8 +11,8 @@ import numpy as np
 from dmptm_ctrl.drive.parameters import Quantity, physical
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects.shaft_compliance import ShaftCompliance, spring
-from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
-from dmptm_ctrl.simulate.plant import CALLED, GAP, GAP_LAWS, LINEAR, Flags, Floats, Place, Plant
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, all_places
+from dmptm_ctrl.simulate.plant import GAP, GAP_LAWS, LINEAR, Flags, Floats, Place, Plant
 
 if TYPE_CHECKING:
     import control
@@ -93,6 +93,8 @@ class RigModel:
         By the keys of `declared`; what is left out has the declared value.
     zeros : mapping of log to mapping of effect key to float
         Shift of the encoder's zero in each log of the fit [rad or m].
+    closed : frozenset of str
+        Links that count as rigid: a view for balances, in which no gap and no twist stands.
 
     Raises
     ------
@@ -104,6 +106,7 @@ class RigModel:
     effects: tuple[Placed, ...] = None  # type: ignore[assignment]
     values: Mapping[str, float] = field(default_factory=dict)
     zeros: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    closed: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         if self.effects is None:
@@ -122,8 +125,13 @@ class RigModel:
 
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
-        """Declared quantities by key."""
-        return declared(self.rig)
+        """Declared quantities by key, without those that are tied to another's."""
+        ties = self.rig.ties
+        return {k: q for k, q in declared(self.rig).items() if k not in ties}
+
+    def quantity(self, key: str) -> Quantity:
+        """Declared quantity by its key, or by that of one tied to it."""
+        return self.quantities[self.rig.ties.get(key, key)]
 
     def value(self, key: str) -> float:
         """Value of a declared quantity as the model has it.
@@ -133,6 +141,7 @@ class RigModel:
         ValueError
             Declared as unknown and not yet fitted.
         """
+        key = self.rig.ties.get(key, key)
         value = self.values.get(key, self.quantities[key].value)
         if not isfinite(value):
             raise ValueError(f"{key} is declared unknown; fit the model first, or set a value")
@@ -150,7 +159,15 @@ class RigModel:
 
     def with_values(self, values: Mapping[str, float]) -> "RigModel":
         """Return the model with values of declared quantities replaced."""
-        return replace(self, values={**self.values, **values})
+        ties = self.rig.ties
+        return replace(
+            self, values={**self.values, **{ties.get(k, k): v for k, v in values.items()}}
+        )
+
+    @property
+    def opened(self) -> "RigModel":
+        """The model with all its gaps, as it runs."""
+        return replace(self, closed=frozenset()) if self.closed else self
 
     def check(self) -> None:
         """Refuse declared values and effects that no machine has.
@@ -258,7 +275,8 @@ def _build(model: RigModel) -> tuple[Plant, Layout]:
     for effect in (e for e in model.effects if e.name == "shaft_compliance"):
         joints = _soften(rig, effect, inertia, joints, sensor_body, input_body)
     for effect in (e for e in model.effects if PLACED_CATALOGUE[e.name].place == "link"):
-        joints = [_with_effect(j, effect) if j.name == effect.on else j for j in joints]
+        if effect.on not in model.closed:
+            joints = [_with_effect(j, effect) if j.name == effect.on else j for j in joints]
     bodies = tuple(inertia)
     root = input_body[rig.inputs[0].name]
     coordinate, ratio = _coordinates(bodies, joints, root)
@@ -310,16 +328,15 @@ def _rubs(rig: Rig, body: str) -> bool:
 
 
 def _joint(model: RigModel, name: str) -> _Joint:
-    link = model.rig.link(name)
-    row = None
-    if not link.rigid:
+    link, row, law = model.rig.link(name), None, LINEAR
+    if not link.rigid and name not in model.closed:
         row = tuple(
             model.value(f"link.{name}.{key}") if getattr(link, key) is not None else 0.0
             for key in ("stiffness", "damping", "gap_damping", "half_gap")
         )
-    law = LINEAR if link.half_gap is None else GAP_LAWS[link.contact]
-    if link.contact == "two_state" and row is not None and row[1] + row[2] <= 0.0:
-        raise ValueError(f"{name}: the two-state contact needs damping or gap_damping")
+        law = LINEAR if link.half_gap is None else GAP_LAWS[link.contact]
+        if link.contact == "two_state" and row[1] + row[2] <= 0.0:
+            raise ValueError(f"{name}: the two-state contact needs damping or gap_damping")
     return _Joint(name, link.first, link.second, model.value(f"link.{name}.ratio"), row, law)
 
 
@@ -461,35 +478,14 @@ def _placed(model: RigModel, layout: Layout) -> tuple[tuple[Place, ...], Flags, 
     sensors = tuple(s.name for s in model.rig.sensors)
     catalogue = tuple(PLACED_CATALOGUE.values())
     parts = layout.inputs, layout.bodies, layout.links, sensors
-    places, index = _all_places(tuple(map(id, catalogue)), parts)
-    on, values = np.zeros(len(index), np.uint8), np.hstack([p.effect.defaults() for p in places])
+    places, index, absent = all_places(tuple(map(id, catalogue)), parts)
+    on, values = np.zeros(len(index), np.uint8), absent.copy()
     for effect in model.effects:
         if effect.key in index:
             flag, first = index[effect.key]
             row = value_row(effect)
             on[flag], values[first : first + row.size] = 1, row
     return places, on, values
-
-
-@cache
-def _all_places(
-    _: tuple[int, ...], parts: tuple[tuple[str, ...], ...]
-) -> tuple[tuple[Place, ...], dict[str, tuple[int, int]]]:
-    """Places of the catalogue's effects in a rig; where each one's flag and numbers are."""
-    named = dict(zip(("input", "body", "link", "sensor"), parts, strict=True))
-    places: list[Place] = []
-    index: dict[str, tuple[int, int]] = {}
-    first = 0
-    # a lag is a number of its input
-    chains = [c for c in PLACED_CATALOGUE.values() if c.site in CALLED and c.site != "lag"]
-    # part by part, so that flags and numbers of each stand alike
-    for kind, parts_ in named.items():
-        for k, part in enumerate(parts_):
-            for chain in (c for c in chains if c.place == kind):
-                index[f"{chain.name}@{part}"] = len(places), first
-                places.append(Place(chain.effect, k, chain.told, len(places), first))
-                first += len(chain.fields)
-    return tuple(places), index
 
 
 def value_row(effect: Placed) -> Floats:

@@ -1,0 +1,114 @@
+"""Bodies that no sensor sees, joined through declared gaps to bodies that one sees.
+
+Their run depends on the moment of every impact, which no model predicts. While teeth touch they
+move with the measured bodies. In the balance of all together the torques of the teeth cancel,
+whatever they are. So links of such bodies count as rigid, and a run tells only when they touch.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from math import inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.identify.measured_motion import Floats, coordinates_of
+from dmptm_ctrl.identify.rig_simulate import free_run
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.plant import link_matrices
+from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.identify.inverse_dynamics import Balance
+
+FOLLOWS = 0.4  # of the frequency at which hidden bodies ring; to its square they follow
+LANDED = 0.02  # s after an impact, the moment of which is not measured
+LEAD_HZ = 0.05  # slow lead of the runs by what is measured: bounds drift only
+
+
+def followed(rig: Rig, sensors: Iterable[str]) -> tuple[frozenset[str], float]:
+    """Links beyond which bodies follow the measured ones, and up to which frequency [Hz]."""
+    model = RigModel(rig)
+    try:
+        plant, layout = model.plant(), model.layout
+    except ValueError:  # a spring or an inertia is unknown: only runs tell it
+        return frozenset(), inf
+    seen = {*coordinates_of(layout, sensors)}
+    hidden = [g for g in range(layout.coordinates) if g not in seen]
+    rows, springs, _, _ = link_matrices(plant)
+    own = rows[:, hidden]
+    joined = np.any(own != 0.0, axis=1)
+    if not joined.any() or not plant.link_gap[joined].all():
+        return frozenset(), inf
+    square = np.linalg.eigvals((own.T * springs) @ own / plant.inertia[hidden, None])
+    lowest = float(np.sqrt(np.abs(square).min())) / (2.0 * np.pi)
+    names = frozenset(n for n, one in zip(layout.links, joined, strict=True) if one)
+    return names, FOLLOWS * lowest
+
+
+def touching(balance: "Balance", model: RigModel, logs: Iterable[Log]) -> "Balance":
+    """Leave out when followed links are open in runs of a model on the logs."""
+    if not balance.closed:
+        return balance
+    named = {log.name: log for log in logs}
+    return replace(
+        balance,
+        motions=tuple(
+            replace(m, apart=_apart(balance.closed, model.opened, named[m.name]))
+            for m in balance.motions
+        ),
+    )
+
+
+def _apart(closed: frozenset[str], model: RigModel, log: Log) -> Floats:
+    """1.0 where a followed link does not touch, or did not lately, (n,)."""
+    run = free_run(model, log, lead_hz=LEAD_HZ)
+    open_ = np.zeros(len(log), bool)
+    for link in (k for k in model.rig.links if k.name in closed):
+        ratio, gap = (model.value(f"link.{link.name}.{key}") for key in ("ratio", "half_gap"))
+        twist = run.position(link.first) - ratio * run.position(link.second)
+        side = np.where(np.abs(twist) < gap, 0.0, np.sign(twist))
+        for late in range(round(LANDED / log.sample_time) + 1):
+            open_[late:] |= side[: side.size - late] != side[late:]
+        open_ |= side == 0.0
+    return open_.astype(float)
+
+
+def loaded(model: RigModel) -> bool:
+    """Whether an effect of a model depends on what links carry."""
+    return any("mesh_torque" in PLACED_CATALOGUE[e.name].effect.depends_on for e in model.effects)
+
+
+def loads_of(
+    model: RigModel,
+    measured: Mapping[int, tuple[Floats, Floats, Floats]],
+    pushed: Mapping[str, Floats],
+    braked: Callable[[str], Floats],
+) -> dict[str, Floats]:
+    """What followed links put on their bodies, by what the hidden bodies beyond them take.
+
+    Parameters
+    ----------
+    measured : mapping of coordinate to position, speed and acceleration
+    pushed : mapping of body to (n,) array
+        Torque of its motor.
+    braked : callable
+        Torque that friction and effects take of a body.
+    """
+    layout = model.layout
+    found: dict[str, Floats] = {}
+    seen = {layout.sensor_body[s.name] for s in model.rig.sensors}
+    for name in sorted(model.closed):
+        link, ratio = model.rig.link(name), model.value(f"link.{name}.ratio")
+        near, far = link_sides(model, name)
+        side, lever = (far, ratio) if seen & {*near} else (near, 1.0)
+        torque = np.zeros(1)
+        for body, r in side.items():
+            a = layout.ratio[body] * measured[layout.coordinate[body]][2]
+            takes = model.value(f"body.{body}.inertia") * a + braked(body)
+            torque = torque + r / lever * (takes - pushed.get(body, 0.0))
+        for end, factor in ((link.first, 1.0), (link.second, ratio)):
+            found[end] = found.get(end, np.zeros(1)) + np.abs(factor * torque)
+    return found

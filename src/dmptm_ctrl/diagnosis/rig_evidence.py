@@ -345,23 +345,16 @@ class RigEvidence:
 
 
 def within_floor(selection: Selection, floor: float) -> bool:
-    """Whether the declared model is near what all effects leave, in every equation.
+    """Whether the declared model is near what all effects leave, in every equation, held out.
 
-    On held-out logs, and on fitted ones: some experiments have no twin. And near the floor: mean
-    square of the first equation, held out, that no model predicts.
+    And near the floor: mean square of the first equation that no model predicts.
     """
     base, final = selection.base, selection.final
     if not near(mean_square(base.held_left[0], base.held), floor):
         return False
-    fitted = final.fit.likelihood
-    for side, lefts in (
-        (fitted, (base.fit.left, final.fit.left)),
-        (fitted.on(final.held), (base.held_left[0], final.held_left[0])),
-    ):
-        before, after = map(side.sizes, lefts)
-        if np.any(before > NONE * np.hypot(after, side.floor)):
-            return False
-    return True
+    held = final.fit.likelihood.on(final.held)
+    before, after = (held.sizes(one.held_left[0]) for one in (base, final))
+    return bool(np.all(before <= NONE * np.hypot(after, held.floor)))
 
 
 def rise(without: RigState, final: RigState) -> float:

@@ -150,9 +150,7 @@ class RigEvidence:
         """Fit springs and gaps: from each start a little, the best of each to the end."""
         best: dict[Keys, Candidate] = {}
         for trial in structures(state.tangent, only):
-            # a spring that explains nothing from any start, beside all else to first order
-            vain = trial.placed.name == SHAFT_COMPLIANCE.name and trial.gain <= 0.0
-            one = self._first_order(state, trial) if vain else self._fitted(state, (trial,), FIRST)
+            one = self._fitted(state, (trial,), FIRST)
             if one.keys not in best or one.evidence > best[one.keys].evidence:
                 best[one.keys] = one
         for keys, one in best.items():

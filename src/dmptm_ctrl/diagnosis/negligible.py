@@ -76,8 +76,10 @@ def material_together(
     """
     alone = {e.key: share(e.without) for e in selection.entries}
     small = sorted((key for key in alone if alone[key] < MATERIAL), key=lambda key: alone[key])
-    state = selection.final
-    for k, key in enumerate(small):
+    if len(small) < 2:
+        return frozenset()
+    state = next(e.without for e in selection.entries if e.key == small[0])
+    for k, key in enumerate(small[1:], 1):
         if key in state.keys:  # else it stood on one that went
             state = evidence.without(state, key)
         if share(state) >= MATERIAL:

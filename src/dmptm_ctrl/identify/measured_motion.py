@@ -223,7 +223,8 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, 
         # the median of χ², of two degrees of freedom per segment, over its mean
         low = (1.0 - 1.0 / (9.0 * max(2 * y.size // length - 1, 1))) ** 3
         floor = float(np.median(power[f > FLOOR_BAND * rate])) / low
-        declared = _declared_variance(sensor, y) / (rate / 2)
+        step = _step(sensor, y)
+        declared = _declared_variance(sensor, step) / (rate / 2)
         told = min(floor, declared or floor)
         floor = max(floor, declared)
         weight = (2 * np.pi * f) ** (2 * order)
@@ -234,7 +235,6 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, 
         below = f[good]
         best = float(below.max()) if below.size else 0.0
         reach.append(float(np.clip(best, LOWEST * rate, HIGHEST * rate)))
-        step = _step(sensor, y)
         white = min(told, 2.0 * step**2 / (12.0 * rate))
         slow = rounding_noise(y, step, rate, reach[-1], order) if step else 0.0
         floors.append(told - white + slow)
@@ -255,10 +255,10 @@ def rounding_noise(y: Floats, step: float, rate: float, reach: float, order: int
     return float(np.sum(weight * power.mean(axis=0)) / np.sum(weight))
 
 
-def _declared_variance(sensor: Sensor, y: Floats) -> float:
-    """Variance of noise and rounding; the step of the readings where none is declared."""
+def _declared_variance(sensor: Sensor, step: float) -> float:
+    """Variance of noise, and of rounding to a step."""
     noise = sensor.noise.value if sensor.noise is not None else 0.0
-    return noise**2 + _step(sensor, y) ** 2 / 12
+    return noise**2 + step**2 / 12
 
 
 def _step(sensor: Sensor, y: Floats) -> float:

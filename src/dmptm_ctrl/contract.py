@@ -23,6 +23,7 @@ contact grows with time and falls with its slip; the runners keep it.
 | sensor_delay | (p)                                             | dead time of the speed reading [s]         |
 """
 
+from collections import namedtuple
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -62,15 +63,38 @@ class Parameter(NamedTuple):
     fixed: bool = False
 
 
-class Effect(NamedTuple):
+class _Declared(NamedTuple):
+    """What a file says of an effect."""
+
+    name: str
+    site: str
+    kernel: Callable[..., Any]
+    parameters: tuple[Parameter, ...]
+    location: str
+    source: str
+    depends_on: tuple[str, ...]
+    reveals: str
+    seen_by: str = BALANCE
+    starts: tuple[tuple[str, float], ...] = ()
+    search: str = ""
+    constants: tuple[str, ...] = ()
+    wave: bool = False
+    fast: bool = False
+    kink: float = 0.0
+    ringing: tuple[str, ...] = ()
+    matters: float = 0.0
+    values: type[Any] | None = None
+
+
+class Effect(_Declared):
     """A physical effect: its kernel, its parameters and what is known of it.
 
     The effect is absent exactly when all its amplitudes are zero.
 
     Attributes
     ----------
-    name, site, kernel, parameters, values
-        What it is; `values` holds the parameters as the kernel takes them.
+    name, site, kernel, parameters
+        What it is.
     location, source, depends_on, reveals
         Where it acts, by which source, on which variables, and the experiment that shows it.
     seen_by : str
@@ -92,26 +116,17 @@ class Effect(NamedTuple):
         Parameters of what is over before a window is; runs alone show them.
     matters : float
         Size from which it matters, of an error of a sensor.
+    values : NamedTuple class
+        Holds the parameters as the kernel takes them; made of their names where none is given.
     """
 
-    name: str
-    site: str
-    kernel: Callable[..., Any]
-    parameters: tuple[Parameter, ...]
     values: type[Any]
-    location: str
-    source: str
-    depends_on: tuple[str, ...]
-    reveals: str
-    seen_by: str = BALANCE
-    starts: tuple[tuple[str, float], ...] = ()
-    search: str = ""
-    constants: tuple[str, ...] = ()
-    wave: bool = False
-    fast: bool = False
-    kink: float = 0.0
-    ringing: tuple[str, ...] = ()
-    matters: float = 0.0
+
+    def __new__(cls, *args: Any, **fields: Any) -> "Effect":
+        """Make it, with a class for its parameters."""
+        made = super().__new__(cls, *args, **fields)
+        names = [p.name for p in made.parameters]
+        return made if made.values else made._replace(values=namedtuple(made.name, names))
 
     @property
     def amplitudes(self) -> tuple[str, ...]:

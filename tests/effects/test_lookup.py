@@ -4,9 +4,10 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from dmptm_ctrl.effects.lookup import KNOTS, looked_up, summed, table_type
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.effects.lookup import KNOTS, looked_up, summed
 
-TABLE = table_type("SomeTable")
+TABLE = CATALOGUE["unknown_voltage"].values
 NUMBERS = st.floats(-10.0, 10.0)
 
 

@@ -3,17 +3,9 @@
 torque = −K_e ω_m on the motor's shaft
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class BackEmf(NamedTuple):
-    """Parameters."""
-
-    damping: float  # N·m·s/rad, K_e
 
 
 @njit
@@ -26,8 +18,7 @@ BACK_EMF = Effect(
     name="back_emf",
     site="motor",
     kernel=back_emf_torque,
-    parameters=(Parameter("damping", "N·m·s/rad", 0.0, 0.01, 0.0002),),
-    values=BackEmf,
+    parameters=(Parameter("damping", "N·m·s/rad", 0.0, 0.01, 0.0002),),  # K_e
     location="motors",
     source="K_t K_e / R of a voltage-fed motor",
     depends_on=("omega_m",),

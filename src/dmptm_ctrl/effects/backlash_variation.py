@@ -7,22 +7,12 @@ the two meshes.
 """
 
 from math import cos, pi, sin
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, Parameter
 
 PINION_ANGLE = 2.0 * pi / 3.0  # rad between the pinions on the ring gear
-
-
-class BacklashVariation(NamedTuple):
-    """Parameters."""
-
-    cosine: float  # rad at the pinion
-    sine: float  # rad at the pinion
-    apart_cosine: float  # rad at the pinion, more on the left and less on the right
-    apart_sine: float  # rad at the pinion
 
 
 @njit
@@ -44,7 +34,6 @@ BACKLASH_VARIATION = Effect(
         Parameter("apart_cosine", "rad", -1.5e-3, 1.5e-3, 1e-4),
         Parameter("apart_sine", "rad", -1.5e-3, 1.5e-3, 1e-4),
     ),
-    values=BacklashVariation,
     location="ring gear",
     source="tooth thickness and centre distance around the rim",
     depends_on=("theta_L",),

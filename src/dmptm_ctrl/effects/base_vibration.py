@@ -6,19 +6,10 @@ on the ring gear, locked to each log's clock.
 """
 
 from math import cos, pi, sin
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class BaseVibration(NamedTuple):
-    """Parameters."""
-
-    cosine: float  # N·m, A
-    sine: float  # N·m, B
-    frequency: float  # Hz, f
 
 
 @njit
@@ -33,11 +24,10 @@ BASE_VIBRATION = Effect(
     site="load",
     kernel=vibration_torque,
     parameters=(
-        Parameter("cosine", "N·m", -60.0, 60.0, 2.0),
-        Parameter("sine", "N·m", -60.0, 60.0, 2.0),
+        Parameter("cosine", "N·m", -60.0, 60.0, 2.0),  # A
+        Parameter("sine", "N·m", -60.0, 60.0, 2.0),  # B
         Parameter("frequency", "Hz", 0.5, 30.0, 0.02, tuple(0.5 + 0.02 * i for i in range(1476))),
     ),
-    values=BaseVibration,
     location="base",
     source="harmonic inertia torque of a shaken base",
     depends_on=("time",),

@@ -3,18 +3,9 @@
 torque = −k (θL − θ0) = −k θL + T0
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class CableSpring(NamedTuple):
-    """Parameters."""
-
-    stiffness: float  # N·m/rad, k
-    offset: float  # N·m, T0 = k θ0
 
 
 @njit
@@ -28,10 +19,9 @@ CABLE_SPRING = Effect(
     site="load",
     kernel=cable_torque,
     parameters=(
-        Parameter("stiffness", "N·m/rad", 0.0, 40.0, 1.0),
-        Parameter("offset", "N·m", -60.0, 60.0, 2.0),
+        Parameter("stiffness", "N·m/rad", 0.0, 40.0, 1.0),  # k
+        Parameter("offset", "N·m", -60.0, 60.0, 2.0),  # T0 = k θ0
     ),
-    values=CableSpring,
     location="ring gear",
     source="linear spring",
     depends_on=("theta_L",),

@@ -6,21 +6,10 @@ n is the order per motor turn. Each motor has its own amplitude and phase.
 """
 
 from math import cos, sin
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class Cogging(NamedTuple):
-    """Parameters."""
-
-    left_cosine: float  # N·m
-    left_sine: float  # N·m
-    right_cosine: float  # N·m
-    right_sine: float  # N·m
-    order: float  # per motor turn, n
 
 
 @njit
@@ -43,9 +32,8 @@ COGGING = Effect(
         Parameter("left_sine", "N·m", -0.1, 0.1, 0.005),
         Parameter("right_cosine", "N·m", -0.1, 0.1, 0.005),
         Parameter("right_sine", "N·m", -0.1, 0.1, 0.005),
-        Parameter("order", "1/turn", 1.0, 96.0, 1.0, ORDERS, fixed=True),
+        Parameter("order", "1/turn", 1.0, 96.0, 1.0, ORDERS, fixed=True),  # n
     ),
-    values=Cogging,
     location="motors",
     source="first harmonic of the cogging torque, Hanselman 2003, ch. 7",
     depends_on=("theta_m",),

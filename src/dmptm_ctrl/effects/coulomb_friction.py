@@ -4,17 +4,9 @@ moving:   F against the motion
 at rest:  any value in [−F, F], as much as it takes to stay
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class CoulombFriction(NamedTuple):
-    """Parameters."""
-
-    level: float  # N·m, F
 
 
 @njit
@@ -27,8 +19,7 @@ COULOMB_FRICTION = Effect(
     name="coulomb_friction",
     site="friction",
     kernel=coulomb_level,
-    parameters=(Parameter("level", "N·m", 0.0, float("inf"), 1.0),),
-    values=CoulombFriction,
+    parameters=(Parameter("level", "N·m", 0.0, float("inf"), 1.0),),  # F
     location="bearings and guides",
     source="Coulomb 1785",
     depends_on=("omega_L",),

@@ -3,17 +3,9 @@
 τ du_e/dt = u − u_e
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class CurrentLag(NamedTuple):
-    """Parameters."""
-
-    time_constant: float  # s, τ
 
 
 @njit
@@ -26,8 +18,7 @@ CURRENT_LAG = Effect(
     name="current_lag",
     site="lag",
     kernel=lag_target,
-    parameters=(Parameter("time_constant", "s", 0.0, 0.05, 0.002),),
-    values=CurrentLag,
+    parameters=(Parameter("time_constant", "s", 0.0, 0.05, 0.002),),  # τ
     location="drives",
     source="bandwidth of the current controller",
     depends_on=("u", "du_dt"),

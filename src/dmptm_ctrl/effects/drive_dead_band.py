@@ -3,17 +3,9 @@
 u_e = u − b for u > b, u + b for u < −b, else 0
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class DriveDeadBand(NamedTuple):
-    """Parameters."""
-
-    width: float  # V, b
 
 
 @njit
@@ -30,8 +22,7 @@ DRIVE_DEAD_BAND = Effect(
     name="drive_dead_band",
     site="drive",
     kernel=dead_band_voltage,
-    parameters=(Parameter("width", "V", 0.0, 0.5, 0.01),),
-    values=DriveDeadBand,
+    parameters=(Parameter("width", "V", 0.0, 0.5, 0.01),),  # b
     location="drives",
     source="dead time of the bridge's switches",
     depends_on=("u",),

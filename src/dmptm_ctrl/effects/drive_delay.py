@@ -3,17 +3,9 @@
 u_e(t) = u(t − T_d)
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class DriveDelay(NamedTuple):
-    """Parameters."""
-
-    delay: float  # s, T_d
 
 
 @njit
@@ -26,8 +18,7 @@ DRIVE_DELAY = Effect(
     name="drive_delay",
     site="delay",
     kernel=delay_time,
-    parameters=(Parameter("delay", "s", 0.0, 0.03, 0.002),),
-    values=DriveDelay,
+    parameters=(Parameter("delay", "s", 0.0, 0.03, 0.002),),  # T_d
     location="drives",
     source="bus and computation time",
     depends_on=("u", "du_dt"),

@@ -3,18 +3,9 @@
 u_e = u + b
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class DriveOffset(NamedTuple):
-    """Parameters."""
-
-    left: float  # V
-    right: float  # V
 
 
 @njit
@@ -28,7 +19,6 @@ DRIVE_OFFSET = Effect(
     site="drive",
     kernel=offset_voltage,
     parameters=(Parameter("left", "V", -0.3, 0.3, 0.01), Parameter("right", "V", -0.3, 0.3, 0.01)),
-    values=DriveOffset,
     location="drives",
     source="analogue command interface",
     depends_on=("u",),

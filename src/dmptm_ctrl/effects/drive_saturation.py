@@ -3,17 +3,9 @@
 u_e = max(−U, min(U, u)),  parametrised by 1/U so that zero is absent
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class DriveSaturation(NamedTuple):
-    """Parameters."""
-
-    inverse_limit: float  # 1/V, 1/U
 
 
 @njit
@@ -29,8 +21,7 @@ DRIVE_SATURATION = Effect(
     name="drive_saturation",
     site="drive",
     kernel=saturated_voltage,
-    parameters=(Parameter("inverse_limit", "1/V", 0.0, 20.0, 0.05),),
-    values=DriveSaturation,
+    parameters=(Parameter("inverse_limit", "1/V", 0.0, 20.0, 0.05),),  # 1/U
     location="drives",
     source="peak current of the drive",
     depends_on=("u",),

@@ -4,18 +4,10 @@ reading = θL + C cos θL + S sin θL
 """
 
 from math import cos, sin
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import SENSORS, Effect, Parameter
-
-
-class EncoderEccentricity(NamedTuple):
-    """Parameters."""
-
-    cosine: float  # rad
-    sine: float  # rad
 
 
 @njit
@@ -32,7 +24,6 @@ ENCODER_ECCENTRICITY = Effect(
         Parameter("cosine", "rad", -0.02, 0.02, 2e-4),
         Parameter("sine", "rad", -0.02, 0.02, 2e-4),
     ),
-    values=EncoderEccentricity,
     location="ring-gear encoder",
     source="eccentric disc",
     depends_on=("theta_L",),

@@ -5,17 +5,9 @@ friction × (1 + α sgn ω)
 The whole friction of the body scales: Coulomb, viscous and Stribeck alike.
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class FrictionAsymmetry(NamedTuple):
-    """Parameters."""
-
-    difference: float  # relative, α
 
 
 @njit
@@ -28,8 +20,7 @@ FRICTION_ASYMMETRY = Effect(
     name="friction_asymmetry",
     site="friction",
     kernel=directional_factor,
-    parameters=(Parameter("difference", "", -0.9, 0.9, 0.02),),
-    values=FrictionAsymmetry,
+    parameters=(Parameter("difference", "", -0.9, 0.9, 0.02),),  # relative, α
     location="bearings and guides",
     source="Table 2 of the paper: every row differs by direction",
     depends_on=("omega_L",),

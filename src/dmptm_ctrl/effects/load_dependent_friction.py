@@ -3,17 +3,9 @@
 Coulomb friction += μ |T_mesh| on each reducer
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class LoadDependentFriction(NamedTuple):
-    """Parameters."""
-
-    coefficient: float  # relative to the mesh torque, μ
 
 
 @njit
@@ -34,8 +26,7 @@ LOAD_DEPENDENT_FRICTION = Effect(
     name="load_dependent_friction",
     site="friction",
     kernel=load_friction,
-    parameters=(Parameter("coefficient", "", 0.0, 0.6, 0.01),),
-    values=LoadDependentFriction,
+    parameters=(Parameter("coefficient", "", 0.0, 0.6, 0.01),),  # relative to the mesh torque, μ
     location="reducers",
     source="efficiency of gears under load",
     depends_on=("mesh_torque",),

@@ -4,19 +4,10 @@ Coulomb friction of the ring gear += A exp(−½ (Δ/w)²),  Δ = θL − θ0 wr
 """
 
 from math import exp, pi
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class LocalSpot(NamedTuple):
-    """Parameters."""
-
-    height: float  # N·m, A
-    place: float  # rad, θ0
-    width: float  # rad, w
 
 
 @njit
@@ -33,11 +24,10 @@ LOCAL_SPOT = Effect(
     site="friction",
     kernel=spot_friction,
     parameters=(
-        Parameter("height", "N·m", 0.0, 60.0, 2.0),
+        Parameter("height", "N·m", 0.0, 60.0, 2.0),  # A
         Parameter("place", "rad", -3.5, 3.5, 0.02, tuple(pi * i / 72 for i in range(-72, 72))),
-        Parameter("width", "rad", 0.005, 0.5, 0.01, (0.02, 0.06, 0.2)),
+        Parameter("width", "rad", 0.005, 0.5, 0.01, (0.02, 0.06, 0.2)),  # w
     ),
-    values=LocalSpot,
     location="ring-gear bearing",
     source="Gaussian bump",
     depends_on=("theta_L",),

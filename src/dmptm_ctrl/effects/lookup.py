@@ -4,7 +4,6 @@ Linear between evenly spaced knots, constant beyond the ends. The table is over 
 variables of its site, chosen by a number.
 """
 
-from collections import namedtuple
 from collections.abc import Callable
 from math import floor, pi
 from typing import Any
@@ -26,11 +25,6 @@ HALF = KNOTS // 2
 WIDEST = 60.0  # rad, rad/s, s or V: no log goes further
 # s, or rad: a period that no log comes to the end of; the time in it is that in the log
 LONGEST = 1e4
-
-
-def table_type(name: str, *more: str) -> type[Any]:
-    """Return the NamedTuple of a table's parameters, and `more` behind them."""
-    return namedtuple(name, ["variable", "low", "high", *(f"k{i}" for i in range(KNOTS)), *more])
 
 
 def table_parameters(

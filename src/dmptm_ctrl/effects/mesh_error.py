@@ -4,23 +4,12 @@ z += C cos(n θp) + S sin(n θp), n teeth of the pinion, each pinion with its ow
 """
 
 from math import cos, sin
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
 
 TEETH = 20.0  # z3, Table 1: of the dual-motor drive
-
-
-class MeshError(NamedTuple):
-    """Parameters."""
-
-    left_cosine: float  # rad
-    left_sine: float  # rad
-    right_cosine: float  # rad
-    right_sine: float  # rad
-    order: float  # per turn of the pinion, n
 
 
 @njit
@@ -44,9 +33,8 @@ MESH_ERROR = Effect(
         Parameter("left_sine", "rad", -5e-3, 5e-3, 2e-5),
         Parameter("right_cosine", "rad", -5e-3, 5e-3, 2e-5),
         Parameter("right_sine", "rad", -5e-3, 5e-3, 2e-5),
-        Parameter("order", "1/turn", 1.0, 400.0, 1.0, (TEETH,), fixed=True),
+        Parameter("order", "1/turn", 1.0, 400.0, 1.0, (TEETH,), fixed=True),  # n
     ),
-    values=MeshError,
     location="pinions",
     source="first harmonic of the tooth-to-tooth error; phase by mesh angle (Eq. 23, erratum)",
     depends_on=("theta_m",),

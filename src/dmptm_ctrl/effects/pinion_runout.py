@@ -4,20 +4,10 @@ z += C cos θp + S sin θp, each pinion with its own
 """
 
 from math import cos, sin
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, Parameter
-
-
-class PinionRunout(NamedTuple):
-    """Parameters."""
-
-    left_cosine: float  # rad
-    left_sine: float  # rad
-    right_cosine: float  # rad
-    right_sine: float  # rad
 
 
 @njit
@@ -41,7 +31,6 @@ PINION_RUNOUT = Effect(
         Parameter("right_cosine", "rad", -2e-2, 2e-2, 1e-4),
         Parameter("right_sine", "rad", -2e-2, 2e-2, 1e-4),
     ),
-    values=PinionRunout,
     location="pinions",
     source="kinematic error of an eccentric pinion",
     depends_on=("theta_m",),

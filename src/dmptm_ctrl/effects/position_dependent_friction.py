@@ -4,19 +4,10 @@ Coulomb friction of the ring gear += C cos(n θL) + S sin(n θL), n a whole numb
 """
 
 from math import cos, sin
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class PositionDependentFriction(NamedTuple):
-    """Parameters."""
-
-    cosine: float  # N·m
-    sine: float  # N·m
-    order: float  # per turn, n
 
 
 @njit
@@ -36,9 +27,8 @@ POSITION_DEPENDENT_FRICTION = Effect(
         Parameter("cosine", "N·m", -30.0, 30.0, 1.0),
         Parameter("sine", "N·m", -30.0, 30.0, 1.0),
         # the middle of a bank is the default
-        Parameter("order", "1/turn", 1.0, 4.0, 1.0, (4.0, 2.0, 1.0, 3.0), fixed=True),
+        Parameter("order", "1/turn", 1.0, 4.0, 1.0, (4.0, 2.0, 1.0, 3.0), fixed=True),  # n
     ),
-    values=PositionDependentFriction,
     location="ring-gear bearing",
     source="out-of-round raceway; higher orders by its bolts",
     depends_on=("theta_L",),

@@ -11,22 +11,11 @@ damping of the bristles, σ1/σ0 of that law: at small motion the body swings on
 damping ratio ζ. It fades as friction slides, or it would no longer be passive.
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import RUNS, Effect, Parameter
 
 LEAST = 1e-9  # of Tc: friction of no size is there at once, without a division by zero
-
-
-class Presliding(NamedTuple):
-    """Parameters."""
-
-    reducer_distance: float  # rad, x0 of both reducers
-    ring_distance: float  # rad, x0 of the ring gear
-    viscous_at_once: float  # v, 0 or 1
-    damping: float  # ratio ζ, 1 is critical
 
 
 @njit
@@ -61,12 +50,11 @@ PRESLIDING = Effect(
     site="presliding",
     kernel=relaxation,
     parameters=(
-        Parameter("reducer_distance", "rad", 0.0, 0.02, 5e-4),
-        Parameter("ring_distance", "rad", 0.0, 0.005, 1e-4),
-        Parameter("viscous_at_once", "", 0.0, 1.0, 0.5, (0.0, 1.0), fixed=True),
-        Parameter("damping", "", 0.0, 2.0, 0.1),
+        Parameter("reducer_distance", "rad", 0.0, 0.02, 5e-4),  # x0 of both reducers
+        Parameter("ring_distance", "rad", 0.0, 0.005, 1e-4),  # x0 of the ring gear
+        Parameter("viscous_at_once", "", 0.0, 1.0, 0.5, (0.0, 1.0), fixed=True),  # v
+        Parameter("damping", "", 0.0, 2.0, 0.1),  # ratio ζ, 1 is critical
     ),
-    values=Presliding,
     location="bearings and reducers",
     source="Dahl 1968; Canudas de Wit et al., IEEE TAC 40 (1995) 419; fading: Olsson 1996",
     depends_on=("time_at_rest", "u"),

@@ -3,17 +3,9 @@
 torque = −c ω |ω|
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class QuadraticDrag(NamedTuple):
-    """Parameters."""
-
-    coefficient: float  # N·m·s²/rad², c
 
 
 @njit
@@ -26,8 +18,7 @@ QUADRATIC_DRAG = Effect(
     name="quadratic_drag",
     site="load",
     kernel=drag_torque,
-    parameters=(Parameter("coefficient", "N·m·s²/rad²", 0.0, 400.0, 5.0),),
-    values=QuadraticDrag,
+    parameters=(Parameter("coefficient", "N·m·s²/rad²", 0.0, 400.0, 5.0),),  # c
     location="ring gear",
     source="turbulent drag",
     depends_on=("omega_L",),

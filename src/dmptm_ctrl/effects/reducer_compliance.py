@@ -6,7 +6,6 @@ C is the compliance at the pinion; D gives the damping ratio ζ in the reducer's
 """
 
 from math import sqrt
-from typing import NamedTuple
 
 from numba import njit
 
@@ -14,13 +13,6 @@ from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, Parameter
 
 # Damping ratio of steel gearing: lower end of Eq. 24's range, a third of it and three times it.
 ZETA = (0.01, 0.03, 0.1)
-
-
-class ReducerCompliance(NamedTuple):
-    """Parameters."""
-
-    compliance: float  # rad/(N·m), C
-    damping: float  # ratio ζ, 1 is critical
 
 
 @njit
@@ -36,10 +28,9 @@ REDUCER_COMPLIANCE = Effect(
     site="shaft",
     kernel=shaft_compliance,
     parameters=(
-        Parameter("compliance", "rad/(N·m)", 0.0, 2e-3, 2e-5),
-        Parameter("damping", "", 0.0, 0.3, 0.01, ZETA),
+        Parameter("compliance", "rad/(N·m)", 0.0, 2e-3, 2e-5),  # C
+        Parameter("damping", "", 0.0, 0.3, 0.01, ZETA),  # ratio ζ, 1 is critical
     ),
-    values=ReducerCompliance,
     location="reducers",
     source="torsional stiffness of planetary reducers, manufacturers' data",
     depends_on=("mesh_torque",),

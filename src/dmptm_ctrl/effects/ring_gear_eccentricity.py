@@ -6,20 +6,12 @@ The pinions sit 120° apart.
 """
 
 from math import cos, pi, sin
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, Parameter
 
 PINION_ANGLE = 2.0 * pi / 3.0  # rad between the pinions on the ring gear
-
-
-class RingGearEccentricity(NamedTuple):
-    """Parameters."""
-
-    cosine: float  # rad at the pinion
-    sine: float  # rad at the pinion
 
 
 @njit
@@ -38,7 +30,6 @@ RING_GEAR_ECCENTRICITY = Effect(
         Parameter("cosine", "rad", -3e-2, 3e-2, 1e-4),
         Parameter("sine", "rad", -3e-2, 3e-2, 1e-4),
     ),
-    values=RingGearEccentricity,
     location="ring gear",
     source="kinematic error of an eccentric ring gear",
     depends_on=("theta_L",),

@@ -3,17 +3,9 @@
 reading(t) = ω(t − T_d)
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import SENSORS, Effect, Parameter
-
-
-class SensorDelay(NamedTuple):
-    """Parameters."""
-
-    delay: float  # s, T_d
 
 
 @njit
@@ -26,8 +18,7 @@ SENSOR_DELAY = Effect(
     name="sensor_delay",
     site="sensor_delay",
     kernel=reading_delay,
-    parameters=(Parameter("delay", "s", 0.0, 0.03, 0.002),),
-    values=SensorDelay,
+    parameters=(Parameter("delay", "s", 0.0, 0.03, 0.002),),  # T_d
     location="speed sensor",
     source="digital filter and bus of a gyro",
     depends_on=("omega_L",),

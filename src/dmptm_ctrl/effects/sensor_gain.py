@@ -3,17 +3,9 @@
 reading = (1 + s) ω
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import SENSORS, Effect, Parameter
-
-
-class SensorGain(NamedTuple):
-    """Parameters."""
-
-    error: float  # relative, s
 
 
 @njit
@@ -26,8 +18,7 @@ SENSOR_GAIN = Effect(
     name="sensor_gain",
     site="sensor",
     kernel=gained_reading,
-    parameters=(Parameter("error", "", -0.3, 0.3, 0.01),),
-    values=SensorGain,
+    parameters=(Parameter("error", "", -0.3, 0.3, 0.01),),  # relative, s
     location="speed sensor",
     source="scale factor of a gyro",
     depends_on=("omega_L",),

@@ -6,19 +6,10 @@ Source: paper Eq. 23 with the mesh angle as phase.
 """
 
 from math import cos, sin
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class StiffnessVariation(NamedTuple):
-    """Parameters."""
-
-    cosine: float  # N·m/rad
-    sine: float  # N·m/rad
-    order: float  # per turn of the pinion, n
 
 
 @njit
@@ -35,9 +26,8 @@ STIFFNESS_VARIATION = Effect(
     parameters=(
         Parameter("cosine", "N·m/rad", -1e4, 1e4, 100.0),
         Parameter("sine", "N·m/rad", -1e4, 1e4, 100.0),
-        Parameter("order", "1/turn", 1.0, 400.0, 1.0, (18.0, 20.0, 25.0), fixed=True),
+        Parameter("order", "1/turn", 1.0, 400.0, 1.0, (18.0, 20.0, 25.0), fixed=True),  # n
     ),
-    values=StiffnessVariation,
     location="mesh",
     source="paper Eq. 23",
     depends_on=("theta_m",),

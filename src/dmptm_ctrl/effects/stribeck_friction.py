@@ -7,18 +7,10 @@ Source: paper Eq. 25 with exponent 1; Armstrong-Hélouvry et al., Automatica 30 
 """
 
 from math import exp
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class StribeckFriction(NamedTuple):
-    """Parameters."""
-
-    excess: float  # N·m, A = Ts − Tc
-    speed: float  # rad/s, Ω
 
 
 @njit
@@ -32,12 +24,11 @@ STRIBECK_FRICTION = Effect(
     site="friction",
     kernel=stribeck_excess,
     parameters=(
-        Parameter("excess", "N·m", 0.0, float("inf"), 1.0),
+        Parameter("excess", "N·m", 0.0, float("inf"), 1.0),  # A = Ts − Tc
         Parameter(
             "speed", "rad/s", 1e-3, 0.5, 0.01, (0.003, 0.01, 0.03, 0.06, 0.12, 0.25)
         ),  # shares of the highest speed in the logs
     ),
-    values=StribeckFriction,
     location="bearings and guides",
     source="Armstrong-Hélouvry et al., Automatica 30 (1994) 1083",
     depends_on=("omega_L",),

@@ -8,21 +8,10 @@ ring gear, changes by over a log of length T, about its mean. t is the time sinc
 """
 
 from math import exp
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class ThermalDrift(NamedTuple):
-    """Parameters."""
-
-    rise: float  # relative, α
-    ring_extra: float  # relative, β: lubricants differ
-    viscous_change: float  # N·m·s/rad, b
-    time_constant: float  # s, τ
-    log_length: float  # s, T
 
 
 @njit
@@ -38,13 +27,12 @@ THERMAL_DRIFT = Effect(
     site="friction",
     kernel=thermal_factor,
     parameters=(
-        Parameter("rise", "", -0.5, 1.5, 0.05),
-        Parameter("ring_extra", "", -1.5, 1.5, 0.05),
-        Parameter("viscous_change", "N·m·s/rad", -50.0, 50.0, 1.0),
+        Parameter("rise", "", -0.5, 1.5, 0.05),  # relative, α
+        Parameter("ring_extra", "", -1.5, 1.5, 0.05),  # relative, β: lubricants differ
+        Parameter("viscous_change", "N·m·s/rad", -50.0, 50.0, 1.0),  # b
         Parameter("time_constant", "s", 0.5, 60.0, 1.0, (0.7, 1.5, 3.0, 6.0, 12.0, 25.0, 50.0)),
-        Parameter("log_length", "s", 0.1, 1e5, 10.0, (10.0,), fixed=True),
+        Parameter("log_length", "s", 0.1, 1e5, 10.0, (10.0,), fixed=True),  # T
     ),
-    values=ThermalDrift,
     location="all bearings and reducers",
     source="exponential warm-up of viscosity",
     depends_on=("time",),

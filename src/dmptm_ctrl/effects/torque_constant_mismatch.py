@@ -3,20 +3,11 @@
 u × (1 + δ) on one motor; or left × (1 + δ), right × (1 − δ)
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
 
 LEFT, RIGHT, OPPOSITE = 0.0, 1.0, 2.0  # which motors are off
-
-
-class TorqueConstantMismatch(NamedTuple):
-    """Relative error of the torque constant, and whose it is."""
-
-    error: float  # relative, δ
-    pattern: float  # LEFT, RIGHT or OPPOSITE
 
 
 @njit
@@ -32,10 +23,9 @@ TORQUE_CONSTANT_MISMATCH = Effect(
     site="drive",
     kernel=mismatched_voltage,
     parameters=(
-        Parameter("error", "", -0.5, 0.5, 0.02),
+        Parameter("error", "", -0.5, 0.5, 0.02),  # relative, δ
         Parameter("pattern", "", LEFT, OPPOSITE, 1.0, (LEFT, RIGHT, OPPOSITE), fixed=True),
     ),
-    values=TorqueConstantMismatch,
     location="motors",
     source="spread of magnets and windings",
     depends_on=("u",),

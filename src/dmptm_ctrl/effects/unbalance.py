@@ -6,18 +6,10 @@ Even in direction, order 1 of the ring-gear angle.
 """
 
 from math import cos, sin
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class Unbalance(NamedTuple):
-    """Parameters."""
-
-    cosine: float  # N·m, A
-    sine: float  # N·m, B
 
 
 @njit
@@ -31,10 +23,9 @@ UNBALANCE = Effect(
     site="load",
     kernel=unbalance_torque,
     parameters=(
-        Parameter("cosine", "N·m", -60.0, 60.0, 2.0),
-        Parameter("sine", "N·m", -60.0, 60.0, 2.0),
+        Parameter("cosine", "N·m", -60.0, 60.0, 2.0),  # A
+        Parameter("sine", "N·m", -60.0, 60.0, 2.0),  # B
     ),
-    values=Unbalance,
     location="ring gear",
     source="m g r of an off-axis mass",
     depends_on=("theta_L",),

@@ -7,19 +7,10 @@ The age of the ring gear's contact is its time at rest; slip makes it new.
 """
 
 from math import log
-from typing import NamedTuple
 
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class UnknownBreakaway(NamedTuple):
-    """Parameters."""
-
-    rise: float  # N·m
-    time: float  # s
-    slip: float  # rad
 
 
 @njit
@@ -39,7 +30,6 @@ UNKNOWN_BREAKAWAY = Effect(
         Parameter("time", "s", 1e-3, 1.0, 0.01, (0.01,)),
         Parameter("slip", "rad", 1e-5, 0.01, 1e-4, (2e-4,)),
     ),
-    values=UnknownBreakaway,
     location="ring-gear bearing",
     source="Dieterich, J. Geophys. Res. 84 (1979) 2161; Ruina, ibid. 88 (1983) 10359",
     depends_on=("time_at_rest",),

@@ -13,7 +13,6 @@ from dmptm_ctrl.effects.lookup import (
     looked_up,
     motion_of_ring,
     table_parameters,
-    table_type,
 )
 
 
@@ -30,7 +29,6 @@ UNKNOWN_FRICTION = Effect(
     site="friction",
     kernel=table_friction,
     parameters=table_parameters("N·m", 60.0, 2.0, (ANGLE, SPEED, TIME), (0.0, 0.02)),
-    values=table_type("UnknownFriction"),
     location="ring-gear bearing",
     source="lookup table, fitted",
     depends_on=("theta_L", "omega_L", "time"),

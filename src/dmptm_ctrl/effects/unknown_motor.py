@@ -22,7 +22,6 @@ from dmptm_ctrl.effects.lookup import (
     looked_up,
     period_parameter,
     table_parameters,
-    table_type,
 )
 
 LEFT, BOTH, RIGHT = -1.0, 0.0, 1.0  # values of `motors`
@@ -57,7 +56,6 @@ UNKNOWN_MOTOR = Effect(
         Parameter("apart", "SI", -2.0 * pi, 2.0 * pi, 0.1, (0.0,)),
         period_parameter(),
     ),
-    values=table_type("UnknownMotor", "motors", "apart", "period"),
     location="motors",
     source="lookup table, fitted",
     depends_on=("u", "theta_m", "omega_m", "time", "theta_L"),

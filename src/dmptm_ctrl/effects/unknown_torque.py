@@ -24,7 +24,6 @@ from dmptm_ctrl.effects.lookup import (
     motion_of_ring,
     period_parameter,
     table_parameters,
-    table_type,
 )
 
 
@@ -59,7 +58,6 @@ UNKNOWN_TORQUE = Effect(
         *table_parameters("N·m", 100.0, 2.0, (ANGLE, SPEED, WAVE, CLOCK, TIME, DRAG), (0.0, 0.02)),
         period_parameter(),
     ),
-    values=table_type("UnknownTorque", "period"),
     location="ring gear",
     source="lookup table, fitted",
     depends_on=("theta_L", "omega_L", "time"),

@@ -6,7 +6,7 @@ u → u + T(x),  x one of u, t
 from numba import njit
 
 from dmptm_ctrl.contract import Effect
-from dmptm_ctrl.effects.lookup import TIME, VOLTAGE, looked_up, table_parameters, table_type
+from dmptm_ctrl.effects.lookup import TIME, VOLTAGE, looked_up, table_parameters
 
 
 @njit
@@ -20,7 +20,6 @@ UNKNOWN_VOLTAGE = Effect(
     site="drive",
     kernel=table_voltage,
     parameters=table_parameters("V", 2.0, 0.05, (VOLTAGE, TIME), (0.0, 0.1)),
-    values=table_type("UnknownVoltage"),
     location="both drives",
     source="lookup table, fitted",
     depends_on=("u", "time"),

@@ -3,17 +3,9 @@
 friction = B |ω|
 """
 
-from typing import NamedTuple
-
 from numba import njit
 
 from dmptm_ctrl.contract import Effect, Parameter
-
-
-class ViscousFriction(NamedTuple):
-    """Parameters."""
-
-    coefficient: float  # N·m·s/rad, B
 
 
 @njit
@@ -26,8 +18,7 @@ VISCOUS_FRICTION = Effect(
     name="viscous_friction",
     site="friction",
     kernel=viscous_level,
-    parameters=(Parameter("coefficient", "N·m·s/rad", 0.0, float("inf"), 1.0),),
-    values=ViscousFriction,
+    parameters=(Parameter("coefficient", "N·m·s/rad", 0.0, float("inf"), 1.0),),  # B
     location="bearings and guides; of a voltage-driven motor its back-EMF too",
     source="Newton's fluid",
     depends_on=("omega_L",),

@@ -1,8 +1,9 @@
 """Units of logged columns: a column is called NAME_UNIT, everything inside is SI and radians."""
 
 import re
+from functools import cache
 from math import pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from dmptm_ctrl.signals.errors import LogError
 
@@ -143,9 +144,7 @@ def _is_known(unit: str) -> bool:
 
 # What pint may see: products and quotients of names with exponents of one digit. Its parser
 # would compute 9**9**9 to the end.
-_EXPRESSION = re.compile(
-    r"(1\s*/\s*)?[^\W\d_]+((\*\*|\^)-?\d)?([\s*/]+[^\W\d_]+((\*\*|\^)-?\d)?){0,5}"
-)
+_EXPRESSION = re.compile(r"(1\s*/\s*)?[^\W\d_]+(\*\*-?\d)?([\s*/]+[^\W\d_]+(\*\*-?\d)?){0,6}")
 
 
 _RUN_TOGETHER = (  # written without a space, pint reads them as something else
@@ -180,30 +179,38 @@ def plain(unit: str) -> str:
     return re.sub(r"\s*\*\s*", "*", text)
 
 
-def _parse_with_pint(text: str) -> Unit:
+@cache
+def _registry() -> Any:
     import pint
 
-    spelled = plain(text)
+    return pint.UnitRegistry()
+
+
+def one_of(unit: str) -> Any:
+    """Return one of a unit as pint's quantity; ValueError where pint knows none such."""
+    text = plain(unit)
     try:
-        if len(text) > 40 or not _EXPRESSION.fullmatch(spelled):
-            raise ValueError(text)
-        quantity = pint.Quantity(1.0, spelled)
+        if len(text) > 40 or not _EXPRESSION.fullmatch(text):
+            raise ValueError(unit)
+        return _registry().Quantity(1.0, text)
+    except Exception as error:  # pint raises its own, tokenizer's and arithmetic errors
+        raise ValueError(unit) from error
+
+
+def _parse_with_pint(text: str) -> Unit:
+    try:
+        quantity = one_of(text)
         for unit in SUFFIXES.values():
-            base = _pint_text(unit.symbol)
-            root = quantity.to_root_units()
-            if root.units == pint.Quantity(1.0, base).to_root_units().units:
-                if pint.Quantity(0.0, spelled).to(base).magnitude != 0:
+            base = plain(unit.symbol)
+            if quantity.to_root_units().units == one_of(base).to_root_units().units:
+                if type(quantity)(0.0, quantity.units).to(base).magnitude != 0:
                     break  # °C and the like have another zero
                 return Unit(unit.symbol, float(quantity.to(base).magnitude))
-    except Exception as error:  # pint raises its own, tokenizer's and arithmetic errors
+    except Exception as error:
         raise LogError(
             f"unknown unit {text[:40]!r}; known are {', '.join(SUFFIXES)}, counts, PWM"
         ) from error
     raise LogError(f"unit {text!r} is no quantity of a drive; known are {', '.join(SUFFIXES)}")
-
-
-def _pint_text(symbol: str) -> str:
-    return symbol.replace("·", "*").replace("²", "**2")
 
 
 # SI symbol -> (suffix, factor) for people: angles in degrees.

@@ -40,7 +40,6 @@ class SimplificationCost(NamedTuple):
     full: ct.StateSpace
     three_dof: ct.StateSpace
     balanced: ct.StateSpace
-    hankel: NDArray[np.float64]  # Hankel singular values of the full model
     h_inf: dict[str, float]  # (rad/s)/V, "full", "three_dof", "balanced": of the error
     h_2: dict[str, float]
 
@@ -84,19 +83,9 @@ def simplification_cost(drive: Drive | None = None, **overrides: float) -> Simpl
         full,
         three,
         balanced,
-        hankel_values(full),
         {name: float(ct.norm(e, "inf")) for name, e in errors.items()},
         {name: float(ct.norm(e, 2)) for name, e in errors.items()},
     )
-
-
-def hankel_values(system: ct.StateSpace) -> NDArray[np.float64]:
-    """Hankel singular values of a stable system, from Cholesky factors of its Gramians.
-
-    The small ones keep their digits, unlike those of the Gramians' product.
-    """
-    upper, lower = ct.gram(system, "cf"), ct.gram(system, "of")
-    return np.linalg.svd(lower @ upper.T, compute_uv=False)
 
 
 def _balanced_units(train: GearTrain, scale: NDArray[np.float64]) -> ct.StateSpace:

@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from dmptm_ctrl.export.program import ascii_text
 from dmptm_ctrl.export.stepping import origin
+from dmptm_ctrl.simulate.dual import MOTORS, RING
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
 
@@ -31,74 +32,41 @@ class Joint:
 
 def mujoco_joint(model: Model | RigModel) -> Joint:
     """Return a drive as one joint: of the ring gear, or of the last body of a rig file."""
-    return _of_rig(model) if isinstance(model, RigModel) else _of_dual(model)
-
-
-def _of_dual(model: Model) -> Joint:
-    d, effects = model.drive, model.effects
-    n1, n2 = d["N_1"], d["N_2"]
-
-    def mean(name: str) -> float:
-        return 0.5 * (d[f"{name}_plus"] + d[f"{name}_minus"])
-
-    emf = effects.get("back_emf", {}).get("damping", 0.0)
-    delay = effects.get("drive_delay", {}).get("delay", 0.0)
-    lag = effects.get("current_lag", {}).get("time_constant", 0.0)
-    gear = n1 * n2 * d["K_d"] * d["K_M"]
-    lost = [
-        f"backlash: half-gaps {d['gap_l']:.4g} and {d['gap_r']:.4g} rad at the pinions",
-        f"compliance of the meshes: {d['k_m']:.4g} N m/rad at each pinion",
-        "static friction above Coulomb's, and friction that differs by direction",
-        *_lost(effects),
-    ]
+    plant = model.plant()
+    if isinstance(model, RigModel):
+        bodies, names = list(model.layout.bodies), list(model.layout.inputs)
+        last = model.rig.bodies[-1]
+        name, kind, load = last.name, "slide" if last.linear else "hinge", bodies.index(last.name)
+        inertia = model.value(f"body.{name}.inertia")
+        placed = [(e.name, bodies.index(e.on), e.values) for e in model.effects if e.on in bodies]
+        gaps = zip(model.layout.links, plant.link_gap, strict=True)
+        lost = [f"{link}: compliance{' and backlash' * bool(gap)}" for link, gap in gaps]
+        others = [e.name for e in model.effects]
+    else:
+        d, names = model.drive, ["left", "right"]
+        name, kind, load, inertia = "ring_gear", "hinge", RING, d["J_L"]
+        placed = [(e, m, values) for e, values in model.effects.items() for m in MOTORS]
+        lost = [
+            f"backlash: half-gaps {d['gap_l']:.4g} and {d['gap_r']:.4g} rad at the pinions",
+            f"compliance of the meshes: {d['k_m']:.4g} N m/rad at each pinion",
+        ]
+        others = [*model.effects]
+    reach = untwisted(plant, int(plant.body_coordinate[load])) / plant.body_ratio[load]
+    turns = plant.body_ratio * reach[plant.body_coordinate]  # of each body per turn of the load
+    coulomb, viscous = (0.5 * (plant.law[:, k] + plant.law[:, k + 4]) for k in (1, 3))
+    for effect, body, values in placed:
+        coulomb[body] += values.get("level", 0.0) * (effect == "coulomb_friction")
+        viscous[body] += values.get("coefficient", 0.0) * (effect == "viscous_friction")
+        viscous[body] += values.get("damping", 0.0) * (effect == "back_emf")
+    gears = turns[plant.input_body] * plant.input_values[:, 0]
+    lags = [Parts(plant).lag(j, 0.0)[1] for j in range(len(names))]
+    rows = zip(names, gears.tolist(), plant.input_values[:, 1].tolist(), lags, strict=True)
     return Joint(
-        "ring_gear", "hinge", 2.0 * n2**2 * (n1**2 * d["J_m"] + d["J_2"]),
-        mean("TLc") + 2.0 * n2 * mean("T3c"),
-        mean("BL") + 2.0 * n2**2 * (mean("B3") + n1**2 * emf),
-        d["J_L"], (("left", gear, delay, lag), ("right", gear, delay, lag)), tuple(lost),
-    )  # fmt: skip
-
-
-def _of_rig(model: RigModel) -> Joint:
-    plant, layout = model.plant(), model.layout
-    reach = untwisted(plant)
-    last = model.rig.bodies[-1]
-    own = layout.ratio[last.name] * reach[layout.coordinate[last.name]]  # per first coordinate
-    inertia = model.value(f"body.{last.name}.inertia")
-    total = friction = damping = 0.0
-    for group, r in enumerate(reach.tolist()):
-        total += (r / own) ** 2 * float(plant.inertia[group])
-    for k, body in enumerate(layout.bodies):
-        lever = abs(layout.ratio[body] * reach[layout.coordinate[body]] / own)
-        law = plant.law[k]
-        coulomb = 0.5 * float(law[1] + law[5])
-        viscous = 0.5 * float(law[3] + law[7])
-        for effect in model.effects:
-            if effect.on == body and effect.name == "coulomb_friction":
-                coulomb += effect.values.get("level", 0.0)
-            if effect.on == body and effect.name == "viscous_friction":
-                viscous += effect.values.get("coefficient", 0.0)
-        friction += lever * coulomb
-        damping += lever**2 * viscous
-    actuators = []
-    for j, name in enumerate(layout.inputs):
-        body = layout.input_body[name]
-        lever = layout.ratio[body] * reach[layout.coordinate[body]] / own
-        gain, delay, lag = (float(x) for x in plant.input_values[j, :3])
-        actuators.append((name, lever * gain, delay, lag))
-    names = {e.name: e for e in model.effects}
-    lost = [f"{link}: compliance{' and backlash' * bool(gap)}" for link, gap in
-            zip(layout.links, plant.link_gap, strict=True)]  # fmt: skip
-    return Joint(
-        last.name, "slide" if last.linear else "hinge", total - inertia, friction, damping,
-        inertia, tuple(actuators),
+        name, kind, float(reach**2 @ plant.inertia) - inertia, float(abs(turns) @ coulomb),
+        float(turns**2 @ viscous), inertia, tuple(rows),
         (*lost, "static friction above Coulomb's, and friction that differs by direction",
-         *_lost(names)),
+         *(f"effect {e}" for e in dict.fromkeys(others) if e not in _KEPT)),
     )  # fmt: skip
-
-
-def _lost(effects: Any) -> list[str]:
-    return [f"effect {name}" for name in effects if name not in _KEPT]
 
 
 def mujoco_text(joint: Joint, source: Path) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike, NDArray
 
@@ -148,16 +149,10 @@ def sensitivity_plot(
 ) -> Axes:
     """Draw relative sensitivities of the titled frequencies as bars, one group per parameter."""
     panel = axes(ax, 1, figsize=(6.5, 3.4))[0, 0]
-    names = list(values)
-    table = np.array([values[n] for n in names], float)
-    x = np.arange(len(names))
-    width = 0.8 / table.shape[1]
-    tones = ("#0b3c6f", "#d9a0a8", "#3a8f5c", "0.75")
-    for j, title in enumerate(titles):
-        shift = (j - 0.5 * (table.shape[1] - 1)) * width
-        panel.bar(x + shift, table[:, j], width, label=title, color=tones[j % 4], edgecolor="0.2")
+    tones = ["#0b3c6f", "#d9a0a8", "#3a8f5c", "0.75"]
+    table = pd.DataFrame.from_dict(values, "index", columns=list(titles), dtype=float)
+    table.plot.bar(ax=panel, width=0.8, rot=0, color=tones, edgecolor="0.2")
     panel.axhline(0.0, color="0.3", linewidth=0.8)
-    panel.set_xticks(x, names)
     panel.set(ylabel="relative change of the frequency\nper relative change", xlabel="parameter")
     panel.grid(alpha=0.3, axis="y")
     panel.legend(fontsize=8)

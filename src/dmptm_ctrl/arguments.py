@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
-from inspect import BoundArguments, Parameter, Signature, signature
+from inspect import Parameter, Signature, signature
 from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
@@ -42,39 +42,29 @@ def refusing(cls: _Class) -> _Class:
 def refuse_wrong_call(
     name: str, wanted: Signature, args: Sequence[Any], options: Mapping[str, Any]
 ) -> None:
-    """Refuse arguments that a signature does not take, or of another type, as a TypeError."""
+    """Compare a call's arguments with what a function's signature and annotations name.
+
+    Raises
+    ------
+    TypeError
+        Arguments that the signature does not take; or one of another kind: which, what it must be,
+        what it is.
+    ValueError
+        A number that is none.
+    """
     try:
         wanted.bind_partial(*args, **options)  # an unknown name before one that is missing
         given = wanted.bind(*args, **options)
     except TypeError as error:
         raise TypeError(f"{name}: {error}; it takes {', '.join(wanted.parameters)}") from None
-    refuse_wrong_types(name, given)
-
-
-def refuse_wrong_types(name: str, given: BoundArguments) -> None:
-    """Compare arguments with what the function's annotations name.
-
-    Parameters
-    ----------
-    name : str
-        Of the function, for the sentence.
-    given : inspect.BoundArguments
-
-    Raises
-    ------
-    TypeError
-        An argument of another kind: which, what it must be, what it is.
-    ValueError
-        A number that is none.
-    """
     for key, value in given.arguments.items():
         parameter = given.signature.parameters[key]
         if parameter.kind is Parameter.VAR_KEYWORD or value is parameter.default:
             continue
         kinds = _kinds(parameter.annotation)
         if not any(_fits(value, kind) for kind in kinds):
-            wanted = " or ".join(dict.fromkeys(_said(k) for k in kinds if k is not NoneType))
-            raise TypeError(f"{name}: {key} must be {wanted}, not {_a(type(value).__name__)}")
+            right = " or ".join(dict.fromkeys(_said(k) for k in kinds if k is not NoneType))
+            raise TypeError(f"{name}: {key} must be {right}, not {_a(type(value).__name__)}")
         if isinstance(value, Real) and value != value:
             raise ValueError(f"{name}: {key} is NaN; it must be a number")
 
@@ -94,7 +84,9 @@ def _fits(value: Any, kind: Any) -> bool:
     if origin is Literal:
         return value in get_args(kind)
     if origin in _NUMBERS:
-        return isinstance(value, _NUMBERS[origin]) or (np.ndim(value) == 0 and _is_array(value))
+        return isinstance(value, _NUMBERS[origin]) or (
+            isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "iuf"
+        )
     if origin in _LISTS:
         listed = value if isinstance(value, list | tuple) else ()
         each = _kinds(get_args(kind)[0])
@@ -108,10 +100,6 @@ def _fits(value: Any, kind: Any) -> bool:
     if origin in (bool, Any) or not isinstance(origin, type):
         return True  # a flag, or what a name in quotes and `Any` leave open
     return isinstance(value, origin)
-
-
-def _is_array(value: Any) -> bool:
-    return isinstance(value, np.ndarray) and value.dtype.kind in "iuf"
 
 
 def _said(kind: Any) -> str:

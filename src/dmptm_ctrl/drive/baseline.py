@@ -14,8 +14,7 @@ from dmptm_ctrl.drive.parameters import DEG, Drive, Quantity, paper_drive, physi
 # 28 N·m over 1 deg/s at the ring gear, 2.8 N·m over 2 deg/s at a pinion, rounded up.
 _VISCOUS_HIGH = {"3": 100.0, "L": 2000.0}  # N·m·s/rad
 USUAL = 10.0 * DEG  # rad/s, a speed of the paper's experiments
-_DRY = ("T3s_plus", "T3c_plus", "T3s_minus", "T3c_minus")
-_DRY_RING = ("TLs_plus", "TLc_plus", "TLs_minus", "TLc_minus")
+_DRY = [f"T{body}{kind}_{sign}" for body in "3L" for sign in ("plus", "minus") for kind in "sc"]
 
 
 def baseline_drive(drive: Drive | None = None, *, speed: float = USUAL) -> Drive:
@@ -52,7 +51,7 @@ def baseline_drive(drive: Drive | None = None, *, speed: float = USUAL) -> Drive
     physical("speed of the baseline's sine", speed, "rad/s")
     turns = {"3": drive["N_2"] * speed, "L": speed}
     q = dict(drive.quantities)
-    for name in (*_DRY, *_DRY_RING, "c_f", "k_a"):
+    for name in (*_DRY, "c_f", "k_a"):
         q[name] = Quantity(0.0, q[name].unit, 0.0, "absent from the three-inertia model")
     for body, high in _VISCOUS_HIGH.items():
         dry = 0.5 * (drive[f"T{body}c_plus"] + drive[f"T{body}c_minus"])

@@ -7,7 +7,7 @@ Source: Zheng et al. 2022, doi:10.21203/rs.3.rs-1546754/v1 ("the paper").
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isfinite, pi
 from types import MappingProxyType
 from typing import SupportsFloat
@@ -64,10 +64,6 @@ class Quantity:
         if self.low is not None and self.high is not None:
             return f"{text} ({self.low:.4g} to {self.high:.4g})"
         return f"{text} ± {100 * self.tolerance:.3g} %" if self.tolerance else text
-
-    def at(self, value: float) -> "Quantity":
-        """Return the same declaration with another value."""
-        return Quantity(value, self.unit, self.tolerance, self.source, self.low, self.high)
 
     @property
     def range(self) -> tuple[float, float]:
@@ -156,7 +152,7 @@ class Drive(Mapping[str, float]):
             self[key]
             if not isinstance(value, SupportsFloat):
                 raise TypeError(f"{key} is {value!r}; it must be a number")
-            new[key] = new[key].at(float(value))
+            new[key] = replace(new[key], value=float(value))
         return Drive(new, self.name)
 
     @property

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.drive.rig_units import UnitError, factor, quantity
 from dmptm_ctrl.signals import LogError
-from dmptm_ctrl.signals.units import split_column
+from dmptm_ctrl.signals.units import parse_unit, split_column
 
 
 class RigError(LogError):
@@ -126,8 +126,6 @@ def suffix_unit(column: str) -> str:
 
 def si_symbol(unit: str) -> str:
     """SI symbol of a unit."""
-    from dmptm_ctrl.signals.units import parse_unit
-
     return parse_unit(unit).symbol
 
 

@@ -93,14 +93,12 @@ def cantilever_stiffness(
     return 1.0 / quad(printed if as_printed else corrected, 0.0, length, epsrel=1e-10)[0]
 
 
-def tooth_stiffness(tooth: Tooth, *, as_printed: bool = False) -> float:
+def tooth_stiffness(tooth: Tooth) -> float:
     """Return the stiffness of one tooth by Eq. 22 [N/m], force and deflection circumferential.
 
     Parameters
     ----------
     tooth : Tooth
-    as_printed : bool
-        See :func:`cantilever_stiffness`.
     """
     tooth.check()
     top = tooth.section(tooth.pitch_radius)[0]
@@ -109,9 +107,7 @@ def tooth_stiffness(tooth: Tooth, *, as_printed: bool = False) -> float:
     def thickness(x: float) -> float:
         return tooth.section(_radius_at(tooth, top - x))[1]
 
-    return cantilever_stiffness(
-        thickness, top - root, tooth.face_width, tooth.young, as_printed=as_printed
-    )
+    return cantilever_stiffness(thickness, top - root, tooth.face_width, tooth.young)
 
 
 def _radius_at(tooth: Tooth, height: float) -> float:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from dmptm_ctrl import __version__
-from dmptm_ctrl.progress import Progress, show_info
+from dmptm_ctrl.progress import Progress, printable, show_info
 
 BAD_INPUT = 2
 OUR_FAULT = 70  # EX_SOFTWARE of sysexits.h
@@ -94,7 +94,7 @@ def diagnose(
         progress.stage("writing the report")
         result.save(out)
         for warning in result.warnings:
-            progress.warn(_printable(warning))
+            progress.warn(printable(warning))
         progress.done(verdict=result.verdict, effects=[effect.name for effect in result.effects])
     if not quiet:
         lines = result.summary().splitlines()
@@ -175,7 +175,7 @@ def check(
 
     found = check_files(logs, model, out, tolerance=tolerance, jobs=jobs)
     if not quiet:
-        print(_printable(found.summary()))
+        print(printable(found.summary()))
     return 0 if found.same else 1
 
 
@@ -300,12 +300,11 @@ def _compare(
         warnings.simplefilter("always", UserWarning)
         models = compare.linear_models(file, input=input, output=output)
     for warning in said:
-        print(f"warning: {_printable(str(warning.message))}", file=sys.stderr)
+        print(f"warning: {printable(str(warning.message))}", file=sys.stderr)
     draw: Any = getattr(compare, kind)
-    header = getattr(compare, f"{kind.upper()}_HEADER")
     figure, rows = draw(models, *limits)
     _save_picture(figure, out)
-    print(f"{_printable(compare.table(header, rows))}\n\nwritten: {out}")
+    print(f"{printable(compare.table(rows))}\n\nwritten: {out}")
 
 
 def _assignment(text: str) -> tuple[str, float]:
@@ -352,7 +351,7 @@ def rig_check(
     from dmptm_ctrl.simulate.linear import modes_text
 
     rig = load_rig(file)
-    print(_printable(str(rig)))
+    print(printable(str(rig)))
     print(modes_text(rig))
     if figure is not None:
         _save_picture(plot_rig(rig).get_figure(root=True), figure)
@@ -389,11 +388,6 @@ def rig_init(
     template = PAPER_RIG if dual else RIG_TEMPLATE
     write_atomic(file, template.read_text(encoding="utf-8"))
     print(f"written to {file}; edit it, then: dmptm rig check {file}")
-
-
-def _printable(text: str) -> str:
-    """Text of a file without control characters."""
-    return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -449,7 +443,7 @@ def _fail(message: str, code: int = BAD_INPUT) -> int:
     line = " ".join(message[: 2 * LONGEST].split())
     if len(line) > LONGEST:  # it quotes a file, which need not be shown whole
         line = line[:LONGEST] + " …"
-    print("dmptm: " + "".join(c if c.isprintable() else "?" for c in line), file=sys.stderr)
+    print(f"dmptm: {printable(line)}", file=sys.stderr)
     return code
 
 

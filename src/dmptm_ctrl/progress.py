@@ -102,8 +102,13 @@ def show_info(info: "LogInfo") -> None:
     console.print(lacking)
 
 
+def printable(text: str) -> str:
+    """Text of a file without control characters."""
+    return "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
+
+
 def _plain(text: str) -> str:
-    """Text of a file, shown as it is: no markup, no control characters."""
+    """Text of a file, shown as it is: no markup, no control characters, one line."""
     from rich.markup import escape
 
-    return escape("".join(c if c.isprintable() else "?" for c in text))
+    return escape(printable(text).replace("\n", "?"))

@@ -1,12 +1,13 @@
 """Linear models in one picture: ``dmptm bode`` and ``dmptm step``."""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import control as ct
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 from dmptm_ctrl.control import common_mode
@@ -23,18 +24,15 @@ from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model
 from dmptm_ctrl.simulate.rig_model import RigModel
 
-Row = tuple[str, ...]
-BODE_HEADER = (
-    "model",
-    "states",
-    "gain at rest",
-    "-3 dB [Hz]",
-    "gain margin [dB]",
-    "phase margin [deg]",
-)
 OVER = " over "  # between output and input of another rig
 MOTORS = "one voltage on both motors"
-STEP_HEADER = ("model", "steady", "rise [s]", "settling [s]", "overshoot [%]")
+# column -> what python-control calls it
+STEP = {
+    "steady": "SteadyStateValue",
+    "rise [s]": "RiseTime",
+    "settling [s]": "SettlingTime",
+    "overshoot [%]": "Overshoot",
+}
 
 
 def linear_models(
@@ -106,44 +104,38 @@ def _chain(
     return {f"{model.rig.name}: {seen}{OVER}{source}": plant[seen, source]}
 
 
-def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Figure, list[Row]]:
+def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Figure, pd.DataFrame]:
     """Return a Bode plot over a band [Hz], and python-control's numbers of each model."""
     title = (
         "Linear models [SI]" if _mixed(models) else f"{MOTORS}, speed of the ring gear [(rad/s)/V]"
     )
     plot = bode_compare(models, omega_limits=(low, high), title=title)
-    rows: list[Row] = []
+    rows = {}
     for label, system in models.items():
         gain, phase, _, _ = ct.margin(system)
-        rows.append(
-            (
-                label,
-                str(system.nstates),
-                _said(ct.dcgain(system)),
-                _said(ct.bandwidth(system) / (2.0 * np.pi)),
-                f"{20.0 * np.log10(gain):.1f}",
-                f"{phase:.1f}",
-            )
-        )
-    return figure_of(plot.axes[0, 0]), rows
+        rows[label] = {
+            "states": str(system.nstates),
+            "gain at rest": _said(ct.dcgain(system)),
+            "-3 dB [Hz]": _said(ct.bandwidth(system) / (2.0 * np.pi)),
+            "gain margin [dB]": f"{20.0 * np.log10(gain):.1f}",
+            "phase margin [deg]": f"{phase:.1f}",
+        }
+    return figure_of(plot.axes[0, 0]), pd.DataFrame.from_dict(rows, "index")
 
 
-def step(models: dict[str, ct.StateSpace], seconds: float) -> tuple[Figure, list[Row]]:
+def step(models: dict[str, ct.StateSpace], seconds: float) -> tuple[Figure, pd.DataFrame]:
     """Return steps of height 1, and python-control's numbers of each model."""
     if _mixed(models):
         unit, title = "output [SI]", "Step of 1 in the input's SI unit"
     else:
         unit, title = "speed of the ring gear [rad/s]", f"Step of 1 V: {MOTORS}"
     plot = step_compare(models, seconds, unit=unit, title=title)
-    rows: list[Row] = []
+    rows = {}
     for label, system in models.items():
-        if np.isfinite(ct.dcgain(system)) and system.poles().real.max() < 0.0:
-            info = ct.step_info(system)
-            keys = ("SteadyStateValue", "RiseTime", "SettlingTime", "Overshoot")
-            rows.append((label, *(_said(info[k]) for k in keys)))
-        else:
-            rows.append((label, *["–"] * 4))
-    return figure_of(plot.axes[0, 0]), rows
+        settles = np.isfinite(ct.dcgain(system)) and system.poles().real.max() < 0.0
+        info = ct.step_info(system) if settles else {}
+        rows[label] = {column: _said(info.get(key, np.nan)) for column, key in STEP.items()}
+    return figure_of(plot.axes[0, 0]), pd.DataFrame.from_dict(rows, "index")
 
 
 def _mixed(models: dict[str, ct.StateSpace]) -> bool:
@@ -156,11 +148,7 @@ def _said(value: Any) -> str:
     return f"{number:.4g}" if np.isfinite(number) else "–"
 
 
-def table(header: Row, rows: Sequence[Row]) -> str:
-    """Return rows of text in columns."""
-    widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
-    lines = (
-        "  ".join(cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in pairs)
-        for pairs in (enumerate(zip(row, widths, strict=True)) for row in (header, *rows))
-    )
-    return "\n".join(line.rstrip() for line in lines)
+def table(rows: pd.DataFrame) -> str:
+    """Return rows of text in columns, two blanks between them."""
+    widths = {c: 1 + max(len(c), *map(len, rows[c])) for c in rows}
+    return str(rows.rename_axis("model", axis=1).to_string(col_space=widths))

@@ -1,6 +1,6 @@
 """What cancels friction, load and motor torques, as tables over speed and angle."""
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from math import pi
 from pathlib import Path
 
@@ -26,41 +26,47 @@ def compensation_tables(model: Model | RigModel) -> dict[str, pd.DataFrame]:
     Units are in the columns' names, SI. Everything is at time 0 and without torque in the meshes.
     Of a dual-motor drive the voltages are those of each motor.
     """
-    tables = _of_rig(model) if isinstance(model, RigModel) else _of_dual(model)
-    return {name: table for name, table in tables.items() if not table.empty}
-
-
-def _of_dual(model: Model) -> dict[str, pd.DataFrame]:
-    parts, drive = Parts(model.plant()), model.drive
-    n1, n2, gain = drive["N_1"], drive["N_2"], volt_at_pinion(drive)
+    parts = Parts(model.plant())
     speed = np.linspace(-SPEED_RANGE, SPEED_RANGE, SPEEDS)
-
-    def friction(body: int, factor: float) -> Floats:
-        return _along(lambda w: _friction(parts, body, factor * w), speed)
-
-    ring, left, right = friction(RING, 1.0), friction(0, n2), friction(1, n2)
-    columns = {"speed_rad_s": speed, "ring_N_m": ring, "left_N_m": left, "right_N_m": right}
-    for side, own in (("left", left), ("right", right)):
-        columns[f"u_{side}_V"] = (ring / (2.0 * n2) + own) / gain
-    tables = {"friction": pd.DataFrame(columns), "load": pd.DataFrame(), "motor": pd.DataFrame()}
     angle = np.linspace(0.0, 2 * pi, ANGLES)
-    if "load" in model.sites:
-        torque = _along(lambda q: -parts.torque(RING, 0.0, q, 0.0, 0.0), angle)
-        tables["load"] = pd.DataFrame(
-            {"theta_L_rad": angle, "torque_N_m": torque, "u_V": torque / (2.0 * n2 * gain)}
-        )
-    if "motor" in model.sites:
-        columns = {"theta_m_rad": angle}
-        for motor, name in zip(MOTORS, ("left", "right"), strict=True):
-            torque = _along(lambda q, b=motor: -parts.torque(b, 0.0, q, 0.0, 0.0), angle)
-            columns[f"torque_{name}_N_m"] = torque
-            columns[f"u_{name}_V"] = n1 * torque / gain
-        tables["motor"] = pd.DataFrame(columns)
-    return tables
 
+    def friction(body: int, factor: float = 1.0) -> Floats:
+        return np.array([_friction(parts, body, factor * float(w)) for w in speed])
 
-def _along(function: Callable[..., float], values: Floats) -> Floats:
-    return np.array([function(float(x)) for x in values])
+    def torque(body: int) -> Floats:
+        return np.array([0.0 - parts.torque(body, 0.0, float(q), 0.0, 0.0) for q in angle])
+
+    if isinstance(model, RigModel):
+        linear = {b.name for b in model.rig.bodies if b.linear}
+        names = [f"{b}_{'N' if b in linear else 'N_m'}" for b in model.layout.bodies]
+        load = {name: torque(k) for k, name in enumerate(names)}
+        load = {name: row for name, row in load.items() if row.any()}
+        tables: dict[str, Mapping[str, Floats]] = {
+            "friction": {"speed_SI": speed, **{n: friction(k) for k, n in enumerate(names)}},
+            "load": {"position_SI": angle, **load},
+        }
+    else:
+        n1, n2, gain = model.drive["N_1"], model.drive["N_2"], volt_at_pinion(model.drive)
+        ring, *both = friction(RING), friction(0, n2), friction(1, n2)
+        volts = [(ring / (2.0 * n2) + own) / gain for own in both]
+        tables = {
+            "friction": {
+                "speed_rad_s": speed, "ring_N_m": ring, "left_N_m": both[0], "right_N_m": both[1],
+                "u_left_V": volts[0], "u_right_V": volts[1],
+            }
+        }  # fmt: skip
+        if "load" in model.sites:
+            row = torque(RING)
+            tables["load"] = {
+                "theta_L_rad": angle, "torque_N_m": row, "u_V": row / (2.0 * n2 * gain)
+            }  # fmt: skip
+        if "motor" in model.sites:
+            columns = {"theta_m_rad": angle}
+            for motor, name in zip(MOTORS, ("left", "right"), strict=True):
+                columns[f"torque_{name}_N_m"] = torque(motor)
+                columns[f"u_{name}_V"] = n1 * columns[f"torque_{name}_N_m"] / gain
+            tables["motor"] = columns
+    return {name: pd.DataFrame(table) for name, table in tables.items() if len(table) > 1}
 
 
 def _friction(parts: Parts, body: int, omega: float) -> float:
@@ -68,23 +74,6 @@ def _friction(parts: Parts, body: int, omega: float) -> float:
         return 0.0
     way = 1.0 if omega > 0.0 else -1.0
     return way * float(parts.sliding(body, way, 0.0, omega, 0.0, 0.0, 0.0)[0])
-
-
-def _of_rig(model: RigModel) -> dict[str, pd.DataFrame]:
-    parts, layout = Parts(model.plant()), model.layout
-    speed = np.linspace(-SPEED_RANGE, SPEED_RANGE, SPEEDS)
-    angle = np.linspace(0.0, 2 * pi, ANGLES)
-    friction, torques = {"speed_SI": speed}, {"position_SI": angle}
-    for k, body in enumerate(layout.bodies):
-        unit = "N" if any(b.name == body and b.linear for b in model.rig.bodies) else "N_m"
-        friction[f"{body}_{unit}"] = _along(lambda w, b=k: _friction(parts, b, w), speed)
-        torque = _along(lambda q, b=k: 0.0 - parts.torque(b, 0.0, q, 0.0, 0.0), angle)
-        if torque.any():
-            torques[f"{body}_{unit}"] = torque
-    return {
-        "friction": pd.DataFrame(friction),
-        "load": pd.DataFrame(torques if len(torques) > 1 else {}),
-    }
 
 
 def write_tables(model: Model | RigModel, source: Path, folder: Path) -> None:

@@ -1,12 +1,12 @@
 """Bode and step comparisons on python-control's own plots, and errors over frequency."""
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import control as ct
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
@@ -53,7 +53,7 @@ def bode_compare(
     per_unit = 2 * np.pi if Hz else 1.0
     omega = per_unit * np.geomspace(low, high, 4000)  # a resonance of ζ = 0.003 has ten points
     plot = None
-    for (label, system), style in zip(systems.items(), _cycle(len(systems)), strict=True):
+    for (label, system), style in zip(systems.items(), cycle(SEQUENCE), strict=False):
         sampled = isinstance(system, ct.FrequencyResponseData)
         plot = ct.bode_plot(
             system,
@@ -73,7 +73,7 @@ def bode_compare(
     for panel in panels.ravel():
         panel.grid(alpha=0.3, which="major")
         panel.minorticks_off()
-    _legend(panels[0, 0], systems)
+    panels[0, 0].legend(fontsize=8, loc="lower left")
     return plot
 
 
@@ -114,7 +114,7 @@ def step_compare(
     panel = axes(ax, 1, figsize=(6.5, 3.4))
     time = np.linspace(0.0, duration, 4000)
     plot = None
-    for (label, system), style in zip(systems.items(), _cycle(len(systems)), strict=True):
+    for (label, system), style in zip(systems.items(), cycle(SEQUENCE), strict=False):
         response = ct.step_response(system, time)
         shown = ct.TimeResponseData(
             time,
@@ -126,7 +126,7 @@ def step_compare(
         plot = shown.plot(ax=panel, label=label, title="", **style)
     panel[0, 0].set(xlabel="time [s]", ylabel=unit, title=title, xlim=(0.0, duration))
     panel[0, 0].grid(alpha=0.3)
-    _legend(panel[0, 0], systems)
+    panel[0, 0].legend(fontsize=8, loc="best")
     return plot
 
 
@@ -150,7 +150,7 @@ def response_plot(
     magnitude, phase, coherent = panels.ravel()
     lines: dict[str, Any] = {**responses, **(reference or {})}
     reach = np.concatenate([np.asarray(r[0].omega) for r in responses.values()])
-    for (label, item), style in zip(lines.items(), _cycle(len(lines)), strict=True):
+    for (label, item), style in zip(lines.items(), cycle(SEQUENCE), strict=False):
         style = {**style, **(styles or {}).get(label, {})}
         seen: Any = 1.0
         if label in responses:
@@ -218,15 +218,3 @@ def _refuse_other(systems: Mapping[str, Any]) -> None:
                 f"{label}: {system.ninputs} inputs and {system.noutputs} outputs, needs one of "
                 "each; see common_mode, or take system[output, input]"
             )
-
-
-def _cycle(count: int) -> list[dict[str, Any]]:
-    return [SEQUENCE[i % len(SEQUENCE)] for i in range(count)]
-
-
-def _legend(panel: Axes, systems: Mapping[str, Any]) -> None:
-    handles = [
-        Line2D([], [], label=label, **style)
-        for label, style in zip(systems, _cycle(len(systems)), strict=True)
-    ]
-    panel.legend(handles=handles, fontsize=8, loc="best" if panel.get_xscale() == "linear" else 3)

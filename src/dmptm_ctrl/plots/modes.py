@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -26,8 +25,8 @@ def mode_plot(modes: Modes, *, ax: Any = None, Hz: bool = True) -> np.ndarray:
     count = modes.omega.size
     rows = -(-count // COLUMNS)
     if ax is None:
-        figure = plt.figure(figsize=(3.2 * COLUMNS, 2.5 * rows), layout="constrained")
-        grid = figure.subplots(rows, COLUMNS, squeeze=False, sharex=True, sharey=True).ravel()
+        size = (3.2 * COLUMNS, 2.5 * rows)
+        grid = axes(None, rows, COLUMNS, figsize=size, sharex=True, sharey=True).ravel()
         for spare in grid[count:]:
             spare.set_visible(False)
         ax = grid[:count]

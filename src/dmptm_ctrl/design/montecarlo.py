@@ -97,13 +97,19 @@ def monte_carlo(
     aims = aims or Aims()
     models = [model, *effects]
     tasks = [range(k, min(k + CHUNK, count)) for k in range(0, count, CHUNK)]
-    kept = _Kept(folder, _key(controller, models, aims, uncertainty, seed))
-    done = {task: part for task in tasks if (part := kept.read(task)) is not None}
+    kept = None if folder is None else Path(folder)
+    if kept is not None:
+        _claim(kept, _key(controller, models, aims, uncertainty, seed))
+    files = {task: kept and kept / f"{task.start:06d}-{task.stop:06d}.npy" for task in tasks}
+    done = {task: np.load(file) for task, file in files.items() if file and file.exists()}
     missing = [task for task in tasks if task not in done]
     work = ((controller, models, task, uncertainty, aims, seed) for task in missing)
     for task, result in zip(missing, each(_chunk, work, n_jobs), strict=True):
         done[task] = result
-        kept.write(task, result)
+        if file := files[task]:
+            part = file.with_suffix(".part.npy")
+            np.save(part, np.array(result))
+            part.replace(file)
     errors, volts = (np.concatenate([done[task][i] for task in tasks]) for i in (0, 1))
     return MonteCarlo(errors, volts)
 
@@ -131,35 +137,10 @@ def _key(controller: Controller, models: list[AnyModel], aims: Aims, *numbers: f
     return digest.hexdigest()
 
 
-class _Kept:
-    """Finished chunks in a folder, or nowhere."""
-
-    def __init__(self, folder: str | PathLike[str] | None, key: str) -> None:
-        self._folder = None if folder is None else Path(folder)
-        if self._folder is None:
-            return
-        self._folder.mkdir(parents=True, exist_ok=True)
-        mark = self._folder / "run.json"
-        if mark.exists() and json.loads(mark.read_text(encoding="utf-8"))["key"] != key:
-            raise ValueError(f"{self._folder.name} holds another run; give a new folder")
-        mark.write_text(json.dumps({"key": key}) + "\n", encoding="utf-8")
-
-    def _file(self, task: range) -> Path | None:
-        if self._folder is None:
-            return None
-        return self._folder / f"{task.start:06d}-{task.stop:06d}.npy"
-
-    def read(self, task: range) -> tuple[Floats, Floats] | None:
-        file = self._file(task)
-        if file is None or not file.exists():
-            return None
-        errors, volts = np.load(file)
-        return errors, volts
-
-    def write(self, task: range, result: tuple[Floats, Floats]) -> None:
-        file = self._file(task)
-        if file is None:
-            return
-        part = file.with_suffix(".part.npy")
-        np.save(part, np.array(result))
-        part.replace(file)
+def _claim(folder: Path, key: str) -> None:
+    """Mark a folder as that of one run; ValueError where it is another's."""
+    folder.mkdir(parents=True, exist_ok=True)
+    mark = folder / "run.json"
+    if mark.exists() and json.loads(mark.read_text(encoding="utf-8"))["key"] != key:
+        raise ValueError(f"{folder.name} holds another run; give a new folder")
+    mark.write_text(json.dumps({"key": key}) + "\n", encoding="utf-8")

@@ -3,7 +3,7 @@
 import base64
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,9 +51,8 @@ def busiest(motion: GapMotion, seconds: float = 1.5) -> GapMotion:
     sums = np.convolve(changes, np.ones(max(count - 1, 1)), "valid")
     start = int(np.argmax(sums)) if sums.size else 0
     part = slice(start, start + count)
-    return GapMotion(
-        motion.name, motion.time[part], motion.place[:, part], motion.speed[part], motion.source
-    )
+    time, place, speed = motion.time[part], motion.place[:, part], motion.speed[part]
+    return replace(motion, time=time, place=place, speed=speed)
 
 
 @dataclass(frozen=True, eq=False)

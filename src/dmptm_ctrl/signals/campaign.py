@@ -1,6 +1,6 @@
 """Several logs of one rig."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import overload
@@ -63,9 +63,6 @@ class Campaign(Sequence[Log]):
 
     def __len__(self) -> int:
         return len(self.logs)
-
-    def __iter__(self) -> Iterator[Log]:
-        return iter(self.logs)
 
     def __repr__(self) -> str:
         return f"<Campaign of {len(self)} logs: {', '.join(self.names)}>"

@@ -3,11 +3,11 @@
 import ast
 from collections.abc import Callable, Mapping
 from math import isclose
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.export.places import Cells, Latest, NotScalar, Range, Ring, Row, Signals
+from dmptm_ctrl.export.places import Cells, Latest, NotScalar, Range, Ring, Signals
 from dmptm_ctrl.export.program import (
     BOOL,
     FUNCTIONS,
@@ -75,28 +75,14 @@ class Expressions:
         raise NotScalar(f"{node.id} has no value on every way to line {node.lineno}")
 
     def _tuple_value(self, node: ast.Tuple) -> Any:
-        return tuple(self._several(node.elts))
+        return tuple(map(self.value, node.elts))
 
     _list_value = _tuple_value
-
-    def _several(self, nodes: list[ast.expr]) -> list[Any]:
-        found: list[Any] = []
-        for node in nodes:
-            if isinstance(node, ast.Starred):
-                found += self.value(node.value)
-            else:
-                found.append(self.value(node))
-        return found
 
     def _attribute_value(self, node: ast.Attribute) -> Any:
         owner = self.value(node.value)
         if isinstance(owner, Array) and node.attr in owner.fields:
             return Item(owner, owner.fields.index(node.attr))
-        if isinstance(owner, Cells) and node.attr == "copy":
-            heap = self.tracer.heap
-            return _Method(self.tracer.cells([heap[id(owner), k] for k in range(owner.size)]))
-        if isinstance(owner, np.ndarray) and node.attr == "copy":
-            return _Method(self.tracer.cells([plain(v) for v in owner]))
         return plain(getattr(owner, node.attr))
 
     def _unaryop_value(self, node: ast.UnaryOp) -> Any:
@@ -173,10 +159,6 @@ class Expressions:
         ways = [lambda: self.value(node.body), lambda: self.value(node.orelse)]
         return self.split(test, ways, "choice")
 
-    def _slice_value(self, node: ast.Slice) -> slice:
-        parts = (node.lower, node.upper, node.step)
-        return slice(*(None if p is None else self.value(p) for p in parts))
-
     def _subscript_value(self, node: ast.Subscript) -> Any:
         return self.item(self.value(node.value), self.value(node.slice))
 
@@ -184,8 +166,6 @@ class Expressions:
         """Element of an array, a tuple or cells."""
         if isinstance(owner, Cells) and known(index):
             return self.tracer.heap[id(owner), int(index) % owner.size]
-        if isinstance(owner, Row):
-            return self.item(owner.cells, index[1])
         if isinstance(owner, Signals):
             return self.item(owner.rings[index[0]], index[1])
         if isinstance(owner, Latest):
@@ -213,17 +193,7 @@ class Expressions:
         return Item(table, make("+", index, first))
 
     def _call_value(self, node: ast.Call) -> Any:
-        function = self.value(node.func)
-        args = self._several(node.args)
-        if isinstance(function, _Method):
-            return function.value
-        return _called(self, function, args)
-
-
-class _Method(NamedTuple):
-    """A method call without arguments whose value is known already."""
-
-    value: Any
+        return _called(self, self.value(node.func), [self.value(arg) for arg in node.args])
 
 
 def _called(scope: Expressions, function: Any, args: list[Any]) -> Any:
@@ -246,9 +216,6 @@ def _called(scope: Expressions, function: Any, args: list[Any]) -> Any:
         return None
     if function is called_at:
         return scope.follow(args[0], list(args[1]))
-    if function is np.zeros or function is np.full or function is np.empty:
-        value = args[1] if function is np.full else 0.0
-        return scope.tracer.cells([value] * int(args[0]))
     if isinstance(function, type) and hasattr(function, "_fields"):
         return function(*args)
     if callable(function):

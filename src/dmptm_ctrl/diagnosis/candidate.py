@@ -181,4 +181,5 @@ def standard_error(
         Rows of each equation that count as one.
     """
     rows = zip(few, more, lengths, strict=True)
-    return float(np.sqrt(sum(a.size * np.var(a - b) / length for a, b, length in rows)))
+    told = (a.size * np.var(a - b) / length for a, b, length in rows if a.size)
+    return float(np.sqrt(sum(told)))

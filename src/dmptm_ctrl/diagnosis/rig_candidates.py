@@ -23,8 +23,8 @@ from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.effects.stribeck_friction import STRIBECK_FRICTION
 from dmptm_ctrl.effects.torque_constant_mismatch import TORQUE_CONSTANT_MISMATCH
 from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
+from dmptm_ctrl.identify.forces import measured_motion
 from dmptm_ctrl.identify.free_parameters import ALL, absolute, on_slide, same_twist, scales_of
-from dmptm_ctrl.identify.inverse_dynamics import measured_motion
 from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.identify.rig_fit import residuals
 from dmptm_ctrl.identify.rig_start import (
@@ -362,7 +362,7 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
     modes = 2 * np.pi * np.geomspace(low, balance.bandwidth, HIDDEN_MODES)
     for link in (k for k in model.rig.links if k.rigid):
         ends = ends_of(model, balance, link.name)
-        if ends is None and model.closed:
+        if ends is None and balance.bursts:
             continue  # hidden bodies follow; how a spring moves them shows in runs only
         if ends is None:
             yield [_spring(link.name, 0.5, float(w)) for w in modes], [{}], {}

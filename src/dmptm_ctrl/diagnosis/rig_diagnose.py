@@ -37,7 +37,8 @@ from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
-from dmptm_ctrl.identify.rig_fit import State
+from dmptm_ctrl.identify.pushing_teeth import centred, pushing
+from dmptm_ctrl.identify.rig_fit import State, fit_rig
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
@@ -88,7 +89,7 @@ def diagnose_rig(
     if faults:
         names = [m.name for m in balance.motions]
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
-        as_read = _as_read(declared, touching(whole, base.fit.model, loaded), base, jobs)
+        as_read = _as_read(declared, _in_contact(whole, base.fit.model, loaded), base, jobs)
     selection = without_negligible(evidence, select_effects(evidence, base, say), rise)
     helps = confirmation(declared, right, held_logs, jobs)
     selection = without_negligible(evidence, selection, helps)
@@ -122,14 +123,22 @@ def diagnose_rig(
 def _fitted(
     model: RigModel, balance: Balance, read: Sequence[Log], jobs: int
 ) -> tuple[Balance, RigEvidence, RigState]:
-    """Fit the declared model; where hidden bodies follow, each fit tells better when they do."""
-    for _ in range(ROUNDS if balance.closed else 1):
-        balance = touching(balance, model, read)
-        logs, held, _, _ = split(model.rig, balance)
-        evidence = RigEvidence(logs, held, jobs)
-        base = evidence.base(State(rough_start(model, logs)))
-        model = base.fit.model
-    return balance, evidence, base
+    """Fit the declared model; each fit tells better when teeth touch."""
+    logs, held, _, _ = split(model.rig, balance)
+    start = rough_start(model, logs)
+    if balance.bursts:
+        for k in range(ROUNDS):
+            if k > 0:
+                start = fit_rig(State(start), logs, jobs=jobs).model
+            balance = _in_contact(balance, start, read)
+            logs, held, _, _ = split(model.rig, balance)
+    evidence = RigEvidence(logs, held, jobs)
+    return balance, evidence, evidence.base(State(start))
+
+
+def _in_contact(balance: Balance, model: RigModel, read: Sequence[Log]) -> Balance:
+    """Tell when teeth touch, by a model on the logs."""
+    return pushing(touching(centred(balance, model), model, read), model, read)
 
 
 def confirmation(

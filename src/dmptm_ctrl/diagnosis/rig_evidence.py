@@ -1,6 +1,6 @@
 """Evidence from the torque balance of a drive of any shape, for the selection of effects."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,6 +10,7 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import NONE, near
 from dmptm_ctrl.diagnosis.candidate import (
+    LEVEL,
     Candidate,
     Floats,
     Keys,
@@ -26,9 +27,9 @@ from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.diagnosis.select import Selection, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
-from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
+from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import Likelihood
-from dmptm_ctrl.identify.measured_motion import correlation_length
+from dmptm_ctrl.identify.measured_motion import Nuisance, correlation_length
 from dmptm_ctrl.identify.rig_fit import (
     RigFit,
     State,
@@ -164,6 +165,8 @@ class RigEvidence:
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:
         """Judge a candidate after one step of the model's parameters, by their known slopes."""
         there, fit = trial.placed_in(state.fit.state), state.fit
+        if 2.0 * trial.gain < LEVEL:  # the held-out logs, which are fewer, show no more
+            return replace(self._plain((trial,), fit), gain=trial.gain)
         try:
             left, drive = residuals(there, self.logs)
         except (ValueError, ArithmeticError):
@@ -178,7 +181,7 @@ class RigEvidence:
         there, like = state.fit.state, state.fit.likelihood
         for trial in group:
             there = trial.placed_in(there)
-        alike = None if there.model.layout.links else state.fit
+        alike = self._alike(there, state.fit)
         try:
             fit = fit_rig(
                 there, self.logs, iterations=iterations, like=like, near=alike, jobs=self.jobs
@@ -196,15 +199,17 @@ class RigEvidence:
             )
         return found
 
+    def _alike(self, state: State, fit: RigFit) -> RigFit | None:
+        """Return a fit if its slopes are nearly those of a state: where nothing is simulated."""
+        return None if {*state.model.layout.links} - {*self.logs.teeth} else fit
+
     def _candidate(
         self, state: RigState, group: tuple[Trial, ...], fit: RigFit, *, look: bool = True
     ) -> Candidate:
-        keys = tuple(t.key for t in group)
-        found = (objection(key, fit, state.fit) for key in keys)
-        why = next(filter(None, found), "") if look else ""
-        numbers = sum(len(PLACED_CATALOGUE[name_of(k)].keep) for k in keys)
-        order = sum(list(PLACED_CATALOGUE).index(name_of(k)) for k in keys)
-        one = Candidate(keys, -np.inf, 0.0, (group, fit), why, numbers, order)
+        one = self._plain(group, fit)
+        if look:
+            found = (objection(key, fit, state.fit) for key in one.keys)
+            one = replace(one, objection=next(filter(None, found), ""))
         try:
             there = self.beside(state, one)
             gain, held = self.gains(state, there)
@@ -214,6 +219,14 @@ class RigEvidence:
             return one
         error, held_error = self.errors(state, there)
         return replace(one, gain=gain, held_gain=held, error=error, held_error=held_error)
+
+    @staticmethod
+    def _plain(group: tuple[Trial, ...], fit: RigFit) -> Candidate:
+        """Return a candidate before it is judged."""
+        keys = tuple(t.key for t in group)
+        numbers = sum(len(PLACED_CATALOGUE[name_of(k)].keep) for k in keys)
+        order = sum(list(PLACED_CATALOGUE).index(name_of(k)) for k in keys)
+        return Candidate(keys, -np.inf, 0.0, (group, fit), "", numbers, order)
 
     def beside(self, state: RigState, candidate: Candidate) -> RigState:
         """Return the model with a candidate, as it was fitted."""
@@ -294,8 +307,8 @@ class RigEvidence:
 
     def _to_the_end(self, start: State, like: RigFit, keys: Keys) -> RigFit:
         """Fit to the end; where a gap is among the added effects, from several of its sizes."""
-        known = like.likelihood
-        fit = fit_rig(start, self.logs, iterations=SETTLE, like=known, jobs=self.jobs)
+        known, near = like.likelihood, self._alike(start, like)
+        fit = fit_rig(start, self.logs, iterations=SETTLE, like=known, near=near, jobs=self.jobs)
         for key in (k for k in keys if name_of(k) == BACKLASH.name):
             fit = from_elsewhere(fit, key, iterations=SETTLE, jobs=self.jobs)
         return fit
@@ -355,13 +368,29 @@ def within_floor(selection: Selection, floor: float) -> bool:
     return bool(np.all(before <= NONE * np.hypot(after, held.floor)))
 
 
+def of_teeth(final: RigState) -> Callable[[Sequence[Floats]], float]:
+    """Return what toothed links add to the mean square of the first equation, held out.
+
+    Each equation counts in units of its scale under the final model.
+    """
+    likelihood = final.fit.likelihood.on(final.held)
+    scales, rows = likelihood.scales(final.held_left[0]), likelihood.rows
+
+    def more(left: Sequence[Floats]) -> float:
+        ratio = likelihood.sizes(left) / scales
+        of = (rows[k] / rows[0] * ratio[k] ** 2 for k in final.held.teeth.values())
+        return float(scales[0] ** 2 * sum(of))
+
+    return more
+
+
 def rise(without: RigState, final: RigState) -> float:
     """Share by which what is left of all balances rises without an effect."""
     likelihood, held = final.fit.likelihood, final.fit.likelihood.on(final.held)
     scales = likelihood.scales(final.fit.left)
     squares = [
         sum(
-            side.rows * float(np.sum((side.sizes(left) / scales) ** 2))
+            float(np.sum(side.rows * (side.sizes(left) / scales) ** 2))
             for side, left in ((likelihood, one.fit.left), (held, one.held_left[0]))
         )
         for one in (without, final)
@@ -419,7 +448,8 @@ def held_state(fit: RigFit, held: Balance) -> State:
     new = {m.name for m in held.motions} - known
     for effect in (e for e in state.model.effects if has_phase(state.model, held, e)):
         state = _phases(fit, state, held, effect, new)
-    return fit_rig(state, held, frees=frees, iterations=4, jobs=1).state
+    linear = {*state.model.layout.links} <= {*held.teeth} and all(f.kind == "twist" for f in frees)
+    return fit_rig(state, held, frees=frees, iterations=1 if linear else 4, jobs=1).state
 
 
 def _phases(fit: RigFit, state: State, held: Balance, effect: Placed, new: set[str]) -> State:

@@ -8,7 +8,7 @@ from scipy.signal import csd, welch
 
 from dmptm_ctrl.diagnosis.candidate import Floats, name_of
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
-from dmptm_ctrl.identify.inverse_dynamics import effective_input
+from dmptm_ctrl.identify.forces import effective_input
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
 from dmptm_ctrl.identify.rig_fit import RigFit
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE

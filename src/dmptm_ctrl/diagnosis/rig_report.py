@@ -14,7 +14,7 @@ from dmptm_ctrl.diagnosis.negligible import material_together
 from dmptm_ctrl.diagnosis.ranking import ranking_of
 from dmptm_ctrl.diagnosis.report import Diagnosis, NamedEffect, Picture
 from dmptm_ctrl.diagnosis.rig_curves import Curve, accepted, curve_share, mean_square, predicted
-from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, RigState
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence, RigState, of_teeth
 from dmptm_ctrl.diagnosis.rig_runs import Runs, variable_of
 from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.sensors import SENSOR_PROBABILITY, SensorFault
@@ -25,6 +25,7 @@ from dmptm_ctrl.identify.free_parameters import on_slide
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.rig_fit import RigFit, State
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.model_file import input_symbol, unit_at
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
@@ -138,11 +139,13 @@ def report_of(
     curves, floor = accepted(found_curves), predicted(final, found_curves)
     best = next(iter([*curves, *found_curves]), None)
     base: RigState = selection.base
-    errors = Errors(
-        mean_square(as_read.held_left[0], as_read.held),
-        mean_square(final.held_left[0], final.held),
-        floor,
-    )
+    beside = of_teeth(final)
+
+    def whole(left: Sequence[Floats]) -> float:
+        return mean_square(left, final.held) + beside(left)
+
+    after_left = final.held_left[0]
+    errors = Errors(whole(as_read.held_left[0]), whole(after_left), floor + beside(after_left))
     augmented = final.fit.model.opened
     for fault in faults:
         augmented = augmented.with_effect(fault.placed)
@@ -153,17 +156,17 @@ def report_of(
     runs, short = Runs.of(*given), Runs.of(*given, lead_hz=BANDWIDTH_HZ)
     errors = replace(errors, runs=runs.squares, short=short.squares)
     found = [_sensor_effect(f, rig) for f in faults]
-    healed = max(errors.before - mean_square(base.held_left[0], base.held), 0.0)
+    healed = max(errors.before - whole(base.held_left[0]), 0.0)
     costs = [healed / len(faults) for _ in faults]
     slower = [runs.rise(after.without({f.placed.key})) for f in faults]
     size = max(errors.removable, 1e-300)
 
     def lacks(state: RigState) -> float:
-        return (mean_square(state.held_left[0], final.held) - errors.after) / size
+        return (whole(state.held_left[0]) - errors.after) / size
 
     together = material_together(evidence, selection, lacks)
     for entry in selection.entries:
-        without = mean_square(entry.without.held_left[0], final.held)
+        without = whole(entry.without.held_left[0])
         named = _named(entry, final.fit, errors.after, without)
         found.append(replace(named, together=entry.key in together))
         costs.append(max(without - errors.after, 0.0))

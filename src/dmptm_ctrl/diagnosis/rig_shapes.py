@@ -7,10 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent
+from dmptm_ctrl.identify.forces import measured_motion
 from dmptm_ctrl.identify.free_parameters import on_slide, scales_of
-from dmptm_ctrl.identify.inverse_dynamics import Balance, measured_motion
+from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Motion, coordinates_of
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
+from dmptm_ctrl.identify.teeth import carried, lever_of, put_through
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
@@ -94,13 +96,21 @@ def _in_equations(
     """A torque on a body appears in the first equation, and in that of its own coordinate."""
     model = fit.model
     layout, plant = model.layout, model.plant()
-    reach = untwisted(plant)
-    group = layout.coordinate[body]
+    reach, group = untwisted(plant), layout.coordinate[body]
+    left = {g: np.zeros_like(column) for g in range(layout.coordinates)}
+    left[group] = column / reach[group]
+    through = carried(model, balance.teeth, left)
+    left = put_through(model, left, through)
     out = np.zeros((fit.left[0].shape[0], *column.shape))
     out[0] = column
+    for name, k in balance.teeth.items():
+        declared = model.quantity(f"link.{name}.stiffness").value
+        factor = lever_of(model, name) * declared / model.value(f"link.{name}.stiffness")
+        out[k] = -factor * through[name]
     seen = coordinates_of(layout, [p.name for p in balance.points])
-    if group in seen[1:] and group != seen[0]:
-        out[seen.index(group)] = column * balance.heft / (reach[group] ** 2 * plant.inertia[group])
+    for k, g in enumerate(seen):
+        if k > 0 and g not in seen[:k] and k not in balance.teeth.values():
+            out[k] = left[g] * balance.heft / (reach[g] * plant.inertia[g])
     return out
 
 

@@ -8,7 +8,8 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.identify.inverse_dynamics import Balance, Nuisance
+from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.identify.measured_motion import Nuisance
 from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, prior_rows
 from dmptm_ctrl.simulate.rig_model import Placed
 

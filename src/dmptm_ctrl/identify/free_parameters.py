@@ -1,7 +1,7 @@
 """What a fit of a chain may move: declared quantities, effects, and what belongs to a log."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isfinite
 
 import numpy as np
@@ -13,6 +13,7 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel, angle_body
 
 OFFSET = DRIVE_OFFSET.name
@@ -82,6 +83,20 @@ class Scales:
             "": 1.0,
         }.get(plain.replace("N·m·s", "N·s"), 1.0)
 
+    def at(self, model: RigModel, place: str, seen: str) -> "Scales":
+        """Return the sizes at a body, or at the first body of a link, by those at another body."""
+        layout, reach = model.layout, untwisted(model.plant())
+        body = next((k.first for k in model.rig.links if k.name == place), place)
+        turn, turn_seen = (abs(layout.ratio[b] * reach[layout.coordinate[b]]) for b in (body, seen))
+        by = turn / turn_seen
+        return replace(
+            self,
+            force=self.force / by,
+            position=self.position * by,
+            speed=self.speed * by,
+            acceleration=self.acceleration * by,
+        )
+
 
 def scales_of(balance: Balance) -> Scales:
     """Return typical sizes, over all logs."""
@@ -106,11 +121,12 @@ def free_parameters(
 ) -> list[Free]:
     """Return what a fit may move: unknown and uncertain quantities, effects, and per-log terms."""
     frees = []
+    seen = model.layout.sensor_body[balance.points[0].name]
     for key, quantity in model.quantities.items():
-        name = key.rpartition(".")[2]
+        kind, place, name = key.split(".")
         if name in NOT_FITTED or not quantity.is_free:
             continue
-        if key.startswith("link.") and key.split(".")[1] in model.closed:
+        if kind == "link" and place in model.closed:
             continue
         low, high = quantity.range
         known = isfinite(quantity.value)
@@ -118,11 +134,14 @@ def free_parameters(
         if known:
             half = 0.5 * (high - low) if isfinite(high - low) else inf
             prior = (quantity.value, PRIOR_SHARE * half)
-        least = LEAST_SCALE * scales.of(quantity.unit)
+        own = scales if kind == "input" else scales.at(model, place, seen)
+        least = LEAST_SCALE * own.of(quantity.unit)
         size = max(abs(model.value(key)), least)
         frees.append(Free("value", key, name, 0.0, inf, size, prior, least))
     for effect in model.effects:
-        frees += _effect_parameters(effect, model, scales)
+        beside = PLACED_CATALOGUE[effect.name].place in ("body", "link")
+        own = scales.at(model, effect.on, seen) if beside else scales
+        frees += _effect_parameters(effect, model, own)
     if not nuisances:
         return frees
     for motion in balance.motions:

@@ -16,6 +16,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 
 LEAST_SCALE = 0.005  # of the torque; friction laws are not known more finely
 BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
+Ints = NDArray[np.int64]
 TOLERANCE = 0.3  # of −2 log-likelihood; less decides nothing
 
 
@@ -67,13 +68,13 @@ class Likelihood:
 
     @cached_property
     def moving(self) -> list[NDArray[np.bool_]]:
-        """Rows that count, per log."""
-        return [m.moving for m in self.balance.motions]
+        """Rows of each equation that count, (equations, rows) per log."""
+        return self.balance.counted
 
     @cached_property
-    def rows(self) -> int:
-        """Number of rows that count, of each equation."""
-        return sum(int(m.sum()) for m in self.moving)
+    def rows(self) -> Ints:
+        """Number of rows of each equation that count, (equations,)."""
+        return np.asarray(sum(use.sum(axis=1) for use in self.moving), np.int64)
 
     @cached_property
     def price(self) -> float:
@@ -86,14 +87,17 @@ class Likelihood:
     def parts(self, left: Sequence[Floats]) -> list[Floats]:
         """Rows that count, (rows[, k]) per equation."""
         return [
-            np.concatenate([part[e][use] for part, use in zip(left, self.moving, strict=True)])
+            np.concatenate([part[e][use[e]] for part, use in zip(left, self.moving, strict=True)])
             for e in range(left[0].shape[0])
         ]
 
-    def blocks(self, equations: int) -> NDArray[np.int64]:
+    @cached_property
+    def blocks(self) -> Ints:
         """Block of every row, in the order of `stack`: equal numbers of rows on end."""
-        count = self.rows
-        return np.tile(np.arange(count) * min(BLOCKS, max(count, 1)) // max(count, 1), equations)
+        whole = np.concatenate(self.moving, axis=1)
+        count = max(int(self.rows[0]), 1)
+        block = (np.cumsum(whole[0]) - whole[0]) * min(BLOCKS, count) // count
+        return np.concatenate([block[use] for use in whole])
 
     def stack(self, left: Sequence[Floats]) -> Floats:
         """Rows that count, equation after equation, (all rows[, k])."""
@@ -110,8 +114,8 @@ class Likelihood:
 
     @property
     def bursts(self) -> bool:
-        """Whether rows are those of Student's t: impacts that nothing measures are chance."""
-        return bool(self.balance.closed)
+        """Whether rows are those of Student's t."""
+        return self.balance.bursts
 
     def weights(self, left: Sequence[Floats]) -> Floats:
         """Square roots of what each row counts, in the order of `stack`."""

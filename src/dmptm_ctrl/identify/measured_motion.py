@@ -1,6 +1,6 @@
 """Position, speed and acceleration of measured bodies from a log, at the bandwidth it allows."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from math import ceil
@@ -35,6 +35,9 @@ HELD_STRETCHES = (2, 5, 8)  # of these, not fitted
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
 ORDER = 4  # of the filter that leaves it out
 NO_STAIRS = 0.4  # of the bandwidth; a filter that lets single counts of slow motion pass no more
+DUST = 1e-9  # of the range; readings that differ by less are the same
+FEW_STEPS = 5.5  # over which the rounding of a text file is small beside a step
+OFF_GRID = 0.1  # of a step; readings on no grid are off one by a quarter on average
 FLOOR_BAND = 0.4  # of the sample rate; above it the spectrum of a sensor is its noise
 
 
@@ -92,6 +95,9 @@ class Motion:
     rest_share: float = REST_SHARE  # of the highest speed; slower is at rest, or noise
     part: str = ""  # "fit" or "held-out" stretches of the log; "" is all of it
     apart: Floats | None = None  # 1.0 at samples that do not count: followed links are open
+    loose: Mapping[str, Floats] = field(default_factory=dict)  # the same of each toothed link
+    flank: Mapping[str, Floats] = field(default_factory=dict)  # 1 or −1, on which they push
+    zero: Mapping[str, float] = field(default_factory=dict)  # middle of the gap of each, rad or m
     known: dict[Any, Any] = field(default_factory=dict, repr=False)  # what fits ask for again
 
     @cached_property
@@ -154,16 +160,27 @@ class Motion:
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """Rows at which the bodies move, or rest only in passing, (rows,)."""
-        shares = []
+        """Rows at which the bodies move, or rest only in passing, (rows,).
+
+        Between teeth, where noise of the twist hides what holds a body, they do not rest at all.
+        """
+        shares, least = [], 1.0 if self.loose else REST_TIME / (self.bandwidth * self.dt)
         for v in self.v.values():
             slow = np.abs(v) < self.rest_share * np.abs(v).max(initial=0.0)
             slow |= v == 0
-            shares.append(self.reduce(_long_runs(slow, REST_TIME / (self.bandwidth * self.dt))))
+            if self.loose:
+                slow[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
+            shares.append(self.reduce(_long_runs(slow, least)))
         if self.apart is not None:
             shares.append(self.reduce(self.apart))
         rest = np.max(shares, axis=0)
         return (rest < 0.05) & self._own
+
+    def pushing(self, link: str) -> NDArray[np.bool_]:
+        """Rows of these at which the teeth of a link push, (rows,)."""
+        if link not in self.loose:
+            return self.moving
+        return self.moving & (self.reduce(self.loose[link]) < 0.05)
 
     def at(self, point: str, ratio: float) -> tuple[Floats, Floats, Floats]:
         """Position, speed and acceleration of a point's coordinate; the same arrays each time."""
@@ -189,6 +206,27 @@ class Motion:
         tenth = (np.arange(self.rows.size) * STRETCHES) // max(self.rows.size, 1)
         held = np.isin(tenth, HELD_STRETCHES)
         return {"fit": ~held, "held-out": held}.get(self.part, np.ones_like(held))
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What belongs to a log and not to the rig.
+
+    Attributes
+    ----------
+    zero : dict of effect key to float
+        Added to the measured angle for an effect that depends on it [rad]: an incremental
+        encoder starts anywhere.
+    twist : dict of link to float
+        Twist that the sensors on both sides show without torque [rad].
+    """
+
+    zero: Mapping[str, float] = field(default_factory=dict)
+    twist: Mapping[str, float] = field(default_factory=dict)
+
+
+NONE = Nuisance()
+Moves = dict[int, tuple[Floats, Floats, Floats]]  # coordinate -> position, speed, acceleration
 
 
 def coordinates_of(layout: Layout, sensors: Iterable[str]) -> list[int]:
@@ -255,6 +293,13 @@ def rounding_noise(y: Floats, step: float, rate: float, reach: float, order: int
     return float(np.sum(weight * power.mean(axis=0)) / np.sum(weight))
 
 
+def reading_variance(sensor: Sensor, y: Floats) -> float:
+    """Variance of a sensor's noise, and of rounding, as declared or as the readings show."""
+    step, white = _step(sensor, y), noise_below(y, 1.0, 0.5)
+    own = _declared_variance(sensor, step)
+    return max(own, white**2) if white > step else own  # rounding alone is no white noise
+
+
 def _declared_variance(sensor: Sensor, step: float) -> float:
     """Variance of noise, and of rounding to a step."""
     noise = sensor.noise.value if sensor.noise is not None else 0.0
@@ -262,13 +307,20 @@ def _declared_variance(sensor: Sensor, step: float) -> float:
 
 
 def _step(sensor: Sensor, y: Floats) -> float:
-    """Step of the readings: as declared, or as they are; 0 where they hardly repeat."""
+    """Step of the readings: as declared, or as they are; 0 where they are on no grid."""
     if sensor.resolution is not None:
         return sensor.resolution.value
-    different = np.abs(np.diff(np.unique(y)))
-    if different.size == 0 or different.size > 0.2 * y.size:
+    different = np.diff(np.unique(y))
+    different = different[different > DUST * np.ptp(y)]
+    if different.size == 0:
         return 0.0
-    return float(np.median(different))
+    if different.size <= 0.2 * y.size:
+        return float(np.median(different))
+    step = float(np.quantile(different, 0.01))  # fast motion: hardly a reading comes twice
+    steps = different[different < FEW_STEPS * step] / step
+    off_grid = float(np.quantile(np.abs(steps - np.round(steps)), 0.95))
+    whole = np.unique(np.round(steps)).size > 2  # steady motion repeats any difference
+    return step if whole and off_grid < OFF_GRID else 0.0
 
 
 def prepare(log: Log, rig: Rig, sights: dict[str, Sight], bandwidth: float) -> Motion:

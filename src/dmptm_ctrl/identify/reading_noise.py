@@ -7,12 +7,14 @@ estimates the mean square without noise (Fuller, Measurement Error Models, 1987,
 Nakamura, Biometrika 77 (1990) 127).
 """
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.identify.measured_motion import coordinates_of
+from dmptm_ctrl.identify.teeth import carried, lever_of
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.plant import Plant, link_matrices, untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
@@ -20,6 +22,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 if TYPE_CHECKING:
     from dmptm_ctrl.identify.inverse_dynamics import Balance
 
+RECENT = 64  # models whose noise is kept
 FREQUENCIES = 100  # at which noise is added up
 ABOVE = 1.5  # of the bandwidth; the balance's filter passes no more
 WALK = 3.0 / np.pi**2  # ∫ df/(2πf)² from here, over one second, is its mean square, 1/12
@@ -33,8 +36,20 @@ def noise_in_balance(model: RigModel, balance: "Balance") -> list[Floats]:
     that noise gives the equation. Noise is white, at the density of each point's sensor.
     Friction counts by its slope far from rest, links with a gap as long as they are in contact.
     """
-    s, size = balance.noise_spectrum
     plant = model.plant()
+    numbers = plant.inertia, plant.link_values, plant.law[:, 3], plant.law[:, 7], plant.input_values
+    shape = model.layout.bodies, model.layout.links, plant.link_gap.tobytes()
+    key = shape, *(np.ascontiguousarray(x).tobytes() for x in numbers)
+    if key not in balance.noises:
+        for old in list(balance.noises)[: max(len(balance.noises) - RECENT, 0)]:
+            balance.noises.pop(old, None)
+        balance.noises[key] = _noise(model, plant, balance)
+    return balance.noises[key]
+
+
+def _noise(model: RigModel, plant: Plant, balance: "Balance") -> list[Floats]:
+    """The same; most of what a fit moves changes none of it."""
+    s, size = balance.noise_spectrum
     rows, springs, dampers, viscous = link_matrices(plant)
     motion = plant.inertia * s[:, None] ** 2 + viscous * s[:, None]
     pull = springs + dampers * s[:, None]
@@ -116,8 +131,32 @@ def _equations(
     counted = [*first, 0] if told != hidden else [*first]
     lag = plant.input_values[0, 2] if len(layout.inputs) == 1 else 0.0
     found = [(1.0 + lag * s)[:, None] * np.einsum("g,wgp->wp", reach[counted], torque[:, counted])]
+    teeth = {k: name for name, k in balance.teeth.items()}
+    through = _through_teeth(model, rows, position, s, balance.teeth)
     for k, g in enumerate(seen[1:], 1):
+        if k in teeth:
+            found.append(through[teeth[k]])
+            continue
         # the difference of two readings of one coordinate has no factor that is fitted
         factor = 0.0 if g in seen[:k] else balance.heft / (reach[g] * plant.inertia[g])
         found.append(factor * torque[:, g])
+    return found
+
+
+def _through_teeth(
+    model: RigModel, rows: Floats, position: Complex, s: Complex, teeth: Iterable[str]
+) -> dict[str, Complex]:
+    """The same of toothed links, in contact, as in :func:`.teeth.missing`."""
+    plant, found = model.plant(), {}
+    takes = plant.inertia * s[:, None] ** 2
+    for name in teeth:
+        k = model.layout.links.index(name)
+        stiffness, damping = plant.link_values[k, 1:3]
+        own = {g: -takes[:, g, None] * position[:, g] for g in range(plant.inertia.size)}
+        torque = carried(model, [name], own)[name]
+        twist = np.einsum("g,wgp->wp", rows[k], position)
+        with np.errstate(divide="ignore", invalid="ignore"):  # a trial without a spring
+            more = twist + (damping * s[:, None] * twist - torque) / stiffness
+        declared = model.quantity(f"link.{name}.stiffness").value
+        found[name] = lever_of(model, name) * declared * more
     return found

@@ -14,9 +14,9 @@ from scipy.linalg import eigh
 
 from dmptm_ctrl.identify.fit import least_in_box, secant
 from dmptm_ctrl.identify.free_parameters import ALL, Free, free_parameters, scales_of
-from dmptm_ctrl.identify.inverse_dynamics import NONE, Balance, Nuisance, residual
+from dmptm_ctrl.identify.inverse_dynamics import Balance, residual
 from dmptm_ctrl.identify.likelihood import TOLERANCE, Likelihood
-from dmptm_ctrl.identify.measured_motion import coordinates_of
+from dmptm_ctrl.identify.measured_motion import NONE, Nuisance, coordinates_of
 from dmptm_ctrl.identify.reading_noise import noise_in_balance
 from dmptm_ctrl.parallel import in_threads, small_matrices
 from dmptm_ctrl.simulate.model import Floats
@@ -25,7 +25,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 
 ROWS_PER_NEWS = 8.0  # rows that count as one, where nothing better is known
 MOST_NOISE = 0.95  # of the curvature in any direction is taken for noise in one step
-SINGULAR = 1e-12  # of the largest curvature; numbers that share one effect have none apart
+SINGULAR = 1e-12  # of its curvature; numbers that share one effect have none apart
 DIFFERENCE = 1e-4  # step of the finite differences, in scales
 PAST_IMPACTS = 0.05  # the same where impacts that nothing shows decide a run
 
@@ -124,9 +124,11 @@ class RigFit:
         clear, _ = noise_taken_out(
             self.state, self.frees, likelihood, likelihood.scales(self.left), whole, np.diag(whole)
         )
-        inverse = np.asarray(np.linalg.pinv(clear, rcond=1e-12), np.float64)
+        size = np.sqrt(np.maximum(np.diag(whole), 1e-300))
+        unit = np.linalg.pinv(clear / np.outer(size, size), rcond=1e-12)
+        inverse = np.asarray(unit / np.outer(size, size), np.float64)
         products = rows * (weights * likelihood.stack(self.left))[:, None]
-        ids = likelihood.blocks(self.left[0].shape[0])
+        ids = likelihood.blocks
         sums = np.array([np.bincount(ids, p) for p in products.T])
         # all together they are what the noise of readings and the declared ranges balance
         sums -= sums.mean(axis=-1, keepdims=True)
@@ -172,9 +174,9 @@ def residuals(state: State, balance: Balance) -> tuple[tuple[Floats, ...], tuple
 
 def _one(state: State, balance: Balance, k: int) -> tuple[Floats, Floats]:
     motion = balance.motions[k]
-    with np.errstate(over="ignore", invalid="ignore"):  # a trial that runs away is no number
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # trials that run away
         left, drive = residual(state.model, balance, motion, state.nuisance(motion.name))
-        return left * motion.moving, drive * motion.moving
+        return left * balance.counted[k], drive * motion.moving
 
 
 def jacobian(
@@ -289,10 +291,10 @@ def fit_rig(
             break
         fine ^= vain > 0
         # gaps bend too much for secants
-        if gain < TOLERANCE or state.model.layout.links:
+        if gain < TOLERANCE or {*state.model.layout.links} - {*balance.teeth}:
             slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs, fine=fine), True
     if fine or not fresh:
-        slopes = jacobian(state, balance, frees, left, jobs=jobs)
+        slopes = slopes_near(state, balance, frees, left, None if fine else near, jobs)
     likelihood = likelihood.between(state.model)
     loss = total_loss(state, frees, left, likelihood)
     return RigFit(state, frees, left, drive, slopes, likelihood, loss)
@@ -456,6 +458,8 @@ def noise_taken_out(
         own += weight * columns @ columns.T
         slope += weight * columns @ noise
     # where logs show little but noise, what is left of the curvature must stay positive
-    ridge = SINGULAR * float(np.max(np.diag(square), initial=0.0)) * np.eye(len(frees))
-    largest = float(eigh(own, square + ridge, eigvals_only=True)[-1])
+    size = np.sqrt(np.maximum(np.diag(square), 1e-300))
+    unit = np.outer(size, size)
+    ridge = SINGULAR * np.eye(len(frees))
+    largest = float(eigh(own / unit, square / unit + ridge, eigvals_only=True)[-1])
     return square - min(1.0, MOST_NOISE / max(largest, 1e-300)) * own, slope

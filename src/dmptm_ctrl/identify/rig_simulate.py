@@ -12,7 +12,8 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import RigRun, march
 
 START = 12  # samples from which the first position and speed are taken
-MOVING = 0.02  # of the highest speed; slower at the start is at rest
+MANY = 4  # samples at least, or the start counts as at rest
+SURE = 3.0  # standard errors; slower at the start is at rest
 
 
 def initial(model: RigModel, log: Log) -> tuple[dict[str, float], dict[str, float]]:
@@ -28,20 +29,14 @@ def initial(model: RigModel, log: Log) -> tuple[dict[str, float], dict[str, floa
     for sensor in (s for s in rig.sensors if s.channel in log):
         body = layout.sensor_body[sensor.name]
         group, r = layout.coordinate[body], layout.ratio[body]
-        signal = log[sensor.channel]
-        head = signal[: min(START, signal.size)]
+        head = log[sensor.channel][:START]
         time = log.time[: head.size] - log.time[0]
         if sensor.measures == "position":
             position.setdefault(group, float(head[0]) / r)
-            if group not in speed and head.size > 2:
-                slope = float(np.polyfit(time, head, 1)[0])
-                spread = float(np.ptp(signal)) / max(float(log.time[-1] - log.time[0]), 1e-9)
-                usual = max(float(np.std(np.diff(signal))) / log.sample_time, spread)
-                speed[group] = slope / r if abs(slope) > MOVING * usual * 10 else 0.0
+            if group not in speed:
+                speed[group] = _first(time, head, 1) / r
         else:
-            first = float(np.mean(head[:3]))
-            peak = float(np.abs(signal).max())
-            speed[group] = first / r if abs(first) > MOVING * peak else 0.0
+            speed[group] = _first(time, head, 0) / r
     known_q = next(iter(position.items()), (0, 0.0))
     known_v = next(iter(speed.items()), (0, 0.0))
     q0, v0 = {}, {}
@@ -51,6 +46,20 @@ def initial(model: RigModel, log: Log) -> tuple[dict[str, float], dict[str, floa
         v = speed.get(group, known_v[1] * reach[group] / reach[known_v[0]])
         q0[body], v0[body] = r * q, r * v
     return q0, v0
+
+
+def _first(time: Floats, head: Floats, order: int) -> float:
+    """Derivative of readings at their first sample, 0 where their noise could be all of it.
+
+    With a term more than it needs: a drive that starts from rest accelerates.
+    """
+    terms = np.vander(time / time[-1], order + 2, increasing=True) if time.size > MANY else None
+    if terms is None:
+        return 0.0
+    found, left, *_ = np.linalg.lstsq(terms, head, rcond=None)
+    variance = float(np.sum(left)) / (time.size - terms.shape[1])
+    error = np.sqrt(variance * np.linalg.inv(terms.T @ terms)[order, order])
+    return float(found[order] / time[-1] ** order) if abs(found[order]) > SURE * error else 0.0
 
 
 def free_run(model: RigModel, log: Log, *, lead_hz: float = 0.0) -> RigRun:

@@ -27,6 +27,7 @@ _CALLS = {
     "motor": "out[i] += kernel(a[i], b[i], c[i], d[i], told, values)",
     "load": "out[i] += kernel(a[i], b[i], c[i], values)",
     "mesh": "r = kernel(a[i], b[i], c[i], d[i], told, values); out[i] += r[0]; more[i] += r[2]",
+    "stiffness": "r = kernel(a[i], b[i], c[i], d[i], told, values); out[i] += r[3]",
     "friction": "r = kernel(a[i], b[i], c[i], d[i], told, values); out[i] *= r[0]; more[i] += r[1]",
     "sensor": "out[i], more[i] = kernel(a[i], b[i], c[i], values)",
 }
@@ -149,9 +150,9 @@ def acting_in(plant: Plant) -> dict[tuple[str, int], list[Acting]]:
 
 
 @cache
-def _loop(effect: Effect) -> ModuleType:
+def _loop(effect: Effect, call: str) -> ModuleType:
     values = ", ".join(f"p[{k}]" for k in range(len(effect.parameters)))
-    call = _CALLS[effect.site].replace("; ", "\n        ")
+    call = _CALLS[call].replace("; ", "\n        ")
     text = compiled(_HEAD + _EFFECT.format(values=values, call=call), "along")
     return load(f"along_{key_of(text, _MODULES, (effect,))}", text, EFFECTS=(effect,))
 
@@ -162,15 +163,18 @@ def _signals() -> ModuleType:
     return load(f"along_{key_of(text, _MODULES, ())}", text)
 
 
-_LOOPS: dict[int, tuple[Effect, ModuleType]] = {}  # effects are long to compare
+_LOOPS: dict[tuple[int, str], tuple[Effect, ModuleType]] = {}  # effects are long to compare
 
 
-def _run(effects: Iterable[Acting], rows: Sequence[Floats], out: Floats, more: Floats) -> None:
+def _run(
+    effects: Iterable[Acting], rows: Sequence[Floats], out: Floats, more: Floats, asked: str = ""
+) -> None:
     a, b, c, d = (*rows, rows[0], rows[0], rows[0])[:4]
     for effect, told, values in effects:
-        known = _LOOPS.get(id(effect))
+        known = _LOOPS.get((id(effect), asked))
         if known is None:
-            known = _LOOPS.setdefault(id(effect), (effect, _loop(effect)))
+            loop = effect, _loop(effect, asked or effect.site)
+            known = _LOOPS.setdefault((id(effect), asked), loop)
         known[1].along(a, b, c, d, told, values, out, more)
 
 
@@ -226,6 +230,15 @@ def shift_along(
     shift, wider = np.zeros_like(near[0]), np.zeros_like(near[0])
     _run(effects, (*near, *far), shift, wider)
     return shift, wider
+
+
+def stiffness_along(
+    effects: Iterable[Acting], near: tuple[Floats, Floats], far: tuple[Floats, Floats]
+) -> Floats:
+    """Change of a link's stiffness [N·m/rad], (n,); arguments as :func:`shift_along`."""
+    stiffer = np.zeros_like(near[0])
+    _run(effects, (*near, *far), stiffer, stiffer, "stiffness")
+    return stiffer
 
 
 def reading_along(

@@ -6,6 +6,7 @@ A link's twist is z = q_first − ratio · q_second; its torque acts −τ on th
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -88,12 +89,9 @@ class Plant(NamedTuple):
 
 def link_matrices(plant: Plant) -> tuple[Floats, Floats, Floats, Floats]:
     """Twists of links over the coordinates, their stiffness and damping; viscous friction."""
-    n, _, links, *_ = plant.size
-    rows = np.zeros((links, n))
-    for end, factor in ((0, np.ones(links)), (1, -plant.link_values[:, 0])):
-        bodies = plant.link_body[:, end]
-        at = np.arange(links), plant.body_coordinate[bodies]
-        np.add.at(rows, at, factor * plant.body_ratio[bodies])
+    n = plant.inertia.size
+    ends, ratio = plant.link_body, plant.link_values[:, 0]
+    rows = _twists(ends, ratio, plant.body_coordinate, plant.body_ratio, n)
     # flanks that damp by depth do not where contact begins
     dampers = np.where(plant.link_gap == ELASTIC_IMPACT, 0.0, plant.link_values[:, 2])
     slopes = plant.body_ratio**2 * 0.5 * (plant.law[:, 3] + plant.law[:, 7])
@@ -103,8 +101,31 @@ def link_matrices(plant: Plant) -> tuple[Floats, Floats, Floats, Floats]:
 
 def untwisted(plant: Plant, first: int = 0) -> Floats:
     """Motion of each coordinate per motion of one, no link twisted, (n,)."""
-    rows = np.vstack([np.eye(1, plant.inertia.size, first), link_matrices(plant)[0]])
-    return np.linalg.solve(rows, np.eye(len(rows))[0])
+    links = plant.link_body.tobytes(), np.ascontiguousarray(plant.link_values[:, 0]).tobytes()
+    bodies = plant.body_coordinate.tobytes(), plant.body_ratio.tobytes()
+    return np.frombuffer(_untwisted(*links, *bodies, plant.inertia.size, first))
+
+
+@lru_cache(64)
+def _untwisted(
+    link_body: bytes, link_ratio: bytes, coordinate: bytes, body_ratio: bytes, n: int, first: int
+) -> bytes:
+    """The same; fits ask again and again, while they move other numbers."""
+    ends = np.frombuffer(link_body, np.int64).reshape(-1, 2)
+    ratio, turns = np.frombuffer(link_ratio), np.frombuffer(body_ratio)
+    rows = np.vstack(
+        [np.eye(1, n, first), _twists(ends, ratio, np.frombuffer(coordinate, np.int64), turns, n)]
+    )
+    return np.linalg.solve(rows, np.eye(len(rows))[0]).tobytes()
+
+
+def _twists(ends: Ints, ratio: Floats, coordinate: Ints, turns: Floats, n: int) -> Floats:
+    """Twists of links over the coordinates, (links, n)."""
+    rows = np.zeros((len(ends), n))
+    for end, factor in ((0, np.ones(len(ends))), (1, -ratio)):
+        bodies = ends[:, end]
+        np.add.at(rows, (np.arange(len(ends)), coordinate[bodies]), factor * turns[bodies])
+    return rows
 
 
 class Structure(NamedTuple):

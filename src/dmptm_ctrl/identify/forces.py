@@ -1,0 +1,338 @@
+"""Torques on the bodies of a drive along a log, whose motion sensors measured.
+
+Coordinates that are not measured are simulated between the measured ones, driven by the same
+signals.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmptm_ctrl.identify.following import loaded, loads_of
+from dmptm_ctrl.identify.measured_motion import (
+    HELD_POSITION,
+    HELD_SPEED,
+    NONE,
+    Floats,
+    Motion,
+    Moves,
+    Nuisance,
+    at_samples,
+    derivative,
+)
+from dmptm_ctrl.identify.teeth import carried, pressed, put_through, twist_of
+from dmptm_ctrl.simulate.along import (
+    acting_of,
+    built_up_along,
+    delayed_along,
+    friction_along,
+    lagged_along,
+    law_along,
+    signal_along,
+    torque_along,
+)
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.plant import untwisted
+from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_run import RigRun, march, substeps_for
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.identify.inverse_dynamics import Balance
+
+TINY = 1e-300  # a speed that has a direction and no size
+LOADED = 3  # times that friction under load is taken from the load that it leaves
+RECENT = 16  # frictions of bodies that are kept
+SUBSTEPS = 40  # of hidden coordinates; faster ones are far above the bandwidth
+
+
+@dataclass(frozen=True)
+class Forces:
+    """Torques along a log, per coordinate that is measured.
+
+    Attributes
+    ----------
+    own, need : dict of coordinate to (n,) array
+        What drives give, and what motion, friction and links take; of toothed links nothing.
+    left : dict of coordinate to (n,) array
+        What is left, the torque of toothed links included.
+    carried : dict of link to (n,) array
+        Torque of toothed links by the balance of one side, see :mod:`.teeth`.
+    twists : dict of link to arrays
+        Their measured twists.
+    """
+
+    measured: Moves
+    own: dict[int, Floats]
+    need: dict[int, Floats]
+    left: dict[int, Floats]
+    carried: dict[str, Floats]
+    twists: dict[str, tuple[Floats, Floats, Floats, Floats]]
+
+
+def forces_of(
+    model: RigModel, balance: "Balance", motion: Motion, nuisance: Nuisance = NONE
+) -> Forces:
+    """Return the torques along a log."""
+    layout, plant = model.layout, model.plant()
+    measured, _ = measured_motion(model, balance, motion, nuisance)
+    twists = {n: twist_of(model, n, motion, measured, nuisance) for n in balance.teeth}
+    simulated = any(name not in twists for name in layout.links)
+    runs = _links(model, motion, measured, nuisance) if simulated else {}
+    runs |= {n: pressed(model, n, twist) for n, twist in twists.items()}
+    zeros = {b: np.zeros(motion.time.size) for b in layout.bodies}
+    pushes, volts = [], {}
+    for j, name in enumerate(layout.inputs):
+        body = layout.input_body[name]
+        volts[body] = effective_input(model, motion, name)
+        pushes.append((body, plant.input_values[j, 0] * volts[body]))
+    ends = {n: plant.link_body[k].tolist() for k, n in enumerate(layout.links)}
+    ratios = dict(zip(layout.links, plant.link_values[:, 0].tolist(), strict=True))
+
+    def on_bodies(torques: Mapping[str, Floats]) -> dict[str, Floats]:
+        load = dict(zeros)
+        for name, torque in torques.items():
+            for end, factor in zip(ends[name], (1.0, ratios[name]), strict=True):
+                body = layout.bodies[end]
+                load[body] = load[body] + np.abs(factor * torque)
+        return load
+
+    load = on_bodies({n: t for n, t in runs.items() if n not in twists})
+
+    def braked(body: str) -> Floats:
+        group = layout.coordinate[body]
+        q, v, _ = measured[group]
+        rubs, other = _friction(model, motion, group, q, v, load, volts, nuisance, body)
+        return (rubs + other) / layout.ratio[body]
+
+    for _ in range(LOADED if model.closed and loaded(model) else 0):
+        load |= loads_of(model, measured, dict(pushes), braked)
+    for _ in range(LOADED if twists and loaded(model) else 1):
+        own, need, left = {}, {}, {}
+        for group, (q, v, a) in measured.items():
+            friction, other = _friction(model, motion, group, q, v, load, volts, nuisance)
+            given, takes, teeth = np.zeros_like(v), plant.inertia[group] * a + other, 0.0
+            for body, torque in pushes:
+                if layout.coordinate[body] == group:
+                    given = given + layout.ratio[body] * torque
+            for name, torque in runs.items():
+                for end, factor in zip(ends[name], (1.0, -ratios[name]), strict=True):
+                    if plant.body_coordinate[end] == group:
+                        more = plant.body_ratio[end] * factor * torque
+                        if name in twists:
+                            teeth = teeth + more
+                        else:
+                            takes = takes + more
+            takes = takes + _at_rest(friction, given - takes - teeth, v, motion.rest_share)
+            own[group], need[group] = given, takes
+            left[group] = given - takes
+        through = carried(model, twists, left)
+        load = on_bodies(runs | through)
+    return Forces(measured, own, need, put_through(model, left, through), through, twists)
+
+
+def measured_motion(
+    model: RigModel, balance: "Balance", motion: Motion, nuisance: Nuisance = NONE
+) -> tuple[Moves, dict[int, str]]:
+    """Return the motion of each measured coordinate, and the body that it was measured at.
+
+    Where the driven coordinate has no sensor and a spring leads to one that has, its motion
+    follows from the torque that the measured one takes.
+    """
+    layout = model.layout
+    found: Moves = {}
+    bodies: dict[int, str] = {}
+    for point in balance.points:
+        body = layout.sensor_body[point.name]
+        group, r = layout.coordinate[body], layout.ratio[body]
+        if group not in found:
+            found[group] = motion.at(point.name, r)
+            bodies[group] = body
+    if 0 not in found:
+        driven = _through_spring(model, motion, found, nuisance)
+        if driven is not None:
+            at = layout.input_body[layout.inputs[0]]
+            return {0: driven, **found}, {0: at, **bodies}
+    return found, bodies
+
+
+def _through_spring(
+    model: RigModel, motion: Motion, found: Moves, nuisance: Nuisance
+) -> tuple[Floats, Floats, Floats] | None:
+    """Motion of the driven coordinate from that at the other end of its spring."""
+    layout, plant = model.layout, model.plant()
+    for k in range(len(layout.links)):
+        ends = [layout.bodies[i] for i in plant.link_body[k]]
+        groups = [layout.coordinate[b] for b in ends]
+        ratio, stiffness, damping = plant.link_values[k, :3]
+        if plant.link_gap[k] or 0 not in groups or not {*groups} & {*found}:
+            continue
+        other = groups[1] if groups[0] == 0 else groups[0]
+        q, v, a = found[other]
+        nothing = {b: np.zeros_like(q) for b in layout.bodies}
+        need = plant.inertia[other] * a
+        need = need + sum(_friction(model, motion, other, q, v, nothing, {}, nuisance))
+        # lever of each end on the twist z = r1 q1 − ratio r2 q2
+        lever = [layout.ratio[ends[0]], -ratio * layout.ratio[ends[1]]]
+        here, there = (0, 1) if groups[0] == 0 else (1, 0)
+        torque = -need / lever[there]
+        # k z + c ż = torque; c/k is short
+        z = (torque - damping / stiffness * derivative(torque, motion.dt)) / stiffness
+        rate = derivative(z, motion.dt)
+        change = derivative(rate, motion.dt)
+        return tuple(
+            (part - lever[there] * far) / lever[here]
+            for part, far in ((z, q), (rate, v), (change, a))
+        )
+    return None
+
+
+def _links(
+    model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance
+) -> dict[str, Floats]:
+    """Torque of every link along the log; coordinates without sensors are simulated."""
+    run = hidden_run(model, motion, measured, nuisance)
+    return {name: run.link(name) for name in model.layout.links}
+
+
+def hidden_run(model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance) -> RigRun:
+    """Run the coordinates that nothing measures along the measured ones."""
+    layout = model.layout
+    reach = untwisted(model.plant())
+    given, position, speed = {}, {}, {}
+    base_group = next(iter(measured))
+    q0, v0 = measured[base_group][0][0], measured[base_group][1][0]
+    for body in layout.bodies:
+        group, r = layout.coordinate[body], layout.ratio[body]
+        if group in measured:
+            q, v, _ = measured[group]
+            twist = sum(
+                nuisance.twist.get(link, 0.0)
+                + motion.zero.get(link, 0.0) / model.value(f"link.{link}.ratio")
+                for link in {*nuisance.twist, *motion.zero}
+                if link in layout.links and _second(model, link) == body
+            )  # fmt: skip
+            given[body] = r * q + twist, r * v
+        else:
+            # in step with the measured ones at the start
+            position[body] = r * q0 * reach[group] / reach[base_group]
+            speed[body] = r * v0 * reach[group] / reach[base_group]
+    shared = {layout.coordinate[b]: b for b in given}
+    u = np.array([motion.u[name] for name in layout.inputs])
+    everything = len(measured) == layout.coordinates
+    return march(
+        model.shifted(nuisance.zero) if nuisance.zero else model,
+        u,
+        motion.dt,
+        position=position,
+        speed=speed,
+        given={b: given[b] for b in shared.values()},
+        substeps=1 if everything else min(substeps_for(model.plant(), motion.dt), SUBSTEPS),
+    )
+
+
+def _second(model: RigModel, link: str) -> str:
+    plant, layout = model.plant(), model.layout
+    return layout.bodies[plant.link_body[layout.links.index(link), 1]]
+
+
+def _friction(
+    model: RigModel,
+    motion: Motion,
+    group: int,
+    q: Floats,
+    v: Floats,
+    load: Mapping[str, Floats],
+    volts: Mapping[str, Floats],
+    nuisance: Nuisance,
+    only: str = "",
+) -> tuple[Floats, Floats]:
+    """Friction, and load torques, of a coordinate, signed against the motion (to be overcome).
+
+    Of all its bodies, or of one.
+    """
+    layout, plant = model.layout, model.plant()
+    friction, other, none = np.zeros_like(v), np.zeros_like(v), np.zeros_like(v)
+    for k, body in enumerate(layout.bodies):
+        if layout.coordinate[body] != group or only not in ("", body):
+            continue
+        r, level = layout.ratio[body], _sliding(motion, v, layout.ratio[body], plant.law[k])
+        acting = [e for e in model.effects if e.on == body]
+        angle, omega = (r * q, r * _nowhere_still(v)) if acting else (q, v)
+        factor: Floats | float = 1.0
+        more: Floats | float = 0.0
+        for effect in acting:
+            chain = PLACED_CATALOGUE[effect.name]
+            theta = angle + nuisance.zero.get(effect.key, 0.0)
+            if chain.site == "friction":
+                moves = theta, omega, motion.time, load[body]
+                scale, added = friction_along([acting_of(effect)], *moves)
+                factor = factor * scale
+                more = more + np.sign(omega) * added
+            elif chain.site in ("motor", "load"):
+                moves = volts.get(body, none), theta, omega, motion.time
+                other -= r * torque_along([acting_of(effect)], *moves)
+        friction += factor * (level + r * more)
+    for k in np.flatnonzero(plant.bristles[:, 0]).tolist():
+        if plant.body_coordinate[k] == group:
+            bristles = plant.bristles[k, 0] / abs(plant.body_ratio[k]), plant.bristles[k, 1]
+            begins, travel = np.zeros(1, np.int64), np.gradient(q)
+            friction = built_up_along(
+                friction, _nowhere_still(v), travel, begins, bristles, plant.law[k]
+            )
+            break  # one body's bristles carry what rubs on all that are tied to it
+    return friction, other
+
+
+def _nowhere_still(v: Floats) -> Floats:
+    """Speed with a direction everywhere: friction at rest has a size, if no direction."""
+    return np.where(v == 0.0, TINY, v)
+
+
+def _sliding(motion: Motion, v: Floats, ratio: float, law: Floats) -> Floats | float:
+    """Friction of a body at its coordinate; kept along measured motion, for fits ask again."""
+    if not np.any(law[[0, 1, 3, 4, 5, 7]]):
+        return 0.0
+    kept, key = motion.known.get(id(v), {}), (ratio, law.tobytes())
+    found: Floats | None = kept.get(key)
+    if found is None:
+        found = ratio * law_along(ratio * _nowhere_still(v), law)
+        for old in list(kept)[: max(len(kept) - RECENT, 0)]:
+            kept.pop(old, None)
+        kept[key] = found
+    return found
+
+
+def _at_rest(friction: Floats, needed: Floats, v: Floats, share: float) -> Floats:
+    """Friction with the set-valued part at rest: whatever holds the body, up to its level."""
+    level = np.abs(friction)
+    return np.where(resting(v, share), np.clip(needed, -level, level), friction)
+
+
+def resting(v: Floats, share: float) -> NDArray[np.bool_]:
+    """Where a body counts as at rest: friction there is whatever holds it."""
+    return np.asarray(np.abs(v) < share * np.abs(v).max(initial=0.0))
+
+
+def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
+    """Signal of an input as it acts, at the samples, (n,): effects and limit applied.
+
+    The logged signal is held from each sample to the next. Dead time and lag are undone on the
+    other side of the balance where there is one input (`_ahead`), and applied here where there
+    are several.
+    """
+    signal = motion.u[name]
+    for effect in model.effects:
+        if effect.on == name and PLACED_CATALOGUE[effect.name].site == "drive":
+            signal = signal_along([acting_of(effect)], signal, motion.time)
+    j = model.layout.inputs.index(name)
+    _, dead, tau, limit = model.plant().input_values[j]
+    if limit > 0:
+        signal = np.clip(signal, -limit, limit)
+    if len(model.layout.inputs) > 1 and dead + tau > 0:
+        before = float(signal[0])
+        signal = delayed_along(signal, dead / motion.dt, before)
+        signal = lagged_along(signal, np.full_like(signal, tau), motion.dt, before)
+    return at_samples(signal, HELD_SPEED if motion.by_speed else HELD_POSITION)

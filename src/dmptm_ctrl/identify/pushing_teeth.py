@@ -1,0 +1,90 @@
+"""When the teeth of links that are measured at both ends push, and where their gaps are."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from dmptm_ctrl.identify.forces import forces_of
+from dmptm_ctrl.identify.free_parameters import same_twist
+from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.identify.measured_motion import NONE, Floats, Motion, Moves, reading_variance
+from dmptm_ctrl.identify.teeth import twist_of
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.plant import link_matrices
+from dmptm_ctrl.simulate.rig_model import RigModel
+
+SWINGS = 2.0  # periods of the bandwidth, over which it is looked at how far teeth swing
+LANDED = 0.02  # s after an impact, in which teeth rattle
+TAIL = 0.005  # of the twists, beyond the ends of the gap and its wind-up
+
+
+def centred(balance: Balance, model: RigModel) -> Balance:
+    """Count twists from the middle of their gaps: encoders start anywhere.
+
+    Where a log holds one flank alone, the torque tells which.
+    """
+    motions = list(balance.motions)
+    for name in balance.teeth:
+        gap = model.value(f"link.{name}.half_gap")
+        seen = []
+        for m in motions:
+            forces = forces_of(model, balance, m)
+            seen.append((forces.twists[name][0], forces.carried[name]))
+        each = range(len(seen))
+        groups = [[*each]] if same_twist(model, balance, name) else [[i] for i in each]
+        for group in groups:
+            z, torque = (np.concatenate([seen[i][part] for i in group]) for part in (0, 1))
+            low, high = np.quantile(z, [TAIL, 1.0 - TAIL])
+            middle = 0.5 * (low + high)
+            if high - low < gap:
+                middle -= gap * np.sign(np.mean(torque))
+            for i in group:
+                here = motions[i].zero.get(name, 0.0) + float(middle)
+                motions[i] = replace(motions[i], zero={**motions[i].zero, name: here})
+    return replace(balance, motions=tuple(motions))
+
+
+def pushing(balance: Balance, model: RigModel, logs: Iterable[Log]) -> Balance:
+    """Tell on which flank teeth push, and when they do not: bouncing, or just after an impact.
+
+    The torque that the balance of one side asks of them tells the flank: errors of teeth may be
+    as large as the gap. They bounce where they swing by more than that torque winds them up.
+    """
+    if not balance.teeth:
+        return balance
+    named, motions = {log.name: log for log in logs}, []
+    for motion in balance.motions:
+        forces, loose, flank = forces_of(model, balance, motion), {}, {}
+        for name, (*_, stiffness) in forces.twists.items():
+            torque = uniform_filter1d(forces.carried[name], _span(motion))
+            side = np.where(torque > 0.0, 1.0, -1.0)
+            swing = _swing(balance, model, named[motion.name], name, motion)
+            off = np.abs(torque) / stiffness <= np.sqrt(2.0 * swing)
+            for late in range(1, round(LANDED / motion.dt) + 1):
+                off[late:] |= side[late:] != side[:-late]
+            loose[name], flank[name] = off.astype(float), side
+        motions.append(replace(motion, loose=loose, flank=flank))
+    return replace(balance, motions=tuple(motions), known={}, noises={})
+
+
+def _span(motion: Motion) -> int:
+    return max(3, round(SWINGS / (motion.bandwidth * motion.dt)))
+
+
+def _swing(balance: Balance, model: RigModel, log: Log, name: str, motion: Motion) -> Floats:
+    """Variance of a twist around each sample beyond the readings' noise, (n,)."""
+    layout, plant = model.layout, model.plant()
+    raw: Moves = {}
+    rows, noise = link_matrices(plant)[0][layout.links.index(name)], 0.0
+    for point in reversed(balance.points):
+        if (sensor := point.sight.angle) is not None:
+            body, reading = layout.sensor_body[point.name], log[sensor.channel]
+            group, q = layout.coordinate[body], reading / layout.ratio[body]
+            raw[group] = q, np.zeros_like(q), np.zeros_like(q)
+            noise += (rows[group] / layout.ratio[body]) ** 2 * reading_variance(sensor, reading)
+    z = twist_of(model, name, motion, raw, NONE)[0]
+    z = z - z.mean()
+    mean, square = (uniform_filter1d(x, _span(motion)) for x in (z, z**2))
+    return np.asarray(np.maximum(square - mean**2 - noise, 0.0))

@@ -1,0 +1,162 @@
+"""Links with a declared gap whose bodies are measured at both ends.
+
+While teeth rest on a flank, the measured twist tells what they carry,
+
+    z + shift − gap · flank + (c/k) ż = torque/k,
+
+and the balance of all bodies on one side of the link tells the same torque. It stands in the
+twist, so that the noise of a twist does not make a stiffness small. After a reversal teeth
+rattle, which no model predicts; until they push again, only the balance of all bodies counts.
+Source: paper Eq. 21, in contact.
+"""
+
+from collections.abc import Iterable, Mapping
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dmptm_ctrl.drive.rig import Link, Rig
+from dmptm_ctrl.identify.measured_motion import Floats, Motion, Moves, Nuisance
+from dmptm_ctrl.simulate.along import acting_of, shift_along, stiffness_along
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.plant import untwisted
+from dmptm_ctrl.simulate.rig_model import RigModel
+
+if TYPE_CHECKING:
+    from dmptm_ctrl.identify.inverse_dynamics import Point
+
+
+def toothed(rig: Rig, points: tuple["Point", ...]) -> dict[str, int]:
+    """Links that are measured so, each with the equation that it takes.
+
+    Of the two sides of a link that is the one of the point beyond it, seen from the first point.
+    """
+    tied = {b.name: {b.name} for b in rig.bodies}
+    for link in (k for k in rig.links if k.rigid):
+        whole = tied[link.first] | tied[link.second]
+        tied.update(dict.fromkeys(whole, whole))
+    first: dict[str, int] = {}
+    for k, point in enumerate(points):
+        for body in tied[point.body] - first.keys():
+            first[body] = k
+    soft = [k for k in rig.links if not k.rigid]
+    found = {}
+    for link in (k for k in soft if _declared(k)):
+        if not all(b in first and points[first[b]].sight.angle for b in (link.first, link.second)):
+            continue
+        here = _within(tied, [k for k in soft if k is not link], points[0].body)
+        beyond = [b for b in (link.first, link.second) if b not in here]
+        if len(beyond) == 1:
+            found[link.name] = first[beyond[0]]
+    return found
+
+
+def _declared(link: Link) -> bool:
+    known = link.half_gap, link.stiffness
+    return all(q is not None and isfinite(q.value) and q.value > 0 for q in known)
+
+
+def _within(tied: Mapping[str, set[str]], links: Iterable[Link], body: str) -> set[str]:
+    """Bodies that hang together with one."""
+    found, new = set[str](), tied[body]
+    while not new <= found:
+        found = found | new
+        ends = [{k.first, k.second} for k in links]
+        new = found.union(*(tied[b] for pair in ends if pair & found for b in pair))
+    return found
+
+
+def side_of(model: RigModel, link: str) -> tuple[list[int], float]:
+    """Coordinates on the smaller side of a link, and the sign of what the link takes of them."""
+    layout, plant = model.layout, model.plant()
+    ends = plant.body_coordinate[plant.link_body]
+    index = layout.links.index(link)
+    side, others = {int(ends[index, 1])}, np.delete(ends, index, axis=0)
+    for _ in range(layout.coordinates):
+        side.update(*(pair for pair in others.tolist() if side & {*pair}))
+    rest = {*range(layout.coordinates)} - side
+    return (sorted(rest), 1.0) if len(rest) < len(side) else (sorted(side), -1.0)
+
+
+def carried(model: RigModel, links: Iterable[str], left: Mapping[int, Any]) -> dict[str, Any]:
+    """Torque of links at their first bodies, by what the bodies on one side leave [N·m].
+
+    Parameters
+    ----------
+    left : mapping of coordinate to (n,) array
+        Driving torque less what motion and friction take, without that of these links.
+    """
+    reach, found = untwisted(model.plant()), {}
+    for name in links:
+        side, sign = side_of(model, name)
+        whole = sum((reach[g] * left[g] for g in side if g in left), np.zeros(1))
+        found[name] = sign / lever_of(model, name) * whole
+    return found
+
+
+def twist_of(
+    model: RigModel, name: str, motion: Motion, measured: Moves, nuisance: Nuisance
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Twist of a link with its errors of teeth, its rate, half-gap and stiffness, (n,) each."""
+    layout, plant = model.layout, model.plant()
+    k = layout.links.index(name)
+    ratio, stiffness, _, _, half_gap = plant.link_values[k]
+    ends = []
+    for b in plant.link_body[k].tolist():
+        q, v, _ = measured[int(plant.body_coordinate[b])]
+        ends.append((plant.body_ratio[b] * q, plant.body_ratio[b] * v))
+    near, far = ends
+    z = near[0] - ratio * (far[0] + nuisance.twist.get(name, 0.0)) - motion.zero.get(name, 0.0)
+    own = [
+        acting_of(e) for e in model.shifted(nuisance.zero).effects
+        if e.on == name and PLACED_CATALOGUE[e.name].site == "mesh"
+    ]  # fmt: skip
+    wider, stiffer = np.zeros(1), np.zeros(1)
+    if own:
+        shift, wider = shift_along(own, near, far)
+        z, stiffer = z + shift, stiffness_along(own, near, far)
+    return z, near[1] - ratio * far[1], half_gap + wider, stiffness + stiffer
+
+
+def pressed(model: RigModel, name: str, twist: tuple[Floats, Floats, Floats, Floats]) -> Floats:
+    """Torque of a link by its measured twist alone, (n,): noisy, with all impacts."""
+    z, rate, gap, stiffness = twist
+    damping = model.plant().link_values[model.layout.links.index(name), 2]
+    wound = z - np.clip(z, -gap, gap)
+    return np.asarray(stiffness * wound + damping * rate * (wound != 0.0))
+
+
+def missing(
+    model: RigModel,
+    name: str,
+    motion: Motion,
+    twist: tuple[Floats, Floats, Floats, Floats],
+    torque: Floats,
+) -> Floats:
+    """Twist that a model does not explain, as a torque at the first coordinate, (n,)."""
+    z, rate, gap, stiffness = twist
+    damping = model.plant().link_values[model.layout.links.index(name), 2]
+    declared = model.quantity(f"link.{name}.stiffness").value
+    more = z - gap * motion.flank.get(name, np.sign(z)) + (damping * rate - torque) / stiffness
+    return np.asarray(lever_of(model, name) * declared * more)
+
+
+def lever_of(model: RigModel, name: str) -> float:
+    """Motion of a link's first body per motion of the first coordinate, no link twisted."""
+    plant = model.plant()
+    body = plant.link_body[model.layout.links.index(name), 0]
+    return float(untwisted(plant)[plant.body_coordinate[body]] * plant.body_ratio[body])
+
+
+def put_through(
+    model: RigModel, left: dict[int, Floats], torques: Mapping[str, Floats]
+) -> dict[int, Floats]:
+    """Return what coordinates leave with the torque of toothed links on them."""
+    plant, found = model.plant(), dict(left)
+    for name, torque in torques.items():
+        k = model.layout.links.index(name)
+        for body, factor in zip(plant.link_body[k], (1.0, -plant.link_values[k, 0]), strict=True):
+            group = int(plant.body_coordinate[body])
+            found[group] = found[group] - plant.body_ratio[body] * factor * torque
+    return found

@@ -1,0 +1,163 @@
+"""Links with a gap, measured at both ends: what teeth carry, and when they push."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dmptm_ctrl
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.identify.forces import forces_of
+from dmptm_ctrl.identify.free_parameters import free_parameters, scales_of
+from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.measured_motion import reading_variance
+from dmptm_ctrl.identify.pushing_teeth import centred, pushing
+from dmptm_ctrl.identify.rig_fit import State, fit_rig
+from dmptm_ctrl.identify.rig_simulate import initial
+from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_run import march
+
+DT = 1e-3
+COUNT = 2 * np.pi / 10_000
+PAPER = (Path(dmptm_ctrl.__file__).parent / "data/paper_3dof.toml").read_text()
+MOTORS = "".join(
+    f'\n[sensor.motor_{side}]\ncolumn = "theta_{side}"\nunit = "rad"\nbody = "motor_{side}"\n'
+    for side in ("left", "right")
+)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return parse_rig(PAPER + MOTORS)
+
+
+def log_of(model: RigModel, name: str, speed: float, start: float = 0.0) -> tuple[Log, dict]:
+    """A log of turns both ways, readings rounded to counts, and what the meshes carry."""
+    rng = np.random.default_rng(round(100 * speed))
+    time = DT * np.arange(6000)
+    wave = 0.75 * np.sign(np.sin(2 * np.pi * speed * time))
+    u = np.array([wave, wave])
+    run = march(model, u, DT)
+    rounded = COUNT * np.round(run.reading("motor_left") / COUNT)
+    channels = {"in_left": u[0], "in_right": u[1], "out_motor_left": rounded + start}
+    channels["out_motor_right"] = COUNT * np.round(run.reading("motor_right") / COUNT)
+    channels["out_encoder"] = run.reading("encoder") + rng.normal(0.0, 7e-6, time.size)
+    channels["out_gyro"] = run.reading("gyro") + rng.normal(0.0, 1e-3, time.size)
+    return Log(name, time, channels), {k: run.link(k) for k in ("left", "right")}
+
+
+def prepared(rig, model, logs):
+    balance = balance_of(rig, logs)
+    assert balance.teeth == {"left": 2, "right": 1}
+    balance = pushing(centred(balance, RigModel(rig)), RigModel(rig), logs)
+    forces = [forces_of(model, balance, m) for m in balance.motions]
+    return balance, forces
+
+
+def test_one_side_tells_what_teeth_carry_while_they_push(rig):
+    model = RigModel(rig)
+    pairs = [log_of(model, "slow", 0.25), log_of(model, "fast", 0.5)]
+    balance, forces = prepared(rig, model, [log for log, _ in pairs])
+    for k, (motion, (_, carried)) in enumerate(zip(balance.motions, pairs, strict=True)):
+        for name, true in carried.items():
+            use = balance.counted[k][balance.teeth[name]]
+            # they bounce after a reversal, and not for long
+            assert 0.1 < use.sum() / motion.moving.sum() < 0.98
+            told, truth = motion.reduce(forces[k].carried[name]), motion.reduce(true)
+            assert np.std((told - truth)[use]) < 0.1 * np.std(truth)
+            flight = motion.reduce((np.abs(true) < 0.2).astype(float))  # the damping of the gap
+            assert np.mean(flight[use] > 0.1) < 0.02
+            assert flight[motion.moving].max() > 0.5  # of these rows many are in flight
+            flank = motion.reduce(motion.flank[name])
+            np.testing.assert_allclose(flank[use], np.sign(truth[use]), atol=0.2)
+
+
+def test_gaps_and_stiffness_are_found_from_wherever_encoders_start(rig):
+    true = {"link.left.half_gap": 3.8e-3, "link.right.half_gap": 3.1e-3}
+    stiff = {f"link.{s}.stiffness": 3.3e4 for s in ("left", "right")}
+    model = RigModel(rig).with_values({**true, **stiff})
+    logs = [log_of(model, n, f, s)[0] for n, f, s in (("a", 0.25, 0.0), ("b", 0.35, 40.0))]
+    balance, _ = prepared(rig, model, logs)
+    fit = fit_rig(State(RigModel(rig)), balance)
+    for key, value in true.items():
+        assert fit.values[key] == pytest.approx(value, rel=0.01)
+    key = "link.left.stiffness"
+    assert abs(fit.values[key] - 3.3e4) < 4.0 * fit.errors[key] < 8e3
+    # friction of a pinion is told from its gap by what is declared alone
+    error = fit.errors["body.pinion_left.coulomb_plus"]
+    assert 0.2 < error / (0.06 * 2.5) < 1.05
+
+
+def test_an_error_of_teeth_larger_than_the_gap_leaves_the_flank(rig):
+    off = {"cosine": 5e-3, "sine": 3e-3}
+    model = RigModel(rig)
+    for side in ("left", "right"):
+        model = model.with_effect(Placed("ring_gear_eccentricity", side, off))
+    log, carried = log_of(model, "turn", 0.1)
+    balance, _ = prepared(rig, model, [log])
+    (motion,) = balance.motions
+    for name, true in carried.items():
+        use = balance.counted[0][balance.teeth[name]]
+        assert use.sum() > 0.3 * motion.moving.sum()
+        flank = motion.reduce(motion.flank[name])
+        np.testing.assert_allclose(flank[use], np.sign(motion.reduce(true)[use]), atol=0.2)
+
+
+def test_sizes_are_those_of_the_own_body(rig):
+    logs = [log_of(RigModel(rig), "a", 0.25)[0]]
+    balance = balance_of(rig, logs)
+    model, scales = RigModel(rig), scales_of(balance)
+    frees = {f.label: f for f in free_parameters(model, balance, scales)}
+    motor, ring = (
+        scales.at(model, "motor_left", "motor_left"),
+        scales.at(model, "ring_gear", "motor_left"),
+    )
+    assert motor.force == scales.force
+    assert ring.force == pytest.approx(206.25 * scales.force)
+    assert ring.speed == pytest.approx(scales.speed / 206.25)
+    assert frees["body.ring_gear.stribeck_speed_plus"].scale < 10 * np.deg2rad(1.0)
+
+
+def test_a_drive_that_starts_from_rest_does(rig):
+    model = RigModel(rig)
+    log, _ = log_of(model, "a", 0.25)
+    speeds = initial(model, log)[1]
+    assert abs(speeds["motor_left"]) < 2.0  # in the gap it gains 1 rad/s each millisecond
+    time = log.time
+    steady = {**log.channels, "out_motor_left": 50.0 * time, "out_motor_right": 50.0 * time}
+    steady |= {"out_encoder": 50.0 / 206.25 * time, "out_gyro": 0 * time + 50.0 / 206.25}
+    speeds = initial(model, Log("steady", time, steady))[1]
+    assert speeds["motor_left"] == pytest.approx(50.0)
+    assert speeds["ring_gear"] == pytest.approx(50.0 / 206.25)
+
+
+@pytest.mark.parametrize("size", [0.3, 20.0])
+def test_readings_on_a_grid_show_it_however_fast_they_move(rig, size):
+    sensor = rig.sensors[-1]
+    time = DT * np.arange(5000)
+    turn = size * np.sin(1.3 * time) + 0.1 * size * np.sin(0.31 * time)
+    rounded = np.round(COUNT * np.round(turn / COUNT), 5)  # five digits of a text file
+    assert reading_variance(sensor, rounded) == pytest.approx(COUNT**2 / 12, rel=0.1)
+    assert reading_variance(sensor, turn) < 0.01 * COUNT**2 / 12
+    noisy = turn + np.random.default_rng(1).normal(0.0, COUNT, time.size)
+    assert reading_variance(sensor, noisy) == pytest.approx(COUNT**2, rel=0.1)
+
+
+@pytest.mark.filterwarnings("error")
+def test_where_teeth_never_push_the_whole_alone_counts(rig):
+    model = RigModel(rig)
+    logs = [log_of(model, name, f)[0] for name, f in (("a", 0.25), ("b", 0.4))]
+    balance, _ = prepared(rig, model, logs)
+    bounce = [{k: np.ones_like(x) for k, x in m.loose.items()} for m in balance.motions]
+    motions = [replace(m, loose=x, known={}) for m, x in zip(balance.motions, bounce, strict=True)]
+    first, other = (replace(balance, motions=(m,), noises={}) for m in motions)
+    evidence = RigEvidence(first, other, 1)
+    base = evidence.base(State(model))
+    assert base.fit.likelihood.rows[0] > 500
+    assert not base.fit.likelihood.rows[1:].any()
+    (found,) = evidence.candidates(base, ["cogging@motor_left"])
+    assert np.isfinite([found.gain, found.error, found.held_error]).all()
+    assert not found.acceptable

@@ -85,8 +85,11 @@ class Scales:
 
     def at(self, model: RigModel, place: str, seen: str) -> "Scales":
         """Return the sizes at a body, or at the first body of a link, by those at another body."""
-        layout, reach = model.layout, untwisted(model.plant())
-        body = next((k.first for k in model.rig.links if k.name == place), place)
+        layout, plant = model.layout, model.plant()
+        reach, first = untwisted(plant), {k.name: k.first for k in model.rig.links}
+        for name, body in zip(layout.links, plant.link_body[:, 0].tolist(), strict=True):
+            first[name] = layout.bodies[body]  # effects make links, too
+        body = first.get(place, place)
         turn, turn_seen = (abs(layout.ratio[b] * reach[layout.coordinate[b]]) for b in (body, seen))
         by = turn / turn_seen
         return replace(

@@ -23,7 +23,7 @@ from dmptm_ctrl.identify.measured_motion import (
     at_samples,
     derivative,
 )
-from dmptm_ctrl.identify.teeth import carried, pressed, put_through, twist_of
+from dmptm_ctrl.identify.teeth import carried, put_through, twist_of
 from dmptm_ctrl.simulate.along import (
     acting_of,
     built_up_along,
@@ -81,7 +81,6 @@ def forces_of(
     twists = {n: twist_of(model, n, motion, measured, nuisance) for n in balance.teeth}
     simulated = any(name not in twists for name in layout.links)
     runs = _links(model, motion, measured, nuisance) if simulated else {}
-    runs |= {n: pressed(model, n, twist) for n, twist in twists.items()}
     zeros = {b: np.zeros(motion.time.size) for b in layout.bodies}
     pushes, volts = [], {}
     for j, name in enumerate(layout.inputs):
@@ -99,7 +98,7 @@ def forces_of(
                 load[body] = load[body] + np.abs(factor * torque)
         return load
 
-    load = on_bodies({n: t for n, t in runs.items() if n not in twists})
+    load = on_bodies(runs)
 
     def braked(body: str) -> Floats:
         group = layout.coordinate[body]
@@ -113,19 +112,17 @@ def forces_of(
         own, need, left = {}, {}, {}
         for group, (q, v, a) in measured.items():
             friction, other = _friction(model, motion, group, q, v, load, volts, nuisance)
-            given, takes, teeth = np.zeros_like(v), plant.inertia[group] * a + other, 0.0
+            given, takes = np.zeros_like(v), plant.inertia[group] * a + other
             for body, torque in pushes:
                 if layout.coordinate[body] == group:
                     given = given + layout.ratio[body] * torque
             for name, torque in runs.items():
                 for end, factor in zip(ends[name], (1.0, -ratios[name]), strict=True):
                     if plant.body_coordinate[end] == group:
-                        more = plant.body_ratio[end] * factor * torque
-                        if name in twists:
-                            teeth = teeth + more
-                        else:
-                            takes = takes + more
-            takes = takes + _at_rest(friction, given - takes - teeth, v, motion.rest_share)
+                        takes = takes + plant.body_ratio[end] * factor * torque
+            if not twists:  # what holds a body beside teeth, noise of their twist hides
+                friction = _at_rest(friction, given - takes, v, motion.rest_share)
+            takes = takes + friction
             own[group], need[group] = given, takes
             left[group] = given - takes
         through = carried(model, twists, left)

@@ -119,14 +119,6 @@ def twist_of(
     return z, near[1] - ratio * far[1], half_gap + wider, stiffness + stiffer
 
 
-def pressed(model: RigModel, name: str, twist: tuple[Floats, Floats, Floats, Floats]) -> Floats:
-    """Torque of a link by its measured twist alone, (n,): noisy, with all impacts."""
-    z, rate, gap, stiffness = twist
-    damping = model.plant().link_values[model.layout.links.index(name), 2]
-    wound = z - np.clip(z, -gap, gap)
-    return np.asarray(stiffness * wound + damping * rate * (wound != 0.0))
-
-
 def missing(
     model: RigModel,
     name: str,

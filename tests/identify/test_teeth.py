@@ -11,7 +11,7 @@ from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.forces import forces_of
 from dmptm_ctrl.identify.free_parameters import free_parameters, scales_of
-from dmptm_ctrl.identify.inverse_dynamics import balance_of
+from dmptm_ctrl.identify.inverse_dynamics import balance_of, residual
 from dmptm_ctrl.identify.measured_motion import reading_variance
 from dmptm_ctrl.identify.pushing_teeth import centred, pushing
 from dmptm_ctrl.identify.rig_fit import State, fit_rig
@@ -161,3 +161,60 @@ def test_where_teeth_never_push_the_whole_alone_counts(rig):
     (found,) = evidence.candidates(base, ["cogging@motor_left"])
     assert np.isfinite([found.gain, found.error, found.held_error]).all()
     assert not found.acceptable
+
+
+def test_a_hidden_body_behind_a_spring_is_simulated_beside_teeth():
+    rig = parse_rig(
+        """
+[body.motor]
+inertia = "2e-4 kg m^2"
+viscous = "1e-4 N m s/rad"
+coulomb = "0.02 N m"
+[body.gear]
+inertia = "2e-3 kg m^2"
+viscous = "1e-3 N m s/rad"
+[body.load]
+inertia = "4e-3 kg m^2"
+viscous = "2e-3 N m s/rad"
+[mesh.teeth]
+between = ["motor", "gear"]
+ratio = 2
+stiffness = "200 N m/rad"
+damping = "0.02 N m s/rad"
+half_gap = "0.01 rad"
+[shaft.spring]
+between = ["gear", "load"]
+ratio = 1
+stiffness = "20 N m/rad"
+damping = "0.01 N m s/rad"
+[input.drive]
+column = "u"
+body = "motor"
+gain = "1 N m/V"
+unit = "V"
+[sensor.motor]
+column = "q1"
+unit = "rad"
+body = "motor"
+[sensor.gear]
+column = "q2"
+unit = "rad"
+body = "gear"
+"""
+    )
+    model, time = RigModel(rig), DT * np.arange(8000)
+    u = 0.3 * np.sin(2 * np.pi * 0.5 * time) + 0.1 * np.sin(2 * np.pi * 3.1 * time)
+    run = march(model, u[None], DT)
+    seen = {f"out_{name}": run.reading(name) for name in ("motor", "gear")}
+    log = Log("a", time, {"in_drive": u, **seen})
+    balance = balance_of(rig, [log])
+    assert balance.teeth == {"teeth": 1}
+    balance = pushing(centred(balance, model), model, [log])
+    (motion,), (counted,) = balance.motions, balance.counted
+    left, drive = residual(model, balance, motion)
+    assert counted[0].sum() > 50
+    assert counted[1].sum() > 20
+    assert np.std(left[0][counted[0]]) < 0.03 * np.std(drive)
+    soft = model.with_values({"link.spring.stiffness": 5.0})
+    worse, _ = residual(soft, balance, motion)
+    assert np.std(worse[0][counted[0]]) > 3.0 * np.std(left[0][counted[0]])

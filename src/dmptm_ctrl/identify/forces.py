@@ -79,8 +79,10 @@ def forces_of(
     layout, plant = model.layout, model.plant()
     measured, _ = measured_motion(model, balance, motion, nuisance)
     twists = {n: twist_of(model, n, motion, measured, nuisance) for n in balance.teeth}
-    simulated = any(name not in twists for name in layout.links)
-    runs = _links(model, motion, measured, nuisance) if simulated else {}
+    simulated = [name for name in layout.links if name not in twists]
+    if simulated:
+        run = hidden_run(model, motion, measured, nuisance)
+    runs = {name: run.link(name) for name in simulated}
     zeros = {b: np.zeros(motion.time.size) for b in layout.bodies}
     pushes, volts = [], {}
     for j, name in enumerate(layout.inputs):
@@ -184,14 +186,6 @@ def _through_spring(
             for part, far in ((z, q), (rate, v), (change, a))
         )
     return None
-
-
-def _links(
-    model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance
-) -> dict[str, Floats]:
-    """Torque of every link along the log; coordinates without sensors are simulated."""
-    run = hidden_run(model, motion, measured, nuisance)
-    return {name: run.link(name) for name in model.layout.links}
 
 
 def hidden_run(model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance) -> RigRun:

@@ -278,7 +278,7 @@ def curve_share(state: "RigState", found: Sequence[Curve]) -> float:
 def mean_square(left: Sequence[Floats], balance: Balance) -> float:
     """Mean square of the first equation over the rows that count."""
     rows = np.concatenate([p[0][m.moving] for p, m in zip(left, balance.motions, strict=True)])
-    size = robust_scale if balance.bursts else root_mean_square  # as `Likelihood.sizes`
+    size = robust_scale if balance.bursts[0] else root_mean_square  # as `Likelihood.sizes`
     return size(rows) ** 2 if rows.size else 0.0
 
 

@@ -126,7 +126,7 @@ def _fitted(
     """Fit the declared model; each fit tells better when teeth touch."""
     logs, held, _, _ = split(model.rig, balance)
     start = rough_start(model, logs)
-    if balance.bursts:
+    if any(balance.bursts):
         for k in range(ROUNDS):
             if k > 0:
                 start = fit_rig(State(start), logs, jobs=jobs).model

@@ -190,8 +190,9 @@ def _through_spring(
 
 def hidden_run(model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance) -> RigRun:
     """Run the coordinates that nothing measures along the measured ones."""
-    layout = model.layout
-    reach = untwisted(model.plant())
+    layout, plant = model.layout, model.plant()
+    reach = untwisted(plant)
+    ratios = dict(zip(layout.links, plant.link_values[:, 0].tolist(), strict=True))
     given, position, speed = {}, {}, {}
     base_group = next(iter(measured))
     q0, v0 = measured[base_group][0][0], measured[base_group][1][0]
@@ -200,8 +201,7 @@ def hidden_run(model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisa
         if group in measured:
             q, v, _ = measured[group]
             twist = sum(
-                nuisance.twist.get(link, 0.0)
-                + motion.zero.get(link, 0.0) / model.value(f"link.{link}.ratio")
+                nuisance.twist.get(link, 0.0) + motion.zero.get(link, 0.0) / ratios[link]
                 for link in {*nuisance.twist, *motion.zero}
                 if link in layout.links and _second(model, link) == body
             )  # fmt: skip
@@ -220,7 +220,7 @@ def hidden_run(model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisa
         position=position,
         speed=speed,
         given={b: given[b] for b in shared.values()},
-        substeps=1 if everything else min(substeps_for(model.plant(), motion.dt), SUBSTEPS),
+        substeps=1 if everything else min(substeps_for(plant, motion.dt), SUBSTEPS),
     )
 
 

@@ -128,9 +128,13 @@ class Balance:
         return force / acceleration if acceleration > 0 else 1.0
 
     @property
-    def bursts(self) -> bool:
-        """Whether what is left comes in bursts: impacts, and how teeth rattle, are chance."""
-        return bool(self.closed or self.teeth)
+    def bursts(self) -> tuple[bool, ...]:
+        """Whether what is left of each equation comes in bursts: impacts that nothing measures.
+
+        So does the twist of teeth that rattle; the balance of all measured bodies holds through it.
+        """
+        heavy = {*self.teeth.values()}
+        return tuple(bool(self.closed) or k in heavy for k in range(len(self.points)))
 
     @cached_property
     def counted(self) -> list[NDArray[np.bool_]]:

@@ -105,23 +105,19 @@ class Likelihood:
 
     def sizes(self, left: Sequence[Floats]) -> Floats:
         """What is left of each equation, (equations,): its rms, or its scale beside bursts."""
-        size = robust_scale if self.bursts else root_mean_square
-        return np.array([size(p) if p.size else 1.0 for p in self.parts(left)])
+        parts = zip(self.parts(left), self.balance.bursts, strict=True)
+        return np.array([_size(part, heavy) if part.size else 1.0 for part, heavy in parts])
 
     def scales(self, left: Sequence[Floats]) -> Floats:
         """Scale of each equation, (equations,): its size, and what no law is known below."""
         return np.sqrt(self.sizes(left) ** 2 + self.floor**2)
 
-    @property
-    def bursts(self) -> bool:
-        """Whether rows are those of Student's t."""
-        return self.balance.bursts
-
     def weights(self, left: Sequence[Floats]) -> Floats:
         """Square roots of what each row counts, in the order of `stack`."""
-        found = []
-        for news, scale, part in zip(self.news, self.scales(left), self.parts(left), strict=True):
-            bent = (FREEDOM + 1.0) / (FREEDOM + (part / scale) ** 2) if self.bursts else 1.0
+        found, heavy = [], self.balance.bursts
+        rows = zip(self.news, self.scales(left), self.parts(left), heavy, strict=True)
+        for news, scale, part, tailed in rows:
+            bent = (FREEDOM + 1.0) / (FREEDOM + (part / scale) ** 2) if tailed else 1.0
             found.append(np.sqrt(news * bent * np.ones(len(part))) / scale)
         return np.concatenate(found)
 
@@ -132,9 +128,8 @@ class Likelihood:
             squares = np.maximum(squares - self.noise_of(model) + self.noise, self.floor**2)
         # the mean square over the scale's is left in: near the floor it still falls
         spread = self.counts * (1.0 - self.floor**2 / squares)
-        if self.bursts:
-            rows = zip(self.parts(left), squares, strict=True)
-            spread = self.news * [np.sum(tails(part**2 / square)) for part, square in rows]
+        for e in np.flatnonzero(self.balance.bursts):
+            spread[e] = self.news[e] * np.sum(tails(self.parts(left)[e] ** 2 / squares[e]))
         return float(np.sum(self.counts * np.log(squares) + spread))
 
     @cached_property
@@ -144,9 +139,13 @@ class Likelihood:
 
     def row_surprises(self, left: Sequence[Floats]) -> list[Floats]:
         """The same of each row as if it were independent, per equation."""
-        rows = zip(self.parts(left), self.scales(left), strict=True)
-        shape = tails if self.bursts else np.asarray
-        return [2.0 * np.log(s) + shape((p / s) ** 2) for p, s in rows]
+        rows = zip(self.parts(left), self.scales(left), self.balance.bursts, strict=True)
+        squares = [((p / s) ** 2, s, heavy) for p, s, heavy in rows]
+        return [2.0 * np.log(s) + (tails(x) if heavy else x) for x, s, heavy in squares]
+
+
+def _size(rows: Floats, heavy: bool) -> float:
+    return robust_scale(rows) if heavy else root_mean_square(rows)
 
 
 def root_mean_square(rows: Floats) -> float:

@@ -77,14 +77,15 @@ def _swing(balance: Balance, model: RigModel, log: Log, name: str, motion: Motio
     """Variance of a twist around each sample beyond the readings' noise, (n,)."""
     layout, plant = model.layout, model.plant()
     raw: Moves = {}
-    rows, noise = link_matrices(plant)[0][layout.links.index(name)], 0.0
+    rows, noise = link_matrices(plant)[0][layout.links.index(name)], {}
     for point in reversed(balance.points):
         if (sensor := point.sight.angle) is not None:
             body, reading = layout.sensor_body[point.name], log[sensor.channel]
             group, q = layout.coordinate[body], reading / layout.ratio[body]
             raw[group] = q, np.zeros_like(q), np.zeros_like(q)
-            noise += (rows[group] / layout.ratio[body]) ** 2 * reading_variance(sensor, reading)
+            lever = rows[group] / layout.ratio[body]
+            noise[group] = lever**2 * reading_variance(sensor, reading)
     z = twist_of(model, name, motion, raw, NONE)[0]
     z = z - z.mean()
     mean, square = (uniform_filter1d(x, _span(motion)) for x in (z, z**2))
-    return np.asarray(np.maximum(square - mean**2 - noise, 0.0))
+    return np.asarray(np.maximum(square - mean**2 - sum(noise.values()), 0.0))

@@ -165,7 +165,8 @@ class RigEvidence:
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:
         """Judge a candidate after one step of the model's parameters, by their known slopes."""
         there, fit = trial.placed_in(state.fit.state), state.fit
-        if 2.0 * trial.gain < LEVEL:  # the held-out logs, which are fewer, show no more
+        most = 1.0 + max(1.0 / self.ratio(state), 1.0)  # held-out logs show no more by their rows
+        if most * trial.gain < LEVEL:
             return replace(self._plain((trial,), fit), gain=trial.gain)
         try:
             left, drive = residuals(there, self.logs)
@@ -201,7 +202,7 @@ class RigEvidence:
 
     def _alike(self, state: State, fit: RigFit) -> RigFit | None:
         """Return a fit if its slopes are nearly those of a state: where nothing is simulated."""
-        return None if {*state.model.layout.links} - {*self.logs.teeth} else fit
+        return None if self.logs.simulates(state.model) else fit
 
     def _candidate(
         self, state: RigState, group: tuple[Trial, ...], fit: RigFit, *, look: bool = True
@@ -448,7 +449,7 @@ def held_state(fit: RigFit, held: Balance) -> State:
     new = {m.name for m in held.motions} - known
     for effect in (e for e in state.model.effects if has_phase(state.model, held, e)):
         state = _phases(fit, state, held, effect, new)
-    linear = {*state.model.layout.links} <= {*held.teeth} and all(f.kind == "twist" for f in frees)
+    linear = not held.simulates(state.model) and all(f.kind == "twist" for f in frees)
     return fit_rig(state, held, frees=frees, iterations=1 if linear else 4, jobs=1).state
 
 

@@ -12,7 +12,7 @@ from dmptm_ctrl.identify.free_parameters import on_slide, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Motion, coordinates_of
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
-from dmptm_ctrl.identify.teeth import carried, lever_of, put_through
+from dmptm_ctrl.identify.teeth import carried, in_twist, put_through
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
@@ -104,9 +104,8 @@ def _in_equations(
     out = np.zeros((fit.left[0].shape[0], *column.shape))
     out[0] = column
     for name, k in balance.teeth.items():
-        declared = model.quantity(f"link.{name}.stiffness").value
-        factor = lever_of(model, name) * declared / model.value(f"link.{name}.stiffness")
-        out[k] = -factor * through[name]
+        stiffness = model.value(f"link.{name}.stiffness")
+        out[k] = in_twist(model, name, 0.0, 0.0, through[name], stiffness)
     seen = coordinates_of(layout, [p.name for p in balance.points])
     for k, g in enumerate(seen):
         if k > 0 and g not in seen[:k] and k not in balance.teeth.values():

@@ -11,6 +11,7 @@ from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.measured_motion import Floats, coordinates_of
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from dmptm_ctrl.identify.inverse_dynamics import Balance
 
 FOLLOWS = 0.4  # of the frequency at which hidden bodies ring; to its square they follow
-LANDED = 0.02  # s after an impact, the moment of which is not measured
+LANDED = 0.02  # s after an impact; teeth rattle, and its moment is not measured
 LEAD_HZ = 0.05  # slow lead of the runs by what is measured: bounds drift only
 
 
@@ -70,10 +71,16 @@ def _apart(closed: frozenset[str], model: RigModel, log: Log) -> Floats:
         ratio, gap = (model.value(f"link.{link.name}.{key}") for key in ("ratio", "half_gap"))
         twist = run.position(link.first) - ratio * run.position(link.second)
         side = np.where(np.abs(twist) < gap, 0.0, np.sign(twist))
-        for late in range(round(LANDED / log.sample_time) + 1):
-            open_[late:] |= side[: side.size - late] != side[late:]
-        open_ |= side == 0.0
+        open_ |= lately_changed(side, log.sample_time) | (side == 0.0)
     return open_.astype(float)
+
+
+def lately_changed(side: Floats, dt: float) -> NDArray[np.bool_]:
+    """Samples at which teeth lie on another flank than a moment before, or have just come."""
+    changed = np.zeros(side.size, bool)
+    for late in range(1, round(LANDED / dt) + 1):
+        changed[late:] |= side[late:] != side[:-late]
+    return changed
 
 
 def loaded(model: RigModel) -> bool:

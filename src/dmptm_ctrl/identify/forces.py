@@ -22,6 +22,7 @@ from dmptm_ctrl.identify.measured_motion import (
     Nuisance,
     at_samples,
     derivative,
+    recent,
 )
 from dmptm_ctrl.identify.teeth import carried, put_through, twist_of
 from dmptm_ctrl.simulate.along import (
@@ -110,25 +111,23 @@ def forces_of(
 
     for _ in range(LOADED if model.closed and loaded(model) else 0):
         load |= loads_of(model, measured, dict(pushes), braked)
+    own = {group: np.zeros_like(v) for group, (_, v, _) in measured.items()}
+    for body, torque in pushes:
+        if (group := layout.coordinate[body]) in own:
+            own[group] = own[group] + layout.ratio[body] * torque
+    moved = {group: own[group] - plant.inertia[group] * a for group, (_, _, a) in measured.items()}
+    moved = put_through(model, moved, runs)
     for _ in range(LOADED if twists and loaded(model) else 1):
-        own, need, left = {}, {}, {}
-        for group, (q, v, a) in measured.items():
+        left = {}
+        for group, (q, v, _) in measured.items():
             friction, other = _friction(model, motion, group, q, v, load, volts, nuisance)
-            given, takes = np.zeros_like(v), plant.inertia[group] * a + other
-            for body, torque in pushes:
-                if layout.coordinate[body] == group:
-                    given = given + layout.ratio[body] * torque
-            for name, torque in runs.items():
-                for end, factor in zip(ends[name], (1.0, -ratios[name]), strict=True):
-                    if plant.body_coordinate[end] == group:
-                        takes = takes + plant.body_ratio[end] * factor * torque
+            rest = moved[group] - other
             if not twists:  # what holds a body beside teeth, noise of their twist hides
-                friction = _at_rest(friction, given - takes, v, motion.rest_share)
-            takes = takes + friction
-            own[group], need[group] = given, takes
-            left[group] = given - takes
+                friction = _at_rest(friction, rest, v, motion.rest_share)
+            left[group] = rest - friction
         through = carried(model, twists, left)
         load = on_bodies(runs | through)
+    need = {group: own[group] - left[group] for group in own}
     return Forces(measured, own, need, put_through(model, left, through), through, twists)
 
 
@@ -286,13 +285,11 @@ def _sliding(motion: Motion, v: Floats, ratio: float, law: Floats) -> Floats | f
     """Friction of a body at its coordinate; kept along measured motion, for fits ask again."""
     if not np.any(law[[0, 1, 3, 4, 5, 7]]):
         return 0.0
-    kept, key = motion.known.get(id(v), {}), (ratio, law.tobytes())
-    found: Floats | None = kept.get(key)
-    if found is None:
-        found = ratio * law_along(ratio * _nowhere_still(v), law)
-        for old in list(kept)[: max(len(kept) - RECENT, 0)]:
-            kept.pop(old, None)
-        kept[key] = found
+
+    def slide() -> Floats:
+        return ratio * law_along(ratio * _nowhere_still(v), law)
+
+    found: Floats = recent(motion.known.get(id(v), {}), (ratio, law.tobytes()), slide, RECENT)
     return found
 
 

@@ -136,6 +136,10 @@ class Balance:
         heavy = {*self.teeth.values()}
         return tuple(bool(self.closed) or k in heavy for k in range(len(self.points)))
 
+    def simulates(self, model: RigModel) -> bool:
+        """Whether links carry what only a run tells."""
+        return bool({*model.layout.links} - {*self.teeth})
+
     @cached_property
     def counted(self) -> list[NDArray[np.bool_]]:
         """Rows of each equation that count, per log, (equations, rows)."""

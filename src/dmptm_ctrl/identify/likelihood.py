@@ -16,8 +16,8 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 
 LEAST_SCALE = 0.005  # of the torque; friction laws are not known more finely
 BLOCKS = 120  # over all logs; the spread of the score between them is its uncertainty
-Ints = NDArray[np.int64]
 TOLERANCE = 0.3  # of −2 log-likelihood; less decides nothing
+Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +128,10 @@ class Likelihood:
             squares = np.maximum(squares - self.noise_of(model) + self.noise, self.floor**2)
         # the mean square over the scale's is left in: near the floor it still falls
         spread = self.counts * (1.0 - self.floor**2 / squares)
-        for e in np.flatnonzero(self.balance.bursts):
-            spread[e] = self.news[e] * np.sum(tails(self.parts(left)[e] ** 2 / squares[e]))
+        heavy = np.flatnonzero(self.balance.bursts)
+        parts = self.parts(left) if heavy.size else []
+        for e in heavy:
+            spread[e] = self.news[e] * np.sum(tails(parts[e] ** 2 / squares[e]))
         return float(np.sum(self.counts * np.log(squares) + spread))
 
     @cached_property

@@ -1,6 +1,6 @@
 """Position, speed and acceleration of measured bodies from a log, at the bandwidth it allows."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from math import ceil
@@ -227,6 +227,17 @@ class Nuisance:
 
 NONE = Nuisance()
 Moves = dict[int, tuple[Floats, Floats, Floats]]  # coordinate -> position, speed, acceleration
+
+
+def recent(kept: dict[Any, Any], key: Any, make: Callable[[], Any], most: int) -> Any:
+    """Return what was made for a key, or make it; the oldest beyond `most` are forgotten."""
+    found = kept.get(key)
+    if found is None:
+        found = make()
+        for old in list(kept)[: max(len(kept) - most, 0)]:
+            kept.pop(old, None)
+        kept[key] = found
+    return found
 
 
 def coordinates_of(layout: Layout, sensors: Iterable[str]) -> list[int]:

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from dmptm_ctrl.identify.following import lately_changed
 from dmptm_ctrl.identify.forces import forces_of
 from dmptm_ctrl.identify.free_parameters import same_twist
-from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.identify.inverse_dynamics import TAIL, Balance
 from dmptm_ctrl.identify.measured_motion import NONE, Floats, Motion, Moves, reading_variance
 from dmptm_ctrl.identify.teeth import twist_of
 from dmptm_ctrl.signals import Log
@@ -16,8 +17,6 @@ from dmptm_ctrl.simulate.plant import link_matrices
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 SWINGS = 2.0  # periods of the bandwidth, over which it is looked at how far teeth swing
-LANDED = 0.02  # s after an impact, in which teeth rattle
-TAIL = 0.005  # of the twists, beyond the ends of the gap and its wind-up
 
 
 def centred(balance: Balance, model: RigModel) -> Balance:
@@ -62,8 +61,7 @@ def pushing(balance: Balance, model: RigModel, logs: Iterable[Log]) -> Balance:
             side = np.where(torque > 0.0, 1.0, -1.0)
             swing = _swing(balance, model, named[motion.name], name, motion)
             off = np.abs(torque) / stiffness <= np.sqrt(2.0 * swing)
-            for late in range(1, round(LANDED / motion.dt) + 1):
-                off[late:] |= side[late:] != side[:-late]
+            off |= lately_changed(side, motion.dt)
             loose[name], flank[name] = off.astype(float), side
         motions.append(replace(motion, loose=loose, flank=flank))
     return replace(balance, motions=tuple(motions), known={}, noises={})

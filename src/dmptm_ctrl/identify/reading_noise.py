@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.identify.measured_motion import coordinates_of
-from dmptm_ctrl.identify.teeth import carried, lever_of
+from dmptm_ctrl.identify.measured_motion import coordinates_of, recent
+from dmptm_ctrl.identify.teeth import carried, in_twist
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.plant import Plant, link_matrices, untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
@@ -40,11 +40,8 @@ def noise_in_balance(model: RigModel, balance: "Balance") -> list[Floats]:
     numbers = plant.inertia, plant.link_values, plant.law[:, 3], plant.law[:, 7], plant.input_values
     shape = model.layout.bodies, model.layout.links, plant.link_gap.tobytes()
     key = shape, *(np.ascontiguousarray(x).tobytes() for x in numbers)
-    if key not in balance.noises:
-        for old in list(balance.noises)[: max(len(balance.noises) - RECENT, 0)]:
-            balance.noises.pop(old, None)
-        balance.noises[key] = _noise(model, plant, balance)
-    return balance.noises[key]
+    found: list[Floats] = recent(balance.noises, key, lambda: _noise(model, plant, balance), RECENT)
+    return found
 
 
 def _noise(model: RigModel, plant: Plant, balance: "Balance") -> list[Floats]:
@@ -146,17 +143,16 @@ def _equations(
 def _through_teeth(
     model: RigModel, rows: Floats, position: Complex, s: Complex, teeth: Iterable[str]
 ) -> dict[str, Complex]:
-    """The same of toothed links, in contact, as in :func:`.teeth.missing`."""
+    """The same of toothed links, in contact."""
     plant, found = model.plant(), {}
     takes = plant.inertia * s[:, None] ** 2
     for name in teeth:
         k = model.layout.links.index(name)
-        stiffness, damping = plant.link_values[k, 1:3]
         own = {g: -takes[:, g, None] * position[:, g] for g in range(plant.inertia.size)}
         torque = carried(model, [name], own)[name]
         twist = np.einsum("g,wgp->wp", rows[k], position)
         with np.errstate(divide="ignore", invalid="ignore"):  # a trial without a spring
-            more = twist + (damping * s[:, None] * twist - torque) / stiffness
-        declared = model.quantity(f"link.{name}.stiffness").value
-        found[name] = lever_of(model, name) * declared * more
+            found[name] = in_twist(
+                model, name, twist, s[:, None] * twist, torque, plant.link_values[k, 1]
+            )
     return found

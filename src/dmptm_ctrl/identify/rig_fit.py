@@ -291,7 +291,7 @@ def fit_rig(
             break
         fine ^= vain > 0
         # gaps bend too much for secants
-        if gain < TOLERANCE or {*state.model.layout.links} - {*balance.teeth}:
+        if gain < TOLERANCE or balance.simulates(state.model):
             slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs, fine=fine), True
     if fine or not fresh:
         slopes = slopes_near(state, balance, frees, left, None if fine else near, jobs)

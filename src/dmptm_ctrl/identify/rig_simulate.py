@@ -12,7 +12,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import RigRun, march
 
 START = 12  # samples from which the first position and speed are taken
-MANY = 4  # samples at least, or the start counts as at rest
+MANY = 4  # samples or fewer tell no speed; the start counts as at rest
 SURE = 3.0  # standard errors; slower at the start is at rest
 
 
@@ -53,9 +53,9 @@ def _first(time: Floats, head: Floats, order: int) -> float:
 
     With a term more than it needs: a drive that starts from rest accelerates.
     """
-    terms = np.vander(time / time[-1], order + 2, increasing=True) if time.size > MANY else None
-    if terms is None:
+    if time.size <= MANY:
         return 0.0
+    terms = np.vander(time / time[-1], order + 2, increasing=True)
     found, left, *_ = np.linalg.lstsq(terms, head, rcond=None)
     variance = float(np.sum(left)) / (time.size - terms.shape[1])
     error = np.sqrt(variance * np.linalg.inv(terms.T @ terms)[order, order])

@@ -11,6 +11,7 @@ Source: paper Eq. 21, in contact.
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -32,20 +33,16 @@ def toothed(rig: Rig, points: tuple["Point", ...]) -> dict[str, int]:
 
     Of the two sides of a link that is the one of the point beyond it, seen from the first point.
     """
-    tied = {b.name: {b.name} for b in rig.bodies}
-    for link in (k for k in rig.links if k.rigid):
-        whole = tied[link.first] | tied[link.second]
-        tied.update(dict.fromkeys(whole, whole))
     first: dict[str, int] = {}
     for k, point in enumerate(points):
-        for body in tied[point.body] - first.keys():
-            first[body] = k
-    soft = [k for k in rig.links if not k.rigid]
+        for body in rig.turns(point.body, rigidly=True):
+            first.setdefault(body, k)
     found = {}
-    for link in (k for k in soft if _declared(k)):
+    for link in (k for k in rig.links if not k.rigid and _declared(k)):
         if not all(b in first and points[first[b]].sight.angle for b in (link.first, link.second)):
             continue
-        here = _within(tied, [k for k in soft if k is not link], points[0].body)
+        cut = replace(rig, links=tuple(k for k in rig.links if k is not link))
+        here = cut.turns(points[0].body)
         beyond = [b for b in (link.first, link.second) if b not in here]
         if len(beyond) == 1:
             found[link.name] = first[beyond[0]]
@@ -55,16 +52,6 @@ def toothed(rig: Rig, points: tuple["Point", ...]) -> dict[str, int]:
 def _declared(link: Link) -> bool:
     known = link.half_gap, link.stiffness
     return all(q is not None and isfinite(q.value) and q.value > 0 for q in known)
-
-
-def _within(tied: Mapping[str, set[str]], links: Iterable[Link], body: str) -> set[str]:
-    """Bodies that hang together with one."""
-    found, new = set[str](), tied[body]
-    while not new <= found:
-        found = found | new
-        ends = [{k.first, k.second} for k in links]
-        new = found.union(*(tied[b] for pair in ends if pair & found for b in pair))
-    return found
 
 
 def side_of(model: RigModel, link: str) -> tuple[list[int], float]:
@@ -128,10 +115,19 @@ def missing(
 ) -> Floats:
     """Twist that a model does not explain, as a torque at the first coordinate, (n,)."""
     z, rate, gap, stiffness = twist
+    wound = z - gap * motion.flank.get(name, np.sign(z))
+    return np.asarray(in_twist(model, name, wound, rate, torque, stiffness))
+
+
+def in_twist(model: RigModel, name: str, wound: Any, rate: Any, torque: Any, stiffness: Any) -> Any:
+    """Twist beyond what a torque winds a link up by, as a torque at the first coordinate.
+
+    Times the declared stiffness: the fitted one would make its own noise small.
+    """
     damping = model.plant().link_values[model.layout.links.index(name), 2]
     declared = model.quantity(f"link.{name}.stiffness").value
-    more = z - gap * motion.flank.get(name, np.sign(z)) + (damping * rate - torque) / stiffness
-    return np.asarray(lever_of(model, name) * declared * more)
+    more = wound + (damping * rate - torque) / stiffness
+    return lever_of(model, name) * declared * more
 
 
 def lever_of(model: RigModel, name: str) -> float:
@@ -144,11 +140,12 @@ def lever_of(model: RigModel, name: str) -> float:
 def put_through(
     model: RigModel, left: dict[int, Floats], torques: Mapping[str, Floats]
 ) -> dict[int, Floats]:
-    """Return what coordinates leave with the torque of toothed links on them."""
+    """Return what coordinates leave with the torque of links on them."""
     plant, found = model.plant(), dict(left)
     for name, torque in torques.items():
         k = model.layout.links.index(name)
         for body, factor in zip(plant.link_body[k], (1.0, -plant.link_values[k, 0]), strict=True):
             group = int(plant.body_coordinate[body])
-            found[group] = found[group] - plant.body_ratio[body] * factor * torque
+            if group in found:
+                found[group] = found[group] - plant.body_ratio[body] * factor * torque
     return found

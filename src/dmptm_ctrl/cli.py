@@ -323,9 +323,6 @@ def log_info(
         Path, typer.Argument(help="Log: text of any kind, .mat, .parquet, .mf4, .json, …")
     ],
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
-    resample: Annotated[
-        bool, typer.Option("--resample", help="Put an uneven clock on even steps.")
-    ] = False,
     rig: Annotated[
         Path | None, typer.Option(help="rig.toml: says what the columns are; else their names do.")
     ] = None,
@@ -333,7 +330,7 @@ def log_info(
     """Show what is in a log, and what it can and cannot tell."""
     from dmptm_ctrl.identify.info import describe_log
 
-    info = describe_log(file, rig, resample=resample)
+    info = describe_log(file, rig)
     if as_json:
         print(json.dumps(info.to_dict(), indent=2, ensure_ascii=False))
     else:

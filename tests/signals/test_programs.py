@@ -343,7 +343,7 @@ def test_columns_beside_a_clock_with_gaps_are_listed(tmp_path):
     (tmp_path / "run.csv").write_text("t,u,q\n" + rows(",", T + 3.0 * (T > 1), U, Q))
     info = describe_file(tmp_path / "run.csv")
     assert [c.column for c in info.channels] == ["t", "u", "q"]
-    assert "1 gap in time" in info.warnings[0]
+    assert "gap of 3.01 s after 1 s" in info.warnings[0]
 
 
 def test_name_with_an_unknown_unit(tmp_path):
@@ -611,8 +611,8 @@ def test_units_of_twincat_and_german_counts(tmp_path):
     head = "Zeit;u;q\nms;%;Inkr\n"
     (tmp_path / "counts.csv").write_text(head + rows(";", 1e3 * T, U, np.round(Q)))
     scope, counts = (describe_file(tmp_path / f"{n}.csv") for n in ("scope", "counts"))
-    assert [c.column for c in scope.channels] == ["u_Nm", "q_deg"]
-    assert [c.column for c in counts.channels] == ["u_percent", "q"]
+    assert [c.column for c in scope.channels] == ["(clock) [s]", "u [Nm]", "q [°]"]
+    assert [c.column for c in counts.channels] == ["Zeit [ms]", "u [%]", "q [Inkr]"]
     assert counts.sample_time == pytest.approx(STEP)
 
 

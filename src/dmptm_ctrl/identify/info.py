@@ -5,15 +5,13 @@ from pathlib import Path
 from dmptm_ctrl.signals.info import LogInfo, describe, describe_file
 
 
-def describe_log(file: Path, rig: Path | None = None, *, resample: bool = False) -> LogInfo:
+def describe_log(file: Path, rig: Path | None = None) -> LogInfo:
     """Say what is in a log file and what it can and cannot tell.
 
     Parameters
     ----------
     rig : path of a rig file, optional
         Says what the columns are; else their names do.
-    resample : bool
-        Put an uneven clock on even steps.
 
     Raises
     ------
@@ -21,7 +19,7 @@ def describe_log(file: Path, rig: Path | None = None, *, resample: bool = False)
         A log or a rig file that cannot be used.
     """
     if rig is None:
-        return describe_file(file, resample=resample)
+        return describe_file(file)
     from dmptm_ctrl.drive.rigfile import load_rig
     from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 

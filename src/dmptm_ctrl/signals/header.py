@@ -108,7 +108,9 @@ def _candidates(lines: Sequence[str], block: Block) -> list[list[str]]:
             dialect = block.dialect._replace(separator=separator)
             if separator == " " and dialect != block.dialect and block.dialect.separator in line:
                 continue  # a sentence
-            fields = trimmed(dialect.split(bare(line)))
+            fields = dialect.split(bare(line))
+            if len(fields) != block.width:
+                fields = trimmed(fields)
             short, other = len(fields) < used, dialect != block.dialect
             fits = len(fields) == block.width if comment or other else not short
             fits = fits or (len(fields) == block.width - 1 and _counts_rows(block))

@@ -251,32 +251,22 @@ def _testable(
     return tuple(results)
 
 
-def describe_file(path: Path, *, resample: bool = False) -> LogInfo:
-    """Say what is in a file without a rig; columns whose names say nothing are listed, too."""
+def describe_file(path: Path) -> LogInfo:
+    """Say what is in a file without a rig: all its columns as they are, and what a log can tell."""
+    columns, table = _columns_of(path)
+    samples = max((len(values) for values in table.columns.values()), default=0)
     try:
-        info = describe(load_log(path, resample=resample))
+        info = describe(load_log(path, resample="if needed"))
     except LogError as error:
-        if isinstance(error, NotALogError) and not isinstance(error, ColumnsError):
-            raise
-        found, table, stated = _columns_of(path)
-        samples = max((len(values) for values in table.columns.values()), default=0)
-        guessed = any(n.lower() in CLOCKS and n not in stated for n in table.columns)
-        if samples < MIN_SAMPLES or not (guessed or isinstance(error, ColumnsError)):
+        if samples < MIN_SAMPLES or not columns:
             raise
         notes = (*table.notes, str(error))
-        period = table.period or 0.0
-        return LogInfo(
-            path.name, samples, 0.0, period, None, tuple(found.values()), None, (), notes
-        )
-    if not any(warning.startswith("ignored ") for warning in info.warnings):
-        return info
-    found, table, stated = _columns_of(path)
-    known, _ = resolve(list(table.columns), None, stated, path.name)
-    others = tuple(channel for name, channel in found.items() if name not in known)
-    return replace(info, channels=(*info.channels, *others))
+        return LogInfo(path.name, samples, 0.0, 0.0, None, columns, None, (), notes)
+    told = tuple(w for w in info.warnings if "no known unit" not in w)
+    return replace(info, channels=columns, warnings=told)
 
 
-def _columns_of(path: Path) -> tuple[dict[str, ChannelInfo], Table, dict[str, str]]:
+def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table]:
     """Columns of numbers of any readable file, whatever they are called."""
     stated: dict[str, str] = {}
 
@@ -285,7 +275,7 @@ def _columns_of(path: Path) -> tuple[dict[str, ChannelInfo], Table, dict[str, st
         return names
 
     table = read_table(path, choose)
-    found = {}
+    found = []
     for name, values in table.columns.items():
         try:
             column = np.asarray(values)
@@ -299,5 +289,5 @@ def _columns_of(path: Path) -> tuple[dict[str, ChannelInfo], Table, dict[str, st
         if good.size:
             unit = "s" if stated.get(name) == TIMES else stated.get(name, "")
             unit = "" if named_unit(name)[1] else unit
-            found[name] = _figures(f"{name} [{unit}]" if unit else name, good)
-    return found, table, stated
+            found.append(_figures(f"{name} [{unit}]" if unit else name, good))
+    return tuple(found), table

@@ -13,7 +13,7 @@ import numpy as np
 from dmptm_ctrl.signals import checks
 from dmptm_ctrl.signals.bags import read_bag
 from dmptm_ctrl.signals.campaign import Campaign
-from dmptm_ctrl.signals.clock import mended, resampled, seconds_of, times_of
+from dmptm_ctrl.signals.clock import mended, resampled, run_on, seconds_of, times_of
 from dmptm_ctrl.signals.columns import CLOCKS, Choose, Mapped, Table, Target, names_a_clock, resolve
 from dmptm_ctrl.signals.counters import refuse_jumps, unwrapped_counts, with_sign
 from dmptm_ctrl.signals.dialect import TextFormat
@@ -346,12 +346,14 @@ def _channels(
         if target.channel == "time":
             continue
         values = _floats(table.columns.pop(column), column, title)
-        if time is not None and column not in table.clocks and values.size != time.size:
-            if column in needed:
-                raise LogError(
-                    f"{title}: column {column!r} has {values.size} values, the others {time.size}"
-                )
-            notes.append(f"ignored {column!r}: {values.size} values, the others have {time.size}")
+        other = time is not None and column not in table.clocks and values.size != time.size
+        if other and column in needed:
+            raise LogError(
+                f"{title}: column {column!r} has {values.size} values, the others {time.size}"
+            )
+        if column not in needed and (other or np.isnan(values).all()):
+            has = f"{values.size} values, the others have {time.size}" if other else "no value"
+            notes.append(f"ignored {column!r}: {has}")
             continue
         values, nothing = without_sentinels(values)
         if nothing is not None:
@@ -368,13 +370,18 @@ def _channels(
         channels[target.channel] = values if target.factor == 1.0 else values * target.factor
         units[target.channel] = target.symbol
         if column in table.clocks:
-            clocks[target.channel], _ = seconds_of(table.clocks[column], factors.get("time", 1.0))
+            own, _ = seconds_of(table.clocks[column], factors.get("time", 1.0))
+            clocks[target.channel], _ = run_on(own, {column: values}, factors.get("time", 1.0))
     if time is None:
         if not channels:
             raise ColumnsError(f"{title}: no columns with a unit in their names")
         time = float(sample_time or table.period or 0) * np.arange(
             len(next(iter(channels.values())))
         )
+    else:
+        along = {c: v for c, v in channels.items() if c not in clocks}
+        time, note = run_on(time, along, factors["time"])
+        notes += [note] if note else []
     time, channels, done = on_one_clock(time, channels, clocks, labels)
     notes += done
     if window != (None, None) and np.isfinite(time).any():

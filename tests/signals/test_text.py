@@ -38,7 +38,7 @@ def test_reads_si_and_radians(columns, write_csv):
 def test_numbers_come_in_to_the_last_bit(write_csv):
     values = np.random.default_rng(1).normal(size=500) * 10.0 ** np.linspace(-250, 28, 500)
     rows = "\n".join(f"{i * 0.5},{v!r}" for i, v in enumerate(values.tolist()))
-    log = load_log(write_csv(f"time_s,x_m\n{rows}\n"))
+    log = load_log(write_csv(f"time_s,x_V\n{rows}\n"))
     np.testing.assert_array_equal(log["x"], values)
 
 
@@ -132,8 +132,8 @@ def test_many_chunks_are_one_log(columns, write_csv, monkeypatch):
     ("value", "message"),
     [
         ("nan", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235;"),
-        ("-inf", r"^run.csv: theta_L_deg is infinite in row 1235;"),
-        ("1e999", r"^run.csv: theta_L_deg is infinite in row 1235;"),
+        ("-inf", r"^run.csv: theta_L_deg, where inf .* no value, is missing \(NaN\) in row 1235;"),
+        ("1e999", r"^run.csv: theta_L_deg, where inf .* no value, is missing \(NaN\) in row 1235;"),
         ("1e200", r"^run.csv: theta_L_deg is 1e\+200, no measured value, in row 1235;"),
         ("", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235;"),
         ("off", r"^run.csv: theta_L_deg, which is 'off' in line 1236, is missing"),

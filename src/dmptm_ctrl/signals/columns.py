@@ -11,6 +11,7 @@ import numpy as np
 from dmptm_ctrl.signals.errors import ColumnsError, LogError
 from dmptm_ctrl.signals.units import (
     CANONICAL,
+    COUNTS,
     SUFFIXES,
     Unit,
     expected_symbol,
@@ -137,7 +138,7 @@ def _clock_of(names: Sequence[str], first: str, units: Mapping[str, str]) -> str
     own = {n: _unit_of(n, units) for n in names}
     timed = [n for n, unit in own.items() if unit is not None and unit.symbol == "s"]
     dates = [n for n in names if units.get(n) == TIMES]
-    named = [n for n in names if n != "T" and n.lower() in CLOCKS]
+    named = [n for n in names if (n != "T" and n.lower() in CLOCKS) or n == CLOCK]
     best = [n for n in [*timed, *dates] if n.lower().startswith(CLOCKS)]
     best += [*(n for n in timed if n == first), *dates, *(n for n in named if own[n] is None)]
     return best[0] if best else None
@@ -181,8 +182,10 @@ def _other_unit(target: Any, stated: str) -> str:
     """How a unit that the file states contradicts the one that is used; empty if it does not."""
     split = split_column(target) if isinstance(target, str) else None
     try:
-        unit = parse_unit(stated)
         used = split[1] if split is not None else parse_unit(target[1])
+        whole = split is not None or abs((*target, 1.0)[2]) == 1  # else in counts per turn
+        counted = whole and used.symbol and stated.lower().partition("/")[0] in COUNTS
+        unit = Unit("counts", 1.0) if counted else parse_unit(stated)
     except LogError:
         return ""
     ratio = used.factor / unit.factor

@@ -14,8 +14,8 @@ from dmptm_ctrl.signals import checks
 from dmptm_ctrl.signals.bags import read_bag
 from dmptm_ctrl.signals.campaign import Campaign
 from dmptm_ctrl.signals.clock import mended, resampled, run_on, seconds_of, times_of
-from dmptm_ctrl.signals.columns import CLOCKS, Choose, Mapped, Table, Target, names_a_clock, resolve
-from dmptm_ctrl.signals.counters import refuse_jumps, unwrapped_counts, with_sign
+from dmptm_ctrl.signals.columns import CLOCK, CLOCKS, Choose, Mapped, Table, Target, names_a_clock, resolve
+from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign, without_failures
 from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
 from dmptm_ctrl.signals.log import Log
@@ -140,7 +140,10 @@ def load_log(
         )
     for column, target in targets.items():
         if units.get(target.channel) in ("rad", "m"):
-            refuse_jumps(title, column, channels[target.channel] / target.factor, time)
+            read = channels[target.channel] / target.factor
+            read, note = without_failures(title, column, read, time)
+            if note:
+                channels[target.channel], notes = read * target.factor, [*notes, note]
     log = Log(
         name=name or stem(title), time=time, channels=channels, sha256=digest, meta=table.meta,
         units=units,
@@ -423,8 +426,8 @@ def _time(
             values = numbers_or_times(values, clock, title)
         time, note = seconds_of(values, targets[clock].factor)
         notes = [f"{clock}: {note}"] if note else []
-        guessed = clock.lower() in CLOCKS and clock not in needed and clock not in table.units
-        if guessed and values.dtype.kind not in "mM":
+        guessed = clock not in needed and clock not in table.units and not note
+        if guessed and values.dtype.kind not in "mM" and clock.lower() in (*CLOCKS, CLOCK):
             notes.append(f"the clock is column {clock!r}, taken in seconds")
         return time, notes
     if sample_time is None and table.period is None:

@@ -60,7 +60,7 @@ def on_one_clock(
 
 
 def without_sentinels(values: Array) -> tuple[Array, float | None]:
-    """Take a number that stands for "no value" as none: -9999 and the like, far from all others.
+    """Take what stands for "no value" as none: ∞, -9999 and the like, far from all others.
 
     Parameters
     ----------
@@ -73,6 +73,8 @@ def without_sentinels(values: Array) -> tuple[Array, float | None]:
         NaN instead of it.
     number : float or None
     """
+    if (endless := np.isinf(values)).any():
+        return np.where(endless, np.nan, values), np.inf
     good = values[np.isfinite(values)]
     for end in (float(good.min()), float(good.max())) if good.size else ():
         if not (NINES.fullmatch(f"{end:.9g}") or end in LIMITS):

@@ -366,12 +366,12 @@ class _Rows:
         # what a program wrote behind some rows only: nothing, or a remark
         while len(cells) > layout.fields and layout.dialect.kind(cells[-1]) in ("", "text"):
             cells.pop()
-        found = [*map(layout.dialect.kind, cells)]
-        kinds = [  # a number is no time
-            "text" if (kind, of) == ("number", "time") else kind
-            for kind, of in zip(found, layout.kinds, strict=False)
+        found = [
+            (layout.dialect.kind(cell), of)
+            for cell, of in zip(cells, layout.kinds, strict=False)
             if of != "text"
-        ]
+        ]  # a number is no time
+        kinds = ["text" if both == ("number", "time") else both[0] for both in found]
         if not any(kind in ("number", "time") for kind in kinds) and any(kinds):
             return "", "text"
         if len(cells) != layout.fields:

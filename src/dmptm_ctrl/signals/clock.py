@@ -123,9 +123,14 @@ def run_on(time: Array, channels: Mapping[str, Array], factor: float = 1.0) -> t
         return time, ""
     usual = float(np.median(step))
     sizes = usual - step[falls]
-    late = max(MAX_BRIDGED * usual, 1e-3 * factor)  # rows may be lost there
-    known = (*(size * factor for size in ROUNDS), DAY)
-    size = next((k for k in known if (np.abs(sizes - k) < late).all()), None)
+    size = next(
+        (
+            k for k in (*(size * factor for size in ROUNDS), DAY)
+            # rows may be lost there
+            if np.abs(sizes - k).max() < max(min(MAX_BRIDGED * usual, 0.01 * k), 1e-3 * factor)
+        ),
+        None,
+    )  # fmt: skip
     if size is None:
         near = np.flatnonzero(falls)
         beside = step[np.concatenate([near[near > 0] - 1, near[near < falls.size - 1] + 1])]

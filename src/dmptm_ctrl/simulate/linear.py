@@ -158,7 +158,7 @@ def linearize(
         of paper Eq. 17 with the slope of the friction as damping. Where nothing depends on the
         angle of the whole drive, ``twist_l`` and ``twist_r`` [rad at the pinion] take the place
         of two angles, and the third is a state only where an output is an angle; so ``dcgain``,
-        ``margin`` and ``step_info`` are right as they come. A dead time is a Padé approximation
+        ``margin`` and ``bandwidth`` are right as they come. A dead time is a Padé approximation
         of order :data:`~dmptm_ctrl.simulate.block_parts.PADE_ORDER`.
 
         Of a rig of any shape the states are ``q_BODY`` [rad or m] of each rigid group of bodies

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dmptm_ctrl import LogError
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.signals.counters import without_failures, unwrapped_counts, with_sign
+from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign, without_failures
 
 T = 1e-3 * np.arange(4000)
 

@@ -6,7 +6,6 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
-
 DECAYS = 10.0  # time constants after which a mode has decayed
 DENSE = 8.0  # points per radian of a mode
 FEWEST = 2000  # points while one decays

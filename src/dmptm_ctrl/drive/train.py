@@ -147,7 +147,8 @@ class GearTrain:
             The angle of the base only where an output is an angle, joint twists, speeds; or
             all angles and speeds. A twist is counted as the torque [N·m] (force [N] at a mesh
             of radii) that its spring makes of it. Without that angle, which no speed or torque
-            depends on, ``dcgain``, ``margin`` and ``bandwidth`` are right as they come. A train that something holds has its angles in any case.
+            depends on, ``dcgain``, ``margin`` and ``bandwidth`` are right as they come. A train
+            that something holds has its angles in any case.
 
         Raises
         ------

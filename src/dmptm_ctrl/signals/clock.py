@@ -135,7 +135,12 @@ def run_on(time: Array, channels: Mapping[str, Array], factor: float = 1.0) -> t
         near = np.flatnonzero(falls)
         beside = step[np.concatenate([near[near > 0] - 1, near[near < falls.size - 1] + 1])]
         anew = sizes.size == 1 and abs(time[rows[near[0] + 1]] - time[rows[0]]) < 1.5 * usual
-        if anew or not channels or np.ptp(sizes) > usual or (np.abs(beside - usual) > 0.5 * usual).any():
+        if (
+            anew
+            or not channels
+            or np.ptp(sizes) > usual
+            or (np.abs(beside - usual) > 0.5 * usual).any()
+        ):
             return time, ""  # or rows out of order
         for values in channels.values():
             change = np.nan_to_num(np.abs(np.diff(values[rows])))

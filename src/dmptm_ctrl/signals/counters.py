@@ -138,9 +138,7 @@ def _jumps_of(step: Array, size: float, span: float, slack: float) -> tuple[Arra
     return (turns, misfit) if fits else (None, misfit)
 
 
-def without_failures(
-    source: str, column: str, values: Array, time: Array
-) -> tuple[Array, str]:
+def without_failures(source: str, column: str, values: Array, time: Array) -> tuple[Array, str]:
     """Position with readings that fail for a few samples bridged, and a note if there were any.
 
     LogError for a jump by half the range, or far beyond all others, after which it stays elsewhere.

@@ -100,7 +100,7 @@ class Dialect(NamedTuple):
     def kind(self, cell: str) -> str:
         """Kind of a field: "number", "time", "" (no value) or "text"."""
         value = self.number(cell)
-        if value is not None and value == value:  # noqa: PLR0124 (NaN is no value)
+        if value is not None and value == value:
             return "number"
         if cell.lower() in MISSING:
             return ""

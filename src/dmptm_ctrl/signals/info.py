@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.clock import seconds_of
-from dmptm_ctrl.signals.columns import CLOCKS, TIMES, Table, resolve
-from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
+from dmptm_ctrl.signals.columns import TIMES, Table
+from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.loaders import load_log, numbers_or_times, read_table
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.units import door_column, named_unit, parse_unit

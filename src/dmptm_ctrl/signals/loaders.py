@@ -14,7 +14,16 @@ from dmptm_ctrl.signals import checks
 from dmptm_ctrl.signals.bags import read_bag
 from dmptm_ctrl.signals.campaign import Campaign
 from dmptm_ctrl.signals.clock import mended, resampled, run_on, seconds_of, times_of
-from dmptm_ctrl.signals.columns import CLOCK, CLOCKS, Choose, Mapped, Table, Target, names_a_clock, resolve
+from dmptm_ctrl.signals.columns import (
+    CLOCK,
+    CLOCKS,
+    Choose,
+    Mapped,
+    Table,
+    Target,
+    names_a_clock,
+    resolve,
+)
 from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign, without_failures
 from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
@@ -140,10 +149,10 @@ def load_log(
         )
     for column, target in targets.items():
         if units.get(target.channel) in ("rad", "m"):
-            read = channels[target.channel] / target.factor
-            read, note = without_failures(title, column, read, time)
+            values = channels[target.channel] / target.factor
+            values, note = without_failures(title, column, values, time)
             if note:
-                channels[target.channel], notes = read * target.factor, [*notes, note]
+                channels[target.channel], notes = values * target.factor, [*notes, note]
     log = Log(
         name=name or stem(title), time=time, channels=channels, sha256=digest, meta=table.meta,
         units=units,

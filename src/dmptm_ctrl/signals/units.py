@@ -68,7 +68,8 @@ _SPELLINGS = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us",
     "degree": "deg", "degrees": "deg", "grad": "deg", "°": "deg", "u/min": "rpm", "1/min": "rpm",
     "min-1": "rpm", "min^-1": "rpm", "min⁻¹": "rpm", "upm": "rpm", "nmm": "mNm", "n.m": "Nm",
-    "newton": "N", "radian": "rad", "radians": "rad", "meter": "m", "metre": "m", "umdr": "rev", "umdr.": "rev", "umdrehungen": "rev",
+    "newton": "N", "radian": "rad", "radians": "rad", "meter": "m", "metre": "m",
+    "umdr": "rev", "umdr.": "rev", "umdrehungen": "rev",
 }  # fmt: skip
 
 CANONICAL = ("time", "u_left", "u_right", "theta_L", "omega_L", "theta_ml", "theta_mr", "ref")

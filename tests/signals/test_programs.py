@@ -666,3 +666,66 @@ def test_ros_nanoseconds(tmp_path):
     log = read(tmp_path, "%time,field.u,field.q\n" + lines, rig("field.u", "field.q", data))
     is_the_run(log)
     assert log.sample_time == pytest.approx(STEP, rel=1e-9)
+
+
+def test_columns_are_listed_as_the_file_names_them(tmp_path):
+    """What a rig file is to say, in the file's units; an empty column is no fault."""
+    head = "Zeit;Moment;Lage;Bemerkung\nms;mNm;Inkr;\n"
+    cells = zip(1e3 * T, 1e3 * U, np.round(Q), strict=True)
+    (tmp_path / "run.csv").write_text(head + "".join(f"{a};{b};{c};\n" for a, b, c in cells))
+    info = describe_file(tmp_path / "run.csv")
+    assert [c.column for c in info.channels] == ["Zeit [ms]", "Moment [mNm]", "Lage [Inkr]"]
+    assert info.channels[1].high == pytest.approx(1e3 * U.max())
+    read(
+        tmp_path, (tmp_path / "run.csv").read_bytes(),
+        parse_rig(RIG.format(u="Moment", q="Lage", data="").replace("N m", "mN m")),
+    )  # fmt: skip
+
+
+def test_units_of_labview_stand_above_their_columns(tmp_path):
+    """A label, a unit for each channel, and nothing above the comments."""
+    head = "Y_Unit_Label\tNm\trad\t\nDelta_X\t0.01\t0.01\t\nX_Value\tu\tq\tComment\n"
+    log = read(tmp_path, head + rows("\t", T, U, Q), rig(data=""))
+    is_the_run(log)
+    assert not any("by the file" in w for w in log.warnings)
+
+
+def test_infinite_is_no_value(tmp_path):
+    text = table().splitlines(keepends=True)
+    text[50] = text[50].replace(f"{U[49]:.5f}", "\u221e")
+    log = read(tmp_path, "".join(text))
+    assert np.abs(log["in_u"] - U)[np.arange(ROWS) != 49].max() < 1e-9
+    assert "u is inf at times, far from all else: taken as no value" in log.warnings
+
+
+def test_time_name_and_value_without_a_header(tmp_path):
+    lines = (f"{t:.2f} {n} {v}\n" for t, *v2 in zip(T, U, Q, strict=True)
+             for n, v in zip("uq", v2, strict=True))  # fmt: skip
+    is_the_run(read(tmp_path, "".join(lines), rig(data="")))
+
+
+@pytest.mark.parametrize("sign", [".", ","])
+def test_thousands_of_whole_numbers(tmp_path, sign):
+    """998, 999, 1.000: decimals would be written everywhere, or without a 0 at their end."""
+    q = np.arange(ROWS) * 10.0 + 500.0
+    counts = (f"{v:,.0f}".replace(",", sign) for v in q)
+    text = "t_ms;u;q\n" + "".join(f"{10 * i};1;{c}\n" for i, c in enumerate(counts))
+    log = read(tmp_path, text, rig(data=""))
+    np.testing.assert_allclose(log["out_q"], q)
+
+
+def test_decimals_that_look_like_thousands_are_decimals(tmp_path):
+    q = np.round(5.0 + 4.0 * np.sin(3.0 * T), 3)
+    text = "t_ms;u;q\n" + "".join(f"{10 * i};1;{v:g}\n" for i, v in enumerate(q))
+    np.testing.assert_allclose(read(tmp_path, text, rig(data=""))["out_q"], q)
+
+
+def test_counts_against_a_unit_are_told(tmp_path):
+    text = table(header=("t", "u", "q")).replace("\n", "\ns,Nm,Ink\n", 1)
+    (warning,) = read(tmp_path, text, rig(data="")).warnings
+    assert warning == "column 'q' is in Ink by the file, and taken in rad as you say"
+
+
+def test_a_comma_for_everything_is_refused_with_the_reason(tmp_path):
+    with pytest.raises(LogError, match="comma before decimals needs another separator"):
+        read(tmp_path, table(decimal=","))

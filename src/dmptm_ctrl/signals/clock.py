@@ -179,11 +179,15 @@ def mended(
         even_time(source, time)
     except LogError:
         if (even := _spread(time, channels, sample_time)) is not None:
-            tick = float(np.diff(np.unique(time)).min())
+            stamps = np.unique(time)
+            what = (
+                f"{time.size} rows share {stamps.size} stamps" if _shared(np.diff(time))
+                else f"its steps of {np.diff(stamps).min():.4g} s are not those of the samples"
+            )  # fmt: skip
             return even, channels, [
-                f"the clock is coarse, its steps of {tick:.4g} s are not those of the samples: "
-                f"they were spread evenly, one each {even[1] - even[0]:.6g} s; if the rate is "
-                "known, give sample_rate in [data] of the rig file"
+                f"the clock is coarse, {what}: they were spread evenly, one each "
+                f"{np.ptp(even) / (even.size - 1):.6g} s; if the rate is known, give sample_rate "
+                "in [data] of the rig file"
             ]  # fmt: skip
         if (part := _longest_run(time)) is not None:
             notes = [
@@ -252,6 +256,7 @@ def _shared(step: Array) -> bool:
 
 def _line(index: Array, time: Array) -> tuple[float, float, float]:
     """Slope of time over rows, its standard error, and the range of what is left."""
+    time = time - time[0]  # seconds since 1970 have few digits left
     rate, offset = np.polyfit(index, time, 1)
     left = time - offset - rate * index
     each = np.sqrt(np.var(left) + rate**2 / 12)  # a stamp is known to a row

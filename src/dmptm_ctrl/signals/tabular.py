@@ -6,7 +6,6 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-from dmptm_ctrl.signals.clock import times_of
 from dmptm_ctrl.signals.columns import CLOCK, CLOCKS, TIMES, Choose, Table
 from dmptm_ctrl.signals.errors import LogError, NotALogError
 
@@ -100,18 +99,7 @@ def read_json(path: Path, choose: Choose) -> Table:
     stated = {str(n): u for n, u in units.items() if isinstance(u, str) and str(n) in names}
     chosen = choose(names, stated)
     frame.columns = names
-    columns = {}
-    for name in chosen:
-        values = frame[name]
-        if values.dtype.kind not in "fiub":
-            texts = values.dropna()
-            if len(texts) and texts.map(lambda v: isinstance(v, str)).all():
-                numbers = pd.to_numeric(values, errors="coerce")
-                if numbers.notna().sum() < len(texts):
-                    columns[name] = times_of(values.to_numpy(object), path.name, name)
-                    continue
-                values = numbers
-        columns[name] = values.to_numpy()
+    columns = {name: frame[name].to_numpy() for name in chosen}
     return Table(columns, stated, {}, notes, {}, _period(beside))
 
 

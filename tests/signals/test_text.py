@@ -124,19 +124,22 @@ def test_many_chunks_are_one_log(columns, write_csv, monkeypatch):
     np.testing.assert_array_equal(load_log(write_csv(columns))["theta_L"], whole["theta_L"])
     monkeypatch.setattr(text, "CHUNK_ROWS", 333)
     np.testing.assert_array_equal(load_log(write_csv(columns))["theta_L"], whole["theta_L"])
-    with pytest.raises(LogError, match=r"theta_L_deg, which is 'bad' in line 1702, is missing"):
-        load_log(write_csv(broken(columns, "theta_L_deg", 1700, "bad")))
+    log = load_log(write_csv(broken(columns, "theta_L_deg", 1700, "bad")))
+    assert "theta_L_deg is 'bad' in line 1702: taken as no value" in log.warnings
+
+
+@pytest.mark.parametrize("value", ["nan", "-inf", "1e999", "", "off"])
+def test_a_missing_value_is_bridged_and_told(columns, write_csv, value):
+    log = load_log(write_csv(broken(columns, "theta_L_deg", 1234, value)))
+    expected = np.radians(columns["theta_L_deg"])
+    np.testing.assert_allclose(log["theta_L"], expected, atol=1e-6)
+    assert "theta_L_deg lacks 1 value, at most 1 in a row: bridged" in log.warnings
 
 
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ("nan", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235;"),
-        ("-inf", r"^run.csv: theta_L_deg, where inf .* no value, is missing \(NaN\) in row 1235;"),
-        ("1e999", r"^run.csv: theta_L_deg, where inf .* no value, is missing \(NaN\) in row 1235;"),
         ("1e200", r"^run.csv: theta_L_deg is 1e\+200, no measured value, in row 1235;"),
-        ("", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235;"),
-        ("off", r"^run.csv: theta_L_deg, which is 'off' in line 1236, is missing"),
         ("1,2", r"^run.csv: line 1236 has 8 values, the header names 7 columns$"),
     ],
 )
@@ -145,9 +148,16 @@ def test_bad_value_is_named_with_its_place(columns, write_csv, value, message):
         load_log(write_csv(broken(columns, "theta_L_deg", 1234, value)))
 
 
-def test_several_missing_values_are_counted(columns, write_csv):
-    columns["u_left_V"][10:15] = np.nan
-    with pytest.raises(LogError, match=r"u_left_V is missing \(NaN\) in row 11 \(5 such values\)"):
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (np.nan, r"^run.csv: u_left_V is missing \(NaN\) in row 11 \(12 such values\); .*start"),
+        (np.inf, "^run.csv: u_left_V, where inf stands for no value, is missing"),
+    ],
+)
+def test_values_missing_for_long_are_refused(columns, write_csv, value, message):
+    columns["u_left_V"][10:22] = value
+    with pytest.raises(LogError, match=message):
         load_log(write_csv(columns))
 
 

@@ -428,8 +428,8 @@ class Rig:
             options.setdefault("required", required)
         name = options.get("name") or stem(Path(source).name)
         return load_log(
-            source, columns, sample_time=self.data.sample_time, resample="if needed",
-            window=self.data.window(name), how=self.data.text, **options,
+            source, columns, sample_time=self.data.sample_time, window=self.data.window(name),
+            how=self.data.text, **options,
         )  # fmt: skip
 
     def read_inputs(self, source: Any) -> Log:

@@ -8,9 +8,9 @@ from datetime import time as daytime
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.signals.checks import even_time, usual_step
+from dmptm_ctrl.signals.checks import usual_step
 from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.log import EVEN_TOLERANCE
+from dmptm_ctrl.signals.log import EVEN_TOLERANCE, is_even
 
 Array = NDArray[np.float64]
 
@@ -175,37 +175,34 @@ def mended(
     was started again the longer part is taken; else as `resampled`.
     """
     channels = dict(channels)
+    if is_even(time):
+        usual_step(source, np.diff(time))
+        return time, channels, []
+    if (even := _spread(time, channels, sample_time)) is not None:
+        stamps = np.unique(time)
+        what = (
+            f"{time.size} rows share {stamps.size} stamps" if _shared(np.diff(time))
+            else f"its steps of {np.diff(stamps).min():.4g} s are not those of the samples"
+        )  # fmt: skip
+        return even, channels, [
+            f"the clock is coarse, {what}: they were spread evenly, one each "
+            f"{np.ptp(even) / (even.size - 1):.6g} s; if the rate is known, give sample_rate in "
+            "[data] of the rig file"
+        ]  # fmt: skip
+    if (part := _longest_run(time)) is not None:
+        note = f"time starts anew: rows {part.start + 1} to {part.stop} of {time.size} are used"
+        time, channels = time[part], {c: v[part] for c, v in channels.items()}
+        time, channels, done = mended(source, time, channels, sample_time)
+        return time, channels, [note, *done]
     try:
-        even_time(source, time)
-    except LogError:
-        if (even := _spread(time, channels, sample_time)) is not None:
-            stamps = np.unique(time)
-            what = (
-                f"{time.size} rows share {stamps.size} stamps" if _shared(np.diff(time))
-                else f"its steps of {np.diff(stamps).min():.4g} s are not those of the samples"
-            )  # fmt: skip
-            return even, channels, [
-                f"the clock is coarse, {what}: they were spread evenly, one each "
-                f"{np.ptp(even) / (even.size - 1):.6g} s; if the rate is known, give sample_rate "
-                "in [data] of the rig file"
-            ]  # fmt: skip
-        if (part := _longest_run(time)) is not None:
-            notes = [
-                f"time starts anew: rows {part.start + 1} to {part.stop} of {time.size} are used"
-            ]
-            time, channels = time[part], {c: v[part] for c, v in channels.items()}
-            time, channels, done = mended(source, time, channels, sample_time)
-            return time, channels, notes + done
-        try:
-            return resampled(source, time, channels)
-        except LogError as worse:
-            if "[data]" in str(worse):
-                raise
-            raise LogError(
-                f"{worse}; or say in [data] of the rig file which part is good (start, stop), or "
-                "leave out time there and give sample_rate"
-            ) from None
-    return time, channels, []
+        return resampled(source, time, channels)
+    except LogError as error:
+        if "[data]" in str(error):
+            raise
+        raise LogError(
+            f"{error}; or say in [data] of the rig file which part is good (start, stop), or "
+            "leave out time there and give sample_rate"
+        ) from None
 
 
 def _spread(time: Array, channels: Mapping[str, Array], known: float | None) -> Array | None:
@@ -249,9 +246,8 @@ def _spread(time: Array, channels: Mapping[str, Array], known: float | None) -> 
 def _shared(step: Array) -> bool:
     """Whether rows share stamps because these change more rarely than rows come."""
     ticks = step[step > 0]
-    return bool(ticks.size < step.size and ticks.min() > 0.9 * step.mean()) or (
-        ticks.size < 0.7 * step.size
-    )
+    rare = 0.9 * step.mean() < ticks.min(initial=np.inf)
+    return bool(ticks.size < (1 - COARSE if rare else 0.7) * step.size)
 
 
 def _line(index: Array, time: Array) -> tuple[float, float, float]:

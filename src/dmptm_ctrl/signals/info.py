@@ -256,7 +256,7 @@ def describe_file(path: Path) -> LogInfo:
     columns, table = _columns_of(path)
     samples = max((len(values) for values in table.columns.values()), default=0)
     try:
-        info = describe(load_log(path, resample="if needed"))
+        info = describe(load_log(path))
     except LogError as error:
         if samples < MIN_SAMPLES or not columns:
             raise

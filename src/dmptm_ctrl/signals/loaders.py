@@ -6,14 +6,14 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dmptm_ctrl.signals import checks
 from dmptm_ctrl.signals.bags import read_bag
 from dmptm_ctrl.signals.campaign import Campaign
-from dmptm_ctrl.signals.clock import mended, resampled, run_on, seconds_of, times_of
+from dmptm_ctrl.signals.clock import mended, run_on, seconds_of, times_of
 from dmptm_ctrl.signals.columns import (
     CLOCK,
     CLOCKS,
@@ -57,13 +57,12 @@ def load_log(
     name: str | None = None,
     required: Sequence[str] = (),
     sample_time: float | None = None,
-    resample: bool | Literal["if needed"] = False,
     ratio: float | None = None,
     max_rows: int | None = None,
     window: tuple[float | None, float | None] = (None, None),
     how: TextFormat | None = None,
 ) -> Log:
-    """Read one log and check it.
+    """Read one log, mend its clock and small holes with a warning, and check it.
 
     Parameters
     ----------
@@ -80,10 +79,6 @@ def load_log(
         Channels that must be there.
     sample_time : float, optional
         For a file without a time column [s].
-    resample : bool or "if needed"
-        Sort shuffled rows, interpolate a jittery clock to even steps and bridge gaps of up to
-        ten samples; else refuse them. "if needed": only of logs that are not even, and mend
-        coarse clocks, too.
     ratio : float, optional
         Motor turns per turn of the ring gear, to check motor angles against theta_L.
     max_rows : int, optional
@@ -101,9 +96,9 @@ def load_log(
     Raises
     ------
     LogError
-        No such file, not readable, a column missing, twice or in an unknown unit, a value that
-        is no finite number, time that does not increase evenly, too few samples, channels that
-        contradict each other (a mistaken unit or sign).
+        No such file, not readable, a column missing, twice or in an unknown unit, values that are
+        missing for long, a clock that cannot be mended, too few samples, channels that contradict
+        each other (a mistaken unit or sign).
 
     Examples
     --------
@@ -123,7 +118,7 @@ def load_log(
     targets, notes = resolve(list(table.columns), columns, table.units, title)
     if sample_time is not None and columns and not names_a_clock(columns):
         targets = {c: t for c, t in targets.items() if t.channel != "time"}
-    read = _channels(table, targets, title, sample_time, window, resample, set(columns or ()))
+    read = _channels(table, targets, title, sample_time, window, set(columns or ()))
     time, channels, units, more = read
     notes = list(dict.fromkeys([*ignored, *table.notes, *notes, *more]))
     _require(required, channels, title)
@@ -132,14 +127,8 @@ def load_log(
             f"{title}: {time.size} sample{'s' * (time.size != 1)}, "
             f"at least {checks.MIN_SAMPLES} are needed"
         )
-    if resample == "if needed":
-        time, channels, done = mended(title, time, channels, sample_time)
-        notes += done
-    elif resample:
-        time, channels, done = resampled(title, time, channels)
-        notes += done
-    checks.even_time(title, time)
-    notes += checks.slow(time)
+    time, channels, done = mended(title, time, channels, sample_time)
+    notes += [*done, *checks.slow(time)]
     clocked = any(target.channel == "time" for target in targets.values())
     step = float(time[-1] - time[0]) / (time.size - 1) if clocked else table.period
     if sample_time and step and abs(step / sample_time - 1) > OTHER_RATE:
@@ -343,7 +332,6 @@ def _channels(
     title: str,
     sample_time: float | None,
     window: tuple[float | None, float | None],
-    resample: bool | Literal["if needed"],
     needed: set[str],
 ) -> tuple[Any, dict[str, Any], dict[str, str], list[str]]:
     """Time [s], channels in SI without holes, their units, and warnings."""
@@ -407,11 +395,11 @@ def _channels(
                 f"{np.nanmax(since):.6g} s long"
             )
     timed = np.isfinite(time)
-    if resample and timed.any() and (lost := int((~np.trim_zeros(timed)).sum())):
+    if timed.any() and (lost := int((~np.trim_zeros(timed)).sum())):
         notes.append(f"{lost} row{'s' * (lost > 1)} without a time between others: left out")
         timed[: np.argmax(timed)] = timed[timed.size - np.argmax(timed[::-1]) :] = True
         time, channels = time[timed], {c: v[timed] for c, v in channels.items()}
-    rows, filled, done = without_missing({"time": time, **channels}, labels, bridge=bool(resample))
+    rows, filled, done = without_missing({"time": time, **channels}, labels)
     notes += done
     for channel, values in filled.items():
         filled[channel] = values[rows]

@@ -86,11 +86,11 @@ def without_sentinels(values: Array) -> tuple[Array, float | None]:
 
 
 def without_missing(
-    channels: Mapping[str, Array], labels: Mapping[str, str], *, bridge: bool
+    channels: Mapping[str, Array], labels: Mapping[str, str]
 ) -> tuple[slice, dict[str, Array], list[str]]:
     """Fill columns sampled more rarely; return the complete rows, filled channels, and notes.
 
-    Rows at either end that are not complete are left out; `bridge` fills holes of up to ten rows.
+    Rows at either end that are not complete are left out; holes of up to ten rows are filled.
     """
     filled: dict[str, Array] = {}
     notes = []
@@ -106,7 +106,7 @@ def without_missing(
         label = labels.get(name, name)
         if name != "time" and usual >= RARE and gaps.max() <= EVEN_HOLES * usual:
             notes.append(f"{label} has a value in one of {usual:g} rows only and was interpolated")
-        elif not (bridge and holes and gaps.max() <= MAX_BRIDGED + 1 and name != "time"):
+        elif not (holes and gaps.max() <= MAX_BRIDGED + 1 and name != "time"):
             continue
         else:
             notes.append(

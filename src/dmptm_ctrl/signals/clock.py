@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dmptm_ctrl.signals.checks import usual_step
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.log import EVEN_TOLERANCE, is_even
+from dmptm_ctrl.signals.numbers import roundest
 
 Array = NDArray[np.float64]
 
@@ -234,12 +235,8 @@ def _spread(time: Array, channels: Mapping[str, Array], known: float | None) -> 
     rate, error, off = min(fits, key=lambda fit: fit[2])
     if off > most:
         return None
-    if known is not None and abs(known - rate) < 10 * error + 1e-3 * rate:
-        rate = known
-    else:  # the roundest number that fits
-        rate = next(
-            (r for d in range(1, 8) if abs((r := float(f"{rate:.{d}g}")) - rate) < 3 * error), rate
-        )
+    close = known is not None and abs(known - rate) < 10 * error + 1e-3 * rate
+    rate = known if known is not None and close else roundest(rate, 3 * error)
     return float(time[0]) + rate * index
 
 
@@ -308,12 +305,13 @@ def resampled(
             f"{source}: gap of {step[row]:.6g} s after {time[row]:.6g} s; at most {MAX_BRIDGED} "
             f"steps of {usual:.6g} s are bridged, cut the log there"
         )
-    count = int(np.floor((time[-1] - time[0]) / usual + 1e-6)) + 1
-    even = time[0] + usual * np.arange(count)
+    each = roundest(usual, 0.1 * EVEN_TOLERANCE * usual)  # values are interpolated in any case
+    count = int(np.floor((time[-1] - time[0]) / each + 1e-6)) + 1
+    even = time[0] + each * np.arange(count)
     resampled = {channel: np.interp(even, time, values) for channel, values in channels.items()}
     uneven = int((np.abs(step / usual - 1) > 0.05).sum())
     notes.append(
-        f"resampled to even steps of {usual:.6g} s; {uneven} steps were off, "
+        f"resampled to even steps of {each:.6g} s; {uneven} steps were off, "
         f"the longest {step.max():.6g} s"
     )
     return even, resampled, notes

@@ -73,15 +73,32 @@ _BRACKET = re.compile(r"\s*[\[(][^\[\]()]*[\])]$")  # a unit, known or not
 Mapped = Mapping[str, "Column | tuple | str"]
 
 
+def as_columns(mapping: Mapped | None, source: str) -> dict[str, Column]:
+    """Mapping of columns in one form; LogError for a target that is no NAME_UNIT."""
+    columns = {}
+    for column, target in (mapping or {}).items():
+        if isinstance(target, str):
+            split = split_column(target)
+            if split is None:
+                raise LogError(
+                    f"{source}: column {column!r} is mapped to {target!r}, not a NAME_UNIT"
+                )
+            target = split[0], target[len(split[0]) + 1 :]
+        columns[column] = Column(*target)
+    return columns
+
+
 def resolve(
-    names: Sequence[str], mapping: Mapped | None, units: Mapping[str, str], source: str
+    names: Sequence[str],
+    mapping: Mapping[str, Column] | None,
+    units: Mapping[str, str],
+    source: str,
 ) -> tuple[dict[str, Target], list[str]]:
     """Decide which columns of a file become channels, in its order; warnings besides.
 
-    `mapping` says NAME_UNIT, (channel, unit) or (channel, unit, scale) of a column. Of the others,
-    those of the paper's rig (time_s, u_left_V, …) go by their own names; without a mapping all
-    columns called NAME_UNIT do. LogError: a mapped column is not there, a unit is unknown or of
-    the wrong quantity, two columns have one name or go to one channel.
+    Of columns that a `mapping` does not name those of the paper's rig (time_s, u_left_V, …) go by
+    their own names; without one all columns called NAME_UNIT do. LogError: a mapped column is not
+    there, a unit is unknown or of another quantity, two columns have one name or channel.
     """
     _refuse_duplicates(names, source)
     mapping = _as_named(names, dict(mapping or {}))
@@ -95,9 +112,9 @@ def resolve(
     for column in names:
         seen = {t.channel for t in targets.values()}
         if column in mapping:
-            target = _in_its_unit(mapping[column], units.get(column, ""))
-            targets[column] = _mapped(column, target, source)
-            if other := _other_unit(target, units.get(column, "")):
+            said = _in_its_unit(mapping[column], units.get(column, ""))
+            targets[column] = _mapped(column, said, source)
+            if other := _other_unit(said, units.get(column, "")):
                 contradictions.append(f"column {column!r} {other}")
         else:
             target = _by_name(column, units.get(column), source, strict=not mapping)
@@ -124,13 +141,9 @@ def resolve(
     return targets, warnings
 
 
-def names_a_clock(mapping: Mapped) -> bool:
+def names_a_clock(mapping: Mapping[str, Column]) -> bool:
     """Whether one of the columns is said to be the time."""
-    for target in mapping.values():
-        split = split_column(target) if isinstance(target, str) else target
-        if split is not None and split[0] == "time":
-            return True
-    return False
+    return any(target.channel == "time" for target in mapping.values())
 
 
 def _clock_of(names: Sequence[str], first: str, units: Mapping[str, str]) -> str | None:
@@ -154,7 +167,7 @@ def _unit_of(column: str, units: Mapping[str, str]) -> Unit | None:
         return None
 
 
-def _as_named(names: Sequence[str], mapping: dict[str, Any]) -> dict[str, Any]:
+def _as_named(names: Sequence[str], mapping: dict[str, Column]) -> dict[str, Column]:
     """Mapping with the names as the file has them: ``q [deg]`` where it says ``q``."""
     found = {}
     for column, target in mapping.items():
@@ -163,29 +176,28 @@ def _as_named(names: Sequence[str], mapping: dict[str, Any]) -> dict[str, Any]:
             alike = alike or [n for n in names if named_unit(n)[0] == column]
             alike = alike or [n for n in names if named_unit(column)[0] == n]
             alike = alike or [n for n in names if _BRACKET.sub("", n) == column]
-            if not alike and not isinstance(target, str) and target[0] == "time":
+            if not alike and target.channel == "time":
                 alike = [n for n in names if n == CLOCK]
             column = alike[0] if len(alike) == 1 else column
         found[column] = target
     return found
 
 
-def _in_its_unit(target: Any, stated: str) -> Any:
+def _in_its_unit(target: Column, stated: str) -> Column:
     """Target of a column; of a clock without a unit in that of the file, else in seconds."""
-    if isinstance(target, str) or target[0] != "time" or target[1]:
+    if target.channel != "time" or target.unit:
         return target
     known = (unit := _unit_of("", {"": stated})) is not None and unit.symbol == "s"
-    return (target[0], stated if known else "s", *target[2:])
+    return target._replace(unit=stated if known else "s")
 
 
-def _other_unit(target: Any, stated: str) -> str:
+def _other_unit(target: Column, stated: str) -> str:
     """How a unit that the file states contradicts the one that is used; empty if it does not."""
-    split = split_column(target) if isinstance(target, str) else None
     try:
-        used = split[1] if split is not None else parse_unit(target[1])
-        whole = split is not None or abs((*target, 1.0)[2]) == 1  # else in counts per turn
-        counted = whole and used.symbol and stated.lower().partition("/")[0] in COUNTS
-        unit = Unit("counts", 1.0) if counted else parse_unit(stated)
+        used = parse_unit(target.unit)
+        counted = used.symbol and stated.lower().partition("/")[0] in COUNTS
+        # a scale is that of counts per turn
+        unit = Unit("counts", 1.0) if counted and abs(target.scale) == 1 else parse_unit(stated)
     except LogError:
         return ""
     ratio = used.factor / unit.factor
@@ -199,18 +211,11 @@ def _other_unit(target: Any, stated: str) -> str:
     return f"is in {stated} by the file, and taken in {used.symbol or 'no unit'} as you say"
 
 
-def _mapped(column: str, target: Any, source: str) -> Target:
-    if isinstance(target, str):
-        split = split_column(target)
-        if split is None:
-            raise LogError(f"{source}: column {column!r} is mapped to {target!r}, not a NAME_UNIT")
-        channel, unit, scale = split[0], split[1], 1.0
-    else:
-        channel, text, *rest = target
-        unit, scale = parse_unit(text), float(rest[0]) if rest else 1.0
+def _mapped(column: str, target: Column, source: str) -> Target:
+    unit, scale = parse_unit(target.unit), float(target.scale)
     if not np.isfinite(scale) or scale == 0:
         raise LogError(f"{source}: column {column!r} has the scale {scale}, not a number but 0")
-    return Target(str(channel), unit.symbol, scale * unit.factor)
+    return Target(str(target.channel), unit.symbol, scale * unit.factor)
 
 
 def _by_name(column: str, stated: str | None, source: str, *, strict: bool) -> Target | None:

@@ -8,6 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.numbers import roundest
 
 Array = NDArray[np.float64]
 
@@ -107,8 +108,7 @@ def _told_modulus(step: Array, unit: float) -> float | None:
     sizes = (size[far] + ahead)[moving]
     told = float(np.median(sizes))
     error = max(3 / np.sqrt(sizes.size), 1.0) * float(np.std(sizes)) + 0.6 * unit
-    # the roundest number that fits
-    return next((r for d in range(1, 8) if abs((r := float(f"{told:.{d}g}")) - told) < error), told)
+    return roundest(told, error)
 
 
 def _around(step: Array, over: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -18,9 +18,11 @@ from dmptm_ctrl.signals.columns import (
     CLOCK,
     CLOCKS,
     Choose,
+    Column,
     Mapped,
     Table,
     Target,
+    as_columns,
     names_a_clock,
     resolve,
 )
@@ -106,19 +108,19 @@ def load_log(
     >>> log["omega_L"].shape == log.time.shape
     True
     """
-    if isinstance(source, str | PathLike):
-        path = Path(source)
-        title = path.name
-        table, ignored, digest = _read(path, columns, max_rows, how)
+    path = Path(source) if isinstance(source, str | PathLike) else None
+    title = (name or "data frame") if path is None else path.name
+    mapped = as_columns(columns, title)
+    if path is not None:
+        table, ignored, digest = _read(path, mapped, max_rows, how)
     else:
-        title = name or "data frame"
         table, ignored, digest = from_frame(source), [], None
     if max_rows is not None:
         ignored += _cut(table, max_rows)
-    targets, notes = resolve(list(table.columns), columns, table.units, title)
-    if sample_time is not None and columns and not names_a_clock(columns):
+    targets, notes = resolve(list(table.columns), mapped, table.units, title)
+    if sample_time is not None and mapped and not names_a_clock(mapped):
         targets = {c: t for c, t in targets.items() if t.channel != "time"}
-    read = _channels(table, targets, title, sample_time, window, set(columns or ()))
+    read = _channels(table, targets, title, sample_time, window, set(mapped))
     time, channels, units, more = read
     notes = list(dict.fromkeys([*ignored, *table.notes, *notes, *more]))
     _require(required, channels, title)
@@ -270,7 +272,7 @@ def _cut(table: Table, max_rows: int) -> list[str]:
 
 
 def _read(
-    path: Path, columns: Mapped | None, max_rows: int | None, how: TextFormat | None
+    path: Path, columns: Mapping[str, Column], max_rows: int | None, how: TextFormat | None
 ) -> tuple[Table, list[str], str]:
     """Columns in use, warnings about those that are not, and the file's SHA-256."""
     ignored: list[str] = []
@@ -281,7 +283,7 @@ def _read(
 
     # one row more, so that the cut is noticed
     most = None if max_rows is None else max_rows + 1
-    table = read_table(path, choose, most, how, list(columns or ()))
+    table = read_table(path, choose, most, how, list(columns))
     with path.open("rb") as stream:
         return table, ignored, hashlib.file_digest(stream, "sha256").hexdigest()
 

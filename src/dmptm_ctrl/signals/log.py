@@ -200,17 +200,10 @@ class Log:
         return pd.DataFrame(columns)
 
     def _repr_html_(self) -> str:
-        rows = []
-        for channel, values in self.channels.items():
-            column, factor = door_column(channel, self.units[channel])
-            low, high = values.min() / factor, values.max() / factor
-            rows.append(f"<tr><td>{escape(column)}</td><td>{low:.5g}</td><td>{high:.5g}</td></tr>")
+        table = self.to_frame().agg(["min", "max"]).T.to_html(float_format="{:.5g}".format)
         notes = "".join(f"<li>{escape(note)}</li>" for note in self.warnings)
-        return (
-            f"<b>{escape(self.name)}</b>: {len(self)} samples, {self.duration:.6g} s"
-            "<table><tr><th>channel</th><th>min</th><th>max</th></tr>"
-            f"{''.join(rows)}</table>" + (f"<ul>{notes}</ul>" if notes else "")
-        )
+        about = f"<b>{escape(self.name)}</b>: {len(self)} samples, {self.duration:.6g} s"
+        return f"{about}{table}<ul>{notes}</ul>"
 
 
 def is_even(time: Array) -> bool:

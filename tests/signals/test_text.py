@@ -207,12 +207,6 @@ def test_no_such_file_and_other_names(tmp_path, write_csv):
         load_log(write_csv("PK\3\4 x", "run.xlsx"))
 
 
-def test_required_channels(columns, write_csv):
-    del columns["omega_L_deg_s"]
-    with pytest.raises(LogError, match="no column for omega_L; it has u_left"):
-        load_log(write_csv(columns), required=["theta_L", "omega_L"])
-
-
 @pytest.mark.parametrize(
     ("mapping", "message"),
     [

@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -57,9 +57,7 @@ def load_log(
     columns: Mapped | None = None,
     *,
     name: str | None = None,
-    required: Sequence[str] = (),
     sample_time: float | None = None,
-    ratio: float | None = None,
     max_rows: int | None = None,
     window: tuple[float | None, float | None] = (None, None),
     how: TextFormat | None = None,
@@ -77,12 +75,8 @@ def load_log(
         Of the columns not mentioned only those of the paper's rig are read.
     name : str, optional
         Name of the log; else the file's, without extension.
-    required : sequence of str
-        Channels that must be there.
     sample_time : float, optional
         For a file without a time column [s].
-    ratio : float, optional
-        Motor turns per turn of the ring gear, to check motor angles against theta_L.
     max_rows : int, optional
         Rows after this many are not read, with a warning: bounds the memory.
     window : (start, stop)
@@ -123,7 +117,6 @@ def load_log(
     read = _channels(table, targets, title, sample_time, window, set(mapped))
     time, channels, units, more = read
     notes = list(dict.fromkeys([*ignored, *table.notes, *notes, *more]))
-    _require(required, channels, title)
     if time.size < checks.MIN_SAMPLES:
         raise NotALogError(
             f"{title}: {time.size} sample{'s' * (time.size != 1)}, "
@@ -148,7 +141,7 @@ def load_log(
         name=name or stem(title), time=time, channels=channels, sha256=digest, meta=table.meta,
         units=units,
     )  # fmt: skip
-    refuse_inconsistent(log, ratio)
+    refuse_inconsistent(log)
     return replace(log, warnings=(*notes, *suspects(log)))
 
 
@@ -322,7 +315,7 @@ def read_table(
         ):  # JSON by another name
             return read_json(path, choose)
         if extension == ".parquet" or head.startswith(b"PAR1"):
-            return read_parquet(path, choose, max_rows)
+            return read_parquet(path, choose)
         return read_text(path, choose, max_rows, how, wanted)
     except OSError as error:
         raise LogError(f"{path.name}: {error.strerror or 'not readable'}") from error
@@ -473,11 +466,3 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _require(required: Sequence[str], channels: Any, title: str) -> None:
-    missing = [channel for channel in required if channel not in channels]
-    if missing:
-        raise LogError(
-            f"{title}: no column for {', '.join(missing)}; it has {', '.join(channels) or 'none'}"
-        )

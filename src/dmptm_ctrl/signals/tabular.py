@@ -40,7 +40,7 @@ def _values(column: Any) -> Any:
     return (column.dt.tz_convert(None) if zone is not None else column).to_numpy()
 
 
-def read_parquet(path: Path, choose: Choose, max_rows: int | None = None) -> Table:
+def read_parquet(path: Path, choose: Choose) -> Table:
     """Read columns of a Parquet file (extra ``parquet``)."""
     try:
         import pyarrow as pa
@@ -57,7 +57,7 @@ def read_parquet(path: Path, choose: Choose, max_rows: int | None = None) -> Tab
             }
             units |= {CLOCK: "s"} if CLOCK in own else {}
             chosen = choose(list(own), units)
-            table = _rows(file, [own[name] for name in chosen], max_rows)
+            table = file.read(columns=[own[name] for name in chosen])
         columns = {name: table.column(own[name]).to_numpy() for name in chosen}
     except (LogError, FileNotFoundError, PermissionError):
         raise
@@ -192,19 +192,3 @@ _NAMES = ("name", "label", "signal", "channel", "id", "key", "title")  # of a si
 
 def _is_plain(value: Any) -> bool:
     return isinstance(value, list) and not any(isinstance(v, list | dict) for v in value)
-
-
-def _rows(file: Any, columns: list[str], rows: int | None) -> Any:
-    """All rows of a Parquet file, or the first ones, a batch at a time."""
-    if rows is None:
-        return file.read(columns=columns)
-    import pyarrow as pa
-
-    batches, left = [], rows
-    for batch in file.iter_batches(columns=columns):
-        batches.append(batch.slice(0, left))
-        left -= len(batches[-1])
-        if left <= 0:
-            break
-    schema = pa.schema([file.schema_arrow.field(name) for name in columns])
-    return pa.Table.from_batches(batches, schema)

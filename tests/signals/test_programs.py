@@ -393,7 +393,7 @@ LEFT_OUT = {  # content, rows that stay, what is said
     "header and units again": (inserted(LINES[0], "s,Nm,rad\n"), ALL, "lines 101, 102"),
     "cut line and header again": (inserted("0.99,1", "\n", LINES[0]), ALL, "line 101"),
     "empty cells at the start": (replaced(1, 6, ",,\n"), slice(5, None), "first 5 rows"),
-    "NaN at the start": (replaced(1, 6, ",NaN,nan\n"), slice(5, None), "no value for u and q"),
+    "NaN at the start": (replaced(1, 6, ",NaN,nan\n"), slice(5, None), "no value for u, q"),
     "words at the start": (replaced(1, 4, ",ERR,1.5\n"), slice(3, None), "lines 2, 3, 4"),
     "infinite at the start": (replaced(1, 4, ",inf,1.5\n"), slice(3, None), "first 3 rows"),
     "NULL at the start": (replaced(1, 3, ",NULL,NULL\n"), slice(2, None), "first 2 rows"),

@@ -22,10 +22,11 @@ from dmptm_ctrl.drive.rig import (
     unknown,
 )
 from dmptm_ctrl.drive.rig_data import DataReader
-from dmptm_ctrl.drive.rig_tables import RigError, si_symbol, suffix_unit
+from dmptm_ctrl.drive.rig_tables import RigError, suffix_unit
 from dmptm_ctrl.drive.rig_units import UnitError, counted_per, counts, factor
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.signals.units import parse_unit
 
 _NAMED = ("body", "shaft", "mesh", "input", "sensor", "effect")
 _TOP = ("name", "body", "shaft", "mesh", "input", "sensor", "controller", "effect", "data")
@@ -412,7 +413,7 @@ class _Reader(DataReader):
                 self._fail(where, key, f"{key} = {value!r} is no number (SI)")
         reference = self._text(where, raw, "reference")
         unit, _ = self._column_unit(where, raw, reference, implied=sensor[of].unit)
-        limit = self._number(where, raw, "limit", si_symbol(source[to].unit))
+        limit = self._number(where, raw, "limit", parse_unit(source[to].unit).symbol)
         return Controller(kind, to, of, gains, reference, unit, limit.value if limit else inf)
 
     def _effect(

@@ -26,8 +26,7 @@ def finite(source: str, column: str, values: Array, above: int = 0) -> None:
         row, count = int(np.argmin(good)), int((~good).sum())
         more = f" ({count} such values)" if count > 1 else ""
         value = values[row]
-        kind = "infinite" if np.isinf(value) else f"{value:.3g}, no measured value,"
-        kind = "missing (NaN)" if np.isnan(value) else kind
+        kind = "missing (NaN)" if np.isnan(value) else f"{value:.3g}, no measured value,"
         raise LogError(
             f"{source}: {column} is {kind} in row {above + row + 1}{more}; leave that part out "
             "(start, stop in [data] of the rig file)"

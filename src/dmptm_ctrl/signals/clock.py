@@ -124,14 +124,11 @@ def run_on(time: Array, channels: Mapping[str, Array], factor: float = 1.0) -> t
         return time, ""
     usual = float(np.median(step))
     sizes = usual - step[falls]
-    size = next(
-        (
-            k for k in (*(size * factor for size in ROUNDS), DAY)
-            # rows may be lost there
-            if np.abs(sizes - k).max() < max(min(MAX_BRIDGED * usual, 0.01 * k), 1e-3 * factor)
-        ),
-        None,
-    )  # fmt: skip
+    known = [*(size * factor for size in ROUNDS), DAY]
+    # rows may be lost there
+    off = [max(min(MAX_BRIDGED * usual, 0.01 * size), 1e-3 * factor) for size in known]
+    fits = (k for k, most in zip(known, off, strict=True) if np.abs(sizes - k).max() < most)
+    size = next(fits, None)
     if size is None:
         near = np.flatnonzero(falls)
         beside = step[np.concatenate([near[near > 0] - 1, near[near < falls.size - 1] + 1])]

@@ -106,8 +106,7 @@ def resolve(
     if missing:
         raise ColumnsError(f"{source}: no column {missing[0]!r}; {_near(missing[0], names)}")
     targets: dict[str, Target] = {}
-    ignored, clocks = [], []
-    contradictions = []
+    ignored, clocks, warnings = [], [], []
     clock = names_a_clock(mapping)
     for column in names:
         seen = {t.channel for t in targets.values()}
@@ -115,7 +114,7 @@ def resolve(
             said = _in_its_unit(mapping[column], units.get(column, ""))
             targets[column] = _mapped(column, said, source)
             if other := _other_unit(said, units.get(column, "")):
-                contradictions.append(f"column {column!r} {other}")
+                warnings.append(f"column {column!r} {other}")
         else:
             target = _by_name(column, units.get(column), source, strict=not mapping)
             if target is None or (mapping and target.channel not in CANONICAL):
@@ -125,7 +124,6 @@ def resolve(
             else:
                 targets[column] = target
     _refuse_wrong(targets, source)
-    warnings = contradictions
     if not clocks and not any(t.channel == "time" for t in targets.values()):
         free = [n for n in names if n not in mapping and n not in targets]
         if (found := _clock_of(free, [*names, ""][0], units)) is not None:
@@ -134,10 +132,10 @@ def resolve(
             ignored = [n for n in ignored if n != found]
     if ignored and not mapping:
         warnings.append(
-            f"ignored {_listed(ignored)}: no known unit in the name, as in theta_L_deg or current_A"
+            f"ignored {listed(ignored)}: no known unit in the name, as in theta_L_deg or current_A"
         )
     if clocks and not mapping:
-        warnings.append(f"ignored {_listed(clocks)}: another clock")
+        warnings.append(f"ignored {listed(clocks)}: another clock")
     return targets, warnings
 
 
@@ -281,9 +279,10 @@ def _near(name: str, names: Sequence[str]) -> str:
     """Columns that may be meant; else all."""
     alike = [n for n in names if name.lower() in n.lower()]
     alike = alike or difflib.get_close_matches(name, names, 3, 0.7)
-    return f"did you mean {_listed(alike, 3)}?" if alike else f"it has {_listed(names)}"
+    return f"did you mean {listed(alike, 3)}?" if alike else f"it has {listed(names)}"
 
 
-def _listed(names: Sequence[str], most: int = 12) -> str:
+def listed(names: Sequence[Any], most: int = 12) -> str:
+    """Return the first names or numbers, and how many more there are."""
     shown = ", ".join(repr(name) for name in list(names)[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -84,7 +84,6 @@ class LogInfo:
 
 def describe(
     log: Log,
-    *,
     labels: Mapping[str, tuple[str, str]] | None = None,
     declared: Collection[str] = (),
     effects: Collection[str] | None = None,
@@ -92,16 +91,9 @@ def describe(
 ) -> LogInfo:
     """Say what is in a log and what it can and cannot tell, by rules of thumb.
 
-    Parameters
-    ----------
-    log : Log
-        Of any drive; channels are told apart by their units.
-    labels : mapping of channel to (column, unit), optional
-        What the file calls them, and how they are to be shown.
-    declared, effects : collections of str
-        Effects that the drive's model has already, and those that the drive can have (None: all).
-    inputs : collection of str, optional
-        Channels that drive it; by default those in units of voltage, current, force and torque.
+    `labels`: what the file calls the channels, and how they are to be shown. `declared` effects
+    are in the drive's model already; None of `effects` stands for all, None of `inputs` for the
+    channels in units of voltage, current, force and torque.
     """
     excitation = _excitation(log, inputs)
     return LogInfo(

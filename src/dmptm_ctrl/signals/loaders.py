@@ -27,7 +27,7 @@ from dmptm_ctrl.signals.columns import (
     resolve,
 )
 from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign, without_failures
-from dmptm_ctrl.signals.dialect import TextFormat
+from dmptm_ctrl.signals.dialect import Dialect, TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
@@ -201,7 +201,7 @@ def gather(
         elif not isinstance(source, str | PathLike):
             logs.append(load(source, name=f"table{len(logs) + 1}"))
         else:
-            for path in find_logs(source):
+            for path in _files(source):
                 if ignored(path):
                     continue
                 try:
@@ -217,24 +217,8 @@ def gather(
     return tuple(logs), left_out
 
 
-def find_logs(source: Source) -> list[Path]:
-    """Files of a folder that are logs by their extension; a file stands for itself.
-
-    Parameters
-    ----------
-    source : path
-        A folder or a file.
-
-    Returns
-    -------
-    list of Path
-        In order of their names.
-
-    Raises
-    ------
-    LogError
-        No such file or folder, no log in it.
-    """
+def _files(source: Source) -> list[Path]:
+    """Files of a folder that may be logs, in order of their names; a file stands for itself."""
     path = Path(source)
     if not path.is_dir():
         return [path]
@@ -451,18 +435,12 @@ def _floats(values: Any, column: str, title: str) -> Any:
             raise TypeError(array.dtype)
         array = array.astype(np.float64, copy=False)
     except (TypeError, ValueError) as error:
-        words = (v for v in np.ravel(values) if isinstance(v, str) and not _is_number(v))
+        words = (
+            v for v in np.ravel(values) if isinstance(v, str) and Dialect("").number(v) is None
+        )
         example = next(words, "")[:40]
         what = f"holds {example!r}, no number" if example else "does not hold numbers"
         raise LogError(f"{title}: column {column!r} {what}") from error
     if array.ndim != 1:
         raise LogError(f"{title}: column {column!r} holds arrays, not numbers")
     return array
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +11,9 @@ from dmptm_ctrl.signals.clock import MAX_BRIDGED
 Array = NDArray[np.float64]
 
 NINES = re.compile(r"-?9{3,}(\.(9+|25))?")  # what programs write where there is no value
-LIMITS = frozenset(  # of whole numbers and of floats; counters of 16 bits do reach theirs
-    [
-        -(2.0**31),
-        2.0**31 - 1,
-        -(2.0**63),
-        2.0**63,
-        *(s * float(np.finfo(t).max) for s in (-1, 1) for t in (np.float32, np.float64)),
-    ]
-)
+_LARGEST = [float(np.finfo(t).max) for t in (np.float32, np.float64)]
+# of whole numbers and of floats; counters of 16 bits do reach theirs
+LIMITS = {-(2.0**31), 2.0**31 - 1, -(2.0**63), 2.0**63, *_LARGEST, *(-x for x in _LARGEST)}
 RARE = 2  # a column sampled more rarely has a value in every second row at most
 EVEN_HOLES = 2.5  # the longest hole of such a column, in usual ones
 
@@ -53,7 +46,7 @@ def on_one_clock(
     notes = []
     if moved:
         notes = [
-            f"{_listed(moved)} on {'another clock' if len(moved) == 1 else 'other clocks'}: "
+            f"{', '.join(moved)} on {'another clock' if len(moved) == 1 else 'other clocks'}: "
             "interpolated to the clock that ticks most often"
         ]
     return main, result, notes
@@ -128,9 +121,5 @@ def without_missing(
                 labels.get(n, n) for n, v in filled.items() if not np.isfinite(v[part]).all()
             ]
             gone = "row was" if count == 1 else f"{count} rows were"
-            notes.append(f"the {what} {gone} left out: no value for {_listed(lacking)}")
+            notes.append(f"the {what} {gone} left out: no value for {', '.join(lacking)}")
     return rows, filled, notes
-
-
-def _listed(names: list[Any]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

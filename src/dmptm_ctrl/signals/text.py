@@ -13,7 +13,7 @@ from typing import IO, Any
 import numpy as np
 
 from dmptm_ctrl.signals.clock import seconds_of, times_of
-from dmptm_ctrl.signals.columns import TIMES, Choose, Table
+from dmptm_ctrl.signals.columns import TIMES, Choose, Table, listed
 from dmptm_ctrl.signals.dialect import (
     MISSING,
     ODD,
@@ -385,7 +385,7 @@ class _Rows:
     def notes(self) -> list[str]:
         """What was left out, and where."""
         return [
-            f"left out {what} in line{'s' * (len(where) > 1)} {_listed(where)}"
+            f"left out {what} in line{'s' * (len(where) > 1)} {listed(where, 4)}"
             for what, where in self._left_out.items()
         ] + [f"{name} is {words}: taken as no value" for name, words in self.words().items()]
 
@@ -393,7 +393,7 @@ class _Rows:
         """First word among the numbers of each column that has some, and the lines of all."""
         return {
             name: f"{cells[0][0]!r} in line{'s' * (len(cells) > 1)} "
-            f"{_listed([line for _, line in cells])}"
+            f"{listed([line for _, line in cells], 4)}"
             for name, cells in self._no_numbers.items()
         }
 
@@ -490,8 +490,3 @@ def _without(units: Counter[str], line: str) -> str:
             return ""
         line = line.replace(unit, "")
     return line if _PLAIN.issuperset(line.strip().replace(":", "")) else ""
-
-
-def _listed(lines: list[int]) -> str:
-    shown = ", ".join(map(str, lines[:4]))
-    return f"{shown} and {len(lines) - 4} more" if len(lines) > 4 else shown

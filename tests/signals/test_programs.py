@@ -326,7 +326,7 @@ def test_what_the_rig_file_says_against_the_file(tmp_path):
     log = read(tmp_path, table(), rig(data='time = "t"\nsample_rate = "1 kHz"'))
     assert "samples are 0.01 s apart by the clock, and 0.001 s as you say" in log.warnings[0]
     log = read(tmp_path, "Delta_X,0.01\nu,q\n" + rows(",", U, Q), rig(data="sample_time = 0.02"))
-    assert "0.01 s apart by the preamble, and 0.02 s as you say; the latter" in log.warnings[0]
+    assert "0.01 s apart by the file, and 0.02 s as you say; the latter" in log.warnings[0]
     with pytest.raises(LogError, match="no rows of numbers, read with separator = ';' of"):
         read(tmp_path, table(), rig(data='time = "t"\nseparator = ";"'))
 
@@ -636,6 +636,9 @@ def test_a_rate_without_a_clock_leaves_the_files_clock_out(tmp_path):
     (tmp_path / "run.csv").write_text("Time [s],u,q\n" + rows(",", broken, U, Q))
     (log,) = rig(data='sample_rate = "100 Hz"').read(tmp_path / "run.csv")
     is_the_run(log)
+    (tmp_path / "run.csv").write_text("Time [s],u,q\n" + rows(",", T, U, Q))
+    (log,) = rig(data='sample_rate = "50 Hz"').read(tmp_path / "run.csv")
+    assert "0.01 s apart by the file, and 0.02 s as you say" in log.warnings[-1]
 
 
 def test_the_clock_of_a_file_that_states_its_unit(tmp_path):

@@ -82,7 +82,7 @@ def load_rig(path: str | PathLike[str]) -> Rig:
     except IsADirectoryError:
         raise RigError(f"{path.name} is a folder, not a rig file") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise RigError(f"{path.name} cannot be read as UTF-8 text") from error
+        raise RigError(f"{path.name} cannot be read as UTF-8 text; save it so") from error
     return parse_rig(text, path.name)
 
 

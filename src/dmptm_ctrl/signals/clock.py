@@ -286,7 +286,8 @@ def resampled(
         fine = step[step > 0].min(initial=np.inf) < EVEN_TOLERANCE * np.median(step)
         other = [c for c, v in channels.items() if (v[again] != v[again - 1]).any()]
         if other and not fine:
-            raise LogError(f"{source}: {other[0]} has two values at time {time[again[0]]:.6g} s")
+            what = f"{other[0]} has two values" if step.any() else "the clock stands still"
+            raise LogError(f"{source}: {what} at time {time[again[0]]:.6g} s")
         first = np.flatnonzero(np.concatenate([[True], step > 0]))
         rows = np.diff([*first, time.size])
         time = time[first]

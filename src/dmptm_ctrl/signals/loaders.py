@@ -3,6 +3,7 @@
 import hashlib
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -113,7 +114,9 @@ def load_log(
         ignored += _cut(table, max_rows)
     targets, notes = resolve(list(table.columns), mapped, table.units, title)
     if sample_time is not None and mapped and not names_a_clock(mapped):
-        targets = {c: t for c, t in targets.items() if t.channel != "time"}
+        left_out = {c: t for c, t in targets.items() if t.channel == "time"}
+        targets = {c: t for c, t in targets.items() if c not in left_out}
+        table = table._replace(period=_step_of(table, left_out, title) or table.period)
     read = _channels(table, targets, title, sample_time, window, set(mapped))
     time, channels, units, more = read
     notes = list(dict.fromkeys([*ignored, *table.notes, *notes, *more]))
@@ -128,7 +131,7 @@ def load_log(
     step = float(time[-1] - time[0]) / (time.size - 1) if clocked else table.period
     if sample_time and step and abs(step / sample_time - 1) > OTHER_RATE:
         notes.append(
-            f"samples are {step:.6g} s apart by the {'clock' if clocked else 'preamble'}, and "
+            f"samples are {step:.6g} s apart by the {'clock' if clocked else 'file'}, and "
             f"{sample_time:.6g} s as you say; the {'clock' if clocked else 'latter'} is taken"
         )
     for column, target in targets.items():
@@ -416,6 +419,15 @@ def _time(
     if sample_time is None:
         return None, [f"no time column: the samples are {table.period:.6g} s apart by the preamble"]
     return None, []
+
+
+def _step_of(table: Table, clock: Mapping[str, Target], title: str) -> float | None:
+    """Mean step of a clock that is not used [s]; None for none, or one that runs back."""
+    with suppress(LogError):
+        time, _ = _time(table, clock, 1.0, title, set())
+        if time is not None and time.size > 1 and (np.diff(time) >= 0).all():
+            return float(time[-1] - time[0]) / (time.size - 1)
+    return None
 
 
 def numbers_or_times(values: Any, column: str, title: str) -> Any:

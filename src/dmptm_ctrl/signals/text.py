@@ -187,7 +187,8 @@ def _one_each(
             columns[name] = values
         elif not _increases(values) and not _equal(values, columns[name]):
             raise LogError(
-                f"{source}: column {name!r} occurs {names.count(name)} times with different values"
+                f"{source}: column {name!r} occurs {names.count(name)} times with different "
+                "values; rename one, or call all columns by place: column1, column2, …"
             )
     main = next((c for c in clocks if names[c] in chosen and _increases(data[c])), None)
     if main is None:

@@ -124,11 +124,10 @@ def run_on(time: Array, channels: Mapping[str, Array], factor: float = 1.0) -> t
         return time, ""
     usual = float(np.median(step))
     sizes = usual - step[falls]
-    known = [*(size * factor for size in ROUNDS), DAY]
-    # rows may be lost there
-    off = [max(min(MAX_BRIDGED * usual, 0.01 * size), 1e-3 * factor) for size in known]
-    fits = (k for k, most in zip(known, off, strict=True) if np.abs(sizes - k).max() < most)
-    size = next(fits, None)
+    known = np.array([*(size * factor for size in ROUNDS), DAY])
+    off = np.abs(sizes[:, None] - known).max(axis=0)  # rows may be lost there
+    fits = off < np.maximum(np.minimum(MAX_BRIDGED * usual, 0.01 * known), 1e-3 * factor)
+    size = float(known[fits][0]) if fits.any() else None
     if size is None:
         near = np.flatnonzero(falls)
         beside = step[np.concatenate([near[near > 0] - 1, near[near < falls.size - 1] + 1])]
@@ -177,15 +176,11 @@ def mended(
         usual_step(source, np.diff(time))
         return time, channels, []
     if (even := _spread(time, channels, sample_time)) is not None:
-        stamps = np.unique(time)
-        what = (
-            f"{time.size} rows share {stamps.size} stamps" if _shared(np.diff(time))
-            else f"its steps of {np.diff(stamps).min():.4g} s are not those of the samples"
-        )  # fmt: skip
+        tick = np.diff(np.unique(time)).min()
         return even, channels, [
-            f"the clock is coarse, {what}: they were spread evenly, one each "
-            f"{np.ptp(even) / (even.size - 1):.6g} s; if the rate is known, give sample_rate in "
-            "[data] of the rig file"
+            f"the clock is coarse, it steps by {tick:.4g} s or more: samples were spread evenly, "
+            f"one each {np.ptp(even) / (even.size - 1):.6g} s; if the rate is known, give "
+            "sample_rate in [data] of the rig file"
         ]  # fmt: skip
     if (part := _longest_run(time)) is not None:
         note = f"time starts anew: rows {part.start + 1} to {part.stop} of {time.size} are used"

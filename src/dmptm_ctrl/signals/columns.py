@@ -65,8 +65,6 @@ class Table(NamedTuple):
 
 CLOCK = "(clock)"  # a clock without a name of its own
 TIMES = "(times)"  # instead of the unit of a column of dates or times of day
-
-
 _BESIDE = " #%"  # blanks and signs of comments around names
 CLOCKS = ("t", "time", "tout", "_time", "zeit", "uhrzeit", "timestamp", "datetime", "date", "datum")
 _BRACKET = re.compile(r"\s*[\[(][^\[\]()]*[\])]$")  # a unit, known or not

@@ -100,12 +100,10 @@ class Dialect(NamedTuple):
     def kind(self, cell: str) -> str:
         """Kind of a field: "number", "time", "" (no value) or "text"."""
         value = self.number(cell)
-        if value is not None and value == value:
+        if (value is not None and value == value) or cell.lower() in WORDS:
             return "number"
         if cell.lower() in MISSING:
             return ""
-        if cell.lower() in WORDS:
-            return "number"
         return "time" if TIME.fullmatch(cell) else "text"
 
     def number(self, cell: str) -> float | None:

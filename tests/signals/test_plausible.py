@@ -82,6 +82,14 @@ def test_good_logs_raise_no_suspicion(rig):
         assert log.warnings == ()
 
 
+def test_an_encoder_between_its_steps_is_not_clipped():
+    """A clock that jitters leaves readings between the steps where it was interpolated."""
+    table = load_log(data.path("demo_rig") / "closed_sine_10.csv.gz").to_frame()
+    jitter = np.random.default_rng(0).normal(0.0, 8e-5, len(table))
+    (warning,) = load(table.assign(time_s=table["time_s"] + jitter)).warnings
+    assert "resampled to even steps of 0.001 s" in warning
+
+
 @pytest.mark.parametrize(
     ("channel", "level"), [("u_left", 0.8), ("omega_L", 0.8), ("omega_L", 0.95), ("theta_L", 0.9)]
 )

@@ -25,24 +25,12 @@ _NO_ROWS = np.zeros((0, 0))
 
 
 class Batch(NamedTuple):
-    """Runs of a batch.
+    """Runs of a batch."""
 
-    Attributes
-    ----------
-    time : (m,) array [s]
-        Of the kept samples.
-    outputs : (batch, len(labels), m) array
-        SI, like :data:`BATCH_OUTPUTS`.
-    labels : tuple of str
-        Names of the kept outputs.
-    least, greatest, mean, rms : (batch, 10) arrays
-        Over all samples, of all :data:`BATCH_OUTPUTS`.
-    """
-
-    time: Floats
-    outputs: Floats
-    labels: tuple[str, ...]
-    least: Floats
+    time: Floats  # (m,) [s], of the kept samples
+    outputs: Floats  # (batch, labels, m), SI
+    labels: tuple[str, ...]  # names of the kept outputs
+    least: Floats  # (batch, 10), over all samples, of all :data:`BATCH_OUTPUTS`
     greatest: Floats
     mean: Floats
     rms: Floats
@@ -62,17 +50,9 @@ def march_any(
 ) -> Floats:
     """Run any number of drives open loop: :func:`~.compiled.march` for each, but faster.
 
-    Parameters
-    ----------
-    u, x0, measured
-        As there, of all or (batch, …) of each; `dt`, `substeps`, `observer`, `begin` of all.
-    columns : sequence of int
-        Which of :data:`~.compiled.OUTPUTS` to keep.
-
-    Returns
-    -------
-    (batch, n, len(columns)) array
-        SI. The same scheme as `march`; rounding differs.
+    `u`, `x0` and `measured` are as there, of all or (batch, …) of each; the other numbers are of
+    all; `columns` are those of :data:`~.compiled.OUTPUTS` to keep. Returns a (batch, n, columns)
+    array. The scheme is the same; rounding differs.
     """
     inputs = np.ascontiguousarray(u if u.ndim == 3 else u[None])
     angles = None if measured is None else own_rows(measured)

@@ -44,22 +44,12 @@ def loop_parts(model: AnyModel, source: str = "", sensor: str = "") -> tuple[tup
 
 
 class Wired(NamedTuple):
-    """A law as code and numbers.
+    """A law as code and numbers."""
 
-    Attributes
-    ----------
-    module : module
-        With ``command(ref, *readings, t, dt, law, memory, design)`` and ``controller``.
-    design : (numbers, flags, values) arrays
-        Of the model that is fed forward.
-    memory : int
-        Room that it keeps from sample to sample.
-    """
-
-    module: ModuleType
-    design: tuple[Floats, Floats, Floats]
+    module: ModuleType  # ``command(ref, *readings, t, dt, law, memory, design)`` and ``controller``
+    design: tuple[Floats, Floats, Floats]  # numbers, flags and values of what is fed forward
     wiring: Wiring
-    memory: int
+    memory: int  # room that it keeps from sample to sample
 
 
 def _engine(s: Structure, w: Wiring, flags: int) -> ModuleType:
@@ -130,22 +120,16 @@ class Design:
 
 @dataclass(frozen=True)
 class Law(Design):
-    """A sampled speed controller with its design model, as the simulator takes it.
+    """A sampled speed controller with its design model, as the simulator takes it."""
 
-    Attributes
-    ----------
-    bias_l, bias_r : float [V]
-        Preload.
-    sections : sequence of (b0, b1, b2, a1, a2)
-        Up to two second-order difference equations behind the PI.
-    relief : (from, to) [V]
-        The preload fades between these common voltages; (0, 0) keeps it.
-    """
-
-    bias_l: float = 0.0
+    bias_l: float = 0.0  # V, preload
     bias_r: float = 0.0
+    # up to two second-order difference equations (b0, b1, b2, a1, a2) behind the PI
     sections: Sequence[tuple[float, ...]] = ()
-    relief: tuple[float, float] = (0.0, 0.0)
+    relief: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # V, common: the preload fades between; (0, 0) keeps it
 
     def __post_init__(self) -> None:
         if len(self.sections) > SECTIONS:

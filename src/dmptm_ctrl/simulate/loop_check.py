@@ -14,28 +14,17 @@ LASTING = 0.5  # the second half of the observation keeps this share of the firs
 
 
 class LoopCheck(NamedTuple):
-    """Step of the setpoint from rest.
+    """Step of the setpoint from rest."""
 
-    Attributes
-    ----------
-    overshoot : float
-        Largest excess over the step, relative to it.
-    settling_time : float [s]
-        From when the speed, averaged over `window`, stays within 5 % of the step; infinite
-        if it never does.
-    limit_cycle_amplitude : float [rad/s]
-        Of the lasting oscillation, √2 times its standard deviation; 0 where it is excluded.
-    limit_cycle_hz : float
-        Its strongest line; 0 where it is excluded.
-    time, omega_L, ref : (n,) arrays [s, rad/s, rad/s]
-    """
-
-    overshoot: float
-    settling_time: float
+    overshoot: float  # largest excess over the step, relative to it
+    settling_time: (
+        float  # s, from when the averaged speed stays within 5 % of the step; or infinite
+    )
+    # rad/s, of the lasting oscillation: √2 times its standard deviation; 0 where it is excluded
     limit_cycle_amplitude: float
-    limit_cycle_hz: float
-    time: Floats
-    omega_L: Floats
+    limit_cycle_hz: float  # its strongest line; 0 where it is excluded
+    time: Floats  # (n,) [s]
+    omega_L: Floats  # rad/s
     ref: Floats
 
 
@@ -48,23 +37,11 @@ def check_loop(
     sample_time: float = 1e-3,
     window: float = 0.02,
 ) -> LoopCheck:
-    """Step the setpoint from rest and judge the ring-gear speed.
+    """Step the setpoint from rest to `speed` [rad/s] and judge the ring-gear speed.
 
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Height of the step, not 0. Try slow ones: sticking shows there.
-    duration : float [s]
-        The last two thirds are watched for a limit cycle.
-    sample_time : float [s]
-    window : float [s]
-        Running mean before judging overshoot and settling: rattle of the pinions above
-        1/window is not the loop's.
-
-    Raises
-    ------
-    ValueError
-        A step of height 0.
+    Try slow ones: sticking shows there. The last two thirds of `duration` [s] are watched for a
+    limit cycle. Overshoot and settling are those of a running mean over `window` [s]: rattle of
+    the pinions above 1/window is not the loop's. ValueError for a step of height 0.
     """
     if speed == 0.0:
         raise ValueError("a step of height 0 has no overshoot")

@@ -49,24 +49,12 @@ BACKLASH = Effect(
 
 
 class PlacedEffect(NamedTuple):
-    """An effect as one place of a drive has it.
+    """An effect as one place of a drive has it."""
 
-    Attributes
-    ----------
-    effect : Effect
-        Owner of the kernel.
-    keep : tuple of str
-        Parameters that one place has, in its own naming.
-    fields : tuple of int or float
-        For each field of the kernel's parameters: which of `keep`, or a constant.
-    told : int
-        Side or body that the kernel is told.
-    """
-
-    effect: Effect
-    keep: tuple[Parameter, ...]
-    fields: tuple[int | float, ...]
-    told: int = RING
+    effect: Effect  # owner of the kernel
+    keep: tuple[Parameter, ...]  # those that one place has, in its own naming
+    fields: tuple[int | float, ...]  # of the kernel's parameters: which of `keep`, or a constant
+    told: int = RING  # side or body that the kernel is told
 
     @property
     def name(self) -> str:

@@ -22,24 +22,12 @@ FAR = "_far"  # suffix of the body behind a compliance that splits a declared on
 
 
 class Placed(NamedTuple):
-    """An effect at a place of a rig.
+    """An effect at a place of a rig."""
 
-    Attributes
-    ----------
-    name : str
-        In the catalogue.
-    on : str
-        Body, link, input or sensor, by its name in the rig.
-    values : mapping
-        Parameter name → value, SI.
-    far : tuple of str
-        Of a shaft compliance: inputs and sensors that sit behind the spring.
-    """
-
-    name: str
-    on: str
-    values: Mapping[str, float] = {}
-    far: tuple[str, ...] = ()
+    name: str  # in the catalogue
+    on: str  # body, link, input or sensor, by its name in the rig
+    values: Mapping[str, float] = {}  # parameter name → value, SI
+    far: tuple[str, ...] = ()  # of a shaft compliance: inputs and sensors behind the spring
 
     @property
     def key(self) -> str:
@@ -207,10 +195,7 @@ class RigModel:
     def shifted(self, zeros: Mapping[str, float]) -> "RigModel":
         """Return the model with harmonics of the angle counted from another zero.
 
-        Parameters
-        ----------
-        zeros : mapping of effect key to float
-            Added to the angle [rad or m]; C cos n(θ + z) + S sin n(θ + z).
+        `zeros`, by effect key, are added to the angle [rad or m]; C cos n(θ + z) + S sin n(θ + z).
         """
         moved = []
         for effect in self.effects:
@@ -240,24 +225,14 @@ class RigModel:
 
 
 class Layout(NamedTuple):
-    """What stands where in the arrays of a plant.
-
-    Attributes
-    ----------
-    coordinate : dict
-        Body → index of its coordinate.
-    ratio : dict
-        Body → its angle over the coordinate.
-    sensor_body, input_body : dict
-        Sensor or input → body, a far one behind a compliance included.
-    """
+    """What stands where in the arrays of a plant."""
 
     bodies: tuple[str, ...]
     links: tuple[str, ...]
     inputs: tuple[str, ...]
-    coordinate: dict[str, int]
-    ratio: dict[str, float]
-    sensor_body: dict[str, str]
+    coordinate: dict[str, int]  # of each body, by its index
+    ratio: dict[str, float]  # of each body's angle over the coordinate
+    sensor_body: dict[str, str]  # body of each sensor, a far one behind a compliance included
     input_body: dict[str, str]
 
     @property

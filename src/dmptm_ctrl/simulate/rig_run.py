@@ -30,15 +30,9 @@ def as_rig_model(model: Rig | RigModel, name: str) -> RigModel:
 
 
 class RigRun:
-    """Motion of a chain on a clock.
+    """Motion of a rig on a clock; another run goes on from its `state`.
 
-    Attributes
-    ----------
-    time : (n,) array [s]
-    u : (inputs, n) array
-        Signals of the inputs, as the controller gave them where a loop was closed.
-    state : State
-        From which another run goes on.
+    `u` (inputs, n) are as the controller gave them where a loop was closed.
     """
 
     def __init__(self, model: RigModel, time: Floats, motion: Motion) -> None:

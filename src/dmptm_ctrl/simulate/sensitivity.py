@@ -30,24 +30,13 @@ _NO_ROWS = np.zeros((0, 0))
 
 
 class Sensitivities(NamedTuple):
-    """A run and its derivatives.
+    """A run and its derivatives."""
 
-    Attributes
-    ----------
-    time : (n,) array [s]
-    outputs : (8, n) array
-        Of the run, in the order of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`.
-    derivatives : (p, 8, n) array
-        ∂output/∂parameter, SI.
-    exists : (8, n) array of bool
-        False where the run is not differentiable: the derivatives from the two sides differ.
-    """
-
-    time: Floats
-    outputs: Floats
+    time: Floats  # (n,) [s]
+    outputs: Floats  # (8, n), in the order of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`
     parameters: tuple[str, ...]
-    derivatives: Floats
-    exists: NDArray[np.bool_]
+    derivatives: Floats  # (p, 8, n), ∂output/∂parameter, SI
+    exists: NDArray[np.bool_]  # (8, n), False where the derivatives from the two sides differ
 
 
 def _step(model: Model, name: str) -> float:

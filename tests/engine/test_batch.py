@@ -80,7 +80,7 @@ def lanes(models, u):
     return runs.outputs[: len(models)].transpose(0, 2, 1)
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=12, deadline=None, derandomize=True)
 @given(
     data=st.data(),
     names=st.lists(st.sampled_from([None, *ALONE]), min_size=1, max_size=9),

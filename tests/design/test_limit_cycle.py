@@ -4,9 +4,9 @@ import control as ct
 import numpy as np
 import pytest
 
+from dmptm_ctrl.design import limit_cycle
 from dmptm_ctrl.design.harmonic_balance import Balance, mesh_along
 from dmptm_ctrl.design.harmonics import Basis
-from dmptm_ctrl.design import limit_cycle
 from dmptm_ctrl.design.limit_cycle import limit_cycles
 from dmptm_ctrl.effects.backlash import Backlash
 from dmptm_ctrl.simulate.batch import simulate_batch

@@ -132,16 +132,8 @@ def missed(model: AnyModel, duty: Duty, reading: Floats, every: int = 1, sensor:
     """Return true speed minus setpoint [rad/s] at each sample of a simulated sensor.
 
     A reading that is late is compared with the setpoint of its time, and one with a wrong gain
-    is put right: a loop is to move the load, not the sensor.
-
-    Parameters
-    ----------
-    model : Model or RigModel
-        That gave the reading.
-    reading : (m,) array [rad/s, or rad of a position sensor]
-        Without noise, one of `every` samples.
-    sensor : int
-        Of the plant; by default the speed of the ring gear.
+    is put right: a loop is to move the load, not the sensor. The `reading` (m,) [rad/s, or rad of
+    a position sensor] is without noise, one of `every` samples.
     """
     plant = model.plant()
     parts = Parts(plant)

@@ -50,32 +50,21 @@ _EVALUATIONS = 32
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """A controller and how it was found.
-
-    Attributes
-    ----------
-    linear : PiTuning
-        The start.
-    reference : LinearReference or None
-        What no linear controller beats on the drive without torques that depend on an angle;
-        None where the synthesis has no answer.
-    stages : list of dict
-        Error over the drawn plants after each stage: stage, rmse_median, rmse_quantile,
-        rmse_worst [deg/s], voltage_max [V], controller, errors. Of a rig all are in SI units of
-        its sensor and its input.
-    errors : (plants,) array [deg/s]
-        RMS tracking error of the controller on every plant drawn.
-    parts : DataFrame
-        What each part of the compensation takes off the error, alone: ``median``, and ``sure``,
-        which nine of ten drawn plants reach. Shares of the error without the part.
-    """
+    """A controller and how it was found."""
 
     controller: Controller
-    linear: PiTuning
+    linear: PiTuning  # the start
+    # what no linear controller beats on the drive without torques that depend on an angle; None
+    # where the synthesis has no answer
     reference: LinearReference | None
+    # Error over the drawn plants after each stage: stage, rmse_median, rmse_quantile, rmse_worst
+    # [deg/s], voltage_max [V], controller, errors. Of a rig all are in SI units of its sensor and
+    # its input.
     stages: list[dict[str, Any]]
-    errors: Floats
+    errors: Floats  # (plants,) deg/s, RMS tracking error on every plant drawn
     aims: Aims
+    # What each part of the compensation takes off the error, alone, as shares of the error without
+    # it: ``median``, and ``sure``, which nine of ten drawn plants reach.
     parts: pd.DataFrame
 
     @property

@@ -84,14 +84,9 @@ class Given:
         self._varied: dict[tuple[tuple[str, float], ...], Given] = {}
 
     def at(self, params: Mapping[str, float]) -> "Given":
-        """Return it with the values of `params`.
+        """Return it with the values of `params`; ValueError for a wrong name or value.
 
         python-control hands the params of every block to all blocks of a system.
-
-        Raises
-        ------
-        ValueError
-            A name that neither the drive nor the loop has, or a value that no drive has.
         """
         if not params:
             return self

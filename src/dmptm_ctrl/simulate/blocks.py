@@ -130,25 +130,10 @@ def rig_blocks(
 ) -> ct.InterconnectedSystem:
     """Return a rig of any shape as one block per group of bodies, link, input and sensor.
 
-    Parameters
-    ----------
-    pade_order : int
-        Order of the Padé approximation of a dead time.
-    others : sequence of str
-        Names of `params` that belong to blocks of your own beside these.
-
-    Returns
-    -------
-    InterconnectedSystem
-        Inputs: those of the rig; outputs: its sensors; states: position and speed of each group
-        of rigidly joined bodies, named by its first body, lags, dead times, friction that builds
-        up. `params` replace declared quantities by their keys, such as
-        ``{"body.load.inertia": 0.02}``.
-
-    Raises
-    ------
-    ValueError
-        An inertia that is not positive, a negative stiffness, a value that is not finite.
+    Options are those of :func:`to_blocks`. Inputs and outputs are the inputs and sensors of the
+    rig; states are position and speed of each group of rigidly joined bodies, named by its first
+    body, lags, dead times, friction that builds up. `params` replace declared quantities by their
+    keys, such as ``{"body.load.inertia": 0.02}``. ValueError as of :meth:`.RigModel.check`.
     """
 
     def plant_of(values: Mapping[str, float]) -> Plant:
@@ -224,12 +209,7 @@ def run(
     """Run :func:`to_blocks` on held voltages, restarted at each of their jumps.
 
     Parameters and result as of :func:`dmptm_ctrl.simulate.reference.simulate`; `rtol`,
-    `atol` [rad, rad/s] of SciPy's RK45; `contact` as of :func:`to_blocks`.
-
-    Raises
-    ------
-    RuntimeError
-        The integrator gave up.
+    `atol` [rad, rad/s] of SciPy's RK45. RuntimeError where the integrator gives up.
     """
     sys = to_blocks(model, pade_order=pade_order, contact=contact)
     state = initial_state(model, sys, x0)

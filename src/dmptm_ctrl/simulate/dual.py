@@ -155,10 +155,7 @@ def dual_plant(model: "Model") -> Plant:
 def plant_with(model: "Model", contact: str) -> Plant:
     """Return the plant of a model whose meshes have a contact law, of :data:`CONTACTS`.
 
-    Raises
-    ------
-    ValueError
-        Another law, or the two-state law without any damping.
+    ValueError for another law, or the two-state law without any damping.
     """
     if contact not in CONTACTS:
         raise ValueError(f"contact is {contact!r}; it must be one of {', '.join(CONTACTS)}")

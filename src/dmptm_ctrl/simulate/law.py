@@ -66,50 +66,26 @@ def _engine(s: Structure, w: Wiring, flags: int) -> ModuleType:
 
 @dataclass(frozen=True)
 class Design:
-    """What a designed controller and the law that the simulator runs have in common.
+    """What a designed controller and the law that the simulator runs have in common."""
 
-    Attributes
-    ----------
-    kp : float [V/(rad/s)]
-    ki : float [V/rad]
-    limit : float [V]
-        Of each motor's voltage.
-    tracking : float [1/s]
-        Anti-windup by back-calculation: rate at which the integral gives back what the limit
-        cuts off; 0 is none.
-    inertia, friction, effects : float
-        Shares fed forward along the setpoint from `model`: inertia; friction of all three
-        bodies with the effects on it; torques of motor and load effects. 0 is off.
-    lead : float [s]
-        How far ahead the feed-forward looks: dead times and lags of the drive.
-    late : float [s]
-        How late the speed reading is: the error is taken against the setpoint back then.
-    acceleration : float [rad/s²]
-        Largest acceleration of the setpoint that is fed forward; steps are clipped to it.
-    softness : float [rad/s]
-        Below this setpoint speed the friction fed forward fades to 0.
-    invert : bool
-        Undo offset, dead band and gain errors of the drives.
-    model : Model or RigModel
-        What is fed forward and undone.
-    input, sensor : str
-        Of a rig: the motor, and what the setpoint is of; by default `default_loop`.
-    """
-
-    kp: float
-    ki: float
-    limit: float = 10.0
+    kp: float  # V/(rad/s)
+    ki: float  # V/rad
+    limit: float = 10.0  # V, of each motor
     _: KW_ONLY
+    # anti-windup: rate [1/s] at which the integral gives back what the limit cuts off; 0 is none
     tracking: float = 0.0
+    # Shares fed forward along the setpoint from `model`: inertia; friction of all bodies with the
+    # effects on it; torques of motor and load effects. 0 is off.
     inertia: float = 0.0
     friction: float = 0.0
     effects: float = 0.0
-    lead: float = 0.0
-    late: float = 0.0
-    acceleration: float = FAR
-    softness: float = 0.0
-    invert: bool = False
-    model: Model | RigModel = field(default_factory=Model)
+    lead: float = 0.0  # s ahead, that the feed-forward looks: dead times and lags of the drive
+    late: float = 0.0  # s, of the speed reading: the error is against the setpoint back then
+    acceleration: float = FAR  # rad/s², largest that is fed forward; steps are clipped to it
+    softness: float = 0.0  # rad/s; below this setpoint the friction fed forward fades to 0
+    invert: bool = False  # undo offset, dead band and gain errors of the drives
+    model: Model | RigModel = field(default_factory=Model)  # what is fed forward and undone
+    # of a rig: the motor, and what the setpoint is of; by default `default_loop`
     input: str = ""
     sensor: str = ""
 

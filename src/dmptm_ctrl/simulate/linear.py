@@ -343,7 +343,6 @@ def linear_train(model: RigModel, position: Mapping[str, float] | None = None) -
         joints=tuple(Joint(*link) for link in joined),
         drives=np.transpose(pushed) * plant.input_values[:, 0],
         torque_per_volt=1.0,
-        readouts={},
         ground=ground,
         lags=plant.input_values[:, 2],
         labels=layout.inputs,

@@ -159,13 +159,7 @@ PLACED_CATALOGUE: dict[str, PlacedEffect] = {
 
 
 def register(chain: PlacedEffect) -> PlacedEffect:
-    """Add a user's own effect for drives of any shape.
-
-    Raises
-    ------
-    ValueError
-        A name that is taken, or a site that chains do not have.
-    """
+    """Add a user's own effect for drives of any shape; ValueError for a wrong name or site."""
     if chain.name in PLACED_CATALOGUE:
         raise ValueError(f"effect {chain.name!r} is in the chain catalogue; choose another name")
     if chain.site not in SITES:

@@ -280,11 +280,7 @@ def run_exactly(
 
     `u` (inputs, n), `dt` [s] and `before` are as for :func:`~.run.advance`, `q0` and `v0` (n,) the
     coordinates and speeds at the start, `rtol` is the integrator's relative tolerance.
-
-    Raises
-    ------
-    RuntimeError
-        The integrator gave up, or the mode changes without end.
+    RuntimeError where the integrator gives up, or the mode changes without end.
     """
     signals = np.array(u, float, ndmin=2)
     hybrid = _Hybrid(plant)

@@ -73,27 +73,17 @@ def declared_effects(rig: Rig) -> list[Placed]:
 class RigModel:
     """A rig, values of its declared quantities, and effects added to it.
 
-    Attributes
-    ----------
-    effects : tuple of Placed
-        Left out: those that the rig declares.
-    values : mapping
-        By the keys of `declared`; what is left out has the declared value.
-    zeros : mapping of log to mapping of effect key to float
-        Shift of the encoder's zero in each log of the fit [rad or m].
-    closed : frozenset of str
-        Links that count as rigid: a view for balances, in which no gap and no twist stands.
-
-    Raises
-    ------
-    KeyError
-        An effect or parameter that is not in the catalogue, or a place that the rig does not have.
+    KeyError for an effect or parameter that is not in the catalogue, or a place that the rig does
+    not have.
     """
 
     rig: Rig
-    effects: tuple[Placed, ...] = None  # type: ignore[assignment]
+    effects: tuple[Placed, ...] = None  # type: ignore[assignment]  # those that the rig declares
+    # by the keys of `declared`; what is left out has the declared value
     values: Mapping[str, float] = field(default_factory=dict)
+    # shift of the encoder's zero in each log of the fit [rad or m], by effect key
     zeros: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    # links that count as rigid: a view for balances, in which no gap and no twist stands
     closed: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
@@ -122,13 +112,7 @@ class RigModel:
         return self.quantities[self.rig.ties.get(key, key)]
 
     def value(self, key: str) -> float:
-        """Value of a declared quantity as the model has it.
-
-        Raises
-        ------
-        ValueError
-            Declared as unknown and not yet fitted.
-        """
+        """Value of a declared quantity; ValueError where it is unknown and not yet fitted."""
         key = self.rig.ties.get(key, key)
         value = self.values.get(key, self.quantities[key].value)
         if not isfinite(value):
@@ -158,13 +142,10 @@ class RigModel:
         return replace(self, closed=frozenset()) if self.closed else self
 
     def check(self) -> None:
-        """Refuse declared values and effects that no machine has.
+        """Refuse declared values and effects that no machine has, as a ValueError.
 
-        Raises
-        ------
-        ValueError
-            An inertia that is not positive, a stiffness, damping or time that is negative, an
-            unknown or any other value that is not finite.
+        These are an inertia that is not positive, a stiffness, damping or time that is negative,
+        an unknown or any other value that is not finite.
         """
         for key, quantity in self.quantities.items():
             kind = key.rpartition(".")[2]

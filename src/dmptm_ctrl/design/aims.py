@@ -9,14 +9,11 @@ import numpy as np
 from dmptm_ctrl.arguments import refusing
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
-from dmptm_ctrl.simulate.compiled import SUBSTEPS, rest
-from dmptm_ctrl.simulate.dual import start
-from dmptm_ctrl.simulate.law import AnyModel, loop_parts
+from dmptm_ctrl.simulate.any_model import AnyModel, at_rest, loop_parts, steps_of
 from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import substeps_for
 
 LOST = 1e3  # deg/s, error of a run that left the finite numbers
 GYRO = 0.05 * DEG  # rad/s rms, noise of the speed reading the loop is tuned with
@@ -113,19 +110,6 @@ def error_unit(controller: Controller) -> tuple[str, float]:
     if isinstance(controller.model, RigModel):
         return f"{controller.units[1]}/s", 1.0
     return "deg/s", DEG
-
-
-def steps_of(model: AnyModel, dt: float) -> int:
-    """Return how many steps the simulator takes per sample."""
-    return substeps_for(model.plant(), dt) if isinstance(model, RigModel) else SUBSTEPS
-
-
-def at_rest(model: AnyModel) -> tuple[Floats, Floats]:
-    """Return coordinates and speeds of a drive at rest at angle 0."""
-    plant = model.plant()
-    if isinstance(model, RigModel):
-        return np.zeros(plant.inertia.size), np.zeros(plant.inertia.size)
-    return start(plant, rest(model, 0.0))
 
 
 def missed(model: AnyModel, duty: Duty, reading: Floats, every: int = 1, sensor: int = 1) -> Floats:

@@ -9,7 +9,7 @@ import pandas as pd
 
 from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller
-from dmptm_ctrl.simulate.law import AnyModel, effect_keys
+from dmptm_ctrl.simulate.any_model import AnyModel, effects_of
 from dmptm_ctrl.simulate.model import Floats
 
 QUANTILE = 0.9
@@ -29,7 +29,7 @@ def parts_of(controller: Controller) -> list[str]:
         for name, off in _PARTS.items()
         if any(getattr(controller, key) != value for key, value in off.items())
     ]
-    return [*on, *effect_keys(controller.model)]
+    return [*on, *effects_of(controller.model)]
 
 
 def without_part(controller: Controller, part: str) -> Controller:

@@ -4,7 +4,8 @@ import numpy as np
 
 from dmptm_ctrl.design.aims import HIGHEST_HZ, Aims
 from dmptm_ctrl.design.duty import usual_duty
-from dmptm_ctrl.simulate.law import FAR, default_loop
+from dmptm_ctrl.simulate.any_model import default_loop
+from dmptm_ctrl.simulate.law import FAR
 from dmptm_ctrl.simulate.plant import link_matrices, untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
 

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import lookup, presliding, stribeck
 from dmptm_ctrl.simulate import control_core as core
 from dmptm_ctrl.simulate import elementary
+from dmptm_ctrl.simulate.any_model import loop_parts
 from dmptm_ctrl.simulate.generate import compiled
 from dmptm_ctrl.simulate.law_text import Wiring, law_text, wiring
 from dmptm_ctrl.simulate.loading import LOADING, key_of, load
@@ -24,23 +24,6 @@ PASS = (1.0, 0.0, 0.0, 0.0, 0.0)  # a section that changes nothing
 FAR = 1e9  # rad/s², no limit
 SECTIONS = 2
 _ENGINES: dict[tuple[int, Wiring], ModuleType] = {}
-
-
-AnyModel = Model | RigModel
-
-
-def effect_keys(model: AnyModel) -> list[str]:
-    """Return what names the effects of a model, as `without` takes it."""
-    return [e.key for e in model.effects] if isinstance(model, RigModel) else list(model.effects)
-
-
-def loop_parts(model: AnyModel, source: str = "", sensor: str = "") -> tuple[tuple[int, ...], int]:
-    """Return the numbers of a loop's inputs and of its sensor, by the names of a rig's."""
-    if not isinstance(model, RigModel):
-        return (0, 1), 1
-    source, sensor = default_loop(model.rig, source, sensor)
-    names = [one.name for one in model.rig.sensors]
-    return (model.layout.inputs.index(source),), names.index(sensor)
 
 
 class Wired(NamedTuple):
@@ -143,21 +126,6 @@ class Law(Design):
     def stepper(self, sample_time: float) -> "Stepper":
         """Return the controller as a difference equation to be advanced sample by sample."""
         return Stepper(self, sample_time)
-
-
-def default_loop(rig: Rig, source: str = "", sensor: str = "") -> tuple[str, str]:
-    """Return the names of input and sensor of a rig's loop: those given, its controller's, firsts.
-
-    A speed sensor comes before a position. ValueError for names that the rig does not have.
-    """
-    own = rig.controller
-    source = source or (own.input if own else rig.inputs[0].name)
-    sensor = sensor or (own.sensor if own else rig.speed_sensor.name)
-    for kind, name, parts in (("input", source, rig.inputs), ("sensor", sensor, rig.sensors)):
-        names = [part.name for part in parts]
-        if name not in names:
-            raise ValueError(f"{rig.name} has no {kind} {name!r}; it has {', '.join(names)}")
-    return source, sensor
 
 
 class Stepper:

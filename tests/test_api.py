@@ -350,7 +350,7 @@ def test_models_and_blocks_refuse_what_is_in_the_place_of_a_part():
         dmptm_ctrl.Model(dmptm_ctrl.paper_rig())
     with pytest.raises(TypeError, match="^loop must be a Loop, not a int$"):
         dmptm_ctrl.Model().to_blocks(loop=3)
-    with pytest.raises(TypeError, match="^impact takes a Model, or the Diagnosis of a dual-mo"):
+    with pytest.raises(TypeError, match="^impact takes a Model, a RigModel or a Diagnosis first"):
         dmptm_ctrl.impact(3, dmptm_ctrl.Controller(1.0, 2.0))
     with pytest.raises(TypeError, match="^effect 'unbalance' is 3; it must be a dict of"):
         dmptm_ctrl.Model(effects={"unbalance": 3})

@@ -12,6 +12,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.compiled import INPUTS, SUBSTEPS, rest
 from dmptm_ctrl.simulate.dual import start
 from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, PlacedEffect
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import substeps_for
@@ -66,6 +67,18 @@ def at_rest(model: AnyModel) -> tuple[Floats, Floats]:
 def steps_of(model: AnyModel, dt: float) -> int:
     """Return how many steps the simulator takes per sample."""
     return substeps_for(model.plant(), dt) if isinstance(model, RigModel) else SUBSTEPS
+
+
+def speed_read(model: AnyModel, reading: Floats, dt: float, sensor: int) -> Floats:
+    """Return the true speed by readings of a sensor, of a speed or an angle, by its number.
+
+    One with a wrong gain is put right: a loop is to move the load, not the sensor.
+    """
+    plant, parts = model.plant(), Parts(model.plant())
+    if plant.sensor_speed[sensor]:
+        return np.asarray(reading / parts.reading(sensor, 0.0, 1.0, 0.0))
+    gain = parts.reading(sensor, 1.0, 0.0, 0.0) - parts.reading(sensor, 0.0, 0.0, 0.0)
+    return np.asarray(np.gradient(reading, dt) / gain)
 
 
 def loop_parts(model: AnyModel, source: str = "", sensor: str = "") -> tuple[tuple[int, ...], int]:

@@ -11,6 +11,7 @@ from dmptm_ctrl.diagnosis.budget import (
     NONE,
     Errors,
     Row,
+    Squares,
     closed_rows,
     error_entry,
     table_lines,
@@ -110,6 +111,15 @@ def test_explained_from_four_fifths():
     assert verdict_of(enough, True, False) == "explained"
     assert verdict_of(enough, False, False) == "unknown"
     assert verdict_of(little, True, True) == "unknown"
+
+
+def test_what_is_near_its_floor_cannot_show_what_is_explained():
+    """Mean squares of runs fall from 100 to 50 floors; the balance was at its floor before."""
+    runs = Squares(100.0, 50.0, 1.0)
+    at_floor, above = Errors(1.0, 1.0, 1.0, runs), Errors(10.0, 1.0, 1.0, runs)
+    assert at_floor.explained == above.explained == pytest.approx(50.0 / 99.0)
+    assert Errors(10.0, 1.0, 1.0, Squares(1.0, 1.0, 1.0)).explained == 1.0
+    assert verdict_of(at_floor, True, False) == "unknown"
 
 
 def test_entries_are_plain():

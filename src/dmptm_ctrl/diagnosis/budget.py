@@ -65,12 +65,14 @@ class Errors:
         """Share of the removable mean square that the named effects take.
 
         Of the balance, or less where runs show less, free and short ones in units of their floors.
+        A measure that is near its floor without the effects cannot show what they take.
         """
-        # runs near their floor cannot show what acts on other readings
         others = [m for m in (self.runs, self.short) if m and not near(m.before, m.floor)]
         before, after = (sum(m[side] / m.floor for m in others) for side in (0, 1))
-        own = share(self.before, self.after, self.floor)
-        return min(own, share(before, after, float(len(others))))
+        predicted = share(before, after, float(len(others)))
+        if others and self.balanced:
+            return predicted
+        return min(share(self.before, self.after, self.floor), predicted)
 
 
 def share(before: float, after: float, floor: float) -> float:

@@ -180,7 +180,7 @@ def report_of(
     variables = tuple(dict.fromkeys(strong))[:2]
     nearest = (best.variable,) if best else ()
     verdict = "unknown"
-    if effects and (errors.explained >= EXPLAINED or errors.balanced):
+    if effects and errors.explained >= EXPLAINED:
         verdict = "explained"
     elif not effects and curve_share(final, curves) < 1.0 - EXPLAINED and errors.balanced:
         verdict = "none"

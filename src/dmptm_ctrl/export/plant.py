@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.drive.rig import Input, Sensor
-from dmptm_ctrl.export.places import Latest, Ring, Row, Signals
 from dmptm_ctrl.export.program import Name, Port, Program, Store, make
 from dmptm_ctrl.export.stepping import counter, finished, word
 from dmptm_ctrl.export.trace import Scope, function_tree
-from dmptm_ctrl.export.tracer import Tracer
+from dmptm_ctrl.export.tracer import Latest, Ring, Row, Signals, Tracer
 from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.any_model import at_rest, steps_of
 from dmptm_ctrl.simulate.compiled import OUTPUTS, rest

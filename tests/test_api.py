@@ -224,7 +224,7 @@ def test_a_rig_simulates_linearises_and_closes_its_loop_as_a_model_does():
     assert closed.outputs[0][-1] == pytest.approx(20.0 / 22.0, rel=1e-3)
     with pytest.raises(ValueError, match="preload needs two motors"):
         dmptm_ctrl.close_loop(rig, dmptm_ctrl.Loop(1.0, 0.0, 1.0, 0.3), time, np.ones_like(time))
-    with pytest.raises(TypeError, match="a rig has no option 'nonsense'"):
+    with pytest.raises(TypeError, match="method 'compiled' has no option 'nonsense'"):
         dmptm_ctrl.simulate(rig, time, np.ones_like(time), nonsense=1.0)
 
 

@@ -1,8 +1,8 @@
 """Simulation of a drive: compiled for work, in python-control blocks, or by the reference."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,8 +41,8 @@ def simulate(
     Parameters
     ----------
     model : Model, RigModel or Rig
-        A rig of any shape has one input per input of the rig [SI], from rest, and the options of
-        :func:`~dmptm_ctrl.simulate.rig_run.march`; outputs are its sensors.
+        A rig of any shape has one input per input of the rig [SI], from rest; outputs are its
+        sensors. Compiled it has the options of :func:`~dmptm_ctrl.simulate.rig_run.march`.
     timepts : (n,) array [s]
         Evenly spaced. Effects that depend on time count it from the first point.
     inputs : (2, n) array [V]
@@ -87,45 +87,41 @@ def simulate(
 
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
-    own: Any = model
+    own, runs, x0 = cast("Any", model), _RUNS, None
+    known: Sequence[str] = METHODS[method]
     names: Sequence[str]
     seen: Sequence[str]
     if hasattr(model, "drive"):
-        _refuse_options(f"method {method!r}", METHODS[method], options)
-        substeps = options.get("substeps", 1)
-        if int(substeps) != substeps or substeps < 1:
-            raise ValueError(f"substeps is {substeps!r}; needs a whole number of at least 1")
         names, seen, name = INPUTS, OUTPUTS, own.drive.name
+        x0 = _start(own, initial_state)
     else:
-        from dmptm_ctrl.simulate.rig_run import MARCH_OPTIONS, as_rig_model, march
+        from dmptm_ctrl.simulate.rig_run import MARCH_OPTIONS, as_rig_model
 
         own = as_rig_model(own, "simulate")
-        if method != "compiled" or initial_state is not None:
-            raise ValueError("a rig of any shape runs compiled; give `position`, `speed` by body")
-        _refuse_options("a rig", MARCH_OPTIONS, options)
+        if initial_state is not None:
+            raise ValueError("a rig of any shape starts at `position` and `speed` by body")
+        known = MARCH_OPTIONS if method == "compiled" else [k for k in known if k != "contact"]
         names, seen, name = own.layout.inputs, [s.name for s in own.rig.sensors], own.rig.name
+        runs = {**_RUNS, "compiled": ("rig_run", "march_readings")}
+    for key in options:
+        if key not in known:
+            has = ", ".join(known)
+            raise TypeError(f"method {method!r} has no option {key!r}; it has {has}")
+    substeps = options.get("substeps")
+    if substeps is not None and (int(substeps) != substeps or substeps < 1):
+        raise ValueError(f"substeps is {substeps!r}; needs a whole number of at least 1")
     own.check()
     time = _timepts(timepts)
     shape = len(names), time.size
     u = _finite("inputs", np.atleast_2d(np.array(inputs, float)), shape, "inputs by time points")
     dt = (time[-1] - time[0]) / (time.size - 1)
-    if hasattr(own, "drive"):
-        module, function = _RUNS[method]
-        run_by = getattr(import_module(f"{__name__}.{module}"), function)
-        rows = run_by(own, u, _start(own, initial_state), dt, **options).T
-    else:
-        run = march(own, u, dt, **options)
-        u, rows = run.u, np.array([run.reading(sensor) for sensor in seen])
+    module, function = runs[method]
+    run = getattr(import_module(f"{__name__}.{module}"), function)
+    rows = run(own, u, x0, dt, **options).T
     return response(
         time, rows, inputs=u, output_labels=list(seen), input_labels=list(names),
         sysname=name, title=f"{name} ({method})",
     )  # fmt: skip
-
-
-def _refuse_options(what: str, known: Sequence[str], given: Iterable[str]) -> None:
-    for key in given:
-        if key not in known:
-            raise TypeError(f"{what} has no option {key!r}; it has {', '.join(known)}")
 
 
 def _start(model: "Model", state: ArrayLike | None) -> NDArray[np.float64]:

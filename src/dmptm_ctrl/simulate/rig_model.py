@@ -168,10 +168,10 @@ class RigModel:
                     raise ValueError(f"{what} is {value:g}; it must be zero or more")
 
     def to_blocks(self, **options: Any) -> "control.InterconnectedSystem":
-        """Return the model as python-control blocks, see :func:`.blocks.rig_blocks`."""
-        from dmptm_ctrl.simulate.blocks import rig_blocks
+        """Return the model as python-control blocks, see :func:`.blocks.to_blocks`."""
+        from dmptm_ctrl.simulate.blocks import to_blocks
 
-        return rig_blocks(self, **options)
+        return to_blocks(self, **options)
 
     def shifted(self, zeros: Mapping[str, float]) -> "RigModel":
         """Return the model with harmonics of the angle counted from another zero.

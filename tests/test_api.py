@@ -298,7 +298,10 @@ def test_only_the_command_prints():
 ONE = np.zeros(9)
 WRONG = {  # call with a first argument that is right -> what is said of another
     "simulate": (lambda f, m: f(m, "t", ONE), "timepts must be an array, not a str"),
-    "simulate_batch": (lambda f, m: f(m, ONE, ONE), "models must be a sequence of Model, not a M"),
+    "simulate_batch": (
+        lambda f, m: f(m, ONE, ONE),
+        "models must be a sequence of Model or RigModel, n",
+    ),
     "tune_pi": (lambda f, m: f(dmptm_ctrl.three_dof(), "20"), "bandwidth_hz must be a number, not"),
     "tune_controller": (lambda f, m: f(m, 5), "aims must be an Aims, not an int"),
     "stepped_sine": (lambda f, m: f(m, 0.6, [1.0, 2.0]), "amplitude must be a number, not a list"),

@@ -9,7 +9,7 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.compiled import INPUTS, SUBSTEPS, rest
+from dmptm_ctrl.simulate.compiled import INPUTS, SEEN, SUBSTEPS, rest
 from dmptm_ctrl.simulate.dual import start
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
@@ -54,6 +54,14 @@ def declared_in(model: AnyModel) -> tuple[Mapping[str, Quantity], dict[str, floa
 def inputs_of(model: AnyModel) -> tuple[str, ...]:
     """Return the names of a model's inputs."""
     return model.layout.inputs if isinstance(model, RigModel) else INPUTS
+
+
+def seen_of(model: AnyModel) -> dict[str, str]:
+    """Return what runs of many drives call a model's outputs and then its inputs, by name."""
+    own = SEEN
+    if isinstance(model, RigModel):
+        own = {sensor.name: f"reading{i}" for i, sensor in enumerate(model.rig.sensors)}
+    return own | {name: f"signal{j}" for j, name in enumerate(inputs_of(model))}
 
 
 def at_rest(model: AnyModel) -> tuple[Floats, Floats]:

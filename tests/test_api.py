@@ -158,7 +158,8 @@ def test_closed_loop_is_the_compiled_one_as_a_response():
 
 FIRST = {  # what a function takes first -> which functions
     "Drive": ("baseline", "three_dof", "nine_dof"),
-    "Model": ("simulate_with_sensitivities", "stepped_sine", "multisine", "tune_controller"),
+    "a Model or a RigModel": ("simulate_with_sensitivities",),
+    "Model": ("stepped_sine", "multisine", "tune_controller"),
     "a Model": ("limit_cycles", "smallest_preload", "monte_carlo"),
     "a Model or a RigModel or a Rig": ("close_loop", "linearize", "predict"),
     "a model first": ("simulate",),

@@ -85,10 +85,8 @@ class Law(Design):
     bias_r: float = 0.0
     # up to two second-order difference equations (b0, b1, b2, a1, a2) behind the PI
     sections: Sequence[tuple[float, ...]] = ()
-    relief: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # V, common: the preload fades between; (0, 0) keeps it
+    # V, common: the preload fades between these; (0, 0) keeps it
+    relief: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if len(self.sections) > SECTIONS:

@@ -18,9 +18,7 @@ class LoopCheck(NamedTuple):
     """Step of the setpoint from rest."""
 
     overshoot: float  # largest excess over the step, relative to it
-    settling_time: (
-        float  # s, from when the averaged speed stays within 5 % of the step; or infinite
-    )
+    settling_time: float  # s, until the mean speed stays within 5 % of the step; or infinite
     # rad/s, of the lasting oscillation: √2 times its standard deviation; 0 where it is excluded
     limit_cycle_amplitude: float
     limit_cycle_hz: float  # its strongest line; 0 where it is excluded

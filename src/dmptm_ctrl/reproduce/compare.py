@@ -16,6 +16,7 @@ from dmptm_ctrl.drive import Drive, baseline_drive, nine_dof_ss, paper_drive, th
 from dmptm_ctrl.plots.linear import bode_compare, step_compare
 from dmptm_ctrl.reproduce.items import figure_of
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.any_model import inputs_of
 from dmptm_ctrl.simulate.linear import linearize
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model
@@ -71,7 +72,7 @@ def _own(
     model = read_model(file)
     if isinstance(model, Model):
         return model.drive, {f"{file.stem}, linearised": common_mode(linear_plant(model))}
-    inputs = model.layout.inputs
+    inputs = inputs_of(model)
     source, seen = input or inputs[0], output or model.rig.speed_sensor.name
     if source not in inputs:
         raise LogError(f"{file.name}: no input {source!r}; it has {', '.join(inputs)}")

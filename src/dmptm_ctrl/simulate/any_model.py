@@ -53,7 +53,7 @@ def declared_in(model: AnyModel) -> tuple[Mapping[str, Quantity], dict[str, floa
 
 def inputs_of(model: AnyModel) -> tuple[str, ...]:
     """Return the names of a model's inputs."""
-    return model.layout.inputs if isinstance(model, RigModel) else INPUTS
+    return tuple(i.name for i in model.rig.inputs) if isinstance(model, RigModel) else INPUTS
 
 
 def seen_of(model: AnyModel) -> dict[str, str]:

@@ -177,6 +177,18 @@ def test_effects_that_hide_each_other_are_found_as_a_pair(seed):
     assert "twin" in found.path[0]
 
 
+@pytest.mark.parametrize("size", [2.0, 0.5])
+def test_effects_that_hide_each_other_are_found_beside_a_clear_one(size):
+    """Worth more or less than x2; sets with x2 need no fit, for it is found alone."""
+    true = {"x1": 8.0, "twin": -8.0, "x2": size}
+    data, fitted = drawn(0, {"twin": lambda x, e: x["x1"] + 0.1 * e}, true), []
+    data.together = lambda state, group: fitted.append(group) or Linear.together(data, state, group)
+    found = selected(data)
+    assert keys(found) == {*true}
+    assert ("x1" in found.path[0]) == (size < 0.8)
+    assert not any("x2" in c.keys for group in fitted for c in group)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_what_later_effects_make_superfluous_is_deleted(seed):
     """A mixture of both true ones explains most alone, and nothing beside them."""

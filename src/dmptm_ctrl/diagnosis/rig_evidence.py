@@ -201,8 +201,8 @@ class RigEvidence:
         return found
 
     def _alike(self, state: State, fit: RigFit) -> RigFit | None:
-        """Return a fit if its slopes are nearly those of a state: where nothing is simulated."""
-        return None if self.logs.simulates(state.model) else fit
+        """Return a fit if its slopes are nearly those of a state: where no gap is simulated."""
+        return None if self.logs.bends(state.model) else fit
 
     def _candidate(
         self, state: RigState, group: tuple[Trial, ...], fit: RigFit, *, look: bool = True

@@ -136,7 +136,8 @@ def select_effects(
         selection.known = {c.keys: c for c in candidates} | selection.known
         able = [c for c in candidates if c.acceptable and c.keys not in vain]
         if not state.keys or not able:
-            sets = likely_sets(evidence, state, candidates)
+            single = best_of(able, evidence.ratio(state)) if able else None
+            sets = likely_sets(evidence, state, candidates, single)
             able += [c for c in sets if c.acceptable and c.keys not in vain]
         if not able:
             break
@@ -175,14 +176,18 @@ def best_of(able: Sequence[Candidate], ratio: float) -> Candidate:
 
 
 def likely_sets(
-    evidence: Evidence, state: State, candidates: Sequence[Candidate]
+    evidence: Evidence, state: State, candidates: Sequence[Candidate], single: Candidate | None
 ) -> list[Candidate]:
     """Fit the pairs and triples that may explain most; they may hide each other one by one.
 
-    Those alone that are more than their members to first order.
+    Those alone that are more to first order than their members, and than the best `single` one.
+    What goes well with that is found beside it.
     """
     by_keys = {c.keys: c for c in candidates if np.isfinite(c.gain)}
-    gain = cache(joint_gain(evidence.rows(state, list(by_keys.values()))))
+    if single is not None:
+        del by_keys[single.keys]
+    every = [*by_keys.values(), *([single] if single else [])]
+    gain = cache(joint_gain(evidence.rows(state, every)))
     pairs = sorted(combinations(by_keys, 2), key=gain, reverse=True)
     triples: set[tuple[Keys, ...]] = {
         tuple(sorted({*pair, keys}))
@@ -194,7 +199,8 @@ def likely_sets(
     likely += sorted(sorted(triples), key=gain, reverse=True)[:SET_TRIALS]
 
     def more(group: tuple[Keys, ...]) -> float:
-        return gain(group) - max(gain((one,)) for one in group)
+        beside = (single.keys,) if single else ()
+        return gain(group) - max(gain((one,)) for one in (*group, *beside))
 
     likely = [g for g in likely if more(g) > LEVEL * (len(g) - 1)]
     return [evidence.together(state, [by_keys[k] for k in group]) for group in likely]

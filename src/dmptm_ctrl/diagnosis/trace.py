@@ -117,9 +117,10 @@ class Trace:
     def gain(self, columns: Floats) -> float:
         """Fall of the weighted square by columns (m, k), to first order; by their products."""
         size = np.maximum(np.sqrt(np.einsum("ij,ij->j", columns, columns)), np.finfo(float).tiny)
-        told = self.basis[: -self.rows].T @ columns / size
-        own = columns.T @ columns / np.outer(size, size) - told.T @ told
-        product = self.target[: -self.rows] @ columns / size
+        unit = columns / size  # a column may be nothing at all
+        told = self.basis[: -self.rows].T @ unit
+        own = unit.T @ unit - told.T @ told
+        product = self.target[: -self.rows] @ unit
         return float(product @ np.linalg.pinv(own, SINGULAR, hermitian=True) @ product)
 
 

@@ -166,6 +166,9 @@ class Drive(Mapping[str, float]):
 
 _POSITIVE = ("K_d", "K_M", "J_m", "J_2", "J_L", "N_1", "N_2", "k_m")
 _FRICTION_TOL = 0.12  # declared spread of friction and gaps from rig to rig
+# No theory gives the exponent: 1/2 to 1 (Bo, Pavelescu), 2 (Armstrong-Hélouvry), in Automatica 30
+# (1994) 1083.
+_EXPONENT_TOL = 0.5
 _INERTIA_TOL = 0.06
 _STIFFNESS_TOL = 0.10
 
@@ -181,7 +184,7 @@ def _friction(
         rows[f"T{body}c_{sign}"] = Quantity(coulomb, "N·m", _FRICTION_TOL, source)
         rows[f"W{body}_{sign}"] = Quantity(stribeck * DEG, "rad/s", _FRICTION_TOL, source)
         rows[f"B{body}_{sign}"] = Quantity(viscous / DEG, "N·m·s/rad", _FRICTION_TOL, source)
-    rows[f"delta{body}"] = Quantity(1.0, "", 0.0, f"Table 2, {label}")
+    rows[f"delta{body}"] = Quantity(1.0, "", _EXPONENT_TOL, f"Table 2, {label}")
     return rows
 
 

@@ -62,6 +62,8 @@ def dual_motor(rig: Rig) -> Drive | None:
         "gap_r": right[4].half_gap,
     }
     for body, label in ((pinion, "3"), (ring, "L")):
+        exponent = body.friction.get("stribeck_exponent")
+        declared[f"delta{label}"] = exponent or base.quantities[f"delta{label}"]
         for key, name in _FRICTION.items():
             for side in ("plus", "minus"):
                 own = body.friction.get(key) or body.friction.get(f"{key}_{side}")

@@ -187,9 +187,7 @@ class _Reader(TableReader):
                 self._fail(where, f"{kind}_{given[0]}", f"{kind}_{missing} is missing beside it")
             friction |= {f"{kind}_{s}": v for s, v in sides.items() if v is not None}
         if "stribeck_exponent" in raw:
-            friction["stribeck_exponent"] = self._need(
-                where, raw, "stribeck_exponent", "", exact=True
-            )
+            friction["stribeck_exponent"] = self._need(where, raw, "stribeck_exponent", "")
         for key_ in ("static", "static_plus"):
             for other in ("stribeck_speed", "coulomb"):
                 if key_ in friction and not {other, f"{other}_plus"} & set(friction):

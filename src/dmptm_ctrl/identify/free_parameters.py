@@ -21,7 +21,7 @@ ALL = ""  # in place of a log: what belongs to all of them
 LEAST_SCALE = 0.01  # of the typical size of a quantity
 WIDEST = 0.1  # of the travel; of a local spot
 SHARES = 0.005, 0.99  # of the inertia behind a spring
-NOT_FITTED = ("ratio", "gain", "stribeck_exponent", "gap_damping", "limit")
+NOT_FITTED = ("ratio", "gain", "gap_damping", "limit")
 
 
 @dataclass(frozen=True)

@@ -140,6 +140,11 @@ class Balance:
         """Whether links carry what only a run tells."""
         return bool({*model.layout.links} - {*self.teeth})
 
+    def bends(self, model: RigModel) -> bool:
+        """Whether such a link has a gap: slopes then change from one state to the next."""
+        gaps = zip(model.layout.links, model.plant().link_gap, strict=True)
+        return any(gap > 0 and name not in self.teeth for name, gap in gaps)
+
     @cached_property
     def counted(self) -> list[NDArray[np.bool_]]:
         """Rows of each equation that count, per log, (equations, rows)."""

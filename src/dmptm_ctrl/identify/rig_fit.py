@@ -274,6 +274,7 @@ def fit_rig(
     # where slopes are rough, those of wide and of narrow differences find different steps
     rough = unseen_impacts(state.model, balance)
     vain, fine = 0, rough
+    bends = balance.bends(state.model)  # too much for secants
     for _ in range(iterations if frees else 0):
         likelihood = likelihood.between(state.model)
         loss = total_loss(state, frees, left, likelihood)
@@ -290,8 +291,7 @@ def fit_rig(
         if vain > rough:
             break
         fine ^= vain > 0
-        # gaps bend too much for secants
-        if gain < TOLERANCE or balance.simulates(state.model):
+        if gain < TOLERANCE or bends:
             slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs, fine=fine), True
     if fine or not fresh:
         slopes = slopes_near(state, balance, frees, left, None if fine else near, jobs)

@@ -165,7 +165,7 @@ FIRST = {  # what a function takes first -> which functions
     "a model first": ("simulate",),
     "Drive or a GearTrain or a Model or a Rig or a RigModel": ("modes",),
     "dict of LTI": ("bode_compare", "step_compare"),
-    "StateSpace": ("common_mode", "close_speed_loop", "margins", "tune_pi"),
+    "StateSpace": ("common_mode", "close_speed_loop", "margins", "tune_pi", "step_info"),
 }
 
 

@@ -323,17 +323,23 @@ def log_info(
         Path, typer.Argument(help="Log: text of any kind, .mat, .parquet, .mf4, .json, …")
     ],
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
-    resample: Annotated[
-        bool, typer.Option("--resample", help="Put an uneven clock on even steps.")
-    ] = False,
     rig: Annotated[
         Path | None, typer.Option(help="rig.toml: says what the columns are; else their names do.")
     ] = None,
 ) -> None:
     """Show what is in a log, and what it can and cannot tell."""
-    from dmptm_ctrl.identify.info import describe_log
+    from dmptm_ctrl.signals.info import describe, describe_file
 
-    info = describe_log(file, rig, resample=resample)
+    if rig is None:
+        info = describe_file(file)
+    else:
+        from dmptm_ctrl.drive.rigfile import load_rig
+        from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+
+        drive = load_rig(rig)
+        inputs = [source.channel for source in drive.inputs]
+        declared = drive.declared_names()
+        info = describe(drive.read(file)[0], drive.labels(), declared, PLACED_CATALOGUE, inputs)
     if as_json:
         print(json.dumps(info.to_dict(), indent=2, ensure_ascii=False))
     else:

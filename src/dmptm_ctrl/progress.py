@@ -89,7 +89,8 @@ def show_info(info: "LogInfo") -> None:
         console.print(f"warning: {_plain(warning)}")
     if info.excitation is None:
         console.print(
-            "No input with a motion is known by its unit: a rig file says what the columns are."
+            "No input with a motion is known by its unit: a rig file says what the columns are "
+            "(dmptm rig init writes one)."
         )
         return
     can = [row.effect for row in info.testable if row.testable]

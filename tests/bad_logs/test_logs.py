@@ -58,17 +58,9 @@ REFUSED = {
         {k: t.iloc[:500] for k, t in two_logs().items()},
         "nothing to diagnose: .* is too short",
     ),
-    "rows reversed": (
-        {k: t.iloc[::-1] for k, t in two_logs().items()},
-        "time runs backwards; reverse the rows",
-    ),
     "signals reversed in time": (
         {k: t.iloc[::-1].assign(time_s=t["time_s"].to_numpy()) for k, t in two_logs().items()},
         "one of the two has the wrong sign",
-    ),
-    "rows twice": (
-        {k: t.loc[t.index.repeat(2)] for k, t in two_logs().items()},
-        "time repeats in row 2",
     ),
     "angle alone in radians": (
         scaled({"theta_L_deg": DEG}),

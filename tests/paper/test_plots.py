@@ -48,6 +48,7 @@ def test_step_draws_the_step_on_the_axes_given():
     expected = ct.step_response(PLANT, line.get_xdata()).outputs
     np.testing.assert_allclose(line.get_ydata(), 1.2 * expected, atol=1e-9)
     assert ax.get_ylabel() == "speed"
+    assert step_compare({"plant": PLANT}, 1.0).axes[0, 0].get_ylabel() == "omega_L [SI]"
 
 
 def test_response_leaves_out_where_nothing_moves():

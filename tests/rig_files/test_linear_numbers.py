@@ -6,6 +6,7 @@ import pytest
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.drive.space import step_info
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.blocks import to_blocks
 from dmptm_ctrl.simulate.linear import linearize, modes, modes_text
@@ -191,6 +192,48 @@ def test_gravity_of_a_level_arm_holds_no_angle():
     """Its slope is 0 there, not what rounding leaves: the speed by viscous friction, 1/B."""
     level = linearize(parse_rig(HANGING), {"arm": 20.5 * np.pi}, outputs=["speed"])
     assert ct.dcgain(level) == pytest.approx(1.0 / 0.05)
+
+
+@pytest.mark.parametrize("output", ["q", "w"])
+def test_step_of_a_stiff_plant_over_all_its_time_scales(output):
+    """Against the sum of its modes: an arm on a spring behind a stiff shaft and a dead time."""
+    text = two("4e4", '[effect.cable_spring]\non = "load"\nstiffness = 50\n')
+    rig = parse_rig(text.replace("gain =", "delay = 0.0005\ngain =").replace("0.5\n", "0.05\n"))
+    plant = linearize(rig, outputs=[output])
+    found = step_info(plant)
+    poles, shapes = np.linalg.eig(plant.A)
+    parts = (plant.C @ shapes)[0] * np.linalg.solve(shapes, plant.B)[:, 0] / poles
+    time = np.linspace(0.0, 8.0 / -poles.real.max(), 500_001)
+    final = 2.5 / 50.0 if output == "q" else 0.0
+    values = final + sum((p * np.exp(s * time)).real for p, s in zip(parts, poles, strict=True))
+    assert found["Peak"] == pytest.approx(np.abs(values).max(), rel=1e-3)
+    assert found["SteadyStateValue"] == pytest.approx(final, rel=1e-9, abs=0.0)
+    if output == "w":  # it returns to nothing
+        assert np.isnan(found["SettlingTime"])
+        return
+    settled = time[np.flatnonzero(np.abs(values / final - 1.0) >= 0.02)[-1]]
+    assert found["SettlingTime"] == pytest.approx(settled, rel=1e-3)
+    assert found["Overshoot"] == pytest.approx(100.0 * (values.max() / final - 1.0), rel=1e-3)
+    rises = [time[np.argmax(values >= share * final)] for share in (0.1, 0.9)]
+    assert found["RiseTime"] == pytest.approx(rises[1] - rises[0], rel=2e-3)
+
+
+def test_a_step_that_does_not_settle_is_refused():
+    with pytest.raises(ValueError, match="poles that decay"):
+        step_info(linearize(parse_rig(two()), outputs=["q"]))
+
+
+def test_an_undamped_resonance_has_no_margins(tmp_path, capsys):
+    undamped = SPRING.replace("viscous", "# viscous")
+    (tmp_path / "rig.toml").write_text(undamped)
+    (tmp_path / "damped.toml").write_text(SPRING)
+    rows = []
+    for name in ("rig", "damped"):
+        file = str(tmp_path / f"{name}.toml")
+        assert main(["bode", file, "--out", str(tmp_path / "bode.png")]) == 0
+        rows.append(next(x for x in capsys.readouterr().out.splitlines() if x.startswith("arm")))
+    assert rows[0].split()[-2:] == ["undamped", "undamped"]
+    assert "undamped" not in rows[1]
 
 
 def test_torques_of_links_and_motion_of_bodies_are_outputs():

@@ -26,6 +26,13 @@ def test_template_is_a_rig_that_checks(tmp_path, capsys):
     assert image.imread(tmp_path / "rig.png").std() > 0.05
 
 
+def test_a_file_that_windows_marked(tmp_path, capsys):
+    text = data.PAPER_RIG.read_text(encoding="utf-8").replace("\n", "\r\n")
+    (tmp_path / "rig.toml").write_bytes(text.encode("utf-8-sig"))
+    assert main(["rig", "check", str(tmp_path / "rig.toml")]) == 0
+    assert "modes: 0 (rigid body), 60.4 Hz, 230.9 Hz" in capsys.readouterr().out
+
+
 def test_modes_of_the_paper_rig(capsys):
     assert main(["rig", "check", str(data.PAPER_RIG)]) == 0
     assert "modes: 0 (rigid body), 60.4 Hz, 230.9 Hz" in capsys.readouterr().out

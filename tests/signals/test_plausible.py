@@ -5,17 +5,17 @@ import pytest
 
 from dmptm_ctrl import LogError, data, load_log, load_logs
 from dmptm_ctrl.signals.counters import unwrapped_counts
-from dmptm_ctrl.signals.plausible import suspects
+from dmptm_ctrl.signals.plausible import refuse_inconsistent, suspects
 
 from .conftest import RATIO
 
 DEG = np.pi / 180
 
 
-def load(columns, **options):
+def load(columns):
     import pandas as pd
 
-    return load_log(pd.DataFrame(columns), **options)
+    return load_log(pd.DataFrame(columns))
 
 
 @pytest.mark.parametrize(
@@ -40,12 +40,12 @@ def test_mistaken_unit_or_sign(columns, column, factor, message):
 
 
 def test_motor_angles_against_the_ratio(columns):
-    assert load(columns, ratio=RATIO).warnings == ()
+    refuse_inconsistent(load(columns), RATIO)
     columns["theta_ml_deg"] = columns["theta_ml_deg"] * DEG
     columns["theta_mr_deg"] = columns["theta_mr_deg"] * DEG
     load(columns)  # they agree with each other
     with pytest.raises(LogError, match="theta_ml changes 0.01745 times what 206.25 times theta_L"):
-        load(columns, ratio=RATIO)
+        refuse_inconsistent(load(columns), RATIO)
 
 
 def test_motors_that_would_take_energy_out_of_friction(columns):
@@ -77,8 +77,17 @@ def test_gyro_bias_is_no_mistake(columns):
 
 @pytest.mark.parametrize("rig", ["demo_rig", "null_rig"])
 def test_good_logs_raise_no_suspicion(rig):
-    for log in load_logs(data.path(rig), ratio=RATIO):
+    for log in load_logs(data.path(rig)):
+        refuse_inconsistent(log, RATIO)
         assert log.warnings == ()
+
+
+def test_an_encoder_between_its_steps_is_not_clipped():
+    """A clock that jitters leaves readings between the steps where it was interpolated."""
+    table = load_log(data.path("demo_rig") / "closed_sine_10.csv.gz").to_frame()
+    jitter = np.random.default_rng(0).normal(0.0, 8e-5, len(table))
+    (warning,) = load(table.assign(time_s=table["time_s"] + jitter)).warnings
+    assert "resampled to even steps of 0.001 s" in warning
 
 
 @pytest.mark.parametrize(

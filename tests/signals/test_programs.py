@@ -326,7 +326,7 @@ def test_what_the_rig_file_says_against_the_file(tmp_path):
     log = read(tmp_path, table(), rig(data='time = "t"\nsample_rate = "1 kHz"'))
     assert "samples are 0.01 s apart by the clock, and 0.001 s as you say" in log.warnings[0]
     log = read(tmp_path, "Delta_X,0.01\nu,q\n" + rows(",", U, Q), rig(data="sample_time = 0.02"))
-    assert "0.01 s apart by the preamble, and 0.02 s as you say; the latter" in log.warnings[0]
+    assert "0.01 s apart by the file, and 0.02 s as you say; the latter" in log.warnings[0]
     with pytest.raises(LogError, match="no rows of numbers, read with separator = ';' of"):
         read(tmp_path, table(), rig(data='time = "t"\nseparator = ";"'))
 
@@ -343,7 +343,7 @@ def test_columns_beside_a_clock_with_gaps_are_listed(tmp_path):
     (tmp_path / "run.csv").write_text("t,u,q\n" + rows(",", T + 3.0 * (T > 1), U, Q))
     info = describe_file(tmp_path / "run.csv")
     assert [c.column for c in info.channels] == ["t", "u", "q"]
-    assert "1 gap in time" in info.warnings[0]
+    assert "gap of 3.01 s after 1 s" in info.warnings[0]
 
 
 def test_name_with_an_unknown_unit(tmp_path):
@@ -393,7 +393,7 @@ LEFT_OUT = {  # content, rows that stay, what is said
     "header and units again": (inserted(LINES[0], "s,Nm,rad\n"), ALL, "lines 101, 102"),
     "cut line and header again": (inserted("0.99,1", "\n", LINES[0]), ALL, "line 101"),
     "empty cells at the start": (replaced(1, 6, ",,\n"), slice(5, None), "first 5 rows"),
-    "NaN at the start": (replaced(1, 6, ",NaN,nan\n"), slice(5, None), "no value for u and q"),
+    "NaN at the start": (replaced(1, 6, ",NaN,nan\n"), slice(5, None), "no value for u, q"),
     "words at the start": (replaced(1, 4, ",ERR,1.5\n"), slice(3, None), "lines 2, 3, 4"),
     "infinite at the start": (replaced(1, 4, ",inf,1.5\n"), slice(3, None), "first 3 rows"),
     "NULL at the start": (replaced(1, 3, ",NULL,NULL\n"), slice(2, None), "first 2 rows"),
@@ -611,8 +611,8 @@ def test_units_of_twincat_and_german_counts(tmp_path):
     head = "Zeit;u;q\nms;%;Inkr\n"
     (tmp_path / "counts.csv").write_text(head + rows(";", 1e3 * T, U, np.round(Q)))
     scope, counts = (describe_file(tmp_path / f"{n}.csv") for n in ("scope", "counts"))
-    assert [c.column for c in scope.channels] == ["u_Nm", "q_deg"]
-    assert [c.column for c in counts.channels] == ["u_percent", "q"]
+    assert [c.column for c in scope.channels] == ["(clock) [s]", "u [Nm]", "q [°]"]
+    assert [c.column for c in counts.channels] == ["Zeit [ms]", "u [%]", "q [Inkr]"]
     assert counts.sample_time == pytest.approx(STEP)
 
 
@@ -636,6 +636,9 @@ def test_a_rate_without_a_clock_leaves_the_files_clock_out(tmp_path):
     (tmp_path / "run.csv").write_text("Time [s],u,q\n" + rows(",", broken, U, Q))
     (log,) = rig(data='sample_rate = "100 Hz"').read(tmp_path / "run.csv")
     is_the_run(log)
+    (tmp_path / "run.csv").write_text("Time [s],u,q\n" + rows(",", T, U, Q))
+    (log,) = rig(data='sample_rate = "50 Hz"').read(tmp_path / "run.csv")
+    assert "0.01 s apart by the file, and 0.02 s as you say" in log.warnings[-1]
 
 
 def test_the_clock_of_a_file_that_states_its_unit(tmp_path):
@@ -666,3 +669,66 @@ def test_ros_nanoseconds(tmp_path):
     log = read(tmp_path, "%time,field.u,field.q\n" + lines, rig("field.u", "field.q", data))
     is_the_run(log)
     assert log.sample_time == pytest.approx(STEP, rel=1e-9)
+
+
+def test_columns_are_listed_as_the_file_names_them(tmp_path):
+    """What a rig file is to say, in the file's units; an empty column is no fault."""
+    head = "Zeit;Moment;Lage;Bemerkung\nms;mNm;Inkr;\n"
+    cells = zip(1e3 * T, 1e3 * U, np.round(Q), strict=True)
+    (tmp_path / "run.csv").write_text(head + "".join(f"{a};{b};{c};\n" for a, b, c in cells))
+    info = describe_file(tmp_path / "run.csv")
+    assert [c.column for c in info.channels] == ["Zeit [ms]", "Moment [mNm]", "Lage [Inkr]"]
+    assert info.channels[1].high == pytest.approx(1e3 * U.max())
+    read(
+        tmp_path, (tmp_path / "run.csv").read_bytes(),
+        parse_rig(RIG.format(u="Moment", q="Lage", data="").replace("N m", "mN m")),
+    )  # fmt: skip
+
+
+def test_units_of_labview_stand_above_their_columns(tmp_path):
+    """A label, a unit for each channel, and nothing above the comments."""
+    head = "Y_Unit_Label\tNm\trad\t\nDelta_X\t0.01\t0.01\t\nX_Value\tu\tq\tComment\n"
+    log = read(tmp_path, head + rows("\t", T, U, Q), rig(data=""))
+    is_the_run(log)
+    assert not any("by the file" in w for w in log.warnings)
+
+
+def test_infinite_is_no_value(tmp_path):
+    text = table().splitlines(keepends=True)
+    text[50] = text[50].replace(f"{U[49]:.5f}", "\u221e")
+    log = read(tmp_path, "".join(text))
+    assert np.abs(log["in_u"] - U)[np.arange(ROWS) != 49].max() < 1e-9
+    assert "u is inf at times, far from all else: taken as no value" in log.warnings
+
+
+def test_time_name_and_value_without_a_header(tmp_path):
+    lines = (f"{t:.2f} {n} {v}\n" for t, *v2 in zip(T, U, Q, strict=True)
+             for n, v in zip("uq", v2, strict=True))  # fmt: skip
+    is_the_run(read(tmp_path, "".join(lines), rig(data="")))
+
+
+@pytest.mark.parametrize("sign", [".", ","])
+def test_thousands_of_whole_numbers(tmp_path, sign):
+    """998, 999, 1.000: decimals would be written everywhere, or without a 0 at their end."""
+    q = np.arange(ROWS) * 10.0 + 500.0
+    counts = (f"{v:,.0f}".replace(",", sign) for v in q)
+    text = "t_ms;u;q\n" + "".join(f"{10 * i};1;{c}\n" for i, c in enumerate(counts))
+    log = read(tmp_path, text, rig(data=""))
+    np.testing.assert_allclose(log["out_q"], q)
+
+
+def test_decimals_that_look_like_thousands_are_decimals(tmp_path):
+    q = np.round(5.0 + 4.0 * np.sin(3.0 * T), 3)
+    text = "t_ms;u;q\n" + "".join(f"{10 * i};1;{v:g}\n" for i, v in enumerate(q))
+    np.testing.assert_allclose(read(tmp_path, text, rig(data=""))["out_q"], q)
+
+
+def test_counts_against_a_unit_are_told(tmp_path):
+    text = table(header=("t", "u", "q")).replace("\n", "\ns,Nm,Ink\n", 1)
+    (warning,) = read(tmp_path, text, rig(data="")).warnings
+    assert warning == "column 'q' is in Ink by the file, and taken in rad as you say"
+
+
+def test_a_comma_for_everything_is_refused_with_the_reason(tmp_path):
+    with pytest.raises(LogError, match="comma before decimals needs another separator"):
+        read(tmp_path, table(decimal=","))

@@ -38,7 +38,7 @@ def test_reads_si_and_radians(columns, write_csv):
 def test_numbers_come_in_to_the_last_bit(write_csv):
     values = np.random.default_rng(1).normal(size=500) * 10.0 ** np.linspace(-250, 28, 500)
     rows = "\n".join(f"{i * 0.5},{v!r}" for i, v in enumerate(values.tolist()))
-    log = load_log(write_csv(f"time_s,x_m\n{rows}\n"))
+    log = load_log(write_csv(f"time_s,x_V\n{rows}\n"))
     np.testing.assert_array_equal(log["x"], values)
 
 
@@ -124,19 +124,22 @@ def test_many_chunks_are_one_log(columns, write_csv, monkeypatch):
     np.testing.assert_array_equal(load_log(write_csv(columns))["theta_L"], whole["theta_L"])
     monkeypatch.setattr(text, "CHUNK_ROWS", 333)
     np.testing.assert_array_equal(load_log(write_csv(columns))["theta_L"], whole["theta_L"])
-    with pytest.raises(LogError, match=r"theta_L_deg, which is 'bad' in line 1702, is missing"):
-        load_log(write_csv(broken(columns, "theta_L_deg", 1700, "bad")))
+    log = load_log(write_csv(broken(columns, "theta_L_deg", 1700, "bad")))
+    assert "theta_L_deg is 'bad' in line 1702: taken as no value" in log.warnings
+
+
+@pytest.mark.parametrize("value", ["nan", "-inf", "1e999", "", "off"])
+def test_a_missing_value_is_bridged_and_told(columns, write_csv, value):
+    log = load_log(write_csv(broken(columns, "theta_L_deg", 1234, value)))
+    expected = np.radians(columns["theta_L_deg"])
+    np.testing.assert_allclose(log["theta_L"], expected, atol=1e-6)
+    assert "theta_L_deg lacks 1 value, at most 1 in a row: bridged" in log.warnings
 
 
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ("nan", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235;"),
-        ("-inf", r"^run.csv: theta_L_deg is infinite in row 1235;"),
-        ("1e999", r"^run.csv: theta_L_deg is infinite in row 1235;"),
         ("1e200", r"^run.csv: theta_L_deg is 1e\+200, no measured value, in row 1235;"),
-        ("", r"^run.csv: theta_L_deg is missing \(NaN\) in row 1235;"),
-        ("off", r"^run.csv: theta_L_deg, which is 'off' in line 1236, is missing"),
         ("1,2", r"^run.csv: line 1236 has 8 values, the header names 7 columns$"),
     ],
 )
@@ -145,9 +148,16 @@ def test_bad_value_is_named_with_its_place(columns, write_csv, value, message):
         load_log(write_csv(broken(columns, "theta_L_deg", 1234, value)))
 
 
-def test_several_missing_values_are_counted(columns, write_csv):
-    columns["u_left_V"][10:15] = np.nan
-    with pytest.raises(LogError, match=r"u_left_V is missing \(NaN\) in row 11 \(5 such values\)"):
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (np.nan, r"^run.csv: u_left_V is missing \(NaN\) in row 11 \(12 such values\); .*start"),
+        (np.inf, "^run.csv: u_left_V, where inf stands for no value, is missing"),
+    ],
+)
+def test_values_missing_for_long_are_refused(columns, write_csv, value, message):
+    columns["u_left_V"][10:22] = value
+    with pytest.raises(LogError, match=message):
         load_log(write_csv(columns))
 
 
@@ -195,12 +205,6 @@ def test_no_such_file_and_other_names(tmp_path, write_csv):
         load_log(tmp_path)
     with pytest.raises(LogError, match="a packed file, such as Excel's; save it as CSV"):
         load_log(write_csv("PK\3\4 x", "run.xlsx"))
-
-
-def test_required_channels(columns, write_csv):
-    del columns["omega_L_deg_s"]
-    with pytest.raises(LogError, match="no column for omega_L; it has u_left"):
-        load_log(write_csv(columns), required=["theta_L", "omega_L"])
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.screen import MAX_ROWS, STRANGE, VAGUE, cut
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
-from dmptm_ctrl.drive.rig_tables import si_symbol
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.signals import Log, LogError
@@ -22,6 +21,7 @@ from dmptm_ctrl.signals.plausible import (
     travelled,
 )
 from dmptm_ctrl.signals.plausible import SURE as SURE_PAIR
+from dmptm_ctrl.signals.units import parse_unit
 
 LEAN = 0.3  # correlation of drive and speed that tells the sign of the motors' power
 SURE = 10.0  # standard errors of an inertia that contradicts its declaration
@@ -282,7 +282,7 @@ def _inertia_unit(rig: Rig, body: str) -> str:
     if all(is_known(i.gain) for i in rig.inputs):
         return "kg" if linear else "kg·m²"
     source = rig.inputs[0]
-    unit = "per unit" if si_symbol(source.unit) == "" else f"{si_symbol(source.unit)}"
+    unit = parse_unit(source.unit).symbol or "per unit"
     return f"({unit} of {source.column})/({'m' if linear else 'rad'}/s²)"
 
 
@@ -310,7 +310,7 @@ def refuse_no_gain(rig: Rig, balance: Balance) -> None:
         f"in it the logs show an inertia of {inertia:.3g} at {point.body}, where the rig file "
         f"declares {value:.3g} {'kg' if body.linear else 'kg·m²'}: give the gain (with this "
         f"inertia {value / inertia:.3g} {body.force_unit} per "
-        f"{si_symbol(source.unit) or 'unit'}), or write that the inertia is unknown"
+        f"{parse_unit(source.unit).symbol or 'unit'}), or write that the inertia is unknown"
     )
 
 

@@ -341,14 +341,11 @@ class Rig:
         """Load one log as ``[data]`` says, as `load_log`; by default the rig's own channels."""
         if isinstance(source, Log):
             return self._checked(source)
-        if columns is None:
-            columns = self.columns()
-            required = [c.channel for c in columns.values() if c.channel != "time"]
-            options.setdefault("required", required)
+        columns = self.columns() if columns is None else columns
         name = options.get("name") or stem(Path(source).name)
         return load_log(
-            source, columns, sample_time=self.data.sample_time, resample="if needed",
-            window=self.data.window(name), how=self.data.text, **options,
+            source, columns, sample_time=self.data.sample_time, window=self.data.window(name),
+            how=self.data.text, **options,
         )  # fmt: skip
 
     def read_inputs(self, source: Any) -> Log:
@@ -360,7 +357,7 @@ class Rig:
             columns = {
                 k: c for k, c in self.columns().items() if k in drives or c.channel == "time"
             }
-            return self.load(source, columns, required=[i.channel for i in self.inputs])
+            return self.load(source, columns)
 
     def _checked(self, log: Log) -> Log:
         need = [c.channel for c in self.columns().values() if c.channel != "time"]

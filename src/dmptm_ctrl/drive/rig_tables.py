@@ -66,7 +66,7 @@ class TableReader:
         if not isinstance(unit, str):
             self._fail(where, "unit", f"unit = {unit!r} is no text; write it in quotes")
         try:
-            return unit, si_symbol(unit)
+            return unit, parse_unit(unit).symbol
         except ValueError as error:
             other = (
                 'for one of your own give a known one and scale, as in unit = "deg", scale = 0.001'
@@ -185,11 +185,6 @@ def suffix_unit(column: str) -> str:
     """Unit that a column's name ends in, as the loaders spell it: omega_deg_s → deg_s."""
     split = split_column(column)
     return column[len(split[0]) + 1 :] if split is not None else ""
-
-
-def si_symbol(unit: str) -> str:
-    """SI symbol of a unit."""
-    return parse_unit(unit).symbol
 
 
 _HEADER = re.compile(r"^\s*\[\[?\s*(.+?)\s*\]\]?\s*(?:#.*)?$")

@@ -21,10 +21,11 @@ from dmptm_ctrl.drive.rig import (
     is_known,
     unknown,
 )
-from dmptm_ctrl.drive.rig_tables import RigError, TableReader, si_symbol, suffix_unit
+from dmptm_ctrl.drive.rig_tables import RigError, TableReader, suffix_unit
 from dmptm_ctrl.drive.rig_units import UnitError, counted_per, counts, factor
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.signals.units import parse_unit
 
 _NAMED = ("body", "shaft", "mesh", "input", "sensor", "effect")
 _TOP = ("name", "body", "shaft", "mesh", "input", "sensor", "controller", "effect", "data")
@@ -80,7 +81,7 @@ def load_rig(path: str | PathLike[str]) -> Rig:
     except IsADirectoryError:
         raise RigError(f"{path.name} is a folder, not a rig file") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise RigError(f"{path.name} cannot be read as UTF-8 text") from error
+        raise RigError(f"{path.name} cannot be read as UTF-8 text; save it so") from error
     return parse_rig(text, path.name)
 
 
@@ -409,7 +410,7 @@ class _Reader(TableReader):
                 self._fail(where, key, f"{key} = {value!r} is no number (SI)")
         reference = self._text(where, raw, "reference")
         unit, _ = self._column_unit(where, raw, reference, implied=sensor[of].unit)
-        limit = self._number(where, raw, "limit", si_symbol(source[to].unit))
+        limit = self._number(where, raw, "limit", parse_unit(source[to].unit).symbol)
         return Controller(kind, to, of, gains, reference, unit, limit.value if limit else inf)
 
     def _effect(

@@ -97,7 +97,8 @@ def step_compare(
         Of the step, in the input's unit.
     ax : Axes, optional
     unit : str
-        Of the output after multiplication by `scale`, with its name.
+        Of the output after multiplication by `scale`, with its name; by default what the systems
+        call their outputs, in SI.
     scale : float
         From the output's unit to `unit`.
     title : str
@@ -113,6 +114,8 @@ def step_compare(
     _refuse_other(systems)
     panel = axes(ax, 1, figsize=(6.5, 3.4))
     time = np.linspace(0.0, duration, 4000)
+    named = ", ".join(dict.fromkeys(system.output_labels[0] for system in systems.values()))
+    unit = unit or f"{named} [SI]" + f" × {scale:g}" * (scale != 1.0)
     plot = None
     for (label, system), style in zip(systems.items(), cycle(SEQUENCE), strict=False):
         response = ct.step_response(system, time)

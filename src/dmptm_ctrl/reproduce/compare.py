@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from dmptm_ctrl.control import common_mode
 from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.drive import Drive, baseline_drive, nine_dof_ss, paper_drive, three_dof_ss
+from dmptm_ctrl.drive.space import step_info
 from dmptm_ctrl.plots.linear import bode_compare, step_compare
 from dmptm_ctrl.reproduce.items import figure_of
 from dmptm_ctrl.signals import LogError
@@ -21,6 +22,7 @@ from dmptm_ctrl.simulate.linear import linearize
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model
 
+UNDAMPED = 1e-9  # damping ratio that is rounding
 OVER = " over "  # between output and input of another rig
 MOTORS = "one voltage on both motors"
 # column -> what python-control calls it
@@ -89,12 +91,14 @@ def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Fig
     rows = {}
     for label, system in models.items():
         gain, phase, _, _ = ct.margin(system)
+        poles = system.poles()  # at one without damping the gain is infinite, whatever the loop's
+        undamped = bool((np.abs(poles.real) < UNDAMPED * np.abs(poles)).any())
         rows[label] = {
             "states": str(system.nstates),
             "gain at rest": _said(ct.dcgain(system)),
             "-3 dB [Hz]": _said(ct.bandwidth(system) / (2.0 * np.pi)),
-            "gain margin [dB]": f"{20.0 * np.log10(gain):.1f}",
-            "phase margin [deg]": f"{phase:.1f}",
+            "gain margin [dB]": "undamped" if undamped else f"{20.0 * np.log10(gain):.1f}",
+            "phase margin [deg]": "undamped" if undamped else f"{phase:.1f}",
         }
     return figure_of(plot.axes[0, 0]), pd.DataFrame.from_dict(rows, "index")
 
@@ -109,7 +113,7 @@ def step(models: dict[str, ct.StateSpace], seconds: float) -> tuple[Figure, pd.D
     rows = {}
     for label, system in models.items():
         settles = np.isfinite(ct.dcgain(system)) and system.poles().real.max() < 0.0
-        info = ct.step_info(system) if settles else {}
+        info = step_info(system) if settles else {}
         rows[label] = {column: _said(info.get(key, np.nan)) for column, key in STEP.items()}
     return figure_of(plot.axes[0, 0]), pd.DataFrame.from_dict(rows, "index")
 

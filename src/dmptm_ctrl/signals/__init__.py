@@ -4,7 +4,7 @@ from dmptm_ctrl.signals.campaign import Campaign
 from dmptm_ctrl.signals.columns import Column
 from dmptm_ctrl.signals.dialect import TextFormat
 from dmptm_ctrl.signals.errors import LogError, MissingChannelError
-from dmptm_ctrl.signals.loaders import find_logs, load_log, load_logs
+from dmptm_ctrl.signals.loaders import load_log, load_logs
 from dmptm_ctrl.signals.log import Log
 
 __all__ = [
@@ -14,7 +14,6 @@ __all__ = [
     "LogError",
     "MissingChannelError",
     "TextFormat",
-    "find_logs",
     "load_log",
     "load_logs",
 ]

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import overload
 
 import numpy as np
@@ -81,13 +80,6 @@ class Campaign(Sequence[Log]):
     def sample_time(self) -> float:
         """Time between samples [s], the same in all logs."""
         return self.logs[0].sample_time
-
-    def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{escape(log.name)}</td><td>{len(log)}</td><td>{log.duration:.6g}</td></tr>"
-            for log in self.logs
-        )
-        return f"<table><tr><th>log</th><th>samples</th><th>seconds</th></tr>{rows}</table>"
 
 
 def without_duplicates(logs: tuple[Log, ...]) -> tuple[tuple[Log, ...], list[str]]:

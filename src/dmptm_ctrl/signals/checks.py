@@ -4,7 +4,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.log import EVEN_TOLERANCE
 
 Array = NDArray[np.float64]
 
@@ -13,7 +12,6 @@ HUGE = 1e30
 SHORTEST_STEP = 1e-9  # s, faster than anything that samples a drive
 LONGEST_STEP = 60.0  # s, slower than anything that samples a drive
 SLOW = 0.5  # s, a step that is long for a drive
-GAP_STEPS = 1.5  # a step longer than this many usual ones has lost samples
 
 
 def finite(source: str, column: str, values: Array, above: int = 0) -> None:
@@ -28,40 +26,10 @@ def finite(source: str, column: str, values: Array, above: int = 0) -> None:
         row, count = int(np.argmin(good)), int((~good).sum())
         more = f" ({count} such values)" if count > 1 else ""
         value = values[row]
-        kind = "infinite" if np.isinf(value) else f"{value:.3g}, no measured value,"
-        kind = "missing (NaN)" if np.isnan(value) else kind
+        kind = "missing (NaN)" if np.isnan(value) else f"{value:.3g}, no measured value,"
         raise LogError(
             f"{source}: {column} is {kind} in row {above + row + 1}{more}; leave that part out "
             "(start, stop in [data] of the rig file)"
-        )
-
-
-def even_time(source: str, time: Array) -> None:
-    """Refuse a clock [s] that runs backwards, repeats, has gaps or is uneven; say in which row."""
-    step = np.diff(time)
-    if (step < 0).all():
-        raise LogError(f"{source}: time runs backwards; reverse the rows")
-    if (step <= 0).any():
-        row = int(np.argmax(step <= 0)) + 1
-        what = "repeats" if step[row - 1] == 0 else "goes back"
-        raise LogError(
-            f"{source}: time {what} in row {row + 1} "
-            f"({time[row - 1]:.6g} s, then {time[row]:.6g} s)"
-        )
-    usual = usual_step(source, step)
-    if (step > GAP_STEPS * usual).any():
-        row, count = int(np.argmax(step)), int((step > GAP_STEPS * usual).sum())
-        lost = round(step[row] / usual) - 1
-        raise LogError(
-            f"{source}: {count} gap{'s' * (count > 1)} in time, the longest after row {row + 1} "
-            f"({time[row]:.6g} s): {step[row]:.6g} s, {lost} sample{'s' * (lost > 1)} lost; "
-            "cut the log there, or resample it if the gaps are short"
-        )
-    grid = time[0] + (time[-1] - time[0]) / step.size * np.arange(time.size)
-    if np.abs(time - grid).max() > EVEN_TOLERANCE * usual:
-        raise LogError(
-            f"{source}: uneven sample rate, steps {step.min():.6g} to {step.max():.6g} s; "
-            "resample the log to even steps"
         )
 
 

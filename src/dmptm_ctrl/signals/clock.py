@@ -8,8 +8,10 @@ from datetime import time as daytime
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.signals.checks import even_time, usual_step
+from dmptm_ctrl.signals.checks import usual_step
 from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.log import EVEN_TOLERANCE, is_even
+from dmptm_ctrl.signals.numbers import roundest
 
 Array = NDArray[np.float64]
 
@@ -17,7 +19,6 @@ Array = NDArray[np.float64]
 MAX_BRIDGED = 10
 DAY = 86400.0  # s
 COARSE = 0.05  # of the steps are another multiple of a coarse clock's tick than most
-# Counters of 16 to 32 bits run over, also where they are printed in thousandths; so do days.
 _DURATION = re.compile(
     r"(-?\d+ days?\s+)?\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?$|\S+ (s|sec|ms|us|µs|ns|min|h|hr)$"
     r"|P\d+DT\S+$|L?T(IME)?#"
@@ -34,7 +35,8 @@ EPOCHS = (
 )
 LATEST = 1e11  # s; no clock counts so many since any epoch
 SHORTEST = 2e-6  # s; nothing samples a drive so fast
-ROUNDS = (*(2.0**b * 10.0**-e for b in (16, 24, 31, 32) for e in (0, 3, 6)), DAY, 1e3 * DAY)
+# Counters of 16 to 32 bits run over, also where they are printed in thousandths.
+ROUNDS = tuple(2.0**b * 10.0**-e for b in (16, 24, 31, 32) for e in (0, 3, 6))
 
 
 def times_of(texts: NDArray, source: str, column: str) -> NDArray:
@@ -74,10 +76,7 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
             f"{source}: column {column!r} does not hold numbers, nor times as {first[:40]!r} all "
             "through; leave out time in [data] of the rig file and give sample_rate"
         ) from error
-    since = (times - times.dropna().iloc[0]).to_numpy("timedelta64[ns]").copy()
-    back = np.diff(since) < -np.timedelta64(12, "h")  # midnight
-    since[1:] += np.cumsum(back) * np.timedelta64(24, "h")
-    return since
+    return (times - times.dropna().iloc[0]).to_numpy("timedelta64[ns]")
 
 
 def _format_of(text: str) -> str:
@@ -109,16 +108,46 @@ def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
     if own is not None:
         unit, factor, since = own
         return (raw - raw[np.isfinite(raw)][0]) * factor, f"counts {unit} since {since}: taken so"
-    step = np.diff(raw)
-    falls = np.flatnonzero(step < 0)
-    if falls.size and falls.size < 0.05 * raw.size:
-        usual = float(np.median(step))
-        for size in ROUNDS:
-            if usual > 0 and (np.abs(step[falls] + size - usual) < max(0.5 * usual, 1e-3)).all():
-                raw = raw.copy()
-                raw[1:] += size * np.cumsum(step < 0)
-                return raw * factor, f"the clock ran over {falls.size} times at {size:.10g}"
     return raw * factor, ""
+
+
+def run_on(time: Array, channels: Mapping[str, Array], factor: float = 1.0) -> tuple[Array, str]:
+    """Time [s] of a clock that ran over or was set back while its channels go on, and a note.
+
+    `factor`: seconds of one count. A fall of unknown size must be the same each time and leave no
+    mark in the channels; one fall back to the first time is a logger started again.
+    """
+    rows = np.flatnonzero(np.isfinite(time))
+    step = np.diff(time[rows])
+    falls = step < 0
+    if not falls.any() or falls.mean() > COARSE:
+        return time, ""
+    usual = float(np.median(step))
+    sizes = usual - step[falls]
+    known = np.array([*(size * factor for size in ROUNDS), DAY])
+    off = np.abs(sizes[:, None] - known).max(axis=0)  # rows may be lost there
+    fits = off < np.maximum(np.minimum(MAX_BRIDGED * usual, 0.01 * known), 1e-3 * factor)
+    size = float(known[fits][0]) if fits.any() else None
+    if size is None:
+        near = np.flatnonzero(falls)
+        beside = step[np.concatenate([near[near > 0] - 1, near[near < falls.size - 1] + 1])]
+        anew = sizes.size == 1 and abs(time[rows[near[0] + 1]] - time[rows[0]]) < 1.5 * usual
+        if (
+            anew
+            or not channels
+            or np.ptp(sizes) > usual
+            or (np.abs(beside - usual) > 0.5 * usual).any()
+        ):
+            return time, ""  # or rows out of order
+        for values in channels.values():
+            change = np.nan_to_num(np.abs(np.diff(values[rows])))
+            if change[falls].max() > change[~falls].max():
+                return time, ""
+        size = float(np.median(sizes))
+    time = time.copy()
+    time[rows[1:]] += size * np.cumsum(falls)
+    times = f"{sizes.size} times" if sizes.size > 1 else "once"
+    return time, f"the clock falls by {size:.10g} s {times} while the drive goes on: made to go on"
 
 
 def _epoch(raw: Array, factor: float) -> tuple[str, float, str] | None:
@@ -126,7 +155,7 @@ def _epoch(raw: Array, factor: float) -> tuple[str, float, str] | None:
     good = raw[np.isfinite(raw)]
     if good.size < 2:
         return None
-    first, step = abs(float(good[0])), float(np.median(np.diff(good)))
+    first, step = abs(float(good[0])), float(np.ptp(good)) / (good.size - 1)
     for unit, size, since, low, high in EPOCHS:
         other = first * factor > LATEST if size < 1 else 0 < step < SHORTEST and factor == 1.0
         if other and low < first * size < high:
@@ -143,93 +172,80 @@ def mended(
     was started again the longer part is taken; else as `resampled`.
     """
     channels = dict(channels)
+    if is_even(time):
+        usual_step(source, np.diff(time))
+        return time, channels, []
+    if (even := _spread(time, channels, sample_time)) is not None:
+        tick = np.diff(np.unique(time)).min()
+        return even, channels, [
+            f"the clock is coarse, it steps by {tick:.4g} s or more: samples were spread evenly, "
+            f"one each {np.ptp(even) / (even.size - 1):.6g} s; if the rate is known, give "
+            "sample_rate in [data] of the rig file"
+        ]  # fmt: skip
+    if (part := _longest_run(time)) is not None:
+        note = f"time starts anew: rows {part.start + 1} to {part.stop} of {time.size} are used"
+        time, channels = time[part], {c: v[part] for c, v in channels.items()}
+        time, channels, done = mended(source, time, channels, sample_time)
+        return time, channels, [note, *done]
     try:
-        even_time(source, time)
+        return resampled(source, time, channels)
     except LogError as error:
-        if (even := _spread(time, channels, sample_time)) is not None:
-            tick = float(np.diff(np.unique(time)).min())
-            return even, channels, [
-                f"the clock is coarse, its steps of {tick:.4g} s are not those of the samples: "
-                f"they were spread evenly, one each {even[1] - even[0]:.6g} s; if the rate is "
-                "known, give sample_rate in [data] of the rig file"
-            ]  # fmt: skip
-        if (whole := _run_over(time, channels)) is not None:
-            time, size, times = whole
-            time, channels, done = mended(source, time, channels, sample_time)
-            return time, channels, [f"the clock ran over {times} times at {size:.6g} s", *done]
-        if (part := _longest_run(time)) is not None:
-            notes = [
-                f"time starts anew: rows {part.start + 1} to {part.stop} of {time.size} are used"
-            ]
-            time, channels = time[part], {c: v[part] for c, v in channels.items()}
-            time, channels, done = mended(source, time, channels, sample_time)
-            return time, channels, notes + done
-        try:
-            time, channels, done = resampled(source, time, channels)
-        except LogError:
-            raise LogError(
-                f"{error}; or say in [data] of the rig file which part is good (start, stop), or "
-                "leave out time there and give sample_rate"
-            ) from None
-        return time, channels, done
-    return time, channels, []
+        if "[data]" in str(error):
+            raise
+        raise LogError(
+            f"{error}; or say in [data] of the rig file which part is good (start, stop), or "
+            "leave out time there and give sample_rate"
+        ) from None
 
 
 def _spread(time: Array, channels: Mapping[str, Array], known: float | None) -> Array | None:
-    """Even time where stamps are multiples of a tick that is no part of the sample time."""
+    """Even time where rows share stamps, or stamps are multiples of a tick of their own.
+
+    A clock ticks before the first row of a new stamp; a buffer is stamped as one of its ends is
+    read. None where even samples do not explain the stamps, or too few tell the rate.
+    """
     step = np.diff(time)
     ticks = step[step > 0]
     if (step < 0).any() or ticks.size < 2:
         return None
     again = np.flatnonzero(step == 0)
-    if again.size and all((v[again] == v[again + 1]).all() for v in channels.values()):
+    if again.size and channels and all((v[again] == v[again + 1]).all() for v in channels.values()):
         return None  # rows that occur twice
-    usual = float(np.median(step))
-    odd = np.abs(step - usual) > 0.25 * ticks.min()
-    if usual > 0 and odd.mean() < COARSE:
-        return None
     index = np.arange(time.size, dtype=np.float64)
-    edges = np.flatnonzero(step) + 1  # a new stamp is late by less than a sample
-    whole = index if edges.size < 3 or not again.size else edges.astype(np.float64)
-    at = time if whole is index else time[edges]
-    rate, offset = np.polyfit(whole, at, 1)
-    if np.abs(time - offset - rate * index).max() > ticks.max() + rate:
+    edges = np.flatnonzero(step)
+    if _shared(step):
+        fits = [_line(index[e], time[e]) for e in (edges + 1, edges)]
+        most = 0.5 * float(np.median(ticks) + 2 * step.mean())  # else a buffer was lost
+    else:
+        usual = float(np.median(step))
+        odd = np.abs(step - usual) > 0.25 * ticks.min()
+        jitter = np.unique(np.round(step / ticks.min(), 1)).size > 6
+        if again.size or jitter or odd.mean() < COARSE:
+            return None  # steps of any length: a clock that jitters, not a coarse one
+        fits = [_line(index, time)]
+        most = 1.25 * float(ticks.min())
+    rate, error, off = min(fits, key=lambda fit: fit[2])
+    if off > most:
         return None
-    jitter = np.unique(np.round(step / ticks.min(), 1)).size
-    if jitter > 6:  # steps of any length: a clock that jitters, not a coarse one
-        return None
-    spread = np.std(at - offset - rate * whole) + 1e-9 * rate
-    se = float(spread) / (whole.std() * np.sqrt(whole.size))
-    if known is not None and abs(known - rate) < 10 * se + 1e-3 * rate:
-        rate = known
-    else:  # the roundest number that fits
-        rate = next(
-            (r for d in range(1, 8) if abs((r := float(f"{rate:.{d}g}")) - rate) < 3 * se), rate
-        )
+    close = known is not None and abs(known - rate) < 10 * error + 1e-3 * rate
+    rate = known if known is not None and close else roundest(rate, 3 * error)
     return float(time[0]) + rate * index
 
 
-def _run_over(time: Array, channels: Mapping[str, Array]) -> tuple[Array, float, int] | None:
-    """Time of a clock that falls by the same each time while all channels go on, and its modulus.
+def _shared(step: Array) -> bool:
+    """Whether rows share stamps because these change more rarely than rows come."""
+    ticks = step[step > 0]
+    rare = 0.9 * step.mean() < ticks.min(initial=np.inf)
+    return bool(ticks.size < (1 - COARSE if rare else 0.7) * step.size)
 
-    One fall back to the first time is a logger started again.
-    """
-    step = np.diff(time)
-    falls = step < 0
-    if not falls.any() or falls.mean() > COARSE:
-        return None
-    usual = float(np.median(step))
-    sizes = usual - step[falls]
-    if np.ptp(sizes) > usual or (
-        sizes.size == 1 and abs(time[1:][falls][0] - time[0]) < 1.5 * usual
-    ):
-        return None
-    for values in channels.values():
-        change = np.abs(np.diff(values))
-        if change[falls].max() > change[~falls].max():
-            return None
-    size = float(np.median(sizes))
-    return time + size * np.concatenate([[0.0], np.cumsum(falls)]), size, int(falls.sum())
+
+def _line(index: Array, time: Array) -> tuple[float, float, float]:
+    """Slope of time over rows, its standard error, and the range of what is left."""
+    time = time - time[0]  # seconds since 1970 have few digits left
+    rate, offset = np.polyfit(index, time, 1)
+    left = time - offset - rate * index
+    each = np.sqrt(np.var(left) + rate**2 / 12)  # a stamp is known to a row
+    return float(rate), float(each / (index.std() * np.sqrt(index.size))), float(np.ptp(left))
 
 
 def _longest_run(time: Array) -> slice | None:
@@ -249,21 +265,31 @@ def resampled(
     """Put shuffled, jittery or slightly gappy samples on an even clock; return what was done.
 
     Rows are sorted by time, repeated rows dropped, values interpolated linearly at the usual
-    (median) step. LogError for two values at one time, or a gap of more than ten steps.
+    (median) step. Of rows within the clock's resolution the mean is taken. LogError for two values
+    at one time, or a gap of more than ten steps.
     """
     notes = []
     channels = dict(channels)
     if not (np.diff(time) > 0).all():
-        order = np.argsort(time, kind="stable")
-        time = time[order]
-        channels = {channel: values[order] for channel, values in channels.items()}
-        again = np.flatnonzero(np.diff(time) == 0) + 1
-        for channel, values in channels.items():
-            if (values[again] != values[again - 1]).any():
-                raise LogError(f"{source}: {channel} has two values at time {time[again[0]]:.6g} s")
-        time = np.delete(time, again)
-        channels = {channel: np.delete(values, again) for channel, values in channels.items()}
-        notes.append(f"sorted by time, {again.size} repeated rows dropped")
+        if not (np.diff(time) >= 0).all():
+            order = np.argsort(time, kind="stable")
+            time = time[order]
+            channels = {channel: values[order] for channel, values in channels.items()}
+            notes.append("sorted by time")
+        step = np.diff(time)
+        again = np.flatnonzero(step == 0) + 1
+        fine = step[step > 0].min(initial=np.inf) < EVEN_TOLERANCE * np.median(step)
+        other = [c for c, v in channels.items() if (v[again] != v[again - 1]).any()]
+        if other and not fine:
+            what = f"{other[0]} has two values" if step.any() else "the clock stands still"
+            raise LogError(f"{source}: {what} at time {time[again[0]]:.6g} s")
+        first = np.flatnonzero(np.concatenate([[True], step > 0]))
+        rows = np.diff([*first, time.size])
+        time = time[first]
+        channels = {c: np.add.reduceat(v, first) / rows for c, v in channels.items()}
+        if again.size:
+            what = "rows within a tick of the clock averaged" if other else "repeated rows dropped"
+            notes.append(f"{what}: {again.size}")
     step = np.diff(time)
     usual = usual_step(source, step)
     if step.max() > (MAX_BRIDGED + 0.5) * usual:
@@ -272,12 +298,13 @@ def resampled(
             f"{source}: gap of {step[row]:.6g} s after {time[row]:.6g} s; at most {MAX_BRIDGED} "
             f"steps of {usual:.6g} s are bridged, cut the log there"
         )
-    count = int(np.floor((time[-1] - time[0]) / usual + 1e-6)) + 1
-    even = time[0] + usual * np.arange(count)
+    each = roundest(usual, 0.1 * EVEN_TOLERANCE * usual)  # values are interpolated in any case
+    count = int(np.floor((time[-1] - time[0]) / each + 1e-6)) + 1
+    even = time[0] + each * np.arange(count)
     resampled = {channel: np.interp(even, time, values) for channel, values in channels.items()}
     uneven = int((np.abs(step / usual - 1) > 0.05).sum())
     notes.append(
-        f"resampled to even steps of {usual:.6g} s; {uneven} steps were off, "
+        f"resampled to even steps of {each:.6g} s; {uneven} steps were off, "
         f"the longest {step.max():.6g} s"
     )
     return even, resampled, notes

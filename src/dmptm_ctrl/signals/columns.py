@@ -11,6 +11,7 @@ import numpy as np
 from dmptm_ctrl.signals.errors import ColumnsError, LogError
 from dmptm_ctrl.signals.units import (
     CANONICAL,
+    COUNTS,
     SUFFIXES,
     Unit,
     expected_symbol,
@@ -64,23 +65,38 @@ class Table(NamedTuple):
 
 CLOCK = "(clock)"  # a clock without a name of its own
 TIMES = "(times)"  # instead of the unit of a column of dates or times of day
-
-
 _BESIDE = " #%"  # blanks and signs of comments around names
 CLOCKS = ("t", "time", "tout", "_time", "zeit", "uhrzeit", "timestamp", "datetime", "date", "datum")
 _BRACKET = re.compile(r"\s*[\[(][^\[\]()]*[\])]$")  # a unit, known or not
 Mapped = Mapping[str, "Column | tuple | str"]
 
 
+def as_columns(mapping: Mapped | None, source: str) -> dict[str, Column]:
+    """Mapping of columns in one form; LogError for a target that is no NAME_UNIT."""
+    columns = {}
+    for column, target in (mapping or {}).items():
+        if isinstance(target, str):
+            split = split_column(target)
+            if split is None:
+                raise LogError(
+                    f"{source}: column {column!r} is mapped to {target!r}, not a NAME_UNIT"
+                )
+            target = split[0], target[len(split[0]) + 1 :]
+        columns[column] = Column(*target)
+    return columns
+
+
 def resolve(
-    names: Sequence[str], mapping: Mapped | None, units: Mapping[str, str], source: str
+    names: Sequence[str],
+    mapping: Mapping[str, Column] | None,
+    units: Mapping[str, str],
+    source: str,
 ) -> tuple[dict[str, Target], list[str]]:
     """Decide which columns of a file become channels, in its order; warnings besides.
 
-    `mapping` says NAME_UNIT, (channel, unit) or (channel, unit, scale) of a column. Of the others,
-    those of the paper's rig (time_s, u_left_V, …) go by their own names; without a mapping all
-    columns called NAME_UNIT do. LogError: a mapped column is not there, a unit is unknown or of
-    the wrong quantity, two columns have one name or go to one channel.
+    Of columns that a `mapping` does not name those of the paper's rig (time_s, u_left_V, …) go by
+    their own names; without one all columns called NAME_UNIT do. LogError: a mapped column is not
+    there, a unit is unknown or of another quantity, two columns have one name or channel.
     """
     _refuse_duplicates(names, source)
     mapping = _as_named(names, dict(mapping or {}))
@@ -88,16 +104,15 @@ def resolve(
     if missing:
         raise ColumnsError(f"{source}: no column {missing[0]!r}; {_near(missing[0], names)}")
     targets: dict[str, Target] = {}
-    ignored, clocks = [], []
-    contradictions = []
+    ignored, clocks, warnings = [], [], []
     clock = names_a_clock(mapping)
     for column in names:
         seen = {t.channel for t in targets.values()}
         if column in mapping:
-            target = _in_its_unit(mapping[column], units.get(column, ""))
-            targets[column] = _mapped(column, target, source)
-            if other := _other_unit(target, units.get(column, "")):
-                contradictions.append(f"column {column!r} {other}")
+            said = _in_its_unit(mapping[column], units.get(column, ""))
+            targets[column] = _mapped(column, said, source)
+            if other := _other_unit(said, units.get(column, "")):
+                warnings.append(f"column {column!r} {other}")
         else:
             target = _by_name(column, units.get(column), source, strict=not mapping)
             if target is None or (mapping and target.channel not in CANONICAL):
@@ -107,7 +122,6 @@ def resolve(
             else:
                 targets[column] = target
     _refuse_wrong(targets, source)
-    warnings = contradictions
     if not clocks and not any(t.channel == "time" for t in targets.values()):
         free = [n for n in names if n not in mapping and n not in targets]
         if (found := _clock_of(free, [*names, ""][0], units)) is not None:
@@ -116,20 +130,16 @@ def resolve(
             ignored = [n for n in ignored if n != found]
     if ignored and not mapping:
         warnings.append(
-            f"ignored {_listed(ignored)}: no known unit in the name, as in theta_L_deg or current_A"
+            f"ignored {listed(ignored)}: no known unit in the name, as in theta_L_deg or current_A"
         )
     if clocks and not mapping:
-        warnings.append(f"ignored {_listed(clocks)}: another clock")
+        warnings.append(f"ignored {listed(clocks)}: another clock")
     return targets, warnings
 
 
-def names_a_clock(mapping: Mapped) -> bool:
+def names_a_clock(mapping: Mapping[str, Column]) -> bool:
     """Whether one of the columns is said to be the time."""
-    for target in mapping.values():
-        split = split_column(target) if isinstance(target, str) else target
-        if split is not None and split[0] == "time":
-            return True
-    return False
+    return any(target.channel == "time" for target in mapping.values())
 
 
 def _clock_of(names: Sequence[str], first: str, units: Mapping[str, str]) -> str | None:
@@ -137,7 +147,7 @@ def _clock_of(names: Sequence[str], first: str, units: Mapping[str, str]) -> str
     own = {n: _unit_of(n, units) for n in names}
     timed = [n for n, unit in own.items() if unit is not None and unit.symbol == "s"]
     dates = [n for n in names if units.get(n) == TIMES]
-    named = [n for n in names if n != "T" and n.lower() in CLOCKS]
+    named = [n for n in names if (n != "T" and n.lower() in CLOCKS) or n == CLOCK]
     best = [n for n in [*timed, *dates] if n.lower().startswith(CLOCKS)]
     best += [*(n for n in timed if n == first), *dates, *(n for n in named if own[n] is None)]
     return best[0] if best else None
@@ -153,7 +163,7 @@ def _unit_of(column: str, units: Mapping[str, str]) -> Unit | None:
         return None
 
 
-def _as_named(names: Sequence[str], mapping: dict[str, Any]) -> dict[str, Any]:
+def _as_named(names: Sequence[str], mapping: dict[str, Column]) -> dict[str, Column]:
     """Mapping with the names as the file has them: ``q [deg]`` where it says ``q``."""
     found = {}
     for column, target in mapping.items():
@@ -162,27 +172,28 @@ def _as_named(names: Sequence[str], mapping: dict[str, Any]) -> dict[str, Any]:
             alike = alike or [n for n in names if named_unit(n)[0] == column]
             alike = alike or [n for n in names if named_unit(column)[0] == n]
             alike = alike or [n for n in names if _BRACKET.sub("", n) == column]
-            if not alike and not isinstance(target, str) and target[0] == "time":
+            if not alike and target.channel == "time":
                 alike = [n for n in names if n == CLOCK]
             column = alike[0] if len(alike) == 1 else column
         found[column] = target
     return found
 
 
-def _in_its_unit(target: Any, stated: str) -> Any:
+def _in_its_unit(target: Column, stated: str) -> Column:
     """Target of a column; of a clock without a unit in that of the file, else in seconds."""
-    if isinstance(target, str) or target[0] != "time" or target[1]:
+    if target.channel != "time" or target.unit:
         return target
     known = (unit := _unit_of("", {"": stated})) is not None and unit.symbol == "s"
-    return (target[0], stated if known else "s", *target[2:])
+    return target._replace(unit=stated if known else "s")
 
 
-def _other_unit(target: Any, stated: str) -> str:
+def _other_unit(target: Column, stated: str) -> str:
     """How a unit that the file states contradicts the one that is used; empty if it does not."""
-    split = split_column(target) if isinstance(target, str) else None
     try:
-        unit = parse_unit(stated)
-        used = split[1] if split is not None else parse_unit(target[1])
+        used = parse_unit(target.unit)
+        counted = used.symbol and stated.lower().partition("/")[0] in COUNTS
+        # a scale is that of counts per turn
+        unit = Unit("counts", 1.0) if counted and abs(target.scale) == 1 else parse_unit(stated)
     except LogError:
         return ""
     ratio = used.factor / unit.factor
@@ -196,18 +207,11 @@ def _other_unit(target: Any, stated: str) -> str:
     return f"is in {stated} by the file, and taken in {used.symbol or 'no unit'} as you say"
 
 
-def _mapped(column: str, target: Any, source: str) -> Target:
-    if isinstance(target, str):
-        split = split_column(target)
-        if split is None:
-            raise LogError(f"{source}: column {column!r} is mapped to {target!r}, not a NAME_UNIT")
-        channel, unit, scale = split[0], split[1], 1.0
-    else:
-        channel, text, *rest = target
-        unit, scale = parse_unit(text), float(rest[0]) if rest else 1.0
+def _mapped(column: str, target: Column, source: str) -> Target:
+    unit, scale = parse_unit(target.unit), float(target.scale)
     if not np.isfinite(scale) or scale == 0:
         raise LogError(f"{source}: column {column!r} has the scale {scale}, not a number but 0")
-    return Target(str(channel), unit.symbol, scale * unit.factor)
+    return Target(str(target.channel), unit.symbol, scale * unit.factor)
 
 
 def _by_name(column: str, stated: str | None, source: str, *, strict: bool) -> Target | None:
@@ -273,9 +277,10 @@ def _near(name: str, names: Sequence[str]) -> str:
     """Columns that may be meant; else all."""
     alike = [n for n in names if name.lower() in n.lower()]
     alike = alike or difflib.get_close_matches(name, names, 3, 0.7)
-    return f"did you mean {_listed(alike, 3)}?" if alike else f"it has {_listed(names)}"
+    return f"did you mean {listed(alike, 3)}?" if alike else f"it has {listed(names)}"
 
 
-def _listed(names: Sequence[str], most: int = 12) -> str:
+def listed(names: Sequence[Any], most: int = 12) -> str:
+    """Return the first names or numbers, and how many more there are."""
     shown = ", ".join(repr(name) for name in list(names)[:most])
     return shown + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -4,9 +4,11 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.numbers import roundest
 
 Array = NDArray[np.float64]
 
@@ -17,7 +19,7 @@ SLACK = 8  # counts; a counter may be read in two parts, or count to one less
 FEWEST = 100  # readings of a counter
 SMOOTH = 0.25  # of a modulus; steps that differ by more are noise or spikes
 OFTEN = 0.2  # of the steps may be jumps
-PASSES = 4  # samples after which a failure that passes is over
+PASSES = 4  # samples; a failure that is over by then is bridged
 FEW = 3  # times that a counter is set in a log
 SINGLE = 10.0  # times the greatest other step; motion comes and goes over several samples
 CALM = 0.5  # of the change that is left when a reading is taken with its sign
@@ -106,8 +108,7 @@ def _told_modulus(step: Array, unit: float) -> float | None:
     sizes = (size[far] + ahead)[moving]
     told = float(np.median(sizes))
     error = max(3 / np.sqrt(sizes.size), 1.0) * float(np.std(sizes)) + 0.6 * unit
-    # the roundest number that fits
-    return next((r for d in range(1, 8) if abs((r := float(f"{told:.{d}g}")) - told) < error), told)
+    return roundest(told, error)
 
 
 def _around(step: Array, over: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -137,25 +138,34 @@ def _jumps_of(step: Array, size: float, span: float, slack: float) -> tuple[Arra
     return (turns, misfit) if fits else (None, misfit)
 
 
-def refuse_jumps(source: str, column: str, values: Array, time: Array) -> None:
-    """Refuse a position that jumps by half its range, or once, and stays elsewhere.
+def without_failures(source: str, column: str, values: Array, time: Array) -> tuple[Array, str]:
+    """Position with readings that fail for a few samples bridged, and a note if there were any.
 
-    Shorter failures pass.
+    LogError for a jump by half the range, or far beyond all others, after which it stays elsewhere.
     """
+    around = sliding_window_view(np.pad(values, PASSES, mode="edge"), 2 * PASSES + 1)
+    calm = np.median(around, axis=1)
+    failed = np.abs(values - calm) > SINGLE * np.abs(np.diff(calm)).max()
+    note = ""
+    if failed.any() and np.ptp(calm) > 0:
+        row, count = int(np.argmax(failed)), int(failed.sum())
+        note = (
+            f"{column} fails in {count} sample{'s' * (count > 1)}, first by "
+            f"{values[row] - calm[row]:.6g} after {time[row] - time[0]:.6g} s: bridged"
+        )
+        values = np.interp(time, time[~failed], values[~failed])
     far, usual = _jumps(values)
     if not far.any():
         far, usual = _single(np.abs(np.diff(values)))
-    ways = np.sign(np.diff(values)) * far
-    for row in np.flatnonzero(far):
-        jump = abs(values[row + 1] - values[row])
-        if -ways[row] in ways[max(row - PASSES, 0) : row + PASSES + 1]:
-            continue
+    if far.any():
+        row = int(np.argmax(far))
         raise LogError(
-            f"{source}: {column} jumps by {jump:.6g} after "
+            f"{source}: {column} jumps by {abs(values[row + 1] - values[row]):.6g} after "
             f"{time[row] - time[0]:.6g} s, where it changes by {usual:.6g} at most elsewhere: a "
             "counter that ran over, was set or failed; leave that part out (start and stop in "
             "[data] of the rig file)"
         )
+    return values, note
 
 
 def _jumps(values: Array) -> tuple[NDArray[np.bool_], float]:

@@ -64,8 +64,13 @@ class Dialect(NamedTuple):
             line = _PAIR.sub(rf"\1{self.separator}", line)
         if "\x1b" in line:
             line = _ESCAPE.sub("", line)
-        line = _STAMP.sub(rf"\1{self.separator}", line.rstrip("\r\n").translate(ODD))
-        line = _ENCLOSED.sub(r"\1", line)
+        line = line.rstrip("\r\n")
+        if not line.isascii():
+            line = line.translate(ODD)
+        if "->" in line:
+            line = _STAMP.sub(rf"\1{self.separator}", line)
+        if line[-2:].rstrip(";, ")[-1:] in (")", "]"):
+            line = _ENCLOSED.sub(r"\1", line)
         if self.separator == "|" and line.strip()[:1] == line.strip()[-1:] == "|":
             line = line.strip()[1:-1]
         if self.separator == " ":
@@ -94,10 +99,11 @@ class Dialect(NamedTuple):
 
     def kind(self, cell: str) -> str:
         """Kind of a field: "number", "time", "" (no value) or "text"."""
+        value = self.number(cell)
+        if (value is not None and value == value) or cell.lower() in WORDS:
+            return "number"
         if cell.lower() in MISSING:
             return ""
-        if self.number(cell) is not None or cell.lower() in WORDS:
-            return "number"
         return "time" if TIME.fullmatch(cell) else "text"
 
     def number(self, cell: str) -> float | None:
@@ -113,12 +119,10 @@ class Dialect(NamedTuple):
             cell = cell.replace(self.decimal, ".")
         if "_" in cell:
             return None
-        if _FORTRAN.fullmatch(cell):
-            cell = cell.upper().replace("D", "E")
         try:
             return float(cell)
         except ValueError:
-            return None
+            return float(cell.upper().replace("D", "E")) if _FORTRAN.fullmatch(cell) else None
 
 
 # MATLAB's "0.01 sec"; a date, a time of day, or both; pandas' "0 days 00:00:01".

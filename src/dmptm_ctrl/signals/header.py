@@ -16,7 +16,7 @@ from dmptm_ctrl.signals.dialect import (
     unit_of,
 )
 from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.units import FOREIGN, Unit, named_unit, parse_unit
+from dmptm_ctrl.signals.units import COUNTS, FOREIGN, Unit, named_unit, parse_unit
 
 SEPARATORS = (";", "\t", ",", "|", " ")
 FILE_TIME = 1e16  # a clock without a name that reads more counts ticks since 1601
@@ -61,6 +61,8 @@ def named(
                 f"{source}: the header names {given} columns, the first "
                 f"row has {block.width} values; if another line holds the names, write its number "
                 "in [data] of the rig file, as in header = 3, or header = 0 for none"
+                + "; a comma before decimals needs another separator than a comma"
+                * (block.dialect.separator == "," and given < block.width)
             )
     found = _from_rows([_fitted(r, block.width) for r in rows], layout, wanted)
     return _finished(replace(found, steps=_steps(rows, block.dialect)), block, wanted)
@@ -80,7 +82,11 @@ def _finished(found: Layout, block: Block, wanted: Collection[str]) -> Layout:
         names[0], units[0] = CLOCK, "s"
     elif names[0] == "" and (dates or seconds):
         names[0] = CLOCK
-    return replace(found, names=names, units=units, long=_long(names, block, wanted))
+    long = _long(names, block, wanted)
+    others = [c for c, kind in enumerate(block.kinds) if kind == "number" and c not in (long or ())]
+    if long is not None and len(others) == 1 and not names[others[0]]:
+        names[others[0]] = CLOCK
+    return replace(found, names=names, units=units, long=long)
 
 
 def _long(names: Sequence[str], block: Block, wanted: Collection[str]) -> tuple[int, int] | None:
@@ -108,7 +114,9 @@ def _candidates(lines: Sequence[str], block: Block) -> list[list[str]]:
             dialect = block.dialect._replace(separator=separator)
             if separator == " " and dialect != block.dialect and block.dialect.separator in line:
                 continue  # a sentence
-            fields = trimmed(dialect.split(bare(line)))
+            fields = dialect.split(bare(line))
+            if len(fields) != block.width:
+                fields = trimmed(fields)
             short, other = len(fields) < used, dialect != block.dialect
             fits = len(fields) == block.width if comment or other else not short
             fits = fits or (len(fields) == block.width - 1 and _counts_rows(block))
@@ -216,7 +224,7 @@ def _is_unit(text: str) -> bool:
     inside = inside.strip("[]()").strip()
     if not inside:
         return bracket
-    if inside.lower() in FOREIGN:
+    if inside.lower() in FOREIGN or inside.lower().partition("/")[0] in COUNTS:
         return True
     if len(inside) > 12 or (len(inside) == 1 and inside.isupper() and inside not in "NAVWK"):
         return False

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.clock import seconds_of
-from dmptm_ctrl.signals.columns import CLOCKS, TIMES, Table, resolve
-from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
+from dmptm_ctrl.signals.columns import TIMES, Table
+from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.loaders import load_log, numbers_or_times, read_table
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.units import door_column, named_unit, parse_unit
@@ -84,7 +84,6 @@ class LogInfo:
 
 def describe(
     log: Log,
-    *,
     labels: Mapping[str, tuple[str, str]] | None = None,
     declared: Collection[str] = (),
     effects: Collection[str] | None = None,
@@ -92,16 +91,9 @@ def describe(
 ) -> LogInfo:
     """Say what is in a log and what it can and cannot tell, by rules of thumb.
 
-    Parameters
-    ----------
-    log : Log
-        Of any drive; channels are told apart by their units.
-    labels : mapping of channel to (column, unit), optional
-        What the file calls them, and how they are to be shown.
-    declared, effects : collections of str
-        Effects that the drive's model has already, and those that the drive can have (None: all).
-    inputs : collection of str, optional
-        Channels that drive it; by default those in units of voltage, current, force and torque.
+    `labels`: what the file calls the channels, and how they are to be shown. `declared` effects
+    are in the drive's model already; None of `effects` stands for all, None of `inputs` for the
+    channels in units of voltage, current, force and torque.
     """
     excitation = _excitation(log, inputs)
     return LogInfo(
@@ -251,32 +243,22 @@ def _testable(
     return tuple(results)
 
 
-def describe_file(path: Path, *, resample: bool = False) -> LogInfo:
-    """Say what is in a file without a rig; columns whose names say nothing are listed, too."""
+def describe_file(path: Path) -> LogInfo:
+    """Say what is in a file without a rig: all its columns as they are, and what a log can tell."""
+    columns, table = _columns_of(path)
+    samples = max((len(values) for values in table.columns.values()), default=0)
     try:
-        info = describe(load_log(path, resample=resample))
+        info = describe(load_log(path))
     except LogError as error:
-        if isinstance(error, NotALogError) and not isinstance(error, ColumnsError):
-            raise
-        found, table, stated = _columns_of(path)
-        samples = max((len(values) for values in table.columns.values()), default=0)
-        guessed = any(n.lower() in CLOCKS and n not in stated for n in table.columns)
-        if samples < MIN_SAMPLES or not (guessed or isinstance(error, ColumnsError)):
+        if samples < MIN_SAMPLES or not columns:
             raise
         notes = (*table.notes, str(error))
-        period = table.period or 0.0
-        return LogInfo(
-            path.name, samples, 0.0, period, None, tuple(found.values()), None, (), notes
-        )
-    if not any(warning.startswith("ignored ") for warning in info.warnings):
-        return info
-    found, table, stated = _columns_of(path)
-    known, _ = resolve(list(table.columns), None, stated, path.name)
-    others = tuple(channel for name, channel in found.items() if name not in known)
-    return replace(info, channels=(*info.channels, *others))
+        return LogInfo(path.name, samples, 0.0, 0.0, None, columns, None, (), notes)
+    told = tuple(w for w in info.warnings if "no known unit" not in w)
+    return replace(info, channels=columns, warnings=told)
 
 
-def _columns_of(path: Path) -> tuple[dict[str, ChannelInfo], Table, dict[str, str]]:
+def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table]:
     """Columns of numbers of any readable file, whatever they are called."""
     stated: dict[str, str] = {}
 
@@ -285,7 +267,7 @@ def _columns_of(path: Path) -> tuple[dict[str, ChannelInfo], Table, dict[str, st
         return names
 
     table = read_table(path, choose)
-    found = {}
+    found = []
     for name, values in table.columns.items():
         try:
             column = np.asarray(values)
@@ -299,5 +281,5 @@ def _columns_of(path: Path) -> tuple[dict[str, ChannelInfo], Table, dict[str, st
         if good.size:
             unit = "s" if stated.get(name) == TIMES else stated.get(name, "")
             unit = "" if named_unit(name)[1] else unit
-            found[name] = _figures(f"{name} [{unit}]" if unit else name, good)
-    return found, table, stated
+            found.append(_figures(f"{name} [{unit}]" if unit else name, good))
+    return tuple(found), table

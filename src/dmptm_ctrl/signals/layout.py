@@ -54,7 +54,27 @@ def find_layout(
         what = "no rows of numbers" if any(s.strip() for s in lines) else "the file is empty"
         what += f", read with {given} of [data] in the rig file" * bool(given)
         raise NotALogError(f"{source}: {what}")
+    if how.decimal is None and _groups(best):
+        sign = best.dialect.decimal
+        dialect = best.dialect._replace(decimal="." if sign == "," else ",", thousands=sign)
+        grouped = _block(lines, dialect, how)
+        best = grouped if grouped is not None and grouped.score >= best.score else best
     return named(lines, best, source, how, wanted)
+
+
+def _groups(block: Block) -> bool:
+    """Whether a decimal sign can only be one between thousands: 998, 999, 1.000.
+
+    Fixed decimals are written everywhere, and others without a 0 at their end.
+    """
+    thousands = re.compile(rf"[-+]?[1-9]\d{{0,2}}(\{block.dialect.decimal}\d{{3}})")
+    for c, kind in enumerate(block.kinds):
+        cells = [row[c] for row in block.rows if row[c]]
+        parted = [cell for cell in cells if block.dialect.decimal in cell]
+        zero = any(cell.endswith("0") for cell in parted)
+        if kind == "number" and len(parted) < len(cells) and zero:
+            return not block.dialect.thousands and all(map(thousands.fullmatch, parted))
+    return False
 
 
 def _dialects(lines: Sequence[str], how: TextFormat) -> Iterator[list[Dialect]]:

@@ -2,21 +2,33 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dmptm_ctrl.signals import checks
 from dmptm_ctrl.signals.bags import read_bag
 from dmptm_ctrl.signals.campaign import Campaign
-from dmptm_ctrl.signals.clock import mended, resampled, seconds_of, times_of
-from dmptm_ctrl.signals.columns import CLOCKS, Choose, Mapped, Table, Target, names_a_clock, resolve
-from dmptm_ctrl.signals.counters import refuse_jumps, unwrapped_counts, with_sign
-from dmptm_ctrl.signals.dialect import TextFormat
+from dmptm_ctrl.signals.clock import mended, run_on, seconds_of, times_of
+from dmptm_ctrl.signals.columns import (
+    CLOCK,
+    CLOCKS,
+    Choose,
+    Column,
+    Mapped,
+    Table,
+    Target,
+    as_columns,
+    names_a_clock,
+    resolve,
+)
+from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign, without_failures
+from dmptm_ctrl.signals.dialect import Dialect, TextFormat
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
@@ -46,15 +58,12 @@ def load_log(
     columns: Mapped | None = None,
     *,
     name: str | None = None,
-    required: Sequence[str] = (),
     sample_time: float | None = None,
-    resample: bool | Literal["if needed"] = False,
-    ratio: float | None = None,
     max_rows: int | None = None,
     window: tuple[float | None, float | None] = (None, None),
     how: TextFormat | None = None,
 ) -> Log:
-    """Read one log and check it.
+    """Read one log, mend its clock and small holes with a warning, and check it.
 
     Parameters
     ----------
@@ -67,16 +76,8 @@ def load_log(
         Of the columns not mentioned only those of the paper's rig are read.
     name : str, optional
         Name of the log; else the file's, without extension.
-    required : sequence of str
-        Channels that must be there.
     sample_time : float, optional
         For a file without a time column [s].
-    resample : bool or "if needed"
-        Sort shuffled rows, interpolate a jittery clock to even steps and bridge gaps of up to
-        ten samples; else refuse them. "if needed": only of logs that are not even, and mend
-        coarse clocks, too.
-    ratio : float, optional
-        Motor turns per turn of the ring gear, to check motor angles against theta_L.
     max_rows : int, optional
         Rows after this many are not read, with a warning: bounds the memory.
     window : (start, stop)
@@ -92,9 +93,9 @@ def load_log(
     Raises
     ------
     LogError
-        No such file, not readable, a column missing, twice or in an unknown unit, a value that
-        is no finite number, time that does not increase evenly, too few samples, channels that
-        contradict each other (a mistaken unit or sign).
+        No such file, not readable, a column missing, twice or in an unknown unit, values that are
+        missing for long, a clock that cannot be mended, too few samples, channels that contradict
+        each other (a mistaken unit or sign).
 
     Examples
     --------
@@ -102,50 +103,48 @@ def load_log(
     >>> log["omega_L"].shape == log.time.shape
     True
     """
-    if isinstance(source, str | PathLike):
-        path = Path(source)
-        title = path.name
-        table, ignored, digest = _read(path, columns, max_rows, how)
+    path = Path(source) if isinstance(source, str | PathLike) else None
+    title = (name or "data frame") if path is None else path.name
+    mapped = as_columns(columns, title)
+    if path is not None:
+        table, ignored, digest = _read(path, mapped, max_rows, how)
     else:
-        title = name or "data frame"
         table, ignored, digest = from_frame(source), [], None
     if max_rows is not None:
         ignored += _cut(table, max_rows)
-    targets, notes = resolve(list(table.columns), columns, table.units, title)
-    if sample_time is not None and columns and not names_a_clock(columns):
-        targets = {c: t for c, t in targets.items() if t.channel != "time"}
-    read = _channels(table, targets, title, sample_time, window, resample, set(columns or ()))
+    targets, notes = resolve(list(table.columns), mapped, table.units, title)
+    if sample_time is not None and mapped and not names_a_clock(mapped):
+        left_out = {c: t for c, t in targets.items() if t.channel == "time"}
+        targets = {c: t for c, t in targets.items() if c not in left_out}
+        table = table._replace(period=_step_of(table, left_out, title) or table.period)
+    read = _channels(table, targets, title, sample_time, window, set(mapped))
     time, channels, units, more = read
     notes = list(dict.fromkeys([*ignored, *table.notes, *notes, *more]))
-    _require(required, channels, title)
     if time.size < checks.MIN_SAMPLES:
         raise NotALogError(
             f"{title}: {time.size} sample{'s' * (time.size != 1)}, "
             f"at least {checks.MIN_SAMPLES} are needed"
         )
-    if resample == "if needed":
-        time, channels, done = mended(title, time, channels, sample_time)
-        notes += done
-    elif resample:
-        time, channels, done = resampled(title, time, channels)
-        notes += done
-    checks.even_time(title, time)
-    notes += checks.slow(time)
+    time, channels, done = mended(title, time, channels, sample_time)
+    notes += [*done, *checks.slow(time)]
     clocked = any(target.channel == "time" for target in targets.values())
     step = float(time[-1] - time[0]) / (time.size - 1) if clocked else table.period
     if sample_time and step and abs(step / sample_time - 1) > OTHER_RATE:
         notes.append(
-            f"samples are {step:.6g} s apart by the {'clock' if clocked else 'preamble'}, and "
+            f"samples are {step:.6g} s apart by the {'clock' if clocked else 'file'}, and "
             f"{sample_time:.6g} s as you say; the {'clock' if clocked else 'latter'} is taken"
         )
     for column, target in targets.items():
         if units.get(target.channel) in ("rad", "m"):
-            refuse_jumps(title, column, channels[target.channel] / target.factor, time)
+            values = channels[target.channel] / target.factor
+            values, note = without_failures(title, column, values, time)
+            if note:
+                channels[target.channel], notes = values * target.factor, [*notes, note]
     log = Log(
         name=name or stem(title), time=time, channels=channels, sha256=digest, meta=table.meta,
         units=units,
     )  # fmt: skip
-    refuse_inconsistent(log, ratio)
+    refuse_inconsistent(log)
     return replace(log, warnings=(*notes, *suspects(log)))
 
 
@@ -205,7 +204,7 @@ def gather(
         elif not isinstance(source, str | PathLike):
             logs.append(load(source, name=f"table{len(logs) + 1}"))
         else:
-            for path in find_logs(source):
+            for path in _files(source):
                 if ignored(path):
                     continue
                 try:
@@ -221,24 +220,8 @@ def gather(
     return tuple(logs), left_out
 
 
-def find_logs(source: Source) -> list[Path]:
-    """Files of a folder that are logs by their extension; a file stands for itself.
-
-    Parameters
-    ----------
-    source : path
-        A folder or a file.
-
-    Returns
-    -------
-    list of Path
-        In order of their names.
-
-    Raises
-    ------
-    LogError
-        No such file or folder, no log in it.
-    """
+def _files(source: Source) -> list[Path]:
+    """Files of a folder that may be logs, in order of their names; a file stands for itself."""
     path = Path(source)
     if not path.is_dir():
         return [path]
@@ -269,7 +252,7 @@ def _cut(table: Table, max_rows: int) -> list[str]:
 
 
 def _read(
-    path: Path, columns: Mapped | None, max_rows: int | None, how: TextFormat | None
+    path: Path, columns: Mapping[str, Column], max_rows: int | None, how: TextFormat | None
 ) -> tuple[Table, list[str], str]:
     """Columns in use, warnings about those that are not, and the file's SHA-256."""
     ignored: list[str] = []
@@ -280,7 +263,7 @@ def _read(
 
     # one row more, so that the cut is noticed
     most = None if max_rows is None else max_rows + 1
-    table = read_table(path, choose, most, how, list(columns or ()))
+    table = read_table(path, choose, most, how, list(columns))
     with path.open("rb") as stream:
         return table, ignored, hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -319,7 +302,7 @@ def read_table(
         ):  # JSON by another name
             return read_json(path, choose)
         if extension == ".parquet" or head.startswith(b"PAR1"):
-            return read_parquet(path, choose, max_rows)
+            return read_parquet(path, choose)
         return read_text(path, choose, max_rows, how, wanted)
     except OSError as error:
         raise LogError(f"{path.name}: {error.strerror or 'not readable'}") from error
@@ -331,7 +314,6 @@ def _channels(
     title: str,
     sample_time: float | None,
     window: tuple[float | None, float | None],
-    resample: bool | Literal["if needed"],
     needed: set[str],
 ) -> tuple[Any, dict[str, Any], dict[str, str], list[str]]:
     """Time [s], channels in SI without holes, their units, and warnings."""
@@ -346,12 +328,14 @@ def _channels(
         if target.channel == "time":
             continue
         values = _floats(table.columns.pop(column), column, title)
-        if time is not None and column not in table.clocks and values.size != time.size:
-            if column in needed:
-                raise LogError(
-                    f"{title}: column {column!r} has {values.size} values, the others {time.size}"
-                )
-            notes.append(f"ignored {column!r}: {values.size} values, the others have {time.size}")
+        other = time is not None and column not in table.clocks and values.size != time.size
+        if other and column in needed:
+            raise LogError(
+                f"{title}: column {column!r} has {values.size} values, the others {time.size}"
+            )
+        if column not in needed and (other or np.isnan(values).all()):
+            has = f"{values.size} values, the others have {time.size}" if other else "no value"
+            notes.append(f"ignored {column!r}: {has}")
             continue
         values, nothing = without_sentinels(values)
         if nothing is not None:
@@ -368,13 +352,18 @@ def _channels(
         channels[target.channel] = values if target.factor == 1.0 else values * target.factor
         units[target.channel] = target.symbol
         if column in table.clocks:
-            clocks[target.channel], _ = seconds_of(table.clocks[column], factors.get("time", 1.0))
+            own, _ = seconds_of(table.clocks[column], factors.get("time", 1.0))
+            clocks[target.channel], _ = run_on(own, {column: values}, factors.get("time", 1.0))
     if time is None:
         if not channels:
             raise ColumnsError(f"{title}: no columns with a unit in their names")
         time = float(sample_time or table.period or 0) * np.arange(
             len(next(iter(channels.values())))
         )
+    else:
+        along = {c: v for c, v in channels.items() if c not in clocks}
+        time, note = run_on(time, along, factors["time"])
+        notes += [note] if note else []
     time, channels, done = on_one_clock(time, channels, clocks, labels)
     notes += done
     if window != (None, None) and np.isfinite(time).any():
@@ -388,11 +377,11 @@ def _channels(
                 f"{np.nanmax(since):.6g} s long"
             )
     timed = np.isfinite(time)
-    if resample and timed.any() and (lost := int((~np.trim_zeros(timed)).sum())):
+    if timed.any() and (lost := int((~np.trim_zeros(timed)).sum())):
         notes.append(f"{lost} row{'s' * (lost > 1)} without a time between others: left out")
         timed[: np.argmax(timed)] = timed[timed.size - np.argmax(timed[::-1]) :] = True
         time, channels = time[timed], {c: v[timed] for c, v in channels.items()}
-    rows, filled, done = without_missing({"time": time, **channels}, labels, bridge=bool(resample))
+    rows, filled, done = without_missing({"time": time, **channels}, labels)
     notes += done
     for channel, values in filled.items():
         filled[channel] = values[rows]
@@ -416,8 +405,8 @@ def _time(
             values = numbers_or_times(values, clock, title)
         time, note = seconds_of(values, targets[clock].factor)
         notes = [f"{clock}: {note}"] if note else []
-        guessed = clock.lower() in CLOCKS and clock not in needed and clock not in table.units
-        if guessed and values.dtype.kind not in "mM":
+        guessed = clock not in needed and clock not in table.units and not note
+        if guessed and values.dtype.kind not in "mM" and clock.lower() in (*CLOCKS, CLOCK):
             notes.append(f"the clock is column {clock!r}, taken in seconds")
         return time, notes
     if sample_time is None and table.period is None:
@@ -430,6 +419,15 @@ def _time(
     if sample_time is None:
         return None, [f"no time column: the samples are {table.period:.6g} s apart by the preamble"]
     return None, []
+
+
+def _step_of(table: Table, clock: Mapping[str, Target], title: str) -> float | None:
+    """Mean step of a clock that is not used [s]; None for none, or one that runs back."""
+    with suppress(LogError):
+        time, _ = _time(table, clock, 1.0, title, set())
+        if time is not None and time.size > 1 and (np.diff(time) >= 0).all():
+            return float(time[-1] - time[0]) / (time.size - 1)
+    return None
 
 
 def numbers_or_times(values: Any, column: str, title: str) -> Any:
@@ -449,26 +447,12 @@ def _floats(values: Any, column: str, title: str) -> Any:
             raise TypeError(array.dtype)
         array = array.astype(np.float64, copy=False)
     except (TypeError, ValueError) as error:
-        words = (v for v in np.ravel(values) if isinstance(v, str) and not _is_number(v))
+        words = (
+            v for v in np.ravel(values) if isinstance(v, str) and Dialect("").number(v) is None
+        )
         example = next(words, "")[:40]
         what = f"holds {example!r}, no number" if example else "does not hold numbers"
         raise LogError(f"{title}: column {column!r} {what}") from error
     if array.ndim != 1:
         raise LogError(f"{title}: column {column!r} holds arrays, not numbers")
     return array
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _require(required: Sequence[str], channels: Any, title: str) -> None:
-    missing = [channel for channel in required if channel not in channels]
-    if missing:
-        raise LogError(
-            f"{title}: no column for {', '.join(missing)}; it has {', '.join(channels) or 'none'}"
-        )

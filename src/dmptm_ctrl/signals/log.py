@@ -148,8 +148,7 @@ class Log:
         if len(self) < 2:
             raise LogError(f"{self.name}: one sample has no sample time")
         mean = self.duration / (len(self) - 1)
-        grid = self.time[0] + mean * np.arange(len(self))
-        if np.abs(self.time - grid).max() > EVEN_TOLERANCE * mean:
+        if not is_even(self.time):
             step = np.diff(self.time)
             raise LogError(
                 f"{self.name}: uneven time, steps {step.min():.6g} to {step.max():.6g} s"
@@ -201,17 +200,18 @@ class Log:
         return pd.DataFrame(columns)
 
     def _repr_html_(self) -> str:
-        rows = []
-        for channel, values in self.channels.items():
-            column, factor = door_column(channel, self.units[channel])
-            low, high = values.min() / factor, values.max() / factor
-            rows.append(f"<tr><td>{escape(column)}</td><td>{low:.5g}</td><td>{high:.5g}</td></tr>")
+        table = self.to_frame().agg(["min", "max"]).T.to_html(float_format="{:.5g}".format)
         notes = "".join(f"<li>{escape(note)}</li>" for note in self.warnings)
-        return (
-            f"<b>{escape(self.name)}</b>: {len(self)} samples, {self.duration:.6g} s"
-            "<table><tr><th>channel</th><th>min</th><th>max</th></tr>"
-            f"{''.join(rows)}</table>" + (f"<ul>{notes}</ul>" if notes else "")
-        )
+        about = f"<b>{escape(self.name)}</b>: {len(self)} samples, {self.duration:.6g} s"
+        return f"{about}{table}<ul>{notes}</ul>"
+
+
+def is_even(time: Array) -> bool:
+    """Whether a clock runs forwards in equal steps, but for what rounding of stamps makes."""
+    step = np.diff(time)
+    mean = (time[-1] - time[0]) / step.size
+    grid = time[0] + mean * np.arange(time.size)
+    return bool((step > 0).all() and np.abs(time - grid).max() <= EVEN_TOLERANCE * mean)
 
 
 def _read_only(name: str, values: ArrayLike) -> Array:

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +11,9 @@ from dmptm_ctrl.signals.clock import MAX_BRIDGED
 Array = NDArray[np.float64]
 
 NINES = re.compile(r"-?9{3,}(\.(9+|25))?")  # what programs write where there is no value
-LIMITS = frozenset(  # of whole numbers and of floats; counters of 16 bits do reach theirs
-    [
-        -(2.0**31),
-        2.0**31 - 1,
-        -(2.0**63),
-        2.0**63,
-        *(s * float(np.finfo(t).max) for s in (-1, 1) for t in (np.float32, np.float64)),
-    ]
-)
+_LARGEST = [float(np.finfo(t).max) for t in (np.float32, np.float64)]
+# of whole numbers and of floats; counters of 16 bits do reach theirs
+LIMITS = {-(2.0**31), 2.0**31 - 1, -(2.0**63), 2.0**63, *_LARGEST, *(-x for x in _LARGEST)}
 RARE = 2  # a column sampled more rarely has a value in every second row at most
 EVEN_HOLES = 2.5  # the longest hole of such a column, in usual ones
 
@@ -53,14 +46,14 @@ def on_one_clock(
     notes = []
     if moved:
         notes = [
-            f"{_listed(moved)} on {'another clock' if len(moved) == 1 else 'other clocks'}: "
+            f"{', '.join(moved)} on {'another clock' if len(moved) == 1 else 'other clocks'}: "
             "interpolated to the clock that ticks most often"
         ]
     return main, result, notes
 
 
 def without_sentinels(values: Array) -> tuple[Array, float | None]:
-    """Take a number that stands for "no value" as none: -9999 and the like, far from all others.
+    """Take what stands for "no value" as none: ∞, -9999 and the like, far from all others.
 
     Parameters
     ----------
@@ -73,6 +66,8 @@ def without_sentinels(values: Array) -> tuple[Array, float | None]:
         NaN instead of it.
     number : float or None
     """
+    if (endless := np.isinf(values)).any():
+        return np.where(endless, np.nan, values), np.inf
     good = values[np.isfinite(values)]
     for end in (float(good.min()), float(good.max())) if good.size else ():
         if not (NINES.fullmatch(f"{end:.9g}") or end in LIMITS):
@@ -84,11 +79,11 @@ def without_sentinels(values: Array) -> tuple[Array, float | None]:
 
 
 def without_missing(
-    channels: Mapping[str, Array], labels: Mapping[str, str], *, bridge: bool
+    channels: Mapping[str, Array], labels: Mapping[str, str]
 ) -> tuple[slice, dict[str, Array], list[str]]:
     """Fill columns sampled more rarely; return the complete rows, filled channels, and notes.
 
-    Rows at either end that are not complete are left out; `bridge` fills holes of up to ten rows.
+    Rows at either end that are not complete are left out; holes of up to ten rows are filled.
     """
     filled: dict[str, Array] = {}
     notes = []
@@ -104,7 +99,7 @@ def without_missing(
         label = labels.get(name, name)
         if name != "time" and usual >= RARE and gaps.max() <= EVEN_HOLES * usual:
             notes.append(f"{label} has a value in one of {usual:g} rows only and was interpolated")
-        elif not (bridge and holes and gaps.max() <= MAX_BRIDGED + 1 and name != "time"):
+        elif not (holes and gaps.max() <= MAX_BRIDGED + 1 and name != "time"):
             continue
         else:
             notes.append(
@@ -126,9 +121,5 @@ def without_missing(
                 labels.get(n, n) for n, v in filled.items() if not np.isfinite(v[part]).all()
             ]
             gone = "row was" if count == 1 else f"{count} rows were"
-            notes.append(f"the {what} {gone} left out: no value for {_listed(lacking)}")
+            notes.append(f"the {what} {gone} left out: no value for {', '.join(lacking)}")
     return rows, filled, notes
-
-
-def _listed(names: list[Any]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

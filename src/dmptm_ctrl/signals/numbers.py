@@ -1,4 +1,4 @@
-"""Tables of numbers in a file that people may have edited."""
+"""Numbers as people write them: round, and in tables of files."""
 
 import math
 from typing import Any
@@ -15,3 +15,9 @@ def finite_numbers(name: str, where: str, table: Any) -> dict[str, float]:
         if not good or not math.isfinite(value):
             raise LogError(f"{name}: {key} in [{where}] is {value!r}; it must be a finite number")
     return {key: float(value) for key, value in table.items()}
+
+
+def roundest(value: float, error: float) -> float:
+    """Number of fewest digits that is no further than `error` from a value."""
+    shorter = (float(f"{value:.{digits}g}") for digits in range(1, 8))
+    return next((number for number in shorter if abs(number - value) < error), value)

@@ -181,7 +181,7 @@ def _clipped(log: Log, channel: str) -> float | None:
         if log.units[channel] == "rad":
             travel = travelled(log, speed)
             moved = np.abs(travel[ends - 1] - travel[begins]).max()
-            clipped = bool(moved > 10 * step[step > 0].min())  # encoder steps
+            clipped = bool(moved > 10 * np.median(step[step > 0]))  # readings between its steps
         else:
             clipped = _abrupt(step, begins, ends)
         if clipped:

@@ -6,7 +6,6 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-from dmptm_ctrl.signals.clock import times_of
 from dmptm_ctrl.signals.columns import CLOCK, CLOCKS, TIMES, Choose, Table
 from dmptm_ctrl.signals.errors import LogError, NotALogError
 
@@ -41,7 +40,7 @@ def _values(column: Any) -> Any:
     return (column.dt.tz_convert(None) if zone is not None else column).to_numpy()
 
 
-def read_parquet(path: Path, choose: Choose, max_rows: int | None = None) -> Table:
+def read_parquet(path: Path, choose: Choose) -> Table:
     """Read columns of a Parquet file (extra ``parquet``)."""
     try:
         import pyarrow as pa
@@ -58,7 +57,7 @@ def read_parquet(path: Path, choose: Choose, max_rows: int | None = None) -> Tab
             }
             units |= {CLOCK: "s"} if CLOCK in own else {}
             chosen = choose(list(own), units)
-            table = _rows(file, [own[name] for name in chosen], max_rows)
+            table = file.read(columns=[own[name] for name in chosen])
         columns = {name: table.column(own[name]).to_numpy() for name in chosen}
     except (LogError, FileNotFoundError, PermissionError):
         raise
@@ -100,18 +99,7 @@ def read_json(path: Path, choose: Choose) -> Table:
     stated = {str(n): u for n, u in units.items() if isinstance(u, str) and str(n) in names}
     chosen = choose(names, stated)
     frame.columns = names
-    columns = {}
-    for name in chosen:
-        values = frame[name]
-        if values.dtype.kind not in "fiub":
-            texts = values.dropna()
-            if len(texts) and texts.map(lambda v: isinstance(v, str)).all():
-                numbers = pd.to_numeric(values, errors="coerce")
-                if numbers.notna().sum() < len(texts):
-                    columns[name] = times_of(values.to_numpy(object), path.name, name)
-                    continue
-                values = numbers
-        columns[name] = values.to_numpy()
+    columns = {name: frame[name].to_numpy() for name in chosen}
     return Table(columns, stated, {}, notes, {}, _period(beside))
 
 
@@ -204,19 +192,3 @@ _NAMES = ("name", "label", "signal", "channel", "id", "key", "title")  # of a si
 
 def _is_plain(value: Any) -> bool:
     return isinstance(value, list) and not any(isinstance(v, list | dict) for v in value)
-
-
-def _rows(file: Any, columns: list[str], rows: int | None) -> Any:
-    """All rows of a Parquet file, or the first ones, a batch at a time."""
-    if rows is None:
-        return file.read(columns=columns)
-    import pyarrow as pa
-
-    batches, left = [], rows
-    for batch in file.iter_batches(columns=columns):
-        batches.append(batch.slice(0, left))
-        left -= len(batches[-1])
-        if left <= 0:
-            break
-    schema = pa.schema([file.schema_arrow.field(name) for name in columns])
-    return pa.Table.from_batches(batches, schema)

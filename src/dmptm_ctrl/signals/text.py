@@ -13,7 +13,7 @@ from typing import IO, Any
 import numpy as np
 
 from dmptm_ctrl.signals.clock import seconds_of, times_of
-from dmptm_ctrl.signals.columns import TIMES, Choose, Table
+from dmptm_ctrl.signals.columns import TIMES, Choose, Table, listed
 from dmptm_ctrl.signals.dialect import (
     MISSING,
     ODD,
@@ -187,7 +187,8 @@ def _one_each(
             columns[name] = values
         elif not _increases(values) and not _equal(values, columns[name]):
             raise LogError(
-                f"{source}: column {name!r} occurs {names.count(name)} times with different values"
+                f"{source}: column {name!r} occurs {names.count(name)} times with different "
+                "values; rename one, or call all columns by place: column1, column2, …"
             )
     main = next((c for c in clocks if names[c] in chosen and _increases(data[c])), None)
     if main is None:
@@ -366,12 +367,12 @@ class _Rows:
         # what a program wrote behind some rows only: nothing, or a remark
         while len(cells) > layout.fields and layout.dialect.kind(cells[-1]) in ("", "text"):
             cells.pop()
-        found = [*map(layout.dialect.kind, cells)]
-        kinds = [  # a number is no time
-            "text" if (kind, of) == ("number", "time") else kind
-            for kind, of in zip(found, layout.kinds, strict=False)
+        found = [
+            (layout.dialect.kind(cell), of)
+            for cell, of in zip(cells, layout.kinds, strict=False)
             if of != "text"
-        ]
+        ]  # a number is no time
+        kinds = ["text" if both == ("number", "time") else both[0] for both in found]
         if not any(kind in ("number", "time") for kind in kinds) and any(kinds):
             return "", "text"
         if len(cells) != layout.fields:
@@ -385,7 +386,7 @@ class _Rows:
     def notes(self) -> list[str]:
         """What was left out, and where."""
         return [
-            f"left out {what} in line{'s' * (len(where) > 1)} {_listed(where)}"
+            f"left out {what} in line{'s' * (len(where) > 1)} {listed(where, 4)}"
             for what, where in self._left_out.items()
         ] + [f"{name} is {words}: taken as no value" for name, words in self.words().items()]
 
@@ -393,7 +394,7 @@ class _Rows:
         """First word among the numbers of each column that has some, and the lines of all."""
         return {
             name: f"{cells[0][0]!r} in line{'s' * (len(cells) > 1)} "
-            f"{_listed([line for _, line in cells])}"
+            f"{listed([line for _, line in cells], 4)}"
             for name, cells in self._no_numbers.items()
         }
 
@@ -490,8 +491,3 @@ def _without(units: Counter[str], line: str) -> str:
             return ""
         line = line.replace(unit, "")
     return line if _PLAIN.issuperset(line.strip().replace(":", "")) else ""
-
-
-def _listed(lines: list[int]) -> str:
-    shown = ", ".join(map(str, lines[:4]))
-    return f"{shown} and {len(lines) - 4} more" if len(lines) > 4 else shown

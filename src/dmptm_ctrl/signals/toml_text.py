@@ -11,7 +11,7 @@ WHOLE = 1 << 63  # whole numbers of TOML have 64 bits; Python's would overflow a
 def parse_toml(text: str, source: str) -> dict[str, Any]:
     """Read TOML; LogError if it is none, nested too deeply, or has a number of over 64 bits."""
     try:
-        data = tomllib.loads(text)
+        data = tomllib.loads(text.removeprefix("\ufeff"))  # Windows marks UTF-8
     except tomllib.TOMLDecodeError as error:
         raise LogError(f"{source}: not TOML: {error}") from None
     except RecursionError:

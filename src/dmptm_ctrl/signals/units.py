@@ -69,6 +69,7 @@ _SPELLINGS = {
     "degree": "deg", "degrees": "deg", "grad": "deg", "°": "deg", "u/min": "rpm", "1/min": "rpm",
     "min-1": "rpm", "min^-1": "rpm", "min⁻¹": "rpm", "upm": "rpm", "nmm": "mNm", "n.m": "Nm",
     "newton": "N", "radian": "rad", "radians": "rad", "meter": "m", "metre": "m",
+    "umdr": "rev", "umdr.": "rev", "umdrehungen": "rev",
 }  # fmt: skip
 
 CANONICAL = ("time", "u_left", "u_right", "theta_L", "omega_L", "theta_ml", "theta_mr", "ref")

@@ -15,7 +15,8 @@ from scipy.optimize import root
 from dmptm_ctrl.drive.modes import Modes, solve_modes
 from dmptm_ctrl.drive.parameters import Drive
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.drive.train import GearTrain, Joint, StateSpace
+from dmptm_ctrl.drive.space import StateSpace
+from dmptm_ctrl.drive.train import GearTrain, Joint
 from dmptm_ctrl.effects.backlash import mesh_region, mesh_torque
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.block_parts import PADE_ORDER, Delay
@@ -141,7 +142,7 @@ def linearize(
         of paper Eq. 17 with the slope of the friction as damping. Where nothing depends on the
         angle of the whole drive, ``twist_l`` and ``twist_r`` [rad at the pinion] take the place
         of two angles, and the third is a state only where an output is an angle; so ``dcgain``,
-        ``margin`` and ``step_info`` are right as they come. A dead time is a Padé approximation
+        ``margin`` and ``bandwidth`` are right as they come. A dead time is a Padé approximation
         of order :data:`~dmptm_ctrl.simulate.block_parts.PADE_ORDER`.
 
         Of a rig of any shape the states are ``q_BODY`` [rad or m] of each rigid group of bodies

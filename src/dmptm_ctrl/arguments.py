@@ -44,13 +44,8 @@ def refuse_wrong_call(
 ) -> None:
     """Compare a call's arguments with what a function's signature and annotations name.
 
-    Raises
-    ------
-    TypeError
-        Arguments that the signature does not take; or one of another kind: which, what it must be,
-        what it is.
-    ValueError
-        A number that is none.
+    TypeError for arguments that the signature does not take; or for one of another kind: which,
+    what it must be, what it is. ValueError for a number that is none.
     """
     try:
         wanted.bind_partial(*args, **options)  # an unknown name before one that is missing

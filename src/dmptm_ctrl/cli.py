@@ -253,7 +253,7 @@ def resonances(
     items = resonance_items(drive, **extra)
     show(items)
     if out is not None:
-        from dmptm_ctrl.reproduce.page import save_items
+        from dmptm_ctrl.reproduce.items import save_items
 
         with output_folder(out) as folder:
             save_items(folder, items)

@@ -129,8 +129,8 @@ def assert_tracks(
     from dmptm_ctrl.design.aims import missed
     from dmptm_ctrl.design.controller import Controller, read_controller
     from dmptm_ctrl.design.duty import Duty
+    from dmptm_ctrl.simulate.any_model import loop_parts
     from dmptm_ctrl.simulate.closed import close_loop
-    from dmptm_ctrl.simulate.law import loop_parts
 
     if not isinstance(controller, Controller):
         controller = read_controller(Path(controller))

@@ -74,7 +74,7 @@ def test_all_effects_together_are_second_order(paper, lively, visible_values):
         model = model.with_effect(name, **visible_values(effect))
     time, u, x0 = lively
     steps, last, logs = 2 ** np.arange(3, 11), [], []
-    for volts in (1.6, 2.0, 2.4):
+    for volts in (1.6, 2.4):
         exact = simulate(model, time, volts * u, x0, method="reference").outputs
         scale = np.ptp(exact, axis=1)
         assert np.all(scale > 1e-4)
@@ -97,9 +97,10 @@ def test_blocks_are_compiled(visible, smooth):
     A drive or sensor delay is exact in the compiled loop and a Padé approximation in the
     blocks; what that leaves is 0.2 % of the range.
     """
-    time, u, x0 = smooth[0][:61], smooth[1][:, :61], smooth[2]
     (name,) = visible.effects
     site = CATALOGUE[name].site
+    n = 61 if site in ("delay", "lag", "sensor_delay") else 31
+    time, u, x0 = smooth[0][:n], smooth[1][:, :n], smooth[2]
     found = simulate(visible, time, u, x0, method="blocks", rtol=1e-7, atol=1e-10).outputs
     compiled = simulate(visible, time, u, x0, substeps=256).outputs
     error = rms(found, compiled) / np.ptp(compiled, axis=1)

@@ -75,7 +75,7 @@ def test_linear_drive_by_matrix_exponential(frictionless, compliance, method, op
         model = model.with_effect("reducer_compliance", compliance=compliance)
     matrices = assembled(model.drive, compliance)
     size = len(matrices[0])
-    time = DT * np.arange(61)
+    time = DT * np.arange(13 if method == "blocks" else 61)  # blocks are slow
     preload = np.array([0.5, -0.5])
     wave = 0.05 * np.sin(2 * np.pi * 40.0 * time)
     u = preload[:, None] + np.array([[1.0], [0.5]]) * wave
@@ -243,6 +243,8 @@ def test_a_rest_makes_breaking_away_harder(method, options, tolerance):
     volts = ramp * time / (2.0 * drive["N_2"] * per_volt)
     start = np.array([drive["gap_l"], drive["gap_r"], 0.0, 0.0, 0.0, 0.0])
     u = np.array([volts, volts])
+    if method == "blocks":
+        options = {}  # to a sample is enough
     found = simulate(model, time, u, start, method=method, **options).outputs
     moved = np.abs(found[OUTPUTS.index("theta_L")]) > 1e-7
     when = time[int(np.argmax(moved))]

@@ -4,10 +4,12 @@ import control as ct
 import numpy as np
 import pytest
 
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.simulate import METHODS, simulate
 from dmptm_ctrl.simulate.compiled import OUTPUTS
 
-TIME = 1e-3 * np.arange(30)
+DT = 1e-3
+TIME = DT * np.arange(30)
 VOLTS = np.tile(np.linspace(0.0, 1.0, TIME.size), (2, 1))
 
 
@@ -65,3 +67,35 @@ def test_refuses_what_does_not_fit(paper, change, message):
 def test_refuses_an_option_of_another_method(paper, method, option):
     with pytest.raises(TypeError, match=f"method '{method}' has no option '{option}'"):
         simulate(paper, TIME, VOLTS, method=method, **{option: 1})
+
+
+AXIS = """
+name = "axis"
+[body.table]
+inertia = "0.02 kg m^2"
+coulomb = "0.1 N m"
+static = "0.15 N m"
+stribeck_speed = "0.1 rad/s"
+viscous = "0.04 N m s/rad"
+[input.motor]
+column = "u"
+unit = "V"
+gain = "0.1 N m/V"
+[sensor.w]
+column = "w"
+unit = "rad/s"
+"""
+
+
+def test_a_rig_runs_by_every_method():
+    """Starts, stops and turns back: what friction holds and lets go."""
+    rig, time = parse_rig(AXIS), DT * np.arange(120)
+    volts = 4.0 * np.sin(2 * np.pi * 12.0 * time)
+    runs = {m: simulate(rig, time, volts, method=m).outputs[0] for m in METHODS}
+    exact = runs["reference"]
+    assert np.ptp(exact) > 0.5
+    assert (exact == 0.0).sum() > 5
+    for method in ("compiled", "blocks"):
+        assert np.abs(runs[method] - exact).max() < 5e-3 * np.ptp(exact), method
+    with pytest.raises(TypeError, match="method 'blocks' has no option 'contact'"):
+        simulate(rig, time, volts, method="blocks", contact="eq21")

@@ -22,13 +22,13 @@ def rests(moves):
 
 def sine(paper):
     """Open loop, the paper's second kind of run: long rests around each reversal."""
-    time = DT * np.arange(1001)
-    return np.tile(0.7 * np.sin(2 * np.pi * 1.5 * time), (2, 1))
+    time = DT * np.arange(701)
+    return np.tile(0.7 * np.sin(2 * np.pi * 2.0 * time), (2, 1))
 
 
 def loop_run(paper):
     """Voltages of a closed-loop run with reversals, driven open loop."""
-    time = DT * np.arange(701)
+    time = DT * np.arange(501)
     per_degree = 180.0 / np.pi
     loop = Loop(kp=0.08 * per_degree, ki=1.5 * per_degree, limit=10.0)
     reference = np.deg2rad(10.0) * np.sin(2 * np.pi * 2.0 * time)
@@ -57,7 +57,7 @@ def test_breakaway_times_to_a_millisecond(paper, run):
         assert np.abs(starts - starts_exact).max() <= 1, name  # samples of 1 ms
         assert np.abs(stops - stops_exact).max() <= 1, name
         seen += starts.size
-    assert seen >= 5
+    assert seen >= 4
 
 
 def test_compiled_stays_at_the_reference(paper, run):

@@ -14,6 +14,7 @@ from dmptm_ctrl.design.aims import tracking
 from dmptm_ctrl.design.controller import Controller, read_controller
 from dmptm_ctrl.design.draws import draw_plants
 from dmptm_ctrl.design.duty import usual_duty
+from dmptm_ctrl.design.impact import impact
 from dmptm_ctrl.design.rig_aims import rig_aims
 from dmptm_ctrl.design.tune import tune_controller
 from dmptm_ctrl.drive.rigfile import parse_rig
@@ -189,3 +190,27 @@ def test_drawn_rigs_are_inside_their_ranges():
     np.testing.assert_allclose(ratio, 2.0)  # phases stay
     assert all(p.value("body.load.static") >= p.value("body.load.coulomb") for p in plants)
     assert draw_plants(MODEL, 1, uncertainty=0.0)[0].effects == MODEL.effects
+
+
+def test_impact_of_effects_on_a_rig():
+    """A dead time costs ω_c T of phase; without it the other effects are compared."""
+    model = RigModel(parse_rig(LIMITED, "rig.toml")).with_effect(
+        Placed("drive_delay", "voltage", {"delay": 4e-3})
+    )
+    aims = rig_aims(model)
+    duty = aims.duty._replace(reference=aims.duty.reference[3400:4800])
+    controller = Controller(0.4, 2.0, limit=12.0, model=RigModel(model.rig))
+    found = impact(model, controller, duty=duty)
+    assert found.effects == ("drive_delay@voltage",)
+    lost = found.table.loc["phase margin, deg"]
+    crossover = found.table.loc["crossover, Hz", "augmented"]
+    assert lost["nominal"] - lost["augmented"] == pytest.approx(360 * crossover * 4e-3, rel=0.06)
+    error = found.table.loc["tracking error rms, rad/s"]
+    run = close_loop(model, controller, duty.time, duty.reference)
+    late = run.outputs[run.output_labels.index("speed")]
+    miss = (late - duty.reference)[round(duty.settling / duty.sample_time) :]
+    assert error["augmented"] == pytest.approx(np.sqrt(np.mean(miss**2)), rel=0.02)
+    assert error["augmented"] != error["nominal"]
+    panels = found.plot()
+    assert "rad/s" in panels[0].get_ylabel()
+    plt.close(panels[0].figure)

@@ -28,9 +28,9 @@ MODEL = Model().with_effect("drive_offset", left=0.05, right=-0.02)
 BOTH = Controller(
     12.0, 300.0, 8.0, 0.2, notches=(Notch(60.0, 0.2, 0.4),), friction=0.9, invert=True, model=MODEL
 )
-# the second half of the usual duty: a sine, a slow trapezoid, a rest and a start
-HALF = np.concatenate([np.zeros(400), usual_duty().reference[4400:]])
-AIMS = Aims(duty=usual_duty()._replace(reference=HALF))
+# the end of the usual duty: a slow trapezoid, a rest and a start
+END = np.concatenate([np.zeros(400), usual_duty().reference[5400:]])
+AIMS = Aims(duty=usual_duty()._replace(reference=END))
 
 
 @pytest.fixture(scope="module")

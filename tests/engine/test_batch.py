@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.agreement.test_simulate import AXIS
 
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.effects.lookup import BRAKING, SPEED, WAVE, WIDEST
+from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.batch import BATCH_OUTPUTS, march_any, simulate_batch
 from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, Loop, close_loop, march
+from dmptm_ctrl.simulate.law import Law
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.observer import observer_gains
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 DT = 1e-3  # s
 TIME = DT * np.arange(61)
@@ -80,7 +85,7 @@ def lanes(models, u):
     return runs.outputs[: len(models)].transpose(0, 2, 1)
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=12, deadline=None, derandomize=True)
 @given(
     data=st.data(),
     names=st.lists(st.sampled_from([None, *ALONE]), min_size=1, max_size=9),
@@ -206,3 +211,22 @@ def test_refuses_what_does_not_fit(change, message):
     given = {"models": [Model()] * 2, "timepts": TIME, "inputs": np.zeros((2, 61)), **change}
     with pytest.raises(ValueError, match=message):
         simulate_batch(**given)
+
+
+def test_rigs_side_by_side_open_loop_and_under_a_law():
+    """With sensors and inputs of their own names, from rest, as each alone."""
+    rig = RigModel(parse_rig(AXIS))
+    models = [rig.with_values({"body.table.inertia": x}) for x in (0.01, 0.02, 0.03)]
+    volts = 6.0 * np.sin(2 * np.pi * 9.0 * TIME)
+    runs = simulate_batch(models, TIME, volts[None], outputs=["w", "motor"])
+    for model, (speed, signal) in zip(models, runs.outputs, strict=True):
+        alone = simulate(model, TIME, volts).outputs[0]
+        np.testing.assert_allclose(speed, alone, atol=1e-9 * np.ptp(alone))
+        np.testing.assert_array_equal(signal, volts)
+    law = Law(4.0, 20.0, model=rig)
+    closed = simulate_batch(models, TIME, np.full(TIME.size, 2.0), loop=law, outputs=["w"])
+    assert np.all(closed.outputs[:, 0, -1] > 1.0)
+    with pytest.raises(ValueError, match="a Loop is of the dual-motor drive"):
+        simulate_batch(models, TIME, volts, loop=LOOP)
+    with pytest.raises(ValueError, match="no output 'omega_L'; there are w, motor"):
+        simulate_batch(models, TIME, volts[None], outputs=["omega_L"])

@@ -16,13 +16,13 @@ from dmptm_ctrl.effects import CATALOGUE, register
 from dmptm_ctrl.simulate import loading
 from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.compiled import march, rest
-from dmptm_ctrl.simulate.dual import per_catalogue
+from dmptm_ctrl.simulate.dual import catalogue
 from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import structure_of
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import march as march_rig
-from dmptm_ctrl.simulate.scalar import scalar_engine, source
+from dmptm_ctrl.simulate.scalar import scalar_engine
 from dmptm_ctrl.simulate.sites import acting
 
 AXIS = """
@@ -137,27 +137,21 @@ def busy_collector():
 
 
 @pytest.mark.usefixtures("busy_collector")
-def test_threads_that_ask_at_once_for_an_engine_wait_for_one_that_writes_it():
+def test_threads_that_ask_at_once_for_the_catalogue_wait_for_one_that_makes_it(own_effect):
     threads = 4
     together = Barrier(threads)
-    written = []
-    own = structure(Model().plant())
-
-    @per_catalogue
-    def text(_):
-        written.append(source(own))
-        return written[-1]
+    register(own_effect)  # nobody has asked for it
 
     def asked(_):
         for _ in range(100):
             Remains()
         together.wait()
-        return text()
+        return catalogue()
 
     with ThreadPoolExecutor(threads) as pool:
-        texts = list(pool.map(asked, range(threads)))
-    assert len(written) == 1
-    assert texts == written * threads
+        found = list(pool.map(asked, range(threads)))
+    assert all(one is found[0] for one in found)
+    assert own_effect in found[0].effects
 
 
 def test_same_engine_while_the_catalogue_is_the_same():

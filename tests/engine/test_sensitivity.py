@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from tests.agreement.test_simulate import AXIS
 
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.compiled import OUTPUTS
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 from dmptm_ctrl.simulate.sensitivity import simulate_with_sensitivities
 
 DT = 1e-3  # s
@@ -190,3 +193,22 @@ def test_flagged_where_a_body_is_just_held(coulomb):
 def test_refuses_what_has_no_derivative(names, message):
     with pytest.raises(ValueError, match=message):
         simulate_with_sensitivities(Model(), DT * np.arange(5), np.zeros((2, 5)), names)
+
+
+def test_of_a_rig_by_closed_form():
+    """A first-order lag g u / b (1 - exp(-b t / J)), and an unbalance that pushes at angle 0."""
+    text = AXIS.replace('coulomb = "0.1 N m"\nstatic = "0.15 N m"\n', "")
+    rig = RigModel(parse_rig(text.replace('stribeck_speed = "0.1 rad/s"\n', "")))
+    time = 1e-3 * np.arange(400)
+    volts, inertia, b = np.full(time.size, 3.0), 0.02, 0.04
+    keys = ["body.table.inertia", "input.motor.gain"]
+    run = simulate_with_sensitivities(rig, time, volts, keys, substeps=32)
+    left = np.exp(-b * time / inertia)
+    by_inertia = -3.0 * 0.1 / b * left * b * time / inertia**2
+    np.testing.assert_allclose(run.derivatives[0, 0], by_inertia, atol=1e-2)
+    np.testing.assert_allclose(run.derivatives[1, 0], 3.0 / b * (1.0 - left), rtol=1e-3, atol=1e-3)
+    heavy = rig.with_effect(Placed("unbalance", "table", {"cosine": 0.1, "sine": 0.0}))
+    one = simulate_with_sensitivities(heavy, time[:20], volts[:20], ["unbalance@table.cosine"])
+    assert one.derivatives[0, 0, 10] == pytest.approx(time[10] / inertia, rel=0.03)
+    with pytest.raises(ValueError, match="no parameter 'unbalance@table.size'"):
+        simulate_with_sensitivities(heavy, time, volts, ["unbalance@table.size"])

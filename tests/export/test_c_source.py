@@ -10,7 +10,7 @@ from tests.export.native import c_function, compile_c, needs_compiler
 
 from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.effects import CATALOGUE, backlash, presliding, stribeck
-from dmptm_ctrl.export.places import NotScalar
+from dmptm_ctrl.export.tracer import NotScalar
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 
 DRAWS = 300

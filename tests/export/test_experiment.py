@@ -64,7 +64,7 @@ def test_rig_of_another_shape(tmp_path):
 
 @needs_compiler
 def test_c_and_structured_text_give_the_samples_and_then_nothing(tmp_path):
-    table = within(TABLE, Limits(), sample_time=0.1)
+    table = within(TABLE[:800], Limits(), sample_time=0.1)
     program = experiment_program(table)
     warns_of_nothing(tmp_path, program)
     text = st_source(program)

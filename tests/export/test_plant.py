@@ -264,11 +264,13 @@ def test_names_that_no_program_can_have(tmp_path):
 
 
 def test_structured_text_of_a_plant():
-    """It gives the simulator's readings; the grammar of another project reads it."""
+    """It gives the simulator's readings; the grammar of another project reads a short one."""
     parse = pytest.importorskip("blark.parse")
     model = Model().with_effect("drive_delay", delay=2.6e-3)
-    text = st_source(plant_program(model, DT))
-    assert parse.parse_source_code(text).exception is None
-    step = st_stepper(text, [p.name for p in plant_program(model, DT).outputs])
+    program = plant_program(model, DT)
+    step = st_stepper(st_source(program), [p.name for p in program.outputs])
     found = np.array([step(*row) for row in VOLTS[:, :60].T])
     close(found, simulate(model, TIME[:60], VOLTS[:, :60]).outputs.T)
+    short = st_source(plant_program(RigModel(parse_rig(AXIS)), DT))
+    assert "MOD" in short  # the premise: the dead time's ring
+    assert parse.parse_source_code(short).exception is None

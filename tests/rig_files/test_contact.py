@@ -5,7 +5,7 @@ import pytest
 
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.signals import LogError
-from dmptm_ctrl.simulate.blocks import rig_blocks
+from dmptm_ctrl.simulate.blocks import to_blocks
 from dmptm_ctrl.simulate.linear import modes
 from dmptm_ctrl.simulate.reference import run_exactly
 from dmptm_ctrl.simulate.rig_model import RigModel
@@ -70,7 +70,7 @@ def test_laws_differ_and_the_default_is_the_papers():
 
 
 def test_place_in_the_gap_is_a_state_of_the_block():
-    blocks = rig_blocks(RigModel(parse_rig(LAWS["two_state"])))
+    blocks = to_blocks(RigModel(parse_rig(LAWS["two_state"])))
     assert "link_gears_position" in blocks.state_labels
 
 

@@ -8,7 +8,7 @@ from scipy.signal import cont2discrete
 from dmptm_ctrl.diagnosis.rig_report import counted_unit, torque_unit
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.signals import LogError
-from dmptm_ctrl.simulate.blocks import rig_blocks
+from dmptm_ctrl.simulate.blocks import to_blocks
 from dmptm_ctrl.simulate.linear import linearize, modes
 from dmptm_ctrl.simulate.reference import run_exactly
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
@@ -68,7 +68,7 @@ def test_compiled_follows_the_exact_linear_response(name):
 @pytest.mark.parametrize("name", TRAINS)
 def test_blocks_are_the_linear_model(name):
     model = RigModel(TRAINS[name])
-    blocks = rig_blocks(model)
+    blocks = to_blocks(model)
     # linearised where everything moves: at rest friction would hold it
     moving = np.ones(blocks.nstates)
     linear = ct.linearize(blocks, moving, 1.0, eps=1e-6)
@@ -102,7 +102,7 @@ def test_friction_gap_and_cogging_in_blocks_and_compiled():
     )
     drive = 1.5 * np.sin(2 * np.pi * 2 * TIME)
     run = march(model, drive[None], DT, substeps=40)
-    blocks = rig_blocks(model)
+    blocks = to_blocks(model)
     held = ct.input_output_response(
         blocks, TIME, drive, np.zeros(blocks.nstates),
         solve_ivp_method="LSODA", solve_ivp_kwargs={"max_step": 2e-4, "rtol": 1e-7},
@@ -125,7 +125,7 @@ def test_dead_times_and_presliding_have_blocks():
     rig = train([(0, 1, 3, 400)], 2)
     model = RigModel(rig, effects)
     drive = np.sin(2 * np.pi * 2 * TIME[:250])
-    blocks = rig_blocks(model)
+    blocks = to_blocks(model)
     found = ct.input_output_response(
         blocks, TIME[:250], drive, np.zeros(blocks.nstates),
         solve_ivp_method="LSODA", solve_ivp_kwargs={"max_step": 1e-3, "rtol": 1e-8, "atol": 1e-10},
@@ -155,7 +155,7 @@ delay = "10 ms"
 column = "q_rad"
 body = "b"
 """
-    blocks = rig_blocks(RigModel(parse_rig(text)))
+    blocks = to_blocks(RigModel(parse_rig(text)))
     x = 0.1 * np.ones(blocks.nstates)
     slower = blocks.dynamics(0.0, x, [0.1], params={"input.m.delay": 0.02})
     at = blocks.state_labels.index("input_m_delay_0")

@@ -8,7 +8,7 @@ from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.drive.space import step_info
 from dmptm_ctrl.simulate import simulate
-from dmptm_ctrl.simulate.blocks import rig_blocks
+from dmptm_ctrl.simulate.blocks import to_blocks
 from dmptm_ctrl.simulate.linear import linearize, modes, modes_text
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
@@ -120,7 +120,7 @@ def test_small_swing_of_the_simulated_arm_is_the_linear_one():
 def test_blocks_linearised_at_rest_with_the_default_step(text):
     """Without dry friction nothing sticks: A, B of the blocks are those of the linear model."""
     model = RigModel(parse_rig(text))
-    blocks = rig_blocks(model)
+    blocks = to_blocks(model)
     at_rest = np.zeros(blocks.nstates)
     found = ct.linearize(blocks, at_rest, 0.0)
     known = linearize(model)
@@ -134,7 +134,7 @@ def test_with_dry_friction_it_holds():
     model = RigModel(
         parse_rig(two(extra="")), (Placed("coulomb_friction", "motor", {"level": 0.1}),)
     )
-    blocks = rig_blocks(model)
+    blocks = to_blocks(model)
     assert blocks.dynamics(0.0, np.zeros(4), [0.1]) == pytest.approx(np.zeros(4))
     assert blocks.dynamics(0.0, np.zeros(4), [0.4])[1] == pytest.approx((0.2 - 0.1) / 0.01)
 
@@ -260,7 +260,7 @@ def test_two_like_sides_swing_together_or_against_each_other():
     assert found.omega[1:] == pytest.approx(np.sqrt([400.0, 40.0 * (10.0 + 2.0 / 0.3)]))
 
 
-@pytest.mark.parametrize("build", [linearize, modes, rig_blocks])
+@pytest.mark.parametrize("build", [linearize, modes, to_blocks])
 @pytest.mark.parametrize(
     ("values", "said"),
     [
@@ -300,13 +300,13 @@ def test_params_in_block_simulation():
         ).outputs
 
     value = {"body.load.inertia": 0.6}
-    honoured = run(rig_blocks(model), params=value)
-    np.testing.assert_allclose(honoured, run(rig_blocks(model.with_values(value))), rtol=1e-6)
-    assert np.abs(honoured - run(rig_blocks(model))).max() > 0.1
+    honoured = run(to_blocks(model), params=value)
+    np.testing.assert_allclose(honoured, run(to_blocks(model.with_values(value))), rtol=1e-6)
+    assert np.abs(honoured - run(to_blocks(model))).max() > 0.1
     with pytest.raises(ValueError, match=r"the blocks have no 'inertia'; they have body\.motor"):
-        run(rig_blocks(model), params={"inertia": 0.6})
+        run(to_blocks(model), params={"inertia": 0.6})
     with pytest.raises(ValueError, match="more than zero"):
-        run(rig_blocks(model), params={"body.load.inertia": -0.6})
+        run(to_blocks(model), params={"body.load.inertia": -0.6})
 
 
 def test_declared_dead_times_turn_the_phase():
@@ -320,7 +320,7 @@ def test_declared_dead_times_turn_the_phase():
     speeds = [linearize(rig, outputs=["w"]).dcgain() for rig in (plain, late)]
     assert speeds[0] == pytest.approx(speeds[1], rel=1e-9)
     assert np.isinf(linearize(late, outputs=["q"]).dcgain())
-    blocks = rig_blocks(RigModel(late))
+    blocks = to_blocks(RigModel(late))
     model = ct.linearize(blocks, np.zeros(blocks.nstates), 0.0, copy_names=True)
     names = linearize(late).output_labels
     model = ct.ss(model)[[model.output_labels.index(n) for n in names], :]

@@ -23,7 +23,7 @@ from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.records import Record, record, started
 from dmptm_ctrl.identify.rig_fit import ROWS_PER_NEWS, State, fit_rig, jacobian, residuals
 from dmptm_ctrl.signals import Log, LogError
-from dmptm_ctrl.simulate.law import AnyModel
+from dmptm_ctrl.simulate.any_model import AnyModel
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel

@@ -20,7 +20,7 @@ from dmptm_ctrl.check.moved import (
 )
 from dmptm_ctrl.signals import Log, LogError, load_logs
 from dmptm_ctrl.signals.atomic import check_folder, output_folder
-from dmptm_ctrl.simulate.law import AnyModel
+from dmptm_ctrl.simulate.any_model import AnyModel
 from dmptm_ctrl.simulate.model_file import read_model
 from dmptm_ctrl.simulate.rig_model import RigModel
 

@@ -28,27 +28,15 @@ GRID = 4000  # log-spaced frequencies; some 30 in the width of the sharpest reso
 
 @dataclass(frozen=True)
 class PiTuning:
-    """Gains and what the linear loop does with them.
+    """Gains and what the linear loop does with them."""
 
-    Attributes
-    ----------
-    kp : float [V/(rad/s)]
-    ki : float [V/rad]
-    crossover_hz, bandwidth_hz : float
-        Where the open loop is 1, and where the closed loop falls 3 dB below 1.
-    phase_margin_deg, gain_margin_db : float
-        The gain margin is the smallest over all frequencies where the phase is −180°.
-    peak : float
-        Largest closed-loop gain.
-    """
-
-    kp: float
-    ki: float
-    crossover_hz: float
-    bandwidth_hz: float
+    kp: float  # V/(rad/s)
+    ki: float  # V/rad
+    crossover_hz: float  # where the open loop is 1
+    bandwidth_hz: float  # where the closed loop falls 3 dB below 1
     phase_margin_deg: float
-    gain_margin_db: float
-    peak: float
+    gain_margin_db: float  # the smallest over all frequencies where the phase is −180°
+    peak: float  # largest closed-loop gain
 
 
 def gains_at(response: complex, omega: float, phase_margin_deg: float) -> tuple[float, float]:

@@ -9,14 +9,10 @@ import numpy as np
 from dmptm_ctrl.arguments import refusing
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
-from dmptm_ctrl.simulate.compiled import SUBSTEPS, rest
-from dmptm_ctrl.simulate.dual import start
-from dmptm_ctrl.simulate.law import AnyModel, loop_parts
+from dmptm_ctrl.simulate.any_model import AnyModel, at_rest, loop_parts, speed_read, steps_of
 from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import Floats
-from dmptm_ctrl.simulate.parts import Parts
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import substeps_for
 
 LOST = 1e3  # deg/s, error of a run that left the finite numbers
 GYRO = 0.05 * DEG  # rad/s rms, noise of the speed reading the loop is tuned with
@@ -115,40 +111,12 @@ def error_unit(controller: Controller) -> tuple[str, float]:
     return "deg/s", DEG
 
 
-def steps_of(model: AnyModel, dt: float) -> int:
-    """Return how many steps the simulator takes per sample."""
-    return substeps_for(model.plant(), dt) if isinstance(model, RigModel) else SUBSTEPS
-
-
-def at_rest(model: AnyModel) -> tuple[Floats, Floats]:
-    """Return coordinates and speeds of a drive at rest at angle 0."""
-    plant = model.plant()
-    if isinstance(model, RigModel):
-        return np.zeros(plant.inertia.size), np.zeros(plant.inertia.size)
-    return start(plant, rest(model, 0.0))
-
-
 def missed(model: AnyModel, duty: Duty, reading: Floats, every: int = 1, sensor: int = 1) -> Floats:
     """Return true speed minus setpoint [rad/s] at each sample of a simulated sensor.
 
-    A reading that is late is compared with the setpoint of its time, and one with a wrong gain
-    is put right: a loop is to move the load, not the sensor.
-
-    Parameters
-    ----------
-    model : Model or RigModel
-        That gave the reading.
-    reading : (m,) array [rad/s, or rad of a position sensor]
-        Without noise, one of `every` samples.
-    sensor : int
-        Of the plant; by default the speed of the ring gear.
+    A reading that is late is compared with the setpoint of its time. The `reading` (m,) [rad/s, or
+    rad of a position sensor] is without noise, one of `every` samples.
     """
-    plant = model.plant()
-    parts = Parts(plant)
-    if plant.sensor_speed[sensor]:
-        speed = reading / parts.reading(sensor, 0.0, 1.0, 0.0)
-    else:
-        gain = parts.reading(sensor, 1.0, 0.0, 0.0) - parts.reading(sensor, 0.0, 0.0, 0.0)
-        speed = np.gradient(reading, every * duty.sample_time) / gain
-    then = duty.time[::every] - float(plant.sensor_delay[sensor])
+    speed = speed_read(model, reading, every * duty.sample_time, sensor)
+    then = duty.time[::every] - float(model.plant().sensor_delay[sensor])
     return np.asarray(speed - np.interp(then, duty.time, duty.reference))

@@ -9,7 +9,7 @@ import pandas as pd
 
 from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller
-from dmptm_ctrl.simulate.law import AnyModel, effect_keys
+from dmptm_ctrl.simulate.any_model import AnyModel, effects_of
 from dmptm_ctrl.simulate.model import Floats
 
 QUANTILE = 0.9
@@ -29,7 +29,7 @@ def parts_of(controller: Controller) -> list[str]:
         for name, off in _PARTS.items()
         if any(getattr(controller, key) != value for key, value in off.items())
     ]
-    return [*on, *effect_keys(controller.model)]
+    return [*on, *effects_of(controller.model)]
 
 
 def without_part(controller: Controller, part: str) -> Controller:
@@ -44,12 +44,8 @@ def predicted_parts(
 ) -> pd.DataFrame:
     """Return what each part of a compensation takes off the error, most first.
 
-    A part without which nothing changes is left out.
-
-    Returns
-    -------
-    DataFrame
-        Index: the parts. Columns ``median`` and ``sure``, as in the result of tuning.
+    A part without which nothing changes is left out. Columns are ``median`` and ``sure``, as in
+    the result of tuning.
     """
     errors, _ = tracking(controller, plants, aims, seed=seed, n_jobs=n_jobs)
     found = {}
@@ -68,14 +64,9 @@ def what_pays(
     """Leave out of a compensation what does harm; all of it if the whole does not surely pay.
 
     Harm is a larger error, of that which nine of ten plants stay below; surely is on nine of ten.
-    A part that changes nothing here stays: it is for motions that are not tried.
-
-    Parameters
-    ----------
-    found, without : Controller
-        With all of the compensation, and the one tuned without any.
-    errors : callable
-        Tracking errors of a controller on drawn plants, the same ones each time.
+    A part that changes nothing here stays: it is for motions that are not tried. `found` is with
+    all of the compensation, `without` was tuned without any; `errors` gives the tracking errors
+    of a controller on drawn plants, the same ones each time.
     """
     least = errors(found)
     for part in parts_of(found):

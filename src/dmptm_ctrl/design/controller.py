@@ -18,7 +18,8 @@ from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import write_atomic
 from dmptm_ctrl.signals.numbers import finite_numbers
 from dmptm_ctrl.signals.toml_text import parse_toml
-from dmptm_ctrl.simulate.law import Design, Law, default_loop
+from dmptm_ctrl.simulate.any_model import default_loop
+from dmptm_ctrl.simulate.law import Design, Law
 from dmptm_ctrl.simulate.model_file import input_symbol, model_of, model_text
 from dmptm_ctrl.simulate.rig_model import RigModel
 

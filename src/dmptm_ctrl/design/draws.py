@@ -5,9 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.law import AnyModel, effect_keys, loop_parts
-from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.any_model import (
+    AnyModel,
+    declared_in,
+    effects_of,
+    loop_parts,
+    with_numbers,
+)
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
@@ -41,43 +45,26 @@ def draw_plants(
 def one_plant(model: AnyModel, uncertainty: float, seed: int, index: int) -> Any:
     """Draw plant `index` of the series `seed`."""
     rng = np.random.default_rng([seed, index])
-    names, quantities, own = _numbers(model)
-    contact, paired = _contact(model), _paired(names)
-    values = {}
-    for name in names:
+    quantities, own = declared_in(model)
+    contact, values = _contact(model), {}
+    for name in own:
         u = rng.uniform(-1.0, 1.0)
         if quantities[name].is_free:
             share = CONTACT_SHARE if name in contact and uncertainty > 0.0 else uncertainty
             values[name] = _moved(own[name], quantities[name].range, share * u)
-    for static, coulomb in paired:  # breakaway is not below sliding
+    for static, coulomb in _paired(list(own)):  # breakaway is not below sliding
         if static in values and coulomb in values:
             values[static] = max(values[static], values[coulomb])
 
-    def drawn(amplitudes: tuple[str, ...], parameters: Mapping[str, float]) -> dict[str, float]:
+    def drawn(effect: Any, parameters: Mapping[str, float]) -> dict[str, float]:
         moved = 1.0 + AMPLITUDES * uncertainty * rng.uniform(-1.0, 1.0)
-        return {k: v * moved if k in amplitudes else v for k, v in parameters.items()}
+        return {k: v * moved if k in effect.amplitudes else v for k, v in parameters.items()}
 
-    if isinstance(model, RigModel):
-        placed = tuple(
-            e._replace(values=drawn(PLACED_CATALOGUE[e.name].amplitudes, e.values))
-            for e in model.effects
-        )
-        plant: Any = RigModel(model.rig, placed, {**model.values, **values}, model.zeros)
-    else:
-        found = {n: drawn(CATALOGUE[n].amplitudes, p) for n, p in model.effects.items()}
-        plant = Model(model.drive.with_values(**values), found)
+    plant = with_numbers(model, values, drawn)
     more = hidden_distance(model) * rng.uniform(-0.5, 1.0)
-    if uncertainty > 0.0 and (more > 0.0 or any("presliding" in key for key in effect_keys(model))):
+    if uncertainty > 0.0 and (more > 0.0 or any("presliding" in key for key in effects_of(model))):
         plant = slow_friction(plant, more)
     return plant
-
-
-def _numbers(model: AnyModel) -> tuple[list[str], Mapping[str, Any], dict[str, float]]:
-    """Names, declarations and values of what a model declares."""
-    if isinstance(model, RigModel):
-        known = [k for k in model.quantities if np.isfinite(model.quantities[k].value)]
-        return known, model.quantities, {k: model.value(k) for k in known}
-    return [*model.drive], model.drive.quantities, dict(model.drive)
 
 
 def _contact(model: AnyModel) -> tuple[str, ...]:

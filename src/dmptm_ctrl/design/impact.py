@@ -8,22 +8,34 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.control.shaping import SampledPlant
-from dmptm_ctrl.design.aims import missed
+from dmptm_ctrl.design.aims import error_unit, missed
 from dmptm_ctrl.design.controller import Controller
-from dmptm_ctrl.design.duty import DEG, Duty, usual_duty
-from dmptm_ctrl.design.linear import linear_plant
-from dmptm_ctrl.simulate.batch import simulate_batch
-from dmptm_ctrl.simulate.compiled import close_loop
+from dmptm_ctrl.design.duty import DEG, FASTEST, Duty, usual_duty
+from dmptm_ctrl.design.linear import level, linear_plant, linear_rig
+from dmptm_ctrl.design.rig_aims import rig_aims
+from dmptm_ctrl.simulate.any_model import (
+    AnyModel,
+    at_rest,
+    effects_of,
+    inputs_of,
+    loop_parts,
+    speed_read,
+    steps_of,
+)
+from dmptm_ctrl.simulate.closed import close_loop
 from dmptm_ctrl.simulate.loop_check import check_loop
+from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.rig_model import RigModel, declared_effects
 
-SPEEDS = (3 * DEG, 15 * DEG)  # rad/s, turns about which the loop is linearised
-AMPLITUDES = (2 * DEG, 10 * DEG)  # rad/s, of the sines that measure the bandwidth
-SLOW_STEP = 1 * DEG  # rad/s; sticking shows at slow steps
+# shares of the largest speed, that of the usual duty or of a rig's
+SPEEDS = (0.2, 1.0)  # of turns about which the loop is linearised
+AMPLITUDES = (2.0 / 15.0, 10.0 / 15.0)  # of the sines that measure the bandwidth
+SLOW_STEP = 1.0 / 15.0  # sticking shows at slow steps
+ASKED = 0.05 / 15.0  # a setpoint below asks for no motion
 SWEEP_HZ = np.geomspace(1.0, 80.0, 24)
 SWEEP_S = 2.0  # s per frequency, the second half is measured
 STUCK = 1e-9  # rad/s; friction holds exactly
-ASKED = 0.05 * DEG  # rad/s; a setpoint below asks for no motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +44,11 @@ class Impact:
 
     table: pd.DataFrame  # a row per quantity; columns nominal, augmented, change in %
     duty: Duty
-    speeds: dict[str, Floats]  # of the ring gear along the duty [rad/s]
+    speeds: dict[str, Floats]  # that is controlled, along the duty [rad/s, of a rig SI]
     sweep_hz: Floats
     gains: dict[str, Floats]  # (amplitudes, m) of the closed loop
     effects: tuple[str, ...]
+    unit: tuple[str, float] = ("deg/s", DEG)  # of speeds that are shown, and its size in SI
 
     def plot(self, **options: Any) -> Any:
         """Draw speeds and errors along the duty, and closed-loop gains; see `plots.control`."""
@@ -48,7 +61,7 @@ def impact(
     found: Any,
     controller: Controller,
     *,
-    nominal: Model | None = None,
+    nominal: AnyModel | None = None,
     duty: Duty | None = None,
     theta_L: float = 0.0,
 ) -> Impact:
@@ -56,15 +69,17 @@ def impact(
 
     Parameters
     ----------
-    found : Model or Diagnosis
+    found : Model, RigModel or Diagnosis
         A Diagnosis counts with its `augmented` model.
     controller : Controller
         The same on both drives.
-    nominal : Model, optional
-        The drive without the effects; by default `found` with its effects taken away.
+    nominal : Model or RigModel, optional
+        The drive without the effects; by default `found` with its effects taken away, but for
+        those that a rig file declares.
     duty : Duty, optional
+        By default the usual one; of a rig that of :func:`~dmptm_ctrl.design.rig_aims.rig_aims`.
     theta_L : float
-        Angle to start from [rad].
+        Angle to start from [rad]; a rig starts at 0.
 
     Returns
     -------
@@ -75,89 +90,115 @@ def impact(
     ValueError
         A model without effects and no `nominal` to compare with.
     TypeError
-        Of a drive of another shape.
+        Another kind of model.
 
     Examples
     --------
     >>> model = dm.Model().with_effect("unbalance", cosine=8.0, sine=0.0)
     >>> print(dm.impact(model, dm.Controller(5.0, 90.0, preload=0.3)).table)
     """
-    augmented: Model = getattr(found, "augmented", found)
-    if not isinstance(augmented, Model):
-        raise TypeError("impact takes a Model, or the Diagnosis of a dual-motor drive")
+    augmented: Any = getattr(found, "augmented", found)
+    if not isinstance(augmented, Model | RigModel):
+        raise TypeError("impact takes a Model, a RigModel or a Diagnosis first")
+    rig = augmented.rig if isinstance(augmented, RigModel) else None
+    known = {e.key for e in declared_effects(rig)} if rig else ()
+    effects = [key for key in effects_of(augmented) if key not in known]
     if nominal is None:
-        if not augmented.effects:
+        if not effects:
             raise ValueError("the model has no effects; give the nominal one to compare it with")
-        nominal = augmented.without(augmented.effects)
-    duty = duty or usual_duty(controller.sample_time)
+        nominal = augmented.without(effects)
+    dt, parts = controller.sample_time, (controller.input, controller.sensor)
+    if duty is None and isinstance(augmented, RigModel):
+        duty = rig_aims(augmented, *parts, limit=controller.limit, sample_time=dt).duty
+    duty = duty or usual_duty(dt)
+    unit, size = error_unit(controller)
+    top = FASTEST if rig is None else float(np.abs(duty.reference).max())
     columns, speeds, gains = {}, {}, {}
     for name, model in (("nominal", nominal), ("augmented", augmented)):
-        columns[name], speeds[name] = _along(model, controller, duty, theta_L)
-        gains[name] = swept_gains(model, controller)
+        columns[name], speeds[name] = _along(model, controller, duty, theta_L, top)
+        gains[name] = swept_gains(model, controller, top)
         for amplitude, row in zip(AMPLITUDES, gains[name], strict=True):
-            key = f"bandwidth at {amplitude / DEG:g} deg/s, Hz"
+            key = f"bandwidth at {amplitude * top / size:g} {unit}, Hz"
             columns[name][key] = _falls(SWEEP_HZ, row)
     table = pd.DataFrame(columns)
     table["change_percent"] = 100.0 * (table["augmented"] / table["nominal"] - 1.0)
-    return Impact(table, duty, speeds, SWEEP_HZ, gains, tuple(augmented.effects))
+    return Impact(table, duty, speeds, SWEEP_HZ, gains, tuple(effects), (unit, size))
 
 
 def _along(
-    model: Model, controller: Controller, duty: Duty, theta_L: float
+    model: AnyModel, controller: Controller, duty: Duty, theta_L: float, top: float
 ) -> tuple[dict[str, float], Floats]:
     """Rows of the table, and the speed along the duty."""
     rows: dict[str, float] = {}
-    for speed in SPEEDS:
+    (unit, size), (volt, _) = error_unit(controller), controller.units
+    for share in (None,) if isinstance(model, RigModel) else SPEEDS:
+        speed = top * (share or 0.0)
+        at = f" at {speed / size:g} {unit}" if share else ""
         phase, gain, crossover = margins(model, controller, speed, theta_L)
-        at = f"at {speed / DEG:g} deg/s"
-        rows[f"crossover {at}, Hz"] = crossover
-        rows[f"phase margin {at}, deg"] = phase
-        rows[f"gain margin {at}, dB"] = gain
-    law = controller.law()
-    u, out = close_loop(model, law, duty.reference, duty.sample_time, theta_L=theta_L)
+        rows[f"crossover{at}, Hz"] = crossover
+        rows[f"phase margin{at}, deg"] = phase
+        rows[f"gain margin{at}, dB"] = gain
+    run = close_loop(model, controller, duty.time, duty.reference, theta_L=theta_L)
+    inputs, sensor = loop_parts(model, controller.input, controller.sensor)
+    u = run.outputs[-len(inputs_of(model)) :][list(inputs)]
     judged = slice(round(duty.settling / duty.sample_time), None)
-    omega, ref = out[judged, 1], duty.reference[judged]
-    miss = missed(model, duty, out[:, 1])[judged] / DEG
-    rows["tracking error rms, deg/s"] = float(np.sqrt(np.mean(miss**2)))
-    rows["tracking error max, deg/s"] = float(np.abs(miss).max())
-    reversals = max(int(np.sum(np.diff(np.sign(ref[np.abs(ref) > ASKED])) != 0)), 1)
-    stuck = np.sum((np.abs(omega) < STUCK) & (np.abs(ref) > ASKED))
+    speeds = speed_read(model, run.outputs[sensor], duty.sample_time, sensor)
+    omega, ref, asked = speeds[judged], duty.reference[judged], ASKED * top
+    miss = missed(model, duty, run.outputs[sensor], sensor=sensor)[judged] / size
+    rows[f"tracking error rms, {unit}"] = float(np.sqrt(np.mean(miss**2)))
+    rows[f"tracking error max, {unit}"] = float(np.abs(miss).max())
+    reversals = max(int(np.sum(np.diff(np.sign(ref[np.abs(ref) > asked])) != 0)), 1)
+    stuck = np.sum((np.abs(omega) < STUCK) & (np.abs(ref) > asked))
     rows["sticking per reversal, ms"] = 1e3 * float(stuck) * duty.sample_time / reversals
-    rows["voltage rms, V"] = float(np.sqrt(np.mean(u[:, judged] ** 2)))
-    step = check_loop(model, law, SLOW_STEP, sample_time=duty.sample_time)  # type: ignore[arg-type]
-    rows[f"limit cycle at {SLOW_STEP / DEG:g} deg/s, deg/s"] = step.limit_cycle_amplitude / DEG
-    return rows, out[:, 1]
+    rows[f"{'voltage' if volt == 'V' else 'signal'} rms, {volt}"] = float(
+        np.sqrt(np.mean(u[:, judged] ** 2))
+    )
+    step = check_loop(model, controller, SLOW_STEP * top, sample_time=duty.sample_time)
+    cycle = f"limit cycle at {SLOW_STEP * top / size:g} {unit}, {unit}"
+    rows[cycle] = step.limit_cycle_amplitude / size
+    return rows, speeds
 
 
 def margins(
-    model: Model, controller: Controller, speed: float, theta_L: float = 0.0
+    model: AnyModel, controller: Controller, speed: float, theta_L: float = 0.0
 ) -> tuple[float, float, float]:
     """Return phase margin [deg], gain margin [dB] and crossover [Hz] about a steady turn.
 
-    Of the sampled loop with all its sections, by python-control on the frequency response.
+    Of a rig in contact, at any speed. Of the sampled loop with all its sections, by
+    python-control on the frequency response.
     """
-    plant = linear_plant(model, speed=speed, theta_L=theta_L)
-    sampled = SampledPlant(plant, controller.sample_time)
+    dt = controller.sample_time
+    if isinstance(model, RigModel):
+        plant = linear_rig(level(model), controller.input, controller.sensor, dt)
+    else:
+        plant = linear_plant(model, speed=speed, theta_L=theta_L)
+    sampled = SampledPlant(plant, dt)
     loop = controller.to_discrete()(sampled.shift) * sampled.response
     gain, phase, _, _, crossover, _ = ct.stability_margins(ct.frd(loop, sampled.omega))
     return float(phase), 20.0 * float(np.log10(gain)), float(crossover) / (2.0 * np.pi)
 
 
-def swept_gains(model: Model, controller: Controller) -> Floats:
+def swept_gains(model: AnyModel, controller: Controller, top: float = FASTEST) -> Floats:
     """Return closed-loop gains of the nonlinear drive, (amplitudes, frequencies).
 
-    First harmonic of the speed over that of a sine setpoint, one run each.
+    First harmonic of the speed over that of a sine setpoint, one run each; amplitudes are shares
+    of the `top` speed [rad/s].
     """
     dt = controller.sample_time
     time = np.arange(round(SWEEP_S / dt)) * dt
     half = time >= 0.5 * SWEEP_S
     waves = np.exp(2j * np.pi * SWEEP_HZ[:, None] * time)
-    targets = np.concatenate([a * waves.imag for a in AMPLITUDES])
-    runs = simulate_batch(
-        [model] * len(targets), time, targets, loop=controller.law(), outputs=["omega_L"], n_jobs=1
-    )
+    targets = np.concatenate([a * top * waves.imag for a in AMPLITUDES])
+    sensor = loop_parts(model, controller.input, controller.sensor)[1]
+    common = Common(
+        dt, steps_of(model, dt), time.size, np.zeros((1, len(inputs_of(model)), 0)), targets,
+        np.zeros((0, 0)), (f"reading{sensor}",),
+    )  # fmt: skip
+    count, law = len(targets), controller.law()
+    runs, _ = run_many([model] * count, [at_rest(model)] * count, common, [law] * count)
     gains = []
-    for k, (target, speed) in enumerate(zip(targets, runs.outputs[:, 0], strict=True)):
+    for k, (target, (reading,)) in enumerate(zip(targets, runs, strict=True)):
+        speed = speed_read(model, reading, dt, sensor)
         wave = waves[k % SWEEP_HZ.size]
         basis = np.column_stack([wave.real[half], wave.imag[half], np.ones(half.sum())])
         fits = np.linalg.lstsq(basis, np.column_stack([target[half], speed[half]]), rcond=None)[0]

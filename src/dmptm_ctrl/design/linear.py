@@ -4,11 +4,9 @@ from typing import Any
 
 import control as ct
 
-from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.law import AnyModel, default_loop
+from dmptm_ctrl.simulate.any_model import AnyModel, default_loop, effects_of
 from dmptm_ctrl.simulate.linear import linearize, turning
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 PRELOADS = (0.3, 0.5, 0.8, 1.2)  # V; the least of them that keeps the meshes closed
@@ -48,8 +46,5 @@ def level(model: AnyModel) -> Any:
     Linearised at one place such torques are a spring, or push away: no plant whose speed an
     integrator can hold. Over a turn they are a disturbance.
     """
-    if isinstance(model, RigModel):
-        every = {e.key: PLACED_CATALOGUE[e.name].effect for e in model.effects}
-    else:
-        every = {name: CATALOGUE[name] for name in model.effects}
-    return model.without([k for k, e in every.items() if any("theta" in x for x in e.depends_on)])
+    acts: Any = {k: getattr(e, "effect", e) for k, e in effects_of(model).items()}
+    return model.without([k for k, e in acts.items() if any("theta" in x for x in e.depends_on)])

@@ -14,7 +14,7 @@ from dmptm_ctrl.design.aims import Aims, tracking
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.draws import DECLARED, one_plant
 from dmptm_ctrl.parallel import each
-from dmptm_ctrl.simulate.law import AnyModel
+from dmptm_ctrl.simulate.any_model import AnyModel
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.model_file import model_text
 

@@ -4,7 +4,8 @@ import numpy as np
 
 from dmptm_ctrl.design.aims import HIGHEST_HZ, Aims
 from dmptm_ctrl.design.duty import usual_duty
-from dmptm_ctrl.simulate.law import FAR, default_loop
+from dmptm_ctrl.simulate.any_model import default_loop
+from dmptm_ctrl.simulate.law import FAR
 from dmptm_ctrl.simulate.plant import link_matrices, untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
 
@@ -23,23 +24,12 @@ def rig_aims(
     speed: float | None = None,
     sample_time: float = 1e-3,
 ) -> Aims:
-    """Return aims for one input and one sensor of a rig.
+    """Return aims for one input and one sensor of a rig, by default those of its loop.
 
-    Parameters
-    ----------
-    input, sensor : str
-        See :func:`~dmptm_ctrl.simulate.law.default_loop`.
-    limit : float, optional
-        Of the input [SI]; by default the rig file's.
-    speed : float, optional
-        Largest setpoint of the sensor's speed [SI]; by default one at which the duty's
-        acceleration takes :data:`SHARE` of the limit, and viscous friction no more.
-    sample_time : float [s]
-
-    Raises
-    ------
-    ValueError
-        No limit; an input that drives the sensor backwards.
+    The `limit` of the input [SI] is by default the rig file's. `speed` is the largest setpoint of
+    the sensor's speed [SI]; by default one at which the duty's acceleration takes :data:`SHARE` of
+    the limit, and viscous friction no more. ValueError without a limit, and for an input that
+    drives the sensor backwards.
     """
     source, seen = default_loop(model.rig, input, sensor)
     plant, layout = model.plant(), model.layout

@@ -25,10 +25,9 @@ from dmptm_ctrl.design.draws import DECLARED, draw_plants, hidden_distance
 from dmptm_ctrl.design.linear import DERIVATIVE, level, linear_plant, linear_rig
 from dmptm_ctrl.design.preload import smallest_preload
 from dmptm_ctrl.design.rig_aims import rig_aims
-from dmptm_ctrl.simulate.law import AnyModel, effect_keys, loop_parts
+from dmptm_ctrl.simulate.any_model import AnyModel, effects_of, loop_parts
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
-from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 SEARCHED = 16  # plants in the search; the result is judged on many more
@@ -50,32 +49,21 @@ _EVALUATIONS = 32
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """A controller and how it was found.
-
-    Attributes
-    ----------
-    linear : PiTuning
-        The start.
-    reference : LinearReference or None
-        What no linear controller beats on the drive without torques that depend on an angle;
-        None where the synthesis has no answer.
-    stages : list of dict
-        Error over the drawn plants after each stage: stage, rmse_median, rmse_quantile,
-        rmse_worst [deg/s], voltage_max [V], controller, errors. Of a rig all are in SI units of
-        its sensor and its input.
-    errors : (plants,) array [deg/s]
-        RMS tracking error of the controller on every plant drawn.
-    parts : DataFrame
-        What each part of the compensation takes off the error, alone: ``median``, and ``sure``,
-        which nine of ten drawn plants reach. Shares of the error without the part.
-    """
+    """A controller and how it was found."""
 
     controller: Controller
-    linear: PiTuning
+    linear: PiTuning  # the start
+    # what no linear controller beats on the drive without torques that depend on an angle; None
+    # where the synthesis has no answer
     reference: LinearReference | None
+    # Error over the drawn plants after each stage: stage, rmse_median, rmse_quantile, rmse_worst
+    # [deg/s], voltage_max [V], controller, errors. Of a rig all are in SI units of its sensor and
+    # its input.
     stages: list[dict[str, Any]]
-    errors: Floats
+    errors: Floats  # (plants,) deg/s, RMS tracking error on every plant drawn
     aims: Aims
+    # What each part of the compensation takes off the error, alone, as shares of the error without
+    # it: ``median``, and ``sure``, which nine of ten drawn plants reach.
     parts: pd.DataFrame
 
     @property
@@ -283,12 +271,11 @@ def repeatable(model: AnyModel) -> Any:
 
     Of a rig without a position sensor also without what depends on an angle.
     """
-    model = model.without([k for k in effect_keys(model) if k.startswith("base_vibration")])
+    model = model.without([k for k, e in effects_of(model).items() if e.name == "base_vibration"])
     if isinstance(model, RigModel) and all(s.measures == "speed" for s in model.rig.sensors):
-        at_bodies = ("motor", "load", "friction")
-        sites = {e.key: PLACED_CATALOGUE[e.name].site for e in model.effects}
-        kept = effect_keys(level(model))
-        model = model.without([k for k, s in sites.items() if s in at_bodies and k not in kept])
+        at_bodies, kept = ("motor", "load", "friction"), effects_of(level(model))
+        own = effects_of(model).items()
+        model = model.without([k for k, e in own if e.site in at_bodies and k not in kept])
     return model
 
 
@@ -306,11 +293,8 @@ class _Search:
     def stages(self) -> list[tuple[str, Controller]]:
         """Return name and controller of each stage."""
         forward = feed_forward_start(self.model, self.start, self.aims, *self.parts)
-        bare = (
-            self.model.without(effect_keys(self.model))
-            if isinstance(self.model, RigModel)
-            else Model()
-        )
+        two_motors = isinstance(self.model, Model)
+        bare = Model() if two_motors else self.model.without(effects_of(self.model))
         plain = Controller(
             self.start.kp, self.start.ki, limit=self.aims.limit, model=bare,
             sample_time=self.aims.duty.sample_time, input=self.parts[0], sensor=self.parts[1],
@@ -330,7 +314,6 @@ class _Search:
             ("both", forward),
             ("optimised", what_pays(self.optimised(forward), without, errors)),
         ]
-        two_motors = isinstance(self.model, Model)
         return [s for s in stages if two_motors or s[0] not in ("PI with preload", "both")]
 
     def optimised(self, begin: Controller) -> Controller:

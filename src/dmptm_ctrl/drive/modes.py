@@ -25,26 +25,15 @@ PARITY = 0.99  # |⟨v, swap v⟩| of a mode that is (anti)symmetric in left and
 
 @dataclass(frozen=True)
 class Modes:
-    """Undamped modes of a gear train, lowest first.
-
-    Attributes
-    ----------
-    train : GearTrain
-    omega : (n,) array [rad/s]
-    shapes : (n, n) array [rad]
-        Columns, scaled to vᵀ M v = 1 kg·m².
-    kinds : tuple of str
-        "rigid", "antisymmetric" (left against right, ring still), "symmetric" (left with
-        right), "mixed" where the two chains differ; "elastic" where there are no two.
-    damping_ratios : (n,) array
-        ζ of the damped modes, nearest in frequency; 0 for the rigid one.
-    """
+    """Undamped modes of a gear train, lowest first."""
 
     train: GearTrain
-    omega: Floats
-    shapes: Floats
+    omega: Floats  # (n,) rad/s
+    shapes: Floats  # (n, n) rad, columns, scaled to vᵀ M v = 1 kg·m²
+    # "rigid", "antisymmetric" (left against right, ring still), "symmetric" (left with right),
+    # "mixed" where the two chains differ; "elastic" where there are no two
     kinds: tuple[str, ...]
-    damping_ratios: Floats
+    damping_ratios: Floats  # (n,) ζ of the damped modes, nearest in frequency; 0 of the rigid one
 
     @property
     def hz(self) -> Floats:

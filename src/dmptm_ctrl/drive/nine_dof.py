@@ -147,7 +147,6 @@ def nine_dof_train(drive: Drive | None = None, **overrides: float) -> GearTrain:
         joints=tuple(joints),
         drives=np.column_stack([unit["ml"], unit["mr"]]),
         torque_per_volt=drive["K_d"] * drive["K_M"],
-        readouts={},
     )
 
 

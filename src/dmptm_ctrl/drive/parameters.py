@@ -36,25 +36,13 @@ def positive(**values: float) -> None:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A declared number: value, unit, how far the truth may be from it, and who says so.
+    """A declared number: value, unit, how far the truth may be from it, and who says so."""
 
-    Attributes
-    ----------
-    value : float
-        In the SI unit of `unit`.
-    unit : str
-    tolerance : float
-        Relative half-width of the declared range; 0 is exact.
-    source : str
-    low, high : float or None
-        Absolute range, in place of a relative tolerance.
-    """
-
-    value: float
+    value: float  # in `unit`, which is of the SI
     unit: str
-    tolerance: float
+    tolerance: float  # relative half-width of the declared range; 0 is exact
     source: str
-    low: float | None = None
+    low: float | None = None  # absolute range, in place of a relative tolerance
     high: float | None = None
 
     def __str__(self) -> str:

@@ -42,21 +42,13 @@ DECLARES = {  # effect: keys of a body's friction, any of which declares it
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body with one coordinate, an angle [rad] or a position [m].
-
-    Attributes
-    ----------
-    inertia : Quantity
-        kg·m² for a rotary body, kg for a linear one.
-    friction : mapping
-        Declared friction: static, coulomb, stribeck_speed, viscous, each for both directions
-        or as _plus and _minus, and stribeck_exponent. Magnitudes; what is not there is not
-        declared.
-    """
+    """A rigid body with one coordinate, an angle [rad] or a position [m]."""
 
     name: str
-    inertia: Quantity
+    inertia: Quantity  # kg·m² of a rotary body, kg of a linear one
     linear: bool = False
+    # static, coulomb, stribeck_speed, viscous, each for both directions or as _plus and _minus, and
+    # stribeck_exponent; magnitudes; what is not there is not declared
     friction: Mapping[str, Quantity] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -80,28 +72,19 @@ CONTACTS = ("eq21", "two_state", "impact")  # paper Eq. 21, its original, Hunt a
 
 @dataclass(frozen=True)
 class Link:
-    """A shaft or mesh between two bodies: twist z = q_first − ratio · q_second.
-
-    Attributes
-    ----------
-    stiffness : Quantity or None
-        At the first body; None is rigid.
-    half_gap : Quantity or None
-        Half of the backlash, at the first body; None is a shaft without gap.
-    contact : str
-        Law of a link with a gap, of :data:`CONTACTS`. With "impact" the damping is that of
-        Hunt and Crossley, in s per unit of depth.
-    """
+    """A shaft or mesh between two bodies: twist z = q_first − ratio · q_second."""
 
     name: str
     first: str
     second: str
     ratio: Quantity
-    stiffness: Quantity | None = None
+    stiffness: Quantity | None = None  # at the first body; None is rigid
     damping: Quantity | None = None
-    half_gap: Quantity | None = None
+    half_gap: Quantity | None = None  # of the backlash, at the first body; None: without gap
     gap_damping: Quantity | None = None
     mesh: bool = False
+    # Law of a link with a gap, of :data:`CONTACTS`. With "impact" the damping is that of Hunt and
+    # Crossley, in s per unit of depth.
     contact: str = "eq21"
 
     def __str__(self) -> str:
@@ -123,37 +106,20 @@ class Link:
 
 @dataclass(frozen=True)
 class Input:
-    """A motor or force on one body; torque = gain · signal.
-
-    Attributes
-    ----------
-    column : str
-        In the logs.
-    unit : str
-        Of the column.
-    sign : float
-        Factor on the column, as −1 where it counts the other way.
-    gain : Quantity
-        Torque or force on the body per SI unit of the signal; unknown: the torque is
-        then counted in the signal's unit.
-    back_emf : float
-        N·m·s/rad that a voltage-driven motor adds to viscous friction, k²/R.
-    delay, time_constant : Quantity or None
-        Declared dead time and first-order lag [s].
-    factors : mapping
-        What the gain is the product of (amplifier, torque_constant, …).
-    """
+    """A motor or force on one body; torque = gain · signal."""
 
     name: str
-    column: str
-    unit: str
+    column: str  # in the logs
+    unit: str  # of the column
     body: str
+    # torque or force per SI unit of the signal; unknown: counted in the signal's unit
     gain: Quantity
-    sign: float = 1.0
-    back_emf: float = 0.0
-    delay: Quantity | None = None
-    time_constant: Quantity | None = None
+    sign: float = 1.0  # factor on the column, as −1 where it counts the other way
+    back_emf: float = 0.0  # N·m·s/rad that a voltage-driven motor adds to viscous friction, k²/R
+    delay: Quantity | None = None  # dead time [s]
+    time_constant: Quantity | None = None  # of a first-order lag [s]
     limit: Quantity | None = None
+    # what the gain is the product of (amplifier, torque_constant, …)
     factors: Mapping[str, Quantity] = field(default_factory=dict)
 
     @property
@@ -164,26 +130,17 @@ class Input:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A measured position or speed of one body.
-
-    Attributes
-    ----------
-    measures : {"position", "speed"}
-    resolution, noise : Quantity or None
-        Step of the reading and rms of its noise, SI.
-    absolute : bool
-        The reading's zero is the same in every log; an incremental encoder's is not.
-    """
+    """A measured position or speed of one body."""
 
     name: str
     column: str
     unit: str
     body: str
-    measures: str
+    measures: str  # "position" or "speed"
     sign: float = 1.0
-    resolution: Quantity | None = None
-    noise: Quantity | None = None
-    absolute: bool = False
+    resolution: Quantity | None = None  # step of the reading, SI
+    noise: Quantity | None = None  # rms, SI
+    absolute: bool = False  # zero is the same in every log; an incremental encoder's is not
 
     @property
     def channel(self) -> str:
@@ -193,23 +150,14 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Controller:
-    """The loop that ran while the logs were taken, sampled at the logs' rate.
+    """The loop that ran while the logs were taken, sampled at the logs' rate."""
 
-    Attributes
-    ----------
-    kind : {"pi_speed", "cascade"}
-        pi_speed: u = kp e + ki ∫e of the speed; cascade: u = kp kv (r − q) − kv ω.
-    gains : mapping
-        kp, ki, kv in SI.
-    reference : str
-        Column of the set point.
-    """
-
+    # "pi_speed": u = kp e + ki ∫e of the speed; "cascade": u = kp kv (r − q) − kv ω
     kind: str
     input: str
     sensor: str
-    gains: Mapping[str, float]
-    reference: str
+    gains: Mapping[str, float]  # kp, ki, kv in SI
+    reference: str  # column of the set point
     reference_unit: str
     limit: float = inf
 
@@ -233,30 +181,17 @@ def _of_log(values: Mapping[str, float], name: str) -> float | None:
 
 @dataclass(frozen=True)
 class DataSpec:
-    """How logs come in.
+    """How logs come in."""
 
-    Attributes
-    ----------
-    time : (column, unit) or None
-        None: ``time_s``. Without a unit that of the file, else seconds.
-    sample_time : float or None
-        Of logs without a time column [s].
-    fit, held_out : tuple of str
-        Patterns of log names; empty leaves the choice to the diagnosis.
-    start, stop : mapping of pattern to float
-        Part of the logs that is used [s].
-    text : TextFormat
-        Layout of text files.
-    """
-
+    # column and unit; None: ``time_s``; without a unit that of the file, else seconds
     time: tuple[str, str] | None = None
-    sample_time: float | None = None
-    fit: tuple[str, ...] = ()
+    sample_time: float | None = None  # of logs without a time column [s]
+    fit: tuple[str, ...] = ()  # patterns of log names; empty leaves the choice to the diagnosis
     held_out: tuple[str, ...] = ()
     ignore: tuple[str, ...] = ()
-    start: Mapping[str, float] = field(default_factory=dict)
+    start: Mapping[str, float] = field(default_factory=dict)  # by pattern: part that is used [s]
     stop: Mapping[str, float] = field(default_factory=dict)
-    text: TextFormat = field(default_factory=TextFormat)
+    text: TextFormat = field(default_factory=TextFormat)  # layout of text files
 
     def window(self, name: str) -> tuple[float | None, float | None]:
         """Part of a log that is used [s], from its first sample; None: its end."""
@@ -381,29 +316,13 @@ class Rig:
     def read(
         self, sources: Any, *, max_rows: int | None = None, told: list[str] | None = None
     ) -> tuple[Log, ...]:
-        """Load logs of this rig.
+        """Load logs of this rig: channels ``in_NAME`` and ``out_NAME``, SI, in order of names.
 
-        Parameters
-        ----------
-        sources : path, or several paths, DataFrames or Logs
-            A folder stands for all logs in it, but those under ``[data] ignore``; files that
-            are no logs are left out. Logs that have the rig's channels already are taken as
-            they are.
-        max_rows : int, optional
-            Rows of a file after this many are not read, with a warning.
-        told : list of str, optional
-            Gets a sentence about each file that was left out.
-
-        Returns
-        -------
-        tuple of Log
-            Channels ``in_NAME`` and ``out_NAME`` of the inputs and sensors, SI, in order of
-            the logs' names.
-
-        Raises
-        ------
-        LogError
-            As `load_log`; no log, or two of one name.
+        `sources` are paths, DataFrames or Logs. A folder stands for all logs in it, but those
+        under ``[data] ignore``; files that are no logs are left out, and `told` gets a sentence
+        about each. Logs that have the rig's channels already are taken as they are. Rows of a
+        file after `max_rows` are not read, with a warning. LogError as of `load_log`, and for no
+        log, or two of one name.
         """
         loaded, left_out = gather(
             sources, lambda s, **o: self.load(s, max_rows=max_rows, **o), self.ignores

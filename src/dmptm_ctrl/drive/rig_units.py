@@ -33,13 +33,7 @@ class UnitError(ValueError):
 
 
 def factor(unit: str, si: str) -> float:
-    """Number that turns a value in `unit` into `si`.
-
-    Raises
-    ------
-    UnitError
-        Not a unit, or of another quantity.
-    """
+    """Number that turns a value in `unit` into `si`; UnitError where there is none."""
     try:
         given = one_of(unit)
     except ValueError as error:
@@ -52,23 +46,11 @@ def factor(unit: str, si: str) -> float:
 
 
 def quantity(raw: Any, si: str, *, exact: bool = False, positive: bool = True) -> Quantity:
-    """Read a declared number.
+    """Read a declared number in the unit `si`; UnitError where it cannot be read.
 
-    Parameters
-    ----------
-    raw : str, number or dict
-        ``"2.1e-4 kg m^2 ± 10 %"``, ``"3 N m/rad"``, ``"unknown"``, a number in SI, or
-        ``{value = 3, unit = "…", tolerance = "10 %", range = [1, 10], source = "…"}``.
-    si : str
-        Unit of the result.
-    exact : bool
-        Tolerance of a value that states none: zero instead of 30 %.
-    positive : bool
-        Refuse negative values.
-
-    Raises
-    ------
-    UnitError
+    It is ``"2.1e-4 kg m^2 ± 10 %"``, ``"3 N m/rad"``, ``"unknown"``, a number in SI, or
+    ``{value = 3, unit = "…", tolerance = "10 %", range = [1, 10], source = "…"}``. With `exact` a
+    value that states no tolerance has none, instead of 30 %; `positive` refuses negative values.
     """
     if isinstance(raw, dict):
         return _from_table(raw, si, exact=exact, positive=positive)
@@ -92,13 +74,7 @@ def quantity(raw: Any, si: str, *, exact: bool = False, positive: bool = True) -
 
 
 def counts(raw: Any, si: str) -> float | None:
-    """Size of one count [rad or m] from "8192 counts/rev" or "50 counts/mm"; else None.
-
-    Raises
-    ------
-    UnitError
-        Counts per something else than an angle or a length.
-    """
+    """Size of one count [rad or m] from "8192 counts/rev" or "50 counts/mm"; else None."""
     match = _PER_TURN.match(raw) if isinstance(raw, str) else None
     if match is None:
         return None

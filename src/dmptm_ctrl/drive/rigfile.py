@@ -21,8 +21,7 @@ from dmptm_ctrl.drive.rig import (
     is_known,
     unknown,
 )
-from dmptm_ctrl.drive.rig_data import DataReader
-from dmptm_ctrl.drive.rig_tables import RigError, suffix_unit
+from dmptm_ctrl.drive.rig_tables import RigError, TableReader, suffix_unit
 from dmptm_ctrl.drive.rig_units import UnitError, counted_per, counts, factor
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.toml_text import parse_toml
@@ -95,7 +94,7 @@ def parse_rig(text: str, source: str = "rig.toml") -> Rig:
     return _Reader(text, source).rig(raw)
 
 
-class _Reader(DataReader):
+class _Reader(TableReader):
     """What each table of a rig stands for."""
 
     def rig(self, raw: dict[str, Any]) -> Rig:

@@ -22,78 +22,39 @@ INPUTS = {"voltage": ("u_left", "u_right"), "torque": ("T_left", "T_right")}
 
 
 class Joint(NamedTuple):
-    """A shaft or a mesh.
+    """A shaft or a mesh."""
 
-    Attributes
-    ----------
-    name : str
-        Of its torque as an output.
-    row : (n,) array
-        b; the twist bᵀq is an angle [rad], or a length [m] for a mesh given by radii.
-    stiffness, damping : float
-        Per unit of twist: N·m/rad and N·m·s/rad, or N/m and N·s/m.
-    lever : float
-        Torque reported per unit of joint force: 1, or the radius [m] at the reported body.
-    """
-
-    name: str
-    row: Floats
-    stiffness: float
+    name: str  # of its torque as an output
+    row: Floats  # b, (n,); the twist bᵀq is an angle [rad], or a length [m] for a mesh of radii
+    stiffness: float  # per unit of twist: N·m/rad or N/m
     damping: float
-    lever: float = 1.0
+    lever: float = 1.0  # torque reported per joint force: 1, or the radius [m] at the body
 
 
 @dataclass(frozen=True)
 class GearTrain:
     """Bodies, joints and motors of a linear drive.
 
-    Attributes
-    ----------
-    name : str
-    bodies : tuple of str
-        Names of the n coordinates.
-    inertia, viscous : (n,) arrays [kg·m²], [N·m·s/rad]
-    joints : tuple of Joint
-    drives : (n, m) array
-        Torque on each body per N·m of the motors, or unit of signal.
-    torque_per_volt : float [N·m/V]
-        K_d K_M, Eq. 3.
-    readouts : mapping of str to (n,) array
-        Angles that are no coordinate, such as the motors of a rigid reducer.
-    ground : (n,) array [N·m/rad]
-        Stiffness that holds each coordinate itself.
-    lags : (m,) array [s]
-        Time constant of each motor; 0 is none.
-    labels : tuple of str
-        Names of the inputs; by default those of two motors.
-    motion : tuple of str
-        What names of angles and of speeds begin with.
-    sensors : mapping of str to (str, (n,) array)
-        Outputs of other names: which of `motion` they are, and of which turn.
-    base : int
-        The coordinate whose angle is that of the whole train.
-
-    Raises
-    ------
-    ValueError
-        An inertia that is not positive, a stiffness or damping that is negative, a number that
-        is not finite.
+    ValueError for an inertia that is not positive, a stiffness or damping that is negative, a
+    number that is not finite.
     """
 
     name: str
-    bodies: tuple[str, ...]
-    inertia: Floats
-    viscous: Floats
+    bodies: tuple[str, ...]  # names of the n coordinates
+    inertia: Floats  # (n,) kg·m²
+    viscous: Floats  # (n,) N·m·s/rad
     joints: tuple[Joint, ...]
-    drives: Floats
-    torque_per_volt: float
-    readouts: dict[str, Floats]
-    ground: Floats | float = 0.0
-    lags: Floats | float = 0.0
-    labels: tuple[str, ...] = ()
-    motion: tuple[str, str] = ("theta", "omega")
+    drives: Floats  # (n, m), torque on each body per N·m of the motors, or unit of signal
+    torque_per_volt: float  # N·m/V, K_d K_M, Eq. 3
+    # (n,) each, angles that are no coordinate, such as the motors of a rigid reducer
+    readouts: dict[str, Floats] = field(default_factory=dict)
+    ground: Floats | float = 0.0  # (n,) N·m/rad, stiffness that holds each coordinate itself
+    lags: Floats | float = 0.0  # (m,) s, of each motor; 0 is none
+    labels: tuple[str, ...] = ()  # of the inputs; by default those of two motors
+    motion: tuple[str, str] = ("theta", "omega")  # what names of angles and of speeds begin with
+    # outputs of other names: which of `motion` they are, and of which turn, (n,)
     sensors: Mapping[str, tuple[str, Floats]] = field(default_factory=dict)
-    base: int = -1
+    base: int = -1  # the coordinate whose angle is that of the whole train
 
     def __post_init__(self) -> None:
         for body, inertia, viscous in zip(self.bodies, self.inertia, self.viscous, strict=True):
@@ -137,24 +98,14 @@ class GearTrain:
     ) -> ct.StateSpace:
         """Return the train as a state-space system.
 
-        Parameters
-        ----------
-        inputs : {"voltage", "torque"}
-            Motor voltages [V] or torques at the motor shafts [N·m], left and right.
-        outputs : sequence of str
-            Of :attr:`outputs`: angles [rad], speeds [rad/s], joint torques [N·m].
-        states : {"twists", "angles"}
-            The angle of the base only where an output is an angle, joint twists, speeds; or
-            all angles and speeds. A twist is counted as the torque [N·m] (force [N] at a mesh
-            of radii) that its spring makes of it. Without that angle, which no speed or torque
-            depends on, ``dcgain``, ``margin`` and ``bandwidth`` are right as they come. A train
-            that something holds has its angles in any case.
-
-        Raises
-        ------
-        ValueError
-            An input kind, output or state kind that does not exist; twists of joints that are
-            not one less than the bodies.
+        Inputs are motor "voltage" [V] or "torque" at the motor shafts [N·m]. Outputs are angles
+        [rad], speeds [rad/s], joint torques [N·m], see :attr:`outputs`. States are "twists", with
+        speeds, and the angle of the base only where an output is an angle; or all "angles" and
+        speeds. A twist is counted as the torque [N·m] (force [N] at a mesh of radii) that its
+        spring makes of it. Without that angle, which no speed or torque depends on, ``dcgain``,
+        ``margin`` and ``bandwidth`` are right as they come. A train that something
+        holds has its angles in any case. ValueError for a kind or output that does not exist, and
+        for twists of joints that are not one less than the bodies.
         """
         a, b, c = self.matrices(inputs=inputs, outputs=outputs, states=states)
         names = self._positions(outputs, states)[3]

@@ -12,6 +12,7 @@ from dmptm_ctrl.export.program import Array, Assign, If, Item, Name, Port, Progr
 from dmptm_ctrl.export.stepping import counter, finished, origin, word
 from dmptm_ctrl.export.tracer import Tracer
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.simulate.any_model import inputs_of
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.rig_model import RigModel
@@ -79,7 +80,7 @@ def within(
 
 
 def _smaller(signals: Floats, dt: float, limits: Limits, model: Model | RigModel) -> Floats:
-    inputs = len(model.layout.inputs) if isinstance(model, RigModel) else 2
+    inputs = len(inputs_of(model))
     if len(signals) != inputs:
         raise LogError(f"{len(signals)} signals, and the model has {inputs} inputs")
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.export.places import Cells, Latest, NotScalar, Range, Ring, Signals
 from dmptm_ctrl.export.program import (
     BOOL,
     FUNCTIONS,
@@ -23,7 +22,7 @@ from dmptm_ctrl.export.program import (
     make,
     widest,
 )
-from dmptm_ctrl.export.tracer import Tracer
+from dmptm_ctrl.export.tracer import Cells, Latest, NotScalar, Range, Ring, Signals, Tracer
 from dmptm_ctrl.simulate.elementary import arrays_at, borrowed, called_at, gather, spread
 
 _SIGNS: dict[type, str] = {

@@ -12,20 +12,19 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.drive.rig import Input, Sensor
-from dmptm_ctrl.export.places import Latest, Ring, Row, Signals
 from dmptm_ctrl.export.program import Name, Port, Program, Store, make
 from dmptm_ctrl.export.stepping import counter, finished, word
 from dmptm_ctrl.export.trace import Scope, function_tree
-from dmptm_ctrl.export.tracer import Tracer
+from dmptm_ctrl.export.tracer import Latest, Ring, Row, Signals, Tracer
 from dmptm_ctrl.signals.units import parse_unit
-from dmptm_ctrl.simulate.compiled import OUTPUTS, SUBSTEPS, rest
+from dmptm_ctrl.simulate.any_model import at_rest, steps_of
+from dmptm_ctrl.simulate.compiled import OUTPUTS, rest
 from dmptm_ctrl.simulate.dual import outputs
 from dmptm_ctrl.simulate.dual import start as start_of
 from dmptm_ctrl.simulate.loading import loops
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.plant import Plant, numbers, structure_of
 from dmptm_ctrl.simulate.rig_model import RigModel
-from dmptm_ctrl.simulate.rig_run import substeps_for
 from dmptm_ctrl.simulate.run import late_parts, start_state
 from dmptm_ctrl.simulate.scalar import scalar_engine
 
@@ -57,13 +56,11 @@ def plant_program(
     0 is the only place. NotScalar for a kernel that is more than scalar arithmetic, branches and
     loops.
     """
+    plant, steps, (q, v) = model.plant(), steps_of(model, sample_time), at_rest(model)
     if isinstance(model, RigModel):
-        plant, steps = model.plant(), substeps_for(model.plant(), sample_time)
         inputs, seen = rig_ports(model)
-        q, v = np.zeros((2, plant.inertia.size))
         columns = list(range(len(seen)))
     else:
-        plant, steps = model.plant(), SUBSTEPS
         inputs, seen = _dual_ports()
         q, v = start_of(plant, rest(model, start))
         count, _, links, _, sensors = plant.size

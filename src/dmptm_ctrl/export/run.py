@@ -12,7 +12,6 @@ from dmptm_ctrl.export.controller import controller_program, provenance
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
 from dmptm_ctrl.export.fmu import write_fmu
 from dmptm_ctrl.export.mujoco import mujoco_joint, mujoco_text
-from dmptm_ctrl.export.places import NotScalar
 from dmptm_ctrl.export.plant import plant_program
 from dmptm_ctrl.export.program import Program
 from dmptm_ctrl.export.python_program import python_program
@@ -20,6 +19,7 @@ from dmptm_ctrl.export.reserved import RESERVED
 from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.export.stepping import origin
 from dmptm_ctrl.export.tables import write_tables
+from dmptm_ctrl.export.tracer import NotScalar
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import output_folder
 from dmptm_ctrl.signals.toml_text import parse_toml

@@ -13,7 +13,6 @@ from functools import cache
 from typing import Any
 
 from dmptm_ctrl.export.expressions import Expressions
-from dmptm_ctrl.export.places import Cells, NotScalar, Range, Returned, Row, Signals
 from dmptm_ctrl.export.program import (
     BOOL,
     INT,
@@ -31,7 +30,17 @@ from dmptm_ctrl.export.program import (
     known,
     make,
 )
-from dmptm_ctrl.export.tracer import Merge, Tracer, same
+from dmptm_ctrl.export.tracer import (
+    Cells,
+    Merge,
+    NotScalar,
+    Range,
+    Returned,
+    Row,
+    Signals,
+    Tracer,
+    same,
+)
 
 UNROLLED = 4  # turns of a loop that are written out one by one
 MOST_ROUNDS = 50  # until a loop's variables are known

@@ -44,23 +44,25 @@ def plot_tuning(tuned: Any, *, ax: Axes | None = None) -> Axes:
 def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
     """Draw speeds along the duty, tracking errors, and closed-loop gains of both drives."""
     panels = axes(ax, 3, figsize=(8.0, 8.5), grid="both").ravel()
-    time, ref = found.duty.time, found.duty.reference
-    panels[0].plot(time, np.rad2deg(ref), color="0.65", linewidth=2.5, label="setpoint")
-    for (name, speed), style in zip(found.speeds.items(), _PAIR, strict=True):
-        panels[0].plot(time, np.rad2deg(speed), label=name, **style)
-        panels[1].plot(time, np.rad2deg(speed - ref), label=name, **style)
+    unit, size = found.unit
+    time, ref = found.duty.time, found.duty.reference / size
+    panels[0].plot(time, ref, color="0.65", linewidth=2.5, label="setpoint")
+    speeds = {name: speed / size for name, speed in found.speeds.items()}
+    for (name, speed), style in zip(speeds.items(), _PAIR, strict=True):
+        panels[0].plot(time, speed, label=name, **style)
+        panels[1].plot(time, speed - ref, label=name, **style)
     judged = time >= found.duty.settling
-    worst = max(np.abs(np.rad2deg(v - ref)[judged]).max() for v in found.speeds.values())
+    worst = max(np.abs((v - ref)[judged]).max() for v in speeds.values())
     panels[1].set(ylim=(-1.15 * worst, 1.15 * worst))
     for (name, rows), style in zip(found.gains.items(), _PAIR, strict=True):
         for row, marker, size in zip(rows, ("o", "s"), ("small", "large"), strict=True):
-            decibels = 20.0 * np.log10(row)
+            decibels = 20.0 * np.log10(np.where(row > 0.0, row, np.nan))  # what rests has no gain
             options = {**style, "marker": marker, "markersize": 3.5, "label": f"{name}, {size}"}
             panels[2].semilogx(found.sweep_hz, decibels, **options)
     panels[2].axhline(-3.01, color="0.4", linewidth=0.8, linestyle=":")
-    panels[0].set(ylabel="ring-gear speed [deg/s]")
+    panels[0].set(ylabel=f"speed [{unit}]")
     panels[0].set_title(", ".join(found.effects), loc="left")
-    panels[1].set(ylabel="speed − setpoint [deg/s]", xlabel="time [s]")
+    panels[1].set(ylabel=f"speed − setpoint [{unit}]", xlabel="time [s]")
     panels[2].set(ylabel="closed-loop gain [dB]", xlabel="frequency [Hz]")
     above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
     for panel in panels[:2]:  # a sine fills them

@@ -13,17 +13,14 @@ from matplotlib.figure import Figure
 from dmptm_ctrl.control import common_mode
 from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.drive import Drive, baseline_drive, nine_dof_ss, paper_drive, three_dof_ss
-from dmptm_ctrl.drive.rig_dual import dual_motor
-from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.drive.space import step_info
 from dmptm_ctrl.plots.linear import bode_compare, step_compare
 from dmptm_ctrl.reproduce.items import figure_of
 from dmptm_ctrl.signals import LogError
-from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.simulate.any_model import inputs_of
 from dmptm_ctrl.simulate.linear import linearize
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import read_model
-from dmptm_ctrl.simulate.rig_model import RigModel
 
 UNDAMPED = 1e-9  # damping ratio that is rounding
 OVER = " over "  # between output and input of another rig
@@ -74,36 +71,15 @@ def _own(
     file: Path, input: str | None, output: str | None
 ) -> tuple[Drive, dict[str, ct.StateSpace]]:
     """Return the dual-motor drive of a file, or the paper's; and its own linear model."""
-    if _is_model(file):
-        model = read_model(file)
-        if isinstance(model, RigModel):
-            return paper_drive(), _chain(file, model, input, output)
+    model = read_model(file)
+    if isinstance(model, Model):
         return model.drive, {f"{file.stem}, linearised": common_mode(linear_plant(model))}
-    rig = load_rig(file)
-    drive = dual_motor(rig)
-    if drive is not None:
-        return drive, {f"{rig.name}, linearised": common_mode(linear_plant(Model(drive)))}
-    return paper_drive(), _chain(file, RigModel(rig), input, output)
-
-
-def _is_model(file: Path) -> bool:
-    try:
-        return "kind" in parse_toml(file.read_text(encoding="utf-8"), file.name)
-    except (OSError, UnicodeDecodeError, LogError):
-        return False
-
-
-def _chain(
-    file: Path, model: RigModel, input: str | None, output: str | None
-) -> dict[str, ct.StateSpace]:
-    sensors, inputs = model.rig.sensors, [i.name for i in model.rig.inputs]
-    source = input or inputs[0]
+    inputs = inputs_of(model)
+    source, seen = input or inputs[0], output or model.rig.speed_sensor.name
     if source not in inputs:
         raise LogError(f"{file.name}: no input {source!r}; it has {', '.join(inputs)}")
-    speeds = [s for s in sensors if s.measures == "speed"]
-    seen = output or (speeds or list(sensors))[0].name
     plant = linearize(model, outputs=[seen])
-    return {f"{model.rig.name}: {seen}{OVER}{source}": plant[seen, source]}
+    return paper_drive(), {f"{model.rig.name}: {seen}{OVER}{source}": plant[seen, source]}
 
 
 def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Figure, pd.DataFrame]:

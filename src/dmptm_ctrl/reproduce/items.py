@@ -1,14 +1,18 @@
 """What a reproduction is made of: figures and tables, each beside what the paper prints."""
 
-from collections.abc import Callable, Sequence
+import csv
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import NamedTuple
 
+import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dmptm_ctrl import __version__
 from dmptm_ctrl.data import path
 from dmptm_ctrl.drive import Drive, baseline_drive, paper_drive
 from dmptm_ctrl.identify.experiments_validation import (
@@ -22,6 +26,7 @@ from dmptm_ctrl.identify.experiments_validation import (
 )
 from dmptm_ctrl.identify.loop_resonance import ResonantGains, resonant_gains
 from dmptm_ctrl.identify.measured_motion import low_pass
+from dmptm_ctrl.plots.page import environment
 from dmptm_ctrl.signals import Campaign, load_logs
 from dmptm_ctrl.simulate.compiled import Loop
 from dmptm_ctrl.simulate.model import Model
@@ -114,3 +119,25 @@ class Context:
         return resonant_gains(
             Model(self.drive), PAPER_RESONANCE_HZ, RIG_LOOP.kp, PAPER_AMPLITUDES[0]
         )
+
+
+DPI = 110
+
+
+def save_items(folder: Path, items: Iterable[Item]) -> None:
+    """Write pictures as PNG and close them, tables as CSV."""
+    for item in items:
+        if isinstance(item, Picture):
+            item.figure.savefig(folder / f"{item.name}.png", dpi=DPI)
+            plt.close(item.figure)
+        else:
+            with (folder / f"{item.name}.csv").open("w", newline="", encoding="utf-8") as stream:
+                csv.writer(stream).writerows([item.header, *item.rows])
+
+
+def render(sections: Sequence[tuple[str, list[Item]]]) -> str:
+    """Return the page as HTML; pictures are expected beside it."""
+    pages = environment("dmptm_ctrl.reproduce")
+    pages.tests["picture"] = lambda item: isinstance(item, Picture)
+    page = pages.get_template("page.html")
+    return page.render(sections=sections, version=__version__)

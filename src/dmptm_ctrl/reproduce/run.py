@@ -8,8 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from dmptm_ctrl.reproduce import experiments, linear, nonlinear, parts
-from dmptm_ctrl.reproduce.items import Context, Item
-from dmptm_ctrl.reproduce.page import render, save_items
+from dmptm_ctrl.reproduce.items import Context, Item, render, save_items
 from dmptm_ctrl.signals.atomic import output_folder
 
 # in the order of the page

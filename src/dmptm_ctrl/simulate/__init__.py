@@ -1,5 +1,7 @@
 """Simulation of a drive: compiled for work, in python-control blocks, or by the reference."""
 
+from collections.abc import Sequence
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -16,6 +18,11 @@ METHODS = {  # and their options
     "compiled": ("substeps", "contact"),
     "blocks": ("rtol", "atol", "pade_order", "contact"),
     "reference": ("rtol",),
+}
+_RUNS = {
+    "compiled": ("compiled", "march"),
+    "blocks": ("blocks", "run"),
+    "reference": ("reference", "simulate"),
 }
 EVEN = 1e-6  # relative unevenness of the time steps that is rounding
 
@@ -34,8 +41,8 @@ def simulate(
     Parameters
     ----------
     model : Model, RigModel or Rig
-        A rig of any shape has one input per input of the rig [SI], from rest, and the options of
-        :func:`~dmptm_ctrl.simulate.rig_run.march`; outputs are its sensors.
+        A rig of any shape has one input per input of the rig [SI], from rest; outputs are its
+        sensors. Compiled it has the options of :func:`~dmptm_ctrl.simulate.rig_run.march`.
     timepts : (n,) array [s]
         Evenly spaced. Effects that depend on time count it from the first point.
     inputs : (2, n) array [V]
@@ -75,90 +82,46 @@ def simulate(
     >>> run = dm.simulate(dm.Model(dm.paper_drive()), time, volts)
     >>> speed = run.outputs[run.output_labels.index("omega_L")]  # rad/s
     """
-    if not hasattr(model, "drive"):
-        return _rig_simulated(model, timepts, inputs, initial_state, method, options)
-    drive = cast("Model", model)
-    from dmptm_ctrl.simulate.compiled import OUTPUTS
+    from dmptm_ctrl.simulate.compiled import INPUTS, OUTPUTS
     from dmptm_ctrl.simulate.response import response
 
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
+    own, runs, x0 = cast("Any", model), _RUNS, None
+    known: Sequence[str] = METHODS[method]
+    names: Sequence[str]
+    seen: Sequence[str]
+    if hasattr(model, "drive"):
+        names, seen, name = INPUTS, OUTPUTS, own.drive.name
+        x0 = _start(own, initial_state)
+    else:
+        from dmptm_ctrl.simulate.rig_run import MARCH_OPTIONS, as_rig_model
+
+        own = as_rig_model(own, "simulate")
+        if initial_state is not None:
+            raise ValueError("a rig of any shape starts at `position` and `speed` by body")
+        known = MARCH_OPTIONS if method == "compiled" else [k for k in known if k != "contact"]
+        names, seen, name = own.layout.inputs, [s.name for s in own.rig.sensors], own.rig.name
+        runs = {**_RUNS, "compiled": ("rig_run", "march_readings")}
     for key in options:
-        if key not in METHODS[method]:
-            has = ", ".join(METHODS[method])
+        if key not in known:
+            has = ", ".join(known)
             raise TypeError(f"method {method!r} has no option {key!r}; it has {has}")
-    drive.check()
-    substeps = options.get("substeps", 1)
-    if int(substeps) != substeps or substeps < 1:
+    substeps = options.get("substeps")
+    if substeps is not None and (int(substeps) != substeps or substeps < 1):
         raise ValueError(f"substeps is {substeps!r}; needs a whole number of at least 1")
+    own.check()
     time = _timepts(timepts)
-    u = _finite("inputs", inputs, (2, time.size), "left and right voltage at each time point")
-    x0 = _start(drive, initial_state)
+    shape = len(names), time.size
+    u = _finite("inputs", np.atleast_2d(np.array(inputs, float)), shape, "inputs by time points")
     dt = (time[-1] - time[0]) / (time.size - 1)
+    module, function = runs[method]
+    run = getattr(import_module(f"{__name__}.{module}"), function)
+    rows = run(own, u, x0, dt, **options).T
     return response(
-        time,
-        _run(method, drive, u, x0, dt, options).T,
-        inputs=u,
-        output_labels=list(OUTPUTS),
-        input_labels=["u_left", "u_right"],
-        sysname=drive.drive.name,
-        title=f"{drive.drive.name} ({method})",
-    )
-
-
-def _rig_simulated(
-    model: Any,
-    timepts: ArrayLike,
-    inputs: ArrayLike,
-    initial_state: ArrayLike | None,
-    method: str,
-    options: dict[str, Any],
-) -> "control.TimeResponseData":
-    from dmptm_ctrl.simulate.response import response
-    from dmptm_ctrl.simulate.rig_run import MARCH_OPTIONS, as_rig_model, march
-
-    model = as_rig_model(model, "simulate")
-    if method != "compiled" or initial_state is not None:
-        raise ValueError("a rig of any shape runs compiled, from `position` and `speed` by body")
-    for key in options:
-        if key not in MARCH_OPTIONS:
-            raise TypeError(f"no option {key!r} for a rig; there are {', '.join(MARCH_OPTIONS)}")
-    model.check()
-    time = _timepts(timepts)
-    rows = np.atleast_2d(np.asarray(inputs, float))
-    shape = (len(model.layout.inputs), time.size)
-    u = _finite("inputs", rows, shape, "inputs by time")
-    run = march(model, u, float(time[1] - time[0]), **options)
-    names = [s.name for s in model.rig.sensors]
-    return response(
-        time,
-        np.array([run.reading(name) for name in names]),
-        inputs=run.u,
-        output_labels=names,
-        input_labels=list(model.layout.inputs),
-        title=model.rig.name,
-    )
-
-
-def _run(
-    method: str,
-    model: "Model",
-    u: NDArray[np.float64],
-    x0: NDArray[np.float64],
-    dt: float,
-    options: dict[str, Any],
-) -> NDArray[np.float64]:
-    if method == "compiled":
-        from dmptm_ctrl.simulate.compiled import march
-
-        return march(model, u, x0, dt, **options)
-    if method == "reference":
-        from dmptm_ctrl.simulate.reference import simulate as run_reference
-
-        return run_reference(model, u, x0, dt, **options)
-    from dmptm_ctrl.simulate.blocks import run
-
-    return run(model, u, x0, dt, **options)
+        time, rows, inputs=u, output_labels=list(seen), input_labels=list(names),
+        sysname=name, title=f"{name} ({method})",
+    )  # fmt: skip
 
 
 def _start(model: "Model", state: ArrayLike | None) -> NDArray[np.float64]:

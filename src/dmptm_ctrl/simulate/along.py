@@ -117,19 +117,11 @@ _MODULES = (elementary, lookup, presliding, step, stribeck)
 
 
 class Acting(NamedTuple):
-    """An effect at a place, with its numbers there.
-
-    Attributes
-    ----------
-    told : int
-        Side or body that the kernel is told.
-    values : array
-        Parameters as the kernel takes them.
-    """
+    """An effect at a place, with its numbers there."""
 
     effect: Effect
-    told: int
-    values: Floats
+    told: int  # side or body that the kernel is told
+    values: Floats  # parameters as the kernel takes them
 
 
 def acting_of(placed: Placed) -> Acting:

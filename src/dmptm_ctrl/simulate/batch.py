@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dmptm_ctrl.simulate.compiled import BODIES, OUTPUTS, SEEN, SUBSTEPS, Loop, march, rest
+from dmptm_ctrl.simulate.any_model import at_rest, inputs_of, seen_of, steps_of
+from dmptm_ctrl.simulate.compiled import BODIES, INPUTS, OUTPUTS, SEEN, SUBSTEPS, Loop, march
 from dmptm_ctrl.simulate.dual import start
 from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.law import Law
@@ -14,10 +15,10 @@ from dmptm_ctrl.simulate.many import Common, run_many, same_shape
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.observer import rigid_observer
 from dmptm_ctrl.simulate.plant import Plant
+from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import own_rows
 
-_SEEN = SEEN | {"u_left": "signal0", "u_right": "signal1"}
-BATCH_OUTPUTS = tuple(_SEEN)
+BATCH_OUTPUTS = (*OUTPUTS, *INPUTS)
 # Drives left over by full groups, which one after another take the plain loop less than lanes of
 # which most are empty: these take as long as four or five, however many are in them.
 ALONE = 4
@@ -25,24 +26,12 @@ _NO_ROWS = np.zeros((0, 0))
 
 
 class Batch(NamedTuple):
-    """Runs of a batch.
+    """Runs of a batch."""
 
-    Attributes
-    ----------
-    time : (m,) array [s]
-        Of the kept samples.
-    outputs : (batch, len(labels), m) array
-        SI, like :data:`BATCH_OUTPUTS`.
-    labels : tuple of str
-        Names of the kept outputs.
-    least, greatest, mean, rms : (batch, 10) arrays
-        Over all samples, of all :data:`BATCH_OUTPUTS`.
-    """
-
-    time: Floats
-    outputs: Floats
-    labels: tuple[str, ...]
-    least: Floats
+    time: Floats  # (m,) [s], of the kept samples
+    outputs: Floats  # (batch, labels, m), SI
+    labels: tuple[str, ...]  # names of the kept outputs
+    least: Floats  # (batch, 10), over all samples, of all :data:`BATCH_OUTPUTS`; of rigs alike
     greatest: Floats
     mean: Floats
     rms: Floats
@@ -62,17 +51,9 @@ def march_any(
 ) -> Floats:
     """Run any number of drives open loop: :func:`~.compiled.march` for each, but faster.
 
-    Parameters
-    ----------
-    u, x0, measured
-        As there, of all or (batch, …) of each; `dt`, `substeps`, `observer`, `begin` of all.
-    columns : sequence of int
-        Which of :data:`~.compiled.OUTPUTS` to keep.
-
-    Returns
-    -------
-    (batch, n, len(columns)) array
-        SI. The same scheme as `march`; rounding differs.
+    `u`, `x0` and `measured` are as there, of all or (batch, …) of each; the other numbers are of
+    all; `columns` are those of :data:`~.compiled.OUTPUTS` to keep. Returns a (batch, n, columns)
+    array. The scheme is the same; rounding differs.
     """
     inputs = np.ascontiguousarray(u if u.ndim == 3 else u[None])
     angles = None if measured is None else own_rows(measured)
@@ -121,7 +102,7 @@ def _shared_out(plants: list[Plant]) -> tuple[list[int], list[int]]:
 
 
 def simulate_batch(
-    models: Sequence[Model],
+    models: Sequence[Model | RigModel],
     timepts: ArrayLike,
     inputs: ArrayLike,
     initial_state: ArrayLike | None = None,
@@ -130,31 +111,33 @@ def simulate_batch(
     noise: ArrayLike | None = None,
     outputs: Sequence[str] = (),
     every: int = 1,
-    substeps: int = SUBSTEPS,
+    substeps: int | None = None,
     n_jobs: int = -1,
 ) -> Batch:
     """Run many drives, open loop or each under its speed loop.
 
     Parameters
     ----------
-    models : sequence of Model
+    models : sequence of Model or of RigModel
+        Rigs have the same inputs and sensors.
     timepts : (n,) array [s]
         Evenly spaced.
     inputs : (2, n) or (batch, 2, n) array [V]
-        Left and right motor voltage; with `loop` the reference, (n,) or (batch, n) [rad/s].
+        Left and right motor voltage, or the inputs of rigs [SI]; with `loop` the reference, (n,)
+        or (batch, n) [rad/s].
     initial_state : (6,) or (batch, 6) array, optional
-        As for :func:`~dmptm_ctrl.simulate.simulate`.
+        As for :func:`~dmptm_ctrl.simulate.simulate`; rigs start from rest.
     loop : Loop, Law or sequence of either, optional
-        One for all, or one for each.
+        One for all, or one for each; of rigs the law of a designed controller.
     noise : (n,) or (batch, n) array [rad/s], optional
         Added to the speed that the loop sees.
     outputs : sequence of str
-        Which of :data:`BATCH_OUTPUTS` to keep as signals. Without any the memory does not
-        grow with time: only the statistics are kept.
+        Which of :data:`BATCH_OUTPUTS`, or sensors and inputs, to keep as signals. Without any
+        the memory does not grow with time: only the statistics are kept.
     every : int
         Keep every so many samples.
-    substeps : int
-        Steps per sample.
+    substeps : int, optional
+        Steps per sample; by default 8, or what the fastest of rigs needs.
     n_jobs : int
         Threads, −1 for one per core, 1 for none; else joblib's, so ``parallel_config`` can send
         the groups to another backend.
@@ -182,33 +165,35 @@ def simulate_batch(
     n, count = time.size, len(models)
     if count == 0:
         raise ValueError("models is empty; needs at least one model")
-    for name, number in (("every", every), ("substeps", substeps)):
+    dt = (time[-1] - time[0]) / (n - 1)
+    steps = max(steps_of(model, dt) for model in models) if substeps is None else substeps
+    for name, number in (("every", every), ("substeps", steps)):
         if int(number) != number or number < 1:
             raise ValueError(f"{name} is {number!r}; needs a whole number of at least 1")
+    seen, width = seen_of(models[0]), len(inputs_of(models[0]))
     for name in outputs:
-        if name not in BATCH_OUTPUTS:
-            raise ValueError(f"no output {name!r}; there are {', '.join(BATCH_OUTPUTS)}")
-    drive, target = np.zeros((1, 2, 0)), np.zeros((1, 1))
+        if name not in seen:
+            raise ValueError(f"no output {name!r}; there are {', '.join(seen)}")
+    drive, target = np.zeros((1, width, 0)), np.zeros((1, 1))
     measured = _NO_ROWS
     loops: list[Loop | Law] | None = None
     if loop is None:
-        drive = _rows("inputs", inputs, count, (2, n))
+        drive = _rows("inputs", inputs, count, (width, n))
     else:
         target = _rows("inputs", inputs, count, (n,))
         if noise is not None:
             measured = _rows("noise", noise, count, (n,))
         loops = _loops(loop, count)
-    if initial_state is None:
-        states = np.array([rest(model, 0.0) for model in models])
-    else:
-        rows = _rows("initial_state", initial_state, count, (6,))
-        states = np.broadcast_to(rows, (count, 6))
-    wanted = tuple(_SEEN[name] for name in outputs)
-    dt = (time[-1] - time[0]) / (n - 1)
-    common = Common(
-        dt, substeps, n, drive, target, measured, wanted, every, tuple(_SEEN.values())
-    )  # fmt: skip
-    starts = [start(model.plant(), x0) for model, x0 in zip(models, states, strict=True)]
+    if loops and any(isinstance(m, RigModel) for m in models) and isinstance(loops[0], Loop):
+        raise ValueError("a Loop is of the dual-motor drive; rigs take a controller's law()")
+    starts = [at_rest(model) for model in models]
+    if initial_state is not None:
+        if any(isinstance(model, RigModel) for model in models):
+            raise ValueError("rigs start from rest; leave initial_state out")
+        rows = np.broadcast_to(_rows("initial_state", initial_state, count, (6,)), (count, 6))
+        starts = [start(model.plant(), x0) for model, x0 in zip(models, rows, strict=True)]
+    wanted, judged = tuple(seen[name] for name in outputs), tuple(seen.values())
+    common = Common(dt, steps, n, drive, target, measured, wanted, every, judged)
     kept, found = run_many(models, starts, common, loops, n_jobs=n_jobs)
     least, greatest, total, squares = np.array(found).transpose(1, 0, 2)
     return Batch(

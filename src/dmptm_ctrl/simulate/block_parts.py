@@ -84,14 +84,9 @@ class Given:
         self._varied: dict[tuple[tuple[str, float], ...], Given] = {}
 
     def at(self, params: Mapping[str, float]) -> "Given":
-        """Return it with the values of `params`.
+        """Return it with the values of `params`; ValueError for a wrong name or value.
 
         python-control hands the params of every block to all blocks of a system.
-
-        Raises
-        ------
-        ValueError
-            A name that neither the drive nor the loop has, or a value that no drive has.
         """
         if not params:
             return self
@@ -123,26 +118,15 @@ class Given:
 
 
 class Names(NamedTuple):
-    """What blocks and signals of a drive are called, part by part.
+    """What blocks and signals of a drive are called, part by part."""
 
-    Attributes
-    ----------
-    inputs : (block, command, what acts on the motor) of each input
-    groups : block of each coordinate
-    friction : of each coordinate, what its friction's block and signals end in
-    motion : position and speed, states of a coordinate
-    bodies : (position, speed) of each body
-    links : (block, torque, twist) of each link
-    sensors : block -> {number of a sensor: its reading}
-    """
-
-    inputs: Sequence[tuple[str, str, str]]
-    groups: Sequence[str]
-    friction: Sequence[str]
-    motion: tuple[str, str]
-    bodies: Sequence[tuple[str, str]]
-    links: Sequence[tuple[str, str, str]]
-    sensors: Mapping[str, Mapping[int, str]]
+    inputs: Sequence[tuple[str, str, str]]  # block, command, what acts on the motor
+    groups: Sequence[str]  # block of each coordinate
+    friction: Sequence[str]  # of each coordinate, what its friction's block and signals end in
+    motion: tuple[str, str]  # position and speed, states of a coordinate
+    bodies: Sequence[tuple[str, str]]  # position, speed
+    links: Sequence[tuple[str, str, str]]  # block, torque, twist
+    sensors: Mapping[str, Mapping[int, str]]  # block -> {number of a sensor: its reading}
 
 
 def _input_block(given: Given, names: Names, j: int) -> ct.NonlinearIOSystem:

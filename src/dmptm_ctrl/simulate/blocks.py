@@ -1,10 +1,10 @@
-"""A drive as python-control blocks: the dual-motor drive, and a rig of any shape.
+"""A drive as python-control blocks: the dual-motor drive, or a rig of any shape.
 
 See :mod:`~.block_parts` for what the blocks are.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import control as ct
 import numpy as np
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from dmptm_ctrl.simulate.model import Model
     from dmptm_ctrl.simulate.rig_model import RigModel
 
-__all__ = ["REST_SPEED", "drive_states", "initial_state", "rig_blocks", "run", "to_blocks"]
+__all__ = ["REST_SPEED", "drive_states", "initial_state", "run", "to_blocks"]
 
 MAX_STEP = 0.01  # s; so that no turn of the motion is stepped over
 SIDES = ("l", "r")
@@ -55,7 +55,7 @@ DUAL = Names(
 
 
 def to_blocks(
-    model: "Model",
+    model: "Model | RigModel",
     *,
     loop: Loop | None = None,
     pade_order: int = PADE_ORDER,
@@ -84,98 +84,72 @@ def to_blocks(
         Its `syslist` holds the blocks, each of use alone: amplifiers, bodies, their friction,
         meshes, sensor. A friction block takes the torque on a body without friction [N·m] and
         its motion; it gives the friction [N·m], and 1 where that holds the body at rest.
+        Of a rig of any shape inputs and outputs are its inputs and sensors; states are position
+        and speed of each group of rigidly joined bodies, named by its first body, and what lags,
+        dead times and friction remember.
 
     Raises
     ------
     TypeError
         Something else in the place of the loop.
     ValueError
-        A contact law that does not exist, the two-state law without any damping, or an effect
-        of negative size.
+        A contact law that does not exist, the two-state law without any damping, an effect of
+        negative size, or values that no machine has.
 
     Notes
     -----
     ``params={"k_m": 3e4}`` in ``control.input_output_response`` and the like replaces values
-    of the declared drive, and kp, ki, limit, bias_l, bias_r of the loop; other names raise
-    ValueError. :func:`initial_state` gives its state at rest or in motion. With
-    ``control.input_output_response`` set ``solve_ivp_kwargs={"max_step": dt}`` for inputs
-    sampled at dt, or short pulses are stepped over; it draws inputs as straight lines
-    between samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
+    of the declared drive, or by their keys those of a rig, as ``body.load.inertia``; and kp, ki,
+    limit, bias_l, bias_r of the loop. Other names raise ValueError. :func:`initial_state` gives
+    its state at rest or in motion. With ``control.input_output_response`` set
+    ``solve_ivp_kwargs={"max_step": dt}`` for inputs sampled at dt, or short pulses are stepped
+    over; it draws inputs as straight lines between samples,
+    :func:`dmptm_ctrl.simulate.simulate` holds them.
     """
     model.check()
+    own, dual = cast("Any", model), hasattr(model, "drive")
     if not isinstance(loop, Loop | None):
         raise TypeError(f"loop must be a Loop, not a {type(loop).__name__}")
-    plant_with(model, contact)  # refuses before anything is built
+    if not dual and (loop or contact != "eq21"):
+        raise ValueError("loop and contact are of a dual-motor drive; a rig file has its own")
 
     def plant_of(values: Mapping[str, float]) -> Plant:
-        return plant_with(model.with_values(**values), contact)
+        if dual:
+            return plant_with(own.with_values(**values), contact)
+        changed = own.with_values(values)
+        changed.check()
+        return changed.plant()
 
-    given = Given(plant_of, [*model.drive], others=others, loop=loop, pade_order=pade_order)
-    blocks = part_blocks(given, DUAL)
-    inputs, outputs = ["u_left", "u_right"], list(OUTPUTS)
+    known = own.drive if dual else own.quantities
+    given = Given(plant_of, [*known], others=others, loop=loop, pade_order=pade_order)
+    names = DUAL if dual else _rig_names(own)
+    blocks = part_blocks(given, names)
+    inputs = [command for _, command, _ in names.inputs]
+    outputs = [*OUTPUTS] if dual else [sensor.name for sensor in own.rig.sensors]
     if loop is not None:
         blocks.append(pi_block(given))
-        inputs, outputs = ["ref"], [*outputs, "u_left", "u_right"]
+        inputs, outputs = ["ref"], [*outputs, *inputs]
     return ct.interconnect(
         blocks,
         inputs=inputs,
         outputs=outputs,
-        name="drive_loop" if loop is not None else "drive",
-        check_unused=False,  # omega_m of the motors is for whoever wants it
+        name=own.rig.name.replace(" ", "_") if not dual else "drive_loop" if loop else "drive",
+        check_unused=False,  # speeds of motors, twists of links are for whoever wants them
     )
 
 
-def rig_blocks(
-    model: "RigModel", *, pade_order: int = PADE_ORDER, others: Sequence[str] = ()
-) -> ct.InterconnectedSystem:
-    """Return a rig of any shape as one block per group of bodies, link, input and sensor.
-
-    Parameters
-    ----------
-    pade_order : int
-        Order of the Padé approximation of a dead time.
-    others : sequence of str
-        Names of `params` that belong to blocks of your own beside these.
-
-    Returns
-    -------
-    InterconnectedSystem
-        Inputs: those of the rig; outputs: its sensors; states: position and speed of each group
-        of rigidly joined bodies, named by its first body, lags, dead times, friction that builds
-        up. `params` replace declared quantities by their keys, such as
-        ``{"body.load.inertia": 0.02}``.
-
-    Raises
-    ------
-    ValueError
-        An inertia that is not positive, a negative stiffness, a value that is not finite.
-    """
-
-    def plant_of(values: Mapping[str, float]) -> Plant:
-        own = model.with_values(values) if values else model
-        own.check()
-        return own.plant()
-
-    given = Given(plant_of, list(model.quantities), others=others, pade_order=pade_order)
+def _rig_names(model: "RigModel") -> Names:
     layout = model.layout
-    sensors = [s.name for s in model.rig.sensors]
     turning = {g: b for b, g in reversed(layout.coordinate.items())}  # the first of each group
     leading = [turning[g] for g in range(layout.coordinates)]
-    names = Names(
+    return Names(
         [(f"input_{x}", x, f"{x}_acting") for x in layout.inputs],
         [f"body_{first}" for first in leading],
         leading,
         ("q", "v"),
         [(f"q_{x}", f"v_{x}") for x in layout.bodies],
         [(f"link_{x}", f"{x}_torque", f"{x}_twist") for x in layout.links],
-        {f"sensor_{x}": {i: x} for i, x in enumerate(sensors)},
-    )
-    return ct.interconnect(
-        part_blocks(given, names),
-        inputs=list(layout.inputs),
-        outputs=sensors,
-        name=model.rig.name.replace(" ", "_"),
-        check_unused=False,  # twists of links are for whoever wants them
+        {f"sensor_{s.name}": {i: s.name} for i, s in enumerate(model.rig.sensors)},
     )
 
 
@@ -211,30 +185,26 @@ def drive_states(model: "Model", side: int, u: float) -> dict[str, float]:
 
 
 def run(
-    model: "Model",
+    model: "Model | RigModel",
     u: Floats,
-    x0: Floats,
+    x0: Floats | None,
     dt: float,
     *,
     rtol: float = 1e-6,
     atol: float = 1e-9,
-    pade_order: int = PADE_ORDER,
-    contact: str = "eq21",
+    **options: Any,
 ) -> Floats:
-    """Run :func:`to_blocks` on held voltages, restarted at each of their jumps.
+    """Run the blocks of a model on held signals, restarted at each of their jumps.
 
     Parameters and result as of :func:`dmptm_ctrl.simulate.reference.simulate`; `rtol`,
-    `atol` [rad, rad/s] of SciPy's RK45; `contact` as of :func:`to_blocks`.
-
-    Raises
-    ------
-    RuntimeError
-        The integrator gave up.
+    `atol` [rad, rad/s] of SciPy's RK45; other `options` as of :func:`to_blocks`. RuntimeError
+    where the integrator gives up.
     """
-    sys = to_blocks(model, pade_order=pade_order, contact=contact)
-    state = initial_state(model, sys, x0)
+    sys = model.to_blocks(**options)
+    # a rig starts from rest at 0, where it remembers nothing
+    state = np.zeros(sys.nstates) if x0 is None else initial_state(cast("Model", model), sys, x0)
     n = u.shape[1]
-    out = np.empty((n, len(OUTPUTS)))
+    out = np.empty((n, sys.noutputs))
     jumps = np.flatnonzero(np.any(np.diff(u) != 0.0, axis=0)) + 1
     ends = sorted({*jumps.tolist(), n - 1})
     first = 0

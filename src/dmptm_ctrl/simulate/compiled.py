@@ -17,18 +17,13 @@ if TYPE_CHECKING:
     from dmptm_ctrl.simulate.law import Law
     from dmptm_ctrl.simulate.model import Model
 
-OUTPUTS = (
-    *("theta_L", "omega_L", "theta_ml", "theta_mr"),
-    *("torque_l", "torque_r", "z_l", "z_r"),
-)
-# the same by the names that runs of many drives have for them
-SEEN = dict(
-    zip(
-        OUTPUTS,
-        (*(f"reading{i}" for i in range(4)), "torque0", "torque1", "twist0", "twist1"),
-        strict=True,
-    )
-)
+INPUTS = ("u_left", "u_right")
+# what runs of many drives call it
+SEEN = {
+    "theta_L": "reading0", "omega_L": "reading1", "theta_ml": "reading2", "theta_mr": "reading3",
+    "torque_l": "torque0", "torque_r": "torque1", "z_l": "twist0", "z_r": "twist1",
+}  # fmt: skip
+OUTPUTS = tuple(SEEN)
 BODIES = 4  # of these, the first: what turns; then torques and relative angles of the meshes
 SUBSTEPS = 8  # steps per sample; at 1 kHz 125 µs resolves the 231 Hz mode with 35 steps
 # Where bounces are met one by one: each grows the error of the landings before it, and where
@@ -71,10 +66,7 @@ def rest(
 ) -> Floats:
     """Return the state at rest at ring-gear angle `theta_L` [rad], chains at mid-gap.
 
-    Parameters
-    ----------
-    motors : (left, right) motor angles [rad], optional
-        Where they are known; they place the pinions in their gaps.
+    Where the angles of the motors [rad] are known, they place the pinions in their gaps.
     """
     n1, n2 = model.drive["N_1"], model.drive["N_2"]
     pinions = [n2 * theta_L] * 2 if motors is None else [m / n1 for m in motors]
@@ -96,28 +88,11 @@ def march(
 ) -> Floats:
     """Run the drive open loop, as fits do thousands of times.
 
-    Parameters
-    ----------
-    u : (2, n) array [V]
-        Held from each sample of `dt` seconds to the next.
-    x0 : (6,) array
-        θ3l, θ3r, θL [rad] and their speeds [rad/s].
-    observer : (angle gain, speed gain) per sample
-        Feeds the miss of the ring-gear angle back to the rigid mode, see
-        :func:`~.observer.observer_gains`.
-    measured : (n,) array [rad]
-        The angle that the observer follows.
-    begin : float
-        Time of the first sample [s], for what depends on it.
-    meshes : bool
-        Whether torques and relative angles of the meshes are wanted.
-    contact : str
-        Law of the meshes, see :func:`~.dual.plant_with`.
-
-    Returns
-    -------
-    (n, 8) array
-        Columns :data:`OUTPUTS`, SI; the first 4 without `meshes`.
+    `u` (2, n) [V] is held from each sample of `dt` seconds to the next; `x0` (6,) are θ3l, θ3r, θL
+    [rad] and their speeds [rad/s]; `begin` [s] is the time of the first sample. An `observer`, as
+    of :func:`~.observer.observer_gains`, feeds the miss of the ring-gear angle `measured` (n,)
+    back to the rigid mode. `contact` is the law of the meshes, see :func:`~.dual.plant_with`.
+    Returns columns :data:`OUTPUTS` in SI, (n, 8), or without `meshes` the first 4.
     """
     plant = plant_with(model, contact)
     led = {}
@@ -161,23 +136,9 @@ def close_loop(
 ) -> tuple[Floats, Floats]:
     """Run the plant under a sampled speed loop.
 
-    Parameters
-    ----------
-    loop : Loop or Law
-        Plain PI, or with sections, feed-forward and compensation from its own model.
-    reference : (n,) array [rad/s]
-    noise : (n,) array [rad/s], optional
-        Added to the speed reading that the controller sees.
-    extra : (n, 3) array [N·m]
-        Torques added on the two pinions and the ring gear.
-    meshes : bool
-        As for :func:`march`.
-
-    Returns
-    -------
-    u : (2, n) array [V]
-    out : (n, 8) array
-        Columns :data:`OUTPUTS`, the first 4 without `meshes`; the speed without the noise.
+    `noise` [rad/s] is added to the speed that the controller sees; `extra` (n, 3) [N·m] are torques
+    added on the two pinions and the ring gear. Returns voltages (2, n) and columns as
+    :func:`march`, the speed without the noise.
     """
     target = np.array(reference, float)
     heard = None if noise is None else np.asarray(noise, float)

@@ -52,11 +52,7 @@ def sampled(system: ct.LTI) -> Law:
     """Return a discrete system of python-control as a law ``(t, target, y) -> u``.
 
     Its input is the target less the first reading; or its inputs are the target and all readings.
-
-    Raises
-    ------
-    ValueError
-        A continuous system.
+    ValueError for a continuous system.
     """
     state_space = ct.ss(system)
     if not state_space.isdtime(strict=True):

@@ -4,10 +4,9 @@ Coordinates: left and right pinion, ring gear, and behind compliant reducers the
 at the pinion. Bodies: pinions, ring gear, motors.
 """
 
-from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from math import cos, sin
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 
 CONTACTS = ("eq21", "two_state")  # laws of the meshes: paper Eq. 21, and what it stands for
 
-_T = TypeVar("_T")
 MIN_COMPLIANCE = 1e-6  # rad/(N·m); below, the reducer's own mode is beyond the step and rigid
 PINIONS, RING, MOTORS = (0, 1), 2, (3, 4)  # bodies
 # site -> parts where it acts, and the side or body that the kernel is told
@@ -46,42 +44,28 @@ _LINKS = np.array([[0, 2], [1, 2], [3, 0], [4, 1]])
 _SENSORS = np.array([2, 2, 3, 4]), np.array([0, 1, 0, 0], np.uint8)
 
 
-def per_catalogue(function: Callable[..., _T]) -> Callable[..., _T]:
-    """Keep what a function returns for as long as the catalogue has the same effects.
-
-    A fit asks hundred thousands of times. The effects are told apart by identity, for to compare
-    all their numbers takes longer than what is asked for. Threads that ask at once get one answer.
-    """
-    known: dict[tuple[int, ...], tuple[tuple[Effect, ...], _T]] = {}
-    last: list[tuple[tuple[Effect, ...], _T]] = []
-
-    def found() -> _T:
-        effects = tuple(CATALOGUE.values())
-        kept = next(iter(last), None)
-        if kept is not None and kept[0] == effects:  # compares those first that are the same
-            return kept[1]
-        key = tuple(map(id, effects))
-        with LOADING:
-            if key not in known:
-                # the effects too, or another may get an identity
-                known[key] = effects, function(effects)
-            last[:] = [known[key]]
-        return known[key][1]
-
-    return found
-
-
 class Catalogue(NamedTuple):
     """Where the effects of the catalogue act; both sides share an effect's numbers."""
 
     places: tuple[Place, ...]
     slots: dict[str, tuple[int, int]]  # effect -> its flag, its first number
     absent: Floats  # numbers of effects that are not in use
+    effects: tuple[Effect, ...]  # kept, or another may get an identity
 
 
-@per_catalogue
-def catalogue(effects: tuple[Effect, ...]) -> Catalogue:
-    """Return the places of the catalogue as it is now."""
+def catalogue() -> Catalogue:
+    """Return the places of the catalogue as it is now, the same ones for the same effects.
+
+    A fit asks hundred thousands of times. Effects are told apart by identity, for to compare all
+    their numbers takes longer than what is asked for. Threads that ask at once get one answer.
+    """
+    with LOADING:
+        return _catalogue(tuple(map(id, CATALOGUE.values())))
+
+
+@cache
+def _catalogue(_: tuple[int, ...]) -> Catalogue:
+    effects = tuple(CATALOGUE.values())
     places: list[Place] = []
     slots: dict[str, tuple[int, int]] = {}
     absent: list[float] = []
@@ -92,7 +76,7 @@ def catalogue(effects: tuple[Effect, ...]) -> Catalogue:
         absent += effect.defaults()
     for side in (0, 1):
         places.append(Place(STIFFNESS_VARIATION, side, side, len(effects), len(absent)))
-    return Catalogue(tuple(places), slots, np.array(absent))
+    return Catalogue(tuple(places), slots, np.array(absent), effects)
 
 
 def dual_plant(model: "Model") -> Plant:
@@ -155,10 +139,7 @@ def dual_plant(model: "Model") -> Plant:
 def plant_with(model: "Model", contact: str) -> Plant:
     """Return the plant of a model whose meshes have a contact law, of :data:`CONTACTS`.
 
-    Raises
-    ------
-    ValueError
-        Another law, or the two-state law without any damping.
+    ValueError for another law, or the two-state law without any damping.
     """
     if contact not in CONTACTS:
         raise ValueError(f"contact is {contact!r}; it must be one of {', '.join(CONTACTS)}")

@@ -38,13 +38,7 @@ INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 def cached(signature: Any = None, **options: Any) -> Callable[[Callable], Any]:
-    """Compile with numba and keep the result on disk, where there is a place to write.
-
-    Parameters
-    ----------
-    signature, **options
-        Of ``numba.njit``.
-    """
+    """Compile with ``numba.njit`` and keep the result on disk, where there is a place to write."""
 
     def compiled(function: Callable) -> Any:
         try:

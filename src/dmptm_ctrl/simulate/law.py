@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import lookup, presliding, stribeck
 from dmptm_ctrl.simulate import control_core as core
 from dmptm_ctrl.simulate import elementary
+from dmptm_ctrl.simulate.any_model import loop_parts
 from dmptm_ctrl.simulate.generate import compiled
 from dmptm_ctrl.simulate.law_text import Wiring, law_text, wiring
 from dmptm_ctrl.simulate.loading import LOADING, key_of, load
@@ -26,40 +26,13 @@ SECTIONS = 2
 _ENGINES: dict[tuple[int, Wiring], ModuleType] = {}
 
 
-AnyModel = Model | RigModel
-
-
-def effect_keys(model: AnyModel) -> list[str]:
-    """Return what names the effects of a model, as `without` takes it."""
-    return [e.key for e in model.effects] if isinstance(model, RigModel) else list(model.effects)
-
-
-def loop_parts(model: AnyModel, source: str = "", sensor: str = "") -> tuple[tuple[int, ...], int]:
-    """Return the numbers of a loop's inputs and of its sensor, by the names of a rig's."""
-    if not isinstance(model, RigModel):
-        return (0, 1), 1
-    source, sensor = default_loop(model.rig, source, sensor)
-    names = [one.name for one in model.rig.sensors]
-    return (model.layout.inputs.index(source),), names.index(sensor)
-
-
 class Wired(NamedTuple):
-    """A law as code and numbers.
+    """A law as code and numbers."""
 
-    Attributes
-    ----------
-    module : module
-        With ``command(ref, *readings, t, dt, law, memory, design)`` and ``controller``.
-    design : (numbers, flags, values) arrays
-        Of the model that is fed forward.
-    memory : int
-        Room that it keeps from sample to sample.
-    """
-
-    module: ModuleType
-    design: tuple[Floats, Floats, Floats]
+    module: ModuleType  # ``command(ref, *readings, t, dt, law, memory, design)`` and ``controller``
+    design: tuple[Floats, Floats, Floats]  # numbers, flags and values of what is fed forward
     wiring: Wiring
-    memory: int
+    memory: int  # room that it keeps from sample to sample
 
 
 def _engine(s: Structure, w: Wiring, flags: int) -> ModuleType:
@@ -76,50 +49,26 @@ def _engine(s: Structure, w: Wiring, flags: int) -> ModuleType:
 
 @dataclass(frozen=True)
 class Design:
-    """What a designed controller and the law that the simulator runs have in common.
+    """What a designed controller and the law that the simulator runs have in common."""
 
-    Attributes
-    ----------
-    kp : float [V/(rad/s)]
-    ki : float [V/rad]
-    limit : float [V]
-        Of each motor's voltage.
-    tracking : float [1/s]
-        Anti-windup by back-calculation: rate at which the integral gives back what the limit
-        cuts off; 0 is none.
-    inertia, friction, effects : float
-        Shares fed forward along the setpoint from `model`: inertia; friction of all three
-        bodies with the effects on it; torques of motor and load effects. 0 is off.
-    lead : float [s]
-        How far ahead the feed-forward looks: dead times and lags of the drive.
-    late : float [s]
-        How late the speed reading is: the error is taken against the setpoint back then.
-    acceleration : float [rad/s²]
-        Largest acceleration of the setpoint that is fed forward; steps are clipped to it.
-    softness : float [rad/s]
-        Below this setpoint speed the friction fed forward fades to 0.
-    invert : bool
-        Undo offset, dead band and gain errors of the drives.
-    model : Model or RigModel
-        What is fed forward and undone.
-    input, sensor : str
-        Of a rig: the motor, and what the setpoint is of; by default `default_loop`.
-    """
-
-    kp: float
-    ki: float
-    limit: float = 10.0
+    kp: float  # V/(rad/s)
+    ki: float  # V/rad
+    limit: float = 10.0  # V, of each motor
     _: KW_ONLY
+    # anti-windup: rate [1/s] at which the integral gives back what the limit cuts off; 0 is none
     tracking: float = 0.0
+    # Shares fed forward along the setpoint from `model`: inertia; friction of all bodies with the
+    # effects on it; torques of motor and load effects. 0 is off.
     inertia: float = 0.0
     friction: float = 0.0
     effects: float = 0.0
-    lead: float = 0.0
-    late: float = 0.0
-    acceleration: float = FAR
-    softness: float = 0.0
-    invert: bool = False
-    model: Model | RigModel = field(default_factory=Model)
+    lead: float = 0.0  # s ahead, that the feed-forward looks: dead times and lags of the drive
+    late: float = 0.0  # s, of the speed reading: the error is against the setpoint back then
+    acceleration: float = FAR  # rad/s², largest that is fed forward; steps are clipped to it
+    softness: float = 0.0  # rad/s; below this setpoint the friction fed forward fades to 0
+    invert: bool = False  # undo offset, dead band and gain errors of the drives
+    model: Model | RigModel = field(default_factory=Model)  # what is fed forward and undone
+    # of a rig: the motor, and what the setpoint is of; by default `default_loop`
     input: str = ""
     sensor: str = ""
 
@@ -130,21 +79,13 @@ class Design:
 
 @dataclass(frozen=True)
 class Law(Design):
-    """A sampled speed controller with its design model, as the simulator takes it.
+    """A sampled speed controller with its design model, as the simulator takes it."""
 
-    Attributes
-    ----------
-    bias_l, bias_r : float [V]
-        Preload.
-    sections : sequence of (b0, b1, b2, a1, a2)
-        Up to two second-order difference equations behind the PI.
-    relief : (from, to) [V]
-        The preload fades between these common voltages; (0, 0) keeps it.
-    """
-
-    bias_l: float = 0.0
+    bias_l: float = 0.0  # V, preload
     bias_r: float = 0.0
+    # up to two second-order difference equations (b0, b1, b2, a1, a2) behind the PI
     sections: Sequence[tuple[float, ...]] = ()
+    # V, common: the preload fades between these; (0, 0) keeps it
     relief: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -183,21 +124,6 @@ class Law(Design):
     def stepper(self, sample_time: float) -> "Stepper":
         """Return the controller as a difference equation to be advanced sample by sample."""
         return Stepper(self, sample_time)
-
-
-def default_loop(rig: Rig, source: str = "", sensor: str = "") -> tuple[str, str]:
-    """Return the names of input and sensor of a rig's loop: those given, its controller's, firsts.
-
-    A speed sensor comes before a position. ValueError for names that the rig does not have.
-    """
-    own = rig.controller
-    source = source or (own.input if own else rig.inputs[0].name)
-    sensor = sensor or (own.sensor if own else rig.speed_sensor.name)
-    for kind, name, parts in (("input", source, rig.inputs), ("sensor", sensor, rig.sensors)):
-        names = [part.name for part in parts]
-        if name not in names:
-            raise ValueError(f"{rig.name} has no {kind} {name!r}; it has {', '.join(names)}")
-    return source, sensor
 
 
 class Stepper:

@@ -49,27 +49,11 @@ BODIES = {"left pinion": "pinion_l", "right pinion": "pinion_r", "ring gear": "r
 def turning(
     model: Model, *, speed: float = TURN, preload: float = PRELOAD, theta_L: float = 0.0
 ) -> tuple[Floats, Floats]:
-    """Return a steady turn: the state, and the voltages that keep it, at time 0.
+    """Return a steady turn at time 0: the state as of :func:`linearize`, and its voltages [V].
 
-    Parameters
-    ----------
-    speed : float
-        Of the ring gear [rad/s]; not 0, where friction leaves the balance open.
-    preload : float
-        Half the difference of the left and right voltage [V].
-    theta_L : float
-        Ring-gear angle [rad].
-
-    Returns
-    -------
-    x0 : (6,) array
-        θ3l, θ3r, θL [rad] and their speeds [rad/s].
-    u0 : (2,) array [V]
-
-    Raises
-    ------
-    ValueError
-        No such turn: speed 0, or a mesh that would have to stay in its gap.
+    `speed` [rad/s] and angle [rad] are those of the ring gear; `preload` is half the difference of
+    the voltages. ValueError at speed 0, where friction leaves the balance open, and for a mesh
+    that would have to stay in its gap.
     """
     if abs(speed) <= REST_SPEED:
         raise ValueError("a steady turn needs a speed; at rest friction leaves the balance open")
@@ -359,7 +343,6 @@ def linear_train(model: RigModel, position: Mapping[str, float] | None = None) -
         joints=tuple(Joint(*link) for link in joined),
         drives=np.transpose(pushed) * plant.input_values[:, 0],
         torque_per_volt=1.0,
-        readouts={},
         ground=ground,
         lags=plant.input_values[:, 2],
         labels=layout.inputs,

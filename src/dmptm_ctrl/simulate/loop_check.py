@@ -1,12 +1,13 @@
 """What a PI loop does on the nonlinear drive: overshoot, settling, limit cycle."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import periodogram
 
-from dmptm_ctrl.simulate.compiled import Loop, close_loop
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.any_model import AnyModel, loop_parts, speed_read
+from dmptm_ctrl.simulate.closed import close_loop
+from dmptm_ctrl.simulate.plant import Floats
 
 BAND = 0.05  # of the step; settled is inside, and what stays outside after that oscillates
 QUIET = 0.01  # of the step; amplitude below which an oscillation is called excluded
@@ -14,65 +15,43 @@ LASTING = 0.5  # the second half of the observation keeps this share of the firs
 
 
 class LoopCheck(NamedTuple):
-    """Step of the setpoint from rest.
+    """Step of the setpoint from rest."""
 
-    Attributes
-    ----------
-    overshoot : float
-        Largest excess over the step, relative to it.
-    settling_time : float [s]
-        From when the speed, averaged over `window`, stays within 5 % of the step; infinite
-        if it never does.
-    limit_cycle_amplitude : float [rad/s]
-        Of the lasting oscillation, √2 times its standard deviation; 0 where it is excluded.
-    limit_cycle_hz : float
-        Its strongest line; 0 where it is excluded.
-    time, omega_L, ref : (n,) arrays [s, rad/s, rad/s]
-    """
-
-    overshoot: float
-    settling_time: float
+    overshoot: float  # largest excess over the step, relative to it
+    settling_time: float  # s, until the mean speed stays within 5 % of the step; or infinite
+    # rad/s, of the lasting oscillation: √2 times its standard deviation; 0 where it is excluded
     limit_cycle_amplitude: float
-    limit_cycle_hz: float
-    time: Floats
-    omega_L: Floats
+    limit_cycle_hz: float  # its strongest line; 0 where it is excluded
+    time: Floats  # (n,) [s]
+    omega_L: Floats  # rad/s, of a rig the controlled speed
     ref: Floats
 
 
 def check_loop(
-    model: Model,
-    loop: Loop,
+    model: AnyModel,
+    loop: Any,
     speed: float,
     *,
     duration: float = 6.0,
     sample_time: float = 1e-3,
     window: float = 0.02,
 ) -> LoopCheck:
-    """Step the setpoint from rest and judge the ring-gear speed.
+    """Step the setpoint from rest to `speed` [rad/s] and judge the speed that is controlled.
 
-    Parameters
-    ----------
-    speed : float [rad/s]
-        Height of the step, not 0. Try slow ones: sticking shows there.
-    duration : float [s]
-        The last two thirds are watched for a limit cycle.
-    sample_time : float [s]
-    window : float [s]
-        Running mean before judging overshoot and settling: rattle of the pinions above
-        1/window is not the loop's.
-
-    Raises
-    ------
-    ValueError
-        A step of height 0.
+    Model and loop are as of :func:`~.closed.close_loop`. Try slow steps: sticking shows there. The
+    last two thirds of `duration` [s] are watched for a limit cycle. Overshoot and settling are
+    those of a running mean over `window` [s]: rattle of the pinions above 1/window is not the
+    loop's. ValueError for a step of height 0.
     """
     if speed == 0.0:
         raise ValueError("a step of height 0 has no overshoot")
     n = round(duration / sample_time)
     time = np.asarray(np.arange(n) * sample_time, float)
     ref = np.full(n, speed, float)
-    out = close_loop(model, loop, ref, sample_time)[1]
-    omega = out[:, 1]
+    run = close_loop(model, loop, time, ref)
+    source, name = (getattr(loop, part, "") for part in ("input", "sensor"))
+    sensor = loop_parts(model, source, name)[1]
+    omega = speed_read(model, run.outputs[sensor], sample_time, sensor)
     width = max(1, round(window / sample_time))
     smooth = np.convolve(omega, np.ones(width) / width, "same") / speed
     smooth = smooth[: n - width]  # the mean is one-sided at the end

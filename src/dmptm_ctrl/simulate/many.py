@@ -28,28 +28,21 @@ class Closed(Protocol):
 class Common(NamedTuple):
     """What is the same for all drives of a batch.
 
-    Attributes
-    ----------
-    u : (batch or 1, inputs, n) array
-        Signals of the inputs, held between samples; none of them under controllers.
-    columns, judged : tuple of str
-        Kept of what is seen, and of what statistics are: ``reading0``, ``torque0`` and ``twist0``
-        of a link, ``signal0`` of an input.
-    measured : (batch or 1, m, n) array
-        What observers follow, or none.
+    Names of what is seen are ``reading0``, ``torque0`` and ``twist0`` of a link, ``signal0`` of an
+    input.
     """
 
     dt: float
     substeps: int
     samples: int
-    u: Floats
+    u: Floats  # (batch or 1, inputs, n), held between samples; n = 0 under controllers
     target: Floats  # (batch or 1, n)
     noise: Floats  # (batch or 1, n), or none
-    columns: tuple[str, ...]
+    columns: tuple[str, ...]  # kept of what is seen
     every: int = 1
-    judged: tuple[str, ...] = ()
+    judged: tuple[str, ...] = ()  # of what statistics are
     begin: float = 0.0
-    measured: Floats = _NO_TABLES
+    measured: Floats = _NO_TABLES  # (batch or 1, m, n), what observers follow, or none
 
     def of(self, some: Sequence[int]) -> "Common":
         """What some of the plants need of it."""
@@ -90,27 +83,13 @@ def run_many(
     width: int = LANES,
     switched: bool = False,
 ) -> tuple[Floats | list[Floats], Floats | list[Floats]]:
-    """Run drives open loop or each under its loop.
+    """Run drives open loop or each under its loop, from `starts`: coordinates and speeds.
 
-    Parameters
-    ----------
-    starts : sequence of (coordinates, speeds)
-    loops : sequence, optional
-        Their controllers are of one function.
-    observers : sequence of Observer, optional
-        Of the same sensors and leaks; they follow what is measured.
-    n_jobs : int
-        Threads, −1 for one per core; else joblib's, on whatever backend is chosen.
-    width : int
-        Of the lanes, 16 or 8.
-    switched : bool
-        See :func:`same_shape`.
-
-    Returns
-    -------
-    outputs : sequence of (columns, kept samples) arrays
-    statistics : sequence of (4, judged) arrays
-        Least, greatest, sum and sum of squares of what is judged.
+    Controllers of `loops` are of one function; `observers` of the same sensors and leaks, they
+    follow what is measured. `n_jobs` are threads, −1 for one per core; else joblib's, on whatever
+    backend is chosen. `width` is that of the lanes, 16 or 8; `switched` as of :func:`same_shape`.
+    Returns arrays (columns, kept samples), and (4, judged) of the least, greatest, sum and sum of
+    squares of what is judged.
     """
     tasks: list[Any] = []
     for members, on, structure in same_shape([m.plant() for m in models], switched=switched):

@@ -38,12 +38,7 @@ def along_path(
     """Lead one mesh along z(t) and return both torques.
 
     `z` and `z_rate` are functions of time [s], the relative angle [rad] and its rate; `p` is the
-    law, with c + c_f > 0; `position` [rad] is that in the gap at the start.
-
-    Raises
-    ------
-    ValueError
-        No damping at all: the position in the gap has no equation.
+    law; `position` [rad] is that in the gap at the start. ValueError without any damping.
     """
     relaxation = (p.damping + p.gap_damping) / p.stiffness
     if relaxation <= 0.0:

@@ -93,13 +93,7 @@ def rig_model_to_toml(model: RigModel) -> str:
 
 
 def rig_model_from_toml(text: str, name: str = "model.toml") -> RigModel:
-    """Read the text of a model file.
-
-    Raises
-    ------
-    LogError
-        Not TOML, another kind, a name that does not exist, a value that is no finite number.
-    """
+    """Read the text of a model file; LogError as of :func:`from_toml`."""
     data = _parsed(text, name, RIG)
     if not isinstance(data.get("rig"), str):
         raise LogError(f"{name}: no rig in it; the diagnosis writes the rig file's text there")
@@ -149,11 +143,8 @@ def to_toml(model: Model) -> str:
 def from_toml(text: str, *, name: str = "model.toml") -> Model:
     """Read the text of a model file.
 
-    Raises
-    ------
-    LogError
-        Not TOML, another kind or schema, an unknown or missing name, a value that is not a
-        finite number.
+    LogError where it is no TOML, or of another kind or schema; for an unknown or missing name, a
+    value that is no finite number.
     """
     data = _parsed(text, name, DUAL)
     values = finite_numbers(name, "drive", data.get("drive"))

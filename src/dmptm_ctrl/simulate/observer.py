@@ -17,21 +17,13 @@ FASTEST = 0.5  # decay of an observer a sample; from 2 on its gains no longer da
 
 
 class Observer(NamedTuple):
-    """How a run of a plant follows measurements.
-
-    Attributes
-    ----------
-    sensors : (m,) array of int
-    gains : (2 coordinates, m) array
-        What a miss adds to the coordinates and, where they move, to their speeds. A coordinate
-        at rest stays at rest.
-    leak : (m,) array
-        Share of a miss that is forgotten by the next sample, 0 to 1.
-    """
+    """How a run of a plant follows measurements of m sensors."""
 
     sensors: Ints
+    # (2 coordinates, m): what a miss adds to the coordinates and, where they move, to their speeds;
+    # a coordinate at rest stays at rest
     gains: Floats
-    leak: Floats
+    leak: Floats  # share of a miss that is forgotten by the next sample, 0 to 1
 
     def shown(self, plant: Plant) -> Floats:
         """What of a lead the readings do not show, (sensors, m)."""
@@ -48,12 +40,8 @@ UNLED = Observer(np.zeros(0, np.int64), np.zeros((0, 0)), np.zeros(0))
 def rigid_observer(plant: Plant, sensor: int, gains: Sequence[float]) -> Observer:
     """Return the observer that leads the rigid motion of a plant by one sensor.
 
-    Parameters
-    ----------
-    sensor : int
-        Of a speed, it moves the speed by the first gain and forgets each miss.
-    gains : (angle gain, speed gain) per sample
-        As of :func:`observer_gains`.
+    `gains` per sample are as of :func:`observer_gains`. A sensor of speed moves the speed by the
+    first of them and forgets each miss.
     """
     body = int(plant.sensor_body[sensor])
     mode = untwisted(plant, int(plant.body_coordinate[body])) / plant.body_ratio[body]

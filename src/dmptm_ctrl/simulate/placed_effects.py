@@ -49,24 +49,12 @@ BACKLASH = Effect(
 
 
 class PlacedEffect(NamedTuple):
-    """An effect as one place of a drive has it.
+    """An effect as one place of a drive has it."""
 
-    Attributes
-    ----------
-    effect : Effect
-        Owner of the kernel.
-    keep : tuple of str
-        Parameters that one place has, in its own naming.
-    fields : tuple of int or float
-        For each field of the kernel's parameters: which of `keep`, or a constant.
-    told : int
-        Side or body that the kernel is told.
-    """
-
-    effect: Effect
-    keep: tuple[Parameter, ...]
-    fields: tuple[int | float, ...]
-    told: int = RING
+    effect: Effect  # owner of the kernel
+    keep: tuple[Parameter, ...]  # those that one place has, in its own naming
+    fields: tuple[int | float, ...]  # of the kernel's parameters: which of `keep`, or a constant
+    told: int = RING  # side or body that the kernel is told
 
     @property
     def name(self) -> str:
@@ -171,13 +159,7 @@ PLACED_CATALOGUE: dict[str, PlacedEffect] = {
 
 
 def register(chain: PlacedEffect) -> PlacedEffect:
-    """Add a user's own effect for drives of any shape.
-
-    Raises
-    ------
-    ValueError
-        A name that is taken, or a site that chains do not have.
-    """
+    """Add a user's own effect for drives of any shape; ValueError for a wrong name or site."""
     if chain.name in PLACED_CATALOGUE:
         raise ValueError(f"effect {chain.name!r} is in the chain catalogue; choose another name")
     if chain.site not in SITES:

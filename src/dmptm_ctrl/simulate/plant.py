@@ -32,22 +32,12 @@ NO_FLAGS = np.zeros(0, np.uint8)
 
 
 class Place(NamedTuple):
-    """An effect at a place of a plant.
-
-    Attributes
-    ----------
-    part : int
-        Number of the input, body, link or sensor where it acts.
-    told : int
-        Side or body that the kernel is told.
-    flag, first : int
-        Where its flag and its first number stand in `Plant.on` and `Plant.values`; places
-        that share them are tied.
-    """
+    """An effect at a place of a plant."""
 
     effect: Effect
-    part: int
-    told: int
+    part: int  # number of the input, body, link or sensor where it acts
+    told: int  # side or body that the kernel is told
+    # where its flag and first number stand in `Plant.on`, `.values`; who shares them is tied
     flag: int
     first: int
 
@@ -129,34 +119,22 @@ def _twists(ends: Ints, ratio: Floats, coordinate: Ints, turns: Floats, n: int) 
 
 
 class Structure(NamedTuple):
-    """What the text of a step depends on; numbers are none of it.
+    """What the text of a step depends on; numbers are none of it."""
 
-    Attributes
-    ----------
-    switched : bool
-        Places are there to be switched on by a flag; else all of them act.
-    bodies : tuple of (coordinate, sign of the ratio or 0 for a ratio of 1, law)
-        `law` is 0 for no friction law, 1 for one, 2 for one with an exponent.
-    links : tuple of (first body, second body, contact law, whether it loads bearings)
-    inputs : tuple of (body, limited, lags)
-        `lags` is 0 for no lag, else :data:`DECLARED` or :data:`BY_EFFECT`.
-    sensors : tuple of (body, measures speed, may be late)
-    bristles : tuple of int
-        Bodies with presliding.
-    either : bool
-        What may be absent by its numbers is there, behind conditions: lags of all inputs, delays
-        of all sensors, presliding and given motion of all coordinates. Effects change what they
-        do by functions of their own. One structure, compiled once, serves what would be many.
-    """
-
-    switched: bool
+    switched: bool  # places are there to be switched on by a flag; else all of them act
     coordinates: int
+    # coordinate; sign of the ratio, 0 for a ratio of 1; law: 0 none, 1 one, 2 one with an exponent
     bodies: tuple[tuple[int, int, int], ...]
+    # first and second body, contact law, whether it loads bearings
     links: tuple[tuple[int, int, int, bool], ...]
+    # body, limited; 0 for no lag, else `DECLARED` or `BY_EFFECT`
     inputs: tuple[tuple[int, bool, int], ...]
-    sensors: tuple[tuple[int, bool, bool], ...]
-    bristles: tuple[int, ...]
+    sensors: tuple[tuple[int, bool, bool], ...]  # body, measures speed, may be late
+    bristles: tuple[int, ...]  # bodies with presliding
     places: tuple[Place, ...]
+    # What may be absent by its numbers is there, behind conditions: lags of all inputs, delays of
+    # all sensors, presliding and given motion of all coordinates. Effects change what they do by
+    # functions of their own. One structure, compiled once, serves what would be many.
     either: bool = False
 
     def at(self, site: str, part: int) -> list[Place]:

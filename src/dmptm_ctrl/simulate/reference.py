@@ -21,6 +21,7 @@ from dmptm_ctrl.simulate.plant import ELASTIC_IMPACT, GAP, LINEAR, TWO_STATES, F
 
 if TYPE_CHECKING:
     from dmptm_ctrl.simulate.model import Model
+    from dmptm_ctrl.simulate.rig_model import RigModel
 
 Hold = tuple[float, float, list[float]]  # start, end [s], signals
 ATOL = 1e-14  # rad, rad/s: 4e-10 N·m in a mesh
@@ -280,11 +281,7 @@ def run_exactly(
 
     `u` (inputs, n), `dt` [s] and `before` are as for :func:`~.run.advance`, `q0` and `v0` (n,) the
     coordinates and speeds at the start, `rtol` is the integrator's relative tolerance.
-
-    Raises
-    ------
-    RuntimeError
-        The integrator gave up, or the mode changes without end.
+    RuntimeError where the integrator gives up, or the mode changes without end.
     """
     signals = np.array(u, float, ndmin=2)
     hybrid = _Hybrid(plant)
@@ -300,12 +297,18 @@ def run_exactly(
 
 
 def simulate(
-    model: "Model", u: ArrayLike, x0: ArrayLike, dt: float, *, rtol: float = 1e-10
+    model: "Model | RigModel", u: ArrayLike, x0: ArrayLike | None, dt: float, *, rtol: float = 1e-10
 ) -> Floats:
-    """Run the dual-motor drive: (n, 8) array of :data:`~.compiled.OUTPUTS`, see `run_exactly`."""
+    """Run a drive, see `run_exactly`: (n, 8) array of :data:`~.compiled.OUTPUTS`.
+
+    Of a rig, which has no `x0` and starts from rest, the readings of its sensors.
+    """
     from dmptm_ctrl.simulate.dual import start
 
     plant = model.plant()
+    if x0 is None:
+        still = np.zeros(plant.inertia.size)
+        return run_exactly(plant, u, still, still, dt, rtol=rtol).readings
     exact = run_exactly(plant, u, *start(plant, np.asarray(x0, float)), dt, rtol=rtol)
     ratio = plant.link_values[:2, 0]
     twists = exact.q[:, :2] - ratio * exact.q[:, 2:3]

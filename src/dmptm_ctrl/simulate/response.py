@@ -18,12 +18,7 @@ if TYPE_CHECKING:
 def response(time: NDArray[Any], outputs: NDArray[Any], **given: Any) -> "control.TimeResponseData":
     """Return what ``control.TimeResponseData(time, outputs, **given)`` is.
 
-    Parameters
-    ----------
-    time : (n,) array [s]
-    outputs : (p, n) array
-    **given
-        Keywords of :class:`control.TimeResponseData`; `inputs`, an (m, n) array, among them.
+    `inputs`, an (m, n) array, is among what is `given`.
     """
     given = {"issiso": False, **given}
     if "control" in sys.modules:

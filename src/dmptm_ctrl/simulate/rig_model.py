@@ -22,24 +22,12 @@ FAR = "_far"  # suffix of the body behind a compliance that splits a declared on
 
 
 class Placed(NamedTuple):
-    """An effect at a place of a rig.
+    """An effect at a place of a rig."""
 
-    Attributes
-    ----------
-    name : str
-        In the catalogue.
-    on : str
-        Body, link, input or sensor, by its name in the rig.
-    values : mapping
-        Parameter name → value, SI.
-    far : tuple of str
-        Of a shaft compliance: inputs and sensors that sit behind the spring.
-    """
-
-    name: str
-    on: str
-    values: Mapping[str, float] = {}
-    far: tuple[str, ...] = ()
+    name: str  # in the catalogue
+    on: str  # body, link, input or sensor, by its name in the rig
+    values: Mapping[str, float] = {}  # parameter name → value, SI
+    far: tuple[str, ...] = ()  # of a shaft compliance: inputs and sensors behind the spring
 
     @property
     def key(self) -> str:
@@ -85,27 +73,17 @@ def declared_effects(rig: Rig) -> list[Placed]:
 class RigModel:
     """A rig, values of its declared quantities, and effects added to it.
 
-    Attributes
-    ----------
-    effects : tuple of Placed
-        Left out: those that the rig declares.
-    values : mapping
-        By the keys of `declared`; what is left out has the declared value.
-    zeros : mapping of log to mapping of effect key to float
-        Shift of the encoder's zero in each log of the fit [rad or m].
-    closed : frozenset of str
-        Links that count as rigid: a view for balances, in which no gap and no twist stands.
-
-    Raises
-    ------
-    KeyError
-        An effect or parameter that is not in the catalogue, or a place that the rig does not have.
+    KeyError for an effect or parameter that is not in the catalogue, or a place that the rig does
+    not have.
     """
 
     rig: Rig
-    effects: tuple[Placed, ...] = None  # type: ignore[assignment]
+    effects: tuple[Placed, ...] = None  # type: ignore[assignment]  # those that the rig declares
+    # by the keys of `declared`; what is left out has the declared value
     values: Mapping[str, float] = field(default_factory=dict)
+    # shift of the encoder's zero in each log of the fit [rad or m], by effect key
     zeros: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    # links that count as rigid: a view for balances, in which no gap and no twist stands
     closed: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
@@ -134,13 +112,7 @@ class RigModel:
         return self.quantities[self.rig.ties.get(key, key)]
 
     def value(self, key: str) -> float:
-        """Value of a declared quantity as the model has it.
-
-        Raises
-        ------
-        ValueError
-            Declared as unknown and not yet fitted.
-        """
+        """Value of a declared quantity; ValueError where it is unknown and not yet fitted."""
         key = self.rig.ties.get(key, key)
         value = self.values.get(key, self.quantities[key].value)
         if not isfinite(value):
@@ -170,13 +142,10 @@ class RigModel:
         return replace(self, closed=frozenset()) if self.closed else self
 
     def check(self) -> None:
-        """Refuse declared values and effects that no machine has.
+        """Refuse declared values and effects that no machine has, as a ValueError.
 
-        Raises
-        ------
-        ValueError
-            An inertia that is not positive, a stiffness, damping or time that is negative, an
-            unknown or any other value that is not finite.
+        These are an inertia that is not positive, a stiffness, damping or time that is negative,
+        an unknown or any other value that is not finite.
         """
         for key, quantity in self.quantities.items():
             kind = key.rpartition(".")[2]
@@ -199,18 +168,15 @@ class RigModel:
                     raise ValueError(f"{what} is {value:g}; it must be zero or more")
 
     def to_blocks(self, **options: Any) -> "control.InterconnectedSystem":
-        """Return the model as python-control blocks, see :func:`.blocks.rig_blocks`."""
-        from dmptm_ctrl.simulate.blocks import rig_blocks
+        """Return the model as python-control blocks, see :func:`.blocks.to_blocks`."""
+        from dmptm_ctrl.simulate.blocks import to_blocks
 
-        return rig_blocks(self, **options)
+        return to_blocks(self, **options)
 
     def shifted(self, zeros: Mapping[str, float]) -> "RigModel":
         """Return the model with harmonics of the angle counted from another zero.
 
-        Parameters
-        ----------
-        zeros : mapping of effect key to float
-            Added to the angle [rad or m]; C cos n(θ + z) + S sin n(θ + z).
+        `zeros`, by effect key, are added to the angle [rad or m]; C cos n(θ + z) + S sin n(θ + z).
         """
         moved = []
         for effect in self.effects:
@@ -240,24 +206,14 @@ class RigModel:
 
 
 class Layout(NamedTuple):
-    """What stands where in the arrays of a plant.
-
-    Attributes
-    ----------
-    coordinate : dict
-        Body → index of its coordinate.
-    ratio : dict
-        Body → its angle over the coordinate.
-    sensor_body, input_body : dict
-        Sensor or input → body, a far one behind a compliance included.
-    """
+    """What stands where in the arrays of a plant."""
 
     bodies: tuple[str, ...]
     links: tuple[str, ...]
     inputs: tuple[str, ...]
-    coordinate: dict[str, int]
-    ratio: dict[str, float]
-    sensor_body: dict[str, str]
+    coordinate: dict[str, int]  # of each body, by its index
+    ratio: dict[str, float]  # of each body's angle over the coordinate
+    sensor_body: dict[str, str]  # body of each sensor, a far one behind a compliance included
     input_body: dict[str, str]
 
     @property

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from inspect import signature
 from math import ceil
+from typing import Any
 
 import control
 import numpy as np
@@ -30,15 +31,9 @@ def as_rig_model(model: Rig | RigModel, name: str) -> RigModel:
 
 
 class RigRun:
-    """Motion of a chain on a clock.
+    """Motion of a rig on a clock; another run goes on from its `state`.
 
-    Attributes
-    ----------
-    time : (n,) array [s]
-    u : (inputs, n) array
-        Signals of the inputs, as the controller gave them where a loop was closed.
-    state : State
-        From which another run goes on.
+    `u` (inputs, n) are as the controller gave them where a loop was closed.
     """
 
     def __init__(self, model: RigModel, time: Floats, motion: Motion) -> None:
@@ -164,3 +159,10 @@ def march(
 
 
 MARCH_OPTIONS = [p.name for p in signature(march).parameters.values() if p.kind is p.KEYWORD_ONLY]
+
+
+def march_readings(model: RigModel, u: Floats, _: None, dt: float, **options: Any) -> Floats:
+    """Run a rig, see :func:`march`: (n, sensors) array; `u` gets what a controller gave."""
+    run = march(model, u, dt, **options)
+    u[:] = run.u
+    return np.column_stack([run.reading(sensor.name) for sensor in model.rig.sensors])

@@ -25,20 +25,13 @@ _NOTHING, _NONE = np.zeros(1), np.zeros(0)
 class Controller(NamedTuple):
     """A sampled controller as the compiled loop calls it.
 
-    Attributes
-    ----------
-    function : numba cfunc of SIGNATURE
-        ``f(i, t, dt, target, noise, y, rule, memory, u)`` writes the signals of the inputs into
-        `u`; `y` are the readings of the sensors.
-    rule : (m,) array
-        Its numbers.
-    memory : int
-        Room that it keeps from sample to sample.
+    Its `function`, compiled for SIGNATURE, ``f(i, t, dt, target, noise, y, rule, memory, u)``,
+    writes the signals of the inputs into `u`; `y` are the readings of the sensors.
     """
 
     function: Any
-    rule: Floats
-    memory: int
+    rule: Floats  # (m,), its numbers
+    memory: int  # room that it keeps from sample to sample
 
 
 def compiled_controller(function: Callable[..., None], *, cache: bool = False) -> Any:
@@ -56,32 +49,19 @@ NOBODY = Controller(_open, _NOTHING, 1)
 
 @dataclass(frozen=True)
 class State:
-    """What a run goes on from.
-
-    Attributes
-    ----------
-    values : (k,) array
-        By the names in `names`: coordinates q, their speeds v, those one step before p, and
-        what meshes, lags, bristles and contacts remember.
-    time : float
-        s
-    memory : (m,) array
-        Of the controller.
-    signals : (inputs, j) array
-        Latest signals, as many as dead times need.
-    late : (delayed sensors, j) array and steps
-        The same of late readings.
-    lead : (m,) array
-        How far an observer has it ahead of what readings show.
-    """
+    """What a run goes on from."""
 
     names: tuple[str, ...]
+    # by `names`: coordinates q, their speeds v, those one step before p, and what meshes, lags,
+    # bristles and contacts remember
     values: Floats
-    time: float = 0.0
-    memory: Floats = field(default_factory=lambda: np.zeros(0))
+    time: float = 0.0  # s
+    memory: Floats = field(default_factory=lambda: np.zeros(0))  # of the controller
+    # (inputs, j), the latest, as many as dead times need; and (delayed sensors, j) of late readings
     signals: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     late: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     steps: int = 0
+    # how far an observer has it ahead of what readings show
     lead: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __getitem__(self, name: str) -> float:
@@ -89,25 +69,14 @@ class State:
 
 
 class Motion(NamedTuple):
-    """Samples of a run.
+    """Samples of a run."""
 
-    Attributes
-    ----------
-    u : (inputs, n) array
-        Signals of the inputs, as a controller gave them.
-    rows : (n, columns) array
-        Readings of sensors, torques of links at their first bodies, twists of links,
-        coordinates, their speeds; or the first of these columns.
-    size : tuple of int
-        Of the plant.
-    state : State
-        At the end of the last sample's interval, to go on from.
-    """
-
-    u: Floats
+    u: Floats  # (inputs, n), as a controller gave them
+    # (n, columns): readings of sensors, torques of links at their first bodies, twists of links,
+    # coordinates, their speeds; or the first of these columns
     rows: Floats
-    size: tuple[int, int, int, int, int]
-    state: State
+    size: tuple[int, int, int, int, int]  # of the plant
+    state: State  # at the end of the last sample's interval, to go on from
 
     def _part(self, first: int, count: int) -> Floats:
         return self.rows[:, first : first + count]
@@ -169,28 +138,15 @@ def advance(
     measured: Floats | None = None,
     columns: int | None = None,
 ) -> Motion:
-    """Run a plant from a state over the samples of `u`.
+    """Run a plant from a state, as `start_state` or an earlier run gave it.
 
-    Parameters
-    ----------
-    state : State
-        As `start_state` or an earlier run gave it.
-    u : (inputs, n) array
-        Held from each sample to the next; under a controller its values do not matter.
-    dt, substeps
-        Sample time [s], steps per sample.
-    before : (inputs,) array, optional
-        What the inputs were before the run, for dead times; 0.
-    push : (n, coordinates) array, optional
-        Torques added.
-    given : (position, speed) of (given coordinates, n) arrays
-        Where the motion of coordinates is prescribed.
-    controller, target, noise : Controller, (n,) and (n,) arrays, optional
-        Closes the loop; what `noise` is added to is the controller's choice.
-    observer, measured : Observer and (m, n) array, optional
-        Lead the run by what its sensors measured; a run from the state at the end is free.
-    columns : int, optional
-        How many of the columns of `Motion.rows` are wanted; all.
+    `u` (inputs, n) is held from each sample of `dt` seconds to the next, of so many `substeps`;
+    under a `controller`, with its `target` and `noise` (n,), its values do not matter. What the
+    noise is added to is the controller's choice. `before` (inputs,) is what the inputs were
+    before the run, for dead times; 0. `push` (n, coordinates) are torques added. `given` are
+    positions and speeds (given coordinates, n) where motion is prescribed. An `observer` leads the
+    run by what its sensors `measured` (m, n); a run from the state at the end is free. `columns`
+    is how many of `Motion.rows` are wanted; all.
     """
     structure = structure or structure_for(plant)
     h, n = dt / substeps, u.shape[1]

@@ -45,16 +45,10 @@ class Segment(NamedTuple):
 
 
 def segments(lines: Iterable[str], rows: Iterable[str], kept: Iterable[str]) -> list[Segment]:
-    """Cut lines into loops.
+    """Cut lines of a function's body into loops.
 
-    Parameters
-    ----------
-    lines : iterable of str
-        Of a function's body, indented by four; ``if`` lines have blocks behind them.
-    rows : iterable of str
-        Names that stand in rows beforehand.
-    kept : iterable of str
-        Names that are to stand in rows afterwards.
+    They are indented by four; ``if`` lines have blocks behind them. Names in `rows` stand there
+    beforehand, those `kept` are to stand there afterwards.
     """
     parts = _with_records(_in_order(_cut(lines)))
     named = [_names_of(part) for part in parts]

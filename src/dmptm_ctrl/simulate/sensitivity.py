@@ -14,12 +14,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dmptm_ctrl.contract import Parameter
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.compiled import SEEN, SUBSTEPS
+from dmptm_ctrl.simulate.any_model import (
+    AnyModel,
+    at_rest,
+    declared_in,
+    inputs_of,
+    seen_of,
+    steps_of,
+    with_numbers,
+)
 from dmptm_ctrl.simulate.dual import start
 from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 # Share of a parameter's size: truncation and rounding, grown by the run, are both far below 1 %
 STEP = 1e-7
@@ -30,82 +41,88 @@ _NO_ROWS = np.zeros((0, 0))
 
 
 class Sensitivities(NamedTuple):
-    """A run and its derivatives.
+    """A run and its derivatives."""
 
-    Attributes
-    ----------
-    time : (n,) array [s]
-    outputs : (8, n) array
-        Of the run, in the order of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`.
-    derivatives : (p, 8, n) array
-        ∂output/∂parameter, SI.
-    exists : (8, n) array of bool
-        False where the run is not differentiable: the derivatives from the two sides differ.
-    """
-
-    time: Floats
-    outputs: Floats
+    time: Floats  # (n,) [s]
+    outputs: Floats  # (8, n), as :data:`.compiled.OUTPUTS`; of a rig its sensors
     parameters: tuple[str, ...]
-    derivatives: Floats
-    exists: NDArray[np.bool_]
+    derivatives: Floats  # (p, 8, n), ∂output/∂parameter, SI
+    exists: NDArray[np.bool_]  # (8, n), False where the derivatives from the two sides differ
 
 
-def _step(model: Model, name: str) -> float:
+def _of_effect(model: AnyModel, effect: str) -> tuple[dict[str, Parameter], dict[str, float]]:
+    """Parameters of an effect, by what names it, and its values; empty where there is none."""
+    known: dict[str, Parameter] = {}
+    values: dict[str, float] = {}
+    if isinstance(model, RigModel):
+        for own in (e for e in model.effects if e.key == effect):
+            placed = PLACED_CATALOGUE[own.name]
+            known = {p.name: p for p in placed.keep}
+            values = {**dict(zip(known, placed.defaults, strict=True)), **own.values}
+    elif effect in CATALOGUE:
+        known = {p.name: p for p in CATALOGUE[effect].parameters}
+        values = {**CATALOGUE[effect].absent(), **model.effects.get(effect, {})}
+    return known, values
+
+
+def _step(model: AnyModel, name: str) -> float:
     """How far a parameter is moved."""
+    values = declared_in(model)[1]
+    if name in values:
+        if values[name] == 0.0:
+            raise ValueError(f"{name} is zero: its size is not known; give it a value")
+        return STEP * abs(values[name])
     effect, _, parameter = name.rpartition(".")
     if not effect:
-        if parameter not in model.drive:
-            raise ValueError(f"the drive has no parameter {parameter!r}")
-        value = model.drive[parameter]
-        if value == 0.0:
-            raise ValueError(f"{parameter} is zero: its size is not known; give it a value")
-        return STEP * abs(value)
-    known = {p.name: p for p in CATALOGUE[effect].parameters} if effect in CATALOGUE else {}
+        raise ValueError(f"the drive has no parameter {parameter!r}")
+    known, own = _of_effect(model, effect)
     if parameter not in known:
         raise ValueError(f"no parameter {name!r}; effects are named as in 'cogging.left_cosine'")
-    found, value = known[parameter], _values(model, effect)[parameter]
+    found, value = known[parameter], own[parameter]
     step = STEP * max(abs(value), found.step)
     if value - step < found.low:
         raise ValueError(f"{name} is at its lower bound {found.low:g}: no derivative from below")
     return step
 
 
-def _values(model: Model, effect: str) -> dict[str, float]:
-    return {**CATALOGUE[effect].absent(), **model.effects.get(effect, {})}
-
-
-def _moved(model: Model, moves: Sequence[tuple[str, float]]) -> Model:
+def _moved(model: AnyModel, moves: Sequence[tuple[str, float]]) -> AnyModel:
     """Return a model with parameters moved."""
     for name, step in moves:
+        declared = declared_in(model)[1]
         effect, _, parameter = name.rpartition(".")
-        if effect:
-            own = _values(model, effect)
-            model = model.with_effect(effect, **{**own, parameter: own[parameter] + step})
+        values = _of_effect(model, effect)[1]
+        if name in declared:
+            model = with_numbers(model, {name: declared[name] + step}, lambda _, own: own)
+        elif isinstance(model, RigModel):
+            (own,) = (e for e in model.effects if e.key == effect)
+            moved = {**values, parameter: values[parameter] + step}
+            model = model.with_effect(own._replace(values=moved))
         else:
-            model = model.with_values(**{parameter: model.drive[parameter] + step})
+            model = model.with_effect(effect, **{**values, parameter: values[parameter] + step})
     return model
 
 
 def simulate_with_sensitivities(
-    model: Model,
+    model: AnyModel,
     timepts: ArrayLike,
     inputs: ArrayLike,
     parameters: Sequence[str],
     initial_state: ArrayLike | None = None,
     *,
-    substeps: int = SUBSTEPS,
+    substeps: int | None = None,
     jobs: int = 1,
 ) -> Sensitivities:
     """Run a drive open loop together with its derivatives with respect to parameters.
 
     Parameters
     ----------
-    model : Model
+    model : Model or RigModel
     timepts, inputs, initial_state, substeps
         As for :func:`~dmptm_ctrl.simulate.simulate`; the initial state does not depend on
         the parameters.
     parameters : sequence of str
-        Names of the drive's parameters, or "effect.parameter".
+        Names of the drive's parameters, or "effect.parameter"; of a rig its keys, as
+        "body.load.inertia", or "effect@place.parameter" of an effect that it has.
     jobs : int
         Threads, for more than fourteen parameters.
 
@@ -126,8 +143,10 @@ def simulate_with_sensitivities(
     from dmptm_ctrl.simulate import _finite, _start, _timepts
 
     time = _timepts(timepts)
-    u = _finite("inputs", inputs, (2, time.size), "left and right voltage at each time point")
-    x0 = _start(model, initial_state)
+    rows = np.atleast_2d(np.array(inputs, float))
+    u = _finite("inputs", rows, (len(inputs_of(model)), time.size), "inputs by time points")
+    if isinstance(model, RigModel) and initial_state is not None:
+        raise ValueError("a rig starts from rest; leave initial_state out")
     if len(parameters) == 0:
         raise ValueError("parameters is empty; name at least one")
     moves = [(name, _step(model, name)) for name in parameters]
@@ -135,9 +154,13 @@ def simulate_with_sensitivities(
     moved = [_moved(model, [move]) for move in moves]
     back = _moved(model, [(name, -step) for name, step in moves])
     models = [model, *moved, back]
-    kept = tuple(SEEN.values())
-    common = Common(dt, substeps, time.size, u[None], _NO_ROWS, _NO_ROWS, kept)
-    starts = [start(one.plant(), x0) for one in models]
+    kept = tuple(x for x in seen_of(model).values() if not x.startswith("signal"))
+    fine = steps_of(model, dt) if substeps is None else substeps
+    common = Common(dt, fine, time.size, u[None], _NO_ROWS, _NO_ROWS, kept)
+    starts = [at_rest(one) for one in models]
+    if isinstance(model, Model):
+        x0 = _start(model, initial_state)
+        starts = [start(one.plant(), x0) for one in models]
     width = FEW if len(models) <= FEW else LANES
     runs = np.array(run_many(models, starts, common, n_jobs=jobs, width=width)[0])
     outputs, changes = runs[0], runs[1:] - runs[0]

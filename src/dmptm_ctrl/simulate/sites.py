@@ -87,18 +87,12 @@ class _One(NamedTuple):
 class Sites:
     """Sites of a structure at which effects may act, and the functions that do.
 
-    Attributes
-    ----------
-    index : dict of (kind, part) to int
-    function : dict of kind and part to int
-        Number of the function.
-    posts : (3 n,) array
-        Side, first flag and first number of each.
+    `posts` (3 n,) are the side, first flag and first number of each.
     """
 
     def __init__(self, s: Structure) -> None:
-        self.index: dict[tuple[str, int], int] = {}
-        self.function: dict[tuple[str, int], int] = {}
+        self.index: dict[tuple[str, int], int] = {}  # of each kind and part
+        self.function: dict[tuple[str, int], int] = {}  # its number
         self._own: list[tuple[str, tuple[_One, ...]]] = []
         posts: list[int] = []
         self._flags: list[int] = []

@@ -3,22 +3,80 @@
 Public names load on first use, so that ``import dmptm_ctrl`` stays quick. ``docs/api.md`` lists
 them in groups; ``help()`` on each gives units, shapes and errors.
 """
-# ruff: noqa: F401 (type checkers read the imports, and so does `_public`)
+# ruff: noqa: F401 (type checkers read the imports; at run time names load on first use)
 
-import ast
 import sys
 from functools import wraps
 from importlib import import_module
 from inspect import Parameter, Signature, isfunction, signature
-from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
+# public name -> "module" or "module:name there", in the groups of docs/api.md
+_LAZY = {
+    # models
+    "paper_drive": "drive.parameters",
+    "paper_rig": "drive.rig_dual",
+    "baseline": "drive.baseline:baseline_drive",
+    "Drive": "drive.parameters",
+    "load_rig": "drive.rigfile",
+    "Rig": "drive.rig",
+    "Model": "simulate.model",
+    "read_model": "simulate.model_file",
+    "register_effect": "effects:register",
+    # linear models
+    "three_dof": "drive.three_dof:three_dof_ss",
+    "nine_dof": "drive.nine_dof:nine_dof_ss",
+    "linearize": "simulate.linear",
+    "modes": "simulate.linear",
+    "common_mode": "control.pi",
+    "close_speed_loop": "control.pi",
+    "margins": "control.tuning:assess_pi",
+    "bode_compare": "plots.linear",
+    "step_compare": "plots.linear",
+    "step_info": "drive.space",
+    # simulation
+    "simulate": "simulate",
+    "simulate_batch": "simulate.batch",
+    "simulate_with_sensitivities": "simulate.sensitivity",
+    "close_loop": "simulate.closed",
+    "Loop": "simulate.compiled",
+    # frequency responses and experiments
+    "stepped_sine": "identify.frequency_response",
+    "multisine": "identify.frequency_response",
+    "response_from_log": "identify.frequency_response:from_log",
+    "constant_speed": "identify.experiments_steady",
+    # control design
+    "tune_pi": "control.tuning",
+    "tune_controller": "design.tune",
+    "Aims": "design.aims",
+    "Controller": "design.controller",
+    "read_controller": "design.controller",
+    "impact": "design.impact",
+    "limit_cycles": "design.limit_cycle",
+    "smallest_preload": "design.preload",
+    "monte_carlo": "design.montecarlo",
+    # logs, diagnosis, and what follows
+    "load_log": "signals.loaders",
+    "load_logs": "signals.loaders",
+    "Log": "signals.log",
+    "LogError": "signals.errors",
+    "diagnose": "diagnosis.run",
+    "Diagnosis": "diagnosis.report",
+    "predict": "diagnosis.predict",
+    "check": "check.run",
+    "export": "export.run:export_file",
+    # the paper
+    "reproduce": "reproduce.run",
+}
+
 # of functions that read logs, whose first argument may be nearly anything
 _NO_LOGS = {"Model", "RigModel", "Rig", "Drive", "Diagnosis", "StateSpace", "int", "float"}
 _LOGS = ("diagnose", "check", "constant_speed", "response_from_log", "load_log", "load_logs")
+
+__all__ = ["__version__", *_LAZY]
 
 if TYPE_CHECKING:
     from dmptm_ctrl.check.run import check
@@ -63,22 +121,6 @@ if TYPE_CHECKING:
     from dmptm_ctrl.simulate.sensitivity import simulate_with_sensitivities
 
 
-def _public() -> dict[str, tuple[str, str]]:
-    """Module of each name above, and its name there; read as SPEC 1 of Scientific Python does."""
-    lines = ast.parse(Path(__file__).read_text(encoding="utf-8")).body
-    (block,) = (node for node in lines if isinstance(node, ast.If))
-    return {
-        alias.asname or alias.name: (line.module or "", alias.name)
-        for line in block.body
-        if isinstance(line, ast.ImportFrom)
-        for alias in line.names
-    }
-
-
-_LAZY = _public()
-__all__ = ["__version__", *_LAZY]
-
-
 class _Front(ModuleType):
     """A package whose functions keep their names beside subpackages that are called alike.
 
@@ -97,8 +139,8 @@ def __getattr__(name: str) -> Any:
     if name not in _LAZY:
         said = f"module {__name__!r} has no attribute {name!r}"
         raise AttributeError(said, name=name, obj=sys.modules[__name__])  # Python names the nearest
-    module, there = _LAZY[name]
-    value = getattr(import_module(module), there)
+    module, _, there = _LAZY[name].partition(":")
+    value = getattr(import_module(f"{__name__}.{module}"), there or name)
     if isfunction(value):
         value = _checked(name, value)
     globals()[name] = value

@@ -7,6 +7,7 @@ from functools import cache
 from math import inf
 from os import PathLike
 
+from dmptm_ctrl.diagnosis.budget import EXPLAINED, NEGLIGIBLE, Errors, near
 from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
@@ -90,16 +91,22 @@ def diagnose_rig(
         names = [m.name for m in balance.motions]
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
         as_read = _as_read(declared, _in_contact(whole, base.fit.model, loaded), base, jobs)
-    selection = without_negligible(evidence, select_effects(evidence, base, say), rise)
+    told = foretold(declared, right, held_logs, jobs)
+
+    def grows(without: RigState, final: RigState) -> float:
+        more = rise(without, final)
+        return inf if more < NEGLIGIBLE and told(without, final) else more
+
+    selection = without_negligible(evidence, select_effects(evidence, base, say), grows)
     helps = confirmation(declared, right, held_logs, jobs)
     selection = without_negligible(evidence, selection, helps)
     say("looking for curves in what is left")
     found = curves(selection.final)
-    if within_floor(selection, predicted(selection.final, found)):
+    at_floor = within_floor(selection, predicted(selection.final, found))
+    plain = better_without_names(selection) if selection.entries else []
+    if selection.entries and (at_floor or plain) and not told(base, selection.final):
         selection = replace(selection, final=base, entries=[], rest=selection.first)
-        found = curves(base)
-    if selection.entries and (plain := better_without_names(selection)):
-        selection, found = replace(selection, final=base, entries=[], rest=selection.first), plain
+        found = plain or curves(base)
     return report_of(
         declared,
         loaded,
@@ -160,6 +167,24 @@ def confirmation(
         return inf if any(bare > whole or whole == inf for bare, whole in pairs) else 0.0
 
     return helps
+
+
+def foretold(
+    rig: Rig, logs: Sequence[Log], held: Balance, jobs: int
+) -> Callable[[RigState, RigState], bool]:
+    """Return what tells whether effects explain what predictions miss without them.
+
+    Of two models, one without the effects. Noise of the balance may hide what builds up in a run.
+    """
+
+    @cache
+    def told(without: RigState, final: RigState) -> bool:
+        given = rig, logs, held, without.held_state, final.held_state, final.fit, jobs
+        runs, short = (Runs.of(*given, lead_hz=lead).squares for lead in (0.0, BANDWIDTH_HZ))
+        far = any(m and not near(m.before, m.floor) for m in (runs, short))
+        return far and Errors(1.0, 1.0, 1.0, runs, short).explained >= EXPLAINED
+
+    return told
 
 
 def _as_read(rig: Rig, balance: Balance, base: RigState, jobs: int) -> RigState:

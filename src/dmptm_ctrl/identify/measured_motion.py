@@ -29,6 +29,7 @@ REST_SHARE = 5e-3  # of the highest speed; slower is at rest
 REST_NOISE = 3.0  # standard deviations of a sensor's noise; slower is at rest
 NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
 MOST_REST = 0.05  # of the highest speed
+REST_TIME = 2.0  # at rest for longer than this many periods of the bandwidth is left out
 STRETCHES = 10  # that a log is cut into where there are few logs
 HELD_STRETCHES = (2, 5, 8)  # of these, not fitted
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
@@ -159,16 +160,17 @@ class Motion:
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """Rows at which the bodies move, (rows,).
+        """Rows at which the bodies move, or rest only in passing, (rows,).
 
-        At rest friction is whatever holds a body: up to its level it would take up noise, too.
+        Between teeth, where noise of the twist hides what holds a body, they do not rest at all.
         """
-        shares = []
+        shares, least = [], 1.0 if self.loose else REST_TIME / (self.bandwidth * self.dt)
         for v in self.v.values():
-            slow = (np.abs(v) < self.rest_share * np.abs(v).max(initial=0.0)) | (v == 0)
-            if self.loose:  # nor may a body turn back, where noise of the twist hides what holds it
+            slow = np.abs(v) < self.rest_share * np.abs(v).max(initial=0.0)
+            slow |= v == 0
+            if self.loose:
                 slow[1:] |= np.sign(v[1:]) != np.sign(v[:-1])
-            shares.append(self.reduce(slow.astype(float)))
+            shares.append(self.reduce(_long_runs(slow, least)))
         if self.apart is not None:
             shares.append(self.reduce(self.apart))
         rest = np.max(shares, axis=0)
@@ -241,6 +243,16 @@ def recent(kept: dict[Any, Any], key: Any, make: Callable[[], Any], most: int) -
 def coordinates_of(layout: Layout, sensors: Iterable[str]) -> list[int]:
     """Return the coordinate that each sensor sees."""
     return [layout.coordinate[layout.sensor_body[name]] for name in sensors]
+
+
+def _long_runs(flag: NDArray[np.bool_], shortest: float) -> Floats:
+    """1.0 where a flag holds for at least `shortest` samples on end, else 0.0."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flag.astype(np.int8), [0]))))
+    out = np.zeros(flag.size)
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        if stop - start >= shortest:
+            out[start:stop] = 1.0
+    return out
 
 
 def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, float]:

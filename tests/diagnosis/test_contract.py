@@ -61,8 +61,9 @@ def without_voltage(tmp_path):
 
 
 def with_nan(tmp_path):
+    """A few are bridged with a warning; so many may hide anything."""
     frame = table()
-    frame.loc[1000, "theta_L_deg"] = math.nan
+    frame.loc[1000:1100, "theta_L_deg"] = math.nan
     return campaign(tmp_path / "logs", a=frame)
 
 

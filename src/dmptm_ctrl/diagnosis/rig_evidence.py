@@ -201,8 +201,12 @@ class RigEvidence:
         return found
 
     def _alike(self, state: State, fit: RigFit) -> RigFit | None:
-        """Return a fit if its slopes are nearly those of a state: where no gap is simulated."""
-        return None if self.logs.bends(state.model) else fit
+        """Return a fit if its slopes are nearly those of a state.
+
+        Not where a gap is simulated, nor where a spring came or went.
+        """
+        same = state.model.layout.links == fit.model.layout.links
+        return fit if same and not self.logs.bends(state.model) else None
 
     def _candidate(
         self, state: RigState, group: tuple[Trial, ...], fit: RigFit, *, look: bool = True

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from tests.export.test_plant import RIG
 from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL
-from dmptm_ctrl.diagnosis.rig_diagnose import confirmation, diagnose_rig, split
+from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, predictions, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_objections import objection
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
@@ -109,6 +110,7 @@ class Held:
 
     held_state: State
     keys: tuple[str, ...]
+    fit: Any = None
 
 
 def test_predictions_confirm_friction_and_refute_a_delay(rubbing):
@@ -117,9 +119,13 @@ def test_predictions_confirm_friction_and_refute_a_delay(rubbing):
     state = evidence.adopt(base, friction)
     held, rig = state.held_state, state.fit.model.rig
     delay = Placed("drive_delay", rig.inputs[0].name, {"delay": 0.02})
-    late = Held(State(held.model.with_effect(delay), held.logs), (*state.keys, delay.key))
+    late = Held(
+        State(held.model.with_effect(delay), held.logs), (*state.keys, delay.key), state.fit
+    )
     logs = logs_of(Bench(Machine(fc=0.03), **SMALL), rig)
-    helps = confirmation(rig, logs, evidence.held, 1)
+    told, helps = predictions(rig, logs, evidence.held, 1)
+    assert told(base, state)  # it explains what they miss without it
+    assert not told(state, late)
     assert helps(base, state) == np.inf
     assert helps(state, late) == 0.0
     true = Held(held, late.keys)  # predictions get worse without what it has

@@ -7,7 +7,9 @@ from functools import cache
 from math import inf
 from os import PathLike
 
-from dmptm_ctrl.diagnosis.budget import EXPLAINED, NEGLIGIBLE, Errors, near
+import numpy as np
+
+from dmptm_ctrl.diagnosis.budget import EXPLAINED, NEGLIGIBLE, Errors, Squares, near
 from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
@@ -91,14 +93,13 @@ def diagnose_rig(
         names = [m.name for m in balance.motions]
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
         as_read = _as_read(declared, _in_contact(whole, base.fit.model, loaded), base, jobs)
-    told = foretold(declared, right, held_logs, jobs)
+    told, helps = predictions(declared, right, held_logs, jobs)
 
     def grows(without: RigState, final: RigState) -> float:
         more = rise(without, final)
         return inf if more < NEGLIGIBLE and told(without, final) else more
 
     selection = without_negligible(evidence, select_effects(evidence, base, say), grows)
-    helps = confirmation(declared, right, held_logs, jobs)
     selection = without_negligible(evidence, selection, helps)
     say("looking for curves in what is left")
     found = curves(selection.final)
@@ -148,16 +149,36 @@ def _in_contact(balance: Balance, model: RigModel, read: Sequence[Log]) -> Balan
     return pushing(touching(centred(balance, model), model, read), model, read)
 
 
-def confirmation(
+def predictions(
     rig: Rig, logs: Sequence[Log], held: Balance, jobs: int
-) -> Callable[[RigState, RigState], float]:
-    """Return what tells whether held-out predictions get worse without a delay or a lag.
+) -> tuple[Callable[[RigState, RigState], bool], Callable[[RigState, RigState], float]]:
+    """Return two functions of a model without some effects, and the model with them.
 
-    Infinite where a free run or a short prediction does, and for all other effects; else nothing.
-    The balance compares filtered signals, and what a filter does to them looks like a delay.
+    Both compare free runs and short predictions of held-out logs.
+
+    Returns
+    -------
+    told : callable
+        Whether the effects explain what predictions miss without them. Noise of the balance may
+        hide what builds up in a run.
+    helps : callable
+        Infinite where predictions get worse without a delay or a lag, and for all other effects;
+        else nothing. The balance compares filtered signals, and what a filter does to them looks
+        like a delay.
     """
     runs = [Runs.none_yet(rig, logs, held, jobs, lead) for lead in (0.0, BANDWIDTH_HZ)]
     missed = cache(lambda state: [one.missed(state.held_state) for one in runs])
+    floor = cache(lambda state: [one.scatter(state.held_state, state.fit) for one in runs])
+
+    def told(without: RigState, final: RigState) -> bool:
+        pairs = [*zip(missed(without), missed(final), strict=True)]
+        # a run that diverges tells nothing
+        sizes = [
+            Squares(*np.square([*pair, min(*pair, least)])) if max(pair) < inf else None
+            for pair, least in zip(pairs, floor(final), strict=True)
+        ]
+        far = any(m and not near(m.before, m.floor) for m in sizes)
+        return far and Errors(1.0, 1.0, 1.0, *sizes).explained >= EXPLAINED
 
     def helps(without: RigState, final: RigState) -> float:
         gone = {name_of(key) for key in final.keys if key not in without.keys}
@@ -166,25 +187,7 @@ def confirmation(
         pairs = zip(missed(without), missed(final), strict=True)
         return inf if any(bare > whole or whole == inf for bare, whole in pairs) else 0.0
 
-    return helps
-
-
-def foretold(
-    rig: Rig, logs: Sequence[Log], held: Balance, jobs: int
-) -> Callable[[RigState, RigState], bool]:
-    """Return what tells whether effects explain what predictions miss without them.
-
-    Of two models, one without the effects. Noise of the balance may hide what builds up in a run.
-    """
-
-    @cache
-    def told(without: RigState, final: RigState) -> bool:
-        given = rig, logs, held, without.held_state, final.held_state, final.fit, jobs
-        runs, short = (Runs.of(*given, lead_hz=lead).squares for lead in (0.0, BANDWIDTH_HZ))
-        far = any(m and not near(m.before, m.floor) for m in (runs, short))
-        return far and Errors(1.0, 1.0, 1.0, runs, short).explained >= EXPLAINED
-
-    return told
+    return told, helps
 
 
 def _as_read(rig: Rig, balance: Balance, base: RigState, jobs: int) -> RigState:

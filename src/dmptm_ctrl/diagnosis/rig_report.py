@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import EXPLAINED, Errors, Row, closed_rows, error_entry
+from dmptm_ctrl.diagnosis.budget import (
+    EXPLAINED,
+    Errors,
+    Row,
+    closed_rows,
+    error_entry,
+    verdict_of,
+)
 from dmptm_ctrl.diagnosis.candidate import LEVEL, name_of
 from dmptm_ctrl.diagnosis.experiment import rig_experiment
 from dmptm_ctrl.diagnosis.negligible import material_together
@@ -179,11 +186,8 @@ def report_of(
     strong = (c.variable for c in curves if c.evidence > 0.5 * curves[0].evidence)
     variables = tuple(dict.fromkeys(strong))[:2]
     nearest = (best.variable,) if best else ()
-    verdict = "unknown"
-    if effects and errors.explained >= EXPLAINED:
-        verdict = "explained"
-    elif not effects and curve_share(final, curves) < 1.0 - EXPLAINED and errors.balanced:
-        verdict = "none"
+    judged = errors if effects else replace(errors, runs=None)  # "none" is told by the balance
+    verdict = verdict_of(judged, bool(effects), curve_share(final, curves) >= 1.0 - EXPLAINED)
     rows = [
         Row(e.name, e.location, slower[k], sqrt(costs[k]), e.share,
             (variable_of(augmented, f"{e.name}@{e.location}"),))

@@ -184,23 +184,21 @@ def likely_sets(
     What goes well with that is found beside it.
     """
     by_keys = {c.keys: c for c in candidates if np.isfinite(c.gain)}
-    if single is not None:
-        del by_keys[single.keys]
-    every = [*by_keys.values(), *([single] if single else [])]
-    gain = cache(joint_gain(evidence.rows(state, every)))
-    pairs = sorted(combinations(by_keys, 2), key=gain, reverse=True)
+    gain = cache(joint_gain(evidence.rows(state, list(by_keys.values()))))
+    others = [keys for keys in by_keys if single is None or keys != single.keys]
+    most = gain((single.keys,)) if single else 0.0
+    pairs = sorted(combinations(others, 2), key=gain, reverse=True)
     triples: set[tuple[Keys, ...]] = {
         tuple(sorted({*pair, keys}))
         for pair in pairs[:SET_BEAM]
-        for keys in by_keys
+        for keys in others
         if keys not in pair
     }
     likely: list[tuple[Keys, ...]] = list(pairs[:SET_TRIALS])
     likely += sorted(sorted(triples), key=gain, reverse=True)[:SET_TRIALS]
 
     def more(group: tuple[Keys, ...]) -> float:
-        beside = (single.keys,) if single else ()
-        return gain(group) - max(gain((one,)) for one in (*group, *beside))
+        return gain(group) - max(most, *(gain((one,)) for one in group))
 
     likely = [g for g in likely if more(g) > LEVEL * (len(g) - 1)]
     return [evidence.together(state, [by_keys[k] for k in group]) for group in likely]

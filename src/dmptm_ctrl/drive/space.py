@@ -26,7 +26,7 @@ class StateSpace(ct.StateSpace):  # type: ignore[misc]  # control is untyped
             value = np.asarray(super().horner(x, warn_infinite))
             if np.all(np.asarray(x) == 0.0) and np.isfinite(value).all() and self.nstates:
                 state = np.linalg.solve(self.A, -self.B)
-                for _ in range(2):  # what is nothing at rest is more than rounding else
+                for _ in range(2):  # else rounding hides an output of 0 on stiff drives
                     state -= np.linalg.solve(self.A, self.A @ state + self.B)
                 value[:] = (self.C @ state + self.D)[..., None]
             return value

@@ -44,10 +44,10 @@ def plot_tuning(tuned: Any, *, ax: Axes | None = None) -> Axes:
 def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
     """Draw speeds along the duty, tracking errors, and closed-loop gains of both drives."""
     panels = axes(ax, 3, figsize=(8.0, 8.5), grid="both").ravel()
-    unit, size = found.unit
-    time, ref = found.duty.time, found.duty.reference / size
+    unit, factor = found.unit
+    time, ref = found.duty.time, found.duty.reference / factor
     panels[0].plot(time, ref, color="0.65", linewidth=2.5, label="setpoint")
-    speeds = {name: speed / size for name, speed in found.speeds.items()}
+    speeds = {name: speed / factor for name, speed in found.speeds.items()}
     for (name, speed), style in zip(speeds.items(), _PAIR, strict=True):
         panels[0].plot(time, speed, label=name, **style)
         panels[1].plot(time, speed - ref, label=name, **style)

@@ -28,7 +28,7 @@ from dmptm_ctrl.simulate.any_model import (
 from dmptm_ctrl.simulate.dual import start
 from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.many import Common, run_many
-from dmptm_ctrl.simulate.model import Floats, Model
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
@@ -157,8 +157,9 @@ def simulate_with_sensitivities(
     kept = tuple(x for x in seen_of(model).values() if not x.startswith("signal"))
     fine = steps_of(model, dt) if substeps is None else substeps
     common = Common(dt, fine, time.size, u[None], _NO_ROWS, _NO_ROWS, kept)
-    starts = [at_rest(one) for one in models]
-    if isinstance(model, Model):
+    if isinstance(model, RigModel):
+        starts = [at_rest(one) for one in models]
+    else:
         x0 = _start(model, initial_state)
         starts = [start(one.plant(), x0) for one in models]
     width = FEW if len(models) <= FEW else LANES

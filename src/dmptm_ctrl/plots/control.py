@@ -67,7 +67,7 @@ def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
     above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
     for panel in panels[:2]:  # a sine fills them
         panel.legend(fontsize=8, ncols=3, borderaxespad=0.2, **above)
-    panels[2].legend(fontsize=8, loc="upper left", ncols=2)
+    panels[2].legend(fontsize=8, loc="lower right", ncols=2)  # gains fall from the left
     return panels
 
 

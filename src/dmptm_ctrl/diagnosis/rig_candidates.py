@@ -263,8 +263,8 @@ def _linear(
     best: tuple[float, Trial] | None = None
     for shape in shapes:
         parts = unit_columns(tangent.fit, tangent.balance, Placed(chain.name, body, shape), names)
-        apart = not same and len(parts) > 1 and chain.effect.wave
-        wide = _per_log(parts) if apart else parts
+        apart = not same and len({*logs}) > 1 and chain.effect.wave
+        wide = _per_log(parts, logs) if apart else parts
         gain, amplitudes = tangent.score(wide)
         pairs, zero = amplitudes.reshape(-1, len(names)), dict[str, float]()
         if any(low[n] >= 0 and pairs[0][j] < 0 for j, n in enumerate(names)):
@@ -273,7 +273,7 @@ def _linear(
             continue
         sizes = pairs[0]
         if apart:
-            sizes, zero = _common_phase(pairs, logs, shape.get("order", 1.0))
+            sizes, zero = _common_phase(pairs, [*dict.fromkeys(logs)], shape.get("order", 1.0))
         sized = {n: max(float(a), 0.0) if low[n] >= 0 else float(a)
                  for n, a in zip(names, sizes, strict=True)}  # fmt: skip
         placed = Placed(chain.name, body, {**shape, **sized})
@@ -281,10 +281,10 @@ def _linear(
     return best[1] if best else None
 
 
-def _per_log(parts: Sequence[Floats]) -> list[Floats]:
-    wide = []
-    for k, part in enumerate(parts):
-        padded = np.zeros((*part.shape[:2], part.shape[2] * len(parts)))
+def _per_log(parts: Sequence[Floats], logs: Sequence[str]) -> list[Floats]:
+    wide, names = [], [*dict.fromkeys(logs)]
+    for part, log in zip(parts, logs, strict=True):
+        padded, k = np.zeros((*part.shape[:2], part.shape[2] * len(names))), names.index(log)
         padded[:, :, k * part.shape[2] : (k + 1) * part.shape[2]] = part
         wide.append(padded)
     return wide

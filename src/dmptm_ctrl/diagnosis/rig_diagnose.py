@@ -39,6 +39,7 @@ from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
+from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.pushing_teeth import centred, pushing
 from dmptm_ctrl.identify.rig_fit import State, fit_rig
@@ -52,7 +53,7 @@ MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
 HOLD_EVERY = 3
 TIMING = ("delay", "lag")  # sites of effects that only shift a signal in time
 ROUNDS = 2  # fits of the declared model where hidden bodies follow the measured ones
-MIN_ROWS = 60  # of a log's balance; fewer tell nothing
+SAMPLES = 150_000  # of the balance; fits cost as much, and pieces of long logs tell as well
 
 
 @small_matrices
@@ -76,7 +77,8 @@ def diagnose_rig(
     faults = sensor_faults(declared, loaded)
     right = [put_right(declared, log, faults) for log in loaded]
     balance, short = _long_enough(balance_of(declared, right))
-    warnings = (*warnings, *short)
+    balance, pieces = _in_pieces(balance)
+    warnings = (*warnings, *short, *pieces)
     refuse_no_gain(declared, balance)
     if turned := refuse_reversed(declared, balance):
         warnings = (*warnings, turned)
@@ -92,6 +94,7 @@ def diagnose_rig(
     if faults:
         names = [m.name for m in balance.motions]
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
+        whole = whole.at_most(SAMPLES)
         as_read = _as_read(declared, _in_contact(whole, base.fit.model, loaded), base, jobs)
     told, helps = predictions(declared, right, held_logs, jobs)
 
@@ -202,7 +205,7 @@ def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, dict[str, str],
     As the rig file says; else every third of many logs is held out, or three tenths of each
     of a few.
     """
-    names = [m.name for m in balance.motions]
+    names = [*dict.fromkeys(m.name for m in balance.motions)]
     roles = rig.roles(names)
     if any(roles.values()):
         held = [n for n in names if roles[n] == "held-out"]
@@ -223,20 +226,32 @@ def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, dict[str, str],
 
 def _long_enough(balance: Balance) -> tuple[Balance, tuple[str, ...]]:
     """Leave out logs without rows enough; say so."""
-    kept = [m.name for m in balance.motions if m.rows.size >= MIN_ROWS]
+    kept = [m.name for m in balance.motions if m.rows.size >= FEWEST_ROWS]
+    band = balance.bandwidth
+    needs = f"{band:.3g} Hz of bandwidth need {FEWEST_ROWS / (2 * band):.3g} s"
     if not kept:
         longest = max(float(m.time[-1]) for m in balance.motions)
-        raise LogError(
-            f"logs are too short: {longest:.3g} s at most, where {balance.bandwidth:.3g} Hz of "
-            f"bandwidth need {MIN_ROWS / (2 * balance.bandwidth):.3g} s"
-        )
+        raise LogError(f"logs are too short: {longest:.3g} s at most, where {needs}")
     short = [m for m in balance.motions if m.name not in kept]
     if not short:
         return balance, ()
     return balance.only(kept), tuple(
-        f"left out: {m.name} is too short: {float(m.time[-1]):.3g} s, where "
-        f"{balance.bandwidth:.3g} Hz of bandwidth need {MIN_ROWS / (2 * balance.bandwidth):.3g} s"
-        for m in short
+        f"left out: {m.name} is too short: {float(m.time[-1]):.3g} s, where {needs}" for m in short
+    )
+
+
+def _in_pieces(balance: Balance) -> tuple[Balance, tuple[str, ...]]:
+    """Take pieces of logs that are too long together; say so."""
+    shorter = balance.at_most(SAMPLES)
+    pieces: dict[str, list[float]] = {}
+    for m in shorter.motions:
+        if m.tenth is not None:
+            pieces.setdefault(m.name, []).append(m.dt * m.time.size)
+    whole = {m.name: float(m.time[-1]) for m in balance.motions}
+    return shorter, tuple(
+        f"{name}: of {whole[name]:.6g} s, {len(own)} pieces of {own[0]:.3g} s each are fitted, "
+        "one in each tenth"
+        for name, own in pieces.items()
     )
 
 

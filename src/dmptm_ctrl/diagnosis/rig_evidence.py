@@ -445,8 +445,8 @@ def held_state(fit: RigFit, held: Balance) -> State:
     known, reference = {m.name for m in logs.motions}, logs.motions[0].name
     frees = [
         free
-        for m in held.motions if m.name not in known
-        for free in log_parameters(state.model, held, m.name, reference)
+        for log in dict.fromkeys(m.name for m in held.motions) if log not in known
+        for free in log_parameters(state.model, held, log, reference)
     ]  # fmt: skip
     if not frees:
         return state
@@ -465,12 +465,14 @@ def _phases(fit: RigFit, state: State, held: Balance, effect: Placed, new: set[s
     shape = {k: v for k, v in effect.values.items() if k == "order"}
     columns = unit_columns(fit, held, effect._replace(values=shape), ("cosine", "sine"))
     here = effect.values["cosine"] - 1j * effect.values["sine"]
-    for motion, column, miss in zip(held.motions, columns, left, strict=True):
-        if motion.name not in new or here == 0:
-            continue
-        use = motion.moving
-        c, s = np.linalg.lstsq(column[0][use], -miss[0][use], rcond=None)[0]
-        old = logs.get(motion.name, Nuisance())
+    for log in sorted(new) if here != 0 else ():
+        own = [k for k, m in enumerate(held.motions) if m.name == log]
+        table, rest = (
+            np.concatenate([part[k][0][held.motions[k].moving] for k in own])
+            for part in (columns, left)
+        )
+        c, s = np.linalg.lstsq(table, -rest, rcond=None)[0]
+        old = logs.get(log, Nuisance())
         shift = float(np.angle((c - 1j * s) / here) / order)
-        logs[motion.name] = Nuisance({**old.zero, effect.key: shift}, old.twist)
+        logs[log] = Nuisance({**old.zero, effect.key: shift}, old.twist)
     return replace(state, logs=logs)

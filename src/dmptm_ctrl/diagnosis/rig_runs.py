@@ -96,11 +96,12 @@ class Runs:
     ) -> "Runs":
         """Return what models are run on, before any is."""
         named = {log.name: log for log in logs}
-        held = tuple(named[m.name] for m in balance.motions)
+        parts = {m.name: m.part for m in balance.motions}
+        held = tuple(named[name] for name in parts)
         masks = []
-        for log, motion in zip(held, balance.motions, strict=True):
+        for log in held:
             tenth = np.arange(len(log)) * STRETCHES // len(log)
-            masks.append(np.isin(tenth, HELD_STRETCHES) | (motion.part == ""))
+            masks.append(np.isin(tenth, HELD_STRETCHES) | (parts[log.name] == ""))
         widest = min(BANDWIDTH_HZ, MOTION_OVER_BALANCE * balance.bandwidth)
         return cls(lead_hz, rig.speed_sensor, widest, held, tuple(masks), None, None, 0.0, jobs)
 

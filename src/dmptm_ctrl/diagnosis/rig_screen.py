@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.screen import MAX_ROWS, STRANGE, VAGUE, cut
+from dmptm_ctrl.diagnosis.screen import STRANGE, VAGUE
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Floats
@@ -60,11 +60,10 @@ def screen_rig(rig: Rig, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tuple[st
         if why := nothing_in(rig, log):
             useless.append(f"{log.name} {why}")
             continue
-        short, cuts = cut(log, MAX_ROWS)
-        kept.append(short)
+        kept.append(log)
         notes = [note for note in notes if note.partition(" times ")[2] not in told]
         told |= {note.partition(" times ")[2] for note in notes}
-        warnings += [f"{log.name}: {note}" for note in (*cuts, *notes, *generates(rig, log))]
+        warnings += [f"{log.name}: {note}" for note in (*notes, *generates(rig, log))]
     if not kept:
         raise LogError(f"nothing to diagnose: {'; '.join(useless)}")
     return tuple(kept), (*warnings, *(f"left out: {text}" for text in useless))

@@ -161,16 +161,11 @@ def shortened(log: Log) -> tuple[Log, list[str]]:
     if every > 1:
         log = thinned(log, every)
         notes.append(f"sampled at {rate:.6g} Hz; thinned to {1.0 / log.sample_time:.6g} Hz")
-    log, cuts = cut(log, MAX_ROWS)
-    return log, notes + cuts
-
-
-def cut(log: Log, rows: int) -> tuple[Log, list[str]]:
-    """Return the first rows of a log that has more, and say so."""
-    if len(log) <= rows:
-        return log, []
-    short = log.segment(float(log.time[0]), float(log.time[rows - 1]))
-    return short, [f"the first {short.duration:.6g} s of {log.duration:.6g} s are used"]
+    if len(log) > MAX_ROWS:
+        short = log.segment(float(log.time[0]), float(log.time[MAX_ROWS - 1]))
+        notes.append(f"the first {short.duration:.6g} s of {log.duration:.6g} s are used")
+        log = short
+    return log, notes
 
 
 def thinned(log: Log, every: int) -> Log:

@@ -180,8 +180,8 @@ def likely_sets(
 ) -> list[Candidate]:
     """Fit the pairs and triples that may explain most; they may hide each other one by one.
 
-    Those alone that are more to first order than their members, and than the best `single` one.
-    What goes well with that is found beside it.
+    Those alone that are more to first order than their parts that were fitted, and than the best
+    `single` one. What goes well with that is found beside it.
     """
     by_keys = {c.keys: c for c in candidates if np.isfinite(c.gain)}
     gain = cache(joint_gain(evidence.rows(state, list(by_keys.values()))))
@@ -196,12 +196,16 @@ def likely_sets(
     }
     likely: list[tuple[Keys, ...]] = list(pairs[:SET_TRIALS])
     likely += sorted(sorted(triples), key=gain, reverse=True)[:SET_TRIALS]
-
-    def more(group: tuple[Keys, ...]) -> float:
-        return gain(group) - max(most, *(gain((one,)) for one in group))
-
-    likely = [g for g in likely if more(g) > LEVEL * (len(g) - 1)]
-    return [evidence.together(state, [by_keys[k] for k in group]) for group in likely]
+    known: list[tuple[Keys, ...]] = [(keys,) for keys in by_keys]  # what they are worth was seen
+    found = []
+    for group in likely:
+        own = {part: gain(part) for part in known if {*part} < {*group}}
+        if gain(group) > most + LEVEL * (len(group) - 1) and all(
+            gain(group) > size + LEVEL * (len(group) - len(part)) for part, size in own.items()
+        ):
+            known.append(group)
+            found.append(evidence.together(state, [by_keys[k] for k in group]))
+    return found
 
 
 def joint_gain(rows: Rows) -> Callable[[tuple[Keys, ...]], float]:

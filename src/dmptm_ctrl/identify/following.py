@@ -57,7 +57,7 @@ def touching(balance: "Balance", model: RigModel, logs: Iterable[Log]) -> "Balan
     return replace(
         balance,
         motions=tuple(
-            replace(m, apart=_apart(balance.closed, model.opened, named[m.name]))
+            replace(m, apart=_apart(balance.closed, model.opened, named[m.name])[m.samples])
             for m in balance.motions
         ),
     )

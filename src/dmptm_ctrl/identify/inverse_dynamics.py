@@ -11,6 +11,7 @@ ones, driven by the same signals.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from math import isfinite
 from typing import Any
 
@@ -92,7 +93,7 @@ class Balance:
     bandwidth : float
         Of the balance [Hz].
     motions : tuple of Motion
-        One per log, keyed by the points' names.
+        One per log, or per piece of a long one, keyed by the points' names.
     closed : frozenset of str
         Links beyond which hidden bodies follow the measured ones, see :mod:`.following`.
     teeth : mapping of link to int
@@ -178,8 +179,17 @@ class Balance:
 
     def part(self, part: str) -> "Balance":
         """Return the balance of the "fit" or "held-out" stretches of every log."""
-        cut = tuple(replace(m, part=part) for m in self.motions)
+        cut = tuple(replace(m, part=part) for m in self.motions if m.of(part))
         return replace(self, motions=cut, known={}, noises={})
+
+    def at_most(self, samples: int) -> "Balance":
+        """Return the balance of pieces of the longest logs, as many samples together."""
+        left, most = samples, 0
+        for count, size in enumerate(sorted(m.time.size for m in self.motions), -len(self.motions)):
+            most = max(left // -count, 0)
+            left -= min(size, most)
+        pieces = (m.pieces(most) if m.time.size > most else (m,) for m in self.motions)
+        return replace(self, motions=tuple(chain.from_iterable(pieces)), known={}, noises={})
 
 
 def balance_of(rig: Rig, logs: Sequence[Log], *, bandwidth: float | None = None) -> Balance:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from itertools import pairwise
 from math import ceil
 from typing import Any
 
@@ -32,6 +33,7 @@ MOST_REST = 0.05  # of the highest speed
 REST_TIME = 2.0  # at rest for longer than this many periods of the bandwidth is left out
 STRETCHES = 10  # that a log is cut into where there are few logs
 HELD_STRETCHES = (2, 5, 8)  # of these, not fitted
+FEWEST_ROWS = 60  # of a balance; fewer tell nothing
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
 ORDER = 4  # of the filter that leaves it out
 NO_STAIRS = 0.4  # of the bandwidth; a filter that lets single counts of slow motion pass no more
@@ -94,6 +96,8 @@ class Motion:
     by_speed: bool = False  # the first point's acceleration is that of a speed sensor
     rest_share: float = REST_SHARE  # of the highest speed; slower is at rest, or noise
     part: str = ""  # "fit" or "held-out" stretches of the log; "" is all of it
+    first: int = 0  # sample of the log that it begins with
+    tenth: int | None = None  # of the log, where it is a piece of one that is too long
     apart: Floats | None = None  # 1.0 at samples that do not count: followed links are open
     loose: Mapping[str, Floats] = field(default_factory=dict)  # the same of each toothed link
     flank: Mapping[str, Floats] = field(default_factory=dict)  # 1 or −1, on which they push
@@ -192,17 +196,42 @@ class Motion:
         found: tuple[Floats, Floats, Floats] = self.known[key]
         return found
 
-    def stretch(self, start: int, stop: int) -> "Motion":
-        """Return the samples from `start` up to `stop` as a motion of its own."""
-        cut = slice(start, stop)
-        u, q, v, a = (
-            {k: x[cut] for k, x in signals.items()} for signals in (self.u, self.q, self.v, self.a)
-        )
-        return replace(self, time=self.time[cut], part="", u=u, q=q, v=v, a=a, known={})
+    @property
+    def samples(self) -> slice:
+        """Samples of the log that it holds."""
+        return slice(self.first, self.first + self.time.size)
+
+    def pieces(self, samples: int) -> tuple["Motion", ...]:
+        """Return the middle of each tenth, a motion each, all as many samples together.
+
+        They are longer where filters would leave fewer than :data:`FEWEST_ROWS`.
+        """
+        least = FEWEST_ROWS * self.step + (self.taps.size + 1) * self.box + 2 * self._inset
+        length = max(samples // STRETCHES, least)
+        edges = np.arange(STRETCHES + 1) * self.time.size // STRETCHES
+        if length >= edges[1]:
+            return (self,)
+        found = []
+        for k, (start, stop) in enumerate(pairwise(edges.tolist())):
+            first = (start + stop - length) // 2
+            cut = slice(first, first + length)
+            u, q, v, a = (
+                {name: x[cut] for name, x in signals.items()}
+                for signals in (self.u, self.q, self.v, self.a)
+            )
+            piece = replace(self, time=self.time[cut], u=u, q=q, v=v, a=a, first=first, tenth=k)
+            found.append(replace(piece, known={}))
+        return tuple(found)
+
+    def of(self, part: str) -> bool:
+        """Whether some of it may belong to a part of the log."""
+        return self.tenth is None or (self.tenth in HELD_STRETCHES) == (part == "held-out")
 
     @property
     def _own(self) -> NDArray[np.bool_]:
         """Rows of the stretches that this motion is about."""
+        if self.tenth is not None:
+            return np.ones(self.rows.size, bool)
         tenth = (np.arange(self.rows.size) * STRETCHES) // max(self.rows.size, 1)
         held = np.isin(tenth, HELD_STRETCHES)
         return {"fit": ~held, "held-out": held}.get(self.part, np.ones_like(held))

@@ -32,7 +32,9 @@ def centred(balance: Balance, model: RigModel) -> Balance:
             forces = forces_of(model, balance, m)
             seen.append((forces.twists[name][0], forces.carried[name]))
         each = range(len(seen))
-        groups = [[*each]] if same_twist(model, balance, name) else [[i] for i in each]
+        logs = dict.fromkeys(m.name for m in motions)
+        groups = [[i for i in each if motions[i].name == log] for log in logs]
+        groups = [[*each]] if same_twist(model, balance, name) else groups
         for group in groups:
             z, torque = (np.concatenate([seen[i][part] for i in group]) for part in (0, 1))
             low, high = np.quantile(z, [TAIL, 1.0 - TAIL])
@@ -78,7 +80,7 @@ def _swing(balance: Balance, model: RigModel, log: Log, name: str, motion: Motio
     rows, noise = link_matrices(plant)[0][layout.links.index(name)], {}
     for point in reversed(balance.points):
         if (sensor := point.sight.angle) is not None:
-            body, reading = layout.sensor_body[point.name], log[sensor.channel]
+            body, reading = layout.sensor_body[point.name], log[sensor.channel][motion.samples]
             group, q = layout.coordinate[body], reading / layout.ratio[body]
             raw[group] = q, np.zeros_like(q), np.zeros_like(q)
             lever = rows[group] / layout.ratio[body]

@@ -222,9 +222,12 @@ def regress_gap(balance: Balance, near: tuple[str, float], far: tuple[str, float
 
     As `regress`, with a2 = ω_a² (z − clip(z, ±Δ)) + 2 ζ ω_a ż in contact + …
     """
-    twist = {m.name: near[1] * m.q[near[0]] - far[1] * m.q[far[0]] for m in balance.motions}
+    twist: dict[str, list[Floats]] = {}
+    for m in balance.motions:
+        twist.setdefault(m.name, []).append(near[1] * m.q[near[0]] - far[1] * m.q[far[0]])
     zero, reach = {}, 0.0
-    for log, z in twist.items():
+    for log, parts in twist.items():
+        z = np.concatenate(parts)
         low, high = np.quantile(z, [TAIL, 1.0 - TAIL])
         zero[log], reach = float(0.5 * (low + high)), max(reach, float(0.5 * (high - low)))
     tried = [

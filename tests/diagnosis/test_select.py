@@ -1,6 +1,6 @@
 """The selection on linear evidence with known noise, where every step can be told by hand."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -232,6 +232,30 @@ def test_effects_that_replace_each_other_end():
     found = compared(data, before, Model(data, ("like",)), steps.append)
     assert len(steps) == 1
     assert [e.key for e in found.entries] == list(found.final.keys) == ["x1"]
+
+
+class Late(Linear):
+    """The value of an effect turns out to be impossible when its fit is settled."""
+
+    def __init__(self, made, late):
+        super().__init__(made.x, made.y, made.held_x, made.held_y)
+        self.late = late
+
+    def candidate(self, state, keys):
+        return replace(super().candidate(state, keys), objection="")
+
+    def objection(self, without, state, key):
+        return "impossible" if key == self.late else ""
+
+
+def test_a_rival_that_turns_out_to_be_impossible_takes_no_place():
+    made = drawn(0, {"like": lambda x, e: x["x1"] + 0.3 * e}, {"x1": 1.0})
+    for late, stays in (("x1", "like"), ("x7", "x1")):
+        data = Late(made, late)
+        base = Model(data)
+        before = Selection(base, base, known={c.keys: c for c in data.candidates(base)})
+        found = compared(data, before, Model(data, ("like",)), lambda _: None)
+        assert found.final.keys == (stays,)
 
 
 def test_what_held_out_logs_contradict_is_not_accepted():

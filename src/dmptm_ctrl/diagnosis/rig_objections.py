@@ -45,7 +45,7 @@ def objection(key: str, fit: RigFit, before: RigFit) -> str:
         _nothing(key, fit)
         or _beyond(key, fit)
         or _too_short(effect, fit)
-        or _takes_the_drive(effect, fit)
+        or _takes_the_drive(effect, fit, before)
         or _by_the_drive(effect, fit)
         or _unseen(effect, fit, before)
         or _collapsed(fit, before)
@@ -74,14 +74,21 @@ def _beyond(key: str, fit: RigFit) -> str:
     return ""
 
 
-def _takes_the_drive(effect: Placed, fit: RigFit) -> str:
-    """What takes most of the signal is no fault of an amplifier: the drive would not move."""
+def _takes_the_drive(effect: Placed, fit: RigFit, before: RigFit) -> str:
+    """What takes most of the signal is no fault of an amplifier: the drive would not move.
+
+    Nor is what leaves less than half of an inertia to be moved: of a single wave, a delay is as
+    much friction as inertia.
+    """
     if PLACED_CATALOGUE[effect.name].place != "input":
         return ""
     motions = fit.likelihood.balance.motions
     signals = [(m.u[effect.on], effective_input(fit.model, m, effect.on)) for m in motions]
     sent, acts = (float(np.std(np.concatenate([s[k] for s in signals]))) for k in (0, 1))
-    return "it would take most of the drive's signal" if acts < 0.5 * sent else ""
+    now, then = (one.model.plant().inertia for one in (fit, before))
+    moved = float(np.min(now / then)) if now.shape == then.shape else 1.0
+    most = acts < 0.5 * sent or moved < 0.5
+    return "it would take most of the drive's signal" if most else ""
 
 
 def _too_short(effect: Placed, fit: RigFit) -> str:

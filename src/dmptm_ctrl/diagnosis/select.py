@@ -341,15 +341,23 @@ def other_way(
     own = selection.known[(key,)].plainness
     for rival in (r for r in rivals if r.acceptable):
         first = evidence.adopt(without, rival)
+        if impossible(evidence, without, first, rival.keys):
+            continue
         ahead = 0.0 if rival.plainness < own else 4.0 * TEMPERATURE
         if rival.evidence > sum(gains) + ahead:
             return first
         for second in evidence.candidates(first, [key]):
             if second.acceptable:
-                both = evidence.adopt(first, second)
-                if beyond_need(evidence, state, both) > 0.0:
+                both, new = evidence.adopt(first, second), (*rival.keys, key)
+                better = beyond_need(evidence, state, both) > 0.0
+                if better and not impossible(evidence, without, both, new):
                     return both
     return None
+
+
+def impossible(evidence: Evidence, without: State, state: State, keys: Keys) -> bool:
+    """Whether effects of a settled model have impossible values."""
+    return any(evidence.objection(without, state, key) for key in keys)
 
 
 def rivals_of(

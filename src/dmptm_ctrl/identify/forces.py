@@ -305,11 +305,10 @@ def resting(v: Floats, share: float) -> NDArray[np.bool_]:
 
 
 def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
-    """Signal of an input as it acts, at the samples, (n,): effects and limit applied.
+    """Signal of an input as it acts, at the samples, (n,): effects, limit, dead time and lag.
 
-    The logged signal is held from each sample to the next. Dead time and lag are undone on the
-    other side of the balance where there is one input (`_ahead`), and applied here where there
-    are several.
+    The logged signal is held from each sample to the next. Delayed and lagged here, it makes no
+    more of the readings' noise.
     """
     signal = motion.u[name]
     for effect in model.effects:
@@ -319,7 +318,7 @@ def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
     _, dead, tau, limit = model.plant().input_values[j]
     if limit > 0:
         signal = np.clip(signal, -limit, limit)
-    if len(model.layout.inputs) > 1 and dead + tau > 0:
+    if dead + tau > 0:
         before = float(signal[0])
         signal = delayed_along(signal, dead / motion.dt, before)
         signal = lagged_along(signal, np.full_like(signal, tau), motion.dt, before)

@@ -29,7 +29,6 @@ from dmptm_ctrl.identify.measured_motion import (
     Sight,
     acceleration_bandwidth,
     coordinates_of,
-    derivative,
     prepare,
 )
 from dmptm_ctrl.identify.reading_noise import spectrum
@@ -233,8 +232,6 @@ def residual(
         # as acceleration: as a torque, no inertia and no spring would leave nothing
         left = forces.left[group]
         alone[group] = left * balance.heft / (reach[group] * plant.inertia[group])
-    if len(layout.inputs) == 1:
-        total = _ahead(total, motion, *plant.input_values[0, 1:3])
     logged = sum(
         reach[layout.coordinate[b]] * layout.ratio[b] * plant.input_values[j, 0] * motion.u[name]
         for j, (name, b) in enumerate(layout.input_body.items())
@@ -263,12 +260,3 @@ def residual(
         elif k > 0:
             equations.append(alone[group])
     return np.array([motion.reduce(e) for e in equations]), motion.reduce(fair * push)
-
-
-def _ahead(need: Floats, motion: Motion, dead: float, tau: float) -> Floats:
-    """What the drive must be told for `need`, its dead time and lag undone."""
-    if tau > 0:
-        need = need + tau * derivative(need, motion.dt)
-    if dead > 0:
-        need = np.interp(motion.time + dead, motion.time, need)
-    return need

@@ -37,7 +37,7 @@ def noise_in_balance(model: RigModel, balance: "Balance") -> list[Floats]:
     Friction counts by its slope far from rest, links with a gap as long as they are in contact.
     """
     plant = model.plant()
-    numbers = plant.inertia, plant.link_values, plant.law[:, 3], plant.law[:, 7], plant.input_values
+    numbers = plant.inertia, plant.link_values, plant.law[:, 3], plant.law[:, 7]
     shape = model.layout.bodies, model.layout.links, plant.link_gap.tobytes()
     key = shape, *(np.ascontiguousarray(x).tobytes() for x in numbers)
     found: list[Floats] = recent(balance.noises, key, lambda: _noise(model, plant, balance), RECENT)
@@ -126,8 +126,7 @@ def _equations(
     torque = need @ position
     reach = untwisted(plant)
     counted = [*first, 0] if told != hidden else [*first]
-    lag = plant.input_values[0, 2] if len(layout.inputs) == 1 else 0.0
-    found = [(1.0 + lag * s)[:, None] * np.einsum("g,wgp->wp", reach[counted], torque[:, counted])]
+    found = [np.einsum("g,wgp->wp", reach[counted], torque[:, counted])]
     teeth = {k: name for name, k in balance.teeth.items()}
     through = _through_teeth(model, rows, position, s, balance.teeth)
     for k, g in enumerate(seen[1:], 1):

@@ -113,7 +113,7 @@ class Held:
     fit: Any = None
 
 
-def test_predictions_confirm_friction_and_refute_a_delay(rubbing):
+def test_predictions_confirm_friction_and_refute_a_delay_and_a_weight(rubbing):
     evidence, base = rubbing
     (friction,) = evidence.candidates(base, ["coulomb_friction@motor"])
     state = evidence.adopt(base, friction)
@@ -130,6 +130,9 @@ def test_predictions_confirm_friction_and_refute_a_delay(rubbing):
     assert helps(state, late) == 0.0
     true = Held(held, late.keys)  # predictions get worse without what it has
     assert helps(Held(late.held_state, state.keys), true) == np.inf
+    weight = Placed("unbalance", "motor", {"cosine": 0.02, "sine": 0.0})
+    loaded = State(held.model.with_effect(weight), held.logs)
+    assert helps(state, Held(loaded, (*state.keys, weight.key), state.fit)) == 0.0
 
 
 def test_a_wrong_inertia_is_in_the_sentence():

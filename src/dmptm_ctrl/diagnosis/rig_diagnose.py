@@ -10,7 +10,6 @@ from os import PathLike
 import numpy as np
 
 from dmptm_ctrl.diagnosis.budget import EXPLAINED, NEGLIGIBLE, Errors, Squares, near
-from dmptm_ctrl.diagnosis.candidate import name_of
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
 from dmptm_ctrl.diagnosis.rig_curves import (
@@ -46,12 +45,10 @@ from dmptm_ctrl.identify.rig_fit import State, fit_rig
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
-from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
 HOLD_EVERY = 3
-TIMING = ("delay", "lag")  # sites of effects that only shift a signal in time
 ROUNDS = 2  # fits of the declared model where hidden bodies follow the measured ones
 SAMPLES = 150_000  # of the balance; fits cost as much, and pieces of long logs tell as well
 
@@ -165,9 +162,9 @@ def predictions(
         Whether the effects explain what predictions miss without them. Noise of the balance may
         hide what builds up in a run.
     helps : callable
-        Infinite where predictions get worse without a delay or a lag, and for all other effects;
-        else nothing. The balance compares filtered signals, and what a filter does to them looks
-        like a delay.
+        Infinite where a prediction gets worse without the effects, else nothing. The balance
+        compares filtered signals and looks at no sensor's errors; what these do to it looks like
+        many an effect.
     """
     runs = [Runs.none_yet(rig, logs, held, jobs, lead) for lead in (0.0, BANDWIDTH_HZ)]
     missed = cache(lambda state: [one.missed(state.held_state) for one in runs])
@@ -184,9 +181,6 @@ def predictions(
         return far and Errors(1.0, 1.0, 1.0, *sizes).explained >= EXPLAINED
 
     def helps(without: RigState, final: RigState) -> float:
-        gone = {name_of(key) for key in final.keys if key not in without.keys}
-        if not any(PLACED_CATALOGUE[name].site in TIMING for name in gone):
-            return inf
         pairs = zip(missed(without), missed(final), strict=True)
         return inf if any(bare > whole or whole == inf for bare, whole in pairs) else 0.0
 

@@ -183,9 +183,9 @@ class Balance:
 
     def at_most(self, samples: int) -> "Balance":
         """Return the balance of pieces of the longest logs, as many samples together."""
-        left, most = samples, 0
-        for count, size in enumerate(sorted(m.time.size for m in self.motions), -len(self.motions)):
-            most = max(left // -count, 0)
+        sizes, left, most = sorted(m.time.size for m in self.motions), samples, 0
+        for k, size in enumerate(sizes):  # what short logs do not need is for the others
+            most = left // (len(sizes) - k)
             left -= min(size, most)
         pieces = (m.pieces(most) if m.time.size > most else (m,) for m in self.motions)
         return replace(self, motions=tuple(chain.from_iterable(pieces)), known={}, noises={})

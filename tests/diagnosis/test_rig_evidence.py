@@ -15,9 +15,9 @@ from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_objections import objection
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.identify.compared_signals import correlation_length
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.likelihood import Likelihood
-from dmptm_ctrl.identify.measured_motion import correlation_length
 from dmptm_ctrl.identify.rig_fit import State, fit_rig, residuals
 from dmptm_ctrl.identify.rig_start import friction_beyond, rough_start
 from dmptm_ctrl.signals import Log

@@ -8,6 +8,7 @@ import pytest
 
 from dmptm_ctrl.data import path
 from dmptm_ctrl.drive import baseline_drive, paper_drive
+from dmptm_ctrl.identify.compared_signals import low_pass
 from dmptm_ctrl.identify.experiments_validation import (
     ALWAYS,
     BLOCK,
@@ -19,7 +20,6 @@ from dmptm_ctrl.identify.experiments_validation import (
     speed_on,
     speeds_on,
 )
-from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.reproduce.items import RIG_LOOP
 from dmptm_ctrl.signals import load_logs
 from dmptm_ctrl.simulate.model import Model

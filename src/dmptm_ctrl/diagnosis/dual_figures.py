@@ -17,7 +17,7 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.diagnosis.quality import Rows, fold, order_amplitudes
 from dmptm_ctrl.drive import pinion_inertia
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.identify.measured_motion import low_pass
+from dmptm_ctrl.identify.compared_signals import low_pass
 from dmptm_ctrl.identify.records import Record, block_mean, predict
 from dmptm_ctrl.plots.diagnosis import Evidence
 from dmptm_ctrl.plots.gaps import animated_uri, busiest, gap_motion

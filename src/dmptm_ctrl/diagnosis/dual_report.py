@@ -16,8 +16,8 @@ from dmptm_ctrl.diagnosis.select import Entry, Selection
 from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE, TABLES
+from dmptm_ctrl.identify.compared_signals import low_pass
 from dmptm_ctrl.identify.fit import Fit
-from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.simulate.model import Model
 

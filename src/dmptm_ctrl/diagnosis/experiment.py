@@ -15,7 +15,7 @@ from dmptm_ctrl.diagnosis.candidate import Candidate, name_of
 from dmptm_ctrl.diagnosis.measure import Measured
 from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.select import Entry, Selection
-from dmptm_ctrl.identify.measured_motion import low_pass
+from dmptm_ctrl.identify.compared_signals import low_pass
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Floats

@@ -18,9 +18,9 @@ from dmptm_ctrl.diagnosis.tables import Tables
 from dmptm_ctrl.diagnosis.unknown import Unexplained
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import scatter
+from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, low_pass, noise_below
 from dmptm_ctrl.identify.fit import Fit, place
 from dmptm_ctrl.identify.heavy_tails import FREEDOM
-from dmptm_ctrl.identify.measured_motion import BANDWIDTH_HZ, low_pass, noise_below
 from dmptm_ctrl.identify.observer_driven import BLOCK_SECONDS, MEMORY_SECONDS, Led
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.identify.measured_motion import agreement, low_pass
+from dmptm_ctrl.identify.compared_signals import agreement, low_pass
 from dmptm_ctrl.identify.records import RING_COUNT, true_angle
 from dmptm_ctrl.identify.rig_simulate import free_run as rig_free_run
 from dmptm_ctrl.identify.rig_simulate import readings

@@ -8,7 +8,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from dmptm_ctrl.identify.measured_motion import BANDWIDTH_HZ, Floats
+from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ
+from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.plots.diagnosis import Curve, Evidence, Overlay
 from dmptm_ctrl.plots.quality import Correlation
 

@@ -26,10 +26,11 @@ from dmptm_ctrl.diagnosis.rig_shapes import MAX_ORDER, SPOT_BINS, unit_columns
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.diagnosis.select import Selection, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
+from dmptm_ctrl.identify.compared_signals import correlation_length
 from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import Likelihood
-from dmptm_ctrl.identify.measured_motion import Nuisance, correlation_length
+from dmptm_ctrl.identify.measured_motion import Nuisance
 from dmptm_ctrl.identify.rig_fit import (
     RigFit,
     State,

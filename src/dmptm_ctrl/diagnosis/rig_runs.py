@@ -12,16 +12,13 @@ from numpy.typing import NDArray
 from dmptm_ctrl.diagnosis.budget import Squares
 from dmptm_ctrl.diagnosis.predict import apart, twin_steps
 from dmptm_ctrl.drive.rig import Rig, Sensor
+from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, agreement, low_pass, noise_below
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import (
-    BANDWIDTH_HZ,
     HELD_STRETCHES,
     MOTION_OVER_BALANCE,
     STRETCHES,
-    agreement,
     derivative,
-    low_pass,
-    noise_below,
 )
 from dmptm_ctrl.identify.rig_fit import RigFit, State
 from dmptm_ctrl.identify.rig_simulate import free_run, readings

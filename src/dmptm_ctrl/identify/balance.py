@@ -18,9 +18,9 @@ from functools import cached_property
 import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.identify.compared_signals import correlation_length
 from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position, secant
 from dmptm_ctrl.identify.heavy_tails import FREEDOM, robust_scale
-from dmptm_ctrl.identify.measured_motion import correlation_length
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
 from dmptm_ctrl.identify.observer_driven import Led
 from dmptm_ctrl.identify.ripple import Ripple

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from dmptm_ctrl.drive import Drive
-from dmptm_ctrl.identify.measured_motion import agreement, low_pass
+from dmptm_ctrl.identify.compared_signals import agreement, low_pass
 from dmptm_ctrl.identify.records import block_mean
 from dmptm_ctrl.signals import Campaign, Log
 from dmptm_ctrl.simulate.batch import simulate_batch

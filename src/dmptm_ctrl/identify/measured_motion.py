@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import pairwise
 from math import ceil
 from typing import Any
@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, firwin, freqz, sosfiltfilt, upfirdn, welch
 
 from dmptm_ctrl.drive.rig import Rig, Sensor
+from dmptm_ctrl.identify.compared_signals import NORMAL_MEDIAN, noise_below
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Layout
 
@@ -28,14 +29,11 @@ BOXES_PER_ROW = 8.0  # at least; sums so short pass the bandwidth whole (0.4 % l
 TAPS = 3.0  # half-length of the decimation filter in periods of its cut-off
 REST_SHARE = 5e-3  # of the highest speed; slower is at rest
 REST_NOISE = 3.0  # standard deviations of a sensor's noise; slower is at rest
-NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
 MOST_REST = 0.05  # of the highest speed
 REST_TIME = 2.0  # at rest for longer than this many periods of the bandwidth is left out
 STRETCHES = 10  # that a log is cut into where there are few logs
 HELD_STRETCHES = (2, 5, 8)  # of these, not fitted
 FEWEST_ROWS = 60  # of a balance; fewer tell nothing
-BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
-ORDER = 4  # of the filter that leaves it out
 NO_STAIRS = 0.4  # of the bandwidth; a filter that lets single counts of slow motion pass no more
 DUST = 1e-9  # of the range; readings that differ by less are the same
 FEW_STEPS = 5.5  # over which the rounding of a text file is small beside a step
@@ -455,57 +453,3 @@ def on_time(signal: Floats, dt: float, delay: float) -> Floats:
     """Return a signal with a delay undone, by cubic interpolation."""
     time = dt * np.arange(signal.size)
     return CubicSpline(time, signal)(np.minimum(time + delay, time[-1]))
-
-
-def low_pass(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> Floats:
-    """Zero-phase Butterworth low-pass; a signal that has no more than that stays as it is."""
-    if 2.0 * bandwidth_hz * dt >= 1.0:
-        return signal
-    return np.asarray(sosfiltfilt(_sections(1.0 / dt, bandwidth_hz), signal))
-
-
-@cache  # to design it takes longer than to filter a log
-def _sections(rate: float, bandwidth_hz: float) -> Floats:
-    return np.asarray(butter(ORDER, bandwidth_hz, fs=rate, output="sos"), np.float64)
-
-
-def agreement(pairs: Sequence[tuple[Floats, Floats]]) -> dict[str, float]:
-    """How far runs are from what was measured, over all logs together.
-
-    Parameters
-    ----------
-    pairs : sequence of ((n,) array, (n,) array)
-        Measured and run, in one unit.
-
-    Returns
-    -------
-    dict
-        `rmse`, `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
-    """
-    seen, run = (np.concatenate([p[k] for p in pairs]) for k in (0, 1))
-    rmse = float(np.sqrt(np.mean((seen - run) ** 2)))
-    spread = float(np.std(seen))
-    both = spread * float(np.std(run))
-    r = float(np.mean((seen - seen.mean()) * (run - run.mean())) / both) if both > 0 else 0.0
-    fit = 100.0 * (1.0 - rmse / spread) if spread > 0 else 0.0
-    return {"rmse": rmse, "fit_percent": fit, "pearson_r": r}
-
-
-def noise_below(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> float:
-    """Standard deviation of white noise below a bandwidth, in the unit of the signal.
-
-    The second difference of a smooth motion is small, that of white noise is √6 times it; the
-    median leaves impacts out.
-    """
-    rough = np.diff(signal, 2)
-    white = float(np.median(np.abs(rough))) / NORMAL_MEDIAN / np.sqrt(6.0)
-    return white * float(np.sqrt(min(2.0 * bandwidth_hz * dt, 1.0)))
-
-
-def correlation_length(x: Floats) -> float:
-    """Rows that count as one: 1 + 2 Σ ρ, up to the first that is not positive."""
-    power = np.abs(np.fft.rfft(x, 2 * x.size)) ** 2
-    rho = np.fft.irfft(power)[: x.size]
-    rho = rho / rho[0] if rho[0] > 0.0 else rho
-    ends = np.flatnonzero(rho <= 0.0)
-    return 1.0 + 2.0 * float(np.sum(rho[1 : ends[0] if ends.size else x.size]))

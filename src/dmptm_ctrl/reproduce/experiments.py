@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.identify.compared_signals import low_pass
 from dmptm_ctrl.identify.experiments_validation import EXPERIMENTS, Score, Trial, score, speed_on
 from dmptm_ctrl.identify.frequency_response import (
     FrequencyResponse,
@@ -14,7 +15,6 @@ from dmptm_ctrl.identify.frequency_response import (
     stepped_sine,
 )
 from dmptm_ctrl.identify.loop_resonance import resonant_gains
-from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.plots.linear import LEAST_COHERENCE, response_plot
 from dmptm_ctrl.plots.paper import amplitude_styles, experiment_plot
 from dmptm_ctrl.plots.style import STYLES

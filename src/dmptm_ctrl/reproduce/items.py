@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from dmptm_ctrl import __version__
 from dmptm_ctrl.data import path
 from dmptm_ctrl.drive import Drive, baseline_drive, paper_drive
+from dmptm_ctrl.identify.compared_signals import low_pass
 from dmptm_ctrl.identify.experiments_validation import (
     EXPERIMENTS,
     Score,
@@ -25,7 +26,6 @@ from dmptm_ctrl.identify.experiments_validation import (
     validate,
 )
 from dmptm_ctrl.identify.loop_resonance import ResonantGains, resonant_gains
-from dmptm_ctrl.identify.measured_motion import low_pass
 from dmptm_ctrl.plots.page import environment
 from dmptm_ctrl.signals import Campaign, load_logs
 from dmptm_ctrl.simulate.compiled import Loop

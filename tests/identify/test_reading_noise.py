@@ -126,6 +126,19 @@ def test_ranges_weigh_as_much_as_the_scatter_of_the_score_leaves_them(coarse):
         assert coarse.values[free.label] == pytest.approx(value, abs=0.8 * error)
 
 
+def test_more_noise_than_is_left_makes_no_model_better(coarse):
+    """Noise is told by a spectrum, which is not exact; a heavy load would turn it into more."""
+    small, heavy = (coarse.model.with_values({"body.load.inertia": x * J2}) for x in (1.0, 3.0))
+    like = coarse.likelihood.knowing(small, coarse.left).between(small, heavy)
+    noises = np.array([like.noise_of(model) for model in (small, heavy)])
+    assert noises[1, 0] > 2.0 * noises[0, 0]
+    few = [0.1 * part for part in coarse.left]
+    assert np.all(like.scales(few) ** 2 < noises)
+    assert like.surprise(few, heavy) == pytest.approx(like.surprise(few, small), rel=1e-9)
+    much = [10.0 * part for part in coarse.left]  # here noise is a small part, and is taken out
+    assert abs(like.surprise(much, heavy) - like.surprise(much, small)) > 1.0
+
+
 @pytest.mark.parametrize(("speed", "white"), [(0.02, 3.6), (0.2, 0.8), (3.0, 0.6)])
 def test_rounding_makes_more_noise_where_motion_is_slow(speed, white):
     """Against what rounding did to the true angles, which the readings do not show."""

@@ -238,8 +238,8 @@ def residual(
         if layout.coordinate[b] in measured
     )
     # A drive that clips or drops part of its signal must not look better for it.
-    size = float(np.std(push))
-    sent = float(np.std(logged))
+    # A mean is rounded, so that the deviation of what is constant need not be exactly 0.
+    size, sent = (float(np.std(x)) if np.ptp(x) > 0 else 0.0 for x in (push, logged))
     if sent > 0 and size < LEAST_DRIVE * sent:
         raise ArithmeticError("hardly anything of the drive's signal would get through")
     fair = sent / size if sent > 0 else 1.0

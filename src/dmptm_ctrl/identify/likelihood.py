@@ -125,7 +125,8 @@ class Likelihood:
         """−2 log-likelihood, each equation at its own scale, all models with the same noise."""
         squares = self.scales(left) ** 2
         if self.noise is not None:
-            squares = np.maximum(squares - self.noise_of(model) + self.noise, self.floor**2)
+            # more noise than there is left makes no model better
+            squares = np.maximum(squares - self.noise_of(model), self.floor**2) + self.noise
         # the mean square over the scale's is left in: near the floor it still falls
         spread = self.counts * (1.0 - self.floor**2 / squares)
         heavy = np.flatnonzero(self.balance.bursts)

@@ -25,6 +25,7 @@ from dmptm_ctrl.effects.torque_constant_mismatch import TORQUE_CONSTANT_MISMATCH
 from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
 from dmptm_ctrl.identify.forces import measured_motion
 from dmptm_ctrl.identify.free_parameters import ALL, absolute, on_slide, same_twist, scales_of
+from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.identify.rig_fit import residuals
 from dmptm_ctrl.identify.rig_start import (
@@ -258,13 +259,13 @@ def _linear(
 ) -> Trial | None:
     """Best of several shapes, amplitudes solved for; `same` where logs share the angle's zero."""
     names = names or chain.amplitudes
-    logs = [m.name for m in tangent.balance.motions]
+    logs = tangent.balance.logs
     low = {p.name: p.low for p in chain.keep}
     best: tuple[float, Trial] | None = None
     for shape in shapes:
         parts = unit_columns(tangent.fit, tangent.balance, Placed(chain.name, body, shape), names)
-        apart = not same and len({*logs}) > 1 and chain.effect.wave
-        wide = _per_log(parts, logs) if apart else parts
+        apart = not same and len(logs) > 1 and chain.effect.wave
+        wide = _per_log(parts, tangent.balance) if apart else parts
         gain, amplitudes = tangent.score(wide)
         pairs, zero = amplitudes.reshape(-1, len(names)), dict[str, float]()
         if any(low[n] >= 0 and pairs[0][j] < 0 for j, n in enumerate(names)):
@@ -273,7 +274,7 @@ def _linear(
             continue
         sizes = pairs[0]
         if apart:
-            sizes, zero = _common_phase(pairs, [*dict.fromkeys(logs)], shape.get("order", 1.0))
+            sizes, zero = _common_phase(pairs, logs, shape.get("order", 1.0))
         sized = {n: max(float(a), 0.0) if low[n] >= 0 else float(a)
                  for n, a in zip(names, sizes, strict=True)}  # fmt: skip
         placed = Placed(chain.name, body, {**shape, **sized})
@@ -281,16 +282,18 @@ def _linear(
     return best[1] if best else None
 
 
-def _per_log(parts: Sequence[Floats], logs: Sequence[str]) -> list[Floats]:
-    wide, names = [], [*dict.fromkeys(logs)]
-    for part, log in zip(parts, logs, strict=True):
-        padded, k = np.zeros((*part.shape[:2], part.shape[2] * len(names))), names.index(log)
+def _per_log(parts: Sequence[Floats], balance: Balance) -> list[Floats]:
+    wide, logs = [], balance.logs
+    for part, motion in zip(parts, balance.motions, strict=True):
+        padded, k = np.zeros((*part.shape[:2], part.shape[2] * len(logs))), logs.index(motion.name)
         padded[:, :, k * part.shape[2] : (k + 1) * part.shape[2]] = part
         wide.append(padded)
     return wide
 
 
-def _common_phase(pairs: Floats, logs: list[str], order: float) -> tuple[Floats, dict[str, float]]:
+def _common_phase(
+    pairs: Floats, logs: Sequence[str], order: float
+) -> tuple[Floats, dict[str, float]]:
     """One amplitude for all logs, and the shift of the angle in each after the first.
 
     C cos n(θ + z) + S sin n(θ + z) has the complex amplitude (C − iS) e^{inz}.

@@ -38,7 +38,7 @@ from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
-from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS
+from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, STRETCHES
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.pushing_teeth import centred, pushing
 from dmptm_ctrl.identify.rig_fit import State, fit_rig
@@ -89,9 +89,8 @@ def diagnose_rig(
     _, held_logs, roles, on = split(declared, balance)
     as_read = base
     if faults:
-        names = [m.name for m in balance.motions]
-        whole = balance_of(declared, loaded, bandwidth=balance.bandwidth).only(names)
-        whole = whole.at_most(SAMPLES)
+        whole = balance_of(declared, loaded, bandwidth=balance.bandwidth)
+        whole = whole.only(balance.logs).at_most(SAMPLES)
         as_read = _as_read(declared, _in_contact(whole, base.fit.model, loaded), base, jobs)
     told, helps = predictions(declared, right, held_logs, jobs)
 
@@ -199,7 +198,7 @@ def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, dict[str, str],
     As the rig file says; else every third of many logs is held out, or three tenths of each
     of a few.
     """
-    names = [*dict.fromkeys(m.name for m in balance.motions)]
+    names = balance.logs
     roles = rig.roles(names)
     if any(roles.values()):
         held = [n for n in names if roles[n] == "held-out"]
@@ -210,7 +209,7 @@ def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, dict[str, str],
             final = {n: "held-out" if n in held else "fit" for n in names}
             return balance.only(fit), balance.only(held), final, "held-out logs"
     elif len(names) >= MANY_LOGS:
-        held = names[HOLD_EVERY - 1 :: HOLD_EVERY]
+        held = [*names[HOLD_EVERY - 1 :: HOLD_EVERY]]
         fit = [n for n in names if n not in held]
         final = {n: "held-out" if n in held else "fit" for n in names}
         return balance.only(fit), balance.only(held), final, "held-out logs"
@@ -237,15 +236,12 @@ def _long_enough(balance: Balance) -> tuple[Balance, tuple[str, ...]]:
 def _in_pieces(balance: Balance) -> tuple[Balance, tuple[str, ...]]:
     """Take pieces of logs that are too long together; say so."""
     shorter = balance.at_most(SAMPLES)
-    pieces: dict[str, list[float]] = {}
-    for m in shorter.motions:
-        if m.tenth is not None:
-            pieces.setdefault(m.name, []).append(m.dt * m.time.size)
     whole = {m.name: float(m.time[-1]) for m in balance.motions}
+    pieces = {m.name: m.dt * m.time.size for m in shorter.motions if m.tenth is not None}
     return shorter, tuple(
-        f"{name}: of {whole[name]:.6g} s, {len(own)} pieces of {own[0]:.3g} s each are fitted, "
+        f"{name}: of {whole[name]:.6g} s, {STRETCHES} pieces of {seconds:.3g} s each are fitted, "
         "one in each tenth"
-        for name, own in pieces.items()
+        for name, seconds in pieces.items()
     )
 
 

@@ -443,22 +443,17 @@ def standing_on(fit: RigFit, key: str) -> set[str]:
 def held_state(fit: RigFit, held: Balance) -> State:
     """Fit the twists and encoder zeros of logs that were not fitted, and nothing else."""
     state, logs = fit.state, fit.likelihood.balance
-    known, reference = {m.name for m in logs.motions}, logs.motions[0].name
-    frees = [
-        free
-        for log in dict.fromkeys(m.name for m in held.motions) if log not in known
-        for free in log_parameters(state.model, held, log, reference)
-    ]  # fmt: skip
+    new = [log for log in held.logs if log not in logs.logs]
+    frees = [free for log in new for free in log_parameters(state.model, held, log, logs.logs[0])]
     if not frees:
         return state
-    new = {m.name for m in held.motions} - known
     for effect in (e for e in state.model.effects if has_phase(state.model, held, e)):
         state = _phases(fit, state, held, effect, new)
     linear = not held.simulates(state.model) and all(f.kind == "twist" for f in frees)
     return fit_rig(state, held, frees=frees, iterations=1 if linear else 4, jobs=1).state
 
 
-def _phases(fit: RigFit, state: State, held: Balance, effect: Placed, new: set[str]) -> State:
+def _phases(fit: RigFit, state: State, held: Balance, effect: Placed, new: Sequence[str]) -> State:
     """Encoder zeros of new logs, by the phase that a harmonic effect has there."""
     logs, bare = dict(state.logs), State(state.model.without([effect.key]), state.logs)
     left, _ = residuals(bare, held)
@@ -466,7 +461,7 @@ def _phases(fit: RigFit, state: State, held: Balance, effect: Placed, new: set[s
     shape = {k: v for k, v in effect.values.items() if k == "order"}
     columns = unit_columns(fit, held, effect._replace(values=shape), ("cosine", "sine"))
     here = effect.values["cosine"] - 1j * effect.values["sine"]
-    for log in sorted(new) if here != 0 else ():
+    for log in new if here != 0 else ():
         own = [k for k, m in enumerate(held.motions) if m.name == log]
         table, rest = (
             np.concatenate([part[k][0][held.motions[k].moving] for k in own])

@@ -242,7 +242,7 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
     if len(rig.inputs) > 1 and not all(is_known(i.gain) for i in rig.inputs):
         return ""
     columns = " and ".join(i.column for i in rig.inputs)
-    each = {m.name: _inertia(rig, balance.only([m.name]), turns) for m in balance.motions}
+    each = {log: _inertia(rig, balance.only([log]), turns) for log in balance.logs}
     wrong = [name for name, (found, se, out) in each.items() if found < -SURE * se and out < 0]
     inertia, se, energy = _inertia(rig, balance, turns)
     if wrong and any(found > SURE * se for found, se, _ in each.values()):

@@ -307,8 +307,8 @@ def resting(v: Floats, share: float) -> NDArray[np.bool_]:
 def effective_input(model: RigModel, motion: Motion, name: str) -> Floats:
     """Signal of an input as it acts, at the samples, (n,): effects, limit, dead time and lag.
 
-    The logged signal is held from each sample to the next. Delayed and lagged here, it makes no
-    more of the readings' noise.
+    The logged signal is held from each sample to the next. It is delayed and lagged, not the
+    motion taken back in time: that would amplify the noise of readings.
     """
     signal = motion.u[name]
     for effect in model.effects:

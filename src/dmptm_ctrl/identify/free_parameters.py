@@ -147,8 +147,8 @@ def free_parameters(
         frees += _effect_parameters(effect, model, own)
     if not nuisances:
         return frees
-    for log in dict.fromkeys(m.name for m in balance.motions):
-        frees += log_parameters(model, balance, log, balance.motions[0].name)
+    for log in balance.logs:
+        frees += log_parameters(model, balance, log, balance.logs[0])
     return frees
 
 

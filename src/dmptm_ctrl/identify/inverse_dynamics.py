@@ -108,6 +108,11 @@ class Balance:
     known: dict[Any, Floats] = field(default_factory=dict)  # twists that were asked for
     noises: dict[Any, list[Floats]] = field(default_factory=dict)  # of models asked for lately
 
+    @property
+    def logs(self) -> tuple[str, ...]:
+        """Names of the logs; the pieces of a long one have one name."""
+        return tuple(dict.fromkeys(m.name for m in self.motions))
+
     @cached_property
     def push(self) -> list[Floats]:
         """Driving torque per log as commanded, a gain that is unknown counted as 1, (n,) each."""

@@ -217,8 +217,11 @@ class Motion:
                 {name: x[cut] for name, x in signals.items()}
                 for signals in (self.u, self.q, self.v, self.a)
             )
-            piece = replace(self, time=self.time[cut], u=u, q=q, v=v, a=a, first=first, tenth=k)
-            found.append(replace(piece, known={}))
+            found.append(
+                replace(
+                    self, time=self.time[cut], u=u, q=q, v=v, a=a, known={}, first=first, tenth=k
+                )
+            )
         return tuple(found)
 
     def of(self, part: str) -> bool:

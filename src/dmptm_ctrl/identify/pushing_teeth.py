@@ -32,8 +32,7 @@ def centred(balance: Balance, model: RigModel) -> Balance:
             forces = forces_of(model, balance, m)
             seen.append((forces.twists[name][0], forces.carried[name]))
         each = range(len(seen))
-        logs = dict.fromkeys(m.name for m in motions)
-        groups = [[i for i in each if motions[i].name == log] for log in logs]
+        groups = [[i for i in each if motions[i].name == log] for log in balance.logs]
         groups = [[*each]] if same_twist(model, balance, name) else groups
         for group in groups:
             z, torque = (np.concatenate([seen[i][part] for i in group]) for part in (0, 1))

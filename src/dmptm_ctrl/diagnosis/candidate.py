@@ -1,6 +1,6 @@
 """Candidates of a selection, and what a kind of balance offers to it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import hypot
 from typing import Any, NamedTuple, Protocol
@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+JOINED = " + "  # of places that have an effect together
 Floats = NDArray[np.float64]
 Keys = tuple[str, ...]  # name@place of effects
 
@@ -23,6 +24,18 @@ SURE = 4.0
 def name_of(key: str) -> str:
     """Return the name in ``name@place``."""
     return key.partition("@")[0]
+
+
+def members(key: str) -> tuple[str, ...]:
+    """Return the ``name@place`` of each place in ``name@place + place``."""
+    name, _, places = key.partition("@")
+    return tuple(f"{name}@{place}" for place in places.split(JOINED))
+
+
+def overlap(keys: Iterable[str]) -> bool:
+    """Whether two of several keys share a place."""
+    every = [one for key in keys for one in members(key)]
+    return len(every) > len({*every})
 
 
 def needed(effects: int, *errors: float) -> float:

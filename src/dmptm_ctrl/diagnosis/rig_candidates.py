@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.contract import Parameter
+from dmptm_ctrl.diagnosis.candidate import JOINED, members
 from dmptm_ctrl.diagnosis.rig_shapes import (
     frequencies,
     motion_of,
@@ -16,7 +17,7 @@ from dmptm_ctrl.diagnosis.rig_shapes import (
     unit_columns,
 )
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
-from dmptm_ctrl.drive.rig import DECLARES, Link
+from dmptm_ctrl.drive.rig import DECLARES
 from dmptm_ctrl.effects.backlash_variation import BACKLASH_VARIATION
 from dmptm_ctrl.effects.coulomb_friction import COULOMB_FRICTION
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
@@ -38,7 +39,7 @@ from dmptm_ctrl.identify.rig_start import (
     unknown_inertias,
 )
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE, PlacedEffect
-from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel, angle_body
+from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel, angle_body, placed_at
 
 Floats = NDArray[np.float64]
 
@@ -67,26 +68,42 @@ def trials(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
     present = {e.key for e in model.effects}
     found: list[Trial | None] = []
 
-    def wanted(name: str, place: str) -> bool:
-        key = f"{name}@{place}"
-        return key not in present and (only is None or key in only)
+    def wanted(chain: PlacedEffect, places: Sequence[str]) -> Iterator[tuple[str, ...]]:
+        """Each place, and those of one make together."""
+        for on in (*((place,) for place in places), *makes(model, chain, places)):
+            key = f"{chain.name}@{JOINED.join(on)}"
+            if present.isdisjoint(members(key)) and (only is None or key in only):
+                yield on
 
-    for source in model.rig.inputs:
-        for name, chain in PLACED_CATALOGUE.items():
-            alone = name == MISMATCH and len(model.rig.inputs) == 1  # the scale of everything
-            if chain.place == "input" and wanted(name, source.name) and not alone:
-                found.append(_input_effect(tangent, name, source.name))
+    for chain in PLACED_CATALOGUE.values():
+        alone = chain.name == MISMATCH and len(model.rig.inputs) == 1  # the scale of everything
+        if chain.place == "input" and not alone:
+            for on in wanted(chain, model.layout.inputs):
+                found.append(_input_effect(tangent, chain.name, on))
     for name, chain in PLACED_CATALOGUE.items():
         if chain.place != "body" or name == SPRING:
             continue
-        for body in bodies_for(tangent, chain):
-            if wanted(name, body) and not declared_already(model, name, body):
-                found.append(_body_effect(tangent, chain, body))
-    for link in model.rig.links:
-        for name, chain in PLACED_CATALOGUE.items():
-            if chain.site == "mesh" and wanted(name, link.name):
-                found.append(_mesh_effect(tangent, chain, link))
+        bodies = bodies_for(tangent, chain)
+        for on in wanted(chain, [b for b in bodies if not declared_already(model, name, b)]):
+            found.append(_body_effect(tangent, chain, on))
+    for chain in (c for c in PLACED_CATALOGUE.values() if c.site == "mesh"):
+        for on in wanted(chain, [k.name for k in model.rig.links]):
+            found.append(_mesh_effect(tangent, chain, on))
     return [t for t in found if t is not None]
+
+
+def makes(model: RigModel, chain: PlacedEffect, places: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Places of one make that may have an effect together.
+
+    Where each has a phase of its own, they must move by themselves.
+    """
+    layout, seen = model.layout, set[str]()
+    for place in places if chain.of_make else ():
+        group = tuple(p for p in model.rig.alike(place) if p in places)
+        moving = {layout.coordinate.get(p, p) for p in group}
+        if len(group) > 1 and place not in seen and (not chain.own or len(moving) == len(group)):
+            yield group
+        seen.update(group)
 
 
 def structures(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
@@ -95,7 +112,7 @@ def structures(tangent: Tangent, only: Sequence[str] | None = None) -> list[Tria
     found = [
         _finite(tangent, tries, values, twist)
         for tries, values, twist in (*_compliances(tangent), *_gaps(tangent))
-        if tries[0].key not in present and (only is None or tries[0].key in only)
+        if tries[0][0].key not in present and (only is None or tries[0][0].key in only)
     ]
     return [t for t in found if t is not None]
 
@@ -144,10 +161,10 @@ def _factors(chain: PlacedEffect) -> list[Parameter]:
     return [p for p in chain.keep if p.name in chain.amplitudes and not p.unit]
 
 
-def _input_effect(tangent: Tangent, name: str, on: str) -> Trial | None:
+def _input_effect(tangent: Tangent, name: str, on: tuple[str, ...]) -> Trial | None:
     scales = scales_of(tangent.balance)
-    size, dt = scales.u[on], scales.dt
-    peak = max(float(np.abs(m.u[on]).max()) for m in tangent.balance.motions)
+    size, dt = scales.u[on[0]], scales.dt
+    peak = max(float(np.abs(m.u[place]).max()) for m in tangent.balance.motions for place in on)
     chain = PLACED_CATALOGUE[name]
     (number,) = chain.amplitudes
     if chain.effect.search == "limits":
@@ -158,12 +175,12 @@ def _input_effect(tangent: Tangent, name: str, on: str) -> Trial | None:
         values = [s * size for s in BANDS]
     else:
         values = [OFFSET * size]
-    tries = [Placed(name, on, {number: v}) for v in values]
+    tries = [placed_at(name, on, {number: v}) for v in values]
     return _finite(tangent, tries, scaled=not chain.effect.kink)
 
 
-def _body_effect(tangent: Tangent, chain: PlacedEffect, body: str) -> Trial | None:
-    model, balance = tangent.fit.model, tangent.balance
+def _body_effect(tangent: Tangent, chain: PlacedEffect, on: tuple[str, ...]) -> Trial | None:
+    model, balance, body = tangent.fit.model, tangent.balance, on[0]
     name, slide = chain.name, on_slide(model, body)
     if name == STRIBECK_FRICTION.name and not _rubs(model, body, (COULOMB_FRICTION.name,)):
         return None  # it is what breakaway exceeds Coulomb friction by
@@ -175,24 +192,25 @@ def _body_effect(tangent: Tangent, chain: PlacedEffect, body: str) -> Trial | No
     if slow:
         travel = scales_of(balance).position
         (number,) = chain.amplitudes
-        return _finite(tangent, [Placed(name, body, {number: s * travel}) for s in SIZES])
+        return _finite(tangent, [placed_at(name, on, {number: s * travel}) for s in SIZES])
     shapes = _shapes(tangent, chain, body)
     if factors:
         first = {factors[0].name: factors[0].step}
-        return _finite(tangent, [Placed(name, body, first | one) for one in shapes], scaled=True)
+        return _finite(tangent, [placed_at(name, on, first | one) for one in shapes], scaled=True)
     if not chain.effect.wave:
-        return _linear(tangent, chain, body, shapes)
+        return _linear(tangent, chain, on, shapes)
     if slide and not chain.effect.search:
         if chain.site != "friction":
             return None  # the way of a slide has no turns
-        return _linear(tangent, chain, body, [{}], ("sine",))  # a slope along it
+        return _linear(tangent, chain, on, [{}], ("sine",))  # a slope along it
     same = absolute(model, balance, body)
-    return _linear(tangent, chain, body, shapes, ("cosine", "sine"), same)
+    return _linear(tangent, chain, on, shapes, ("cosine", "sine"), same)
 
 
-def _mesh_effect(tangent: Tangent, chain: PlacedEffect, link: Link) -> Trial | None:
+def _mesh_effect(tangent: Tangent, chain: PlacedEffect, on: tuple[str, ...]) -> Trial | None:
     """Try an error of teeth or gears where the angle that it goes with is measured."""
-    own, tangent = tangent.fit, tangent.beside_declared_meshes
+    link, own = tangent.fit.model.rig.link(on[0]), tangent.fit
+    tangent = tangent.beside_declared_meshes
     model, balance, layout = tangent.fit.model, tangent.balance, tangent.fit.model.layout
     body = angle_body(model, Placed(chain.name, link.name))
     measured, _ = measured_motion(model, balance, balance.motions[0])
@@ -211,7 +229,7 @@ def _mesh_effect(tangent: Tangent, chain: PlacedEffect, link: Link) -> Trial | N
         pushed = unit_columns(tangent.fit, balance, constant, ("cosine",))
         shapes = [{"order": n} for n in orders(tangent, body, False, pushed)]
     same = absolute(model, balance, body)
-    found = _linear(tangent, chain, link.name, shapes, ("cosine", "sine"), same)
+    found = _linear(tangent, chain, on, shapes, ("cosine", "sine"), same)
     moved = {k: v for k, v in model.values.items() if v != own.model.values.get(k)}
     twist = {log: n.twist for log, n in tangent.fit.state.logs.items()}
     return found and replace(found, values=moved, twist=twist)
@@ -252,34 +270,58 @@ def _rubs(model: RigModel, body: str, laws: Sequence[str] = FRICTION) -> bool:
 def _linear(
     tangent: Tangent,
     chain: PlacedEffect,
-    body: str,
+    on: tuple[str, ...],
     shapes: Sequence[Mapping[str, float]],
     names: tuple[str, ...] | None = None,
     same: bool = True,
 ) -> Trial | None:
     """Best of several shapes, amplitudes solved for; `same` where logs share the angle's zero."""
     names = names or chain.amplitudes
-    logs = tangent.balance.logs
+    logs, each = tangent.balance.logs, len(names)
     low = {p.name: p.low for p in chain.keep}
     best: tuple[float, Trial] | None = None
     for shape in shapes:
-        parts = unit_columns(tangent.fit, tangent.balance, Placed(chain.name, body, shape), names)
+        parts = _columns_at(tangent, chain, on, shape, names)
         apart = not same and len(logs) > 1 and chain.effect.wave
         wide = _per_log(parts, tangent.balance) if apart else parts
         gain, amplitudes = tangent.score(wide)
-        pairs, zero = amplitudes.reshape(-1, len(names)), dict[str, float]()
+        pairs = amplitudes.reshape(-1, parts[0].shape[-1])
+        zero: dict[str, dict[str, float]] = {log: {} for log in logs[1:]} if apart else {}
         if any(low[n] >= 0 and pairs[0][j] < 0 for j, n in enumerate(names)):
             gain = 0.0  # friction that drives, a spring that pushes
         if best is not None and gain <= best[0]:
             continue
-        sizes = pairs[0]
-        if apart:
-            sizes, zero = _common_phase(pairs, logs, shape.get("order", 1.0))
-        sized = {n: max(float(a), 0.0) if low[n] >= 0 else float(a)
-                 for n, a in zip(names, sizes, strict=True)}  # fmt: skip
-        placed = Placed(chain.name, body, {**shape, **sized})
-        best = gain, Trial(placed, tuple(wide), names, zero, gain=gain)
+        placed = []
+        for k, one in enumerate(placed_at(chain.name, on, shape)):
+            mine = pairs[:, k * each : (k + 1) * each] if chain.own else pairs
+            sizes = mine[0]
+            if apart:
+                sizes, shifts = _common_phase(mine, logs, shape.get("order", 1.0))
+                for log, shift in shifts.items():
+                    zero[log][one.key] = shift
+            sized = {n: max(float(a), 0.0) if low[n] >= 0 else float(a)
+                     for n, a in zip(names, sizes, strict=True)}  # fmt: skip
+            placed.append(one._replace(values={**shape, **sized}))
+        best = gain, Trial(tuple(placed), tuple(wide), zero, gain=gain)
     return best[1] if best else None
+
+
+def _columns_at(
+    tangent: Tangent,
+    chain: PlacedEffect,
+    on: Sequence[str],
+    shape: Mapping[str, float],
+    names: tuple[str, ...],
+) -> list[Floats]:
+    """Columns of amplitudes; of places of one make together, or beside each other."""
+    known = tangent.columns
+    for place in on:
+        own = chain.name, place, names, tuple(shape.items())
+        if own not in known:
+            placed = Placed(chain.name, place, shape)
+            known[own] = unit_columns(tangent.fit, tangent.balance, placed, names)
+    together = zip(*(known[chain.name, p, names, tuple(shape.items())] for p in on), strict=True)
+    return [np.concatenate(p, axis=-1) if chain.own else np.sum(p, axis=0) for p in together]
 
 
 def _per_log(parts: Sequence[Floats], balance: Balance) -> list[Floats]:
@@ -313,7 +355,7 @@ def _common_phase(
 
 def _finite(
     tangent: Tangent,
-    tries: Sequence[Placed],
+    tries: Sequence[tuple[Placed, ...]],
     values: Sequence[Mapping[str, float]] = ({},),
     twist: Mapping[str, Mapping[str, float]] | None = None,
     *,
@@ -326,7 +368,7 @@ def _finite(
     best: tuple[float, Trial] | None = None
     target = tangent.target
     for beside, placed in product(values, tries):
-        trial = Trial(placed, (), (), {}, beside, twist or {})
+        trial = Trial(placed, (), {}, beside, twist or {})
         try:
             moved, _ = residuals(trial.placed_in(tangent.fit.state), tangent.balance)
         except (ValueError, ArithmeticError):
@@ -337,13 +379,13 @@ def _finite(
         change = tangent.project(tangent.stack(parts)[:, 0])
         gain = float(target @ target - (target + change) @ (target + change))
         if scaled:
-            chain = PLACED_CATALOGUE[placed.name]
+            chain = PLACED_CATALOGUE[placed[0].name]
             gain, (by,) = tangent.score(parts)
             if by < 0 and any(p.low >= 0 for p in chain.keep if p.name in chain.amplitudes):
                 gain = by = 0.0
             sized = {k: v * float(by) if k in chain.amplitudes else v
-                     for k, v in placed.values.items()}  # fmt: skip
-            placed = placed._replace(values=sized)
+                     for k, v in placed[0].values.items()}  # fmt: skip
+            placed = tuple(p._replace(values=sized) for p in placed)
         if best is None or gain > best[0]:
             best = gain, replace(trial, placed=placed, columns=parts, gain=gain)
     return best[1] if best else None
@@ -351,7 +393,9 @@ def _finite(
 
 # effects to try, values of declared quantities to try each beside, and twists per log
 Structure = tuple[
-    Sequence[Placed], Sequence[Mapping[str, float]], Mapping[str, Mapping[str, float]]
+    Sequence[tuple[Placed, ...]],
+    Sequence[Mapping[str, float]],
+    Mapping[str, Mapping[str, float]],
 ]
 
 
@@ -368,11 +412,11 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
         if ends is None and any(balance.bursts):
             continue  # hidden bodies follow; how a spring moves them shows in runs only
         if ends is None:
-            yield [_spring(link.name, 0.5, float(w)) for w in modes], [{}], {}
+            yield [(_spring(link.name, 0.5, float(w)),) for w in modes], [{}], {}
         else:
             spring = regress(balance, *ends)
             start = _spring(link.name, 0.5, spring.antiresonance, spring.damping_ratio)
-            yield [start], [unknown_inertias(model, link.name, spring)], {}
+            yield [(start,)], [unknown_inertias(model, link.name, spring)], {}
     for body in () if model.rig.links else model.rig.bodies:
         own = [p for p in balance.points if p.body == body.name]
         far = tuple(s for p in own[1:] for s in p.sensors)
@@ -381,11 +425,11 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
             spring = regress(balance, *ends_here)
             share = spring.far / (spring.near + spring.far)
             start = _spring(body.name, share, spring.antiresonance, spring.damping_ratio, far)
-            yield [start], [{}], {}
+            yield [(start,)], [{}], {}
             continue
         sides = [(), own[0].sensors] if own else [()]  # the sensor may be behind the spring
         yield [
-            _spring(body.name, share, float(w), 0.05, side)
+            (_spring(body.name, share, float(w), 0.05, side),)
             for side in sides for w in modes for share in SHARES
         ], [{}], {}  # fmt: skip
 
@@ -410,7 +454,7 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
         ends = ends_of(model, balance, link) if link in declared else None
         if ends is None:
             travel = scales_of(balance).position
-            tries = [Placed(BACKLASH.name, link, {"half_gap": s * travel}) for s in GAPS]
+            tries = [(Placed(BACKLASH.name, link, {"half_gap": s * travel}),) for s in GAPS]
             soft = springs_of(model, balance, link, INELASTIC) if link in declared else []
             beyond = friction_beyond(model, link) if link in declared else {}
             for values in soft or [{}]:
@@ -426,4 +470,4 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
             twist = {log: {link: zero / ratio} for log, zero in gap.zero.items()}
             if same_twist(model, balance, link):
                 twist = {ALL: {link: float(np.mean([t[link] for t in twist.values()]))}}
-            yield [Placed(BACKLASH.name, link, {"half_gap": gap.half_gap})], [values], twist
+            yield [(Placed(BACKLASH.name, link, {"half_gap": gap.half_gap}),)], [values], twist

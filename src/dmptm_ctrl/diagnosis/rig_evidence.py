@@ -15,6 +15,7 @@ from dmptm_ctrl.diagnosis.candidate import (
     Floats,
     Keys,
     Rows,
+    members,
     name_of,
     standard_error,
 )
@@ -230,7 +231,7 @@ class RigEvidence:
     def _plain(group: tuple[Trial, ...], fit: RigFit) -> Candidate:
         """Return a candidate before it is judged."""
         keys = tuple(t.key for t in group)
-        numbers = sum(len(PLACED_CATALOGUE[name_of(k)].keep) for k in keys)
+        numbers = sum(map(numbers_of, keys))
         order = sum(list(PLACED_CATALOGUE).index(name_of(k)) for k in keys)
         return Candidate(keys, -np.inf, 0.0, (group, fit), "", numbers, order)
 
@@ -327,7 +328,7 @@ class RigEvidence:
 
     def without(self, state: RigState, key: str) -> RigState:
         """Take an effect out, and what stands on it, and fit the rest again."""
-        gone = {key, *standing_on(state.fit, key)}
+        gone = {*members(key), *standing_on(state.fit, key)}
         model = state.fit.model.without(gone)
         logs = {
             log: Nuisance(
@@ -355,10 +356,16 @@ class RigEvidence:
 
     def share(self, without: RigState, state: RigState, key: str) -> Floats:
         """What an effect changes of the residual, weighted, the others projected out."""
-        gone = {key, *standing_on(state.fit, key)}
+        gone = {*members(key), *standing_on(state.fit, key)}
         bare, _ = residuals(State(state.fit.model.without(gone), state.fit.state.logs), self.logs)
         change = [b - e for b, e in zip(bare, state.fit.left, strict=True)]
         return without.tangent.project(without.tangent.stack(change))
+
+
+def numbers_of(key: str) -> int:
+    """Numbers of an effect: those that places of one make share, and those of each."""
+    chain = PLACED_CATALOGUE[name_of(key)]
+    return len(chain.keep) + len(chain.own) * (len(members(key)) - 1)
 
 
 def within_floor(selection: Selection, floor: float) -> bool:

@@ -6,7 +6,7 @@ from math import isfinite, pi
 import numpy as np
 from scipy.signal import csd, welch
 
-from dmptm_ctrl.diagnosis.candidate import Floats, name_of
+from dmptm_ctrl.diagnosis.candidate import Floats, members, name_of
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.forces import effective_input
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
@@ -34,13 +34,13 @@ def amplitudes_of(fit: RigFit, key: str) -> list[int]:
     names = [n for n in chain.amplitudes if n not in chain.effect.constants]
     return [
         j for j, f in enumerate(fit.frees)
-        if f.kind == "effect" and f.owner == key and f.name in names
+        if f.kind == "effect" and f.owner in members(key) and f.name in names
     ]  # fmt: skip
 
 
 def objection(key: str, fit: RigFit, before: RigFit) -> str:
     """Why the fitted values of an effect are impossible; empty where they are not."""
-    effect = next(e for e in fit.model.effects if e.key == key)
+    effect = first_of(key, fit)
     return (
         _nothing(key, fit)
         or _beyond(key, fit)
@@ -52,13 +52,18 @@ def objection(key: str, fit: RigFit, before: RigFit) -> str:
     )
 
 
+def first_of(key: str, fit: RigFit) -> Placed:
+    """Return the effect of a key; of several places of one make that at the first."""
+    return next(e for e in fit.model.effects if e.key == members(key)[0])
+
+
 def _nothing(key: str, fit: RigFit) -> str:
     """An amplitude that does not differ from zero."""
     if name_of(key) == SPRING:
         return ""  # its absence is no value of its parameters
     own = amplitudes_of(fit, key)
     if not own:
-        effect = next(e for e in fit.model.effects if e.key == key)
+        effect = first_of(key, fit)
         return "" if any(effect.values.values()) else "no amplitude differs from zero"
     errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     if any(abs(fit.state.get(f := fit.frees[j])) > SURE * errors[j] * f.scale for j in own):
@@ -67,7 +72,7 @@ def _nothing(key: str, fit: RigFit) -> str:
 
 
 def _beyond(key: str, fit: RigFit) -> str:
-    for free in (f for f in fit.frees if f.kind == "effect" and f.owner == key):
+    for free in (f for f in fit.frees if f.kind == "effect" and f.owner in members(key)):
         value = fit.state.get(free)
         if value != 0.0 and value in (free.low, free.high) and free.name != "share":
             return f"{free.name} would lie beyond what is possible"

@@ -15,7 +15,7 @@ from dmptm_ctrl.diagnosis.budget import (
     error_entry,
     verdict_of,
 )
-from dmptm_ctrl.diagnosis.candidate import LEVEL, name_of
+from dmptm_ctrl.diagnosis.candidate import LEVEL, members, name_of
 from dmptm_ctrl.diagnosis.experiment import rig_experiment
 from dmptm_ctrl.diagnosis.negligible import material_together
 from dmptm_ctrl.diagnosis.ranking import ranking_of
@@ -227,12 +227,19 @@ def report_of(
 
 def _named(entry: Entry, fit: RigFit, after: float, without: float) -> NamedEffect:
     """Describe a selected effect with the values of the final fit."""
-    placed = next(e for e in fit.model.effects if e.key == entry.key)
+    name, _, places = entry.key.partition("@")
+    parameters: dict[str, Any] = {}
+    for key in members(entry.key):
+        placed = next(e for e in fit.model.effects if e.key == key)
+        told = effect_parameters(placed, fit, fit.errors)
+        if placed.like:  # what it shares is told already
+            told = {f"{placed.on}.{k}": v for k, v in told.items() if v != parameters.get(k)}
+        parameters |= told
     return NamedEffect(
-        placed.name,
-        placed.on,
+        name,
+        places,
         entry.probability,
-        effect_parameters(placed, fit, fit.errors),
+        parameters,
         tuple(dict.fromkeys(name_of(k) for k in entry.confusable_with)),
         f"Without it, −2 log-likelihood rises by {entry.gain:.0f} on the fitted and "
         f"{entry.held_gain:.0f} on the held-out logs (at least {LEVEL:.0f} are needed), and the "

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.budget import Squares
+from dmptm_ctrl.diagnosis.candidate import members
 from dmptm_ctrl.diagnosis.predict import apart, twin_steps
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, agreement, low_pass, noise_below
@@ -233,7 +234,7 @@ class Runs:
 
 def variable_of(model: RigModel, key: str) -> str:
     """What an effect depends on, of the body that it acts on: as in `depends_on`."""
-    name, _, on = key.partition("@")
+    name, _, on = members(key)[0].partition("@")
     wanted = PLACED_CATALOGUE[name].effect.depends_on[0]
     kind = wanted.partition("_")[0]
     if kind not in ("theta", "omega", "mesh"):

@@ -4,10 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dmptm_ctrl.diagnosis.candidate import JOINED
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Nuisance
 from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, prior_rows
@@ -24,41 +26,41 @@ class Trial:
 
     Attributes
     ----------
-    placed : Placed
-        Its starting values.
+    placed : tuple of Placed
+        Its starting values, at one place or at several of one make.
     columns : tuple of (equations, rows, k) arrays
         Change of the residual per amplitude, or by the whole effect.
-    names : tuple of str
-        Amplitudes that the columns belong to; empty where they are the whole effect.
-    zero : dict of log to float
-        Shift of the angle in logs after the first.
+    zero : dict of log to dict
+        Shift of each effect's angle in logs after the first.
     values, twist : mapping
         Declared quantities that change with it, and twists per log.
     gain : float
         Fall of −2 log-likelihood to first order.
     """
 
-    placed: Placed
+    placed: tuple[Placed, ...]
     columns: Parts
-    names: tuple[str, ...] = ()
-    zero: Mapping[str, float] = field(default_factory=dict)
+    zero: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     values: Mapping[str, float] = field(default_factory=dict)
     twist: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     gain: float = 0.0
 
     @property
     def key(self) -> str:
-        """Name and place."""
-        return self.placed.key
+        """Name and places."""
+        return JOINED.join((self.placed[0].key, *(p.on for p in self.placed[1:])))
 
     def placed_in(self, state: State) -> State:
         """Return a state with the effect in it, at its starting values."""
-        model = state.model.with_values(self.values).with_effect(self.placed)
+        model = state.model.with_values(self.values)
+        for placed in self.placed:
+            model = model.with_effect(placed)
         logs = dict(state.logs)
         for log in {*self.zero, *self.twist}:
             old = logs.get(log, Nuisance())
-            zero = {**old.zero, self.key: self.zero[log]} if log in self.zero else old.zero
-            logs[log] = Nuisance(zero, {**old.twist, **self.twist.get(log, {})})
+            logs[log] = Nuisance(
+                {**old.zero, **self.zero.get(log, {})}, {**old.twist, **self.twist.get(log, {})}
+            )
         return State(model, logs)
 
 
@@ -67,6 +69,7 @@ class Tangent:
     """Weighted residual of a fit, and what its parameters can change."""
 
     fit: RigFit
+    columns: dict[Any, list[Floats]] = field(default_factory=dict)  # of amplitudes looked at
 
     @property
     def balance(self) -> Balance:

@@ -8,7 +8,7 @@ acceptance level holds for every effect, place and drive.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from dmptm_ctrl.diagnosis.candidate import (
     Rows,
     State,
     needed,
+    overlap,
 )
 
 # Evidence per unit of log-odds between rivals: 2 where the likelihood is right; laws that are
@@ -185,14 +186,15 @@ def likely_sets(
     """
     by_keys = {c.keys: c for c in candidates if np.isfinite(c.gain)}
     gain = cache(joint_gain(evidence.rows(state, list(by_keys.values()))))
-    others = [keys for keys in by_keys if single is None or keys != single.keys]
+    others = [keys for keys in by_keys if single is None or not overlap((*keys, *single.keys))]
     most = gain((single.keys,)) if single else 0.0
-    pairs = sorted(combinations(others, 2), key=gain, reverse=True)
+    pairs = [p for p in combinations(others, 2) if not overlap(chain.from_iterable(p))]
+    pairs.sort(key=gain, reverse=True)
     triples: set[tuple[Keys, ...]] = {
         tuple(sorted({*pair, keys}))
         for pair in pairs[:SET_BEAM]
         for keys in others
-        if keys not in pair
+        if not overlap(chain.from_iterable((*pair, keys)))
     }
     likely: list[tuple[Keys, ...]] = list(pairs[:SET_TRIALS])
     likely += sorted(sorted(triples), key=gain, reverse=True)[:SET_TRIALS]
@@ -368,7 +370,7 @@ def rivals_of(
     size = float(own @ own)
     alike: dict[str, float] = {}
     for (other,), one in selection.known.items():
-        if other in without.keys or other == key:
+        if other in without.keys or overlap((other, key)):
             continue
         alike[other] = explained(own, evidence.columns(without, one)) / max(size, 1e-300)
     likely = sorted((k for k in alike if alike[k] > HOPE), key=lambda k: -alike[k])[:RIVALS]

@@ -244,6 +244,24 @@ class Rig:
             lines.append(f"controller: {loop.kind} from {loop.sensor} to {loop.input}")
         return "\n".join(lines)
 
+    def alike(self, place: str) -> tuple[str, ...]:
+        """Return places of one make with a body, link or input, itself included.
+
+        As ``like`` in a rig file says of bodies and links; inputs are alike if their gains and the
+        bodies that they drive are.
+        """
+        source = next((i for i in self.inputs if i.name == place), None)
+        if source is not None:
+            bodies = self.alike(source.body)
+            return tuple(
+                i.name for i in self.inputs
+                if i.body in bodies and (i.gain, i.factors) == (source.gain, source.factors)
+            )  # fmt: skip
+        first = {k.split(".")[1]: v.split(".")[1] for k, v in self.ties.items()}
+        names = (*(b.name for b in self.bodies), *(k.name for k in self.links))
+        make = first.get(place, place)
+        return tuple(n for n in names if first.get(n, n) == make)
+
     def walk(self) -> Iterator[tuple[int, Link | None, Body]]:
         """Bodies from the first driven one outwards, with the link that leads to each."""
         done = set()

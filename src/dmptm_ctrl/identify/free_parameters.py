@@ -155,7 +155,7 @@ def free_parameters(
 def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[Free]:
     frees = []
     linear, chain = on_slide(model, effect.on), PLACED_CATALOGUE[effect.name]
-    for parameter in chain.keep:
+    for parameter in (p for p in chain.keep if not effect.like or p.name in chain.own):
         value = effect.values.get(parameter.name, 0.0)
         low, high, size = parameter.low, parameter.high, abs(value)
         if parameter.name == "order":

@@ -58,7 +58,8 @@ class State:
     def moved(self, frees: Sequence[Free], values: Sequence[float]) -> "State":
         """Return the state with numbers replaced."""
         declared: dict[str, float] = {}
-        effects = {e.key: dict(e.values) for e in self.model.effects}
+        placed = self.model.effects
+        effects = {e.key: dict(e.values) for e in placed}
         zero = {k: dict(n.zero) for k, n in self.logs.items()}
         twist = {k: dict(n.twist) for k, n in self.logs.items()}
         for free, value in zip(frees, values, strict=True):
@@ -69,9 +70,12 @@ class State:
             else:
                 into = zero if free.kind == "zero" else twist
                 into.setdefault(free.owner, {})[free.name] = float(value)
+        for effect in (e for e in placed if e.like):
+            first, own = effects[f"{effect.name}@{effect.like}"], PLACED_CATALOGUE[effect.name].own
+            effects[effect.key] |= {k: v for k, v in first.items() if k not in own}
         model = replace(
             self.model,
-            effects=tuple(e._replace(values=effects[e.key]) for e in self.model.effects),
+            effects=tuple(e._replace(values=effects[e.key]) for e in placed),
             values={**self.model.values, **declared},
         )
         names = {*zero, *twist}

@@ -87,6 +87,16 @@ class PlacedEffect(NamedTuple):
         return tuple(p.bank[len(p.bank) // 2] if p.bank else 0.0 for p in self.keep)
 
     @property
+    def own(self) -> tuple[str, ...]:
+        """Parameters that each of several places of one make has for itself: by sign or phase."""
+        return tuple(p.name for p in self.keep if not p.bank and p.low < 0.0)
+
+    @property
+    def of_make(self) -> bool:
+        """Whether places of one make have it together; not what wear or chance put on one."""
+        return self.effect.search != "places" and (self.effect.wave or not self.own)
+
+    @property
     def shapes(self) -> tuple[str, ...]:
         """Names of the parameters without meaning at zero effect."""
         return tuple(p.name for p in self.keep if p.bank)

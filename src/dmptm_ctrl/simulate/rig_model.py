@@ -1,6 +1,6 @@
 """A rig of any shape with effects added to it: what is simulated, fitted and saved."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import cos, isfinite, isnan, sin
@@ -28,11 +28,20 @@ class Placed(NamedTuple):
     on: str  # body, link, input or sensor, by its name in the rig
     values: Mapping[str, float] = {}  # parameter name → value, SI
     far: tuple[str, ...] = ()  # of a shaft compliance: inputs and sensors behind the spring
+    like: str = ""  # place of the same effect whose numbers it shares, signs and phases apart
 
     @property
     def key(self) -> str:
         """Name and place, unique in a model."""
         return f"{self.name}@{self.on}"
+
+
+def placed_at(
+    name: str, places: Sequence[str], values: Mapping[str, float], far: tuple[str, ...] = ()
+) -> tuple[Placed, ...]:
+    """Return an effect at places of one make; those after the first share its numbers."""
+    others = (Placed(name, on, values, far, places[0]) for on in places[1:])
+    return Placed(name, places[0], values, far), *others
 
 
 class _Joint(NamedTuple):

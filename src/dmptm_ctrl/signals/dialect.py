@@ -49,6 +49,11 @@ class TextFormat:
     skip: int = 0
 
 
+def apart(line: str, separator: str) -> str:
+    """Line with a separator between each name and its value."""
+    return _PAIR.sub(rf"\1{separator}", line)
+
+
 class Dialect(NamedTuple):
     """How the fields of a row are written."""
 
@@ -61,7 +66,7 @@ class Dialect(NamedTuple):
     def split(self, line: str) -> list[str]:
         """Fields of a line, without their quotes and the blanks around them."""
         if self.pairs:
-            line = _PAIR.sub(rf"\1{self.separator}", line)
+            line = apart(line, self.separator)
         if "\x1b" in line:
             line = _ESCAPE.sub("", line)
         line = line.rstrip("\r\n")

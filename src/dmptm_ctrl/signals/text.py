@@ -19,6 +19,7 @@ from dmptm_ctrl.signals.dialect import (
     ODD,
     Layout,
     TextFormat,
+    apart,
     says_nothing,
     without_remark,
 )
@@ -292,7 +293,7 @@ class _Rows:
     def _all(self) -> Iterator[tuple[int, str, str]]:
         layout = self._layout
         separator, fields = layout.dialect.separator, layout.fields
-        blanks, simple = separator == " ", not layout.dialect.pairs
+        blanks, pairs = separator == " ", layout.dialect.pairs
         units = Counter(filter(None, layout.dialect.units))
         named = layout.long is not None  # rows begin with words, and end with numbers
         odd: list[tuple[int, str, str]] = []  # no rows, unless a row follows
@@ -302,10 +303,12 @@ class _Rows:
             for number, line in enumerate(stream, start=layout.first + 1):
                 if '"' in line and line.count(separator) == fields - 1:
                     line = line.replace('"', "")  # nothing in the quotes separates
+                if pairs:
+                    line = apart(line, separator)
                 alone = _without(units, line) if units else line
                 line = alone or line
                 whole = alone and (line[0] in _PLAIN or (named and line[-2:-1].isdigit()))
-                plain = simple and whole and '"' not in line and "#" not in line
+                plain = whole and '"' not in line and "#" not in line
                 if plain and not blanks and line.count(separator) == fields - 1:
                     row, what = line.replace(separator, _FIELD), ""
                 elif plain and blanks and len(line.split()) == fields:

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 import pytest
 
-from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, Rows
+from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, Rows, differ
 from dmptm_ctrl.diagnosis.select import (
     TEMPERATURE,
     Entry,
@@ -324,3 +324,18 @@ def test_explained_is_the_projection():
     # what says the same twice, or nothing, explains no more
     again = np.column_stack([columns, columns[:, 0], np.zeros(50), columns @ [1.0, 2.0, 3.0]])
     assert explained(target, again) == pytest.approx(explained(target, columns), rel=1e-6)
+
+
+def test_amplitudes_differ_from_zero_together():
+    """The sum of two is told, their difference is not: chi-squared of two by its closed form."""
+    told, vague = 1.0, 1e4
+    turn = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
+    covariance = turn.T @ np.diag([told**2, vague**2]) @ turn
+    # of two degrees of freedom the tail beyond x is exp(-x / 2); 3 standard errors leave 0.0027
+    least = np.sqrt(-2.0 * np.log(0.002699796))
+    for size, there in ((1.001 * least, True), (0.999 * least, False)):
+        amplitudes = turn.T @ np.array([size * told, 0.0])
+        assert differ(amplitudes, covariance) is there
+        assert np.all(np.abs(amplitudes) < 0.01 * np.sqrt(np.diag(covariance)))
+    assert differ(np.array([3.001]), np.array([[1.0]]))
+    assert not differ(np.array([2.999]), np.array([[1.0]]))

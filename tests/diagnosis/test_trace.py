@@ -1,18 +1,21 @@
 """What a torque on the ring gear would explain, beside what the drive's parameters explain."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 from dmptm_ctrl import load_log
 from dmptm_ctrl.diagnosis.measure import measure
 from dmptm_ctrl.diagnosis.residual import residual
-from dmptm_ctrl.diagnosis.trace import Trace, pair_gains, total_columns
+from dmptm_ctrl.diagnosis.trace import Trace, effect_columns, pair_gains, total_columns
 from dmptm_ctrl.drive import paper_drive
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.simulate.model import Model
 from rigs import make_rig
 
@@ -40,3 +43,28 @@ def test_gains_of_pairs_are_those_of_regressions(traced):
         g = traced.project(whole)
         _, left, *_ = np.linalg.lstsq(g, traced.target, rcond=None)
         assert gain == pytest.approx(traced.target @ traced.target - float(left[0]), rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["quadratic_drag", "unbalance", "ring_gear_eccentricity"])
+def test_gains_inside_the_ranges_are_those_of_bounded_regressions(traced, name):
+    """By another solver, on all rows; half of the parameters stand at an end of their range."""
+    known = tuple(
+        replace(k, high=p) if j % 2 else replace(k, low=p - 0.1)
+        for j, (k, p) in enumerate(zip(traced.base.unknowns, traced.base.p, strict=True))
+    )
+    inside = Trace(replace(traced.left, base=replace(traced.base, unknowns=known)))
+    low, high = np.array([(k.low, k.high) for k in known]).T - inside.base.p
+    effect = CATALOGUE[name]
+    columns = effect_columns(inside, effect, {})
+    left = np.concatenate([inside.base.weights * inside.base.missing, inside.prior @ inside.base.p])
+
+    def cost(table, free):
+        bounds = np.append(low, np.full(free, -np.inf)), np.append(high, np.full(free, np.inf))
+        bounds = bounds[0], np.maximum(bounds[1], bounds[0] + 1e-12)
+        scale = np.linalg.norm(table, axis=0)
+        scaled = tuple(b * scale for b in bounds)
+        return 2.0 * lsq_linear(table / scale, -left, scaled, method="bvls", tol=1e-14).cost
+
+    tall = np.pad(columns, [(0, inside.rows), (0, 0)])
+    fall = cost(inside.slopes, 0) - cost(np.hstack([inside.slopes, tall]), columns.shape[1])
+    assert inside.bounded_gain(columns) == pytest.approx(fall, rel=1e-6, abs=1e-8)

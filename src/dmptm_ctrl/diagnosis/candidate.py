@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2, norm
 
 JOINED = " + "  # of places that have an effect together
 Floats = NDArray[np.float64]
@@ -19,6 +20,7 @@ LEVEL = 50.0
 # Standard errors that evidence is above nothing. A diagnosis looks at some 150 candidates. By
 # chance one of 30 000 is so far out: one in one diagnosis of 200.
 SURE = 4.0
+FIRM = 3.0  # standard errors of an amplitude
 
 
 def name_of(key: str) -> str:
@@ -36,6 +38,18 @@ def overlap(keys: Iterable[str]) -> bool:
     """Whether two of several keys share a place."""
     every = [one for key in keys for one in members(key)]
     return len(every) > len({*every})
+
+
+def differ(amplitudes: Floats, covariance: Floats) -> bool:
+    """Whether amplitudes (k,) differ from zero, as surely as one by three standard errors.
+
+    All together: what two motors do alike, logs may tell of both and of neither alone.
+    """
+    square = float(amplitudes @ np.linalg.pinv(covariance, hermitian=True) @ amplitudes)
+    return bool(square > chi2.isf(2.0 * norm.sf(FIRM), amplitudes.size))
+
+
+NO_DIFFERENCE = f"no amplitude differs from zero by {FIRM:.0f} standard errors"
 
 
 def needed(effects: int, *errors: float) -> float:

@@ -9,10 +9,12 @@ import numpy as np
 
 from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
+    NO_DIFFERENCE,
     Candidate,
     Floats,
     Keys,
     Rows,
+    differ,
     name_of,
     standard_error,
 )
@@ -202,11 +204,9 @@ class DualEvidence:
 
     def rows(self, state: DualState, candidates: Sequence[Candidate]) -> Rows:
         """Return the model and candidates to first order, every window by its weight."""
-        base, view = state.left.base, state.trace
-        low, high = np.array([(k.low, k.high) for k in base.unknowns]).T - base.p
+        view = state.trace
         columns = {c.keys: np.pad(_columns(view, c), ((0, view.rows), (0, 0))) for c in candidates}
-        left = np.concatenate([base.weights * base.missing, view.prior @ base.p])
-        return Rows(left, view.slopes, low, high, columns)
+        return Rows(view.whole, view.slopes, *view.room, columns)
 
     def together(self, state: DualState, candidates: Sequence[Candidate]) -> Candidate:
         """Fit several effects beside a model."""
@@ -291,16 +291,10 @@ def searched(name: str) -> float:
 
 def objection(fit: BalanceFit, name: str) -> str:
     """Why the fitted values of an effect are impossible; empty where they are not."""
-    amplitudes = CATALOGUE[name].amplitudes
-    errors = np.sqrt(np.diag(fit.covariance))
-    firm = False
-    for k, x, se in zip(fit.unknowns, fit.p, errors, strict=True):
-        if k.effect != name or k.name not in amplitudes:
-            continue
+    own = own_places(fit, name)
+    for k, x in ((fit.unknowns[j], fit.p[j]) for j in own):
         if x != 0.0 and x in (k.low, k.high):
             return f"{k.name} would lie beyond what is possible"
-        firm = firm or abs(x) > SURE * se
-    return "" if firm else "no amplitude differs from zero by three standard errors"
-
-
-SURE = 3.0  # standard errors
+    telling = [j for j in own if fit.unknowns[j].name not in CATALOGUE[name].constants]
+    firm = differ(fit.p[telling], fit.covariance[np.ix_(telling, telling)])
+    return "" if firm else NO_DIFFERENCE

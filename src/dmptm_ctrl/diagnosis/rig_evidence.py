@@ -168,8 +168,11 @@ class RigEvidence:
         """Judge a candidate after one step of the model's parameters, by their known slopes."""
         there, fit = trial.placed_in(state.fit.state), state.fit
         most = 1.0 + max(1.0 / self.ratio(state), 1.0)  # held-out logs show no more by their rows
-        if most * trial.gain < LEVEL:
-            return replace(self._plain((trial,), fit), gain=trial.gain)
+        gain = trial.gain
+        if most * gain < LEVEL and trial.columns:
+            gain = max(gain, state.tangent.bounded_gain(trial.columns))
+        if most * gain < LEVEL:
+            return replace(self._plain((trial,), fit), gain=gain)
         try:
             left, drive = residuals(there, self.logs)
         except (ValueError, ArithmeticError):
@@ -292,14 +295,9 @@ class RigEvidence:
 
     def rows(self, state: RigState, candidates: Sequence[Candidate]) -> Rows:
         """Return the model and candidates to first order."""
-        fit, tangent = state.fit, state.tangent
-        value = np.array([fit.state.get(f) for f in fit.frees])
-        scale = np.array([f.scale for f in fit.frees])
-        low, high = np.array([(f.low, f.high) for f in fit.frees]).reshape(-1, 2).T
+        tangent = state.tangent
         columns = {c.keys: tangent.stack(c.fitted[0][0].columns) for c in candidates}
-        return Rows(
-            tangent.whole, tangent.slopes, (low - value) / scale, (high - value) / scale, columns
-        )
+        return Rows(tangent.whole, tangent.slopes, *tangent.room, columns)
 
     def together(self, state: RigState, candidates: Sequence[Candidate]) -> Candidate:
         """Fit several effects beside a model."""

@@ -6,7 +6,14 @@ from math import isfinite, pi
 import numpy as np
 from scipy.signal import csd, welch
 
-from dmptm_ctrl.diagnosis.candidate import Floats, members, name_of
+from dmptm_ctrl.diagnosis.candidate import (
+    FIRM,
+    NO_DIFFERENCE,
+    Floats,
+    differ,
+    members,
+    name_of,
+)
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.forces import effective_input
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
@@ -15,7 +22,6 @@ from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed
 
 SPRING = SHAFT_COMPLIANCE.name
-SURE = 3.0  # standard errors
 SHORTEST_LATE = 0.1  # sample times
 PERIODS = 3.0  # of what goes by the clock that the longest log must hold
 RESOLVED = 1.5  # lines of a log's spectrum within which frequencies are one
@@ -65,10 +71,8 @@ def _nothing(key: str, fit: RigFit) -> str:
     if not own:
         effect = first_of(key, fit)
         return "" if any(effect.values.values()) else "no amplitude differs from zero"
-    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    if any(abs(fit.state.get(f := fit.frees[j])) > SURE * errors[j] * f.scale for j in own):
-        return ""
-    return "no amplitude differs from zero by three standard errors"
+    sizes = np.array([fit.state.get(f := fit.frees[j]) / f.scale for j in own])
+    return "" if differ(sizes, fit.covariance[np.ix_(own, own)]) else NO_DIFFERENCE
 
 
 def _beyond(key: str, fit: RigFit) -> str:
@@ -149,7 +153,7 @@ def _unseen(effect: Placed, fit: RigFit, before: RigFit) -> str:
     drive = np.concatenate(fit.drive)
     for e in range(fit.left[0].shape[0]):
         rms = np.sqrt(np.mean(np.concatenate([c[e] for c in changes]) ** 2))
-        loud = rms > SURE * NOISE_SHARE * np.sqrt(np.mean(drive**2))
+        loud = rms > FIRM * NOISE_SHARE * np.sqrt(np.mean(drive**2))
         if loud or driven_share([c[e] for c in changes], fit.drive) >= DRIVEN:
             return ""
     return "what it changes is no more than noise, and does not follow from the drive"

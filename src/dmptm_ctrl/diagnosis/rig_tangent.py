@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.candidate import JOINED
+from dmptm_ctrl.identify.fit import fall_beside
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Nuisance
 from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, prior_rows
@@ -145,6 +146,20 @@ class Tangent:
         norm = np.linalg.norm(self.slopes, axis=0)
         norm[norm <= 1e-12 * norm.max(initial=0.0)] = np.inf
         return -np.linalg.lstsq(self.slopes / norm, change, rcond=1e-7)[0] / norm
+
+    @cached_property
+    def room(self) -> tuple[Floats, Floats]:
+        """How far the fitted numbers may still move, down and up, in scales."""
+        ends = [
+            ((f.low - self.fit.state.get(f)) / f.scale, (f.high - self.fit.state.get(f)) / f.scale)
+            for f in self.fit.frees
+        ]
+        low, high = np.array(ends).reshape(-1, 2).T
+        return low, high
+
+    def bounded_gain(self, parts: Sequence[Floats]) -> float:
+        """Fall of −2 log-likelihood to first order, the fitted numbers in their ranges."""
+        return fall_beside(self.slopes, self.stack(parts), self.whole, *self.room)
 
     def score(self, parts: Sequence[Floats]) -> tuple[float, Floats]:
         """Return the fall of −2 log-likelihood to first order, and the amplitudes."""

@@ -25,12 +25,11 @@ from dmptm_ctrl.identify.balance import (
     split,
     surprise,
 )
-from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
+from dmptm_ctrl.identify.fit import Unknown, effect_unknowns, fall_beside
 from dmptm_ctrl.identify.ripple import order_gains
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
 
-DIFFERENT = 5.0  # standard errors
 SATURATED = (0.5, 0.7, 0.85, 0.95)  # of the largest voltage, where a limit is looked for
 SMALL = 3.0  # steps
 STARTS = 2  # best shapes that are fitted
@@ -82,6 +81,7 @@ class Trace:
         self.basis, _ = np.linalg.qr(self.slopes)
         self.rows = self.prior.shape[0]
         self.target = self.project(-w * self.base.missing)
+        self.whole = np.concatenate([w * self.base.missing, self.prior @ self.base.p])
 
     @cached_property
     def fast(self) -> "Trace":
@@ -122,6 +122,17 @@ class Trace:
         own = unit.T @ unit - told.T @ told
         product = self.target[: -self.rows] @ unit
         return float(product @ np.linalg.pinv(own, SINGULAR, hermitian=True) @ product)
+
+    @cached_property
+    def room(self) -> tuple[Floats, Floats]:
+        """How far the parameters may still move, down and up."""
+        low, high = np.array([(k.low, k.high) for k in self.base.unknowns]).T - self.base.p
+        return low, high
+
+    def bounded_gain(self, columns: Floats) -> float:
+        """Fall of the weighted square by columns (m, k), the drive's parameters in their ranges."""
+        tall = np.pad(columns, [(0, self.rows), (0, 0)])
+        return fall_beside(self.slopes, tall, self.whole, *self.room)
 
 
 def effect_columns(trace: Trace, effect: Effect, shapes: Mapping[str, float]) -> Floats:
@@ -309,7 +320,7 @@ def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
     begun = starts(trace, effect)
     if least > 0.0 and not bent(name):
         shapes = [{k: v for k, v in one.items() if k in effect.shapes} for one in begun]
-        if max(trace.gain(effect_columns(trace, effect, one)) for one in shapes) < least:
+        if max(trace.bounded_gain(effect_columns(trace, effect, one)) for one in shapes) < least:
             return None
     models = [trace.base.model.with_effect(name, **values) for values in begun]
     if trace.balance.led:  # runs cost most: from the best start alone
@@ -323,21 +334,8 @@ def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
     return tried(trace, name, min(fits, key=lambda f: f.loss))
 
 
-def present(name: str, done: BalanceFit) -> bool:
-    """Whether an amplitude that makes an effect differs from zero."""
-    effect = CATALOGUE[name]
-    if not effect.constants:
-        return True
-    names = set(effect.amplitudes) - set(effect.constants)
-    own = [j for j, k in enumerate(done.unknowns) if k.effect == name and k.name in names]
-    errors = np.sqrt(np.diag(done.covariance)[own])
-    return bool(np.any(np.abs(done.p[own]) > DIFFERENT * errors))
-
-
 def tried(trace: Trace, name: str, done: BalanceFit) -> Trial:
     """Compare a fit with the base."""
-    if not present(name, done):
-        return Trial(name, 0.0, 0.0, done)
     held = trace.left.held_base - trace.left.held_loss(done.model)
     return Trial(name, trace.base.loss - done.loss, held, done)
 

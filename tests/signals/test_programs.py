@@ -291,6 +291,7 @@ def dated(head, line, form="%d.%m.%Y %H:%M:%S,%f"):
 
 WITHOUT_KEYS = {  # what says nothing of the clock in the rig file
     "WinCC": winCC(),
+    "Python's logging": dated("", "{} INFO servo: u={:.5f} q={:.5f}\n", "%Y-%m-%d %H:%M:%S,%f"),
     "Influx": influx(),
     "a row per signal": "tag,t,value\n" + each("u,{0:.5f},{1:.5f}\nq,{0:.5f},{2:.5f}\n"),
     "dSPACE": "# Device: MicroLabBox\ntime;u;q\n" + rows(";", T, U, Q),
@@ -732,3 +733,11 @@ def test_counts_against_a_unit_are_told(tmp_path):
 def test_a_comma_for_everything_is_refused_with_the_reason(tmp_path):
     with pytest.raises(LogError, match="comma before decimals needs another separator"):
         read(tmp_path, table(decimal=","))
+
+
+def test_a_date_beside_the_time_of_day_is_no_column(tmp_path):
+    """A day that is the same in each line names nothing, and is no clock."""
+    path = tmp_path / "run.log"
+    path.write_text(dated("", "{} INFO servo: u={:.5f} q={:.5f}\n", "2026-03-01 %H:%M:%S,%f"))
+    info = describe_file(path)
+    assert [c.column for c in info.channels] == ["column2 [s]", "u", "q"]

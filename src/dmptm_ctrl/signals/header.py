@@ -46,8 +46,10 @@ def named(
     if block.kinds == ["text", "number"] and (long := _long(["", ""], block, wanted)):
         return replace(layout, long=long)
     values = [c for c, kind in enumerate(block.kinds) if kind != "text"]
-    beside = ["", *(n.rstrip(":=") for n in block.constant[:-1])]
-    if all(beside[c] for c in values) or (block.dialect.pairs and sum(map(bool, beside)) > 1):
+    clocks = {c for c, kind in enumerate(block.kinds) if kind == "time"}  # a date is no name
+    said = ["", *(n.rstrip(":=") for n in block.constant[:-1])]
+    beside = ["" if c in clocks else name for c, name in enumerate(said)]
+    if all(said[c] for c in values) or (block.dialect.pairs and sum(map(bool, beside)) > 1):
         # pairs may follow a time and a level
         return _finished(replace(layout, names=beside), block, wanted)
     if how.header is not None:

@@ -277,6 +277,9 @@ def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table]:
             continue
         if column.dtype.kind in "mM":
             column, _ = seconds_of(column, 1.0)
+            told = column[np.isfinite(column)]
+            if told.size and not np.ptp(told):  # a date beside the time of day
+                continue
         good = column[np.isfinite(column)].astype(np.float64)
         if good.size:
             unit = "s" if stated.get(name) == TIMES else stated.get(name, "")

@@ -71,7 +71,7 @@ class State:
                 into = zero if free.kind == "zero" else twist
                 into.setdefault(free.owner, {})[free.name] = float(value)
         for effect in (e for e in placed if e.like):
-            first, own = effects[f"{effect.name}@{effect.like}"], PLACED_CATALOGUE[effect.name].own
+            first, own = effects.get(effect.first, {}), PLACED_CATALOGUE[effect.name].own
             effects[effect.key] |= {k: v for k, v in first.items() if k not in own}
         model = replace(
             self.model,

@@ -35,6 +35,11 @@ class Placed(NamedTuple):
         """Name and place, unique in a model."""
         return f"{self.name}@{self.on}"
 
+    @property
+    def first(self) -> str:
+        """Key of the effect whose numbers it shares."""
+        return f"{self.name}@{self.like or self.on}"
+
 
 def placed_at(
     name: str, places: Sequence[str], values: Mapping[str, float], far: tuple[str, ...] = ()

@@ -5,7 +5,7 @@ import pytest
 from tests.rig_files.truth import Machine
 
 from dmptm_ctrl.diagnosis.impedance import loudness
-from dmptm_ctrl.diagnosis.rig_diagnose import split
+from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
@@ -74,7 +74,25 @@ def test_friction_and_a_cog_that_shakes_at_reversals_are_no_spring():
     base = evidence.base(State(rough_start(RigModel(rig), logs)))
     found = {c.keys[0]: c for c in evidence.candidates(base)}
     for late in ("drive_delay@u", "current_lag@u"):  # of a sine, as much friction as inertia
-        assert "most of the drive's signal" in found[late].objection
+        assert "little of the inertia" in found[late].objection
     best = max((c for c in found.values() if c.acceptable), key=lambda c: c.evidence)
     assert best.keys == ("coulomb_friction@arm",)
     assert found["shaft_compliance@arm"].evidence < 0.0
+
+
+def test_an_amplifier_may_give_less_than_half_of_what_is_asked():
+    """It clips at a fifth of the largest command; speeds are exact sums of what it gives."""
+    t, limit = 1e-3 * np.arange(8000), 0.2
+    ask = np.sin(2 * np.pi * 0.7 * t) * np.sin(2 * np.pi * 3.1 * t)
+    speed = np.zeros(t.size)
+    for k, give in enumerate(np.clip(ask, -limit, limit)[:-1]):
+        steady, keep = give / 0.05, np.exp(-0.05 * 1e-3 / J)
+        speed[k + 1] = steady + (speed[k] - steady) * keep
+    read = speed + 1e-3 * np.random.default_rng(0).standard_normal(t.size)
+    text = ONE.replace('"0.02 kg m^2"', '"0.02 kg m^2 ± 20 %"\nviscous = "0.05 N m s/rad ± 20 %"')
+    rig = parse_rig(text.replace('"q"', '"w"').replace('unit = "rad"', 'unit = "rad/s"'))
+    units = {"in_u": "N·m", "out_near": "rad/s"}
+    found = diagnose_rig([Log("run", t, {"in_u": ask, "out_near": read}, units=units)], rig)
+    (effect,) = found.effects
+    assert (effect.name, found.verdict) == ("drive_saturation", "explained")
+    assert 1.0 / effect.parameters["inverse_limit"]["value"] == pytest.approx(limit, rel=0.01)

@@ -15,7 +15,6 @@ from dmptm_ctrl.diagnosis.candidate import (
     name_of,
 )
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
-from dmptm_ctrl.identify.forces import effective_input
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
 from dmptm_ctrl.identify.rig_fit import RigFit
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -84,20 +83,24 @@ def _beyond(key: str, fit: RigFit) -> str:
 
 
 def _takes_the_drive(effect: Placed, fit: RigFit, before: RigFit) -> str:
-    """What takes most of the signal is no fault of an amplifier: the drive would not move.
+    """What leaves less than half of an inertia to be moved is no fault of an amplifier.
 
-    Nor is what leaves less than half of an inertia to be moved: of a single wave, a delay is as
-    much friction as inertia.
+    Of a single wave, a delay is as much friction as inertia. Half of that without the effect, or
+    of what is declared if that is less: a drive that clips seems to move more than there is.
     """
     if PLACED_CATALOGUE[effect.name].place != "input":
         return ""
-    motions = fit.likelihood.balance.motions
-    signals = [(m.u[effect.on], effective_input(fit.model, m, effect.on)) for m in motions]
-    sent, acts = (float(np.std(np.concatenate([s[k] for s in signals]))) for k in (0, 1))
-    now, then = (one.model.plant().inertia for one in (fit, before))
-    moved = float(np.min(now / then)) if now.shape == then.shape else 1.0
-    most = acts < 0.5 * sent or moved < 0.5
-    return "it would take most of the drive's signal" if most else ""
+    model = before.model
+    known = {
+        key: q.value
+        for key, q in model.quantities.items()
+        if key.endswith(".inertia") and isfinite(q.value)
+    }
+    now, then, declared = (
+        one.plant().inertia for one in (fit.model, model, model.with_values(known))
+    )
+    less = now.shape == then.shape and bool(np.any(now < 0.5 * np.minimum(then, declared)))
+    return "it would leave little of the inertia to be moved" if less else ""
 
 
 def _too_short(effect: Placed, fit: RigFit) -> str:

@@ -59,7 +59,11 @@ def refuse_wrong_call(
         kinds = _kinds(parameter.annotation)
         if not any(_fits(value, kind) for kind in kinds):
             right = " or ".join(dict.fromkeys(_said(k) for k in kinds if k is not NoneType))
-            raise TypeError(f"{name}: {key} must be {right}, not {_a(type(value).__name__)}")
+            entry = next((v for v in value.values()), None) if isinstance(value, dict) else None
+            wrong = f"a dict of {type(entry).__name__}" if entry is not None else _a(
+                type(value).__name__
+            )  # fmt: skip
+            raise TypeError(f"{name}: {key} must be {right}, not {wrong}")
         if isinstance(value, Real) and value != value:
             raise ValueError(f"{name}: {key} is NaN; it must be a number")
 

@@ -10,7 +10,7 @@ from tests.export.test_plant import RIG
 from tests.rig_files.truth import Bench, Machine
 
 from dmptm_ctrl.diagnosis.candidate import LEVEL
-from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, predictions, split
+from dmptm_ctrl.diagnosis.rig_diagnose import _no_gap, diagnose_rig, predictions, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_objections import objection
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
@@ -48,7 +48,7 @@ def rubbing():
     return prepared(Bench(Machine(fc=0.03), **SMALL))
 
 
-def geared(gap):
+def geared(gap, unknown=False):
     """A gear with the load behind it; the motor's encoder sees it alone."""
     machine = Machine(
         gain=1.0, emf=0.0, j1=2e-4, j2=0.013, ratio=10.0, k=0.4, c=1e-4, gap=gap, fc=5e-3,
@@ -59,21 +59,30 @@ def geared(gap):
     text = bench.rig().replace('"unknown"', '"0.013 kg m^2 ± 20 %"', 2)
     text = text.replace('viscous = "0.013 kg m^2 ± 20 %"', 'viscous = "unknown"', 1)
     text = text.replace("± 40 %", "± 10 %").replace("shaft.coupling", "mesh.coupling")
-    rig = parse_rig(text.replace("viscous =", 'coulomb = "unknown"\nviscous ='), "rig.toml")
+    text = text.replace("viscous =", 'coulomb = "unknown"\nviscous =')
+    if unknown:
+        text = text.replace("[mesh.coupling]", '[mesh.coupling]\nbacklash = "unknown"')
+    rig = parse_rig(text, "rig.toml")
     logs, held, _, _ = split(rig, balance_of(rig, logs_of(bench, rig)))
     evidence = RigEvidence(logs, held, 1)
     return evidence, evidence.base(State(rough_start(RigModel(rig), logs)))
 
 
-def test_a_gap_before_a_load_that_nothing_measures():
-    """A soft spring is the nearest thing; the gap is found beside the stiff one."""
-    evidence, base = geared(0.03)
+@pytest.mark.parametrize("unknown", [False, True])
+def test_a_gap_before_a_load_that_nothing_measures(unknown):
+    """A soft spring is the nearest thing; the gap is found beside the stiff one.
+
+    As well where the rig file says that there is one of unknown size.
+    """
+    evidence, base = geared(0.03, unknown)
+    assert len([*_no_gap(base.fit.model)]) == unknown
     assert base.fit.values["link.coupling.stiffness"] < 0.36  # soft by the gap
     found = evidence.candidates(base, ["backlash@coupling"])
     best = max((c for c in found if c.acceptable), key=lambda c: c.evidence)
     fit = evidence.adopt(base, best).fit
     assert fit.values["backlash@coupling.half_gap"] == pytest.approx(0.03, rel=0.1)
     assert fit.values["link.coupling.stiffness"] == pytest.approx(0.4, rel=0.1)
+    assert not [*_no_gap(fit.model)]
 
 
 def test_no_gap_before_a_load_that_nothing_measures():

@@ -17,7 +17,7 @@ from dmptm_ctrl.diagnosis.rig_shapes import (
     unit_columns,
 )
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
-from dmptm_ctrl.drive.rig import DECLARES
+from dmptm_ctrl.drive.rig import DECLARES, is_known
 from dmptm_ctrl.effects.backlash_variation import BACKLASH_VARIATION
 from dmptm_ctrl.effects.coulomb_friction import COULOMB_FRICTION
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
@@ -447,7 +447,7 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
     declared = {k.name: k for k in model.rig.links}
     seen = coordinates_of(model.layout, [p.name for p in balance.points])
     for link in model.layout.links:
-        if link in declared and declared[link].half_gap is not None:
+        if link in declared and is_known(declared[link].half_gap):
             continue
         if 0 not in seen:
             continue  # through a gap, the driven body's motion does not follow from the other's

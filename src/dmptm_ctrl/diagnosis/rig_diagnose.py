@@ -1,7 +1,7 @@
 """Diagnose a rig of any shape: from logs and a rig file to the error budget."""
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from math import inf
@@ -45,6 +45,7 @@ from dmptm_ctrl.identify.rig_fit import State, fit_rig
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
+from dmptm_ctrl.simulate.placed_effects import BACKLASH
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
@@ -122,9 +123,20 @@ def diagnose_rig(
             seed,
             time.perf_counter() - started,
         ),
-        warnings=(*_notes(loaded), *warnings),
+        warnings=(*_notes(loaded), *warnings, *_no_gap(selection.final.fit.model)),
         jobs=jobs,
     )
+
+
+def _no_gap(model: RigModel) -> Iterator[str]:
+    """Say which unknown gaps the logs do not show."""
+    found = {e.on for e in model.effects if e.name == BACKLASH.name}
+    for link in (k for k in model.rig.links if k.half_gap is not None and k.name not in found):
+        if not is_known(link.half_gap):
+            yield (
+                f"{link.name}: its backlash is declared unknown, and these logs show none; it "
+                "counts as 0, and a small gap would make the stiffness look softer"
+            )
 
 
 def _fitted(

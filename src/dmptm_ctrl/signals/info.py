@@ -19,7 +19,7 @@ from dmptm_ctrl.signals.units import door_column, named_unit, parse_unit
 Array = NDArray[np.float64]
 
 INPUT_UNITS = ("V", "A", "N·m", "N", "%")
-DECLARED = "nothing: the rig file declares it"
+DECLARED = "the rig file declares it: it is fitted, not looked for"
 REST_SHARE = 0.02  # of the greatest speed; slower is at rest
 SMOOTH = 0.02  # s, moving average before counting reversals: longer than gyro noise lives
 

@@ -80,7 +80,7 @@ def simulate(
     >>> time = np.arange(0.0, 1.0, 1e-3)
     >>> volts = np.array([0.6 * np.sin(np.pi * time)] * 2)
     >>> run = dm.simulate(dm.Model(dm.paper_drive()), time, volts)
-    >>> speed = run.outputs[run.output_labels.index("omega_L")]  # rad/s
+    >>> speed = run.outputs["omega_L"]  # rad/s
     """
     from dmptm_ctrl.simulate.compiled import INPUTS, OUTPUTS
     from dmptm_ctrl.simulate.response import response

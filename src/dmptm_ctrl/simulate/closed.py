@@ -29,6 +29,9 @@ def close_loop(
 ) -> "control.TimeResponseData":
     """Run a drive under a sampled speed loop, from rest.
 
+    The pinions of a dual-motor drive begin in the middle of their gaps. Keep the setpoint at 0
+    until the preload has closed them, some 0.5 s; a step before that may make the loop hammer.
+
     Parameters
     ----------
     model : Model, RigModel or Rig
@@ -112,9 +115,10 @@ def close_loop(
 def _law(controller: Any, dt: float) -> Any:
     """What the loop of a dual-motor drive calls each `dt` seconds."""
     law = controller.law() if hasattr(controller, "law") else controller
-    if not hasattr(law, "kp"):
+    if not hasattr(law, "controller"):
         raise TypeError(
-            f"close_loop takes a Loop or a Controller second, not {type(controller).__name__}"
+            f"close_loop takes a Loop or a Controller second, not {type(controller).__name__}; "
+            "Loop(kp, ki, limit=...) is one of gains"
         )
     own_step = getattr(controller, "sample_time", dt)
     if abs(dt - own_step) > 1e-6 * own_step:

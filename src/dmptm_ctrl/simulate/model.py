@@ -138,7 +138,35 @@ class Model:
         return {effect.site for effect in self.acting}
 
     def to_blocks(self, **options: Any) -> "control.InterconnectedSystem":
-        """Return the model as python-control blocks, see :func:`.blocks.to_blocks`."""
+        """Return the model as python-control blocks joined by name.
+
+        Parameters
+        ----------
+        loop : Loop, optional
+            Close the speed loop, in continuous time.
+        pade_order : int
+            Of the Padé approximation of a dead time.
+        contact : {"eq21", "two_state"}
+            Contact law of the meshes.
+        others : sequence of str
+            Names of `params` that belong to blocks of your own.
+
+        Returns
+        -------
+        control.InterconnectedSystem
+            Inputs ``u_left``, ``u_right`` [V], or ``ref`` [rad/s] with a loop; outputs in SI.
+            ``params={"k_m": 3e4}`` in ``control.input_output_response`` replaces values.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Another kind of loop; a contact law that does not exist; values of no machine.
+
+        Notes
+        -----
+        Teeth need fine steps. With python-control's usual tolerance a loop seems to chatter:
+        ``solve_ivp_method="LSODA"`` or ``solve_ivp_kwargs={"rtol": 1e-6, "atol": 1e-9}``.
+        """
         from dmptm_ctrl.simulate.blocks import to_blocks
 
         return to_blocks(self, **options)

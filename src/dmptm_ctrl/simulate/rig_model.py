@@ -182,7 +182,11 @@ class RigModel:
                     raise ValueError(f"{what} is {value:g}; it must be zero or more")
 
     def to_blocks(self, **options: Any) -> "control.InterconnectedSystem":
-        """Return the model as python-control blocks, see :func:`.blocks.to_blocks`."""
+        """Return the model as python-control blocks joined by name.
+
+        Options as of :meth:`~dmptm_ctrl.simulate.model.Model.to_blocks`. Inputs and outputs are
+        those of the rig, and its sensors, by name in SI.
+        """
         from dmptm_ctrl.simulate.blocks import to_blocks
 
         return to_blocks(self, **options)

@@ -219,7 +219,7 @@ def paper_drive(*, as_printed: bool = False) -> Drive:
         "K_d": Quantity(3.0, "A/V", 0.0, t1),
         "K_M": Quantity(0.13, "N·m/A", 0.0, t1),
         "J_m": Quantity(2e-4, "kg·m²", _INERTIA_TOL, t1),
-        "J_2": Quantity(0.125, "kg·m²", _INERTIA_TOL, t1 + ", see ERRATA['J2']"),
+        "J_2": Quantity(0.125, "kg·m²", _INERTIA_TOL, t1 + ", see docs/errata.md"),
         "J_L": Quantity(2.5, "kg·m²", _INERTIA_TOL, t1),
         "N_1": Quantity(25.0, "", 0.0, t1),
         "N_2": Quantity(8.25, "", 0.0, t1),
@@ -229,7 +229,9 @@ def paper_drive(*, as_printed: bool = False) -> Drive:
         "phi_r": Quantity(0.0, "rad", 0.0, "below Eq. 23"),
         "c": Quantity(1.0, "N·m·s/rad", 0.0, t1)
         if as_printed
-        else Quantity(3.0, "N·m·s/rad", 0.0, f"{t1}, c: {ERRATA['c'].proof}", low=1.0, high=10.0),
+        else Quantity(
+            3.0, "N·m·s/rad", 0.0, f"{t1} prints 1; {ERRATA['c'].proof}", low=1.0, high=10.0
+        ),
         "c_f": Quantity(0.05, "N·m·s/rad", 0.0, "ours", low=0.0, high=0.5),
         "gap_l": Quantity(14 * ARCMIN, "rad", _FRICTION_TOL, t1),
         "gap_r": Quantity(10 * ARCMIN, "rad", _FRICTION_TOL, t1),

@@ -268,6 +268,7 @@ def test_nothing_is_named_where_nothing_is_missing():
     assert found.verdict == "none"
     assert not found.effects
     assert found.error["before"]["rmse"] <= 1.5 * found.error["floor"]["rmse"]
+    assert found.error["before"]["speed"] == found.error["after"]["speed"]
     assert not found.depends_on
 
 

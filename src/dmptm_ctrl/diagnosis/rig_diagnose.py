@@ -101,6 +101,8 @@ def diagnose_rig(
 
     selection = without_negligible(evidence, select_effects(evidence, base, say), grows)
     selection = without_negligible(evidence, selection, helps)
+    if not selection.entries:  # what was found on the way and went may have left another fit
+        selection = replace(selection, final=base)
     say("looking for curves in what is left")
     found = curves(selection.final)
     at_floor = within_floor(selection, predicted(selection.final, found))

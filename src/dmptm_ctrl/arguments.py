@@ -59,11 +59,11 @@ def refuse_wrong_call(
         kinds = _kinds(parameter.annotation)
         if not any(_fits(value, kind) for kind in kinds):
             right = " or ".join(dict.fromkeys(_said(k) for k in kinds if k is not NoneType))
-            entry = next((v for v in value.values()), None) if isinstance(value, dict) else None
-            wrong = f"a dict of {type(entry).__name__}" if entry is not None else _a(
-                type(value).__name__
-            )  # fmt: skip
-            raise TypeError(f"{name}: {key} must be {right}, not {wrong}")
+            what = _a(type(value).__name__)
+            if isinstance(value, dict):
+                held = dict.fromkeys(type(entry).__name__ for entry in value.values())
+                what += f" of {' and '.join(held)}" if held else ""
+            raise TypeError(f"{name}: {key} must be {right}, not {what}")
         if isinstance(value, Real) and value != value:
             raise ValueError(f"{name}: {key} is NaN; it must be a number")
 

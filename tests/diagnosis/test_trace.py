@@ -63,7 +63,8 @@ def test_gains_inside_the_ranges_are_those_of_bounded_regressions(traced, name):
         bounds = bounds[0], np.maximum(bounds[1], bounds[0] + 1e-12)
         scale = np.linalg.norm(table, axis=0)
         scaled = tuple(b * scale for b in bounds)
-        return 2.0 * lsq_linear(table / scale, -left, scaled, method="bvls", tol=1e-14).cost
+        found = lsq_linear(table / scale, -left, scaled, method="trf", tol=1e-15, max_iter=2000)
+        return 2.0 * found.cost
 
     tall = np.pad(columns, [(0, inside.rows), (0, 0)])
     fall = cost(inside.slopes, 0) - cost(np.hstack([inside.slopes, tall]), columns.shape[1])

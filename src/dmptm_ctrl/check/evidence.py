@@ -213,7 +213,7 @@ def _zeroed(state: State, balance: Balance, of_logs: Sequence[Sequence[Free]]) -
         for free in frees:
             if free.kind != "zero":
                 continue
-            effect = next(e for e in state.model.effects if e.key == free.name)
+            effect = state.model.effect(free.name)
             turn = 2.0 * np.pi / effect.values.get("order", 1.0)
             tried = [state.moved([free], [turn * k / PLACES]) for k in range(PLACES)]
             state = min(tried, key=lambda one: _misfit(one, alone))

@@ -97,13 +97,12 @@ def makes(model: RigModel, chain: PlacedEffect, places: Sequence[str]) -> Iterat
 
     Where each has a phase of its own, they must move by themselves.
     """
-    layout, seen = model.layout, set[str]()
-    for place in places if chain.of_make else ():
-        group = tuple(p for p in model.rig.alike(place) if p in places)
-        moving = {layout.coordinate.get(p, p) for p in group}
-        if len(group) > 1 and place not in seen and (not chain.own or len(moving) == len(group)):
+    known = places if chain.of_make else ()
+    alike = (tuple(p for p in model.rig.alike(place) if p in places) for place in known)
+    for group in dict.fromkeys(alike):
+        moving = {model.layout.coordinate.get(p, p) for p in group}
+        if len(group) > 1 and (not chain.own or len(moving) == len(group)):
             yield group
-        seen.update(group)
 
 
 def structures(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
@@ -314,13 +313,15 @@ def _columns_at(
     names: tuple[str, ...],
 ) -> list[Floats]:
     """Columns of amplitudes; of places of one make together, or beside each other."""
-    known = tangent.columns
-    for place in on:
-        own = chain.name, place, names, tuple(shape.items())
-        if own not in known:
+
+    def at(place: str) -> list[Floats]:
+        key = chain.name, place, names, tuple(shape.items())
+        if key not in tangent.columns:
             placed = Placed(chain.name, place, shape)
-            known[own] = unit_columns(tangent.fit, tangent.balance, placed, names)
-    together = zip(*(known[chain.name, p, names, tuple(shape.items())] for p in on), strict=True)
+            tangent.columns[key] = unit_columns(tangent.fit, tangent.balance, placed, names)
+        return tangent.columns[key]
+
+    together = zip(*map(at, on), strict=True)
     return [np.concatenate(p, axis=-1) if chain.own else np.sum(p, axis=0) for p in together]
 
 

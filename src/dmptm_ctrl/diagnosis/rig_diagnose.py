@@ -133,12 +133,12 @@ def diagnose_rig(
 def _no_gap(model: RigModel) -> Iterator[str]:
     """Say which unknown gaps the logs do not show."""
     found = {e.on for e in model.effects if e.name == BACKLASH.name}
-    for link in (k for k in model.rig.links if k.half_gap is not None and k.name not in found):
-        if not is_known(link.half_gap):
-            yield (
-                f"{link.name}: its backlash is declared unknown, and these logs show none; it "
-                "counts as 0, and a small gap would make the stiffness look softer"
-            )
+    unknown = (k for k in model.rig.links if k.half_gap is not None and not is_known(k.half_gap))
+    for link in (k for k in unknown if k.name not in found):
+        yield (
+            f"{link.name}: its backlash is declared unknown, and these logs show none; it counts "
+            "as 0, and a small gap would make the stiffness look softer"
+        )
 
 
 def _fitted(

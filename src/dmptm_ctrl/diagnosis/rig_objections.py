@@ -45,7 +45,7 @@ def amplitudes_of(fit: RigFit, key: str) -> list[int]:
 
 def objection(key: str, fit: RigFit, before: RigFit) -> str:
     """Why the fitted values of an effect are impossible; empty where they are not."""
-    effect = first_of(key, fit)
+    effect = fit.model.effect(members(key)[0])  # of several places of one make, at the first
     return (
         _nothing(key, fit)
         or _beyond(key, fit)
@@ -57,18 +57,13 @@ def objection(key: str, fit: RigFit, before: RigFit) -> str:
     )
 
 
-def first_of(key: str, fit: RigFit) -> Placed:
-    """Return the effect of a key; of several places of one make that at the first."""
-    return next(e for e in fit.model.effects if e.key == members(key)[0])
-
-
 def _nothing(key: str, fit: RigFit) -> str:
     """An amplitude that does not differ from zero."""
     if name_of(key) == SPRING:
         return ""  # its absence is no value of its parameters
     own = amplitudes_of(fit, key)
     if not own:
-        effect = first_of(key, fit)
+        effect = fit.model.effect(members(key)[0])
         return "" if any(effect.values.values()) else "no amplitude differs from zero"
     sizes = np.array([fit.state.get(f := fit.frees[j]) / f.scale for j in own])
     return "" if differ(sizes, fit.covariance[np.ix_(own, own)]) else NO_DIFFERENCE

@@ -230,7 +230,7 @@ def _named(entry: Entry, fit: RigFit, after: float, without: float) -> NamedEffe
     name, _, places = entry.key.partition("@")
     parameters: dict[str, Any] = {}
     for key in members(entry.key):
-        placed = next(e for e in fit.model.effects if e.key == key)
+        placed = fit.model.effect(key)
         told = effect_parameters(placed, fit, fit.errors)
         if placed.like:  # what it shares is told already
             told = {f"{placed.on}.{k}": v for k, v in told.items() if v != parameters.get(k)}

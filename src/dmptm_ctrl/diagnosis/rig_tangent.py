@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dmptm_ctrl.diagnosis.candidate import JOINED
-from dmptm_ctrl.identify.fit import fall_beside
+from dmptm_ctrl.diagnosis.candidate import JOINED, Keys, Rows
+from dmptm_ctrl.diagnosis.select import joint_gain
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Nuisance
 from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, prior_rows
@@ -159,7 +159,8 @@ class Tangent:
 
     def bounded_gain(self, parts: Sequence[Floats]) -> float:
         """Fall of −2 log-likelihood to first order, the fitted numbers in their ranges."""
-        return fall_beside(self.slopes, self.stack(parts), self.whole, *self.room)
+        columns: dict[Keys, Floats] = {(): self.stack(parts)}
+        return joint_gain(Rows(self.whole, self.slopes, *self.room, columns))(((),))
 
     def score(self, parts: Sequence[Floats]) -> tuple[float, Floats]:
         """Return the fall of −2 log-likelihood to first order, and the amplitudes."""

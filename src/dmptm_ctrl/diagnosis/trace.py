@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.contract import BALANCE, MOTOR_ENCODERS, RUNS, Effect
+from dmptm_ctrl.diagnosis.candidate import Rows
 from dmptm_ctrl.diagnosis.residual import Residual
+from dmptm_ctrl.diagnosis.select import joint_gain
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import (
     ROWS,
@@ -25,7 +27,7 @@ from dmptm_ctrl.identify.balance import (
     split,
     surprise,
 )
-from dmptm_ctrl.identify.fit import Unknown, effect_unknowns, fall_beside
+from dmptm_ctrl.identify.fit import Unknown, effect_unknowns
 from dmptm_ctrl.identify.ripple import order_gains
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -132,7 +134,7 @@ class Trace:
     def bounded_gain(self, columns: Floats) -> float:
         """Fall of the weighted square by columns (m, k), the drive's parameters in their ranges."""
         tall = np.pad(columns, [(0, self.rows), (0, 0)])
-        return fall_beside(self.slopes, tall, self.whole, *self.room)
+        return joint_gain(Rows(self.whole, self.slopes, *self.room, {(): tall}))(((),))
 
 
 def effect_columns(trace: Trace, effect: Effect, shapes: Mapping[str, float]) -> Floats:

@@ -144,35 +144,6 @@ def least_in_box(normal: Floats, slope: Floats, low: Floats, high: Floats) -> Fl
     return np.asarray(lsq_linear((vectors * root).T, target, bounds, method="bvls").x)
 
 
-def fall_beside(slopes: Floats, columns: Floats, left: Floats, low: Floats, high: Floats) -> float:
-    """Return by how much more columns make ‖left‖² fall than parameters in their ranges do.
-
-    Beyond their ranges, friction would take up what many an effect does.
-
-    Parameters
-    ----------
-    slopes : (m, p) array
-        Of the parameters, which may move from `low` to `high`, (p,) each.
-    columns : (m, k) array
-        Of numbers without bounds.
-    left : (m,) array
-    """
-    size = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
-    unit = columns / size  # a column may be nothing at all
-    cross = slopes.T @ unit
-    normal = np.block([[slopes.T @ slopes, cross], [cross.T, unit.T @ unit]])
-    slope = -np.concatenate([slopes.T @ left, unit.T @ left])
-    free = np.full(size.size, np.inf)
-
-    def fall(count: int, low: Floats, high: Floats) -> float:
-        a, b = normal[:count, :count], slope[:count]
-        x = least_in_box(a, b, low, high)
-        return float(2.0 * b @ x - x @ a @ x)
-
-    whole = fall(slope.size, np.append(low, -free), np.append(high, free))
-    return whole - fall(low.size, low, high)
-
-
 def secant(slopes: Floats, change: Floats, step: Floats) -> Floats:
     """Return slopes (…, k) that say what a step (k,) changed (…,), and differ least.
 

@@ -51,8 +51,7 @@ class State:
         if free.kind == "value":
             return self.model.value(free.owner)
         if free.kind == "effect":
-            effect = next(e for e in self.model.effects if e.key == free.owner)
-            return effect.values.get(free.name, 0.0)
+            return self.model.effect(free.owner).values.get(free.name, 0.0)
         return getattr(self.nuisance(free.owner), free.kind).get(free.name, 0.0)
 
     def moved(self, frees: Sequence[Free], values: Sequence[float]) -> "State":

@@ -154,7 +154,7 @@ def from_elsewhere(fit: RigFit, gap: str, *, iterations: int, jobs: int) -> RigF
 
     while True:
         model = fit.model
-        placed = next(e for e in model.effects if e.key == gap)
+        placed = model.effect(gap)
         half = placed.values["half_gap"]
         starts = [
             model.with_effect(placed._replace(values={**placed.values, "half_gap": by * half}))

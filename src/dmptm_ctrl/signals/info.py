@@ -275,13 +275,10 @@ def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table]:
                 column = numbers_or_times(column, name, path.name)
         except LogError:
             continue
-        if column.dtype.kind in "mM":
+        if dated := column.dtype.kind in "mM":
             column, _ = seconds_of(column, 1.0)
-            told = column[np.isfinite(column)]
-            if told.size and not np.ptp(told):  # a date beside the time of day
-                continue
         good = column[np.isfinite(column)].astype(np.float64)
-        if good.size:
+        if good.size and not (dated and np.ptp(good) == 0.0):  # a date beside the time of day
             unit = "s" if stated.get(name) == TIMES else stated.get(name, "")
             unit = "" if named_unit(name)[1] else unit
             found.append(_figures(f"{name} [{unit}]" if unit else name, good))

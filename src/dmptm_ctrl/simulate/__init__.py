@@ -52,7 +52,7 @@ def simulate(
         pinions at mid-gap.
     method : {"compiled", "blocks", "reference"}
         The compiled loop, for work; the blocks of
-        :func:`~dmptm_ctrl.simulate.blocks.to_blocks`; or the slow
+        :meth:`~dmptm_ctrl.simulate.model.Model.to_blocks`; or the slow
         :mod:`~dmptm_ctrl.simulate.reference` with every switch located.
     **options
         `substeps` (int, steps per sample) of "compiled"; `rtol` of "reference";

@@ -118,7 +118,7 @@ def _law(controller: Any, dt: float) -> Any:
     if not hasattr(law, "controller"):
         raise TypeError(
             f"close_loop takes a Loop or a Controller second, not {type(controller).__name__}; "
-            "Loop(kp, ki, limit=...) is one of gains"
+            "Loop(kp, ki, limit=...) makes one from gains"
         )
     own_step = getattr(controller, "sample_time", dt)
     if abs(dt - own_step) > 1e-6 * own_step:

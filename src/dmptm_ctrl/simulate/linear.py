@@ -137,7 +137,7 @@ def linearize(
     Returns
     -------
     StateSpace
-        Signals and states named as in :func:`~dmptm_ctrl.simulate.blocks.to_blocks`. With
+        Signals and states named as in :meth:`~dmptm_ctrl.simulate.model.Model.to_blocks`. With
         both meshes closed, everything moving and no further effects it is the 3-DOF model
         of paper Eq. 17 with the slope of the friction as damping. Where nothing depends on the
         angle of the whole drive, ``twist_l`` and ``twist_r`` [rad at the pinion] take the place

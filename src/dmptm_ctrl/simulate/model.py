@@ -145,27 +145,46 @@ class Model:
         loop : Loop, optional
             Close the speed loop, in continuous time.
         pade_order : int
-            Of the Padé approximation of a dead time.
+            Order of the Padé approximation of a drive or sensor delay.
         contact : {"eq21", "two_state"}
-            Contact law of the meshes.
+            Contact law of the meshes: paper Eq. 21, or its two-state original, which has the
+            position in each gap as a state.
         others : sequence of str
-            Names of `params` that belong to blocks of your own.
+            Names of `params` that belong to blocks of your own beside these.
 
         Returns
         -------
-        control.InterconnectedSystem
-            Inputs ``u_left``, ``u_right`` [V], or ``ref`` [rad/s] with a loop; outputs in SI.
-            ``params={"k_m": 3e4}`` in ``control.input_output_response`` replaces values.
+        InterconnectedSystem
+            Inputs u_left, u_right [V], or ref [rad/s] with a loop; outputs
+            :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, and u_left, u_right with a loop.
+            Its `syslist` holds the blocks, each of use alone: amplifiers, bodies, their friction,
+            meshes, sensor. A friction block takes the torque on a body without friction [N·m] and
+            its motion; it gives the friction [N·m], and 1 where that holds the body at rest.
+            Of a rig of any shape inputs and outputs are its inputs and sensors; states are
+            position and speed of each group of rigidly joined bodies, named by its first body,
+            and what lags, dead times and friction remember.
 
         Raises
         ------
-        TypeError, ValueError
-            Another kind of loop; a contact law that does not exist; values of no machine.
+        TypeError
+            Something else in the place of the loop.
+        ValueError
+            A contact law that does not exist, the two-state law without any damping, an effect of
+            negative size, or values that no machine has.
 
         Notes
         -----
-        Teeth need fine steps. With python-control's usual tolerance a loop seems to chatter:
-        ``solve_ivp_method="LSODA"`` or ``solve_ivp_kwargs={"rtol": 1e-6, "atol": 1e-9}``.
+        ``params={"k_m": 3e4}`` in ``control.input_output_response`` and the like replaces values
+        of the declared drive, or by their keys those of a rig, as ``body.load.inertia``; and kp,
+        ki, limit, bias_l, bias_r of the loop. Other names raise ValueError.
+        :func:`~dmptm_ctrl.simulate.blocks.initial_state` gives its state at rest or in motion.
+        With ``control.input_output_response`` set ``solve_ivp_kwargs={"max_step": dt}`` for inputs
+        sampled at dt, or short pulses are stepped over; it draws inputs as straight lines between
+        samples, :func:`dmptm_ctrl.simulate.simulate` holds them.
+
+        Teeth need fine steps. With python-control's default tolerance, a loop shows chatter that
+        is not there. Set ``solve_ivp_method="LSODA"``, or tighter ``rtol`` and ``atol`` in
+        ``solve_ivp_kwargs``.
         """
         from dmptm_ctrl.simulate.blocks import to_blocks
 

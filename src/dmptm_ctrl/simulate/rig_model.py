@@ -41,12 +41,10 @@ class Placed(NamedTuple):
         return f"{self.name}@{self.like or self.on}"
 
 
-def placed_at(
-    name: str, places: Sequence[str], values: Mapping[str, float], far: tuple[str, ...] = ()
-) -> tuple[Placed, ...]:
+def placed_at(name: str, places: Sequence[str], values: Mapping[str, float]) -> tuple[Placed, ...]:
     """Return an effect at places of one make; those after the first share its numbers."""
-    others = (Placed(name, on, values, far, places[0]) for on in places[1:])
-    return Placed(name, places[0], values, far), *others
+    first, *others = places
+    return Placed(name, first, values), *(Placed(name, on, values, like=first) for on in others)
 
 
 class _Joint(NamedTuple):
@@ -132,6 +130,10 @@ class RigModel:
         if not isfinite(value):
             raise ValueError(f"{key} is declared unknown; fit the model first, or set a value")
         return value
+
+    def effect(self, key: str) -> Placed:
+        """Return the effect of a key."""
+        return next(e for e in self.effects if e.key == key)
 
     def with_effect(self, effect: Placed) -> "RigModel":
         """Return the model with an effect added, or replaced at its place."""

@@ -94,7 +94,7 @@ def _moved(model: AnyModel, moves: Sequence[tuple[str, float]]) -> AnyModel:
         if name in declared:
             model = with_numbers(model, {name: declared[name] + step}, lambda _, own: own)
         elif isinstance(model, RigModel):
-            (own,) = (e for e in model.effects if e.key == effect)
+            own = model.effect(effect)
             moved = {**values, parameter: values[parameter] + step}
             model = model.with_effect(own._replace(values=moved))
         else:

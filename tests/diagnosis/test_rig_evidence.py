@@ -132,7 +132,7 @@ def test_predictions_confirm_friction_and_refute_a_delay_and_a_weight(rubbing):
         State(held.model.with_effect(delay), held.logs), (*state.keys, delay.key), state.fit
     )
     logs = logs_of(Bench(Machine(fc=0.03), **SMALL), rig)
-    told, helps = predictions(rig, logs, evidence.held, 1)
+    told, helps = predictions(rig, logs, evidence.held, lambda state: state, 1)
     assert told(base, state)  # it explains what they miss without it
     assert not told(state, late)
     assert helps(base, state) == np.inf

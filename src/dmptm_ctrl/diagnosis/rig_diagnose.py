@@ -12,6 +12,7 @@ import numpy as np
 from dmptm_ctrl.diagnosis.budget import EXPLAINED, NEGLIGIBLE, Errors, Squares, near
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.report import Diagnosis, provenance
+from dmptm_ctrl.diagnosis.rig_ahead import Ahead
 from dmptm_ctrl.diagnosis.rig_curves import (
     better_without_names,
     curves,
@@ -93,7 +94,10 @@ def diagnose_rig(
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth)
         whole = whole.only(balance.logs).at_most(SAMPLES)
         as_read = _as_read(declared, _in_contact(whole, base.fit.model, loaded), base, jobs)
-    told, helps = predictions(declared, right, held_logs, jobs)
+        fitted_to = as_read.fit.likelihood.balance
+        as_read = Ahead.of(declared, loaded, fitted_to, SAMPLES, jobs).fitted(as_read)
+    ahead = cache(Ahead.of(declared, right, evidence.logs, SAMPLES, jobs).fitted)
+    told, helps = predictions(declared, right, held_logs, ahead, jobs)
 
     def grows(without: RigState, final: RigState) -> float:
         more = rise(without, final)
@@ -103,13 +107,23 @@ def diagnose_rig(
     selection = without_negligible(evidence, selection, helps)
     if not selection.entries:  # what was found on the way and went may have left another fit
         selection = replace(selection, final=base)
+    say("fitting to short predictions")
+    tells = told(base, selection.final)
+    selection = replace(
+        selection,
+        base=ahead(base),
+        final=ahead(selection.final),
+        entries=[replace(e, without=ahead(e.without)) for e in selection.entries],
+    )
+    as_read = as_read if faults else selection.base
     say("looking for curves in what is left")
     found = curves(selection.final)
     at_floor = within_floor(selection, predicted(selection.final, found))
     plain = better_without_names(selection) if selection.entries else []
-    if selection.entries and (at_floor or plain) and not told(base, selection.final):
-        selection = replace(selection, final=base, entries=[], rest=selection.first)
-        found = plain or curves(base)
+    if selection.entries and (at_floor or plain) and not tells:
+        bare = selection.base
+        selection = replace(selection, final=bare, entries=[], rest=selection.first)
+        found = plain or curves(bare)
     return report_of(
         declared,
         loaded,
@@ -163,11 +177,20 @@ def _in_contact(balance: Balance, model: RigModel, read: Sequence[Log]) -> Balan
 
 
 def predictions(
-    rig: Rig, logs: Sequence[Log], held: Balance, jobs: int
+    rig: Rig,
+    logs: Sequence[Log],
+    held: Balance,
+    ahead: Callable[[RigState], RigState],
+    jobs: int,
 ) -> tuple[Callable[[RigState, RigState], bool], Callable[[RigState, RigState], float]]:
     """Return two functions of a model without some effects, and the model with them.
 
     Both compare free runs and short predictions of held-out logs.
+
+    Parameters
+    ----------
+    ahead : callable
+        Fits a model to short predictions of the fitted logs as well.
 
     Returns
     -------
@@ -180,8 +203,12 @@ def predictions(
         many an effect.
     """
     runs = [Runs.none_yet(rig, logs, held, jobs, lead) for lead in (0.0, BANDWIDTH_HZ)]
-    missed = cache(lambda state: [one.missed(state.held_state) for one in runs])
-    floor = cache(lambda state: [one.scatter(state.held_state, state.fit) for one in runs])
+    missed = cache(lambda state: [one.missed(ahead(state).held_state) for one in runs])
+
+    @cache
+    def floor(state: RigState) -> list[float]:
+        last = ahead(state)
+        return [one.scatter(last.held_state, last.fit) for one in runs]
 
     def told(without: RigState, final: RigState) -> bool:
         pairs = [*zip(missed(without), missed(final), strict=True)]

@@ -61,11 +61,14 @@ class RigState:
         Logs or stretches on which nothing is fitted but what belongs to a log alone.
     keys : tuple of str
         Effects that were added.
+    seen : sequence of Trial
+        What was tried beside the model before the last was added.
     """
 
     fit: RigFit
     held: Balance
     keys: tuple[str, ...] = ()
+    seen: Sequence[Trial] = ()
 
     @property
     def loss(self) -> float:
@@ -306,9 +309,8 @@ class RigEvidence:
     def adopt(self, state: RigState, candidate: Candidate) -> RigState:
         """Put a candidate into the model and fit to the end."""
         keys = (*state.keys, *candidate.keys)
-        return RigState(
-            self._to_the_end(candidate.fitted[1].state, state.fit, keys), self.held, keys
-        )
+        fit = self._to_the_end(candidate.fitted[1].state, state.fit, keys)
+        return RigState(fit, self.held, keys, vars(state).get("trials", ()))
 
     def _to_the_end(self, start: State, like: RigFit, keys: Keys) -> RigFit:
         """Fit to the end; where a gap is among the added effects, from several of its sizes."""
@@ -416,7 +418,7 @@ def independent(state: RigState) -> Floats:
     what is missing correlates too, and would hide itself.
     """
     tangent, likelihood = state.tangent, state.fit.likelihood
-    table = [tangent.slopes, *(tangent.stack(t.columns) for t in state.trials)]
+    table = [tangent.slopes, *(tangent.stack(t.columns) for t in state.seen or state.trials)]
     for signal in variables_of(state.fit).values():
         for _, torque in torques_of(state.fit, signal):
             own = columns_of(state.fit.left[0].shape[0], likelihood.balance, torque)

@@ -15,12 +15,7 @@ from dmptm_ctrl.diagnosis.predict import apart, twin_steps
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, agreement, low_pass, noise_below
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import (
-    HELD_STRETCHES,
-    MOTION_OVER_BALANCE,
-    STRETCHES,
-    derivative,
-)
+from dmptm_ctrl.identify.measured_motion import MOTION_OVER_BALANCE, derivative, of_part
 from dmptm_ctrl.identify.rig_fit import RigFit, State
 from dmptm_ctrl.identify.rig_simulate import free_run, readings
 from dmptm_ctrl.parallel import in_threads
@@ -52,7 +47,7 @@ class Runs:
     logs : tuple of Log
         As read.
     held : tuple of (n,) arrays of bool
-        Samples that nothing was fitted to.
+        Samples that are compared.
     before, after : list of (n,) arrays, or None
         Speeds in the sensor's unit; None where a run leaves all finite numbers.
     floor : float
@@ -96,10 +91,7 @@ class Runs:
         named = {log.name: log for log in logs}
         parts = {m.name: m.part for m in balance.motions}
         held = tuple(named[name] for name in parts)
-        masks = []
-        for log in held:
-            tenth = np.arange(len(log)) * STRETCHES // len(log)
-            masks.append(np.isin(tenth, HELD_STRETCHES) | (parts[log.name] == ""))
+        masks = [of_part(parts[log.name], len(log)) for log in held]
         widest = min(BANDWIDTH_HZ, MOTION_OVER_BALANCE * balance.bandwidth)
         return cls(lead_hz, rig.speed_sensor, widest, held, tuple(masks), None, None, 0.0, jobs)
 

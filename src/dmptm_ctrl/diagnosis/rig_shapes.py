@@ -73,11 +73,12 @@ def _mesh_columns(
     fit: RigFit, balance: Balance, shape: Placed, names: tuple[str, ...]
 ) -> list[Floats]:
     """The same on a link, by differences: bodies that nothing measures move with it."""
+    here = balance is fit.likelihood.balance and shape.key not in {e.key for e in fit.model.effects}
     bare = fit.state.without([shape.key])
     stiffness = bare.model.value(f"link.{shape.on}.stiffness")
     wind = scales_of(balance).force / stiffness
     units = {p.name: p.unit for p in PLACED_CATALOGUE[shape.name].keep}
-    left, columns = residuals(bare, balance)[0], []
+    left, columns = fit.left if here else residuals(bare, balance)[0], []
     for name in names:
         step = SMALL * (wind if units[name] == "rad" else stiffness)
         model = bare.model.with_effect(_sized(shape, name, step))

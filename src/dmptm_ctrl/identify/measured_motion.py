@@ -233,9 +233,13 @@ class Motion:
         """Rows of the stretches that this motion is about."""
         if self.tenth is not None:
             return np.ones(self.rows.size, bool)
-        tenth = (np.arange(self.rows.size) * STRETCHES) // max(self.rows.size, 1)
-        held = np.isin(tenth, HELD_STRETCHES)
-        return {"fit": ~held, "held-out": held}.get(self.part, np.ones_like(held))
+        return of_part(self.part, self.rows.size)
+
+
+def of_part(part: str, count: int) -> NDArray[np.bool_]:
+    """Rows of a log that are in its "fit" or "held-out" stretches, or all of them, (count,)."""
+    held = np.isin(np.arange(count) * STRETCHES // max(count, 1), HELD_STRETCHES)
+    return {"fit": ~held, "held-out": held}.get(part, np.ones_like(held))
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,11 @@ What is lowered is −2 log-likelihood: each equation normal at its own scale, e
 as the share of it that is independent; and Σ ((p − p0)/σ)² over declared ranges.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
@@ -169,6 +170,21 @@ class RigFit:
         return {f.label: self.state.get(f) for f in self.frees}
 
 
+class Beside(NamedTuple):
+    """Weighted rows that count beside a balance, and what a state makes of them.
+
+    Attributes
+    ----------
+    slopes, left : (m, numbers) and (m,) arrays
+    surprise : callable
+        −2 log-likelihood of a state; infinite where it has none.
+    """
+
+    slopes: Floats
+    left: Floats
+    surprise: Callable[[State], float]
+
+
 def residuals(state: State, balance: Balance) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
     """Return the residual and the driving torque per log, rows at rest set to zero."""
     done = [_one(state, balance, k) for k in range(len(balance.motions))]
@@ -310,6 +326,7 @@ def stepped(
     slopes: Sequence[Floats],
     likelihood: Likelihood,
     loss: float,
+    beside: Beside | None = None,
 ) -> tuple[State, tuple[Floats, ...], tuple[Floats, ...], float] | None:
     """Return state, residual, drive and loss after a step that lowers the loss; else None.
 
@@ -320,7 +337,8 @@ def stepped(
         if used is smooth and (all(smooth) or not any(smooth)):
             continue
         own = [f for f, u in zip(frees, used, strict=True) if u]
-        step = _step_of(state, own, left, [p[..., used] for p in slopes], likelihood)
+        more = beside and (beside.slopes[:, used], beside.left)
+        step = _step_of(state, own, left, [p[..., used] for p in slopes], likelihood, more)
         for shrink in (1.0, 0.3, 0.1, 0.03):
             values = [
                 float(np.clip(state.get(f) + shrink * f.scale * d, f.low, f.high))
@@ -332,6 +350,7 @@ def stepped(
             except (ValueError, ArithmeticError):
                 continue
             new_loss = total_loss(trial, frees, new_left, likelihood)
+            new_loss += beside.surprise(trial) if beside else 0.0
             if isfinite(new_loss) and new_loss < loss:
                 return trial, new_left, new_drive, new_loss
     return None
@@ -414,6 +433,7 @@ def _step_of(
     left: Sequence[Floats],
     slopes: Sequence[Floats],
     likelihood: Likelihood,
+    more: tuple[Floats, Floats] | None = None,
 ) -> Floats:
     """Bounded least-squares step, in scales."""
     weights = likelihood.weights(left)
@@ -428,6 +448,8 @@ def _step_of(
     target = np.concatenate([target, miss, np.zeros(len(frees))])
     # Normal equations: numbers are scaled, and their condition is well below 1e8.
     scales, square, slope = likelihood.scales(left), rows.T @ rows, -rows.T @ target
+    if more:
+        square, slope = square + more[0].T @ more[0], slope - more[0].T @ more[1]
     return least_in_box(
         *noise_taken_out(state, frees, likelihood, scales, square, slope), low, high
     )

@@ -154,7 +154,8 @@ def test_cogging_of_both_motors_is_one_effect():
         own = values[f"cogging@{name}"]
         assert own["cosine"] - 1j * own["sine"] == pytest.approx(true, abs=1e-3)
         assert own["order"] == 6.0
-    assert evidence.without(state, key).fit.model.effects == ()
+    without = evidence.without(state, key)
+    assert without.fit.model.effects == without.keys == ()
 
 
 def test_the_report_names_both_places():

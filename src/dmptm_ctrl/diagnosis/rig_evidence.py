@@ -337,7 +337,7 @@ class RigEvidence:
             )
             for log, n in state.fit.state.logs.items()
         }
-        keys = tuple(k for k in state.keys if k not in gone)
+        keys = tuple(k for k in state.keys if gone.isdisjoint(members(k)))
         return RigState(self._to_the_end(State(model, logs), state.fit, keys), self.held, keys)
 
     def wald(self, state: RigState, key: str) -> float:

@@ -11,6 +11,9 @@ import pytest
 import dmptm_ctrl
 from dmptm_ctrl import data
 from dmptm_ctrl.cli import main
+from dmptm_ctrl.effects import CATALOGUE
+from dmptm_ctrl.signals.info import NEEDS
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 
 LOG = str(data.path("null_rig") / "open_multisine_preload.csv.gz")
 
@@ -57,6 +60,22 @@ def test_log_info(capsys):
     told, untold = out.split("Cannot tell about")
     assert "torque_constant_mismatch" in told
     assert "thermal_drift" in untold
+
+
+def test_log_info_tells_of_effects_that_the_rig_has_a_place_for(capsys):
+    """A slide with one motor has no teeth, and nothing to compare its motor with."""
+    rig, log = (str(data.path("axis") / name) for name in ("rig.toml", "moves.csv.gz"))
+    assert main(["log", "info", log, "--rig", rig]) == 0
+    out = capsys.readouterr().out
+    assert "cogging" in out
+    assert "drive_saturation" in out
+    for absent in ("torque_constant", "mesh_error", "pinion", "backlash", "load_dependent"):
+        assert absent not in out
+
+
+def test_every_effect_of_a_log_has_its_needs():
+    known = {n for n in {**CATALOGUE, **PLACED_CATALOGUE} if not n.startswith("unknown")}
+    assert known <= {*NEEDS}
 
 
 def test_log_info_for_programs(capsys):

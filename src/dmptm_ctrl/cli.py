@@ -146,16 +146,19 @@ def tune(
     """Design a speed controller on a model and its uncertainty."""
     from dmptm_ctrl.design.run import tune_file
     from dmptm_ctrl.identify.build_up import with_build_up
+    from dmptm_ctrl.progress import Progress
     from dmptm_ctrl.signals import load_logs
     from dmptm_ctrl.signals.atomic import check_folder
 
     check_folder(out)
     told = () if logs is None else load_logs(logs)
-    tuned = tune_file(
-        model, out, uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs,
-        refine=(lambda drive: with_build_up(drive, told, n_jobs=jobs)) if told else None,
-        input=input, sensor=sensor, limit=limit, speed=speed, sample_time=sample_time or 1e-3,
-    )  # fmt: skip
+    with Progress(quiet=quiet) as progress:
+        progress.stage(f"designing on {model.name} and judging on {plants} drawn plants")
+        tuned = tune_file(
+            model, out, uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs,
+            refine=(lambda drive: with_build_up(drive, told, n_jobs=jobs)) if told else None,
+            input=input, sensor=sensor, limit=limit, speed=speed, sample_time=sample_time or 1e-3,
+        )  # fmt: skip
     if not quiet:
         print(tuned.summary())
         print(f"\nwritten to {out}: controller.toml, tuning.json, tuning.png")
@@ -339,7 +342,8 @@ def log_info(
         drive = load_rig(rig)
         inputs = [source.channel for source in drive.inputs]
         declared = drive.declared_names()
-        info = describe(drive.read(file)[0], drive.labels(), declared, PLACED_CATALOGUE, inputs)
+        effects = [name for name, one in PLACED_CATALOGUE.items() if one.stands_in(drive)]
+        info = describe(drive.read(file)[0], drive.labels(), declared, effects, inputs)
     if as_json:
         print(json.dumps(info.to_dict(), indent=2, ensure_ascii=False))
     else:

@@ -113,7 +113,8 @@ class Tuned:
             f"least {sure:.0%}; on drives it was tried on, {least} to {most} points less"
         )
         lines += [
-            f"  {name}: {median:.0%}, {sure:.0%}" for name, median, sure in self.parts.itertuples()
+            f"  by {name}: {median:.0%}, at least {sure:.0%}"
+            for name, median, sure in self.parts.itertuples()
         ]
         if self.reference is not None:
             lines.append(

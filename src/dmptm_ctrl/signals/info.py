@@ -196,6 +196,7 @@ def _turned(degrees: float) -> _Need:
 
 
 NEEDS: dict[str, tuple[_Need, ...]] = {
+    "back_emf": (_MOTION,),
     "backlash": (_REVERSALS,),
     "backlash_variation": (_REVERSALS, _turned(90)),
     "base_vibration": (_MOTION,),
@@ -206,6 +207,7 @@ NEEDS: dict[str, tuple[_Need, ...]] = {
     "drive_dead_band": (_CROSSINGS,),
     "drive_delay": (_FAST_INPUT,),
     "drive_offset": (_BOTH_WAYS,),
+    "drive_saturation": (_MOTION,),
     "encoder_eccentricity": (_PAIR, _turned(180)),
     "friction_asymmetry": (_BOTH_WAYS, _REVERSALS),
     "load_dependent_friction": (_PRELOAD,),
@@ -220,6 +222,7 @@ NEEDS: dict[str, tuple[_Need, ...]] = {
     "sensor_delay": (_PAIR,),
     "sensor_gain": (_PAIR,),
     "shaft_compliance": (_FAST_INPUT,),
+    "stiffness_variation": (_BOTH_SIDES,),
     "stribeck_friction": (_SLOW, _REVERSALS),
     "thermal_drift": (_LONG,),
     "torque_constant_mismatch": (_BOTH_SIDES,),

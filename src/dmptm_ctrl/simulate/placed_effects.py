@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import backlash, effect_of
 from dmptm_ctrl.effects.load_dependent_friction import body_load_friction
 from dmptm_ctrl.simulate.plant import CALLED, Floats, Place
@@ -100,6 +101,15 @@ class PlacedEffect(NamedTuple):
     def shapes(self) -> tuple[str, ...]:
         """Names of the parameters without meaning at zero effect."""
         return tuple(p.name for p in self.keep if p.bank)
+
+    def stands_in(self, rig: Rig) -> bool:
+        """Whether a rig has a place where it can be found."""
+        if self.site == "mesh":
+            return any(link.mesh and not link.rigid for link in rig.links)
+        if self.name == "torque_constant_mismatch":  # of one input it is the scale of everything
+            return len(rig.inputs) > 1
+        loaded = self.place == "link" or "mesh_torque" in self.effect.depends_on
+        return bool(rig.links) or not loaded
 
 
 def whole(effect: Effect) -> PlacedEffect:

@@ -16,6 +16,7 @@ from dmptm_ctrl.diagnosis.html import render
 from dmptm_ctrl.diagnosis.quality import fold
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.diagnosis.rig_runs import Runs
+from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.drive.rig import Sensor
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.signals import Log
@@ -115,6 +116,21 @@ def test_where_only_a_position_is_measured_its_rate_counts():
     assert error["after"]["unit"] == "deg/s"
     assert error["after"]["rmse"] == pytest.approx(0.5 * error["before"]["rmse"], rel=1e-9)
     assert error["after"]["rmse"] == pytest.approx(0.5 * wanted[0] / np.sqrt(2), rel=0.01)
+
+
+@pytest.mark.parametrize("speed", [0.01, 0.1, 1.0, 10.0])  # a step takes 0.1 s to 0.1 ms
+@pytest.mark.parametrize("measures", ["position", "speed"])
+def test_rounding_is_part_of_the_floor_however_slow_the_motion(speed, measures):
+    """The floor of a model that is right: what a grid makes of a motion nearby."""
+    time, step = 1e-3 * np.arange(20_000), 1e-3
+    true = speed * (time + 0.3 * np.sin(2.0 * time))
+    read = np.round(true / step) * step
+    log = Log("a", time, {"out_q": read, "in_u": 0.0 * time})
+    unit = "rad" if measures == "position" else "rad/s"
+    sensor = Sensor("q", "q", unit, "body", measures, resolution=Quantity(step, unit, 0.0, ""))
+    runs = Runs(0.0, sensor, 30.0, (log,), (np.ones(time.size, bool),), None, None, 0.0, 1)
+    missed = np.std(runs.seen(read, 1e-3) - runs.seen(true, 1e-3))
+    assert runs._noise(log, true + 0.3 * step) == pytest.approx(missed, rel=0.3)
 
 
 @pytest.mark.parametrize(

@@ -208,7 +208,10 @@ def predictions(
     @cache
     def floor(state: RigState) -> list[float]:
         last = ahead(state)
-        return [one.scatter(last.held_state, last.fit) for one in runs]
+        return [
+            one.scatter(last.held_state, last.fit) if size < inf else inf
+            for one, size in zip(runs, missed(state), strict=True)
+        ]
 
     def told(without: RigState, final: RigState) -> bool:
         pairs = [*zip(missed(without), missed(final), strict=True)]

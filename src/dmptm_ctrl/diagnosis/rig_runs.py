@@ -15,7 +15,7 @@ from dmptm_ctrl.diagnosis.predict import apart, twin_steps
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, agreement, low_pass, noise_below
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import MOTION_OVER_BALANCE, derivative, of_part
+from dmptm_ctrl.identify.measured_motion import MOTION_OVER_BALANCE, derivative, grid_of, of_part
 from dmptm_ctrl.identify.rig_fit import RigFit, State
 from dmptm_ctrl.identify.rig_simulate import free_run, readings
 from dmptm_ctrl.parallel import in_threads
@@ -152,15 +152,23 @@ class Runs:
                 joined = zip(runs, self.held, strict=True)
                 twins.append(np.concatenate([run[use] for run, use in joined]))
         variance = float(np.mean(np.var(twins, axis=0, ddof=1))) if len(twins) > 1 else 0.0
-        noise = [self._noise(log) for log in self.logs]
+        noise = [self._noise(log, self.reading(after, log)) for log in self.logs]
         return float(np.sqrt(variance + np.mean(np.square(noise))))
 
-    def _noise(self, log: Log) -> float:
-        """Noise of the readings in the band; of a rate by ∫ (2πf)² over it."""
-        signal = log[self.sensor.channel] / parse_unit(self.sensor.unit).factor
-        noise = noise_below(signal, log.sample_time, self.bandwidth)
+    def _noise(self, log: Log, run: Floats) -> float:
+        """Noise of the readings in the band; of a rate by ∫ (2πf)² over it.
+
+        Rounding alone is no white noise where a motion is slow: what a run reads is rounded, and
+        compared with what it was.
+        """
+        signal, dt = log[self.sensor.channel], log.sample_time
+        step = grid_of(self.sensor, signal)
+        if step > noise_below(signal, 1.0, 0.5):
+            rounded = self.seen(np.round(run / step) * step, dt) - self.seen(run, dt)
+            return float(np.sqrt(np.mean(rounded**2)))
+        white = noise_below(signal, dt, self.bandwidth) / parse_unit(self.sensor.unit).factor
         rate = 2.0 * np.pi * self.bandwidth / np.sqrt(3.0)
-        return noise if self.sensor.measures == "speed" else noise * float(rate)
+        return white if self.sensor.measures == "speed" else white * float(rate)
 
     def error(self) -> dict[str, dict[str, Any]] | None:
         """Errors before and after, and their floor; None where a run has none."""

@@ -306,7 +306,7 @@ def acceleration_bandwidth(sensor: Sensor, logs: Sequence[Log]) -> tuple[float, 
         # the median of χ², of two degrees of freedom per segment, over its mean
         low = (1.0 - 1.0 / (9.0 * max(2 * y.size // length - 1, 1))) ** 3
         floor = float(np.median(power[f > FLOOR_BAND * rate])) / low
-        step = _step(sensor, y)
+        step = grid_of(sensor, y)
         declared = _declared_variance(sensor, step) / (rate / 2)
         told = min(floor, declared or floor)
         floor = max(floor, declared)
@@ -340,7 +340,7 @@ def rounding_noise(y: Floats, step: float, rate: float, reach: float, order: int
 
 def reading_variance(sensor: Sensor, y: Floats) -> float:
     """Variance of a sensor's noise, and of rounding, as declared or as the readings show."""
-    step, white = _step(sensor, y), noise_below(y, 1.0, 0.5)
+    step, white = grid_of(sensor, y), noise_below(y, 1.0, 0.5)
     own = _declared_variance(sensor, step)
     return max(own, white**2) if white > step else own  # rounding alone is no white noise
 
@@ -351,7 +351,7 @@ def _declared_variance(sensor: Sensor, step: float) -> float:
     return noise**2 + step**2 / 12
 
 
-def _step(sensor: Sensor, y: Floats) -> float:
+def grid_of(sensor: Sensor, y: Floats) -> float:
     """Step of the readings: as declared, or as they are; 0 where they are on no grid."""
     if sensor.resolution is not None:
         return sensor.resolution.value
@@ -420,7 +420,7 @@ def prepare(log: Log, rig: Rig, sights: dict[str, Sight], bandwidth: float) -> M
 def _unclear_speed(sensor: Sensor, raw: Floats, filtered: Floats, cut: float, rate: float) -> float:
     """Speed below which a sensor does not tell motion from rest."""
     if sensor.measures == "position":
-        return 2.0 * cut * _step(sensor, raw)  # peak of one count through the filter
+        return 2.0 * cut * grid_of(sensor, raw)  # peak of one count through the filter
     # white noise: what the filter took out is that above the cut
     noise = float(np.median(np.abs(raw - filtered))) / NORMAL_MEDIAN
     return REST_NOISE * noise * float(np.sqrt(cut / max(0.5 * rate - cut, 0.05 * rate)))

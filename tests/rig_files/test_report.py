@@ -118,6 +118,23 @@ def test_where_only_a_position_is_measured_its_rate_counts():
     assert error["after"]["rmse"] == pytest.approx(0.5 * wanted[0] / np.sqrt(2), rel=0.01)
 
 
+def test_bursts_hardly_count_in_what_runs_miss_as_a_rule():
+    """Noise of 0.1 with a burst of 5 in one sample of fifty: of all, its scale is near 0.1."""
+    rng = np.random.default_rng(1)
+    miss = 0.1 * rng.standard_normal(10_000)
+    miss[::50] += 5.0
+    time = 1e-3 * np.arange(miss.size)
+    log = Log("a", time, {"out_q": 0.0 * time, "in_u": 0.0 * time})
+    sensor = Sensor("q", "q", "rad/s", "body", "speed")
+    held = (np.ones(time.size, bool),)
+    runs = Runs(5.0, sensor, 30.0, (log,), held, [miss], [0.5 * miss], 1e-3, 1)
+    before, after, floor = runs.usual
+    assert np.sqrt(before) == pytest.approx(0.1, rel=0.2)
+    assert after == pytest.approx(before / 4.0)
+    assert floor == pytest.approx(1e-6)
+    assert np.sqrt(runs.squares.before) > 0.5
+
+
 @pytest.mark.parametrize("speed", [0.01, 0.1, 1.0, 10.0])  # a step takes 0.1 s to 0.1 ms
 @pytest.mark.parametrize("measures", ["position", "speed"])
 def test_rounding_is_part_of_the_floor_however_slow_the_motion(speed, measures):

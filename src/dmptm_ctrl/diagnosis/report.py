@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.budget import MATERIAL, NONE, Errors, Row, table_lines
+from dmptm_ctrl.diagnosis.budget import MATERIAL, NONE, Errors, Row, near, table_lines
 from dmptm_ctrl.diagnosis.experiment import EXPERIMENT_FILE, Experiment
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.diagnosis.summary import correlation_lines, parameter_lines, versions
@@ -196,7 +196,13 @@ class Diagnosis:
         if not names and (apart := self._sensors_apart()):
             return f"Sensors of one motion disagree: {apart}; {left}."
         if not names:
-            return f"The declared model lacks something unknown{on}; {left}{beyond}."
+            why = "The declared model lacks something unknown"
+            short = self.errors.short
+            if self.errors.balanced and short and not near(short.before, short.floor):
+                times = sqrt(short.before / max(short.floor, 1e-300))
+                why = "The balance shows no lack of the declared model, but short predictions do: "
+                why += f"they miss by {times:.1f} times their floor"
+            return f"{why}{on}; {left}{beyond}."
         share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
         if self.verdict == "explained":
             return f"The declared model lacks {names}: {share}; {left}."

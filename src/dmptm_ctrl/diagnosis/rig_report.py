@@ -186,7 +186,8 @@ def report_of(
     strong = (c.variable for c in curves if c.evidence > 0.5 * curves[0].evidence)
     variables = tuple(dict.fromkeys(strong))[:2]
     nearest = (best.variable,) if best else ()
-    judged = errors if effects else replace(errors, runs=None)  # "none" is told by the balance
+    # after a few impacts a free run is chance; "none" is told by the balance and short predictions
+    judged = errors if effects else replace(errors, runs=short.usual)
     verdict = verdict_of(judged, bool(effects), curve_share(final, curves) >= 1.0 - EXPLAINED)
     rows = [
         Row(e.name, e.location, slower[k], sqrt(costs[k]), e.share,

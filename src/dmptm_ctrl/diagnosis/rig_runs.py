@@ -14,7 +14,9 @@ from dmptm_ctrl.diagnosis.candidate import members
 from dmptm_ctrl.diagnosis.predict import apart, twin_steps
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, agreement, low_pass, noise_below
+from dmptm_ctrl.identify.heavy_tails import robust_scale
 from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.identify.likelihood import LEAST_SCALE
 from dmptm_ctrl.identify.measured_motion import MOTION_OVER_BALANCE, derivative, grid_of, of_part
 from dmptm_ctrl.identify.rig_fit import RigFit, State
 from dmptm_ctrl.identify.rig_simulate import free_run, readings
@@ -140,7 +142,10 @@ class Runs:
         return inf if runs is None else self.agreement(runs)["rmse"]
 
     def scatter(self, after: State, fit: RigFit) -> float:
-        """Scatter of runs of models within the standard errors of a fit, and noise."""
+        """Scatter of runs of models within the standard errors of a fit, and noise.
+
+        And what no law is known below, as in the balance: a share of the speed, as of the torque.
+        """
         twins = []
         for steps in twin_steps(fit.covariance):
             moved = [
@@ -153,7 +158,9 @@ class Runs:
                 twins.append(np.concatenate([run[use] for run, use in joined]))
         variance = float(np.mean(np.var(twins, axis=0, ddof=1))) if len(twins) > 1 else 0.0
         noise = [self._noise(log, self.reading(after, log)) for log in self.logs]
-        return float(np.sqrt(variance + np.mean(np.square(noise))))
+        speeds = [seen[use] for seen, use in zip(self.measured, self.held, strict=True)]
+        unknown = LEAST_SCALE**2 * float(np.mean(np.square(np.concatenate(speeds))))
+        return float(np.sqrt(variance + np.mean(np.square(noise)) + unknown))
 
     def _noise(self, log: Log, run: Floats) -> float:
         """Noise of the readings in the band; of a rate by ∫ (2πf)² over it.
@@ -190,6 +197,20 @@ class Runs:
         if error is None:
             return None
         return Squares(*(error[side]["rmse"] ** 2 for side in ("before", "after", "floor")))
+
+    @property
+    def usual(self) -> Squares | None:
+        """The same as a rule: bursts after impacts are chance, and hardly count."""
+        if self.before is None or self.after is None:
+            return None
+        before, after = (
+            robust_scale(np.concatenate([(seen - run)[use] for seen, run, use in rows]))
+            for rows in (
+                zip(self.measured, runs, self.held, strict=True)
+                for runs in (self.before, self.after)
+            )
+        )
+        return Squares(before**2, after**2, min(self.floor, before, after) ** 2)
 
     def rise(self, without: State) -> float | None:
         """What the error of the free runs rises by with another model, root mean square."""

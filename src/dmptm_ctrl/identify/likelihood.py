@@ -125,8 +125,12 @@ class Likelihood:
         """−2 log-likelihood, each equation at its own scale, all models with the same noise."""
         squares = self.scales(left) ** 2
         if self.noise is not None:
-            # more noise than there is left makes no model better
-            squares = np.maximum(squares - self.noise_of(model), self.floor**2) + self.noise
+            # More noise than there is left makes no model better. What a model adds to the noise is
+            # told from what else it leaves no better than so many rows tell a variance.
+            own = self.noise_of(model)
+            told = np.sqrt(2.0 / np.maximum(self.counts, 2.0)) * (own - self.noise)
+            least = np.maximum(self.floor**2, told)
+            squares = np.maximum(squares - own, least) + self.noise
         # the mean square over the scale's is left in: near the floor it still falls
         spread = self.counts * (1.0 - self.floor**2 / squares)
         heavy = np.flatnonzero(self.balance.bursts)

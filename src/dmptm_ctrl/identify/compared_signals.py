@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +13,17 @@ Floats = NDArray[np.float64]
 NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
 ORDER = 4  # of the filter that leaves it out
+PERIODS = (
+    3.0  # of the bandwidth; a signal goes on so far beyond its ends, or the filter rings there
+)
 
 
 def low_pass(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> Floats:
     """Zero-phase Butterworth low-pass; a signal that has no more than that stays as it is."""
     if 2.0 * bandwidth_hz * dt >= 1.0:
         return signal
-    return np.asarray(sosfiltfilt(_sections(1.0 / dt, bandwidth_hz), signal))
+    beyond = min(ceil(PERIODS / (bandwidth_hz * dt)), signal.size - 1)
+    return np.asarray(sosfiltfilt(_sections(1.0 / dt, bandwidth_hz), signal, padlen=beyond))
 
 
 @cache  # to design it takes longer than to filter a log

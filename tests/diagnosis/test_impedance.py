@@ -1,5 +1,7 @@
 """A spring that keeps an inertia from shaking must not look better for what it does not feel."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from tests.rig_files.truth import Machine
@@ -7,6 +9,7 @@ from tests.rig_files.truth import Machine
 from dmptm_ctrl.diagnosis.impedance import loudness
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
+from dmptm_ctrl.diagnosis.rig_objections import _takes_the_drive
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.rig_fit import State
@@ -78,6 +81,24 @@ def test_friction_and_a_cog_that_shakes_at_reversals_are_no_spring():
     best = max((c for c in found.values() if c.acceptable), key=lambda c: c.evidence)
     assert best.keys == ("coulomb_friction@arm",)
     assert found["shaft_compliance@arm"].evidence < 0.0
+
+
+@pytest.mark.parametrize(("motor", "load", "less"), [(1.8, 0.2, False), (0.45, 0.45, True)])
+def test_inertia_may_seem_to_be_on_another_body_but_not_gone(motor, load, less):
+    """A motor of 0.01 kg·m² and a load of 0.04 behind a gear of 2: each is half of what moves."""
+    text = ONE.replace('"0.02 kg m^2"', '"0.01 kg m^2"').replace("arm", "motor")
+    gear = (
+        'between = ["motor", "load"]\nratio = 2\nstiffness = "40 N m/rad"\ndamping = "0 N m s/rad"'
+    )
+    text += f'[body.load]\ninertia = "0.04 kg m^2"\n[shaft.gear]\n{gear}\n'
+    before = RigModel(parse_rig(text.replace("[input.u]", '[input.u]\nbody = "motor"').replace(
+        "[sensor.near]", '[sensor.near]\nbody = "motor"')))  # fmt: skip
+    after = before.with_values(
+        {"body.motor.inertia": motor * 0.01, "body.load.inertia": load * 0.04}
+    )
+    late = Placed("drive_delay", "u", {"delay": 0.01})
+    fits = (SimpleNamespace(model=model) for model in (after, before))
+    assert bool(_takes_the_drive(late, *fits)) == less
 
 
 def test_an_amplifier_may_give_less_than_half_of_what_is_asked():

@@ -18,6 +18,7 @@ from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
 from dmptm_ctrl.identify.rig_fit import RigFit
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed
 
 SPRING = SHAFT_COMPLIANCE.name
@@ -78,10 +79,11 @@ def _beyond(key: str, fit: RigFit) -> str:
 
 
 def _takes_the_drive(effect: Placed, fit: RigFit, before: RigFit) -> str:
-    """What leaves less than half of an inertia to be moved is no fault of an amplifier.
+    """What leaves less than half of the inertia to be moved is no fault of an amplifier.
 
     Of a single wave, a delay is as much friction as inertia. Half of that without the effect, or
-    of what is declared if that is less: a drive that clips seems to move more than there is.
+    of what is declared if that is less: a drive that clips seems to move more than there is. Of
+    all bodies together: noise of the readings tells badly which of them is heavy.
     """
     if PLACED_CATALOGUE[effect.name].place != "input":
         return ""
@@ -91,10 +93,9 @@ def _takes_the_drive(effect: Placed, fit: RigFit, before: RigFit) -> str:
         for key, q in model.quantities.items()
         if key.endswith(".inertia") and isfinite(q.value)
     }
-    now, then, declared = (
-        one.plant().inertia for one in (fit.model, model, model.with_values(known))
-    )
-    less = now.shape == then.shape and bool(np.any(now < 0.5 * np.minimum(then, declared)))
+    plants = (one.plant() for one in (fit.model, model, model.with_values(known)))
+    now, then, declared = (float(p.inertia @ untwisted(p) ** 2) for p in plants)
+    less = now < 0.5 * min(then, declared)
     return "it would leave little of the inertia to be moved" if less else ""
 
 

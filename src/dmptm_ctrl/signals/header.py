@@ -238,8 +238,13 @@ def _is_unit(text: str) -> bool:
 
 
 def is_clock_name(name: str) -> bool:
-    """Whether a column is called as clocks are: t, time_s, Time CH2, Zeit."""
-    return bool(_TIME_NAME.match(name.strip())) or name == CLOCK
+    """Whether a column is called as clocks are: t, time_s, Time CH2, Zeit; a torque T_Nm is none."""
+    if name == CLOCK or not _TIME_NAME.match(name.strip()):
+        return name == CLOCK
+    try:
+        return parse_unit(named_unit(name)[1] or name.rpartition("_")[2]).symbol == "s"
+    except LogError:  # no unit is in the name
+        return True
 
 
 def _period(preamble: Sequence[str], dialect: Dialect) -> float | None:

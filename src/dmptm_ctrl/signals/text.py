@@ -163,6 +163,8 @@ def _table(
         return _long_table(_Rows(path, encoding, layout, words), layout, names, units, choose)
     chosen = choose(list(dict.fromkeys(names)), units)
     clocks = [c for c, n in enumerate(names) if is_clock_name(n) and layout.kinds[c] != "text"]
+    signals = {n for n in chosen if names.count(n) == 1}
+    clocks = [c for c in clocks if c == clocks[0] or names[c] not in signals]
     clocks += [c for c, n in enumerate(names) if n in chosen and names.count(n) > 1]
     used = [c for c, n in enumerate(names) if n in chosen]
     read = sorted({*used, *(max((k for k in clocks if k < c), default=c) for c in used)})

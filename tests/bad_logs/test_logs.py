@@ -155,6 +155,11 @@ WARNED = {
         {**two_logs(), "again": two_logs()["fast"]},
         "fast holds the same samples as again and is left out",
     ),
+    "a log of few samples": (
+        {n: t.iloc[::12] for n, t in two_logs().items()}
+        | {"few": two_logs()["fast"].iloc[:2160:12]},
+        "left out: few is too short: 180 samples",
+    ),
     "a log too short": (
         {**two_logs(), "short": two_logs()["fast"].iloc[:900]},
         "left out: short is too short",

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from dmptm_ctrl.diagnosis.measure import MIN_SAMPLES
 from dmptm_ctrl.diagnosis.predict import free_run
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.identify.motion import (
@@ -23,7 +24,6 @@ from dmptm_ctrl.signals.plausible import MISTAKES, refuse_inconsistent
 from dmptm_ctrl.simulate.model import Model
 
 NEEDED = ("u_left", "u_right", "theta_L", "omega_L")
-MIN_SAMPLES = 100
 MIN_SECONDS = 2.0  # longer than the longest memory that the unknown effects are tried with
 MIN_MOVING = 0.5  # s in motion
 MAX_TWIST = np.deg2rad(20.0)  # rad at the pinion; gaps and shafts give minutes of arc

@@ -238,7 +238,7 @@ def _is_unit(text: str) -> bool:
 
 
 def is_clock_name(name: str) -> bool:
-    """Whether a column is called as clocks are: t, time_s, Time CH2, Zeit; a torque T_Nm is none."""
+    """Whether a column is called as clocks are: t, time_s, Time CH2, Zeit; T_Nm is a torque."""
     if name == CLOCK or not _TIME_NAME.match(name.strip()):
         return name == CLOCK
     try:

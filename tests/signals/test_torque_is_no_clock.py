@@ -1,4 +1,4 @@
-"""A torque that only grows, beside the clock."""
+"""Torques and temperatures that only rise, beside the clock."""
 
 import numpy as np
 import pandas as pd
@@ -32,11 +32,12 @@ def test_a_torque_in_steps_that_rise_is_no_clock_of_the_next_column(tmp_path, to
     np.testing.assert_allclose(log["in_drive"], push)
 
 
-def test_a_column_that_nothing_reads_is_no_clock_if_its_unit_is_no_time(tmp_path):
+@pytest.mark.parametrize("name", ["T_Nm", "T1", "T_motor"])  # a torque, and temperatures
+def test_what_nothing_reads_and_seldom_rises_is_no_clock(tmp_path, name):
     time = 1e-3 * np.arange(4000)
     path = tmp_path / "steps.csv"
     table = {"time_s": time, "u_left_V": np.sin(time), "u_right_V": np.cos(time)}
-    table |= {"T_Nm": np.round(time), "theta_L_deg": time**2}
+    table |= {name: np.round(time, 1), "theta_L_deg": time**2}
     pd.DataFrame(table).to_csv(path, index=False)
     np.testing.assert_allclose(load_log(path)["theta_L"], np.deg2rad(time**2), atol=1e-9)
 

@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 from datetime import datetime
 from datetime import time as daytime
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -308,3 +309,42 @@ def resampled(
         f"the longest {step.max():.6g} s"
     )
     return even, resampled, notes
+
+
+def increases(values: Any) -> bool:
+    """Whether values rise, and never fall, as a clock's do."""
+    if values.dtype.kind == "O":
+        return False
+    steps = np.diff(values[~np.isnan(values)])
+    return steps.size > 0 and bool((steps >= steps[:1] * 0).all()) and bool(steps.any())
+
+
+def ticks(values: Any) -> bool:
+    """Whether most rows are later than the ones before; a temperature rises in few."""
+    steps = np.diff(values[~np.isnan(values)])
+    return bool(2 * np.count_nonzero(steps > steps[:1] * 0) > steps.size)
+
+
+def equal(one: Any, other: Any) -> bool:
+    """Whether two columns have the same kind and the same values."""
+    if one.dtype.kind == "O" or one.dtype != other.dtype:
+        return bool((one == other).all())
+    return bool(np.array_equal(one, other, equal_nan=True))
+
+
+def same_clock(main: Any, other: Any) -> bool:
+    """Whether two columns tick together, be it in other units."""
+    if equal(main, other):
+        return True
+    main, other = (seconds_of(v, 1.0)[0] for v in (main, other))
+    both = np.isfinite(main) & np.isfinite(other)
+    if not both.any() or (np.isfinite(main) != np.isfinite(other)).any():
+        return False
+    x, y = main[both] - main[both][0], other[both] - other[both][0]
+    if not x.any():
+        return False
+    rate = float(x @ y) / float(x @ x)
+    step = abs(float(x[-1])) / max(x.size - 1, 1)
+    same_unit = abs(rate - 1) < 1e-3
+    shift = abs(float(other[both][0] - main[both][0])) if same_unit else 0.0
+    return bool(np.abs(y - rate * x).max() <= 0.01 * abs(rate) * step and shift <= 0.01 * step)

@@ -12,7 +12,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from dmptm_ctrl.signals.clock import seconds_of, times_of
+from dmptm_ctrl.signals.clock import equal, increases, same_clock, ticks, times_of
 from dmptm_ctrl.signals.columns import TIMES, Choose, Table, listed
 from dmptm_ctrl.signals.dialect import (
     MISSING,
@@ -188,52 +188,22 @@ def _one_each(
             continue
         if name not in columns:
             columns[name] = values
-        elif not _increases(values) and not _equal(values, columns[name]):
+        elif not increases(values) and not equal(values, columns[name]):
             raise LogError(
                 f"{source}: column {name!r} occurs {names.count(name)} times with different "
                 "values; rename one, or call all columns by place: column1, column2, …"
             )
-    main = next((c for c in clocks if names[c] in chosen and _increases(data[c])), None)
+    main = next((c for c in clocks if names[c] in chosen and increases(data[c])), None)
     if main is None:
         return columns, own
     for c, name in enumerate(names):
         clock = max((k for k in clocks if k <= c), default=main)
         if name not in columns or c not in data or c in clocks:
             continue
-        if _increases(data[clock]) and not _same_clock(data[main], data[clock]):
-            own[name] = data[clock]
+        other = data[clock]
+        if increases(other) and ticks(other) and not same_clock(data[main], other):
+            own[name] = other
     return columns, own
-
-
-def _increases(values: Any) -> bool:
-    if values.dtype.kind == "O":
-        return False
-    steps = np.diff(values[~np.isnan(values)])
-    return steps.size > 0 and bool((steps >= steps[:1] * 0).all()) and bool(steps.any())
-
-
-def _equal(one: Any, other: Any) -> bool:
-    if one.dtype.kind == "O" or one.dtype != other.dtype:
-        return bool((one == other).all())
-    return bool(np.array_equal(one, other, equal_nan=True))
-
-
-def _same_clock(main: Any, other: Any) -> bool:
-    """Whether two columns tick together, be it in other units."""
-    if _equal(main, other):
-        return True
-    main, other = (seconds_of(v, 1.0)[0] for v in (main, other))
-    both = np.isfinite(main) & np.isfinite(other)
-    if not both.any() or (np.isfinite(main) != np.isfinite(other)).any():
-        return False
-    x, y = main[both] - main[both][0], other[both] - other[both][0]
-    if not x.any():
-        return False
-    rate = float(x @ y) / float(x @ x)
-    step = abs(float(x[-1])) / max(x.size - 1, 1)
-    same_unit = abs(rate - 1) < 1e-3
-    shift = abs(float(other[both][0] - main[both][0])) if same_unit else 0.0
-    return bool(np.abs(y - rate * x).max() <= 0.01 * abs(rate) * step and shift <= 0.01 * step)
 
 
 def _long_table(
@@ -262,7 +232,7 @@ def _long_table(
         return Table(columns, units, {}, tuple(rows.notes()), {}, layout.period, rows.words())
     times = {n: data[clock][places[n]] for n in columns}
     main = data[clock][max(places.values(), key=len)]
-    own = {n: t for n, t in times.items() if not _equal(t, main)}
+    own = {n: t for n, t in times.items() if not equal(t, main)}
     columns = {names[clock]: main, **columns}
     return Table(columns, units, {}, tuple(rows.notes()), own, None, rows.words())
 

@@ -42,6 +42,16 @@ def test_what_nothing_reads_and_seldom_rises_is_no_clock(tmp_path, name):
     np.testing.assert_allclose(load_log(path)["theta_L"], np.deg2rad(time**2), atol=1e-9)
 
 
+def test_a_temperature_that_always_rises_is_no_clock_beside_another_word(tmp_path):
+    """Clocks of channels are called alike, as by the programs that write them."""
+    time = 1e-3 * np.arange(4000)
+    path = tmp_path / "warm.csv"
+    table = {"Time [s]": time, "T_winding": 20.0 + 3.0 * time, "phi": np.sin(time), "u": time}
+    pd.DataFrame(table).to_csv(path, index=False)
+    log = parse_rig(RIG.format(torque="u")).load(path)
+    np.testing.assert_allclose(log["out_phi"], np.sin(time), atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "clock"),
     [("t", True), ("time_s", True), ("t [ms]", True), ("Time CH2", True), ("T_Nm", False),

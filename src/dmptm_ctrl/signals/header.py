@@ -247,6 +247,12 @@ def is_clock_name(name: str) -> bool:
         return True
 
 
+def clock_word(name: str) -> str:
+    """Word by which a column is called a clock, as it is written: clocks of channels share it."""
+    found = _TIME_NAME.match(name.strip())
+    return found[1] if found else name
+
+
 def _period(preamble: Sequence[str], dialect: Dialect) -> float | None:
     """Time between samples that the lines above the table state [s]."""
     for line in preamble:

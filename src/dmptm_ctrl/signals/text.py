@@ -24,7 +24,7 @@ from dmptm_ctrl.signals.dialect import (
     without_remark,
 )
 from dmptm_ctrl.signals.errors import LogError, NotALogError
-from dmptm_ctrl.signals.header import is_clock_name
+from dmptm_ctrl.signals.header import clock_word, is_clock_name
 from dmptm_ctrl.signals.layout import find_layout
 
 CHUNK_ROWS = 200_000  # text of one chunk is in memory at once, about 20 MB
@@ -200,8 +200,8 @@ def _one_each(
         clock = max((k for k in clocks if k <= c), default=main)
         if name not in columns or c not in data or c in clocks:
             continue
-        other = data[clock]
-        if increases(other) and ticks(other) and not same_clock(data[main], other):
+        other, alike = data[clock], clock_word(names[clock]) == clock_word(names[main])
+        if alike and increases(other) and ticks(other) and not same_clock(data[main], other):
             own[name] = other
     return columns, own
 

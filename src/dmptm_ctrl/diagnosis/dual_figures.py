@@ -39,13 +39,8 @@ TORQUE = "torque the model lacks,\nat the ring gear [N·m]"
 def folded(source: "DualSource", name: str, unexplained: tuple[str, ...]) -> Evidence:
     """Fold what is left over the variable that an effect depends on.
 
-    Parameters
-    ----------
-    source : DualSource
-    name : str
-        Of the effect; empty, or on no list: what is not explained.
-    unexplained : tuple of str
-        Variables of what is not explained.
+    Of no effect (a name that is empty, or on no list) over the first of the `unexplained`
+    variables.
     """
     effect = CATALOGUE.get(name)
     without, after = source.without(name), source.models[1]

@@ -220,15 +220,7 @@ def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experimen
 def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> Experiment | None:
     """Choose the signal that best separates an effect from its rivals.
 
-    Parameters
-    ----------
-    jobs : int
-        Threads. The result does not depend on it.
-
-    Returns
-    -------
-    Experiment or None
-        None where nothing was found, or nothing else comes near.
+    None where nothing was found, or nothing else comes near. The result does not depend on `jobs`.
     """
     contested = _contested(selection)
     if contested is None:

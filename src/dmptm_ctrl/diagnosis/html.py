@@ -67,14 +67,7 @@ def _title(diagnosis: "Diagnosis") -> str:
 
 
 def render(diagnosis: "Diagnosis") -> str:
-    """Return the report of a diagnosis.
-
-    Returns
-    -------
-    str
-        A whole HTML document; figures are inline SVG images, style is inline, names from
-        files are escaped.
-    """
+    """Return the report of a diagnosis, a whole HTML document with its figures and style inside."""
     logs = diagnosis.overlays()
     tests = {which: correlations(logs, which) for which in ("before", "after")}
     return (

@@ -23,17 +23,7 @@ def loudness(model: RigModel, balance: Balance) -> float:
     """Mean over the band of the logarithm of |torque/acceleration|, less that of a rigid drive.
 
     Springs that were added to the declared model change it, and the lag of an input: the balance
-    undoes it.
-
-    Parameters
-    ----------
-    balance : Balance
-        Of the sensors and the bandwidth.
-
-    Returns
-    -------
-    float
-        0 without such springs and lags.
+    undoes it. Without these it is 0. `balance` gives the sensors and the band.
     """
     springs = tuple(e for e in model.effects if e.name == SHAFT_COMPLIANCE.name)
     apart = _level(model, balance, springs) - _level(model, balance, ()) if springs else 0.0

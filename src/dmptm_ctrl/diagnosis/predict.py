@@ -48,20 +48,11 @@ def apart(one: float, other: float) -> float:
 def free_run(
     model: Model, log: Log, *, runs: int = RUNS, columns: Sequence[int] = range(len(OUTPUTS))
 ) -> Floats:
-    """Run the plant on the log's voltages from its first angle, at rest.
+    """Run the plant on the log's voltages from its first angle, at rest, (n, len(columns)), SI.
 
-    Parameters
-    ----------
-    runs : int
-        1 is the model's own run; more are the mean of that and of runs with slightly other
-        meshes, see :func:`expected`.
-    columns : sequence of int
-        Which of `compiled.OUTPUTS`.
-
-    Returns
-    -------
-    (n, len(columns)) array
-        SI; readings as the sensors would give, no noise.
+    With `runs` of 1 the model's own run; with more the mean of that and of runs with slightly other
+    meshes, see :func:`expected`. `columns` are of `compiled.OUTPUTS`; readings are as the sensors
+    would give, without noise.
     """
     u = np.array([log["u_left"], log["u_right"]])
     model = model.over(u.shape[1] * log.sample_time)
@@ -80,24 +71,11 @@ def expected(
     substeps: int = FINE_SUBSTEPS,
     columns: Sequence[int] = range(len(OUTPUTS)),
 ) -> Floats:
-    """Mean of a model's free run and of those with meshes changed by :data:`SPREAD`.
+    """Mean of a model's free run and of those with meshes changed by :data:`SPREAD`, SI.
 
-    Parameters
-    ----------
-    u : (2, n) array [V]
-    x0 : (6,) array
-        As for :func:`~dmptm_ctrl.simulate.compiled.march`.
-    count : float
-        To which the ring gear's first angle is rounded [rad]; the others begin anywhere in it.
-    substeps : int
-        Steps per sample.
-    columns : sequence of int
-        Which of `compiled.OUTPUTS`.
-
-    Returns
-    -------
-    (n, len(columns)) array
-        SI.
+    `u`, (2, n) [V], and `x0`, (6,), are as for :func:`~dmptm_ctrl.simulate.compiled.march`,
+    `columns` of `compiled.OUTPUTS`. The ring gear's first angle is rounded to `count` [rad]; the
+    other runs begin anywhere in it.
     """
     rng = np.random.default_rng(0)
     shares = 1.0 + SPREAD * rng.standard_normal((runs - 1, 2))
@@ -178,17 +156,6 @@ def speeds(model: Model, log: Log) -> tuple[Floats, Floats]:
 
 
 def speed_error(model: Model, logs: Sequence[Log], jobs: int = 1) -> dict[str, float]:
-    """Error of the predicted speed over all logs together, below 30 Hz.
-
-    Parameters
-    ----------
-    jobs : int
-        Threads.
-
-    Returns
-    -------
-    dict
-        `rmse` [deg/s], `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
-    """
+    """Error of the predicted speed over all logs together, below 30 Hz [deg/s]."""
     pairs = in_threads(lambda log: speeds(model, log), logs, jobs, lambda log: log.time.size)
     return agreement([(np.rad2deg(seen), np.rad2deg(run)) for seen, run in pairs])

@@ -24,17 +24,9 @@ MIN_NEWS = 3.0  # independent samples that a bin's mean and spread need
 
 
 def correlations(overlays: Sequence[Overlay], which: str) -> tuple[Correlation, Correlation] | None:
-    """Correlate the residual of held-out logs with itself and with the input.
+    """Correlate the residual of held-out logs, "before" or "after", with itself and the mean input.
 
-    Parameters
-    ----------
-    which : "before" or "after"
-
-    Returns
-    -------
-    (Correlation, Correlation) or None
-        Auto, and with the mean input: positive lags are residuals after the input. None where
-        the logs are shorter than the lags.
+    Positive lags are residuals after the input. None where the logs are shorter than the lags.
     """
     left, inputs, step = [], [], 1.0
     for overlay in overlays:
@@ -53,14 +45,7 @@ def correlations(overlays: Sequence[Overlay], which: str) -> tuple[Correlation, 
 
 
 def autocorrelation(signals: Sequence[Floats], lags: int, step: float) -> Correlation:
-    """Pooled autocorrelation of several signals; the band is that of white noise.
-
-    Parameters
-    ----------
-    signals : sequence of (n,) arrays
-    step : float
-        Time between samples [s].
-    """
+    """Pooled autocorrelation of several signals, `step` [s] apart; the band is of white noise."""
     rows = [s - s.mean() for s in signals]
     values = _lagged(rows, rows, range(1, lags + 1))
     count = sum(s.size for s in rows)
@@ -101,21 +86,10 @@ def _lagged(one: Sequence[Floats], other: Sequence[Floats], lags: Iterable[int])
 def order_amplitudes(
     angle: Floats, signal: Floats, weight: Floats, step: float, count: int
 ) -> Floats:
-    """Amplitude of cos and sin of each order.
+    """Amplitude of cos and sin of each order, (count,): whole multiples of `step` per turn.
 
-    Parameters
-    ----------
-    angle : (n,) array [rad]
-    signal, weight : (n,) arrays
-        The weight is the angle that a sample stands for.
-    step : float
-        The first order, and from each to the next, per turn.
-    count : int
-        Of orders.
-
-    Returns
-    -------
-    (count,) array
+    Of a signal, (n,), over an angle, (n,) [rad]; the weight, (n,), is the angle that a sample
+    stands for.
     """
     total = float(weight.sum())
     if total == 0.0:
@@ -132,16 +106,9 @@ def order_amplitudes(
 def fold(
     without: Sequence[Rows], after: Sequence[Rows], variable: str, quantity: str, effect: str
 ) -> Evidence:
-    """Fold residuals of two models over a variable, by direction of motion.
+    """Fold residuals of two models, one entry per log, over a variable, by direction of motion.
 
-    Parameters
-    ----------
-    without, after : sequence of Rows
-        Per log.
-    variable, quantity : str
-        Labels with units.
-    effect : str
-        Name of the effect in question; empty where there is none.
+    `variable` and `quantity` are labels with units; `effect` is empty where there is none.
     """
     pooled = np.concatenate([row[0] for row in (*without, *after)])
     low, high = np.percentile(pooled, TAILS) if pooled.size else (0.0, 1.0)

@@ -108,14 +108,9 @@ class RigState:
 
 @dataclass(frozen=True, eq=False)
 class RigEvidence:
-    """Torque balances of the logs of a drive of any shape.
+    """Torque balances of the logs of a drive of any shape, or stretches of them.
 
-    Parameters
-    ----------
-    logs, held : Balance
-        Logs, or stretches of them, that are fitted and that are not.
-    jobs : int
-        Threads; nothing depends on it.
+    `logs` are fitted and `held` are not; nothing depends on `jobs`.
     """
 
     logs: Balance
@@ -242,7 +237,6 @@ class RigEvidence:
         return Candidate(keys, -np.inf, 0.0, (group, fit), "", numbers, order)
 
     def beside(self, state: RigState, candidate: Candidate) -> RigState:
-        """Return the model with a candidate, as it was fitted."""
         return RigState(candidate.fitted[1], self.held, (*state.keys, *candidate.keys))
 
     def gains(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
@@ -266,7 +260,6 @@ class RigEvidence:
         return fitted - searched + rows * louder, fall + held_rows * louder
 
     def errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
-        """Standard errors of the falls on both parts of the logs."""
         news = larger.fit.likelihood.news
 
         def of(balance: Balance, few: Sequence[Floats], more: Sequence[Floats]) -> float:
@@ -287,27 +280,22 @@ class RigEvidence:
         return 2.0 * float(np.log(starts.get(PLACED_CATALOGUE[name].effect.search, 1)))
 
     def ratio(self, state: RigState) -> float:
-        """Rows of the fitted logs over those of the held-out ones."""
         fitted, held = (sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held))
         return fitted / max(held, 1)
 
     def columns(self, state: RigState, candidate: Candidate) -> Floats:
-        """Weighted change of the residual per amplitude, projected, (m, k)."""
         (trial,) = candidate.fitted[0]
         return state.tangent.project(state.tangent.stack(trial.columns))
 
     def rows(self, state: RigState, candidates: Sequence[Candidate]) -> Rows:
-        """Return the model and candidates to first order."""
         tangent = state.tangent
         columns = {c.keys: tangent.stack(c.fitted[0][0].columns) for c in candidates}
         return Rows(tangent.whole, tangent.slopes, *tangent.room, columns)
 
     def together(self, state: RigState, candidates: Sequence[Candidate]) -> Candidate:
-        """Fit several effects beside a model."""
         return self._fitted(state, [c.fitted[0][0] for c in candidates], 2 * FIRST)
 
     def adopt(self, state: RigState, candidate: Candidate) -> RigState:
-        """Put a candidate into the model and fit to the end."""
         keys = (*state.keys, *candidate.keys)
         fit = self._to_the_end(candidate.fitted[1].state, state.fit, keys)
         return RigState(fit, self.held, keys, vars(state).get("trials", ()))
@@ -327,7 +315,6 @@ class RigEvidence:
         return self.refit(replace(state, fit=replace(state.fit, likelihood=like)))
 
     def without(self, state: RigState, key: str) -> RigState:
-        """Take an effect out, and what stands on it, and fit the rest again."""
         gone = {*members(key), *standing_on(state.fit, key)}
         model = state.fit.model.without(gone)
         logs = {
@@ -351,11 +338,9 @@ class RigEvidence:
         return float(p @ np.linalg.pinv(covariance) @ p)
 
     def objection(self, without: RigState, state: RigState, key: str) -> str:
-        """Why the values of an effect are impossible; empty where they are not."""
         return objection(key, state.fit, without.fit)
 
     def share(self, without: RigState, state: RigState, key: str) -> Floats:
-        """What an effect changes of the residual, weighted, the others projected out."""
         gone = {*members(key), *standing_on(state.fit, key)}
         bare, _ = residuals(State(state.fit.model.without(gone), state.fit.state.logs), self.logs)
         change = [b - e for b, e in zip(bare, state.fit.left, strict=True)]

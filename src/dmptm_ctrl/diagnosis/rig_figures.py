@@ -27,25 +27,9 @@ def folded(
     """Fold what the drive gave more than a model over a variable, on all logs.
 
     Over a turn or a period if a curve comes again by it, and by the way that the variable itself
-    goes if the curve is a hysteresis.
-
-    Parameters
-    ----------
-    without, final : RigState
-        Without the effect, the rest refitted; and the final model.
-    variable : str
-        As in `depends_on` of diagnosis.json; empty for the first position.
-    effect : str
-        Name; empty where there is none.
-    unit : str
-        Of the balance.
-    curve : Curve, optional
-        Over this variable.
-
-    Returns
-    -------
-    Evidence or None
-        None where no body's speed is measured.
+    goes if the curve is a hysteresis. `without` is the model without the effect, the rest refitted;
+    `variable` is as in `depends_on` of diagnosis.json, empty for the first position; `effect` is a
+    name, empty where there is none; `unit` is that of the balance.
     """
     signals = variables_of(final.fit)
     speed = next((s for name, s in signals.items() if name.startswith("omega")), None)

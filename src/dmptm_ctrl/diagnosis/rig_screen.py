@@ -33,24 +33,10 @@ HIDDEN = 20.0  # times less: behind a soft shaft, a load hides that much of the 
 
 
 def screen_rig(rig: Rig, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tuple[str, ...]]:
-    """Choose the logs of a rig of any shape that can be diagnosed.
+    """Choose the logs of a rig of any shape that can be diagnosed; LogError where none is left.
 
-    Parameters
-    ----------
-    rig : Rig
-    logs : sequence of Log
-        As the rig reads them.
-
-    Returns
-    -------
-    logs : tuple of Log
-    warnings : tuple of str
-        What was left out, shortened or looks wrong; each log has its own besides.
-
-    Raises
-    ------
-    LogError
-        No log is left, or the sensors of one body contradict each other.
+    And warnings: what was left out or looks wrong; each log has its own besides. Sensors of one
+    body that contradict each other are refused by a LogError, too.
     """
     distinct, warnings = without_duplicates(tuple(logs))
     kept, useless = [], []
@@ -93,10 +79,7 @@ def nothing_in(rig: Rig, log: Log) -> str:
 def refuse_other_units(rig: Rig, log: Log) -> list[str]:
     """Refuse sensors of one body, or across links, that differ in unit, sign or ratio.
 
-    Returns
-    -------
-    list of str
-        Factors that a sensor's gain may have: told, not refused.
+    Factors that a sensor's gain may have are told, not refused.
     """
     notes = []
     for one, other, path in _pairs(rig):
@@ -225,15 +208,8 @@ def lean(u: Floats, v: Floats) -> float:
 def refuse_reversed(rig: Rig, balance: Balance) -> str:
     """Refuse inputs that count against the motion: a negative inertia, and energy that comes out.
 
-    Returns
-    -------
-    str
-        A warning where the inertia is negative but the drive puts energy in, or where a spring
-        lies between drive and sensor, as resonances make it; empty if nothing is wrong.
-
-    Raises
-    ------
-    LogError
+    Return a warning where the inertia is negative but the drive puts energy in, or where a spring
+    lies between drive and sensor, as resonances make it; empty if nothing is wrong.
     """
     point = balance.points[0]
     turns = rig.turns(point.body)
@@ -286,13 +262,7 @@ def _inertia_unit(rig: Rig, body: str) -> str:
 
 
 def refuse_no_gain(rig: Rig, balance: Balance) -> None:
-    """Refuse an inertia in kg·m² that the logs contradict, beside an input of unknown gain.
-
-    Raises
-    ------
-    LogError
-        With the inertia in units of the input, and the gain that would make it fit.
-    """
+    """Refuse an inertia in kg·m² that the logs contradict, beside an input of unknown gain."""
     source = rig.inputs[0]
     point = balance.points[0]
     turns = rig.turns(point.body)

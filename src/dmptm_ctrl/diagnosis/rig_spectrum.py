@@ -25,18 +25,9 @@ LINEAR = 0.5  # coherence
 
 
 def spectrum(source: "RigSource", marks: Mapping[str, float]) -> Spectrum | None:
-    """Return the gains on the held-out log that excites most frequencies.
+    """Return the gains on the held-out log that excites most frequencies, with `marks` [Hz].
 
-    Parameters
-    ----------
-    source : RigSource
-    marks : mapping of str to float
-        Frequencies to mark [Hz].
-
-    Returns
-    -------
-    Spectrum or None
-        None where no log shows a curve.
+    None where no log shows a curve.
     """
     low, high = min(marks.values()) / AROUND, max(marks.values()) * AROUND
 

@@ -38,23 +38,10 @@ TRIED_SECONDS = 20.0  # of each log, run on the declared model
 
 
 def screen(logs: Iterable[Log], drive: Drive) -> tuple[Campaign, tuple[str, ...]]:
-    """Choose the logs that can be diagnosed.
+    """Choose the logs that can be diagnosed, beside the declared model.
 
-    Parameters
-    ----------
-    drive : Drive
-        The declared model.
-
-    Returns
-    -------
-    campaign : Campaign
-    warnings : tuple of str
-        What was left out, shortened or looks wrong; each log has its own besides.
-
-    Raises
-    ------
-    LogError
-        No log is left, or all share a mistaken unit or sign.
+    And warnings: what was left out, shortened or looks wrong; each log has its own besides.
+    LogError where no log is left, or all share a mistaken unit or sign.
     """
     campaign = logs if isinstance(logs, Campaign) else Campaign(tuple(logs))
     warnings = list(campaign.warnings)

@@ -109,17 +109,7 @@ def select_effects(
 ) -> Selection:
     """Select effects until no candidate and no small set of them is acceptable.
 
-    Parameters
-    ----------
-    evidence : Evidence
-    base : State
-        The declared model, fitted.
-    say : callable
-        Hears each step.
-
-    Returns
-    -------
-    Selection
+    `base` is the declared model, fitted; `say` hears each step.
     """
     selection = Selection(base, base)
     state = base

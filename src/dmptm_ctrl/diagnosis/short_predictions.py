@@ -26,20 +26,9 @@ FITTED = 2  # effects that are fitted at each look
 def with_short_predictions(
     evidence: DualEvidence, selection: Selection, say: Callable[[str], None] = lambda _: None
 ) -> Selection:
-    """Add what only short predictions ask for.
+    """Add what only short predictions ask for to the selection of the balances.
 
-    Parameters
-    ----------
-    selection : Selection
-        Of the balances.
-    say : callable
-        Hears each step.
-
-    Returns
-    -------
-    Selection
-        With its final model fitted to balances and short predictions where an effect was found;
-        else the same.
+    Where an effect is found, the final model is fitted to balances and short predictions.
     """
     state = DualState(predicting(selection.final.left), selection.final.keys)
     found: dict[str, list[Candidate]] = {}

@@ -178,13 +178,7 @@ def waves(left: Residual) -> dict[str, float]:
 
 
 def clock_table(left: Residual, period: float, jobs: int) -> Tables | None:
-    """Fit a table over the time in a period; None where it does not help.
-
-    Parameters
-    ----------
-    period : float
-        Of what comes at fixed intervals [s].
-    """
+    """Fit a table over the time in a period [s]; None where it does not help."""
     shape = {"variable": CLOCK, "low": 0.0, "high": period, "period": period}
     first = better(left, [of_motors(left, shape), tabled(left, {TORQUE: shape})])
     fitted = better(left, [first, tabled(left, narrowed(first.model))])

@@ -386,12 +386,8 @@ def settled_fit(
     """Fit to the end, from here and from where outliers count in full; return the better.
 
     A robust loss has several minima: windows that one effect cannot follow pass for outliers.
-    Both ways share slopes, which change little; the end is fitted with its own.
-
-    Parameters
-    ----------
-    jacobian : (m, k) array, optional
-        Slopes of all unknowns near the model.
+    Both ways share slopes `jacobian` (m, k), which change little; the end is fitted with its
+    own.
     """
     if jacobian is None:
         jacobian = columns(balance, model, unknowns, np.concatenate(balance.missing(model)))

@@ -31,21 +31,8 @@ def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> 
     """Return the distance at the ring gear [rad] over which friction builds up.
 
     The one with the smallest misfit of the free runs, by a parabola through the three best
-    neighbours; 0 where any distance only makes it worse.
-
-    Parameters
-    ----------
-    model : Model
-        Fitted to the logs, without presliding.
-    logs : sequence of Log
-        At their sample rate.
-    n_jobs : int
-        Threads.
-
-    Raises
-    ------
-    ValueError
-        A model that has presliding.
+    neighbours; 0 where any distance only makes it worse. The model is fitted to the logs, which are
+    at their sample rate; ValueError where it has presliding.
     """
     if PRESLIDING.name in model.effects:
         raise ValueError("the model has presliding; its distances are known")

@@ -32,17 +32,9 @@ def _sections(rate: float, bandwidth_hz: float) -> Floats:
 
 
 def agreement(pairs: Sequence[tuple[Floats, Floats]]) -> dict[str, float]:
-    """How far runs are from what was measured, over all logs together.
+    """How far runs are from what was measured, by pairs of (measured, run), over all logs together.
 
-    Parameters
-    ----------
-    pairs : sequence of ((n,) array, (n,) array)
-        Measured and run, in one unit.
-
-    Returns
-    -------
-    dict
-        `rmse`, `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
+    `rmse` in their unit, `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
     """
     seen, run = (np.concatenate([p[k] for p in pairs]) for k in (0, 1))
     rmse = float(np.sqrt(np.mean((seen - run) ** 2)))

@@ -25,15 +25,7 @@ BLOCK_SECONDS = 0.02  # passes 25 Hz; how pinions ring on their flanks is chance
 
 @dataclass(frozen=True, eq=False)
 class Led:
-    """Short predictions on one log.
-
-    Parameters
-    ----------
-    bandwidth_hz : float
-        Of the observer.
-    steps : int
-        A sample.
-    """
+    """Short predictions on one log, by an observer of `bandwidth_hz`, in `steps` per sample."""
 
     rec: Record
     bandwidth_hz: float = BANDWIDTH_HZ

@@ -67,12 +67,8 @@ def free_run(model: RigModel, log: Log, *, lead_hz: float = 0.0) -> RigRun:
     """Run a chain on a log's inputs, from its first sample.
 
     Angles of bodies on both sides of a spring may have zeros of their own: such a spring
-    starts untwisted.
-
-    Parameters
-    ----------
-    lead_hz : float
-        Bandwidth of an observer that leads the run by the log's first position, or else speed.
+    starts untwisted. An observer of bandwidth `lead_hz` leads the run by the log's first position,
+    or else speed.
     """
     q0, v0 = initial(model, log)
     u = np.array([log[i.channel] for i in model.rig.inputs])

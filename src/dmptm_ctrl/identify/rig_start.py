@@ -241,11 +241,8 @@ def regress_gap(balance: Balance, near: tuple[str, float], far: tuple[str, float
 def regress(balance: Balance, near: tuple[str, float], far: tuple[str, float]) -> Spring:
     """Find a spring between two measured points by two linear regressions.
 
-    a2 = ω_a² z + 2 ζ ω_a ż + friction + const and F = J1 a1 + J2 a2 + friction + const.
-
-    Parameters
-    ----------
-    near, far : point and factor of its motion
+    a2 = ω_a² z + 2 ζ ω_a ż + friction + const and F = J1 a1 + J2 a2 + friction + const. Of each
+    point its name and the factor of its motion.
     """
     return _regress(balance, near, far, 0.0, {})[1]
 

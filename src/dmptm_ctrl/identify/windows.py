@@ -47,10 +47,7 @@ class Keyed:
 class Windowed:
     """The balances of some motions, one after another.
 
-    Parameters
-    ----------
-    motions : sequence of Motion
-        Of the same sample time, and all with motor encoders, or none.
+    All have the same sample time, and all have motor encoders, or none.
     """
 
     motions: Sequence[Motion]

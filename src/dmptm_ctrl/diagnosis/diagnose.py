@@ -10,7 +10,6 @@ from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.dual_report import (
     DualSource,
     declared_dict,
-    labels,
     named,
     ranking,
     unnamed,
@@ -95,7 +94,7 @@ def diagnose_dual(
         declared_values=declared_dict(final, declared),
         selection=selection,
         source=DualSource(measured, selection, (before, after), final.model),
-        correlations=correlated(labels(final), final.covariance),
+        correlations=correlated([k.label for k in final.unknowns], final.covariance),
         provenance=provenance(
             measured.logs, [rec.name for rec in measured.held], seed, time.perf_counter() - start
         ),

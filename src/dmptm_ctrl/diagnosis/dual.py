@@ -11,7 +11,6 @@ from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
     NO_DIFFERENCE,
     Candidate,
-    Floats,
     Keys,
     Rows,
     differ,
@@ -31,6 +30,7 @@ from dmptm_ctrl.identify.balance import (
     surprises,
 )
 from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.simulate.model import Floats
 
 
 class Told(NamedTuple):

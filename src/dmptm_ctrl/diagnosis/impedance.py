@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.candidate import Floats
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.simulate.linear import linear_train
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 LINES = 200  # of the band, over which a resonance's logarithm is even

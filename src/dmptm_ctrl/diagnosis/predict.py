@@ -68,7 +68,6 @@ def expected(
     *,
     runs: int = RUNS,
     count: float = 0.0,
-    substeps: int = FINE_SUBSTEPS,
     columns: Sequence[int] = range(len(OUTPUTS)),
 ) -> Floats:
     """Mean of a model's free run and of those with meshes changed by :data:`SPREAD`, SI.
@@ -85,11 +84,11 @@ def expected(
     jogged = (model.with_values(k_m=stiffness * a, c=damping * b) for a, b in shares)
     models = [model, *jogged]
     if runs > 1 and u.shape[1] <= TOGETHER:
-        many = march_any(models, u, starts, dt, substeps=substeps, columns=columns)
+        many = march_any(models, u, starts, dt, substeps=FINE_SUBSTEPS, columns=columns)
         return np.asarray(many.mean(axis=0))
-    total = march(model, u, starts[0], dt, substeps=substeps)
+    total = march(model, u, starts[0], dt, substeps=FINE_SUBSTEPS)
     for other, start in zip(models[1:], starts[1:], strict=True):
-        total += march(other, u, start, dt, substeps=substeps)
+        total += march(other, u, start, dt, substeps=FINE_SUBSTEPS)
     return total[:, [*columns]] / runs
 
 

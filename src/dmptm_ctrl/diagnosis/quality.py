@@ -9,9 +9,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ
-from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.plots.diagnosis import Curve, Evidence, Overlay
 from dmptm_ctrl.plots.quality import Correlation
+from dmptm_ctrl.simulate.model import Floats
 
 # variable, residual, direction of motion, share of a sample that is independent
 Rows = tuple[Floats, Floats, Floats, float]

@@ -124,6 +124,7 @@ def diagnose_rig(
         bare = selection.base
         selection = replace(selection, final=bare, entries=[], rest=selection.first)
         found = plain or curves(bare)
+    noted = (f"{log.name}: {note}" for log in loaded for note in log.warnings)
     return report_of(
         declared,
         loaded,
@@ -139,7 +140,7 @@ def diagnose_rig(
             seed,
             time.perf_counter() - started,
         ),
-        warnings=(*_notes(loaded), *warnings, *_no_gap(selection.final.fit.model)),
+        warnings=(*dict.fromkeys(noted), *warnings, *_no_gap(selection.final.fit.model)),
         jobs=jobs,
     )
 
@@ -292,11 +293,8 @@ def _in_pieces(balance: Balance) -> tuple[Balance, tuple[str, ...]]:
 def _refuse_floating(rig: Rig) -> None:
     """Refuse a body of unknown inertia between springs that nothing measures or drives."""
     seen = {s.body for s in rig.sensors} | {i.body for i in rig.inputs}
-    rigid = [{k.first, k.second} for k in rig.links if k.rigid]
     for body in rig.bodies:
-        group = {body.name}
-        for _ in rigid:
-            group |= set().union(*(pair for pair in rigid if pair & group))
+        group = {*rig.turns(body.name, rigidly=True)}
         soft = [k.name for k in rig.links if not k.rigid and len({k.first, k.second} & group) == 1]
         if len(soft) > 1 and not group & seen and not is_known(body.inertia):
             key = "mass" if body.linear else "inertia"
@@ -305,7 +303,3 @@ def _refuse_floating(rig: Rig) -> None:
                 f"sensor: logs cannot tell it. Give its {key}, or leave it out and write one link "
                 "with both stiffnesses in it"
             )
-
-
-def _notes(logs: Sequence[Log]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(f"{log.name}: {note}" for log in logs for note in log.warnings))

@@ -12,7 +12,6 @@ from dmptm_ctrl.diagnosis.budget import NONE, near
 from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
     Candidate,
-    Floats,
     Keys,
     Rows,
     members,
@@ -41,6 +40,7 @@ from dmptm_ctrl.identify.rig_fit import (
     total_loss,
 )
 from dmptm_ctrl.identify.rig_start import from_elsewhere
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed
 
@@ -69,11 +69,6 @@ class RigState:
     held: Balance
     keys: tuple[str, ...] = ()
     seen: Sequence[Trial] = ()
-
-    @property
-    def loss(self) -> float:
-        """−2 log-likelihood of the fitted logs."""
-        return self.fit.loss
 
     @cached_property
     def loudness(self) -> float:

@@ -9,7 +9,6 @@ from scipy.signal import csd, welch
 from dmptm_ctrl.diagnosis.candidate import (
     FIRM,
     NO_DIFFERENCE,
-    Floats,
     differ,
     members,
     name_of,
@@ -17,6 +16,7 @@ from dmptm_ctrl.diagnosis.candidate import (
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
 from dmptm_ctrl.identify.rig_fit import RigFit
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed

@@ -23,13 +23,12 @@ from dmptm_ctrl.identify.rig_simulate import free_run, readings
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.units import parse_unit
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel, angle_body
 
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Overlay
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ import numpy as np
 from dmptm_ctrl.diagnosis.screen import STRANGE, VAGUE
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.signals.campaign import without_duplicates
 from dmptm_ctrl.signals.plausible import (
@@ -22,6 +21,7 @@ from dmptm_ctrl.signals.plausible import (
 )
 from dmptm_ctrl.signals.plausible import SURE as SURE_PAIR
 from dmptm_ctrl.signals.units import parse_unit
+from dmptm_ctrl.simulate.model import Floats
 
 LEAN = 0.3  # correlation of drive and speed that tells the sign of the motors' power
 SURE = 10.0  # standard errors of an inertia that contradicts its declaration
@@ -151,18 +151,14 @@ def _pairs(rig: Rig) -> Iterator[tuple[Sensor, Sensor, _Path]]:
     ordered = sorted(rig.sensors, key=lambda s: s.measures != "position")
     for i, one in enumerate(ordered):
         for other in ordered[i + 1 :]:
-            path = _path(rig, one.body, other.body)
-            if path is not None:
-                yield one, other, path
+            yield one, other, _path(rig, one.body, other.body)
 
 
-def _path(rig: Rig, body: str, to: str) -> _Path | None:
-    """Way through links of known ratio; None where there is none."""
+def _path(rig: Rig, body: str, to: str) -> _Path:
+    """Way from one body to another, through links."""
     paths = {body: _Path(1.0, (), True)}
     for _ in rig.links:
         for link in rig.links:
-            if not is_known(link.ratio):
-                continue
             for here, there, step in (
                 (link.first, link.second, link.ratio.value),
                 (link.second, link.first, 1 / link.ratio.value),
@@ -172,7 +168,7 @@ def _path(rig: Rig, body: str, to: str) -> _Path | None:
                     name = f"[{'mesh' if link.mesh else 'shaft'}.{link.name}]"
                     links, rigid = (*before.links, name), before.rigid and link.rigid
                     paths[there] = _Path(before.ratio * step, links, rigid)
-    return paths.get(to)
+    return paths[to]
 
 
 def generates(rig: Rig, log: Log) -> list[str]:
@@ -213,8 +209,6 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
     """
     point = balance.points[0]
     turns = rig.turns(point.body)
-    if any(i.body not in turns for i in rig.inputs):
-        return ""
     if len(rig.inputs) > 1 and not all(is_known(i.gain) for i in rig.inputs):
         return ""
     columns = " and ".join(i.column for i in rig.inputs)
@@ -242,7 +236,7 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
             f"there the inertia is {-inertia:.3g} {shown}"
         )
     ways = [_path(rig, point.body, i.body) for i in rig.inputs]
-    if (energy < 0 or wrong) and all(way is not None and way.rigid for way in ways):
+    if (energy < 0 or wrong) and all(way.rigid for way in ways):
         raise LogError(said)
     return said
 
@@ -267,7 +261,7 @@ def refuse_no_gain(rig: Rig, balance: Balance) -> None:
     point = balance.points[0]
     turns = rig.turns(point.body)
     known = all(is_known(b.inertia) for b in rig.bodies)
-    if len(rig.inputs) > 1 or is_known(source.gain) or not known or len(turns) < len(rig.bodies):
+    if len(rig.inputs) > 1 or is_known(source.gain) or not known:
         return
     inertia, se, _ = _inertia(rig, balance, turns)
     low, value, high = _declared(rig, turns)
@@ -293,7 +287,7 @@ def other_scale(rig: Rig, balance: Balance) -> str:
     point = balance.points[0]
     turns = rig.turns(point.body)
     known = [b.inertia for b in rig.bodies] + [i.gain for i in rig.inputs]
-    if len(turns) < len(rig.bodies) or not all(is_known(q) for q in known):
+    if not all(is_known(q) for q in known):
         return ""
     inertia, se, _ = _inertia(rig, balance, turns)
     low, value, high = _declared(rig, turns)
@@ -356,5 +350,5 @@ def _inertia(rig: Rig, balance: Balance, turns: dict[str, float]) -> tuple[float
 
 def _weights(rig: Rig, turns: dict[str, float], q: Floats) -> list[Floats]:
     """Sine and cosine of the angles of bodies that turn: what weights on them may do."""
-    ratios = {turns[b.name] for b in rig.bodies if not b.linear and b.name in turns}
+    ratios = {turns[b.name] for b in rig.bodies if not b.linear}
     return [wave(r * q) for r in ratios for wave in (np.sin, np.cos)]

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent
 from dmptm_ctrl.identify.forces import measured_motion
@@ -14,11 +13,10 @@ from dmptm_ctrl.identify.measured_motion import Motion, coordinates_of
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.identify.teeth import carried, in_twist, put_through
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-
-Floats = NDArray[np.float64]
 
 MAX_ORDER = 400  # per turn
 SCREENED = 6  # orders and places of a screening that are looked at closely
@@ -65,7 +63,7 @@ def unit_columns(
             else:
                 out = torque_along(acting, load, theta, omega, motion.time)
             columns.append(motion.reduce(reach * r * out))
-        parts.append(_in_equations(fit, balance, motion, body, np.array(columns).T))
+        parts.append(_in_equations(fit, balance, body, np.array(columns).T))
     return parts
 
 
@@ -91,9 +89,7 @@ def _sized(shape: Placed, name: str, amplitude: float) -> Placed:
     return shape._replace(values={**shape.values, name: amplitude})
 
 
-def _in_equations(
-    fit: RigFit, balance: Balance, motion: Motion, body: str, column: Floats
-) -> Floats:
+def _in_equations(fit: RigFit, balance: Balance, body: str, column: Floats) -> Floats:
     """A torque on a body appears in the first equation, and in that of its own coordinate."""
     model = fit.model
     layout, plant = model.layout, model.plant()
@@ -151,15 +147,13 @@ def spots(tangent: Tangent, body: str) -> list[dict[str, float]]:
     return [shape for _, shape in sorted(found, key=lambda f: -f[0])]
 
 
-def orders(
-    tangent: Tangent, body: str, slide: bool, pushed: Sequence[Floats] | None = None
-) -> list[float]:
+def orders(tangent: Tangent, body: str, pushed: Sequence[Floats] | None = None) -> list[float]:
     """Orders at which the residual repeats with the angle, by FFT over the angle.
 
     `pushed` is what a constant amplitude changes of all equations, (equations, rows, 1) per log;
     by default of the first, everywhere alike. In the first, mesh torques cancel.
     """
-    balance = tangent.balance
+    balance, slide = tangent.balance, on_slide(tangent.fit.model, body)
     logs = [rows_of(tangent, k, body) for k in range(len(balance.motions))]
     if pushed is not None:
         weights = tangent.fit.likelihood.scales(tangent.fit.left) ** -2.0

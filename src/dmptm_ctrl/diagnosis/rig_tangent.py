@@ -7,16 +7,15 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.candidate import JOINED, Keys, Rows
 from dmptm_ctrl.diagnosis.select import joint_gain
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Nuisance
 from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, prior_rows
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import Placed
 
-Floats = NDArray[np.float64]
 LOOK = 6  # iterations of a fit whose meshes are held
 Parts = tuple[Floats, ...]  # (equations, rows, k) per log
 

@@ -18,13 +18,13 @@ from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
     Candidate,
     Evidence,
-    Floats,
     Keys,
     Rows,
     State,
     needed,
     overlap,
 )
+from dmptm_ctrl.simulate.model import Floats
 
 # Evidence per unit of log-odds between rivals: 2 where the likelihood is right; laws that are
 # only nearly right make it less sharp.

@@ -77,8 +77,8 @@ class Tables:
         (entry, knot) → standard error.
     gain, held_gain : float
         Fall of the loss on fitted and held-out logs.
-    beside, left : Residual
-        Without and with the tables in the model.
+    left : Residual
+        With the tables in the model.
     """
 
     variables: tuple[str, ...]
@@ -86,7 +86,6 @@ class Tables:
     errors: dict[tuple[str, str], float]
     gain: float
     held_gain: float
-    beside: Residual
     left: Residual
 
     @property
@@ -203,7 +202,7 @@ def described(
     rest = residual(left.measured, fitted.model, unknowns=left.base.unknowns, jobs=jobs)
     gain = left.base.loss - fitted.loss
     names = tuple(name for name in fitted.model.effects if name not in left.base.model.effects)
-    return Tables(tuple(variables), names, own, gain, held, left, rest)
+    return Tables(tuple(variables), names, own, gain, held, rest)
 
 
 def of_motors(left: Residual, shape: Mapping[str, float]) -> BalanceFit:

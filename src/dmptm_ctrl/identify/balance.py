@@ -318,7 +318,6 @@ def fit_balance(
     unknowns: Sequence[Unknown],
     *,
     jacobian: Floats | None = None,
-    worth: float = STALLED,
     freedom: float = FREEDOM,
 ) -> BalanceFit:
     """Fit unknowns by Gauss–Newton with weights that follow the misfit.
@@ -327,8 +326,6 @@ def fit_balance(
     ----------
     jacobian : (m, j) array, optional
         Of the first j unknowns, kept as it is (the drive's are nearly constant).
-    worth : float
-        Fall of the loss by the first step, below which there is no second.
     freedom : float
         Of Student's t; the larger, the more an outlier counts.
     """
@@ -347,7 +344,7 @@ def fit_balance(
         return np.hstack([kept, columns(balance, model, own, np.concatenate(parts))])
 
     jac, fresh = slopes(), True
-    for k in range(ITERATIONS):
+    for _ in range(ITERATIONS):
         e, p0 = np.concatenate(parts), p
         w = weights(parts, kinds, freedom)
         gain = 0.0
@@ -361,7 +358,7 @@ def fit_balance(
                 gain = value - cost
                 p, model, parts, value = trial, moved, tried, cost
                 break
-        stalled = gain < (worth if k == 0 else STALLED)
+        stalled = gain < STALLED
         if stalled and fresh:
             break
         if not own:
@@ -381,7 +378,7 @@ def covariance_of(rows: Floats, unknowns: Sequence[Unknown]) -> Floats:
 
 
 def settled_fit(
-    balance: Balance, model: Model, unknowns: Sequence[Unknown], jacobian: Floats | None = None
+    balance: Balance, model: Model, unknowns: Sequence[Unknown], jacobian: Floats
 ) -> BalanceFit:
     """Fit to the end, from here and from where outliers count in full; return the better.
 
@@ -389,8 +386,6 @@ def settled_fit(
     Both ways share slopes `jacobian` (m, k), which change little; the end is fitted with its
     own.
     """
-    if jacobian is None:
-        jacobian = columns(balance, model, unknowns, np.concatenate(balance.missing(model)))
     here = fit_balance(balance, model, unknowns, jacobian=jacobian)
     whole = fit_balance(balance, model, unknowns, jacobian=jacobian, freedom=GAUSSIAN)
     there = fit_balance(balance, whole.model, unknowns, jacobian=jacobian)

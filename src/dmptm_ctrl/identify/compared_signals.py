@@ -5,17 +5,15 @@ from functools import cache
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-Floats = NDArray[np.float64]
+from dmptm_ctrl.simulate.model import Floats
 
 NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
 ORDER = 4  # of the filter that leaves it out
-PERIODS = (
-    3.0  # of the bandwidth; a signal goes on so far beyond its ends, or the filter rings there
-)
+# of the bandwidth; a signal goes on so far beyond its ends, or the filter rings there
+PERIODS = 3.0
 
 
 def low_pass(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> Floats:

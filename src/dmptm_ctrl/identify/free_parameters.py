@@ -169,7 +169,8 @@ def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[
             if parameter.name == "place":
                 low, high = -inf, inf
             if parameter.name == "width":
-                high = WIDEST * turn_or_travel(scales, linear)  # wider, it is everywhere
+                # wider, it is everywhere
+                high = WIDEST * min(scales.position, inf if linear else 2 * np.pi)
             size = 0.3 * abs(value)
         else:
             # a gap and a bristle are tiny beside the travel
@@ -194,11 +195,6 @@ def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[
     if effect.name == SHAFT_COMPLIANCE.name and any(k.name == effect.on for k in model.rig.links):
         frees = [f for f in frees if f.name not in ("share", "far_viscous")]
     return frees
-
-
-def turn_or_travel(scales: Scales, linear: bool) -> float:
-    """Length over which places of a body are told apart [rad or m]."""
-    return scales.position if linear else min(scales.position, 2 * np.pi)
 
 
 def on_slide(model: RigModel, body: str) -> bool:

@@ -23,7 +23,6 @@ from dmptm_ctrl.identify.following import followed
 from dmptm_ctrl.identify.forces import forces_of
 from dmptm_ctrl.identify.measured_motion import (
     NONE,
-    Floats,
     Motion,
     Nuisance,
     Sight,
@@ -34,6 +33,7 @@ from dmptm_ctrl.identify.measured_motion import (
 from dmptm_ctrl.identify.reading_noise import spectrum
 from dmptm_ctrl.identify.teeth import missing, toothed
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
 

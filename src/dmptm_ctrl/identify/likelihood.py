@@ -67,14 +67,9 @@ class Likelihood:
         return LEAST_SCALE * scales_of(self.balance).force
 
     @cached_property
-    def moving(self) -> list[NDArray[np.bool_]]:
-        """Rows of each equation that count, (equations, rows) per log."""
-        return self.balance.counted
-
-    @cached_property
     def rows(self) -> Ints:
         """Number of rows of each equation that count, (equations,)."""
-        return np.asarray(sum(use.sum(axis=1) for use in self.moving), np.int64)
+        return np.asarray(sum(use.sum(axis=1) for use in self.balance.counted), np.int64)
 
     @cached_property
     def price(self) -> float:
@@ -87,14 +82,16 @@ class Likelihood:
     def parts(self, left: Sequence[Floats]) -> list[Floats]:
         """Rows that count, (rows[, k]) per equation."""
         return [
-            np.concatenate([part[e][use[e]] for part, use in zip(left, self.moving, strict=True)])
+            np.concatenate(
+                [part[e][use[e]] for part, use in zip(left, self.balance.counted, strict=True)]
+            )
             for e in range(left[0].shape[0])
         ]
 
     @cached_property
     def blocks(self) -> Ints:
         """Block of every row, in the order of `stack`: equal numbers of rows on end."""
-        whole = np.concatenate(self.moving, axis=1)
+        whole = np.concatenate(self.balance.counted, axis=1)
         count = max(int(self.rows[0]), 1)
         block = (np.cumsum(whole[0]) - whole[0]) * min(BLOCKS, count) // count
         return np.concatenate([block[use] for use in whole])

@@ -37,11 +37,6 @@ class Led:
         return max(1, round(BLOCK_SECONDS / self.rec.dt))
 
     @property
-    def seconds(self) -> float:
-        """Length of the log [s]."""
-        return self.rec.omega.size * self.rec.dt
-
-    @property
     def count(self) -> int:
         """Number of blocks."""
         return self.rec.omega.size // self.block
@@ -54,7 +49,7 @@ class Led:
         """Return the same of several models at once, (models, count)."""
         rec = self.rec
         runs = march_any(
-            [model.over(self.seconds) for model in models],
+            [model.over(rec.omega.size * rec.dt) for model in models],
             rec.u,
             rec.x0,
             rec.dt,

@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.observer import observer_gains, rigid_observer
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel

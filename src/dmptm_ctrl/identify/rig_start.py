@@ -53,7 +53,7 @@ def rough_start(model: RigModel, balance: Balance) -> RigModel:
     """Give every unknown quantity a value of the right order."""
     scales = scales_of(balance)
     values: dict[str, float] = {}
-    parts = max(len(model.rig.bodies), 1)
+    parts = len(model.rig.bodies)
     for key, quantity in model.quantities.items():
         if isfinite(model.values.get(key, quantity.value)):
             continue

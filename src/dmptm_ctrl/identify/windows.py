@@ -66,7 +66,8 @@ class Windowed:
     @property
     def seconds(self) -> float:
         """Length of each motion."""
-        return self.motions[0].seconds
+        rec = self.motions[0].rec
+        return float(rec.u.shape[1] * rec.dt)
 
     @cached_property
     def twisted(self) -> bool:

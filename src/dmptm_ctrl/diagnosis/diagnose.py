@@ -1,7 +1,7 @@
 """The diagnosis of the dual-motor drive: screen → sensors → balance → selection → budget."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 
 from dmptm_ctrl.contract import MOTOR_ENCODERS
@@ -32,13 +32,13 @@ from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.parallel import crew, small_matrices
-from dmptm_ctrl.signals import Log, LogError
+from dmptm_ctrl.signals import Campaign, LogError
 from dmptm_ctrl.simulate.model import Model
 
 
 @small_matrices
 def diagnose_dual(
-    logs: Iterable[Log], declared: Drive, jobs: int, seed: int, tell: Callable[[str], None]
+    logs: Campaign, declared: Drive, jobs: int, seed: int, tell: Callable[[str], None]
 ) -> Diagnosis:
     """Find what the declared model of a dual-motor drive lacks; see :func:`~.run.diagnose`.
 

@@ -97,7 +97,6 @@ def judge(
     best = final.left if tables is None else on_rows_of(final.left, tables.left)
     scale = Scale.of(best)
     before, after, floor = (mean_square(one, scale) for one in (first, final.left, best))
-    errors = Errors(before, after, min(floor, after))
     declared, augmented = fits
     fixed = tuple(base.left.base.model.effects)  # of the sensors
     logs = measured.held_logs
@@ -115,8 +114,10 @@ def judge(
             strict=True)
     )  # fmt: skip
     horizons["floor"] = min(shortly, *horizons.values())
-    errors = replace(
-        errors,
+    errors = Errors(
+        before,
+        after,
+        min(floor, after),
         runs=Squares(*(speed[name]["rmse"] ** 2 for name in names)),
         short=Squares(*(horizons[name] ** 2 for name in names)),
     )

@@ -14,9 +14,8 @@ from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.identify.forces import measured_motion, resting
 from dmptm_ctrl.identify.free_parameters import on_slide
-from dmptm_ctrl.identify.heavy_tails import robust_scale
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.likelihood import root_mean_square
+from dmptm_ctrl.identify.likelihood import size_of
 from dmptm_ctrl.identify.measured_motion import Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.simulate.along import stops_along
@@ -273,8 +272,7 @@ def curve_share(state: "RigState", found: Sequence[Curve]) -> float:
 def mean_square(left: Sequence[Floats], balance: Balance) -> float:
     """Mean square of the first equation over the rows that count."""
     rows = np.concatenate([p[0][m.moving] for p, m in zip(left, balance.motions, strict=True)])
-    size = robust_scale if balance.bursts[0] else root_mean_square  # as `Likelihood.sizes`
-    return size(rows) ** 2 if rows.size else 0.0
+    return size_of(rows, balance.bursts[0]) ** 2 if rows.size else 0.0
 
 
 def _fit(

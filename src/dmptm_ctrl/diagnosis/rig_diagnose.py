@@ -88,7 +88,7 @@ def diagnose_rig(
     say("fitting the declared model")
     model = RigModel(declared, closed=balance.closed)
     balance, evidence, base = _fitted(model, balance, right, jobs)
-    _, held_logs, roles, on = split(declared, balance)
+    _, held_logs, held_names, on = split(declared, balance)
     as_read = base
     if faults:
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth)
@@ -136,7 +136,7 @@ def diagnose_rig(
         on=on,
         provenance=provenance(
             loaded,
-            [name for name, role in roles.items() if role == "held-out"],
+            held_names,
             seed,
             time.perf_counter() - started,
         ),
@@ -237,29 +237,24 @@ def _as_read(rig: Rig, balance: Balance, base: RigState, jobs: int) -> RigState:
     return RigEvidence(logs, held, jobs).refit(base)
 
 
-def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, dict[str, str], str]:
-    """Part the logs into fitted and held-out ones.
+def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, Sequence[str], str]:
+    """Part the logs into fitted and held-out ones; and logs held out whole, and what is, in words.
 
     As the rig file says; else every third of many logs is held out, or three tenths of each
     of a few.
     """
-    names = balance.logs
+    names, held = balance.logs, list[str]()
     roles = rig.roles(names)
     if any(roles.values()):
         held = [n for n in names if roles[n] == "held-out"]
-        fit = [n for n in names if n not in held]
-        if not fit:
-            raise LogError("every log is under [data] held_out; leave one to fit")
-        if held:
-            final = {n: "held-out" if n in held else "fit" for n in names}
-            return balance.only(fit), balance.only(held), final, "held-out logs"
     elif len(names) >= MANY_LOGS:
         held = [*names[HOLD_EVERY - 1 :: HOLD_EVERY]]
-        fit = [n for n in names if n not in held]
-        final = {n: "held-out" if n in held else "fit" for n in names}
-        return balance.only(fit), balance.only(held), final, "held-out logs"
-    part = "held-out parts of every log"
-    return balance.part("fit"), balance.part("held-out"), dict.fromkeys(names, "fit"), part
+    if not held:
+        return balance.part("fit"), balance.part("held-out"), (), "held-out parts of every log"
+    fit = [n for n in names if n not in held]
+    if not fit:
+        raise LogError("every log is under [data] held_out; leave one to fit")
+    return balance.only(fit), balance.only(held), held, "held-out logs"
 
 
 def _long_enough(balance: Balance) -> tuple[Balance, tuple[str, ...]]:

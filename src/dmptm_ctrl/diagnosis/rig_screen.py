@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.screen import STRANGE, VAGUE
+from dmptm_ctrl.diagnosis.screen import LEAN, STRANGE, VAGUE
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.signals import Log, LogError
@@ -15,6 +15,7 @@ from dmptm_ctrl.signals.plausible import (
     MISTAKES,
     NAMED,
     SAME_UNIT,
+    lean,
     motion_ratio,
     refuse_factor,
     travelled,
@@ -23,7 +24,6 @@ from dmptm_ctrl.signals.plausible import SURE as SURE_PAIR
 from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.model import Floats
 
-LEAN = 0.3  # correlation of drive and speed that tells the sign of the motors' power
 SURE = 10.0  # standard errors of an inertia that contradicts its declaration
 KINEMATIC = 0.99  # correlation above which one position follows another through a soft link
 INVERSE = 0.25  # of a ratio's error in logarithms, below which its inverse fits far better
@@ -193,12 +193,6 @@ def generates(rig: Rig, log: Log) -> list[str]:
                 )
                 break
     return notes
-
-
-def lean(u: Floats, v: Floats) -> float:
-    """Return the cosine between two signals, 0 where one is zero."""
-    size = np.sqrt(float(u @ u) * float(v @ v))
-    return float(u @ v) / size if size > 0 else 0.0
 
 
 def refuse_reversed(rig: Rig, balance: Balance) -> str:

@@ -103,7 +103,7 @@ class Likelihood:
     def sizes(self, left: Sequence[Floats]) -> Floats:
         """What is left of each equation, (equations,): its rms, or its scale beside bursts."""
         parts = zip(self.parts(left), self.balance.bursts, strict=True)
-        return np.array([_size(part, heavy) if part.size else 1.0 for part, heavy in parts])
+        return np.array([size_of(part, heavy) if part.size else 1.0 for part, heavy in parts])
 
     def scales(self, left: Sequence[Floats]) -> Floats:
         """Scale of each equation, (equations,): its size, and what no law is known below."""
@@ -148,13 +148,9 @@ class Likelihood:
         return [2.0 * np.log(s) + (tails(x) if heavy else x) for x, s, heavy in squares]
 
 
-def _size(rows: Floats, heavy: bool) -> float:
-    return robust_scale(rows) if heavy else root_mean_square(rows)
-
-
-def root_mean_square(rows: Floats) -> float:
-    """Size of rows that are as likely as normal ones."""
-    return float(np.sqrt(np.mean(rows**2)))
+def size_of(rows: Floats, heavy: bool) -> float:
+    """Size of rows: their root mean square, or of heavy tails the scale."""
+    return robust_scale(rows) if heavy else float(np.sqrt(np.mean(rows**2)))
 
 
 def tails(squares: Floats) -> Floats:

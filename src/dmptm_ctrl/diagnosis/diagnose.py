@@ -60,9 +60,9 @@ def diagnose_dual(
         left = of_windows(selection.final.left)
         rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
         rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)
-        before = simulated(measured, base.left, declared, jobs)
+        before = rattled(measured.fit, base.left.base, declared, jobs)
         best = tables.left if tables else selection.final.left
-        after = simulated(measured, best, declared, jobs)
+        after = rattled(measured.fit, best.base, declared, jobs)
         judged = judge(measured, evidence, selection, (before, after), tables, rest, jobs)
         final = on_all_logs(measured, best, after, declared, jobs)
         effects = [
@@ -103,12 +103,6 @@ def diagnose_dual(
     )
 
 
-def simulated(measured: Measured, left: Residual, declared: Drive, jobs: int) -> Fit:
-    """Return a fit of the balances with the damping of the meshes, which only ringing shows."""
-    done = rattled(measured.fit, left.base, declared, jobs)
-    return Fit(done.model, done.unknowns, done.p, done.covariance)
-
-
 def on_all_logs(measured: Measured, left: Residual, after: Fit, declared: Drive, jobs: int) -> Fit:
     """Refit the selected model on all logs: its held-out error is known, now it predicts best."""
     everything = (*measured.fit, *(r for r in measured.held if r not in measured.fit))
@@ -118,5 +112,4 @@ def on_all_logs(measured: Measured, left: Residual, after: Fit, declared: Drive,
         done = predicting_fit(replace(balance, led=True), done)
     except LogError:  # no window may be left where the fitted model decides which pinions touch
         return after
-    done = rattled(everything, done, declared, jobs)
-    return Fit(done.model, done.unknowns, done.p, done.covariance)
+    return rattled(everything, done, declared, jobs)

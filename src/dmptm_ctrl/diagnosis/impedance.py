@@ -11,7 +11,6 @@ import numpy as np
 
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.simulate.linear import linear_train
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
@@ -43,7 +42,7 @@ def _level(whole: RigModel, balance: Balance, springs: tuple[Placed, ...]) -> fl
     train, layout = linear_train(model), model.layout
     w = _lines(balance)[:, None, None]
     torque = train.mass - train.stiffness / w**2 - 1j * train.damping / w
-    seen = sorted({*coordinates_of(layout, [p.name for p in balance.points])})
+    seen = sorted({*balance.seen(layout)})
     if 0 not in seen:  # the driven side follows from the other through the spring
         return float(-np.log(np.abs(np.linalg.inv(torque)[:, seen[0], 0])).mean())
     hidden = [k for k in range(layout.coordinates) if k not in seen]

@@ -20,7 +20,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import scatter
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, low_pass, noise_below
 from dmptm_ctrl.identify.fit import Fit, place
-from dmptm_ctrl.identify.heavy_tails import FREEDOM
+from dmptm_ctrl.identify.heavy_tails import bent
 from dmptm_ctrl.identify.observer_driven import BLOCK_SECONDS, MEMORY_SECONDS, Led
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
@@ -162,11 +162,7 @@ class Scale:
         """Scale of the model that leaves least."""
         parts, kinds = all_parts(left)
         sizes = scatter(parts, kinds)
-        weights = [
-            (FREEDOM + 1.0) / (FREEDOM + (part / s) ** 2)
-            for part, s in zip(parts, sizes, strict=True)
-        ]
-        return cls(sizes, weights)
+        return cls(sizes, [*map(bent, parts, sizes)])
 
 
 def all_parts(left: Residual) -> tuple[list[Floats], list[str]]:

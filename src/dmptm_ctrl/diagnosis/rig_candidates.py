@@ -26,7 +26,6 @@ from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
 from dmptm_ctrl.identify.forces import measured_motion
 from dmptm_ctrl.identify.free_parameters import ALL, absolute, on_slide, same_twist, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.identify.rig_fit import residuals
 from dmptm_ctrl.identify.rig_start import (
     ends_of,
@@ -238,8 +237,7 @@ def _shapes(tangent: Tangent, chain: PlacedEffect, body: str) -> list[dict[str, 
         return spots(tangent, body)
     banks = {p.name: p.bank for p in chain.keep if p.bank}
     if "time_constant" in banks:
-        longest = max(float(m.time[-1]) for m in motions)
-        return [{"time_constant": s * longest} for s in (0.1, 0.3, 1.0)]
+        return [{"time_constant": s * tangent.balance.longest} for s in (0.1, 0.3, 1.0)]
     if "speed" in banks:
         fastest = max(
             float(np.abs(motion_of(tangent.balance, m, model, body)[1]).max()) for m in motions
@@ -397,8 +395,7 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
     model, balance = tangent.fit.model, tangent.balance
     if any(e.name == SPRING for e in model.effects):
         return
-    duration = max(float(m.time[-1]) for m in balance.motions)
-    low = max(5.0 / duration, balance.bandwidth / 100.0)
+    low = max(5.0 / balance.longest, balance.bandwidth / 100.0)
     modes = 2 * np.pi * np.geomspace(low, balance.bandwidth, HIDDEN_MODES)
     for link in (k for k in model.rig.links if k.rigid):
         ends = ends_of(model, balance, link.name)
@@ -438,7 +435,7 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
     """Gaps in links that are not rigid."""
     model, balance = tangent.fit.model, tangent.balance
     declared = {k.name: k for k in model.rig.links}
-    seen = coordinates_of(model.layout, [p.name for p in balance.points])
+    seen = balance.seen(model.layout)
     for link in model.layout.links:
         if link in declared and is_known(declared[link].half_gap):
             continue

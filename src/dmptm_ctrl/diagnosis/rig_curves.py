@@ -302,10 +302,7 @@ def _fit(
             best = gain, used, values
     assert best is not None
     values, shift = free @ best[2], tangent.shift(table @ best[2])
-    moved = [
-        float(np.clip(fit.state.get(f) + f.scale * d, f.low, f.high))
-        for f, d in zip(fit.frees, shift, strict=True)
-    ]
+    moved = fit.state.after(fit.frees, shift)
     gains = []
     for balance, before, columns, start in (
         (fit.likelihood.balance, fit.left, own, fit.state),

@@ -263,8 +263,7 @@ def _long_enough(balance: Balance) -> tuple[Balance, tuple[str, ...]]:
     band = balance.bandwidth
     needs = f"{band:.3g} Hz of bandwidth need {FEWEST_ROWS / (2 * band):.3g} s"
     if not kept:
-        longest = max(float(m.time[-1]) for m in balance.motions)
-        raise LogError(f"logs are too short: {longest:.3g} s at most, where {needs}")
+        raise LogError(f"logs are too short: {balance.longest:.3g} s at most, where {needs}")
     short = [m for m in balance.motions if m.name not in kept]
     if not short:
         return balance, ()

@@ -249,9 +249,7 @@ class RigEvidence:
         fall -= held.surprise(larger.held_left[0], more)
         searched = sum(map(self._searched, larger.keys)) - sum(map(self._searched, smaller.keys))
         louder = 2.0 * float(likelihood.news.mean()) * (larger.loudness - smaller.loudness)
-        rows, held_rows = (
-            sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held)
-        )
+        rows, held_rows = self._rows
         return fitted - searched + rows * louder, fall + held_rows * louder
 
     def errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
@@ -266,16 +264,21 @@ class RigEvidence:
             of(self.held, smaller.held_left[0], larger.held_left[0]),
         )
 
+    @property
+    def _rows(self) -> tuple[int, int]:
+        """Rows of the fitted and of the held-out logs that count."""
+        fitted, held = (sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held))
+        return fitted, held
+
     def _searched(self, key: str) -> float:
         """Evidence that the best of all starts finds where there is none: 2 log of their number."""
         name = name_of(key)
-        seconds = max(float(m.time[-1]) for m in self.logs.motions)
         starts = {"orders": MAX_ORDER, "places": SPOT_BINS,
-                  "frequencies": max(int(seconds * self.logs.bandwidth), 1)}  # fmt: skip
+                  "frequencies": max(int(self.logs.longest * self.logs.bandwidth), 1)}  # fmt: skip
         return 2.0 * float(np.log(starts.get(PLACED_CATALOGUE[name].effect.search, 1)))
 
     def ratio(self, state: RigState) -> float:
-        fitted, held = (sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held))
+        fitted, held = self._rows
         return fitted / max(held, 1)
 
     def columns(self, state: RigState, candidate: Candidate) -> Floats:
@@ -310,7 +313,7 @@ class RigEvidence:
         return self.refit(replace(state, fit=replace(state.fit, likelihood=like)))
 
     def without(self, state: RigState, key: str) -> RigState:
-        gone = {*members(key), *standing_on(state.fit, key)}
+        gone = with_standing_on(state.fit, key)
         model = state.fit.model.without(gone)
         logs = {
             log: Nuisance(
@@ -336,7 +339,7 @@ class RigEvidence:
         return objection(key, state.fit, without.fit)
 
     def share(self, without: RigState, state: RigState, key: str) -> Floats:
-        gone = {*members(key), *standing_on(state.fit, key)}
+        gone = with_standing_on(state.fit, key)
         bare, _ = residuals(State(state.fit.model.without(gone), state.fit.state.logs), self.logs)
         change = [b - e for b, e in zip(bare, state.fit.left, strict=True)]
         return without.tangent.project(without.tangent.stack(change))
@@ -417,14 +420,14 @@ def independent(state: RigState) -> Floats:
     return np.array(found)
 
 
-def standing_on(fit: RigFit, key: str) -> set[str]:
-    """Effects that sit on a body or link that another effect makes."""
+def with_standing_on(fit: RigFit, key: str) -> set[str]:
+    """Keys of an effect at each of its places, and of those on a body or link that it makes."""
     if name_of(key) != SHAFT_COMPLIANCE.name:
-        return set()
+        return {*members(key)}
     rig, layout = fit.model.rig, fit.model.layout
     own = {b.name for b in rig.bodies} | {k.name for k in rig.links if not k.rigid}
     made = (set(layout.bodies) | set(layout.links)) - own
-    return {e.key for e in fit.model.effects if e.key != key and e.on in made}
+    return {*members(key), *(e.key for e in fit.model.effects if e.on in made)}
 
 
 def held_state(fit: RigFit, held: Balance) -> State:

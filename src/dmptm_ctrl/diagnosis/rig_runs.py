@@ -147,11 +147,7 @@ class Runs:
         """
         twins = []
         for steps in twin_steps(fit.covariance):
-            moved = [
-                float(np.clip(fit.state.get(f) + f.scale * step, f.low, f.high))
-                for f, step in zip(fit.frees, steps, strict=True)
-            ]
-            runs = self.run(after.moved(fit.frees, moved))
+            runs = self.run(after.moved(fit.frees, fit.state.after(fit.frees, steps)))
             if runs is not None:
                 joined = zip(runs, self.held, strict=True)
                 twins.append(np.concatenate([run[use] for run, use in joined]))

@@ -9,7 +9,7 @@ from dmptm_ctrl.diagnosis.rig_tangent import Tangent
 from dmptm_ctrl.identify.forces import measured_motion
 from dmptm_ctrl.identify.free_parameters import on_slide, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import Motion, coordinates_of
+from dmptm_ctrl.identify.measured_motion import Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.identify.teeth import carried, in_twist, put_through
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
@@ -103,7 +103,7 @@ def _in_equations(fit: RigFit, balance: Balance, body: str, column: Floats) -> F
     for name, k in balance.teeth.items():
         stiffness = model.value(f"link.{name}.stiffness")
         out[k] = in_twist(model, name, 0.0, 0.0, through[name], stiffness)
-    seen = coordinates_of(layout, [p.name for p in balance.points])
+    seen = balance.seen(layout)
     for k, g in enumerate(seen):
         if k > 0 and g not in seen[:k] and k not in balance.teeth.values():
             out[k] = left[g] * balance.heft / (reach[g] * plant.inertia[g])
@@ -178,9 +178,8 @@ def orders(tangent: Tangent, body: str, pushed: Sequence[Floats] | None = None) 
         seen = np.searchsorted(np.sort(np.abs(speed)), fastest) / max(speed.size, 1)
         power += np.abs(np.fft.rfft(sums)) ** 2 / (np.maximum(seen, 0.05) * max(speed.size, 1))
         slow = min(slow, float(np.median(np.abs(speed))) if speed.size else slow)
-    lowest = LEAST_PERIODS * 2 * np.pi / span if slide else max(
-        LEAST_PERIODS * 2 * np.pi / span, 2.0
-    )  # fmt: skip
+    lowest = LEAST_PERIODS * 2 * np.pi / span
+    lowest = lowest if slide else max(lowest, 2.0)
     highest = counts[-1] / 2 if slide else MAX_ORDER
     highest = min(highest, 4 * np.pi * balance.bandwidth / max(slow, 1e-9))
     peak = np.zeros(power.size, bool)
@@ -200,6 +199,6 @@ def frequencies(tangent: Tangent) -> list[float]:
             continue
         f = np.fft.rfftfreq(size, motion.dt * motion.step)
         total += np.interp(grid, f, np.abs(np.fft.rfft(left[0] * motion.moving, size)) ** 2)
-    longest = max(float(m.time[-1]) for m in motions)
+    longest = tangent.balance.longest
     top = float(grid[int(np.argmax(total))])
     return [max(top + d / longest, 0.1 / longest) for d in (-0.4, -0.2, 0.0, 0.2, 0.4)]

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -80,11 +79,8 @@ class Tangent:
     def beside_declared_meshes(self) -> "Tangent":
         """The same of a fit whose meshes are as declared: errors of teeth bend them."""
         model = self.fit.model
-        meshes = [f"link.{k.name}." for k in model.rig.links if k.mesh and not k.rigid]
-        known = {
-            key: q.value for key, q in model.quantities.items()
-            if isfinite(q.value) and any(map(key.startswith, meshes))
-        }  # fmt: skip
+        meshes = tuple(f"link.{k.name}." for k in model.rig.links if k.mesh and not k.rigid)
+        known = model.declared(lambda key: key.startswith(meshes))
         state = replace(self.fit.state, model=model.with_values(known))
         rest = [f for f in self.fit.frees if f.label not in known]
         like = self.fit.likelihood
@@ -149,12 +145,7 @@ class Tangent:
     @cached_property
     def room(self) -> tuple[Floats, Floats]:
         """How far the fitted numbers may still move, down and up, in scales."""
-        ends = [
-            ((f.low - self.fit.state.get(f)) / f.scale, (f.high - self.fit.state.get(f)) / f.scale)
-            for f in self.fit.frees
-        ]
-        low, high = np.array(ends).reshape(-1, 2).T
-        return low, high
+        return self.fit.state.room(self.fit.frees)
 
     def bounded_gain(self, parts: Sequence[Floats]) -> float:
         """Fall of −2 log-likelihood to first order, the fitted numbers in their ranges."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.compared_signals import correlation_length
-from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position, secant
+from dmptm_ctrl.identify.fit import Fit, Unknown, bounded_step, place, position, secant
 from dmptm_ctrl.identify.heavy_tails import FREEDOM, robust_scale
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
 from dmptm_ctrl.identify.observer_driven import Led
@@ -188,7 +188,7 @@ def scatter(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREE
 
 
 @dataclass(frozen=True, eq=False)
-class BalanceFit:
+class BalanceFit(Fit):
     """Parameters that close the balances best.
 
     Attributes
@@ -201,17 +201,12 @@ class BalanceFit:
         Of each part.
     jacobian : (m, k) array
         d missing/dp, unweighted.
-    covariance : (k, k) array
     """
 
-    model: Model
-    unknowns: tuple[Unknown, ...]
-    p: Floats
     loss: float
     parts: list[Floats]
     kinds: list[str]
     jacobian: Floats
-    covariance: Floats
 
     @property
     def missing(self) -> Floats:
@@ -368,7 +363,7 @@ def fit_balance(
         else:
             jac, fresh = secant(jac, np.concatenate(parts) - e, p - p0), False
     covariance = covariance_of(weights(parts, kinds)[:, None] * jac, unknowns)
-    return BalanceFit(model, unknowns, p, value, parts, kinds, jac, covariance)
+    return BalanceFit(model, unknowns, p, covariance, value, parts, kinds, jac)
 
 
 def covariance_of(rows: Floats, unknowns: Sequence[Unknown]) -> Floats:

@@ -10,7 +10,6 @@ from dmptm_ctrl.effects.drive_offset import DRIVE_OFFSET
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.fit import PRIOR_SHARE
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
@@ -206,7 +205,7 @@ def log_parameters(model: RigModel, balance: Balance, log: str, reference: str) 
     """Return what belongs to one log; phases are counted from those of the reference log."""
     frees = []
     layout = model.layout
-    seen = coordinates_of(layout, [p.name for p in balance.points])
+    seen = balance.seen(layout)
     for k, link in enumerate(layout.links):
         ends = [layout.bodies[i] for i in model.plant().link_body[k]]
         if not all(layout.coordinate[b] in seen for b in ends):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.identify.free_parameters import scales_of
-from dmptm_ctrl.identify.heavy_tails import FREEDOM, robust_scale
+from dmptm_ctrl.identify.heavy_tails import bent, robust_scale, tails
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.reading_noise import noise_in_balance
 from dmptm_ctrl.simulate.model import Floats
@@ -114,8 +114,8 @@ class Likelihood:
         found, heavy = [], self.balance.bursts
         rows = zip(self.news, self.scales(left), self.parts(left), heavy, strict=True)
         for news, scale, part, tailed in rows:
-            bent = (FREEDOM + 1.0) / (FREEDOM + (part / scale) ** 2) if tailed else 1.0
-            found.append(np.sqrt(news * bent * np.ones(len(part))) / scale)
+            count = bent(part, scale) if tailed else np.ones(len(part))
+            found.append(np.sqrt(news * count) / scale)
         return np.concatenate(found)
 
     def surprise(self, left: Sequence[Floats], model: RigModel) -> float:
@@ -151,8 +151,3 @@ class Likelihood:
 def size_of(rows: Floats, heavy: bool) -> float:
     """Size of rows: their root mean square, or of heavy tails the scale."""
     return robust_scale(rows) if heavy else float(np.sqrt(np.mean(rows**2)))
-
-
-def tails(squares: Floats) -> Floats:
-    """−2 log of Student's t at squares over the scale's, without its constant."""
-    return np.asarray((FREEDOM + 1.0) * np.log1p(squares / FREEDOM))

@@ -96,8 +96,7 @@ def springs_of(
 
     A gap that is not in the model makes a spring look soft, and inertias wrong.
     """
-    declared = {k: q.value for k, q in model.quantities.items() if k.endswith(".inertia")}
-    known = {k: v for k, v in declared.items() if isfinite(v)}
+    known = model.declared(lambda key: key.endswith(".inertia"))
     model = model.with_values(known)
     _, far_ratio = link_sides(model, link)
     far = sum(r**2 * model.value(f"body.{b}.inertia") for b, r in far_ratio.items())

@@ -27,7 +27,7 @@ EMPS_GAIN = 35.15065  # N/V, gtau in the files
 
 
 def diagnosed(name):
-    return diagnose_rig(REAL / name, RIGS / f"{name}.toml")
+    return diagnose_rig(REAL / name, load_rig(RIGS / f"{name}.toml"))
 
 
 def names(diagnosis):

@@ -138,9 +138,9 @@ def predict(
 def _predict_rig(model: RigModel, log: Log) -> pd.DataFrame:
     run = rig_free_run(model.shifted(model.zeros.get(log.name, {})), log)
     columns = {"time_s": log.time}
-    for name, values in readings(model, log, run).items():
-        sensor = next(s for s in model.rig.sensors if s.name == name)
-        columns[sensor.column] = values / (parse_unit(sensor.unit).factor * sensor.sign)
+    seen = readings(model, log, run)
+    for sensor in model.rig.sensors:
+        columns[sensor.column] = seen[sensor.name] / (parse_unit(sensor.unit).factor * sensor.sign)
     for body in model.rig.bodies:
         unit = body.angle_unit
         columns.setdefault(f"{body.name}_position_{unit}", run.position(body.name))

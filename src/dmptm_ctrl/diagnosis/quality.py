@@ -23,25 +23,33 @@ TAILS = (0.5, 99.5)  # percentiles of the variable; what lies beyond has too few
 MIN_NEWS = 3.0  # independent samples that a bin's mean and spread need
 
 
-def correlations(overlays: Sequence[Overlay], which: str) -> tuple[Correlation, Correlation] | None:
-    """Correlate the residual of held-out logs, "before" or "after", with itself and the mean input.
+def correlations(overlays: Sequence[Overlay]) -> list[tuple[str, Correlation, Correlation]]:
+    """Correlate residuals of held-out logs: what with, before and after.
 
-    Positive lags are residuals after the input. None where the logs are shorter than the lags.
+    With themselves and with the mean input: positive lags are residuals after the input. None
+    where the logs are shorter than the lags.
     """
-    left, inputs, step = [], [], 1.0
+    before: list[Floats] = []
+    after: list[Floats] = []
+    inputs, step = [], 1.0
     for overlay in overlays:
         dt = float(overlay.time[1] - overlay.time[0])
         # Below 30 Hz two samples 1/60 s apart are the closest that can be independent.
         every = max(1, round(1.0 / (2.0 * BANDWIDTH_HZ * dt)))
         step = every * dt
         for part in overlay.stretches():
-            miss = overlay.measured[part] - getattr(overlay, which)[part]
-            left.append(miss[::every])
+            before.append((overlay.measured[part] - overlay.before[part])[::every])
+            after.append((overlay.measured[part] - overlay.after[part])[::every])
             inputs.append(overlay.push[part][::every])
     lags = round(LAG_SECONDS / step)
-    if not any(s.size > 2 * lags for s in left):
-        return None
-    return autocorrelation(left, lags, step), cross_correlation(left, inputs, lags, step)
+    if not any(s.size > 2 * lags for s in inputs):
+        return []
+    own = [autocorrelation(left, lags, step) for left in (before, after)]
+    crossed = [cross_correlation(left, inputs, lags, step) for left in (before, after)]
+    return [
+        ("residual with itself", own[0], own[1]),
+        ("residual with the input", crossed[0], crossed[1]),
+    ]
 
 
 def autocorrelation(signals: Sequence[Floats], lags: int, step: float) -> Correlation:

@@ -36,7 +36,6 @@ from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rig import Rig, is_known
-from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, STRETCHES
@@ -58,21 +57,20 @@ SAMPLES = 150_000  # of the balance; fits cost as much, and pieces of long logs 
 @small_matrices
 def diagnose_rig(
     logs: str | PathLike[str] | Iterable[str | PathLike[str] | Log],
-    rig: Rig | str | PathLike[str],
+    declared: Rig,
     *,
     seed: int = 0,
     jobs: int = 2,
-    tell: Callable[[str], None] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Find what the declared model of a rig lacks; see :func:`~.run.diagnose`."""
-    started, say = time.perf_counter(), tell or (lambda _: None)
-    declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
+    started = time.perf_counter()
     _refuse_floating(declared)
     left_out: list[str] = []
     read = declared.read(logs, max_rows=READ_ROWS, told=left_out)
     loaded, warnings = screen_rig(declared, read)
     warnings = (*left_out, *warnings)
-    say("comparing the sensors")
+    tell("comparing the sensors")
     faults = sensor_faults(declared, loaded)
     right = [put_right(declared, log, faults) for log in loaded]
     balance, short = _long_enough(balance_of(declared, right))
@@ -85,7 +83,7 @@ def diagnose_rig(
         if all(link.rigid for link in declared.links):
             raise LogError(strange)
         warnings = (*warnings, strange)  # a resonance may look like that
-    say("fitting the declared model")
+    tell("fitting the declared model")
     model = RigModel(declared, closed=balance.closed)
     balance, evidence, base = _fitted(model, balance, right, jobs)
     _, held_logs, held_names, on = split(declared, balance)
@@ -103,11 +101,11 @@ def diagnose_rig(
         more = rise(without, final)
         return inf if more < NEGLIGIBLE and told(without, final) else more
 
-    selection = without_negligible(evidence, select_effects(evidence, base, say), grows)
+    selection = without_negligible(evidence, select_effects(evidence, base, tell), grows)
     selection = without_negligible(evidence, selection, helps)
     if not selection.entries:  # what was found on the way and went may have left another fit
         selection = replace(selection, final=base)
-    say("fitting to short predictions")
+    tell("fitting to short predictions")
     tells = told(base, selection.final)
     selection = replace(
         selection,
@@ -116,7 +114,7 @@ def diagnose_rig(
         entries=[replace(e, without=ahead(e.without)) for e in selection.entries],
     )
     as_read = as_read if faults else selection.base
-    say("looking for curves in what is left")
+    tell("looking for curves in what is left")
     found = curves(selection.final)
     at_floor = within_floor(selection, predicted(selection.final, found))
     plain = better_without_names(selection) if selection.entries else []

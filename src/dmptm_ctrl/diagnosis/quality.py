@@ -24,10 +24,10 @@ MIN_NEWS = 3.0  # independent samples that a bin's mean and spread need
 
 
 def correlations(overlays: Sequence[Overlay]) -> list[tuple[str, Correlation, Correlation]]:
-    """Correlate residuals of held-out logs: what with, before and after.
+    """Correlate residuals of held-out logs: each with its title, before and after.
 
-    With themselves and with the mean input: positive lags are residuals after the input. None
-    where the logs are shorter than the lags.
+    With themselves and with the mean input: positive lags are residuals after the input. There are
+    none where the logs are shorter than the lags.
     """
     before: list[Floats] = []
     after: list[Floats] = []

@@ -236,10 +236,10 @@ def _as_read(rig: Rig, balance: Balance, base: RigState, jobs: int) -> RigState:
 
 
 def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, Sequence[str], str]:
-    """Part the logs into fitted and held-out ones; and logs held out whole, and what is, in words.
+    """Part the logs into fitted and held-out ones.
 
     As the rig file says; else every third of many logs is held out, or three tenths of each
-    of a few.
+    of a few. Then the names of logs that are held out whole, and in words what is held out.
     """
     names, held = balance.logs, list[str]()
     roles = rig.roles(names)

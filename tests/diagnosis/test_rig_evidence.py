@@ -107,7 +107,7 @@ def test_an_effect_is_taken_out_again_at_the_cost_of_putting_it_in(rubbing):
     state = evidence.adopt(base, friction)
     back = evidence.without(state, "coulomb_friction@motor")
     assert back.keys == ()
-    assert back.loss == pytest.approx(base.loss, abs=1.0)
+    assert back.fit.loss == pytest.approx(base.fit.loss, abs=1.0)
     # to second order, the square in standard errors is the evidence; no block is far from normal
     assert evidence.wald(state, "coulomb_friction@motor") > LEVEL
     assert state.fit.errors["coulomb_friction@motor.level"] < 1e-3

@@ -89,11 +89,11 @@ def test_balances_alone_keep_what_they_do_not_see():
         model,
         left.base.unknowns,
         left.base.p,
+        left.base.covariance,
         left.base.loss,
         left.balance.missing(model),
         left.balance.kinds,
         left.base.jacobian,
-        left.base.covariance,
     )
     back = of_windows(left)
     assert not back.balance.led

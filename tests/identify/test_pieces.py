@@ -84,10 +84,10 @@ def test_pieces_keep_rows_enough(whole, most):
 
 def test_held_out_pieces_are_whole_tenths():
     balance = balance_of(RIG, [moved(120.0)]).at_most(20_000)
-    fitted, held, roles, on = split(RIG, balance)
+    fitted, held, names, on = split(RIG, balance)
     assert {m.tenth for m in held.motions} == {*HELD_STRETCHES}
     assert {m.tenth for m in fitted.motions} == {*range(10)} - {*HELD_STRETCHES}
-    assert roles == {"long": "fit"}
+    assert not names
     assert on == "held-out parts of every log"
     log = moved(120.0)
     runs = Runs.none_yet(RIG, [log], held, 1)

@@ -124,7 +124,7 @@ def test_logs_without_noise_or_without_calm_tell_nothing_wrong():
     speed = 0.2 * np.ones(n)
     angle = 0.2 * DT * np.arange(n)
     twist = 1.1 * model.drive["gap_l"] * np.ones((n, 2))
-    still = np.zeros((2, n)), angle, speed, twist, np.zeros(6), 1, DT * np.arange(n)
+    still = np.zeros((2, n)), angle, speed, twist, np.zeros(6), DT * np.arange(n)
     rec = Record("still", DT, *still)
     ripple = Ripple(motion(rec, model))
     assert ripple.tells

@@ -27,7 +27,7 @@ EMPS_GAIN = 35.15065  # N/V, gtau in the files
 
 
 def diagnosed(name):
-    return diagnose_rig(REAL / name, RIGS / f"{name}.toml")
+    return diagnose_rig(REAL / name, load_rig(RIGS / f"{name}.toml"))
 
 
 def names(diagnosis):
@@ -137,7 +137,7 @@ def test_coupling_is_found_in_what_was_declared_as_one_inertia():
     chosen = best_of(able, evidence.ratio(base))
     assert chosen.keys == ("shaft_compliance@bench",)
     fit = evidence.adopt(base, chosen).fit
-    p = effect_parameters(fit.model.effects[0], fit, fit.errors)
+    p = effect_parameters(fit.model.effects[0], fit)
     assert p["antiresonance_hz"]["value"] == pytest.approx(53, rel=0.02)
     assert p["resonance_hz"]["value"] == pytest.approx(77, rel=0.02)
 

@@ -91,5 +91,5 @@ def test_an_unknown_that_follows_others():
     follows = np.linalg.solve(covariance[np.ix_(rest, rest)], covariance[rest, 2])
     np.testing.assert_allclose(follows, slopes[rest], atol=1e-12)
     np.testing.assert_allclose(covariance[2, 2] - follows @ covariance[rest, 2], 0.3)
-    tie(covariance, 2)
+    tie(covariance, 2, np.zeros(4), covariance[2, 2])
     assert not covariance[2, rest].any()

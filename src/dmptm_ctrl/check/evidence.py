@@ -94,8 +94,7 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
         weight[:, None] * slopes,
         tuple(
             Parameter(
-                k.name if k.effect is None else f"{k.effect}.{k.name}",
-                _unit(model, k), k.of(model), k.scale, float(k.prior), _shows(k, records),
+                k.label, _unit(model, k), k.of(model), k.scale, float(k.prior), _shows(k, records),
             )
             for k in unknowns
         ),

@@ -113,12 +113,7 @@ class Row:
 def verdict_of(errors: Errors, material: bool, curve: bool) -> str:
     """Return "none", "explained" or "unknown".
 
-    Parameters
-    ----------
-    material : bool
-        Whether any named effect is material.
-    curve : bool
-        Whether a curve without a name is needed.
+    By whether any named effect is material, and whether a curve without a name is needed.
     """
     if not material and errors.within_floor:
         return "none" if not curve else "unknown"
@@ -166,10 +161,7 @@ def closed_rows(
 def table_lines(rows: Sequence[Row], units: tuple[str, str]) -> list[str]:
     """Return the budget as lines of text.
 
-    Parameters
-    ----------
-    units : (speed, torque)
-        Empty where the drive has no such column.
+    Units are those of (speed, torque), empty where the drive has no such column.
     """
     wide = max(len(f"{r.name} @ {r.location}".rstrip(" @")) for r in rows)
     speed, torque = units

@@ -75,7 +75,7 @@ def bursts(left: Residual) -> Bursts:
     variables = ["time"] if period > 0.0 else []
     table = np.concatenate(values, axis=1)
     names = ("theta_L", "omega_L", "u", "du_dt", "theta_m", "time")
-    variables += telling(names, table, flag, 1)
+    variables.append(names[np.argsort([information(x, flag) for x in table])[-1]])
     return Bursts(share, tuple(dict.fromkeys(variables)), period)
 
 
@@ -104,12 +104,6 @@ def interval(times: Sequence[Floats]) -> float:
     whole = PERIODS[longest[np.argmax(regular[longest])]]
     near = whole * (1.0 + np.linspace(-FINE, FINE, FINER))
     return float(near[np.argmax(order(near))])
-
-
-def telling(names: Sequence[str], table: Floats, flag: np.ndarray, most: int) -> list[str]:
-    """Names of the rows of a table that tell most of a flag, the best first."""
-    told = [information(x, flag) for x in table]
-    return [names[i] for i in np.argsort(told)[::-1][:most]]
 
 
 def information(x: Floats, flag: np.ndarray) -> float:

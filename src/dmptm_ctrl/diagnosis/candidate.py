@@ -6,11 +6,11 @@ from math import hypot
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
+from dmptm_ctrl.simulate.model import Floats
+
 JOINED = " + "  # of places that have an effect together
-Floats = NDArray[np.float64]
 Keys = tuple[str, ...]  # name@place of effects
 
 # Evidence from which an effect is accepted: above what any absent effect reaches on drives that

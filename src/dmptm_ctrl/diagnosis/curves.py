@@ -126,20 +126,9 @@ def round_hats(angle: Floats, count: int) -> Floats:
     return rows
 
 
-def direction(mo: Motion) -> Floats:
-    """Sign of the ring gear's speed."""
-    return np.asarray(np.sign(mo.run[:, 1]))
-
-
 def signed(rows: Floats, mo: Motion) -> Floats:
     """Rows as they are, and times the direction of motion."""
-    return np.vstack([rows, rows * direction(mo)])
-
-
-def faded(signal: Floats, tau: float, dt: float) -> Floats:
-    """First-order memory of a signal."""
-    a = np.exp(-dt / tau)
-    return np.asarray(lfilter([1.0 - a], [1.0, -a], signal))
+    return np.vstack([rows, rows * np.sign(mo.run[:, 1])])
 
 
 def delayed(signal: Floats, n: int) -> Floats:
@@ -199,7 +188,8 @@ def bases(mo: Motion, s: Scale) -> Iterator[Basis]:
     lapse = hats(t, np.linspace(0.0, s.time, 20))
     yield Basis(("time",), *ring(signed(lapse, mo)))
     yield Basis(("time", "u"), *pinions(lapse * u[0], lapse * u[1]))
-    heat = np.array([faded(np.abs(omega), tau, dt) for tau in MEMORIES])
+    keep = [np.exp(-dt / tau) for tau in MEMORIES]  # of what was, from sample to sample
+    heat = np.array([lfilter([1.0 - a], [1.0, -a], np.abs(omega)) for a in keep])
     yield Basis(("omega_L", "time"), *ring(signed(heat, mo)[3:]))
     past = np.array([delayed(omega, round(lag / dt)) - omega for lag in LAGS])
     yield Basis(("omega_L",), *ring(past))

@@ -1,7 +1,7 @@
 """The diagnosis of the dual-motor drive: screen → sensors → balance → selection → budget."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 
 from dmptm_ctrl.contract import MOTOR_ENCODERS
@@ -10,7 +10,6 @@ from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState
 from dmptm_ctrl.diagnosis.dual_report import (
     DualSource,
     declared_dict,
-    labels,
     named,
     ranking,
     unnamed,
@@ -33,13 +32,13 @@ from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit
 from dmptm_ctrl.parallel import crew, small_matrices
-from dmptm_ctrl.signals import Log, LogError
+from dmptm_ctrl.signals import Campaign, LogError
 from dmptm_ctrl.simulate.model import Model
 
 
 @small_matrices
 def diagnose_dual(
-    logs: Iterable[Log], declared: Drive, jobs: int, seed: int, tell: Callable[[str], None]
+    logs: Campaign, declared: Drive, jobs: int, seed: int, tell: Callable[[str], None]
 ) -> Diagnosis:
     """Find what the declared model of a dual-motor drive lacks; see :func:`~.run.diagnose`.
 
@@ -61,9 +60,9 @@ def diagnose_dual(
         left = of_windows(selection.final.left)
         rest = unexplained(base.left, left, sum(e.evidence for e in selection.entries))
         rest, tables = in_tables(left, rest, jobs) if rest is not None else (None, None)
-        before = simulated(measured, base.left, declared, jobs)
+        before = rattled(measured.fit, base.left.base, declared, jobs)
         best = tables.left if tables else selection.final.left
-        after = simulated(measured, best, declared, jobs)
+        after = rattled(measured.fit, best.base, declared, jobs)
         judged = judge(measured, evidence, selection, (before, after), tables, rest, jobs)
         final = on_all_logs(measured, best, after, declared, jobs)
         effects = [
@@ -95,19 +94,13 @@ def diagnose_dual(
         declared_values=declared_dict(final, declared),
         selection=selection,
         source=DualSource(measured, selection, (before, after), final.model),
-        correlations=correlated(labels(final), final.covariance),
+        correlations=correlated([k.label for k in final.unknowns], final.covariance),
         provenance=provenance(
             measured.logs, [rec.name for rec in measured.held], seed, time.perf_counter() - start
         ),
         warnings=tuple(dict.fromkeys((*notes, *measured.warnings))),
         experiment=experiment,
     )
-
-
-def simulated(measured: Measured, left: Residual, declared: Drive, jobs: int) -> Fit:
-    """Return a fit of the balances with the damping of the meshes, which only ringing shows."""
-    done = rattled(measured.fit, left.base, declared, jobs)
-    return Fit(done.model, done.unknowns, done.p, done.covariance)
 
 
 def on_all_logs(measured: Measured, left: Residual, after: Fit, declared: Drive, jobs: int) -> Fit:
@@ -119,5 +112,4 @@ def on_all_logs(measured: Measured, left: Residual, after: Fit, declared: Drive,
         done = predicting_fit(replace(balance, led=True), done)
     except LogError:  # no window may be left where the fitted model decides which pinions touch
         return after
-    done = rattled(everything, done, declared, jobs)
-    return Fit(done.model, done.unknowns, done.p, done.covariance)
+    return rattled(everything, done, declared, jobs)

@@ -11,7 +11,6 @@ from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
     NO_DIFFERENCE,
     Candidate,
-    Floats,
     Keys,
     Rows,
     differ,
@@ -31,6 +30,7 @@ from dmptm_ctrl.identify.balance import (
     surprises,
 )
 from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.simulate.model import Floats
 
 
 class Told(NamedTuple):
@@ -129,13 +129,7 @@ class DualState:
 class DualEvidence:
     """Torque balances of the logs of one dual-motor drive.
 
-    Parameters
-    ----------
-    measured : Measured
-    skip : sequence of str
-        Effects that the sensors have settled already.
-    jobs : int
-        Threads; nothing depends on it.
+    The sensors have settled the effects in `skip` already; nothing depends on `jobs`.
     """
 
     measured: Measured
@@ -143,7 +137,6 @@ class DualEvidence:
     jobs: int = 2
 
     def candidates(self, state: DualState, only: Sequence[str] | None = None) -> list[Candidate]:
-        """Fit every effect that balances can show beside a model."""
         names = None if only is None else [name_of(key) for key in only]
         # beside the declared model all are fitted: the report says what each could have been
         least = LEVEL / 2.0 if state.keys and only is None else 0.0
@@ -171,7 +164,6 @@ class DualEvidence:
         return replace(one, gain=gain, held_gain=held, error=error, held_error=held_error)
 
     def beside(self, state: DualState, candidate: Candidate) -> DualState:
-        """Return the model with a candidate, as it was fitted."""
         left = replace(state.left, base=candidate.fitted[0].fit)
         return DualState(left, (*state.keys, *candidate.keys))
 
@@ -185,31 +177,26 @@ class DualEvidence:
         return fall(smaller.fitted, larger.fitted) - more, fall(smaller.held, larger.held)
 
     def errors(self, smaller: DualState, larger: DualState) -> tuple[float, float]:
-        """Standard errors of the falls on both parts of the logs."""
         return (
             standard_error(smaller.rows, larger.rows, larger.fitted.lengths),
             standard_error(smaller.held_rows, larger.held_rows, larger.held.lengths),
         )
 
     def ratio(self, state: DualState) -> float:
-        """Windows of the fitted logs over those of the held-out ones."""
         counts = (sum(int(e.used.sum()) for e in b.equations) for b in (
             state.left.balance, state.left.held))  # fmt: skip
         fitted, held = counts
         return fitted / max(held, 1)
 
     def columns(self, state: DualState, candidate: Candidate) -> Floats:
-        """Weighted change of the residual per amplitude, projected, (m, k)."""
         return state.independent(state.trace.project(_columns(state.trace, candidate)))
 
     def rows(self, state: DualState, candidates: Sequence[Candidate]) -> Rows:
-        """Return the model and candidates to first order, every window by its weight."""
         view = state.trace
         columns = {c.keys: np.pad(_columns(view, c), ((0, view.rows), (0, 0))) for c in candidates}
         return Rows(view.whole, view.slopes, *view.room, columns)
 
     def together(self, state: DualState, candidates: Sequence[Candidate]) -> Candidate:
-        """Fit several effects beside a model."""
         model, unknowns = state.left.base.model, state.left.base.unknowns
         names = [c.fitted[0].name for c in candidates]
         for c in candidates:
@@ -221,7 +208,6 @@ class DualEvidence:
         return self._candidate(state, tuple(Trial(n, 0.0, 0.0, fit) for n in names))
 
     def adopt(self, state: DualState, candidate: Candidate) -> DualState:
-        """Put a candidate into the model and fit to the end, on the same windows."""
         fit, balance = candidate.fitted[0].fit, state.left.balance
         if balance.led:
             done = predicting_fit(balance, fit)
@@ -238,7 +224,6 @@ class DualEvidence:
         return DualState(left, state.keys)
 
     def without(self, state: DualState, key: str) -> DualState:
-        """Take an effect out and fit the rest again, on the same windows."""
         name, base = name_of(key), state.left.base
         kept = [j for j, k in enumerate(base.unknowns) if k.effect != name]
         unknowns = tuple(base.unknowns[j] for j in kept)
@@ -249,7 +234,6 @@ class DualEvidence:
         return DualState(left, tuple(k for k in state.keys if k != key))
 
     def wald(self, state: DualState, key: str) -> float:
-        """Square of an effect's amplitudes in standard errors."""
         base = state.left.base
         own = own_places(base, name_of(key))
         p, covariance = base.p[own], base.covariance[np.ix_(own, own)]
@@ -257,11 +241,9 @@ class DualEvidence:
         return whole * float(p @ np.linalg.pinv(covariance) @ p)
 
     def objection(self, without: DualState, state: DualState, key: str) -> str:
-        """Why the values of an effect are impossible; empty where they are not."""
         return objection(state.left.base, name_of(key))
 
     def share(self, without: DualState, state: DualState, key: str) -> Floats:
-        """What an effect changes of the residual, weighted, the others projected out."""
         base = state.left.base
         own = own_places(base, name_of(key))
         changed = without.left.base.weights * (base.jacobian[:, own] @ base.p[own])

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 OBSERVER_HZ = 5.0  # above what position, load and speed change by; below the rattle
 SLOWEST = np.deg2rad(1.0)  # rad/s; slower than this a direction is not sure
+BLOCK_SECONDS = 0.005  # orders are of means over blocks: to 100 Hz, past the 60 Hz mode
 MAX_ORDER = 12.0  # per motor turn
 ORDERS_PER_TURN = 100  # lines per unit order
 ARCMIN = np.rad2deg(1.0) * 60.0
@@ -39,13 +40,8 @@ TORQUE = "torque the model lacks,\nat the ring gear [N·m]"
 def folded(source: "DualSource", name: str, unexplained: tuple[str, ...]) -> Evidence:
     """Fold what is left over the variable that an effect depends on.
 
-    Parameters
-    ----------
-    source : DualSource
-    name : str
-        Of the effect; empty, or on no list: what is not explained.
-    unexplained : tuple of str
-        Variables of what is not explained.
+    Of no effect (a name that is empty, or on no list) over the first of the `unexplained`
+    variables.
     """
     effect = CATALOGUE.get(name)
     without, after = source.without(name), source.models[1]
@@ -213,6 +209,6 @@ def _along_the_turn(rec: Record, model: Model, twisted: bool) -> tuple[Floats, F
         good = np.ones(rec.theta.size, bool)
     good = good & (np.abs(low_pass(rec.omega, rec.dt)) > SLOWEST)
     rows = np.array([turn, left, good.astype(float)])
-    angle, value, share = block_mean(rows, rec.block)
+    angle, value, share = block_mean(rows, max(1, round(BLOCK_SECONDS / rec.dt)))
     weight = np.abs(np.gradient(angle)) * (share == 1.0)
     return angle, value, weight

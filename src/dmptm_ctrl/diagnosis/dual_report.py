@@ -154,7 +154,7 @@ def unnamed(tables: Tables, share: float) -> NamedEffect:
             se = tables.errors.get((name, p.name), 0.0)
             parameters[f"{kind}_{p.name}"] = {"value": values[p.name], "se": se, "unit": p.unit}
     sides = {CATALOGUE[name].location for name in tables.names}
-    evidence = tables.gain + tables.held_gain
+    evidence = tables.evidence
     return NamedEffect(
         UNNAMED,
         ", ".join(sorted(sides)),
@@ -184,11 +184,6 @@ def declared_dict(fit: Fit, drive: Drive) -> dict[str, dict[str, Any]]:
             "outside": bool(min(p - k.low, k.high - p) < 1e-6),
         }
     return rows
-
-
-def labels(fit: Fit) -> list[str]:
-    """Names of the fitted parameters, those of effects behind the effect's."""
-    return [k.name if k.effect is None else f"{k.effect}.{k.name}" for k in fit.unknowns]
 
 
 def detectable(candidate: Candidate) -> dict[str, dict[str, Any]]:

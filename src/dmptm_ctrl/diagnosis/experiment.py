@@ -24,6 +24,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import march as march_rig
 
 Task = tuple[Floats, float]  # signals, sample time [s]
+Wave = Callable[[Floats], Floats]
 _Key = TypeVar("_Key")
 
 EXPERIMENT_FILE = "next_experiment.csv"
@@ -50,17 +51,18 @@ def stairs(t: Floats) -> Floats:
     return np.asarray(levels[np.minimum((t / SECONDS * levels.size).astype(int), levels.size - 1)])
 
 
-def slow(t: Floats) -> Floats:
-    """Slow sine."""
-    return np.asarray(np.sin(2 * np.pi * SLOW_HZ * t))
+def sine(hz: float) -> Wave:
+    """Sine of a frequency [Hz]."""
+    return lambda t: np.asarray(np.sin(2 * np.pi * hz * t))
 
 
-def quick(t: Floats) -> Floats:
-    """Quick sine."""
-    return np.asarray(np.sin(2 * np.pi * QUICK_HZ * t))
+def alike(wave: Wave) -> Callable[[Floats], tuple[Floats, Floats]]:
+    """Give the same to both motors."""
+    return lambda t: (wave(t), wave(t))
 
 
-WAVES = {  # of one input, with what they are called
+slow, quick = sine(SLOW_HZ), sine(QUICK_HZ)
+WAVES: dict[str, tuple[Wave, str]] = {  # of one input, with what they are called
     "slow sine": (slow, "a slow sine"),
     "quick sine": (quick, "a quick sine"),
     "stairs": (stairs, "eight levels forth and back"),
@@ -68,10 +70,7 @@ WAVES = {  # of one input, with what they are called
 }
 # name → what it does, and voltages of both motors per volt of the largest one seen
 SIGNALS: dict[str, tuple[str, Callable[[Floats], tuple[Floats, Floats]]]] = {
-    "slow sine": ("both motors, a slow sine", lambda t: (slow(t), slow(t))),
-    "quick sine": ("both motors, a quick sine", lambda t: (quick(t), quick(t))),
-    "stairs": ("both motors, eight levels forth and back", lambda t: (stairs(t), stairs(t))),
-    "sweep": ("both motors, a sweep of frequency", lambda t: (chirp(t), chirp(t))),
+    **{name: (f"both motors, {what}", alike(wave)) for name, (wave, what) in WAVES.items()},
     "preloaded sine": (
         "a slow sine, the motors biased against each other",
         lambda t: (slow(t) + BIAS, slow(t) - BIAS),
@@ -220,15 +219,7 @@ def rig_experiment(selection: Selection, runs: Runs, jobs: int = 1) -> Experimen
 def next_experiment(selection: Selection, measured: Measured, jobs: int = 1) -> Experiment | None:
     """Choose the signal that best separates an effect from its rivals.
 
-    Parameters
-    ----------
-    jobs : int
-        Threads. The result does not depend on it.
-
-    Returns
-    -------
-    Experiment or None
-        None where nothing was found, or nothing else comes near.
+    None where nothing was found, or nothing else comes near. The result does not depend on `jobs`.
     """
     contested = _contested(selection)
     if contested is None:

@@ -1,6 +1,6 @@
 """The report: one HTML file without scripts, network or paths, that any browser opens."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -67,16 +67,9 @@ def _title(diagnosis: "Diagnosis") -> str:
 
 
 def render(diagnosis: "Diagnosis") -> str:
-    """Return the report of a diagnosis.
-
-    Returns
-    -------
-    str
-        A whole HTML document; figures are inline SVG images, style is inline, names from
-        files are escaped.
-    """
+    """Return the report of a diagnosis, a whole HTML document with its figures and style inside."""
     logs = diagnosis.overlays()
-    tests = {which: correlations(logs, which) for which in ("before", "after")}
+    tests = correlations(logs)
     return (
         environment("dmptm_ctrl.diagnosis")
         .get_template("report.html.j2")
@@ -105,7 +98,7 @@ def render(diagnosis: "Diagnosis") -> str:
             reveals={row["name"]: row["reveals"] for row in diagnosis.ranking},
             detectable=detectable,
             rivals={name for effect in diagnosis.effects for name in effect.confusable_with},
-            quality=quality_rows(tests),
+            quality=tests,
             quality_figure=quality_figure(tests),
             read_correlation=READ_CORRELATION,
             pairs=[p for p in diagnosis.correlations if abs(p[2]) >= CORRELATED],
@@ -221,30 +214,13 @@ def evidence_figure(evidence: Evidence) -> str:
     return data_uri(figure)
 
 
-Tests = Mapping[str, tuple[Correlation, Correlation] | None]
-
-
-def quality_figure(tests: Tests) -> str:
+def quality_figure(tests: Sequence[tuple[str, Correlation, Correlation]]) -> str:
     """Return the picture of the correlations as a data URI; empty where there are none."""
-    before, after = tests["before"], tests["after"]
-    if before is None or after is None:
+    if not tests:
         return ""
     figure = Figure(figsize=(8.6, 3.1), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
-    titles = ("residual with itself", "residual with the input")
-    for k, (panel, title) in enumerate(zip(panels, titles, strict=True)):
-        plot_correlation(before[k], after[k], ax=panel, title=title)
+    for panel, (title, before, after) in zip(panels, tests, strict=True):
+        plot_correlation(before, after, ax=panel, title=title)
     panels[1].set_ylabel("")
     return data_uri(figure)
-
-
-def quality_rows(tests: Tests) -> list[dict[str, Any]]:
-    """Return tests of the residual: name, lags outside the band before and after [%]."""
-    before, after = tests["before"], tests["after"]
-    if before is None or after is None:
-        return []
-    names = ("residual with itself", "residual with the input")
-    return [
-        {"name": name, "before": one.outside_percent, "after": two.outside_percent}
-        for name, one, two in zip(names, before, after, strict=True)
-    ]

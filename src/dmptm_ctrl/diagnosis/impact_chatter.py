@@ -56,7 +56,8 @@ def rattled(records: Sequence[Record], start: BalanceFit, declared: Drive, jobs:
     model = start.model
     if GAP_DAMPING in names:
         model = model.with_values(**{GAP_DAMPING: declared[GAP_DAMPING]})
-        tie(covariance, names.index(GAP_DAMPING))
+        j = names.index(GAP_DAMPING)
+        tie(covariance, j, np.zeros(len(names)), covariance[j, j])
     if DAMPING in names:
         j = names.index(DAMPING)
         rattle = Rattle(records, declared, jobs)
@@ -75,21 +76,12 @@ def rattled(records: Sequence[Record], start: BalanceFit, declared: Drive, jobs:
     return replace(start, model=model, p=p, covariance=covariance)
 
 
-def tie(
-    covariance: Floats, j: int, slopes: Floats | None = None, variance: float | None = None
-) -> None:
-    """Let an unknown follow others by `slopes` and nothing else, in place.
-
-    With a variance of its own beside that; without one it keeps what it has.
-    """
-    own = covariance[j, j] if variance is None else variance
+def tie(covariance: Floats, j: int, slopes: Floats, variance: float) -> None:
+    """Let an unknown follow others by `slopes` and else vary by itself alone, in place."""
     covariance[j, :] = covariance[:, j] = 0.0
-    if slopes is None:
-        covariance[j, j] = own
-        return
     along = covariance @ slopes
     covariance[j, :] = covariance[:, j] = along
-    covariance[j, j] = own + slopes @ along
+    covariance[j, j] = variance + slopes @ along
 
 
 class Rattle:

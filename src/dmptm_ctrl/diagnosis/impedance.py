@@ -9,11 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.candidate import Floats
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.simulate.linear import linear_train
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 LINES = 200  # of the band, over which a resonance's logarithm is even
@@ -23,17 +22,7 @@ def loudness(model: RigModel, balance: Balance) -> float:
     """Mean over the band of the logarithm of |torque/acceleration|, less that of a rigid drive.
 
     Springs that were added to the declared model change it, and the lag of an input: the balance
-    undoes it.
-
-    Parameters
-    ----------
-    balance : Balance
-        Of the sensors and the bandwidth.
-
-    Returns
-    -------
-    float
-        0 without such springs and lags.
+    undoes it. Without these it is 0. `balance` gives the sensors and the band.
     """
     springs = tuple(e for e in model.effects if e.name == SHAFT_COMPLIANCE.name)
     apart = _level(model, balance, springs) - _level(model, balance, ()) if springs else 0.0
@@ -53,7 +42,7 @@ def _level(whole: RigModel, balance: Balance, springs: tuple[Placed, ...]) -> fl
     train, layout = linear_train(model), model.layout
     w = _lines(balance)[:, None, None]
     torque = train.mass - train.stiffness / w**2 - 1j * train.damping / w
-    seen = sorted({*coordinates_of(layout, [p.name for p in balance.points])})
+    seen = sorted({*balance.seen(layout)})
     if 0 not in seen:  # the driven side follows from the other through the spring
         return float(-np.log(np.abs(np.linalg.inv(torque)[:, seen[0], 0])).mean())
     hidden = [k for k in range(layout.coordinates) if k not in seen]

@@ -20,7 +20,7 @@ from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.balance import scatter
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ, low_pass, noise_below
 from dmptm_ctrl.identify.fit import Fit, place
-from dmptm_ctrl.identify.heavy_tails import FREEDOM
+from dmptm_ctrl.identify.heavy_tails import bent
 from dmptm_ctrl.identify.observer_driven import BLOCK_SECONDS, MEMORY_SECONDS, Led
 from dmptm_ctrl.identify.records import Record
 from dmptm_ctrl.parallel import in_threads
@@ -97,7 +97,6 @@ def judge(
     best = final.left if tables is None else on_rows_of(final.left, tables.left)
     scale = Scale.of(best)
     before, after, floor = (mean_square(one, scale) for one in (first, final.left, best))
-    errors = Errors(before, after, min(floor, after))
     declared, augmented = fits
     fixed = tuple(base.left.base.model.effects)  # of the sensors
     logs = measured.held_logs
@@ -115,8 +114,10 @@ def judge(
             strict=True)
     )  # fmt: skip
     horizons["floor"] = min(shortly, *horizons.values())
-    errors = replace(
-        errors,
+    errors = Errors(
+        before,
+        after,
+        min(floor, after),
         runs=Squares(*(speed[name]["rmse"] ** 2 for name in names)),
         short=Squares(*(horizons[name] ** 2 for name in names)),
     )
@@ -161,11 +162,7 @@ class Scale:
         """Scale of the model that leaves least."""
         parts, kinds = all_parts(left)
         sizes = scatter(parts, kinds)
-        weights = [
-            (FREEDOM + 1.0) / (FREEDOM + (part / s) ** 2)
-            for part, s in zip(parts, sizes, strict=True)
-        ]
-        return cls(sizes, weights)
+        return cls(sizes, [*map(bent, parts, sizes)])
 
 
 def all_parts(left: Residual) -> tuple[list[Floats], list[str]]:

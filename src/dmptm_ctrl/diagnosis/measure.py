@@ -65,15 +65,7 @@ def split(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def measure(logs: Sequence[Log], drive: Drive) -> Measured:
-    """Check and split logs.
-
-    Raises
-    ------
-    LogError
-        No logs, a log that is too short, or one without the channels that are needed.
-    """
-    if not logs:
-        raise LogError("no logs to diagnose")
+    """Check and split logs; LogError of one that is too short, or lacks a channel."""
     for log in logs:
         if len(log) < MIN_SAMPLES:
             raise LogError(

@@ -14,12 +14,8 @@ def without_negligible(
 ) -> Selection:
     """Take out effects that hardly change what is left, the least first.
 
-    Laws that are only nearly right are imitated by them.
-
-    Parameters
-    ----------
-    rise : callable
-        Share by which what is left rises without an effect: of (without, with).
+    Laws that are only nearly right are imitated by them. `rise` of (without, with) is the share by
+    which what is left rises without an effect.
     """
     final = selection.final
     left_out = {e.key: e.without for e in selection.entries if rise(e.without, final) < NEGLIGIBLE}
@@ -67,12 +63,8 @@ def material_together(
 ) -> frozenset[str]:
     """Return keys of effects that only look immaterial, since others stand for them.
 
-    Weakest first, effects are left out together as long as that hardly moves the budget.
-
-    Parameters
-    ----------
-    share : callable
-        Share of the removable mean square that a model lacks.
+    Weakest first, effects are left out together as long as that hardly moves the budget. `share` is
+    that of the removable mean square that a model lacks.
     """
     alone = {e.key: share(e.without) for e in selection.entries}
     small = sorted((key for key in alone if alone[key] < MATERIAL), key=lambda key: alone[key])

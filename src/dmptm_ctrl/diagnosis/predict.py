@@ -48,20 +48,11 @@ def apart(one: float, other: float) -> float:
 def free_run(
     model: Model, log: Log, *, runs: int = RUNS, columns: Sequence[int] = range(len(OUTPUTS))
 ) -> Floats:
-    """Run the plant on the log's voltages from its first angle, at rest.
+    """Run the plant on the log's voltages from its first angle, at rest, (n, len(columns)), SI.
 
-    Parameters
-    ----------
-    runs : int
-        1 is the model's own run; more are the mean of that and of runs with slightly other
-        meshes, see :func:`expected`.
-    columns : sequence of int
-        Which of `compiled.OUTPUTS`.
-
-    Returns
-    -------
-    (n, len(columns)) array
-        SI; readings as the sensors would give, no noise.
+    With `runs` of 1 the model's own run; with more the mean of that and of runs with slightly other
+    meshes, see :func:`expected`. `columns` are of `compiled.OUTPUTS`; readings are as the sensors
+    would give, without noise.
     """
     u = np.array([log["u_left"], log["u_right"]])
     model = model.over(u.shape[1] * log.sample_time)
@@ -77,27 +68,13 @@ def expected(
     *,
     runs: int = RUNS,
     count: float = 0.0,
-    substeps: int = FINE_SUBSTEPS,
     columns: Sequence[int] = range(len(OUTPUTS)),
 ) -> Floats:
-    """Mean of a model's free run and of those with meshes changed by :data:`SPREAD`.
+    """Mean of a model's free run and of those with meshes changed by :data:`SPREAD`, SI.
 
-    Parameters
-    ----------
-    u : (2, n) array [V]
-    x0 : (6,) array
-        As for :func:`~dmptm_ctrl.simulate.compiled.march`.
-    count : float
-        To which the ring gear's first angle is rounded [rad]; the others begin anywhere in it.
-    substeps : int
-        Steps per sample.
-    columns : sequence of int
-        Which of `compiled.OUTPUTS`.
-
-    Returns
-    -------
-    (n, len(columns)) array
-        SI.
+    `u`, (2, n) [V], and `x0`, (6,), are as for :func:`~dmptm_ctrl.simulate.compiled.march`,
+    `columns` of `compiled.OUTPUTS`. The ring gear's first angle is rounded to `count` [rad]; the
+    other runs begin anywhere in it.
     """
     rng = np.random.default_rng(0)
     shares = 1.0 + SPREAD * rng.standard_normal((runs - 1, 2))
@@ -107,11 +84,11 @@ def expected(
     jogged = (model.with_values(k_m=stiffness * a, c=damping * b) for a, b in shares)
     models = [model, *jogged]
     if runs > 1 and u.shape[1] <= TOGETHER:
-        many = march_any(models, u, starts, dt, substeps=substeps, columns=columns)
+        many = march_any(models, u, starts, dt, substeps=FINE_SUBSTEPS, columns=columns)
         return np.asarray(many.mean(axis=0))
-    total = march(model, u, starts[0], dt, substeps=substeps)
+    total = march(model, u, starts[0], dt, substeps=FINE_SUBSTEPS)
     for other, start in zip(models[1:], starts[1:], strict=True):
-        total += march(other, u, start, dt, substeps=substeps)
+        total += march(other, u, start, dt, substeps=FINE_SUBSTEPS)
     return total[:, [*columns]] / runs
 
 
@@ -161,9 +138,9 @@ def predict(
 def _predict_rig(model: RigModel, log: Log) -> pd.DataFrame:
     run = rig_free_run(model.shifted(model.zeros.get(log.name, {})), log)
     columns = {"time_s": log.time}
-    for name, values in readings(model, log, run).items():
-        sensor = next(s for s in model.rig.sensors if s.name == name)
-        columns[sensor.column] = values / (parse_unit(sensor.unit).factor * sensor.sign)
+    seen = readings(model, log, run)
+    for sensor in model.rig.sensors:
+        columns[sensor.column] = seen[sensor.name] / (parse_unit(sensor.unit).factor * sensor.sign)
     for body in model.rig.bodies:
         unit = body.angle_unit
         columns.setdefault(f"{body.name}_position_{unit}", run.position(body.name))
@@ -178,17 +155,6 @@ def speeds(model: Model, log: Log) -> tuple[Floats, Floats]:
 
 
 def speed_error(model: Model, logs: Sequence[Log], jobs: int = 1) -> dict[str, float]:
-    """Error of the predicted speed over all logs together, below 30 Hz.
-
-    Parameters
-    ----------
-    jobs : int
-        Threads.
-
-    Returns
-    -------
-    dict
-        `rmse` [deg/s], `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
-    """
+    """Error of the predicted speed over all logs together, below 30 Hz [deg/s]."""
     pairs = in_threads(lambda log: speeds(model, log), logs, jobs, lambda log: log.time.size)
     return agreement([(np.rad2deg(seen), np.rad2deg(run)) for seen, run in pairs])

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from dmptm_ctrl.identify.compared_signals import BANDWIDTH_HZ
-from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.plots.diagnosis import Curve, Evidence, Overlay
 from dmptm_ctrl.plots.quality import Correlation
+from dmptm_ctrl.simulate.model import Floats
 
 # variable, residual, direction of motion, share of a sample that is independent
 Rows = tuple[Floats, Floats, Floats, float]
@@ -23,44 +23,37 @@ TAILS = (0.5, 99.5)  # percentiles of the variable; what lies beyond has too few
 MIN_NEWS = 3.0  # independent samples that a bin's mean and spread need
 
 
-def correlations(overlays: Sequence[Overlay], which: str) -> tuple[Correlation, Correlation] | None:
-    """Correlate the residual of held-out logs with itself and with the input.
+def correlations(overlays: Sequence[Overlay]) -> list[tuple[str, Correlation, Correlation]]:
+    """Correlate residuals of held-out logs: each with its title, before and after.
 
-    Parameters
-    ----------
-    which : "before" or "after"
-
-    Returns
-    -------
-    (Correlation, Correlation) or None
-        Auto, and with the mean input: positive lags are residuals after the input. None where
-        the logs are shorter than the lags.
+    With themselves and with the mean input: positive lags are residuals after the input. There are
+    none where the logs are shorter than the lags.
     """
-    left, inputs, step = [], [], 1.0
+    before: list[Floats] = []
+    after: list[Floats] = []
+    inputs, step = [], 1.0
     for overlay in overlays:
         dt = float(overlay.time[1] - overlay.time[0])
         # Below 30 Hz two samples 1/60 s apart are the closest that can be independent.
         every = max(1, round(1.0 / (2.0 * BANDWIDTH_HZ * dt)))
         step = every * dt
         for part in overlay.stretches():
-            miss = overlay.measured[part] - getattr(overlay, which)[part]
-            left.append(miss[::every])
+            before.append((overlay.measured[part] - overlay.before[part])[::every])
+            after.append((overlay.measured[part] - overlay.after[part])[::every])
             inputs.append(overlay.push[part][::every])
     lags = round(LAG_SECONDS / step)
-    if not any(s.size > 2 * lags for s in left):
-        return None
-    return autocorrelation(left, lags, step), cross_correlation(left, inputs, lags, step)
+    if not any(s.size > 2 * lags for s in inputs):
+        return []
+    own = [autocorrelation(left, lags, step) for left in (before, after)]
+    crossed = [cross_correlation(left, inputs, lags, step) for left in (before, after)]
+    return [
+        ("residual with itself", own[0], own[1]),
+        ("residual with the input", crossed[0], crossed[1]),
+    ]
 
 
 def autocorrelation(signals: Sequence[Floats], lags: int, step: float) -> Correlation:
-    """Pooled autocorrelation of several signals; the band is that of white noise.
-
-    Parameters
-    ----------
-    signals : sequence of (n,) arrays
-    step : float
-        Time between samples [s].
-    """
+    """Pooled autocorrelation of several signals, `step` [s] apart; the band is of white noise."""
     rows = [s - s.mean() for s in signals]
     values = _lagged(rows, rows, range(1, lags + 1))
     count = sum(s.size for s in rows)
@@ -101,21 +94,10 @@ def _lagged(one: Sequence[Floats], other: Sequence[Floats], lags: Iterable[int])
 def order_amplitudes(
     angle: Floats, signal: Floats, weight: Floats, step: float, count: int
 ) -> Floats:
-    """Amplitude of cos and sin of each order.
+    """Amplitude of cos and sin of each order, (count,): whole multiples of `step` per turn.
 
-    Parameters
-    ----------
-    angle : (n,) array [rad]
-    signal, weight : (n,) arrays
-        The weight is the angle that a sample stands for.
-    step : float
-        The first order, and from each to the next, per turn.
-    count : int
-        Of orders.
-
-    Returns
-    -------
-    (count,) array
+    Of a signal, (n,), over an angle, (n,) [rad]; the weight, (n,), is the angle that a sample
+    stands for.
     """
     total = float(weight.sum())
     if total == 0.0:
@@ -132,16 +114,9 @@ def order_amplitudes(
 def fold(
     without: Sequence[Rows], after: Sequence[Rows], variable: str, quantity: str, effect: str
 ) -> Evidence:
-    """Fold residuals of two models over a variable, by direction of motion.
+    """Fold residuals of two models, one entry per log, over a variable, by direction of motion.
 
-    Parameters
-    ----------
-    without, after : sequence of Rows
-        Per log.
-    variable, quantity : str
-        Labels with units.
-    effect : str
-        Name of the effect in question; empty where there is none.
+    `variable` and `quantity` are labels with units; `effect` is empty where there is none.
     """
     pooled = np.concatenate([row[0] for row in (*without, *after)])
     low, high = np.percentile(pooled, TAILS) if pooled.size else (0.0, 1.0)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -135,7 +135,10 @@ def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: i
     simulated = any(rec.twist is None for rec in records)
     # a model that never touches with both is wrong about it: the declared one then tells
     for tells in (model, declared) if simulated else (model,):
-        runs = _runs(records, tells, jobs) if simulated else None
+        runs: Sequence[Floats | None] = [None] * len(records)
+        if simulated:
+            run = partial(predict, model=tells, bandwidth_hz=LEAD_HZ)
+            runs = in_threads(run, records, jobs, lambda rec: rec.omega.size)
         balance = Balance(motions(records, model, runs, jobs), declared, jobs, simulated)
         if balance.equations:
             break
@@ -146,12 +149,6 @@ def balances(records: tuple[Record, ...], model: Model, declared: Model, jobs: i
             "meshes closed; record longer or stronger motions"
         )
     return balance
-
-
-def _runs(records: tuple[Record, ...], model: Model, jobs: int) -> list[Floats]:
-    return in_threads(
-        lambda rec: predict(rec, model, LEAD_HZ), records, jobs, lambda rec: rec.omega.size
-    )
 
 
 def residual(

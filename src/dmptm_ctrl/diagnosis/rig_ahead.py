@@ -18,9 +18,9 @@ from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.identify.compared_signals import correlation_length
 from dmptm_ctrl.identify.free_parameters import Free
-from dmptm_ctrl.identify.heavy_tails import FREEDOM, robust_scale
+from dmptm_ctrl.identify.heavy_tails import bent, robust_scale, tails
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.likelihood import TOLERANCE, tails
+from dmptm_ctrl.identify.likelihood import TOLERANCE
 from dmptm_ctrl.identify.measured_motion import ROWS_PER_HERTZ
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.rig_fit import (
@@ -69,8 +69,7 @@ class Rows:
     @property
     def weights(self) -> Floats:
         """Square roots of what each row counts, (m,)."""
-        bent = (FREEDOM + 1.0) / (FREEDOM + (self.missing / self.scale) ** 2)
-        return np.asarray(np.sqrt(self.news * bent) / self.scale)
+        return np.sqrt(self.news * bent(self.missing, self.scale)) / self.scale
 
     def surprise(self, missing: Floats) -> float:
         """−2 log-likelihood of other predictions, as many of them independent."""

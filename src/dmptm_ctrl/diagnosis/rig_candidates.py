@@ -5,7 +5,6 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.contract import Parameter
 from dmptm_ctrl.diagnosis.candidate import JOINED, members
@@ -27,7 +26,6 @@ from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
 from dmptm_ctrl.identify.forces import measured_motion
 from dmptm_ctrl.identify.free_parameters import ALL, absolute, on_slide, same_twist, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.identify.rig_fit import residuals
 from dmptm_ctrl.identify.rig_start import (
     ends_of,
@@ -38,10 +36,9 @@ from dmptm_ctrl.identify.rig_start import (
     springs_of,
     unknown_inertias,
 )
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE, PlacedEffect
 from dmptm_ctrl.simulate.rig_model import FAR, Placed, RigModel, angle_body, placed_at
-
-Floats = NDArray[np.float64]
 
 DELAYS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample times
 LONGEST_DELAY = 0.2  # s
@@ -79,7 +76,7 @@ def trials(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
         alone = chain.name == MISMATCH and len(model.rig.inputs) == 1  # the scale of everything
         if chain.place == "input" and not alone:
             for on in wanted(chain, model.layout.inputs):
-                found.append(_input_effect(tangent, chain.name, on))
+                found.append(_input_effect(tangent, chain, on))
     for name, chain in PLACED_CATALOGUE.items():
         if chain.place != "body" or name == SPRING:
             continue
@@ -124,12 +121,6 @@ def declared_already(model: RigModel, name: str, body: str) -> bool:
     return any(k in friction for k in DECLARES.get(name, ()))
 
 
-def distinct_bodies(tangent: Tangent) -> list[str]:
-    """One body per measured coordinate; rigidly joined bodies cannot be told apart."""
-    _, bodies = measured_motion(tangent.fit.model, tangent.balance, tangent.balance.motions[0])
-    return list(bodies.values())
-
-
 def bodies_for(tangent: Tangent, chain: PlacedEffect) -> list[str]:
     """Bodies at which an effect is told apart: of a rigid group the one that it can act on.
 
@@ -141,7 +132,8 @@ def bodies_for(tangent: Tangent, chain: PlacedEffect) -> list[str]:
     driven = {*layout.input_body.values()}
     under_load = "mesh_torque" in chain.effect.depends_on
     found = []
-    for seen in distinct_bodies(tangent):
+    _, measured = measured_motion(model, tangent.balance, tangent.balance.motions[0])
+    for seen in measured.values():
         group = [b for b in layout.bodies if layout.coordinate[b] == layout.coordinate[seen]]
         group.sort(key=lambda b: b != seen)
         if under_load:
@@ -160,11 +152,10 @@ def _factors(chain: PlacedEffect) -> list[Parameter]:
     return [p for p in chain.keep if p.name in chain.amplitudes and not p.unit]
 
 
-def _input_effect(tangent: Tangent, name: str, on: tuple[str, ...]) -> Trial | None:
+def _input_effect(tangent: Tangent, chain: PlacedEffect, on: tuple[str, ...]) -> Trial | None:
     scales = scales_of(tangent.balance)
     size, dt = scales.u[on[0]], scales.dt
     peak = max(float(np.abs(m.u[place]).max()) for m in tangent.balance.motions for place in on)
-    chain = PLACED_CATALOGUE[name]
     (number,) = chain.amplitudes
     if chain.effect.search == "limits":
         values = [1.0 / (s * peak) for s in LIMITS]
@@ -174,7 +165,7 @@ def _input_effect(tangent: Tangent, name: str, on: tuple[str, ...]) -> Trial | N
         values = [s * size for s in BANDS]
     else:
         values = [OFFSET * size]
-    tries = [placed_at(name, on, {number: v}) for v in values]
+    tries = [placed_at(chain.name, on, {number: v}) for v in values]
     return _finite(tangent, tries, scaled=not chain.effect.kink)
 
 
@@ -226,7 +217,7 @@ def _mesh_effect(tangent: Tangent, chain: PlacedEffect, on: tuple[str, ...]) -> 
     if chain.effect.search == "orders":
         constant = Placed(chain.name, link.name, {"order": 0.0})
         pushed = unit_columns(tangent.fit, balance, constant, ("cosine",))
-        shapes = [{"order": n} for n in orders(tangent, body, False, pushed)]
+        shapes = [{"order": n} for n in orders(tangent, body, pushed)]
     same = absolute(model, balance, body)
     found = _linear(tangent, chain, on, shapes, ("cosine", "sine"), same)
     moved = {k: v for k, v in model.values.items() if v != own.model.values.get(k)}
@@ -239,15 +230,14 @@ def _shapes(tangent: Tangent, chain: PlacedEffect, body: str) -> list[dict[str, 
     model, motions = tangent.fit.model, tangent.balance.motions
     search = chain.effect.search
     if search == "orders":
-        return [{"order": n} for n in orders(tangent, body, on_slide(model, body))]
+        return [{"order": n} for n in orders(tangent, body)]
     if search == "frequencies":
         return [{"frequency": f} for f in frequencies(tangent)]
     if search == "places":
         return spots(tangent, body)
     banks = {p.name: p.bank for p in chain.keep if p.bank}
     if "time_constant" in banks:
-        longest = max(float(m.time[-1]) for m in motions)
-        return [{"time_constant": s * longest} for s in (0.1, 0.3, 1.0)]
+        return [{"time_constant": s * tangent.balance.longest} for s in (0.1, 0.3, 1.0)]
     if "speed" in banks:
         fastest = max(
             float(np.abs(motion_of(tangent.balance, m, model, body)[1]).max()) for m in motions
@@ -405,8 +395,7 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
     model, balance = tangent.fit.model, tangent.balance
     if any(e.name == SPRING for e in model.effects):
         return
-    duration = max(float(m.time[-1]) for m in balance.motions)
-    low = max(5.0 / duration, balance.bandwidth / 100.0)
+    low = max(5.0 / balance.longest, balance.bandwidth / 100.0)
     modes = 2 * np.pi * np.geomspace(low, balance.bandwidth, HIDDEN_MODES)
     for link in (k for k in model.rig.links if k.rigid):
         ends = ends_of(model, balance, link.name)
@@ -428,7 +417,7 @@ def _compliances(tangent: Tangent) -> Iterator[Structure]:
             start = _spring(body.name, share, spring.antiresonance, spring.damping_ratio, far)
             yield [(start,)], [{}], {}
             continue
-        sides = [(), own[0].sensors] if own else [()]  # the sensor may be behind the spring
+        sides = [(), own[0].sensors]  # the sensor may be behind the spring
         yield [
             (_spring(body.name, share, float(w), 0.05, side),)
             for side in sides for w in modes for share in SHARES
@@ -446,7 +435,7 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
     """Gaps in links that are not rigid."""
     model, balance = tangent.fit.model, tangent.balance
     declared = {k.name: k for k in model.rig.links}
-    seen = coordinates_of(model.layout, [p.name for p in balance.points])
+    seen = balance.seen(model.layout)
     for link in model.layout.links:
         if link in declared and is_known(declared[link].half_gap):
             continue

@@ -10,16 +10,16 @@ from scipy.fft import rfft
 from scipy.linalg import null_space
 
 from dmptm_ctrl.diagnosis.budget import EXPLAINED, share
-from dmptm_ctrl.diagnosis.candidate import LEVEL, Floats
+from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.select import Selection
 from dmptm_ctrl.identify.forces import measured_motion, resting
 from dmptm_ctrl.identify.free_parameters import on_slide
-from dmptm_ctrl.identify.heavy_tails import robust_scale
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.likelihood import root_mean_square
+from dmptm_ctrl.identify.likelihood import size_of
 from dmptm_ctrl.identify.measured_motion import Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.simulate.along import stops_along
+from dmptm_ctrl.simulate.model import Floats
 
 if TYPE_CHECKING:
     from dmptm_ctrl.diagnosis.rig_evidence import RigState
@@ -78,12 +78,10 @@ def variables_of(fit: RigFit) -> dict[str, Signal]:
         found[f"omega:{body}"] = motion_of(group, body, 1)
     for source in layout.inputs:
         found["u" if len(layout.inputs) == 1 else f"u:{source}"] = _input(source)
-        if len(layout.inputs) == 1:
-            found["du_dt"] = _rate(source)
+    if len(layout.inputs) == 1:
+        found["du_dt"] = lambda m: np.gradient(m.u[layout.inputs[0]], m.dt)
     found["time"] = lambda m: m.time
-    first = (
-        next(iter(found.values())) if not bodies else found[f"omega:{next(iter(bodies.values()))}"]
-    )
+    first = next(s for name, s in found.items() if name.startswith("omega"))
     found["time_at_rest"] = lambda m: _rested(first(m), m.dt)
     return found
 
@@ -92,20 +90,16 @@ def _input(source: str) -> Signal:
     return lambda m: m.u[source]
 
 
-def _rate(source: str) -> Signal:
-    return lambda m: np.gradient(m.u[source], m.dt)
-
-
 def _rested(speed: Floats, dt: float) -> Floats:
     """Duration of the last rest before each sample [s]."""
     still = np.abs(speed) < STEADY * np.abs(speed).max(initial=0.0)
-    out, current, last = np.zeros(speed.size), 0.0, 0.0
+    out, last = np.zeros(speed.size), 0.0
     edges = np.flatnonzero(np.diff(still.astype(np.int8)))
     start = 0
     for stop in (*edges + 1, speed.size):
         if still[start]:
-            last = current = (stop - start) * dt
-        out[start:stop] = last if current else 0.0
+            last = (stop - start) * dt
+        out[start:stop] = last
         start = stop
     return out
 
@@ -278,8 +272,7 @@ def curve_share(state: "RigState", found: Sequence[Curve]) -> float:
 def mean_square(left: Sequence[Floats], balance: Balance) -> float:
     """Mean square of the first equation over the rows that count."""
     rows = np.concatenate([p[0][m.moving] for p, m in zip(left, balance.motions, strict=True)])
-    size = robust_scale if balance.bursts[0] else root_mean_square  # as `Likelihood.sizes`
-    return size(rows) ** 2 if rows.size else 0.0
+    return size_of(rows, balance.bursts[0]) ** 2 if rows.size else 0.0
 
 
 def _fit(
@@ -309,10 +302,7 @@ def _fit(
             best = gain, used, values
     assert best is not None
     values, shift = free @ best[2], tangent.shift(table @ best[2])
-    moved = [
-        float(np.clip(fit.state.get(f) + f.scale * d, f.low, f.high))
-        for f, d in zip(fit.frees, shift, strict=True)
-    ]
+    moved = fit.state.after(fit.frees, shift)
     gains = []
     for balance, before, columns, start in (
         (fit.likelihood.balance, fit.left, own, fit.state),

@@ -36,7 +36,6 @@ from dmptm_ctrl.diagnosis.screen import READ_ROWS
 from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rig import Rig, is_known
-from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, STRETCHES
@@ -58,21 +57,20 @@ SAMPLES = 150_000  # of the balance; fits cost as much, and pieces of long logs 
 @small_matrices
 def diagnose_rig(
     logs: str | PathLike[str] | Iterable[str | PathLike[str] | Log],
-    rig: Rig | str | PathLike[str],
+    declared: Rig,
     *,
     seed: int = 0,
     jobs: int = 2,
-    tell: Callable[[str], None] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Find what the declared model of a rig lacks; see :func:`~.run.diagnose`."""
-    started, say = time.perf_counter(), tell or (lambda _: None)
-    declared = load_rig(rig) if isinstance(rig, str | PathLike) else rig
+    started = time.perf_counter()
     _refuse_floating(declared)
     left_out: list[str] = []
     read = declared.read(logs, max_rows=READ_ROWS, told=left_out)
     loaded, warnings = screen_rig(declared, read)
     warnings = (*left_out, *warnings)
-    say("comparing the sensors")
+    tell("comparing the sensors")
     faults = sensor_faults(declared, loaded)
     right = [put_right(declared, log, faults) for log in loaded]
     balance, short = _long_enough(balance_of(declared, right))
@@ -85,10 +83,10 @@ def diagnose_rig(
         if all(link.rigid for link in declared.links):
             raise LogError(strange)
         warnings = (*warnings, strange)  # a resonance may look like that
-    say("fitting the declared model")
+    tell("fitting the declared model")
     model = RigModel(declared, closed=balance.closed)
     balance, evidence, base = _fitted(model, balance, right, jobs)
-    _, held_logs, roles, on = split(declared, balance)
+    _, held_logs, held_names, on = split(declared, balance)
     as_read = base
     if faults:
         whole = balance_of(declared, loaded, bandwidth=balance.bandwidth)
@@ -103,11 +101,11 @@ def diagnose_rig(
         more = rise(without, final)
         return inf if more < NEGLIGIBLE and told(without, final) else more
 
-    selection = without_negligible(evidence, select_effects(evidence, base, say), grows)
+    selection = without_negligible(evidence, select_effects(evidence, base, tell), grows)
     selection = without_negligible(evidence, selection, helps)
     if not selection.entries:  # what was found on the way and went may have left another fit
         selection = replace(selection, final=base)
-    say("fitting to short predictions")
+    tell("fitting to short predictions")
     tells = told(base, selection.final)
     selection = replace(
         selection,
@@ -116,7 +114,7 @@ def diagnose_rig(
         entries=[replace(e, without=ahead(e.without)) for e in selection.entries],
     )
     as_read = as_read if faults else selection.base
-    say("looking for curves in what is left")
+    tell("looking for curves in what is left")
     found = curves(selection.final)
     at_floor = within_floor(selection, predicted(selection.final, found))
     plain = better_without_names(selection) if selection.entries else []
@@ -124,6 +122,7 @@ def diagnose_rig(
         bare = selection.base
         selection = replace(selection, final=bare, entries=[], rest=selection.first)
         found = plain or curves(bare)
+    noted = (f"{log.name}: {note}" for log in loaded for note in log.warnings)
     return report_of(
         declared,
         loaded,
@@ -135,11 +134,11 @@ def diagnose_rig(
         on=on,
         provenance=provenance(
             loaded,
-            [name for name, role in roles.items() if role == "held-out"],
+            held_names,
             seed,
             time.perf_counter() - started,
         ),
-        warnings=(*_notes(loaded), *warnings, *_no_gap(selection.final.fit.model)),
+        warnings=(*dict.fromkeys(noted), *warnings, *_no_gap(selection.final.fit.model)),
         jobs=jobs,
     )
 
@@ -236,29 +235,24 @@ def _as_read(rig: Rig, balance: Balance, base: RigState, jobs: int) -> RigState:
     return RigEvidence(logs, held, jobs).refit(base)
 
 
-def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, dict[str, str], str]:
+def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, Sequence[str], str]:
     """Part the logs into fitted and held-out ones.
 
     As the rig file says; else every third of many logs is held out, or three tenths of each
-    of a few.
+    of a few. Then the names of logs that are held out whole, and in words what is held out.
     """
-    names = balance.logs
+    names, held = balance.logs, list[str]()
     roles = rig.roles(names)
     if any(roles.values()):
         held = [n for n in names if roles[n] == "held-out"]
-        fit = [n for n in names if n not in held]
-        if not fit:
-            raise LogError("every log is under [data] held_out; leave one to fit")
-        if held:
-            final = {n: "held-out" if n in held else "fit" for n in names}
-            return balance.only(fit), balance.only(held), final, "held-out logs"
     elif len(names) >= MANY_LOGS:
         held = [*names[HOLD_EVERY - 1 :: HOLD_EVERY]]
-        fit = [n for n in names if n not in held]
-        final = {n: "held-out" if n in held else "fit" for n in names}
-        return balance.only(fit), balance.only(held), final, "held-out logs"
-    part = "held-out parts of every log"
-    return balance.part("fit"), balance.part("held-out"), dict.fromkeys(names, "fit"), part
+    if not held:
+        return balance.part("fit"), balance.part("held-out"), (), "held-out parts of every log"
+    fit = [n for n in names if n not in held]
+    if not fit:
+        raise LogError("every log is under [data] held_out; leave one to fit")
+    return balance.only(fit), balance.only(held), held, "held-out logs"
 
 
 def _long_enough(balance: Balance) -> tuple[Balance, tuple[str, ...]]:
@@ -267,8 +261,7 @@ def _long_enough(balance: Balance) -> tuple[Balance, tuple[str, ...]]:
     band = balance.bandwidth
     needs = f"{band:.3g} Hz of bandwidth need {FEWEST_ROWS / (2 * band):.3g} s"
     if not kept:
-        longest = max(float(m.time[-1]) for m in balance.motions)
-        raise LogError(f"logs are too short: {longest:.3g} s at most, where {needs}")
+        raise LogError(f"logs are too short: {balance.longest:.3g} s at most, where {needs}")
     short = [m for m in balance.motions if m.name not in kept]
     if not short:
         return balance, ()
@@ -292,11 +285,8 @@ def _in_pieces(balance: Balance) -> tuple[Balance, tuple[str, ...]]:
 def _refuse_floating(rig: Rig) -> None:
     """Refuse a body of unknown inertia between springs that nothing measures or drives."""
     seen = {s.body for s in rig.sensors} | {i.body for i in rig.inputs}
-    rigid = [{k.first, k.second} for k in rig.links if k.rigid]
     for body in rig.bodies:
-        group = {body.name}
-        for _ in rigid:
-            group |= set().union(*(pair for pair in rigid if pair & group))
+        group = {*rig.turns(body.name, rigidly=True)}
         soft = [k.name for k in rig.links if not k.rigid and len({k.first, k.second} & group) == 1]
         if len(soft) > 1 and not group & seen and not is_known(body.inertia):
             key = "mass" if body.linear else "inertia"
@@ -305,7 +295,3 @@ def _refuse_floating(rig: Rig) -> None:
                 f"sensor: logs cannot tell it. Give its {key}, or leave it out and write one link "
                 "with both stiffnesses in it"
             )
-
-
-def _notes(logs: Sequence[Log]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(f"{log.name}: {note}" for log in logs for note in log.warnings))

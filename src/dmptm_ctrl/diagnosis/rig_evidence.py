@@ -12,7 +12,6 @@ from dmptm_ctrl.diagnosis.budget import NONE, near
 from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
     Candidate,
-    Floats,
     Keys,
     Rows,
     members,
@@ -41,6 +40,7 @@ from dmptm_ctrl.identify.rig_fit import (
     total_loss,
 )
 from dmptm_ctrl.identify.rig_start import from_elsewhere
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed
 
@@ -69,11 +69,6 @@ class RigState:
     held: Balance
     keys: tuple[str, ...] = ()
     seen: Sequence[Trial] = ()
-
-    @property
-    def loss(self) -> float:
-        """−2 log-likelihood of the fitted logs."""
-        return self.fit.loss
 
     @cached_property
     def loudness(self) -> float:
@@ -108,14 +103,9 @@ class RigState:
 
 @dataclass(frozen=True, eq=False)
 class RigEvidence:
-    """Torque balances of the logs of a drive of any shape.
+    """Torque balances of the logs of a drive of any shape, or stretches of them.
 
-    Parameters
-    ----------
-    logs, held : Balance
-        Logs, or stretches of them, that are fitted and that are not.
-    jobs : int
-        Threads; nothing depends on it.
+    `logs` are fitted and `held` are not; nothing depends on `jobs`.
     """
 
     logs: Balance
@@ -242,7 +232,6 @@ class RigEvidence:
         return Candidate(keys, -np.inf, 0.0, (group, fit), "", numbers, order)
 
     def beside(self, state: RigState, candidate: Candidate) -> RigState:
-        """Return the model with a candidate, as it was fitted."""
         return RigState(candidate.fitted[1], self.held, (*state.keys, *candidate.keys))
 
     def gains(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
@@ -260,13 +249,10 @@ class RigEvidence:
         fall -= held.surprise(larger.held_left[0], more)
         searched = sum(map(self._searched, larger.keys)) - sum(map(self._searched, smaller.keys))
         louder = 2.0 * float(likelihood.news.mean()) * (larger.loudness - smaller.loudness)
-        rows, held_rows = (
-            sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held)
-        )
+        rows, held_rows = self._rows
         return fitted - searched + rows * louder, fall + held_rows * louder
 
     def errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
-        """Standard errors of the falls on both parts of the logs."""
         news = larger.fit.likelihood.news
 
         def of(balance: Balance, few: Sequence[Floats], more: Sequence[Floats]) -> float:
@@ -278,36 +264,36 @@ class RigEvidence:
             of(self.held, smaller.held_left[0], larger.held_left[0]),
         )
 
+    @property
+    def _rows(self) -> tuple[int, int]:
+        """Rows of the fitted and of the held-out logs that count."""
+        fitted, held = (sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held))
+        return fitted, held
+
     def _searched(self, key: str) -> float:
         """Evidence that the best of all starts finds where there is none: 2 log of their number."""
         name = name_of(key)
-        seconds = max(float(m.time[-1]) for m in self.logs.motions)
         starts = {"orders": MAX_ORDER, "places": SPOT_BINS,
-                  "frequencies": max(int(seconds * self.logs.bandwidth), 1)}  # fmt: skip
+                  "frequencies": max(int(self.logs.longest * self.logs.bandwidth), 1)}  # fmt: skip
         return 2.0 * float(np.log(starts.get(PLACED_CATALOGUE[name].effect.search, 1)))
 
     def ratio(self, state: RigState) -> float:
-        """Rows of the fitted logs over those of the held-out ones."""
-        fitted, held = (sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held))
+        fitted, held = self._rows
         return fitted / max(held, 1)
 
     def columns(self, state: RigState, candidate: Candidate) -> Floats:
-        """Weighted change of the residual per amplitude, projected, (m, k)."""
         (trial,) = candidate.fitted[0]
         return state.tangent.project(state.tangent.stack(trial.columns))
 
     def rows(self, state: RigState, candidates: Sequence[Candidate]) -> Rows:
-        """Return the model and candidates to first order."""
         tangent = state.tangent
         columns = {c.keys: tangent.stack(c.fitted[0][0].columns) for c in candidates}
         return Rows(tangent.whole, tangent.slopes, *tangent.room, columns)
 
     def together(self, state: RigState, candidates: Sequence[Candidate]) -> Candidate:
-        """Fit several effects beside a model."""
         return self._fitted(state, [c.fitted[0][0] for c in candidates], 2 * FIRST)
 
     def adopt(self, state: RigState, candidate: Candidate) -> RigState:
-        """Put a candidate into the model and fit to the end."""
         keys = (*state.keys, *candidate.keys)
         fit = self._to_the_end(candidate.fitted[1].state, state.fit, keys)
         return RigState(fit, self.held, keys, vars(state).get("trials", ()))
@@ -327,8 +313,7 @@ class RigEvidence:
         return self.refit(replace(state, fit=replace(state.fit, likelihood=like)))
 
     def without(self, state: RigState, key: str) -> RigState:
-        """Take an effect out, and what stands on it, and fit the rest again."""
-        gone = {*members(key), *standing_on(state.fit, key)}
+        gone = with_standing_on(state.fit, key)
         model = state.fit.model.without(gone)
         logs = {
             log: Nuisance(
@@ -351,12 +336,10 @@ class RigEvidence:
         return float(p @ np.linalg.pinv(covariance) @ p)
 
     def objection(self, without: RigState, state: RigState, key: str) -> str:
-        """Why the values of an effect are impossible; empty where they are not."""
         return objection(key, state.fit, without.fit)
 
     def share(self, without: RigState, state: RigState, key: str) -> Floats:
-        """What an effect changes of the residual, weighted, the others projected out."""
-        gone = {*members(key), *standing_on(state.fit, key)}
+        gone = with_standing_on(state.fit, key)
         bare, _ = residuals(State(state.fit.model.without(gone), state.fit.state.logs), self.logs)
         change = [b - e for b, e in zip(bare, state.fit.left, strict=True)]
         return without.tangent.project(without.tangent.stack(change))
@@ -437,14 +420,14 @@ def independent(state: RigState) -> Floats:
     return np.array(found)
 
 
-def standing_on(fit: RigFit, key: str) -> set[str]:
-    """Effects that sit on a body or link that another effect makes."""
+def with_standing_on(fit: RigFit, key: str) -> set[str]:
+    """Keys of an effect at each of its places, and of those on a body or link that it makes."""
     if name_of(key) != SHAFT_COMPLIANCE.name:
-        return set()
+        return {*members(key)}
     rig, layout = fit.model.rig, fit.model.layout
     own = {b.name for b in rig.bodies} | {k.name for k in rig.links if not k.rigid}
     made = (set(layout.bodies) | set(layout.links)) - own
-    return {e.key for e in fit.model.effects if e.key != key and e.on in made}
+    return {*members(key), *(e.key for e in fit.model.effects if e.on in made)}
 
 
 def held_state(fit: RigFit, held: Balance) -> State:

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.diagnosis.quality import Rows, fold
-from dmptm_ctrl.diagnosis.rig_curves import Curve, Signal, variables_of
+from dmptm_ctrl.diagnosis.rig_curves import Curve, variables_of
 from dmptm_ctrl.diagnosis.rig_evidence import RigState
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.identify.measured_motion import Floats, Motion
 from dmptm_ctrl.plots.diagnosis import Evidence
 from dmptm_ctrl.signals.units import parse_unit
 
@@ -23,34 +22,16 @@ def folded(
     effect: str,
     unit: str,
     curve: Curve | None = None,
-) -> Evidence | None:
+) -> Evidence:
     """Fold what the drive gave more than a model over a variable, on all logs.
 
     Over a turn or a period if a curve comes again by it, and by the way that the variable itself
-    goes if the curve is a hysteresis.
-
-    Parameters
-    ----------
-    without, final : RigState
-        Without the effect, the rest refitted; and the final model.
-    variable : str
-        As in `depends_on` of diagnosis.json; empty for the first position.
-    effect : str
-        Name; empty where there is none.
-    unit : str
-        Of the balance.
-    curve : Curve, optional
-        Over this variable.
-
-    Returns
-    -------
-    Evidence or None
-        None where no body's speed is measured.
+    goes if the curve is a hysteresis. `without` is the model without the effect, the rest refitted;
+    `variable` is as in `depends_on` of diagnosis.json, empty for the first position; `effect` is a
+    name, empty where there is none; `unit` is that of the balance.
     """
     signals = variables_of(final.fit)
-    speed = next((s for name, s in signals.items() if name.startswith("omega")), None)
-    if speed is None:
-        return None
+    speed = next(s for name, s in signals.items() if name.startswith("omega"))
     name = _measured(final, signals, variable)
     factor, label = _label(final.fit.model.rig, name)
     period = curve.period if curve else 0.0
@@ -67,7 +48,7 @@ def folded(
         for balance, left in sides:
             for motion, part in zip(balance.motions, left, strict=True):
                 use = motion.moving
-                x, way = (reduced(motion, s) for s in (signals[name], speed))
+                x, way = (motion.reduce(s(motion)) for s in (signals[name], speed))
                 way = np.gradient(x) if by_itself else way
                 x = x % period if period else x
                 found.append((x[use] / factor, part[0][use], np.sign(way[use]), news))
@@ -75,11 +56,6 @@ def folded(
 
     made = fold(rows(without), rows(final), label, f"drive − model\n[{unit}]", effect)
     return replace(made, ways=("rising", "falling")) if by_itself else made
-
-
-def reduced(motion: Motion, signal: Signal) -> Floats:
-    """A signal at the rows of the balance."""
-    return motion.reduce(np.asarray(signal(motion), float))
 
 
 def _measured(state: RigState, signals: dict[str, Any], variable: str) -> str:

@@ -9,7 +9,6 @@ from scipy.signal import csd, welch
 from dmptm_ctrl.diagnosis.candidate import (
     FIRM,
     NO_DIFFERENCE,
-    Floats,
     differ,
     members,
     name_of,
@@ -17,6 +16,7 @@ from dmptm_ctrl.diagnosis.candidate import (
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.measured_motion import NOISE_SHARE
 from dmptm_ctrl.identify.rig_fit import RigFit
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed
@@ -88,11 +88,7 @@ def _takes_the_drive(effect: Placed, fit: RigFit, before: RigFit) -> str:
     if PLACED_CATALOGUE[effect.name].place != "input":
         return ""
     model = before.model
-    known = {
-        key: q.value
-        for key, q in model.quantities.items()
-        if key.endswith(".inertia") and isfinite(q.value)
-    }
+    known = model.declared(lambda key: key.endswith(".inertia"))
     plants = (one.plant() for one in (fit.model, model, model.with_values(known)))
     now, then, declared = (float(p.inertia @ untwisted(p) ** 2) for p in plants)
     less = now < 0.5 * min(then, declared)
@@ -114,7 +110,7 @@ def _by_the_drive(effect: Placed, fit: RigFit) -> str:
     f = effect.values.get("frequency")
     if f is None:
         return ""
-    if f * max(float(m.time[-1]) for m in motions) < PERIODS:
+    if f * fit.likelihood.balance.longest < PERIODS:
         return "the logs hold too few of its periods"
     if all(_harmonic(f, u, m.dt) for m in motions for u in m.u.values()):
         return "its frequency is a harmonic of the input"

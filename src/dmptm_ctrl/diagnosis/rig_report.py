@@ -109,7 +109,7 @@ class RigSource:
 
         fit = self.selection.final.fit
         for placed in (e for e in fit.model.effects if e.name == SHAFT_COMPLIANCE.name):
-            told = effect_parameters(placed, fit, fit.errors)
+            told = effect_parameters(placed, fit)
             marks = {n: told[f"{n}_hz"]["value"] for n in ("antiresonance", "resonance")}
             if found := spectrum(self, marks):
                 alt = "Gain over frequency: measured, and free runs of the models before and after."
@@ -162,7 +162,7 @@ def report_of(
     given = rig, logs, final.held, as_read.held_state, after, final.fit, jobs
     runs, short = Runs.of(*given), Runs.of(*given, lead_hz=BANDWIDTH_HZ)
     errors = replace(errors, runs=runs.squares, short=short.squares)
-    found = [_sensor_effect(f, rig) for f in faults]
+    found = [_sensor_effect(f) for f in faults]
     healed = max(errors.before - whole(base.held_left[0]), 0.0)
     costs = [healed / len(faults) for _ in faults]
     slower = [runs.rise(after.without({f.placed.key})) for f in faults]
@@ -232,7 +232,7 @@ def _named(entry: Entry, fit: RigFit, after: float, without: float) -> NamedEffe
     parameters: dict[str, Any] = {}
     for key in members(entry.key):
         placed = fit.model.effect(key)
-        told = effect_parameters(placed, fit, fit.errors)
+        told = effect_parameters(placed, fit)
         if placed.like:  # what it shares is told already
             told = {f"{placed.on}.{k}": v for k, v in told.items() if v != parameters.get(k)}
         parameters |= told
@@ -274,7 +274,7 @@ def declared_of(fit: RigFit) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _sensor_effect(fault: SensorFault, rig: Rig) -> NamedEffect:
+def _sensor_effect(fault: SensorFault) -> NamedEffect:
     """Describe what a sensor does."""
     values, errors = fault.placed.values, fault.errors
     units = {p.name: p.unit for p in PLACED_CATALOGUE[fault.placed.name].keep}
@@ -290,11 +290,9 @@ def _sensor_effect(fault: SensorFault, rig: Rig) -> NamedEffect:
     )
 
 
-def effect_parameters(
-    effect: Placed, fit: RigFit, errors: dict[str, float]
-) -> dict[str, dict[str, Any]]:
+def effect_parameters(effect: Placed, fit: RigFit) -> dict[str, dict[str, Any]]:
     """Return the parameters of an effect in units that people read."""
-    model = fit.model
+    model, errors = fit.model, fit.errors
     se = {k: errors.get(f"{effect.key}.{k}", 0.0) for k in effect.values}
     slide = on_slide(model, effect.on)
     found: dict[str, dict[str, Any]] = {}

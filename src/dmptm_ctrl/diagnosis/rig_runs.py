@@ -23,13 +23,12 @@ from dmptm_ctrl.identify.rig_simulate import free_run, readings
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.signals.units import parse_unit
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel, angle_body
 
 if TYPE_CHECKING:
     from dmptm_ctrl.plots.diagnosis import Overlay
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,11 +147,7 @@ class Runs:
         """
         twins = []
         for steps in twin_steps(fit.covariance):
-            moved = [
-                float(np.clip(fit.state.get(f) + f.scale * step, f.low, f.high))
-                for f, step in zip(fit.frees, steps, strict=True)
-            ]
-            runs = self.run(after.moved(fit.frees, moved))
+            runs = self.run(after.moved(fit.frees, fit.state.after(fit.frees, steps)))
             if runs is not None:
                 joined = zip(runs, self.held, strict=True)
                 twins.append(np.concatenate([run[use] for run, use in joined]))

@@ -6,24 +6,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.diagnosis.screen import STRANGE, VAGUE
+from dmptm_ctrl.diagnosis.screen import LEAN, STRANGE, VAGUE
 from dmptm_ctrl.drive.rig import Rig, Sensor, is_known
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.signals.campaign import without_duplicates
 from dmptm_ctrl.signals.plausible import (
     MISTAKES,
     NAMED,
     SAME_UNIT,
+    lean,
     motion_ratio,
     refuse_factor,
     travelled,
 )
 from dmptm_ctrl.signals.plausible import SURE as SURE_PAIR
 from dmptm_ctrl.signals.units import parse_unit
+from dmptm_ctrl.simulate.model import Floats
 
-LEAN = 0.3  # correlation of drive and speed that tells the sign of the motors' power
 SURE = 10.0  # standard errors of an inertia that contradicts its declaration
 KINEMATIC = 0.99  # correlation above which one position follows another through a soft link
 INVERSE = 0.25  # of a ratio's error in logarithms, below which its inverse fits far better
@@ -33,24 +33,10 @@ HIDDEN = 20.0  # times less: behind a soft shaft, a load hides that much of the 
 
 
 def screen_rig(rig: Rig, logs: Sequence[Log]) -> tuple[tuple[Log, ...], tuple[str, ...]]:
-    """Choose the logs of a rig of any shape that can be diagnosed.
+    """Choose the logs of a rig of any shape that can be diagnosed; LogError where none is left.
 
-    Parameters
-    ----------
-    rig : Rig
-    logs : sequence of Log
-        As the rig reads them.
-
-    Returns
-    -------
-    logs : tuple of Log
-    warnings : tuple of str
-        What was left out, shortened or looks wrong; each log has its own besides.
-
-    Raises
-    ------
-    LogError
-        No log is left, or the sensors of one body contradict each other.
+    And warnings: what was left out or looks wrong; each log has its own besides. Sensors of one
+    body that contradict each other are refused by a LogError, too.
     """
     distinct, warnings = without_duplicates(tuple(logs))
     kept, useless = [], []
@@ -93,10 +79,7 @@ def nothing_in(rig: Rig, log: Log) -> str:
 def refuse_other_units(rig: Rig, log: Log) -> list[str]:
     """Refuse sensors of one body, or across links, that differ in unit, sign or ratio.
 
-    Returns
-    -------
-    list of str
-        Factors that a sensor's gain may have: told, not refused.
+    Factors that a sensor's gain may have are told, not refused.
     """
     notes = []
     for one, other, path in _pairs(rig):
@@ -168,18 +151,14 @@ def _pairs(rig: Rig) -> Iterator[tuple[Sensor, Sensor, _Path]]:
     ordered = sorted(rig.sensors, key=lambda s: s.measures != "position")
     for i, one in enumerate(ordered):
         for other in ordered[i + 1 :]:
-            path = _path(rig, one.body, other.body)
-            if path is not None:
-                yield one, other, path
+            yield one, other, _path(rig, one.body, other.body)
 
 
-def _path(rig: Rig, body: str, to: str) -> _Path | None:
-    """Way through links of known ratio; None where there is none."""
+def _path(rig: Rig, body: str, to: str) -> _Path:
+    """Way from one body to another, through links."""
     paths = {body: _Path(1.0, (), True)}
     for _ in rig.links:
         for link in rig.links:
-            if not is_known(link.ratio):
-                continue
             for here, there, step in (
                 (link.first, link.second, link.ratio.value),
                 (link.second, link.first, 1 / link.ratio.value),
@@ -189,7 +168,7 @@ def _path(rig: Rig, body: str, to: str) -> _Path | None:
                     name = f"[{'mesh' if link.mesh else 'shaft'}.{link.name}]"
                     links, rigid = (*before.links, name), before.rigid and link.rigid
                     paths[there] = _Path(before.ratio * step, links, rigid)
-    return paths.get(to)
+    return paths[to]
 
 
 def generates(rig: Rig, log: Log) -> list[str]:
@@ -216,29 +195,14 @@ def generates(rig: Rig, log: Log) -> list[str]:
     return notes
 
 
-def lean(u: Floats, v: Floats) -> float:
-    """Return the cosine between two signals, 0 where one is zero."""
-    size = np.sqrt(float(u @ u) * float(v @ v))
-    return float(u @ v) / size if size > 0 else 0.0
-
-
 def refuse_reversed(rig: Rig, balance: Balance) -> str:
     """Refuse inputs that count against the motion: a negative inertia, and energy that comes out.
 
-    Returns
-    -------
-    str
-        A warning where the inertia is negative but the drive puts energy in, or where a spring
-        lies between drive and sensor, as resonances make it; empty if nothing is wrong.
-
-    Raises
-    ------
-    LogError
+    Return a warning where the inertia is negative but the drive puts energy in, or where a spring
+    lies between drive and sensor, as resonances make it; empty if nothing is wrong.
     """
     point = balance.points[0]
     turns = rig.turns(point.body)
-    if any(i.body not in turns for i in rig.inputs):
-        return ""
     if len(rig.inputs) > 1 and not all(is_known(i.gain) for i in rig.inputs):
         return ""
     columns = " and ".join(i.column for i in rig.inputs)
@@ -266,7 +230,7 @@ def refuse_reversed(rig: Rig, balance: Balance) -> str:
             f"there the inertia is {-inertia:.3g} {shown}"
         )
     ways = [_path(rig, point.body, i.body) for i in rig.inputs]
-    if (energy < 0 or wrong) and all(way is not None and way.rigid for way in ways):
+    if (energy < 0 or wrong) and all(way.rigid for way in ways):
         raise LogError(said)
     return said
 
@@ -286,18 +250,12 @@ def _inertia_unit(rig: Rig, body: str) -> str:
 
 
 def refuse_no_gain(rig: Rig, balance: Balance) -> None:
-    """Refuse an inertia in kg·m² that the logs contradict, beside an input of unknown gain.
-
-    Raises
-    ------
-    LogError
-        With the inertia in units of the input, and the gain that would make it fit.
-    """
+    """Refuse an inertia in kg·m² that the logs contradict, beside an input of unknown gain."""
     source = rig.inputs[0]
     point = balance.points[0]
     turns = rig.turns(point.body)
     known = all(is_known(b.inertia) for b in rig.bodies)
-    if len(rig.inputs) > 1 or is_known(source.gain) or not known or len(turns) < len(rig.bodies):
+    if len(rig.inputs) > 1 or is_known(source.gain) or not known:
         return
     inertia, se, _ = _inertia(rig, balance, turns)
     low, value, high = _declared(rig, turns)
@@ -323,7 +281,7 @@ def other_scale(rig: Rig, balance: Balance) -> str:
     point = balance.points[0]
     turns = rig.turns(point.body)
     known = [b.inertia for b in rig.bodies] + [i.gain for i in rig.inputs]
-    if len(turns) < len(rig.bodies) or not all(is_known(q) for q in known):
+    if not all(is_known(q) for q in known):
         return ""
     inertia, se, _ = _inertia(rig, balance, turns)
     low, value, high = _declared(rig, turns)
@@ -386,5 +344,5 @@ def _inertia(rig: Rig, balance: Balance, turns: dict[str, float]) -> tuple[float
 
 def _weights(rig: Rig, turns: dict[str, float], q: Floats) -> list[Floats]:
     """Sine and cosine of the angles of bodies that turn: what weights on them may do."""
-    ratios = {turns[b.name] for b in rig.bodies if not b.linear and b.name in turns}
+    ratios = {turns[b.name] for b in rig.bodies if not b.linear}
     return [wave(r * q) for r in ratios for wave in (np.sin, np.cos)]

@@ -4,21 +4,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent
 from dmptm_ctrl.identify.forces import measured_motion
 from dmptm_ctrl.identify.free_parameters import on_slide, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import Motion, coordinates_of
+from dmptm_ctrl.identify.measured_motion import Motion
 from dmptm_ctrl.identify.rig_fit import RigFit, residuals
 from dmptm_ctrl.identify.teeth import carried, in_twist, put_through
 from dmptm_ctrl.simulate.along import acting_of, friction_along, torque_along
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-
-Floats = NDArray[np.float64]
 
 MAX_ORDER = 400  # per turn
 SCREENED = 6  # orders and places of a screening that are looked at closely
@@ -65,7 +63,7 @@ def unit_columns(
             else:
                 out = torque_along(acting, load, theta, omega, motion.time)
             columns.append(motion.reduce(reach * r * out))
-        parts.append(_in_equations(fit, balance, motion, body, np.array(columns).T))
+        parts.append(_in_equations(fit, balance, body, np.array(columns).T))
     return parts
 
 
@@ -91,9 +89,7 @@ def _sized(shape: Placed, name: str, amplitude: float) -> Placed:
     return shape._replace(values={**shape.values, name: amplitude})
 
 
-def _in_equations(
-    fit: RigFit, balance: Balance, motion: Motion, body: str, column: Floats
-) -> Floats:
+def _in_equations(fit: RigFit, balance: Balance, body: str, column: Floats) -> Floats:
     """A torque on a body appears in the first equation, and in that of its own coordinate."""
     model = fit.model
     layout, plant = model.layout, model.plant()
@@ -107,7 +103,7 @@ def _in_equations(
     for name, k in balance.teeth.items():
         stiffness = model.value(f"link.{name}.stiffness")
         out[k] = in_twist(model, name, 0.0, 0.0, through[name], stiffness)
-    seen = coordinates_of(layout, [p.name for p in balance.points])
+    seen = balance.seen(layout)
     for k, g in enumerate(seen):
         if k > 0 and g not in seen[:k] and k not in balance.teeth.values():
             out[k] = left[g] * balance.heft / (reach[g] * plant.inertia[g])
@@ -151,15 +147,13 @@ def spots(tangent: Tangent, body: str) -> list[dict[str, float]]:
     return [shape for _, shape in sorted(found, key=lambda f: -f[0])]
 
 
-def orders(
-    tangent: Tangent, body: str, slide: bool, pushed: Sequence[Floats] | None = None
-) -> list[float]:
+def orders(tangent: Tangent, body: str, pushed: Sequence[Floats] | None = None) -> list[float]:
     """Orders at which the residual repeats with the angle, by FFT over the angle.
 
     `pushed` is what a constant amplitude changes of all equations, (equations, rows, 1) per log;
     by default of the first, everywhere alike. In the first, mesh torques cancel.
     """
-    balance = tangent.balance
+    balance, slide = tangent.balance, on_slide(tangent.fit.model, body)
     logs = [rows_of(tangent, k, body) for k in range(len(balance.motions))]
     if pushed is not None:
         weights = tangent.fit.likelihood.scales(tangent.fit.left) ** -2.0
@@ -184,9 +178,8 @@ def orders(
         seen = np.searchsorted(np.sort(np.abs(speed)), fastest) / max(speed.size, 1)
         power += np.abs(np.fft.rfft(sums)) ** 2 / (np.maximum(seen, 0.05) * max(speed.size, 1))
         slow = min(slow, float(np.median(np.abs(speed))) if speed.size else slow)
-    lowest = LEAST_PERIODS * 2 * np.pi / span if slide else max(
-        LEAST_PERIODS * 2 * np.pi / span, 2.0
-    )  # fmt: skip
+    lowest = LEAST_PERIODS * 2 * np.pi / span
+    lowest = lowest if slide else max(lowest, 2.0)
     highest = counts[-1] / 2 if slide else MAX_ORDER
     highest = min(highest, 4 * np.pi * balance.bandwidth / max(slow, 1e-9))
     peak = np.zeros(power.size, bool)
@@ -206,6 +199,6 @@ def frequencies(tangent: Tangent) -> list[float]:
             continue
         f = np.fft.rfftfreq(size, motion.dt * motion.step)
         total += np.interp(grid, f, np.abs(np.fft.rfft(left[0] * motion.moving, size)) ** 2)
-    longest = max(float(m.time[-1]) for m in motions)
+    longest = tangent.balance.longest
     top = float(grid[int(np.argmax(total))])
     return [max(top + d / longest, 0.1 / longest) for d in (-0.4, -0.2, 0.0, 0.2, 0.4)]

@@ -10,9 +10,10 @@ from matplotlib.figure import Figure
 from dmptm_ctrl.identify.frequency_response import FrequencyResponse, from_log
 from dmptm_ctrl.identify.rig_fit import State
 from dmptm_ctrl.plots.page import data_uri
-from dmptm_ctrl.plots.quality import Floats, Spectrum, plot_spectrum
+from dmptm_ctrl.plots.quality import Spectrum, plot_spectrum
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.signals.units import parse_unit
+from dmptm_ctrl.simulate.model import Floats
 
 if TYPE_CHECKING:
     from dmptm_ctrl.diagnosis.rig_report import RigSource
@@ -25,18 +26,9 @@ LINEAR = 0.5  # coherence
 
 
 def spectrum(source: "RigSource", marks: Mapping[str, float]) -> Spectrum | None:
-    """Return the gains on the held-out log that excites most frequencies.
+    """Return the gains on the held-out log that excites most frequencies, with `marks` [Hz].
 
-    Parameters
-    ----------
-    source : RigSource
-    marks : mapping of str to float
-        Frequencies to mark [Hz].
-
-    Returns
-    -------
-    Spectrum or None
-        None where no log shows a curve.
+    None where no log shows a curve.
     """
     low, high = min(marks.values()) / AROUND, max(marks.values()) * AROUND
 

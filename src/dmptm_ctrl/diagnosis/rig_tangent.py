@@ -3,20 +3,18 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import isfinite
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.diagnosis.candidate import JOINED, Keys, Rows
 from dmptm_ctrl.diagnosis.select import joint_gain
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Nuisance
 from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, prior_rows
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import Placed
 
-Floats = NDArray[np.float64]
 LOOK = 6  # iterations of a fit whose meshes are held
 Parts = tuple[Floats, ...]  # (equations, rows, k) per log
 
@@ -81,11 +79,8 @@ class Tangent:
     def beside_declared_meshes(self) -> "Tangent":
         """The same of a fit whose meshes are as declared: errors of teeth bend them."""
         model = self.fit.model
-        meshes = [f"link.{k.name}." for k in model.rig.links if k.mesh and not k.rigid]
-        known = {
-            key: q.value for key, q in model.quantities.items()
-            if isfinite(q.value) and any(map(key.startswith, meshes))
-        }  # fmt: skip
+        meshes = tuple(f"link.{k.name}." for k in model.rig.links if k.mesh and not k.rigid)
+        known = model.declared(lambda key: key.startswith(meshes))
         state = replace(self.fit.state, model=model.with_values(known))
         rest = [f for f in self.fit.frees if f.label not in known]
         like = self.fit.likelihood
@@ -150,12 +145,7 @@ class Tangent:
     @cached_property
     def room(self) -> tuple[Floats, Floats]:
         """How far the fitted numbers may still move, down and up, in scales."""
-        ends = [
-            ((f.low - self.fit.state.get(f)) / f.scale, (f.high - self.fit.state.get(f)) / f.scale)
-            for f in self.fit.frees
-        ]
-        low, high = np.array(ends).reshape(-1, 2).T
-        return low, high
+        return self.fit.state.room(self.fit.frees)
 
     def bounded_gain(self, parts: Sequence[Floats]) -> float:
         """Fall of −2 log-likelihood to first order, the fitted numbers in their ranges."""

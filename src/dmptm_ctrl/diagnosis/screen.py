@@ -4,8 +4,6 @@ A log that cannot tell anything is left out with a warning. Units and signs that
 logs share contradict nothing inside a log; they show against the declared model.
 """
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from dmptm_ctrl.diagnosis.measure import MIN_SAMPLES
@@ -20,7 +18,7 @@ from dmptm_ctrl.identify.motion import (
     smooth,
 )
 from dmptm_ctrl.signals import Campaign, Log, LogError, MissingChannelError
-from dmptm_ctrl.signals.plausible import MISTAKES, refuse_inconsistent
+from dmptm_ctrl.signals.plausible import MISTAKES, lean, refuse_inconsistent
 from dmptm_ctrl.simulate.model import Model
 
 NEEDED = ("u_left", "u_right", "theta_L", "omega_L")
@@ -37,26 +35,12 @@ LEAN = 0.3  # correlation of voltage and speed that tells the sign of a motor's 
 TRIED_SECONDS = 20.0  # of each log, run on the declared model
 
 
-def screen(logs: Iterable[Log], drive: Drive) -> tuple[Campaign, tuple[str, ...]]:
-    """Choose the logs that can be diagnosed.
+def screen(campaign: Campaign, drive: Drive) -> tuple[Campaign, tuple[str, ...]]:
+    """Choose the logs that can be diagnosed, beside the declared model.
 
-    Parameters
-    ----------
-    drive : Drive
-        The declared model.
-
-    Returns
-    -------
-    campaign : Campaign
-    warnings : tuple of str
-        What was left out, shortened or looks wrong; each log has its own besides.
-
-    Raises
-    ------
-    LogError
-        No log is left, or all share a mistaken unit or sign.
+    And warnings: what was left out, shortened or looks wrong; each log has its own besides.
+    LogError where no log is left, or all share a mistaken unit or sign.
     """
-    campaign = logs if isinstance(logs, Campaign) else Campaign(tuple(logs))
     warnings = list(campaign.warnings)
     useless: dict[str, str] = {}
     for log in campaign:
@@ -135,13 +119,9 @@ def refuse_one_sign(log: Log) -> None:
     A lasting difference, the preload, does not count: means are taken off.
     """
     speed = log["omega_L"] - log["omega_L"].mean()
-    lean = {}
-    for channel in ("u_left", "u_right"):
-        u = log[channel] - log[channel].mean()
-        size = np.sqrt(float(u @ u) * float(speed @ speed))
-        lean[channel] = float(u @ speed) / size if size > 0 else 0.0
-    if min(lean.values()) < -LEAN and max(lean.values()) > LEAN:
-        wrong = min(lean, key=lambda channel: lean[channel])
+    leans = {c: lean(log[c] - log[c].mean(), speed) for c in ("u_left", "u_right")}
+    if min(leans.values()) < -LEAN and max(leans.values()) > LEAN:
+        wrong = min(leans, key=lambda channel: leans[channel])
         raise LogError(
             f"{log.name}: {wrong} works against the motion and the other motor's voltage over the "
             f"whole log: {wrong} has the wrong sign"

@@ -18,13 +18,13 @@ from dmptm_ctrl.diagnosis.candidate import (
     LEVEL,
     Candidate,
     Evidence,
-    Floats,
     Keys,
     Rows,
     State,
     needed,
     overlap,
 )
+from dmptm_ctrl.simulate.model import Floats
 
 # Evidence per unit of log-odds between rivals: 2 where the likelihood is right; laws that are
 # only nearly right make it less sharp.
@@ -109,17 +109,7 @@ def select_effects(
 ) -> Selection:
     """Select effects until no candidate and no small set of them is acceptable.
 
-    Parameters
-    ----------
-    evidence : Evidence
-    base : State
-        The declared model, fitted.
-    say : callable
-        Hears each step.
-
-    Returns
-    -------
-    Selection
+    `base` is the declared model, fitted; `say` hears each step.
     """
     selection = Selection(base, base)
     state = base

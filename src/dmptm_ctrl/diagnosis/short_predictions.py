@@ -11,7 +11,7 @@ from math import inf
 
 from dmptm_ctrl.contract import RUNS
 from dmptm_ctrl.diagnosis.candidate import LEVEL, Candidate, name_of, needed
-from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, fall, key_of
+from dmptm_ctrl.diagnosis.dual import DualEvidence, DualState, fall
 from dmptm_ctrl.diagnosis.judge import rise
 from dmptm_ctrl.diagnosis.negligible import without_negligible
 from dmptm_ctrl.diagnosis.residual import predicting
@@ -26,26 +26,15 @@ FITTED = 2  # effects that are fitted at each look
 def with_short_predictions(
     evidence: DualEvidence, selection: Selection, say: Callable[[str], None] = lambda _: None
 ) -> Selection:
-    """Add what only short predictions ask for.
+    """Add what only short predictions ask for to the selection of the balances.
 
-    Parameters
-    ----------
-    selection : Selection
-        Of the balances.
-    say : callable
-        Hears each step.
-
-    Returns
-    -------
-    Selection
-        With its final model fitted to balances and short predictions where an effect was found;
-        else the same.
+    Where an effect is found, the final model is fitted to balances and short predictions.
     """
     state = DualState(predicting(selection.final.left), selection.final.keys)
     found: dict[str, list[Candidate]] = {}
     tried: list[Candidate] = []
     while len(state.keys) < MOST:
-        names = likely(state, open_names(evidence, state))
+        names = likely(state, candidates(state.trace, evidence.skip, everything=True))
         tried = ranked(evidence.beyond(state, names))
         able = [c for c in tried if c.acceptable]
         if not able:
@@ -94,12 +83,6 @@ def entry_of(
         return replace(old[key], without=without)
     rivals = tuple(c for c in found[key] if c.keys[0] not in state.keys and c.acceptable)
     return Entry(key, *evidence.gains(without, state), rivals, without)
-
-
-def open_names(evidence: DualEvidence, state: DualState) -> list[str]:
-    """Effects that are not in the model and that runs could show."""
-    names = candidates(state.trace, evidence.skip, everything=True)
-    return [name for name in names if key_of(name) not in state.keys]
 
 
 def likely(state: DualState, names: Sequence[str]) -> list[str]:

@@ -77,8 +77,8 @@ class Tables:
         (entry, knot) → standard error.
     gain, held_gain : float
         Fall of the loss on fitted and held-out logs.
-    beside, left : Residual
-        Without and with the tables in the model.
+    left : Residual
+        With the tables in the model.
     """
 
     variables: tuple[str, ...]
@@ -86,7 +86,6 @@ class Tables:
     errors: dict[tuple[str, str], float]
     gain: float
     held_gain: float
-    beside: Residual
     left: Residual
 
     @property
@@ -178,13 +177,7 @@ def waves(left: Residual) -> dict[str, float]:
 
 
 def clock_table(left: Residual, period: float, jobs: int) -> Tables | None:
-    """Fit a table over the time in a period; None where it does not help.
-
-    Parameters
-    ----------
-    period : float
-        Of what comes at fixed intervals [s].
-    """
+    """Fit a table over the time in a period [s]; None where it does not help."""
     shape = {"variable": CLOCK, "low": 0.0, "high": period, "period": period}
     first = better(left, [of_motors(left, shape), tabled(left, {TORQUE: shape})])
     fitted = better(left, [first, tabled(left, narrowed(first.model))])
@@ -209,7 +202,7 @@ def described(
     rest = residual(left.measured, fitted.model, unknowns=left.base.unknowns, jobs=jobs)
     gain = left.base.loss - fitted.loss
     names = tuple(name for name in fitted.model.effects if name not in left.base.model.effects)
-    return Tables(tuple(variables), names, own, gain, held, left, rest)
+    return Tables(tuple(variables), names, own, gain, held, rest)
 
 
 def of_motors(left: Residual, shape: Mapping[str, float]) -> BalanceFit:

@@ -19,7 +19,6 @@ from dmptm_ctrl.diagnosis.select import joint_gain
 from dmptm_ctrl.effects import CATALOGUE, TABLES
 from dmptm_ctrl.identify.balance import (
     ROWS,
-    STALLED,
     Balance,
     BalanceFit,
     columns,
@@ -111,10 +110,6 @@ class Trace:
         told = self.basis[self.totals].T @ columns
         left = squares - np.einsum("ij,ij->j", told, told)
         return np.maximum(left, SINGULAR * squares), self.target[self.totals] @ columns
-
-    def weigh_down(self, parts: Sequence[Floats]) -> Floats:
-        """Stack parts per equation with the weights of the base fit."""
-        return np.asarray(self.base.weights * np.concatenate(parts))
 
     def gain(self, columns: Floats) -> float:
         """Fall of the weighted square by columns (m, k), to first order; by their products."""
@@ -233,7 +228,7 @@ def orders(trace: Trace, effect: Effect) -> list[dict[str, float]]:
                 else:
                     mine = e.kind == ("left", "right")[j // 2]
                     parts[j].append(-table[j] if mine else np.zeros(table.shape[1]))
-        return trace.gain(np.array([trace.weigh_down(p) for p in parts]).T)
+        return trace.gain(np.array([trace.base.weights * np.concatenate(p) for p in parts]).T)
 
     runs = np.split(np.array(bank), np.flatnonzero(np.diff(bank) != 1.0) + 1)
     several = [few for run in runs for few in np.array_split(run, max(1, run.size // FEW))]
@@ -329,10 +324,7 @@ def try_effect(trace: Trace, name: str, least: float) -> Trial | None:
         parts = trace.balance.missing_of(models)
         models = [models[int(np.argmin([surprise(one, trace.base.kinds) for one in parts]))]]
     unknowns, jacobian = (*trace.base.unknowns, *unknowns_of(name)), trace.base.jacobian
-    fits = [
-        fit_balance(trace.balance, model, unknowns, jacobian=jacobian, worth=STALLED)
-        for model in models
-    ]
+    fits = [fit_balance(trace.balance, model, unknowns, jacobian=jacobian) for model in models]
     return tried(trace, name, min(fits, key=lambda f: f.loss))
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.compared_signals import correlation_length
-from dmptm_ctrl.identify.fit import Unknown, bounded_step, place, position, secant
+from dmptm_ctrl.identify.fit import Fit, Unknown, bounded_step, place, position, secant
 from dmptm_ctrl.identify.heavy_tails import FREEDOM, robust_scale
 from dmptm_ctrl.identify.motion import GYRO_NOISE, Motion
 from dmptm_ctrl.identify.observer_driven import Led
@@ -188,7 +188,7 @@ def scatter(parts: Sequence[Floats], kinds: Sequence[str], freedom: float = FREE
 
 
 @dataclass(frozen=True, eq=False)
-class BalanceFit:
+class BalanceFit(Fit):
     """Parameters that close the balances best.
 
     Attributes
@@ -201,17 +201,12 @@ class BalanceFit:
         Of each part.
     jacobian : (m, k) array
         d missing/dp, unweighted.
-    covariance : (k, k) array
     """
 
-    model: Model
-    unknowns: tuple[Unknown, ...]
-    p: Floats
     loss: float
     parts: list[Floats]
     kinds: list[str]
     jacobian: Floats
-    covariance: Floats
 
     @property
     def missing(self) -> Floats:
@@ -318,7 +313,6 @@ def fit_balance(
     unknowns: Sequence[Unknown],
     *,
     jacobian: Floats | None = None,
-    worth: float = STALLED,
     freedom: float = FREEDOM,
 ) -> BalanceFit:
     """Fit unknowns by Gauss–Newton with weights that follow the misfit.
@@ -327,8 +321,6 @@ def fit_balance(
     ----------
     jacobian : (m, j) array, optional
         Of the first j unknowns, kept as it is (the drive's are nearly constant).
-    worth : float
-        Fall of the loss by the first step, below which there is no second.
     freedom : float
         Of Student's t; the larger, the more an outlier counts.
     """
@@ -347,7 +339,7 @@ def fit_balance(
         return np.hstack([kept, columns(balance, model, own, np.concatenate(parts))])
 
     jac, fresh = slopes(), True
-    for k in range(ITERATIONS):
+    for _ in range(ITERATIONS):
         e, p0 = np.concatenate(parts), p
         w = weights(parts, kinds, freedom)
         gain = 0.0
@@ -361,7 +353,7 @@ def fit_balance(
                 gain = value - cost
                 p, model, parts, value = trial, moved, tried, cost
                 break
-        stalled = gain < (worth if k == 0 else STALLED)
+        stalled = gain < STALLED
         if stalled and fresh:
             break
         if not own:
@@ -371,7 +363,7 @@ def fit_balance(
         else:
             jac, fresh = secant(jac, np.concatenate(parts) - e, p - p0), False
     covariance = covariance_of(weights(parts, kinds)[:, None] * jac, unknowns)
-    return BalanceFit(model, unknowns, p, value, parts, kinds, jac, covariance)
+    return BalanceFit(model, unknowns, p, covariance, value, parts, kinds, jac)
 
 
 def covariance_of(rows: Floats, unknowns: Sequence[Unknown]) -> Floats:
@@ -381,20 +373,14 @@ def covariance_of(rows: Floats, unknowns: Sequence[Unknown]) -> Floats:
 
 
 def settled_fit(
-    balance: Balance, model: Model, unknowns: Sequence[Unknown], jacobian: Floats | None = None
+    balance: Balance, model: Model, unknowns: Sequence[Unknown], jacobian: Floats
 ) -> BalanceFit:
     """Fit to the end, from here and from where outliers count in full; return the better.
 
     A robust loss has several minima: windows that one effect cannot follow pass for outliers.
-    Both ways share slopes, which change little; the end is fitted with its own.
-
-    Parameters
-    ----------
-    jacobian : (m, k) array, optional
-        Slopes of all unknowns near the model.
+    Both ways share slopes `jacobian` (m, k), which change little; the end is fitted with its
+    own.
     """
-    if jacobian is None:
-        jacobian = columns(balance, model, unknowns, np.concatenate(balance.missing(model)))
     here = fit_balance(balance, model, unknowns, jacobian=jacobian)
     whole = fit_balance(balance, model, unknowns, jacobian=jacobian, freedom=GAUSSIAN)
     there = fit_balance(balance, whole.model, unknowns, jacobian=jacobian)

@@ -8,6 +8,7 @@ error left to a controller.
 
 from collections.abc import Sequence
 from itertools import product
+from typing import cast
 
 import numpy as np
 
@@ -31,25 +32,14 @@ def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> 
     """Return the distance at the ring gear [rad] over which friction builds up.
 
     The one with the smallest misfit of the free runs, by a parabola through the three best
-    neighbours; 0 where any distance only makes it worse.
-
-    Parameters
-    ----------
-    model : Model
-        Fitted to the logs, without presliding.
-    logs : sequence of Log
-        At their sample rate.
-    n_jobs : int
-        Threads.
-
-    Raises
-    ------
-    ValueError
-        A model that has presliding.
+    neighbours; 0 where any distance only makes it worse. The model is fitted to the logs, which are
+    at their sample rate; ValueError where it has presliding.
     """
     if PRESLIDING.name in model.effects:
         raise ValueError("the model has presliding; its distances are known")
-    costs = _missed([_built_up(model, d) if d > 0.0 else model for d in DISTANCES], logs, n_jobs)
+    costs = _missed(
+        [slow_friction(model, d) if d > 0.0 else model for d in DISTANCES], logs, n_jobs
+    )
     k = int(np.argmin(costs))
     if k in (0, DISTANCES.size - 1):
         return float(DISTANCES[k])
@@ -65,7 +55,8 @@ def with_build_up(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> Mode
     a model has, both distances are tried at :data:`SHARES` of themselves, each with each.
     """
     if PRESLIDING.name not in model.effects:
-        return _built_up(model, friction_distance(model, logs, n_jobs=n_jobs))
+        distance = friction_distance(model, logs, n_jobs=n_jobs)
+        return cast(Model, slow_friction(model, distance))
     told = model.effects[PRESLIDING.name]
     names = ("reducer_distance", "ring_distance")
     tried = [
@@ -87,8 +78,3 @@ def _missed(models: Sequence[Model], logs: Sequence[Log], n_jobs: int) -> Floats
     rows = in_threads(lambda one: one.missing_of(models), leds, n_jobs, lambda one: one.count)
     kinds = ["led"] * len(leds)
     return np.array([surprise([row[k] for row in rows], kinds) for k in range(len(models))])
-
-
-def _built_up(model: Model, distance: float) -> Model:
-    found: Model = slow_friction(model, distance)
-    return found

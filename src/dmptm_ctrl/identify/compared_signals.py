@@ -5,17 +5,15 @@ from functools import cache
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-Floats = NDArray[np.float64]
+from dmptm_ctrl.simulate.model import Floats
 
 NORMAL_MEDIAN = 0.6745  # median of |x| over the standard deviation, x normal
 BANDWIDTH_HZ = 30.0  # above it, rattle that no model predicts sample by sample
 ORDER = 4  # of the filter that leaves it out
-PERIODS = (
-    3.0  # of the bandwidth; a signal goes on so far beyond its ends, or the filter rings there
-)
+# of the bandwidth; a signal goes on so far beyond its ends, or the filter rings there
+PERIODS = 3.0
 
 
 def low_pass(signal: Floats, dt: float, bandwidth_hz: float = BANDWIDTH_HZ) -> Floats:
@@ -32,17 +30,9 @@ def _sections(rate: float, bandwidth_hz: float) -> Floats:
 
 
 def agreement(pairs: Sequence[tuple[Floats, Floats]]) -> dict[str, float]:
-    """How far runs are from what was measured, over all logs together.
+    """How far runs are from what was measured, by pairs of (measured, run), over all logs together.
 
-    Parameters
-    ----------
-    pairs : sequence of ((n,) array, (n,) array)
-        Measured and run, in one unit.
-
-    Returns
-    -------
-    dict
-        `rmse`, `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
+    `rmse` in their unit, `fit_percent` = 100 (1 − NRMSE), `pearson_r`.
     """
     seen, run = (np.concatenate([p[k] for p in pairs]) for k in (0, 1))
     rmse = float(np.sqrt(np.mean((seen - run) ** 2)))

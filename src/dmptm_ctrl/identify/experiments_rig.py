@@ -102,9 +102,9 @@ def ramp(
     common = rate * DT * np.arange(n)
     u = np.array([common, common])
     x0 = rest(model, rng.uniform(-0.5, 0.5))
-    x0[:2] += rng.uniform(-0.5, 0.5, 2) * [model.drive["gap_l"], model.drive["gap_r"]]
+    gaps = np.array([model.drive["gap_l"], model.drive["gap_r"]])
+    x0[:2] += rng.uniform(-0.5, 0.5, 2) * gaps
     if from_flank:
-        gaps = np.array([model.drive["gap_l"], model.drive["gap_r"]])
         x0[:2] = model.drive["N_2"] * x0[2] + np.sign(rate) * gaps
     out = march(model, u, x0, DT)
     where = "flank" if from_flank else "gap"

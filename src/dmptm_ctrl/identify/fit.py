@@ -45,6 +45,11 @@ class Unknown:
     high: float
     prior: float
 
+    @property
+    def label(self) -> str:
+        """Its name, behind that of the effect if it is one's."""
+        return self.name if self.effect is None else f"{self.effect}.{self.name}"
+
     def of(self, model: Model) -> float:
         """Return the value that a model has."""
         if self.effect is None:

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.identify.measured_motion import Floats, coordinates_of
+from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.identify.rig_simulate import free_run
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import link_matrices
 from dmptm_ctrl.simulate.rig_model import RigModel, link_sides

@@ -16,7 +16,6 @@ from dmptm_ctrl.identify.measured_motion import (
     HELD_POSITION,
     HELD_SPEED,
     NONE,
-    Floats,
     Motion,
     Moves,
     Nuisance,
@@ -35,6 +34,7 @@ from dmptm_ctrl.simulate.along import (
     signal_along,
     torque_along,
 )
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel

@@ -10,7 +10,6 @@ from dmptm_ctrl.effects.drive_offset import DRIVE_OFFSET
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.fit import PRIOR_SHARE
 from dmptm_ctrl.identify.inverse_dynamics import Balance
-from dmptm_ctrl.identify.measured_motion import coordinates_of
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
@@ -169,7 +168,8 @@ def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[
             if parameter.name == "place":
                 low, high = -inf, inf
             if parameter.name == "width":
-                high = WIDEST * turn_or_travel(scales, linear)  # wider, it is everywhere
+                # wider, it is everywhere
+                high = WIDEST * min(scales.position, inf if linear else 2 * np.pi)
             size = 0.3 * abs(value)
         else:
             # a gap and a bristle are tiny beside the travel
@@ -196,11 +196,6 @@ def _effect_parameters(effect: Placed, model: RigModel, scales: Scales) -> list[
     return frees
 
 
-def turn_or_travel(scales: Scales, linear: bool) -> float:
-    """Length over which places of a body are told apart [rad or m]."""
-    return scales.position if linear else min(scales.position, 2 * np.pi)
-
-
 def on_slide(model: RigModel, body: str) -> bool:
     """Whether a body slides instead of turning."""
     return any(b.name == body.removesuffix(FAR) and b.linear for b in model.rig.bodies)
@@ -210,7 +205,7 @@ def log_parameters(model: RigModel, balance: Balance, log: str, reference: str) 
     """Return what belongs to one log; phases are counted from those of the reference log."""
     frees = []
     layout = model.layout
-    seen = coordinates_of(layout, [p.name for p in balance.points])
+    seen = balance.seen(layout)
     for k, link in enumerate(layout.links):
         ends = [layout.bodies[i] for i in model.plant().link_body[k]]
         if not all(layout.coordinate[b] in seen for b in ends):

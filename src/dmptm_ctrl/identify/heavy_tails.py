@@ -38,6 +38,16 @@ def _count(e: Floats, s: float, freedom: float, out: Floats) -> None:
         out[i] = (freedom + 1.0) / (ratio * ratio + freedom) * (e[i] * e[i])
 
 
+def bent(rows: Floats, scale: float) -> Floats:
+    """How much rows count by Student's t of a scale."""
+    return (FREEDOM + 1.0) / (FREEDOM + (rows / scale) ** 2)
+
+
+def tails(squares: Floats) -> Floats:
+    """−2 log of Student's t at squares over the scale's, without its constant."""
+    return np.asarray((FREEDOM + 1.0) * np.log1p(squares / FREEDOM))
+
+
 def _median(x: Floats) -> float:
     """Median; NumPy's own takes longer to begin than to find it. Reorders x."""
     middle = x.size // 2

@@ -23,7 +23,6 @@ from dmptm_ctrl.identify.following import followed
 from dmptm_ctrl.identify.forces import forces_of
 from dmptm_ctrl.identify.measured_motion import (
     NONE,
-    Floats,
     Motion,
     Nuisance,
     Sight,
@@ -34,8 +33,9 @@ from dmptm_ctrl.identify.measured_motion import (
 from dmptm_ctrl.identify.reading_noise import spectrum
 from dmptm_ctrl.identify.teeth import missing, toothed
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.plant import untwisted
-from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_model import Layout, RigModel
 
 LEAST_DRIVE = 0.05  # of the logged signal gets through to a motor at least
 TAIL = 0.005  # of the twists, beyond the ends of the gap and its wind-up
@@ -114,6 +114,20 @@ class Balance:
         return tuple(dict.fromkeys(m.name for m in self.motions))
 
     @cached_property
+    def longest(self) -> float:
+        """Time at which the longest log ends [s]."""
+        return max(float(m.time[-1]) for m in self.motions)
+
+    @cached_property
+    def link_of(self) -> dict[int, str]:
+        """Toothed link of each equation that is one's."""
+        return {k: name for name, k in self.teeth.items()}
+
+    def seen(self, layout: Layout) -> list[int]:
+        """Coordinate that each point shows."""
+        return coordinates_of(layout, [p.name for p in self.points])
+
+    @cached_property
     def push(self) -> list[Floats]:
         """Driving torque per log as commanded, a gain that is unknown counted as 1, (n,) each."""
         gains = {i.name: i.gain.value if isfinite(i.gain.value) else 1.0 for i in self.rig.inputs}
@@ -153,7 +167,7 @@ class Balance:
     @cached_property
     def counted(self) -> list[NDArray[np.bool_]]:
         """Rows of each equation that count, per log, (equations, rows)."""
-        teeth = {k: name for name, k in self.teeth.items()}
+        teeth = self.link_of
         return [
             np.array(
                 [m.pushing(teeth[k]) if k in teeth else m.moving for k in range(len(self.points))]
@@ -249,8 +263,7 @@ def residual(
         raise ArithmeticError("hardly anything of the drive's signal would get through")
     fair = sent / size if sent > 0 else 1.0
     equations = [fair * (push - total)]
-    seen = coordinates_of(layout, [p.name for p in balance.points])
-    teeth = {k: name for name, k in balance.teeth.items()}
+    seen, teeth = balance.seen(layout), balance.link_of
     for k, point in enumerate(balance.points):
         group, r = seen[k], layout.ratio[layout.sensor_body[point.name]]
         if k in teeth:

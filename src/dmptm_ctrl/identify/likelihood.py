@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.identify.free_parameters import scales_of
-from dmptm_ctrl.identify.heavy_tails import FREEDOM, robust_scale
+from dmptm_ctrl.identify.heavy_tails import bent, robust_scale, tails
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.reading_noise import noise_in_balance
 from dmptm_ctrl.simulate.model import Floats
@@ -67,14 +67,9 @@ class Likelihood:
         return LEAST_SCALE * scales_of(self.balance).force
 
     @cached_property
-    def moving(self) -> list[NDArray[np.bool_]]:
-        """Rows of each equation that count, (equations, rows) per log."""
-        return self.balance.counted
-
-    @cached_property
     def rows(self) -> Ints:
         """Number of rows of each equation that count, (equations,)."""
-        return np.asarray(sum(use.sum(axis=1) for use in self.moving), np.int64)
+        return np.asarray(sum(use.sum(axis=1) for use in self.balance.counted), np.int64)
 
     @cached_property
     def price(self) -> float:
@@ -87,14 +82,16 @@ class Likelihood:
     def parts(self, left: Sequence[Floats]) -> list[Floats]:
         """Rows that count, (rows[, k]) per equation."""
         return [
-            np.concatenate([part[e][use[e]] for part, use in zip(left, self.moving, strict=True)])
+            np.concatenate(
+                [part[e][use[e]] for part, use in zip(left, self.balance.counted, strict=True)]
+            )
             for e in range(left[0].shape[0])
         ]
 
     @cached_property
     def blocks(self) -> Ints:
         """Block of every row, in the order of `stack`: equal numbers of rows on end."""
-        whole = np.concatenate(self.moving, axis=1)
+        whole = np.concatenate(self.balance.counted, axis=1)
         count = max(int(self.rows[0]), 1)
         block = (np.cumsum(whole[0]) - whole[0]) * min(BLOCKS, count) // count
         return np.concatenate([block[use] for use in whole])
@@ -106,7 +103,7 @@ class Likelihood:
     def sizes(self, left: Sequence[Floats]) -> Floats:
         """What is left of each equation, (equations,): its rms, or its scale beside bursts."""
         parts = zip(self.parts(left), self.balance.bursts, strict=True)
-        return np.array([_size(part, heavy) if part.size else 1.0 for part, heavy in parts])
+        return np.array([size_of(part, heavy) if part.size else 1.0 for part, heavy in parts])
 
     def scales(self, left: Sequence[Floats]) -> Floats:
         """Scale of each equation, (equations,): its size, and what no law is known below."""
@@ -117,8 +114,8 @@ class Likelihood:
         found, heavy = [], self.balance.bursts
         rows = zip(self.news, self.scales(left), self.parts(left), heavy, strict=True)
         for news, scale, part, tailed in rows:
-            bent = (FREEDOM + 1.0) / (FREEDOM + (part / scale) ** 2) if tailed else 1.0
-            found.append(np.sqrt(news * bent * np.ones(len(part))) / scale)
+            count = bent(part, scale) if tailed else np.ones(len(part))
+            found.append(np.sqrt(news * count) / scale)
         return np.concatenate(found)
 
     def surprise(self, left: Sequence[Floats], model: RigModel) -> float:
@@ -151,15 +148,6 @@ class Likelihood:
         return [2.0 * np.log(s) + (tails(x) if heavy else x) for x, s, heavy in squares]
 
 
-def _size(rows: Floats, heavy: bool) -> float:
-    return robust_scale(rows) if heavy else root_mean_square(rows)
-
-
-def root_mean_square(rows: Floats) -> float:
-    """Size of rows that are as likely as normal ones."""
-    return float(np.sqrt(np.mean(rows**2)))
-
-
-def tails(squares: Floats) -> Floats:
-    """−2 log of Student's t at squares over the scale's, without its constant."""
-    return np.asarray((FREEDOM + 1.0) * np.log1p(squares / FREEDOM))
+def size_of(rows: Floats, heavy: bool) -> float:
+    """Size of rows: their root mean square, or of heavy tails the scale."""
+    return robust_scale(rows) if heavy else float(np.sqrt(np.mean(rows**2)))

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from dmptm_ctrl.drive import pinion_inertia
 from dmptm_ctrl.identify.frequency_response import stepped_sine
 from dmptm_ctrl.simulate.compiled import Loop
 from dmptm_ctrl.simulate.model import Model
@@ -76,8 +77,7 @@ def resonant_gains(model: Model, hz: float, kp: float, amplitude: float) -> Reso
 
     # The rigid drive on an integrator resonates at ω² ≈ ki K/J, friction pulls it down.
     drive = model.drive
-    pinion = drive["N_1"] ** 2 * drive["J_m"] + drive["J_2"]
-    inertia = drive["J_L"] + 2.0 * drive["N_2"] ** 2 * pinion
+    inertia = drive["J_L"] + 2.0 * drive["N_2"] ** 2 * pinion_inertia(drive)
     pull = 2.0 * drive["N_1"] * drive["N_2"] * drive["K_d"] * drive["K_M"]
     guess = (2.0 * np.pi * hz) ** 2 * inertia / pull
     none = f"no ki puts a resonance at {hz:g} Hz with kp {kp:.3g} V/(rad/s)"

@@ -16,9 +16,8 @@ from scipy.signal import butter, firwin, freqz, sosfiltfilt, upfirdn, welch
 from dmptm_ctrl.drive.rig import Rig, Sensor
 from dmptm_ctrl.identify.compared_signals import NORMAL_MEDIAN, noise_below
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import Layout
-
-Floats = NDArray[np.float64]
 
 NOISE_SHARE = 0.05  # of the acceleration may be sensor noise, rms
 MOTION_OVER_BALANCE = 2.0  # bandwidth of the motion over that of the balance

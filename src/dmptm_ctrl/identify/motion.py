@@ -84,11 +84,6 @@ class Motion:
         return averaged(rows, [self], held=held)
 
     @property
-    def seconds(self) -> float:
-        """Length of the log [s]."""
-        return float(self.rec.u.shape[1] * self.rec.dt)
-
-    @property
     def time(self) -> Floats:
         """Mid of each window [s] from the start of the log."""
         middle = self.starts + 0.5 * (self.window.size - 1)
@@ -271,11 +266,10 @@ def shifts(rec: Record, run: Floats, model: Model) -> Floats:
 
 
 def motions(
-    records: Sequence[Record], model: Model, runs: Sequence[Floats] | None = None, jobs: int = 1
+    records: Sequence[Record], model: Model, runs: Sequence[Floats | None], jobs: int
 ) -> tuple[Motion, ...]:
-    """Prepare several records."""
-    given = [None] * len(records) if runs is None else list(runs)
-    pairs = list(zip(records, given, strict=True))
+    """Prepare several records; of those without motor encoders `runs` are simulated ones."""
+    pairs = list(zip(records, runs, strict=True))
     done = in_threads(
         lambda pair: motion(pair[0], model, pair[1]), pairs, jobs, lambda pair: pair[0].omega.size
     )

@@ -25,15 +25,7 @@ BLOCK_SECONDS = 0.02  # passes 25 Hz; how pinions ring on their flanks is chance
 
 @dataclass(frozen=True, eq=False)
 class Led:
-    """Short predictions on one log.
-
-    Parameters
-    ----------
-    bandwidth_hz : float
-        Of the observer.
-    steps : int
-        A sample.
-    """
+    """Short predictions on one log, by an observer of `bandwidth_hz`, in `steps` per sample."""
 
     rec: Record
     bandwidth_hz: float = BANDWIDTH_HZ
@@ -43,11 +35,6 @@ class Led:
     def block(self) -> int:
         """Samples of a block."""
         return max(1, round(BLOCK_SECONDS / self.rec.dt))
-
-    @property
-    def seconds(self) -> float:
-        """Length of the log [s]."""
-        return self.rec.omega.size * self.rec.dt
 
     @property
     def count(self) -> int:
@@ -62,7 +49,7 @@ class Led:
         """Return the same of several models at once, (models, count)."""
         rec = self.rec
         runs = march_any(
-            [model.over(self.seconds) for model in models],
+            [model.over(rec.omega.size * rec.dt) for model in models],
             rec.u,
             rec.x0,
             rec.dt,

@@ -10,9 +10,10 @@ from dmptm_ctrl.identify.following import lately_changed
 from dmptm_ctrl.identify.forces import forces_of
 from dmptm_ctrl.identify.free_parameters import same_twist
 from dmptm_ctrl.identify.inverse_dynamics import TAIL, Balance
-from dmptm_ctrl.identify.measured_motion import NONE, Floats, Motion, Moves, reading_variance
+from dmptm_ctrl.identify.measured_motion import NONE, Motion, Moves, reading_variance
 from dmptm_ctrl.identify.teeth import twist_of
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.plant import link_matrices
 from dmptm_ctrl.simulate.rig_model import RigModel
 

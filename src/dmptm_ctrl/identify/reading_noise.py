@@ -127,11 +127,10 @@ def _equations(
     reach = untwisted(plant)
     counted = [*first, 0] if told != hidden else [*first]
     found = [np.einsum("g,wgp->wp", reach[counted], torque[:, counted])]
-    teeth = {k: name for name, k in balance.teeth.items()}
     through = _through_teeth(model, rows, position, s, balance.teeth)
     for k, g in enumerate(seen[1:], 1):
-        if k in teeth:
-            found.append(through[teeth[k]])
+        if k in balance.link_of:
+            found.append(through[balance.link_of[k]])
             continue
         # the difference of two readings of one coordinate has no factor that is fitted
         factor = 0.0 if g in seen[:k] else balance.heft / (reach[g] * plant.inertia[g])

@@ -12,7 +12,6 @@ from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.observer import observer_gains
 from dmptm_ctrl.simulate.parts import Parts
 
-BLOCK_SECONDS = 0.005  # residuals are means over blocks: to 100 Hz, past the 60 Hz mode
 SHORT_BLOCK = 4  # samples
 RING_COUNT = 2 * np.pi / 2**18  # rad
 KNOWN_TO = 4.0 * RING_COUNT  # rad, to which an error of the ring encoder is known
@@ -33,8 +32,6 @@ class Record:
         Measured z = θm/N1 − N2 θL per chain, where the log has motor encoders.
     x0 : (6,) array
         State at rest at the first reading.
-    block : int
-        Samples per block mean.
     """
 
     name: str
@@ -44,7 +41,6 @@ class Record:
     omega: Floats
     twist: Floats | None
     x0: Floats
-    block: int
     time: Floats
 
 
@@ -65,8 +61,7 @@ def record(log: Log, drive: Drive) -> Record:
         motors = np.column_stack([log["theta_ml"], log["theta_mr"]])
         twist = motors / n1 - n2 * theta[:, None]
     x0 = _resting(Model(drive), theta[0], motors, RING_COUNT)
-    block = max(1, round(BLOCK_SECONDS / dt))
-    return Record(log.name, dt, u, theta, omega, twist, x0, block, log.time)
+    return Record(log.name, dt, u, theta, omega, twist, x0, log.time)
 
 
 def true_angle(model: Model, reading: float) -> float:

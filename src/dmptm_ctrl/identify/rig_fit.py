@@ -17,7 +17,7 @@ from dmptm_ctrl.identify.fit import least_in_box, secant
 from dmptm_ctrl.identify.free_parameters import ALL, Free, free_parameters, scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance, residual
 from dmptm_ctrl.identify.likelihood import TOLERANCE, Likelihood
-from dmptm_ctrl.identify.measured_motion import NONE, Nuisance, coordinates_of
+from dmptm_ctrl.identify.measured_motion import NONE, Nuisance
 from dmptm_ctrl.identify.reading_noise import noise_in_balance
 from dmptm_ctrl.parallel import in_threads, small_matrices
 from dmptm_ctrl.simulate.model import Floats
@@ -54,6 +54,20 @@ class State:
         if free.kind == "effect":
             return self.model.effect(free.owner).values.get(free.name, 0.0)
         return getattr(self.nuisance(free.owner), free.kind).get(free.name, 0.0)
+
+    def room(self, frees: Sequence[Free]) -> tuple[Floats, Floats]:
+        """How far numbers may move, down and up, in scales."""
+        low = np.array([(f.low - self.get(f)) / f.scale for f in frees])
+        return low, np.array([(f.high - self.get(f)) / f.scale for f in frees])
+
+    def after(
+        self, frees: Sequence[Free], step: Iterable[float], shrink: float = 1.0
+    ) -> list[float]:
+        """Values of numbers after a share of a step, in scales, inside their bounds."""
+        return [
+            float(np.clip(self.get(f) + shrink * f.scale * d, f.low, f.high))
+            for f, d in zip(frees, step, strict=True)
+        ]
 
     def moved(self, frees: Sequence[Free], values: Sequence[float]) -> "State":
         """Return the state with numbers replaced."""
@@ -245,7 +259,7 @@ def unseen_impacts(model: RigModel, balance: Balance) -> bool:
     When teeth meet depends on all that came before. Slopes nearby are then chance.
     """
     layout, plant = model.layout, model.plant()
-    seen = {*coordinates_of(layout, [p.name for p in balance.points])}
+    seen = {*balance.seen(layout)}
     ends = plant.body_coordinate[plant.link_body[plant.link_gap > 0]]
     return not {*ends.ravel().tolist()} <= seen
 
@@ -340,11 +354,7 @@ def stepped(
         more = beside and (beside.slopes[:, used], beside.left)
         step = _step_of(state, own, left, [p[..., used] for p in slopes], likelihood, more)
         for shrink in (1.0, 0.3, 0.1, 0.03):
-            values = [
-                float(np.clip(state.get(f) + shrink * f.scale * d, f.low, f.high))
-                for f, d in zip(own, step, strict=True)
-            ]
-            trial = state.moved(own, values)
+            trial = state.moved(own, state.after(own, step, shrink))
             try:
                 new_left, new_drive = residuals(trial, likelihood.balance)
             except (ValueError, ArithmeticError):
@@ -439,8 +449,6 @@ def _step_of(
     weights = likelihood.weights(left)
     rows = weights[:, None] * likelihood.stack(slopes)
     target = weights * likelihood.stack(left)
-    low = np.array([(f.low - state.get(f)) / f.scale for f in frees])
-    high = np.array([(f.high - state.get(f)) / f.scale for f in frees])
     extra, miss = prior_rows(state, frees, likelihood)
     # A little of Levenberg's damping decides directions that the logs do not show.
     size = np.sqrt(np.mean(np.sum(rows**2, axis=0))) if rows.size else 1.0
@@ -450,9 +458,8 @@ def _step_of(
     scales, square, slope = likelihood.scales(left), rows.T @ rows, -rows.T @ target
     if more:
         square, slope = square + more[0].T @ more[0], slope - more[0].T @ more[1]
-    return least_in_box(
-        *noise_taken_out(state, frees, likelihood, scales, square, slope), low, high
-    )
+    clear = noise_taken_out(state, frees, likelihood, scales, square, slope)
+    return least_in_box(*clear, *state.room(frees))
 
 
 def noise_taken_out(

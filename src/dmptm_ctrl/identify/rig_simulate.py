@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from dmptm_ctrl.identify.measured_motion import Floats
 from dmptm_ctrl.signals import Log
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.observer import observer_gains, rigid_observer
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel
@@ -67,12 +67,8 @@ def free_run(model: RigModel, log: Log, *, lead_hz: float = 0.0) -> RigRun:
     """Run a chain on a log's inputs, from its first sample.
 
     Angles of bodies on both sides of a spring may have zeros of their own: such a spring
-    starts untwisted.
-
-    Parameters
-    ----------
-    lead_hz : float
-        Bandwidth of an observer that leads the run by the log's first position, or else speed.
+    starts untwisted. An observer of bandwidth `lead_hz` leads the run by the log's first position,
+    or else speed.
     """
     q0, v0 = initial(model, log)
     u = np.array([log[i.channel] for i in model.rig.inputs])

@@ -53,7 +53,7 @@ def rough_start(model: RigModel, balance: Balance) -> RigModel:
     """Give every unknown quantity a value of the right order."""
     scales = scales_of(balance)
     values: dict[str, float] = {}
-    parts = max(len(model.rig.bodies), 1)
+    parts = len(model.rig.bodies)
     for key, quantity in model.quantities.items():
         if isfinite(model.values.get(key, quantity.value)):
             continue
@@ -96,8 +96,7 @@ def springs_of(
 
     A gap that is not in the model makes a spring look soft, and inertias wrong.
     """
-    declared = {k: q.value for k, q in model.quantities.items() if k.endswith(".inertia")}
-    known = {k: v for k, v in declared.items() if isfinite(v)}
+    known = model.declared(lambda key: key.endswith(".inertia"))
     model = model.with_values(known)
     _, far_ratio = link_sides(model, link)
     far = sum(r**2 * model.value(f"body.{b}.inertia") for b, r in far_ratio.items())
@@ -241,11 +240,8 @@ def regress_gap(balance: Balance, near: tuple[str, float], far: tuple[str, float
 def regress(balance: Balance, near: tuple[str, float], far: tuple[str, float]) -> Spring:
     """Find a spring between two measured points by two linear regressions.
 
-    a2 = ω_a² z + 2 ζ ω_a ż + friction + const and F = J1 a1 + J2 a2 + friction + const.
-
-    Parameters
-    ----------
-    near, far : point and factor of its motion
+    a2 = ω_a² z + 2 ζ ω_a ż + friction + const and F = J1 a1 + J2 a2 + friction + const. Of each
+    point its name and the factor of its motion.
     """
     return _regress(balance, near, far, 0.0, {})[1]
 

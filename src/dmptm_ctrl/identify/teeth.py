@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dmptm_ctrl.drive.rig import Link, Rig
-from dmptm_ctrl.identify.measured_motion import Floats, Motion, Moves, Nuisance
+from dmptm_ctrl.identify.measured_motion import Motion, Moves, Nuisance
 from dmptm_ctrl.simulate.along import acting_of, shift_along, stiffness_along
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
 from dmptm_ctrl.simulate.plant import untwisted
 from dmptm_ctrl.simulate.rig_model import RigModel

@@ -47,10 +47,7 @@ class Keyed:
 class Windowed:
     """The balances of some motions, one after another.
 
-    Parameters
-    ----------
-    motions : sequence of Motion
-        Of the same sample time, and all with motor encoders, or none.
+    All have the same sample time, and all have motor encoders, or none.
     """
 
     motions: Sequence[Motion]
@@ -69,7 +66,8 @@ class Windowed:
     @property
     def seconds(self) -> float:
         """Length of each motion."""
-        return self.motions[0].seconds
+        rec = self.motions[0].rec
+        return float(rec.u.shape[1] * rec.dt)
 
     @cached_property
     def twisted(self) -> bool:

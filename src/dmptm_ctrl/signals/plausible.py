@@ -137,17 +137,17 @@ def _refuse_generator(log: Log) -> None:
     """
     voltage, speed = log["u_left"] + log["u_right"], log["omega_L"]
     started = int(np.argmax(np.abs(speed) > STARTED * np.abs(speed).max())) + 1
-    if max(_lean(voltage, speed), _lean(voltage[:started], speed[:started])) < GENERATOR:
+    if max(lean(voltage, speed), lean(voltage[:started], speed[:started])) < GENERATOR:
         raise LogError(
             f"{log.name}: the ring gear turns against u_left + u_right over the whole log: "
             "the voltages or the speed have the wrong sign"
         )
 
 
-def _lean(voltage: Array, speed: Array) -> float:
-    """Energy that goes in, between -1 and 1."""
-    size = np.sqrt(float(voltage @ voltage) * float(speed @ speed))
-    return float(voltage @ speed) / size if size > 0 else 0.0
+def lean(u: Array, v: Array) -> float:
+    """Return the cosine between two signals, 0 where one is zero."""
+    size = np.sqrt(float(u @ u) * float(v @ v))
+    return float(u @ v) / size if size > 0 else 0.0
 
 
 def _constant(log: Log, channel: str, value: float) -> list[str]:

@@ -1,6 +1,6 @@
 """A rig of any shape with effects added to it: what is simulated, fitted and saved."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import cos, isfinite, isnan, sin
@@ -122,6 +122,11 @@ class RigModel:
     def quantity(self, key: str) -> Quantity:
         """Declared quantity by its key, or by that of one tied to it."""
         return self.quantities[self.rig.ties.get(key, key)]
+
+    def declared(self, wanted: Callable[[str], bool]) -> dict[str, float]:
+        """Declared values of quantities by key, of those wanted that are known."""
+        pairs = ((key, q.value) for key, q in self.quantities.items() if wanted(key))
+        return {key: value for key, value in pairs if isfinite(value)}
 
     def value(self, key: str) -> float:
         """Value of a declared quantity; ValueError where it is unknown and not yet fitted."""

@@ -73,6 +73,16 @@ def test_log_info_tells_of_effects_that_the_rig_has_a_place_for(capsys):
         assert absent not in out
 
 
+@pytest.mark.filterwarnings("error")
+def test_log_info_of_numbers_whose_squares_overflow(tmp_path, capsys):
+    time = 1e-3 * np.arange(200)
+    rows = "".join(f"{t:.3f},{1e200 * np.sin(9 * t):.6e}\n" for t in time)
+    (tmp_path / "big.csv").write_text(f"time_s,gauge\n{rows}")
+    assert main(["log", "info", str(tmp_path / "big.csv")]) == 0
+    rms = 1e200 * np.sqrt(np.mean(np.sin(9 * time) ** 2))
+    assert f"{rms:.5g}" in capsys.readouterr().out
+
+
 def test_every_effect_of_a_log_has_its_needs():
     known = {n for n in {**CATALOGUE, **PLACED_CATALOGUE} if not n.startswith("unknown")}
     assert known <= {*NEEDS}

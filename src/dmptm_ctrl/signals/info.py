@@ -123,7 +123,8 @@ def _figures(column: str, values: Array) -> ChannelInfo:
     # Conversion to SI and back leaves steps of 1e-16 of the value between equal readings.
     real = steps[steps > 1e-12 * max(1.0, float(np.abs(values).max()))]
     resolution = float(real.min()) if real.size else 0.0
-    rms = float(np.sqrt(np.mean(np.square(values))))
+    top = float(np.abs(values).max())
+    rms = top * float(np.sqrt(np.mean(np.square(values / top)))) if top else 0.0  # no overflow
     return ChannelInfo(column, float(values.min()), float(values.max()), rms, resolution)
 
 
@@ -166,7 +167,8 @@ def _excitation(log: Log, inputs: Collection[str] | None) -> Excitation | None:
 
 def _bandwidth(values: Array, step: float) -> float:
     """Frequency below which 99 % of the power lies, the mean left out [Hz]."""
-    power = np.square(np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))))
+    lines = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size)))
+    power = np.square(lines / (lines.max() or 1.0))
     total = np.cumsum(power)
     if total[-1] <= 0:
         return 0.0

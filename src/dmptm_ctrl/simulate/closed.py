@@ -25,7 +25,7 @@ def close_loop(
     *,
     theta_L: float = 0.0,
     noise: ArrayLike | None = None,
-    substeps: int = compiled.SUBSTEPS,
+    substeps: int | None = None,
 ) -> "control.TimeResponseData":
     """Run a drive under a sampled speed loop, from rest.
 
@@ -46,8 +46,8 @@ def close_loop(
         First angle of the ring gear; a rig starts at 0.
     noise : (n,) array [rad/s], optional
         Added to the speed that the controller reads.
-    substeps : int
-        Steps of the simulator per sample.
+    substeps : int, optional
+        Steps of the simulator per sample; by default 8, or what the fastest mode of a rig needs.
 
     Returns
     -------
@@ -80,8 +80,9 @@ def close_loop(
         law = _law(controller, dt)
         model.check()
         u, out = compiled.close_loop(
-            model, law, target, dt, theta_L=theta_L, noise=heard, substeps=substeps
-        )
+            model, law, target, dt, theta_L=theta_L, noise=heard,
+            substeps=compiled.SUBSTEPS if substeps is None else substeps,
+        )  # fmt: skip
         rows = [*out.T, *u]
     else:
         rig = as_rig_model(model, "close_loop")
@@ -97,7 +98,9 @@ def close_loop(
             raise TypeError(f"close_loop of a rig takes a Loop or its own controller, not {given}")
         rig.check()
         still = np.zeros((len(rig.layout.inputs), time.size))
-        run = march(rig, still, dt, controller=own, reference=target, added=heard)
+        run = march(
+            rig, still, dt, controller=own, reference=target, added=heard, substeps=substeps
+        )
         sensors = [s.name for s in rig.rig.sensors]
         name, labels = rig.rig.name, [*sensors, *rig.layout.inputs]
         rows = [*(run.reading(sensor) for sensor in sensors), *run.u]

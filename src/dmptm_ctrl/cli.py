@@ -401,18 +401,10 @@ def rig_init(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command.
+    """Run the command, with these arguments in place of the command line's; return its exit code.
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Instead of the command line's.
-
-    Returns
-    -------
-    int
-        0: done; 1: `check` found a change; 2: bad input, one line on stderr; 70: an error of the
-        program itself; 130: interrupted.
+    0: done; 1: `check` found a change; 2: bad input, one line on stderr; 70: an error of the
+    program itself; 130: interrupted.
     """
     os.environ["MPLBACKEND"] = "Agg"  # no windows
     try:

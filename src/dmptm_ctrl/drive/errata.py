@@ -118,18 +118,9 @@ def gap_exponent(
 ) -> float:
     """Return what Eq. 21 multiplies by −k/(c + c_f) in A⁺: the time since contact was left [s].
 
-    Printed (z + b)/(ż + k) adds rad/s to N·m/rad; its value depends on the unit of torque.
-
-    Parameters
-    ----------
-    z : float [rad]
-        Twist.
-    rate : float [rad/s]
-        Its rate.
-    half_gap : float [rad]
-    stiffness : float [N·m/rad]
-    damping : float [N·m·s/rad]
-    as_printed : bool
+    `z` [rad] is the twist, `rate` [rad/s] its rate, `half_gap` in rad, `stiffness` in N·m/rad,
+    `damping` in N·m·s/rad. Printed (z + b)/(ż + k) adds rad/s to N·m/rad; its value depends on the
+    unit of torque.
     """
     if as_printed:
         return (z + half_gap) / (rate + stiffness)
@@ -147,16 +138,9 @@ def mesh_stiffness(
 ) -> float:
     """Return the mesh stiffness k(θ3) [N·m/rad], Eq. 23.
 
-    Parameters
-    ----------
-    mean, amplitude : float [N·m/rad]
-        k_m and k_a.
-    teeth : float
-        z3.
-    theta_3, phase : float [rad]
-        Pinion angle and φ_r.
-    as_printed : (time [s], pinion speed [rad/s]), optional
-        Use ω_z t with ω_z = z3 θ̇3 in place of the mesh angle.
+    `mean` k_m and `amplitude` k_a are in N·m/rad, `teeth` is z3, `theta_3` the pinion's angle and
+    `phase` φ_r in rad. `as_printed` (time [s], pinion speed [rad/s]) uses ω_z t with ω_z = z3 θ̇3
+    in place of the mesh angle.
     """
     angle = teeth * theta_3 if as_printed is None else teeth * as_printed[1] * as_printed[0]
     return mean + amplitude * cos(angle + phase)
@@ -172,16 +156,8 @@ def friction_at_rest(
 ) -> float:
     """Return the friction [N·m] of a body at rest, Eq. 25: it opposes `net_torque` if it can.
 
-    Parameters
-    ----------
-    static_minus, static_plus : float [N·m]
-        T_s⁻ < 0 < T_s⁺.
-    net_torque : float [N·m]
-        On the body from everything but its friction.
-    motor_torque : float [N·m]
-        What Eq. 25 prints in its place.
-    as_printed : bool
-        As Eq. 25 prints it.
+    Bounds are `static_minus` < 0 < `static_plus`. `net_torque` is that on the body from everything
+    but its friction, in whose place Eq. 25 prints `motor_torque`; all in N·m.
     """
     torque = motor_torque if as_printed else net_torque
     return min(max(torque, static_minus), static_plus)

@@ -1,7 +1,8 @@
 """The drive under its sampled speed loop, as python-control returns responses."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import control
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,12 +10,8 @@ from dmptm_ctrl.drive.rig import Controller as RigController
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.simulate import _finite, _timepts, compiled
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.response import response
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import as_rig_model, march
-
-if TYPE_CHECKING:
-    import control
 
 
 def close_loop(
@@ -26,7 +23,7 @@ def close_loop(
     theta_L: float = 0.0,
     noise: ArrayLike | None = None,
     substeps: int | None = None,
-) -> "control.TimeResponseData":
+) -> control.TimeResponseData:
     """Run a drive under a sampled speed loop, from rest.
 
     The pinions of a dual-motor drive begin in the middle of their gaps. Keep the setpoint at 0
@@ -104,7 +101,7 @@ def close_loop(
         sensors = [s.name for s in rig.rig.sensors]
         name, labels = rig.rig.name, [*sensors, *rig.layout.inputs]
         rows = [*(run.reading(sensor) for sensor in sensors), *run.u]
-    return response(
+    return control.TimeResponseData(
         time,
         np.array(rows),
         inputs=target[np.newaxis],
@@ -112,6 +109,7 @@ def close_loop(
         input_labels=["ref"],
         sysname=name,
         title=f"{name} under its loop",
+        issiso=False,
     )
 
 

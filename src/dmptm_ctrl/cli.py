@@ -146,7 +146,6 @@ def tune(
     """Design a speed controller on a model and its uncertainty."""
     from dmptm_ctrl.design.run import tune_file
     from dmptm_ctrl.identify.build_up import with_build_up
-    from dmptm_ctrl.progress import Progress
     from dmptm_ctrl.signals import load_logs
     from dmptm_ctrl.signals.atomic import check_folder
 

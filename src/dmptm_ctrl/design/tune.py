@@ -246,7 +246,7 @@ def feed_forward_start(
         kp=gains.kp,
         ki=gains.ki,
         limit=aims.limit,
-        preload=preload_for(model, aims),
+        preload=smallest_preload(model, aims.duty) if isinstance(model, Model) else 0.0,
         sample_time=dt,
         inertia=1.0,
         friction=1.0,
@@ -260,11 +260,6 @@ def feed_forward_start(
         input=input,
         sensor=sensor,
     )
-
-
-def preload_for(model: AnyModel, aims: Aims) -> float:
-    """Return the least preload [V] along a duty; one motor has none."""
-    return smallest_preload(model, aims.duty) if isinstance(model, Model) else 0.0
 
 
 def repeatable(model: AnyModel) -> Any:

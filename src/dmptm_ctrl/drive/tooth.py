@@ -175,20 +175,15 @@ def mesh_torsion(stiffness: float, pitch_radius: float) -> float:
     return stiffness * pitch_radius**2
 
 
-def damping_inertia(pinion: float, ring: float, n2: float) -> float:
-    """Reduced inertia [kg·m²] of pinion and ring gear seen at the pinion, in Eq. 24."""
-    positive(pinion=pinion, ring=ring, n2=n2)
-    return pinion * ring / (ring + n2**2 * pinion)
-
-
 def mesh_damping(ratio: float, stiffness: float, pinion: float, ring: float, n2: float) -> float:
     """Return the mesh damping c [N·m·s/rad] at the pinion for a damping ratio ζ, Eq. 24 put right.
 
     The paper takes a `ratio` of 0.03 to 0.17. `stiffness` is in N·m/rad, `pinion` J̄3 and `ring`
     J_L in kg·m², `n2` is z_L/z_3.
     """
-    positive(ratio=ratio, stiffness=stiffness)
-    return 2.0 * ratio * sqrt(stiffness * damping_inertia(pinion, ring, n2))
+    positive(ratio=ratio, stiffness=stiffness, pinion=pinion, ring=ring, n2=n2)
+    reduced = pinion * ring / (ring + n2**2 * pinion)  # inertia seen at the pinion
+    return 2.0 * ratio * sqrt(stiffness * reduced)
 
 
 def mesh_damping_ratio(

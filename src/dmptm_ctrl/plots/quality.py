@@ -72,7 +72,7 @@ def plot_correlation(
     return panel
 
 
-def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
+def plot_orders(orders: Orders, *, ax: Any = None) -> Any:
     """Draw amplitudes per order before and after, with the orders that a drive makes."""
     panel = axes(ax, 1, figsize=(7.4, 3.0), grid="major")[0, 0]
     top = 2.0 * max(float(orders.before.max()), float(orders.after.max()), 1e-12)
@@ -89,7 +89,6 @@ def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
         xlim=(0.0, float(orders.order[-1])),
         ylim=(least, top),
     )
-    panel.set_title(title, fontsize=10)
     panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     return panel
 
@@ -104,7 +103,7 @@ def _mark(panel: Any, marks: Mapping[str, float]) -> None:
         )  # fmt: skip
 
 
-def plot_spectrum(spectrum: Spectrum, *, ax: Any = None, title: str = "") -> Any:
+def plot_spectrum(spectrum: Spectrum, *, ax: Any = None) -> Any:
     """Draw gains over frequency, measured, before and after, with resonances marked."""
     panel = axes(ax, 1, figsize=(7.4, 3.4), grid="major")[0, 0]
     for label, (hz, gain) in spectrum.curves.items():
@@ -117,6 +116,5 @@ def plot_spectrum(spectrum: Spectrum, *, ax: Any = None, title: str = "") -> Any
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter("{x:g}")
     panel.set(xlabel="frequency [Hz]", ylabel=spectrum.quantity)
-    panel.set_title(title, fontsize=10)
     panel.figure.legend(fontsize=7.5, loc="outside right upper")
     return panel

@@ -160,11 +160,10 @@ def simulate_batch(
     """
     from dmptm_ctrl.simulate import _timepts
 
-    time = _timepts(timepts)
+    time, dt = _timepts(timepts)
     n, count = time.size, len(models)
     if count == 0:
         raise ValueError("models is empty; needs at least one model")
-    dt = (time[-1] - time[0]) / (n - 1)
     steps = max(steps_of(model, dt) for model in models) if substeps is None else substeps
     for name, number in (("every", every), ("substeps", steps)):
         if int(number) != number or number < 1:

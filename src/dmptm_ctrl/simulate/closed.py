@@ -66,12 +66,11 @@ def close_loop(
     >>> loop = dm.Loop(kp=5.0, ki=90.0, limit=10.0, bias_l=0.3, bias_r=-0.3)
     >>> run = dm.close_loop(dm.Model(), loop, time, np.full(1000, 0.2))
     """
-    time = _timepts(timepts)
+    time, dt = _timepts(timepts)
     target = _finite("reference", reference, (time.size,), "a setpoint at each time point")
     heard = None
     if noise is not None:
         heard = _finite("noise", noise, (time.size,), "a speed at each time point")
-    dt = float(time[-1] - time[0]) / (time.size - 1)
     if isinstance(model, Model):
         name, labels = model.drive.name, [*compiled.OUTPUTS, "u_left", "u_right"]
         law = _law(controller, dt)

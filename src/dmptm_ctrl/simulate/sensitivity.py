@@ -142,7 +142,7 @@ def simulate_with_sensitivities(
     """
     from dmptm_ctrl.simulate import _finite, _start, _timepts
 
-    time = _timepts(timepts)
+    time, dt = _timepts(timepts)
     rows = np.atleast_2d(np.array(inputs, float))
     u = _finite("inputs", rows, (len(inputs_of(model)), time.size), "inputs by time points")
     if isinstance(model, RigModel) and initial_state is not None:
@@ -150,7 +150,6 @@ def simulate_with_sensitivities(
     if len(parameters) == 0:
         raise ValueError("parameters is empty; name at least one")
     moves = [(name, _step(model, name)) for name in parameters]
-    dt = (time[-1] - time[0]) / (time.size - 1)
     moved = [_moved(model, [move]) for move in moves]
     back = _moved(model, [(name, -step) for name, step in moves])
     models = [model, *moved, back]

@@ -146,7 +146,6 @@ def tune(
     """Design a speed controller on a model and its uncertainty."""
     from dmptm_ctrl.design.run import tune_file
     from dmptm_ctrl.identify.build_up import with_build_up
-    from dmptm_ctrl.progress import Progress
     from dmptm_ctrl.signals import load_logs
     from dmptm_ctrl.signals.atomic import check_folder
 
@@ -401,18 +400,10 @@ def rig_init(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command.
+    """Run the command, with these arguments in place of the command line's; return its exit code.
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Instead of the command line's.
-
-    Returns
-    -------
-    int
-        0: done; 1: `check` found a change; 2: bad input, one line on stderr; 70: an error of the
-        program itself; 130: interrupted.
+    0: done; 1: `check` found a change; 2: bad input, one line on stderr; 70: an error of the
+    program itself; 130: interrupted.
     """
     os.environ["MPLBACKEND"] = "Agg"  # no windows
     try:

@@ -130,5 +130,3 @@ def test_refusals():
         sensitivities(dof=5)
     with pytest.raises(ValueError, match="has no K_01"):
         sensitivities(K_01=1.0)
-    with pytest.raises(KeyError, match="no parameter 'c'"):
-        sensitivities(parameters=("c",))

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.simulate.closed import close_loop
+from dmptm_ctrl.simulate.compiled import Loop
 from dmptm_ctrl.simulate.control import sampled
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
-from dmptm_ctrl.simulate.rig_run import march
+from dmptm_ctrl.simulate.rig_run import march, substeps_for
 from dmptm_ctrl.simulate.run import Controller, compiled_controller
 
 DT, KP, KI = 1e-3, 0.4, 3.0
@@ -110,3 +112,16 @@ def test_a_torque_on_any_body_is_an_input():
         viscous, np.zeros((1, n)), DT, push={"load": np.full(n, 0.2), "motor": np.full(n, -0.2)}
     )
     assert abs(both.speed("motor")[-1]) < 1e-3
+
+
+def test_a_rig_under_its_loop_takes_the_substeps_that_it_is_told():
+    """Its error falls with them, and by default they are what the fastest mode needs."""
+    loop, time = Loop(KP, KI, 10.0), DT * np.arange(TARGET.size)
+    runs = {
+        n: close_loop(MODEL, loop, time, TARGET, substeps=n).outputs[0]
+        for n in (None, 1, 4, 16, 256)
+    }
+    error = {n: np.abs(run - runs[256]).max() for n, run in runs.items()}
+    assert error[1] > 2.0 * error[4] > 4.0 * error[16] > 0.0
+    usual = close_loop(MODEL, loop, time, TARGET, substeps=substeps_for(MODEL.plant(), DT))
+    np.testing.assert_array_equal(runs[None], usual.outputs[0])

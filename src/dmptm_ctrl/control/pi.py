@@ -14,17 +14,9 @@ RIGID = 1e-11  # singular value of an angle that nothing reads over the largest:
 
 
 def pi_controller(kp: float, ki: float) -> ct.StateSpace:
-    """Return G_c(s) = kp + ki/s from ``error`` [rad/s] to ``u`` [V].
+    """Return G_c(s) = kp + ki/s from ``error`` [rad/s] to ``u`` [V]; gains in V/(rad/s) and V/rad.
 
-    Parameters
-    ----------
-    kp : float [V/(rad/s)]
-    ki : float [V/rad]
-
-    Raises
-    ------
-    ValueError
-        A gain that is not finite.
+    ValueError for a gain that is not finite.
     """
     _finite(kp, ki)
     return ct.ss(

@@ -11,23 +11,10 @@ BASELINE = Path(str(files(__name__).joinpath("baseline.toml")))  # the three-ine
 
 
 def path(name: str) -> Path:
-    """Folder of a bundled set of logs.
+    """Folder of a bundled set of logs, with a README on their source and licence.
 
-    Parameters
-    ----------
-    name : {"demo_rig", "null_rig", "axis"}
-        demo_rig has an effect that the declared model lacks; null_rig has none; axis is a linear
-        axis with its rig file.
-
-    Returns
-    -------
-    Path
-        Folder with the logs and a README on their source and licence.
-
-    Raises
-    ------
-    ValueError
-        No set of that name.
+    demo_rig has an effect that the declared model lacks; null_rig has none; axis is a linear
+    axis with its rig file. ValueError for another name.
     """
     if name not in SETS:
         raise ValueError(f"no bundled logs named {name!r}; there are {', '.join(SETS)}")

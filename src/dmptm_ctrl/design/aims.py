@@ -70,14 +70,10 @@ def tracking(
     seed: int = 0,
     n_jobs: int = -1,
 ) -> tuple[Floats, Floats]:
-    """Run a controller over the duty on many plants.
+    """Run a controller over the duty on many plants; two arrays, (plants,) each.
 
-    Returns
-    -------
-    errors : (plants,) array [deg/s, of a rig its sensor's SI unit]
-        RMS of setpoint minus true speed, after the settling.
-    volts : (plants,) array [V, or the SI unit of the input]
-        Largest signal of an input.
+    RMS of setpoint minus true speed after the settling [deg/s, of a rig its sensor's SI unit], and
+    the largest signal of an input [V, or its SI unit].
     """
     duty, law = aims.duty, controller.law()
     rng = np.random.default_rng(seed)

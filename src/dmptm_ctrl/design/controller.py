@@ -17,10 +17,10 @@ from dmptm_ctrl.drive.parameters import physical
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import write_atomic
 from dmptm_ctrl.signals.numbers import finite_numbers
-from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.signals.toml_text import read_toml
 from dmptm_ctrl.simulate.any_model import default_loop
 from dmptm_ctrl.simulate.law import Design, Law
-from dmptm_ctrl.simulate.model_file import input_symbol, model_of, model_text
+from dmptm_ctrl.simulate.model_file import begun, input_symbol, model_of, model_text, with_unit
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 KIND = "speed controller"
@@ -193,20 +193,14 @@ class Controller(Design):
 
     def to_toml(self) -> str:
         """Return the text of a controller file: numbers, notches, difference equation, model."""
-        document = tomlkit.document()
-        document.add(
-            tomlkit.comment("Speed controller of dmptm-ctrl. SI units; angles in radians.")
-        )
-        document["schema"] = SCHEMA
-        document["kind"] = KIND
+        document = begun("Speed controller", KIND, SCHEMA)
         for line in self.equations().splitlines():
             document.add(tomlkit.comment(line))
         table = tomlkit.table()
         volt, rad = self.units
         for name, unit in UNITS.items():
-            item = tomlkit.item(float(getattr(self, name)))
-            item.comment(unit.replace("rad", rad).replace("V", volt))
-            table[name] = item
+            own = unit.replace("rad", rad).replace("V", volt)
+            table[name] = with_unit(getattr(self, name), own)
         table["invert"] = self.invert
         table["input"], table["sensor"] = self.input, self.sensor
         document["controller"] = table
@@ -255,11 +249,7 @@ def read_controller(file: str | PathLike[str]) -> Controller:
     5.0
     """
     path = Path(file)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        raise LogError(f"{path.name}: no readable controller file there") from None
-    data = parse_toml(text, path.name)
+    _, data = read_toml(path, "controller")
     if data.get("kind") != KIND or data.get("schema") != SCHEMA:
         raise LogError(f'{path.name}: needs kind = "{KIND}" and schema = {SCHEMA}')
     table = data.get("controller", {})

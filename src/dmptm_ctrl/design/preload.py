@@ -149,12 +149,13 @@ def _reversing(duty: Duty) -> NDArray[np.bool_]:
 class Schedule(NamedTuple):
     """How a bias b [V] follows the common voltage u [V] and the setpoint speed ω [rad/s]."""
 
-    formula: str
     source: str
     bias: Callable[[float, Floats, Floats], Floats]  # (b, u, ω) -> volts
 
 
 def _fading(start: float, end: float) -> Callable[[float, Floats, Floats], Floats]:
+    """Bias b that fades from |u| = `start` b on, to 0 at `end` b."""
+
     def bias(b: float, u: Floats, omega: Floats) -> Floats:
         return b * np.clip((end * b - np.abs(u)) / ((end - start) * b), 0.0, 1.0)
 
@@ -164,25 +165,21 @@ def _fading(start: float, end: float) -> Callable[[float, Floats, Floats], Float
 PROFILE = "torque-bias profile of antennas, a function of the load (ref. 15, Gawronski et al. 2000)"
 SCHEDULES = {
     "constant": Schedule(
-        "b",
         "equal and opposite bias torques, as the paper says of refs 13 to 16",
         lambda b, u, omega: np.full(u.size, b),
     ),
-    "fades late": Schedule("b from |u| = b on down to 0 at 2.5 b", PROFILE, _fading(1.0, 2.5)),
-    "fades early": Schedule("b from |u| = 0.3 b on down to 0 at b", PROFILE, _fading(0.3, 1.0)),
+    "fades late": Schedule(PROFILE, _fading(1.0, 2.5)),
+    "fades early": Schedule(PROFILE, _fading(0.3, 1.0)),
     "switched": Schedule(
-        "b where |u| < b, else 0: both motors drive",
         "two-motor rack drive (JSME Mechatronics 2018, B22, abstract)",
         lambda b, u, omega: np.where(np.abs(u) < b, b, 0.0),
     ),
     "smooth": Schedule(
-        "b / (1 + exp((|u|/b − 1.5)/0.15))",
         "time-varying bias that saves energy, of the authors of ref. 16 (Zhao, Ren 2017, "
         "abstract); the sigmoid is ours",
         lambda b, u, omega: b * expit((SMOOTH[0] - np.abs(u) / b) / SMOOTH[1]),
     ),
     "at reversals": Schedule(
-        "b exp(−|ω| / 5 deg/s)",
         "bias only where teeth would change flanks; ours",
         lambda b, u, omega: b * np.exp(-np.abs(omega) / COASTING),
     ),

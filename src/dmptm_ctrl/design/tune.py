@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -246,7 +247,7 @@ def feed_forward_start(
         kp=gains.kp,
         ki=gains.ki,
         limit=aims.limit,
-        preload=preload_for(model, aims),
+        preload=smallest_preload(model, aims.duty) if isinstance(model, Model) else 0.0,
         sample_time=dt,
         inertia=1.0,
         friction=1.0,
@@ -260,11 +261,6 @@ def feed_forward_start(
         input=input,
         sensor=sensor,
     )
-
-
-def preload_for(model: AnyModel, aims: Aims) -> float:
-    """Return the least preload [V] along a duty; one motor has none."""
-    return smallest_preload(model, aims.duty) if isinstance(model, Model) else 0.0
 
 
 def repeatable(model: AnyModel) -> Any:
@@ -302,18 +298,13 @@ class _Search:
         )  # fmt: skip
         pressed = replace(plain, preload=forward.preload)
         without = self.optimised(pressed)
-        drawn = draw_plants(self.model, SEARCHED, uncertainty=self.uncertainty, seed=self.seed)
-
-        def errors(tried: Controller) -> Floats:
-            return tracking(tried, drawn, self.aims, seed=self.seed, n_jobs=self.n_jobs)[0]
-
         stages = [
             ("PI, linear design", plain),
             ("PI with preload", pressed),
             (WITHOUT, without),
             ("PI with feed-forward", replace(forward, preload=0.0)),
             ("both", forward),
-            ("optimised", what_pays(self.optimised(forward), without, errors)),
+            ("optimised", what_pays(self.optimised(forward), without, self.errors)),
         ]
         return [s for s in stages if two_motors or s[0] not in ("PI with preload", "both")]
 
@@ -323,18 +314,17 @@ class _Search:
         Hammering begins at once, so the cost has cliffs; a grid steps over them.
         """
         sampled = SampledPlant(self.plant, begin.sample_time)
-        drawn = draw_plants(self.model, SEARCHED, uncertainty=self.uncertainty, seed=self.seed)
         grid = [
             replace(begin, kp=kp, ki=ki, preload=more * begin.preload)
             for kp, ki in _slower(sampled, self.start)
             for more in MORE_PRELOAD
         ]
-        best, least = self.cheapest(grid, drawn)
+        best, least = self.cheapest(grid)
         if self.aims.notch:
-            best, least = self.cheapest(self.notched(best), drawn, best, least)
+            best, least = self.cheapest(self.notched(best), best, least)
             unseen = hidden_distance(self.model)
             grid = [replace(best, distance=d * unseen) for d in DISTANCES]
-            best, least = self.cheapest(grid, drawn, best, least)
+            best, least = self.cheapest(grid, best, least)
 
         # of _STEPS, what does something
         own = [0] * (begin.friction > 0.0) + [1] * (begin.preload > 0.0)
@@ -356,7 +346,7 @@ class _Search:
 
         corners = np.vstack([np.zeros(len(own)), np.diag(np.array(_STEPS)[own])])
         found = minimize(
-            lambda x: self.cost(near(x), drawn),
+            lambda x: self.cost(near(x)),
             corners[0],
             method="Nelder-Mead",
             options={"initial_simplex": corners, "maxfev": _EVALUATIONS, "xatol": 1e-4},
@@ -364,15 +354,11 @@ class _Search:
         return near(found.x) if found.fun < least else best
 
     def cheapest(
-        self,
-        grid: Sequence[Controller],
-        drawn: Sequence[AnyModel],
-        best: Controller | None = None,
-        least: float = np.inf,
+        self, grid: Sequence[Controller], best: Controller | None = None, least: float = np.inf
     ) -> tuple[Controller, float]:
         """Return the controller with the least cost, and that; the one known so far is one."""
         for tried in grid:
-            cost = self.cost(tried, drawn)
+            cost = self.cost(tried)
             if best is None or cost < least:
                 best, least = tried, cost
         assert best is not None
@@ -389,13 +375,20 @@ class _Search:
         slow = _slower(SampledPlant(self.plant, dt, [section]), found.gains)
         return [replace(begin, kp=kp, ki=ki, notches=(part,)) for kp, ki in slow]
 
-    def cost(self, tried: Controller, drawn: Sequence[AnyModel]) -> float:
+    @cached_property
+    def drawn(self) -> list[AnyModel]:
+        """The plants of the search."""
+        return draw_plants(self.model, SEARCHED, uncertainty=self.uncertainty, seed=self.seed)
+
+    def errors(self, tried: Controller) -> Floats:
+        """Return the error on each of them [deg/s], (plants,)."""
+        return tracking(tried, self.drawn, self.aims, seed=self.seed, n_jobs=self.n_jobs)[0]
+
+    def cost(self, tried: Controller) -> float:
         """Return the error that most drawn plants stay below, and a price of hammering [deg/s]."""
-        errors, _ = tracking(tried, drawn, self.aims, seed=self.seed, n_jobs=self.n_jobs)
-        usual = float(np.quantile(errors, QUANTILE))
+        usual = float(np.quantile(self.errors(tried), QUANTILE))
         faster = replace(tried, kp=RESERVE * tried.kp, ki=RESERVE * tried.ki)
-        errors, _ = tracking(faster, drawn, self.aims, seed=self.seed, n_jobs=self.n_jobs)
-        return usual + max(float(errors.max()) - TOLERATED * usual, 0.0)
+        return usual + max(float(self.errors(faster).max()) - TOLERATED * usual, 0.0)
 
 
 def _slower(sampled: SampledPlant, gains: PiTuning) -> list[tuple[float, float]]:

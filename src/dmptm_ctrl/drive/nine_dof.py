@@ -68,22 +68,13 @@ OPTIONAL = ("J_2", "R_1", "R_L", "delta_1", "K_34", "D_34", "D_3", "D_L")  # fol
 
 
 def nine_dof_parameters(drive: Drive | None = None, **overrides: float) -> dict[str, float]:
-    """Return all parameters of the 9-DOF model by the paper's symbols.
+    """Return all parameters of the 9-DOF model of a drive, SI, by the paper's symbols.
 
-    Parameters
-    ----------
-    drive : Drive, optional
-        Table 1 and 2; default the paper's, corrected.
-    **overrides : float
-        SI. Any of :data:`NINE_DOF_DEFAULTS`, and J_2 (of the driven wheel alone), R_1, R_L,
-        delta_1, K_34, D_34, D_3, D_L, which otherwise follow: J_2 so that
-        N1² J1 + J2 + J3 is Table 1's J2 and the 3-DOF model's J̄3 is the same; R2/R1 = N1;
-        R_L/R3 = N2; K34 R3² C34 = k_m; D34 R3² C34 = c; δ1 of a right-angle bevel pair.
-
-    Raises
-    ------
-    ValueError
-        An unknown name, or a value that is not positive (not negative for a damping).
+    Overrides are any of :data:`NINE_DOF_DEFAULTS`, and J_2 (of the driven wheel alone), R_1, R_L,
+    delta_1, K_34, D_34, D_3, D_L, which otherwise follow: J_2 so that N1² J1 + J2 + J3 is Table
+    1's J2 and the 3-DOF model's J̄3 is the same; R2/R1 = N1; R_L/R3 = N2; K34 R3² C34 = k_m;
+    D34 R3² C34 = c; δ1 of a right-angle bevel pair. ValueError for an unknown name, or a value
+    that is not positive (not negative for a damping).
     """
     drive = paper_drive() if drive is None else drive
     drive.check()
@@ -111,15 +102,7 @@ def nine_dof_parameters(drive: Drive | None = None, **overrides: float) -> dict[
 
 
 def nine_dof_train(drive: Drive | None = None, **overrides: float) -> GearTrain:
-    """Return the 9-DOF model of a drive in contact; see :func:`nine_dof_parameters`.
-
-    Parameters
-    ----------
-    drive : Drive, optional
-        The paper's by default.
-    **overrides : float
-        9-DOF parameters in SI.
-    """
+    """Return the 9-DOF model of a drive in contact; overrides as of :func:`nine_dof_parameters`."""
     drive = paper_drive() if drive is None else drive
     p = nine_dof_parameters(drive, **overrides)
     bodies = (*("ml", "1l", "2l", "3l"), *("mr", "1r", "2r", "3r"), "L")
@@ -196,22 +179,11 @@ def nine_dof_ss(
 def reduced_pinion_inertia(
     n1: float, j_m: float, j_1: float, j_2: float, j_3: float, *, as_printed: bool = False
 ) -> float:
-    """Return J̄3 [kg·m²]: what a rigid reducer and motor weigh at the pinion.
+    """Return J̄3 [kg·m²]: what a rigid reducer of ratio `n1` and its motor weigh at the pinion.
 
-    J1 turns with the motor, so it counts N1² fold; as printed below Eq. 16 it does not.
-
-    Parameters
-    ----------
-    n1 : float
-        Ratio of the reducer.
-    j_m, j_1, j_2, j_3 : float [kg·m²]
-        Motor, first and second reducer stage, pinion.
-    as_printed : bool
-
-    Raises
-    ------
-    ValueError
-        A ratio that is not positive, an inertia that is negative, a number that is not finite.
+    From motor, both stages of the reducer, and pinion [kg·m²]. J1 turns with the motor, so it
+    counts N1² fold; as printed below Eq. 16 it does not. ValueError for a ratio that is not
+    positive, an inertia that is negative, and a number that is not finite.
     """
     positive(n1=n1)
     for name, inertia in (("j_m", j_m), ("j_1", j_1), ("j_2", j_2), ("j_3", j_3)):

@@ -245,21 +245,10 @@ def viscous_mean(drive: Drive, body: str) -> float:
     """Return the viscous friction of "3" or "L" [N·m·s/rad], mean of both directions of Table 2.
 
     The slope of Stribeck friction far above its Stribeck speed: the linear model's D3, DL.
-
-    Parameters
-    ----------
-    drive : Drive
-    body : {"3", "L"}
-        Pinion or ring gear.
     """
     return 0.5 * (drive[f"B{body}_plus"] + drive[f"B{body}_minus"])
 
 
 def pinion_inertia(drive: Drive) -> float:
-    """Return J̄3 [kg·m²] at the pinion: N1² Jm and what Table 1's J2 adds beside it.
-
-    Parameters
-    ----------
-    drive : Drive
-    """
+    """Return J̄3 [kg·m²] at the pinion: N1² Jm and what Table 1's J2 adds beside it."""
     return drive["N_1"] ** 2 * drive["J_m"] + drive["J_2"]

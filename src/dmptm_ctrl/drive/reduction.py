@@ -16,14 +16,7 @@ OUTPUTS = ("omega_L", "omega_ml", "omega_mr")
 
 
 def rigid_equivalent(drive: Drive, parameters: dict[str, float]) -> Drive:
-    """Return the drive whose 3-DOF model has the corrected J̄3 of 9-DOF parameters.
-
-    Parameters
-    ----------
-    drive : Drive
-    parameters : dict of str to float
-        Of the 9-DOF model, SI.
-    """
+    """Return the drive whose 3-DOF model has the corrected J̄3 of 9-DOF parameters [SI]."""
     n1 = drive["N_1"]
     total = reduced_pinion_inertia(
         n1, drive["J_m"], parameters["J_1"], parameters["J_2"], parameters["J_3"]
@@ -56,16 +49,9 @@ class SimplificationCost(NamedTuple):
 def simplification_cost(drive: Drive | None = None, **overrides: float) -> SimplificationCost:
     """Return the 3-DOF model beside a balanced truncation of the same order.
 
-    Parameters
-    ----------
-    drive : Drive, optional
-    **overrides : float
-        9-DOF parameters. The numbers depend on them, and their defaults are ours.
-
-    Notes
-    -----
     From both motor voltages to the speeds of ring gear and motors. The rigid angle is left
     out (2n − 1 states): with viscous friction the speeds are stable and both norms finite.
+    Overrides are 9-DOF parameters; the numbers depend on them, and their defaults are ours.
     """
     drive = paper_drive() if drive is None else drive
     p = nine_dof_parameters(drive, **overrides)

@@ -173,10 +173,8 @@ class DeclaredEffect:
 
 def _of_log(values: Mapping[str, float], name: str) -> float | None:
     """Value of a log by its name, else by the first pattern that fits."""
-    exact = values.get(name)
-    return exact if exact is not None else next(
-        (v for pattern, v in values.items() if fnmatchcase(name, pattern)), None
-    )  # fmt: skip
+    fitting = (v for pattern, v in values.items() if fnmatchcase(name, pattern))
+    return values.get(name, next(fitting, None))
 
 
 @dataclass(frozen=True)

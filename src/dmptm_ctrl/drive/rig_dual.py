@@ -34,10 +34,6 @@ def dual_motor(rig: Rig) -> Drive | None:
     Two motors, each by a rigid reducer on a pinion, both pinions by a mesh with a gap on one
     ring gear; both sides alike but for the half-gaps; position and speed of the ring gear
     measured, besides the position of both motors or of none; no effect declared.
-
-    Parameters
-    ----------
-    rig : Rig
     """
     sides = _sides(rig)
     if sides is None:

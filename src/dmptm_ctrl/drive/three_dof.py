@@ -15,12 +15,7 @@ from dmptm_ctrl.drive.train import GearTrain, Joint
 
 
 def three_dof_train(drive: Drive | None = None) -> GearTrain:
-    """Return the 3-DOF model of a drive in contact, by default the paper's; see `Drive.check`.
-
-    Parameters
-    ----------
-    drive : Drive, optional
-    """
+    """Return the 3-DOF model of a drive in contact, by default the paper's; see `Drive.check`."""
     drive = paper_drive() if drive is None else drive
     drive.check()
     n1, n2 = drive["N_1"], drive["N_2"]

@@ -73,14 +73,8 @@ def cantilever_stiffness(
 ) -> float:
     """Return the bending stiffness [N/m] of a cantilever with a force at its end, Eq. 22.
 
-    Parameters
-    ----------
-    thickness : function of x [m]
-        Thickness s(x) [m] at distance x from the **point of load**.
-    length, width : float [m]
-    young : float [Pa]
-    as_printed : bool
-        x from the base and the polar moment, as Eq. 22 prints it.
+    `thickness` s(x) [m] is at distance x [m] from the **point of load**; `length`, `width` in m,
+    `young` in Pa. `as_printed` has x from the base and the polar moment, as Eq. 22 prints it.
     """
 
     def corrected(x: float) -> float:
@@ -94,12 +88,7 @@ def cantilever_stiffness(
 
 
 def tooth_stiffness(tooth: Tooth) -> float:
-    """Return the stiffness of one tooth by Eq. 22 [N/m], force and deflection circumferential.
-
-    Parameters
-    ----------
-    tooth : Tooth
-    """
+    """Return the stiffness of one tooth by Eq. 22 [N/m], force and deflection circumferential."""
     tooth.check()
     top = tooth.section(tooth.pitch_radius)[0]
     root = tooth.section(tooth.root_radius)[0]
@@ -121,23 +110,10 @@ def _radius_at(tooth: Tooth, height: float) -> float:
 def pair_stiffness(one: Tooth, other: Tooth, *, complete: bool = False) -> float:
     """Return the stiffness of one pair of teeth in mesh at the pitch point [N/m].
 
-    Parameters
-    ----------
-    one, other : Tooth
-    complete : bool
-        False: Eq. 22 for both teeth in series, circumferential. True: along the line of
-        action, with shear, compression, foundation and contact.
-
-    Raises
-    ------
-    ValueError
-        Teeth of different module, pressure angle or face width, or a number of one that is not
-        positive and finite.
-
-    Source
-    ------
-    Foundation: Cornell, J. Mech. Des. 103 (1981) 447, after Weber. Contact: Yang & Sun,
-    J. Mech. Trans. Autom. 107 (1985) 529.
+    By Eq. 22 for both teeth in series, circumferential; `complete` along the line of action, with
+    shear, compression, foundation (Cornell, J. Mech. Des. 103 (1981) 447, after Weber) and contact
+    (Yang & Sun, J. Mech. Trans. Autom. 107 (1985) 529). ValueError for teeth of different module,
+    pressure angle or face width.
     """
     for name in ("module", "pressure_angle", "face_width"):
         if getattr(one, name) != getattr(other, name):
@@ -181,16 +157,9 @@ def _compliance(t: Tooth) -> float:
 def iso_single_stiffness(teeth_1: float, teeth_2: float, face_width: float) -> float:
     """Return the single stiffness c'th b [N/m] of steel spur teeth without profile shift.
 
-    Parameters
-    ----------
-    teeth_1, teeth_2 : float
-        z1 and z2.
-    face_width : float [m]
-
-    Source
-    ------
-    ISO 6336-1, method B: q' = 0.04723 + 0.15551/z1 + 0.25791/z2 [mm·µm/N]; the standard
-    multiplies by 0.8 (C_M) to meet measurements.
+    `teeth_1`, `teeth_2` are z1 and z2, `face_width` in m. ISO 6336-1, method B:
+    q' = 0.04723 + 0.15551/z1 + 0.25791/z2 [mm·µm/N]; the standard multiplies by 0.8 (C_M) to meet
+    measurements.
     """
     positive(teeth_1=teeth_1, teeth_2=teeth_2, face_width=face_width)
     flexibility = 0.04723 + 0.15551 / teeth_1 + 0.25791 / teeth_2  # mm·µm/N
@@ -200,50 +169,27 @@ def iso_single_stiffness(teeth_1: float, teeth_2: float, face_width: float) -> f
 def mesh_torsion(stiffness: float, pitch_radius: float) -> float:
     """Return the torsional stiffness [N·m/rad] at a pinion from the circumferential one [N/m].
 
-    Parameters
-    ----------
-    stiffness : float [N/m]
-    pitch_radius : float [m]
-        Of the pinion.
+    `pitch_radius` [m] is the pinion's.
     """
     positive(stiffness=stiffness, pitch_radius=pitch_radius)
     return stiffness * pitch_radius**2
 
 
-def damping_inertia(pinion: float, ring: float, n2: float) -> float:
-    """Reduced inertia [kg·m²] of pinion and ring gear seen at the pinion, in Eq. 24."""
-    positive(pinion=pinion, ring=ring, n2=n2)
-    return pinion * ring / (ring + n2**2 * pinion)
-
-
 def mesh_damping(ratio: float, stiffness: float, pinion: float, ring: float, n2: float) -> float:
     """Return the mesh damping c [N·m·s/rad] at the pinion for a damping ratio ζ, Eq. 24 put right.
 
-    Parameters
-    ----------
-    ratio : float
-        ζ; the paper takes 0.03 to 0.17.
-    stiffness : float [N·m/rad]
-    pinion, ring : float [kg·m²]
-        J̄3 and J_L.
-    n2 : float
-        z_L/z_3.
+    The paper takes a `ratio` of 0.03 to 0.17. `stiffness` is in N·m/rad, `pinion` J̄3 and `ring`
+    J_L in kg·m², `n2` is z_L/z_3.
     """
-    positive(ratio=ratio, stiffness=stiffness)
-    return 2.0 * ratio * sqrt(stiffness * damping_inertia(pinion, ring, n2))
+    positive(ratio=ratio, stiffness=stiffness, pinion=pinion, ring=ring, n2=n2)
+    reduced = pinion * ring / (ring + n2**2 * pinion)  # inertia seen at the pinion
+    return 2.0 * ratio * sqrt(stiffness * reduced)
 
 
 def mesh_damping_ratio(
     damping: float, stiffness: float, pinion: float, ring: float, n2: float
 ) -> float:
-    """Return the damping ratio ζ of a mesh damping c, the inverse of :func:`mesh_damping`.
-
-    Parameters
-    ----------
-    damping : float [N·m·s/rad]
-    stiffness, pinion, ring, n2 : float
-        As there.
-    """
+    """Return the damping ratio ζ of a mesh damping c, the inverse of :func:`mesh_damping`."""
     positive(damping=damping)
     return damping / mesh_damping(1.0, stiffness, pinion, ring, n2)
 
@@ -253,14 +199,7 @@ def mesh_damping_as_printed(
 ) -> float:
     """Return Eq. 24 as printed, in N·m²·s/rad for k in N·m/rad: it changes with the unit of R.
 
-    Parameters
-    ----------
-    ratio : float
-        ζ.
-    stiffness : float [N·m/rad]
-    pinion, ring : float [kg·m²]
-    r3, r_ring : float [m]
-        Pitch radii.
+    `r3`, `r_ring` are pitch radii [m], inertias `pinion`, `ring` in kg·m².
     """
     positive(ratio=ratio, stiffness=stiffness, pinion=pinion, ring=ring, r3=r3, r_ring=r_ring)
     reduced = r3**2 * r_ring**2 * pinion * ring / (r3**2 * pinion + r_ring**2 * ring)

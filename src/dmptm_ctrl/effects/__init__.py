@@ -17,12 +17,7 @@ TABLES = (
 
 
 def effect_of(name: str) -> Effect:
-    """Return the effect of the file of its name, in which it is called so in capitals.
-
-    Parameters
-    ----------
-    name : str
-    """
+    """Return the effect of the file of its name, in which it is called so in capitals."""
     found: Effect = getattr(import_module(f"{__name__}.{name}"), name.upper())
     return found
 

@@ -75,19 +75,11 @@ def viscous_torque(omega, direction, p):
 def sliding_torque(omega, direction, p):
     """Magnitude of friction [N·m] at speed `omega` [rad/s], branch chosen by `direction`."""
     if direction > 0.0:
-        static, coulomb, steepness, viscous = (
-            p.static_plus,
-            p.coulomb_plus,
-            p.steepness_plus,
-            p.viscous_plus,
-        )
+        static, coulomb = p.static_plus, p.coulomb_plus
+        steepness, viscous = p.steepness_plus, p.viscous_plus
     else:
-        static, coulomb, steepness, viscous = (
-            p.static_minus,
-            p.coulomb_minus,
-            p.steepness_minus,
-            p.viscous_minus,
-        )
+        static, coulomb = p.static_minus, p.coulomb_minus
+        steepness, viscous = p.steepness_minus, p.viscous_minus
     speed = omega * direction
     if speed < 0.0:
         speed = 0.0

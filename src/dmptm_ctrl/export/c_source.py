@@ -22,6 +22,7 @@ from dmptm_ctrl.export.program import (
 )
 
 REALS = ("double", "float")
+_PYTHON = {REAL: float, WIDE: float, INT: int, BOOL: bool}  # types of the kinds
 
 
 class _Choice(NamedTuple):
@@ -190,7 +191,7 @@ def c_source(program: Program, real: str = "double") -> str:
     names |= {a.id: f"{name}_{a.id}" for a in program.tables()}
     printer = CPrinter(real, names, f"{name}_")
     first = [
-        f"    state->{n.id} = {printer.number(_as(n.kind, value), n.kind)};"
+        f"    state->{n.id} = {printer.number(_PYTHON[n.kind](value), n.kind)};"
         for n, value in program.state
     ]
     for array, value in program.arrays:
@@ -225,10 +226,6 @@ def c_source(program: Program, real: str = "double") -> str:
             "",
         ]
     )
-
-
-def _as(kind: str, value: Any) -> Any:
-    return {REAL: float, WIDE: float, INT: int, BOOL: bool}[kind](value)
 
 
 def _signature(program: Program, real: str) -> str:

@@ -91,16 +91,13 @@ def _ports(controller: Controller, wiring: Wiring) -> tuple[list[Port], list[Por
     return [speed, *readings], [signals[j] for j in wiring.inputs]
 
 
-def _drive(controller: Controller) -> str:
-    if isinstance(controller.model, RigModel):
-        return f"the rig {controller.model.rig.name}"
-    return "a drive with two motors on one ring gear"
-
-
 def provenance(controller: Controller, source: Path | None = None) -> list[str]:
     """Return the comment lines at the head of an exported controller, read from `source`."""
+    model, drive = controller.model, "a drive with two motors on one ring gear"
+    if isinstance(model, RigModel):
+        drive = f"the rig {model.rig.name}"
     lines = [
-        f"Speed controller of {_drive(controller)}.",
+        f"Speed controller of {drive}.",
         f"Sample time: {controller.sample_time!r} s. Call the step once per sample.",
         "Units: SI, angles in rad; of each signal beside it.",
         *origin(source),

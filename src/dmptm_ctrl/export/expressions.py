@@ -32,24 +32,17 @@ _SIGNS: dict[type, str] = {
 
 
 class Expressions:
-    """Values of expressions among the variables of one function."""
+    """Values of expressions among the variables of one function; its statements are elsewhere."""
+
+    # follow two ways, of which only the running program knows which is taken
+    split: Callable[[Any, list[Callable[[], Any]], str], Any]
+    follow: Callable[[Any, list[Any]], Any]  # a call
+    put: Callable[[Any, Any, Any], None]  # write an element of a container at an index
 
     def __init__(
         self, tracer: Tracer, env: dict[str, Any], names: Mapping[str, Any], title: str = "result"
     ) -> None:
         self.tracer, self.env, self.names, self.title = tracer, env, names, title
-
-    def split(self, test: Any, both: list[Callable[[], Any]], title: str) -> Any:
-        """Follow two ways, of which only the running program knows which is taken."""
-        raise NotImplementedError
-
-    def follow(self, function: Any, args: list[Any]) -> Any:
-        """Follow a call."""
-        raise NotImplementedError
-
-    def put(self, container: Any, index: Any, value: Any) -> None:
-        """Write an element."""
-        raise NotImplementedError
 
     def value(self, node: ast.expr) -> Any:
         """Value of an expression."""

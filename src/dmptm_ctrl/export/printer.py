@@ -1,6 +1,6 @@
 """What printers of programs share: brackets by how operators bind, blocks by their depth."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import copysign
 from typing import Any
 
@@ -41,25 +41,14 @@ class Printer:
     narrow: bool  # whether a real number is narrower than a wide one
     words: Mapping[str, str]  # around the blocks of branches and loops
 
-    def number(self, value: float, kind: str | None = None) -> str:
-        """Text of a number that comes back to the last bit."""
-        raise NotImplementedError
-
-    def cast(self, value: Any, kind: str) -> tuple[str, int]:
-        """Text of a real or wide value as the other of them, and how it binds."""
-        raise NotImplementedError
-
-    def operation(self, op: str, args: tuple[Any, ...], kind: str) -> tuple[str, int]:
-        """Text of an operation that is no sign between or before values, and how it binds."""
-        raise NotImplementedError
-
-    def assignment(self, item: Assign) -> list[str]:
-        """Line that gives a name its value."""
-        raise NotImplementedError
-
-    def loop(self, item: For) -> str:
-        """Line above the body of a loop."""
-        raise NotImplementedError
+    # text of a number that comes back to the last bit, of a kind if one is given
+    number: Callable[..., str]
+    # text of a real or wide value as the other of them, and how it binds
+    cast: Callable[[Any, str], tuple[str, int]]
+    # text of an operation that is no sign between or before values, and how it binds
+    operation: Callable[[str, tuple[Any, ...], str], tuple[str, int]]
+    assignment: Callable[[Assign], list[str]]  # lines that give a name its value
+    loop: Callable[[For], str]  # line above the body of a loop
 
     def name(self, name: str) -> str:
         """Return the name of a variable where it is read or set."""

@@ -14,7 +14,6 @@ RESERVED = frozenset(  # of C and of IEC 61131-3
         "ge", "eq", "le", "lt", "ne", "min", "max", "limit", "sel", "mux", "trunc", "floor",
         "date", "word", "byte", "read_only", "state", "reference", "pointer", "interface",
         "method", "property", "this", "super", "extends", "implements", "abstract", "final",
-        "public", "private", "protected", "override", "persistent", "in", "out", "void", "size",
-        "name",
+        "public", "private", "protected", "override", "persistent", "in", "out", "size", "name",
     )
 )  # fmt: skip

@@ -22,7 +22,7 @@ from dmptm_ctrl.export.tables import write_tables
 from dmptm_ctrl.export.tracer import NotScalar
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.atomic import output_folder
-from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.signals.toml_text import read_toml
 from dmptm_ctrl.simulate.model_file import read_model
 
 OF_EXPERIMENT = ("csv", "c", "st")
@@ -138,11 +138,7 @@ def _check_numbers(real: str, sample_time: float | None) -> None:
 
 
 def _read(source: Path) -> Any:
-    try:
-        text = source.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        raise LogError(f"{source.name}: no readable model or controller file there") from None
-    written = parse_toml(text, source.name)
+    _, written = read_toml(source, "model or controller")
     if written.get("kind") == CONTROLLER:
         return read_controller(source)
     return read_model(source)

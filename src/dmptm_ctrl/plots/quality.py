@@ -13,6 +13,7 @@ from dmptm_ctrl.plots.style import STYLES, axes
 Floats = NDArray[np.float64]
 ROOM = 0.45  # above a correlation of 1, for the legend
 DECADES = 3.5  # of amplitude that are drawn
+KINDS = {"measured": "measured", "before": "existing", "after": "proposed"}  # of line
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +61,9 @@ def plot_correlation(
     """Draw a correlation before and after over its 99 % band."""
     panel = axes(ax, 1, figsize=(4.6, 3.0), grid="major")[0, 0]
     panel.fill_between(after.lag, -after.band, after.band, color="0.85", label="99 % band")
-    for found, label, style in (
-        (before, "before", STYLES["existing"]),
-        (after, "after", STYLES["proposed"]),
-    ):
+    for label, found in (("before", before), ("after", after)):
         text = f"{label}: {found.outside_percent:.0f} % outside"
-        panel.plot(found.lag, found.value, label=text, **style)
+        panel.plot(found.lag, found.value, label=text, **STYLES[KINDS[label]])
     panel.axhline(0.0, color="0.5", linewidth=0.8)
     panel.set(xlabel="lag [s]", ylabel="correlation [1]", xlim=(after.lag[0], after.lag[-1]))
     panel.set_title(title, fontsize=10)
@@ -74,16 +72,14 @@ def plot_correlation(
     return panel
 
 
-def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
+def plot_orders(orders: Orders, *, ax: Any = None) -> Any:
     """Draw amplitudes per order before and after, with the orders that a drive makes."""
     panel = axes(ax, 1, figsize=(7.4, 3.0), grid="major")[0, 0]
     top = 2.0 * max(float(orders.before.max()), float(orders.after.max()), 1e-12)
     least = top * 10.0**-DECADES
-    for values, label, style in (
-        (orders.before, "before", STYLES["existing"]),
-        (orders.after, "after", STYLES["proposed"]),
-    ):
-        panel.plot(orders.order, np.maximum(values, 0.5 * least), label=label, **style)
+    for label, values in (("before", orders.before), ("after", orders.after)):
+        seen = np.maximum(values, 0.5 * least)
+        panel.plot(orders.order, seen, label=label, **STYLES[KINDS[label]])
     last = orders.order[-1]
     _mark(panel, {name: o for name, o in orders.marks.items() if o <= last})
     panel.set_yscale("log")
@@ -93,7 +89,6 @@ def plot_orders(orders: Orders, *, ax: Any = None, title: str = "") -> Any:
         xlim=(0.0, float(orders.order[-1])),
         ylim=(least, top),
     )
-    panel.set_title(title, fontsize=10)
     panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     return panel
 
@@ -108,20 +103,18 @@ def _mark(panel: Any, marks: Mapping[str, float]) -> None:
         )  # fmt: skip
 
 
-def plot_spectrum(spectrum: Spectrum, *, ax: Any = None, title: str = "") -> Any:
+def plot_spectrum(spectrum: Spectrum, *, ax: Any = None) -> Any:
     """Draw gains over frequency, measured, before and after, with resonances marked."""
     panel = axes(ax, 1, figsize=(7.4, 3.4), grid="major")[0, 0]
-    styles = {"measured": STYLES["measured"], "before": STYLES["existing"],
-              "after": STYLES["proposed"]}  # fmt: skip
     for label, (hz, gain) in spectrum.curves.items():
         size = 6.0 if label == "measured" else 2.5  # seen beneath a model that agrees
-        panel.loglog(hz, gain, label=label, marker="o", markersize=size, **styles[label])
+        style = STYLES[KINDS[label]]
+        panel.loglog(hz, gain, label=label, marker="o", markersize=size, **style)
     _mark(panel, spectrum.marks)
     for axis in (panel.xaxis, panel.yaxis):  # within a decade powers of ten say nothing
         axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter("{x:g}")
     panel.set(xlabel="frequency [Hz]", ylabel=spectrum.quantity)
-    panel.set_title(title, fontsize=10)
     panel.figure.legend(fontsize=7.5, loc="outside right upper")
     return panel

@@ -24,7 +24,7 @@ from dmptm_ctrl.drive import (
 from dmptm_ctrl.plots.linear import bode_compare, simplification_plot, step_compare
 from dmptm_ctrl.plots.paper import convergence_plot
 from dmptm_ctrl.reproduce.items import DEG, RIG_LOOP, Context, Item, Picture, Table, figure_of
-from dmptm_ctrl.reproduce.resonances import OURS, resonance_items
+from dmptm_ctrl.reproduce.resonances import OURS
 
 ZETA = (0.03, 0.17)  # below Eq. 24
 GENTLE_HZ, GENTLE_MARGIN = 2.0, 60.0  # stable on the 9-DOF model too
@@ -36,11 +36,6 @@ def errata(context: Context) -> list[Item]:
     caption = "Corrected by default, as printed on request. Proofs: docs/errata.md, tests/drive."
     table = Table("errata", "Errata", ("where", "printed", "corrected", "why"), rows, caption)
     return [table._replace(here=f"{len(rows)} corrections")]
-
-
-def resonances(context: Context) -> list[Item]:
-    """Eqs. 19 and 20 for both models and both readings of J2."""
-    return resonance_items(context.drive)
 
 
 def convergence(context: Context) -> list[Item]:

@@ -15,6 +15,7 @@ from dmptm_ctrl.identify.experiments_steady import FrictionPoints, constant_spee
 from dmptm_ctrl.plots.paper import friction_plot, mesh_path_plot
 from dmptm_ctrl.plots.style import SEQUENCE, axes
 from dmptm_ctrl.reproduce.items import DEG, Context, Item, Picture, Table, figure_of
+from dmptm_ctrl.reproduce.parts import PER_UNIT, PRINTED_UNIT
 from dmptm_ctrl.simulate.compiled import Loop
 from dmptm_ctrl.simulate.loop_check import check_loop
 from dmptm_ctrl.simulate.mesh_path import along_path
@@ -92,7 +93,7 @@ def parameters(context: Context) -> list[Item]:
         ("flights", flights),
     ]
     rows = [
-        (how, name, *_said(estimate), f"{_shown(drive[name], estimate.unit):.5g}")
+        (how, name, *_said(estimate), f"{drive[name] / PER_UNIT.get(estimate.unit, 1.0):.5g}")
         for how, estimates in found
         for name, estimate in estimates.items()
     ]
@@ -122,13 +123,9 @@ def parameters(context: Context) -> list[Item]:
     ]
 
 
-def _shown(value: float, unit: str) -> float:
-    return value / DEG * 60 if unit == "rad" else value / DEG if unit == "rad/s" else value
-
-
 def _said(estimate: Estimate) -> tuple[str, str]:
-    value, se = (_shown(x, estimate.unit) for x in (estimate.value, estimate.se))
-    unit = {"rad": "arcmin", "rad/s": "deg/s"}.get(estimate.unit, estimate.unit)
+    value, se = (x / PER_UNIT.get(estimate.unit, 1.0) for x in (estimate.value, estimate.se))
+    unit = PRINTED_UNIT.get(estimate.unit, estimate.unit)
     text = str(Estimate(value, se, "")).strip()
     return text, unit
 

@@ -9,12 +9,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from dmptm_ctrl.reproduce import experiments, linear, nonlinear, parts
 from dmptm_ctrl.reproduce.items import Context, Item, render, save_items
+from dmptm_ctrl.reproduce.resonances import resonance_items
 from dmptm_ctrl.signals.atomic import output_folder
 
 # in the order of the page
 SECTIONS: tuple[tuple[str, Callable[[Context], list[Item]]], ...] = (
     ("Parameters", parts.declared),
-    ("Resonances", linear.resonances),
+    ("Resonances", lambda context: resonance_items(context.drive)),
     ("From 9 to 3 degrees of freedom", linear.convergence),
     ("What the simplification costs", linear.simplification),
     ("Time responses", experiments.eight),

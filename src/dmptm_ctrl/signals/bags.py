@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.signals.columns import CLOCK, Choose, Table
-from dmptm_ctrl.signals.errors import LogError, NotALogError
+from dmptm_ctrl.signals.errors import LogError, NotALogError, optional
 
 MAX_ITEMS = 64  # of an array in a message that become columns
 
@@ -76,13 +76,8 @@ def _flatten(name: str, value: Any, row: dict[str, float]) -> int:
 
 
 def _mcap(path: Path) -> Iterator[_Message]:
-    try:
-        from mcap.reader import make_reader
-    except ImportError:
-        raise LogError(
-            f"{path.name}: MCAP files need mcap: pip install 'dmptm-ctrl[mcap]'"
-        ) from None
-    decode = _Decoder(path)
+    make_reader = optional("mcap.reader", "MCAP files", "mcap").make_reader
+    decode = _Decoder()
     with path.open("rb") as stream:
         for schema, channel, message in make_reader(stream).iter_messages():
             if channel.message_encoding == "json":
@@ -94,14 +89,13 @@ def _mcap(path: Path) -> Iterator[_Message]:
 class _Decoder:
     """ROS messages in MCAP files, by the definitions that the file carries."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self) -> None:
         self._stores: dict[str, Any] = {}
 
     def __call__(self, schema: Any, data: bytes) -> Any:
         ros1 = schema.encoding == "ros1msg"
         if schema.name not in self._stores:
-            typesys = _rosbags(self._path)
+            typesys = _rosbags("typesys")
             store = typesys.get_typestore(
                 typesys.Stores.ROS1_NOETIC if ros1 else typesys.Stores.ROS2_HUMBLE
             )
@@ -118,22 +112,14 @@ def _type_name(name: str) -> str:
     return name if "/msg/" in name else f"{package}/msg/{kind}"
 
 
-def _rosbags(path: Path) -> Any:
-    try:
-        from rosbags import typesys
-    except ImportError:
-        raise LogError(
-            f"{path.name}: ROS messages need rosbags: pip install 'dmptm-ctrl[rosbags]'"
-        ) from None
-    return typesys
+def _rosbags(module: str) -> Any:
+    return optional(f"rosbags.{module}", "ROS messages", "rosbags")
 
 
 def _ros(path: Path) -> Iterator[_Message]:
-    typesys = _rosbags(path)
-    from rosbags.highlevel import AnyReader
-
+    typesys = _rosbags("typesys")
     source = path.parent if path.suffix.lower() == ".db3" else path
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    with AnyReader([source], default_typestore=store) as reader:
+    with _rosbags("highlevel").AnyReader([source], default_typestore=store) as reader:
         for connection, time, raw in reader.messages():
             yield connection.topic, time, reader.deserialize(raw, connection.msgtype)

@@ -18,21 +18,11 @@ SAME_RATE = 1e-6  # relative; decimal time stamps give the step to better than t
 class Campaign(Sequence[Log]):
     """Logs of one rig: same channels, same sample time, no two alike.
 
-    Parameters
-    ----------
-    logs : sequence of Log
-        A setpoint ``ref`` may be in some and not in others.
-    warnings : tuple of str
-        What is suspect across logs; each log has its own besides.
-
-    Raises
-    ------
-    LogError
-        No log, two of one name, or logs that cannot be of one rig.
+    LogError for none, two of one name, and logs that cannot be of one rig.
     """
 
-    logs: tuple[Log, ...]
-    warnings: tuple[str, ...] = ()
+    logs: tuple[Log, ...]  # a setpoint ``ref`` may be in some and not in others
+    warnings: tuple[str, ...] = ()  # what is suspect across logs; each has its own besides
 
     def __post_init__(self) -> None:
         logs, warnings = without_duplicates(tuple(self.logs))

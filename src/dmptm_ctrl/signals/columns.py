@@ -22,20 +22,11 @@ from dmptm_ctrl.signals.units import (
 
 
 class Column(NamedTuple):
-    """Where a column of a file goes: value_SI = scale · factor of the unit · value.
-
-    Parameters
-    ----------
-    channel : str
-    unit : str
-        Of the column.
-    scale : float
-        Factor, such as a sign.
-    """
+    """Where a column of a file goes: value_SI = scale · factor of the unit · value."""
 
     channel: str
-    unit: str
-    scale: float = 1.0
+    unit: str  # of the column
+    scale: float = 1.0  # such as a sign
 
 
 class Target(NamedTuple):

@@ -32,21 +32,12 @@ _RULE = re.compile(r"[\s|+:=-]*[-=]{3,}[\s|+:=-]*$")  # below the names of a tab
 
 @dataclass(frozen=True)
 class TextFormat:
-    """What a user says about a text file, where it cannot be guessed.
+    """What a user says about a text file, where it cannot be guessed."""
 
-    Attributes
-    ----------
-    header : int or None
-        Line of the names, the first is 1; 0: there is none.
-    separator, decimal : str or None
-    skip : int
-        Lines to leave out at the beginning.
-    """
-
-    header: int | None = None
+    header: int | None = None  # line of the names, the first is 1; 0: there is none
     separator: str | None = None
     decimal: str | None = None
-    skip: int = 0
+    skip: int = 0  # lines to leave out at the beginning
 
 
 def apart(line: str, separator: str) -> str:

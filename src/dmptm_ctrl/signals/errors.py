@@ -1,4 +1,7 @@
-"""What can be wrong with a log."""
+"""What can be wrong with a log, or keep it from being read."""
+
+from importlib import import_module
+from typing import Any
 
 
 class LogError(ValueError):
@@ -17,3 +20,13 @@ class NotALogError(LogError):
 
 class ColumnsError(NotALogError):
     """A table of numbers whose columns do not say which channels they are."""
+
+
+def optional(module: str, what: str, extra: str) -> Any:
+    """Return a module of an extra that `what` needs; ImportError tells how to install it."""
+    library = module.partition(".")[0]
+    try:
+        import_module(library)
+        return import_module(module)
+    except ImportError:
+        raise ImportError(f"{what} need {library}: pip install 'dmptm-ctrl[{extra}]'") from None

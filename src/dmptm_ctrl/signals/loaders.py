@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 Source = str | PathLike[str]
 
 OTHER_RATE = 0.01  # relative; a nominal rate is as good as this
-PACKED = (".mat", ".parquet", ".mf4", ".json", ".mcap", ".bag")
+PACKED = ".mat, .parquet, .mf4, .json, .mcap, .bag"
 OTHER = (  # what stands beside logs in a folder and is none by its name
     *(".toml", ".md", ".rst", ".html", ".htm", ".xml", ".yaml", ".yml", ".ini", ".cfg"),
     *(".png", ".jpg", ".jpeg", ".svg", ".gif", ".bmp", ".pdf", ".zip", ".7z", ".tar", ".rar"),
@@ -228,11 +228,8 @@ def _files(source: Source) -> list[Path]:
     files = [p for p in path.iterdir() if p.is_file() and not p.name.startswith((".", "~"))]
     found = sorted(p for p in files if not p.name.lower().endswith(OTHER))
     if not found:
-        raise LogError(f"no logs in {path.name or path}: no file of text or one of {_PACKED}")
+        raise LogError(f"no logs in {path.name or path}: no file of text or one of {PACKED}")
     return found
-
-
-_PACKED = ", ".join(PACKED)
 
 
 def stem(title: str) -> str:
@@ -306,6 +303,8 @@ def read_table(
         return read_text(path, choose, max_rows, how, wanted)
     except OSError as error:
         raise LogError(f"{path.name}: {error.strerror or 'not readable'}") from error
+    except ImportError as error:  # of an extra
+        raise LogError(f"{path.name}: {error}") from error
 
 
 def _channels(

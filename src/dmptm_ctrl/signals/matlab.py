@@ -9,7 +9,7 @@ import numpy as np
 
 from dmptm_ctrl.signals.columns import Choose, Table
 from dmptm_ctrl.signals.dialect import unit_of
-from dmptm_ctrl.signals.errors import ColumnsError, NotALogError
+from dmptm_ctrl.signals.errors import ColumnsError, NotALogError, optional
 from dmptm_ctrl.signals.subprocess_reader import Signal, read_in_subprocess
 
 MAX_WIDTH = 64  # columns of one array that are taken apart
@@ -64,13 +64,7 @@ def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
 
 
 def _read_hdf(path: Path) -> dict[str, Any]:
-    try:
-        from pymatreader import read_mat
-    except ImportError:
-        raise ImportError(
-            "MATLAB 7.3 files need pymatreader: pip install 'dmptm-ctrl[mat73]'"
-        ) from None
-    return read_mat(str(path))
+    return optional("pymatreader", "MATLAB 7.3 files", "mat73").read_mat(str(path))
 
 
 def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[Signal]:
@@ -93,14 +87,10 @@ def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[S
             yield from _walk((*path[:-1], f"{path[-1]}{index}"), inner, meta)
     elif isinstance(value, str | int | float):
         meta[".".join(path)] = value
-    elif isinstance(value, np.ndarray) and value.dtype == np.uint32 and _is_object(value):
+    elif isinstance(value, np.ndarray) and value.dtype == np.uint32 and _OBJECT in value.flat[:1]:
         meta[_OBJECTS] = ", ".join(filter(None, (meta.get(_OBJECTS), ".".join(path))))
     else:
         yield from _array(path, value, None)
-
-
-def _is_object(array: Any) -> bool:
-    return array.size > 0 and array.flat[0] == _OBJECT
 
 
 def _array(path: tuple[str, ...], value: Any, unit: str | None) -> Iterator[Signal]:

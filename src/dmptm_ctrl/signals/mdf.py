@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.signals.columns import CLOCK, Choose, Table
-from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.errors import LogError, optional
 from dmptm_ctrl.signals.subprocess_reader import Signal, read_in_subprocess
 
 
@@ -38,14 +38,11 @@ def read_mdf(path: Path, choose: Choose) -> Table:
 
 def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
     """Numeric channels of an MDF file; run it by `read_in_subprocess`, it may crash."""
-    try:
-        from asammdf import MDF
-    except ImportError:
-        raise ImportError("MDF files need asammdf: pip install 'dmptm-ctrl[mf4]'") from None
+    asammdf = optional("asammdf", "MDF files", "mf4")
     logging.disable()
     found: list[Signal] = []
     clocks: dict[bytes, int] = {}  # groups that tick alike are on one clock
-    with MDF(str(path)) as file:
+    with asammdf.MDF(str(path)) as file:
         for channel in file.iter_channels():
             if channel.samples.dtype.kind not in "fiub" or channel.samples.ndim != 1:
                 continue

@@ -55,16 +55,7 @@ def on_one_clock(
 def without_sentinels(values: Array) -> tuple[Array, float | None]:
     """Take what stands for "no value" as none: ∞, -9999 and the like, far from all others.
 
-    Parameters
-    ----------
-    values : (n,) array
-        As the file has them.
-
-    Returns
-    -------
-    values : (n,) array
-        NaN instead of it.
-    number : float or None
+    From the values as the file has them, (n,): these with NaN instead, and that number or None.
     """
     if (endless := np.isinf(values)).any():
         return np.where(endless, np.nan, values), np.inf

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.signals.columns import CLOCK, CLOCKS, TIMES, Choose, Table
-from dmptm_ctrl.signals.errors import LogError, NotALogError
+from dmptm_ctrl.signals.errors import LogError, NotALogError, optional
 
 _INDEX = "__index_level_0__"  # pandas' name of an index without one
 _GZIP = (EOFError, zlib.error, gzip.BadGzipFile)
@@ -42,19 +42,12 @@ def _values(column: Any) -> Any:
 
 def read_parquet(path: Path, choose: Choose) -> Table:
     """Read columns of a Parquet file (extra ``parquet``)."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise LogError(
-            f"{path.name}: Parquet files need pyarrow: pip install 'dmptm-ctrl[parquet]'"
-        ) from error
+    pq = optional("pyarrow.parquet", "Parquet files", "parquet")
+    is_temporal = optional("pyarrow.types", "Parquet files", "parquet").is_temporal
     try:
         with pq.ParquetFile(path) as file:
             own = {CLOCK if n == _INDEX else n: n for n in file.schema_arrow.names}
-            units = {
-                n: TIMES for n in own if pa.types.is_temporal(file.schema_arrow.field(own[n]).type)
-            }
+            units = {n: TIMES for n in own if is_temporal(file.schema_arrow.field(own[n]).type)}
             units |= {CLOCK: "s"} if CLOCK in own else {}
             chosen = choose(list(own), units)
             table = file.read(columns=[own[name] for name in chosen])

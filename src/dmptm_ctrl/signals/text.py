@@ -288,7 +288,7 @@ class _Rows:
                 elif not line.strip(_NOTHING):
                     continue
                 else:
-                    row, what = self._judged(number, line)
+                    row, what = self._judged(line)
                 if what == "odd":
                     odd.append((number, line, row))
                     continue
@@ -330,7 +330,7 @@ class _Rows:
             f"{len(self._layout.kinds)} columns"
         )
 
-    def _judged(self, number: int, line: str) -> tuple[str, str]:
+    def _judged(self, line: str) -> tuple[str, str]:
         """Row as pandas gets it, and what it is if it is no row of numbers.
 
         "odd": a row that lacks values or holds words, as at the end of a file.

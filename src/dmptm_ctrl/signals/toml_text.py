@@ -1,6 +1,7 @@
 """TOML from files that people edit: whatever is wrong with one is a LogError."""
 
 import tomllib
+from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.signals.errors import LogError
@@ -28,3 +29,12 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         elif isinstance(item, int) and not -WHOLE <= item < WHOLE:
             raise LogError(f"{source}: a whole number has more than 64 bits")
     return data
+
+
+def read_toml(path: Path, what: str) -> tuple[str, dict[str, Any]]:
+    """Read a file of TOML: its text, and its data as of `parse_toml`; `what` it should be."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        raise LogError(f"{path.name}: no readable {what} file there") from None
+    return text, parse_toml(text, path.name)

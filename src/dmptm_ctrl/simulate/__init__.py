@@ -14,15 +14,10 @@ if TYPE_CHECKING:
     from dmptm_ctrl.simulate.model import Model
     from dmptm_ctrl.simulate.rig_model import RigModel
 
-METHODS = {  # and their options
-    "compiled": ("substeps", "contact"),
-    "blocks": ("rtol", "atol", "pade_order", "contact"),
-    "reference": ("rtol",),
-}
-_RUNS = {
-    "compiled": ("compiled", "march"),
-    "blocks": ("blocks", "run"),
-    "reference": ("reference", "simulate"),
+METHODS: dict[str, tuple[str, str, Sequence[str]]] = {  # module and function, options
+    "compiled": ("compiled", "march", ("substeps", "contact")),
+    "blocks": ("blocks", "run", ("rtol", "atol", "pade_order", "contact")),
+    "reference": ("reference", "simulate", ("rtol",)),
 }
 EVEN = 1e-6  # relative unevenness of the time steps that is rounding
 
@@ -87,8 +82,8 @@ def simulate(
 
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
-    own, runs, x0 = cast("Any", model), _RUNS, None
-    known: Sequence[str] = METHODS[method]
+    own, x0 = cast("Any", model), None
+    module, function, known = METHODS[method]
     names: Sequence[str]
     seen: Sequence[str]
     if hasattr(model, "drive"):
@@ -100,9 +95,10 @@ def simulate(
         own = as_rig_model(own, "simulate")
         if initial_state is not None:
             raise ValueError("a rig of any shape starts at `position` and `speed` by body")
-        known = MARCH_OPTIONS if method == "compiled" else [k for k in known if k != "contact"]
+        if method == "compiled":
+            module, function, known = "rig_run", "march_readings", MARCH_OPTIONS
+        known = [k for k in known if k != "contact"]
         names, seen, name = own.layout.inputs, [s.name for s in own.rig.sensors], own.rig.name
-        runs = {**_RUNS, "compiled": ("rig_run", "march_readings")}
     for key in options:
         if key not in known:
             has = ", ".join(known)
@@ -111,11 +107,9 @@ def simulate(
     if substeps is not None and (int(substeps) != substeps or substeps < 1):
         raise ValueError(f"substeps is {substeps!r}; needs a whole number of at least 1")
     own.check()
-    time = _timepts(timepts)
+    time, dt = _timepts(timepts)
     shape = len(names), time.size
     u = _finite("inputs", np.atleast_2d(np.array(inputs, float)), shape, "inputs by time points")
-    dt = (time[-1] - time[0]) / (time.size - 1)
-    module, function = runs[method]
     run = getattr(import_module(f"{__name__}.{module}"), function)
     rows = run(own, u, x0, dt, **options).T
     return response(
@@ -133,7 +127,8 @@ def _start(model: "Model", state: ArrayLike | None) -> NDArray[np.float64]:
     return _finite("initial_state", state, (6,), "three angles and their speeds")
 
 
-def _timepts(timepts: ArrayLike) -> NDArray[np.float64]:
+def _timepts(timepts: ArrayLike) -> tuple[NDArray[np.float64], float]:
+    """Time points, which are even, and the step between them [s]."""
     time = np.asarray(timepts, float)
     if time.ndim != 1 or time.size < 2:
         raise ValueError(f"timepts has shape {time.shape}; needs (n,) with n ≥ 2")
@@ -146,7 +141,7 @@ def _timepts(timepts: ArrayLike) -> NDArray[np.float64]:
             f"timepts is uneven: steps from {least:.6g} to {most:.6g} s; "
             "the voltage is held over equal samples"
         )
-    return time
+    return time, float(mean)
 
 
 def _finite(

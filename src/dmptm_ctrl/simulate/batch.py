@@ -14,7 +14,7 @@ from dmptm_ctrl.simulate.law import Law
 from dmptm_ctrl.simulate.many import Common, run_many, same_shape
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.observer import rigid_observer
-from dmptm_ctrl.simulate.plant import Plant
+from dmptm_ctrl.simulate.plant import NO_ROWS, Plant
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import own_rows
 
@@ -22,7 +22,6 @@ BATCH_OUTPUTS = (*OUTPUTS, *INPUTS)
 # Drives left over by full groups, which one after another take the plain loop less than lanes of
 # which most are empty: these take as long as four or five, however many are in them.
 ALONE = 4
-_NO_ROWS = np.zeros((0, 0))
 
 
 class Batch(NamedTuple):
@@ -64,7 +63,7 @@ def march_any(
     if together:
         kept = tuple(SEEN[OUTPUTS[c]] for c in columns)
         common = Common(
-            dt, substeps, inputs.shape[2], inputs, np.zeros((1, 1)), _NO_ROWS, kept, begin=begin
+            dt, substeps, inputs.shape[2], inputs, np.zeros((1, 1)), NO_ROWS, kept, begin=begin
         )
         observers = None
         if observer is not None and angles is not None:
@@ -161,11 +160,10 @@ def simulate_batch(
     """
     from dmptm_ctrl.simulate import _timepts
 
-    time = _timepts(timepts)
+    time, dt = _timepts(timepts)
     n, count = time.size, len(models)
     if count == 0:
         raise ValueError("models is empty; needs at least one model")
-    dt = (time[-1] - time[0]) / (n - 1)
     steps = max(steps_of(model, dt) for model in models) if substeps is None else substeps
     for name, number in (("every", every), ("substeps", steps)):
         if int(number) != number or number < 1:
@@ -175,7 +173,7 @@ def simulate_batch(
         if name not in seen:
             raise ValueError(f"no output {name!r}; there are {', '.join(seen)}")
     drive, target = np.zeros((1, width, 0)), np.zeros((1, 1))
-    measured = _NO_ROWS
+    measured = NO_ROWS
     loops: list[Loop | Law] | None = None
     if loop is None:
         drive = _rows("inputs", inputs, count, (width, n))

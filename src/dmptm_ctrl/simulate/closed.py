@@ -1,7 +1,8 @@
 """The drive under its sampled speed loop, as python-control returns responses."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import control
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -9,12 +10,8 @@ from dmptm_ctrl.drive.rig import Controller as RigController
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.simulate import _finite, _timepts, compiled
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.response import response
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import as_rig_model, march
-
-if TYPE_CHECKING:
-    import control
 
 
 def close_loop(
@@ -25,8 +22,8 @@ def close_loop(
     *,
     theta_L: float = 0.0,
     noise: ArrayLike | None = None,
-    substeps: int = compiled.SUBSTEPS,
-) -> "control.TimeResponseData":
+    substeps: int | None = None,
+) -> control.TimeResponseData:
     """Run a drive under a sampled speed loop, from rest.
 
     The pinions of a dual-motor drive begin in the middle of their gaps. Keep the setpoint at 0
@@ -46,8 +43,8 @@ def close_loop(
         First angle of the ring gear; a rig starts at 0.
     noise : (n,) array [rad/s], optional
         Added to the speed that the controller reads.
-    substeps : int
-        Steps of the simulator per sample.
+    substeps : int, optional
+        Steps of the simulator per sample; by default 8, or what the fastest mode of a rig needs.
 
     Returns
     -------
@@ -69,19 +66,19 @@ def close_loop(
     >>> loop = dm.Loop(kp=5.0, ki=90.0, limit=10.0, bias_l=0.3, bias_r=-0.3)
     >>> run = dm.close_loop(dm.Model(), loop, time, np.full(1000, 0.2))
     """
-    time = _timepts(timepts)
+    time, dt = _timepts(timepts)
     target = _finite("reference", reference, (time.size,), "a setpoint at each time point")
     heard = None
     if noise is not None:
         heard = _finite("noise", noise, (time.size,), "a speed at each time point")
-    dt = float(time[-1] - time[0]) / (time.size - 1)
     if isinstance(model, Model):
         name, labels = model.drive.name, [*compiled.OUTPUTS, "u_left", "u_right"]
         law = _law(controller, dt)
         model.check()
         u, out = compiled.close_loop(
-            model, law, target, dt, theta_L=theta_L, noise=heard, substeps=substeps
-        )
+            model, law, target, dt, theta_L=theta_L, noise=heard,
+            substeps=compiled.SUBSTEPS if substeps is None else substeps,
+        )  # fmt: skip
         rows = [*out.T, *u]
     else:
         rig = as_rig_model(model, "close_loop")
@@ -97,11 +94,13 @@ def close_loop(
             raise TypeError(f"close_loop of a rig takes a Loop or its own controller, not {given}")
         rig.check()
         still = np.zeros((len(rig.layout.inputs), time.size))
-        run = march(rig, still, dt, controller=own, reference=target, added=heard)
+        run = march(
+            rig, still, dt, controller=own, reference=target, added=heard, substeps=substeps
+        )
         sensors = [s.name for s in rig.rig.sensors]
         name, labels = rig.rig.name, [*sensors, *rig.layout.inputs]
         rows = [*(run.reading(sensor) for sensor in sensors), *run.u]
-    return response(
+    return control.TimeResponseData(
         time,
         np.array(rows),
         inputs=target[np.newaxis],
@@ -109,6 +108,7 @@ def close_loop(
         input_labels=["ref"],
         sysname=name,
         title=f"{name} under its loop",
+        issiso=False,
     )
 
 

@@ -254,7 +254,7 @@ def _forces(s: Structure, text: _Text, g: int) -> None:
         text.act("load", b, f"force{g}", *motion, lever=text.lever(b))
 
 
-def _load(s: Structure, text: _Text, body: int) -> str:
+def _load(s: Structure, body: int) -> str:
     """What presses on the bearings of a body."""
     terms = []
     for k, (first, second, _, loads) in enumerate(s.links):
@@ -311,7 +311,7 @@ def _rub_of_body(s: Structure, text: _Text, g: int, b: int, bristle: int | None)
     _, sign, law = s.bodies[b]
     lever = f"abs(r{b}) * " if sign else ""
     flip = "-" if sign < 0 else ""
-    theta, load = text.turned(b, "x"), _load(s, text, b)
+    theta, load = text.turned(b, "x"), _load(s, b)
     if law:
         fields = [f"w{b}_{field}" for field in LAW_FIELDS]
         if law == 1:

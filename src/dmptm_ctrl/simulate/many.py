@@ -15,8 +15,6 @@ from dmptm_ctrl.simulate.plant import Flags, Floats, Plant, Structure, numbers, 
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import NOBODY, Controller
 
-_NO_TABLES = np.zeros((0, 0, 0))
-
 
 class Closed(Protocol):
     """What closes a loop."""
@@ -42,7 +40,7 @@ class Common(NamedTuple):
     every: int = 1
     judged: tuple[str, ...] = ()  # of what statistics are
     begin: float = 0.0
-    measured: Floats = _NO_TABLES  # (batch or 1, m, n), what observers follow, or none
+    measured: Floats = np.zeros((0, 0, 0))  # (batch or 1, m, n), what observers follow, or none
 
     def of(self, some: Sequence[int]) -> "Common":
         """What some of the plants need of it."""

@@ -16,7 +16,7 @@ from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.numbers import finite_numbers
-from dmptm_ctrl.signals.toml_text import parse_toml
+from dmptm_ctrl.signals.toml_text import parse_toml, read_toml
 from dmptm_ctrl.signals.units import parse_unit
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
@@ -26,10 +26,11 @@ DUAL, RIG = "dual-motor", "chain"  # kinds
 SCHEMA = 1
 
 
-def _document(kind: str) -> tomlkit.TOMLDocument:
+def begun(what: str, kind: str, schema: int) -> tomlkit.TOMLDocument:
+    """Return the beginning of a file: what it is, schema and kind."""
     document = tomlkit.document()
-    document.add(tomlkit.comment("Drive model of dmptm-ctrl. SI units; angles in radians."))
-    document["schema"] = SCHEMA
+    document.add(tomlkit.comment(f"{what} of dmptm-ctrl. SI units; angles in radians."))
+    document["schema"] = schema
     document["kind"] = kind
     return document
 
@@ -65,7 +66,7 @@ def input_symbol(rig: Rig, name: str) -> str:
 
 def rig_model_to_toml(model: RigModel) -> str:
     """Return the text of a model file, complete in itself: the rig file's text is in it."""
-    document = _document(RIG)
+    document = begun("Drive model", RIG, SCHEMA)
     document["rig"] = tomlkit.string(model.rig.text, multiline=True)
     values = tomlkit.table()
     for key, value in model.values.items():
@@ -124,7 +125,7 @@ def rig_model_from_toml(text: str, name: str = "model.toml") -> RigModel:
 
 def to_toml(model: Model) -> str:
     """Return the text of a model file: values in SI, the unit beside each."""
-    document = _document(DUAL)
+    document = begun("Drive model", DUAL, SCHEMA)
     drive = tomlkit.table()
     for name in model.drive:
         drive[name] = with_unit(model.drive[name], model.drive.quantities[name].unit)
@@ -191,11 +192,7 @@ def read_model(path: str | PathLike[str]) -> Model | RigModel:
     8.0
     """
     file = Path(path)
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        raise LogError(f"{file.name}: no readable model file there") from None
-    data = parse_toml(text, file.name)
+    text, data = read_toml(file, "model")
     if "kind" not in data and "body" in data:
         rig = parse_rig(text, file.name)
         drive = dual_motor(rig)

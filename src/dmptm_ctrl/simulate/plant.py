@@ -28,6 +28,7 @@ CALLED = ("drive", "lag", "motor", "mesh", "friction", "ageing", "load", "sensor
 LAW_FIELDS = Stribeck._fields
 NO_LAW = Stribeck._make([*[0.0] * 8, 1.0, 1.0, 1.0])
 NO_EFFECTS = np.zeros(0)
+NO_ROWS = np.zeros((0, 0))
 NO_FLAGS = np.zeros(0, np.uint8)
 
 

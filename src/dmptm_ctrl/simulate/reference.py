@@ -180,13 +180,13 @@ class _Hybrid:
                 self.motion[g] = 0.0
 
 
-def _holds(u: Floats, dt: float, delays: Floats, before: Floats) -> Iterator[Hold]:
-    """Yield (start, end, signals) of each stretch of constant signals."""
+def _holds(u: Floats, dt: float, delays: Floats) -> Iterator[Hold]:
+    """Yield (start, end, signals) of each stretch of constant signals, which were 0 before."""
     inputs, n = u.shape
     end = (n - 1) * dt
     jumps = {0.0, end}
     for j in range(inputs):
-        last = before[j] if delays[j] > 0.0 else u[j, 0]
+        last = 0.0 if delays[j] > 0.0 else u[j, 0]
         for i in range(n):
             if u[j, i] != last:
                 jumps.add(min(i * dt + float(delays[j]), end))
@@ -197,7 +197,7 @@ def _holds(u: Floats, dt: float, delays: Floats, before: Floats) -> Iterator[Hol
         held = []
         for j in range(inputs):
             i = int(np.floor((middle - delays[j]) / dt))
-            held.append(float(u[j, min(i, n - 1)] if i >= 0 else before[j]))
+            held.append(float(u[j, min(i, n - 1)] if i >= 0 else 0.0))
         yield start, stop, held
 
 
@@ -230,14 +230,6 @@ class _Recorder:
             inside = values[hybrid.inside + k]
             self.out.links[i, k] = hybrid.parts.link_torque(k, z, rate, law, inside)
 
-    def first(self, y: Floats) -> None:
-        self._row(0, y)
-        self.next_row = 1
-        for i, delay in enumerate(self.delays):
-            while self.next_late[i] < len(self.late) and self.next_late[i] * self.dt <= delay:
-                self.late[self.next_late[i], i] = self._sensed(y, i)
-                self.next_late[i] += 1
-
     def passed(self, t: float, at) -> None:
         """Take the rows up to time `t` from the interpolant `at`."""
         slack = 1e-9 * self.dt  # rounding of i·dt
@@ -259,27 +251,18 @@ class _Recorder:
         for s, b in enumerate(plant.sensor_body):
             r, g = parts.ratio[b], parts.group[b]
             for i in range(len(self.late)):
-                read = [r * self.out.q[i, g], r * self.out.v[i, g]]
-                read[int(plant.sensor_speed[s])] = self.late[i, s]
-                for kernel, _, p in parts.at("sensor", s):
-                    read = list(kernel(*read, i * self.dt, p))
-                self.out.readings[i, s] = read[int(plant.sensor_speed[s])]
+                moves = [r * self.out.q[i, g], r * self.out.v[i, g]]
+                moves[int(plant.sensor_speed[s])] = self.late[i, s]
+                self.out.readings[i, s] = parts.reading(s, moves[0], moves[1], i * self.dt)
         return self.out
 
 
 def run_exactly(
-    plant: Plant,
-    u: ArrayLike,
-    q0: ArrayLike,
-    v0: ArrayLike,
-    dt: float,
-    *,
-    rtol: float = 1e-10,
-    before: ArrayLike | None = None,
+    plant: Plant, u: ArrayLike, q0: ArrayLike, v0: ArrayLike, dt: float, *, rtol: float = 1e-10
 ) -> Exact:
     """Run a plant open loop, slowly and exactly.
 
-    `u` (inputs, n), `dt` [s] and `before` are as for :func:`~.run.advance`, `q0` and `v0` (n,) the
+    `u` (inputs, n) and `dt` [s] are as for :func:`~.run.advance`, `q0` and `v0` (n,) the
     coordinates and speeds at the start, `rtol` is the integrator's relative tolerance.
     RuntimeError where the integrator gives up, or the mode changes without end.
     """
@@ -288,9 +271,8 @@ def run_exactly(
     y = np.zeros(hybrid.size)
     y[: hybrid.n], y[hybrid.n : 2 * hybrid.n] = q0, v0
     recorder = _Recorder(hybrid, signals.shape[1], dt)
-    recorder.first(y)
-    past = np.zeros(len(signals)) if before is None else np.asarray(before, float)
-    for begin, end, held in _holds(signals, dt, plant.input_values[:, 1], past):
+    recorder.passed(0.0, lambda _: y)
+    for begin, end, held in _holds(signals, dt, plant.input_values[:, 1]):
         hybrid.u = held
         y = _through_hold(hybrid, begin, end, y, dt, rtol, recorder)
     return recorder.readings()

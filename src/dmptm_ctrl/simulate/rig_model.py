@@ -254,7 +254,7 @@ def _build(model: RigModel) -> tuple[Plant, Layout]:
     sensor_body = {s.name: s.body for s in rig.sensors}
     input_body = {i.name: i.body for i in rig.inputs}
     for effect in (e for e in model.effects if e.name == "shaft_compliance"):
-        joints = _soften(rig, effect, inertia, joints, sensor_body, input_body)
+        joints = _soften(effect, inertia, joints, sensor_body, input_body)
     for effect in (e for e in model.effects if PLACED_CATALOGUE[e.name].place == "link"):
         if effect.on not in model.closed:
             joints = [_with_effect(j, effect) if j.name == effect.on else j for j in joints]
@@ -322,7 +322,6 @@ def _joint(model: RigModel, name: str) -> _Joint:
 
 
 def _soften(
-    rig: Rig,
     effect: Placed,
     inertia: dict[str, float],
     joints: list[_Joint],

@@ -11,14 +11,13 @@ import numpy as np
 from dmptm_ctrl.drive.rig import Controller, Rig
 from dmptm_ctrl.simulate.control import Law, controller_of, sampled
 from dmptm_ctrl.simulate.observer import Observer
-from dmptm_ctrl.simulate.plant import Floats, Plant, link_matrices
+from dmptm_ctrl.simulate.plant import NO_ROWS, Floats, Plant, link_matrices
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.run import Controller as RunController
 from dmptm_ctrl.simulate.run import Motion, State, advance, advance_by, start_state, structure_for
 
 STEPS_PER_RADIAN = 8.0  # of the fastest mode, and of the fastest decay
 MAX_SUBSTEPS = 400
-_NO_ROWS = np.zeros((0, 0))
 
 
 def as_rig_model(model: Rig | RigModel, name: str) -> RigModel:
@@ -122,7 +121,7 @@ def march(
     """
     plant, layout = model.plant(), model.layout
     n = u.shape[1]
-    motion = _NO_ROWS, _NO_ROWS
+    motion = NO_ROWS, NO_ROWS
     if given:
         groups = sorted((layout.coordinate[body], body) for body in given)
         plant = plant._replace(given=tuple(group for group, _ in groups))
@@ -165,4 +164,4 @@ def march_readings(model: RigModel, u: Floats, _: None, dt: float, **options: An
     """Run a rig, see :func:`march`: (n, sensors) array; `u` gets what a controller gave."""
     run = march(model, u, dt, **options)
     u[:] = run.u
-    return np.column_stack([run.reading(sensor.name) for sensor in model.rig.sensors])
+    return run._motion.readings

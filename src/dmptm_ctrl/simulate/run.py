@@ -11,14 +11,12 @@ from numba import float64, int64, types
 from dmptm_ctrl.simulate.elementary import address_of, compiled_callback, table_of
 from dmptm_ctrl.simulate.loading import loops
 from dmptm_ctrl.simulate.observer import UNLED, Observer
-from dmptm_ctrl.simulate.plant import Floats, Ints, Plant, Structure, numbers, structure_of
+from dmptm_ctrl.simulate.plant import NO_ROWS, Floats, Ints, Plant, Structure, numbers, structure_of
 from dmptm_ctrl.simulate.scalar import advance_of, scalar_engine
 from dmptm_ctrl.simulate.sites import acting
 
 _ROW = types.CPointer(float64)
 SIGNATURE = types.void(int64, *[float64] * 4, *[_ROW] * 4)
-_NO_ROWS = np.zeros((0, 0))
-_NO_TABLES = np.zeros((0, 0, 0))
 _NOTHING, _NONE = np.zeros(1), np.zeros(0)
 
 
@@ -102,14 +100,12 @@ class Motion(NamedTuple):
         return self._part(self.size[4] + 2 * self.size[2] + self.size[0], self.size[0])
 
 
-def start_state(structure: Structure, q: Floats, v: Floats, **others: float) -> State:
+def start_state(structure: Structure, q: Floats, v: Floats) -> State:
     """Return the state at given coordinates and speeds."""
     names = scalar_engine(structure).names
     values = np.array(names.start)
     count = structure.coordinates
     values[:count], values[count : 2 * count], values[2 * count : 3 * count] = q, v, v
-    for name, value in others.items():
-        values[names.state.index(name)] = value
     return State(tuple(names.state), values)
 
 
@@ -130,7 +126,7 @@ def advance(
     structure: Structure | None = None,
     before: Floats | None = None,
     push: Floats | None = None,
-    given: tuple[Floats, Floats] = (_NO_ROWS, _NO_ROWS),
+    given: tuple[Floats, Floats] = (NO_ROWS, NO_ROWS),
     controller: Controller | None = None,
     target: Floats | None = None,
     noise: Floats | None = None,
@@ -181,14 +177,14 @@ def advance(
         rows, width if dead.any() or plant.given else 0, now, latest, lates if late else 0,
         sensors, y, y[:, None], late or bool(plant.given), signals, kept,
         np.zeros(inputs) if before is None else np.array(before, float), dead,
-        _NO_ROWS if push is None else np.ascontiguousarray(push, float),
+        NO_ROWS if push is None else np.ascontiguousarray(push, float),
         np.array(plant.given, np.int64), *(np.ascontiguousarray(g, float) for g in given),
         ring, delays, late_of, late_ratio, state.steps, state.time,
         dt, substeps, address_of(law.function), law.rule, memory,
         _NONE if target is None else np.array(target, float),
         _NONE if noise is None else np.array(noise, float),
         controller is not None, np.zeros(inputs), led.sensors,
-        _NO_TABLES if measured is None else own_rows(measured)[None],
+        np.zeros((0, 0, 0)) if measured is None else own_rows(measured)[None],
         np.ascontiguousarray(led.gains)[..., None], led.shown(plant)[..., None], led.leak,
         lead[:, None], np.zeros((2 * count, 1)), out,
     )  # fmt: skip

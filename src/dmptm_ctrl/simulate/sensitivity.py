@@ -30,6 +30,7 @@ from dmptm_ctrl.simulate.lanes import LANES
 from dmptm_ctrl.simulate.many import Common, run_many
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE
+from dmptm_ctrl.simulate.plant import NO_ROWS
 from dmptm_ctrl.simulate.rig_model import RigModel
 
 # Share of a parameter's size: truncation and rounding, grown by the run, are both far below 1 %
@@ -37,7 +38,6 @@ STEP = 1e-7
 DIFFERENT = 0.02  # derivatives from both sides that differ by more are not the same
 NOISE = 1e-4  # of an output's range per parameter's size, below which a difference is rounding
 FEW = 8  # drives beside each other for which half as many lanes are enough
-_NO_ROWS = np.zeros((0, 0))
 
 
 class Sensitivities(NamedTuple):
@@ -142,7 +142,7 @@ def simulate_with_sensitivities(
     """
     from dmptm_ctrl.simulate import _finite, _start, _timepts
 
-    time = _timepts(timepts)
+    time, dt = _timepts(timepts)
     rows = np.atleast_2d(np.array(inputs, float))
     u = _finite("inputs", rows, (len(inputs_of(model)), time.size), "inputs by time points")
     if isinstance(model, RigModel) and initial_state is not None:
@@ -150,13 +150,12 @@ def simulate_with_sensitivities(
     if len(parameters) == 0:
         raise ValueError("parameters is empty; name at least one")
     moves = [(name, _step(model, name)) for name in parameters]
-    dt = (time[-1] - time[0]) / (time.size - 1)
     moved = [_moved(model, [move]) for move in moves]
     back = _moved(model, [(name, -step) for name, step in moves])
     models = [model, *moved, back]
     kept = tuple(x for x in seen_of(model).values() if not x.startswith("signal"))
     fine = steps_of(model, dt) if substeps is None else substeps
-    common = Common(dt, fine, time.size, u[None], _NO_ROWS, _NO_ROWS, kept)
+    common = Common(dt, fine, time.size, u[None], NO_ROWS, NO_ROWS, kept)
     if isinstance(model, RigModel):
         starts = [at_rest(one) for one in models]
     else:

@@ -80,10 +80,8 @@ def forces_of(
     layout, plant = model.layout, model.plant()
     measured, _ = measured_motion(model, balance, motion, nuisance)
     twists = {n: twist_of(model, n, motion, measured, nuisance) for n in balance.teeth}
-    simulated = [name for name in layout.links if name not in twists]
-    if simulated:
-        run = hidden_run(model, motion, measured, nuisance)
-    runs = {name: run.link(name) for name in simulated}
+    others = [name for name in layout.links if name not in twists]
+    runs = _simulated(model, motion, measured, nuisance, others)
     zeros = {b: np.zeros(motion.time.size) for b in layout.bodies}
     pushes, volts = [], {}
     for j, name in enumerate(layout.inputs):
@@ -185,6 +183,25 @@ def _through_spring(
             for part, far in ((z, q), (rate, v), (change, a))
         )
     return None
+
+
+def _simulated(
+    model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance, names: list[str]
+) -> dict[str, Floats]:
+    """Torques of links by a run; kept along measured motion, for fits ask again."""
+
+    def run() -> dict[str, Floats]:
+        hidden = hidden_run(model, motion, measured, nuisance)
+        return {name: hidden.link(name) for name in names}
+
+    if not names or len(measured) < model.layout.coordinates:
+        return run() if names else {}
+    own = tuple((e.key, *e.values.items()) for e in model.effects if e.on in model.layout.links)
+    shifts = (tuple(sorted(d.items())) for d in (nuisance.twist, nuisance.zero, motion.zero))
+    moves = tuple(id(v) for _, v, _ in measured.values())
+    key = model.plant().link_values.tobytes(), own, moves, *shifts
+    found: dict[str, Floats] = recent(motion.known.setdefault("links", {}), key, run, RECENT)
+    return found
 
 
 def hidden_run(model: RigModel, motion: Motion, measured: Moves, nuisance: Nuisance) -> RigRun:

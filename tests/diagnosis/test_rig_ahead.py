@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dmptm_ctrl.diagnosis import rig_ahead
 from dmptm_ctrl.diagnosis.rig_ahead import DAMPED, Ahead, dampings
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.drive.rigfile import parse_rig
@@ -132,6 +133,14 @@ def test_predictions_are_those_of_the_observer_written_out():
     np.testing.assert_allclose(ours[20:], missing[20:], atol=0.01 * missing.std())
     short = Ahead.of(rig, [log], balance_of(rig, [log]), 4000, 1)
     assert [len(one) for one in short.runs.logs] == [4000]
+
+
+def test_a_fit_that_takes_too_many_steps_is_left_as_it_is(monkeypatch):
+    u = 0.03 * signal(1, 4.0, 3.0)
+    log = Log("a", DT * np.arange(u.size), {"in_drive": u, "out_speed": rubbing(u)})
+    base, ahead = fitted(RUBBING, [log])
+    monkeypatch.setattr(rig_ahead, "MOST_STEPS", 1e3)
+    assert ahead.fitted(base) is base
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -35,7 +35,9 @@ from dmptm_ctrl.identify.rig_fit import (
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
+from dmptm_ctrl.simulate.rig_run import substeps_for
 
+MOST_STEPS = 5e7  # of the runs for all slopes once, some seconds; a larger fit is left as it is
 ROUNDS = 6  # Gauss–Newton steps at most; slopes of runs are taken anew for each
 STEPS = 1e-4, 0.1  # difference steps are standard errors, but no less and no more scales
 # Damping ratios of a link that are tried. Noise of its twist hides the damping from the balance;
@@ -119,7 +121,10 @@ class Ahead:
         From where the balance has it, and from the declared values: how friction holds a body
         before it breaks away has several minima.
         """
-        fit = state.fit
+        fit, plant = state.fit, state.fit.model.plant()
+        steps = sum(len(x) * substeps_for(plant, x.sample_time) for x in self.runs.logs)
+        if steps * len(fit.frees) > MOST_STEPS:
+            return state
         ranged = [f for f in fit.frees if f.kind == "value" and f.prior]
         declared = fit.state.moved(ranged, [f.prior[0] for f in ranged if f.prior])
         starts = (fit.state, declared) if ranged else (fit.state,)

@@ -65,3 +65,13 @@ def test_kept_torques_are_those_of_a_run(balance, model, nuisance, changes):
     np.testing.assert_array_equal(kept, anew)
     assert np.array_equal(kept, before) == (not changes)
     np.testing.assert_array_equal(forces_of(MODEL, balance, motion).left[1], before)
+
+
+def test_nothing_is_kept_of_a_motion_that_follows_from_another():
+    """The motor's, from the table's through the spring: made anew each time, as the values are."""
+    rig = replace(RIG, sensors=tuple(s for s in RIG.sensors if s.body == "table"))
+    time = 1e-3 * np.arange(3000)
+    log = Log("a", time, {"in_u": np.cos(5.0 * time), "out_table": np.sin(5.0 * time)})
+    (motion,) = (balance := balance_of(rig, [log])).motions
+    forces_of(RigModel(rig), balance, motion)
+    assert "links" not in motion.known

@@ -194,7 +194,10 @@ def _simulated(
         hidden = hidden_run(model, motion, measured, nuisance)
         return {name: hidden.link(name) for name in names}
 
-    if not names or len(measured) < model.layout.coordinates:
+    lasting = all(
+        id(v) in motion.known for _, v, _ in measured.values()
+    )  # ids of others come again
+    if not names or len(measured) < model.layout.coordinates or not lasting:
         return run() if names else {}
     own = tuple((e.key, *e.values.items()) for e in model.effects if e.on in model.layout.links)
     shifts = (tuple(sorted(d.items())) for d in (nuisance.twist, nuisance.zero, motion.zero))

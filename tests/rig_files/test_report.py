@@ -158,7 +158,7 @@ def test_rounding_is_part_of_the_floor_however_slow_the_motion(speed, measures):
     sensor = Sensor("q", "q", unit, "body", measures, resolution=Quantity(step, unit, 0.0, ""))
     runs = Runs(0.0, sensor, 30.0, (log,), (np.ones(time.size, bool),), None, None, 0.0, 1)
     missed = np.std(runs.seen(read, 1e-3) - runs.seen(true, 1e-3))
-    assert runs._noise(log, true + 0.3 * step) == pytest.approx(missed, rel=0.3)
+    assert runs._noise(log, lambda: true + 0.3 * step) == pytest.approx(missed, rel=0.3)
 
 
 @pytest.mark.parametrize(
@@ -180,6 +180,18 @@ def test_runs_far_above_their_floor_are_said(found, runs, said):
     # behind all that is said of the runs
     same = none.sentence()[:-1].replace("show:", "show, but only with other values than declared:")
     assert listed == same + ("; fitted values leave their declared ranges: body.motor.inertia.")
+
+
+def test_what_only_short_predictions_show_is_said_with_their_size(found):
+    short = Squares(9.0, 9.0, 1.0)
+    unknown = replace(
+        found, verdict="unknown", effects=(), errors=Errors(1.0, 1.0, 1.0, None, short)
+    )
+    said = unknown.sentence()
+    assert "balance shows no lack" in said
+    assert "short predictions do: they miss by 3.0 times their floor" in said
+    lacking = replace(unknown, errors=Errors(9.0, 9.0, 1.0, None, short))
+    assert "lacks something unknown" in lacking.sentence()
 
 
 def test_short_predictions_miss_less_than_free_runs(found):

@@ -191,7 +191,8 @@ class Diagnosis:
                 f"The declared model is as good as these logs can show{but}: the error of its "
                 f"balance {told}"
             )
-        on = f"; it depends on {', '.join(self.depends_on)}" if self.depends_on else ""
+        where = f"depends on {', '.join(self.depends_on)}" if self.depends_on else ""
+        on = f"; it {where}" if where else ""
         names = self._headline()
         if not names and (apart := self._sensors_apart()):
             return f"Sensors of one motion disagree: {apart}; {left}."
@@ -202,6 +203,7 @@ class Diagnosis:
                 times = sqrt(short.before / max(short.floor, 1e-300))
                 why = "The balance shows no lack of the declared model, but short predictions do: "
                 why += f"they miss by {times:.1f} times their floor"
+                on = f"; what they miss {where}" if where else ""
             return f"{why}{on}; {left}{beyond}."
         share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
         if self.verdict == "explained":

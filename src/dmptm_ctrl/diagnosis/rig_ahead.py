@@ -37,7 +37,7 @@ from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
 from dmptm_ctrl.simulate.rig_run import substeps_for
 
-MOST_STEPS = 5e7  # of the runs for all slopes once, some seconds; a larger fit is left as it is
+MOST_STEPS = 5e7  # of the simulator for all slopes once, some seconds; more is not begun
 ROUNDS = 6  # Gauss–Newton steps at most; slopes of runs are taken anew for each
 STEPS = 1e-4, 0.1  # difference steps are standard errors, but no less and no more scales
 # Damping ratios of a link that are tried. Noise of its twist hides the damping from the balance;
@@ -46,7 +46,7 @@ DAMPED = 0.01, 0.03, 0.1, 0.3, 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class Predicted:
     """Short predictions as rows of a fit.
 
     Attributes
@@ -64,7 +64,7 @@ class Rows:
     news: float
 
     @classmethod
-    def of(cls, missing: Floats) -> "Rows":
+    def of(cls, missing: Floats) -> "Predicted":
         """Count rows by how they scatter and correlate."""
         return cls(missing, robust_scale(missing), 1.0 / correlation_length(missing))
 
@@ -103,14 +103,8 @@ class Ahead:
         runs = self.runs.run(state)
         if runs is None:
             return None
-        return np.concatenate(
-            [
-                (seen - run)[use][:: self._step(log)]
-                for seen, run, use, log in zip(
-                    self.runs.measured, runs, self.runs.held, self.runs.logs, strict=True
-                )
-            ]
-        )
+        parts = zip(self.runs.misses(runs), self.runs.logs, strict=True)
+        return np.concatenate([part[:: self._step(log)] for part, log in parts])
 
     def _step(self, log: Log) -> int:
         return max(1, int(1.0 / (ROWS_PER_HERTZ * self.runs.bandwidth * log.sample_time)))
@@ -132,7 +126,7 @@ class Ahead:
         ends = [self._settled(self._damped(here, fit), fit) for here in begun]
         if not ends:
             return state
-        rows = Rows.of(ends[0].missing)
+        rows = Predicted.of(ends[0].missing)
         best = min(ends, key=lambda end: end.loss(fit, rows))
         if best.state is fit.state:
             return state
@@ -159,20 +153,19 @@ class Ahead:
             if free.kind != "value" or what != "damping":
                 continue
             sizes = [x for x in dampings(here.state.model, place) if free.low <= x <= free.high]
-            others = [self._at(here.state.moved([free], [x]), fit) for x in sizes]
-            rows = Rows.of(here.missing)
-            losses = [one.loss(fit, rows) if one else np.inf for one in (here, *others)]
-            here = (here, *others)[int(np.argmin(losses))] or here
+            others = (self._at(here.state.moved([free], [x]), fit) for x in sizes)
+            able, rows = [here, *filter(None, others)], Predicted.of(here.missing)
+            here = able[int(np.argmin([one.loss(fit, rows) for one in able]))]
         return here
 
     def _settled(self, here: "_End", fit: RigFit) -> "_End":
         """Go on by Gauss–Newton."""
         steps = np.clip(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), *STEPS)
         for _ in range(ROUNDS if fit.frees else 0):
-            rows = Rows.of(here.missing)
+            rows = Predicted.of(here.missing)
             seen: dict[State, Floats] = {}
 
-            def surprise(there: State, rows: Rows = rows, seen: Any = seen) -> float:
+            def surprise(there: State, rows: Predicted = rows, seen: Any = seen) -> float:
                 missing = self.missing(there)
                 if missing is None:
                     return np.inf
@@ -212,7 +205,7 @@ class _End(NamedTuple):
     drive: tuple[Floats, ...]
     missing: Floats
 
-    def loss(self, fit: RigFit, rows: Rows) -> float:
+    def loss(self, fit: RigFit, rows: Predicted) -> float:
         """−2 log-likelihood of both."""
         balance = total_loss(self.state, fit.frees, self.left, fit.likelihood)
         return balance + rows.surprise(self.missing)

@@ -21,7 +21,6 @@ from dmptm_ctrl.effects.backlash_variation import BACKLASH_VARIATION
 from dmptm_ctrl.effects.coulomb_friction import COULOMB_FRICTION
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.effects.stribeck_friction import STRIBECK_FRICTION
-from dmptm_ctrl.effects.torque_constant_mismatch import TORQUE_CONSTANT_MISMATCH
 from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
 from dmptm_ctrl.identify.forces import measured_motion
 from dmptm_ctrl.identify.free_parameters import ALL, absolute, on_slide, same_twist, scales_of
@@ -53,7 +52,6 @@ HIDDEN_MODES = 14  # antiresonances tried
 SHARES = (0.25, 0.6)  # of the inertia behind a spring, tried
 FRICTION = COULOMB_FRICTION.name, VISCOUS_FRICTION.name, STRIBECK_FRICTION.name
 SPRING = SHAFT_COMPLIANCE.name
-MISMATCH = TORQUE_CONSTANT_MISMATCH.name
 
 
 # -- every place -------------------------------------------------------------------------------
@@ -73,8 +71,7 @@ def trials(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
                 yield on
 
     for chain in PLACED_CATALOGUE.values():
-        alone = chain.name == MISMATCH and len(model.rig.inputs) == 1  # the scale of everything
-        if chain.place == "input" and not alone:
+        if chain.place == "input" and chain.stands_in(model.rig):
             for on in wanted(chain, model.layout.inputs):
                 found.append(_input_effect(tangent, chain, on))
     for name, chain in PLACED_CATALOGUE.items():

@@ -87,13 +87,7 @@ def diagnose_rig(
     model = RigModel(declared, closed=balance.closed)
     balance, evidence, base = _fitted(model, balance, right, jobs)
     _, held_logs, held_names, on = split(declared, balance)
-    as_read = base
-    if faults:
-        whole = balance_of(declared, loaded, bandwidth=balance.bandwidth)
-        whole = whole.only(balance.logs).at_most(SAMPLES)
-        as_read = _as_read(declared, _in_contact(whole, base.fit.model, loaded), base, jobs)
-        fitted_to = as_read.fit.likelihood.balance
-        as_read = Ahead.of(declared, loaded, fitted_to, SAMPLES, jobs).fitted(as_read)
+    as_read = _as_read(declared, loaded, balance, base, jobs) if faults else None
     ahead = cache(Ahead.of(declared, right, evidence.logs, SAMPLES, jobs).fitted)
     told, helps = predictions(declared, right, held_logs, ahead, jobs)
 
@@ -106,19 +100,18 @@ def diagnose_rig(
     if not selection.entries:  # what was found on the way and went may have left another fit
         selection = replace(selection, final=base)
     tell("fitting to short predictions")
-    tells = told(base, selection.final)
+    settled = selection.final
     selection = replace(
         selection,
         base=ahead(base),
-        final=ahead(selection.final),
+        final=ahead(settled),
         entries=[replace(e, without=ahead(e.without)) for e in selection.entries],
     )
-    as_read = as_read if faults else selection.base
     tell("looking for curves in what is left")
     found = curves(selection.final)
     at_floor = within_floor(selection, predicted(selection.final, found))
     plain = better_without_names(selection) if selection.entries else []
-    if selection.entries and (at_floor or plain) and not tells:
+    if selection.entries and (at_floor or plain) and not told(base, settled):
         bare = selection.base
         selection = replace(selection, final=bare, entries=[], rest=selection.first)
         found = plain or curves(bare)
@@ -128,16 +121,11 @@ def diagnose_rig(
         loaded,
         selection,
         evidence,
-        as_read=as_read,
+        as_read=as_read or selection.base,
         faults=faults,
         found_curves=found,
         on=on,
-        provenance=provenance(
-            loaded,
-            held_names,
-            seed,
-            time.perf_counter() - started,
-        ),
+        provenance=provenance(loaded, held_names, seed, time.perf_counter() - started),
         warnings=(*dict.fromkeys(noted), *warnings, *_no_gap(selection.final.fit.model)),
         jobs=jobs,
     )
@@ -229,10 +217,14 @@ def predictions(
     return told, helps
 
 
-def _as_read(rig: Rig, balance: Balance, base: RigState, jobs: int) -> RigState:
+def _as_read(
+    rig: Rig, read: Sequence[Log], balance: Balance, base: RigState, jobs: int
+) -> RigState:
     """Return the declared model fitted to the logs as the sensors read them."""
-    logs, held, _, _ = split(rig, balance)
-    return RigEvidence(logs, held, jobs).refit(base)
+    whole = balance_of(rig, read, bandwidth=balance.bandwidth).only(balance.logs).at_most(SAMPLES)
+    logs, held, _, _ = split(rig, _in_contact(whole, base.fit.model, read))
+    fitted = RigEvidence(logs, held, jobs).refit(base)
+    return Ahead.of(rig, read, logs, SAMPLES, jobs).fitted(fitted)
 
 
 def split(rig: Rig, balance: Balance) -> tuple[Balance, Balance, Sequence[str], str]:

@@ -1,8 +1,8 @@
 """Runs of a rig file's drive on its held-out logs, free or led, and what they miss of a sensor."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf, pi
 from typing import TYPE_CHECKING, Any
 
@@ -135,6 +135,11 @@ class Runs:
         rows = zip(self.measured, runs, self.held, strict=True)
         return agreement([(seen[use], run[use]) for seen, run, use in rows])
 
+    def misses(self, runs: Sequence[Floats]) -> list[Floats]:
+        """What runs miss of the readings, where nothing was fitted."""
+        rows = zip(self.measured, runs, self.held, strict=True)
+        return [(seen - run)[use] for seen, run, use in rows]
+
     def missed(self, state: State) -> float:
         """What the runs of a model miss, root mean square; infinite where one diverges."""
         runs = self.run(state)
@@ -152,20 +157,21 @@ class Runs:
                 joined = zip(runs, self.held, strict=True)
                 twins.append(np.concatenate([run[use] for run, use in joined]))
         variance = float(np.mean(np.var(twins, axis=0, ddof=1))) if len(twins) > 1 else 0.0
-        noise = [self._noise(log, self.reading(after, log)) for log in self.logs]
+        noise = [self._noise(log, partial(self.reading, after, log)) for log in self.logs]
         speeds = [seen[use] for seen, use in zip(self.measured, self.held, strict=True)]
         unknown = LEAST_SCALE**2 * float(np.mean(np.square(np.concatenate(speeds))))
         return float(np.sqrt(variance + np.mean(np.square(noise)) + unknown))
 
-    def _noise(self, log: Log, run: Floats) -> float:
+    def _noise(self, log: Log, read: Callable[[], Floats]) -> float:
         """Noise of the readings in the band; of a rate by ∫ (2πf)² over it.
 
-        Rounding alone is no white noise where a motion is slow: what a run reads is rounded, and
-        compared with what it was.
+        Rounding alone is no white noise where a motion is slow: what a run would `read` is
+        rounded, and compared with what it was.
         """
         signal, dt = log[self.sensor.channel], log.sample_time
         step = grid_of(self.sensor, signal)
         if step > noise_below(signal, 1.0, 0.5):
+            run = read()
             rounded = self.seen(np.round(run / step) * step, dt) - self.seen(run, dt)
             return float(np.sqrt(np.mean(rounded**2)))
         white = noise_below(signal, dt, self.bandwidth) / parse_unit(self.sensor.unit).factor
@@ -195,16 +201,11 @@ class Runs:
 
     @property
     def usual(self) -> Squares | None:
-        """The same as a rule: bursts after impacts are chance, and hardly count."""
+        """Squares of what runs miss as a rule: bursts after impacts are chance and hardly count."""
         if self.before is None or self.after is None:
             return None
-        before, after = (
-            robust_scale(np.concatenate([(seen - run)[use] for seen, run, use in rows]))
-            for rows in (
-                zip(self.measured, runs, self.held, strict=True)
-                for runs in (self.before, self.after)
-            )
-        )
+        sides = (self.before, self.after)
+        before, after = (robust_scale(np.concatenate(self.misses(runs))) for runs in sides)
         return Squares(before**2, after**2, min(self.floor, before, after) ** 2)
 
     def rise(self, without: State) -> float | None:

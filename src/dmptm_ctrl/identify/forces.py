@@ -81,7 +81,7 @@ def forces_of(
     measured, _ = measured_motion(model, balance, motion, nuisance)
     twists = {n: twist_of(model, n, motion, measured, nuisance) for n in balance.teeth}
     others = [name for name in layout.links if name not in twists]
-    runs = _simulated(model, motion, measured, nuisance, others)
+    runs = _simulated(model, motion, measured, nuisance, others) if others else {}
     zeros = {b: np.zeros(motion.time.size) for b in layout.bodies}
     pushes, volts = [], {}
     for j, name in enumerate(layout.inputs):
@@ -194,11 +194,10 @@ def _simulated(
         hidden = hidden_run(model, motion, measured, nuisance)
         return {name: hidden.link(name) for name in names}
 
-    lasting = all(
-        id(v) in motion.known for _, v, _ in measured.values()
-    )  # ids of others come again
-    if not names or len(measured) < model.layout.coordinates or not lasting:
-        return run() if names else {}
+    # identities of arrays that do not last come again
+    lasting = all(id(v) in motion.known for _, v, _ in measured.values())
+    if len(measured) < model.layout.coordinates or not lasting:
+        return run()
     own = tuple((e.key, *e.values.items()) for e in model.effects if e.on in model.layout.links)
     shifts = (tuple(sorted(d.items())) for d in (nuisance.twist, nuisance.zero, motion.zero))
     moves = tuple(id(v) for _, v, _ in measured.values())

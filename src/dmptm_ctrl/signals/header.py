@@ -239,8 +239,10 @@ def _is_unit(text: str) -> bool:
 
 def is_clock_name(name: str) -> bool:
     """Whether a column is called as clocks are: t, time_s, Time CH2, Zeit; T_Nm is a torque."""
-    if name == CLOCK or not _TIME_NAME.match(name.strip()):
-        return name == CLOCK
+    if name == CLOCK:
+        return True
+    if not _TIME_NAME.match(name.strip()):
+        return False
     try:
         return parse_unit(named_unit(name)[1] or name.rpartition("_")[2]).symbol == "s"
     except LogError:  # no unit is in the name

@@ -12,7 +12,7 @@ from tests.rig_files.truth import Bench, Machine
 from dmptm_ctrl.diagnosis.candidate import LEVEL
 from dmptm_ctrl.diagnosis.rig_diagnose import _no_gap, diagnose_rig, predictions, split
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
-from dmptm_ctrl.diagnosis.rig_objections import objection
+from dmptm_ctrl.diagnosis.rig_objections import _harmonic, objection
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.compared_signals import correlation_length
@@ -92,6 +92,32 @@ def test_no_gap_before_a_load_that_nothing_measures():
     assert all(c.evidence < LEVEL or not c.acceptable for c in found)
 
 
+@pytest.mark.parametrize("gap", [0.0, 0.028])
+def test_a_gap_between_coarse_encoders(gap):
+    """Rounding by 1.5 mrad hides how far a gear winds up, not that it has a gap of 28 mrad."""
+    machine = Machine(
+        gain=0.01, emf=0.0, j1=8e-5, j2=0.08, ratio=30.0, k=8.0, c=2e-3, gap=gap, fc=6.5e-3,
+        b1=6e-4, b2=0.2, bristle=1e-3,
+    )  # fmt: skip
+    kinds = (("steps", 6.0), ("sine", 4.0), ("chirp", 3.0), ("steps", 4.0))
+    bench = Bench(machine, kinds, 8.0, 2e-3, counts=65536, sensors=("position", "position2"))
+    text = bench.rig().replace('inertia = "unknown"', 'inertia = "0.08 kg m^2 ± 20 %"')
+    text = text.replace("viscous =", 'coulomb = "6.5e-3 N m ± 30 %"\nviscous =', 1)
+    rig = parse_rig(re.sub(r"(\[sensor.*\])", r"\1\nabsolute = true", text), "rig.toml")
+
+    def read(name, y):
+        return 1.5e-3 * np.round(y / 1.5e-3) if name == "q" else y
+
+    logs, held, _, _ = split(rig, balance_of(rig, logs_of(bench, rig, read)))
+    evidence = RigEvidence(logs, held, 1)
+    base = evidence.base(State(rough_start(RigModel(rig), logs)))
+    found = [c for c in evidence.candidates(base, ["backlash@coupling"]) if c.acceptable]
+    assert len(found) == (gap > 0.0)
+    for one in found:
+        half = evidence.adopt(base, one).fit.values["backlash@coupling.half_gap"]
+        assert half == pytest.approx(gap, rel=0.1)
+
+
 def test_what_is_missing_has_more_evidence_than_the_level(rubbing):
     evidence, base = rubbing
     found = {c.keys[0]: c for c in evidence.candidates(base)}
@@ -152,7 +178,37 @@ def test_a_wrong_inertia_is_in_the_sentence():
     rig = parse_rig(re.sub(r'inertia = ".*"', low, bench.rig(), count=1), "rig.toml")
     found = diagnose_rig(logs_of(bench, rig), rig, jobs=1)
     assert found.effects == ()
+    # as it is declared the model is wrong, and "none" is said of that model
+    assert found.verdict == "unknown"
+    assert found.error["before"]["torque"]["rmse"] > 2.0 * found.error["after"]["torque"]["rmse"]
     assert "leave their declared ranges: body.motor.inertia" in found.sentence()
+
+
+def test_a_sensor_with_play_is_not_none():
+    """A motor's encoder that slips by far more than the gear winds up: no spring fits."""
+    machine = Machine(
+        gain=0.01, emf=0.0, j1=1.3e-4, j2=0.1, ratio=36.0, k=30.0, c=2e-3, fc=6e-3, b1=3e-4, b2=0.1,
+        bristle=1e-3,
+    )  # fmt: skip
+    kinds = (("steps", 6.0), ("sine", 4.0), ("steps", 5.0))
+    bench = Bench(machine, kinds, 8.0, 2e-3, counts=4096, sensors=("position", "position2"))
+    text = bench.rig().replace('inertia = "unknown"', 'inertia = "0.1 kg m^2 ± 20 %"')
+    text = text.replace("viscous =", 'coulomb = "6e-3 N m ± 30 %"\nviscous =', 1)
+    rig = parse_rig(text, "rig.toml")
+
+    def read(name, y):  # the sensor of the motor follows it with a play of 0.15 rad
+        if name != "q":
+            return y
+        out = np.empty_like(y)
+        last = y[0]
+        for k, x in enumerate(y):
+            last = out[k] = min(max(last, x - 0.15), x + 0.15)
+        return out
+
+    found = diagnose_rig(logs_of(bench, rig, read), rig, jobs=1)
+    assert found.verdict == "unknown"
+    torn = found.declared_values["link.coupling.stiffness"]["fitted"] < 0.1
+    assert torn == any("no stiffness fits" in w for w in found.warnings)
 
 
 def test_friction_beyond_a_gap_is_half_of_all():
@@ -229,6 +285,15 @@ def test_a_vibration_at_a_harmonic_of_the_input_is_the_input():
         fit = fit_rig(State(base.fit.model.with_effect(effect)), evidence.logs, iterations=0)
         object.__setattr__(fit, "covariance", fit.covariance * 1e-12)
         assert ("harmonic" in objection(effect.key, fit, base.fit)) == own
+
+
+def test_a_vibration_is_not_the_input_because_a_slow_one_has_harmonics_everywhere():
+    """Of a wave as long as the log, every frequency is a harmonic, within what the log tells."""
+    dt = 2e-3
+    time = dt * np.arange(5000)
+    slow = np.sign(np.sin(2.0 * np.pi * time / 10.0))
+    assert _harmonic(0.3, slow, dt)
+    assert not any(_harmonic(f, slow, dt) for f in np.arange(1.5, 30.0, 0.37))
 
 
 def test_sensors_of_one_motion_are_judged_before_any_dynamics():

@@ -326,6 +326,14 @@ def test_explained_is_the_projection():
     assert explained(target, again) == pytest.approx(explained(target, columns), rel=1e-6)
 
 
+def test_held_out_logs_object_by_more_than_the_evidence_scatters():
+    """A spot that held-out logs do not pass: what the rest moves there is nothing beside it."""
+    spot = Candidate(("a",), 20000.0, -20.0, None, error=700.0, held_error=10.0)
+    assert spot.demanded
+    assert not replace(spot, held_gain=-701.0).demanded
+    assert not replace(spot, gain=300.0, error=12.0).demanded
+
+
 def test_amplitudes_differ_from_zero_together():
     """The sum of two is told, their difference is not: chi-squared of two by its closed form."""
     told, vague = 1.0, 1e4

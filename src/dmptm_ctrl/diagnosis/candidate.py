@@ -105,7 +105,7 @@ class Candidate:
         """Whether the logs demand it, and held-out ones do not object."""
         enough = self.evidence > needed(len(self.keys), self.error, self.held_error)
         # the rule of one standard error: Breiman et al., Classification and Regression Trees, 1984
-        return enough and self.held_gain >= -self.held_error
+        return enough and self.held_gain >= -hypot(self.error, self.held_error)
 
     @property
     def acceptable(self) -> bool:

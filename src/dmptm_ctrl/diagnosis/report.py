@@ -186,9 +186,8 @@ class Diagnosis:
             told = f"is {balance:.2f} times the floor; {left}{beyond}."
             if times > NONE:
                 return f"The balance shows no lack of the declared model: its error {told}"
-            but = ", but only with other values than declared" if beyond else ""
             return (
-                f"The declared model is as good as these logs can show{but}: the error of its "
+                "The declared model is as good as these logs can show: the error of its "
                 f"balance {told}"
             )
         where = f"depends on {', '.join(self.depends_on)}" if self.depends_on else ""

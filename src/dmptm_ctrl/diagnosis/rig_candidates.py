@@ -30,7 +30,7 @@ from dmptm_ctrl.identify.rig_start import (
     ends_of,
     friction_beyond,
     regress,
-    regress_gap,
+    regress_gaps,
     spring_values,
     springs_of,
     unknown_inertias,
@@ -43,10 +43,12 @@ DELAYS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # sample times
 LONGEST_DELAY = 0.2  # s
 OFFSET = 0.02  # of the input's size
 BANDS = (0.01, 0.05, 0.15)  # dead bands, of the input's size
-LIMITS = (0.95, 0.8, 0.6, 0.4)  # saturations, of the input's peak
+LIMITS = (0.95, 0.8, 0.6, 0.4)  # saturations, of the input's peaks
+PEAKS = (0.99, 1.0)  # quantiles of the input; the highest may be a short spike
 SPEEDS = (0.01, 0.03, 0.06, 0.12, 0.25)  # Stribeck speeds, of the highest
 SIZES = (1e-5, 1e-4, 1e-3, 1e-2)  # bristles, of the travel
 GAPS = tuple(np.geomspace(1e-5, 3e-2, 24))  # of the travel
+MEASURED_GAPS = 3  # tried where both ends are measured: a wide one and a stiff link look alike
 INELASTIC = 1.0  # damping ratio of a contact that does not bounce; the easiest to fit
 HIDDEN_MODES = 14  # antiresonances tried
 SHARES = (0.25, 0.6)  # of the inertia behind a spring, tried
@@ -152,10 +154,10 @@ def _factors(chain: PlacedEffect) -> list[Parameter]:
 def _input_effect(tangent: Tangent, chain: PlacedEffect, on: tuple[str, ...]) -> Trial | None:
     scales = scales_of(tangent.balance)
     size, dt = scales.u[on[0]], scales.dt
-    peak = max(float(np.abs(m.u[place]).max()) for m in tangent.balance.motions for place in on)
     (number,) = chain.amplitudes
     if chain.effect.search == "limits":
-        values = [1.0 / (s * peak) for s in LIMITS]
+        sent = np.concatenate([np.abs(m.u[p]) for m in tangent.balance.motions for p in on])
+        values = [1.0 / (s * p) for p in np.quantile(sent, PEAKS) if p > 0 for s in LIMITS]
     elif chain.keep[0].unit == "s":
         values = [d * dt for d in DELAYS if d * dt <= LONGEST_DELAY]
     elif chain.effect.kink:
@@ -449,8 +451,9 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
             continue
         if not all(p in m.angles for m in balance.motions for p, _ in ends):
             continue  # an integrated speed drifts by more than a gap
-        gap = regress_gap(balance, *ends)
-        if gap.half_gap > 0:
+        for gap in regress_gaps(balance, *ends, MEASURED_GAPS):
+            if gap.half_gap == 0:
+                continue
             values = {**unknown_inertias(model, link, gap.spring)}
             values |= spring_values(model, link, gap.spring)
             ratio = model.value(f"link.{link}.ratio")

@@ -24,7 +24,7 @@ from dmptm_ctrl.diagnosis.rig_evidence import (
     rise,
     within_floor,
 )
-from dmptm_ctrl.diagnosis.rig_report import report_of
+from dmptm_ctrl.diagnosis.rig_report import declared_of, report_of
 from dmptm_ctrl.diagnosis.rig_runs import Runs
 from dmptm_ctrl.diagnosis.rig_screen import (
     other_scale,
@@ -115,13 +115,16 @@ def diagnose_rig(
         bare = selection.base
         selection = replace(selection, final=bare, entries=[], rest=selection.first)
         found = plain or curves(bare)
+    before = as_read or selection.base
+    if not selection.entries and any(d["outside"] for d in declared_of(before.fit).values()):
+        before = evidence.inside(before)  # "none" is said of the model as it is declared
     noted = (f"{log.name}: {note}" for log in loaded for note in log.warnings)
     return report_of(
         declared,
         loaded,
         selection,
         evidence,
-        as_read=as_read or selection.base,
+        as_read=before,
         faults=faults,
         found_curves=found,
         on=on,

@@ -27,7 +27,12 @@ from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.diagnosis.select import Selection, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.compared_signals import correlation_length
-from dmptm_ctrl.identify.free_parameters import has_phase, log_parameters
+from dmptm_ctrl.identify.free_parameters import (
+    free_parameters,
+    has_phase,
+    log_parameters,
+    scales_of,
+)
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.identify.measured_motion import Nuisance
@@ -38,6 +43,7 @@ from dmptm_ctrl.identify.rig_fit import (
     residuals,
     stepped,
     total_loss,
+    unseen_impacts,
 )
 from dmptm_ctrl.identify.rig_start import from_elsewhere
 from dmptm_ctrl.simulate.model import Floats
@@ -123,6 +129,19 @@ class RigEvidence:
         fit = fit_rig(state.fit.state, self.logs, iterations=SETTLE, like=like, jobs=self.jobs)
         return RigState(fit, self.held, state.keys)
 
+    def inside(self, state: RigState) -> RigState:
+        """Fit again with declared quantities inside their ranges."""
+        frees, quantities = [], state.fit.model.quantities
+        for free in state.fit.frees:
+            if free.prior is not None:
+                low, high = quantities[free.owner].range
+                free = replace(free, low=max(free.low, low), high=min(free.high, high))
+            frees.append(free)
+        start = state.fit.state.moved(frees, state.fit.state.after(frees, np.zeros(len(frees))))
+        like = state.fit.likelihood
+        fit = fit_rig(start, self.logs, frees=frees, iterations=SETTLE, like=like, jobs=self.jobs)
+        return RigState(fit, self.held, state.keys)
+
     def candidates(self, state: RigState, only: Sequence[str] | None = None) -> list[Candidate]:
         """Fit every effect that balances can show beside a model.
 
@@ -182,6 +201,7 @@ class RigEvidence:
             there = trial.placed_in(there)
         alike = self._alike(there, state.fit)
         try:
+            there = self._around(there, state, group)
             fit = fit_rig(
                 there, self.logs, iterations=iterations, like=like, near=alike, jobs=self.jobs
             )
@@ -197,6 +217,17 @@ class RigEvidence:
                 keys, 0.0, 0.0, (tuple(group), state.fit), f"cannot be simulated: {error}"
             )
         return found
+
+    def _around(self, there: State, state: RigState, group: Sequence[Trial]) -> State:
+        """Fit the rest around gaps that are measured: else the first step leaves their starts."""
+        gaps = [t for t in group if name_of(t.key) == BACKLASH.name]
+        if not gaps or unseen_impacts(there.model, self.logs):
+            return there
+        kept = {key for t in gaps for key in (*members(t.key), *t.values)}
+        frees = free_parameters(there.model, self.logs, scales_of(self.logs))
+        rest = [f for f in frees if f.owner not in kept]
+        like = state.fit.likelihood
+        return fit_rig(there, self.logs, frees=rest, iterations=FIRST, like=like, jobs=1).state
 
     def _alike(self, state: State, fit: RigFit) -> RigFit | None:
         """Return a fit if its slopes are nearly those of a state.

@@ -25,6 +25,7 @@ SPRING = SHAFT_COMPLIANCE.name
 SHORTEST_LATE = 0.1  # sample times
 PERIODS = 3.0  # of what goes by the clock that the longest log must hold
 RESOLVED = 1.5  # lines of a log's spectrum within which frequencies are one
+FURTHEST = 10  # harmonic looked at: of a square wave, friction's, it has a hundredth of the power
 LINE = 0.3  # share of the input's power in one line, from which it is a wave
 DRIVEN = 0.5  # of what a spring changes must be coherent with the drive
 SEGMENTS = 8  # of a log, for a coherence
@@ -127,7 +128,7 @@ def _harmonic(f: float, u: Floats, dt: float) -> bool:
     near = np.arange(max(top - 1, 1), min(top + 2, power.size))
     wave = float(near @ power[near] / power[near].sum())  # in lines of the spectrum
     nearest = round(f * u.size * dt / wave)
-    return nearest >= 1 and abs(f * u.size * dt - nearest * wave) <= RESOLVED
+    return 1 <= nearest <= FURTHEST and abs(f * u.size * dt - nearest * wave) <= RESOLVED
 
 
 def _unseen(effect: Placed, fit: RigFit, before: RigFit) -> str:

@@ -31,6 +31,7 @@ from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.free_parameters import on_slide
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.rig_fit import RigFit, State
+from dmptm_ctrl.identify.rig_start import parted
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.model_file import input_symbol, unit_at
@@ -182,13 +183,16 @@ def report_of(
             bare = State(bare.model.with_effect(fault.placed), bare.logs)
         slower.append(runs.rise(bare))
     order = sorted(range(len(found)), key=lambda k: -costs[k])
-    effects = tuple(replace(found[k], share=costs[k] / size) for k in order)
+    effects = tuple(replace(found[k], share=min(costs[k] / size, 1.0)) for k in order)
     strong = (c.variable for c in curves if c.evidence > 0.5 * curves[0].evidence)
     variables = tuple(dict.fromkeys(strong))[:2]
     nearest = (best.variable,) if best else ()
     # after a few impacts a free run is chance; "none" is told by the balance and short predictions
     judged = errors if effects else replace(errors, runs=short.usual)
-    verdict = verdict_of(judged, bool(effects), curve_share(final, curves) >= 1.0 - EXPLAINED)
+    loose = parted(final.fit.model, final.held)
+    more = bool(loose) or curve_share(final, curves) >= 1.0 - EXPLAINED
+    verdict = verdict_of(judged, bool(effects), more)
+    torn = (f"{link}: no stiffness fits these logs; the fit leaves hardly any" for link in loose)
     rows = [
         Row(e.name, e.location, slower[k], sqrt(costs[k]), e.share,
             (variable_of(augmented, f"{e.name}@{e.location}"),))
@@ -221,7 +225,7 @@ def report_of(
         source=RigSource(rig, on, selection, augmented, runs, best),
         correlations=correlations_of(final.fit),
         provenance=provenance,
-        warnings=(*warnings, *runs.warnings),
+        warnings=(*warnings, *torn, *runs.warnings),
         experiment=rig_experiment(selection, runs, jobs),
     )
 

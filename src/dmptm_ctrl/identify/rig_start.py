@@ -181,6 +181,21 @@ def spring_values(model: RigModel, link: str, spring: Spring) -> dict[str, float
     return values
 
 
+def parted(model: RigModel, balance: Balance) -> list[str]:
+    """Links of unknown stiffness that a fit leaves none: softer than any that is tried."""
+    found, slowest = [], 2.0 * np.pi * LOWEST_MODE * balance.bandwidth
+    for link in (k for k in model.rig.links if k.stiffness and not isfinite(k.stiffness.value)):
+        sides = link_sides(model, link.name)
+        near, far = (
+            sum(r**2 * model.value(f"body.{b}.inertia") for b, r in side.items()) for side in sides
+        )
+        far /= model.value(f"link.{link.name}.ratio") ** 2
+        stiffness = model.value(f"link.{link.name}.stiffness")
+        if stiffness * (1.0 / near + 1.0 / far) < slowest**2:
+            found.append(link.name)
+    return found
+
+
 Ends = tuple[tuple[str, float], tuple[str, float]]  # point and factor of its motion, near and far
 
 
@@ -216,8 +231,10 @@ class Gap(NamedTuple):
     zero: dict[str, float]
 
 
-def regress_gap(balance: Balance, near: tuple[str, float], far: tuple[str, float]) -> Gap:
-    """Find a gap between two measured points: the half-width whose contact fits best.
+def regress_gaps(
+    balance: Balance, near: tuple[str, float], far: tuple[str, float], most: int = 1
+) -> list[Gap]:
+    """Find gaps between two measured points: the half-widths whose contact fits best.
 
     As `regress`, with a2 = ω_a² (z − clip(z, ±Δ)) + 2 ζ ω_a ż in contact + …
     """
@@ -233,8 +250,8 @@ def regress_gap(balance: Balance, near: tuple[str, float], far: tuple[str, float
         (*_regress(balance, near, far, share * reach, zero), share * reach)
         for share in (0.0, *GAP_SHARES)
     ]
-    _, spring, half_gap = min(tried, key=lambda t: t[0])
-    return Gap(half_gap, spring, zero)
+    tried.sort(key=lambda t: t[0])
+    return [Gap(half_gap, spring, zero) for _, spring, half_gap in tried[:most]]
 
 
 def regress(balance: Balance, near: tuple[str, float], far: tuple[str, float]) -> Spring:

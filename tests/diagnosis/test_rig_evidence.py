@@ -16,10 +16,11 @@ from dmptm_ctrl.diagnosis.rig_objections import _harmonic, objection
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.compared_signals import correlation_length
+from dmptm_ctrl.identify.gap_search import friction_shared
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.likelihood import Likelihood
 from dmptm_ctrl.identify.rig_fit import State, fit_rig, residuals
-from dmptm_ctrl.identify.rig_start import friction_beyond, rough_start
+from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
@@ -83,6 +84,32 @@ def test_a_gap_before_a_load_that_nothing_measures(unknown):
     assert fit.values["backlash@coupling.half_gap"] == pytest.approx(0.03, rel=0.1)
     assert fit.values["link.coupling.stiffness"] == pytest.approx(0.4, rel=0.1)
     assert not [*_no_gap(fit.model)]
+
+
+def test_a_weight_behind_a_gear_is_found_by_the_motor_alone():
+    """A wave of one turn of the load; at the motor it would be a spring, over this travel."""
+    machine = Machine(
+        gain=1.0, emf=0.0, j1=2e-4, j2=0.013, ratio=10.0, k=40.0, c=0.01, fc=5e-3, b1=2e-4, b2=0.02,
+    )  # fmt: skip
+    kinds = (("multisine", 0.2), ("sine", 0.1), ("steps", 0.06))
+    bench = Bench(machine, kinds, 3.0, 2e-3, counts=65536, sensors=("position",))
+    text = bench.rig().replace("± 40 %", "± 10 %").replace("shaft.coupling", "mesh.coupling")
+    text = text.replace('"unknown"', '"0.013 kg m^2 ± 20 %"', 2)
+    text = text.replace('viscous = "0.013 kg m^2 ± 20 %"', 'viscous = "unknown"', 1)
+    text = text.replace("viscous =", 'coulomb = "unknown"\nviscous =', 1)
+    rig = parse_rig(text.replace('stiffness = "unknown"', 'stiffness = "rigid"'), "rig.toml")
+    weight = 0.3  # N·m at the load
+
+    def with_weight(log):
+        turn = log["out_position"] / 10.0
+        more = weight / 10.0 * np.sin(turn)
+        return Log(log.name, log.time, {**log.channels, "in_drive": log["in_drive"] + more})
+
+    logs = [with_weight(log) for log in logs_of(bench, rig)]
+    found = diagnose_rig(logs, rig, jobs=1)
+    (effect,) = found.effects
+    assert (effect.name, effect.location) == ("unbalance", "load")
+    assert abs(effect.parameters["sine"]["value"]) == pytest.approx(weight, rel=0.05)
 
 
 def test_no_gap_before_a_load_that_nothing_measures():
@@ -211,18 +238,20 @@ def test_a_sensor_with_play_is_not_none():
     assert torn == any("no stiffness fits" in w for w in found.warnings)
 
 
-def test_friction_beyond_a_gap_is_half_of_all():
+@pytest.mark.parametrize("share", [0.5, 0.2])
+def test_friction_beyond_a_gap_is_a_share_of_all(share):
     text = re.sub('(viscous|coulomb) = ".*"', r'\1 = "unknown"', RIG)  # the load turns 5 times less
     own = {"body.motor.coulomb": 3.0, "body.load.coulomb": 10.0}
     own |= {"body.motor.viscous": 2.0, "body.load.viscous": 100.0}
-    moved = friction_beyond(RigModel(parse_rig(text, "rig.toml")).with_values(own), "belt")
+    model = RigModel(parse_rig(text, "rig.toml")).with_values(own)
+    coulomb, viscous = (friction_shared(model, "belt", k, share) for k in ("coulomb", "viscous"))
     # seen at the motor: 3 + 10/5 = 5, 2 + 100/5² = 6
-    assert moved == pytest.approx(
-        {
-            "body.motor.coulomb": 2.5, "body.load.coulomb": 12.5,
-            "body.motor.viscous": 3.0, "body.load.viscous": 75.0,
-        }
-    )  # fmt: skip
+    assert coulomb == pytest.approx(
+        {"body.motor.coulomb": (1 - share) * 5.0, "body.load.coulomb": share * 5.0 * 5.0}
+    )
+    assert viscous == pytest.approx(
+        {"body.motor.viscous": (1 - share) * 6.0, "body.load.viscous": share * 6.0 * 25.0}
+    )
 
 
 def test_share_is_what_the_effect_changes(rubbing):

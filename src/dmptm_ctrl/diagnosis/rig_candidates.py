@@ -24,15 +24,14 @@ from dmptm_ctrl.effects.stribeck_friction import STRIBECK_FRICTION
 from dmptm_ctrl.effects.viscous_friction import VISCOUS_FRICTION
 from dmptm_ctrl.identify.forces import measured_motion
 from dmptm_ctrl.identify.free_parameters import ALL, absolute, on_slide, same_twist, scales_of
+from dmptm_ctrl.identify.gap_search import gap_starts
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.rig_fit import residuals
 from dmptm_ctrl.identify.rig_start import (
     ends_of,
-    friction_beyond,
     regress,
     regress_gaps,
     spring_values,
-    springs_of,
     unknown_inertias,
 )
 from dmptm_ctrl.simulate.model import Floats
@@ -47,9 +46,7 @@ LIMITS = (0.95, 0.8, 0.6, 0.4)  # saturations, of the input's peaks
 PEAKS = (0.99, 1.0)  # quantiles of the input; the highest may be a short spike
 SPEEDS = (0.01, 0.03, 0.06, 0.12, 0.25)  # Stribeck speeds, of the highest
 SIZES = (1e-5, 1e-4, 1e-3, 1e-2)  # bristles, of the travel
-GAPS = tuple(np.geomspace(1e-5, 3e-2, 24))  # of the travel
 MEASURED_GAPS = 3  # tried where both ends are measured: a wide one and a stiff link look alike
-INELASTIC = 1.0  # damping ratio of a contact that does not bounce; the easiest to fit
 HIDDEN_MODES = 14  # antiresonances tried
 SHARES = (0.25, 0.6)  # of the inertia behind a spring, tried
 FRICTION = COULOMB_FRICTION.name, VISCOUS_FRICTION.name, STRIBECK_FRICTION.name
@@ -124,12 +121,16 @@ def bodies_for(tangent: Tangent, chain: PlacedEffect) -> list[str]:
     """Bodies at which an effect is told apart: of a rigid group the one that it can act on.
 
     Friction under load acts where links end, what scales friction where there is some, and what
-    goes with a motor's angle at the motor.
+    goes with a motor's angle at the motor. A wave of one turn has another period on each body
+    that turns at a rate of its own, measured or not.
     """
     model = tangent.fit.model
     layout, ends = model.layout, {b for k in model.rig.links for b in (k.first, k.second)}
     driven = {*layout.input_body.values()}
     under_load = "mesh_torque" in chain.effect.depends_on
+    if chain.effect.wave and not chain.effect.search and not _factors(chain):
+        turns = {(layout.coordinate[b], abs(layout.ratio[b])): b for b in reversed(layout.bodies)}
+        return [*turns.values()][::-1]
     found = []
     _, measured = measured_motion(model, tangent.balance, tangent.balance.motions[0])
     for seen in measured.values():
@@ -442,15 +443,9 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
             continue  # through a gap, the driven body's motion does not follow from the other's
         ends = ends_of(model, balance, link) if link in declared else None
         if ends is None:
-            travel = scales_of(balance).position
-            tries = [(Placed(BACKLASH.name, link, {"half_gap": s * travel}),) for s in GAPS]
-            soft = springs_of(model, balance, link, INELASTIC) if link in declared else []
-            beyond = friction_beyond(model, link) if link in declared else {}
-            for values in soft or [{}]:
-                yield tries, [values, values | beyond] if beyond else [values], {}
+            for placed, values in gap_starts(model, balance, link, tangent.surprise):
+                yield [(placed,)], [values], {}
             continue
-        if not all(p in m.angles for m in balance.motions for p, _ in ends):
-            continue  # an integrated speed drifts by more than a gap
         for gap in regress_gaps(balance, *ends, MEASURED_GAPS):
             if gap.half_gap == 0:
                 continue

@@ -316,7 +316,10 @@ def _fit(
         after = tuple(b + c @ values for b, c in zip(left, columns, strict=True))
         # a model that makes less of the readings' noise leaves less; that is no evidence
         like = fit.likelihood.on(balance).between(fit.model, there.model)
-        gains.append(like.surprise(before, fit.model) - like.surprise(after, there.model))
+        with np.errstate(over="ignore", invalid="ignore"):  # moved numbers may run away
+            gains.append(like.surprise(before, fit.model) - like.surprise(after, there.model))
+        if not np.isfinite(gains[-1]):
+            return None
     was, now = (mean_square(x, state.held) for x in (state.held_left[0], after))
     if like.noise is not None:
         now += float(like.noise_of(fit.model)[0] - like.noise_of(there.model)[0])

@@ -29,11 +29,16 @@ SMALL = 0.01  # of the wind-up of a mesh or of its stiffness: a difference step
 def motion_of(
     balance: Balance, motion: Motion, model: RigModel, body: str
 ) -> tuple[Floats, Floats]:
-    """Return angle and speed of a body along a log, (n,) each."""
+    """Return angle and speed of a body along a log, (n,) each.
+
+    One that nothing measures moves nearly as if no link were twisted.
+    """
     measured, _ = measured_motion(model, balance, motion)
-    layout = model.layout
-    angle, speed, _ = measured[layout.coordinate[body]]
-    return layout.ratio[body] * angle, layout.ratio[body] * speed
+    layout, group = model.layout, model.layout.coordinate[body]
+    seen = group if group in measured else next(iter(measured))
+    reach, (angle, speed, _) = untwisted(model.plant()), measured[seen]
+    by = layout.ratio[body] * reach[group] / reach[seen]
+    return by * angle, by * speed
 
 
 def unit_columns(

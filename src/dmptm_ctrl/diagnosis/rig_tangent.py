@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,9 @@ from dmptm_ctrl.diagnosis.candidate import JOINED, Keys, Rows
 from dmptm_ctrl.diagnosis.select import joint_gain
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.measured_motion import Nuisance
-from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, prior_rows
+from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, prior_rows, residuals
 from dmptm_ctrl.simulate.model import Floats
-from dmptm_ctrl.simulate.rig_model import Placed
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 LOOK = 6  # iterations of a fit whose meshes are held
 Parts = tuple[Floats, ...]  # (equations, rows, k) per log
@@ -131,6 +132,16 @@ class Tangent:
     def target(self) -> Floats:
         """Weighted residual, projected, (m,)."""
         return self.project(self.whole)
+
+    def surprise(self, model: RigModel) -> float:
+        """−2 log-likelihood of another model on the same rows, infinite where it has none."""
+        try:
+            left, _ = residuals(replace(self.fit.state, model=model), self.balance)
+        except (ValueError, ArithmeticError):
+            return inf
+        with np.errstate(over="ignore", invalid="ignore"):  # a model that runs away
+            told = self.fit.likelihood.surprise(left, model)
+        return told if isfinite(told) else inf
 
     def project(self, columns: Floats) -> Floats:
         """Take out what the fitted numbers could do."""

@@ -109,28 +109,6 @@ def springs_of(
     return [known | values for values in found if values]
 
 
-def friction_beyond(model: RigModel, link: str) -> dict[str, float]:
-    """Values that put half of what friction is unknown on the far side of a link.
-
-    Without a gap the logs show only the sum of both sides. Through a gap, friction of the far
-    side does not pass.
-    """
-    near, far = link_sides(model, link)
-    far = {body: r / model.value(f"link.{link}.ratio") for body, r in far.items()}
-    found: dict[str, float] = {}
-    for kind, power in (("coulomb", 1), ("viscous", 2)):
-        weight = {b: abs(r) ** power for b, r in (near | far).items()}
-        keys = {b: f"body.{b}.{kind}" for b in weight}
-        free = [
-            [b for b in side if (q := model.quantities.get(keys[b])) and not isfinite(q.value)]
-            for side in (near, far)
-        ]
-        if all(free):
-            whole = sum(weight[b] * model.value(keys[b]) for side in free for b in side)
-            found |= {keys[b]: 0.5 * whole / len(s) / weight[b] for s in free for b in s}
-    return found
-
-
 def from_elsewhere(fit: RigFit, gap: str, *, iterations: int, jobs: int) -> RigFit:
     """Fit a gap with a hidden far side again, from other sizes, while that fits better.
 

@@ -1,0 +1,131 @@
+"""Starting values of a gap before bodies that nothing measures.
+
+When teeth meet depends on all that came before, so the fit of such a gap has many minima. Points
+spread evenly over all that is unknown of the link tell which are deep; more are spread around the
+best, ever closer.
+Source: Sobol' points in a shrinking box, as Masri, Bekey and Safford, Appl. Math. Comput. 7 (1980)
+353, do with random ones.
+"""
+
+from collections.abc import Callable
+from math import exp, inf, isfinite, sqrt
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from dmptm_ctrl.identify.free_parameters import scales_of
+from dmptm_ctrl.identify.inverse_dynamics import Balance
+from dmptm_ctrl.identify.rig_start import HIGHEST_MODE, LOWEST_MODE
+from dmptm_ctrl.parallel import in_threads
+from dmptm_ctrl.simulate.model import Floats
+from dmptm_ctrl.simulate.placed_effects import BACKLASH
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel, link_sides
+
+FIRST = 64  # points over all
+KEPT = 4  # around which more are spread
+EACH = 8
+ROUNDS = 6
+NARROWER = 0.6  # side of the box after a round
+GAPS = 1e-5, 3e-2  # half-gaps, of the travel
+DAMPED = 0.02, 1.0  # damping ratios
+
+Start = tuple[Placed, dict[str, float]]
+
+
+def gap_starts(
+    model: RigModel,
+    balance: Balance,
+    link: str,
+    surprise: Callable[[RigModel], float],
+    *,
+    jobs: int = 1,
+) -> list[Start]:
+    """Return the best gaps with values of what is unknown beside them, best first.
+
+    Without a gap the logs show only the sum of the friction on both sides of a link; through a gap
+    it does not pass. A gap that is not in the model makes a spring soft and inertias wrong, so
+    declared inertias are taken.
+
+    Parameters
+    ----------
+    surprise : callable
+        −2 log-likelihood of a model, infinite where it has none.
+    """
+    make, low, high = _family(model, balance, link)
+    points = qmc.Sobol(low.size, seed=0)
+
+    def told(x: Floats) -> float:
+        placed, values = make(x)
+        return surprise(model.with_values(values).with_effect(placed))
+
+    def losses(spread: Floats) -> Floats:
+        return np.array(in_threads(told, list(spread), jobs))
+
+    best = low + (high - low) * points.random(FIRST)
+    found, half = losses(best), 0.5 * (high - low)
+    for _ in range(ROUNDS):
+        order = np.argsort(found)[:KEPT]
+        best, found, half = best[order], found[order], NARROWER * half
+        boxes = ((np.maximum(x - half, low), np.minimum(x + half, high)) for x in best)
+        more = np.vstack([lo + (hi - lo) * points.random(EACH) for lo, hi in boxes])
+        best, found = np.vstack([best, more]), np.concatenate([found, losses(more)])
+    order = np.argsort(found)[:KEPT]
+    return [make(best[k]) for k in order if found[k] < inf]
+
+
+def _family(
+    model: RigModel, balance: Balance, link: str
+) -> tuple[Callable[[Floats], Start], Floats, Floats]:
+    """Return what makes a start of numbers, and their bounds."""
+    travel, top = scales_of(balance).position, 2.0 * np.pi * balance.bandwidth
+    bounds: dict[str, Any] = {"gap": np.log(travel * np.array(GAPS))}
+    known, beyond = dict[str, float](), 0.0
+    stiffness, damping = f"link.{link}.stiffness", f"link.{link}.damping"
+    if link in {k.name for k in model.rig.links}:  # else an effect made it
+        near, far = link_sides(model, link)
+        known = model.declared(lambda key: key.endswith(".inertia"))
+        told, ratio = model.with_values(known), model.value(f"link.{link}.ratio")
+        beyond = sum(r**2 * told.value(f"body.{b}.inertia") for b, r in far.items()) / ratio**2
+        for kind in ("coulomb", "viscous"):
+            if all(_unknown(model, side, kind) for side in (near, far)):
+                bounds[kind] = 0.0, 1.0
+        if not isfinite(model.quantity(stiffness).value):
+            bounds["mode"] = np.log(top * np.array([LOWEST_MODE, 2.0 * HIGHEST_MODE]))
+        if not isfinite(model.quantity(damping).value):
+            bounds["damped"] = np.log(DAMPED)
+
+    def make(x: Floats) -> Start:
+        now = dict(zip(bounds, x.tolist(), strict=True))
+        values = dict(known) if "mode" in now else {}
+        for kind in {"coulomb", "viscous"} & {*now}:
+            values |= friction_shared(model, link, kind, now[kind])
+        if "mode" in now:
+            values[stiffness] = beyond * exp(2.0 * now["mode"])
+        if "damped" in now:
+            stiff = model.with_values(values).value(stiffness)
+            values[damping] = exp(now["damped"]) * 2.0 * sqrt(beyond * stiff)
+        return Placed(BACKLASH.name, link, {"half_gap": exp(now["gap"])}), values
+
+    low, high = np.array([*bounds.values()]).T
+    return make, low, high
+
+
+def _unknown(model: RigModel, side: dict[str, float], kind: str) -> list[str]:
+    """Bodies whose friction of a kind is unknown."""
+    quantities = ((b, model.quantities.get(f"body.{b}.{kind}")) for b in side)
+    return [b for b, q in quantities if q and not isfinite(q.value)]
+
+
+def friction_shared(model: RigModel, link: str, kind: str, beyond: float) -> dict[str, float]:
+    """Values that put a share of what friction of a kind is unknown on the far side of a link."""
+    near, far = link_sides(model, link)
+    far = {body: r / model.value(f"link.{link}.ratio") for body, r in far.items()}
+    weight = {b: abs(r) ** {"coulomb": 1, "viscous": 2}[kind] for b, r in (near | far).items()}
+    sides = _unknown(model, near, kind), _unknown(model, far, kind)
+    whole = sum(weight[b] * model.value(f"body.{b}.{kind}") for side in sides for b in side)
+    return {
+        f"body.{b}.{kind}": part * whole / len(side) / weight[b]
+        for side, part in zip(sides, (1.0 - beyond, beyond), strict=True)
+        for b in side
+    }

@@ -444,7 +444,7 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
         ends = ends_of(model, balance, link) if link in declared else None
         if ends is None:
             for placed, values in gap_starts(model, balance, link, tangent.surprise):
-                yield [(placed,)], [values], {}
+                yield [placed], [values], {}
             continue
         for gap in regress_gaps(balance, *ends, MEASURED_GAPS):
             if gap.half_gap == 0:

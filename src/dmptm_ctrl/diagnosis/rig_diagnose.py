@@ -37,11 +37,12 @@ from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.identify.following import touching
+from dmptm_ctrl.identify.gap_search import gap_starts, started
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, STRETCHES
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
 from dmptm_ctrl.identify.pushing_teeth import centred, pushing
-from dmptm_ctrl.identify.rig_fit import State, fit_rig
+from dmptm_ctrl.identify.rig_fit import State, fit_rig, unseen_impacts
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
@@ -158,7 +159,14 @@ def _fitted(
             balance = _in_contact(balance, start, read)
             logs, held, _, _ = split(model.rig, balance)
     evidence = RigEvidence(logs, held, jobs)
-    return balance, evidence, evidence.base(State(start))
+    base = evidence.base(State(start))
+    for link in (k.name for k in model.rig.links if is_known(k.half_gap)):
+        if unseen_impacts(base.fit.model, logs) and link in base.fit.model.layout.links:
+            told = base.tangent.surprise
+            for found in gap_starts(base.fit.model, logs, link, told, jobs=jobs)[:1]:
+                other = evidence.base(State(started(base.fit.model, found), base.fit.state.logs))
+                base = min(base, other, key=lambda one: told(one.fit.model))
+    return balance, evidence, base
 
 
 def _in_contact(balance: Balance, model: RigModel, read: Sequence[Log]) -> Balance:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
+from dmptm_ctrl.drive.rig import is_known
 from dmptm_ctrl.identify.free_parameters import scales_of
 from dmptm_ctrl.identify.inverse_dynamics import Balance
 from dmptm_ctrl.identify.rig_start import HIGHEST_MODE, LOWEST_MODE
@@ -30,7 +31,7 @@ NARROWER = 0.6  # side of the box after a round
 GAPS = 1e-5, 3e-2  # half-gaps, of the travel
 DAMPED = 0.02, 1.0  # damping ratios
 
-Start = tuple[Placed, dict[str, float]]
+Start = tuple[tuple[Placed, ...], dict[str, float]]
 
 
 def gap_starts(
@@ -43,6 +44,8 @@ def gap_starts(
 ) -> list[Start]:
     """Return the best gaps with values of what is unknown beside them, best first.
 
+    Where the gap of the link is declared, only the values.
+
     Without a gap the logs show only the sum of the friction on both sides of a link; through a gap
     it does not pass. A gap that is not in the model makes a spring soft and inertias wrong, so
     declared inertias are taken.
@@ -53,11 +56,12 @@ def gap_starts(
         −2 log-likelihood of a model, infinite where it has none.
     """
     make, low, high = _family(model, balance, link)
+    if not low.size:
+        return []
     points = qmc.Sobol(low.size, seed=0)
 
     def told(x: Floats) -> float:
-        placed, values = make(x)
-        return surprise(model.with_values(values).with_effect(placed))
+        return surprise(started(model, make(x)))
 
     def losses(spread: Floats) -> Floats:
         return np.array(in_threads(told, list(spread), jobs))
@@ -74,15 +78,27 @@ def gap_starts(
     return [make(best[k]) for k in order if found[k] < inf]
 
 
+def started(model: RigModel, start: Start) -> RigModel:
+    """Return a model with the values and the gap of a start."""
+    placed, values = start
+    model = model.with_values(values)
+    for effect in placed:
+        model = model.with_effect(effect)
+    return model
+
+
 def _family(
     model: RigModel, balance: Balance, link: str
 ) -> tuple[Callable[[Floats], Start], Floats, Floats]:
     """Return what makes a start of numbers, and their bounds."""
     travel, top = scales_of(balance).position, 2.0 * np.pi * balance.bandwidth
-    bounds: dict[str, Any] = {"gap": np.log(travel * np.array(GAPS))}
+    bounds: dict[str, Any] = {}
+    declared = {k.name: k for k in model.rig.links}  # effects make others
+    if link not in declared or not is_known(declared[link].half_gap):
+        bounds["gap"] = np.log(travel * np.array(GAPS))
     known, beyond = dict[str, float](), 0.0
     stiffness, damping = f"link.{link}.stiffness", f"link.{link}.damping"
-    if link in {k.name for k in model.rig.links}:  # else an effect made it
+    if link in declared:
         near, far = link_sides(model, link)
         known = model.declared(lambda key: key.endswith(".inertia"))
         told, ratio = model.with_values(known), model.value(f"link.{link}.ratio")
@@ -98,16 +114,18 @@ def _family(
     def make(x: Floats) -> Start:
         now = dict(zip(bounds, x.tolist(), strict=True))
         values = dict(known) if "mode" in now else {}
-        for kind in {"coulomb", "viscous"} & {*now}:
+        for kind in (k for k in ("coulomb", "viscous") if k in now):
             values |= friction_shared(model, link, kind, now[kind])
         if "mode" in now:
             values[stiffness] = beyond * exp(2.0 * now["mode"])
         if "damped" in now:
             stiff = model.with_values(values).value(stiffness)
             values[damping] = exp(now["damped"]) * 2.0 * sqrt(beyond * stiff)
-        return Placed(BACKLASH.name, link, {"half_gap": exp(now["gap"])}), values
+        if "gap" not in now:
+            return (), values
+        return (Placed(BACKLASH.name, link, {"half_gap": exp(now["gap"])}),), values
 
-    low, high = np.array([*bounds.values()]).T
+    low, high = np.reshape([*bounds.values()], (-1, 2)).T
     return make, low, high
 
 

@@ -326,8 +326,10 @@ def fit_rig(
         fine ^= vain > 0
         if gain < TOLERANCE or bends:
             slopes, fresh = jacobian(state, balance, frees, left, jobs=jobs, fine=fine), True
-    if fine or not fresh:
-        slopes = slopes_near(state, balance, frees, left, None if fine else near, jobs)
+    if rough:  # nearby slopes would tell numbers far more surely than runs do
+        slopes = jacobian(state, balance, frees, left, jobs=jobs)
+    elif not fresh:
+        slopes = slopes_near(state, balance, frees, left, near, jobs)
     likelihood = likelihood.between(state.model)
     loss = total_loss(state, frees, left, likelihood)
     return RigFit(state, frees, left, drive, slopes, likelihood, loss)

@@ -12,6 +12,7 @@ from typing import Any
 
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.signals import Column, Log, LogError, TextFormat, load_log
+from dmptm_ctrl.signals.errors import repeated
 from dmptm_ctrl.signals.loaders import gather, stem
 
 DEFAULT_TOLERANCE = 0.3  # of a declared value that does not state one; documented in rig_toml.md
@@ -347,9 +348,7 @@ class Rig:
             told += left_out
         if not loaded:
             raise LogError("no logs: every file is under [data] ignore of the rig file")
-        names = [log.name for log in loaded]
-        twice = next((n for n in names if names.count(n) > 1), None)
-        if twice is not None:
+        if (twice := repeated(log.name for log in loaded)) is not None:
             raise LogError(f"two logs are named {twice}; rename one")
         return tuple(sorted(loaded, key=lambda log: log.name))
 

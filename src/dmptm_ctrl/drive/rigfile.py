@@ -24,6 +24,7 @@ from dmptm_ctrl.drive.rig import (
 from dmptm_ctrl.drive.rig_tables import RigError, TableReader, suffix_unit
 from dmptm_ctrl.drive.rig_units import UnitError, counted_per, counts, factor
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.errors import repeated
 from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.signals.units import parse_unit
 
@@ -119,9 +120,7 @@ class _Reader(TableReader):
             self._fail("", "", "no [sensor.NAME]: without a measurement there is no diagnosis")
         inputs = tuple(self._input(n, t, by_name) for n, t in tables["input"].items())
         sensors = tuple(self._sensor(n, t, by_name) for n, t in tables["sensor"].items())
-        used = [*(i.column for i in inputs), *(s.column for s in sensors)]
-        twice = next((c for c in used if used.count(c) > 1), None)
-        if twice is not None:
+        if twice := repeated([*(i.column for i in inputs), *(s.column for s in sensors)]):
             self._fail("", "", f"column {twice!r} is used twice; each input and sensor has its own")
         places = {*by_name, *(link.name for link in links), *(i.name for i in inputs)}
         effects = tuple(self._effect(n, t, places, bodies) for n, t in tables["effect"].items())

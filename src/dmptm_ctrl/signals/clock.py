@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.checks import usual_step
 from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.log import EVEN_TOLERANCE, is_even
+from dmptm_ctrl.signals.log import EVEN_TOLERANCE, Array, is_even
 from dmptm_ctrl.signals.numbers import roundest
-
-Array = NDArray[np.float64]
 
 # Bridged by a straight line; over more than this at 1 kHz a drive does something unseen.
 MAX_BRIDGED = 10

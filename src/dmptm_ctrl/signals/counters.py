@@ -8,9 +8,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.log import Array
 from dmptm_ctrl.signals.numbers import roundest
-
-Array = NDArray[np.float64]
 
 BITS = range(8, 33)
 WHOLE = 1e-6  # whole numbers are such within this

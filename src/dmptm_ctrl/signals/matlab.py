@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.signals.columns import Choose, Table
-from dmptm_ctrl.signals.dialect import unit_of
 from dmptm_ctrl.signals.errors import ColumnsError, NotALogError, optional
 from dmptm_ctrl.signals.subprocess_reader import Signal, read_in_subprocess
+from dmptm_ctrl.signals.units import unit_of
 
 MAX_WIDTH = 64  # columns of one array that are taken apart
 _OBJECTS = "(objects)"  # their names, among the texts
@@ -40,13 +40,9 @@ def read_matlab(path: Path, choose: Choose) -> Table:
         kept = set(choose(names, units))
     except ColumnsError as error:
         raise (ColumnsError(f"{error}; {how}") if objects else error) from None
-    columns = {n: s.values for n, s in zip(names, found, strict=True) if n in kept}
-    clocks = {
-        n: times[s.clock]
-        for n, s in zip(names, found, strict=True)
-        if n in kept and s.clock in times and s.clock != main
-    }
-    return Table(columns, units, meta, (), clocks)
+    read = {n: s for n, s in zip(names, found, strict=True) if n in kept}
+    clocks = {n: times[s.clock] for n, s in read.items() if s.clock in times and s.clock != main}
+    return Table({n: s.values for n, s in read.items()}, units, meta, (), clocks)
 
 
 def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
@@ -57,14 +53,13 @@ def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
         hdf = stream.read(10) == b"MATLAB 7.3"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of classes that are read as far as they can be
-        content = _read_hdf(path) if hdf else loadmat(path, simplify_cells=True, appendmat=False)
+        if hdf:
+            content = optional("pymatreader", "MATLAB 7.3 files", "mat73").read_mat(str(path))
+        else:
+            content = loadmat(path, simplify_cells=True, appendmat=False)
     meta: dict[str, Any] = {}
     plain = {name: content[name] for name in sorted(content) if not name.startswith(("__", "#"))}
     return _one_clock(list(_walk((), plain, meta))), meta
-
-
-def _read_hdf(path: Path) -> dict[str, Any]:
-    return optional("pymatreader", "MATLAB 7.3 files", "mat73").read_mat(str(path))
 
 
 def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[Signal]:

@@ -4,11 +4,9 @@ import re
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.clock import MAX_BRIDGED
-
-Array = NDArray[np.float64]
+from dmptm_ctrl.signals.log import Array
 
 NINES = re.compile(r"-?9{3,}(\.(9+|25))?")  # what programs write where there is no value
 _LARGEST = [float(np.finfo(t).max) for t in (np.float32, np.float64)]

@@ -3,12 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.log import Log
-
-Array = NDArray[np.float64]
+from dmptm_ctrl.signals.log import Array, Log
 
 # Below this correlation two channels do not tell their ratio.
 SURE = 0.9

@@ -213,6 +213,7 @@ def _long_table(
     import pandas as pd
 
     of, value = layout.long or (0, 1)
+    own: dict[str, Any] = {}
     clocks = [c for c, k in enumerate(layout.kinds) if k == "time" or is_clock_name(names[c])]
     data = rows.read({c: names[c] for c in {of, value, *clocks}}, sys.maxsize)
     labels = pd.Series(data.pop(of)).str.strip().str.rstrip(":=")
@@ -228,13 +229,13 @@ def _long_table(
     chosen = choose([*(names[c] for c in finest), *places], units)
     columns = {n: values[places[n]] for n in chosen if n in places}
     clock = next((c for c in finest if names[c] in chosen), None)
-    if clock is None:
-        return Table(columns, units, {}, tuple(rows.notes()), {}, layout.period, rows.words())
-    times = {n: data[clock][places[n]] for n in columns}
-    main = data[clock][max(places.values(), key=len)]
-    own = {n: t for n, t in times.items() if not equal(t, main)}
-    columns = {names[clock]: main, **columns}
-    return Table(columns, units, {}, tuple(rows.notes()), own, None, rows.words())
+    if clock is not None:
+        times = {n: data[clock][places[n]] for n in columns}
+        main = data[clock][max(places.values(), key=len)]
+        own = {n: t for n, t in times.items() if not equal(t, main)}
+        columns = {names[clock]: main, **columns}
+    period = layout.period if clock is None else None
+    return Table(columns, units, {}, tuple(rows.notes()), own, period, rows.words())
 
 
 class _Rows:

@@ -15,13 +15,11 @@ from dmptm_ctrl.export.program import (
     If,
     Name,
     Op,
-    Port,
     Program,
     ascii_text,
     widest,
 )
 
-REALS = ("double", "float")
 _PYTHON = {REAL: float, WIDE: float, INT: int, BOOL: bool}  # types of the kinds
 
 
@@ -54,26 +52,19 @@ class CPrinter(Printer):
     `prefix` is put before the names of functions of whole numbers.
     """
 
+    types = {"double": "double", "float": "float", INT: "int32_t", BOOL: "bool"}  # noqa: RUF012
     signs = {"or": "||", "and": "&&", "neg": "-", "not": "!"}  # noqa: RUF012
-    set_to = "="
+    set_to, output = "=", "*"
     words = {"if": "if ({}) {{", "else": "} else {", "end if": "}", "end for": "}"}  # noqa: RUF012
 
     def __init__(self, real: str, names: Mapping[str, str] | None = None, prefix: str = "") -> None:
-        if real not in REALS:
-            raise ValueError(f"real is {real!r}; it must be one of {', '.join(REALS)}")
-        self.real, self.names, self.prefix = real, names or {}, prefix
-        self.narrow = real == "float"
-
-    def kind(self, kind: str) -> str:
-        """C's type of a kind."""
-        return {REAL: self.real, WIDE: "double", INT: "int32_t", BOOL: "bool"}[kind]
+        super().__init__(real)
+        self.names, self.prefix = names or {}, prefix
 
     def cast(self, value: Any, kind: str) -> tuple[str, int]:
-        """Text of a real or wide value as the other of them, and how it binds."""
         return f"({self.kind(kind)}){self.text(value, UNARY)}", UNARY
 
     def operation(self, op: str, args: tuple[Any, ...], kind: str) -> tuple[str, int]:
-        """Text of an operation that is no sign between or before values, and how it binds."""
         if op == "mod":  # as Python's, of the divisor's sign
             a, n = self.text(args[0], LEVEL["*"]), self.text(args[1], UNARY)
             if isinstance(args[0], Name) and args[0].counts:
@@ -101,11 +92,9 @@ class CPrinter(Printer):
         return f"{name}{suffix}({', '.join(self.text(a, 0, kind) for a in args)})"
 
     def name(self, name: str) -> str:
-        """Return the name of a variable or table in the program."""
         return self.names.get(name, name)
 
     def number(self, value: float, kind: str | None = None) -> str:
-        """Text of a number that comes back to the last bit."""
         if isinstance(value, bool):
             return "true" if value else "false"
         if isinstance(value, int):
@@ -119,7 +108,6 @@ class CPrinter(Printer):
         return repr(in_float(value)) + "f"
 
     def assignment(self, item: Assign) -> list[str]:
-        """Line that declares a name, or gives it its value."""
         kind, value = item.name.kind, ""
         if isinstance(item.value, _Choice):
             a, b = (self.text(v, 1, kind) for v in item.value[1:])
@@ -130,12 +118,10 @@ class CPrinter(Printer):
         return [f"{new}{self.name(item.name.id)}{value};"]
 
     def loop(self, item: For) -> str:
-        """Line above the body of a loop."""
         k = item.name.id
         return f"for (int32_t {k} = 0; {k} < {self.text(item.count)}; {k}++) {{"
 
     def lines(self, block: list[Any], depth: int = 1) -> list[str]:
-        """Lines of statements."""
         return super().lines(_chosen(block), depth)
 
 
@@ -147,6 +133,7 @@ def c_header(program: Program, real: str = "double") -> str:
     fields = [f"    {printer.kind(n.kind)} {n.id};" for n, _ in program.state]
     fields += [f"    {real} {a.id}[{a.size}];" for a, _ in program.arrays]
     fields = fields or ["    char unused;"]
+    ports = [f"{p.name} [{p.unit}]: {p.text}" for p in (*program.inputs, *program.outputs)]
     return "\n".join(
         [
             *_comment(program.notes),
@@ -168,7 +155,7 @@ def c_header(program: Program, real: str = "double") -> str:
             f"void {name}_init({name}_state *state);",
             "",
             "/* Call once per sample.",
-            *(f" *   {line}" for line in _safe(map(_said, (*program.inputs, *program.outputs)))),
+            *(f" *   {line}" for line in _safe(ports)),
             " */",
             f"{_signature(program, real)};",
             "",
@@ -198,13 +185,10 @@ def c_source(program: Program, real: str = "double") -> str:
         first.append(f"    for (int32_t k = 0; k < {array.size}; k++) {{")
         first += [f"        state->{array.id}[k] = {printer.number(float(value))};", "    }"]
     first = first or ["    state->unused = 0;"]
-    body = printer.lines(program.body)
-    body += [f"    *{p.name} = {printer.text(v, 0, p.kind)};" for p, v in
-             zip(program.outputs, program.results, strict=True)]  # fmt: skip
-    body += [f"    state->{n.id} = {printer.text(v, 0, n.kind)};" for n, v in program.after]
+    body = printer.step(program)
     unused = [] if kept else ["    (void)state;"]
     text = "\n".join(body)
-    unused += [f"    (void){p.name};" for p in program.inputs if f"{p.name}" not in text]
+    unused += [f"    (void){p.name};" for p in program.inputs if p.name not in text]
     return "\n".join(
         [
             *_comment(program.notes),
@@ -234,10 +218,6 @@ def _signature(program: Program, real: str) -> str:
     parts += [f"{kind(p.kind)} {p.name}" for p in program.inputs]
     parts += [f"{kind(p.kind)} *{p.name}" for p in program.outputs]
     return f"void {program.name}_step(\n    " + ",\n    ".join(parts) + ")"
-
-
-def _said(port: Port) -> str:
-    return f"{port.name} [{port.unit}]: {port.text}"
 
 
 def _safe(lines: Iterable[str]) -> list[str]:

@@ -166,10 +166,11 @@ class Expressions:
             return Item(owner.array, make("mod", index, owner.array.size))
         if isinstance(owner, Array):
             return Item(owner, index)
-        if isinstance(owner, tuple | np.ndarray) and not _symbolic(index):
-            return plain(owner[index])
         if isinstance(owner, tuple | np.ndarray):
-            return self._looked_up(tuple(plain(v) for v in owner), index)
+            parts = index if isinstance(index, tuple) else (index,)
+            if any(isinstance(p, Name | Op | Item) for p in parts):
+                return self._looked_up(tuple(plain(v) for v in owner), index)
+            return plain(owner[index])
         raise NotScalar(f"cannot read a {type(owner).__name__} at {index!r}")
 
     def _looked_up(self, values: tuple[Any, ...], index: Any) -> Any:
@@ -185,34 +186,30 @@ class Expressions:
         return Item(table, make("+", index, first))
 
     def _call_value(self, node: ast.Call) -> Any:
-        return _called(self, self.value(node.func), [self.value(arg) for arg in node.args])
-
-
-def _called(scope: Expressions, function: Any, args: list[Any]) -> Any:
-    name = getattr(function, "__name__", "")
-    module = getattr(function, "__module__", "") or ""
-    if function is range:
-        return Range(*(args if len(args) == 2 else (0, *args)))
-    if function in (float, int, bool, abs, min, max, len):
-        return _builtin(function, args)
-    if name in FUNCTIONS and (module == "math" or module.endswith("elementary")):
-        arg = make("real", args[0])
-        return make(name, arg)
-    if function is borrowed or function is arrays_at:
-        return args[0]
-    if function is spread:
-        return tuple(scope.item(args[0], make("+", args[2], i)) for i in range(args[1]))
-    if function is gather:
-        for i, item in enumerate(args[1]):
-            scope.put(args[0], make("+", args[2], i), item)
-        return None
-    if function is called_at:
-        return scope.follow(args[0], list(args[1]))
-    if isinstance(function, type) and hasattr(function, "_fields"):
-        return function(*args)
-    if callable(function):
-        return scope.follow(function, args)
-    raise NotScalar(f"cannot call {function!r}")
+        function, args = self.value(node.func), [self.value(arg) for arg in node.args]
+        name = getattr(function, "__name__", "")
+        module = getattr(function, "__module__", "") or ""
+        if function is range:
+            return Range(*(args if len(args) == 2 else (0, *args)))
+        if function in (float, int, bool, abs, min, max, len):
+            return _builtin(function, args)
+        if name in FUNCTIONS and (module == "math" or module.endswith("elementary")):
+            return make(name, make("real", args[0]))
+        if function is borrowed or function is arrays_at:
+            return args[0]
+        if function is spread:
+            return tuple(self.item(args[0], make("+", args[2], i)) for i in range(args[1]))
+        if function is gather:
+            for i, item in enumerate(args[1]):
+                self.put(args[0], make("+", args[2], i), item)
+            return None
+        if function is called_at:
+            return self.follow(args[0], list(args[1]))
+        if isinstance(function, type) and hasattr(function, "_fields"):
+            return function(*args)
+        if callable(function):
+            return self.follow(function, args)
+        raise NotScalar(f"cannot call {function!r}")
 
 
 def _builtin(function: Any, args: list[Any]) -> Any:
@@ -241,8 +238,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.integer):
         return int(value)
     return float(value) if isinstance(value, np.floating) else value
-
-
-def _symbolic(index: Any) -> bool:
-    parts = index if isinstance(index, tuple) else (index,)
-    return any(isinstance(p, Name | Op | Item) for p in parts)

@@ -13,6 +13,7 @@ from dmptm_ctrl.export.program import (
     Item,
     Name,
     Op,
+    Program,
     Store,
     kind_of,
     known,
@@ -24,6 +25,7 @@ LEVEL = {
     "+": 5, "-": 5, "*": 6, "/": 6,
 }  # fmt: skip
 UNARY, ATOM = 7, 9
+REALS = ("double", "float")
 LEAST, MOST = 1.1754944e-38, 3.4028234e38  # magnitudes of a float
 
 
@@ -36,9 +38,10 @@ def in_float(value: float) -> float:
 class Printer:
     """Prints expressions and statements; a language says how it writes them."""
 
+    types: Mapping[str, str]  # of double and float, of whole numbers and truth values
     signs: Mapping[str, str]  # of operators that are written otherwise
     set_to: str
-    narrow: bool  # whether a real number is narrower than a wide one
+    output: str  # before the name of an output that is set
     words: Mapping[str, str]  # around the blocks of branches and loops
 
     # text of a number that comes back to the last bit, of a kind if one is given
@@ -49,6 +52,16 @@ class Printer:
     operation: Callable[[str, tuple[Any, ...], str], tuple[str, int]]
     assignment: Callable[[Assign], list[str]]  # lines that give a name its value
     loop: Callable[[For], str]  # line above the body of a loop
+
+    def __init__(self, real: str) -> None:
+        if real not in REALS:
+            raise ValueError(f"real is {real!r}; it must be one of {', '.join(REALS)}")
+        self.real = real
+        self.narrow = real == "float"  # a real number is narrower than a wide one
+
+    def kind(self, kind: str) -> str:
+        """Return the language's type of a kind."""
+        return self.types[{REAL: self.real, WIDE: "double"}.get(kind, kind)]
 
     def name(self, name: str) -> str:
         """Return the name of a variable where it is read or set."""
@@ -80,6 +93,14 @@ class Printer:
         if op in ("neg", "not"):
             return f"{sign}{self.text(args[0], UNARY + 1)}", UNARY
         return self.operation(op, args, value.kind)
+
+    def step(self, program: Program) -> list[str]:
+        """Lines of a whole step: its statements, then the new outputs and state."""
+        found = self.lines(program.body)
+        ends = zip(program.outputs, program.results, strict=True)
+        new = [(f"{self.output}{p.name}", value, p.kind) for p, value in ends]
+        new += [(self.name(n.id), value, n.kind) for n, value in program.after]
+        return found + [f"    {to} {self.set_to} {self.text(x, 0, kind)};" for to, x, kind in new]
 
     def lines(self, block: list[Any], depth: int = 1) -> list[str]:
         """Lines of statements."""

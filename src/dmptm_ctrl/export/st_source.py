@@ -16,33 +16,24 @@ from dmptm_ctrl.export.program import (
     widest,
 )
 
-REALS = {"double": "LREAL", "float": "REAL"}
-
 
 class StPrinter(Printer):
     """Prints Structured Text; collects the variables that statements set."""
 
+    types = {"double": "LREAL", "float": "REAL", INT: "DINT", BOOL: "BOOL"}  # noqa: RUF012
     signs = {"or": "OR", "and": "AND", "==": "=", "!=": "<>", "neg": "-", "not": "NOT "}  # noqa: RUF012
-    set_to = ":="
+    set_to, output = ":=", ""
     words = {"if": "IF {} THEN", "else": "ELSE", "end if": "END_IF;", "end for": "END_FOR;"}  # noqa: RUF012
 
     def __init__(self, real: str) -> None:
-        if real not in REALS:
-            raise ValueError(f"real is {real!r}; it must be one of {', '.join(REALS)}")
-        self.real, self.narrow = REALS[real], real == "float"
+        super().__init__(real)
         self.variables: dict[str, str] = {}
 
-    def kind(self, kind: str) -> str:
-        """Type of a kind."""
-        return {REAL: self.real, WIDE: "LREAL", INT: "DINT", BOOL: "BOOL"}[kind]
-
     def cast(self, value: Any, kind: str) -> tuple[str, int]:
-        """Text of a real or wide value as the other of them, and how it binds."""
         name = "LREAL_TO_REAL" if kind == REAL else "REAL_TO_LREAL"
         return f"{name}({self.text(value)})", ATOM
 
     def number(self, value: float, kind: str | None = None) -> str:
-        """Text of a number that comes back to the last bit."""
         if isinstance(value, bool):
             return "TRUE" if value else "FALSE"
         if isinstance(value, int):
@@ -56,7 +47,6 @@ class StPrinter(Printer):
         return mantissa + (f"E{exponent}" if sign else "")
 
     def operation(self, op: str, args: tuple[Any, ...], kind: str) -> tuple[str, int]:
-        """Text of an operation that is no sign between or before values, and how it binds."""
         if op == "mod":
             a, n = self.text(args[0], LEVEL["*"]), self.text(args[1], UNARY)
             return f"(({a} MOD {n}) + {n}) MOD {n}", LEVEL["*"]
@@ -76,16 +66,12 @@ class StPrinter(Printer):
         return text, level
 
     def assignment(self, item: Assign) -> list[str]:
-        """Line that gives a name its value; none where it is only declared."""
         self.variables.setdefault(item.name.id, self.kind(item.name.kind))
-        return (
-            []
-            if item.value is None
-            else [f"{item.name.id} := {self.text(item.value, 0, item.name.kind)};"]
-        )
+        if item.value is None:
+            return []
+        return [f"{item.name.id} := {self.text(item.value, 0, item.name.kind)};"]
 
     def loop(self, item: For) -> str:
-        """Line above the body of a loop."""
         self.variables.setdefault(item.name.id, "DINT")
         last = self.text(item.count - 1) if known(item.count) else f"{self.text(item.count)} - 1"
         return f"FOR {item.name.id} := 0 TO {last} DO"
@@ -94,22 +80,17 @@ class StPrinter(Printer):
 def st_source(program: Program, real: str = "double") -> str:
     """Return a program as one function block; its state starts at the values that stand in it."""
     printer = StPrinter(real)
-    body = printer.lines(program.body)
-    body += [
-        f"    {p.name} := {printer.text(v, 0, p.kind)};"
-        for p, v in zip(program.outputs, program.results, strict=True)
-    ]
-    body += [f"    {n.id} := {printer.text(v, 0, n.kind)};" for n, v in program.after]
+    body = printer.step(program)
     own = {n.id for n, _ in program.state}
     state = [f"    {n.id} : {printer.kind(n.kind)} := {printer.number(v)};" for n, v in
              program.state]  # fmt: skip
     state += [
-        f"    {a.id} : ARRAY[0..{a.size - 1}] OF {printer.real} := "
+        f"    {a.id} : ARRAY[0..{a.size - 1}] OF {printer.kind(REAL)} := "
         f"[{a.size}({printer.number(float(v))})];"
         for a, v in program.arrays
     ]
     tables = [
-        f"    {a.id} : ARRAY[0..{a.size - 1}] OF {printer.real} := "
+        f"    {a.id} : ARRAY[0..{a.size - 1}] OF {printer.kind(REAL)} := "
         f"[{', '.join(printer.number(v) for v in a.values or ())}];"
         for a in program.tables()
     ]

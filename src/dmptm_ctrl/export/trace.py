@@ -98,10 +98,8 @@ class Scope(Expressions):
             for target in node.targets:
                 self.assign(target, value)
         elif isinstance(node, ast.AugAssign):
-            read = ast.copy_location(_as_read(node.target), node)
-            self.assign(
-                node.target, self._binary(node.op, self.value(read), self.value(node.value))
-            )
+            old, other = self.value(node.target), self.value(node.value)
+            self.assign(node.target, self._binary(node.op, old, other))
         elif isinstance(node, ast.For):
             self._loop(node)
         elif isinstance(node, ast.Expr):
@@ -153,12 +151,10 @@ class Scope(Expressions):
             return _NOTHING if done is None else done
         ends = any(isinstance(part, ast.Return) for part in ast.walk(node))
         tail = rest if ends else []
-        results = self._either(test, [*node.body, *tail], [*node.orelse, *tail])
-        return results if ends else _NOTHING
-
-    def _either(self, test: Any, first: list[ast.stmt], second: list[ast.stmt]) -> Returned | None:
-        both = [lambda: self.run(first), lambda: self.run(second)]
+        both = [lambda: self.run([*node.body, *tail]), lambda: self.run([*node.orelse, *tail])]
         result = self.split(test, both, self.title)
+        if not ends:
+            return _NOTHING
         return result if result is None else Returned(result[0])
 
     def split(self, test: Any, both: list[Callable[[], Any]], title: str) -> Any:
@@ -290,14 +286,6 @@ class Scope(Expressions):
     def follow(self, function: Any, args: list[Any]) -> Any:
         """Follow a call."""
         return follow(self.tracer, function, args)
-
-
-def _as_read(target: ast.expr) -> ast.expr:
-    copied = ast.parse(ast.unparse(target), mode="eval").body
-    for part in ast.walk(copied):
-        if hasattr(part, "lineno"):
-            part.lineno = target.lineno
-    return copied
 
 
 def _needs_place(node: ast.For) -> bool:

@@ -18,9 +18,8 @@ OUTPUTS = ("omega_L", "omega_ml", "omega_mr")
 def rigid_equivalent(drive: Drive, parameters: dict[str, float]) -> Drive:
     """Return the drive whose 3-DOF model has the corrected J̄3 of 9-DOF parameters [SI]."""
     n1 = drive["N_1"]
-    total = reduced_pinion_inertia(
-        n1, drive["J_m"], parameters["J_1"], parameters["J_2"], parameters["J_3"]
-    )
+    own = [parameters[key] for key in ("J_1", "J_2", "J_3")]
+    total = reduced_pinion_inertia(n1, drive["J_m"], *own)
     return drive.with_values(J_2=total - n1**2 * drive["J_m"])
 
 

@@ -73,12 +73,6 @@ class TableReader:
             )
             self._fail(where, "unit", f"{error}; {other}")
 
-    def _check_unit(self, where: str, key: str, unit: str, si: str) -> None:
-        try:
-            factor(unit, si)
-        except UnitError as error:
-            self._fail(where, key, str(error))
-
     def _sign(self, where: str, raw: dict[str, Any]) -> float:
         sign = raw.get("sign", 1)
         if isinstance(sign, bool) or sign not in (1, -1):
@@ -138,7 +132,10 @@ class TableReader:
             column = self._text(where, time, "column")
             time = (column, str(time.get("unit", "")))
             if time[1].lower() not in ("", *TICKS):
-                self._check_unit(where, "time", time[1], "s")
+                try:
+                    factor(time[1], "s")
+                except UnitError as error:
+                    self._fail(where, "time", str(error))
         elif time is not None:
             self._fail(where, "time", 'time = "t" or { column = "t", unit = "ms" }')
         step = self._number(where, raw, "sample_time", "s")

@@ -77,7 +77,8 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
     balance = balances(records, model, model, jobs)
     unknowns: list[Unknown] = list(drive_unknowns(model))
     for name in model.effects:
-        unknowns += [k for k in effect_unknowns(name) if name not in TABLES and _moves(k)]
+        sizes = () if name in TABLES else CATALOGUE[name].amplitudes
+        unknowns += [k for k in effect_unknowns(name) if k.name in sizes]
     parts = balance.missing(model)
     left = np.concatenate(parts)
     slopes = dual_columns(balance, model, unknowns, left)
@@ -88,7 +89,7 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
         or parts
     )
     seconds = [rec.dt * rec.omega.size for rec in records]
-    sizes = [(p.size, seconds[e.motion]) for p, e in zip(parts, balance.equations, strict=True)]
+    lengths = [(p.size, seconds[e.motion]) for p, e in zip(parts, balance.equations, strict=True)]
     return Evidence(
         weight * left,
         weight[:, None] * slopes,
@@ -98,7 +99,7 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
             )
             for k in unknowns
         ),
-        _stretches(sizes),
+        _stretches(lengths),
         float(1.4826 * np.median(np.abs(total))),
         "N·m",
     )  # fmt: skip
@@ -118,11 +119,6 @@ def _shows(unknown: Unknown, records: Sequence[Record]) -> bool:
     """Whether a log can tell it; where a motor is in its gap, no ring gear's sensor says."""
     turns = unknown.effect is not None and "theta_m" in CATALOGUE[unknown.effect].depends_on
     return not turns or all(rec.twist is not None for rec in records)
-
-
-def _moves(unknown: Unknown) -> bool:
-    assert unknown.effect is not None
-    return unknown.name in CATALOGUE[unknown.effect].amplitudes
 
 
 def _unit(model: Model, unknown: Unknown) -> str:

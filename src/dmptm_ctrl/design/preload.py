@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
-from dmptm_ctrl.drive import Drive
+from dmptm_ctrl.drive import Drive, pinion_inertia
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.compiled import close_loop
 from dmptm_ctrl.simulate.dual import RING
@@ -50,8 +50,7 @@ def common_volts_along(model: Model, duty: Duty) -> Floats:
     """Return the voltage that both motors share along a duty [V], (n,): half of the load each."""
     parts, drive = Parts(model.plant()), model.drive
     rubs = [unloaded_friction(parts, 0, float(v)) for v in drive["N_2"] * duty.reference]
-    turned = drive["J_2"] + drive["N_1"] ** 2 * drive["J_m"]
-    swing = turned * drive["N_2"] * duty.acceleration
+    swing = pinion_inertia(drive) * drive["N_2"] * duty.acceleration
     share = load_torque_along(model, duty) / (2.0 * drive["N_2"])
     return np.asarray((share + swing + np.array(rubs)) / volt_at_pinion(drive), float)
 

@@ -43,11 +43,16 @@ class Picture(NamedTuple):
 
     name: str
     title: str
-    figure: Figure
+    panel: Axes | Figure  # of the figure, or the whole
     caption: str
     paper: str = ""  # its item
     printed: str = ""  # its number, if it prints one
     here: str = ""  # ours beside it
+
+    @property
+    def figure(self) -> Figure:
+        """The whole figure."""
+        return figure_of(self.panel)
 
 
 class Table(NamedTuple):
@@ -66,7 +71,7 @@ class Table(NamedTuple):
 Item = Picture | Table
 
 
-def figure_of(panel: Axes) -> Figure:
+def figure_of(panel: Axes | Figure) -> Figure:
     """Return the figure that a panel is in."""
     figure = panel.get_figure(root=True)
     if figure is None:

@@ -375,13 +375,9 @@ class Rig:
             return self.load(source, columns)
 
     def _checked(self, log: Log) -> Log:
-        need = [c.channel for c in self.columns().values() if c.channel != "time"]
-        missing = [c for c in need if c not in log]
-        if missing:
-            raise LogError(f"{log.name}: no channel {missing[0]!r} of rig {self.name!r}")
-        return self._cut(log)
-
-    def _cut(self, log: Log) -> Log:
+        for channel in self.labels():
+            if channel != "time" and channel not in log:
+                raise LogError(f"{log.name}: no channel {channel!r} of rig {self.name!r}")
         start, stop = self.data.window(log.name)
         if start is None and stop is None:
             return log

@@ -158,7 +158,12 @@ def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     what = words(evidence.effect) or "the effects"
     titles = (f"without {what}", "with all that was found")
     for panel, title, curves in zip(panels, titles, (evidence.before, evidence.after), strict=True):
-        _draw(panel, curves, evidence.ways)
+        panel.axhline(0.0, color="0.65", linewidth=0.8)
+        names = dict(zip(DIRECTIONS, evidence.ways, strict=True))
+        for direction, curve in curves.items():
+            x, mean, se = apart(curve)
+            look = {"linewidth": 1.0, "elinewidth": 0.8, "capsize": 1.5, **DIRECTIONS[direction]}
+            panel.errorbar(x, mean, 2.0 * se, label=names[direction], **look)
         panel.set_title(title, fontsize=10)
         panel.set_xlabel(evidence.variable)
     panels[0].set_ylabel(evidence.quantity)
@@ -176,14 +181,5 @@ def apart(curve: Curve) -> tuple[Floats, Floats, Floats]:
     if steps.size == 0:
         return curve.x, curve.mean, curve.se
     empty = np.flatnonzero(steps > 1.5 * steps.min()) + 1
-    x, mean, se = (np.insert(values, empty, np.nan) for values in (curve.x, curve.mean, curve.se))
+    x, mean, se = (np.insert(part, empty, np.nan) for part in (curve.x, curve.mean, curve.se))
     return x, mean, se
-
-
-def _draw(panel: Axes, curves: Mapping[str, Curve], ways: tuple[str, str]) -> None:
-    panel.axhline(0.0, color="0.65", linewidth=0.8)
-    names = dict(zip(DIRECTIONS, ways, strict=True))
-    for direction, curve in curves.items():
-        x, mean, se = apart(curve)
-        look = {"linewidth": 1.0, "elinewidth": 0.8, "capsize": 1.5, **DIRECTIONS[direction]}
-        panel.errorbar(x, mean, 2.0 * se, label=names[direction], **look)

@@ -46,9 +46,8 @@ def mode_plot(modes: Modes, *, ax: Any = None, Hz: bool = True) -> np.ndarray:
         panel.set_ylim(-1.15, 2.0)
         panel.set_yticks((-1, 0, 1))
         panel.tick_params(labelbottom=True)
-    for i, panel in enumerate(panels):
-        if i % COLUMNS == 0:
-            panel.set_ylabel("angle over that of\nthe rigid turn", fontsize=8)
+    for panel in panels[::COLUMNS]:
+        panel.set_ylabel("angle over that of\nthe rigid turn", fontsize=8)
     return panels
 
 

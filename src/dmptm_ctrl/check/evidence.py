@@ -211,14 +211,9 @@ def _zeroed(state: State, balance: Balance, of_logs: Sequence[Sequence[Free]]) -
             effect = state.model.effect(free.name)
             turn = 2.0 * np.pi / effect.values.get("order", 1.0)
             tried = [state.moved([free], [turn * k / PLACES]) for k in range(PLACES)]
-            state = min(tried, key=lambda one: _misfit(one, alone))
+            state = min(tried, key=lambda one: sum(np.sum(e**2) for e in residuals(one, alone)[0]))
     flat = [free for frees in of_logs for free in frees]
     return fit_rig(state, balance, frees=flat).state if flat else state
-
-
-def _misfit(state: State, balance: Balance) -> float:
-    left, _ = residuals(state, balance)
-    return float(sum(np.sum(part**2) for part in left))
 
 
 def only_own(evidence: Evidence) -> Evidence:

@@ -128,7 +128,7 @@ class Balance:
         self.meshes: list[Backlash] = laws[: 1 if alike else 2]
         self._bias = (preload, -preload)
         self._share = 2.0 / len(self.meshes)  # chains that each of them stands for
-        self._reducer, self._bearing = Stribeck(*parts.laws[0]), Stribeck(*parts.laws[RING])
+        self._reducer, self._bearing = parts.laws[0], parts.laws[RING]
         self._n2, self._volt = drive["N_2"], volt_at_pinion(drive)
         self._pinion, self._ring = pinion_inertia(drive), drive["J_L"]
         self.model, self.kp, self.ki, self.preload = model, kp, ki, preload

@@ -59,13 +59,8 @@ def simplification_cost(drive: Drive | None = None, **overrides: float) -> Simpl
     three = _balanced_units(three_dof_train(rigid_equivalent(drive, p)), scale)
     balanced = ct.balred(full, three.nstates, method="truncate")
     errors = {"full": full, "three_dof": full - three, "balanced": full - balanced}
-    return SimplificationCost(
-        full,
-        three,
-        balanced,
-        {name: float(ct.norm(e, "inf")) for name, e in errors.items()},
-        {name: float(ct.norm(e, 2)) for name, e in errors.items()},
-    )
+    h_inf, h_2 = ({n: float(ct.norm(e, p)) for n, e in errors.items()} for p in ("inf", 2))
+    return SimplificationCost(full, three, balanced, h_inf, h_2)
 
 
 def _balanced_units(train: GearTrain, scale: NDArray[np.float64]) -> ct.StateSpace:

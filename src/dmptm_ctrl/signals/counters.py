@@ -27,9 +27,8 @@ CALM = 0.5  # of the change that is left when a reading is taken with its sign
 def whole_numbers(values: Array) -> bool:
     """Whether all readings are counts."""
     good = values[np.isfinite(values)]
-    return good.size > 1 and float(np.ptp(good)) > 0 and bool(
-        (np.abs(good - np.round(good)) < WHOLE).all()
-    )  # fmt: skip
+    whole = np.abs(good - np.round(good)) < WHOLE
+    return good.size > 1 and float(np.ptp(good)) > 0 and bool(whole.all())
 
 
 def step_of_counts(values: Array) -> float:

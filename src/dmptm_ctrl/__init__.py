@@ -122,10 +122,7 @@ if TYPE_CHECKING:
 
 
 class _Front(ModuleType):
-    """A package whose functions keep their names beside subpackages that are called alike.
-
-    Python binds an imported subpackage as an attribute; `simulate` is to stay the function.
-    """
+    """A package in which `simulate` stays the function once the subpackage is imported."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not (isinstance(value, ModuleType) and name in _LAZY):
@@ -148,10 +145,7 @@ def __getattr__(name: str) -> Any:
 
 
 def _checked(name: str, function: Any) -> Any:
-    """Return the function, with a sentence for arguments that it does not take.
-
-    Its ``help()`` names them without types, which are in the docstring with units and shapes.
-    """
+    """Return the function, with a sentence for wrong arguments and a ``help()`` without types."""
     from dmptm_ctrl.arguments import refuse_wrong_call
 
     wanted = signature(function)

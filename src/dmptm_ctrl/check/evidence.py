@@ -130,10 +130,7 @@ def _unit(model: Model, unknown: Unknown) -> str:
 def _settled(
     left: Floats, slopes: Floats, prior: Floats, weigh: Callable[[Floats], Floats]
 ) -> Floats:
-    """Weights by what is left once every parameter has moved as it likes.
-
-    By the residual itself a machine that has changed would look noisy.
-    """
+    """Weights by what is left once every parameter has moved: a changed machine is no noise."""
     rest = left
     for _ in range(ROUNDS):
         weight = weigh(rest)

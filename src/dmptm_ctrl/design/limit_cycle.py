@@ -195,10 +195,7 @@ def _enough(cycle: Cycle) -> int:
 
 
 def _starts(balance: Balance) -> list[Cycle]:
-    """Solutions with one harmonic and with few, from a grid of amplitudes and frequencies.
-
-    One harmonic finds the fast cycles that are nearly sines, few find those with a pulse.
-    """
+    """Solutions with one harmonic (near sines) and few (pulses), from a grid of starts."""
     found: list[Cycle] = []
     for depth in DEPTHS:
         for hz in HZ:

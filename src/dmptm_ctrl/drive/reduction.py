@@ -64,10 +64,7 @@ def simplification_cost(drive: Drive | None = None, **overrides: float) -> Simpl
 
 
 def _balanced_units(train: GearTrain, scale: NDArray[np.float64]) -> ct.StateSpace:
-    """Speeds with `scale`d outputs and states in √J, the roots of their energies.
-
-    In other units the Gramians of stiff shafts and soft speeds differ by decades and lose digits.
-    """
+    """Speeds with `scale`d outputs, and states in √J: in other units Gramians lose digits."""
     system = train.to_ss(outputs=OUTPUTS)
     compliance = [1.0 / j.stiffness for j in train.joints]
     energy = np.sqrt(np.concatenate([compliance, train.inertia]))

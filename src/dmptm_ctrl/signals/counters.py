@@ -120,10 +120,7 @@ def _around(step: Array, over: NDArray[np.bool_]) -> tuple[Array, Array]:
 
 
 def _jumps_of(step: Array, size: float, span: float, slack: float) -> tuple[Array | None, float]:
-    """Times that each step runs over a modulus, and how far it is from the motion around it.
-
-    None where none does, the motion does not go on, or the readings stay away from the ends.
-    """
+    """Times that each step runs over a modulus (None: not so), and misfit of the motion there."""
     turns = np.round(step / size)
     over = turns != 0
     if not over.any() or over.mean() > OFTEN:

@@ -63,15 +63,13 @@ def find_layout(
 
 
 def _groups(block: Block) -> bool:
-    """Whether a decimal sign can only be one between thousands: 998, 999, 1.000.
-
-    Fixed decimals are written everywhere, and others without a 0 at their end.
-    """
+    """Whether a decimal sign can only be one between thousands: 998, 999, 1.000."""
     thousands = re.compile(rf"[-+]?[1-9]\d{{0,2}}(\{block.dialect.decimal}\d{{3}})")
     for c, kind in enumerate(block.kinds):
         cells = [row[c] for row in block.rows if row[c]]
         parted = [cell for cell in cells if block.dialect.decimal in cell]
         zero = any(cell.endswith("0") for cell in parted)
+        # fixed decimals are written everywhere, and others without a 0 at their end
         if kind == "number" and len(parted) < len(cells) and zero:
             return not block.dialect.thousands and all(map(thousands.fullmatch, parted))
     return False

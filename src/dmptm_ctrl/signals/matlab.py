@@ -134,10 +134,7 @@ def _simulink(path: tuple[str, ...], log: Mapping[str, Any]) -> Iterator[Signal]
 
 
 def _series(value: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Fields of a structure that holds one signal, as those of a timeseries; None if it does not.
-
-    Such a structure has one array and a name, or two arrays of which one is the time.
-    """
+    """Fields, as of a timeseries, of a structure of one signal with a name or a time, or None."""
     fields = {
         "time": "Time", "t": "Time", "data": "Data", "values": "Data", "value": "Data", "y": "Data",
         "name": "Name", "label": "Name", "unit": "Unit", "units": "Unit",

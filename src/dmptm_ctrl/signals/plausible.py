@@ -128,11 +128,9 @@ def refuse_factor(
 
 
 def _refuse_generator(log: Log) -> None:
-    """Friction only takes energy: over a log, motors that drive put energy in.
-
-    A late drive may swing against its commands for most of a log, but it starts with them.
-    """
+    """Friction only takes energy: over a log, motors that drive put energy in."""
     voltage, speed = log["u_left"] + log["u_right"], log["omega_L"]
+    # a late drive may swing against its commands for most of a log, but it starts with them
     started = int(np.argmax(np.abs(speed) > STARTED * np.abs(speed).max())) + 1
     if max(lean(voltage, speed), lean(voltage[:started], speed[:started])) < GENERATOR:
         raise LogError(

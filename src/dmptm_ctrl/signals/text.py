@@ -332,10 +332,7 @@ class _Rows:
         )
 
     def _judged(self, line: str) -> tuple[str, str]:
-        """Row as pandas gets it, and what it is if it is no row of numbers.
-
-        "odd": a row that lacks values or holds words, as at the end of a file.
-        """
+        """Row as pandas gets it, and what it is if no row of numbers; odd: it lacks some."""
         layout = self._layout
         if says_nothing(line):
             return "", "comments"

@@ -152,11 +152,9 @@ def _checked(name: str, function: Any) -> Any:
 
     @wraps(function)
     def checked(*args: Any, **options: Any) -> Any:
-        given = {c.__name__ for c in type(args[0]).__mro__} if args else set()
-        if name in _LOGS and given & _NO_LOGS:
-            raise TypeError(
-                f"{name} takes logs as its first argument, not a {type(args[0]).__name__}"
-            )
+        kind = type(args[0]) if args else object
+        if name in _LOGS and _NO_LOGS & {c.__name__ for c in kind.__mro__}:
+            raise TypeError(f"{name} takes logs as its first argument, not a {kind.__name__}")
         refuse_wrong_call(name, wanted, args, options)
         return function(*args, **options)
 

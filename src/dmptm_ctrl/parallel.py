@@ -49,9 +49,8 @@ def in_threads(
         if size is None:
             return _THREAD.crew.share(function, items)
         order = sorted(range(len(items)), key=lambda i: -size(items[i]))
-        done = dict(
-            zip(order, _THREAD.crew.share(function, [items[i] for i in order]), strict=True)
-        )
+        shared = _THREAD.crew.share(function, [items[i] for i in order])
+        done = dict(zip(order, shared, strict=True))
         return [done[i] for i in range(len(items))]
 
 

@@ -223,6 +223,5 @@ def only_own(evidence: Evidence) -> Evidence:
     left = evidence.left - q @ (q.T @ evidence.left)
     slopes = evidence.slopes[:, own]
     slopes = slopes - q @ (q.T @ slopes)
-    return replace(
-        evidence, left=left, slopes=slopes, parameters=tuple(evidence.parameters[k] for k in own)
-    )
+    parameters = tuple(evidence.parameters[k] for k in own)
+    return replace(evidence, left=left, slopes=slopes, parameters=parameters)

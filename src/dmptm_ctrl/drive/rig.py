@@ -368,11 +368,8 @@ class Rig:
         try:
             return self.load(source)
         except LogError:
-            drives = {i.column for i in self.inputs}
-            columns = {
-                k: c for k, c in self.columns().items() if k in drives or c.channel == "time"
-            }
-            return self.load(source, columns)
+            own = {"time", *(i.channel for i in self.inputs)}
+            return self.load(source, {k: c for k, c in self.columns().items() if c.channel in own})
 
     def _checked(self, log: Log) -> Log:
         for channel in self.labels():

@@ -147,9 +147,8 @@ class Tracer:
     def kept(self, name: str, value: Any) -> Any:
         """Give an expression a name, so that it is computed once."""
         if isinstance(value, tuple):
-            parts = [
-                self.kept(part, v) for part, v in zip(part_names(name, value), value, strict=True)
-            ]
+            named = zip(part_names(name, value), value, strict=True)
+            parts = [self.kept(part, v) for part, v in named]
             return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
         if not isinstance(value, Op | Item):
             return value

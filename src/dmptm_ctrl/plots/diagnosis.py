@@ -132,11 +132,9 @@ def plot_budget(diagnosis: Any, *, ax: Any = None) -> Axes:
     rows: Any = list(getattr(diagnosis, "budget", diagnosis))
     panel: Axes = axes(ax, 1, figsize=(7.0, 0.7 + 0.34 * len(rows)))[0, 0]
     for i, row in enumerate(rows):
-        style = BUDGET.get(row.name, BUDGET[""])
-        panel.barh(i, 100.0 * row.share, height=0.65, edgecolor="0.2", linewidth=0.6, **style)
-        panel.text(
-            100.0 * row.share + 1.0, i, f"{100.0 * row.share:.1f} %", va="center", fontsize=9
-        )
+        share, style = 100.0 * row.share, BUDGET.get(row.name, BUDGET[""])
+        panel.barh(i, share, height=0.65, edgecolor="0.2", linewidth=0.6, **style)
+        panel.text(share + 1.0, i, f"{share:.1f} %", va="center", fontsize=9)
     labels = [f"{r.name} @ {r.location}".rstrip(" @").replace("_", " ") for r in rows]
     panel.set_yticks(range(len(rows)), labels, fontsize=9)
     panel.invert_yaxis()

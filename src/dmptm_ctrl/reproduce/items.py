@@ -121,9 +121,8 @@ class Context:
     @cached_property
     def resonance(self) -> ResonantGains:
         """Gains with the paper's closed-loop resonance, kp as on the rig."""
-        return resonant_gains(
-            Model(self.drive), PAPER_RESONANCE_HZ, RIG_LOOP.kp, PAPER_AMPLITUDES[0]
-        )
+        kp, speed = RIG_LOOP.kp, PAPER_AMPLITUDES[0]
+        return resonant_gains(Model(self.drive), PAPER_RESONANCE_HZ, kp, speed)
 
 
 DPI = 110

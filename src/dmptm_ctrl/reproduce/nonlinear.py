@@ -132,10 +132,8 @@ def _said(estimate: Estimate) -> tuple[str, str]:
 
 def _friction_picture(points: FrictionPoints, fit: dict[str, Estimate], what: str) -> Picture:
     b = points.body
-    names = [
-        f"{n.format(b)}_{s}" for s in ("plus", "minus") for n in ("T{}s", "T{}c", "W{}", "B{}")
-    ]
-    law = stribeck_law(*(fit[n].value for n in names), exponent=1.0)  # type: ignore[misc]
+    keys = [f"{n.format(b)}_{s}" for s in ("plus", "minus") for n in ("T{}s", "T{}c", "W{}", "B{}")]
+    law = stribeck_law(*(fit[key].value for key in keys), exponent=1.0)  # type: ignore[misc]
     top = np.abs(points.speed).max()
     speed = np.geomspace(np.abs(points.speed).min(), top, 200)
     speed = np.concatenate([-speed[::-1], speed])

@@ -95,9 +95,8 @@ def _dialects(lines: Sequence[str], how: TextFormat) -> Iterator[list[Dialect]]:
 def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | None:
     """Rows of the commonest shape; None where no column holds numbers."""
     start = max(how.skip, how.header or 0)
-    rows = [
-        (i, dialect.split(s)) for i, s in enumerate(lines) if i >= start and not says_nothing(s)
-    ]
+    numbered = enumerate(lines[start:], start)
+    rows = [(i, dialect.split(s)) for i, s in numbered if not says_nothing(s)]
     kinds = [[dialect.kind(cell) for cell in row] for _, row in rows]
     fields = Counter(len(k) for k in kinds if "number" in k).most_common(1)
     if not fields:

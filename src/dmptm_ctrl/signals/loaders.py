@@ -354,9 +354,8 @@ def _channels(
     if time is None:
         if not channels:
             raise ColumnsError(f"{title}: no columns with a unit in their names")
-        time = float(sample_time or table.period or 0) * np.arange(
-            len(next(iter(channels.values())))
-        )
+        count = next(iter(channels.values())).size
+        time = float(sample_time or table.period or 0) * np.arange(count)
     else:
         along = {c: v for c, v in channels.items() if c not in clocks}
         time, note = run_on(time, along, factors["time"])

@@ -95,9 +95,8 @@ def without_missing(
                 f"{label} lacks {holes} value{'s' * (holes > 1)}, at most {gaps.max() - 1} in a "
                 "row: bridged"
             )
-        filled[name] = np.interp(
-            np.arange(values.size), there, values[there], left=np.nan, right=np.nan
-        )
+        rows_of = np.arange(values.size)
+        filled[name] = np.interp(rows_of, there, values[there], left=np.nan, right=np.nan)
     complete = np.flatnonzero(np.all([np.isfinite(v) for v in filled.values()], axis=0))
     size = next(iter(filled.values())).size
     if not complete.size or complete.size == size:

@@ -245,9 +245,8 @@ class _Rows:
         self._path, self._encoding, self._layout, self._words = path, encoding, layout, words
         self._no_numbers: dict[str, list[tuple[str, int]]] = {}
         self._left_out: dict[str, list[int]] = {}
-        self._leave_out(
-            "incomplete rows", [*range(layout.first - layout.wordy + 1, layout.first + 1)]
-        )
+        wordy = range(layout.first - layout.wordy + 1, layout.first + 1)
+        self._leave_out("incomplete rows", [*wordy])
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
         """Line number and fields, between which stands ``_FIELD`` (or a blank)."""
@@ -304,16 +303,15 @@ class _Rows:
 
     def _ended(self, odd: list[tuple[int, str, str]]) -> Iterator[tuple[int, str, str]]:
         """Rows after the last whole one: columns of a slower clock end before the others."""
-        rows = [self._layout.dialect.split(line) for _, line, _ in odd]
-        lengths = [self._layout.fields + 1, *map(len, rows)]
-        numbers = all(
-            {*map(self._layout.dialect.kind, row)} <= {"", "number", "time"} for row in rows
-        )
+        dialect, fields = self._layout.dialect, self._layout.fields
+        rows = [dialect.split(line) for _, line, _ in odd]
+        lengths = [fields + 1, *map(len, rows)]
+        numbers = all({*map(dialect.kind, row)} <= {"", "number", "time"} for row in rows)
         if len(rows) < 2 or not numbers or any(a < b for a, b in itertools.pairwise(lengths)):
             self._leave_out("incomplete rows", [n for n, _, _ in odd])
             return
         for (number, line, _), row in zip(odd, rows, strict=True):
-            yield number, line, self._joined(row + [""] * (self._layout.fields - len(row)))
+            yield number, line, self._joined(row + [""] * (fields - len(row)))
 
     def _joined(self, cells: list[str]) -> str:
         """Fields as pandas gets them."""

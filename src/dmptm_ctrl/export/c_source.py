@@ -3,24 +3,10 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
+from dmptm_ctrl.export import program as ir
 from dmptm_ctrl.export.printer import ATOM, LEVEL, UNARY, Printer, in_float
-from dmptm_ctrl.export.program import (
-    BOOL,
-    INT,
-    REAL,
-    WIDE,
-    Array,
-    Assign,
-    For,
-    If,
-    Name,
-    Op,
-    Program,
-    ascii_text,
-    widest,
-)
 
-_PYTHON = {REAL: float, WIDE: float, INT: int, BOOL: bool}  # types of the kinds
+_PYTHON = {ir.REAL: float, ir.WIDE: float, ir.INT: int, ir.BOOL: bool}  # types of the kinds
 
 
 class _Choice(NamedTuple):
@@ -34,13 +20,13 @@ def _chosen(block: list[Any]) -> list[Any]:
     found: list[Any] = []
     for item in block:
         last = found[-1] if found else None
-        if isinstance(item, If) and isinstance(last, Assign) and last.value is None:
+        if isinstance(item, ir.If) and isinstance(last, ir.Assign) and last.value is None:
             sides = [side[0] for side in (item.body, item.orelse) if len(side) == 1]
             if len(sides) == 2 and all(
-                isinstance(s, Assign) and s.name == last.name and not s.declare for s in sides
+                isinstance(s, ir.Assign) and s.name == last.name and not s.declare for s in sides
             ):
                 choice = _Choice(item.condition, sides[0].value, sides[1].value)
-                found[-1] = Assign(last.name, choice)
+                found[-1] = ir.Assign(last.name, choice)
                 continue
         found.append(item)
     return found
@@ -52,7 +38,7 @@ class CPrinter(Printer):
     `prefix` is put before the names of functions of whole numbers.
     """
 
-    types = {"double": "double", "float": "float", INT: "int32_t", BOOL: "bool"}  # noqa: RUF012
+    types = {"double": "double", "float": "float", ir.INT: "int32_t", ir.BOOL: "bool"}  # noqa: RUF012
     signs = {"or": "||", "and": "&&", "neg": "-", "not": "!"}  # noqa: RUF012
     set_to, output = "=", "*"
     words = {"if": "if ({}) {{", "else": "} else {", "end if": "}", "end for": "}"}  # noqa: RUF012
@@ -67,28 +53,28 @@ class CPrinter(Printer):
     def operation(self, op: str, args: tuple[Any, ...], kind: str) -> tuple[str, int]:
         if op == "mod":  # as Python's, of the divisor's sign
             a, n = self.text(args[0], LEVEL["*"]), self.text(args[1], UNARY)
-            if isinstance(args[0], Name) and args[0].counts:
+            if isinstance(args[0], ir.Name) and args[0].counts:
                 return f"{a} % {n}", LEVEL["*"]
             return f"({a} % {n} + {n}) % {n}", LEVEL["*"]
         if op == "real":
             inner = args[0]
-            if isinstance(inner, Op) and inner.op == "floor":
+            if isinstance(inner, ir.Op) and inner.op == "floor":
                 return self._function("floor", inner.args), ATOM
             return f"({self.kind(kind)}){self.text(inner, UNARY)}", UNARY
         if op == "trunc":
             return f"(int32_t){self.text(args[0], UNARY)}", UNARY
         if op == "floor":
             return f"(int32_t){self._function('floor', args)}", UNARY
-        if kind == INT and op in _OF_INTEGERS:
+        if kind == ir.INT and op in _OF_INTEGERS:
             return f"{self.prefix}{op}_int({', '.join(self.text(a) for a in args)})", ATOM
         name = {"min": "fmin", "max": "fmax", "abs": "fabs"}.get(op, op)
-        if self.narrow and kind == REAL and widest(args) == WIDE:
+        if self.narrow and kind == ir.REAL and ir.widest(args) == ir.WIDE:
             return f"(float){self._function(name, args)}", UNARY
         return self._function(name, args), ATOM
 
     def _function(self, name: str, args: tuple[Any, ...]) -> str:
-        kind = widest(args)
-        suffix = "f" if self.narrow and kind != WIDE else ""
+        kind = ir.widest(args)
+        suffix = "f" if self.narrow and kind != ir.WIDE else ""
         return f"{name}{suffix}({', '.join(self.text(a, 0, kind) for a in args)})"
 
     def name(self, name: str) -> str:
@@ -103,11 +89,11 @@ class CPrinter(Printer):
             return "NAN"
         if value in (float("inf"), float("-inf")):
             return "INFINITY" if value > 0 else "-INFINITY"
-        if not self.narrow or kind == WIDE:
+        if not self.narrow or kind == ir.WIDE:
             return repr(float(value))
         return repr(in_float(value)) + "f"
 
-    def assignment(self, item: Assign) -> list[str]:
+    def assignment(self, item: ir.Assign) -> list[str]:
         kind, value = item.name.kind, ""
         if isinstance(item.value, _Choice):
             a, b = (self.text(v, 1, kind) for v in item.value[1:])
@@ -117,7 +103,7 @@ class CPrinter(Printer):
         new = f"{self.kind(kind)} " if item.declare else ""
         return [f"{new}{self.name(item.name.id)}{value};"]
 
-    def loop(self, item: For) -> str:
+    def loop(self, item: ir.For) -> str:
         k = item.name.id
         return f"for (int32_t {k} = 0; {k} < {self.text(item.count)}; {k}++) {{"
 
@@ -125,7 +111,7 @@ class CPrinter(Printer):
         return super().lines(_chosen(block), depth)
 
 
-def c_header(program: Program, real: str = "double") -> str:
+def c_header(program: ir.Program, real: str = "double") -> str:
     """Return the header: the state, and the two functions that work on it."""
     name = program.name
     guard = f"{name.upper()}_H"
@@ -169,7 +155,7 @@ def c_header(program: Program, real: str = "double") -> str:
     )
 
 
-def c_source(program: Program, real: str = "double") -> str:
+def c_source(program: ir.Program, real: str = "double") -> str:
     """Return the source that belongs to :func:`c_header`."""
     name = program.name
     kept = [n.id for n, _ in program.state] + [a.id for a, _ in program.arrays]
@@ -212,7 +198,7 @@ def c_source(program: Program, real: str = "double") -> str:
     )
 
 
-def _signature(program: Program, real: str) -> str:
+def _signature(program: ir.Program, real: str) -> str:
     parts = [f"{program.name}_state *state"]
     kind = CPrinter(real).kind
     parts += [f"{kind(p.kind)} {p.name}" for p in program.inputs]
@@ -222,7 +208,7 @@ def _signature(program: Program, real: str) -> str:
 
 def _safe(lines: Iterable[str]) -> list[str]:
     """Lines that end no comment."""
-    return [ascii_text(line).replace("*/", "* /").replace("/*", "/ *") for line in lines]
+    return [ir.ascii_text(line).replace("*/", "* /").replace("/*", "/ *") for line in lines]
 
 
 def _comment(notes: list[str]) -> list[str]:
@@ -245,7 +231,7 @@ def c_helpers(text: str, prefix: str) -> list[str]:
     return found
 
 
-def c_table(array: Array, printer: CPrinter) -> str:
+def c_table(array: ir.Array, printer: CPrinter) -> str:
     """A constant table."""
     values = array.values or ()
     rows = [

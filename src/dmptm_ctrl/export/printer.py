@@ -4,21 +4,7 @@ from collections.abc import Callable, Mapping
 from math import copysign
 from typing import Any
 
-from dmptm_ctrl.export.program import (
-    REAL,
-    WIDE,
-    Assign,
-    For,
-    If,
-    Item,
-    Name,
-    Op,
-    Program,
-    Store,
-    kind_of,
-    known,
-    widest,
-)
+from dmptm_ctrl.export import program as ir
 
 LEVEL = {
     "or": 1, "and": 2, "==": 3, "!=": 3, "<": 4, "<=": 4, ">": 4, ">=": 4,
@@ -50,8 +36,8 @@ class Printer:
     cast: Callable[[Any, str], tuple[str, int]]
     # text of an operation that is no sign between or before values, and how it binds
     operation: Callable[[str, tuple[Any, ...], str], tuple[str, int]]
-    assignment: Callable[[Assign], list[str]]  # lines that give a name its value
-    loop: Callable[[For], str]  # line above the body of a loop
+    assignment: Callable[[ir.Assign], list[str]]  # lines that give a name its value
+    loop: Callable[[ir.For], str]  # line above the body of a loop
 
     def __init__(self, real: str) -> None:
         if real not in REALS:
@@ -61,7 +47,7 @@ class Printer:
 
     def kind(self, kind: str) -> str:
         """Return the language's type of a kind."""
-        return self.types[{REAL: self.real, WIDE: "double"}.get(kind, kind)]
+        return self.types[{ir.REAL: self.real, ir.WIDE: "double"}.get(kind, kind)]
 
     def name(self, name: str) -> str:
         """Return the name of a variable where it is read or set."""
@@ -74,27 +60,27 @@ class Printer:
 
     def parts(self, value: Any, kind: str | None = None) -> tuple[str, int]:
         """Text of an expression, and how strongly it binds."""
-        if known(value):
+        if ir.known(value):
             text = self.number(value, kind)
             return text, UNARY if text.startswith("-") else ATOM
-        if self.narrow and {kind, kind_of(value)} == {REAL, WIDE}:
-            return self.cast(value, kind or REAL)
-        if isinstance(value, Name):
+        if self.narrow and {kind, ir.kind_of(value)} == {ir.REAL, ir.WIDE}:
+            return self.cast(value, kind or ir.REAL)
+        if isinstance(value, ir.Name):
             return self.name(value.id), ATOM
-        if isinstance(value, Item):
+        if isinstance(value, ir.Item):
             return f"{self.name(value.array.id)}[{self.text(value.index)}]", ATOM
-        assert isinstance(value, Op)
+        assert isinstance(value, ir.Op)
         op, args = value.op, value.args
         sign = self.signs.get(op, op)
         if op in LEVEL:
-            level, both = LEVEL[op], widest(args)
+            level, both = LEVEL[op], ir.widest(args)
             a, b = (self.text(x, level + k, both) for k, x in enumerate(args))
             return f"{a} {sign} {b}", level
         if op in ("neg", "not"):
             return f"{sign}{self.text(args[0], UNARY + 1)}", UNARY
         return self.operation(op, args, value.kind)
 
-    def step(self, program: Program) -> list[str]:
+    def step(self, program: ir.Program) -> list[str]:
         """Lines of a whole step: its statements, then the new outputs and state."""
         found = self.lines(program.body)
         ends = zip(program.outputs, program.results, strict=True)
@@ -107,12 +93,12 @@ class Printer:
         pad = "    " * depth
         found: list[str] = []
         for item in block:
-            if isinstance(item, Assign):
+            if isinstance(item, ir.Assign):
                 found += [pad + line for line in self.assignment(item)]
-            elif isinstance(item, Store):
-                place = self.text(Item(item.array, item.index))
-                found.append(f"{pad}{place} {self.set_to} {self.text(item.value, 0, REAL)};")
-            elif isinstance(item, If):
+            elif isinstance(item, ir.Store):
+                place = self.text(ir.Item(item.array, item.index))
+                found.append(f"{pad}{place} {self.set_to} {self.text(item.value, 0, ir.REAL)};")
+            elif isinstance(item, ir.If):
                 found.append(pad + self.words["if"].format(self.text(item.condition)))
                 found += self.lines(item.body, depth + 1)
                 if item.orelse:

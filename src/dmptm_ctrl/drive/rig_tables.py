@@ -111,10 +111,7 @@ class Table(dict[str, Any]):
 
     def column_unit(self, column: str, implied: str | None = None) -> tuple[str, str]:
         """Unit of a column as the loaders take it, and its SI symbol."""
-        unit = self.get("unit")
-        if unit is None:
-            split = split_column(column)
-            unit = suffix_unit(column) if split is not None else implied
+        unit = self.get("unit", suffix_unit(column) or implied)
         if unit is None:
             self.fail(
                 "unit",

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from dmptm_ctrl.export import program as ir
-from dmptm_ctrl.export.printer import ATOM, LEVEL, UNARY, Printer, in_float
+from dmptm_ctrl.export.printer import ATOM, LEVEL, REALS, UNARY, Printer, in_float
 
 _PYTHON = {ir.REAL: float, ir.WIDE: float, ir.INT: int, ir.BOOL: bool}  # types of the kinds
 
@@ -38,7 +38,7 @@ class CPrinter(Printer):
     `prefix` is put before the names of functions of whole numbers.
     """
 
-    types = {"double": "double", "float": "float", ir.INT: "int32_t", ir.BOOL: "bool"}  # noqa: RUF012
+    types = {real: real for real in REALS} | {ir.INT: "int32_t", ir.BOOL: "bool"}
     signs = {"or": "||", "and": "&&", "neg": "-", "not": "!"}  # noqa: RUF012
     set_to, output = "=", "*"
     words = {"if": "if ({}) {{", "else": "} else {", "end if": "}", "end for": "}"}  # noqa: RUF012

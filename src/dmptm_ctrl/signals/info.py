@@ -237,10 +237,8 @@ def _testable(
     for effect, needs in NEEDS.items():
         if effects is not None and effect not in effects:
             continue
-        if effect in declared:
-            results.append(Testability(effect, False, (DECLARED,)))
-            continue
         lacks = tuple(words for words, met in needs if not met(excitation))
+        lacks = (DECLARED,) if effect in declared else lacks
         results.append(Testability(effect, not lacks, lacks))
     return tuple(results)
 

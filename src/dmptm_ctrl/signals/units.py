@@ -221,8 +221,7 @@ _PLAIN = {unit.symbol: suffix for suffix, unit in reversed(SUFFIXES.items()) if 
 
 def door_column(channel: str, symbol: str, *, degrees: bool = True) -> tuple[str, float]:
     """Column name for people and the number to divide SI values by."""
-    suffix = _DOOR.get(symbol, "") if degrees else ""
-    suffix = suffix or _PLAIN.get(symbol, "")
-    if not suffix:
+    suffix = (_DOOR.get(symbol) if degrees else None) or _PLAIN.get(symbol)
+    if suffix is None:
         return channel, 1.0
     return f"{channel}_{suffix}", SUFFIXES[suffix].factor

@@ -1,6 +1,7 @@
 """A program as C99: one header, one source, no allocation and nothing but the C library's maths."""
 
 from collections.abc import Iterable, Mapping
+from math import isinf, isnan
 from typing import Any, NamedTuple
 
 from dmptm_ctrl.export import program as ir
@@ -40,7 +41,7 @@ class CPrinter(Printer):
 
     types = {real: real for real in REALS} | {ir.INT: "int32_t", ir.BOOL: "bool"}
     signs = {"or": "||", "and": "&&", "neg": "-", "not": "!"}  # noqa: RUF012
-    set_to, output = "=", "*"
+    set_to, output, truth = "=", "*", ("false", "true")
     words = {"if": "if ({}) {{", "else": "} else {", "end if": "}", "end for": "}"}  # noqa: RUF012
 
     def __init__(self, real: str, names: Mapping[str, str] | None = None, prefix: str = "") -> None:
@@ -80,18 +81,12 @@ class CPrinter(Printer):
     def name(self, name: str) -> str:
         return self.names.get(name, name)
 
-    def number(self, value: float, kind: str | None = None) -> str:
-        if isinstance(value, bool):
-            return "true" if value else "false"
-        if isinstance(value, int):
-            return str(value)
-        if value != value:
+    def literal(self, value: float, short: bool) -> str:
+        if isnan(value):
             return "NAN"
-        if value in (float("inf"), float("-inf")):
+        if isinf(value):
             return "INFINITY" if value > 0 else "-INFINITY"
-        if not self.narrow or kind == ir.WIDE:
-            return repr(float(value))
-        return repr(in_float(value)) + "f"
+        return f"{in_float(value)!r}f" if short else repr(value)
 
     def assignment(self, item: ir.Assign) -> list[str]:
         kind, value = item.name.kind, ""

@@ -30,8 +30,9 @@ class Printer:
     output: str  # before the name of an output that is set
     words: Mapping[str, str]  # around the blocks of branches and loops
 
-    # text of a number that comes back to the last bit, of a kind if one is given
-    number: Callable[..., str]
+    truth: tuple[str, str]  # false and true
+    # text of a real number that comes back to the last bit, as a float has it if that is short
+    literal: Callable[[float, bool], str]
     # text of a real or wide value as the other of them, and how it binds
     cast: Callable[[Any, str], tuple[str, int]]
     # text of an operation that is no sign between or before values, and how it binds
@@ -48,6 +49,14 @@ class Printer:
     def kind(self, kind: str) -> str:
         """Return the language's type of a kind."""
         return self.types[{ir.REAL: self.real, ir.WIDE: "double"}.get(kind, kind)]
+
+    def number(self, value: float, kind: str | None = None) -> str:
+        """Text of a number, of a kind if one is given."""
+        if isinstance(value, bool):
+            return self.truth[value]
+        if isinstance(value, int):
+            return str(value)
+        return self.literal(float(value), self.narrow and kind != ir.WIDE)
 
     def name(self, name: str) -> str:
         """Return the name of a variable where it is read or set."""

@@ -1,5 +1,6 @@
 """A program as a function block in Structured Text, IEC 61131-3."""
 
+from math import isfinite
 from typing import Any
 
 from dmptm_ctrl.export import program as ir
@@ -11,7 +12,7 @@ class StPrinter(Printer):
 
     types = {"double": "LREAL", "float": "REAL", ir.INT: "DINT", ir.BOOL: "BOOL"}  # noqa: RUF012
     signs = {"or": "OR", "and": "AND", "==": "=", "!=": "<>", "neg": "-", "not": "NOT "}  # noqa: RUF012
-    set_to, output = ":=", ""
+    set_to, output, truth = ":=", "", ("FALSE", "TRUE")
     words = {"if": "IF {} THEN", "else": "ELSE", "end if": "END_IF;", "end for": "END_FOR;"}  # noqa: RUF012
 
     def __init__(self, real: str) -> None:
@@ -22,15 +23,10 @@ class StPrinter(Printer):
         name = "LREAL_TO_REAL" if kind == ir.REAL else "REAL_TO_LREAL"
         return f"{name}({self.text(value)})", ATOM
 
-    def number(self, value: float, kind: str | None = None) -> str:
-        if isinstance(value, bool):
-            return "TRUE" if value else "FALSE"
-        if isinstance(value, int):
-            return str(value)
-        if value != value or abs(value) == float("inf"):
+    def literal(self, value: float, short: bool) -> str:
+        if not isfinite(value):
             raise ValueError(f"Structured Text has no literal for {value}")
-        value = in_float(value) if self.narrow and kind != ir.WIDE else float(value)
-        mantissa, sign, exponent = repr(value).partition("e")
+        mantissa, sign, exponent = repr(in_float(value) if short else value).partition("e")
         if "." not in mantissa:
             mantissa += ".0"
         return mantissa + (f"E{exponent}" if sign else "")

@@ -9,9 +9,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from dmptm_ctrl.plots.page import words
-from dmptm_ctrl.plots.style import STYLES, axes
-
-Floats = NDArray[np.float64]
+from dmptm_ctrl.plots.style import STYLES, Floats, axes
 
 MEASURED = {**STYLES["measured"], "linewidth": 3.5}  # shows beside what covers it
 BEFORE = {**STYLES["existing"], "linewidth": 1.0}

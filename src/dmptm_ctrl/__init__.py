@@ -122,10 +122,7 @@ if TYPE_CHECKING:
 
 
 class _Front(ModuleType):
-    """A package whose functions keep their names beside subpackages that are called alike.
-
-    Python binds an imported subpackage as an attribute; `simulate` is to stay the function.
-    """
+    """A package in which `simulate` stays the function once the subpackage is imported."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if not (isinstance(value, ModuleType) and name in _LAZY):
@@ -148,21 +145,16 @@ def __getattr__(name: str) -> Any:
 
 
 def _checked(name: str, function: Any) -> Any:
-    """Return the function, with a sentence for arguments that it does not take.
-
-    Its ``help()`` names them without types, which are in the docstring with units and shapes.
-    """
+    """Return the function, with a sentence for wrong arguments and a ``help()`` without types."""
     from dmptm_ctrl.arguments import refuse_wrong_call
 
     wanted = signature(function)
 
     @wraps(function)
     def checked(*args: Any, **options: Any) -> Any:
-        given = {c.__name__ for c in type(args[0]).__mro__} if args else set()
-        if name in _LOGS and given & _NO_LOGS:
-            raise TypeError(
-                f"{name} takes logs as its first argument, not a {type(args[0]).__name__}"
-            )
+        kind = type(args[0]) if args else object
+        if name in _LOGS and _NO_LOGS & {c.__name__ for c in kind.__mro__}:
+            raise TypeError(f"{name} takes logs as its first argument, not a {kind.__name__}")
         refuse_wrong_call(name, wanted, args, options)
         return function(*args, **options)
 

@@ -63,6 +63,17 @@ class Parameter(NamedTuple):
     fixed: bool = False
 
 
+def cosine_and_sine(
+    unit: str, largest: float, step: float, prefixes: tuple[str, ...] = ("",)
+) -> tuple[Parameter, ...]:
+    """Return the amplitudes of a wave, of either sign; of one per prefix of their names."""
+    names = (f"{prefix}{part}" for prefix in prefixes for part in ("cosine", "sine"))
+    return tuple(Parameter(name, unit, -largest, largest, step) for name in names)
+
+
+SIDES = ("left_", "right_")  # prefixes of what each motor or pinion has of its own
+
+
 class _Declared(NamedTuple):
     """What a file says of an effect."""
 

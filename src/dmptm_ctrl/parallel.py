@@ -49,9 +49,8 @@ def in_threads(
         if size is None:
             return _THREAD.crew.share(function, items)
         order = sorted(range(len(items)), key=lambda i: -size(items[i]))
-        done = dict(
-            zip(order, _THREAD.crew.share(function, [items[i] for i in order]), strict=True)
-        )
+        shared = _THREAD.crew.share(function, [items[i] for i in order])
+        done = dict(zip(order, shared, strict=True))
         return [done[i] for i in range(len(items))]
 
 
@@ -78,10 +77,7 @@ class _Crew:
         self.pool = ThreadPoolExecutor(jobs, "crew", setattr, (_THREAD, "crew", self))
 
     def share(self, function: Callable[[T], R], items: list[T]) -> list[R]:
-        """Call a function for each item, on this thread and on those that are idle.
-
-        None waits for what has not been taken: it is taken back then.
-        """
+        """Call a function for each item, on this thread and idle ones; none waits untaken."""
         if self.idle <= 0:
             return [function(item) for item in items]
         others = [self.pool.submit(self._help, function, item) for item in items[1:]]
@@ -138,9 +134,5 @@ def each(
 
 
 def _call(function: Callable[..., Any], task: tuple[Any, ...]) -> Any:
-    """Call with the arguments in one tuple.
-
-    joblib's Dask backend lays large arguments on one worker, where they are lost with it;
-    a tuple stays with its task, which the scheduler gives to another worker.
-    """
+    """Call with arguments in a tuple: Dask lays large ones on a worker, and loses both."""
     return function(*task)

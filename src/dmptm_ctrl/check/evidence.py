@@ -77,7 +77,8 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
     balance = balances(records, model, model, jobs)
     unknowns: list[Unknown] = list(drive_unknowns(model))
     for name in model.effects:
-        unknowns += [k for k in effect_unknowns(name) if name not in TABLES and _moves(k)]
+        sizes = () if name in TABLES else CATALOGUE[name].amplitudes
+        unknowns += [k for k in effect_unknowns(name) if k.name in sizes]
     parts = balance.missing(model)
     left = np.concatenate(parts)
     slopes = dual_columns(balance, model, unknowns, left)
@@ -88,7 +89,7 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
         or parts
     )
     seconds = [rec.dt * rec.omega.size for rec in records]
-    sizes = [(p.size, seconds[e.motion]) for p, e in zip(parts, balance.equations, strict=True)]
+    lengths = [(p.size, seconds[e.motion]) for p, e in zip(parts, balance.equations, strict=True)]
     return Evidence(
         weight * left,
         weight[:, None] * slopes,
@@ -98,7 +99,7 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
             )
             for k in unknowns
         ),
-        _stretches(sizes),
+        _stretches(lengths),
         float(1.4826 * np.median(np.abs(total))),
         "N·m",
     )  # fmt: skip
@@ -120,11 +121,6 @@ def _shows(unknown: Unknown, records: Sequence[Record]) -> bool:
     return not turns or all(rec.twist is not None for rec in records)
 
 
-def _moves(unknown: Unknown) -> bool:
-    assert unknown.effect is not None
-    return unknown.name in CATALOGUE[unknown.effect].amplitudes
-
-
 def _unit(model: Model, unknown: Unknown) -> str:
     if unknown.effect is None:
         return model.drive.quantities[unknown.name].unit
@@ -134,10 +130,7 @@ def _unit(model: Model, unknown: Unknown) -> str:
 def _settled(
     left: Floats, slopes: Floats, prior: Floats, weigh: Callable[[Floats], Floats]
 ) -> Floats:
-    """Weights by what is left once every parameter has moved as it likes.
-
-    By the residual itself a machine that has changed would look noisy.
-    """
+    """Weights by what is left once every parameter has moved: a changed machine is no noise."""
     rest = left
     for _ in range(ROUNDS):
         weight = weigh(rest)
@@ -215,14 +208,9 @@ def _zeroed(state: State, balance: Balance, of_logs: Sequence[Sequence[Free]]) -
             effect = state.model.effect(free.name)
             turn = 2.0 * np.pi / effect.values.get("order", 1.0)
             tried = [state.moved([free], [turn * k / PLACES]) for k in range(PLACES)]
-            state = min(tried, key=lambda one: _misfit(one, alone))
+            state = min(tried, key=lambda one: sum(np.sum(e**2) for e in residuals(one, alone)[0]))
     flat = [free for frees in of_logs for free in frees]
     return fit_rig(state, balance, frees=flat).state if flat else state
-
-
-def _misfit(state: State, balance: Balance) -> float:
-    left, _ = residuals(state, balance)
-    return float(sum(np.sum(part**2) for part in left))
 
 
 def only_own(evidence: Evidence) -> Evidence:
@@ -235,6 +223,5 @@ def only_own(evidence: Evidence) -> Evidence:
     left = evidence.left - q @ (q.T @ evidence.left)
     slopes = evidence.slopes[:, own]
     slopes = slopes - q @ (q.T @ slopes)
-    return replace(
-        evidence, left=left, slopes=slopes, parameters=tuple(evidence.parameters[k] for k in own)
-    )
+    parameters = tuple(evidence.parameters[k] for k in own)
+    return replace(evidence, left=left, slopes=slopes, parameters=parameters)

@@ -174,12 +174,8 @@ def information_of(evidence: Evidence, errors: Mapping[str, float]) -> Informati
     scores = np.add.reduceat(j * rest[:, None], first, axis=0)
     sd = np.sqrt(np.diag(own))
     usual = np.maximum(sd, np.linalg.norm(scores @ own, axis=0))
-    told = np.array(
-        [
-            errors.get(p.key, s * p.scale) / p.scale
-            for p, s in zip(evidence.parameters, usual, strict=True)
-        ]
-    )
+    each = zip(evidence.parameters, usual, strict=True)
+    told = np.array([errors.get(p.key, s * p.scale) / p.scale for p, s in each])
     known = own * np.outer(told / sd, told / sd)
     inner = np.linalg.inv(np.linalg.inv(known) + square)
     return Information(

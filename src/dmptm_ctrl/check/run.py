@@ -151,9 +151,8 @@ def check(
         date = date_of(log.name)
         if date is not None:
             dated.setdefault(date, []).append(log)
-    told = {date: _told(model, dated[date], errors or {}, jobs) for date in sorted(dated)}
-    if not told:
-        told = {datetime.min: _told(model, list(loaded), errors or {}, jobs)}
+    dated = dict(sorted(dated.items())) or {datetime.min: list(loaded)}
+    told = {date: _told(model, own, errors or {}, jobs) for date, own in dated.items()}
     entries = {date: entries_of(evidence.parameters) for date, (evidence, _) in told.items()}
     found = {
         date: find_moved(information, entries[date], tolerance)
@@ -168,7 +167,7 @@ def check(
         if len(told) > 1
     }
     evidence = told[newest][0]
-    names = tuple(log.name for log in dated.get(newest, loaded))
+    names = tuple(log.name for log in dated[newest])
     return Check(moved, alone, evidence.torque_rms, floor, evidence.unit, names, trend)
 
 

@@ -19,16 +19,8 @@ def pi_controller(kp: float, ki: float) -> ct.StateSpace:
     ValueError for a gain that is not finite.
     """
     _finite(kp, ki)
-    return ct.ss(
-        [[0.0]],
-        [[1.0]],
-        [[ki]],
-        [[kp]],
-        states=["integral"],
-        inputs=["error"],
-        outputs=["u"],
-        name="pi",
-    )
+    names = {"states": ["integral"], "inputs": ["error"], "outputs": ["u"], "name": "pi"}
+    return ct.ss(0.0, 1.0, ki, kp, **names)
 
 
 def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:

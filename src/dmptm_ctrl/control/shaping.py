@@ -127,10 +127,8 @@ def notched_pi(
     faster = SampledPlant(plant, sample_time)
     gains = faster.gains(FASTER * alone.crossover_hz, phase_margin_deg)
     _, hz = faster.tightest(*gains, FASTER * alone.crossover_hz)
-    best: Notched | None = None
-    for depth, width in NOTCHES:
-        if hz >= HIGHEST_NOTCH / sample_time:
-            return None
+    best, least = None, WORTH * alone.crossover_hz
+    for depth, width in NOTCHES if hz < HIGHEST_NOTCH / sample_time else ():
         section = sampled_notch(hz, depth, width, sample_time)
         try:
             found = fastest_pi(
@@ -143,10 +141,8 @@ def notched_pi(
             )
         except ValueError:
             continue
-        if found.crossover_hz > (best.gains if best else alone).crossover_hz * (
-            1.0 if best else WORTH
-        ):
-            best = Notched(found, hz, depth, width)
+        if found.crossover_hz > least:
+            best, least = Notched(found, hz, depth, width), found.crossover_hz
     return best
 
 

@@ -87,6 +87,7 @@ def tune_pi(
         raise ValueError(
             f"bandwidth {bandwidth_hz:g} Hz is not between 0 and a quarter of the sample rate"
         )
+    aims = f"{bandwidth_hz:g} Hz with {phase_margin_deg:g}°"
     drive = common_mode(plant)
     target = 2.0 * pi * bandwidth_hz
 
@@ -98,20 +99,18 @@ def tune_pi(
 
     low, high = target / 20.0, target
     if excess(low) * excess(high) > 0.0:
-        raise ValueError(
-            f"no PI gives {bandwidth_hz:g} Hz with {phase_margin_deg:g}° on this plant"
-        )
+        raise ValueError(f"no PI gives {aims} on this plant")
     crossover = brentq(excess, low, high, xtol=1e-9 * target)
     kp, ki = gains_at(loop_response(drive, crossover, sample_time), crossover, phase_margin_deg)
     if kp <= 0.0 or ki <= 0.0:
         raise ValueError(
-            f"{bandwidth_hz:g} Hz with {phase_margin_deg:g}° would need kp {kp:.3g} V/(rad/s) and "
+            f"{aims} would need kp {kp:.3g} V/(rad/s) and "
             f"ki {ki:.3g} V/rad; lower the bandwidth or the margin"
         )
     found = assess_pi(plant, kp, ki, sample_time=sample_time)
     if found.phase_margin_deg < phase_margin_deg - MARGIN_SLACK_DEG:
         raise ValueError(
-            f"{bandwidth_hz:g} Hz with {phase_margin_deg:g}° makes a resonance cross 1 again, at "
+            f"{aims} makes a resonance cross 1 again, at "
             f"{found.crossover_hz:.3g} Hz with {found.phase_margin_deg:.3g}°; lower the bandwidth"
         )
     return found

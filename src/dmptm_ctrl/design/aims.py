@@ -88,12 +88,8 @@ def tracking(
     starts = [at_rest(plant) for plant in plants]
     runs, statistics = run_many(plants, starts, common, [law] * len(plants), n_jobs=n_jobs)
     first = round(duty.settling / duty.sample_time / EVERY)
-    miss = np.array(
-        [
-            missed(plant, duty, run[0], EVERY, sensor)
-            for plant, run in zip(plants, runs, strict=True)
-        ]
-    )
+    each = zip(plants, runs, strict=True)
+    miss = np.array([missed(plant, duty, run[0], EVERY, sensor) for plant, run in each])
     unit = error_unit(controller)[1]
     errors = np.sqrt(np.mean((miss[:, first:] / unit) ** 2, axis=1))
     volts = np.array([np.maximum(-s[0], s[1]).max() for s in statistics])

@@ -86,8 +86,7 @@ def hidden_distance(model: AnyModel) -> float:
     """Distance of the controlled body over which friction may build up unseen [rad or m]."""
     if not isinstance(model, RigModel):
         return HIDDEN_DISTANCE
-    bodies = [s.body for s in model.rig.sensors]
-    body = bodies[loop_parts(model)[1]]
+    body = model.rig.sensors[loop_parts(model)[1]].body
     counts = [
         s.resolution.value
         for s in model.rig.sensors

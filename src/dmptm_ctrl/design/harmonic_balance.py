@@ -26,6 +26,7 @@ from scipy.optimize import root
 from dmptm_ctrl.contract import SITES
 from dmptm_ctrl.design.harmonics import Basis, Cycle, block, packed_first, rate_at_begin, widened
 from dmptm_ctrl.design.preload import volt_at_pinion
+from dmptm_ctrl.drive import pinion_inertia
 from dmptm_ctrl.effects.backlash import Backlash, landing, mesh_region, region_torque
 from dmptm_ctrl.effects.stribeck import Stribeck, sliding_torque
 from dmptm_ctrl.simulate.dual import RING
@@ -127,10 +128,9 @@ class Balance:
         self.meshes: list[Backlash] = laws[: 1 if alike else 2]
         self._bias = (preload, -preload)
         self._share = 2.0 / len(self.meshes)  # chains that each of them stands for
-        self._reducer, self._bearing = Stribeck(*parts.laws[0]), Stribeck(*parts.laws[RING])
+        self._reducer, self._bearing = parts.laws[0], parts.laws[RING]
         self._n2, self._volt = drive["N_2"], volt_at_pinion(drive)
-        self._pinion = drive["J_2"] + drive["N_1"] ** 2 * drive["J_m"]
-        self._ring = drive["J_L"]
+        self._pinion, self._ring = pinion_inertia(drive), drive["J_L"]
         self.model, self.kp, self.ki, self.preload = model, kp, ki, preload
         self.sample_time = sample_time
         self._delays = float(plant.input_values[0, 1]), float(plant.sensor_delay[1])

@@ -40,9 +40,8 @@ class Basis:
     def analyse(self, wave: Floats) -> Floats:
         """Return the packed harmonics of samples."""
         spectrum = np.fft.rfft(wave)[: self.n + 1] / self.points
-        return np.concatenate(
-            [[spectrum[0].real], 2.0 * spectrum[1:].real, 2.0 * spectrum[1:].imag]
-        )
+        above = 2.0 * spectrum[1:]
+        return np.concatenate([spectrum[:1].real, above.real, above.imag])
 
     def through(self, slope: Floats) -> Floats:
         """Matrix from packed input to packed output of a slope that varies along the period."""

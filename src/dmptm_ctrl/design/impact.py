@@ -150,9 +150,8 @@ def _along(
     reversals = max(int(np.sum(np.diff(np.sign(ref[np.abs(ref) > asked])) != 0)), 1)
     stuck = np.sum((np.abs(omega) < STUCK) & (np.abs(ref) > asked))
     rows["sticking per reversal, ms"] = 1e3 * float(stuck) * duty.sample_time / reversals
-    rows[f"{'voltage' if volt == 'V' else 'signal'} rms, {volt}"] = float(
-        np.sqrt(np.mean(u[:, judged] ** 2))
-    )
+    signal = "voltage" if volt == "V" else "signal"
+    rows[f"{signal} rms, {volt}"] = float(np.sqrt(np.mean(u[:, judged] ** 2)))
     step = check_loop(model, controller, SLOW_STEP * top, sample_time=duty.sample_time)
     cycle = f"limit cycle at {SLOW_STEP * top / size:g} {unit}, {unit}"
     rows[cycle] = step.limit_cycle_amplitude / size

@@ -106,9 +106,8 @@ def limit_cycles(
     cycles: list[Cycle] = []
     for start in _starts(balance):
         cycle = _refined(balance, start, harmonics)
-        if cycle is None or _known(cycle, cycles):
-            continue
-        cycles.append(cycle)
+        if cycle is not None and not _known(cycle, cycles):
+            cycles.append(cycle)
     found = [LimitCycle(*_numbers(c)) for c in cycles]
     if check:
         found = _checked(balance, cycles, found, harmonics)
@@ -137,11 +136,10 @@ def _checked(
 
 def _from_wave(balance: Balance, run: Run, harmonics: int | None) -> LimitCycle:
     """Balance a simulated wave; its numbers alone where that has no answer near."""
-    nothing = LimitCycle(np.nan, np.nan, np.nan, run.numbers, seeded=True)
+    best = LimitCycle(np.nan, np.nan, np.nan, run.numbers, seeded=True)
     start = wave_of(run, balance.sample_time)
-    best = nothing
     if start is None:
-        return nothing
+        return best
     for share in OTHERWISE:
         most = harmonics or round(share * _enough(start))
         cycle = balance.solve(start, most)
@@ -161,7 +159,9 @@ def _near(one: Simulated, other: Simulated | None) -> bool:
 
 def _numbers(cycle: Cycle) -> tuple[float, float, float]:
     """Frequency of the strongest harmonic, amplitude and twist."""
-    hz = (1 + _strongest(cycle)) * cycle.omega / (2.0 * np.pi)
+    n = cycle.ring.size // 2
+    strongest = 1 + np.hypot(cycle.z[:, 1 : n + 1], cycle.z[:, n + 1 :]).max(axis=0).argmax()
+    hz = strongest * cycle.omega / (2.0 * np.pi)
     return float(hz), float(np.sqrt(2.0) * cycle.speed.std()), cycle.twist
 
 
@@ -195,10 +195,7 @@ def _enough(cycle: Cycle) -> int:
 
 
 def _starts(balance: Balance) -> list[Cycle]:
-    """Solutions with one harmonic and with few, from a grid of amplitudes and frequencies.
-
-    One harmonic finds the fast cycles that are nearly sines, few find those with a pulse.
-    """
+    """Solutions with one harmonic (near sines) and few (pulses), from a grid of starts."""
     found: list[Cycle] = []
     for depth in DEPTHS:
         for hz in HZ:
@@ -214,12 +211,6 @@ def _starts(balance: Balance) -> list[Cycle]:
                 if cycle.left < ROUGHLY and _moves(cycle) and not known:
                     found.append(cycle)
     return found
-
-
-def _strongest(cycle: Cycle) -> int:
-    """Which harmonic of z is the largest, from 0."""
-    n = cycle.ring.size // 2
-    return int(np.hypot(cycle.z[:, 1 : n + 1], cycle.z[:, n + 1 :]).max(axis=0).argmax())
 
 
 def _balanced(cycle: Cycle) -> bool:

@@ -1,5 +1,6 @@
 """The linear plant that a design starts from."""
 
+from contextlib import suppress
 from typing import Any
 
 import control as ct
@@ -15,13 +16,11 @@ DERIVATIVE = 0.5  # samples by which the difference of an angle is late
 
 def linear_plant(model: Model, **turn: float) -> Any:
     """Linearise a model about a steady turn, the slowest usual one, under the least preload."""
-    problem: ValueError | None = None
-    for preload in PRELOADS:
-        try:
+    *less, most = PRELOADS
+    for preload in less:
+        with suppress(ValueError):
             return linearize(model, *turning(model, preload=preload, **turn))
-        except ValueError as error:
-            problem = error
-    raise problem or ValueError("no steady turn")
+    return linearize(model, *turning(model, preload=most, **turn))
 
 
 def linear_rig(model: RigModel, source: str, sensor: str, sample_time: float) -> ct.StateSpace:

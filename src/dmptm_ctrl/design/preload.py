@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
-from dmptm_ctrl.drive import Drive
+from dmptm_ctrl.drive import Drive, pinion_inertia
 from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.compiled import close_loop
 from dmptm_ctrl.simulate.dual import RING
@@ -33,23 +33,24 @@ def load_torque_along(model: Model, duty: Duty, theta_L: float = 0.0) -> Floats:
     torque = np.empty(duty.reference.size)
     for i, (theta, omega) in enumerate(zip(angle, duty.reference, strict=True)):
         t = i * duty.sample_time
-        way = float(np.sign(omega))
-        held = way * parts.sliding(RING, way, theta, omega, t, 0.0, 0.0)[0] if way else 0.0
+        held = unloaded_friction(parts, RING, omega, theta, t)
         torque[i] = inertia * rate[i] + held - parts.torque(RING, 0.0, theta, omega, t)
     return torque
+
+
+def unloaded_friction(
+    parts: Parts, body: int, omega: float, theta: float = 0.0, t: float = 0.0
+) -> float:
+    """Return the friction of a body without load [N·m], signed like its speed; 0 at rest."""
+    way = float(np.sign(omega))
+    return way and way * float(parts.sliding(body, way, theta, omega, t, 0.0, 0.0)[0])
 
 
 def common_volts_along(model: Model, duty: Duty) -> Floats:
     """Return the voltage that both motors share along a duty [V], (n,): half of the load each."""
     parts, drive = Parts(model.plant()), model.drive
-    way = np.sign(duty.reference)
-    speeds = drive["N_2"] * duty.reference
-    rubs = [
-        w and w * parts.sliding(0, float(w), 0.0, float(v), 0.0, 0.0, 0.0)[0]
-        for w, v in zip(way, speeds, strict=True)
-    ]
-    turned = drive["J_2"] + drive["N_1"] ** 2 * drive["J_m"]
-    swing = turned * drive["N_2"] * duty.acceleration
+    rubs = [unloaded_friction(parts, 0, float(v)) for v in drive["N_2"] * duty.reference]
+    swing = pinion_inertia(drive) * drive["N_2"] * duty.acceleration
     share = load_torque_along(model, duty) / (2.0 * drive["N_2"])
     return np.asarray((share + swing + np.array(rubs)) / volt_at_pinion(drive), float)
 

@@ -309,10 +309,7 @@ class _Search:
         return [s for s in stages if two_motors or s[0] not in ("PI with preload", "both")]
 
     def optimised(self, begin: Controller) -> Controller:
-        """Search bandwidth and preload on a grid, a notch, a distance; then by simplex.
-
-        Hammering begins at once, so the cost has cliffs; a grid steps over them.
-        """
+        """Search a grid, which steps over cliffs of the cost, a notch, a distance; then refine."""
         sampled = SampledPlant(self.plant, begin.sample_time)
         grid = [
             replace(begin, kp=kp, ki=ki, preload=more * begin.preload)

@@ -139,11 +139,9 @@ def sensitivities(
         up, down = build(name, 1.0 + h), build(name, 1.0 - h)
         d_mass = (up.mass - down.mass) / (2.0 * h)
         d_stiffness = (up.stiffness - down.stiffness) / (2.0 * h)
+        modes = zip(base.omega, base.shapes.T, strict=True)
         result[name] = np.array(
-            [
-                0.0 if w == 0.0 else v @ (d_stiffness - w**2 * d_mass) @ v / (2.0 * w**2)
-                for w, v in zip(base.omega, base.shapes.T, strict=True)
-            ]
+            [w and v @ (d_stiffness - w**2 * d_mass) @ v / (2.0 * w**2) for w, v in modes]
         )
     return result
 

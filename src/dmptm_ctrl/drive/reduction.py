@@ -18,9 +18,8 @@ OUTPUTS = ("omega_L", "omega_ml", "omega_mr")
 def rigid_equivalent(drive: Drive, parameters: dict[str, float]) -> Drive:
     """Return the drive whose 3-DOF model has the corrected J̄3 of 9-DOF parameters [SI]."""
     n1 = drive["N_1"]
-    total = reduced_pinion_inertia(
-        n1, drive["J_m"], parameters["J_1"], parameters["J_2"], parameters["J_3"]
-    )
+    own = [parameters[key] for key in ("J_1", "J_2", "J_3")]
+    total = reduced_pinion_inertia(n1, drive["J_m"], *own)
     return drive.with_values(J_2=total - n1**2 * drive["J_m"])
 
 
@@ -60,20 +59,12 @@ def simplification_cost(drive: Drive | None = None, **overrides: float) -> Simpl
     three = _balanced_units(three_dof_train(rigid_equivalent(drive, p)), scale)
     balanced = ct.balred(full, three.nstates, method="truncate")
     errors = {"full": full, "three_dof": full - three, "balanced": full - balanced}
-    return SimplificationCost(
-        full,
-        three,
-        balanced,
-        {name: float(ct.norm(e, "inf")) for name, e in errors.items()},
-        {name: float(ct.norm(e, 2)) for name, e in errors.items()},
-    )
+    h_inf, h_2 = ({n: float(ct.norm(e, p)) for n, e in errors.items()} for p in ("inf", 2))
+    return SimplificationCost(full, three, balanced, h_inf, h_2)
 
 
 def _balanced_units(train: GearTrain, scale: NDArray[np.float64]) -> ct.StateSpace:
-    """Speeds with `scale`d outputs and states in √J, the roots of their energies.
-
-    In other units the Gramians of stiff shafts and soft speeds differ by decades and lose digits.
-    """
+    """Speeds with `scale`d outputs, and states in √J: in other units Gramians lose digits."""
     system = train.to_ss(outputs=OUTPUTS)
     compliance = [1.0 / j.stiffness for j in train.joints]
     energy = np.sqrt(np.concatenate([compliance, train.inertia]))

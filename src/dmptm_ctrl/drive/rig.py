@@ -12,6 +12,7 @@ from typing import Any
 
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.signals import Column, Log, LogError, TextFormat, load_log
+from dmptm_ctrl.signals.errors import repeated
 from dmptm_ctrl.signals.loaders import gather, stem
 
 DEFAULT_TOLERANCE = 0.3  # of a declared value that does not state one; documented in rig_toml.md
@@ -347,9 +348,7 @@ class Rig:
             told += left_out
         if not loaded:
             raise LogError("no logs: every file is under [data] ignore of the rig file")
-        names = [log.name for log in loaded]
-        twice = next((n for n in names if names.count(n) > 1), None)
-        if twice is not None:
+        if (twice := repeated(log.name for log in loaded)) is not None:
             raise LogError(f"two logs are named {twice}; rename one")
         return tuple(sorted(loaded, key=lambda log: log.name))
 
@@ -369,20 +368,13 @@ class Rig:
         try:
             return self.load(source)
         except LogError:
-            drives = {i.column for i in self.inputs}
-            columns = {
-                k: c for k, c in self.columns().items() if k in drives or c.channel == "time"
-            }
-            return self.load(source, columns)
+            own = {"time", *(i.channel for i in self.inputs)}
+            return self.load(source, {k: c for k, c in self.columns().items() if c.channel in own})
 
     def _checked(self, log: Log) -> Log:
-        need = [c.channel for c in self.columns().values() if c.channel != "time"]
-        missing = [c for c in need if c not in log]
-        if missing:
-            raise LogError(f"{log.name}: no channel {missing[0]!r} of rig {self.name!r}")
-        return self._cut(log)
-
-    def _cut(self, log: Log) -> Log:
+        for channel in self.labels():
+            if channel != "time" and channel not in log:
+                raise LogError(f"{log.name}: no channel {channel!r} of rig {self.name!r}")
         start, stop = self.data.window(log.name)
         if start is None and stop is None:
             return log

@@ -67,10 +67,9 @@ def dual_motor(rig: Rig) -> Drive | None:
     known = {k: v for k, v in declared.items() if v is not None and is_known(v)}
     if len(known) < len(declared):
         return None
-    units = base.quantities
-    return Drive(
-        {k: replace(v, unit=units[k].unit) for k, v in {**units, **known}.items()}, rig.name
-    )
+    whole = {**base.quantities, **known}
+    units = {k: q.unit for k, q in base.quantities.items()}
+    return Drive({k: replace(q, unit=units[k]) for k, q in whole.items()}, rig.name)
 
 
 def dual_columns(rig: Rig) -> dict[str, Column]:

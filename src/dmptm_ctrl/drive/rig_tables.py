@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import inf
 from typing import Any, NoReturn
 
@@ -25,160 +25,163 @@ _SEPARATORS = {"tab": "\t", "blank": " ", "space": " ", "comma": ",", "semicolon
 
 
 class TableReader:
-    """Reads keys of tables; knows where in the file it is, for messages."""
+    """Reads tables; knows where in the file it is, for messages."""
 
     def __init__(self, text: str, source: str) -> None:
         self._lines = text.splitlines()
         self._source = source
 
-    def _tables(self, raw: dict[str, Any], kind: str) -> dict[str, dict[str, Any]]:
+    def fail(self, where: str, key: str, message: str) -> NoReturn:
+        """Refuse the file for what a key of a table says."""
+        line = _line_of(self._lines, where, key)
+        place = f"{self._source}, line {line}" if line else self._source
+        table = f"[{where}] " if where else ""
+        raise RigError(f"{place}: {table}{message}")
+
+    def tables(self, raw: dict[str, Any], kind: str) -> dict[str, dict[str, Any]]:
         """[kind.NAME] tables, or [[kind]] with a name in each."""
         found = raw.get(kind, {})
         if isinstance(found, list):
             named = {}
             for table in found:
                 if not isinstance(table, dict) or not isinstance(table.get("name"), str):
-                    self._fail(kind, "name", f"each [[{kind}]] needs a name")
+                    self.fail(kind, "name", f"each [[{kind}]] needs a name")
                 named[table["name"]] = {k: v for k, v in table.items() if k != "name"}
             return named
         if not isinstance(found, dict) or not all(isinstance(t, dict) for t in found.values()):
-            self._fail(kind, "", f"write [{kind}.NAME] and its keys below, NAME your own")
+            self.fail(kind, "", f"write [{kind}.NAME] and its keys below, NAME your own")
         return found
 
-    def _known(self, where: str, key: str, name: Any, things: Mapping, kind: str) -> None:
-        if name not in things:
-            self._fail(where, key, f"no {kind} {name!r}; there are {', '.join(things)}")
+    def data(self, raw: Any) -> DataSpec:
+        """How logs come in, of the table [data]."""
+        t = Table(self, "data", raw, _DATA)
+        time = t.get("time")
+        if isinstance(time, str):
+            split = split_column(time)
+            time = (time, "" if split is None else split[1].symbol and suffix_unit(time))
+        elif isinstance(time, dict):
+            time = (Table(self, "data", time).text("column"), str(time.get("unit", "")))
+            if time[1].lower() not in ("", *TICKS):
+                try:
+                    factor(time[1], "s")
+                except UnitError as error:
+                    t.fail("time", str(error))
+        elif time is not None:
+            t.fail("time", 'time = "t" or { column = "t", unit = "ms" }')
+        step, rate = t.number("sample_time", "s"), t.number("sample_rate", "Hz")
+        if rate is not None:
+            if step is not None or not rate.value > 0:
+                t.fail("sample_rate", "sample_rate above 0, or sample_time, not both")
+            step = Quantity(1 / rate.value, "s", 0.0, "sample_rate")
+        names = {}
+        for key in ("fit", "held_out", "ignore"):
+            value = t.get(key, [])
+            value = [value] if isinstance(value, str) else value
+            if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+                t.fail(key, f'{key} = ["name", "pattern*"], names of logs')
+            names[key] = tuple(value)
+        return DataSpec(
+            time, step.value if step else None, names["fit"], names["held_out"], names["ignore"],
+            _per_log(t, "start"), _per_log(t, "stop"), _text_format(t),
+        )  # fmt: skip
 
-    def _column_unit(
-        self, where: str, raw: dict[str, Any], column: str, implied: str | None = None
-    ) -> tuple[str, str]:
+
+class Table(dict[str, Any]):
+    """A table of a file, with these `keys` (none: any); refuses what it cannot read."""
+
+    def __init__(self, file: TableReader, where: str, raw: Any, keys: Sequence[str] = ()) -> None:
+        if not isinstance(raw, dict):
+            file.fail("", where, f"[{where}] is a table")
+        super().__init__(raw)
+        self._file, self._where = file, where
+        for key in raw if keys else ():
+            if key not in keys:
+                near = difflib.get_close_matches(key, keys, 1)
+                hint = f"did you mean {near[0]!r}? " if near else ""
+                self.fail(key, f"no key {key!r} here; {hint}keys are {', '.join(keys)}")
+
+    def fail(self, key: str, message: str) -> NoReturn:
+        """Refuse the file for what a key says."""
+        self._file.fail(self._where, key, message)
+
+    def known(self, key: str, name: Any, things: Mapping, kind: str) -> None:
+        """Refuse a name of nothing."""
+        if name not in things:
+            self.fail(key, f"no {kind} {name!r}; there are {', '.join(things)}")
+
+    def column_unit(self, column: str, implied: str | None = None) -> tuple[str, str]:
         """Unit of a column as the loaders take it, and its SI symbol."""
-        unit = raw.get("unit")
+        unit = self.get("unit", suffix_unit(column) or implied)
         if unit is None:
-            split = split_column(column)
-            unit = suffix_unit(column) if split is not None else implied
-        if unit is None:
-            self._fail(
-                where,
+            self.fail(
                 "unit",
                 f'column {column!r} states no unit; add one: "V", "deg" of angle, "deg/s" of speed',
             )
         if not isinstance(unit, str):
-            self._fail(where, "unit", f"unit = {unit!r} is no text; write it in quotes")
+            self.fail("unit", f"unit = {unit!r} is no text; write it in quotes")
         try:
             return unit, parse_unit(unit).symbol
         except ValueError as error:
             other = (
                 'for one of your own give a known one and scale, as in unit = "deg", scale = 0.001'
             )
-            self._fail(where, "unit", f"{error}; {other}")
+            self.fail("unit", f"{error}; {other}")
 
-    def _check_unit(self, where: str, key: str, unit: str, si: str) -> None:
-        try:
-            factor(unit, si)
-        except UnitError as error:
-            self._fail(where, key, str(error))
-
-    def _sign(self, where: str, raw: dict[str, Any]) -> float:
-        sign = raw.get("sign", 1)
+    def sign(self) -> float:
+        """Factor on a column."""
+        sign, scale = self.get("sign", 1), self.get("scale", 1)
         if isinstance(sign, bool) or sign not in (1, -1):
-            self._fail(where, "sign", f"sign = 1 or -1, not {sign!r}; scale takes any factor")
-        scale = raw.get("scale", 1)
-        if (
-            isinstance(scale, bool)
-            or not isinstance(scale, int | float)
-            or not 0 < abs(scale) < inf
-        ):
-            self._fail(where, "scale", "scale is a number other than 0")
+            self.fail("sign", f"sign = 1 or -1, not {sign!r}; scale takes any factor")
+        number = isinstance(scale, int | float) and not isinstance(scale, bool)
+        if not number or not 0 < abs(scale) < inf:
+            self.fail("scale", "scale is a number other than 0")
         return float(sign) * float(scale)
 
-    def _text(self, where: str, raw: dict[str, Any], key: str) -> str:
-        value = raw.get(key)
+    def text(self, key: str) -> str:
+        """Text that must be there."""
+        value = self.get(key)
         if not isinstance(value, str) or not value:
-            self._fail(where, key, f'{key} = "name in the log" is needed')
+            self.fail(key, f'{key} = "name in the log" is needed')
         return value
 
-    def _need(self, where: str, raw: dict[str, Any], key: str, si: str, **how: Any) -> Quantity:
-        if key not in raw:
-            self._fail(where, key, f"{key} = '… {si}' is needed")
-        return self._read(where, key, raw[key], si, **how)
+    def need(self, key: str, si: str, **how: Any) -> Quantity:
+        """Number that must be there, in a unit."""
+        if key not in self:
+            self.fail(key, f"{key} = '… {si}' is needed")
+        return self.read(key, self[key], si, **how)
 
-    def _number(self, where: str, raw: dict[str, Any], key: str, si: str) -> Quantity | None:
-        return self._read(where, key, raw[key], si) if key in raw else None
+    def number(self, key: str, si: str) -> Quantity | None:
+        """Number in a unit, None if it is not there."""
+        return self.read(key, self[key], si) if key in self else None
 
-    def _read(self, where: str, key: str, value: Any, si: str, **how: Any) -> Quantity:
+    def read(self, key: str, value: Any, si: str, **how: Any) -> Quantity:
+        """Value of a key as a number in a unit."""
         try:
             return quantity(value, si, **how)
         except UnitError as error:
-            self._fail(where, key, f"{key}: {error}")
+            self.fail(key, f"{key}: {error}")
 
-    def _only(self, where: str, raw: dict[str, Any], allowed: tuple[str, ...]) -> None:
-        for key in raw:
-            if key not in allowed:
-                near = difflib.get_close_matches(key, allowed, 1)
-                hint = f"did you mean {near[0]!r}? " if near else ""
-                self._fail(where, key, f"no key {key!r} here; {hint}keys are {', '.join(allowed)}")
 
-    def _fail(self, where: str, key: str, message: str) -> NoReturn:
-        line = _line_of(self._lines, where, key)
-        place = f"{self._source}, line {line}" if line else self._source
-        table = f"[{where}] " if where else ""
-        raise RigError(f"{place}: {table}{message}")
+def _per_log(t: Table, key: str) -> dict[str, float]:
+    """Seconds for all logs, or in a table for some: start = { run_a = 1.5 }."""
+    given = t.get(key, {})
+    table = given if isinstance(given, dict) else {"*": given}
+    return {str(n): t.read(key, v, "s").value for n, v in table.items()}
 
-    def _data(self, raw: Any) -> DataSpec:
-        where = "data"
-        if not isinstance(raw, dict):
-            self._fail("", where, "[data] is a table")
-        self._only(where, raw, _DATA)
-        time = raw.get("time")
-        if isinstance(time, str):
-            split = split_column(time)
-            time = (time, "" if split is None else split[1].symbol and suffix_unit(time))
-        elif isinstance(time, dict):
-            column = self._text(where, time, "column")
-            time = (column, str(time.get("unit", "")))
-            if time[1].lower() not in ("", *TICKS):
-                self._check_unit(where, "time", time[1], "s")
-        elif time is not None:
-            self._fail(where, "time", 'time = "t" or { column = "t", unit = "ms" }')
-        step = self._number(where, raw, "sample_time", "s")
-        rate = self._number(where, raw, "sample_rate", "Hz")
-        if rate is not None:
-            if step is not None or not rate.value > 0:
-                self._fail(where, "sample_rate", "sample_rate above 0, or sample_time, not both")
-            step = Quantity(1 / rate.value, "s", 0.0, "sample_rate")
-        names = {}
-        for key in ("fit", "held_out", "ignore"):
-            value = raw.get(key, [])
-            value = [value] if isinstance(value, str) else value
-            if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-                self._fail(where, key, f'{key} = ["name", "pattern*"], names of logs')
-            names[key] = tuple(value)
-        return DataSpec(
-            time, step.value if step else None, names["fit"], names["held_out"], names["ignore"],
-            self._per_log(raw, "start"), self._per_log(raw, "stop"), self._text_format(raw),
-        )  # fmt: skip
 
-    def _per_log(self, raw: dict[str, Any], key: str) -> dict[str, float]:
-        """Seconds for all logs, or in a table for some: start = { run_a = 1.5 }."""
-        given = raw.get(key, {})
-        table = given if isinstance(given, dict) else {"*": given}
-        return {str(n): self._read("data", key, v, "s").value for n, v in table.items()}
-
-    def _text_format(self, raw: dict[str, Any]) -> TextFormat:
-        where = "data"
-        for key in ("header", "skip"):
-            value = raw.get(key, 0)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-                self._fail(where, key, f"{key} = {value!r} is no number of lines")
-        separator, decimal = raw.get("separator"), raw.get("decimal")
-        if separator is not None:
-            separator = _SEPARATORS.get(str(separator).lower(), separator)
-            if not isinstance(separator, str) or len(separator) != 1 or separator in "0123456789.":
-                self._fail(where, "separator", 'separator = ";", ",", "|", "tab" or "blank"')
-        if decimal not in (None, ".", ","):
-            self._fail(where, "decimal", 'decimal = "." or ","')
-        return TextFormat(raw.get("header"), separator, decimal, raw.get("skip", 0))
+def _text_format(t: Table) -> TextFormat:
+    for key in ("header", "skip"):
+        value = t.get(key, 0)
+        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+            t.fail(key, f"{key} = {value!r} is no number of lines")
+    separator, decimal = t.get("separator"), t.get("decimal")
+    if separator is not None:
+        separator = _SEPARATORS.get(str(separator).lower(), separator)
+        if not isinstance(separator, str) or len(separator) != 1 or separator in "0123456789.":
+            t.fail("separator", 'separator = ";", ",", "|", "tab" or "blank"')
+    if decimal not in (None, ".", ","):
+        t.fail("decimal", 'decimal = "." or ","')
+    return TextFormat(t.get("header"), separator, decimal, t.get("skip", 0))
 
 
 def suffix_unit(column: str) -> str:

@@ -54,14 +54,12 @@ def quantity(raw: Any, si: str, *, exact: bool = False, positive: bool = True) -
     """
     if isinstance(raw, dict):
         return _from_table(raw, si, exact=exact, positive=positive)
-    if isinstance(raw, bool) or not isinstance(raw, int | float | str):
+    if isinstance(raw, str) and raw.strip().lower() in ("unknown", "?", "free"):
+        return unknown(si)
+    match = _TEXT.match(raw) if isinstance(raw, str) else None
+    if match is None and (isinstance(raw, bool) or not isinstance(raw, int | float)):
         raise UnitError(f"{raw!r} is no number with a unit; write it as in '1.5 {si}'")
-    if isinstance(raw, str):
-        if raw.strip().lower() in ("unknown", "?", "free"):
-            return unknown(si)
-        match = _TEXT.match(raw)
-        if match is None:
-            raise UnitError(f"{raw!r} is no number with a unit; write it as in '1.5 {si}'")
+    if match is not None:
         if match["unit"].startswith(","):
             raise UnitError(f"{raw!r} has a decimal comma; write a point, as in '1.5 {si}'")
         scale = factor(match["unit"], si) if match["unit"] else 1.0

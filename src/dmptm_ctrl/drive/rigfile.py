@@ -21,9 +21,10 @@ from dmptm_ctrl.drive.rig import (
     is_known,
     unknown,
 )
-from dmptm_ctrl.drive.rig_tables import RigError, TableReader, suffix_unit
+from dmptm_ctrl.drive.rig_tables import RigError, Table, TableReader, suffix_unit
 from dmptm_ctrl.drive.rig_units import UnitError, counted_per, counts, factor
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.errors import repeated
 from dmptm_ctrl.signals.toml_text import parse_toml
 from dmptm_ctrl.signals.units import parse_unit
 
@@ -98,13 +99,13 @@ class _Reader(TableReader):
     """What each table of a rig stands for."""
 
     def rig(self, raw: dict[str, Any]) -> Rig:
-        self._only("", raw, _TOP)
-        tables = {kind: self._tables(raw, kind) for kind in _TOP if kind in _NAMED}
+        Table(self, "", raw, _TOP)
+        tables = {kind: self.tables(raw, kind) for kind in _TOP if kind in _NAMED}
         ties: dict[str, str] = {}
         for kind in ("body", "shaft", "mesh"):
             tables[kind] = {n: self._like(kind, n, tables[kind], ties) for n in tables[kind]}
         if not tables["body"]:
-            self._fail("", "", "no [body.NAME]: a rig has at least one body")
+            self.fail("", "", "no [body.NAME]: a rig has at least one body")
         bodies = tuple(self._body(name, t) for name, t in tables["body"].items())
         by_name = {b.name: b for b in bodies}
         links = tuple(
@@ -114,27 +115,25 @@ class _Reader(TableReader):
         )
         self._tree(bodies, links)
         if not tables["input"]:
-            self._fail("", "", "no [input.NAME]: without what drives it there is no diagnosis")
+            self.fail("", "", "no [input.NAME]: without what drives it there is no diagnosis")
         if not tables["sensor"]:
-            self._fail("", "", "no [sensor.NAME]: without a measurement there is no diagnosis")
+            self.fail("", "", "no [sensor.NAME]: without a measurement there is no diagnosis")
         inputs = tuple(self._input(n, t, by_name) for n, t in tables["input"].items())
         sensors = tuple(self._sensor(n, t, by_name) for n, t in tables["sensor"].items())
-        used = [*(i.column for i in inputs), *(s.column for s in sensors)]
-        twice = next((c for c in used if used.count(c) > 1), None)
-        if twice is not None:
-            self._fail("", "", f"column {twice!r} is used twice; each input and sensor has its own")
+        if twice := repeated([*(i.column for i in inputs), *(s.column for s in sensors)]):
+            self.fail("", "", f"column {twice!r} is used twice; each input and sensor has its own")
         places = {*by_name, *(link.name for link in links), *(i.name for i in inputs)}
         effects = tuple(self._effect(n, t, places, bodies) for n, t in tables["effect"].items())
         name = raw.get("name", "rig")
         return Rig(
-            str(name) if isinstance(name, str) else self._fail("", "name", "name is no text"),
+            str(name) if isinstance(name, str) else self.fail("", "name", "name is no text"),
             bodies,
             links,
             inputs,
             sensors,
             effects,
             self._controller(raw.get("controller"), inputs, sensors),
-            self._data(raw.get("data", {})),
+            self.data(raw.get("data", {})),
             self._source,
             "\n".join(self._lines) + "\n",
             ties,
@@ -144,30 +143,26 @@ class _Reader(TableReader):
         self, kind: str, name: str, tables: Mapping[str, Any], ties: dict[str, str]
     ) -> dict[str, Any]:
         """Return a table with what it does not say itself taken from the one that it is like."""
-        own = {k: v for k, v in tables[name].items() if k != "like"}
-        if "like" not in tables[name]:
-            return own
-        where, other = f"{kind}.{name}", tables[name]["like"]
-        self._known(where, "like", other, {k: v for k, v in tables.items() if k != name}, kind)
+        t = Table(self, f"{kind}.{name}", tables[name])
+        if (other := t.pop("like", None)) is None:
+            return t
+        t.known("like", other, {k: v for k, v in tables.items() if k != name}, kind)
         if "like" in tables[other]:
-            self._fail(where, "like", f"{other} is like another itself; name that one")
+            t.fail("like", f"{other} is like another itself; name that one")
         begin = kind if kind == "body" else "link"
-        taken = {k: v for k, v in tables[other].items() if k not in own}
+        taken = {k: v for k, v in tables[other].items() if k not in t}
         for key in taken:
             same = {"mass": "inertia", "backlash": "half_gap"}.get(key, key)
             ties[f"{begin}.{name}.{same}"] = f"{begin}.{other}.{same}"
-        return taken | own
+        return taken | t
 
     # -- tables ------------------------------------------------------------------------------
 
     def _body(self, name: str, raw: dict[str, Any]) -> Body:
-        where = f"body.{name}"
-        self._only(where, raw, _BODY)
-        linear = "mass" in raw
-        if linear == ("inertia" in raw):
-            self._fail(
-                where, "", "give either inertia (it turns) or mass (it slides); 'unknown' will do"
-            )
+        t = Table(self, f"body.{name}", raw, _BODY)
+        linear = "mass" in t
+        if linear == ("inertia" in t):
+            t.fail("", "give either inertia (it turns) or mass (it slides); 'unknown' will do")
         key, unit = ("mass", "kg") if linear else ("inertia", "kg·m²")
         force, speed = ("N", "m/s") if linear else ("N·m", "rad/s")
         units = {
@@ -176,72 +171,71 @@ class _Reader(TableReader):
         }  # fmt: skip
         friction: dict[str, Quantity] = {}
         for kind, si in units.items():
-            both = self._number(where, raw, kind, si)
-            sides = {s: self._number(where, raw, f"{kind}_{s}", si) for s in ("plus", "minus")}
+            both = t.number(kind, si)
+            sides = {s: t.number(f"{kind}_{s}", si) for s in ("plus", "minus")}
             given = [s for s, value in sides.items() if value is not None]
             if both is not None:
                 friction[kind] = both
                 if given:
-                    self._fail(where, f"{kind}_{given[0]}", f"{kind} is given for both directions")
+                    t.fail(f"{kind}_{given[0]}", f"{kind} is given for both directions")
             elif len(given) == 1:
                 missing = "minus" if given[0] == "plus" else "plus"
-                self._fail(where, f"{kind}_{given[0]}", f"{kind}_{missing} is missing beside it")
+                t.fail(f"{kind}_{given[0]}", f"{kind}_{missing} is missing beside it")
             friction |= {f"{kind}_{s}": v for s, v in sides.items() if v is not None}
-        if "stribeck_exponent" in raw:
-            friction["stribeck_exponent"] = self._need(where, raw, "stribeck_exponent", "")
+        if "stribeck_exponent" in t:
+            friction["stribeck_exponent"] = t.need("stribeck_exponent", "")
         for key_ in ("static", "static_plus"):
             for other in ("stribeck_speed", "coulomb"):
                 if key_ in friction and not {other, f"{other}_plus"} & set(friction):
-                    self._fail(where, key_, f"a static friction needs a {other} beside it")
-        inertia = self._need(where, raw, key, unit)
+                    t.fail(key_, f"a static friction needs a {other} beside it")
+        inertia = t.need(key, unit)
         if is_known(inertia) and inertia.value == 0:
             of = f"{'an' if key[0] in 'aeiou' else 'a'} {key} of 0"
-            self._fail(where, key, f"{of} cannot be; write 'unknown' if it is not known")
+            t.fail(key, f"{of} cannot be; write 'unknown' if it is not known")
         return Body(name, inertia, linear, friction)
 
     def _link(self, kind: str, name: str, raw: dict[str, Any], bodies: Mapping[str, Body]) -> Link:
-        where = f"{kind}.{name}"
-        self._only(where, raw, _LINK)
-        ends = raw.get("between")
+        t = Table(self, f"{kind}.{name}", raw, _LINK)
+        ends = t.get("between")
         if not isinstance(ends, list) or len(ends) != 2:
-            self._fail(where, "between", 'between = ["first body", "second body"] is needed')
+            t.fail("between", 'between = ["first body", "second body"] is needed')
         for end in ends:
-            self._known(where, "between", end, bodies, "body")
+            t.known("between", end, bodies, "body")
         first, second = bodies[ends[0]], bodies[ends[1]]
         ratio_unit = f"{first.angle_unit}/{second.angle_unit}"
         if first.angle_unit == second.angle_unit:
             ratio_unit = ""
-        if "lead" in raw:
+        if "lead" in t:
             if first.linear or not second.linear:
-                self._fail(where, "lead", "a lead is from a turning first body to a sliding second")
-            lead = self._need(where, raw, "lead", "m", exact=True)
+                t.fail("lead", "a lead is from a turning first body to a sliding second")
+            lead = t.need("lead", "m", exact=True)
             ratio = Quantity(2 * pi / lead.value, "rad/m", lead.tolerance, lead.source)
-        elif "ratio" in raw:
-            ratio = self._need(where, raw, "ratio", ratio_unit, exact=True, positive=False)
+        elif "ratio" in t:
+            ratio = t.need("ratio", ratio_unit, exact=True, positive=False)
         elif ratio_unit:
-            self._fail(where, "", f"a ratio in {ratio_unit}, or a lead per turn, is needed")
+            t.fail("", f"a ratio in {ratio_unit}, or a lead per turn, is needed")
         else:
             ratio = Quantity(1.0, "", 0.0, "default")
         if not is_known(ratio) or ratio.value == 0:
-            self._fail(where, "ratio", "the ratio must be a number other than 0")
+            t.fail("ratio", "the ratio must be a number other than 0")
         unit, force = first.angle_unit, first.force_unit
-        gap = self._number(where, raw, "half_gap", unit)
-        if "backlash" in raw:
+        gap = t.number("half_gap", unit)
+        if "backlash" in t:
             if gap is not None:
-                self._fail(where, "backlash", "give half_gap or backlash, which is twice that")
-            full = self._need(where, raw, "backlash", unit)
+                t.fail("backlash", "give half_gap or backlash, which is twice that")
+            full = t.need("backlash", unit)
             gap = Quantity(full.value / 2, unit, full.tolerance, full.source)
-        stiff_raw = raw.get("stiffness", "rigid" if kind == "shaft" and gap is None else "unknown")
+        stiff_raw = t.get("stiffness", "rigid" if kind == "shaft" and gap is None else "unknown")
         rigid = isinstance(stiff_raw, str) and stiff_raw.strip().lower() == "rigid"
-        stiffness = None if rigid else self._read(where, "stiffness", stiff_raw, f"{force}/{unit}")
+        stiffness = None if rigid else t.read("stiffness", stiff_raw, f"{force}/{unit}")
         if rigid and gap is not None:
-            self._fail(where, "stiffness", "a gap needs a stiffness of the teeth; write 'unknown'")
+            t.fail("stiffness", "a gap needs a stiffness of the teeth; write 'unknown'")
         per_speed = "N·s/m" if first.linear else "N·m·s/rad"
-        contact = raw.get("contact", CONTACTS[0])
-        if contact not in CONTACTS or (gap is None and "contact" in raw):
-            self._fail(where, "contact", f"contact of a gap is one of {', '.join(CONTACTS)}")
+        contact = t.get("contact", CONTACTS[0])
+        if contact not in CONTACTS or (gap is None and "contact" in t):
+            t.fail("contact", f"contact of a gap is one of {', '.join(CONTACTS)}")
         damps = f"s/{unit}" if contact == "impact" else per_speed
-        damping = self._number(where, raw, "damping", damps)
+        damping = t.number("damping", damps)
         return Link(
             name,
             ends[0],
@@ -250,133 +244,95 @@ class _Reader(TableReader):
             stiffness,
             None if rigid else damping or unknown(damps),
             gap,
-            self._number(where, raw, "gap_damping", per_speed),
+            t.number("gap_damping", per_speed),
             kind == "mesh",
             contact,
         )
 
     def _input(self, name: str, raw: dict[str, Any], bodies: Mapping[str, Body]) -> Input:
-        where = f"input.{name}"
-        self._only(where, raw, _INPUT)
-        body = bodies[self._one_body(where, raw, bodies)]
-        column = self._text(where, raw, "column")
-        unit, symbol = self._column_unit(where, raw, column, implied=_gain_unit(raw))
+        t = Table(self, f"input.{name}", raw, _INPUT)
+        body = _one_body(t, bodies)
+        column = t.text("column")
+        unit, symbol = t.column_unit(column, implied=_gain_unit(t))
         per = f"{body.force_unit}/{symbol}" if symbol else body.force_unit
         factors = {}
         back_emf = 0.0
-        if "resistance" in raw:
+        if "resistance" in t:
             if symbol != "V":
-                self._fail(where, "resistance", f"the column is in {symbol}; a resistance needs V")
-            constant = self._need(where, raw, "torque_constant", "N·m/A", exact=True)
-            ohms = self._need(where, raw, "resistance", "ohm", exact=True)
+                t.fail("resistance", f"the column is in {symbol}; a resistance needs V")
+            constant = t.need("torque_constant", "N·m/A", exact=True)
+            ohms = t.need("resistance", "ohm", exact=True)
             if ohms.value == 0:
-                self._fail(where, "resistance", "a resistance of 0 cannot be")
-            emf = self._number(where, raw, "back_emf_constant", "V*s/rad") or constant
+                t.fail("resistance", "a resistance of 0 cannot be")
+            emf = t.number("back_emf_constant", "V*s/rad") or constant
             gain = Quantity(constant.value / ohms.value, per, ohms.tolerance, "torque_constant/R")
             back_emf = constant.value * emf.value / ohms.value
             factors = {"torque_constant": constant, "resistance": ohms}
-            if "inductance" in raw and "time_constant" not in raw:
-                henry = self._need(where, raw, "inductance", "henry", exact=True)
-                raw = {**raw, "time_constant": henry.value / ohms.value}
-        elif "amplifier" in raw or ("torque_constant" in raw and "gain" not in raw):
-            constant = self._need(where, raw, "torque_constant", f"{body.force_unit}/A", exact=True)
+            if "inductance" in t and "time_constant" not in t:
+                henry = t.need("inductance", "henry", exact=True)
+                t["time_constant"] = henry.value / ohms.value
+        elif "amplifier" in t or ("torque_constant" in t and "gain" not in t):
+            constant = t.need("torque_constant", f"{body.force_unit}/A", exact=True)
             factors = {"torque_constant": constant}
             value, tolerance = constant.value, constant.tolerance
-            if "amplifier" in raw:
-                amp = self._need(where, raw, "amplifier", f"A/{symbol}", exact=True)
+            if "amplifier" in t:
+                amp = t.need("amplifier", f"A/{symbol}", exact=True)
                 factors["amplifier"] = amp
                 value, tolerance = value * amp.value, tolerance + amp.tolerance
             elif symbol != "A":
-                self._fail(
-                    where, "torque_constant",
+                t.fail(
+                    "torque_constant",
                     f"the column is in {symbol}; give an amplifier (A/{symbol}) or resistance",
                 )  # fmt: skip
             gain = Quantity(value, per, tolerance, constant.source)
-        elif "gain" in raw:
-            gain = self._read(where, "gain", raw["gain"], per, exact=True, positive=False)
+        elif "gain" in t:
+            gain = t.read("gain", t["gain"], per, exact=True, positive=False)
         elif symbol == body.force_unit:
             gain = Quantity(1.0, "", 0.0, "the column is the torque or force itself")
         else:
             gain = unknown(per)
         if is_known(gain) and gain.value == 0:
-            self._fail(where, "gain", "a gain of 0 drives nothing; write 'unknown' if so")
+            t.fail("gain", "a gain of 0 drives nothing; write 'unknown' if so")
         return Input(
-            name, column, unit, body.name, gain, self._sign(where, raw), back_emf,
-            self._number(where, raw, "delay", "s"),
-            self._number(where, raw, "time_constant", "s"),
-            self._number(where, raw, "limit", symbol), factors,
+            name, column, unit, body.name, gain, t.sign(), back_emf,
+            t.number("delay", "s"),
+            t.number("time_constant", "s"),
+            t.number("limit", symbol), factors,
         )  # fmt: skip
 
     def _sensor(self, name: str, raw: dict[str, Any], bodies: Mapping[str, Body]) -> Sensor:
-        where = f"sensor.{name}"
-        self._only(where, raw, _SENSOR)
-        body = bodies[self._one_body(where, raw, bodies)]
-        column = self._text(where, raw, "column")
-        given = raw.get("measures")
+        t = Table(self, f"sensor.{name}", raw, _SENSOR)
+        body = _one_body(t, bodies)
+        column = t.text("column")
+        given = t.get("measures")
         if given is not None and given not in _MEASURES:
-            self._fail(where, "measures", 'measures = "position" or "speed"')
-        step = self._count(where, raw, body)
-        counted = counted_per(str(raw.get("unit", "")))
+            t.fail("measures", 'measures = "position" or "speed"')
+        step = _count(t, body)
+        counted = counted_per(str(t.get("unit", "")))
         if step is not None and counted is not None:
             unit = symbol = body.angle_unit + ("" if counted == "" else "/s")
             scale = step / (factor(counted, "s") if counted else 1.0)
         else:
-            unit, symbol = self._column_unit(where, raw, column)
+            unit, symbol = t.column_unit(column)
             scale = 1.0
         by_unit = {body.angle_unit: "position", f"{body.angle_unit}/s": "speed"}
         measures = _MEASURES.get(str(given)) or by_unit.get(symbol)
         si = body.angle_unit + ("/s" if measures == "speed" else "")
         if symbol != si or measures is None:
             if symbol in by_unit:
-                self._fail(where, "measures", f"column {column!r} is in {symbol}, no {measures}")
-            self._wrong_unit(where, raw, column, symbol, body)
-        absolute = raw.get("absolute", False)
+                t.fail("measures", f"column {column!r} is in {symbol}, no {measures}")
+            _wrong_unit(t, column, symbol, body)
+        absolute = t.get("absolute", False)
         if not isinstance(absolute, bool):
-            self._fail(where, "absolute", "absolute is true or false")
+            t.fail("absolute", "absolute is true or false")
         resolution = None
         if step is not None and measures == "position":
             resolution = Quantity(step, si, 0.0, "counts")
         elif step is None:
-            resolution = self._number(where, raw, "resolution", si)
+            resolution = t.number("resolution", si)
         return Sensor(
-            name, column, unit, body.name, measures, scale * self._sign(where, raw),
-            resolution, self._number(where, raw, "noise", si), absolute,
-        )  # fmt: skip
-
-    def _count(self, where: str, raw: dict[str, Any], body: Body) -> float | None:
-        """Size of one count of an encoder [rad or m]; None where the file does not say."""
-        turn = f"counts/{'m' if body.linear else 'rev'}"
-        given = raw.get("counts_per_rev")
-        if isinstance(given, int | float) and not isinstance(given, bool):
-            given = f"{given!r} counts/rev"
-        try:
-            step = counts(given if given is not None else raw.get("resolution"), body.angle_unit)
-        except UnitError as error:
-            key = "resolution" if given is None else "counts_per_rev"
-            self._fail(where, key, f"{error}; write '8192 {turn}'")
-        if step is None and given is not None:
-            self._fail(where, "counts_per_rev", "counts_per_rev is a number, such as 8192")
-        if step is None and counted_per(str(raw.get("unit", ""))) is not None:
-            self._fail(
-                where, "unit", f"counts of what size? Add resolution = '8192 {turn}' (a quadrature "
-                "encoder counts four times its lines)",
-            )  # fmt: skip
-        return step
-
-    def _wrong_unit(
-        self, where: str, raw: dict[str, Any], column: str, symbol: str, body: Body
-    ) -> NoReturn:
-        how = f"{'slides' if body.linear else 'turns'}: {body.angle_unit} or {body.angle_unit}/s"
-        how += '; of an encoder unit = "counts", with counts_per_rev' * (not symbol)
-        if "unit" in raw:
-            self._fail(
-                where, "unit",
-                f"column {column!r} is in {symbol or 'no unit'}, but {body.name} {how}",
-            )  # fmt: skip
-        self._fail(
-            where, "column", f"column {column!r} has no unit of its own (its ending "
-            f"{suffix_unit(column)!r} would be in {symbol}), and {body.name} {how}; add unit = "
-            f'"{body.angle_unit}" or its like',
+            name, column, unit, body.name, measures, scale * t.sign(),
+            resolution, t.number("noise", si), absolute,
         )  # fmt: skip
 
     def _controller(
@@ -384,22 +340,19 @@ class _Reader(TableReader):
     ) -> Controller | None:
         if raw is None:
             return None
-        where = "controller"
-        if not isinstance(raw, dict):
-            self._fail("", where, "[controller] is a table")
-        self._only(where, raw, _CONTROLLER)
-        kind = raw.get("kind")
+        t = Table(self, "controller", raw, _CONTROLLER)
+        kind = t.get("kind")
         if kind not in ("pi_speed", "cascade"):
-            self._fail(where, "kind", 'kind = "pi_speed" or "cascade"')
+            t.fail("kind", 'kind = "pi_speed" or "cascade"')
         source = {i.name: i for i in inputs}
         sensor = {s.name: s for s in sensors}
-        to = raw.get("input", inputs[0].name)
-        of = raw.get("sensor", sensors[0].name)
-        self._known(where, "input", to, source, "input")
-        self._known(where, "sensor", of, sensor, "sensor")
+        to = t.get("input", inputs[0].name)
+        of = t.get("sensor", sensors[0].name)
+        t.known("input", to, source, "input")
+        t.known("sensor", of, sensor, "sensor")
         gains = {}
         for key in ("kp", "ki", "kv"):
-            value = raw.get(key)
+            value = t.get(key)
             if isinstance(value, str):
                 value = re.split(r"\s", value.strip())[0]
             try:
@@ -407,28 +360,26 @@ class _Reader(TableReader):
                 if not isfinite(gains[key]):
                     raise ValueError
             except (TypeError, ValueError):
-                self._fail(where, key, f"{key} = {value!r} is no number (SI)")
-        reference = self._text(where, raw, "reference")
-        unit, _ = self._column_unit(where, raw, reference, implied=sensor[of].unit)
-        limit = self._number(where, raw, "limit", parse_unit(source[to].unit).symbol)
+                t.fail(key, f"{key} = {value!r} is no number (SI)")
+        reference = t.text("reference")
+        unit, _ = t.column_unit(reference, implied=sensor[of].unit)
+        limit = t.number("limit", parse_unit(source[to].unit).symbol)
         return Controller(kind, to, of, gains, reference, unit, limit.value if limit else inf)
 
     def _effect(
         self, name: str, raw: dict[str, Any], places: set[str], bodies: tuple[Body, ...]
     ) -> DeclaredEffect:
-        where = f"effect.{name}"
-        on = raw.get("on", bodies[0].name)
+        t = Table(self, f"effect.{name}", raw)
+        on = t.pop("on", bodies[0].name)
         if on not in places:
-            self._fail(where, "on", f"no {on!r} in the rig; it has {', '.join(sorted(places))}")
+            t.fail("on", f"no {on!r} in the rig; it has {', '.join(sorted(places))}")
         values = {}
-        for key, value in raw.items():
-            if key == "on":
-                continue
+        for key, value in t.items():
             if not isinstance(value, int | float) or isinstance(value, bool):
-                self._fail(where, key, f"{key} = {value!r}: parameters of an effect are SI numbers")
+                t.fail(key, f"{key} = {value!r}: parameters of an effect are SI numbers")
             if not isfinite(value) or (key == "stiffness" and value < 0):
                 wanted = "zero or more" if key == "stiffness" else "a finite number"
-                self._fail(where, key, f"{key} is {value:g}; it must be {wanted}")
+                t.fail(key, f"{key} is {value:g}; it must be {wanted}")
             values[key] = Quantity(float(value), "", 0.0, "rig file")
         return DeclaredEffect(name, on, values)
 
@@ -440,7 +391,7 @@ class _Reader(TableReader):
             one, other = group[link.first], group[link.second]
             kind = "mesh" if link.mesh else "shaft"
             if one == other:
-                self._fail(
+                self.fail(
                     f"{kind}.{link.name}", "between",
                     f"this closes a ring of bodies: {link.first} and {link.second} are joined "
                     "already. For a shaft and a gear one after the other write one [mesh], with "
@@ -449,25 +400,59 @@ class _Reader(TableReader):
             group = {k: one if g == other else g for k, g in group.items()}
         if len(set(group.values())) > 1:
             odd = next(b.name for b in bodies if group[b.name] != group[bodies[0].name])
-            self._fail(
+            self.fail(
                 f"body.{odd}", "", f"nothing joins {odd} to {bodies[0].name}; add a [shaft.NAME]"
             )
 
-    def _one_body(self, where: str, raw: dict[str, Any], bodies: Mapping[str, Body]) -> str:
-        body = raw.get("body", next(iter(bodies)) if len(bodies) == 1 else None)
-        if body is None:
-            self._fail(where, "", f"body = … is missing; bodies are {', '.join(bodies)}")
-        self._known(where, "body", body, bodies, "body")
-        return str(body)
+
+def _count(t: Table, body: Body) -> float | None:
+    """Size of one count of an encoder [rad or m]; None where the file does not say."""
+    turn = f"counts/{'m' if body.linear else 'rev'}"
+    given = t.get("counts_per_rev")
+    if isinstance(given, int | float) and not isinstance(given, bool):
+        given = f"{given!r} counts/rev"
+    try:
+        step = counts(given if given is not None else t.get("resolution"), body.angle_unit)
+    except UnitError as error:
+        key = "resolution" if given is None else "counts_per_rev"
+        t.fail(key, f"{error}; write '8192 {turn}'")
+    if step is None and given is not None:
+        t.fail("counts_per_rev", "counts_per_rev is a number, such as 8192")
+    if step is None and counted_per(str(t.get("unit", ""))) is not None:
+        t.fail(
+            "unit", f"counts of what size? Add resolution = '8192 {turn}' (a quadrature "
+            "encoder counts four times its lines)",
+        )  # fmt: skip
+    return step
 
 
-def _gain_unit(raw: Mapping[str, Any]) -> str | None:
+def _wrong_unit(t: Table, column: str, symbol: str, body: Body) -> NoReturn:
+    how = f"{'slides' if body.linear else 'turns'}: {body.angle_unit} or {body.angle_unit}/s"
+    how += '; of an encoder unit = "counts", with counts_per_rev' * (not symbol)
+    if "unit" in t:
+        t.fail("unit", f"column {column!r} is in {symbol or 'no unit'}, but {body.name} {how}")
+    t.fail(
+        "column", f"column {column!r} has no unit of its own (its ending "
+        f"{suffix_unit(column)!r} would be in {symbol}), and {body.name} {how}; add unit = "
+        f'"{body.angle_unit}" or its like',
+    )  # fmt: skip
+
+
+def _one_body(t: Table, bodies: Mapping[str, Body]) -> Body:
+    name = t.get("body", next(iter(bodies)) if len(bodies) == 1 else None)
+    if name is None:
+        t.fail("", f"body = … is missing; bodies are {', '.join(bodies)}")
+    t.known("body", name, bodies, "body")
+    return bodies[name]
+
+
+def _gain_unit(t: Mapping[str, Any]) -> str | None:
     """Unit of the signal from what the gain is per: "35 N/V" → V."""
-    if "resistance" in raw:
+    if "resistance" in t:
         return "V"
-    gain: Any = raw.get("amplifier", raw.get("gain", ""))
+    gain: Any = t.get("amplifier", t.get("gain", ""))
     text = f"{gain.get('value', '')} {gain.get('unit', '')}" if isinstance(gain, dict) else gain
     match = re.search(r"/\s*(\w+)", text) if isinstance(text, str) else None
     if match is not None and match[1] not in ("rad", "deg", "s"):
         return match[1]
-    return "A" if "torque_constant" in raw and "amplifier" not in raw else None
+    return "A" if "torque_constant" in t and "amplifier" not in t else None

@@ -58,9 +58,8 @@ def register(effect: Effect) -> Effect:
 
     Examples
     --------
-    >>> from dataclasses import replace
     >>> from dmptm_ctrl.effects import CATALOGUE
-    >>> tilt = dm.register_effect(replace(CATALOGUE["unbalance"], name="tilt"))
+    >>> tilt = dm.register_effect(CATALOGUE["unbalance"]._replace(name="tilt"))
     """
     if effect.name in CATALOGUE:
         raise ValueError(f"effect {effect.name!r} is in the catalogue already; choose another name")

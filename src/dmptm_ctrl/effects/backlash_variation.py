@@ -10,7 +10,7 @@ from math import cos, pi, sin
 
 from numba import njit
 
-from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, Parameter
+from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, cosine_and_sine
 
 PINION_ANGLE = 2.0 * pi / 3.0  # rad between the pinions on the ring gear
 
@@ -29,10 +29,8 @@ BACKLASH_VARIATION = Effect(
     site="mesh",
     kernel=varied_gap,
     parameters=(
-        Parameter("cosine", "rad", -5e-3, 5e-3, 1e-4),
-        Parameter("sine", "rad", -5e-3, 5e-3, 1e-4),
-        Parameter("apart_cosine", "rad", -1.5e-3, 1.5e-3, 1e-4),
-        Parameter("apart_sine", "rad", -1.5e-3, 1.5e-3, 1e-4),
+        *cosine_and_sine("rad", 5e-3, 1e-4),
+        *cosine_and_sine("rad", 1.5e-3, 1e-4, ("apart_",)),
     ),
     location="ring gear",
     source="tooth thickness and centre distance around the rim",

@@ -9,7 +9,7 @@ from math import cos, pi, sin
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import Effect, Parameter, cosine_and_sine
 
 
 @njit
@@ -24,8 +24,7 @@ BASE_VIBRATION = Effect(
     site="load",
     kernel=vibration_torque,
     parameters=(
-        Parameter("cosine", "N·m", -60.0, 60.0, 2.0),  # A
-        Parameter("sine", "N·m", -60.0, 60.0, 2.0),  # B
+        *cosine_and_sine("N·m", 60.0, 2.0),  # A, B
         Parameter("frequency", "Hz", 0.5, 30.0, 0.02, tuple(0.5 + 0.02 * i for i in range(1476))),
     ),
     location="base",

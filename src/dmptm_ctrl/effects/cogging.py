@@ -9,7 +9,7 @@ from math import cos, sin
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import SIDES, Effect, Parameter, cosine_and_sine
 
 
 @njit
@@ -28,10 +28,7 @@ COGGING = Effect(
     site="motor",
     kernel=cogging_torque,
     parameters=(
-        Parameter("left_cosine", "N·m", -0.1, 0.1, 0.005),
-        Parameter("left_sine", "N·m", -0.1, 0.1, 0.005),
-        Parameter("right_cosine", "N·m", -0.1, 0.1, 0.005),
-        Parameter("right_sine", "N·m", -0.1, 0.1, 0.005),
+        *cosine_and_sine("N·m", 0.1, 0.005, SIDES),
         Parameter("order", "1/turn", 1.0, 96.0, 1.0, ORDERS, fixed=True),  # n
     ),
     location="motors",

@@ -7,7 +7,7 @@ from math import cos, sin
 
 from numba import njit
 
-from dmptm_ctrl.contract import SENSORS, Effect, Parameter
+from dmptm_ctrl.contract import SENSORS, Effect, cosine_and_sine
 
 
 @njit
@@ -20,10 +20,7 @@ ENCODER_ECCENTRICITY = Effect(
     name="encoder_eccentricity",
     site="sensor",
     kernel=eccentric_reading,
-    parameters=(
-        Parameter("cosine", "rad", -0.02, 0.02, 2e-4),
-        Parameter("sine", "rad", -0.02, 0.02, 2e-4),
-    ),
+    parameters=cosine_and_sine("rad", 0.02, 2e-4),
     location="ring-gear encoder",
     source="eccentric disc",
     depends_on=("theta_L",),

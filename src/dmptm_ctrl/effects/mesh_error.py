@@ -7,7 +7,7 @@ from math import cos, sin
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import SIDES, Effect, Parameter, cosine_and_sine
 
 TEETH = 20.0  # z3, Table 1: of the dual-motor drive
 
@@ -29,10 +29,7 @@ MESH_ERROR = Effect(
     site="mesh",
     kernel=tooth_shift,
     parameters=(
-        Parameter("left_cosine", "rad", -5e-3, 5e-3, 2e-5),
-        Parameter("left_sine", "rad", -5e-3, 5e-3, 2e-5),
-        Parameter("right_cosine", "rad", -5e-3, 5e-3, 2e-5),
-        Parameter("right_sine", "rad", -5e-3, 5e-3, 2e-5),
+        *cosine_and_sine("rad", 5e-3, 2e-5, SIDES),
         Parameter("order", "1/turn", 1.0, 400.0, 1.0, (TEETH,), fixed=True),  # n
     ),
     location="pinions",

@@ -7,7 +7,7 @@ from math import cos, sin
 
 from numba import njit
 
-from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, Parameter
+from dmptm_ctrl.contract import MOTOR_ENCODERS, SIDES, Effect, cosine_and_sine
 
 
 @njit
@@ -25,12 +25,7 @@ PINION_RUNOUT = Effect(
     name="pinion_runout",
     site="mesh",
     kernel=runout_shift,
-    parameters=(
-        Parameter("left_cosine", "rad", -2e-2, 2e-2, 1e-4),
-        Parameter("left_sine", "rad", -2e-2, 2e-2, 1e-4),
-        Parameter("right_cosine", "rad", -2e-2, 2e-2, 1e-4),
-        Parameter("right_sine", "rad", -2e-2, 2e-2, 1e-4),
-    ),
+    parameters=cosine_and_sine("rad", 2e-2, 1e-4, SIDES),
     location="pinions",
     source="kinematic error of an eccentric pinion",
     depends_on=("theta_m",),

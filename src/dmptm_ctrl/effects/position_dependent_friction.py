@@ -7,7 +7,7 @@ from math import cos, sin
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import Effect, Parameter, cosine_and_sine
 
 
 @njit
@@ -24,8 +24,7 @@ POSITION_DEPENDENT_FRICTION = Effect(
     site="friction",
     kernel=position_friction,
     parameters=(
-        Parameter("cosine", "N·m", -30.0, 30.0, 1.0),
-        Parameter("sine", "N·m", -30.0, 30.0, 1.0),
+        *cosine_and_sine("N·m", 30.0, 1.0),
         # the middle of a bank is the default
         Parameter("order", "1/turn", 1.0, 4.0, 1.0, (4.0, 2.0, 1.0, 3.0), fixed=True),  # n
     ),

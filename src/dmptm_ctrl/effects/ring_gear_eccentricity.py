@@ -9,7 +9,7 @@ from math import cos, pi, sin
 
 from numba import njit
 
-from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, Parameter
+from dmptm_ctrl.contract import MOTOR_ENCODERS, Effect, cosine_and_sine
 
 PINION_ANGLE = 2.0 * pi / 3.0  # rad between the pinions on the ring gear
 
@@ -26,10 +26,7 @@ RING_GEAR_ECCENTRICITY = Effect(
     name="ring_gear_eccentricity",
     site="mesh",
     kernel=eccentric_shift,
-    parameters=(
-        Parameter("cosine", "rad", -3e-2, 3e-2, 1e-4),
-        Parameter("sine", "rad", -3e-2, 3e-2, 1e-4),
-    ),
+    parameters=cosine_and_sine("rad", 3e-2, 1e-4),
     location="ring gear",
     source="kinematic error of an eccentric ring gear",
     depends_on=("theta_L",),

@@ -9,7 +9,7 @@ from math import cos, sin
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import Effect, Parameter, cosine_and_sine
 
 
 @njit
@@ -24,8 +24,7 @@ STIFFNESS_VARIATION = Effect(
     site="mesh",
     kernel=varied_stiffness,
     parameters=(
-        Parameter("cosine", "N·m/rad", -1e4, 1e4, 100.0),
-        Parameter("sine", "N·m/rad", -1e4, 1e4, 100.0),
+        *cosine_and_sine("N·m/rad", 1e4, 100.0),
         Parameter("order", "1/turn", 1.0, 400.0, 1.0, (18.0, 20.0, 25.0), fixed=True),  # n
     ),
     location="mesh",

@@ -9,7 +9,7 @@ from math import cos, sin
 
 from numba import njit
 
-from dmptm_ctrl.contract import Effect, Parameter
+from dmptm_ctrl.contract import Effect, cosine_and_sine
 
 
 @njit
@@ -22,10 +22,7 @@ UNBALANCE = Effect(
     name="unbalance",
     site="load",
     kernel=unbalance_torque,
-    parameters=(
-        Parameter("cosine", "N·m", -60.0, 60.0, 2.0),  # A
-        Parameter("sine", "N·m", -60.0, 60.0, 2.0),  # B
-    ),
+    parameters=cosine_and_sine("N·m", 60.0, 2.0),  # A, B
     location="ring gear",
     source="m g r of an off-axis mass",
     depends_on=("theta_L",),

@@ -1,28 +1,13 @@
 """A program as C99: one header, one source, no allocation and nothing but the C library's maths."""
 
 from collections.abc import Iterable, Mapping
+from math import isinf, isnan
 from typing import Any, NamedTuple
 
-from dmptm_ctrl.export.printer import ATOM, LEVEL, UNARY, Printer, in_float
-from dmptm_ctrl.export.program import (
-    BOOL,
-    INT,
-    REAL,
-    WIDE,
-    Array,
-    Assign,
-    For,
-    If,
-    Name,
-    Op,
-    Port,
-    Program,
-    ascii_text,
-    widest,
-)
+from dmptm_ctrl.export import program as ir
+from dmptm_ctrl.export.printer import ATOM, LEVEL, REALS, UNARY, Printer, in_float
 
-REALS = ("double", "float")
-_PYTHON = {REAL: float, WIDE: float, INT: int, BOOL: bool}  # types of the kinds
+_PYTHON = {ir.REAL: float, ir.WIDE: float, ir.INT: int, ir.BOOL: bool}  # types of the kinds
 
 
 class _Choice(NamedTuple):
@@ -36,13 +21,13 @@ def _chosen(block: list[Any]) -> list[Any]:
     found: list[Any] = []
     for item in block:
         last = found[-1] if found else None
-        if isinstance(item, If) and isinstance(last, Assign) and last.value is None:
+        if isinstance(item, ir.If) and isinstance(last, ir.Assign) and last.value is None:
             sides = [side[0] for side in (item.body, item.orelse) if len(side) == 1]
             if len(sides) == 2 and all(
-                isinstance(s, Assign) and s.name == last.name and not s.declare for s in sides
+                isinstance(s, ir.Assign) and s.name == last.name and not s.declare for s in sides
             ):
                 choice = _Choice(item.condition, sides[0].value, sides[1].value)
-                found[-1] = Assign(last.name, choice)
+                found[-1] = ir.Assign(last.name, choice)
                 continue
         found.append(item)
     return found
@@ -54,72 +39,56 @@ class CPrinter(Printer):
     `prefix` is put before the names of functions of whole numbers.
     """
 
+    types = {real: real for real in REALS} | {ir.INT: "int32_t", ir.BOOL: "bool"}
     signs = {"or": "||", "and": "&&", "neg": "-", "not": "!"}  # noqa: RUF012
-    set_to = "="
+    set_to, output, truth = "=", "*", ("false", "true")
     words = {"if": "if ({}) {{", "else": "} else {", "end if": "}", "end for": "}"}  # noqa: RUF012
 
     def __init__(self, real: str, names: Mapping[str, str] | None = None, prefix: str = "") -> None:
-        if real not in REALS:
-            raise ValueError(f"real is {real!r}; it must be one of {', '.join(REALS)}")
-        self.real, self.names, self.prefix = real, names or {}, prefix
-        self.narrow = real == "float"
-
-    def kind(self, kind: str) -> str:
-        """C's type of a kind."""
-        return {REAL: self.real, WIDE: "double", INT: "int32_t", BOOL: "bool"}[kind]
+        super().__init__(real)
+        self.names, self.prefix = names or {}, prefix
 
     def cast(self, value: Any, kind: str) -> tuple[str, int]:
-        """Text of a real or wide value as the other of them, and how it binds."""
         return f"({self.kind(kind)}){self.text(value, UNARY)}", UNARY
 
     def operation(self, op: str, args: tuple[Any, ...], kind: str) -> tuple[str, int]:
-        """Text of an operation that is no sign between or before values, and how it binds."""
         if op == "mod":  # as Python's, of the divisor's sign
             a, n = self.text(args[0], LEVEL["*"]), self.text(args[1], UNARY)
-            if isinstance(args[0], Name) and args[0].counts:
+            if isinstance(args[0], ir.Name) and args[0].counts:
                 return f"{a} % {n}", LEVEL["*"]
             return f"({a} % {n} + {n}) % {n}", LEVEL["*"]
         if op == "real":
             inner = args[0]
-            if isinstance(inner, Op) and inner.op == "floor":
+            if isinstance(inner, ir.Op) and inner.op == "floor":
                 return self._function("floor", inner.args), ATOM
             return f"({self.kind(kind)}){self.text(inner, UNARY)}", UNARY
         if op == "trunc":
             return f"(int32_t){self.text(args[0], UNARY)}", UNARY
         if op == "floor":
             return f"(int32_t){self._function('floor', args)}", UNARY
-        if kind == INT and op in _OF_INTEGERS:
+        if kind == ir.INT and op in _OF_INTEGERS:
             return f"{self.prefix}{op}_int({', '.join(self.text(a) for a in args)})", ATOM
         name = {"min": "fmin", "max": "fmax", "abs": "fabs"}.get(op, op)
-        if self.narrow and kind == REAL and widest(args) == WIDE:
+        if self.narrow and kind == ir.REAL and ir.widest(args) == ir.WIDE:
             return f"(float){self._function(name, args)}", UNARY
         return self._function(name, args), ATOM
 
     def _function(self, name: str, args: tuple[Any, ...]) -> str:
-        kind = widest(args)
-        suffix = "f" if self.narrow and kind != WIDE else ""
+        kind = ir.widest(args)
+        suffix = "f" if self.narrow and kind != ir.WIDE else ""
         return f"{name}{suffix}({', '.join(self.text(a, 0, kind) for a in args)})"
 
     def name(self, name: str) -> str:
-        """Return the name of a variable or table in the program."""
         return self.names.get(name, name)
 
-    def number(self, value: float, kind: str | None = None) -> str:
-        """Text of a number that comes back to the last bit."""
-        if isinstance(value, bool):
-            return "true" if value else "false"
-        if isinstance(value, int):
-            return str(value)
-        if value != value:
+    def literal(self, value: float, short: bool) -> str:
+        if isnan(value):
             return "NAN"
-        if value in (float("inf"), float("-inf")):
+        if isinf(value):
             return "INFINITY" if value > 0 else "-INFINITY"
-        if not self.narrow or kind == WIDE:
-            return repr(float(value))
-        return repr(in_float(value)) + "f"
+        return f"{in_float(value)!r}f" if short else repr(value)
 
-    def assignment(self, item: Assign) -> list[str]:
-        """Line that declares a name, or gives it its value."""
+    def assignment(self, item: ir.Assign) -> list[str]:
         kind, value = item.name.kind, ""
         if isinstance(item.value, _Choice):
             a, b = (self.text(v, 1, kind) for v in item.value[1:])
@@ -129,17 +98,15 @@ class CPrinter(Printer):
         new = f"{self.kind(kind)} " if item.declare else ""
         return [f"{new}{self.name(item.name.id)}{value};"]
 
-    def loop(self, item: For) -> str:
-        """Line above the body of a loop."""
+    def loop(self, item: ir.For) -> str:
         k = item.name.id
         return f"for (int32_t {k} = 0; {k} < {self.text(item.count)}; {k}++) {{"
 
     def lines(self, block: list[Any], depth: int = 1) -> list[str]:
-        """Lines of statements."""
         return super().lines(_chosen(block), depth)
 
 
-def c_header(program: Program, real: str = "double") -> str:
+def c_header(program: ir.Program, real: str = "double") -> str:
     """Return the header: the state, and the two functions that work on it."""
     name = program.name
     guard = f"{name.upper()}_H"
@@ -147,6 +114,7 @@ def c_header(program: Program, real: str = "double") -> str:
     fields = [f"    {printer.kind(n.kind)} {n.id};" for n, _ in program.state]
     fields += [f"    {real} {a.id}[{a.size}];" for a, _ in program.arrays]
     fields = fields or ["    char unused;"]
+    ports = [f"{p.name} [{p.unit}]: {p.text}" for p in (*program.inputs, *program.outputs)]
     return "\n".join(
         [
             *_comment(program.notes),
@@ -168,7 +136,7 @@ def c_header(program: Program, real: str = "double") -> str:
             f"void {name}_init({name}_state *state);",
             "",
             "/* Call once per sample.",
-            *(f" *   {line}" for line in _safe(map(_said, (*program.inputs, *program.outputs)))),
+            *(f" *   {line}" for line in _safe(ports)),
             " */",
             f"{_signature(program, real)};",
             "",
@@ -182,7 +150,7 @@ def c_header(program: Program, real: str = "double") -> str:
     )
 
 
-def c_source(program: Program, real: str = "double") -> str:
+def c_source(program: ir.Program, real: str = "double") -> str:
     """Return the source that belongs to :func:`c_header`."""
     name = program.name
     kept = [n.id for n, _ in program.state] + [a.id for a, _ in program.arrays]
@@ -198,13 +166,10 @@ def c_source(program: Program, real: str = "double") -> str:
         first.append(f"    for (int32_t k = 0; k < {array.size}; k++) {{")
         first += [f"        state->{array.id}[k] = {printer.number(float(value))};", "    }"]
     first = first or ["    state->unused = 0;"]
-    body = printer.lines(program.body)
-    body += [f"    *{p.name} = {printer.text(v, 0, p.kind)};" for p, v in
-             zip(program.outputs, program.results, strict=True)]  # fmt: skip
-    body += [f"    state->{n.id} = {printer.text(v, 0, n.kind)};" for n, v in program.after]
+    body = printer.step(program)
     unused = [] if kept else ["    (void)state;"]
     text = "\n".join(body)
-    unused += [f"    (void){p.name};" for p in program.inputs if f"{p.name}" not in text]
+    unused += [f"    (void){p.name};" for p in program.inputs if p.name not in text]
     return "\n".join(
         [
             *_comment(program.notes),
@@ -228,7 +193,7 @@ def c_source(program: Program, real: str = "double") -> str:
     )
 
 
-def _signature(program: Program, real: str) -> str:
+def _signature(program: ir.Program, real: str) -> str:
     parts = [f"{program.name}_state *state"]
     kind = CPrinter(real).kind
     parts += [f"{kind(p.kind)} {p.name}" for p in program.inputs]
@@ -236,13 +201,9 @@ def _signature(program: Program, real: str) -> str:
     return f"void {program.name}_step(\n    " + ",\n    ".join(parts) + ")"
 
 
-def _said(port: Port) -> str:
-    return f"{port.name} [{port.unit}]: {port.text}"
-
-
 def _safe(lines: Iterable[str]) -> list[str]:
     """Lines that end no comment."""
-    return [ascii_text(line).replace("*/", "* /").replace("/*", "/ *") for line in lines]
+    return [ir.ascii_text(line).replace("*/", "* /").replace("/*", "/ *") for line in lines]
 
 
 def _comment(notes: list[str]) -> list[str]:
@@ -265,7 +226,7 @@ def c_helpers(text: str, prefix: str) -> list[str]:
     return found
 
 
-def c_table(array: Array, printer: CPrinter) -> str:
+def c_table(array: ir.Array, printer: CPrinter) -> str:
     """A constant table."""
     values = array.values or ()
     rows = [

@@ -96,7 +96,7 @@ def provenance(controller: Controller, source: Path | None = None) -> list[str]:
     model, drive = controller.model, "a drive with two motors on one ring gear"
     if isinstance(model, RigModel):
         drive = f"the rig {model.rig.name}"
-    lines = [
+    return [
         f"Speed controller of {drive}.",
         f"Sample time: {controller.sample_time!r} s. Call the step once per sample.",
         "Units: SI, angles in rad; of each signal beside it.",
@@ -104,4 +104,3 @@ def provenance(controller: Controller, source: Path | None = None) -> list[str]:
         "Difference equations:",
         *(f"  {line}" for line in controller.equations().splitlines()),
     ]
-    return lines

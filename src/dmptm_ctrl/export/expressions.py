@@ -7,21 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dmptm_ctrl.export.program import (
-    BOOL,
-    FUNCTIONS,
-    INT,
-    REAL,
-    WIDE,
-    Array,
-    Item,
-    Name,
-    Op,
-    kind_of,
-    known,
-    make,
-    widest,
-)
+from dmptm_ctrl.export import program as ir
 from dmptm_ctrl.export.tracer import Cells, Latest, NotScalar, Range, Ring, Signals, Tracer
 from dmptm_ctrl.simulate.elementary import arrays_at, borrowed, called_at, gather, spread
 
@@ -73,15 +59,15 @@ class Expressions:
 
     def _attribute_value(self, node: ast.Attribute) -> Any:
         owner = self.value(node.value)
-        if isinstance(owner, Array) and node.attr in owner.fields:
-            return Item(owner, owner.fields.index(node.attr))
+        if isinstance(owner, ir.Array) and node.attr in owner.fields:
+            return ir.Item(owner, owner.fields.index(node.attr))
         return plain(getattr(owner, node.attr))
 
     def _unaryop_value(self, node: ast.UnaryOp) -> Any:
         value = self.value(node.operand)
         if isinstance(node.op, ast.Not):
-            return make("not", value)
-        return value if isinstance(node.op, ast.UAdd) else make("neg", value)
+            return ir.make("not", value)
+        return value if isinstance(node.op, ast.UAdd) else ir.make("neg", value)
 
     def _binop_value(self, node: ast.BinOp) -> Any:
         return self._binary(node.op, self.value(node.left), self.value(node.right))
@@ -91,28 +77,29 @@ class Expressions:
             return self._power(a, b)
         if type(op) not in _SIGNS:
             raise NotScalar(f"no operation {type(op).__name__}")
-        kind = widest((a, b))
-        if isinstance(op, ast.Mod) and kind in (REAL, WIDE):
+        kind = ir.widest((a, b))
+        if isinstance(op, ast.Mod) and kind in (ir.REAL, ir.WIDE):
             a, b = self.tracer.kept("dividend", a), self.tracer.kept("divisor", b)
-            return make("-", a, make("*", b, make(kind, make("floor", make("/", a, b)))))
-        return make(_SIGNS[type(op)], a, b)
+            turns = ir.make(kind, ir.make("floor", ir.make("/", a, b)))
+            return ir.make("-", a, ir.make("*", b, turns))
+        return ir.make(_SIGNS[type(op)], a, b)
 
     def _power(self, base: Any, exponent: Any) -> Any:
-        if known(exponent) and not known(base):
+        if ir.known(exponent) and not ir.known(base):
             if exponent == 2:
                 base = self.tracer.kept("base", base)
-                return make("*", base, base)
+                return ir.make("*", base, base)
             if exponent == 1:
                 return base
             if isclose(exponent, 0.5, rel_tol=0.0):
-                return make("sqrt", base)
-        return make("pow", make("real", base), make("real", exponent))
+                return ir.make("sqrt", base)
+        return ir.make("pow", ir.make("real", base), ir.make("real", exponent))
 
     def _compare_value(self, node: ast.Compare) -> Any:
         left, result = self.value(node.left), True
         for op, right_node in zip(node.ops, node.comparators, strict=True):
             right = self.value(right_node)
-            result = make("and", result, make(_SIGNS[type(op)], left, right))
+            result = ir.make("and", result, ir.make(_SIGNS[type(op)], left, right))
             left = right
         return result
 
@@ -120,7 +107,7 @@ class Expressions:
         is_and = isinstance(node.op, ast.And)
         value = self.value(node.values[0])
         for other in node.values[1:]:
-            if known(value):
+            if ir.known(value):
                 if bool(value) is not is_and:
                     return value
                 value = self.value(other)
@@ -134,7 +121,7 @@ class Expressions:
         with self.tracer.collected(block):
             right = self.value(other)
         if not block:
-            return make("and" if is_and else "or", value, right)
+            return ir.make("and" if is_and else "or", value, right)
         stop = not is_and
 
         def more() -> Any:
@@ -146,7 +133,7 @@ class Expressions:
 
     def _ifexp_value(self, node: ast.IfExp) -> Any:
         test = self.value(node.test)
-        if known(test):
+        if ir.known(test):
             return self.value(node.body if test else node.orelse)
         ways = [lambda: self.value(node.body), lambda: self.value(node.orelse)]
         return self.split(test, ways, "choice")
@@ -156,82 +143,79 @@ class Expressions:
 
     def item(self, owner: Any, index: Any) -> Any:
         """Element of an array, a tuple or cells."""
-        if isinstance(owner, Cells) and known(index):
+        if isinstance(owner, Cells) and ir.known(index):
             return self.tracer.heap[id(owner), int(index) % owner.size]
         if isinstance(owner, Signals):
             return self.item(owner.rings[index[0]], index[1])
         if isinstance(owner, Latest):
             return owner.value
         if isinstance(owner, Ring):
-            return Item(owner.array, make("mod", index, owner.array.size))
-        if isinstance(owner, Array):
-            return Item(owner, index)
-        if isinstance(owner, tuple | np.ndarray) and not _symbolic(index):
-            return plain(owner[index])
+            return ir.Item(owner.array, ir.make("mod", index, owner.array.size))
+        if isinstance(owner, ir.Array):
+            return ir.Item(owner, index)
         if isinstance(owner, tuple | np.ndarray):
-            return self._looked_up(tuple(plain(v) for v in owner), index)
+            parts = index if isinstance(index, tuple) else (index,)
+            if any(isinstance(p, ir.Name | ir.Op | ir.Item) for p in parts):
+                return self._looked_up(tuple(plain(v) for v in owner), index)
+            return plain(owner[index])
         raise NotScalar(f"cannot read a {type(owner).__name__} at {index!r}")
 
     def _looked_up(self, values: tuple[Any, ...], index: Any) -> Any:
-        if not all(known(v) for v in values):
+        if not all(ir.known(v) for v in values):
             raise NotScalar("a table of numbers that are not known")
         first = 0
-        if isinstance(index, Op) and index.op == "+":
+        if isinstance(index, ir.Op) and index.op == "+":
             a, b = index.args
-            first, index = (a, b) if known(a) else (b, a) if known(b) else (0, index)
-        if isinstance(index, Op) and index.op == "+" and known(index.args[0]):
+            first, index = (a, b) if ir.known(a) else (b, a) if ir.known(b) else (0, index)
+        if isinstance(index, ir.Op) and index.op == "+" and ir.known(index.args[0]):
             first, index = first + index.args[0], index.args[1]
         table = self.tracer.table(tuple(float(v) for v in values))
-        return Item(table, make("+", index, first))
+        return ir.Item(table, ir.make("+", index, first))
 
     def _call_value(self, node: ast.Call) -> Any:
-        return _called(self, self.value(node.func), [self.value(arg) for arg in node.args])
-
-
-def _called(scope: Expressions, function: Any, args: list[Any]) -> Any:
-    name = getattr(function, "__name__", "")
-    module = getattr(function, "__module__", "") or ""
-    if function is range:
-        return Range(*(args if len(args) == 2 else (0, *args)))
-    if function in (float, int, bool, abs, min, max, len):
-        return _builtin(function, args)
-    if name in FUNCTIONS and (module == "math" or module.endswith("elementary")):
-        arg = make("real", args[0])
-        return make(name, arg)
-    if function is borrowed or function is arrays_at:
-        return args[0]
-    if function is spread:
-        return tuple(scope.item(args[0], make("+", args[2], i)) for i in range(args[1]))
-    if function is gather:
-        for i, item in enumerate(args[1]):
-            scope.put(args[0], make("+", args[2], i), item)
-        return None
-    if function is called_at:
-        return scope.follow(args[0], list(args[1]))
-    if isinstance(function, type) and hasattr(function, "_fields"):
-        return function(*args)
-    if callable(function):
-        return scope.follow(function, args)
-    raise NotScalar(f"cannot call {function!r}")
+        function, args = self.value(node.func), [self.value(arg) for arg in node.args]
+        name = getattr(function, "__name__", "")
+        module = getattr(function, "__module__", "") or ""
+        if function is range:
+            return Range(*(args if len(args) == 2 else (0, *args)))
+        if function in (float, int, bool, abs, min, max, len):
+            return _builtin(function, args)
+        if name in ir.FUNCTIONS and (module == "math" or module.endswith("elementary")):
+            return ir.make(name, ir.make("real", args[0]))
+        if function is borrowed or function is arrays_at:
+            return args[0]
+        if function is spread:
+            return tuple(self.item(args[0], ir.make("+", args[2], i)) for i in range(args[1]))
+        if function is gather:
+            for i, item in enumerate(args[1]):
+                self.put(args[0], ir.make("+", args[2], i), item)
+            return None
+        if function is called_at:
+            return self.follow(args[0], list(args[1]))
+        if isinstance(function, type) and hasattr(function, "_fields"):
+            return function(*args)
+        if callable(function):
+            return self.follow(function, args)
+        raise NotScalar(f"cannot call {function!r}")
 
 
 def _builtin(function: Any, args: list[Any]) -> Any:
     if function is len:
         return len(args[0])
     if function is abs:
-        return make("abs", args[0])
+        return ir.make("abs", args[0])
     if function in (min, max):
         value = args[0]
         for other in args[1:]:
-            value = make(function.__name__, value, other)
+            value = ir.make(function.__name__, value, other)
         return value
-    if known(args[0]):
+    if ir.known(args[0]):
         return function(args[0])
     if function is float:
-        return make("real", args[0])
+        return ir.make("real", args[0])
     if function is int:
-        return args[0] if kind_of(args[0]) == INT else make("trunc", args[0])
-    return args[0] if kind_of(args[0]) == BOOL else make("!=", args[0], 0)
+        return args[0] if ir.kind_of(args[0]) == ir.INT else ir.make("trunc", args[0])
+    return args[0] if ir.kind_of(args[0]) == ir.BOOL else ir.make("!=", args[0], 0)
 
 
 def plain(value: Any) -> Any:
@@ -241,8 +225,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.integer):
         return int(value)
     return float(value) if isinstance(value, np.floating) else value
-
-
-def _symbolic(index: Any) -> bool:
-    parts = index if isinstance(index, tuple) else (index,)
-    return any(isinstance(p, Name | Op | Item) for p in parts)

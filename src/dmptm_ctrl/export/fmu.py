@@ -41,22 +41,18 @@ def write_fmu(program: Program, sample_time: float, file: Path) -> None:
     guid = hashlib.sha256("\0".join(sources.values()).encode()).hexdigest()
     description = _description(program, sample_time, guid, list(sources))
     sources["fmi2.c"] = sources["fmi2.c"].replace("@GUID@", guid)
+    system = {"win32": "win", "darwin": "darwin"}.get(sys.platform, "linux")
+    bits = platform.architecture()[0].removesuffix("bit")
     with tempfile.TemporaryDirectory() as folder:
         binary = shared_library(Path(folder), name, sources)
         entries = {
             "modelDescription.xml": description.encode(),
             **{f"sources/{key}": text.encode() for key, text in sources.items()},
-            f"binaries/{_platform()}/{binary.name}": binary.read_bytes(),
+            f"binaries/{system}{bits}/{binary.name}": binary.read_bytes(),
         }
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for key, content in entries.items():
             archive.writestr(zipfile.ZipInfo(key, _YEAR), content, zipfile.ZIP_DEFLATED)
-
-
-def _platform() -> str:
-    """Folder of the binaries, as the standard names it."""
-    bits = "64" if platform.architecture()[0] == "64bit" else "32"
-    return {"win32": "win", "darwin": "darwin"}.get(sys.platform, "linux") + bits
 
 
 def _wrapper(program: Program, sample_time: float) -> str:

@@ -61,7 +61,10 @@ def plant_program(
         inputs, seen = rig_ports(model)
         columns = list(range(len(seen)))
     else:
-        inputs, seen = _dual_ports()
+        said = "voltage of the {} motor, held until the next step"
+        inputs = [Port(f"u_{s}", "V", said.format(s)) for s in ("left", "right")]
+        named = zip(OUTPUTS, UNITS, TEXTS, strict=True)
+        seen = [Port(n.lower(), unit, text) for n, unit, text in named]
         q, v = start_of(plant, rest(model, start))
         count, _, links, _, sensors = plant.size
         every = np.arange(sensors + 2.0 * links + 2.0 * count)[None]
@@ -143,15 +146,6 @@ def _signal(
     array = tracer.array(f"past_{port.id}", ceil(late) + 3)
     keeping.append(Store(array, make("mod", samples, array.size), port))
     return Ring(array)
-
-
-def _dual_ports() -> tuple[list[Port], list[Port]]:
-    inputs = [
-        Port(f"u_{side}", "V", f"voltage of the {side} motor, held until the next step")
-        for side in ("left", "right")
-    ]
-    named = zip(OUTPUTS, UNITS, TEXTS, strict=True)
-    return inputs, [Port(n.lower(), unit, text) for n, unit, text in named]
 
 
 def rig_ports(model: RigModel) -> tuple[list[Port], list[Port]]:

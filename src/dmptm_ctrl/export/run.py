@@ -7,12 +7,13 @@ from typing import Any
 
 from dmptm_ctrl.design.controller import KIND as CONTROLLER
 from dmptm_ctrl.design.controller import Controller, read_controller
-from dmptm_ctrl.export.c_source import REALS, c_header, c_source
+from dmptm_ctrl.export.c_source import c_header, c_source
 from dmptm_ctrl.export.controller import controller_program, provenance
 from dmptm_ctrl.export.experiment import Limits, experiment_program, read_signals, within
 from dmptm_ctrl.export.fmu import write_fmu
 from dmptm_ctrl.export.mujoco import mujoco_joint, mujoco_text
 from dmptm_ctrl.export.plant import plant_program
+from dmptm_ctrl.export.printer import REALS
 from dmptm_ctrl.export.program import Program
 from dmptm_ctrl.export.python_program import python_program
 from dmptm_ctrl.export.reserved import RESERVED

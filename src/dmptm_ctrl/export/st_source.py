@@ -1,66 +1,41 @@
 """A program as a function block in Structured Text, IEC 61131-3."""
 
+from math import isfinite
 from typing import Any
 
+from dmptm_ctrl.export import program as ir
 from dmptm_ctrl.export.printer import ATOM, LEVEL, UNARY, Printer, in_float
-from dmptm_ctrl.export.program import (
-    BOOL,
-    INT,
-    REAL,
-    WIDE,
-    Assign,
-    For,
-    Program,
-    ascii_text,
-    known,
-    widest,
-)
-
-REALS = {"double": "LREAL", "float": "REAL"}
 
 
 class StPrinter(Printer):
     """Prints Structured Text; collects the variables that statements set."""
 
+    types = {"double": "LREAL", "float": "REAL", ir.INT: "DINT", ir.BOOL: "BOOL"}  # noqa: RUF012
     signs = {"or": "OR", "and": "AND", "==": "=", "!=": "<>", "neg": "-", "not": "NOT "}  # noqa: RUF012
-    set_to = ":="
+    set_to, output, truth = ":=", "", ("FALSE", "TRUE")
     words = {"if": "IF {} THEN", "else": "ELSE", "end if": "END_IF;", "end for": "END_FOR;"}  # noqa: RUF012
 
     def __init__(self, real: str) -> None:
-        if real not in REALS:
-            raise ValueError(f"real is {real!r}; it must be one of {', '.join(REALS)}")
-        self.real, self.narrow = REALS[real], real == "float"
+        super().__init__(real)
         self.variables: dict[str, str] = {}
 
-    def kind(self, kind: str) -> str:
-        """Type of a kind."""
-        return {REAL: self.real, WIDE: "LREAL", INT: "DINT", BOOL: "BOOL"}[kind]
-
     def cast(self, value: Any, kind: str) -> tuple[str, int]:
-        """Text of a real or wide value as the other of them, and how it binds."""
-        name = "LREAL_TO_REAL" if kind == REAL else "REAL_TO_LREAL"
+        name = "LREAL_TO_REAL" if kind == ir.REAL else "REAL_TO_LREAL"
         return f"{name}({self.text(value)})", ATOM
 
-    def number(self, value: float, kind: str | None = None) -> str:
-        """Text of a number that comes back to the last bit."""
-        if isinstance(value, bool):
-            return "TRUE" if value else "FALSE"
-        if isinstance(value, int):
-            return str(value)
-        if value != value or abs(value) == float("inf"):
+    def literal(self, value: float, short: bool) -> str:
+        if not isfinite(value):
             raise ValueError(f"Structured Text has no literal for {value}")
-        value = in_float(value) if self.narrow and kind != WIDE else float(value)
-        mantissa, sign, exponent = repr(value).partition("e")
+        mantissa, sign, exponent = repr(in_float(value) if short else value).partition("e")
         if "." not in mantissa:
             mantissa += ".0"
         return mantissa + (f"E{exponent}" if sign else "")
 
     def operation(self, op: str, args: tuple[Any, ...], kind: str) -> tuple[str, int]:
-        """Text of an operation that is no sign between or before values, and how it binds."""
         if op == "mod":
             a, n = self.text(args[0], LEVEL["*"]), self.text(args[1], UNARY)
             return f"(({a} MOD {n}) + {n}) MOD {n}", LEVEL["*"]
-        both = widest(args)
+        both = ir.widest(args)
         if op == "floor":  # the standard rounds towards zero only
             x, real = self.text(args[0]), f"DINT_TO_{self.kind(both)}"
             down = f"{real}(TRUNC({x})) > {self.text(args[0], LEVEL['+'])}"
@@ -71,61 +46,52 @@ class StPrinter(Printer):
         if op == "tanh":  # the standard has none
             text = f"1.0 - 2.0 / (EXP(2.0 * {self.text(args[0], UNARY)}) + 1.0)"
             level = LEVEL["-"]
-        if self.narrow and both == WIDE and kind == REAL:
+        if self.narrow and both == ir.WIDE and kind == ir.REAL:
             return f"LREAL_TO_REAL({text})", ATOM
         return text, level
 
-    def assignment(self, item: Assign) -> list[str]:
-        """Line that gives a name its value; none where it is only declared."""
+    def assignment(self, item: ir.Assign) -> list[str]:
         self.variables.setdefault(item.name.id, self.kind(item.name.kind))
-        return (
-            []
-            if item.value is None
-            else [f"{item.name.id} := {self.text(item.value, 0, item.name.kind)};"]
-        )
+        if item.value is None:
+            return []
+        return [f"{item.name.id} := {self.text(item.value, 0, item.name.kind)};"]
 
-    def loop(self, item: For) -> str:
-        """Line above the body of a loop."""
+    def loop(self, item: ir.For) -> str:
         self.variables.setdefault(item.name.id, "DINT")
-        last = self.text(item.count - 1) if known(item.count) else f"{self.text(item.count)} - 1"
+        last = self.text(item.count - 1) if ir.known(item.count) else f"{self.text(item.count)} - 1"
         return f"FOR {item.name.id} := 0 TO {last} DO"
 
 
-def st_source(program: Program, real: str = "double") -> str:
+def st_source(program: ir.Program, real: str = "double") -> str:
     """Return a program as one function block; its state starts at the values that stand in it."""
     printer = StPrinter(real)
-    body = printer.lines(program.body)
-    body += [
-        f"    {p.name} := {printer.text(v, 0, p.kind)};"
-        for p, v in zip(program.outputs, program.results, strict=True)
-    ]
-    body += [f"    {n.id} := {printer.text(v, 0, n.kind)};" for n, v in program.after]
+    body = printer.step(program)
     own = {n.id for n, _ in program.state}
     state = [f"    {n.id} : {printer.kind(n.kind)} := {printer.number(v)};" for n, v in
              program.state]  # fmt: skip
     state += [
-        f"    {a.id} : ARRAY[0..{a.size - 1}] OF {printer.real} := "
+        f"    {a.id} : ARRAY[0..{a.size - 1}] OF {printer.kind(ir.REAL)} := "
         f"[{a.size}({printer.number(float(v))})];"
         for a, v in program.arrays
     ]
     tables = [
-        f"    {a.id} : ARRAY[0..{a.size - 1}] OF {printer.real} := "
+        f"    {a.id} : ARRAY[0..{a.size - 1}] OF {printer.kind(ir.REAL)} := "
         f"[{', '.join(printer.number(v) for v in a.values or ())}];"
         for a in program.tables()
     ]
     temporary = [f"    {n} : {kind};" for n, kind in printer.variables.items() if n not in own]
-    ports = [
-        [f"    {p.name} : {printer.kind(p.kind)}; (* [{ascii_text(p.unit)}] {ascii_text(p.text)} *)"
+    inputs, outputs = (
+        [f"    {p.name} : {printer.kind(p.kind)}; (* {ir.ascii_text(f'[{p.unit}] {p.text}')} *)"
          for p in side]
         for side in (program.inputs, program.outputs)
-    ]  # fmt: skip
-    notes = [ascii_text(line).replace("(*", "( *").replace("*)", "* )") for line in program.notes]
+    )  # fmt: skip
+    notes = [ir.ascii_text(x).replace("(*", "( *").replace("*)", "* )") for x in program.notes]
     return "\n".join(
         [
             *(f"(* {line} *)" for line in notes),
             f"FUNCTION_BLOCK {program.name}",
-            *_section("VAR_INPUT", ports[0]),
-            *_section("VAR_OUTPUT", ports[1]),
+            *_section("VAR_INPUT", inputs),
+            *_section("VAR_OUTPUT", outputs),
             *_section("VAR", state),
             *_section("VAR CONSTANT", tables),
             *_section("VAR_TEMP", temporary),

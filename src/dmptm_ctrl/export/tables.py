@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dmptm_ctrl.design.preload import volt_at_pinion
+from dmptm_ctrl.design.preload import unloaded_friction, volt_at_pinion
 from dmptm_ctrl.export.stepping import origin
 from dmptm_ctrl.simulate.dual import MOTORS, RING
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -31,7 +31,7 @@ def compensation_tables(model: Model | RigModel) -> dict[str, pd.DataFrame]:
     angle = np.linspace(0.0, 2 * pi, ANGLES)
 
     def friction(body: int, factor: float = 1.0) -> Floats:
-        return np.array([_friction(parts, body, factor * float(w)) for w in speed])
+        return np.array([unloaded_friction(parts, body, factor * float(w)) for w in speed])
 
     def torque(body: int) -> Floats:
         return np.array([0.0 - parts.torque(body, 0.0, float(q), 0.0, 0.0) for q in angle])
@@ -67,13 +67,6 @@ def compensation_tables(model: Model | RigModel) -> dict[str, pd.DataFrame]:
                 columns[f"u_{name}_V"] = n1 * columns[f"torque_{name}_N_m"] / gain
             tables["motor"] = columns
     return {name: pd.DataFrame(table) for name, table in tables.items() if len(table) > 1}
-
-
-def _friction(parts: Parts, body: int, omega: float) -> float:
-    if omega == 0.0:
-        return 0.0
-    way = 1.0 if omega > 0.0 else -1.0
-    return way * float(parts.sliding(body, way, 0.0, omega, 0.0, 0.0, 0.0)[0])
 
 
 def write_tables(model: Model | RigModel, source: Path, folder: Path) -> None:

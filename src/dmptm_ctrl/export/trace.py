@@ -12,24 +12,8 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+from dmptm_ctrl.export import program as ir
 from dmptm_ctrl.export.expressions import Expressions
-from dmptm_ctrl.export.program import (
-    BOOL,
-    INT,
-    REAL,
-    WIDE,
-    Array,
-    Assign,
-    For,
-    If,
-    Item,
-    Name,
-    Op,
-    Store,
-    kind_of,
-    known,
-    make,
-)
 from dmptm_ctrl.export.tracer import (
     Cells,
     Merge,
@@ -98,10 +82,8 @@ class Scope(Expressions):
             for target in node.targets:
                 self.assign(target, value)
         elif isinstance(node, ast.AugAssign):
-            read = ast.copy_location(_as_read(node.target), node)
-            self.assign(
-                node.target, self._binary(node.op, self.value(read), self.value(node.value))
-            )
+            old, other = self.value(node.target), self.value(node.value)
+            self.assign(node.target, self._binary(node.op, old, other))
         elif isinstance(node, ast.For):
             self._loop(node)
         elif isinstance(node, ast.Expr):
@@ -135,11 +117,11 @@ class Scope(Expressions):
             container, index = container.cells, index[1]
         if isinstance(container, Signals):
             container, index = container.rings[index[0]], index[1]
-        if isinstance(container, Cells) and known(index):
+        if isinstance(container, Cells) and ir.known(index):
             place = id(container), int(index) % container.size
             self.tracer.heap[place] = self.tracer.kept(self.tracer.title(place), value)
-        elif isinstance(container, Array) and container.values is None:
-            self.tracer.block.append(Store(container, index, value))
+        elif isinstance(container, ir.Array) and container.values is None:
+            self.tracer.block.append(ir.Store(container, index, value))
         else:
             raise NotScalar(f"cannot write into a {type(container).__name__}")
 
@@ -148,17 +130,15 @@ class Scope(Expressions):
     def _branch(self, node: ast.If, rest: list[ast.stmt]) -> Any:
         """Follow an if; the function's result if it, or what comes behind it, ends there."""
         test = self.value(node.test)
-        if known(test):
+        if ir.known(test):
             done = self.run(node.body if test else node.orelse)
             return _NOTHING if done is None else done
         ends = any(isinstance(part, ast.Return) for part in ast.walk(node))
         tail = rest if ends else []
-        results = self._either(test, [*node.body, *tail], [*node.orelse, *tail])
-        return results if ends else _NOTHING
-
-    def _either(self, test: Any, first: list[ast.stmt], second: list[ast.stmt]) -> Returned | None:
-        both = [lambda: self.run(first), lambda: self.run(second)]
+        both = [lambda: self.run([*node.body, *tail]), lambda: self.run([*node.orelse, *tail])]
         result = self.split(test, both, self.title)
+        if not ends:
+            return _NOTHING
         return result if result is None else Returned(result[0])
 
     def split(self, test: Any, both: list[Callable[[], Any]], title: str) -> Any:
@@ -183,7 +163,7 @@ class Scope(Expressions):
         result = merge.of(title, result_1, result_2)
         self.tracer.block += merge.declared
         if body or orelse:
-            self.tracer.block.append(If(test, body, orelse))
+            self.tracer.block.append(ir.If(test, body, orelse))
         return result
 
     # loops
@@ -192,7 +172,7 @@ class Scope(Expressions):
         turns = self.value(node.iter)
         if not isinstance(turns, Range):
             raise NotScalar("a loop must be over a range")
-        if known(turns.start) and known(turns.stop) and (
+        if ir.known(turns.start) and ir.known(turns.stop) and (
             turns.stop - turns.start <= UNROLLED or _needs_place(node)
         ):  # fmt: skip
             for k in range(turns.start, turns.stop):
@@ -204,24 +184,24 @@ class Scope(Expressions):
                 if done is not None:
                     raise NotScalar("cannot follow a return inside a loop")
             return
-        counter = self.tracer.fresh("k", INT)
+        counter = self.tracer.fresh("k", ir.INT)
         block: list[Any] = []
 
         def body() -> None:
-            self.assign(node.target, make("+", counter, turns.start))
+            self.assign(node.target, ir.make("+", counter, turns.start))
             if self.run(node.body) is not None:
                 raise NotScalar("cannot follow a return inside a loop")
 
         entry, moved = self.turning(block, body, keep=False)
         for name, start, _ in entry:
-            self.tracer.block.append(Assign(name, start))
+            self.tracer.block.append(ir.Assign(name, start))
         block += moved
-        count = make("-", turns.stop, turns.start)
-        self.tracer.block.append(For(counter, count, block))
+        count = ir.make("-", turns.stop, turns.start)
+        self.tracer.block.append(ir.For(counter, count, block))
 
     def turning(
         self, block: list[Any], body: Callable[[], None], *, keep: bool
-    ) -> tuple[list[tuple[Name, Any, Any]], list[Any]]:
+    ) -> tuple[list[tuple[ir.Name, Any, Any]], list[Any]]:
         """Follow a body that repeats, until it is known which variables it carries.
 
         `block` gets the statements of one turn. With `keep` the carried variables stand in a state,
@@ -236,7 +216,7 @@ class Scope(Expressions):
             self.env, tracer.heap = dict(env), dict(heap)
             tracer.taken, tracer.tables = dict(taken), dict(tables)
             del block[:]
-            names: dict[Any, Name] = {}
+            names: dict[Any, ir.Name] = {}
             for place, kind in carried.items():
                 names[place] = tracer.fresh(self._base(place), kind)
                 self._set(place, names[place])
@@ -247,11 +227,11 @@ class Scope(Expressions):
             for place, old, new in _leaves(inside, inner, self.env, tracer.heap):
                 if same(old, new):
                     continue
-                if not known(new) and not isinstance(new, Name | Op | Item):
+                if not ir.known(new) and not isinstance(new, ir.Name | ir.Op | ir.Item):
                     raise NotScalar(f"{self._base(place)} changes what it is within a loop")
-                kinds = {kind_of(old), kind_of(new), carried.get(place, BOOL)}
-                kinds |= {WIDE} if place[1] in tracer.wide else set()
-                changed[place] = next(k for k in (WIDE, REAL, INT, BOOL) if k in kinds)
+                kinds = {ir.kind_of(old), ir.kind_of(new), carried.get(place, ir.BOOL)}
+                kinds |= {ir.WIDE} if place[1] in tracer.wide else set()
+                changed[place] = next(k for k in (ir.WIDE, ir.REAL, ir.INT, ir.BOOL) if k in kinds)
             if changed == carried:
                 break
             carried = changed
@@ -262,8 +242,8 @@ class Scope(Expressions):
         for place, name in names.items():
             new = _get(place, before_env, before_heap)
             old = _get(place, env, heap)
-            if name.kind in (REAL, WIDE):
-                old, new = make(name.kind, old), make(name.kind, new)
+            if name.kind in (ir.REAL, ir.WIDE):
+                old, new = ir.make(name.kind, old), ir.make(name.kind, new)
             found.append((name, old, new))
             if not keep:
                 self._set(place, name)
@@ -271,11 +251,11 @@ class Scope(Expressions):
         if not keep:
             busy = {name.id for name in names.values()}
             for k, (name, old, new) in enumerate(found):
-                if isinstance(new, Name) and new.id in busy and new != name:
+                if isinstance(new, ir.Name) and new.id in busy and new != name:
                     spare = tracer.fresh(name.id, name.kind)
-                    moves.append(Assign(spare, new))
+                    moves.append(ir.Assign(spare, new))
                     found[k] = name, old, spare
-            moves += [Assign(n, new, declare=False) for n, _, new in found if new != n]
+            moves += [ir.Assign(n, new, declare=False) for n, _, new in found if new != n]
         return found, moves
 
     def _base(self, place: Any) -> str:
@@ -290,14 +270,6 @@ class Scope(Expressions):
     def follow(self, function: Any, args: list[Any]) -> Any:
         """Follow a call."""
         return follow(self.tracer, function, args)
-
-
-def _as_read(target: ast.expr) -> ast.expr:
-    copied = ast.parse(ast.unparse(target), mode="eval").body
-    for part in ast.walk(copied):
-        if hasattr(part, "lineno"):
-            part.lineno = target.lineno
-    return copied
 
 
 def _needs_place(node: ast.For) -> bool:

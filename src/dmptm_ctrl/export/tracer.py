@@ -6,19 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.export.program import (
-    FOREVER,
-    REAL,
-    WIDE,
-    Array,
-    Assign,
-    Item,
-    Name,
-    Op,
-    kind_of,
-    known,
-    make,
-)
+from dmptm_ctrl.export import program as ir
 from dmptm_ctrl.export.reserved import RESERVED
 
 
@@ -38,7 +26,7 @@ class Cells:
 class Ring(NamedTuple):
     """The last `array.size` samples of a signal, by the number of the sample."""
 
-    array: Array
+    array: ir.Array
 
 
 class Latest(NamedTuple):
@@ -56,14 +44,14 @@ class Row(NamedTuple):
     @property
     def shape(self) -> tuple[int, int]:
         """Rows are as many as samples."""
-        return FOREVER, self.columns
+        return ir.FOREVER, self.columns
 
 
 class Signals(NamedTuple):
     """Two-dimensional array of rings, one per signal, each with `size` samples."""
 
-    rings: tuple["Ring | Latest | Array", ...]
-    size: int = FOREVER
+    rings: tuple["Ring | Latest | ir.Array", ...]
+    size: int = ir.FOREVER
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -93,12 +81,12 @@ class Tracer:
         self._alive: list[Cells] = []  # so that no identity is given twice
         self.wide: set[tuple[int, int]] = set()  # cells that are doubles in every program
         self.taken: dict[str, int] = {}
-        self.tables: dict[tuple[float, ...], Array] = {}
-        self.arrays: list[tuple[Array, float]] = []
+        self.tables: dict[tuple[float, ...], ir.Array] = {}
+        self.arrays: list[tuple[ir.Array, float]] = []
 
     # names and cells
 
-    def fresh(self, base: str, kind: str = REAL) -> Name:
+    def fresh(self, base: str, kind: str = ir.REAL) -> ir.Name:
         """Return a name that is not in use, whatever the case of its letters."""
         base = base.strip("_").lower() or "x"
         name = base
@@ -106,7 +94,7 @@ class Tracer:
             self.taken[base] = count = self.taken.get(base, 0) + 1
             name = f"{base}_{count + 1}"
         self.taken.setdefault(name, 0)
-        return Name(name, kind)
+        return ir.Name(name, kind)
 
     def cells(self, values: Any, names: Mapping[int, str] | None = None) -> Cells:
         """Return new cells with these values, called so in what is printed."""
@@ -121,16 +109,16 @@ class Tracer:
         owner = next(c for c in self._alive if id(c) == place[0])
         return owner.names.get(place[1], f"value_{place[1]}")
 
-    def array(self, base: str, size: int) -> Array:
+    def array(self, base: str, size: int) -> ir.Array:
         """Return an array that is kept from step to step, of zeros at first."""
-        made = Array(self.fresh(base).id, size)
+        made = ir.Array(self.fresh(base).id, size)
         self.arrays.append((made, 0.0))
         return made
 
-    def table(self, values: tuple[float, ...]) -> Array:
+    def table(self, values: tuple[float, ...]) -> ir.Array:
         """Return the constant table of these values."""
         if values not in self.tables:
-            self.tables[values] = Array(self.fresh("table").id, len(values), values)
+            self.tables[values] = ir.Array(self.fresh("table").id, len(values), values)
         return self.tables[values]
 
     # functions and statements
@@ -147,14 +135,13 @@ class Tracer:
     def kept(self, name: str, value: Any) -> Any:
         """Give an expression a name, so that it is computed once."""
         if isinstance(value, tuple):
-            parts = [
-                self.kept(part, v) for part, v in zip(part_names(name, value), value, strict=True)
-            ]
+            named = zip(part_names(name, value), value, strict=True)
+            parts = [self.kept(part, v) for part, v in named]
             return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
-        if not isinstance(value, Op | Item):
+        if not isinstance(value, ir.Op | ir.Item):
             return value
-        made = self.fresh(name, kind_of(value))
-        self.block.append(Assign(made, value))
+        made = self.fresh(name, ir.kind_of(value))
+        self.block.append(ir.Assign(made, value))
         return made
 
 
@@ -173,16 +160,16 @@ class Merge:
             names = part_names(base, a)
             parts = [self.of(n, x, y) for n, x, y in zip(names, a, b, strict=True)]
             return type(a)(*parts) if hasattr(a, "_fields") else tuple(parts)
-        scalar = all(known(v) or isinstance(v, Name | Op | Item) for v in (a, b))
+        scalar = all(ir.known(v) or isinstance(v, ir.Name | ir.Op | ir.Item) for v in (a, b))
         if not scalar:
             return None  # of no use behind the branches
-        kinds = {kind_of(a), kind_of(b)}
-        kind = next(iter(kinds)) if len(kinds) == 1 else WIDE if WIDE in kinds else REAL
+        kinds = {ir.kind_of(a), ir.kind_of(b)}
+        kind = next(iter(kinds)) if len(kinds) == 1 else ir.WIDE if ir.WIDE in kinds else ir.REAL
         name = self.tracer.fresh(base, kind)
-        self.declared.append(Assign(name, None))
+        self.declared.append(ir.Assign(name, None))
         for way, value in zip(self.ways, (a, b), strict=True):
-            value = make(kind, value) if kind in (REAL, WIDE) else value
-            way.append(Assign(name, value, declare=False))
+            value = ir.make(kind, value) if kind in (ir.REAL, ir.WIDE) else value
+            way.append(ir.Assign(name, value, declare=False))
         return name
 
 

@@ -9,9 +9,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from dmptm_ctrl.plots.page import words
-from dmptm_ctrl.plots.style import STYLES, axes
-
-Floats = NDArray[np.float64]
+from dmptm_ctrl.plots.style import STYLES, Floats, axes
 
 MEASURED = {**STYLES["measured"], "linewidth": 3.5}  # shows beside what covers it
 BEFORE = {**STYLES["existing"], "linewidth": 1.0}
@@ -132,11 +130,9 @@ def plot_budget(diagnosis: Any, *, ax: Any = None) -> Axes:
     rows: Any = list(getattr(diagnosis, "budget", diagnosis))
     panel: Axes = axes(ax, 1, figsize=(7.0, 0.7 + 0.34 * len(rows)))[0, 0]
     for i, row in enumerate(rows):
-        style = BUDGET.get(row.name, BUDGET[""])
-        panel.barh(i, 100.0 * row.share, height=0.65, edgecolor="0.2", linewidth=0.6, **style)
-        panel.text(
-            100.0 * row.share + 1.0, i, f"{100.0 * row.share:.1f} %", va="center", fontsize=9
-        )
+        share, style = 100.0 * row.share, BUDGET.get(row.name, BUDGET[""])
+        panel.barh(i, share, height=0.65, edgecolor="0.2", linewidth=0.6, **style)
+        panel.text(share + 1.0, i, f"{share:.1f} %", va="center", fontsize=9)
     labels = [f"{r.name} @ {r.location}".rstrip(" @").replace("_", " ") for r in rows]
     panel.set_yticks(range(len(rows)), labels, fontsize=9)
     panel.invert_yaxis()
@@ -158,7 +154,12 @@ def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     what = words(evidence.effect) or "the effects"
     titles = (f"without {what}", "with all that was found")
     for panel, title, curves in zip(panels, titles, (evidence.before, evidence.after), strict=True):
-        _draw(panel, curves, evidence.ways)
+        panel.axhline(0.0, color="0.65", linewidth=0.8)
+        names = dict(zip(DIRECTIONS, evidence.ways, strict=True))
+        for direction, curve in curves.items():
+            x, mean, se = apart(curve)
+            look = {"linewidth": 1.0, "elinewidth": 0.8, "capsize": 1.5, **DIRECTIONS[direction]}
+            panel.errorbar(x, mean, 2.0 * se, label=names[direction], **look)
         panel.set_title(title, fontsize=10)
         panel.set_xlabel(evidence.variable)
     panels[0].set_ylabel(evidence.quantity)
@@ -176,14 +177,5 @@ def apart(curve: Curve) -> tuple[Floats, Floats, Floats]:
     if steps.size == 0:
         return curve.x, curve.mean, curve.se
     empty = np.flatnonzero(steps > 1.5 * steps.min()) + 1
-    x, mean, se = (np.insert(values, empty, np.nan) for values in (curve.x, curve.mean, curve.se))
+    x, mean, se = (np.insert(part, empty, np.nan) for part in (curve.x, curve.mean, curve.se))
     return x, mean, se
-
-
-def _draw(panel: Axes, curves: Mapping[str, Curve], ways: tuple[str, str]) -> None:
-    panel.axhline(0.0, color="0.65", linewidth=0.8)
-    names = dict(zip(DIRECTIONS, ways, strict=True))
-    for direction, curve in curves.items():
-        x, mean, se = apart(curve)
-        look = {"linewidth": 1.0, "elinewidth": 0.8, "capsize": 1.5, **DIRECTIONS[direction]}
-        panel.errorbar(x, mean, 2.0 * se, label=names[direction], **look)

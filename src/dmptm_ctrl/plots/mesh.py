@@ -58,9 +58,8 @@ def tooth_plot(tooth: Tooth, *, ax: Axes | None = None, title: str = "") -> Axes
     arrow = {"arrowstyle": "-|>", "color": STYLES["existing"]["color"]}
     panel.annotate("", (side, level), xytext=(side + 0.8, level), arrowprops=arrow)
     panel.annotate("F", (side + 0.85, level), va="center")
-    panel.annotate(
-        "", (0.0, 0.0), xytext=(0.0, level), arrowprops={"arrowstyle": "<->", "color": "0.2"}
-    )
+    both_ways = {"arrowstyle": "<->", "color": "0.2"}
+    panel.annotate("", (0.0, 0.0), xytext=(0.0, level), arrowprops=both_ways)
     panel.annotate("h1", (0.06, 0.5 * level))
     panel.set(xlabel="width [mm]", ylabel="height above the base [mm]", title=title)
     panel.set_xlim(-MARGIN * x[0], MARGIN * x[0])

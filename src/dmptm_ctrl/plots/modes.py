@@ -33,9 +33,8 @@ def mode_plot(modes: Modes, *, ax: Any = None, Hz: bool = True) -> np.ndarray:
     panels = axes(ax, count, figsize=(4, 3)).ravel()
     labels = [_label(train.bodies[i], "\n" if len(order) <= 3 else " ") for i in order]
     x = np.arange(len(order))
-    for panel, omega, turn, kind in zip(
-        panels, modes.omega, modes.turns.T, modes.kinds, strict=True
-    ):
+    each = zip(panels, modes.omega, modes.turns.T, modes.kinds, strict=True)
+    for panel, omega, turn, kind in each:
         panel.axhline(0.0, color="0.7", linewidth=0.8)
         panel.vlines(x, 0.0, turn[order], color="0.6", linewidth=1.0)
         _wheels(panel, x, turn[order])
@@ -46,9 +45,8 @@ def mode_plot(modes: Modes, *, ax: Any = None, Hz: bool = True) -> np.ndarray:
         panel.set_ylim(-1.15, 2.0)
         panel.set_yticks((-1, 0, 1))
         panel.tick_params(labelbottom=True)
-    for i, panel in enumerate(panels):
-        if i % COLUMNS == 0:
-            panel.set_ylabel("angle over that of\nthe rigid turn", fontsize=8)
+    for panel in panels[::COLUMNS]:
+        panel.set_ylabel("angle over that of\nthe rigid turn", fontsize=8)
     return panels
 
 

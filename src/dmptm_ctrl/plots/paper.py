@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from dmptm_ctrl.plots.style import STYLES, axes
+from dmptm_ctrl.plots.style import STYLES, Floats, axes
 from dmptm_ctrl.simulate.mesh_path import MeshPath
 
-Floats = NDArray[np.float64]
 FLOOR = 1e-5  # N·m, where the axis of a difference begins
 DECADES = (0.1, 1.0, 10.0, 100.0)  # deg/s, ticks of a friction curve
 

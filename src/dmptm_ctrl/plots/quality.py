@@ -6,11 +6,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.ticker import LogLocator
-from numpy.typing import NDArray
 
-from dmptm_ctrl.plots.style import STYLES, axes
+from dmptm_ctrl.plots.style import STYLES, Floats, axes
 
-Floats = NDArray[np.float64]
 ROOM = 0.45  # above a correlation of 1, for the legend
 DECADES = 3.5  # of amplitude that are drawn
 KINDS = {"measured": "measured", "before": "existing", "after": "proposed"}  # of line

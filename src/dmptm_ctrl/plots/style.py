@@ -5,6 +5,9 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
 
 # colour, line style, width: dark against light, so that a grey print tells them apart
 STYLES: dict[str, dict[str, Any]] = {

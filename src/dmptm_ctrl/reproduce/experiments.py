@@ -28,7 +28,6 @@ from dmptm_ctrl.reproduce.items import (
     Item,
     Picture,
     Table,
-    figure_of,
 )
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import Loop
@@ -376,4 +375,4 @@ def _response(
     else:
         caption += " Every point measured is drawn."
     panels = response_plot(responses, styles=styles)
-    return Picture(name, title, figure_of(panels[0]), caption, paper)
+    return Picture(name, title, panels[0], caption, paper)

@@ -43,11 +43,16 @@ class Picture(NamedTuple):
 
     name: str
     title: str
-    figure: Figure
+    panel: Axes | Figure  # of the figure, or the whole
     caption: str
     paper: str = ""  # its item
     printed: str = ""  # its number, if it prints one
     here: str = ""  # ours beside it
+
+    @property
+    def figure(self) -> Figure:
+        """The whole figure."""
+        return figure_of(self.panel)
 
 
 class Table(NamedTuple):
@@ -66,7 +71,7 @@ class Table(NamedTuple):
 Item = Picture | Table
 
 
-def figure_of(panel: Axes) -> Figure:
+def figure_of(panel: Axes | Figure) -> Figure:
     """Return the figure that a panel is in."""
     figure = panel.get_figure(root=True)
     if figure is None:
@@ -116,9 +121,8 @@ class Context:
     @cached_property
     def resonance(self) -> ResonantGains:
         """Gains with the paper's closed-loop resonance, kp as on the rig."""
-        return resonant_gains(
-            Model(self.drive), PAPER_RESONANCE_HZ, RIG_LOOP.kp, PAPER_AMPLITUDES[0]
-        )
+        kp, speed = RIG_LOOP.kp, PAPER_AMPLITUDES[0]
+        return resonant_gains(Model(self.drive), PAPER_RESONANCE_HZ, kp, speed)
 
 
 DPI = 110

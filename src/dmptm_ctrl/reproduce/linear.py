@@ -23,7 +23,7 @@ from dmptm_ctrl.drive import (
 )
 from dmptm_ctrl.plots.linear import bode_compare, simplification_plot, step_compare
 from dmptm_ctrl.plots.paper import convergence_plot
-from dmptm_ctrl.reproduce.items import DEG, RIG_LOOP, Context, Item, Picture, Table, figure_of
+from dmptm_ctrl.reproduce.items import DEG, RIG_LOOP, Context, Item, Picture, Table
 from dmptm_ctrl.reproduce.resonances import OURS
 
 ZETA = (0.03, 0.17)  # below Eq. 24
@@ -62,12 +62,9 @@ def convergence(context: Context) -> list[Item]:
         "As K01, K12, K23 grow, the modes meet at first order in compliance. With J̄3 as "
         "printed below Eq. 16 they never do (drawn with J1 = 1e-4 kg·m², which shows it)."
     )
-    picture = _picture("convergence", "From 9 to 3 degrees of freedom", panel, caption, "Eq. 16")
-    return [
-        picture._replace(
-            printed="J̄3 = N1² Jm + J1 + J2 + J3", here=f"order {order:.2f} with N1² (Jm + J1)"
-        )
-    ]
+    here = f"order {order:.2f} with N1² (Jm + J1)"
+    title = "From 9 to 3 degrees of freedom"
+    return [Picture("convergence", title, panel, caption, "Eq. 16", ERRATA["J3_bar"].printed, here)]
 
 
 def simplification(context: Context) -> list[Item]:
@@ -88,9 +85,7 @@ def simplification(context: Context) -> list[Item]:
             caption,
             here=f"H∞ {cost.h_inf['three_dof']:.3g}, balanced {cost.h_inf['balanced']:.3g}",
         ),
-        _picture(
-            "simplification_error", "The same over frequency", simplification_plot(cost), OURS
-        ),
+        Picture("simplification_error", "The same over frequency", simplification_plot(cost), OURS),
     ]
 
 
@@ -131,12 +126,12 @@ def bode_and_step(context: Context) -> list[Item]:
     )
     linear = f"Linear models: no dry friction. {baseline}"
     return [
-        _picture("bode_open", "Bode plot, open loop", bode.axes[0, 0], f"{baseline} {OURS}"),
-        _picture(
+        Picture("bode_open", "Bode plot, open loop", bode.axes[0, 0], f"{baseline} {OURS}"),
+        Picture(
             "bode_closed", "Bode plot, closed loop", loop.axes[0, 0], f"{tuned} {OURS}{warning}"
         ),
-        _picture("step_open", "Step response, open loop", step.axes[0, 0], linear),
-        _picture("step_closed", "Step response, closed loop", turn.axes[0, 0], tuned),
+        Picture("step_open", "Step response, open loop", step.axes[0, 0], linear),
+        Picture("step_closed", "Step response, closed loop", turn.axes[0, 0], tuned),
     ]
 
 
@@ -183,7 +178,3 @@ def tooth(context: Context) -> list[Item]:
             f"c = 1 is ζ = {ratio:.4f}; ζ = 0.03 is c = {mesh_damping(ZETA[0], *args):.2f}",
         )
     ]
-
-
-def _picture(name, title, panel, caption, paper=""):  # type: ignore[no-untyped-def]
-    return Picture(name, title, figure_of(panel), caption, paper)

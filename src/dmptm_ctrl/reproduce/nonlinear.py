@@ -14,7 +14,7 @@ from dmptm_ctrl.identify.experiments_rig import ramp, shaken_turn, staircase, ta
 from dmptm_ctrl.identify.experiments_steady import FrictionPoints, constant_speed, stribeck_fit
 from dmptm_ctrl.plots.paper import friction_plot, mesh_path_plot
 from dmptm_ctrl.plots.style import SEQUENCE, axes
-from dmptm_ctrl.reproduce.items import DEG, Context, Item, Picture, Table, figure_of
+from dmptm_ctrl.reproduce.items import DEG, Context, Item, Picture, Table
 from dmptm_ctrl.reproduce.parts import PER_UNIT, PRINTED_UNIT
 from dmptm_ctrl.simulate.compiled import Loop
 from dmptm_ctrl.simulate.loop_check import check_loop
@@ -57,7 +57,7 @@ def two_laws(context: Context) -> list[Item]:
         Picture(
             "two_laws",
             "Where Eq. 21 parts from its original",
-            figure_of(panels[0, 0]),
+            panels[0, 0],
             caption,
             "Eq. 21",
             "exponent (z + b)/(ż + k)",
@@ -132,10 +132,8 @@ def _said(estimate: Estimate) -> tuple[str, str]:
 
 def _friction_picture(points: FrictionPoints, fit: dict[str, Estimate], what: str) -> Picture:
     b = points.body
-    names = [
-        f"{n.format(b)}_{s}" for s in ("plus", "minus") for n in ("T{}s", "T{}c", "W{}", "B{}")
-    ]
-    law = stribeck_law(*(fit[n].value for n in names), exponent=1.0)  # type: ignore[misc]
+    keys = [f"{n.format(b)}_{s}" for s in ("plus", "minus") for n in ("T{}s", "T{}c", "W{}", "B{}")]
+    law = stribeck_law(*(fit[key].value for key in keys), exponent=1.0)  # type: ignore[misc]
     top = np.abs(points.speed).max()
     speed = np.geomspace(np.abs(points.speed).min(), top, 200)
     speed = np.concatenate([-speed[::-1], speed])
@@ -144,7 +142,7 @@ def _friction_picture(points: FrictionPoints, fit: dict[str, Estimate], what: st
     name = "friction_ring" if b == "L" else "friction_reducers"
     caption = "Dry friction falls from static to Coulomb, then viscous friction takes over."
     title = f"Friction of the {what}"
-    return Picture(name, title, figure_of(panel), caption, "Eq. 25, Table 2")
+    return Picture(name, title, panel, caption, "Eq. 25, Table 2")
 
 
 def tuning(context: Context) -> list[Item]:
@@ -196,5 +194,5 @@ def tuning(context: Context) -> list[Item]:
     )
     return [
         Table("tuning", "PI tuning", header, rows, caption, here="limit cycle found at 20 Hz, 60°"),
-        Picture("tuning_steps", "The same as steps", figure_of(panels[0]), caption),
+        Picture("tuning_steps", "The same as steps", panels[0], caption),
     ]

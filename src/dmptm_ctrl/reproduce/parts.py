@@ -6,7 +6,7 @@ from dmptm_ctrl.drive import Tooth, mesh_stiffness, paper_drive, tooth_stiffness
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.effects.backlash import Backlash
 from dmptm_ctrl.plots.mesh import dead_zone_plot, mesh_phase_plot, tooth_plot
-from dmptm_ctrl.reproduce.items import DEG, RIG_LOOP, Context, Item, Picture, Table, figure_of
+from dmptm_ctrl.reproduce.items import DEG, RIG_LOOP, Context, Item, Picture, Table
 from dmptm_ctrl.simulate.blocks import to_blocks
 from dmptm_ctrl.simulate.model import Model
 
@@ -86,7 +86,7 @@ def mesh(context: Context) -> list[Item]:
         Picture(
             "dead_zone",
             "Dead zone with contact damping",
-            figure_of(zone[0]),
+            zone[0],
             "Eq. 21 put right. At rest it is the classical dead zone; on the way in, contact "
             "damping adds a step, on the way out the teeth part before the flank: they never pull.",
             "Fig. 11, Eq. 21",
@@ -94,7 +94,7 @@ def mesh(context: Context) -> list[Item]:
         Picture(
             "tooth_shape",
             "Tooth as a cantilever",
-            figure_of(shape),
+            shape,
             "Involute of a standard rack, force on the pitch circle. Module and width are ours.",
             "Fig. 12, Eq. 22",
             here=f"{stiffness:.0f} N/(µm·mm) by Eq. 22",
@@ -102,7 +102,7 @@ def mesh(context: Context) -> list[Item]:
         Picture(
             "mesh_phase",
             "Stiffness by mesh phase",
-            figure_of(phase[0]),
+            phase[0],
             f"k_a = {VARIATION:g} k_m for the picture: the paper prints none. With ω_z t a pinion "
             "that comes back to a place finds another stiffness there.",
             "Eq. 23",

@@ -23,7 +23,7 @@ from dmptm_ctrl.drive import (
 from dmptm_ctrl.drive.modes import THREE_DOF_PARAMETERS
 from dmptm_ctrl.plots.modes import mode_plot
 from dmptm_ctrl.plots.paper import sensitivity_plot
-from dmptm_ctrl.reproduce.items import Item, Picture, Table, figure_of
+from dmptm_ctrl.reproduce.items import Item, Picture, Table
 
 OURS = "Depends on 9-DOF parameters that the paper does not print: these are ours."
 READINGS = {"beside": "J_2 beside N1² J_m", "motor": "J_2 is N1² J_m"}
@@ -85,15 +85,15 @@ def resonance_items(drive: Drive | None = None, **overrides: float) -> list[Item
         Picture(
             "modes_3dof",
             "Mode shapes, 3-DOF",
-            figure_of(mode_plot(three)[0]),
+            mode_plot(three)[0],
             "Angles over those of the rigid turn.",
             "Eq. 19",
         ),
-        Picture("modes_9dof", "Mode shapes, 9-DOF", figure_of(mode_plot(nine)[0]), OURS, "Fig. 9"),
+        Picture("modes_9dof", "Mode shapes, 9-DOF", mode_plot(nine)[0], OURS, "Fig. 9"),
         Picture(
             "sensitivities",
             "What each resonance depends on, 3-DOF",
-            figure_of(bars),
+            bars,
             "Relative change of a frequency per relative change of a parameter.",
         ),
     ]

@@ -77,39 +77,28 @@ def _flatten(name: str, value: Any, row: dict[str, float]) -> int:
 
 def _mcap(path: Path) -> Iterator[_Message]:
     make_reader = optional("mcap.reader", "MCAP files", "mcap").make_reader
-    decode = _Decoder()
+    stores: dict[str, Any] = {}
     with path.open("rb") as stream:
         for schema, channel, message in make_reader(stream).iter_messages():
             if channel.message_encoding == "json":
                 yield channel.topic, message.log_time, json.loads(message.data)
             elif schema is not None and schema.encoding in ("ros1msg", "ros2msg"):
-                yield channel.topic, message.log_time, decode(schema, message.data)
+                yield channel.topic, message.log_time, _decoded(stores, schema, message.data)
 
 
-class _Decoder:
-    """ROS messages in MCAP files, by the definitions that the file carries."""
-
-    def __init__(self) -> None:
-        self._stores: dict[str, Any] = {}
-
-    def __call__(self, schema: Any, data: bytes) -> Any:
-        ros1 = schema.encoding == "ros1msg"
-        if schema.name not in self._stores:
-            typesys = _rosbags("typesys")
-            store = typesys.get_typestore(
-                typesys.Stores.ROS1_NOETIC if ros1 else typesys.Stores.ROS2_HUMBLE
-            )
-            known = typesys.get_types_from_msg(schema.data.decode(), _type_name(schema.name))
-            store.register({n: t for n, t in known.items() if n not in store.fielddefs})
-            self._stores[schema.name] = store
-        store = self._stores[schema.name]
-        read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
-        return read(data, _type_name(schema.name))
-
-
-def _type_name(name: str) -> str:
-    package, _, kind = name.partition("/")
-    return name if "/msg/" in name else f"{package}/msg/{kind}"
+def _decoded(stores: dict[str, Any], schema: Any, data: bytes) -> Any:
+    """ROS message in an MCAP file, by the definition that the file carries."""
+    ros1, name = schema.encoding == "ros1msg", schema.name
+    if "/msg/" not in name:
+        name = name.replace("/", "/msg/", 1)
+    if name not in stores:
+        typesys = _rosbags("typesys")
+        which = typesys.Stores.ROS1_NOETIC if ros1 else typesys.Stores.ROS2_HUMBLE
+        store = stores[name] = typesys.get_typestore(which)
+        known = typesys.get_types_from_msg(schema.data.decode(), name)
+        store.register({n: t for n, t in known.items() if n not in store.fielddefs})
+    store = stores[name]
+    return (store.deserialize_ros1 if ros1 else store.deserialize_cdr)(data, name)
 
 
 def _rosbags(module: str) -> Any:

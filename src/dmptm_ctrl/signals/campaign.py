@@ -6,7 +6,7 @@ from typing import overload
 
 import numpy as np
 
-from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.errors import LogError, repeated
 from dmptm_ctrl.signals.log import Log
 
 # Logged in some experiments of a rig and not in others: the setpoint of a closed loop.
@@ -31,7 +31,10 @@ class Campaign(Sequence[Log]):
         first = logs[0]
         for log in logs[1:]:
             _refuse_other_rig(first, log)
-        _refuse_same_name(logs)
+        if (twice := repeated(log.name for log in logs)) is not None:
+            raise LogError(
+                f"two logs named {twice} with different samples: of different rigs, or rename one"
+            )
         object.__setattr__(self, "logs", logs)
         object.__setattr__(self, "warnings", (*self.warnings, *warnings))
 
@@ -113,13 +116,4 @@ def _refuse_other_rig(first: Log, log: Log) -> None:
         raise LogError(
             f"logs of different sample time: {first.name} {first.sample_time:.6g} s, "
             f"{log.name} {log.sample_time:.6g} s"
-        )
-
-
-def _refuse_same_name(logs: tuple[Log, ...]) -> None:
-    names = [log.name for log in logs]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise LogError(
-            f"two logs named {twice} with different samples: of different rigs, or rename one"
         )

@@ -1,11 +1,9 @@
 """Is a log usable? Errors say in one sentence what is wrong, warnings what is suspect."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.errors import LogError
-
-Array = NDArray[np.float64]
+from dmptm_ctrl.signals.log import Array
 
 MIN_SAMPLES = 100  # fewer tell nothing about a drive
 HUGE = 1e30

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.checks import usual_step
 from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.log import EVEN_TOLERANCE, is_even
+from dmptm_ctrl.signals.log import EVEN_TOLERANCE, Array, is_even
 from dmptm_ctrl.signals.numbers import roundest
-
-Array = NDArray[np.float64]
 
 # Bridged by a straight line; over more than this at 1 kHz a drive does something unseen.
 MAX_BRIDGED = 10
@@ -200,11 +198,7 @@ def mended(
 
 
 def _spread(time: Array, channels: Mapping[str, Array], known: float | None) -> Array | None:
-    """Even time where rows share stamps, or stamps are multiples of a tick of their own.
-
-    A clock ticks before the first row of a new stamp; a buffer is stamped as one of its ends is
-    read. None where even samples do not explain the stamps, or too few tell the rate.
-    """
+    """Even time where rows share stamps, or these are multiples of a tick; None where not."""
     step = np.diff(time)
     ticks = step[step > 0]
     if (step < 0).any() or ticks.size < 2:
@@ -215,6 +209,7 @@ def _spread(time: Array, channels: Mapping[str, Array], known: float | None) -> 
     index = np.arange(time.size, dtype=np.float64)
     edges = np.flatnonzero(step)
     if _shared(step):
+        # the clock ticks before the first row of a stamp, or a buffer is stamped at its end
         fits = [_line(index[e], time[e]) for e in (edges + 1, edges)]
         most = 0.5 * float(np.median(ticks) + 2 * step.mean())  # else a buffer was lost
     else:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dmptm_ctrl.signals.errors import ColumnsError, LogError
+from dmptm_ctrl.signals.errors import ColumnsError, LogError, repeated
 from dmptm_ctrl.signals.units import (
     CANONICAL,
     COUNTS,
@@ -18,6 +18,7 @@ from dmptm_ctrl.signals.units import (
     named_unit,
     parse_unit,
     split_column,
+    unit_of,
 )
 
 
@@ -89,7 +90,8 @@ def resolve(
     their own names; without one all columns called NAME_UNIT do. LogError: a mapped column is not
     there, a unit is unknown or of another quantity, two columns have one name or channel.
     """
-    _refuse_duplicates(names, source)
+    if twice := repeated(sorted(filter(None, names))):
+        raise LogError(f"{source}: column {twice!r} occurs {list(names).count(twice)} times")
     mapping = _as_named(names, dict(mapping or {}))
     missing = [column for column in mapping if column not in names]
     if missing:
@@ -146,12 +148,10 @@ def _clock_of(names: Sequence[str], first: str, units: Mapping[str, str]) -> str
 
 def _unit_of(column: str, units: Mapping[str, str]) -> Unit | None:
     """Unit of a column, as the file or its name states it."""
+    if stated := units.get(column) or named_unit(column)[1]:
+        return unit_of(stated)
     split = split_column(column)
-    try:
-        unit = units.get(column) or named_unit(column)[1]
-        return parse_unit(unit) if unit else split[1] if split is not None else None
-    except LogError:
-        return None
+    return None if split is None else split[1]
 
 
 def _as_named(names: Sequence[str], mapping: dict[str, Column]) -> dict[str, Column]:
@@ -174,7 +174,7 @@ def _in_its_unit(target: Column, stated: str) -> Column:
     """Target of a column; of a clock without a unit in that of the file, else in seconds."""
     if target.channel != "time" or target.unit:
         return target
-    known = (unit := _unit_of("", {"": stated})) is not None and unit.symbol == "s"
+    known = (unit := unit_of(stated)) is not None and unit.symbol == "s"
     return target._replace(unit=stated if known else "s")
 
 
@@ -206,34 +206,28 @@ def _mapped(column: str, target: Column, source: str) -> Target:
 
 
 def _by_name(column: str, stated: str | None, source: str, *, strict: bool) -> Target | None:
-    if stated == TIMES and split_column(column) is None:
+    split = split_column(column)
+    if split is None and stated == TIMES:
         return Target("time", "s", 1.0) if column.lower() in CLOCKS else None
-    if stated and split_column(column) is None:
-        try:
-            unit = parse_unit(stated)
-        except LogError:
+    if split is None and stated:
+        if (own := unit_of(stated)) is None:
             return None
         name = named_unit(column)[0]
-        clock = column == CLOCK or (unit.symbol == "s" and name.lower() in CLOCKS)
-        return Target("time" if clock else name, unit.symbol, unit.factor)
-    split = split_column(column)
+        clock = column == CLOCK or (own.symbol == "s" and name.lower() in CLOCKS)
+        return Target("time" if clock else name, own.symbol, own.factor)
+    known = [c for c in CANONICAL if column == c or column.startswith(f"{c}_")]
     if split is not None:
         channel, unit = split
         if unit.symbol == "s" and channel.lower() in CLOCKS:
             channel = "time"
-        if channel in CANONICAL or not _is_canonical(column):
+        if channel in CANONICAL or not known:
             return Target(channel, unit.symbol, unit.factor)
-    if strict and _is_canonical(column) and column != "time":
-        known = [c for c in CANONICAL if column == c or column.startswith(f"{c}_")]
+    if strict and known and column != "time":
         raise ColumnsError(
             f"{source}: column {column!r} ends in no known unit; write {known[-1]}_UNIT "
             f"with one of {', '.join(_suffixes_of(known[-1]))}"
         )
     return None
-
-
-def _is_canonical(column: str) -> bool:
-    return any(column == c or column.startswith(f"{c}_") for c in CANONICAL)
 
 
 def _suffixes_of(channel: str) -> list[str]:
@@ -256,12 +250,6 @@ def _refuse_wrong(targets: Mapping[str, Target], source: str) -> None:
                 f"{target.channel}"
             )
         seen[target.channel] = column
-
-
-def _refuse_duplicates(names: Sequence[str], source: str) -> None:
-    twice = sorted({name for name in names if name and list(names).count(name) > 1})
-    if twice:
-        raise LogError(f"{source}: column {twice[0]!r} occurs {list(names).count(twice[0])} times")
 
 
 def _near(name: str, names: Sequence[str]) -> str:

@@ -8,9 +8,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.errors import LogError
+from dmptm_ctrl.signals.log import Array
 from dmptm_ctrl.signals.numbers import roundest
-
-Array = NDArray[np.float64]
 
 BITS = range(8, 33)
 WHOLE = 1e-6  # whole numbers are such within this
@@ -28,9 +27,8 @@ CALM = 0.5  # of the change that is left when a reading is taken with its sign
 def whole_numbers(values: Array) -> bool:
     """Whether all readings are counts."""
     good = values[np.isfinite(values)]
-    return good.size > 1 and float(np.ptp(good)) > 0 and bool(
-        (np.abs(good - np.round(good)) < WHOLE).all()
-    )  # fmt: skip
+    whole = np.abs(good - np.round(good)) < WHOLE
+    return good.size > 1 and float(np.ptp(good)) > 0 and bool(whole.all())
 
 
 def step_of_counts(values: Array) -> float:
@@ -122,10 +120,7 @@ def _around(step: Array, over: NDArray[np.bool_]) -> tuple[Array, Array]:
 
 
 def _jumps_of(step: Array, size: float, span: float, slack: float) -> tuple[Array | None, float]:
-    """Times that each step runs over a modulus, and how far it is from the motion around it.
-
-    None where none does, the motion does not go on, or the readings stay away from the ends.
-    """
+    """Times that each step runs over a modulus (None: not so), and misfit of the motion there."""
     turns = np.round(step / size)
     over = turns != 0
     if not over.any() or over.mean() > OFTEN:

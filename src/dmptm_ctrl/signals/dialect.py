@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.units import Unit, parse_unit
+from dmptm_ctrl.signals.units import parse_unit, unit_of
 
 COMMENT = ("#", "%", "//", "!")
 MISSING = frozenset(
@@ -164,14 +163,6 @@ class Block(NamedTuple):
     @property
     def width(self) -> int:
         return len(self.kinds)
-
-
-def unit_of(text: str) -> Unit | None:
-    """Unit of a drive's signals, None if it is none."""
-    try:
-        return parse_unit(text)
-    except LogError:
-        return None
 
 
 def with_units(dialect: Dialect, lines: Sequence[str]) -> Dialect | None:

@@ -1,5 +1,7 @@
 """What can be wrong with a log, or keep it from being read."""
 
+from collections import Counter
+from collections.abc import Iterable
 from importlib import import_module
 from typing import Any
 
@@ -20,6 +22,11 @@ class NotALogError(LogError):
 
 class ColumnsError(NotALogError):
     """A table of numbers whose columns do not say which channels they are."""
+
+
+def repeated(names: Iterable[str]) -> str | None:
+    """Return the first name that occurs again, None if none does."""
+    return next((name for name, count in Counter(names).items() if count > 1), None)
 
 
 def optional(module: str, what: str, extra: str) -> Any:

@@ -13,10 +13,9 @@ from dmptm_ctrl.signals.dialect import (
     TextFormat,
     bare,
     trimmed,
-    unit_of,
 )
 from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.units import COUNTS, FOREIGN, Unit, named_unit, parse_unit
+from dmptm_ctrl.signals.units import COUNTS, FOREIGN, Unit, named_unit, unit_of
 
 SEPARATORS = (";", "\t", ",", "|", " ")
 FILE_TIME = 1e16  # a clock without a name that reads more counts ticks since 1601
@@ -230,11 +229,7 @@ def _is_unit(text: str) -> bool:
         return True
     if len(inside) > 12 or (len(inside) == 1 and inside.isupper() and inside not in "NAVWK"):
         return False
-    try:
-        parse_unit(inside)
-    except LogError:
-        return bracket and len(inside) <= 8
-    return True
+    return unit_of(inside) is not None or (bracket and len(inside) <= 8)
 
 
 def is_clock_name(name: str) -> bool:
@@ -243,10 +238,8 @@ def is_clock_name(name: str) -> bool:
         return True
     if not _TIME_NAME.match(name.strip()):
         return False
-    try:
-        return parse_unit(named_unit(name)[1] or name.rpartition("_")[2]).symbol == "s"
-    except LogError:  # no unit is in the name
-        return True
+    unit = unit_of(named_unit(name)[1] or name.rpartition("_")[2])
+    return unit is None or unit.symbol == "s"
 
 
 def clock_word(name: str) -> str:
@@ -270,11 +263,8 @@ def _period(preamble: Sequence[str], dialect: Dialect) -> float | None:
         else:
             continue
         rate = "rate" in name[0].lower() or "freq" in name[0].lower()
-        try:
-            known = parse_unit(unit) if unit else Unit("Hz" if rate else "s", 1.0)
-        except LogError:
-            continue
-        if value is not None and value > 0 and known.symbol in ("Hz", "s", ""):
+        known = unit_of(unit) if unit else Unit("Hz" if rate else "s", 1.0)
+        if value is not None and value > 0 and known and known.symbol in ("Hz", "s", ""):
             amount_si = value * known.factor
             return 1 / amount_si if rate or known.symbol == "Hz" else amount_si
     return None

@@ -6,17 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.clock import seconds_of
 from dmptm_ctrl.signals.columns import TIMES, Table
 from dmptm_ctrl.signals.errors import LogError
 from dmptm_ctrl.signals.loaders import load_log, numbers_or_times, read_table
-from dmptm_ctrl.signals.log import Log
+from dmptm_ctrl.signals.log import Array, Log
 from dmptm_ctrl.signals.units import door_column, named_unit, parse_unit
-
-Array = NDArray[np.float64]
 
 INPUT_UNITS = ("V", "A", "N·m", "N", "%")
 DECLARED = "the rig file declares it: it is fitted, not looked for"
@@ -240,10 +237,8 @@ def _testable(
     for effect, needs in NEEDS.items():
         if effects is not None and effect not in effects:
             continue
-        if effect in declared:
-            results.append(Testability(effect, False, (DECLARED,)))
-            continue
         lacks = tuple(words for words, met in needs if not met(excitation))
+        lacks = (DECLARED,) if effect in declared else lacks
         results.append(Testability(effect, not lacks, lacks))
     return tuple(results)
 

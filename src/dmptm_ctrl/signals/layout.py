@@ -63,15 +63,13 @@ def find_layout(
 
 
 def _groups(block: Block) -> bool:
-    """Whether a decimal sign can only be one between thousands: 998, 999, 1.000.
-
-    Fixed decimals are written everywhere, and others without a 0 at their end.
-    """
+    """Whether a decimal sign can only be one between thousands: 998, 999, 1.000."""
     thousands = re.compile(rf"[-+]?[1-9]\d{{0,2}}(\{block.dialect.decimal}\d{{3}})")
     for c, kind in enumerate(block.kinds):
         cells = [row[c] for row in block.rows if row[c]]
         parted = [cell for cell in cells if block.dialect.decimal in cell]
         zero = any(cell.endswith("0") for cell in parted)
+        # fixed decimals are written everywhere, and others without a 0 at their end
         if kind == "number" and len(parted) < len(cells) and zero:
             return not block.dialect.thousands and all(map(thousands.fullmatch, parted))
     return False
@@ -97,9 +95,8 @@ def _dialects(lines: Sequence[str], how: TextFormat) -> Iterator[list[Dialect]]:
 def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | None:
     """Rows of the commonest shape; None where no column holds numbers."""
     start = max(how.skip, how.header or 0)
-    rows = [
-        (i, dialect.split(s)) for i, s in enumerate(lines) if i >= start and not says_nothing(s)
-    ]
+    numbered = enumerate(lines[start:], start)
+    rows = [(i, dialect.split(s)) for i, s in numbered if not says_nothing(s)]
     kinds = [[dialect.kind(cell) for cell in row] for _, row in rows]
     fields = Counter(len(k) for k in kinds if "number" in k).most_common(1)
     if not fields:

@@ -294,12 +294,10 @@ def read_table(
             raise NotALogError(f"{path.name}: a packed file, such as Excel's; save it as CSV")
         if head.startswith(b"MDF "):  # also called .mdf and .dat
             return read_mdf(path, choose)
-        if (
-            head.startswith((b"{", b"[{", b"[[")) and extension != ".parquet"
-        ):  # JSON by another name
-            return read_json(path, choose)
         if extension == ".parquet" or head.startswith(b"PAR1"):
             return read_parquet(path, choose)
+        if head.startswith((b"{", b"[{", b"[[")):  # JSON by another name
+            return read_json(path, choose)
         return read_text(path, choose, max_rows, how, wanted)
     except OSError as error:
         raise LogError(f"{path.name}: {error.strerror or 'not readable'}") from error
@@ -356,9 +354,8 @@ def _channels(
     if time is None:
         if not channels:
             raise ColumnsError(f"{title}: no columns with a unit in their names")
-        time = float(sample_time or table.period or 0) * np.arange(
-            len(next(iter(channels.values())))
-        )
+        count = next(iter(channels.values())).size
+        time = float(sample_time or table.period or 0) * np.arange(count)
     else:
         along = {c: v for c, v in channels.items() if c not in clocks}
         time, note = run_on(time, along, factors["time"])

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from dmptm_ctrl.signals.columns import Choose, Table
-from dmptm_ctrl.signals.dialect import unit_of
 from dmptm_ctrl.signals.errors import ColumnsError, NotALogError, optional
 from dmptm_ctrl.signals.subprocess_reader import Signal, read_in_subprocess
+from dmptm_ctrl.signals.units import unit_of
 
 MAX_WIDTH = 64  # columns of one array that are taken apart
 _OBJECTS = "(objects)"  # their names, among the texts
@@ -40,13 +40,9 @@ def read_matlab(path: Path, choose: Choose) -> Table:
         kept = set(choose(names, units))
     except ColumnsError as error:
         raise (ColumnsError(f"{error}; {how}") if objects else error) from None
-    columns = {n: s.values for n, s in zip(names, found, strict=True) if n in kept}
-    clocks = {
-        n: times[s.clock]
-        for n, s in zip(names, found, strict=True)
-        if n in kept and s.clock in times and s.clock != main
-    }
-    return Table(columns, units, meta, (), clocks)
+    read = {n: s for n, s in zip(names, found, strict=True) if n in kept}
+    clocks = {n: times[s.clock] for n, s in read.items() if s.clock in times and s.clock != main}
+    return Table({n: s.values for n, s in read.items()}, units, meta, (), clocks)
 
 
 def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
@@ -57,14 +53,13 @@ def find_signals(path: Path) -> tuple[list[Signal], dict[str, Any]]:
         hdf = stream.read(10) == b"MATLAB 7.3"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of classes that are read as far as they can be
-        content = _read_hdf(path) if hdf else loadmat(path, simplify_cells=True, appendmat=False)
+        if hdf:
+            content = optional("pymatreader", "MATLAB 7.3 files", "mat73").read_mat(str(path))
+        else:
+            content = loadmat(path, simplify_cells=True, appendmat=False)
     meta: dict[str, Any] = {}
     plain = {name: content[name] for name in sorted(content) if not name.startswith(("__", "#"))}
     return _one_clock(list(_walk((), plain, meta))), meta
-
-
-def _read_hdf(path: Path) -> dict[str, Any]:
-    return optional("pymatreader", "MATLAB 7.3 files", "mat73").read_mat(str(path))
 
 
 def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[Signal]:
@@ -93,27 +88,30 @@ def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[S
         yield from _array(path, value, None)
 
 
-def _array(path: tuple[str, ...], value: Any, unit: str | None) -> Iterator[Signal]:
+def _array(
+    path: tuple[str, ...], value: Any, unit: str | None, clock: int = 0, is_time: bool = False
+) -> Iterator[Signal]:
     array = np.squeeze(np.asarray(value))
     if array.dtype.kind not in "fiub" or array.size < 2 or array.ndim > 2:
         return
     if array.ndim == 1:
-        yield Signal(path, array, unit)
+        yield Signal(path, array, unit, clock, is_time)
         return
     if array.shape[1] > array.shape[0]:
         array = array.T
     if array.shape[1] <= MAX_WIDTH:
         for k, column in enumerate(array.T, start=1):
-            yield Signal((*path[:-1], f"{path[-1]}{k}"), np.ascontiguousarray(column), unit)
+            own = (*path[:-1], f"{path[-1]}{k}")
+            yield Signal(own, np.ascontiguousarray(column), unit, clock, is_time)
 
 
 def _dspace(path: tuple[str, ...], record: Mapping[str, Any]) -> Iterator[Signal]:
     """Recording of dSPACE ControlDesk: axes X, signals Y with Name, Data, Unit and XIndex."""
     clocks: list[tuple[int, int]] = []  # and their samples
     for axis in _structs(record["X"]):
-        for found in _array((*path, "time_s"), axis.get("Data"), "s"):
+        for found in _array((*path, "time_s"), axis.get("Data"), "s", id(axis), is_time=True):
             clocks.append((id(axis), found.values.size))
-            yield found._replace(is_time=True, clock=id(axis))
+            yield found
     for signal in _structs(record["Y"]):
         # Names are paths into the model: "Model Root"/"Plant"/"omega_L"
         name = tuple(p.strip().strip('"') for p in str(signal.get("Name", "Y")).split("/"))
@@ -128,20 +126,15 @@ def _dspace(path: tuple[str, ...], record: Mapping[str, Any]) -> Iterator[Signal
 
 def _simulink(path: tuple[str, ...], log: Mapping[str, Any]) -> Iterator[Signal]:
     """Simulink's structure with time: time, signals.values, signals.label."""
-    for found in _array((*path, "time_s"), log["time"], "s"):
-        yield found._replace(is_time=True, clock=id(log))
+    yield from _array((*path, "time_s"), log["time"], "s", id(log), is_time=True)
     for index, signal in enumerate(_structs(log["signals"]), start=1):
         label = signal.get("label")
         name = str(label) if _text(label) else f"signal{index}"
-        for found in _array((*path, name), signal.get("values"), None):
-            yield found._replace(clock=id(log))
+        yield from _array((*path, name), signal.get("values"), None, id(log))
 
 
 def _series(value: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Fields of a structure that holds one signal, as those of a timeseries; None if it does not.
-
-    Such a structure has one array and a name, or two arrays of which one is the time.
-    """
+    """Fields, as of a timeseries, of a structure of one signal with a name or a time, or None."""
     fields = {
         "time": "Time", "t": "Time", "data": "Data", "values": "Data", "value": "Data", "y": "Data",
         "name": "Name", "label": "Name", "unit": "Unit", "units": "Unit",
@@ -170,15 +163,15 @@ def _timeseries(path: tuple[str, ...], series: Mapping[str, Any]) -> Iterator[Si
     """Fields of a timeseries: Time, Data, Name, DataInfo.Units, TimeInfo.Units."""
     clock = id(series) if "Time" in series else 0
     if "Time" in series:
-        unit = unit_of(str(_inner(series, "TimeInfo", "Units")))
-        factor = unit.factor if unit is not None and unit.symbol == "s" else 1.0
-        for found in _array((*path, "time_s"), series["Time"], "s"):
-            yield found._replace(values=factor * found.values, is_time=True, clock=clock)
+        ticks = unit_of(str(_inner(series, "TimeInfo", "Units")))
+        factor = ticks.factor if ticks is not None and ticks.symbol == "s" else 1.0
+        for found in _array((*path, "time_s"), series["Time"], "s", clock, is_time=True):
+            yield found._replace(values=factor * found.values)
     stated = series.get("Unit") or _inner(series, "DataInfo", "Units")
     name = series.get("Name")
     own = (*path, str(name)) if _text(name) and name != "unnamed" else path
-    for found in _array(own or ("Data",), series["Data"], stated if _text(stated) else None):
-        yield found._replace(clock=clock)
+    unit = stated if _text(stated) else None
+    yield from _array(own or ("Data",), series["Data"], unit, clock)
 
 
 def _inner(value: Mapping[str, Any], *keys: str) -> Any:

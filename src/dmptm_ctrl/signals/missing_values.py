@@ -4,11 +4,9 @@ import re
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.clock import MAX_BRIDGED
-
-Array = NDArray[np.float64]
+from dmptm_ctrl.signals.log import Array
 
 NINES = re.compile(r"-?9{3,}(\.(9+|25))?")  # what programs write where there is no value
 _LARGEST = [float(np.finfo(t).max) for t in (np.float32, np.float64)]
@@ -97,9 +95,8 @@ def without_missing(
                 f"{label} lacks {holes} value{'s' * (holes > 1)}, at most {gaps.max() - 1} in a "
                 "row: bridged"
             )
-        filled[name] = np.interp(
-            np.arange(values.size), there, values[there], left=np.nan, right=np.nan
-        )
+        rows_of = np.arange(values.size)
+        filled[name] = np.interp(rows_of, there, values[there], left=np.nan, right=np.nan)
     complete = np.flatnonzero(np.all([np.isfinite(v) for v in filled.values()], axis=0))
     size = next(iter(filled.values())).size
     if not complete.size or complete.size == size:

@@ -3,12 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.log import Log
-
-Array = NDArray[np.float64]
+from dmptm_ctrl.signals.log import Array, Log
 
 # Below this correlation two channels do not tell their ratio.
 SURE = 0.9
@@ -131,11 +128,9 @@ def refuse_factor(
 
 
 def _refuse_generator(log: Log) -> None:
-    """Friction only takes energy: over a log, motors that drive put energy in.
-
-    A late drive may swing against its commands for most of a log, but it starts with them.
-    """
+    """Friction only takes energy: over a log, motors that drive put energy in."""
     voltage, speed = log["u_left"] + log["u_right"], log["omega_L"]
+    # a late drive may swing against its commands for most of a log, but it starts with them
     started = int(np.argmax(np.abs(speed) > STARTED * np.abs(speed).max())) + 1
     if max(lean(voltage, speed), lean(voltage[:started], speed[:started])) < GENERATOR:
         raise LogError(

@@ -33,12 +33,14 @@ class Signal(NamedTuple):
 def read_in_subprocess(path: Path) -> tuple[list[Signal], dict[str, Any]]:
     """Signals of a .mat or .mf4 file, and its scalars and texts; LogError if not readable."""
     path.open("rb").close()
+    # where the child finds this package, installed or not
+    here = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH")]
     unreadable = NotALogError(f"{path.name}: not a readable {path.suffix} file, or damaged")
     try:
         child = subprocess.run(
             # -P: no module from the folder that the user happens to be in
             [sys.executable, "-P", "-m", "dmptm_ctrl.signals.subprocess_child", str(path)],
-            env=os.environ | {"PYTHONPATH": _python_path()},
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, here))},
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=MAX_SECONDS,
@@ -59,9 +61,3 @@ def read_in_subprocess(path: Path) -> tuple[list[Signal], dict[str, Any]]:
             for i, (where, unit, clock, is_time) in enumerate(head["signals"])
         ]
     return found, head["meta"]
-
-
-def _python_path() -> str:
-    """Where the child finds this package, installed or not."""
-    here = str(Path(__file__).parents[2])
-    return os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH")]))

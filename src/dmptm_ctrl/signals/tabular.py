@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dmptm_ctrl.signals.columns import CLOCK, CLOCKS, TIMES, Choose, Table
-from dmptm_ctrl.signals.errors import LogError, NotALogError, optional
+from dmptm_ctrl.signals.errors import LogError, NotALogError, optional, repeated
 
 _INDEX = "__index_level_0__"  # pandas' name of an index without one
 _GZIP = (EOFError, zlib.error, gzip.BadGzipFile)
@@ -25,11 +25,8 @@ def from_frame(frame: Any) -> Table:
             columns.setdefault(names[-1], _values(index.to_series()))
     except AttributeError:
         raise LogError(f"a log is a path or a DataFrame, not {type(frame).__name__}") from None
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise LogError(
-            f"column {twice[0]!r} of the data frame occurs {names.count(twice[0])} times"
-        )
+    if (twice := repeated(names)) is not None:
+        raise LogError(f"column {twice!r} of the data frame occurs {names.count(twice)} times")
     units = {n: TIMES for n, values in columns.items() if values.dtype.kind in "mM"}
     return Table(columns, units | ({CLOCK: "s"} if CLOCK in columns else {}), {})
 

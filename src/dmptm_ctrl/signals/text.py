@@ -213,6 +213,7 @@ def _long_table(
     import pandas as pd
 
     of, value = layout.long or (0, 1)
+    own: dict[str, Any] = {}
     clocks = [c for c, k in enumerate(layout.kinds) if k == "time" or is_clock_name(names[c])]
     data = rows.read({c: names[c] for c in {of, value, *clocks}}, sys.maxsize)
     labels = pd.Series(data.pop(of)).str.strip().str.rstrip(":=")
@@ -228,13 +229,13 @@ def _long_table(
     chosen = choose([*(names[c] for c in finest), *places], units)
     columns = {n: values[places[n]] for n in chosen if n in places}
     clock = next((c for c in finest if names[c] in chosen), None)
-    if clock is None:
-        return Table(columns, units, {}, tuple(rows.notes()), {}, layout.period, rows.words())
-    times = {n: data[clock][places[n]] for n in columns}
-    main = data[clock][max(places.values(), key=len)]
-    own = {n: t for n, t in times.items() if not equal(t, main)}
-    columns = {names[clock]: main, **columns}
-    return Table(columns, units, {}, tuple(rows.notes()), own, None, rows.words())
+    if clock is not None:
+        times = {n: data[clock][places[n]] for n in columns}
+        main = data[clock][max(places.values(), key=len)]
+        own = {n: t for n, t in times.items() if not equal(t, main)}
+        columns = {names[clock]: main, **columns}
+    period = layout.period if clock is None else None
+    return Table(columns, units, {}, tuple(rows.notes()), own, period, rows.words())
 
 
 class _Rows:
@@ -244,9 +245,8 @@ class _Rows:
         self._path, self._encoding, self._layout, self._words = path, encoding, layout, words
         self._no_numbers: dict[str, list[tuple[str, int]]] = {}
         self._left_out: dict[str, list[int]] = {}
-        self._leave_out(
-            "incomplete rows", [*range(layout.first - layout.wordy + 1, layout.first + 1)]
-        )
+        wordy = range(layout.first - layout.wordy + 1, layout.first + 1)
+        self._leave_out("incomplete rows", [*wordy])
 
     def __iter__(self) -> Iterator[tuple[int, str]]:
         """Line number and fields, between which stands ``_FIELD`` (or a blank)."""
@@ -303,16 +303,15 @@ class _Rows:
 
     def _ended(self, odd: list[tuple[int, str, str]]) -> Iterator[tuple[int, str, str]]:
         """Rows after the last whole one: columns of a slower clock end before the others."""
-        rows = [self._layout.dialect.split(line) for _, line, _ in odd]
-        lengths = [self._layout.fields + 1, *map(len, rows)]
-        numbers = all(
-            {*map(self._layout.dialect.kind, row)} <= {"", "number", "time"} for row in rows
-        )
+        dialect, fields = self._layout.dialect, self._layout.fields
+        rows = [dialect.split(line) for _, line, _ in odd]
+        lengths = [fields + 1, *map(len, rows)]
+        numbers = all({*map(dialect.kind, row)} <= {"", "number", "time"} for row in rows)
         if len(rows) < 2 or not numbers or any(a < b for a, b in itertools.pairwise(lengths)):
             self._leave_out("incomplete rows", [n for n, _, _ in odd])
             return
         for (number, line, _), row in zip(odd, rows, strict=True):
-            yield number, line, self._joined(row + [""] * (self._layout.fields - len(row)))
+            yield number, line, self._joined(row + [""] * (fields - len(row)))
 
     def _joined(self, cells: list[str]) -> str:
         """Fields as pandas gets them."""
@@ -331,10 +330,7 @@ class _Rows:
         )
 
     def _judged(self, line: str) -> tuple[str, str]:
-        """Row as pandas gets it, and what it is if it is no row of numbers.
-
-        "odd": a row that lacks values or holds words, as at the end of a file.
-        """
+        """Row as pandas gets it, and what it is if no row of numbers; odd: it lacks some."""
         layout = self._layout
         if says_nothing(line):
             return "", "comments"

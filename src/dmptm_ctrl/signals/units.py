@@ -115,6 +115,14 @@ def parse_unit(text: str) -> Unit:
     return _parse_with_pint(given)
 
 
+def unit_of(text: str) -> Unit | None:
+    """Unit of a drive's signals, None if it is none."""
+    try:
+        return parse_unit(text)
+    except LogError:
+        return None
+
+
 _IN_BRACKETS = re.compile(r"(?P<name>.*?[^\s/])\s*(?P<unit>\[[^\[\]]*\]|\([^()]*\))\s*$")
 _AFTER_WORD = re.compile(r"(?P<name>.*\S)(?:\s+/|\s+in|,)\s+(?P<unit>\S+)$")
 _AFTER_SLASH = re.compile(r"(?P<name>[^/\s][^/]*)/(?P<unit>\S+|\([^()]+\))$")  # q/deg, v/(m/s)
@@ -125,22 +133,14 @@ def named_unit(column: str) -> tuple[str, str]:
 
     Brackets that hold no unit, as in ``motor (left)`` or ``q[0]``, belong to the name.
     """
-    if _is_known(column):
+    if unit_of(column) is not None:
         return column, ""
     for form in (_IN_BRACKETS, _AFTER_WORD, _AFTER_SLASH):
         if (match := form.match(column)) is not None:
             unit = match["unit"].strip("()[] ")
-            plain = not unit or unit.isdigit() or not _is_known(unit)
+            plain = not unit or unit.isdigit() or unit_of(unit) is None
             return (column, "") if plain else (match["name"], unit)
     return column, ""
-
-
-def _is_known(unit: str) -> bool:
-    try:
-        parse_unit(unit)
-    except LogError:
-        return False
-    return True
 
 
 # What pint may see: products and quotients of names with exponents of one digit. Its parser
@@ -221,8 +221,7 @@ _PLAIN = {unit.symbol: suffix for suffix, unit in reversed(SUFFIXES.items()) if 
 
 def door_column(channel: str, symbol: str, *, degrees: bool = True) -> tuple[str, float]:
     """Column name for people and the number to divide SI values by."""
-    suffix = _DOOR.get(symbol, "") if degrees else ""
-    suffix = suffix or _PLAIN.get(symbol, "")
-    if not suffix:
+    suffix = (_DOOR.get(symbol) if degrees else None) or _PLAIN.get(symbol)
+    if suffix is None:
         return channel, 1.0
     return f"{channel}_{suffix}", SUFFIXES[suffix].factor

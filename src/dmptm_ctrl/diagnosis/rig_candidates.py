@@ -446,6 +446,8 @@ def _gaps(tangent: Tangent) -> Iterator[Structure]:
             for placed, values in gap_starts(model, balance, link, tangent.surprise):
                 yield [placed], [values], {}
             continue
+        if not all(p in m.angles for m in balance.motions for p, _ in ends):
+            continue  # an integrated speed drifts by more than a gap
         for gap in regress_gaps(balance, *ends, MEASURED_GAPS):
             if gap.half_gap == 0:
                 continue

@@ -5,6 +5,7 @@ from math import pi
 import pytest
 
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
+from dmptm_ctrl.drive.rig_units import UnitError, quantity
 from dmptm_ctrl.drive.rigfile import RigError, parse_rig
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.model_file import rig_model_to_toml
@@ -134,3 +135,37 @@ def test_parameters_of_an_input_are_in_the_units_of_its_signal():
     lines = rig_model_to_toml(RigModel(rig, (offset, limit))).splitlines()
     assert "offset = 0.1 # N·m" in lines
     assert "inverse_limit = 0.2 # 1/(N·m)" in lines
+
+
+@pytest.mark.parametrize(
+    ("text", "si", "value", "tolerance"),
+    [
+        ("2.1 ± 0.2 kg cm^2", "kg·m²", 2.1e-4, 0.2 / 2.1),
+        ("(2.1 ± 0.2) kg cm^2", "kg·m²", 2.1e-4, 0.2 / 2.1),
+        ("2.1 kg cm^2 ± 0.2", "kg·m²", 2.1e-4, 0.2 / 2.1),
+        ("2.1 kg cm^2 +/- 2e-5 kg m^2", "kg·m²", 2.1e-4, 0.2 / 2.1),
+        ("45000 ± 500 g", "kg", 45.0, 1 / 90),
+        ("2.1e-4 ± 10 % kg m^2", "kg·m²", 2.1e-4, 0.1),
+        ("2.1e-4 kg m^2 ± 10%", "kg·m²", 2.1e-4, 0.1),
+        ("45 ± 5", "kg", 45.0, 1 / 9),
+        ({"value": 45, "unit": "kg", "tolerance": "500 g"}, "kg", 45.0, 1 / 90),
+        ({"value": 45, "unit": "kg", "tolerance": 0.1}, "kg", 45.0, 0.1),
+    ],
+)
+def test_a_unit_behind_the_tolerance_is_that_of_both(text, si, value, tolerance):
+    read = quantity(text, si)
+    assert read.value == pytest.approx(value)
+    assert read.tolerance == pytest.approx(tolerance)
+
+
+@pytest.mark.parametrize(
+    ("raw", "words"),
+    [
+        ({"value": 45, "unit": "kg", "tolerance": 5}, "write '5 %' or '5 kg'"),
+        ({"value": 45, "unit": "kg", "tolerance": "5"}, "write '5 %' or '5 kg'"),
+        ("45 kg ± 10 % kg", "has two units"),
+    ],
+)
+def test_a_tolerance_that_may_be_two_things_is_refused(raw, words):
+    with pytest.raises(UnitError, match=words):
+        quantity(raw, "kg")

@@ -15,6 +15,8 @@ _TEXT = re.compile(
     rf"^\s*(?P<value>{_NUMBER})\s*(?P<unit>[^±]*?)\s*"
     rf"(?:(?:±|\+/?-)\s*(?P<tol>{_NUMBER})\s*(?P<tol_unit>[^±]*?)\s*)?$"
 )
+_AROUND = re.compile(r"^\s*\((?P<inside>[^()]*±[^()]*|[^()]*\+/?-[^()]*)\)(?P<unit>[^±]*)$")
+_PERCENT = re.compile(r"(?:%|percent\b)\s*")
 _COUNTS = ("ticks", "tick", *COUNTS)
 _PER_TURN = re.compile(
     rf"^\s*(\d+\.?\d*(?:[eE]\+?\d+)?)\s*(?:{'|'.join(_COUNTS)})\s*(?:/|per)\s*(\w+)\s*$"
@@ -56,19 +58,34 @@ def quantity(raw: Any, si: str, *, exact: bool = False, positive: bool = True) -
         return _from_table(raw, si, exact=exact, positive=positive)
     if isinstance(raw, str) and raw.strip().lower() in ("unknown", "?", "free"):
         return unknown(si)
-    match = _TEXT.match(raw) if isinstance(raw, str) else None
+    match = _matched(raw) if isinstance(raw, str) else None
     if match is None and (isinstance(raw, bool) or not isinstance(raw, int | float)):
-        raise UnitError(f"{raw!r} is no number with a unit; write it as in '1.5 {si}'")
+        raise UnitError(f"{raw!r} is no number with a unit; write it as in {_as_in(si)}")
     if match is not None:
         if match["unit"].startswith(","):
-            raise UnitError(f"{raw!r} has a decimal comma; write a point, as in '1.5 {si}'")
-        scale = factor(match["unit"], si) if match["unit"] else 1.0
-        value = float(match["value"]) * scale
-        tol_unit = match["tol_unit"] or match["unit"] or si  # "95 kg ± 5" means 5 kg
+            raise UnitError(f"{raw!r} has a decimal comma; write a point, as in {_as_in(si)}")
+        # "95 kg ± 5" and "95 ± 5 kg" mean 5 kg; of "95 ± 5 % kg" the percent is the tolerance's
+        share = match["tol"] is not None and _PERCENT.match(match["tol_unit"])
+        behind = match["tol_unit"][share.end() :] if share else match["tol_unit"]
+        if share and behind and match["unit"]:
+            raise UnitError(f"{raw!r} has two units; write it as in {_as_in(f'{si} ± 10 %')}")
+        unit = match["unit"] or behind
+        value = float(match["value"]) * (factor(unit, si) if unit else 1.0)
+        tol_unit = "%" if share else behind or unit or si
         tolerance = _tolerance(match["tol"], tol_unit, value, si, exact)
     else:
         value, tolerance = float(raw), 0.0 if exact else DEFAULT_TOLERANCE
     return _checked(Quantity(value, si, tolerance, "rig file"), positive)
+
+
+def _as_in(unit: str, number: str = "1.5") -> str:
+    return f"'{number} {unit}'" if unit else f"'{number}'"
+
+
+def _matched(text: str) -> re.Match[str] | None:
+    """Parts of a number with a unit and a tolerance, also of "(2.1 ± 0.2) kg"."""
+    around = _AROUND.match(text)
+    return _TEXT.match(text if around is None else f"{around['inside']} {around['unit']}")
 
 
 def counts(raw: Any, si: str) -> float | None:
@@ -103,7 +120,10 @@ def _from_table(raw: dict[str, Any], si: str, *, exact: bool, positive: bool) ->
         match = re.match(rf"^\s*({_NUMBER})\s*(.*?)\s*$", str(given))
         if match is None:
             raise UnitError(f"tolerance {given!r} is no number; write '10 %' or '0.5 {si}'")
-        unit = match[2] or ("" if isinstance(given, int | float) else None)
+        unit = match[2]
+        if not unit and (isinstance(given, str) or abs(given) >= 1):
+            own = f" or {_as_in(si, match[1])}" if si else ""
+            raise UnitError(f"tolerance {given!r} has no unit; write '{match[1]} %'{own}")
         tolerance = _tolerance(match[1], unit, value, si, exact)
     low = high = None
     if "range" in raw:
@@ -119,12 +139,12 @@ def _from_table(raw: dict[str, Any], si: str, *, exact: bool, positive: bool) ->
     return _checked(Quantity(value, si, tolerance, source, low, high), positive)
 
 
-def _tolerance(text: str | None, unit: str | None, value: float, si: str, exact: bool) -> float:
+def _tolerance(text: str | None, unit: str, value: float, si: str, exact: bool) -> float:
     """Relative tolerance."""
     if text is None:
         return 0.0 if exact else DEFAULT_TOLERANCE
     amount = abs(float(text))
-    if unit is None or unit in ("%", "percent"):
+    if unit in ("%", "percent"):
         return amount / 100
     if unit == "":
         return amount

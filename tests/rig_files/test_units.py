@@ -169,3 +169,77 @@ def test_a_unit_behind_the_tolerance_is_that_of_both(text, si, value, tolerance)
 def test_a_tolerance_that_may_be_two_things_is_refused(raw, words):
     with pytest.raises(UnitError, match=words):
         quantity(raw, "kg")
+
+
+SCREW = """
+[body.motor]
+inertia = 1
+[body.slide]
+mass = 1
+[shaft.screw]
+between = ["motor", "slide"]
+lead = {lead}
+[input.u]
+column = "u_V"
+body = "motor"
+[sensor.q]
+column = "q_rad"
+body = "motor"
+"""
+
+
+@pytest.mark.parametrize(
+    ("given", "length"),
+    [
+        ('"10 mm"', 0.01),
+        ('"10 mm/rev"', 0.01),
+        ('"10 mm/turn ± 1 %"', 0.01),
+        ('"10 mm per rev"', 0.01),
+        ('"10 mm/U"', 0.01),
+        ('"0.2 in/rev"', 0.2 * 0.0254),
+        ('"10 mm/rad"', 0.01 * 2 * pi),
+        ('{value = 10, unit = "mm/rev", source = "a/b"}', 0.01),
+        ('{value = 10, unit = "mm", source = "a/b"}', 0.01),
+    ],
+)
+def test_a_lead_is_per_turn(given, length):
+    assert parse_rig(SCREW.format(lead=given)).links[0].ratio.value == pytest.approx(
+        2 * pi / length
+    )
+
+
+def test_a_lead_of_nothing_is_refused():
+    with pytest.raises(RigError, match="line 8: .*a lead of 0 moves nothing"):
+        parse_rig(SCREW.format(lead=0))
+
+
+RPM = 2 * pi / 60
+
+
+@pytest.mark.parametrize(
+    ("unit", "si", "factor"),
+    [
+        ("mV/rpm", "V*s/rad", 1e-3 / RPM),
+        ("mV/min^-1", "V*s/rad", 1e-3 / RPM),
+        ("mV/min⁻¹", "V*s/rad", 1e-3 / RPM),
+        ("mV/(1/min)", "V*s/rad", 1e-3 / RPM),
+        ("V/(1000 min-1)", "V*s/rad", 1e-3 / RPM),
+        ("V/1000 rpm", "V*s/rad", 1e-3 / RPM),
+        ("V/krpm", "V*s/rad", 1e-3 / RPM),
+        ("V/(rad/s)", "V*s/rad", 1.0),
+        ("Nm/min^-1", "N·m·s/rad", 1 / RPM),
+        ("Nm/(1000 rpm)", "N·m·s/rad", 1e-3 / RPM),
+        ("N m/(rad/s)", "N·m·s/rad", 1.0),
+        ("N/(m/s)", "N·s/m", 1.0),
+        ("min^-1", "rad/s", RPM),
+        ("1/min", "Hz", 1 / 60),
+        ("lb in^2", "kg·m²", 0.45359237 * 0.0254**2),
+        ("lb·in²", "kg·m²", 0.45359237 * 0.0254**2),
+        ("oz in^2", "kg·m²", 0.45359237 / 16 * 0.0254**2),
+        ("lb ft^2", "kg·m²", 0.45359237 * 0.3048**2),
+        ("lb in", "N·m", 0.45359237 * 9.80665 * 0.0254),
+        ("oz-in-s^2", "kg·m²", 0.45359237 / 16 * 9.80665 * 0.0254),
+    ],
+)
+def test_units_in_daily_use(unit, si, factor):
+    assert quantity(f"3 {unit}", si).value == pytest.approx(3 * factor)

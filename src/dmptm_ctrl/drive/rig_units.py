@@ -1,7 +1,8 @@
 """Declared numbers as people write them: "2.1e-4 kg m^2 ± 10 %", or a table with a source."""
 
 import re
-from math import inf, isfinite
+from dataclasses import replace
+from math import inf, isfinite, pi
 from typing import Any
 
 import pint
@@ -16,6 +17,7 @@ _TEXT = re.compile(
     rf"(?:(?:±|\+/?-)\s*(?P<tol>{_NUMBER})\s*(?P<tol_unit>[^±]*?)\s*)?$"
 )
 _AROUND = re.compile(r"^\s*\((?P<inside>[^()]*±[^()]*|[^()]*\+/?-[^()]*)\)(?P<unit>[^±]*)$")
+_PER_MINUTE = re.compile(r"\s*(?:1\s*/\s*min|min\s*(?:\^?-1|⁻¹))\s*")
 _PERCENT = re.compile(r"(?:%|percent\b)\s*")
 _COUNTS = ("ticks", "tick", *COUNTS)
 _PER_TURN = re.compile(
@@ -36,6 +38,8 @@ class UnitError(ValueError):
 
 def factor(unit: str, si: str) -> float:
     """Number that turns a value in `unit` into `si`; UnitError where there is none."""
+    if "rad" in si and _PER_MINUTE.fullmatch(unit):
+        unit = "rpm"
     try:
         given = one_of(unit)
     except ValueError as error:
@@ -96,6 +100,16 @@ def counts(raw: Any, si: str) -> float | None:
     if float(match[1]) == 0:
         raise UnitError(f"{raw!r}: no counts at all; write '8192 counts/rev'")
     return factor(match[2], si) / float(match[1])
+
+
+def lead(raw: Any) -> Quantity:
+    """Travel per turn [m] from "10 mm", "10 mm/rev", "0.2 in per turn"."""
+    read = quantity(raw, "m", exact=True)
+    if read.value == 0:
+        raise UnitError("a lead of 0 moves nothing")
+    text = f"{raw.get('value')} {raw.get('unit')}" if isinstance(raw, dict) else str(raw)
+    per_angle = re.search(r"/|\bper\b", text)
+    return replace(read, value=read.value * 2 * pi) if per_angle else read
 
 
 _TABLE_KEYS = ("value", "unit", "tolerance", "range", "source")

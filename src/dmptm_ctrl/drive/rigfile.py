@@ -22,7 +22,7 @@ from dmptm_ctrl.drive.rig import (
     unknown,
 )
 from dmptm_ctrl.drive.rig_tables import RigError, Table, TableReader, suffix_unit
-from dmptm_ctrl.drive.rig_units import UnitError, counted_per, counts, factor
+from dmptm_ctrl.drive.rig_units import UnitError, counted_per, counts, factor, lead
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.errors import repeated
 from dmptm_ctrl.signals.toml_text import parse_toml
@@ -208,8 +208,11 @@ class _Reader(TableReader):
         if "lead" in t:
             if first.linear or not second.linear:
                 t.fail("lead", "a lead is from a turning first body to a sliding second")
-            lead = t.need("lead", "m", exact=True)
-            ratio = Quantity(2 * pi / lead.value, "rad/m", lead.tolerance, lead.source)
+            try:
+                travel = lead(t["lead"])
+            except UnitError as error:
+                t.fail("lead", f"lead: {error}")
+            ratio = Quantity(2 * pi / travel.value, "rad/m", travel.tolerance, travel.source)
         elif "ratio" in t:
             ratio = t.need("ratio", ratio_unit, exact=True, positive=False)
         elif ratio_unit:

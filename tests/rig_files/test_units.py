@@ -70,6 +70,18 @@ def test_revolutions():
         ("phi", 'unit = "counts"\nresolution = "50 counts/mm"', 10, "another quantity than rad"),
         ("phi", 'unit = "rad"\nmeasures = "speed"', 10, "is in rad, no speed"),
         ("phi", 'unit = "rad"\ncounts_per_rev = "many"', 10, "such as 8192"),
+        ("phi", 'unit = "rad"\ncounts_per_rev = -4096', 10, "a number above 0, such as 8192"),
+        ("phi", 'unit = "rad"\ncounts_per_rev = 0', 10, "no counts at all; write"),
+        ("phi", 'unit = "rad"\nnoise = "2 counts"', 10, "counts of what size? Give counts_per_rev"),
+        ("phi", 'unit = "deg"\nresolution = "1 count"', 10, "count of what size?"),
+        ("phi", 'unit = "rad"\nnoise = "1 bit"', 10, "'bit' is of another quantity than rad"),
+        ("phi", 'unit = "rad"\nnoise = "1 percent"', 10, "another quantity than rad"),
+        (
+            "phi",
+            'unit = "counts"\ncounts_per_rev = 10000\nresolution = "2500 counts/rev"',
+            11,
+            "give either counts_per_rev or resolution",
+        ),
         ("phi", 'unit = "rad"\nsign = 2', 10, "sign = 1 or -1, not 2; scale takes any factor"),
         ("phi", 'unit = "rad"\nscale = nan', 10, "scale is a number other than 0"),
         ("phi", 'unit = "rad"\nresolution = "0,05 deg"', 10, "decimal comma; write a point"),
@@ -243,3 +255,62 @@ RPM = 2 * pi / 60
 )
 def test_units_in_daily_use(unit, si, factor):
     assert quantity(f"3 {unit}", si).value == pytest.approx(3 * factor)
+
+
+@pytest.mark.parametrize(
+    ("rest", "resolution", "noise"),
+    [
+        ('unit = "counts"\ncounts_per_rev = 1000\nnoise = "2 counts"', 2e-3 * pi, 4e-3 * pi),
+        ('unit = "deg"\nresolution = "17 bit"\nnoise = "0.5 counts"', 2 * pi / 2**17, pi / 2**17),
+        ('unit = "counts/s"\ncounts_per_rev = 1000\nnoise = "3 counts/s"', None, 6e-3 * pi),
+        ('unit = "rpm"\ncounts_per_rev = 1000\nresolution = "2 counts/ms"', 4 * pi, None),
+        ('unit = "rad/s"\nresolution = "20000 counts/rev"', None, None),
+    ],
+)
+def test_counts_and_bits_are_those_of_the_encoder(rest, resolution, noise):
+    found = sensor(rest)
+    assert (found.resolution and found.resolution.value) == pytest.approx(resolution)
+    assert (found.noise and found.noise.value) == pytest.approx(noise)
+
+
+def test_a_column_in_steps_of_so_many_bits():
+    assert sensor('unit = "counts"\nresolution = "17 bit"').sign == pytest.approx(2 * pi / 2**17)
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ('gain = "2 N m/V"\ntorque_constant = "0.05 N m/A"', "give either gain or torque_const"),
+        ('gain = "2 N m/V"\namplifier = "2 A/V"', "line 7: .* give either gain or amplifier"),
+        (
+            'torque_constant = 0.05\nresistance = 1.2\ninductance = "1 mH"\ntime_constant = "1 ms"',
+            "line 8: .*give either time_constant or inductance",
+        ),
+        ('torque_constant = 0.05\nresistance = 1.2\namplifier = "2 A/V"', "amplifier or resist"),
+        ('gain = "2 N m/V"\ninductance = "1 mH"', "inductance needs a resistance"),
+    ],
+)
+def test_keys_of_an_input_that_say_the_same_are_refused(lines, words):
+    text = RIG.format(column="phi", rest='unit = "rad"')
+    with pytest.raises(RigError, match=words):
+        parse_rig(text.replace('unit = "V"', lines))
+
+
+@pytest.mark.parametrize(
+    ("given", "value"), [("10:1", 10), ("1:10", 0.1), ("50/3", 50 / 3), ("-50 / 3 ± 1 %", -50 / 3)]
+)
+def test_a_ratio_of_teeth(given, value):
+    assert quantity(given, "", positive=False).value == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("given", "si", "words"),
+    [
+        ("10,5", "", "has a decimal comma; write a point, as in '1.5'$"),
+        ("10:0", "", "':0' is no unit; a plain number has none$"),
+        ("1,200.5 g cm^2", "kg·m²", "has a comma between thousands; leave it out$"),
+    ],
+)
+def test_a_number_that_cannot_be_read_is_answered_with_the_right_one(given, si, words):
+    with pytest.raises(UnitError, match=words):
+        quantity(given, si)

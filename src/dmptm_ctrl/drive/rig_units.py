@@ -23,6 +23,9 @@ _COUNTS = ("ticks", "tick", *COUNTS)
 _PER_TURN = re.compile(
     rf"^\s*(\d+\.?\d*(?:[eE]\+?\d+)?)\s*(?:{'|'.join(_COUNTS)})\s*(?:/|per)\s*(\w+)\s*$"
 )
+_BITS = re.compile(r"\s*(\d{1,2})\s*-?bits?\s*", re.I)
+_RATIO = re.compile(rf"^\s*({_NUMBER})\s*[:/]\s*({_NUMBER})(?=\s*(?:±|\+/?-|$))")
+_NO_ANGLE = re.compile(rf"(?:{'|'.join(_COUNTS)}|bits?|percent|permille)\b|[%‰]", re.I)
 _COUNTED = re.compile(rf"\s*(?:{'|'.join(_COUNTS)})\s*(?:(?:/|per\b|_)\s*(s|ms|us|min))?\s*", re.I)
 
 
@@ -43,7 +46,10 @@ def factor(unit: str, si: str) -> float:
     try:
         given = one_of(unit)
     except ValueError as error:
-        raise UnitError(f"{unit[:40]!r} is no unit; write it as in {si}") from error
+        right = f"write it as in {si}" if si else "a plain number has none"
+        raise UnitError(f"{unit[:40]!r} is no unit; {right}") from error
+    if si.startswith("rad") and _NO_ANGLE.match(unit):  # numbers without a unit, to pint
+        raise UnitError(f"{unit[:40]!r} is of another quantity than {si}")
     # An angle is a number here: N·m/rad is as good as N·m.
     try:
         return float(given.to(plain(si) or "dimensionless").magnitude)
@@ -62,11 +68,15 @@ def quantity(raw: Any, si: str, *, exact: bool = False, positive: bool = True) -
         return _from_table(raw, si, exact=exact, positive=positive)
     if isinstance(raw, str) and raw.strip().lower() in ("unknown", "?", "free"):
         return unknown(si)
+    if isinstance(raw, str) and not si:
+        raw = _RATIO.sub(_quotient, raw)  # 10:1
     match = _matched(raw) if isinstance(raw, str) else None
     if match is None and (isinstance(raw, bool) or not isinstance(raw, int | float)):
         raise UnitError(f"{raw!r} is no number with a unit; write it as in {_as_in(si)}")
     if match is not None:
         if match["unit"].startswith(","):
+            if "." in match["unit"]:
+                raise UnitError(f"{raw!r} has a comma between thousands; leave it out")
             raise UnitError(f"{raw!r} has a decimal comma; write a point, as in {_as_in(si)}")
         # "95 kg ± 5" and "95 ± 5 kg" mean 5 kg; of "95 ± 5 % kg" the percent is the tolerance's
         share = match["tol"] is not None and _PERCENT.match(match["tol_unit"])
@@ -82,6 +92,12 @@ def quantity(raw: Any, si: str, *, exact: bool = False, positive: bool = True) -
     return _checked(Quantity(value, si, tolerance, "rig file"), positive)
 
 
+def _quotient(match: re.Match[str]) -> str:
+    """Number of a ratio such as 50/3."""
+    by = float(match[2])
+    return repr(float(match[1]) / by) if by else match[0]
+
+
 def _as_in(unit: str, number: str = "1.5") -> str:
     return f"'{number} {unit}'" if unit else f"'{number}'"
 
@@ -93,13 +109,28 @@ def _matched(text: str) -> re.Match[str] | None:
 
 
 def counts(raw: Any, si: str) -> float | None:
-    """Size of one count [rad or m] from "8192 counts/rev" or "50 counts/mm"; else None."""
+    """Size of a count [rad or m] from "8192 counts/rev", "50 counts/mm", "17 bit"; else None."""
+    if isinstance(raw, str) and (bits := _BITS.fullmatch(raw)) is not None:
+        if si != "rad":
+            raise UnitError(f"{raw!r} of what length")
+        return float(2 * pi / 2 ** int(bits[1]))
     match = _PER_TURN.match(raw) if isinstance(raw, str) else None
     if match is None:
         return None
     if float(match[1]) == 0:
-        raise UnitError(f"{raw!r}: no counts at all; write '8192 counts/rev'")
+        raise UnitError(f"{raw!r}: no counts at all")
     return factor(match[2], si) / float(match[1])
+
+
+def in_counts(raw: Any, count: float | None, si: str) -> Any:
+    """Return a number of counts, "2 counts" or "2 counts/s", in `si` [rad or m]; else as it is."""
+    match = _TEXT.match(raw) if isinstance(raw, str) else None
+    if match is None or (per := counted_per(match["unit"])) is None:
+        return raw
+    if count is None:
+        raise UnitError(f"{match['unit']} of what size? Give counts_per_rev, or write it in {si}")
+    size = count / (factor(per, "s") if per else 1.0)
+    return f"{float(match['value']) * size!r} {si}{'/s' * bool(per)}"
 
 
 def lead(raw: Any) -> Quantity:

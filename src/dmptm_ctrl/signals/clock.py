@@ -30,8 +30,11 @@ EPOCHS = (
     ("ticks of 100 ns", 1e-7, "1601", 1.26e10, 1.45e10),
     ("ticks of 100 ns", 1e-7, "the year 1", 6.31e10, 6.5e10),
     ("days", DAY, "1900", 3.18e9, 5.06e9),
+    ("days", DAY, "1858", 5.06e9, 6.35e9),  # modified Julian days
     ("days", DAY, "the year 0", 6.31e10, 6.5e10),
+    ("days", DAY, "4713 BC", 2.11e11, 2.14e11),  # Julian days
 )
+ROUND = 1e-5  # of a step, from three digits
 LATEST = 1e11  # s; no clock counts so many since any epoch
 SHORTEST = 2e-6  # s; nothing samples a drive so fast
 # Counters of 16 to 32 bits run over, also where they are printed in thousandths.
@@ -105,8 +108,8 @@ def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
         values = values - values[0]
     raw = values.astype(np.float64)
     if own is not None:
-        unit, factor, since = own
-        return (raw - raw[np.isfinite(raw)][0]) * factor, f"counts {unit} since {since}: taken so"
+        note, factor = own
+        return (raw - raw[np.isfinite(raw)][0]) * factor, note
     return raw * factor, ""
 
 
@@ -149,16 +152,29 @@ def run_on(time: Array, channels: Mapping[str, Array], factor: float = 1.0) -> t
     return time, f"the clock falls by {size:.10g} s {times} while the drive goes on: made to go on"
 
 
-def _epoch(raw: Array, factor: float) -> tuple[str, float, str] | None:
-    """Unit that a clock must have because no seconds since any epoch are that many, or tick so."""
+def _epoch(raw: Array, factor: float) -> tuple[str, float] | None:
+    """What a clock must count, as no seconds since any epoch are that many, or tick so; and its s.
+
+    A time of day as a number is a fraction of a day. Oscilloscopes tick as fast, in round numbers.
+    """
     good = raw[np.isfinite(raw)]
     if good.size < 2:
         return None
-    first, step = abs(float(good[0])), float(np.ptp(good)) / (good.size - 1)
+    step = np.diff(good)
+    # of days that pass midnight, and of rows out of order
+    mean = min(float(step[step > 0].sum()), float(np.ptp(good))) / step.size
+    first = abs(float(good[0]))
+    days = 0 < mean < SHORTEST and factor == 1.0
     for unit, size, since, low, high in EPOCHS:
-        other = first * factor > LATEST if size < 1 else 0 < step < SHORTEST and factor == 1.0
+        other = first * factor > LATEST if size < 1 else days
         if other and low < first * size < high:
-            return unit, size, since
+            return f"counts {unit} since {since}: taken so", size
+    if days and first < 1 and abs(mean / float(f"{mean:.2e}") - 1) > ROUND:
+        note = (
+            f"ticks by {mean:.4g}, no seconds of a drive: taken as days of {DAY:g} s, steps of "
+            f'{mean * DAY:.4g} s; else give its unit, as in time = {{ column = "…", unit = "h" }}'
+        )
+        return note, DAY
     return None
 
 

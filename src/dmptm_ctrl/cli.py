@@ -358,8 +358,10 @@ def rig_check(
     from dmptm_ctrl.drive.rigfile import load_rig
     from dmptm_ctrl.plots.rig import plot_rig
     from dmptm_ctrl.simulate.linear import modes_text
+    from dmptm_ctrl.simulate.rig_model import declared_effects
 
     rig = load_rig(file)
+    declared_effects(rig)
     print(printable(str(rig)))
     print(modes_text(rig))
     if figure is not None:

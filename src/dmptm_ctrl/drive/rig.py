@@ -168,7 +168,7 @@ class DeclaredEffect:
     """An effect that the declaration already contains."""
 
     name: str
-    on: str
+    on: str  # body, link, input or sensor; "": its only place, or the first body
     values: Mapping[str, Quantity]
 
 
@@ -237,7 +237,7 @@ class Rig:
                 lines.append(f"{stem}  ← {source.name}: column {source.column}, gain {gain}")
             for sensor in (s for s in self.sensors if s.body == body.name):
                 lines.append(f"{stem}  → {sensor.name}: {sensor.measures}, column {sensor.column}")
-        lines += [f"declared effect: {effect.name} on {effect.on}" for effect in self.effects]
+        lines += [f"declared effect: {e.name}{e.on and f' on {e.on}'}" for e in self.effects]
         if self.controller is not None:
             loop = self.controller
             lines.append(f"controller: {loop.kind} from {loop.sensor} to {loop.input}")

@@ -122,8 +122,9 @@ class _Reader(TableReader):
         sensors = tuple(self._sensor(n, t, by_name) for n, t in tables["sensor"].items())
         if twice := repeated([*(i.column for i in inputs), *(s.column for s in sensors)]):
             self.fail("", "", f"column {twice!r} is used twice; each input and sensor has its own")
-        places = {*by_name, *(link.name for link in links), *(i.name for i in inputs)}
-        effects = tuple(self._effect(n, t, places, bodies) for n, t in tables["effect"].items())
+        places = {*by_name, *(link.name for link in links)}
+        places |= {*(i.name for i in inputs), *(s.name for s in sensors)}
+        effects = tuple(self._effect(n, t, places) for n, t in tables["effect"].items())
         name = raw.get("name", "rig")
         return Rig(
             str(name) if isinstance(name, str) else self.fail("", "name", "name is no text"),
@@ -376,12 +377,10 @@ class _Reader(TableReader):
         limit = t.number("limit", parse_unit(source[to].unit).symbol)
         return Controller(kind, to, of, gains, reference, unit, limit.value if limit else inf)
 
-    def _effect(
-        self, name: str, raw: dict[str, Any], places: set[str], bodies: tuple[Body, ...]
-    ) -> DeclaredEffect:
+    def _effect(self, name: str, raw: dict[str, Any], places: set[str]) -> DeclaredEffect:
         t = Table(self, f"effect.{name}", raw)
-        on = t.pop("on", bodies[0].name)
-        if on not in places:
+        on = t.pop("on", "")
+        if not isinstance(on, str) or (on and on not in places):
             t.fail("on", f"no {on!r} in the rig; it has {', '.join(sorted(places))}")
         values = {}
         for key, value in t.items():

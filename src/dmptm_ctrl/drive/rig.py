@@ -12,6 +12,7 @@ from typing import Any
 
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.signals import Column, Log, LogError, TextFormat, load_log
+from dmptm_ctrl.signals.columns import listed
 from dmptm_ctrl.signals.errors import repeated
 from dmptm_ctrl.signals.loaders import gather, stem
 
@@ -172,9 +173,14 @@ class DeclaredEffect:
     values: Mapping[str, Quantity]
 
 
+def _fits(name: str, pattern: str) -> bool:
+    """Whether a pattern means a log, by its name or that of its file, "run_a" or "run_a.csv"."""
+    return fnmatchcase(name, pattern) or fnmatchcase(name, stem(pattern))
+
+
 def _of_log(values: Mapping[str, float], name: str) -> float | None:
     """Value of a log by its name, else by the first pattern that fits."""
-    fitting = (v for pattern, v in values.items() if fnmatchcase(name, pattern))
+    fitting = (v for pattern, v in values.items() if _fits(name, pattern))
     return values.get(name, next(fitting, None))
 
 
@@ -341,11 +347,17 @@ class Rig:
         file after `max_rows` are not read, with a warning. LogError as of `load_log`, and for no
         log, or two of one name.
         """
+        seen: list[Path] = []
+
+        def ignored(path: Path) -> bool:
+            seen.append(path)
+            return self.ignores(path)
+
         loaded, left_out = gather(
-            sources, lambda s, **o: self.load(s, max_rows=max_rows, **o), self.ignores
+            sources, lambda s, **o: self.load(s, max_rows=max_rows, **o), ignored
         )
         if told is not None:
-            told += left_out
+            told += [*left_out, *self._without_match([log.name for log in loaded], seen)]
         if not loaded:
             raise LogError("no logs: every file is under [data] ignore of the rig file")
         if (twice := repeated(log.name for log in loaded)) is not None:
@@ -386,14 +398,29 @@ class Rig:
         return log.segment(low + (start or 0.0), high)
 
     def ignores(self, path: Path) -> bool:
-        """Whether a file is under ``[data] ignore``."""
-        return any(fnmatchcase(path.name, p) for p in self.data.ignore)
+        """Whether a file is under ``[data] ignore``, by its name or that of its log."""
+        return any(
+            fnmatchcase(n, p) for n in (path.name, stem(path.name)) for p in self.data.ignore
+        )
+
+    def _without_match(self, names: list[str], files: list[Path]) -> list[str]:
+        """Sentences about patterns of ``[data]`` that mean no log."""
+        both = [*(f.name for f in files), *(stem(f.name) for f in files)]
+        lost = [
+            ("ignore", p) for p in self.data.ignore
+            if files and not any(fnmatchcase(n, p) for n in both)
+        ]  # fmt: skip
+        for key in ("fit", "held_out", "start", "stop"):
+            patterns = getattr(self.data, key)
+            lost += [(key, p) for p in patterns if not any(_fits(n, p) for n in names)]
+        there = listed(sorted(names), 4)
+        return [f"[data] {k} names {p!r}, which fits no log; there are {there}" for k, p in lost]
 
     def roles(self, names: Iterable[str]) -> dict[str, str]:
         """Role that the file declares for logs: "fit", "held-out" or "" (no word)."""
         found = {}
         for name in names:
-            fit = any(fnmatchcase(name, p) for p in self.data.fit)
-            held = any(fnmatchcase(name, p) for p in self.data.held_out)
+            fit = any(_fits(name, p) for p in self.data.fit)
+            held = any(_fits(name, p) for p in self.data.held_out)
             found[name] = "held-out" if held else "fit" if fit else ""
         return found

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime
 from datetime import time as daytime
 from typing import Any
@@ -71,8 +72,14 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
                 raise ValueError(first)
             # whole seconds may be written without a fraction
             text = text.str.replace(r"(:\d{2}:\d{2})(?![.:\d])", r"\1.0", regex=True)
-            form = _format_of(text[text.first_valid_index()])
-            times = pd.to_datetime(text, format=form, utc=True)
+            found = []
+            for form in _formats_of(text[text.first_valid_index()]):
+                with suppress(ValueError):
+                    found.append(pd.to_datetime(text, format=form, utc=True))
+            if not found:
+                raise ValueError(first)
+            # of day and month either may come first: then the one that leaves no gap at midnight
+            times = min(found, key=lambda each: each.diff().abs().max())
     except (ValueError, OverflowError, AttributeError) as error:
         raise LogError(
             f"{source}: column {column!r} does not hold numbers, nor times as {first[:40]!r} all "
@@ -81,16 +88,24 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
     return (times - times.dropna().iloc[0]).to_numpy("timedelta64[ns]")
 
 
-def _format_of(text: str) -> str:
-    """Format of a date whose day or month comes first; with dots the day does."""
-    for day in ("%d.%m.%Y", "%d.%m.%y", "%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y", "%d-%m-%Y", "%m/%d/%y"):
+_DAYS = (
+    *("%d.%m.%Y", "%d.%m.%y", "%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y", "%d-%m-%Y"),
+    *("%m/%d/%y", "%d/%m/%y"),
+)
+
+
+def _formats_of(text: str) -> list[str]:
+    """Formats that a date may have whose day or month comes first; with dots the day does."""
+    found = []
+    for day in _DAYS:
         for clock in ("%H:%M:%S.%f", "%I:%M:%S.%f %p", "%H:%M"):
             try:
                 datetime.strptime(text, f"{day} {clock}")
             except ValueError:
                 continue
-            return f"{day} {clock}"
-    return "mixed"
+            found.append(f"{day} {clock}")
+            break
+    return found or ["mixed"]
 
 
 def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:

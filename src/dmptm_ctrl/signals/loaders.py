@@ -28,7 +28,7 @@ from dmptm_ctrl.signals.columns import (
     resolve,
 )
 from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign, without_failures
-from dmptm_ctrl.signals.dialect import Dialect, TextFormat
+from dmptm_ctrl.signals.dialect import Dialect, TextFormat, with_points
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
@@ -465,7 +465,10 @@ def _floats(values: Any, column: str, title: str) -> Any:
         array = np.asarray(values)
         if array.dtype.kind not in "fiubO":  # text, complex numbers, dates
             raise TypeError(array.dtype)
-        array = array.astype(np.float64, copy=False)
+        try:
+            array = array.astype(np.float64, copy=False)
+        except ValueError:
+            array = np.array(with_points(array), dtype=np.float64)
     except (TypeError, ValueError) as error:
         words = (
             v for v in np.ravel(values) if isinstance(v, str) and Dialect("").number(v) is None

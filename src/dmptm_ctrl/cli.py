@@ -364,6 +364,8 @@ def rig_check(
     declared_effects(rig)
     print(printable(str(rig)))
     print(modes_text(rig))
+    for caution in rig.cautions():
+        print(f"warning: {printable(caution)}", file=sys.stderr)
     if figure is not None:
         _save_picture(plot_rig(rig).get_figure(root=True), figure)
 

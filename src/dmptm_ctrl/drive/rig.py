@@ -16,6 +16,7 @@ from dmptm_ctrl.signals.columns import listed
 from dmptm_ctrl.signals.errors import repeated
 from dmptm_ctrl.signals.loaders import gather, stem
 
+SMALL = 0.1  # of a time constant; a lag beside it that is shorter moves poles by as little
 DEFAULT_TOLERANCE = 0.3  # of a declared value that does not state one; documented in rig_toml.md
 
 FRICTION = (  # names per direction; without _plus, _minus the same in both
@@ -307,6 +308,22 @@ class Rig:
                     turns[link.first] = turns[link.second] * link.ratio.value
         return turns
 
+    def cautions(self) -> list[str]:
+        """Sentences about what the models of this rig leave out although it may matter."""
+        found = []
+        for source in (i for i in self.inputs if i.back_emf and "inductance" in i.factors):
+            electric = source.factors["inductance"].value / source.factors["resistance"].value
+            turns = self.turns(source.body, rigidly=True)
+            inertia = sum(t**2 * self.body(name).inertia.value for name, t in turns.items())
+            mechanic = inertia / source.back_emf
+            if electric > SMALL * mechanic:
+                found.append(
+                    f"input {source.name}: its inductance delays the voltage, but not the "
+                    f"back-EMF; L/R of {electric:.3g} s is not small beside J R/(K_t K_e) of "
+                    f"{mechanic:.3g} s, and fast motion comes out wrong"
+                )
+        return found
+
     def columns(self) -> dict[str, Column]:
         """Columns of the logs that the rig needs, as the loaders take them."""
         mapping: dict[str, Column] = {}
@@ -357,7 +374,11 @@ class Rig:
             sources, lambda s, **o: self.load(s, max_rows=max_rows, **o), ignored
         )
         if told is not None:
-            told += [*left_out, *self._without_match([log.name for log in loaded], seen)]
+            told += [
+                *left_out,
+                *self.cautions(),
+                *self._without_match([log.name for log in loaded], seen),
+            ]
         if not loaded:
             raise LogError("no logs: every file is under [data] ignore of the rig file")
         if (twice := repeated(log.name for log in loaded)) is not None:

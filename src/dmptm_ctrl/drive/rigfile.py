@@ -279,7 +279,7 @@ class _Reader(TableReader):
             back_emf = constant.value * emf.value / ohms.value
             factors = {"torque_constant": constant, "resistance": ohms}
             if "inductance" in t:
-                henry = t.need("inductance", "henry", exact=True)
+                factors["inductance"] = henry = t.need("inductance", "henry", exact=True)
                 t["time_constant"] = henry.value / ohms.value
         elif "amplifier" in t or "torque_constant" in t:
             constant = t.need("torque_constant", f"{body.force_unit}/A", exact=True)

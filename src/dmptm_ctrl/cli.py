@@ -358,10 +358,14 @@ def rig_check(
     from dmptm_ctrl.drive.rigfile import load_rig
     from dmptm_ctrl.plots.rig import plot_rig
     from dmptm_ctrl.simulate.linear import modes_text
+    from dmptm_ctrl.simulate.rig_model import declared_effects
 
     rig = load_rig(file)
+    declared_effects(rig)
     print(printable(str(rig)))
     print(modes_text(rig))
+    for caution in rig.cautions():
+        print(f"warning: {printable(caution)}", file=sys.stderr)
     if figure is not None:
         _save_picture(plot_rig(rig).get_figure(root=True), figure)
 

@@ -136,3 +136,29 @@ def test_log_info_by_a_rig(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "cmd [mV]" in said  # the column and the unit as the rig file names them
     assert "coulomb_friction" in said
+
+
+def test_logs_are_named_as_their_files_with_or_without_the_extension(tmp_path):
+    for name in "abcd":
+        FRAME.to_csv(tmp_path / f"run_{name}.csv", index=False)
+    more = """
+fit = ["run_a.csv", "run_b"]
+held_out = ["*_c.csv", "run_x"]
+ignore = ["run_d", "*.bak"]
+start = { "run_a.csv" = "100 ms", run_y = 1 }
+"""
+    rig, told = parse_rig(RIG + more), []
+    logs = rig.read(tmp_path, told=told)
+    assert [log.name for log in logs] == ["run_a", "run_b", "run_c"]
+    assert [len(log) for log in logs] == [100, 200, 200]
+    assert rig.roles(["run_a", "run_b", "run_c"]) == {
+        "run_a": "fit",
+        "run_b": "fit",
+        "run_c": "held-out",
+    }
+    there = "which fits no log; there are 'run_a', 'run_b', 'run_c'"
+    assert told == [
+        f"[data] ignore names '*.bak', {there}",
+        f"[data] held_out names 'run_x', {there}",
+        f"[data] start names 'run_y', {there}",
+    ]

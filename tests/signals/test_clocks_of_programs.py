@@ -163,19 +163,38 @@ def test_numbers(tmp_path, kind, by_file):
 
 
 @pytest.mark.parametrize(
-    "kind", ["Unix ms", "Unix us", "Unix ns", "file time", ".NET", "Excel", "MATLAB"]
+    "kind",
+    ["Unix ms", "Unix us", "Unix ns", "file time", ".NET", "Excel", "MATLAB", "Julian", "modified"],
 )
 def test_what_no_seconds_since_any_epoch_are(kind):
     per_second, since = {
         "Unix ms": (1e3, 1_760_000_000_000), "Unix us": (1e6, 1_760_000_000_000_000),
         "Unix ns": (1e9, 1_760_000_000_000_000_000), "file time": (1e7, 133_000_000_000_000_000),
         ".NET": (1e7, 638_000_000_000_000_000), "Excel": (1 / 86400, 45_000.4),
-        "MATLAB": (1 / 86400, 738_000.4),
+        "MATLAB": (1 / 86400, 738_000.4), "Julian": (1 / 86400, 2_460_988.9),
+        "modified": (1 / 86400, 60_988.4),
     }[kind]  # fmt: skip
     time = since + (per_second * T if per_second < 1 else (per_second * T).round().astype(np.int64))
     (log,) = rig("s").read(pd.DataFrame({"t": time, "u": U, "q": Q}))
     assert log.sample_time == pytest.approx(STEP, rel=1e-5)
     assert "since" in log.warnings[0]
+
+
+@pytest.mark.parametrize("start", [0.0, 0.394, 1 - 1 / 86400])
+@pytest.mark.parametrize("step", [0.001, 0.01, 0.1])
+def test_fractions_of_a_day(start, step):
+    """A time of day as a number, also over midnight."""
+    days = (start + step * INDEX / 86400) % 1
+    (log,) = rig().read(pd.DataFrame({"t": days, "u": U, "q": Q}))
+    assert log.sample_time == pytest.approx(step, rel=1e-6)
+    assert len(log) == ROWS
+    assert "no seconds of a drive: taken as days of 86400 s" in log.warnings[0]
+
+
+@pytest.mark.parametrize("step", [1e-6, 4e-7, 8e-7])
+def test_an_oscilloscope_counts_seconds(step):
+    (log,) = rig().read(pd.DataFrame({"t": step * INDEX, "u": U, "q": Q}))
+    assert log.sample_time == pytest.approx(step, rel=1e-9)
 
 
 @pytest.mark.parametrize("size", [1.0, 0.256, 60.0])

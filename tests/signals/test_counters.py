@@ -135,6 +135,23 @@ def test_signed_read_as_unsigned(bits):
     assert bool(note) == (bits == 16)
 
 
+@pytest.mark.parametrize("bits", [16, 32])
+def test_a_load_that_hangs_is_below_zero_all_the_time(bits):
+    true = np.round(-900 + 500 * np.sin(3 * T))
+    values, note = with_sign("u", true % 2**bits)
+    np.testing.assert_array_equal(values, true)
+    assert note == f"u holds negative numbers of {bits} bits, read without a sign: -1400 to -400"
+
+
+def test_numbers_near_the_top_of_16_bits_may_be_what_they_are():
+    far = np.round(60_000 + 300 * np.sin(3 * T))
+    values, note = with_sign("u", far)
+    np.testing.assert_array_equal(values, far)
+    assert note.startswith("u is 59700 to 60300 in all rows: perhaps numbers of 16 bits")
+    for other in (far - 20_000, 0.1 * far, far / 60_000 * 4000):
+        assert with_sign("u", other)[1] == ""
+
+
 def test_levels_that_only_look_like_a_sign():
     """A signal of three levels jumps as far, and not to the end of its word."""
     u = np.select([np.sin(9 * T) > 0.3, np.sin(9 * T) < -0.3], [200.0, 0.0], 50.0)

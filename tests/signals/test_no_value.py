@@ -48,3 +48,43 @@ def test_milliseconds_taken_for_seconds_are_suspected(tmp_path):
     log = read(tmp_path, "t,u,q\n" + rows(",", 1e3 * T, U, Q))
     assert any("10 s are long; perhaps the clock is in ms" in note for note in log.warnings)
     assert not any("perhaps" in note for note in read(tmp_path, table()).warnings)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        *("-32768", "32767.0", "65535", "-8888", "1E+10", "-1e20", "1e30", "9.91E+37", "9.9E37"),
+        *("3.4028235E+38", "-3.4028234663852886e+38", "1.7976931348623157e308", "3276.7"),
+    ],
+)
+@pytest.mark.parametrize("column", [1, 2])
+def test_single_samples_that_stand_for_no_value(tmp_path, given, column):
+    """In an input as in a position; of limits of 16 bits only single samples far from all else."""
+    lines = [line.split(",") for line in table().splitlines()]
+    for row in (100, 101, 102, 200):
+        lines[row][column] = given
+    log = read(tmp_path, "\n".join(map(",".join, lines)) + "\n")
+    name = "uq"[column - 1]
+    assert f"{name} is {float(given):.6g} at times, far from all else" in log.warnings[0]
+    channel = next(c for c in log.channels if c.endswith(f"_{name}"))
+    right = read(tmp_path, table())[channel]
+    assert np.abs(log[channel] - right).max() < 0.05 * np.ptp(right)
+
+
+@pytest.mark.parametrize("kind", ["clipped", "pulses", "levels", "a step beyond"])
+def test_an_amplifier_that_clips_at_16_bits_is_a_signal(tmp_path, kind):
+    u = {
+        "clipped": np.clip(50_000 * np.sin(20 * T), -32768, 32767),
+        "pulses": np.where(np.sin(20 * T) > 0.9, 32767, 1000 * np.sin(T)),
+        "levels": np.where(np.arange(ROWS) % 100 < 2, 32767, 0),
+        "a step beyond": np.where(np.arange(ROWS) == 50, 32767, 20_000 * np.sin(20 * T)),
+    }[kind].round()
+    log = read(tmp_path, "t,u,q\n" + rows(",", T, u, Q, digits=5))
+    assert not any("no value" in note for note in log.warnings)
+    assert log[next(c for c in log.channels if c.endswith("_u"))].max() > 0
+
+
+def test_a_small_signal_below_zero_in_16_bits_is_one(tmp_path):
+    u = np.where(np.arange(ROWS) % 80 == 7, -1, np.round(2 + 2 * np.sin(9 * T))) % 65536
+    log = read(tmp_path, "t,u,q\n" + rows(",", T, u, Q, digits=5))
+    assert any("16 bits with a sign" in note for note in log.warnings)

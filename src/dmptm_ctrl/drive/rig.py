@@ -12,9 +12,11 @@ from typing import Any
 
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.signals import Column, Log, LogError, TextFormat, load_log
+from dmptm_ctrl.signals.columns import listed
 from dmptm_ctrl.signals.errors import repeated
 from dmptm_ctrl.signals.loaders import gather, stem
 
+SMALL = 0.1  # of a time constant; a lag beside it that is shorter moves poles by as little
 DEFAULT_TOLERANCE = 0.3  # of a declared value that does not state one; documented in rig_toml.md
 
 FRICTION = (  # names per direction; without _plus, _minus the same in both
@@ -168,13 +170,18 @@ class DeclaredEffect:
     """An effect that the declaration already contains."""
 
     name: str
-    on: str
+    on: str  # body, link, input or sensor; "": its only place, or the first body
     values: Mapping[str, Quantity]
+
+
+def _fits(name: str, pattern: str) -> bool:
+    """Whether a pattern means a log, by its name or that of its file, "run_a" or "run_a.csv"."""
+    return fnmatchcase(name, pattern) or fnmatchcase(name, stem(pattern))
 
 
 def _of_log(values: Mapping[str, float], name: str) -> float | None:
     """Value of a log by its name, else by the first pattern that fits."""
-    fitting = (v for pattern, v in values.items() if fnmatchcase(name, pattern))
+    fitting = (v for pattern, v in values.items() if _fits(name, pattern))
     return values.get(name, next(fitting, None))
 
 
@@ -237,7 +244,7 @@ class Rig:
                 lines.append(f"{stem}  ← {source.name}: column {source.column}, gain {gain}")
             for sensor in (s for s in self.sensors if s.body == body.name):
                 lines.append(f"{stem}  → {sensor.name}: {sensor.measures}, column {sensor.column}")
-        lines += [f"declared effect: {effect.name} on {effect.on}" for effect in self.effects]
+        lines += [f"declared effect: {e.name}{e.on and f' on {e.on}'}" for e in self.effects]
         if self.controller is not None:
             loop = self.controller
             lines.append(f"controller: {loop.kind} from {loop.sensor} to {loop.input}")
@@ -301,6 +308,22 @@ class Rig:
                     turns[link.first] = turns[link.second] * link.ratio.value
         return turns
 
+    def cautions(self) -> list[str]:
+        """Sentences about what the models of this rig leave out although it may matter."""
+        found = []
+        for source in (i for i in self.inputs if i.back_emf and "inductance" in i.factors):
+            electric = source.factors["inductance"].value / source.factors["resistance"].value
+            turns = self.turns(source.body, rigidly=True)
+            inertia = sum(t**2 * self.body(name).inertia.value for name, t in turns.items())
+            mechanic = inertia / source.back_emf
+            if electric > SMALL * mechanic:
+                found.append(
+                    f"input {source.name}: its inductance delays the voltage, but not the "
+                    f"back-EMF; L/R of {electric:.3g} s is not small beside J R/(K_t K_e) of "
+                    f"{mechanic:.3g} s, and fast motion comes out wrong"
+                )
+        return found
+
     def columns(self) -> dict[str, Column]:
         """Columns of the logs that the rig needs, as the loaders take them."""
         mapping: dict[str, Column] = {}
@@ -341,11 +364,21 @@ class Rig:
         file after `max_rows` are not read, with a warning. LogError as of `load_log`, and for no
         log, or two of one name.
         """
+        seen: list[Path] = []
+
+        def ignored(path: Path) -> bool:
+            seen.append(path)
+            return self.ignores(path)
+
         loaded, left_out = gather(
-            sources, lambda s, **o: self.load(s, max_rows=max_rows, **o), self.ignores
+            sources, lambda s, **o: self.load(s, max_rows=max_rows, **o), ignored
         )
         if told is not None:
-            told += left_out
+            told += [
+                *left_out,
+                *self.cautions(),
+                *self._without_match([log.name for log in loaded], seen),
+            ]
         if not loaded:
             raise LogError("no logs: every file is under [data] ignore of the rig file")
         if (twice := repeated(log.name for log in loaded)) is not None:
@@ -383,14 +416,29 @@ class Rig:
         return log.segment(low + (start or 0.0), high)
 
     def ignores(self, path: Path) -> bool:
-        """Whether a file is under ``[data] ignore``."""
-        return any(fnmatchcase(path.name, p) for p in self.data.ignore)
+        """Whether a file is under ``[data] ignore``, by its name or that of its log."""
+        return any(
+            fnmatchcase(n, p) for n in (path.name, stem(path.name)) for p in self.data.ignore
+        )
+
+    def _without_match(self, names: list[str], files: list[Path]) -> list[str]:
+        """Sentences about patterns of ``[data]`` that mean no log."""
+        both = [*(f.name for f in files), *(stem(f.name) for f in files)]
+        lost = [
+            ("ignore", p) for p in self.data.ignore
+            if files and not any(fnmatchcase(n, p) for n in both)
+        ]  # fmt: skip
+        for key in ("fit", "held_out", "start", "stop"):
+            patterns = getattr(self.data, key)
+            lost += [(key, p) for p in patterns if not any(_fits(n, p) for n in names)]
+        there = listed(sorted(names), 4)
+        return [f"[data] {k} names {p!r}, which fits no log; there are {there}" for k, p in lost]
 
     def roles(self, names: Iterable[str]) -> dict[str, str]:
         """Role that the file declares for logs: "fit", "held-out" or "" (no word)."""
         found = {}
         for name in names:
-            fit = any(fnmatchcase(name, p) for p in self.data.fit)
-            held = any(fnmatchcase(name, p) for p in self.data.held_out)
+            fit = any(_fits(name, p) for p in self.data.fit)
+            held = any(_fits(name, p) for p in self.data.held_out)
             found[name] = "held-out" if held else "fit" if fit else ""
         return found

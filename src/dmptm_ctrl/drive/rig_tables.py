@@ -104,6 +104,12 @@ class Table(dict[str, Any]):
         """Refuse the file for what a key says."""
         self._file.fail(self._where, key, message)
 
+    def either(self, key: str, *others: str) -> None:
+        """Refuse keys that say what another one says."""
+        for other in others:
+            if key in self and other in self:
+                self.fail(other, f"give either {key} or {other}")
+
     def known(self, key: str, name: Any, things: Mapping, kind: str) -> None:
         """Refuse a name of nothing."""
         if name not in things:

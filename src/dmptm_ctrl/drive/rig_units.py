@@ -1,7 +1,8 @@
 """Declared numbers as people write them: "2.1e-4 kg m^2 ± 10 %", or a table with a source."""
 
 import re
-from math import inf, isfinite
+from dataclasses import replace
+from math import inf, isfinite, pi
 from typing import Any
 
 import pint
@@ -15,10 +16,16 @@ _TEXT = re.compile(
     rf"^\s*(?P<value>{_NUMBER})\s*(?P<unit>[^±]*?)\s*"
     rf"(?:(?:±|\+/?-)\s*(?P<tol>{_NUMBER})\s*(?P<tol_unit>[^±]*?)\s*)?$"
 )
+_AROUND = re.compile(r"^\s*\((?P<inside>[^()]*±[^()]*|[^()]*\+/?-[^()]*)\)(?P<unit>[^±]*)$")
+_PER_MINUTE = re.compile(r"\s*(?:1\s*/\s*min|min\s*(?:\^?-1|⁻¹))\s*")
+_PERCENT = re.compile(r"(?:%|percent\b)\s*")
 _COUNTS = ("ticks", "tick", *COUNTS)
 _PER_TURN = re.compile(
     rf"^\s*(\d+\.?\d*(?:[eE]\+?\d+)?)\s*(?:{'|'.join(_COUNTS)})\s*(?:/|per)\s*(\w+)\s*$"
 )
+_BITS = re.compile(r"\s*(\d{1,2})\s*-?bits?\s*", re.I)
+_RATIO = re.compile(rf"^\s*({_NUMBER})\s*[:/]\s*({_NUMBER})(?=\s*(?:±|\+/?-|$))")
+_NO_ANGLE = re.compile(rf"(?:{'|'.join(_COUNTS)}|bits?|percent|permille)\b|[%‰]", re.I)
 _COUNTED = re.compile(rf"\s*(?:{'|'.join(_COUNTS)})\s*(?:(?:/|per\b|_)\s*(s|ms|us|min))?\s*", re.I)
 
 
@@ -34,10 +41,15 @@ class UnitError(ValueError):
 
 def factor(unit: str, si: str) -> float:
     """Number that turns a value in `unit` into `si`; UnitError where there is none."""
+    if "rad" in si and _PER_MINUTE.fullmatch(unit):
+        unit = "rpm"
     try:
         given = one_of(unit)
     except ValueError as error:
-        raise UnitError(f"{unit[:40]!r} is no unit; write it as in {si}") from error
+        right = f"write it as in {si}" if si else "a plain number has none"
+        raise UnitError(f"{unit[:40]!r} is no unit; {right}") from error
+    if si.startswith("rad") and _NO_ANGLE.match(unit):  # numbers without a unit, to pint
+        raise UnitError(f"{unit[:40]!r} is of another quantity than {si}")
     # An angle is a number here: N·m/rad is as good as N·m.
     try:
         return float(given.to(plain(si) or "dimensionless").magnitude)
@@ -56,29 +68,79 @@ def quantity(raw: Any, si: str, *, exact: bool = False, positive: bool = True) -
         return _from_table(raw, si, exact=exact, positive=positive)
     if isinstance(raw, str) and raw.strip().lower() in ("unknown", "?", "free"):
         return unknown(si)
-    match = _TEXT.match(raw) if isinstance(raw, str) else None
+    if isinstance(raw, str) and not si:
+        raw = _RATIO.sub(_quotient, raw)  # 10:1
+    match = _matched(raw) if isinstance(raw, str) else None
     if match is None and (isinstance(raw, bool) or not isinstance(raw, int | float)):
-        raise UnitError(f"{raw!r} is no number with a unit; write it as in '1.5 {si}'")
+        raise UnitError(f"{raw!r} is no number with a unit; write it as in {_as_in(si)}")
     if match is not None:
         if match["unit"].startswith(","):
-            raise UnitError(f"{raw!r} has a decimal comma; write a point, as in '1.5 {si}'")
-        scale = factor(match["unit"], si) if match["unit"] else 1.0
-        value = float(match["value"]) * scale
-        tol_unit = match["tol_unit"] or match["unit"] or si  # "95 kg ± 5" means 5 kg
+            if "." in match["unit"]:
+                raise UnitError(f"{raw!r} has a comma between thousands; leave it out")
+            raise UnitError(f"{raw!r} has a decimal comma; write a point, as in {_as_in(si)}")
+        # "95 kg ± 5" and "95 ± 5 kg" mean 5 kg; of "95 ± 5 % kg" the percent is the tolerance's
+        share = match["tol"] is not None and _PERCENT.match(match["tol_unit"])
+        behind = match["tol_unit"][share.end() :] if share else match["tol_unit"]
+        if share and behind and match["unit"]:
+            raise UnitError(f"{raw!r} has two units; write it as in {_as_in(f'{si} ± 10 %')}")
+        unit = match["unit"] or behind
+        value = float(match["value"]) * (factor(unit, si) if unit else 1.0)
+        tol_unit = "%" if share else behind or unit or si
         tolerance = _tolerance(match["tol"], tol_unit, value, si, exact)
     else:
         value, tolerance = float(raw), 0.0 if exact else DEFAULT_TOLERANCE
     return _checked(Quantity(value, si, tolerance, "rig file"), positive)
 
 
+def _quotient(match: re.Match[str]) -> str:
+    """Number of a ratio such as 50/3."""
+    by = float(match[2])
+    return repr(float(match[1]) / by) if by else match[0]
+
+
+def _as_in(unit: str, number: str = "1.5") -> str:
+    return f"'{number} {unit}'" if unit else f"'{number}'"
+
+
+def _matched(text: str) -> re.Match[str] | None:
+    """Parts of a number with a unit and a tolerance, also of "(2.1 ± 0.2) kg"."""
+    around = _AROUND.match(text)
+    return _TEXT.match(text if around is None else f"{around['inside']} {around['unit']}")
+
+
 def counts(raw: Any, si: str) -> float | None:
-    """Size of one count [rad or m] from "8192 counts/rev" or "50 counts/mm"; else None."""
+    """Size of a count [rad or m] from "8192 counts/rev", "50 counts/mm", "17 bit"; else None."""
+    if isinstance(raw, str) and (bits := _BITS.fullmatch(raw)) is not None:
+        if si != "rad":
+            raise UnitError(f"{raw!r} of what length")
+        return float(2 * pi / 2 ** int(bits[1]))
     match = _PER_TURN.match(raw) if isinstance(raw, str) else None
     if match is None:
         return None
     if float(match[1]) == 0:
-        raise UnitError(f"{raw!r}: no counts at all; write '8192 counts/rev'")
+        raise UnitError(f"{raw!r}: no counts at all")
     return factor(match[2], si) / float(match[1])
+
+
+def in_counts(raw: Any, count: float | None, si: str) -> Any:
+    """Return a number of counts, "2 counts" or "2 counts/s", in `si` [rad or m]; else as it is."""
+    match = _TEXT.match(raw) if isinstance(raw, str) else None
+    if match is None or (per := counted_per(match["unit"])) is None:
+        return raw
+    if count is None:
+        raise UnitError(f"{match['unit']} of what size? Give counts_per_rev, or write it in {si}")
+    size = count / (factor(per, "s") if per else 1.0)
+    return f"{float(match['value']) * size!r} {si}{'/s' * bool(per)}"
+
+
+def lead(raw: Any) -> Quantity:
+    """Travel per turn [m] from "10 mm", "10 mm/rev", "0.2 in per turn"."""
+    read = quantity(raw, "m", exact=True)
+    if read.value == 0:
+        raise UnitError("a lead of 0 moves nothing")
+    text = f"{raw.get('value')} {raw.get('unit')}" if isinstance(raw, dict) else str(raw)
+    per_angle = re.search(r"/|\bper\b", text)
+    return replace(read, value=read.value * 2 * pi) if per_angle else read
 
 
 _TABLE_KEYS = ("value", "unit", "tolerance", "range", "source")
@@ -103,7 +165,10 @@ def _from_table(raw: dict[str, Any], si: str, *, exact: bool, positive: bool) ->
         match = re.match(rf"^\s*({_NUMBER})\s*(.*?)\s*$", str(given))
         if match is None:
             raise UnitError(f"tolerance {given!r} is no number; write '10 %' or '0.5 {si}'")
-        unit = match[2] or ("" if isinstance(given, int | float) else None)
+        unit = match[2]
+        if not unit and (isinstance(given, str) or abs(given) >= 1):
+            own = f" or {_as_in(si, match[1])}" if si else ""
+            raise UnitError(f"tolerance {given!r} has no unit; write '{match[1]} %'{own}")
         tolerance = _tolerance(match[1], unit, value, si, exact)
     low = high = None
     if "range" in raw:
@@ -119,12 +184,12 @@ def _from_table(raw: dict[str, Any], si: str, *, exact: bool, positive: bool) ->
     return _checked(Quantity(value, si, tolerance, source, low, high), positive)
 
 
-def _tolerance(text: str | None, unit: str | None, value: float, si: str, exact: bool) -> float:
+def _tolerance(text: str | None, unit: str, value: float, si: str, exact: bool) -> float:
     """Relative tolerance."""
     if text is None:
         return 0.0 if exact else DEFAULT_TOLERANCE
     amount = abs(float(text))
-    if unit is None or unit in ("%", "percent"):
+    if unit in ("%", "percent"):
         return amount / 100
     if unit == "":
         return amount

@@ -22,7 +22,7 @@ from dmptm_ctrl.drive.rig import (
     unknown,
 )
 from dmptm_ctrl.drive.rig_tables import RigError, Table, TableReader, suffix_unit
-from dmptm_ctrl.drive.rig_units import UnitError, counted_per, counts, factor
+from dmptm_ctrl.drive.rig_units import UnitError, counted_per, counts, factor, in_counts, lead
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.signals.errors import repeated
 from dmptm_ctrl.signals.toml_text import parse_toml
@@ -122,8 +122,9 @@ class _Reader(TableReader):
         sensors = tuple(self._sensor(n, t, by_name) for n, t in tables["sensor"].items())
         if twice := repeated([*(i.column for i in inputs), *(s.column for s in sensors)]):
             self.fail("", "", f"column {twice!r} is used twice; each input and sensor has its own")
-        places = {*by_name, *(link.name for link in links), *(i.name for i in inputs)}
-        effects = tuple(self._effect(n, t, places, bodies) for n, t in tables["effect"].items())
+        places = {*by_name, *(link.name for link in links)}
+        places |= {*(i.name for i in inputs), *(s.name for s in sensors)}
+        effects = tuple(self._effect(n, t, places) for n, t in tables["effect"].items())
         name = raw.get("name", "rig")
         return Rig(
             str(name) if isinstance(name, str) else self.fail("", "name", "name is no text"),
@@ -208,8 +209,11 @@ class _Reader(TableReader):
         if "lead" in t:
             if first.linear or not second.linear:
                 t.fail("lead", "a lead is from a turning first body to a sliding second")
-            lead = t.need("lead", "m", exact=True)
-            ratio = Quantity(2 * pi / lead.value, "rad/m", lead.tolerance, lead.source)
+            try:
+                travel = lead(t["lead"])
+            except UnitError as error:
+                t.fail("lead", f"lead: {error}")
+            ratio = Quantity(2 * pi / travel.value, "rad/m", travel.tolerance, travel.source)
         elif "ratio" in t:
             ratio = t.need("ratio", ratio_unit, exact=True, positive=False)
         elif ratio_unit:
@@ -253,6 +257,12 @@ class _Reader(TableReader):
         t = Table(self, f"input.{name}", raw, _INPUT)
         body = _one_body(t, bodies)
         column = t.text("column")
+        t.either("gain", "torque_constant", "amplifier", "resistance")
+        t.either("amplifier", "resistance")
+        t.either("time_constant", "inductance")
+        for key in ("inductance", "back_emf_constant"):
+            if key in t and "resistance" not in t:
+                t.fail(key, f"{key} needs a resistance beside it")
         unit, symbol = t.column_unit(column, implied=_gain_unit(t))
         per = f"{body.force_unit}/{symbol}" if symbol else body.force_unit
         factors = {}
@@ -268,10 +278,10 @@ class _Reader(TableReader):
             gain = Quantity(constant.value / ohms.value, per, ohms.tolerance, "torque_constant/R")
             back_emf = constant.value * emf.value / ohms.value
             factors = {"torque_constant": constant, "resistance": ohms}
-            if "inductance" in t and "time_constant" not in t:
-                henry = t.need("inductance", "henry", exact=True)
+            if "inductance" in t:
+                factors["inductance"] = henry = t.need("inductance", "henry", exact=True)
                 t["time_constant"] = henry.value / ohms.value
-        elif "amplifier" in t or ("torque_constant" in t and "gain" not in t):
+        elif "amplifier" in t or "torque_constant" in t:
             constant = t.need("torque_constant", f"{body.force_unit}/A", exact=True)
             factors = {"torque_constant": constant}
             value, tolerance = constant.value, constant.tolerance
@@ -327,12 +337,13 @@ class _Reader(TableReader):
             t.fail("absolute", "absolute is true or false")
         resolution = None
         if step is not None and measures == "position":
+            t.either("counts_per_rev", "resolution")
             resolution = Quantity(step, si, 0.0, "counts")
-        elif step is None:
-            resolution = t.number("resolution", si)
+        elif step is None or "counts_per_rev" in t:
+            resolution = _in_counts(t, "resolution", step, si)
         return Sensor(
             name, column, unit, body.name, measures, scale * t.sign(),
-            resolution, t.number("noise", si), absolute,
+            resolution, _in_counts(t, "noise", step, si), absolute,
         )  # fmt: skip
 
     def _controller(
@@ -366,12 +377,10 @@ class _Reader(TableReader):
         limit = t.number("limit", parse_unit(source[to].unit).symbol)
         return Controller(kind, to, of, gains, reference, unit, limit.value if limit else inf)
 
-    def _effect(
-        self, name: str, raw: dict[str, Any], places: set[str], bodies: tuple[Body, ...]
-    ) -> DeclaredEffect:
+    def _effect(self, name: str, raw: dict[str, Any], places: set[str]) -> DeclaredEffect:
         t = Table(self, f"effect.{name}", raw)
-        on = t.pop("on", bodies[0].name)
-        if on not in places:
+        on = t.pop("on", "")
+        if not isinstance(on, str) or (on and on not in places):
             t.fail("on", f"no {on!r} in the rig; it has {', '.join(sorted(places))}")
         values = {}
         for key, value in t.items():
@@ -417,13 +426,23 @@ def _count(t: Table, body: Body) -> float | None:
         key = "resolution" if given is None else "counts_per_rev"
         t.fail(key, f"{error}; write '8192 {turn}'")
     if step is None and given is not None:
-        t.fail("counts_per_rev", "counts_per_rev is a number, such as 8192")
+        t.fail("counts_per_rev", "counts_per_rev is a number above 0, such as 8192")
     if step is None and counted_per(str(t.get("unit", ""))) is not None:
         t.fail(
             "unit", f"counts of what size? Add resolution = '8192 {turn}' (a quadrature "
             "encoder counts four times its lines)",
         )  # fmt: skip
     return step
+
+
+def _in_counts(t: Table, key: str, step: float | None, si: str) -> Quantity | None:
+    """Number of a sensor, also in counts of this size; None if it is not there."""
+    if key not in t:
+        return None
+    try:
+        return t.read(key, in_counts(t[key], step, si.removesuffix("/s")), si)
+    except UnitError as error:
+        t.fail(key, f"{key}: {error}")
 
 
 def _wrong_unit(t: Table, column: str, symbol: str, body: Body) -> NoReturn:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime
 from datetime import time as daytime
 from typing import Any
@@ -30,8 +31,11 @@ EPOCHS = (
     ("ticks of 100 ns", 1e-7, "1601", 1.26e10, 1.45e10),
     ("ticks of 100 ns", 1e-7, "the year 1", 6.31e10, 6.5e10),
     ("days", DAY, "1900", 3.18e9, 5.06e9),
+    ("days", DAY, "1858", 5.06e9, 6.35e9),  # modified Julian days
     ("days", DAY, "the year 0", 6.31e10, 6.5e10),
+    ("days", DAY, "4713 BC", 2.11e11, 2.14e11),  # Julian days
 )
+ROUND = 1e-5  # of a step, from three digits
 LATEST = 1e11  # s; no clock counts so many since any epoch
 SHORTEST = 2e-6  # s; nothing samples a drive so fast
 # Counters of 16 to 32 bits run over, also where they are printed in thousandths.
@@ -68,8 +72,14 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
                 raise ValueError(first)
             # whole seconds may be written without a fraction
             text = text.str.replace(r"(:\d{2}:\d{2})(?![.:\d])", r"\1.0", regex=True)
-            form = _format_of(text[text.first_valid_index()])
-            times = pd.to_datetime(text, format=form, utc=True)
+            found = []
+            for form in _formats_of(text[text.first_valid_index()]):
+                with suppress(ValueError):
+                    found.append(pd.to_datetime(text, format=form, utc=True))
+            if not found:
+                raise ValueError(first)
+            # of day and month either may come first: then the one that leaves no gap at midnight
+            times = min(found, key=lambda each: each.diff().abs().max())
     except (ValueError, OverflowError, AttributeError) as error:
         raise LogError(
             f"{source}: column {column!r} does not hold numbers, nor times as {first[:40]!r} all "
@@ -78,16 +88,24 @@ def times_of(texts: NDArray, source: str, column: str) -> NDArray:
     return (times - times.dropna().iloc[0]).to_numpy("timedelta64[ns]")
 
 
-def _format_of(text: str) -> str:
-    """Format of a date whose day or month comes first; with dots the day does."""
-    for day in ("%d.%m.%Y", "%d.%m.%y", "%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y", "%d-%m-%Y", "%m/%d/%y"):
+_DAYS = (
+    *("%d.%m.%Y", "%d.%m.%y", "%m/%d/%Y", "%d/%m/%Y", "%d-%b-%Y", "%d-%m-%Y"),
+    *("%m/%d/%y", "%d/%m/%y"),
+)
+
+
+def _formats_of(text: str) -> list[str]:
+    """Formats that a date may have whose day or month comes first; with dots the day does."""
+    found = []
+    for day in _DAYS:
         for clock in ("%H:%M:%S.%f", "%I:%M:%S.%f %p", "%H:%M"):
             try:
                 datetime.strptime(text, f"{day} {clock}")
             except ValueError:
                 continue
-            return f"{day} {clock}"
-    return "mixed"
+            found.append(f"{day} {clock}")
+            break
+    return found or ["mixed"]
 
 
 def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
@@ -105,8 +123,8 @@ def seconds_of(values: NDArray, factor: float) -> tuple[Array, str]:
         values = values - values[0]
     raw = values.astype(np.float64)
     if own is not None:
-        unit, factor, since = own
-        return (raw - raw[np.isfinite(raw)][0]) * factor, f"counts {unit} since {since}: taken so"
+        note, factor = own
+        return (raw - raw[np.isfinite(raw)][0]) * factor, note
     return raw * factor, ""
 
 
@@ -149,16 +167,29 @@ def run_on(time: Array, channels: Mapping[str, Array], factor: float = 1.0) -> t
     return time, f"the clock falls by {size:.10g} s {times} while the drive goes on: made to go on"
 
 
-def _epoch(raw: Array, factor: float) -> tuple[str, float, str] | None:
-    """Unit that a clock must have because no seconds since any epoch are that many, or tick so."""
+def _epoch(raw: Array, factor: float) -> tuple[str, float] | None:
+    """What a clock must count, as no seconds since any epoch are that many, or tick so; and its s.
+
+    A time of day as a number is a fraction of a day. Oscilloscopes tick as fast, in round numbers.
+    """
     good = raw[np.isfinite(raw)]
     if good.size < 2:
         return None
-    first, step = abs(float(good[0])), float(np.ptp(good)) / (good.size - 1)
+    step = np.diff(good)
+    # of days that pass midnight, and of rows out of order
+    mean = min(float(step[step > 0].sum()), float(np.ptp(good))) / step.size
+    first = abs(float(good[0]))
+    days = 0 < mean < SHORTEST and factor == 1.0
     for unit, size, since, low, high in EPOCHS:
-        other = first * factor > LATEST if size < 1 else 0 < step < SHORTEST and factor == 1.0
+        other = first * factor > LATEST if size < 1 else days
         if other and low < first * size < high:
-            return unit, size, since
+            return f"counts {unit} since {since}: taken so", size
+    if days and first < 1 and abs(mean / float(f"{mean:.2e}") - 1) > ROUND:
+        note = (
+            f"ticks by {mean:.4g}, no seconds of a drive: taken as days of {DAY:g} s, steps of "
+            f'{mean * DAY:.4g} s; else give its unit, as in time = {{ column = "…", unit = "h" }}'
+        )
+        return note, DAY
     return None
 
 

@@ -21,6 +21,7 @@ OFTEN = 0.2  # of the steps may be jumps
 PASSES = 4  # samples; a failure that is over by then is bridged
 FEW = 3  # times that a counter is set in a log
 SINGLE = 10.0  # times the greatest other step; motion comes and goes over several samples
+NEAR_TOP = 0.75  # of a counter's range; numbers below zero of a load that hangs are above
 CALM = 0.5  # of the change that is left when a reading is taken with its sign
 
 
@@ -203,4 +204,16 @@ def with_sign(column: str, values: Array) -> tuple[Array, str]:
                 f"{column} holds numbers of {bits} bits with a sign, read without it: values "
                 f"from {size / 2:.6g} on were taken as negative"
             )
+    for bits in (16, 32) if unit == 1.0 else ():
+        size, low, high = 2.0**bits, float(reading.min()), float(reading.max())
+        if not (NEAR_TOP * size <= low and high < size):
+            continue
+        below = f"{low - size:.6g} to {high - size:.6g}"
+        if bits == 32 or size - high <= high - low:  # nearer to zero than it changes
+            note = f"{column} holds negative numbers of {bits} bits, read without a sign: {below}"
+            return values - size, note
+        return values, (
+            f"{column} is {low:.6g} to {high:.6g} in all rows: perhaps numbers of {bits} bits with "
+            f"a sign, {below}, read without it"
+        )
     return values, ""

@@ -2,9 +2,9 @@
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from dmptm_ctrl.signals.units import parse_unit, unit_of
 
@@ -25,6 +25,7 @@ _STAMP = re.compile(r"^\s*([\d:.]+)\s*->\s*")  # serial monitors put the time of
 _ENCLOSED = re.compile(r"^\s*[\[(]([^\[\]()]*)[\])][;,]?\s*$")  # printed tuples and arrays
 _ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # colours and places on a terminal
 _WITH_UNIT = re.compile(r"([-+]?[\d.,]*\d(?:[eE][-+]?\d+)?)\s*([^\d\s.,:;+-][^\s:;,]*)")
+_GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
 _REMARK = re.compile(r"\s+#.*")
 _RULE = re.compile(r"[\s|+:=-]*[-=]{3,}[\s|+:=-]*$")  # below the names of a table, around a grid
 
@@ -181,6 +182,18 @@ def _unquoted(field: str) -> str:
     if len(plain) > 1 and plain[0] == plain[-1] and plain[0] in "'\"":
         return plain[1:-1].strip()
     return plain
+
+
+def with_points(cells: Iterable[Any]) -> list[Any]:
+    """Cells with points for decimal commas; ValueError without any, or where they part thousands.
+
+    Of texts among the values of a table, such as of JSON.
+    """
+    texts = [cell for cell in cells if isinstance(cell, str)]
+    parted = [text for text in texts if "," in text]
+    if all(map(_GROUPED.fullmatch, parted)) or any("." in text for text in texts):
+        raise ValueError(f"no decimal commas in {parted[:1]}")
+    return [cell.replace(",", ".") if isinstance(cell, str) else cell for cell in cells]
 
 
 def says_nothing(line: str) -> bool:

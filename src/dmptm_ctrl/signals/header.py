@@ -198,9 +198,11 @@ def _from_rows(rows: list[list[str]], plain: Layout, wanted: Collection[str]) ->
         said = [[r[c] for c in places] for r in others]
         same = sum(len({*s}) == 1 for s in said)  # a comma in a time may shift a row
         if places[0] == 0 and same > len(said) / 2:
-            period = next((m for s in said if (m := re.search(r"\[(\w+)\]", s[0]))), None)
+            stated = (m[1] for s in said if (m := re.search(r"\[(\w+)\]", s[0])))
+            ticks = (u for u in stated if (unit := unit_of(u)) is not None and unit.symbol == "s")
+            period = next(ticks, "s")  # others state sizes, in bytes
             for c in places:
-                names[c], units[c] = CLOCK, period[1] if period else "s"
+                names[c], units[c] = CLOCK, period
     # what has no name in its row may have one in a row beside it
     for c in (c for c, n in enumerate(names) if not n):
         beside = (r[c] for r in others if plain.dialect.kind(r[c]) == "text")

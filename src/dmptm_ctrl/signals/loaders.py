@@ -28,12 +28,17 @@ from dmptm_ctrl.signals.columns import (
     resolve,
 )
 from dmptm_ctrl.signals.counters import unwrapped_counts, with_sign, without_failures
-from dmptm_ctrl.signals.dialect import Dialect, TextFormat
+from dmptm_ctrl.signals.dialect import Dialect, TextFormat, with_points
 from dmptm_ctrl.signals.errors import ColumnsError, LogError, NotALogError
 from dmptm_ctrl.signals.log import Log
 from dmptm_ctrl.signals.matlab import read_matlab
 from dmptm_ctrl.signals.mdf import read_mdf
-from dmptm_ctrl.signals.missing_values import on_one_clock, without_missing, without_sentinels
+from dmptm_ctrl.signals.missing_values import (
+    on_one_clock,
+    without_isolated,
+    without_missing,
+    without_sentinels,
+)
 from dmptm_ctrl.signals.plausible import refuse_inconsistent, suspects
 from dmptm_ctrl.signals.tabular import from_frame, read_json, read_parquet
 from dmptm_ctrl.signals.text import read_text
@@ -43,6 +48,7 @@ if TYPE_CHECKING:
 
 Source = str | PathLike[str]
 
+NO_COUNTER = 2.0**32  # counts so far
 OTHER_RATE = 0.01  # relative; a nominal rate is as good as this
 PACKED = ".mat, .parquet, .mf4, .json, .mcap, .bag"
 OTHER = (  # what stands beside logs in a folder and is none by its name
@@ -334,17 +340,13 @@ def _channels(
             has = f"{values.size} values, the others have {time.size}" if other else "no value"
             notes.append(f"ignored {column!r}: {has}")
             continue
-        values, nothing = without_sentinels(values)
+        turn = 2 * np.pi / abs(target.factor) if target.symbol == "rad" else 0.0
+        values, nothing, note = _readings(column, values, target.symbol, turn)
         if nothing is not None:
             notes.append(
                 f"{column} is {nothing:.6g} at times, far from all else: taken as no value"
             )
             shown[target.channel] = f"{column}, where {nothing:.6g} stands for no value,"
-        if target.symbol in ("rad", "m"):
-            turn = 2 * np.pi / abs(target.factor) if target.symbol == "rad" else 0.0
-            values, note = unwrapped_counts(column, values, turn)
-        else:
-            values, note = with_sign(column, values) if target.symbol != "s" else (values, "")
         notes += [note] if note else []
         channels[target.channel] = values if target.factor == 1.0 else values * target.factor
         units[target.channel] = target.symbol
@@ -384,6 +386,27 @@ def _channels(
         read = filled[channel] / factors.get(channel, 1.0)  # as the file has it
         checks.finite(title, shown.get(channel, channel), read, rows.start)
     return filled.pop("time"), filled, units, notes
+
+
+def _readings(column: str, values: Any, symbol: str, turn: float) -> tuple[Any, float | None, str]:
+    """Readings of a counter unwrapped or with their sign; what stood for no value; and a note.
+
+    A counter passes 65535 and the like as well: what may stand for no value comes after that.
+    """
+
+    def mended(values: Any) -> tuple[Any, str]:
+        if symbol in ("rad", "m"):
+            return unwrapped_counts(column, values, turn)
+        return with_sign(column, values) if symbol != "s" else (values, "")
+
+    values, nothing = without_sentinels(values)
+    if nothing is None:
+        values, nothing = without_isolated(values, NO_COUNTER)
+    values, note = mended(values)
+    if nothing is None and not note:
+        values, nothing = without_isolated(values)
+        values, note = (values, note) if nothing is None else mended(values)
+    return values, nothing, note
 
 
 def _time(
@@ -441,7 +464,10 @@ def _floats(values: Any, column: str, title: str) -> Any:
         array = np.asarray(values)
         if array.dtype.kind not in "fiubO":  # text, complex numbers, dates
             raise TypeError(array.dtype)
-        array = array.astype(np.float64, copy=False)
+        try:
+            array = array.astype(np.float64, copy=False)
+        except ValueError:
+            array = np.array(with_points(array), dtype=np.float64)
     except (TypeError, ValueError) as error:
         words = (
             v for v in np.ravel(values) if isinstance(v, str) and Dialect("").number(v) is None

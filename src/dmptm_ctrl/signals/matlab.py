@@ -68,7 +68,7 @@ def _walk(path: tuple[str, ...], value: Any, meta: dict[str, Any]) -> Iterator[S
             yield from _dspace(path, value)
         elif {"time", "signals"} <= value.keys():
             yield from _simulink(path, value)
-        elif (series := _series(value)) is not None:
+        elif (path or "Data" in value) and (series := _series(value)) is not None:
             yield from _timeseries(path, series)
         else:
             for name, inner in value.items():

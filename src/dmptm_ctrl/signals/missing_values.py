@@ -5,13 +5,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from dmptm_ctrl.signals.checks import HUGE
 from dmptm_ctrl.signals.clock import MAX_BRIDGED
 from dmptm_ctrl.signals.log import Array
 
 NINES = re.compile(r"-?9{3,}(\.(9+|25))?")  # what programs write where there is no value
-_LARGEST = [float(np.finfo(t).max) for t in (np.float32, np.float64)]
-# of whole numbers and of floats; counters of 16 bits do reach theirs
-LIMITS = {-(2.0**31), 2.0**31 - 1, -(2.0**63), 2.0**63, *_LARGEST, *(-x for x in _LARGEST)}
+LIMITS = {-(2.0**31), 2.0**31 - 1, -(2.0**63), 2.0**63}  # of whole numbers of many bits
+# Limits of 16 bits, also in tenths, eights and powers of ten may be readings as well.
+MAY_BE_NONE = re.compile(r"-?(?:0*(?:3276[78]|65535|8{4,})0*|1e\+\d+)")
+SHORT = 4  # samples; a signal that is clipped stays there for longer, or comes often
+SELDOM = 0.01  # of the samples
 RARE = 2  # a column sampled more rarely has a value in every second row at most
 EVEN_HOLES = 2.5  # the longest hole of such a column, in usual ones
 
@@ -51,20 +54,45 @@ def on_one_clock(
 
 
 def without_sentinels(values: Array) -> tuple[Array, float | None]:
-    """Take what stands for "no value" as none: ∞, -9999 and the like, far from all others.
+    """Take what stands for "no value" as none: ∞, 1e38, -9999 and the like, far from all others.
 
     From the values as the file has them, (n,): these with NaN instead, and that number or None.
     """
     if (endless := np.isinf(values)).any():
         return np.where(endless, np.nan, values), np.inf
     good = values[np.isfinite(values)]
+    huge = np.abs(good) >= HUGE
+    if huge.any() and not huge.all():
+        return np.where(np.abs(values) >= HUGE, np.nan, values), float(good[np.argmax(huge)])
     for end in (float(good.min()), float(good.max())) if good.size else ():
-        if not (NINES.fullmatch(f"{end:.9g}") or end in LIMITS):
-            continue
-        others = good[good != end]
-        if others.size and 2 * np.abs(others).max() < abs(end) and np.ptp(others) > 0:
+        if (NINES.fullmatch(f"{end:.9g}") or end in LIMITS) and _far_from(good, end):
             return np.where(values == end, np.nan, values), end
     return values, None
+
+
+def without_isolated(values: Array, least: float = 0.0) -> tuple[Array, float | None]:
+    """Take few single samples at a limit of 16 bits and the like, far from all others, as none.
+
+    As `without_sentinels`; of numbers from `least` on.
+    """
+    good = values[np.isfinite(values)]
+    for end in (float(good.min()), float(good.max())) if good.size else ():
+        at = values == end
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], at, [False]])))
+        few = (
+            abs(end) >= least
+            and at.sum() <= max(SHORT, SELDOM * at.size)
+            and np.diff(edges)[::2].max() <= SHORT
+        )
+        if few and MAY_BE_NONE.fullmatch(f"{end:.9g}".replace(".", "")) and _far_from(good, end):
+            return np.where(at, np.nan, values), end
+    return values, None
+
+
+def _far_from(good: Array, end: float) -> bool:
+    """Whether a number is more than twice as large as all others, which are no constant."""
+    others = good[good != end]
+    return bool(others.size and 2 * np.abs(others).max() < abs(end) and np.ptp(others) > 0)
 
 
 def without_missing(

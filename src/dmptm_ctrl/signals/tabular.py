@@ -6,6 +6,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.columns import CLOCK, CLOCKS, TIMES, Choose, Table
 from dmptm_ctrl.signals.errors import LogError, NotALogError, optional, repeated
 
@@ -109,7 +110,7 @@ def _json_table(content: Any, pd: Any) -> tuple[Any, dict[str, Any]]:
     if not isinstance(content, dict | list):
         return None, {}
     tables = [] if (own := _own_table(content, pd)) is None else [own]
-    if not tables or isinstance(content, dict):
+    if isinstance(content, dict) or own is None or len(own[0]) < MIN_SAMPLES:
         beside = content if isinstance(content, dict) else {}
         inner = beside.values() if beside else content
         found = (_json_table(v, pd) for v in inner if isinstance(v, list | dict))
@@ -138,6 +139,13 @@ def _own_table(content: Any, pd: Any) -> tuple[Any, dict[str, Any]] | None:
                 whole = len(rows) > 1 and all(isinstance(r, list) for r in rows)
                 if whole and all(len(r) == len(names) for r in rows):
                     return pd.DataFrame(rows, columns=names), content
+    fields, values = (
+        (content.get(k) or {}).get(n) if isinstance(content.get(k), dict) else None
+        for k, n in (("schema", "fields"), ("data", "values"))
+    )
+    if isinstance(fields, list) and isinstance(values, list) and len(fields) == len(values):
+        names = [str(f.get("name")) if isinstance(f, dict) else "" for f in fields]
+        return pd.DataFrame(dict(zip(names, values, strict=True))), {}  # of Grafana
     by_name = [{"name": k, **v} for k, v in content.items() if isinstance(v, dict)]
     if (signals := _signals(by_name, pd)) is not None:
         return signals
@@ -158,6 +166,9 @@ def _signals(content: list[dict[str, Any]], pd: Any) -> tuple[Any, dict[str, Any
     units: dict[str, str] = {}
     clocks: list[list[Any]] = []
     for signal in content:
+        pairs = signal.get("datapoints")  # of Grafana, value and time
+        if isinstance(pairs, list) and all(isinstance(p, list) and len(p) == 2 for p in pairs):
+            signal = {**signal, "datapoints": [v for v, _ in pairs], "t": [t for _, t in pairs]}
         lists = {k: v for k, v in signal.items() if _is_plain(v) and len(v) > 1}
         times = [k for k in lists if k.lower() in CLOCKS]
         if len(lists) == 2 and len(times) == 1:  # of all signals, if it is the same
@@ -177,7 +188,7 @@ def _signals(content: list[dict[str, Any]], pd: Any) -> tuple[Any, dict[str, Any
     return pd.DataFrame(full), {"units": units}
 
 
-_NAMES = ("name", "label", "signal", "channel", "id", "key", "title")  # of a signal
+_NAMES = ("name", "label", "signal", "channel", "id", "key", "title", "target")  # of a signal
 
 
 def _is_plain(value: Any) -> bool:

@@ -1,8 +1,10 @@
 """Columns of numbers in text files, plain or gzip, as programs write them."""
 
+import codecs
 import gzip
 import io
 import itertools
+import re
 import sys
 import zlib
 from collections import Counter, deque
@@ -130,8 +132,21 @@ def _encoding(path: Path) -> str:
         head[: max(len(head) - 3, 0) or None].decode("utf-8")
     except UnicodeDecodeError as error:
         if error.start < len(head) - 6:
-            return "cp1252"
+            return "cp932" if _is_japanese(head) else "cp1252"
     return "utf-8-sig"
+
+
+_JAPANESE = re.compile(r"[\u3040-\u30ff\u4e00-\u9fff]")
+
+
+def _is_japanese(head: bytes) -> bool:
+    """Whether a text is in Shift-JIS: most of its letters begin with what is no Latin letter."""
+    try:
+        text = codecs.getincrementaldecoder("cp932")().decode(head)
+    except UnicodeDecodeError:
+        return False
+    letters = len(_JAPANESE.findall(text))
+    return letters > 1 and 2 * sum(0x81 <= byte <= 0x9F for byte in head) > letters
 
 
 def _sample(

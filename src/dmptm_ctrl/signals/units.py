@@ -153,12 +153,17 @@ _RUN_TOGETHER = (  # written without a space, pint reads them as something else
     (r"\b([mcuk]?)Nm\b", r"\1N*m"),
     (r"\bNcm\b", "N*cm"),
     (r"\bVs\b", "V*s"),
-    (r"\b(oz|lb)f?[-.· ]?(in|ft)\b", r"\1f*\2"),
+    (r"\b(oz|lb)f?[-.· ]?(in|ft)\b(?!\*\*2)", r"\1f*\2"),  # lb in² is of masses
     (r"\b(in|ft)[-.· ]?(oz|lb)f?\b", r"\2f*\1"),
+    (r"\s+per\s+", "/"),
+    (r"/\s*\(\s*1\s*/\s*min\s*\)", "/rpm"),  # turns, of a motor
+    (r"(?<=[/\d])\s*min(\s*\*\*\s*)?-1", " rpm"),
     (r"(?<=[A-Za-z])[.-](?=[A-Za-z])", "*"),
     (r"(?i)\brpm\b", "rpm"),
     (r"\b[Gg]rad\b", "deg"),
     (r"^(Umdr|U|tr|r)\.?(?=/)", "turn"),
+    (r"(?<=/)\s*(Umdr|U|tr)\.?$", "turn"),
+    (r"\b1000\s*[*/]?\s*rpm\b", "krpm"),
     (r"\bkgm", "kg*m"),
     (r"\bkgcm", "kg*cm"),
     (r"\bgcm", "g*cm"),
@@ -174,10 +179,20 @@ def plain(unit: str) -> str:
     text = unit.strip().replace("·", "*").replace("²", "**2").replace("³", "**3")
     text = text.replace("µ", "u").replace("μ", "u").replace("°", "deg").replace("^", "**")
     text = text.replace("Ω", "ohm").replace("⁻¹", "**-1")
+    text = re.sub(r"/\s*\(([^()]+)\)", _divided, text)
     for pattern, right in _RUN_TOGETHER:
         text = re.sub(pattern, right, text)
     text = re.sub(r"(?<=[A-Za-z])([23])(?!\d)", r"**\1", text)
     return re.sub(r"\s*\*\s*", "*", text)
+
+
+def _divided(match: re.Match[str]) -> str:
+    """Division by what stands in brackets: "/(rad/s)" is "/rad*s"."""
+    inside = match[1].strip()
+    if inside.startswith("1"):  # 1/min, 1000 rpm
+        return match[0] if "/" in inside else f"/{inside}"
+    turned = re.sub(r"/|(?<!\*)\*(?!\*)|\s+", lambda m: "*" if m[0] == "/" else "/", inside)
+    return f"/{turned}"
 
 
 @cache

@@ -175,8 +175,8 @@ def linearize(
                 "a rig of any shape is linearised at x0, a mapping of body to position"
             )
         rig, unknown = lossless(RigModel(model) if isinstance(model, Rig) else model)
-        if unknown:
-            text = f"declared unknown, taken as 0: {', '.join(unknown)}"
+        said = [f"declared unknown, taken as 0: {', '.join(unknown)}"] if unknown else []
+        for text in (*said, *rig.rig.cautions()):
             warnings.warn(text, UserWarning, stacklevel=2)
         train = linear_train(rig, x0)
         return _late(rig, train.to_ss(outputs=[*train.sensors] if outputs is None else outputs))

@@ -5,14 +5,16 @@ sensor) and which of their parameters a single such place has. A user's own effe
 with :func:`register`.
 """
 
+import difflib
 from functools import cache
 from math import inf
-from typing import NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from dmptm_ctrl.contract import Effect, Parameter
-from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.drive.rig import DeclaredEffect, Rig
+from dmptm_ctrl.drive.rig_tables import TableReader
 from dmptm_ctrl.effects import backlash, effect_of
 from dmptm_ctrl.effects.load_dependent_friction import body_load_friction
 from dmptm_ctrl.simulate.plant import CALLED, Floats, Place
@@ -186,6 +188,43 @@ def register(chain: PlacedEffect) -> PlacedEffect:
         raise ValueError(f"effect {chain.name!r}: chains have no site {chain.site!r}")
     PLACED_CATALOGUE[chain.name] = chain
     return chain
+
+
+def place_of(rig: Rig, declared: DeclaredEffect) -> str:
+    """Place of an effect that a rig file declares; RigError where it cannot stand there."""
+
+    def fail(key: str, message: str) -> NoReturn:
+        TableReader(rig.text, rig.source).fail(f"effect.{name}", key, message)
+
+    name, on = declared.name, declared.on
+    if (chain := PLACED_CATALOGUE.get(name)) is None:
+        near = difflib.get_close_matches(name, PLACED_CATALOGUE, 1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        fail("", f"no effect {name!r}; {hint}there are {', '.join(PLACED_CATALOGUE)}")
+    has = {p.name: p for p in chain.keep}
+    for key, value in declared.values.items():
+        if key not in has:
+            fail(key, f"{name} has no parameter {key!r}; it has {', '.join(has)}")
+        if has[key].low == 0.0 > value.value:
+            fail(key, f"{key} is {value.value:g}; it must be zero or more")
+    lacking = [p.name for p in chain.effect.parameters if p.name not in declared.values]
+    if chain.site == "shaft" and lacking:
+        fail("", f"{name} needs {', '.join(lacking)}")
+    parts: dict[str, tuple[Any, ...]] = {
+        "input": rig.inputs, "body": rig.bodies, "link": rig.links, "sensor": rig.sensors,
+    }  # fmt: skip
+    rigid = tuple(link for link in rig.links if link.rigid)
+    may = [part.name for part in (*parts[chain.place], *(rigid if chain.site == "shaft" else ()))]
+    kind = {"input": "an input", "body": "a body", "link": "a shaft or mesh", "sensor": "a sensor"}
+    stands = f"{name} stands on {kind[chain.place]}: {', '.join(may) or 'the rig has none'}"
+    if not on and (len(may) == 1 or (may and chain.place == "body")):
+        on = may[0]
+    if on not in may:
+        fail("on", f"{stands}; not on {on!r}" if on else f"on = … is missing; {stands}")
+    softened = any(e.name == _SHAFT.name and e.on == on for e in rig.effects)
+    if chain.place == "link" and on in {link.name for link in rigid} and not softened:
+        fail("on", f"{name} on {on}, which is rigid; give it a stiffness")
+    return on
 
 
 @cache

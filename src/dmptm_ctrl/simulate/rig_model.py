@@ -11,7 +11,7 @@ import numpy as np
 from dmptm_ctrl.drive.parameters import Quantity, physical
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects.shaft_compliance import ShaftCompliance, spring
-from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, all_places
+from dmptm_ctrl.simulate.placed_effects import PLACED_CATALOGUE, all_places, place_of
 from dmptm_ctrl.simulate.plant import GAP, GAP_LAWS, LINEAR, Flags, Floats, Place, Plant
 
 if TYPE_CHECKING:
@@ -77,8 +77,11 @@ def declared(rig: Rig) -> dict[str, Quantity]:
 
 
 def declared_effects(rig: Rig) -> list[Placed]:
-    """Return the effects that a rig file declares, as models have them."""
-    return [Placed(e.name, e.on, {k: q.value for k, q in e.values.items()}) for e in rig.effects]
+    """Return the effects that a rig file declares, as models have them; RigError for wrong ones."""
+    return [
+        Placed(e.name, place_of(rig, e), {k: q.value for k, q in e.values.items()})
+        for e in rig.effects
+    ]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,93 @@
+"""Effects that a rig file declares: what they are, and where they may stand."""
+
+import pytest
+
+from dmptm_ctrl.cli import main
+from dmptm_ctrl.drive.rigfile import RigError, parse_rig
+from dmptm_ctrl.simulate.rig_model import RigModel
+
+RIG = """[body.motor]
+inertia = "2e-4 kg m^2"
+[body.load]
+inertia = "0.01 kg m^2"
+[mesh.gear]
+between = ["motor", "load"]
+ratio = 10
+stiffness = "{stiffness}"
+damping = 0
+[input.u]
+column = "u_Nm"
+body = "motor"
+[sensor.q]
+column = "q_rad"
+body = "load"
+"""
+
+
+def effects_of(lines, stiffness="40 N m/rad"):
+    return RigModel(parse_rig(RIG.format(stiffness=stiffness) + lines)).effects
+
+
+@pytest.mark.parametrize(
+    ("lines", "on"),
+    [
+        ("[effect.drive_delay]\ndelay = 0.02", "u"),
+        ("[effect.drive_offset]\noffset = -0.4", "u"),
+        ("[effect.sensor_delay]\ndelay = 0.02", "q"),
+        ('[effect.sensor_delay]\non = "q"\ndelay = 0.02', "q"),
+        ("[effect.backlash]\nhalf_gap = 0.001", "gear"),
+        ("[effect.cable_spring]\nstiffness = 3", "motor"),
+        ('[effect.cable_spring]\non = "load"\nstiffness = 3', "load"),
+    ],
+)
+def test_an_effect_stands_where_it_can(lines, on):
+    model = RigModel(parse_rig(RIG.format(stiffness="40 N m/rad") + lines))
+    assert [effect.on for effect in model.effects] == [on]
+    model.plant()
+
+
+@pytest.mark.parametrize(
+    ("lines", "line", "words"),
+    [
+        ("[effect.cable_sprung]", 16, "no effect 'cable_sprung'; did you mean 'cable_spring'?"),
+        ("[effect.cable_spring]\nstifness = 1", 17, "no parameter 'stifness'; it has stiffness"),
+        ("[effect.coulomb_friction]\nlevel = -1", 17, "level is -1; it must be zero or more"),
+        ("[effect.shaft_compliance]\nshare = 0.4", 16, "needs antiresonance, damping_ratio"),
+        ('[effect.drive_delay]\non = "load"', 17, "stands on an input: u; not on 'load'"),
+        ('[effect.drive_offset]\non = "gear"', 17, "stands on an input: u; not on 'gear'"),
+        ('[effect.backlash]\non = "motor"', 17, "stands on a shaft or mesh: gear; not on 'motor'"),
+        ('[effect.cable_spring]\non = "u"', 17, "stands on a body: motor, load; not on 'u'"),
+        ('[effect.sensor_delay]\non = "load"', 17, "stands on a sensor: q; not on 'load'"),
+        ('[effect.sensor_delay]\non = ["q"]', 17, "no ['q'] in the rig"),
+    ],
+)
+def test_an_effect_that_cannot_stand_there_is_refused(lines, line, words):
+    with pytest.raises(RigError) as caught:
+        effects_of(lines)
+    assert f"line {line}:" in str(caught.value)
+    assert words in str(caught.value)
+
+
+def test_an_effect_of_one_of_two_inputs_says_which():
+    more = '[input.v]\ncolumn = "v_Nm"\nbody = "load"\n[effect.drive_delay]\ndelay = 0.1'
+    with pytest.raises(RigError, match="on = … is missing; drive_delay stands on an input: u, v"):
+        effects_of(more)
+
+
+def test_teeth_of_a_rigid_mesh_have_no_errors():
+    with pytest.raises(RigError, match="gear, which is rigid; give it a stiffness"):
+        effects_of('[effect.pinion_runout]\non = "gear"', "rigid")
+    assert len(effects_of("[effect.pinion_runout]")) == 1
+
+
+@pytest.mark.parametrize("lines", ["[effect.cable_sprung]", '[effect.drive_delay]\non = "load"'])
+def test_the_commands_refuse_it_in_one_line(tmp_path, capsys, lines):
+    file = tmp_path / "rig.toml"
+    file.write_text(RIG.format(stiffness="40 N m/rad") + lines)
+    for command in (["rig", "check", str(file)], ["bode", str(file), "--out", str(tmp_path / "b")]):
+        assert main(command) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err.count("\n") == 1
+        assert "rig.toml, line 1" in said.err
+    assert [p.name for p in tmp_path.iterdir()] == ["rig.toml"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.diagnosis.test_rig_evidence import geared
 
-from dmptm_ctrl.identify.gap_search import gap_starts, started
+from dmptm_ctrl.identify.gap_search import at_start, gap_starts
 from dmptm_ctrl.identify.rig_start import rough_start
 
 
@@ -38,7 +38,7 @@ def test_finds_the_deepest_of_many_minima(hidden, gap, share):
         return float(np.sum(away**2 + 0.3 * (1.0 - np.cos(9.0 * away))))
 
     found = [
-        numbers(started(model, one)) for one in gap_starts(model, balance, "coupling", surprise)
+        numbers(at_start(model, one)) for one in gap_starts(model, balance, "coupling", surprise)
     ]
     assert found
     away = (found[0] - lowest) / width
@@ -49,7 +49,7 @@ def test_all_friction_stays_and_so_do_declared_inertias(hidden):
     balance, model = hidden
     total = model.value("body.motor.coulomb") + model.value("body.load.coulomb") / 10.0
     for start in gap_starts(model, balance, "coupling", lambda there: 0.0):
-        there = started(model, start)
+        there = at_start(model, start)
         now = there.value("body.motor.coulomb") + there.value("body.load.coulomb") / 10.0
         assert now == pytest.approx(total, rel=1e-12)
         declared = model.declared(lambda key: key.endswith(".inertia"))

@@ -37,7 +37,7 @@ from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
 from dmptm_ctrl.drive.rig import Rig, is_known
 from dmptm_ctrl.identify.following import touching
-from dmptm_ctrl.identify.gap_search import gap_starts, started
+from dmptm_ctrl.identify.gap_search import at_start, gap_starts
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
 from dmptm_ctrl.identify.measured_motion import FEWEST_ROWS, STRETCHES
 from dmptm_ctrl.identify.observer_driven import BANDWIDTH_HZ
@@ -47,7 +47,7 @@ from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.parallel import small_matrices
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.placed_effects import BACKLASH
-from dmptm_ctrl.simulate.rig_model import RigModel
+from dmptm_ctrl.simulate.rig_model import RigModel, declared_effects
 
 MANY_LOGS = 6  # from here on whole logs are held out; below, stretches of each
 HOLD_EVERY = 3
@@ -67,6 +67,7 @@ def diagnose_rig(
     """Find what the declared model of a rig lacks; see :func:`~.run.diagnose`."""
     started = time.perf_counter()
     _refuse_floating(declared)
+    declared_effects(declared)  # what is wrong with them is said before logs are read
     left_out: list[str] = []
     read = declared.read(logs, max_rows=READ_ROWS, told=left_out)
     loaded, warnings = screen_rig(declared, read)
@@ -164,7 +165,7 @@ def _fitted(
         if unseen_impacts(base.fit.model, logs) and link in base.fit.model.layout.links:
             told = base.tangent.surprise
             for found in gap_starts(base.fit.model, logs, link, told, jobs=jobs)[:1]:
-                other = evidence.base(State(started(base.fit.model, found), base.fit.state.logs))
+                other = evidence.base(State(at_start(base.fit.model, found), base.fit.state.logs))
                 base = min(base, other, key=lambda one: told(one.fit.model))
     return balance, evidence, base
 

@@ -61,7 +61,7 @@ def gap_starts(
     points = qmc.Sobol(low.size, seed=0)
 
     def told(x: Floats) -> float:
-        return surprise(started(model, make(x)))
+        return surprise(at_start(model, make(x)))
 
     def losses(spread: Floats) -> Floats:
         return np.array(in_threads(told, list(spread), jobs))
@@ -78,7 +78,7 @@ def gap_starts(
     return [make(best[k]) for k in order if found[k] < inf]
 
 
-def started(model: RigModel, start: Start) -> RigModel:
+def at_start(model: RigModel, start: Start) -> RigModel:
     """Return a model with the values and the gap of a start."""
     placed, values = start
     model = model.with_values(values)

@@ -314,3 +314,17 @@ def test_a_ratio_of_teeth(given, value):
 def test_a_number_that_cannot_be_read_is_answered_with_the_right_one(given, si, words):
     with pytest.raises(UnitError, match=words):
         quantity(given, si)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"value": "2.1 kg cm^2", "range": [1.9, 2.5]},
+        {"value": "2.1 ± 0.1 kg cm^2", "range": [1.9, 2.5]},
+        {"value": 2.1, "unit": "kg cm^2", "range": [1.9, 2.5]},
+    ],
+)
+def test_ends_of_a_range_are_in_the_unit_of_the_value(table):
+    read = quantity(table, "kg·m²")
+    assert read.value == pytest.approx(2.1e-4)
+    assert read.range == pytest.approx((1.9e-4, 2.5e-4))

@@ -156,7 +156,10 @@ def _from_table(raw: dict[str, Any], si: str, *, exact: bool, positive: bool) ->
     if isinstance(raw["value"], str):
         text = raw["value"] + (f" {raw['unit']}" if "unit" in raw else "")
         read = quantity(text, si, exact=exact, positive=positive)
-        value, tolerance, scale = read.value, read.tolerance, 1.0
+        value, tolerance = read.value, read.tolerance
+        match = _matched(text)
+        number = float(match["value"]) if match else 0.0
+        scale = value / number if number else 1.0  # ends of a range are in the value's unit
     else:
         scale = factor(str(raw["unit"]), si) if raw.get("unit") else 1.0
         value, tolerance = float(raw["value"]) * scale, 0.0 if exact else DEFAULT_TOLERANCE

@@ -143,6 +143,9 @@ def test_a_gap_between_coarse_encoders(gap):
     for one in found:
         half = evidence.adopt(base, one).fit.values["backlash@coupling.half_gap"]
         assert half == pytest.approx(gap, rel=0.1)
+        # a twist that wanders in the gap correlates; what is left beside the gap does less
+        before, after = (fit.likelihood.news for fit in (base.fit, one.fitted[1]))
+        assert after[1] > 1.5 * before[1]
 
 
 def test_what_is_missing_has_more_evidence_than_the_level(rubbing):

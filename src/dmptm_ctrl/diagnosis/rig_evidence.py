@@ -170,10 +170,10 @@ class RigEvidence:
                 best[one.keys] = one
         for keys, one in best.items():
             group, fit = one.fitted
-            if one.demanded:
+            if one.demanded or self._candidate(state, group, whiter(fit)).demanded:
                 with suppress(ValueError, ArithmeticError):
                     done = self._to_the_end(fit.state, fit, (*state.keys, *keys))
-                    best[keys] = self._candidate(state, group, done)
+                    best[keys] = self._candidate(state, group, whiter(done))
         return list(best.values())
 
     def _first_order(self, state: RigState, trial: Trial) -> Candidate:
@@ -449,6 +449,16 @@ def independent(state: RigState) -> Floats:
         start += len(part)
         found.append(1.0 / correlation_length(own) if own.size > 2 else 1.0)
     return np.array(found)
+
+
+def whiter(fit: RigFit) -> RigFit:
+    """Count rows by their correlation in a fit where that is less than without its last effect.
+
+    A twist that wanders in a gap correlates as long as the gap is not in the model.
+    """
+    like = fit.likelihood
+    own = [1.0 / correlation_length(p) if p.size > 2 else 1.0 for p in like.parts(fit.left)]
+    return replace(fit, likelihood=replace(like, news=np.maximum(like.news, own)))
 
 
 def with_standing_on(fit: RigFit, key: str) -> set[str]:

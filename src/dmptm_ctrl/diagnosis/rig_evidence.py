@@ -21,16 +21,15 @@ from dmptm_ctrl.diagnosis.candidate import (
 from dmptm_ctrl.diagnosis.impedance import loudness
 from dmptm_ctrl.diagnosis.rig_candidates import structures, trials
 from dmptm_ctrl.diagnosis.rig_curves import columns_of, mean_square, torques_of, variables_of
+from dmptm_ctrl.diagnosis.rig_held import held_state
 from dmptm_ctrl.diagnosis.rig_objections import amplitudes_of, objection
-from dmptm_ctrl.diagnosis.rig_shapes import MAX_ORDER, SPOT_BINS, unit_columns
+from dmptm_ctrl.diagnosis.rig_shapes import MAX_ORDER, SPOT_BINS
 from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.diagnosis.select import Selection, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.compared_signals import correlation_length
 from dmptm_ctrl.identify.free_parameters import (
     free_parameters,
-    has_phase,
-    log_parameters,
     scales_of,
 )
 from dmptm_ctrl.identify.inverse_dynamics import Balance
@@ -48,7 +47,6 @@ from dmptm_ctrl.identify.rig_fit import (
 from dmptm_ctrl.identify.rig_start import from_elsewhere
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE
-from dmptm_ctrl.simulate.rig_model import Placed
 
 SETTLE = 30  # iterations at most; an unsettled fit would lend its gain to the next effect
 FIRST = 6  # iterations of a candidate's fit
@@ -469,37 +467,3 @@ def with_standing_on(fit: RigFit, key: str) -> set[str]:
     own = {b.name for b in rig.bodies} | {k.name for k in rig.links if not k.rigid}
     made = (set(layout.bodies) | set(layout.links)) - own
     return {*members(key), *(e.key for e in fit.model.effects if e.on in made)}
-
-
-def held_state(fit: RigFit, held: Balance) -> State:
-    """Fit the twists and encoder zeros of logs that were not fitted, and nothing else."""
-    state, logs = fit.state, fit.likelihood.balance
-    new = [log for log in held.logs if log not in logs.logs]
-    frees = [free for log in new for free in log_parameters(state.model, held, log, logs.logs[0])]
-    if not frees:
-        return state
-    for effect in (e for e in state.model.effects if has_phase(state.model, held, e)):
-        state = _phases(fit, state, held, effect, new)
-    linear = not held.simulates(state.model) and all(f.kind == "twist" for f in frees)
-    return fit_rig(state, held, frees=frees, iterations=1 if linear else 4, jobs=1).state
-
-
-def _phases(fit: RigFit, state: State, held: Balance, effect: Placed, new: Sequence[str]) -> State:
-    """Encoder zeros of new logs, by the phase that a harmonic effect has there."""
-    logs, bare = dict(state.logs), State(state.model.without([effect.key]), state.logs)
-    left, _ = residuals(bare, held)
-    order = effect.values.get("order", 1.0)
-    shape = {k: v for k, v in effect.values.items() if k == "order"}
-    columns = unit_columns(fit, held, effect._replace(values=shape), ("cosine", "sine"))
-    here = effect.values["cosine"] - 1j * effect.values["sine"]
-    for log in new if here != 0 else ():
-        own = [k for k, m in enumerate(held.motions) if m.name == log]
-        table, rest = (
-            np.concatenate([part[k][0][held.motions[k].moving] for k in own])
-            for part in (columns, left)
-        )
-        c, s = np.linalg.lstsq(table, -rest, rcond=None)[0]
-        old = logs.get(log, Nuisance())
-        shift = float(np.angle((c - 1j * s) / here) / order)
-        logs[log] = Nuisance({**old.zero, effect.key: shift}, old.twist)
-    return replace(state, logs=logs)

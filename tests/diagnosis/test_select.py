@@ -11,6 +11,7 @@ from dmptm_ctrl.diagnosis.select import (
     TEMPERATURE,
     Entry,
     Selection,
+    best_of,
     compared,
     explained,
     pruned,
@@ -332,6 +333,17 @@ def test_held_out_logs_object_by_more_than_the_evidence_scatters():
     assert spot.demanded
     assert not replace(spot, held_gain=-701.0).demanded
     assert not replace(spot, gain=300.0, error=12.0).demanded
+
+
+def test_what_both_parts_of_the_logs_ask_for_enters_though_one_part_asks_for_more():
+    """A limit that only fitted logs reach may stand for a set of effects, in fewer numbers."""
+    drift = Candidate(("a",), 202.0, 283.0, None, numbers=2)
+    limit = Candidate(("b",), 7127.0, 3.0, None, numbers=1)
+    whole = Candidate(("a", "c"), 10040.0, 1882.0, None, numbers=4)
+    plain = Candidate(("d",), 200.0, 280.0, None, numbers=1)
+    assert best_of([limit, drift], 3.0) is drift
+    assert best_of([limit, drift, whole], 3.0) is whole
+    assert best_of([limit, drift, plain], 3.0) is plain  # as good as, and simpler
 
 
 def test_amplitudes_differ_from_zero_together():

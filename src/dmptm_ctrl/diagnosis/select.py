@@ -161,8 +161,9 @@ def best_of(able: Sequence[Candidate], ratio: float) -> Candidate:
         return min(one.gain, ratio * one.held_gain) - LEVEL * len(one.keys)
 
     best = max(able, key=worth)
-    near = best.evidence - 4.0 * TEMPERATURE
-    alike = [c for c in able if c.evidence > near and len(c.keys) <= len(best.keys)]
+    near = 4.0 * TEMPERATURE  # much more evidence on the fitted logs alone is not alike
+    alike = [c for c in able if abs(c.evidence - best.evidence) < near]
+    alike = [c for c in alike if len(c.keys) <= len(best.keys)]
     return min(alike, key=lambda c: c.plainness)
 
 

@@ -34,7 +34,7 @@ from dmptm_ctrl.identify.rig_fit import (
 )
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
-from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
+from dmptm_ctrl.simulate.rig_model import RigModel, link_inertias
 from dmptm_ctrl.simulate.rig_run import substeps_for
 
 MOST_STEPS = 5e7  # of the simulator for all slopes once, some seconds; more is not begun
@@ -213,11 +213,6 @@ class _End(NamedTuple):
 
 def dampings(model: RigModel, link: str) -> list[float]:
     """Damping of a link, as ``link.name``, for each of several damping ratios of its mode."""
-    stiffness, ratio = (model.value(f"{link}.{key}") for key in ("stiffness", "ratio"))
-    near, far = (
-        sum(r**2 * model.value(f"body.{b}.inertia") for b, r in side.items())
-        for side in link_sides(model, link.partition(".")[2])
-    )
-    beyond = far / ratio**2
-    critical = 2.0 * sqrt(stiffness * near * beyond / (near + beyond))
+    near, far = link_inertias(model, link.partition(".")[2])
+    critical = 2.0 * sqrt(model.value(f"{link}.stiffness") * near * far / (near + far))
     return [share * critical for share in DAMPED]

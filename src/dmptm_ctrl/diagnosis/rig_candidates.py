@@ -1,6 +1,6 @@
 """What a drive of any shape may lack: every effect at every place, with starting values."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -101,11 +101,12 @@ def makes(model: RigModel, chain: PlacedEffect, places: Sequence[str]) -> Iterat
 def structures(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
     """Return springs and gaps, which change how many coordinates move, or cost most to try."""
     present = {e.key for e in tangent.fit.model.effects}
-    found = [
-        _finite(tangent, tries, values, twist)
-        for tries, values, twist in (*_compliances(tangent), *_gaps(tangent))
-        if tries[0][0].key not in present and (only is None or tries[0][0].key in only)
-    ]
+
+    def wanted(key: str) -> bool:
+        return key not in present and (only is None or key in only)
+
+    springs = (s for s in _compliances(tangent) if wanted(s[0][0][0].key))
+    found = [_finite(tangent, *one) for one in (*springs, *_gaps(tangent, wanted))]
     return [t for t in found if t is not None]
 
 
@@ -431,13 +432,15 @@ def _spring(
     return Placed(SPRING, on, values, far)
 
 
-def _gaps(tangent: Tangent) -> Iterator[Structure]:
-    """Gaps in links that are not rigid."""
+def _gaps(tangent: Tangent, wanted: Callable[[str], bool]) -> Iterator[Structure]:
+    """Gaps in links that are not rigid, where they are wanted: to search for one takes long."""
     model, balance = tangent.fit.model, tangent.balance
     declared = {k.name: k for k in model.rig.links}
     seen = balance.seen(model.layout)
     for link in model.layout.links:
         if link in declared and is_known(declared[link].half_gap):
+            continue
+        if not wanted(Placed(BACKLASH.name, link).key):
             continue
         if 0 not in seen:
             continue  # through a gap, the driven body's motion does not follow from the other's

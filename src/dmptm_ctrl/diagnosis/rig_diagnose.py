@@ -162,12 +162,18 @@ def _fitted(
     evidence = RigEvidence(logs, held, jobs)
     base = evidence.base(State(start))
     for link in (k.name for k in model.rig.links if is_known(k.half_gap)):
-        if unseen_impacts(base.fit.model, logs) and link in base.fit.model.layout.links:
-            told = base.tangent.surprise
-            for found in gap_starts(base.fit.model, logs, link, told, jobs=jobs)[:1]:
-                other = evidence.base(State(at_start(base.fit.model, found), base.fit.state.logs))
-                base = min(base, other, key=lambda one: told(one.fit.model))
+        base = _started_anew(evidence, base, link)
     return balance, evidence, base
+
+
+def _started_anew(evidence: RigEvidence, base: RigState, link: str) -> RigState:
+    """Fit again from the best start of a declared gap before bodies that nothing measures."""
+    model, told = base.fit.model, base.tangent.surprise
+    if link not in model.layout.links or not unseen_impacts(model, evidence.logs):
+        return base
+    starts = gap_starts(model, evidence.logs, link, told, jobs=evidence.jobs)
+    again = (State(at_start(model, one), base.fit.state.logs) for one in starts[:1])
+    return min(base, *map(evidence.base, again), key=lambda one: told(one.fit.model))
 
 
 def _in_contact(balance: Balance, model: RigModel, read: Sequence[Log]) -> Balance:

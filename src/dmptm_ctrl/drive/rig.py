@@ -179,6 +179,11 @@ def _fits(name: str, pattern: str) -> bool:
     return fnmatchcase(name, pattern) or fnmatchcase(name, stem(pattern))
 
 
+def _ignored(file: str, pattern: str) -> bool:
+    """Whether a pattern leaves out a file: it keeps its extension where it has one."""
+    return any(fnmatchcase(name, pattern) for name in (file, stem(file)))
+
+
 def _of_log(values: Mapping[str, float], name: str) -> float | None:
     """Value of a log by its name, else by the first pattern that fits."""
     fitting = (v for pattern, v in values.items() if _fits(name, pattern))
@@ -417,17 +422,12 @@ class Rig:
 
     def ignores(self, path: Path) -> bool:
         """Whether a file is under ``[data] ignore``, by its name or that of its log."""
-        return any(
-            fnmatchcase(n, p) for n in (path.name, stem(path.name)) for p in self.data.ignore
-        )
+        return any(_ignored(path.name, p) for p in self.data.ignore)
 
     def _without_match(self, names: list[str], files: list[Path]) -> list[str]:
         """Sentences about patterns of ``[data]`` that mean no log."""
-        both = [*(f.name for f in files), *(stem(f.name) for f in files)]
-        lost = [
-            ("ignore", p) for p in self.data.ignore
-            if files and not any(fnmatchcase(n, p) for n in both)
-        ]  # fmt: skip
+        tried = self.data.ignore if files else ()
+        lost = [("ignore", p) for p in tried if not any(_ignored(f.name, p) for f in files)]
         for key in ("fit", "held_out", "start", "stop"):
             patterns = getattr(self.data, key)
             lost += [(key, p) for p in patterns if not any(_fits(n, p) for n in names)]

@@ -21,7 +21,7 @@ from dmptm_ctrl.identify.rig_start import HIGHEST_MODE, LOWEST_MODE
 from dmptm_ctrl.parallel import in_threads
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import BACKLASH
-from dmptm_ctrl.simulate.rig_model import Placed, RigModel, link_sides
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel, link_inertias, link_sides
 
 FIRST = 64  # points over all
 KEPT = 4  # around which more are spread
@@ -101,8 +101,7 @@ def _family(
     if link in declared:
         near, far = link_sides(model, link)
         known = model.declared(lambda key: key.endswith(".inertia"))
-        told, ratio = model.with_values(known), model.value(f"link.{link}.ratio")
-        beyond = sum(r**2 * told.value(f"body.{b}.inertia") for b, r in far.items()) / ratio**2
+        _, beyond = link_inertias(model.with_values(known), link)
         for kind in ("coulomb", "viscous"):
             if all(_unknown(model, side, kind) for side in (near, far)):
                 bounds[kind] = 0.0, 1.0

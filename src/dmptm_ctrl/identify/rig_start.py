@@ -10,7 +10,7 @@ from dmptm_ctrl.identify.free_parameters import scales_of
 from dmptm_ctrl.identify.inverse_dynamics import TAIL, Balance
 from dmptm_ctrl.identify.rig_fit import RigFit, State, fit_rig, total_loss
 from dmptm_ctrl.simulate.model import Floats
-from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
+from dmptm_ctrl.simulate.rig_model import RigModel, link_inertias, link_sides
 
 STIFF = 6  # antiresonances tried for a spring of which nothing is known
 STIFFER = 1.5, 3.0  # times the stiffness that was fitted
@@ -89,21 +89,17 @@ def _springs(model: RigModel, balance: Balance) -> RigModel:
     return model
 
 
-def springs_of(
-    model: RigModel, balance: Balance, link: str, damping_ratio: float = DAMPING_RATIO
-) -> list[dict[str, float]]:
+def springs_of(model: RigModel, balance: Balance, link: str) -> list[dict[str, float]]:
     """Values of a link of unknown stiffness, soft to stiff, beside the declared inertias.
 
     A gap that is not in the model makes a spring look soft, and inertias wrong.
     """
     known = model.declared(lambda key: key.endswith(".inertia"))
     model = model.with_values(known)
-    _, far_ratio = link_sides(model, link)
-    far = sum(r**2 * model.value(f"body.{b}.inertia") for b, r in far_ratio.items())
-    far /= model.value(f"link.{link}.ratio") ** 2
+    _, far = link_inertias(model, link)
     top = 2 * np.pi * balance.bandwidth
     found = [
-        spring_values(model, link, Spring(float(w), damping_ratio, far, far))
+        spring_values(model, link, Spring(float(w), DAMPING_RATIO, far, far))
         for w in np.geomspace(LOWEST_MODE * top, HIGHEST_MODE * top, STIFF)
     ]
     return [known | values for values in found if values]
@@ -163,11 +159,7 @@ def parted(model: RigModel, balance: Balance) -> list[str]:
     """Links of unknown stiffness that a fit leaves none: softer than any that is tried."""
     found, slowest = [], 2.0 * np.pi * LOWEST_MODE * balance.bandwidth
     for link in (k for k in model.rig.links if k.stiffness and not isfinite(k.stiffness.value)):
-        sides = link_sides(model, link.name)
-        near, far = (
-            sum(r**2 * model.value(f"body.{b}.inertia") for b, r in side.items()) for side in sides
-        )
-        far /= model.value(f"link.{link.name}.ratio") ** 2
+        near, far = link_inertias(model, link.name)
         stiffness = model.value(f"link.{link.name}.stiffness")
         if stiffness * (1.0 / near + 1.0 / far) < slowest**2:
             found.append(link.name)

@@ -368,6 +368,15 @@ def link_sides(model: RigModel, link: str) -> tuple[dict[str, float], dict[str, 
     return near, far
 
 
+def link_inertias(model: RigModel, link: str) -> tuple[float, float]:
+    """Inertias rigidly tied to each end of a link, as its first body sees them."""
+    near, far = (
+        sum(r**2 * model.value(f"body.{b}.inertia") for b, r in side.items())
+        for side in link_sides(model, link)
+    )
+    return near, far / model.value(f"link.{link}.ratio") ** 2
+
+
 def angle_body(model: RigModel, effect: Placed) -> str:
     """Body whose angle an effect goes with: in a mesh the pinion comes first, the gear second."""
     chain, name = PLACED_CATALOGUE[effect.name], effect.on

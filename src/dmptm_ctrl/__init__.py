@@ -74,7 +74,7 @@ _LAZY = {
 
 # of functions that read logs, whose first argument may be nearly anything
 _NO_LOGS = {"Model", "RigModel", "Rig", "Drive", "Diagnosis", "StateSpace", "int", "float"}
-_LOGS = ("diagnose", "check", "constant_speed", "response_from_log", "load_log", "load_logs")
+_LOGS = ("diagnose", "response_from_log", "load_log", "load_logs")
 
 __all__ = ["__version__", *_LAZY]
 

@@ -116,20 +116,20 @@ class _Crew:
 def each(
     function: Callable[..., Any],
     tasks: Iterable[tuple[Any, ...]],
-    n_jobs: int | None = None,
+    jobs: int | None = None,
     *,
     prefer: Literal["processes", "threads"] | None = None,
     in_order: bool = True,
 ) -> Iterator[Any]:
     """Call a function for each task where ``joblib.parallel_config`` says, and yield as ready.
 
-    `n_jobs` is joblib's; `prefer` says where to run if ``parallel_config`` does not.
+    `jobs` is joblib's; `prefer` says where to run if ``parallel_config`` does not.
     Results come in the order of `tasks`, or as they get ready.
     """
     from joblib import Parallel, delayed
 
     return_as = "generator" if in_order else "generator_unordered"
-    parallel = Parallel(n_jobs=n_jobs, prefer=prefer, return_as=return_as)
+    parallel = Parallel(n_jobs=jobs, prefer=prefer, return_as=return_as)
     yield from parallel(delayed(_call)(function, task) for task in tasks)
 
 

@@ -151,7 +151,7 @@ def test_monte_carlo_resumes_and_does_not_depend_on_jobs(tmp_path):
     monte_carlo(DRIVE, LOOP, CHUNK, effects=others, aims=aims, folder=tmp_path)
     first = tmp_path / f"{0:06d}-{CHUNK:06d}.npy"
     stamp = first.stat().st_mtime_ns
-    again = monte_carlo(DRIVE, LOOP, count, effects=others, aims=aims, n_jobs=2, folder=tmp_path)
+    again = monte_carlo(DRIVE, LOOP, count, effects=others, aims=aims, jobs=2, folder=tmp_path)
     assert first.stat().st_mtime_ns == stamp
     np.testing.assert_array_equal(again.errors, whole.errors)
     late = monte_carlo(LATE, LOOP, count, aims=aims)

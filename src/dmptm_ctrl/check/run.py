@@ -99,8 +99,8 @@ class Check:
 
 
 def check(
-    logs: Any,
     model: AnyModel | str | Path,
+    logs: Any,
     *,
     errors: Mapping[str, float] | None = None,
     floor: float | None = None,
@@ -111,9 +111,9 @@ def check(
 
     Parameters
     ----------
-    logs : folder, files or Logs
     model : Model, RigModel or path of a model.toml
         Of a file, a diagnosis.json beside it gives `errors` and `floor`.
+    logs : folder, files or Logs
     errors : mapping of parameter key to float, optional
         Standard errors of the model's parameters [SI]. A parameter that is not there is taken
         as uncertain as these logs would leave it.
@@ -136,7 +136,7 @@ def check(
 
     Examples
     --------
-    >>> found = dm.check("logs", "model.toml")
+    >>> found = dm.check("model.toml", "logs")
     >>> print(found.summary())
     """
     if isinstance(model, str | Path):
@@ -181,7 +181,7 @@ def check_files(
         raise LogError(f"--tolerance {tolerance:g}: must lie between 0 and 1")
     if out is not None:
         check_folder(out)
-    found = check(logs[0] if len(logs) == 1 else logs, model, tolerance=tolerance, jobs=jobs)
+    found = check(model, logs[0] if len(logs) == 1 else logs, tolerance=tolerance, jobs=jobs)
     if out is not None:
         matplotlib.use("Agg")  # no windows
         found.save(out)

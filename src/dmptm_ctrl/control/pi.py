@@ -29,8 +29,9 @@ def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
     Parameters
     ----------
     plant : StateSpace
-        Two voltages in, or one.
+        One voltage in, or one per motor.
     output : str
+        Which of its outputs, by default the speed of the ring gear.
 
     Returns
     -------
@@ -107,7 +108,7 @@ def close_speed_loop(plant: ct.StateSpace, kp: float, ki: float) -> ct.StateSpac
     Parameters
     ----------
     plant : StateSpace
-        Two voltages in, output ``omega_L`` among its outputs.
+        One voltage [V] in, or one per motor; ``omega_L`` [rad/s] among its outputs.
     kp : float [V/(rad/s)]
     ki : float [V/rad]
 

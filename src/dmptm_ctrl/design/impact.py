@@ -58,23 +58,23 @@ class Impact:
 
 
 def impact(
-    found: Any,
+    model: Any,
     controller: Controller,
     *,
     nominal: AnyModel | None = None,
     duty: Duty | None = None,
     theta_L: float = 0.0,
 ) -> Impact:
-    """Tell what the effects of a model do to a loop.
+    """Run one controller on a drive with and without its effects, and compare.
 
     Parameters
     ----------
-    found : Model, RigModel or Diagnosis
+    model : Model, RigModel or Diagnosis
         A Diagnosis counts with its `augmented` model.
     controller : Controller
         The same on both drives.
     nominal : Model or RigModel, optional
-        The drive without the effects; by default `found` with its effects taken away, but for
+        The drive without the effects; by default `model` with its effects taken away, but for
         those that a rig file declares.
     duty : Duty, optional
         By default the usual one; of a rig that of :func:`~dmptm_ctrl.design.rig_aims.rig_aims`.
@@ -97,7 +97,7 @@ def impact(
     >>> model = dm.Model().with_effect("unbalance", cosine=8.0, sine=0.0)
     >>> print(dm.impact(model, dm.Controller(5.0, 90.0, preload=0.3)).table)
     """
-    augmented: Any = getattr(found, "augmented", found)
+    augmented: Any = getattr(model, "augmented", model)
     if not isinstance(augmented, Model | RigModel):
         raise TypeError("impact takes a Model, a RigModel or a Diagnosis first")
     rig = augmented.rig if isinstance(augmented, RigModel) else None

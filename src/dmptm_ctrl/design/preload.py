@@ -217,7 +217,7 @@ def boundary(
     accelerations: ArrayLike,
     *,
     hz: float = 1.0,
-    n_jobs: int | None = None,
+    jobs: int | None = None,
 ) -> tuple[Floats, Floats]:
     """Return the least preload [V] for sines of these peak accelerations [rad/s²], (n,).
 
@@ -226,7 +226,7 @@ def boundary(
     """
     peaks = np.asarray(accelerations, float)
     tasks = ((model, controller, float(peak), hz) for peak in peaks)
-    found = np.array(list(each(_least, tasks, n_jobs))).reshape(-1, 2)
+    found = np.array(list(each(_least, tasks, jobs))).reshape(-1, 2)
     return found[:, 0], found[:, 1]
 
 

@@ -157,7 +157,7 @@ def tune_controller(
     uncertainty: float = DECLARED,
     plants: int = 1000,
     seed: int = 0,
-    n_jobs: int = -1,
+    jobs: int = -1,
     input: str = "",
     sensor: str = "",
 ) -> Tuned:
@@ -165,9 +165,8 @@ def tune_controller(
 
     The start is the fastest PI that keeps the margins on the linearised model; then
     bandwidth, share of friction, preload and lead are searched on the nonlinear model, for
-    the 0.9 quantile of the tracking error over drawn plants, on condition that at
-    :data:`RESERVE` times the gain the worst of them is not much worse. No step of the search
-    leaves the margins.
+    the 0.9 quantile of the tracking error over drawn plants, on condition that at 1.6 times
+    the gain the worst of them is not much worse. No step of the search leaves the margins.
 
     Parameters
     ----------
@@ -176,13 +175,13 @@ def tune_controller(
     aims : Aims, optional
         Of a rig by default :func:`~dmptm_ctrl.design.rig_aims.rig_aims`.
     uncertainty : float
-        See :func:`~dmptm_ctrl.design.draws.draw_plants`: 1 for a declared model,
-        :data:`~dmptm_ctrl.design.draws.FITTED` for one fitted to logs.
+        Share of the declared ranges that plants are drawn from: 1 for a declared model, 0.25
+        for one fitted to logs.
     plants : int
         Drawn to judge the result.
     seed : int
-    n_jobs : int
-        Threads, or tasks on any joblib backend.
+    jobs : int
+        Threads, −1 for one per core; or tasks on any joblib backend.
     input, sensor : str
         Of a rig: the motor, and the sensor whose speed is controlled; by default those of its
         declared loop, else the first input and the first sensor of speed.
@@ -210,12 +209,12 @@ def tune_controller(
         aims = aims or Aims()
         plant = linear_plant(level(model))
     start = fastest_pi(plant, **aims.linear())
-    search = _Search(model, aims, plant, start, uncertainty, seed, n_jobs, (input, sensor))
+    search = _Search(model, aims, plant, start, uncertainty, seed, jobs, (input, sensor))
     judged = draw_plants(model, plants, uncertainty=uncertainty, seed=seed + 1)
     stages: list[dict[str, Any]] = []
     errors = np.empty(0)
     for name, controller in search.stages():
-        errors, volts = tracking(controller, judged, aims, seed=seed + 2, n_jobs=n_jobs)
+        errors, volts = tracking(controller, judged, aims, seed=seed + 2, jobs=jobs)
         stages.append(
             {
                 "stage": name,
@@ -232,7 +231,7 @@ def tune_controller(
     except ArithmeticError:
         reference = None
     best = stages[-1]["controller"]
-    parts = predicted_parts(best, judged[:SEARCHED], aims, seed=seed + 2, n_jobs=n_jobs)
+    parts = predicted_parts(best, judged[:SEARCHED], aims, seed=seed + 2, jobs=jobs)
     return Tuned(best, start, reference, stages, errors, aims, parts)
 
 
@@ -284,7 +283,7 @@ class _Search:
     start: PiTuning
     uncertainty: float
     seed: int
-    n_jobs: int
+    jobs: int
     parts: tuple[str, str]  # input and sensor of a rig
 
     def stages(self) -> list[tuple[str, Controller]]:
@@ -379,7 +378,7 @@ class _Search:
 
     def errors(self, tried: Controller) -> Floats:
         """Return the error on each of them [deg/s], (plants,)."""
-        return tracking(tried, self.drawn, self.aims, seed=self.seed, n_jobs=self.n_jobs)[0]
+        return tracking(tried, self.drawn, self.aims, seed=self.seed, jobs=self.jobs)[0]
 
     def cost(self, tried: Controller) -> float:
         """Return the error that most drawn plants stay below, and a price of hammering [deg/s]."""

@@ -71,20 +71,20 @@ def parameters(context: Context) -> list[Item]:
     rng, model, drive = np.random.default_rng(SEED), Model(context.drive), context.drive
     context.say("constant speeds under preload")
     stairs = [staircase(model, [*SPEEDS, *-SPEEDS[::-1]], b, rng) for b in PRELOADS]
-    steady = constant_speed(stairs, drive)
+    steady = constant_speed(drive, stairs)
     curves = {**stribeck_fit(steady.reducer), **stribeck_fit(steady.ring)}
     context.say("ramps")
-    reducers = reducer_breakaway([ramp(model, r, 0.4, rng) for r in (0.02, -0.02)], drive)
+    reducers = reducer_breakaway(drive, [ramp(model, r, 0.4, rng) for r in (0.02, -0.02)])
     rings = [ramp(model, r, 0.6, rng, from_flank=True) for r in (0.02, -0.02)]
-    static = reducers | ring_breakaway(rings, drive, reducers)
+    static = reducers | ring_breakaway(drive, rings, reducers)
     context.say("shaken turns")
     shaken = [
         shaken_turn(model, LINES, v, rng, differential=d) for d, v in ((False, 0.04), (True, 0.005))
     ]
-    dynamic = shaken_turns(shaken, drive, period=PERIOD, lines=LINES)
+    dynamic = shaken_turns(drive, shaken, period=PERIOD, lines=LINES)
     context.say("flights through the gaps")
     known = {**curves, **{n: static[n] for n in reducers}, "J_2": dynamic["J_2"]}
-    flights = gap_damping(taps(model, (0.45, 0.6, 0.8, 1.0), rng), drive, known)
+    flights = gap_damping(drive, taps(model, (0.45, 0.6, 0.8, 1.0), rng), known)
     found = [
         ("reverse motion under preload", steady.estimates),
         ("constant speeds", {n: e for n, e in curves.items() if n[2] != "s"}),

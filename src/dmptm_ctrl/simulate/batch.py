@@ -111,7 +111,7 @@ def simulate_batch(
     outputs: Sequence[str] = (),
     every: int = 1,
     substeps: int | None = None,
-    n_jobs: int = -1,
+    jobs: int = -1,
 ) -> Batch:
     """Run many drives, open loop or each under its speed loop.
 
@@ -137,7 +137,7 @@ def simulate_batch(
         Keep every so many samples.
     substeps : int, optional
         Steps per sample; by default 8, or what the fastest of rigs needs.
-    n_jobs : int
+    jobs : int
         Threads, −1 for one per core, 1 for none; else joblib's, so ``parallel_config`` can send
         the groups to another backend.
 
@@ -192,7 +192,7 @@ def simulate_batch(
         starts = [start(model.plant(), x0) for model, x0 in zip(models, rows, strict=True)]
     wanted, judged = tuple(seen[name] for name in outputs), tuple(seen.values())
     common = Common(dt, steps, n, drive, target, measured, wanted, every, judged)
-    kept, found = run_many(models, starts, common, loops, n_jobs=n_jobs)
+    kept, found = run_many(models, starts, common, loops, jobs=jobs)
     least, greatest, total, squares = np.array(found).transpose(1, 0, 2)
     return Batch(
         time[::every] if outputs else time[:0],

@@ -423,7 +423,7 @@ def modes(
     *,
     position: Mapping[str, float] | None = None,
 ) -> Modes:
-    """Solve the generalised symmetric eigenproblem of a drive.
+    """Return the modes of a drive, lowest first.
 
     Parameters
     ----------
@@ -438,7 +438,8 @@ def modes(
     Returns
     -------
     Modes
-        Frequencies [Hz], shapes, damping ratios and classes.
+        Printed as a table. ``hz``, ``damping_ratios``, ``kinds`` (rigid, antisymmetric, symmetric,
+        …), and ``turns``, the shapes over the rigid turn, a column per mode.
 
     Raises
     ------

@@ -162,7 +162,7 @@ def simulate_with_sensitivities(
         x0 = _start(model, initial_state)
         starts = [start(one.plant(), x0) for one in models]
     width = FEW if len(models) <= FEW else LANES
-    runs = np.array(run_many(models, starts, common, n_jobs=jobs, width=width)[0])
+    runs = np.array(run_many(models, starts, common, jobs=jobs, width=width)[0])
     outputs, changes = runs[0], runs[1:] - runs[0]
     steps = np.array([step for _, step in moves])
     derivatives = changes[:-1] / steps[:, None, None]

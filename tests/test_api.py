@@ -357,6 +357,22 @@ def test_an_inertia_that_may_be_zero(tmp_path):
         dmptm_ctrl.read_model(tmp_path / "m.toml")
 
 
+@pytest.mark.parametrize(
+    ("call", "error", "said"),
+    [
+        (lambda m: dmptm_ctrl.simulate_batch([m], [m], ONE), TypeError, "timepts must be an array"),
+        (lambda m: dmptm_ctrl.bode_compare({}, dB="yes"), TypeError, "dB must be True or False"),
+        (lambda m: dmptm_ctrl.multisine(m, [], 0.5), ValueError, "no frequencies; give at least"),
+        (lambda m: dmptm_ctrl.stepped_sine(m, [], 0.5), ValueError, "no frequencies; give at"),
+        (lambda m: dmptm_ctrl.Log("a", ONE, [ONE]), TypeError, "channels of a Log must be a map"),
+    ],
+)
+def test_what_is_empty_or_of_another_kind_is_refused_in_one_sentence(call, error, said):
+    with pytest.raises(error, match=f"^(\\w+: )?{said}") as refused:
+        call(dmptm_ctrl.Model())
+    assert "\n" not in str(refused.value)
+
+
 @pytest.mark.parametrize("name", WRONG)
 def test_arguments_of_a_wrong_type_are_refused_in_one_sentence(name):
     call, said = WRONG[name]

@@ -260,6 +260,8 @@ def from_log(
     >>> found = dm.response_from_log(log, ("u_left", "u_right"), "omega_L")
     """
     names = (input,) if isinstance(input, str) else tuple(input)
+    if not names:
+        raise ValueError("no input; give a channel of the log, or several")
     u, y, dt = np.mean([log[n] for n in names], axis=0), log[output], log.sample_time
     x = _excitation(log, names, output, u)
     if np.ptp(x) == 0.0:
@@ -409,6 +411,8 @@ def _column(output: str) -> int:
 
 def _samples_per_period(hz: ArrayLike, dt: float) -> NDArray[np.int_]:
     f = np.atleast_1d(np.asarray(hz, float))
+    if f.size == 0:
+        raise ValueError("no frequencies; give at least one [Hz]")
     top = 1.0 / (MIN_SAMPLES * dt)
     bad = f[~((f > 0.0) & (f <= top))]
     if bad.size:

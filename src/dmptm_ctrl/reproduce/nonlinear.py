@@ -176,7 +176,7 @@ def tuning(context: Context) -> list[Item]:
     panels = axes(None, 2, figsize=(6.5, 5.0), sharex=True)[:, 0]
     for (label, check), style in zip(runs.items(), SEQUENCE, strict=False):
         cycles = check.limit_cycle_amplitude > 0.0
-        look = {**style, "linewidth": 0.6 if cycles else 1.2, "linestyle": "-"}
+        look = {**style, "linewidth": 0.6, "linestyle": "-"} if cycles else style
         panels[int(cycles)].plot(check.time, check.omega_L / DEG, label=label, **look)
     for panel in panels:
         panel.set(ylabel="speed [deg/s]", xlim=(0, 1.5))

@@ -78,7 +78,6 @@ def stepped_sine(
     output: str = "omega_L",
     periods: int = 6,
     sample_time: float = 1e-3,
-    name: str | None = None,
 ) -> FrequencyResponse:
     """Measure a response with sines of one amplitude.
 
@@ -100,8 +99,6 @@ def stepped_sine(
     periods : int
         Whole periods that are evaluated, after two seconds and two periods to settle.
     sample_time : float [s]
-    name : str, optional
-        Of the system in plots.
 
     Returns
     -------
@@ -132,7 +129,7 @@ def stepped_sine(
         values.append(line / (amplitude / 1j))
         coherence.append(min(0.5 * abs(line) ** 2 / power, 1.0) if power > 0.0 else 0.0)
     labels = ("u" if loop is None else "ref", output)
-    return _pack(omega, values, coherence, labels, name or f"stepped_sine_{amplitude:g}")
+    return _pack(omega, values, coherence, labels, f"stepped_sine_{amplitude:g}")
 
 
 def multisine(
@@ -148,7 +145,6 @@ def multisine(
     realisations: int = 8,
     seed: int = 0,
     sample_time: float = 1e-3,
-    name: str | None = None,
 ) -> FrequencyResponse:
     """Measure a response with random-phase multisines.
 
@@ -163,7 +159,7 @@ def multisine(
     realisations : int
         Draws of the phases; the coherence needs at least 2.
     seed : int
-    model, loop, offset, preload, output, sample_time, name
+    model, loop, offset, preload, output, sample_time
         As in :func:`stepped_sine`.
 
     Returns
@@ -201,7 +197,7 @@ def multisine(
     cross, power, coherence = _average(np.array(inputs), np.array(outputs))
     omega = 2.0 * pi * bins / period
     labels = ("u" if loop is None else "ref", output)
-    return _pack(omega, cross / power, coherence, labels, name or f"multisine_{rms:g}_rms")
+    return _pack(omega, cross / power, coherence, labels, f"multisine_{rms:g}_rms")
 
 
 def from_log(

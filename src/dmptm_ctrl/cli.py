@@ -150,12 +150,12 @@ def tune(
     from dmptm_ctrl.signals.atomic import check_folder
 
     check_folder(out)
-    told = () if logs is None else load_logs(logs)
+    known = () if logs is None else load_logs(logs)
     with Progress(quiet=quiet) as progress:
         progress.stage(f"designing on {model.name} and judging on {plants} drawn plants")
         tuned = tune_file(
             model, out, uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs,
-            refine=(lambda drive: with_build_up(drive, told, jobs=jobs)) if told else None,
+            refine=(lambda drive: with_build_up(drive, known, jobs=jobs)) if known else None,
             input=input, sensor=sensor, limit=limit, speed=speed, sample_time=sample_time or 1e-3,
         )  # fmt: skip
     if not quiet:

@@ -85,10 +85,10 @@ def without_rigid_angle(sys: ct.StateSpace) -> ct.StateSpace:
         seen, size = seen / column, size * column
     _, values, vectors = np.linalg.svd(seen)
     values = np.append(values, np.zeros(sys.nstates - values.size))
-    unseen = vectors[values <= RIGID * values[0]].T / size[:, None]
-    gone = qr(unseen.T, pivoting=True)[2][: unseen.shape[1]] if unseen.size else np.array([], int)
+    unread = vectors[values <= RIGID * values[0]].T / size[:, None]
+    gone = qr(unread.T, pivoting=True)[2][: unread.shape[1]] if unread.size else np.array([], int)
     keep = np.setdiff1d(np.arange(sys.nstates), gone)
-    from_it = np.linalg.solve(unseen[gone].T, unseen[keep].T).T  # rows: kept states
+    from_it = np.linalg.solve(unread[gone].T, unread[keep].T).T  # rows: kept states
     return ct.ss(
         sys.A[np.ix_(keep, keep)] - from_it @ sys.A[np.ix_(gone, keep)],
         sys.B[keep] - from_it @ sys.B[gone],

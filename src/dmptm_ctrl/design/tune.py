@@ -34,7 +34,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 SEARCHED = 16  # plants in the search; the result is judged on many more
 RESERVE = 1.6  # gain up to which no drawn plant may start to hammer: 4 dB on the nonlinear drive
 TOLERATED = 1.5  # error at that gain, over the error at the gain itself
-# of the distance over which friction may build up unseen
+# of the distance over which friction may build up hidden
 START_DISTANCE = 0.28  # taken at first
 DISTANCES = (0.14, 0.42, 0.56, 0.7)  # tried besides
 # points of the predicted gain over the measured one, of a dual-motor drive and of a rig file;
@@ -318,8 +318,8 @@ class _Search:
         best, least = self.cheapest(grid)
         if self.aims.notch:
             best, least = self.cheapest(self.notched(best), best, least)
-            unseen = hidden_distance(self.model)
-            grid = [replace(best, distance=d * unseen) for d in DISTANCES]
+            hidden = hidden_distance(self.model)
+            grid = [replace(best, distance=d * hidden) for d in DISTANCES]
             best, least = self.cheapest(grid, best, least)
 
         # of _STEPS, what does something
@@ -327,7 +327,7 @@ class _Search:
         own += [2, 3] if begin.friction > 0.0 else []
         if not own:
             return best
-        tick, unseen = begin.sample_time, hidden_distance(self.model)
+        tick, hidden = begin.sample_time, hidden_distance(self.model)
 
         def near(moved: Floats) -> Controller:
             x = np.zeros(len(_STEPS))
@@ -337,7 +337,7 @@ class _Search:
                 friction=float(np.clip(best.friction + x[0], 0.0, 1.5)),
                 preload=best.preload * float(np.clip(1.0 + x[1], 0.7, 1.4)),
                 lead=max(best.lead + tick * x[2], 0.0),
-                distance=max(best.distance + unseen * x[3], 0.0),
+                distance=max(best.distance + hidden * x[3], 0.0),
             )
 
         corners = np.vstack([np.zeros(len(own)), np.diag(np.array(_STEPS)[own])])

@@ -127,7 +127,8 @@ def check(
     Returns
     -------
     Check
-        Of logs with dates in their names, those of the newest date decide.
+        ``same``, ``moved``, ``summary()``, ``save(folder)``. Of logs with dates in their names,
+        those of the newest date decide.
 
     Raises
     ------

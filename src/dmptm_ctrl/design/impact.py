@@ -84,6 +84,7 @@ def impact(
     Returns
     -------
     Impact
+        ``table`` of margins, errors and limit cycle on both drives; ``plot()`` draws the runs.
 
     Raises
     ------

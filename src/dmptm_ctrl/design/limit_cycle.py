@@ -88,6 +88,7 @@ def limit_cycles(
     Returns
     -------
     list of LimitCycle
+        Predicted ``hz``, ``amplitude`` [rad/s], ``twist`` [rad]; ``simulated``, ``confirmed``.
 
     Raises
     ------

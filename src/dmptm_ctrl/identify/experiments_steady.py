@@ -84,6 +84,8 @@ def constant_speed(drive: Drive, logs: Iterable[Log]) -> SteadyResult:
     Returns
     -------
     SteadyResult
+        ``estimates`` of gap_l, gap_r [rad] and k_m [N·m/rad]; friction over speed of ``reducer``
+        and ``ring``.
 
     Raises
     ------

@@ -95,7 +95,7 @@ def stepped_sine(
     preload : float [V]
         On the left motor, and its negative on the right one (open loop).
     output : str
-        Of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`.
+        As of :func:`~dmptm_ctrl.simulate.simulate`: ``omega_L``, ``theta_ml``, ``torque_l``, …
     periods : int
         Whole periods that are evaluated, after two seconds and two periods to settle.
     sample_time : float [s]
@@ -103,6 +103,7 @@ def stepped_sine(
     Returns
     -------
     FrequencyResponse
+        ``response`` as FrequencyResponseData, ``coherence``, ``hz`` and ``values``.
 
     Raises
     ------

@@ -127,12 +127,13 @@ def simulate_batch(
     initial_state : (6,) or (batch, 6) array, optional
         As for :func:`~dmptm_ctrl.simulate.simulate`; rigs start from rest.
     loop : Loop, Law or sequence of either, optional
-        One for all, or one for each; of rigs the law of a designed controller.
+        One for all, or one for each. A designed controller gives ``controller.law()``; rigs take
+        no other.
     noise : (n,) or (batch, n) array [rad/s], optional
         Added to the speed that the loop sees.
     outputs : sequence of str
-        Which of :data:`BATCH_OUTPUTS`, or sensors and inputs, to keep as signals. Without any
-        the memory does not grow with time: only the statistics are kept.
+        Names of outputs, as of :func:`~dmptm_ctrl.simulate.simulate`, and of inputs, to keep as
+        signals; of rigs those of sensors and inputs. Without any only the statistics are kept.
     every : int
         Keep every so many samples.
     substeps : int, optional
@@ -144,6 +145,8 @@ def simulate_batch(
     Returns
     -------
     Batch
+        ``outputs`` (batch, labels, n) and their ``labels``; ``least``, ``greatest``, ``mean``,
+        ``rms`` (batch, 10) over time, of all outputs and inputs.
 
     Raises
     ------

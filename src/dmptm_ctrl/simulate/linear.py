@@ -131,7 +131,7 @@ def linearize(
     u0 : (2,) array, optional [V]
         Of a dual-motor model only.
     outputs : sequence of str, optional
-        Of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`, by default ``omega_L``; of a rig of any
+        As of :func:`~dmptm_ctrl.simulate.simulate`, by default ``omega_L``; of a rig of any
         shape its sensors, by default all, ``q_BODY``, ``v_BODY`` or torques by their link.
 
     Returns
@@ -143,7 +143,7 @@ def linearize(
         angle of the whole drive, ``twist_l`` and ``twist_r`` [rad at the pinion] take the place
         of two angles, and the third is a state only where an output is an angle; so ``dcgain``,
         ``margin`` and ``bandwidth`` are right as they come. A dead time is a Padé approximation
-        of order :data:`~dmptm_ctrl.simulate.block_parts.PADE_ORDER`.
+        of order 4.
 
         Of a rig of any shape the states are ``q_BODY`` [rad or m] of each rigid group of bodies
         that a torque by angle holds; of a train that turns freely ``spring_LINK``, the torque in

@@ -129,6 +129,8 @@ def simulate_with_sensitivities(
     Returns
     -------
     Sensitivities
+        ``outputs`` (8, n) and their ``derivatives`` (p, 8, n), rows as in ``simulate``; ``exists``
+        is False where the derivatives from the two sides differ.
 
     Raises
     ------

@@ -132,6 +132,7 @@ def test_drives_and_rigs_print_as_tables():
     assert antisymmetric.strip() == "60.4 Hz  antisymmetric, damping ratio 0.0185"
     assert "[ring_gear] inertia 2.5 kg·m² ± 6 %; friction: static_plus 23 N·m" in str(rig)
     assert len(repr((dmptm_ctrl.Model(drive), rig))) < 200
+    assert dmptm_ctrl.Diagnosis.__str__ is dmptm_ctrl.Diagnosis.summary
 
 
 def test_listed_names_exist():

@@ -44,7 +44,7 @@ def test_tuning_is_better_over_the_plants_and_stays_in_the_margins(tuned):
     assert errors["optimised"] <= 1.02 * errors["both"]
     assert errors["optimised"] < 0.6 * errors["PI, optimised"]
     assert np.median(tuned.gains) > 0.4
-    assert "the compensation takes off" in tuned.summary()
+    assert "the compensation takes off" in str(tuned)
     assert tuned.to_dict()["compensation"]["sure"] == pytest.approx(np.quantile(tuned.gains, 0.1))
     assert tuned.parts["median"].idxmax() == "friction"
     assert tuned.linear.phase_margin_deg > 54

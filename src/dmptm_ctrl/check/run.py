@@ -69,6 +69,8 @@ class Check:
             lines.append(f"still the same machine: none of {len(self.alone)} entries moved")
         return "\n".join(lines)
 
+    __str__ = summary
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for a JSON file."""
         return {

@@ -50,6 +50,9 @@ class Impact:
     effects: tuple[str, ...]
     unit: tuple[str, float] = ("deg/s", DEG)  # of speeds that are shown, and its size in SI
 
+    def __str__(self) -> str:
+        return str(self.table.round(2))
+
     def plot(self, **options: Any) -> Any:
         """Draw speeds and errors along the duty, and closed-loop gains; see `plots.control`."""
         from dmptm_ctrl.plots.control import plot_impact
@@ -96,7 +99,7 @@ def impact(
     Examples
     --------
     >>> model = dm.Model().with_effect("unbalance", cosine=8.0, sine=0.0)
-    >>> print(dm.impact(model, dm.Controller(5.0, 90.0, preload=0.3)).table)
+    >>> print(dm.impact(model, dm.Controller(5.0, 90.0, preload=0.3)))
     """
     augmented: Any = getattr(model, "augmented", model)
     if not isinstance(augmented, Model | RigModel):

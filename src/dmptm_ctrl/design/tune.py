@@ -124,6 +124,8 @@ class Tuned:
             )
         return "\n".join(lines)
 
+    __str__ = summary
+
     def to_dict(self) -> dict[str, Any]:
         """Return the content of tuning.json: plain types."""
         return {

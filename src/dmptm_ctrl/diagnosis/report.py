@@ -274,6 +274,8 @@ class Diagnosis:
         lines += [f"warning: {text}" for text in self.warnings]
         return "\n".join(lines)
 
+    __str__ = summary
+
     def overlays(self) -> "Sequence[Overlay]":
         """Measured, before and after on each held-out log: `plots.diagnosis.Overlay`."""
         return self.source.overlays()

@@ -1,7 +1,6 @@
 """Linear models in one picture: ``dmptm bode`` and ``dmptm step``."""
 
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,6 @@ from dmptm_ctrl.simulate.model_file import input_symbol, read_model
 
 UNDAMPED = 1e-9  # damping ratio that is rounding
 MOTORS, SPEED = "one voltage on both motors", "speed of the ring gear"
-PAPER = ("9-DOF", "3-DOF", "baseline")
 # column -> what python-control calls it
 STEP = {
     "steady [SI]": "SteadyStateValue",
@@ -56,12 +54,12 @@ def linear_models(
         except (KeyError, ValueError) as error:
             raise LogError(f"{file.name}: {error.args[0]}") from None
     models: dict[str, ct.StateSpace] = {}
-    build: tuple[Callable[[], ct.StateSpace], ...] = (
-        lambda: nine_dof_ss(drive),
-        lambda: three_dof_ss(drive),
-        lambda: three_dof_ss(baseline_drive(drive)),
-    )
-    for label, make in zip(PAPER, build, strict=True):
+    build = {
+        "9-DOF": lambda: nine_dof_ss(drive),
+        "3-DOF": lambda: three_dof_ss(drive),
+        "baseline": lambda: three_dof_ss(baseline_drive(drive)),
+    }
+    for label, make in build.items():
         try:
             models[label] = common_mode(make())
         except ValueError as error:  # our 9-DOF defaults do not fit every drive

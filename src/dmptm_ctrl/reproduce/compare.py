@@ -13,7 +13,7 @@ from dmptm_ctrl.control import common_mode
 from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.drive import Drive, baseline_drive, nine_dof_ss, paper_drive, three_dof_ss
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.drive.space import step_info
+from dmptm_ctrl.drive.state_space import step_info
 from dmptm_ctrl.plots.linear import bode_compare, step_compare
 from dmptm_ctrl.plots.style import axes
 from dmptm_ctrl.reproduce.items import figure_of

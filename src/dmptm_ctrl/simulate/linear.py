@@ -15,7 +15,7 @@ from scipy.optimize import root
 from dmptm_ctrl.drive.modes import Modes, solve_modes
 from dmptm_ctrl.drive.parameters import Drive
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.drive.space import StateSpace
+from dmptm_ctrl.drive.state_space import StateSpace
 from dmptm_ctrl.drive.train import GearTrain, Joint
 from dmptm_ctrl.effects.backlash import mesh_region, mesh_torque
 from dmptm_ctrl.signals import LogError

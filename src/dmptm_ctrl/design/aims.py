@@ -36,8 +36,9 @@ class Aims:
     acceleration : float [rad/s²]
         Largest that a setpoint asks for; steps are fed forward with this.
     duty : Duty
-        ``Duty(reference, sample_time, settling)``: the setpoint over time [rad/s], its samples [s],
-        and how long at the start is not judged [s]. By default 9 s of sines, ramps and rests.
+        ``dmptm_ctrl.design.duty.Duty(reference, sample_time, settling)``: the setpoint over time
+        [rad/s], its samples [s], and how long at the start is not judged [s]. By default 9 s of
+        sines, ramps and rests.
     noise : float [rad/s]
         Standard deviation of the speed reading.
     notch : bool

@@ -69,7 +69,7 @@ def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
     ----------
     model : Model
     duty : Duty
-        A setpoint over time, such as ``dm.Aims().duty``.
+        A setpoint over time, such as ``dm.Aims().duty``; see there.
     theta_L : float [rad]
         Where it starts.
 

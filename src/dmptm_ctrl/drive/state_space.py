@@ -120,6 +120,6 @@ def _of_run(run: ct.TimeResponseData, output: str) -> dict[str, float]:
     at = int(changes[0]) if changes.size else 0
     values = np.atleast_2d(np.asarray(run.outputs))[names.index(name)]
     before = values[max(at - 1, 0)]
-    led = name == "omega_L" and "ref" in run.input_labels
-    final = (inputs[0] if led else values)[-1]
+    controlled = name == "omega_L" and "ref" in run.input_labels
+    final = (inputs[0] if controlled else values)[-1]
     return dict(ct.step_info(values[at:] - before, time[at:] - time[at], yfinal=final - before))

@@ -294,7 +294,7 @@ def from_log(
     if not keep.any():
         raise ValueError(f"{log.name}: no line from {'+'.join(names)} to {output} is left")
     values = cross[keep] / through[keep]
-    label = "+".join(names)
+    label = names[0] if len(names) == 1 else f"mean({', '.join(names)})"
     return _pack(2.0 * pi * f[keep], values, coherence[keep], (label, output), log.name)
 
 

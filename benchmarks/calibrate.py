@@ -25,7 +25,7 @@ from dmptm_ctrl.diagnosis.select import select_effects
 from dmptm_ctrl.diagnosis.sensors import cross_check, with_sensors
 from dmptm_ctrl.diagnosis.short_predictions import with_short_predictions
 from dmptm_ctrl.drive import paper_drive
-from dmptm_ctrl.parallel import crew, small_matrices
+from dmptm_ctrl.parallel import small_matrices, thread_pool
 from dmptm_ctrl.signals import load_log
 from dmptm_ctrl.simulate.model import Model
 
@@ -49,7 +49,7 @@ def absent(seed, ordinary, jobs):
     rig = make_rig(seed, (), ordinary=ordinary)
     logs = [load_log(table, name=name) for name, table in rig.logs.items()]
     declared = paper_drive()
-    with crew(jobs):
+    with thread_pool(jobs):
         measured = measure(logs, declared)
         sensors = cross_check((*measured.fit, *measured.held))
         model = with_sensors(Model(declared), sensors)

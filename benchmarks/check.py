@@ -225,7 +225,7 @@ def draw_trend(file, seed):
         for log in campaign(worn, rng):
             name = f"2026-{month:02d}-01_{log.name}"
             logs.append(Log(name, log.time, {k: log[k] for k in log.channels}))
-    found = check(logs, model, errors=errors)
+    found = check(model, logs, errors=errors)
     print(found.summary())
     found.plot().get_figure().savefig(file, dpi=110, bbox_inches="tight")
 

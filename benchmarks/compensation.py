@@ -114,7 +114,7 @@ def one_rig(seed, folder, plants, declared):
     rig = drawn_rig(seed)
     model, named = diagnosed(rig, folder)
     start = time.process_time()
-    tuned = tune_controller(model, uncertainty=FITTED, plants=plants, n_jobs=1)
+    tuned = tune_controller(model, uncertainty=FITTED, plants=plants, jobs=1)
     row = {"rig": folder.name, "effects": rig.label["effects"], "named": named}
     row |= {**rig.label["laws"], "tune_seconds": time.process_time() - start}
     row["predicted"], row["sure"] = (float(np.quantile(tuned.gains, q)) for q in (0.5, 0.1))
@@ -146,7 +146,7 @@ def main():
     results = asked.out / "results.jsonl"
     lines = results.read_text().splitlines() if results.exists() else []
     rows = [json.loads(line) for line in lines]
-    declared = tune_controller(Model(), plants=asked.plants, n_jobs=1)
+    declared = tune_controller(Model(), plants=asked.plants, jobs=1)
     for seed in range(1000 * asked.seed, 1000 * asked.seed + asked.rigs):
         folder = asked.out / str(seed)
         if folder.name in [row["rig"] for row in rows]:

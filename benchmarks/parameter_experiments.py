@@ -52,7 +52,7 @@ def steady(truth: Drive, rng: Rng) -> dict[str, Estimate]:
         staircase(Model(truth), [*SPEEDS, *-SPEEDS[::-1]], b, rng, seconds=2.0)
         for b in (0.6, -0.6, 1.2)
     ]
-    found = constant_speed(logs, DECLARED)
+    found = constant_speed(DECLARED, logs)
     return {**found.estimates, **stribeck_fit(found.reducer), **stribeck_fit(found.ring)}
 
 
@@ -65,8 +65,8 @@ def breakaway(truth: Drive, rng: Rng) -> dict[str, Estimate]:
             for way in (1, 1, -1, -1)
         ]
 
-    reducers = reducer_breakaway(ramps(0.4), DECLARED)
-    return reducers | ring_breakaway(ramps(0.6, from_flank=True), DECLARED, reducers)
+    reducers = reducer_breakaway(DECLARED, ramps(0.4))
+    return reducers | ring_breakaway(DECLARED, ramps(0.6, from_flank=True), reducers)
 
 
 def shaken(truth: Drive, rng: Rng) -> dict[str, Estimate]:
@@ -75,7 +75,7 @@ def shaken(truth: Drive, rng: Rng) -> dict[str, Estimate]:
         shaken_turn(Model(truth), LINES, volts, rng, differential=kind)
         for kind, volts in ((False, 0.04), (True, 0.005))
     ]
-    found = shaken_turns(logs, DECLARED, period=4.0, lines=LINES)
+    found = shaken_turns(DECLARED, logs, period=4.0, lines=LINES)
     return {{"B3": "B3_plus", "BL": "BL_plus"}.get(n, n): e for n, e in found.items()}
 
 
@@ -86,7 +86,7 @@ def flights(truth: Drive, rng: Rng) -> dict[str, Estimate]:
     for name, share in KNOWN_SE.items():
         se = share * truth[name]
         known[name] = Estimate(truth[name] + se * rng.normal(), se, "")
-    return gap_damping(log, DECLARED, known)
+    return gap_damping(DECLARED, log, known)
 
 
 EXPERIMENTS = (steady, breakaway, shaken, flights)

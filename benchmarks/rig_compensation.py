@@ -56,7 +56,7 @@ def main():
         machine = rig_machine(rng)
         model, _ = rig_fitted(machine, rig_campaign(machine, rng))
         aims = rig_aims(model, limit=LIMIT)
-        tuned = tune_controller(model, aims, uncertainty=FITTED, plants=64, n_jobs=1)
+        tuned = tune_controller(model, aims, uncertainty=FITTED, plants=64, jobs=1)
         target = judged(aims.duty.reference.max())
         without, found = (run(machine, c, target, k) for c in (tuned.without, tuned.controller))
         predicted, measured = float(np.median(tuned.gains)), 1.0 - found / without

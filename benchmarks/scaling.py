@@ -59,7 +59,7 @@ def run(model, seconds):
 def batch(count, seconds=1.0, jobs=1, **options):
     models = drives(count)
     times, u = voltages(seconds)
-    return lambda: simulate_batch(models, times, u, n_jobs=jobs, **options)
+    return lambda: simulate_batch(models, times, u, jobs=jobs, **options)
 
 
 def peak(function):

@@ -20,7 +20,7 @@ from dmptm_ctrl import diagnose, load_logs
 from dmptm_ctrl.diagnosis.predict import speed_error
 from dmptm_ctrl.diagnosis.residual import closed, predicting_fit
 from dmptm_ctrl.identify import balance
-from dmptm_ctrl.parallel import crew, small_matrices
+from dmptm_ctrl.parallel import small_matrices, thread_pool
 from dmptm_ctrl.simulate.model import Model
 
 WEIGHTS = (1.0, 0.3, 0.1, 0.03)
@@ -29,7 +29,7 @@ WEIGHTS = (1.0, 0.3, 0.1, 0.03)
 @small_matrices
 def errors(folder, jobs):
     """Error of the declared model and of each weight, (1 + weights,) [deg/s]."""
-    with crew(jobs):
+    with thread_pool(jobs):
         found = diagnose(folder, jobs=jobs)
         measured, base = found.source.measured, found.selection.final.left.base
         records = (*measured.fit, *(r for r in measured.held if r not in measured.fit))

@@ -202,7 +202,7 @@ def batch_ratios(model, loop, substeps, c, repeats):
     ]
 
     def batch(jobs):
-        options = {"loop": loop, "substeps": substeps, "n_jobs": jobs}
+        options = {"loop": loop, "substeps": substeps, "jobs": jobs}
         return lambda: simulate_batch(models, TIME, TARGET, **options)
 
     functions = [batch(1), batch(2)]

@@ -42,7 +42,7 @@ LANES = """
 import numpy as np
 from dmptm_ctrl.simulate.batch import simulate_batch
 from dmptm_ctrl.simulate.model import Model
-simulate_batch([Model()] * 40, np.arange(9) * 1e-3, np.zeros((2, 9)), n_jobs=1)
+simulate_batch([Model()] * 40, np.arange(9) * 1e-3, np.zeros((2, 9)), jobs=1)
 """
 
 

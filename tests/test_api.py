@@ -127,8 +127,12 @@ def test_drives_and_rigs_print_as_tables():
     drive, rig = dmptm_ctrl.paper_drive(), dmptm_ctrl.paper_rig()
     assert re.search(r"^J_L +2\.5 kg·m² ± 6 % +Table 1$", str(drive), re.MULTILINE)
     assert re.search(r"^c +3 N·m·s/rad \(1 to 10\) ", str(drive), re.MULTILINE)
+    assert max(map(len, str(drive).splitlines())) < 100
+    antisymmetric = str(dmptm_ctrl.modes(drive)).splitlines()[1]
+    assert antisymmetric.strip() == "60.4 Hz  antisymmetric, damping ratio 0.0185"
     assert "[ring_gear] inertia 2.5 kg·m² ± 6 %; friction: static_plus 23 N·m" in str(rig)
     assert len(repr((dmptm_ctrl.Model(drive), rig))) < 200
+    assert dmptm_ctrl.Diagnosis.__str__ is dmptm_ctrl.Diagnosis.summary
 
 
 def test_listed_names_exist():
@@ -158,7 +162,7 @@ def test_closed_loop_is_the_compiled_one_as_a_response():
 
 
 FIRST = {  # what a function takes first -> which functions
-    "Drive": ("baseline", "three_dof", "nine_dof"),
+    "Drive": ("baseline", "three_dof", "nine_dof", "constant_speed"),
     "a Model or a RigModel": ("simulate_with_sensitivities",),
     "Model": ("stepped_sine", "multisine", "tune_controller"),
     "a Model": ("limit_cycles", "smallest_preload", "monte_carlo"),
@@ -264,6 +268,24 @@ def test_one_reader_reads_the_models_of_every_drive(tmp_path):
     assert main(["tune", str(tmp_path / "rig.toml"), "--out", str(tmp_path / "t")]) == 2
 
 
+def test_step_of_a_run_counts_from_where_the_setpoint_moves():
+    """A first-order loop: overshoot 0, rise ln(9) time constants, settling ln(50)."""
+    rig, time = rig_of(), 1e-3 * np.arange(4001)
+    run = dmptm_ctrl.close_loop(
+        rig, dmptm_ctrl.Loop(1.0, 0.0, 100.0), time, np.where(time < 1.0, 0.0, 1.0)
+    )
+    found = dmptm_ctrl.step_info(run)  # pole at −(2 + 5) 1/s
+    assert found["Overshoot"] == pytest.approx(0.0, abs=0.1)
+    assert found["RiseTime"] == pytest.approx(np.log(9.0) / 7.0, abs=4e-3)
+    assert found["SettlingTime"] == pytest.approx(np.log(50.0) / 7.0, abs=4e-3)
+    assert found["SteadyStateValue"] == pytest.approx(5.0 / 7.0, rel=1e-3)
+    with pytest.raises(ValueError, match="^no output 'omega_L'; the run has w, motor$"):
+        dmptm_ctrl.step_info(run, "omega_L")
+    many = dmptm_ctrl.simulate(rig, time, np.sin(time))
+    with pytest.raises(ValueError, match="^the inputs of the run change 4000 times, a step"):
+        dmptm_ctrl.step_info(many)
+
+
 def test_closed_loop_refuses_what_it_cannot_run_in_one_sentence():
     model, loop = dmptm_ctrl.Model(), dmptm_ctrl.Loop(4.6, 86.0, 10.0)
     slow = dmptm_ctrl.Controller(4.6, 86.0, limit=10.0, sample_time=2e-3)
@@ -311,7 +333,10 @@ WRONG = {  # call with a first argument that is right -> what is said of another
     "monte_carlo": (lambda f, m: f(m, 3, 4), "controller must be a Controller, not an int"),
     "linearize": (lambda f, m: f(m, outputs="omega_L"), "outputs must be a sequence of str, not"),
     "bode_compare": (lambda f, m: f({"a": 1}), "systems must be a dict of LTI, not a dict"),
-    "check": (lambda f, m: f(ONE, 3), "model must be a Model or a RigModel or a text or a Path, n"),
+    "check": (
+        lambda f, m: f(ONE, "logs"),
+        "model must be a Model or a RigModel or a te",
+    ),
     "predict": (lambda f, m: f(m, 3.0), "log must be a Log or a text or a path, not a float"),
     "diagnose": (
         lambda f, m: f([], m),
@@ -331,6 +356,22 @@ def test_an_inertia_that_may_be_zero(tmp_path):
     (tmp_path / "m.toml").write_text(text.replace("J_2 = 0.0", "J_2 = -1.0"), encoding="utf-8")
     with pytest.raises(dmptm_ctrl.LogError, match="J_2 is -1 kg·m², it must be zero or more"):
         dmptm_ctrl.read_model(tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "said"),
+    [
+        (lambda m: dmptm_ctrl.simulate_batch([m], [m], ONE), TypeError, "timepts must be an array"),
+        (lambda m: dmptm_ctrl.bode_compare({}, dB="yes"), TypeError, "dB must be True or False"),
+        (lambda m: dmptm_ctrl.multisine(m, [], 0.5), ValueError, "no frequencies; give at least"),
+        (lambda m: dmptm_ctrl.stepped_sine(m, [], 0.5), ValueError, "no frequencies; give at"),
+        (lambda m: dmptm_ctrl.Log("a", ONE, [ONE]), TypeError, "channels of a Log must be a map"),
+    ],
+)
+def test_what_is_empty_or_of_another_kind_is_refused_in_one_sentence(call, error, said):
+    with pytest.raises(error, match=f"^(\\w+: )?{said}") as refused:
+        call(dmptm_ctrl.Model())
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("name", WRONG)

@@ -4,7 +4,7 @@ from threading import Barrier, Event, Lock, get_ident
 
 import pytest
 
-from dmptm_ctrl.parallel import crew, in_threads
+from dmptm_ctrl.parallel import in_threads, thread_pool
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 5])
@@ -14,7 +14,7 @@ def test_results_come_in_order_however_deep(jobs):
 
     wanted = [[10 * i + j for j in range(4)] for i in range(3)]
     assert in_threads(inner, range(3), jobs) == wanted
-    with crew(jobs):
+    with thread_pool(jobs):
         assert in_threads(inner, range(3), jobs) == wanted
 
 
@@ -53,7 +53,7 @@ def test_no_more_are_at_work_than_said():
         with lock:
             busy[0] -= 1
 
-    with crew(2):
+    with thread_pool(2):
         in_threads(lambda _: [work(k) for k in range(5)], range(40), 2)
     assert 1 <= most[0] <= 2
 
@@ -64,7 +64,7 @@ def test_an_error_is_the_caller_s():
             raise ValueError("two")
         return i
 
-    with crew(2):
+    with thread_pool(2):
         with pytest.raises(ValueError, match="two"):
             in_threads(fails, range(5), 2)
         assert in_threads(fails, range(2), 2) == [0, 1]  # and the threads go on

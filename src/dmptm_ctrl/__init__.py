@@ -36,7 +36,7 @@ _LAZY = {
     "margins": "control.tuning:assess_pi",
     "bode_compare": "plots.linear",
     "step_compare": "plots.linear",
-    "step_info": "drive.space",
+    "step_info": "drive.state_space",
     # simulation
     "simulate": "simulate",
     "simulate_batch": "simulate.batch",
@@ -74,7 +74,7 @@ _LAZY = {
 
 # of functions that read logs, whose first argument may be nearly anything
 _NO_LOGS = {"Model", "RigModel", "Rig", "Drive", "Diagnosis", "StateSpace", "int", "float"}
-_LOGS = ("diagnose", "check", "constant_speed", "response_from_log", "load_log", "load_logs")
+_LOGS = ("diagnose", "response_from_log", "load_log", "load_logs")
 
 __all__ = ["__version__", *_LAZY]
 
@@ -99,7 +99,7 @@ if TYPE_CHECKING:
     from dmptm_ctrl.drive.rig import Rig
     from dmptm_ctrl.drive.rig_dual import paper_rig
     from dmptm_ctrl.drive.rigfile import load_rig
-    from dmptm_ctrl.drive.space import step_info
+    from dmptm_ctrl.drive.state_space import step_info
     from dmptm_ctrl.drive.three_dof import three_dof_ss as three_dof
     from dmptm_ctrl.effects import register as register_effect
     from dmptm_ctrl.export.run import export_file as export

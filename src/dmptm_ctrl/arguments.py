@@ -16,6 +16,7 @@ _LISTS = (Sequence, Iterable)
 _SAID: dict[Any, str] = {
     float: "a number",
     int: "a whole number",
+    bool: "True or False",
     str: "a text",
     os.PathLike: "a path",
 }
@@ -79,7 +80,9 @@ def _kinds(annotation: Any) -> tuple[Any, ...]:
 def _fits(value: Any, kind: Any) -> bool:
     origin = get_origin(kind) or kind
     if kind is ArrayLike:
-        return isinstance(value, Real | Iterable) and not isinstance(value, str | dict)
+        inner = value[0] if isinstance(value, list | tuple) and value else 0.0
+        plain = isinstance(value, Real | Iterable) and not isinstance(value, str | dict)
+        return plain and (inner is value or _fits(inner, kind))
     if origin is Literal:
         return value in get_args(kind)
     if origin in _NUMBERS:
@@ -87,7 +90,9 @@ def _fits(value: Any, kind: Any) -> bool:
             isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "iuf"
         )
     if origin in _LISTS:
-        listed = value if isinstance(value, list | tuple) else ()
+        listed: Any = value if isinstance(value, list | tuple) else ()
+        if isinstance(value, np.ndarray) and value.ndim:  # all of one kind
+            listed = value[:1]
         each = _kinds(get_args(kind)[0])
         inside = all(any(_fits(x, k) for k in each) for x in listed)
         return inside and isinstance(value, Iterable) and not isinstance(value, str)
@@ -96,8 +101,10 @@ def _fits(value: Any, kind: Any) -> bool:
         return isinstance(value, dict) and all(
             any(_fits(x, k) for k in each) for x in value.values()
         )
-    if origin in (bool, Any) or not isinstance(origin, type):
-        return True  # a flag, or what a name in quotes and `Any` leave open
+    if origin is bool:
+        return isinstance(value, bool | np.bool_ | Integral)
+    if origin is Any or not isinstance(origin, type):
+        return True  # what a name in quotes and `Any` leave open
     return isinstance(value, origin)
 
 

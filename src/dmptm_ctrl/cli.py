@@ -150,12 +150,12 @@ def tune(
     from dmptm_ctrl.signals.atomic import check_folder
 
     check_folder(out)
-    told = () if logs is None else load_logs(logs)
+    known = () if logs is None else load_logs(logs)
     with Progress(quiet=quiet) as progress:
         progress.stage(f"designing on {model.name} and judging on {plants} drawn plants")
         tuned = tune_file(
             model, out, uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs,
-            refine=(lambda drive: with_build_up(drive, told, n_jobs=jobs)) if told else None,
+            refine=(lambda drive: with_build_up(drive, known, jobs=jobs)) if known else None,
             input=input, sensor=sensor, limit=limit, speed=speed, sample_time=sample_time or 1e-3,
         )  # fmt: skip
     if not quiet:
@@ -304,9 +304,9 @@ def _compare(
     for warning in said:
         print(f"warning: {printable(str(warning.message))}", file=sys.stderr)
     draw: Any = getattr(compare, kind)
-    figure, rows = draw(models, *limits)
+    figure, numbers = draw(models, *limits)
     _save_picture(figure, out)
-    print(f"{printable(compare.table(rows))}\n\nwritten: {out}")
+    print(f"{printable(numbers)}\n\nwritten: {out}")
 
 
 def _assignment(text: str) -> tuple[str, float]:

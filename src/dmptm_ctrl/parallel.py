@@ -45,36 +45,36 @@ def in_threads(
     items = list(items)
     if min(jobs, len(items)) <= 1:
         return [function(item) for item in items]
-    with crew(jobs):
+    with thread_pool(jobs):
         if size is None:
-            return _THREAD.crew.share(function, items)
+            return _THREAD.thread_pool.share(function, items)
         order = sorted(range(len(items)), key=lambda i: -size(items[i]))
-        shared = _THREAD.crew.share(function, [items[i] for i in order])
+        shared = _THREAD.thread_pool.share(function, [items[i] for i in order])
         done = dict(zip(order, shared, strict=True))
         return [done[i] for i in range(len(items))]
 
 
 @contextmanager
-def crew(jobs: int) -> Iterator[None]:
+def thread_pool(jobs: int) -> Iterator[None]:
     """Keep threads for all that this one shares out; begun anew for each takes as long as a run."""
-    if jobs <= 1 or getattr(_THREAD, "crew", None) is not None:
+    if jobs <= 1 or getattr(_THREAD, "thread_pool", None) is not None:
         yield
         return
-    own = _THREAD.crew = _Crew(jobs)
+    own = _THREAD.thread_pool = _Pool(jobs)
     try:
         with own.pool:
             yield
     finally:
-        _THREAD.crew = None
+        _THREAD.thread_pool = None
 
 
-class _Crew:
+class _Pool:
     """Threads that help each other; no more than so many are at work."""
 
     def __init__(self, jobs: int) -> None:
         self.idle, self.changed = jobs - 1, Condition()
         # one more than helpers: while one waits for another, a third may help that
-        self.pool = ThreadPoolExecutor(jobs, "crew", setattr, (_THREAD, "crew", self))
+        self.pool = ThreadPoolExecutor(jobs, "thread_pool", setattr, (_THREAD, "thread_pool", self))
 
     def share(self, function: Callable[[T], R], items: list[T]) -> list[R]:
         """Call a function for each item, on this thread and idle ones; none waits untaken."""
@@ -116,20 +116,20 @@ class _Crew:
 def each(
     function: Callable[..., Any],
     tasks: Iterable[tuple[Any, ...]],
-    n_jobs: int | None = None,
+    jobs: int | None = None,
     *,
     prefer: Literal["processes", "threads"] | None = None,
     in_order: bool = True,
 ) -> Iterator[Any]:
     """Call a function for each task where ``joblib.parallel_config`` says, and yield as ready.
 
-    `n_jobs` is joblib's; `prefer` says where to run if ``parallel_config`` does not.
+    `jobs` is joblib's; `prefer` says where to run if ``parallel_config`` does not.
     Results come in the order of `tasks`, or as they get ready.
     """
     from joblib import Parallel, delayed
 
     return_as = "generator" if in_order else "generator_unordered"
-    parallel = Parallel(n_jobs=n_jobs, prefer=prefer, return_as=return_as)
+    parallel = Parallel(n_jobs=jobs, prefer=prefer, return_as=return_as)
     yield from parallel(delayed(_call)(function, task) for task in tasks)
 
 

@@ -1,7 +1,7 @@
 """Assertions for the tests of those who own a machine, with pytest or without.
 
-def test_last_night(logs="/data/logs/tonight"):
-assert_explained(logs, "model.toml")
+>>> def test_last_night():
+...     assert_explained("model.toml", "logs/tonight")
 """
 
 from pathlib import Path
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from dmptm_ctrl.simulate.rig_model import RigModel
 
 
-def assert_explained(logs: Any, model: Any, *, tolerance: float = 0.05) -> "Check":
+def assert_explained(model: Any, logs: Any, *, tolerance: float = 0.05) -> "Check":
     """Assert that logs are of the machine that a model describes.
 
     Parameters
     ----------
-    logs : folder, files or Logs
     model : Model, RigModel or path of a model.toml
+    logs : folder, files or Logs
     tolerance : float
         Share of its value by which an entry may differ.
 
@@ -42,7 +42,7 @@ def assert_explained(logs: Any, model: Any, *, tolerance: float = 0.05) -> "Chec
     """
     from dmptm_ctrl.check.run import check
 
-    found = check(logs, model, tolerance=tolerance)
+    found = check(model, logs, tolerance=tolerance)
     if not found.same:
         raise AssertionError(found.summary())
     return found
@@ -92,20 +92,20 @@ def assert_margins(
 
 
 def assert_tracks(
-    controller: Any,
     model: "Model | RigModel",
+    controller: Any,
     reference: ArrayLike,
     *,
     rms: float,
     noise: ArrayLike | None = None,
 ) -> float:
-    """Assert that a controller follows a setpoint on a model.
+    """Assert that a model follows a setpoint under a controller.
 
     Parameters
     ----------
-    controller : Controller or path of a controller.toml
     model : Model or RigModel
         The simulated machine.
+    controller : Controller or path of a controller.toml
     reference : (n,) array_like [rad/s]
         Setpoint of the ring gear's speed at the controller's sample time; of a rig that of its
         sensor.

@@ -28,9 +28,9 @@ def parameters(own=True):
 
 def evidence(rng, change, model_error=0.0, rows=400):
     """Residual of a machine that differs by `change`, of a model that is off by `model_error`."""
-    slopes = rng.standard_normal((rows, len(KEYS)))
-    left = rng.standard_normal(rows) - slopes @ (np.asarray(change) + model_error)
-    return Evidence(left, slopes, parameters(), np.arange(rows), 1.0, "N·m")
+    derivatives = rng.standard_normal((rows, len(KEYS)))
+    left = rng.standard_normal(rows) - derivatives @ (np.asarray(change) + model_error)
+    return Evidence(left, derivatives, parameters(), np.arange(rows), 1.0, "N·m")
 
 
 def test_change_and_error_are_those_of_least_squares():
@@ -40,7 +40,7 @@ def test_change_and_error_are_those_of_least_squares():
     information = information_of(found, dict.fromkeys(KEYS, 1e-9))
     entry = next(e for e in entries_of(found.parameters) if e.name == "J_L")
     change = information.change(entry)
-    column = found.slopes[:, 2] * VALUES[2]
+    column = found.derivatives[:, 2] * VALUES[2]
     expected, *_ = np.linalg.lstsq(column[:, None], -found.left, rcond=None)
     assert change.change == pytest.approx(expected[0], rel=1e-6)
     assert change.se == pytest.approx(1.0 / np.linalg.norm(column), rel=1e-6)
@@ -51,11 +51,11 @@ def test_the_model_s_own_errors_widen_it_as_the_whole_covariance_says():
     """Against generalised least squares with the covariance written out."""
     rng = np.random.default_rng(2)
     found = evidence(rng, (0, 0, 0, 0, 0), rows=60)
-    square = found.slopes.T @ found.slopes
+    square = found.derivatives.T @ found.derivatives
     own = np.linalg.inv(square)  # as logs like these leave it
-    whole = np.eye(60) + found.slopes @ own @ found.slopes.T
+    whole = np.eye(60) + found.derivatives @ own @ found.derivatives.T
     entry = next(e for e in entries_of(found.parameters) if e.name == "unbalance")
-    column = found.slopes @ np.array([0, 0, 0, 3.0, 4.0])
+    column = found.derivatives @ np.array([0, 0, 0, 3.0, 4.0])
     told = column @ np.linalg.solve(whole, column)
     expected = -column @ np.linalg.solve(whole, found.left) / told
     information = information_of(found, {})
@@ -84,8 +84,8 @@ def test_rows_that_are_wrong_alike_count_once():
     sizes = []
     for _ in range(300):
         one = evidence(rng, np.zeros(len(KEYS)), rows=60)
-        slopes, left = np.repeat(one.slopes, 10, axis=0), np.repeat(one.left, 10)
-        found = replace(one, slopes=slopes, left=left, stretch=np.repeat(np.arange(60), 10))
+        rows, left = np.repeat(one.derivatives, 10, axis=0), np.repeat(one.left, 10)
+        found = replace(one, derivatives=rows, left=left, stretch=np.repeat(np.arange(60), 10))
         information = information_of(found, dict.fromkeys(KEYS, 1e-9))
         sizes.append([information.change(e).errors for e in entries_of(found.parameters)])
     np.testing.assert_allclose(np.std(sizes, axis=0), 1.0, atol=0.25)
@@ -120,10 +120,10 @@ def test_a_change_within_the_tolerance_is_none():
 
 def test_what_belongs_to_a_log_is_no_change():
     rng = np.random.default_rng(6)
-    slopes = rng.standard_normal((300, 2))
-    left = rng.standard_normal(300) - 5.0 * slopes[:, 1]
+    columns = rng.standard_normal((300, 2))
+    left = rng.standard_normal(300) - 5.0 * columns[:, 1]
     of_log = Parameter("log.zero", "", 0.0, 1.0, np.inf, own=False)
-    found = only_own(Evidence(left, slopes, (parameters()[2], of_log), np.arange(300), 1.0, "N·m"))
+    found = only_own(Evidence(left, columns, (parameters()[2], of_log), np.arange(300), 1.0, "N·m"))
     assert [p.key for p in found.parameters] == ["J_L"]
     assert find_moved(information_of(found, {}), entries_of(found.parameters))[0] == []
     assert np.std(found.left) == pytest.approx(1.0, abs=0.1)

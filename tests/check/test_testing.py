@@ -34,12 +34,12 @@ def test_tracking_error_is_that_of_the_simulated_loop(tmp_path):
     controller = Controller(8.0, 100.0, preload=0.3)
     time = 1e-3 * np.arange(1500)
     target = 0.2 * np.sin(2 * np.pi * time)
-    error = assert_tracks(controller, Model(), target, rms=0.5)
+    error = assert_tracks(Model(), controller, target, rms=0.5)
     from dmptm_ctrl.simulate.compiled import close_loop
 
     _, out = close_loop(Model(), controller.law(), target, 1e-3)
     assert error == pytest.approx(np.sqrt(np.mean((target - out[:, 1]) ** 2)))
     with pytest.raises(AssertionError, match="tracking error is"):
-        assert_tracks(controller, Model(), target, rms=0.5 * error)
+        assert_tracks(Model(), controller, target, rms=0.5 * error)
     controller.save(tmp_path / "controller.toml")
-    assert assert_tracks(tmp_path / "controller.toml", Model(), target, rms=0.5) == error
+    assert assert_tracks(Model(), tmp_path / "controller.toml", target, rms=0.5) == error

@@ -44,10 +44,10 @@ def test_a_batch_on_the_cluster(client):
     models = [Model().with_values(J_L=20.0 + k) for k in range(40)]
     time = np.arange(100) * 1e-3
     volts = np.random.default_rng(3).uniform(-4.0, 4.0, (40, 2, 100))
-    here = simulate_batch(models, time, volts, outputs=["omega_L"], n_jobs=1)
+    here = simulate_batch(models, time, volts, outputs=["omega_L"], jobs=1)
     before = transitions(client)
     with parallel_config(backend="dask"):
-        there = simulate_batch(models, time, volts, outputs=["omega_L"], n_jobs=-1)
+        there = simulate_batch(models, time, volts, outputs=["omega_L"], jobs=-1)
     assert transitions(client) > before
     np.testing.assert_array_equal(there.outputs, here.outputs)
     np.testing.assert_array_equal(there.rms, here.rms)

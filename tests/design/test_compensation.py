@@ -27,7 +27,7 @@ REFERENCE = np.concatenate([np.zeros(400), sine(12 * DEG, 0.7, 2)])
 def test_each_part_against_one_run_of_the_plain_simulator():
     """The drawn plant is the model itself; the loop is run again without lanes and threads."""
     aims = Aims(duty=Duty(REFERENCE, 1e-3, SETTLING), noise=0.0)
-    table = predicted_parts(FULL, [MODEL], aims, seed=0, n_jobs=1)
+    table = predicted_parts(FULL, [MODEL], aims, seed=0, jobs=1)
 
     def error(controller):
         _, out = close_loop(MODEL, controller.law(), REFERENCE, 1e-3)

@@ -12,7 +12,7 @@ from dmptm_ctrl.control.tuning import assess_pi
 from dmptm_ctrl.design.aims import Aims
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
-from dmptm_ctrl.design.impact import SWEEP_HZ, impact, margins, swept_gains
+from dmptm_ctrl.design.impact import SWEEP_HZ, _falls, impact, margins, swept_gains
 from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.design.montecarlo import CHUNK, MonteCarlo, monte_carlo
 from dmptm_ctrl.design.preload import (
@@ -44,6 +44,13 @@ def test_a_delay_costs_the_phase_that_it_must():
     panels = found.plot()
     assert len(panels) == 3
     plt.close(panels[0].figure)
+
+
+def test_bandwidth_is_where_a_swept_gain_falls():
+    """A first-order lag of 10 Hz; a gain that stays has none inside the sweep."""
+    hz = np.geomspace(1.0, 100.0, 200)
+    assert _falls(hz, 1.0 / np.sqrt(1.0 + (hz / 10.0) ** 2)) == pytest.approx(10.0, rel=1e-3)
+    assert _falls(hz, np.ones(200)) == np.inf
 
 
 def test_margins_are_those_of_the_linear_loop():
@@ -151,7 +158,7 @@ def test_monte_carlo_resumes_and_does_not_depend_on_jobs(tmp_path):
     monte_carlo(DRIVE, LOOP, CHUNK, effects=others, aims=aims, folder=tmp_path)
     first = tmp_path / f"{0:06d}-{CHUNK:06d}.npy"
     stamp = first.stat().st_mtime_ns
-    again = monte_carlo(DRIVE, LOOP, count, effects=others, aims=aims, n_jobs=2, folder=tmp_path)
+    again = monte_carlo(DRIVE, LOOP, count, effects=others, aims=aims, jobs=2, folder=tmp_path)
     assert first.stat().st_mtime_ns == stamp
     np.testing.assert_array_equal(again.errors, whole.errors)
     late = monte_carlo(LATE, LOOP, count, aims=aims)

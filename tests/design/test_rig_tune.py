@@ -73,7 +73,7 @@ def tuned():
     aims = rig_aims(MODEL, limit=12.0)
     duty = aims.duty._replace(reference=aims.duty.reference[3400:4800])
     return tune_controller(
-        MODEL, aims.__class__(**{**vars(aims), "duty": duty}), uncertainty=0.25, plants=16, n_jobs=1
+        MODEL, aims.__class__(**{**vars(aims), "duty": duty}), uncertainty=0.25, plants=16, jobs=1
     )
 
 
@@ -94,17 +94,17 @@ def test_error_is_that_of_one_plain_run(tuned):
     """Without lanes and threads; the drawn plant is the model itself."""
     c, aims = tuned.controller, tuned.aims
     quiet = aims.__class__(**{**vars(aims), "noise": 0.0})
-    found, signals = tracking(c, [MODEL], quiet, n_jobs=1)
+    found, signals = tracking(c, [MODEL], quiet, jobs=1)
     run = close_loop(MODEL, c, aims.duty.time, aims.duty.reference)
     speed, u = (run.outputs[run.output_labels.index(n)] for n in ("speed", "voltage"))
     miss = (speed - aims.duty.reference)[::4][100:]
     assert found[0] == pytest.approx(np.sqrt(np.mean(miss**2)), rel=1e-6)
     assert signals[0] == pytest.approx(np.abs(u).max(), rel=1e-6)
-    every = assert_tracks(c, MODEL, aims.duty.reference, rms=0.5)
+    every = assert_tracks(MODEL, c, aims.duty.reference, rms=0.5)
     miss = speed - aims.duty.reference
     assert every == pytest.approx(np.sqrt(np.mean(miss**2)), rel=1e-6)
     with pytest.raises(AssertionError, match="rad/s rms"):
-        assert_tracks(c, MODEL, aims.duty.reference, rms=0.5 * every)
+        assert_tracks(MODEL, c, aims.duty.reference, rms=0.5 * every)
 
 
 def test_file_keeps_everything(tuned, tmp_path):

@@ -179,7 +179,7 @@ def test_statistics_are_those_of_the_signals():
     np.testing.assert_allclose(runs.mean, runs.outputs.mean(axis=2), rtol=1e-12, atol=1e-13)
     rms = np.sqrt(np.mean(runs.outputs**2, axis=2))
     np.testing.assert_allclose(runs.rms, rms, rtol=1e-12)
-    few = simulate_batch(models, TIME, u, STATE, outputs=["omega_L"], every=7, n_jobs=1)
+    few = simulate_batch(models, TIME, u, STATE, outputs=["omega_L"], every=7, jobs=1)
     np.testing.assert_array_equal(few.outputs[:, 0], runs.outputs[:, 1, ::7])
     np.testing.assert_array_equal(few.time, TIME[::7])
     np.testing.assert_array_equal(few.rms, runs.rms)
@@ -189,8 +189,8 @@ def test_result_does_not_depend_on_the_neighbours():
     """Bit for bit the same in any lane, beside any others, on any number of threads."""
     u = voltages(1.2, 12.0, 0.15)
     models = [Model().with_values(c=1.0 + 0.3 * k) for k in range(17)]
-    runs = simulate_batch(models, TIME, u, outputs=OUTPUTS, n_jobs=2).outputs
-    backwards = simulate_batch(models[::-1], TIME, u, outputs=OUTPUTS, n_jobs=1).outputs
+    runs = simulate_batch(models, TIME, u, outputs=OUTPUTS, jobs=2).outputs
+    backwards = simulate_batch(models[::-1], TIME, u, outputs=OUTPUTS, jobs=1).outputs
     np.testing.assert_array_equal(runs, backwards[::-1])
     alone = simulate_batch(models[4:5], TIME, u, outputs=OUTPUTS).outputs
     np.testing.assert_array_equal(alone[0], runs[4])

@@ -84,16 +84,16 @@ def test_estimates_by_hand():
                 "ref": np.full(n, way * 0.1),
             }
             logs.append(Log(f"{preload}_{way}", 1e-3 * np.arange(n), channels))
-    found = constant_speed(logs, DECLARED)
+    found = constant_speed(DECLARED, logs)
     assert found.estimates["gap_l"].value == pytest.approx(gaps[0], rel=1e-5)
     assert found.estimates["gap_r"].value == pytest.approx(gaps[1], rel=1e-5)
     assert found.estimates["k_m"].value == pytest.approx(k, rel=1e-4)
     np.testing.assert_allclose(found.reducer.torque, t3, rtol=1e-3)
     np.testing.assert_allclose(found.ring.torque, ring, rtol=1e-3)
     with pytest.raises(ValueError, match="one sign of preload"):
-        constant_speed([log for log in logs if not log.name.startswith("-")], DECLARED)
+        constant_speed(DECLARED, [log for log in logs if not log.name.startswith("-")])
     with pytest.raises(ValueError, match="one size of preload"):
-        constant_speed([log for log in logs if "0.6" in log.name], DECLARED)
+        constant_speed(DECLARED, [log for log in logs if "0.6" in log.name])
 
 
 def test_refusals():
@@ -107,13 +107,13 @@ def test_refusals():
         },
     )
     with pytest.raises(ValueError, match="no stretch of constant speed"):
-        constant_speed([still], DECLARED)
+        constant_speed(DECLARED, [still])
     with pytest.raises(ValueError, match="theta_ml does not move"):
-        reducer_breakaway([still], DECLARED)
+        reducer_breakaway(DECLARED, [still])
     with pytest.raises(ValueError, match="0 flights"):
-        gap_damping(still, DECLARED, {})
+        gap_damping(DECLARED, still, {})
     with pytest.raises(ValueError, match="0 whole periods"):
-        shaken_turns([still], DECLARED, period=4.0, lines=[1.0])
+        shaken_turns(DECLARED, [still], period=4.0, lines=[1.0])
     few = FrictionPoints("3", np.array([1.0, 2.0]), np.array([1.0, 1.0]), np.eye(2))
     with pytest.raises(ValueError, match="2 speeds in direction plus"):
         stribeck_fit(few)

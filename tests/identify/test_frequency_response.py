@@ -3,11 +3,13 @@ import numpy as np
 import pytest
 
 from dmptm_ctrl.control import common_mode
+from dmptm_ctrl.control.pi import loop_response
 from dmptm_ctrl.drive import baseline_drive, three_dof_ss
 from dmptm_ctrl.identify.frequency_response import from_log, multisine, stepped_sine
 from dmptm_ctrl.identify.loop_resonance import closed_loop_peak, resonant_gains
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.compiled import Loop
+from dmptm_ctrl.simulate.linear import linearize, turning
 from dmptm_ctrl.simulate.model import Model
 
 DEG = np.pi / 180
@@ -37,6 +39,18 @@ def test_gain_grows_with_amplitude_under_dry_friction():
     assert (abs(large.values) > 1.2 * abs(small.values)).all()
     assert (small.coherence < 0.99).all()  # sticking makes harmonics
     assert (large.coherence > small.coherence).all()
+
+
+@pytest.mark.parametrize("measure", [stepped_sine, multisine])
+def test_about_a_preloaded_turn_the_drive_is_linear(measure):
+    """Against the linearised blocks behind a hold: no gap opens, no friction turns round."""
+    model, hz, sample_time = Model(), np.array([5.0, 20.0]), 5e-4
+    state, volts = turning(model, speed=0.35, preload=0.6)
+    offset, preload = volts.mean(), 0.5 * (volts[0] - volts[1])
+    found = measure(model, hz, 0.05, offset=offset, preload=preload, sample_time=sample_time)
+    plant = common_mode(linearize(model, state, volts))
+    wanted = [loop_response(plant, 2 * np.pi * f, sample_time) for f in hz]
+    np.testing.assert_allclose(found.values, wanted, rtol=0.01)
 
 
 def test_below_breakaway_nothing_moves():

@@ -6,7 +6,7 @@ import pytest
 
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive.rigfile import parse_rig
-from dmptm_ctrl.drive.space import step_info
+from dmptm_ctrl.drive.state_space import step_info
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.blocks import to_blocks
 from dmptm_ctrl.simulate.linear import linearize, modes, modes_text

@@ -1,7 +1,7 @@
 """What new logs say about a model, as linear algebra: the one place that knows the balances.
 
 A balance's residual is whitened, so that its rows are independent and of unit variance, and
-has slopes by each parameter of the model.
+has derivatives by each parameter of the model.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -36,7 +36,7 @@ class Parameter:
     key: str  # of the drive its own name, of an effect effect.parameter
     unit: str
     value: float
-    scale: float  # unit of the slopes
+    scale: float  # unit of the derivatives
     prior: float  # standard deviation declared, in scales; infinite for nothing
     own: bool = True  # is the machine's, and these logs can tell it; else it is free in the balance
 
@@ -54,7 +54,7 @@ class Evidence:
     """Whitened residual of new logs."""
 
     left: Floats  # (m,)
-    slopes: Floats  # (m, k), per scale of each parameter
+    derivatives: Floats  # (m, k), per scale of each parameter
     parameters: tuple[Parameter, ...]
     stretch: NDArray[np.int64]  # (m,): rows of one second, log and equation may be wrong alike
     torque_rms: float  # of the whole drive's balance, robust against bursts
@@ -81,9 +81,10 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
         unknowns += [k for k in effect_unknowns(name) if k.name in sizes]
     parts = balance.missing(model)
     left = np.concatenate(parts)
-    slopes = dual_columns(balance, model, unknowns, left)
+    derivatives = dual_columns(balance, model, unknowns, left)
     prior = np.array([k.prior for k in unknowns])
-    weight = _settled(left, slopes, prior, lambda rest: weights(split(rest, parts), balance.kinds))
+    kinds = balance.kinds
+    weight = _settled(left, derivatives, prior, lambda rest: weights(split(rest, parts), kinds))
     total = np.concatenate(
         [part for part, kind in zip(parts, balance.kinds, strict=True) if role_of(kind) == "total"]
         or parts
@@ -92,7 +93,7 @@ def _of_dual(model: Model, logs: Sequence[Log], jobs: int) -> Evidence:
     lengths = [(p.size, seconds[e.motion]) for p, e in zip(parts, balance.equations, strict=True)]
     return Evidence(
         weight * left,
-        weight[:, None] * slopes,
+        weight[:, None] * derivatives,
         tuple(
             Parameter(
                 k.label, _unit(model, k), k.of(model), k.scale, float(k.prior), _shows(k, records),
@@ -128,15 +129,15 @@ def _unit(model: Model, unknown: Unknown) -> str:
 
 
 def _settled(
-    left: Floats, slopes: Floats, prior: Floats, weigh: Callable[[Floats], Floats]
+    left: Floats, derivatives: Floats, prior: Floats, weigh: Callable[[Floats], Floats]
 ) -> Floats:
     """Weights by what is left once every parameter has moved: a changed machine is no noise."""
     rest = left
     for _ in range(ROUNDS):
         weight = weigh(rest)
-        j = weight[:, None] * slopes
+        j = weight[:, None] * derivatives
         square = j.T @ j + np.diag(np.clip(LOOSE * prior, 1.0, LARGE) ** -2.0)
-        rest = left - slopes @ np.linalg.solve(square, j.T @ (weight * left))
+        rest = left - derivatives @ np.linalg.solve(square, j.T @ (weight * left))
     return weigh(rest)
 
 
@@ -157,11 +158,11 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
     machine = free_parameters(model, balance, scales_of(balance), nuisances=False)
     frees = (*machine, *(free for frees in of_logs for free in frees))
     left, _ = residuals(state, balance)
-    slopes = jacobian(state, balance, frees, left, jobs=jobs)
+    derivatives = jacobian(state, balance, frees, left, jobs=jobs)
     count = left[0].shape[0]
     sizes = [part.shape[1] for part in left]
     flat = np.concatenate([part.ravel() for part in left])
-    columns = np.concatenate([part.reshape(-1, len(frees)) for part in slopes])
+    columns = np.concatenate([part.reshape(-1, len(frees)) for part in derivatives])
     equation = np.concatenate([np.repeat(np.arange(count), n) for n in sizes])
 
     def weigh(rest: Floats) -> Floats:
@@ -199,7 +200,7 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
 
 
 def _zeroed(state: State, balance: Balance, of_logs: Sequence[Sequence[Free]]) -> State:
-    """Find where each log's encoder has its zero: any angle, so that slopes alone would not do."""
+    """Find where each log's encoder has its zero: any angle, so derivatives alone would not do."""
     for motion, frees in zip(balance.motions, of_logs, strict=True):
         alone = balance.only([motion.name])
         for free in frees:
@@ -219,9 +220,9 @@ def only_own(evidence: Evidence) -> Evidence:
     other = [k for k, p in enumerate(evidence.parameters) if not p.own]
     if not other:
         return evidence
-    q, _ = np.linalg.qr(evidence.slopes[:, other])
+    q, _ = np.linalg.qr(evidence.derivatives[:, other])
     left = evidence.left - q @ (q.T @ evidence.left)
-    slopes = evidence.slopes[:, own]
-    slopes = slopes - q @ (q.T @ slopes)
+    derivatives = evidence.derivatives[:, own]
+    derivatives = derivatives - q @ (q.T @ derivatives)
     parameters = tuple(evidence.parameters[k] for k in own)
-    return replace(evidence, left=left, slopes=slopes, parameters=parameters)
+    return replace(evidence, left=left, derivatives=derivatives, parameters=parameters)

@@ -1,7 +1,7 @@
 """Which entry of a model has moved: each alone, with what the model itself did not know.
 
-With residual e, slopes J and the model's own covariance P, the residual of an unchanged machine
-has the covariance V = 1 + J P Jᵀ. A change d of an entry along v adds −J v d. So
+With residual e, derivatives J and the model's own covariance P, the residual of an unchanged
+machine has the covariance V = 1 + J P Jᵀ. A change d of an entry along v adds −J v d. So
 d = −vᵀg / vᵀHv with g = Jᵀ V⁻¹ e, H = Jᵀ V⁻¹ J, and its standard error is (vᵀHv)^(−1/2).
 Other parameters may differ within the tolerance; that is part of V, too.
 Rows of one second may be wrong alike: where the scores of these stretches scatter by more than
@@ -133,29 +133,29 @@ class Information:
         loose = np.where(v == 0.0, tolerance / 3.0 * values, 0.0)
         inner = np.eye(v.size) + loose[:, None] * self.square * loose
         own = v - loose * np.linalg.solve(inner, loose * (self.square @ v))
-        told = float(own @ self.square @ v)
-        if not told * entry.size**2 > 1.0:
+        curvature = float(own @ self.square @ v)
+        if not curvature * entry.size**2 > 1.0:
             return None
         w = self.seen @ own
         single, alike = float(w @ self.rows @ w), float(np.sum((self.scores @ w) ** 2))
-        variance = 1.0 / told + max(alike - single, 0.0) / told**2
+        variance = 1.0 / curvature + max(alike - single, 0.0) / curvature**2
         if variance > entry.size**2:
             return None
         gain = float(v @ self.gradient) ** 2 / float(v @ self.square @ v)
-        return Change(entry, -float(own @ self.gradient) / told, variance**0.5, gain)
+        return Change(entry, -float(own @ self.gradient) / curvature, variance**0.5, gain)
 
     def without(self, entry: Entry) -> "Information":
         """Return what is left once an entry is free."""
         v = self.vector(entry)
         h = self.square @ v
-        told = float(v @ h)
+        curvature = float(v @ h)
         return Information(
             self.parameters,
-            self.gradient - h * (float(v @ self.gradient) / told),
-            self.square - np.outer(h, h) / told,
+            self.gradient - h * (float(v @ self.gradient) / curvature),
+            self.square - np.outer(h, h) / curvature,
             self.rows,
             self.scores,
-            self.seen - np.outer(self.seen @ v, h) / told,
+            self.seen - np.outer(self.seen @ v, h) / curvature,
         )
 
 
@@ -165,7 +165,7 @@ def information_of(evidence: Evidence, errors: Mapping[str, float]) -> Informati
     A parameter without one is as uncertain as logs like these leave it, stretches that are wrong
     alike included: the logs of the fit had them too.
     """
-    j, e = evidence.slopes, evidence.left
+    j, e = evidence.derivatives, evidence.left
     square, gradient = j.T @ j, j.T @ e
     prior = np.array([min(p.prior, LARGE) for p in evidence.parameters])
     own = np.linalg.inv(square + np.diag(prior**-2.0))
@@ -175,8 +175,8 @@ def information_of(evidence: Evidence, errors: Mapping[str, float]) -> Informati
     sd = np.sqrt(np.diag(own))
     usual = np.maximum(sd, np.linalg.norm(scores @ own, axis=0))
     each = zip(evidence.parameters, usual, strict=True)
-    told = np.array([errors.get(p.key, s * p.scale) / p.scale for p, s in each])
-    known = own * np.outer(told / sd, told / sd)
+    given = np.array([errors.get(p.key, s * p.scale) / p.scale for p, s in each])
+    known = own * np.outer(given / sd, given / sd)
     inner = np.linalg.inv(np.linalg.inv(known) + square)
     return Information(
         evidence.parameters,

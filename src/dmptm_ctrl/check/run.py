@@ -69,6 +69,8 @@ class Check:
             lines.append(f"still the same machine: none of {len(self.alone)} entries moved")
         return "\n".join(lines)
 
+    __str__ = summary
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for a JSON file."""
         return {
@@ -99,8 +101,8 @@ class Check:
 
 
 def check(
-    logs: Any,
     model: AnyModel | str | Path,
+    logs: Any,
     *,
     errors: Mapping[str, float] | None = None,
     floor: float | None = None,
@@ -111,9 +113,9 @@ def check(
 
     Parameters
     ----------
-    logs : folder, files or Logs
     model : Model, RigModel or path of a model.toml
         Of a file, a diagnosis.json beside it gives `errors` and `floor`.
+    logs : folder, files or Logs
     errors : mapping of parameter key to float, optional
         Standard errors of the model's parameters [SI]. A parameter that is not there is taken
         as uncertain as these logs would leave it.
@@ -127,7 +129,8 @@ def check(
     Returns
     -------
     Check
-        Of logs with dates in their names, those of the newest date decide.
+        ``same``, ``moved``, ``summary()``, ``save(folder)``. Of logs with dates in their names,
+        those of the newest date decide.
 
     Raises
     ------
@@ -136,7 +139,7 @@ def check(
 
     Examples
     --------
-    >>> found = dm.check("logs", "model.toml")
+    >>> found = dm.check("model.toml", "logs")
     >>> print(found.summary())
     """
     if isinstance(model, str | Path):
@@ -181,7 +184,7 @@ def check_files(
         raise LogError(f"--tolerance {tolerance:g}: must lie between 0 and 1")
     if out is not None:
         check_folder(out)
-    found = check(logs[0] if len(logs) == 1 else logs, model, tolerance=tolerance, jobs=jobs)
+    found = check(model, logs[0] if len(logs) == 1 else logs, tolerance=tolerance, jobs=jobs)
     if out is not None:
         matplotlib.use("Agg")  # no windows
         found.save(out)

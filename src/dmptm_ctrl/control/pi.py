@@ -29,8 +29,9 @@ def common_mode(plant: ct.StateSpace, output: str = "omega_L") -> ct.StateSpace:
     Parameters
     ----------
     plant : StateSpace
-        Two voltages in, or one.
+        One voltage in, or one per motor.
     output : str
+        Which of its outputs, by default the speed of the ring gear.
 
     Returns
     -------
@@ -84,10 +85,10 @@ def without_rigid_angle(sys: ct.StateSpace) -> ct.StateSpace:
         seen, size = seen / column, size * column
     _, values, vectors = np.linalg.svd(seen)
     values = np.append(values, np.zeros(sys.nstates - values.size))
-    unseen = vectors[values <= RIGID * values[0]].T / size[:, None]
-    gone = qr(unseen.T, pivoting=True)[2][: unseen.shape[1]] if unseen.size else np.array([], int)
+    unread = vectors[values <= RIGID * values[0]].T / size[:, None]
+    gone = qr(unread.T, pivoting=True)[2][: unread.shape[1]] if unread.size else np.array([], int)
     keep = np.setdiff1d(np.arange(sys.nstates), gone)
-    from_it = np.linalg.solve(unseen[gone].T, unseen[keep].T).T  # rows: kept states
+    from_it = np.linalg.solve(unread[gone].T, unread[keep].T).T  # rows: kept states
     return ct.ss(
         sys.A[np.ix_(keep, keep)] - from_it @ sys.A[np.ix_(gone, keep)],
         sys.B[keep] - from_it @ sys.B[gone],
@@ -107,7 +108,7 @@ def close_speed_loop(plant: ct.StateSpace, kp: float, ki: float) -> ct.StateSpac
     Parameters
     ----------
     plant : StateSpace
-        Two voltages in, output ``omega_L`` among its outputs.
+        One voltage [V] in, or one per motor; ``omega_L`` [rad/s] among its outputs.
     kp : float [V/(rad/s)]
     ki : float [V/rad]
 

@@ -38,6 +38,14 @@ class PiTuning:
     gain_margin_db: float  # the smallest over all frequencies where the phase is −180°
     peak: float  # largest closed-loop gain
 
+    def __str__(self) -> str:
+        return (
+            f"kp {self.kp:.4g} V/(rad/s), ki {self.ki:.4g} V/rad\n"
+            f"crossover {self.crossover_hz:.3g} Hz, bandwidth {self.bandwidth_hz:.3g} Hz, "
+            f"phase margin {self.phase_margin_deg:.1f} deg, gain margin {self.gain_margin_db:.1f} "
+            f"dB, peak {self.peak:.3g}"
+        )
+
 
 def gains_at(response: complex, omega: float, phase_margin_deg: float) -> tuple[float, float]:
     """Return (kp, ki) that cross 1 at `omega` [rad/s] with the phase margin, in closed form."""
@@ -52,22 +60,24 @@ def tune_pi(
     *,
     sample_time: float = SAMPLE_TIME,
 ) -> PiTuning:
-    """Find the PI gains of the speed loop.
+    """Find the PI gains of the speed loop, the same voltage on all motors.
 
     Parameters
     ----------
     plant : StateSpace
-        Two voltages in, ``omega_L`` [rad/s] among its outputs, without an integrator.
-    bandwidth_hz : float
+        One voltage [V] in, or one per motor; ``omega_L`` [rad/s] among its outputs.
+    bandwidth_hz : float [Hz]
         Frequency at which the closed loop falls 3 dB below 1.
-    phase_margin_deg : float
-        Between 20 and 90.
+    phase_margin_deg : float [deg]
+        Between 20 and 90. What is reached differs by some degrees, since the loop is sampled.
     sample_time : float [s]
-        Of the loop; the hold's delay counts in the margins.
+        Of the loop. The delay of sampling counts in the margins.
 
     Returns
     -------
     PiTuning
+        ``kp`` [V/(rad/s)], ``ki`` [V/rad], ``crossover_hz``, ``bandwidth_hz``,
+        ``phase_margin_deg``, ``gain_margin_db``, and ``peak``, the largest closed-loop gain.
 
     Raises
     ------
@@ -80,6 +90,9 @@ def tune_pi(
     >>> pi = dm.tune_pi(dm.three_dof(dm.paper_drive()), bandwidth_hz=20.0)
     >>> round(pi.kp, 1), round(pi.ki)  # V/(rad/s), V/rad
     (17.6, 901)
+    >>> print(pi)
+    kp 17.63 V/(rad/s), ki 901.1 V/rad
+    crossover 14.5 Hz, bandwidth 20.2 Hz, phase margin 60.9 deg, gain margin 9.5 dB, peak 1.29
     """
     if not 20.0 <= phase_margin_deg <= 90.0:
         raise ValueError(f"phase margin {phase_margin_deg:g}°, it must be between 20 and 90")
@@ -124,12 +137,12 @@ def assess_pi(
     sample_time: float = SAMPLE_TIME,
     sections: Sequence[Section] = (),
 ) -> PiTuning:
-    """Return what the linear sampled loop does with given gains, and sections behind the PI.
+    """Return margins, crossover and bandwidth of the sampled PI loop with given gains.
 
     Parameters
     ----------
     plant : StateSpace
-        Voltage to speed [V, rad/s].
+        One voltage [V] in, or one per motor; ``omega_L`` [rad/s] among its outputs.
     kp : float [V/(rad/s)]
     ki : float [V/rad]
     sample_time : float [s]
@@ -139,7 +152,8 @@ def assess_pi(
     Returns
     -------
     PiTuning
-        Gains, crossover and bandwidth [Hz], phase margin [deg], gain margin [dB], peak.
+        Printed with units; ``crossover_hz``, ``bandwidth_hz``, ``phase_margin_deg``,
+        ``gain_margin_db``, and ``peak``, the largest closed-loop gain.
 
     Raises
     ------

@@ -36,6 +36,9 @@ class Aims:
     acceleration : float [rad/s²]
         Largest that a setpoint asks for; steps are fed forward with this.
     duty : Duty
+        ``dmptm_ctrl.design.duty.Duty(reference, sample_time, settling)``: the setpoint over time
+        [rad/s], its samples [s], and how long at the start is not judged [s]. By default 9 s of
+        sines, ramps and rests.
     noise : float [rad/s]
         Standard deviation of the speed reading.
     notch : bool
@@ -68,7 +71,7 @@ def tracking(
     aims: Aims,
     *,
     seed: int = 0,
-    n_jobs: int = -1,
+    jobs: int = -1,
 ) -> tuple[Floats, Floats]:
     """Run a controller over the duty on many plants; two arrays, (plants,) each.
 
@@ -86,7 +89,7 @@ def tracking(
         noise[None], (f"reading{sensor}",), EVERY, tuple(f"signal{j}" for j in range(inputs)),
     )  # fmt: skip
     starts = [at_rest(plant) for plant in plants]
-    runs, statistics = run_many(plants, starts, common, [law] * len(plants), n_jobs=n_jobs)
+    runs, statistics = run_many(plants, starts, common, [law] * len(plants), jobs=jobs)
     first = round(duty.settling / duty.sample_time / EVERY)
     each = zip(plants, runs, strict=True)
     miss = np.array([missed(plant, duty, run[0], EVERY, sensor) for plant, run in each])

@@ -40,18 +40,18 @@ def without_part(controller: Controller, part: str) -> Controller:
 
 
 def predicted_parts(
-    controller: Controller, plants: Sequence[AnyModel], aims: Aims, *, seed: int, n_jobs: int
+    controller: Controller, plants: Sequence[AnyModel], aims: Aims, *, seed: int, jobs: int
 ) -> pd.DataFrame:
     """Return what each part of a compensation takes off the error, most first.
 
     A part without which nothing changes is left out. Columns are ``median`` and ``sure``, as in
     the result of tuning.
     """
-    errors, _ = tracking(controller, plants, aims, seed=seed, n_jobs=n_jobs)
+    errors, _ = tracking(controller, plants, aims, seed=seed, jobs=jobs)
     found = {}
     for part in parts_of(controller):
         left = without_part(controller, part)
-        shares = 1.0 - errors / tracking(left, plants, aims, seed=seed, n_jobs=n_jobs)[0]
+        shares = 1.0 - errors / tracking(left, plants, aims, seed=seed, jobs=jobs)[0]
         if np.any(shares):
             found[part] = np.quantile(shares, [0.5, 1.0 - QUANTILE])
     table = pd.DataFrame.from_dict(found, "index", columns=["median", "sure"], dtype=float)

@@ -65,9 +65,29 @@ class Controller(Design):
 
     Attributes
     ----------
+    kp : float [V/(rad/s)]
+    ki : float [V/rad]
+    limit : float [V]
+        Clip of each motor's voltage.
     preload : float [V]
         Added on the left motor, taken off on the right. 0 for a rig.
     sample_time : float [s]
+    tracking : float [1/s]
+        Rate at which the integral gives back what the limit cuts off; 0 is none.
+    inertia, friction, effects : float
+        Shares of the model's torques that are fed forward along the setpoint; 1 is all.
+    lead, late : float [s]
+        How far the feed-forward looks ahead; how late the speed is read.
+    acceleration : float [rad/s²]
+        Largest of the setpoint that is fed forward.
+    softness : float [rad/s]
+        Setpoint below which the friction fed forward fades to 0.
+    invert : bool
+        Whether offset, dead band and gain errors of the amplifiers are undone.
+    model : Model or RigModel
+        What is fed forward, and undone.
+    input, sensor : str
+        Of a rig: the motor, and the sensor whose speed is controlled.
     notches : tuple of Notch
         Up to two in the simulated loop; any number in the equations and transfer functions.
     distance : float [rad]

@@ -66,7 +66,7 @@ def run_cycles(balance: Balance, cycles: Sequence[Cycle]) -> list[Run]:
     with np.errstate(all="ignore"):
         runs = simulate_batch(
             [balance.model] * count, time, setpoints, states, loop=loops,
-            outputs=["omega_L", "z_l", "z_r"], substeps=SUBSTEPS, n_jobs=1,
+            outputs=["omega_L", "z_l", "z_r"], substeps=SUBSTEPS, jobs=1,
         )  # fmt: skip
         ends = runs.outputs[:, :, -round(WATCHED / dt) :]
         return [_measured(end[0], end[1 : 1 + balance.chains], dt) for end in ends]

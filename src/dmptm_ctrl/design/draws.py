@@ -102,10 +102,10 @@ def slow_friction(model: AnyModel, more: float) -> Any:
     below 0.
     """
     if not isinstance(model, RigModel):
-        told = model.effects.get("presliding", {})
+        own_values = model.effects.get("presliding", {})
         ratios = {"reducer_distance": model.drive["N_2"], "ring_distance": 1.0}
-        longer = {k: max(told.get(k, 0.0) + n * more, 0.0) for k, n in ratios.items()}
-        return model.with_effect("presliding", **{**told, **longer})
+        longer = {k: max(own_values.get(k, 0.0) + n * more, 0.0) for k, n in ratios.items()}
+        return model.with_effect("presliding", **{**own_values, **longer})
     plant, layout = model.plant(), model.layout
     root = int(plant.sensor_body[loop_parts(model)[1]])
     per = untwisted(plant, int(plant.body_coordinate[root])) / plant.body_ratio[root]
@@ -117,9 +117,9 @@ def slow_friction(model: AnyModel, more: float) -> Any:
         )
         if not rubs:
             continue
-        told = dict(own.values) if own else {}
-        longer = told.get("distance", 0.0) + abs(per[g] * layout.ratio[body]) * more
-        effect = Placed("presliding", body, {**told, "distance": max(longer, 0.0)})
+        own_values = dict(own.values) if own else {}
+        longer = own_values.get("distance", 0.0) + abs(per[g] * layout.ratio[body]) * more
+        effect = Placed("presliding", body, {**own_values, "distance": max(longer, 0.0)})
         model = model.with_effect(effect)
     return model
 

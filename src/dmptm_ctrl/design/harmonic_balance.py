@@ -194,10 +194,10 @@ class Balance:
             left.append(_less_friction(force, speed, self._pinion, self._reducer, n))
         left.append(_less_friction(load, ring, self._ring, self._bearing, n).times(1.0 / self._n2))
         out = np.concatenate([part.value for part in left]) / self._torque
-        slopes = np.vstack([part.slope for part in left]) / self._torque
+        jacobian = np.vstack([part.slope for part in left]) / self._torque
         phase = np.zeros(x.size)
         phase[n + 1] = 1.0
-        return np.append(out, x[n + 1]), np.vstack([slopes, phase])
+        return np.append(out, x[n + 1]), np.vstack([jacobian, phase])
 
     def guess(self, z: complex, omega: float, ring: Floats) -> Cycle:
         """Return a start: each z [rad] at its first harmonic, no mean; `ring` is packed."""
@@ -289,9 +289,9 @@ def _less_friction(force: _Dual, speed: _Dual, inertia: float, law: Stribeck, n:
     return force - _Dual(basis.analyse(kernel[0]), slope)
 
 
-def _newton(slopes: Floats, left: Floats) -> Floats:
+def _newton(jacobian: Floats, left: Floats) -> Floats:
     """Step that would take away what is left; infinite where the equations have none."""
     try:
-        return np.asarray(np.linalg.solve(slopes, left), float)
+        return np.asarray(np.linalg.solve(jacobian, left), float)
     except np.linalg.LinAlgError:
         return np.full(left.size, np.inf)

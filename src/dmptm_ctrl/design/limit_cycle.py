@@ -19,7 +19,7 @@ from dmptm_ctrl.simulate.model import Model
 RESOLVED_HZ = 700.0
 FEWEST, MOST = 15, 64  # harmonics
 # Harmonics are added in steps; a step that loses the cycle may be taken in another way.
-LADDERS = ((3, 7, 15, 31), (3, 5, 7, 11, 15, 21, 31, 45))
+GROWING = ((3, 7, 15, 31), (3, 5, 7, 11, 15, 21, 31, 45))
 OTHERWISE = (1.0, 0.8, 1.2, 0.7, 0.6)  # of the harmonics needed; where one grazes, another may not
 FEW = (1, 3)  # harmonics of the first search
 DEPTHS = (1.05, 1.3, 2.0, 4.0)  # amplitudes of z tried first, in half-gaps
@@ -65,7 +65,6 @@ def limit_cycles(
     *,
     preload: float = 0.0,
     sample_time: float = 1e-3,
-    harmonics: int | None = None,
     check: bool = True,
 ) -> list[LimitCycle]:
     """Return the limit cycles about rest, largest first: predicted, and as simulated.
@@ -83,14 +82,13 @@ def limit_cycles(
     ki : float [V/rad]
     preload : float [V]
     sample_time : float [s]
-    harmonics : int, optional
-        By default as many as the touch of a pinion needs at the frequency found.
     check : bool
         Whether to simulate.
 
     Returns
     -------
     list of LimitCycle
+        Predicted ``hz``, ``amplitude`` [rad/s], ``twist`` [rad]; ``simulated``, ``confirmed``.
 
     Raises
     ------
@@ -105,18 +103,16 @@ def limit_cycles(
     balance = Balance(model, kp, ki, sample_time, preload)
     cycles: list[Cycle] = []
     for start in _starts(balance):
-        cycle = _refined(balance, start, harmonics)
+        cycle = _refined(balance, start)
         if cycle is not None and not _known(cycle, cycles):
             cycles.append(cycle)
     found = [LimitCycle(*_numbers(c)) for c in cycles]
     if check:
-        found = _checked(balance, cycles, found, harmonics)
+        found = _checked(balance, cycles, found)
     return sorted(found, key=lambda c: -c.amplitude if np.isfinite(c.amplitude) else np.inf)
 
 
-def _checked(
-    balance: Balance, cycles: list[Cycle], found: list[LimitCycle], harmonics: int | None
-) -> list[LimitCycle]:
+def _checked(balance: Balance, cycles: list[Cycle], found: list[LimitCycle]) -> list[LimitCycle]:
     """Set the simulator beside the predictions; add what it has besides."""
     runs = run_cycles(balance, cycles)
     lasting = [run.numbers for run in runs if run.lasts]
@@ -128,21 +124,20 @@ def _checked(
     for run in runs:
         if not run.lasts or any(_near(run.numbers, c.simulated) for c in checked if c.confirmed):
             continue
-        seeded = _from_wave(balance, run, harmonics)
+        seeded = _from_wave(balance, run)
         checked = [c for c in checked if not (np.isnan(c.hz) and _near(run.numbers, c.simulated))]
         checked.append(seeded)
     return checked
 
 
-def _from_wave(balance: Balance, run: Run, harmonics: int | None) -> LimitCycle:
+def _from_wave(balance: Balance, run: Run) -> LimitCycle:
     """Balance a simulated wave; its numbers alone where that has no answer near."""
     best = LimitCycle(np.nan, np.nan, np.nan, run.numbers, seeded=True)
     start = wave_of(run, balance.sample_time)
     if start is None:
         return best
     for share in OTHERWISE:
-        most = harmonics or round(share * _enough(start))
-        cycle = balance.solve(start, most)
+        cycle = balance.solve(start, round(share * _enough(start)))
         if not _balanced(cycle) or not _moves(cycle):
             continue
         tried = LimitCycle(*_numbers(cycle), run.numbers, seeded=True)
@@ -170,12 +165,12 @@ def _known(cycle: Cycle, others: Iterable[Cycle]) -> bool:
     return any(np.allclose(numbers, _numbers(c), rtol=SAME) for c in others)
 
 
-def _refined(balance: Balance, start: Cycle, harmonics: int | None) -> Cycle | None:
+def _refined(balance: Balance, start: Cycle) -> Cycle | None:
     """Add harmonics to a solution; None where it gets lost on every way."""
-    for ladder in LADDERS:
+    for numbers in GROWING:
         cycle = start
-        for n in ladder:
-            if n >= (harmonics or _enough(cycle)):
+        for n in numbers:
+            if n >= _enough(cycle):
                 break
             cycle = balance.solve(cycle, n)
             if cycle.left > ROUGHLY or not _moves(cycle):
@@ -183,7 +178,7 @@ def _refined(balance: Balance, start: Cycle, harmonics: int | None) -> Cycle | N
         if cycle.left > ROUGHLY or not _moves(cycle):
             continue
         for share in OTHERWISE[:2]:
-            last = balance.solve(cycle, harmonics or round(share * _enough(cycle)))
+            last = balance.solve(cycle, round(share * _enough(cycle)))
             if _balanced(last) and _moves(last):
                 return last
     return None

@@ -53,7 +53,7 @@ def monte_carlo(
     effects: Sequence[AnyModel] = (),
     aims: Aims | None = None,
     seed: int = 0,
-    n_jobs: int | None = None,
+    jobs: int | None = None,
     folder: str | PathLike[str] | None = None,
 ) -> MonteCarlo:
     """Run a controller on many drawn plants.
@@ -64,15 +64,16 @@ def monte_carlo(
     controller : Controller
     count : int
     uncertainty : float
-        See :func:`~dmptm_ctrl.design.draws.draw_plants`.
+        Share of the declared ranges that plants are drawn from: 1 for a declared model, 0.25
+        for one fitted to logs.
     effects : sequence of Model
         Further models to draw around, in turn: the drive with one effect each, say.
     aims : Aims, optional
         Duty and noise.
     seed : int
-        Plant k is the same whatever `count`, `n_jobs` or the backend.
-    n_jobs : int, optional
-        joblib's, by default 1; under ``joblib.parallel_config(backend="dask")`` the same call
+        Plant k is the same whatever `count`, `jobs` or the backend.
+    jobs : int, optional
+        Processes, by default 1; under ``joblib.parallel_config(backend="dask")`` the same call
         runs on a cluster, and a worker that dies costs only the time of its chunks.
     folder : path, optional
         Keeps each finished chunk; the same call goes on where it stopped.
@@ -104,7 +105,7 @@ def monte_carlo(
     done = {task: np.load(file) for task, file in files.items() if file and file.exists()}
     missing = [task for task in tasks if task not in done]
     work = ((controller, models, task, uncertainty, aims, seed) for task in missing)
-    for task, result in zip(missing, each(_chunk, work, n_jobs), strict=True):
+    for task, result in zip(missing, each(_chunk, work, jobs), strict=True):
         done[task] = result
         if file := files[task]:
             part = file.with_suffix(".part.npy")
@@ -123,7 +124,7 @@ def _chunk(
     seed: int,
 ) -> tuple[Floats, Floats]:
     plants = [one_plant(models[k % len(models)], uncertainty, seed, k) for k in task]
-    return tracking(controller, plants, aims, seed=seed, n_jobs=1)
+    return tracking(controller, plants, aims, seed=seed, jobs=1)
 
 
 def _key(controller: Controller, models: list[AnyModel], aims: Aims, *numbers: float) -> str:

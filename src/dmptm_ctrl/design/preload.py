@@ -11,7 +11,6 @@ from scipy.special import expit
 from dmptm_ctrl.design.controller import Controller
 from dmptm_ctrl.design.duty import DEG, Duty, sine
 from dmptm_ctrl.drive import Drive, pinion_inertia
-from dmptm_ctrl.parallel import each
 from dmptm_ctrl.simulate.compiled import close_loop
 from dmptm_ctrl.simulate.dual import RING
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -70,7 +69,7 @@ def smallest_preload(model: Model, duty: Duty, theta_L: float = 0.0) -> float:
     ----------
     model : Model
     duty : Duty
-        A setpoint over time, such as ``dm.Aims().duty``.
+        A setpoint over time, such as ``dm.Aims().duty``; see there.
     theta_L : float [rad]
         Where it starts.
 
@@ -215,25 +214,21 @@ def boundary(
     model: Model,
     controller: Controller,
     accelerations: ArrayLike,
-    *,
-    hz: float = 1.0,
-    n_jobs: int | None = None,
 ) -> tuple[Floats, Floats]:
-    """Return the least preload [V] for sines of these peak accelerations [rad/s²], (n,).
+    """Return the least preload [V] for sines of 1 Hz, (n,) peak accelerations [rad/s²].
 
     Two answers, (n,) each: by the balance (:func:`smallest_preload`) and by bisection on the
     simulated loop, where a mesh must not open at any sample of the second period.
     """
     peaks = np.asarray(accelerations, float)
-    tasks = ((model, controller, float(peak), hz) for peak in peaks)
-    found = np.array(list(each(_least, tasks, n_jobs))).reshape(-1, 2)
+    found = np.array([_least(model, controller, float(peak)) for peak in peaks]).reshape(-1, 2)
     return found[:, 0], found[:, 1]
 
 
-def _least(model: Model, controller: Controller, peak: float, hz: float) -> tuple[float, float]:
+def _least(model: Model, controller: Controller, peak: float) -> tuple[float, float]:
     """Least preload for one sine, by the balance and by bisection."""
     dt = controller.sample_time
-    duty = Duty(sine(peak / (2.0 * np.pi * hz), hz, 2.0, dt), dt, settling=1.0 / hz)
+    duty = Duty(sine(peak / (2.0 * np.pi), 1.0, 2.0, dt), dt, settling=1.0)
     least = smallest_preload(model, duty)
     low, high = 0.0, 6.0 * least
     while high - low > 0.01 * least:

@@ -37,14 +37,14 @@ def rig_aims(
         limit = model.value(f"input.{source}.limit")
     if limit is None or (speed is None and not np.isfinite(limit)):
         raise ValueError(f"input {source} has no limit in the rig file; give the largest signal")
-    driven, told = layout.input_body[source], layout.sensor_body[seen]
-    reach = untwisted(plant, layout.coordinate[told])  # per motion of the sensor's group
-    turn = layout.ratio[driven] * reach[layout.coordinate[driven]] / layout.ratio[told]
+    driven, sensed = layout.input_body[source], layout.sensor_body[seen]
+    reach = untwisted(plant, layout.coordinate[sensed])  # per motion of the sensor's group
+    turn = layout.ratio[driven] * reach[layout.coordinate[driven]] / layout.ratio[sensed]
     torque = turn * float(plant.input_values[layout.inputs.index(source), 0])  # per signal
     if not torque > 0.0:
         raise ValueError(f"a positive signal of {source} moves {seen} backwards; declare a ratio "
                          "or gain of the other sign, and sign = -1 for the column")  # fmt: skip
-    moved = reach / layout.ratio[told]
+    moved = reach / layout.ratio[sensed]
     inertia = float(moved**2 @ plant.inertia)
     viscous = float(moved**2 @ link_matrices(plant)[3])
     if speed is None:

@@ -43,7 +43,7 @@ def tune_file(
             drive = drive if refine is None else refine(drive)
             aims = Aims(limit=limit or Aims().limit, duty=usual_duty(sample_time, speed or FASTEST))
         tuned = tune_controller(
-            drive, aims, uncertainty=uncertainty, plants=plants, seed=seed, n_jobs=jobs,
+            drive, aims, uncertainty=uncertainty, plants=plants, seed=seed, jobs=jobs,
             input=input, sensor=sensor,
         )  # fmt: skip
     except LogError:

@@ -34,7 +34,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel
 SEARCHED = 16  # plants in the search; the result is judged on many more
 RESERVE = 1.6  # gain up to which no drawn plant may start to hammer: 4 dB on the nonlinear drive
 TOLERATED = 1.5  # error at that gain, over the error at the gain itself
-# of the distance over which friction may build up unseen
+# of the distance over which friction may build up hidden
 START_DISTANCE = 0.28  # taken at first
 DISTANCES = (0.14, 0.42, 0.56, 0.7)  # tried besides
 # points of the predicted gain over the measured one, of a dual-motor drive and of a rig file;
@@ -124,6 +124,8 @@ class Tuned:
             )
         return "\n".join(lines)
 
+    __str__ = summary
+
     def to_dict(self) -> dict[str, Any]:
         """Return the content of tuning.json: plain types."""
         return {
@@ -157,7 +159,7 @@ def tune_controller(
     uncertainty: float = DECLARED,
     plants: int = 1000,
     seed: int = 0,
-    n_jobs: int = -1,
+    jobs: int = -1,
     input: str = "",
     sensor: str = "",
 ) -> Tuned:
@@ -165,9 +167,8 @@ def tune_controller(
 
     The start is the fastest PI that keeps the margins on the linearised model; then
     bandwidth, share of friction, preload and lead are searched on the nonlinear model, for
-    the 0.9 quantile of the tracking error over drawn plants, on condition that at
-    :data:`RESERVE` times the gain the worst of them is not much worse. No step of the search
-    leaves the margins.
+    the 0.9 quantile of the tracking error over drawn plants, on condition that at 1.6 times
+    the gain the worst of them is not much worse. No step of the search leaves the margins.
 
     Parameters
     ----------
@@ -176,13 +177,13 @@ def tune_controller(
     aims : Aims, optional
         Of a rig by default :func:`~dmptm_ctrl.design.rig_aims.rig_aims`.
     uncertainty : float
-        See :func:`~dmptm_ctrl.design.draws.draw_plants`: 1 for a declared model,
-        :data:`~dmptm_ctrl.design.draws.FITTED` for one fitted to logs.
+        Share of the declared ranges that plants are drawn from: 1 for a declared model, 0.25
+        for one fitted to logs.
     plants : int
         Drawn to judge the result.
     seed : int
-    n_jobs : int
-        Threads, or tasks on any joblib backend.
+    jobs : int
+        Threads, −1 for one per core; or tasks on any joblib backend.
     input, sensor : str
         Of a rig: the motor, and the sensor whose speed is controlled; by default those of its
         declared loop, else the first input and the first sensor of speed.
@@ -190,7 +191,8 @@ def tune_controller(
     Returns
     -------
     Tuned
-        The controller, the linear start, and each stage with its errors [deg/s].
+        ``controller``, ``summary()``; ``linear``, the start; ``stages`` with their errors [deg/s];
+        ``gains`` and ``parts``, what the compensation takes off.
 
     Raises
     ------
@@ -210,12 +212,12 @@ def tune_controller(
         aims = aims or Aims()
         plant = linear_plant(level(model))
     start = fastest_pi(plant, **aims.linear())
-    search = _Search(model, aims, plant, start, uncertainty, seed, n_jobs, (input, sensor))
+    search = _Search(model, aims, plant, start, uncertainty, seed, jobs, (input, sensor))
     judged = draw_plants(model, plants, uncertainty=uncertainty, seed=seed + 1)
     stages: list[dict[str, Any]] = []
     errors = np.empty(0)
     for name, controller in search.stages():
-        errors, volts = tracking(controller, judged, aims, seed=seed + 2, n_jobs=n_jobs)
+        errors, volts = tracking(controller, judged, aims, seed=seed + 2, jobs=jobs)
         stages.append(
             {
                 "stage": name,
@@ -232,7 +234,7 @@ def tune_controller(
     except ArithmeticError:
         reference = None
     best = stages[-1]["controller"]
-    parts = predicted_parts(best, judged[:SEARCHED], aims, seed=seed + 2, n_jobs=n_jobs)
+    parts = predicted_parts(best, judged[:SEARCHED], aims, seed=seed + 2, jobs=jobs)
     return Tuned(best, start, reference, stages, errors, aims, parts)
 
 
@@ -284,7 +286,7 @@ class _Search:
     start: PiTuning
     uncertainty: float
     seed: int
-    n_jobs: int
+    jobs: int
     parts: tuple[str, str]  # input and sensor of a rig
 
     def stages(self) -> list[tuple[str, Controller]]:
@@ -319,8 +321,8 @@ class _Search:
         best, least = self.cheapest(grid)
         if self.aims.notch:
             best, least = self.cheapest(self.notched(best), best, least)
-            unseen = hidden_distance(self.model)
-            grid = [replace(best, distance=d * unseen) for d in DISTANCES]
+            hidden = hidden_distance(self.model)
+            grid = [replace(best, distance=d * hidden) for d in DISTANCES]
             best, least = self.cheapest(grid, best, least)
 
         # of _STEPS, what does something
@@ -328,7 +330,7 @@ class _Search:
         own += [2, 3] if begin.friction > 0.0 else []
         if not own:
             return best
-        tick, unseen = begin.sample_time, hidden_distance(self.model)
+        tick, hidden = begin.sample_time, hidden_distance(self.model)
 
         def near(moved: Floats) -> Controller:
             x = np.zeros(len(_STEPS))
@@ -338,7 +340,7 @@ class _Search:
                 friction=float(np.clip(best.friction + x[0], 0.0, 1.5)),
                 preload=best.preload * float(np.clip(1.0 + x[1], 0.7, 1.4)),
                 lead=max(best.lead + tick * x[2], 0.0),
-                distance=max(best.distance + unseen * x[3], 0.0),
+                distance=max(best.distance + hidden * x[3], 0.0),
             )
 
         corners = np.vstack([np.zeros(len(own)), np.diag(np.array(_STEPS)[own])])
@@ -379,7 +381,7 @@ class _Search:
 
     def errors(self, tried: Controller) -> Floats:
         """Return the error on each of them [deg/s], (plants,)."""
-        return tracking(tried, self.drawn, self.aims, seed=self.seed, n_jobs=self.n_jobs)[0]
+        return tracking(tried, self.drawn, self.aims, seed=self.seed, jobs=self.jobs)[0]
 
     def cost(self, tried: Controller) -> float:
         """Return the error that most drawn plants stay below, and a price of hammering [deg/s]."""

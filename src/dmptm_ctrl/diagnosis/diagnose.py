@@ -31,7 +31,7 @@ from dmptm_ctrl.diagnosis.unknown import unexplained
 from dmptm_ctrl.drive import Drive
 from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.identify.fit import Fit
-from dmptm_ctrl.parallel import crew, small_matrices
+from dmptm_ctrl.parallel import small_matrices, thread_pool
 from dmptm_ctrl.signals import Campaign, LogError
 from dmptm_ctrl.simulate.model import Model
 
@@ -46,7 +46,7 @@ def diagnose_dual(
     [rad] where there are motor encoders.
     """
     start = time.perf_counter()
-    with crew(jobs):
+    with thread_pool(jobs):
         campaign, notes = screen(logs, declared)
         measured = measure(tuple(campaign), declared)
         sensors = cross_check((*measured.fit, *measured.held))

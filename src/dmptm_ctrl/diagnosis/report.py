@@ -243,7 +243,8 @@ class Diagnosis:
         for kind in ("speed", "torque", "horizon"):
             if kind in after:
                 one, two = before[kind], after[kind]
-                text = f"{kind} error on {self.error['on']}: {one['rmse']:.3g} → {two['rmse']:.3g} "
+                said = "short-prediction" if kind == "horizon" else kind
+                text = f"{said} error on {self.error['on']}: {one['rmse']:.3g} → {two['rmse']:.3g} "
                 text += two["unit"]
                 if "fit_percent" in two:
                     text += f" (fit {one['fit_percent']:.1f} → {two['fit_percent']:.1f} %"
@@ -272,6 +273,8 @@ class Diagnosis:
         lines += correlation_lines(self.correlations)
         lines += [f"warning: {text}" for text in self.warnings]
         return "\n".join(lines)
+
+    __str__ = summary
 
     def overlays(self) -> "Sequence[Overlay]":
         """Measured, before and after on each held-out log: `plots.diagnosis.Overlay`."""

@@ -35,6 +35,10 @@ class Modes:
     kinds: tuple[str, ...]
     damping_ratios: Floats  # (n,) ζ of the damped modes, nearest in frequency; 0 of the rigid one
 
+    def __str__(self) -> str:
+        each = zip(self.hz, self.kinds, self.damping_ratios, strict=True)
+        return "\n".join(f"{hz:8.4g} Hz  {kind}, damping ratio {z:.3g}" for hz, kind, z in each)
+
     @property
     def hz(self) -> Floats:
         """Frequencies [Hz]."""

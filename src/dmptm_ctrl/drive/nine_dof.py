@@ -152,7 +152,9 @@ def nine_dof_ss(
         torques [N·m] ``T01_l`` at the motor, ``T12_l`` at the driven wheel, ``T23_l`` in the
         output shaft, ``tau_l`` at the pinion, and the same with r.
     **overrides : float
-        See :func:`nine_dof_parameters`.
+        What the paper does not print, SI: stiffnesses ``K_01``, ``K_23`` of the shafts, ``K_12``
+        of the first gear [N/m]; inertias ``J_1``, ``J_3``; radii ``R_2``, ``R_3``; dampings.
+        :func:`nine_dof_parameters` lists all.
 
     Returns
     -------
@@ -169,7 +171,7 @@ def nine_dof_ss(
 
     Examples
     --------
-    >>> dm.nine_dof(dm.paper_drive(), K_12=2e4).nstates  # a softer first gear
+    >>> dm.nine_dof(dm.paper_drive(), K_12=5e7).nstates  # a softer first gear
     17
     """
     train = nine_dof_train(drive, **overrides)

@@ -12,8 +12,6 @@ from math import inf, isfinite, pi
 from types import MappingProxyType
 from typing import SupportsFloat
 
-from dmptm_ctrl.drive.errata import ERRATA
-
 ARCMIN = pi / (180 * 60)  # rad
 DEG = pi / 180  # rad
 
@@ -204,8 +202,8 @@ def paper_drive(*, as_printed: bool = False) -> Drive:
 
     Source
     ------
-    Tables 1 and 2; corrections in :data:`ERRATA`. `c_f` is "an adjustable parameter"
-    (section 4.2.2) without a printed value: ours, a small fraction of c.
+    Tables 1 and 2; corrections in docs/errata.md. `c_f` is "an adjustable parameter" (section
+    4.2.2) without a printed value: ours, a small fraction of c.
 
     Examples
     --------
@@ -230,14 +228,16 @@ def paper_drive(*, as_printed: bool = False) -> Drive:
         "c": Quantity(1.0, "N·m·s/rad", 0.0, t1)
         if as_printed
         else Quantity(
-            3.0, "N·m·s/rad", 0.0, f"{t1} prints 1; {ERRATA['c'].proof}", low=1.0, high=10.0
+            3.0, "N·m·s/rad", 0.0, t1 + " prints 1, see docs/errata.md", low=1.0, high=10.0
         ),
         "c_f": Quantity(0.05, "N·m·s/rad", 0.0, "ours", low=0.0, high=0.5),
         "gap_l": Quantity(14 * ARCMIN, "rad", _FRICTION_TOL, t1),
         "gap_r": Quantity(10 * ARCMIN, "rad", _FRICTION_TOL, t1),
-        **_friction("3", "LSPRs", reducer_plus, (2.0, 1.8, 2.0, 0.008)),
-        **_friction("L", "LRG", (23.0, 20.0, 1.0, 1.2), (20.0, 17.0, 1.0, 1.0)),
+        **_friction("3", "pinion with reducer", reducer_plus, (2.0, 1.8, 2.0, 0.008)),
+        **_friction("L", "ring gear", (23.0, 20.0, 1.0, 1.2), (20.0, 17.0, 1.0, 1.0)),
     }
+    for name in () if as_printed else ("T3s_plus", "T3c_plus"):
+        q[name] = replace(q[name], source="Table 2 has the two swapped, see docs/errata.md")
     return Drive(q, "paper as printed" if as_printed else "paper")
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmptm_ctrl.drive.parameters import physical
-from dmptm_ctrl.drive.space import StateSpace
+from dmptm_ctrl.drive.state_space import StateSpace
 
 Floats = NDArray[np.float64]
 

@@ -75,10 +75,10 @@ def export_file(
     """
     source, out = Path(source), Path(out)
     if target not in TARGETS:
-        raise LogError(f"--to {target}: no such target; there are {', '.join(TARGETS)}")
+        raise LogError(f"no target {target!r}; there are {', '.join(TARGETS)}")
     _check_numbers(real, sample_time)
     if name is not None and (not _WORD.fullmatch(name) or name.lower() in RESERVED):
-        raise LogError(f"--name {name}: must be a new word of letters, digits and _, 31 at most")
+        raise LogError(f"name {name!r}: must be a new word of letters, digits and _, 31 at most")
     model = _read(source)
     if isinstance(model, Controller):
         if sample_time is not None:
@@ -115,7 +115,7 @@ def export_experiment(
     files that cannot be used, or limits that cannot be kept.
     """
     if target not in OF_EXPERIMENT:
-        raise LogError(f"--to {target}: an experiment goes to {', '.join(OF_EXPERIMENT)}")
+        raise LogError(f"no target {target!r}; an experiment goes to {', '.join(OF_EXPERIMENT)}")
     _check_numbers(real, sample_time)
     plant = None if model is None else _read(model)
     if isinstance(plant, Controller):
@@ -133,9 +133,9 @@ def export_experiment(
 
 def _check_numbers(real: str, sample_time: float | None) -> None:
     if real not in REALS:
-        raise LogError(f"--real {real}: no such type; there are {', '.join(REALS)}")
+        raise LogError(f"no number type {real!r}; there are {', '.join(REALS)}")
     if sample_time is not None and not 0.0 < sample_time < 1.0:
-        raise LogError(f"--sample-time {sample_time:g}: must lie between 0 and 1 s")
+        raise LogError(f"sample time {sample_time:g} s: must lie between 0 and 1 s")
 
 
 def _read(source: Path) -> Any:

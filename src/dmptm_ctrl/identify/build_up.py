@@ -28,7 +28,7 @@ DISTANCES = np.arange(0.0, 65e-6, 4e-6)
 SHARES = (0.0, 0.125, 0.25, 0.5, 1.0, 2.0)  # tried of each distance that a diagnosis gives
 
 
-def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> float:
+def friction_distance(model: Model, logs: Sequence[Log], *, jobs: int = 1) -> float:
     """Return the distance at the ring gear [rad] over which friction builds up.
 
     The one with the smallest misfit of the free runs, by a parabola through the three best
@@ -37,9 +37,7 @@ def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> 
     """
     if PRESLIDING.name in model.effects:
         raise ValueError("the model has presliding; its distances are known")
-    costs = _missed(
-        [slow_friction(model, d) if d > 0.0 else model for d in DISTANCES], logs, n_jobs
-    )
+    costs = _missed([slow_friction(model, d) if d > 0.0 else model for d in DISTANCES], logs, jobs)
     k = int(np.argmin(costs))
     if k in (0, DISTANCES.size - 1):
         return float(DISTANCES[k])
@@ -48,14 +46,14 @@ def friction_distance(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> 
     return float(DISTANCES[k] + shift * (DISTANCES[1] - DISTANCES[0]))
 
 
-def with_build_up(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> Model:
+def with_build_up(model: Model, logs: Sequence[Log], *, jobs: int = 1) -> Model:
     """Return the model with the distances that its logs' free runs tell, as presliding; 0 is none.
 
     A balance of torques hardly tells which body's friction builds up late. So of presliding that
     a model has, both distances are tried at :data:`SHARES` of themselves, each with each.
     """
     if PRESLIDING.name not in model.effects:
-        distance = friction_distance(model, logs, n_jobs=n_jobs)
+        distance = friction_distance(model, logs, jobs=jobs)
         return cast(Model, slow_friction(model, distance))
     told = model.effects[PRESLIDING.name]
     names = ("reducer_distance", "ring_distance")
@@ -66,15 +64,15 @@ def with_build_up(model: Model, logs: Sequence[Log], *, n_jobs: int = 1) -> Mode
         )
         for shares in product(SHARES, repeat=2)
     ]
-    return tried[int(np.argmin(_missed(tried, logs, n_jobs)))]
+    return tried[int(np.argmin(_missed(tried, logs, jobs)))]
 
 
-def _missed(models: Sequence[Model], logs: Sequence[Log], n_jobs: int) -> Floats:
+def _missed(models: Sequence[Model], logs: Sequence[Log], jobs: int) -> Floats:
     """What runs of each model miss of the speed, as twice a negative log-likelihood.
 
     They are free but for a slow lead by the angle, that impacts do not part them for good.
     """
     leds = [Led(rec, LEAD_HZ, SUBSTEPS) for rec in records(logs, models[0].drive)]
-    rows = in_threads(lambda one: one.missing_of(models), leds, n_jobs, lambda one: one.count)
+    rows = in_threads(lambda one: one.missing_of(models), leds, jobs, lambda one: one.count)
     kinds = ["led"] * len(leds)
     return np.array([surprise([row[k] for row in rows], kinds) for k in range(len(models))])

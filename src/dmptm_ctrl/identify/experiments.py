@@ -63,7 +63,7 @@ def twists(log: Log, drive: Drive) -> Floats:
     return motors / drive["N_1"] - drive["N_2"] * log["theta_L"]
 
 
-def steady_stretches(logs: Iterable[Log], drive: Drive) -> Iterator[Steady]:
+def steady_stretches(drive: Drive, logs: Iterable[Log]) -> Iterator[Steady]:
     """Yield the means over each stretch of constant, non-zero setpoint.
 
     Parameters

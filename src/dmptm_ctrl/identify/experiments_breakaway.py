@@ -21,15 +21,15 @@ from dmptm_ctrl.simulate.model import Floats
 SEEN = 2.5  # counts; one and two can be rounding of a body that gives elastically
 
 
-def reducer_breakaway(logs: Iterable[Log], drive: Drive) -> dict[str, Estimate]:
+def reducer_breakaway(drive: Drive, logs: Iterable[Log]) -> dict[str, Estimate]:
     """Measure T3s from ramps that start with both pinions in their gaps.
 
     Parameters
     ----------
-    logs : iterable of Log
-        Ramps of the common voltage, up or down, with motor angles.
     drive : Drive
         K_d, K_M, N1 and the inertia J̄3 (a rough one will do) are used.
+    logs : iterable of Log
+        Ramps of the common voltage, up or down, with motor angles.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def reducer_breakaway(logs: Iterable[Log], drive: Drive) -> dict[str, Estimate]:
 
 
 def ring_breakaway(
-    logs: Iterable[Log], drive: Drive, reducers: dict[str, Estimate]
+    drive: Drive, logs: Iterable[Log], reducers: dict[str, Estimate]
 ) -> dict[str, Estimate]:
     """Measure TLs from ramps that start with both pinions on the flanks they push.
 

@@ -41,15 +41,15 @@ class _Flight(NamedTuple):
     speed: float  # rad/s, at its start, roughly
 
 
-def gap_damping(log: Log, drive: Drive, known: Mapping[str, Estimate]) -> dict[str, Estimate]:
+def gap_damping(drive: Drive, log: Log, known: Mapping[str, Estimate]) -> dict[str, Estimate]:
     """Fit c_f to a log of pinions pushed from flank to flank.
 
     Parameters
     ----------
-    log : Log
-        Voltages switched between constant levels, several levels; motor and ring-gear angles.
     drive : Drive
         Start value of c_f, and all that is not in `known`.
+    log : Log
+        Voltages switched between constant levels, several levels; motor and ring-gear angles.
     known : mapping of str to Estimate
         What other experiments found; J_2 and the T3…, W3…, B3… are used.
 

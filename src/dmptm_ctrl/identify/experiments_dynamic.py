@@ -44,18 +44,18 @@ class _Lines:
 
 
 def shaken_turns(
-    logs: Iterable[Log], drive: Drive, *, period: float, lines: Sequence[float]
+    drive: Drive, logs: Iterable[Log], *, period: float, lines: Sequence[float]
 ) -> dict[str, Estimate]:
     """Fit J_2, J_L, k_m, c and the slopes of friction to turns shaken by multisines.
 
     Parameters
     ----------
-    logs : iterable of Log
-        Open loop, preloaded, turning one way, whole periods in steady state, with motor and
-        ring-gear angles. Common and differential shaking together tell all parameters.
     drive : Drive
         Start values; K_d, K_M, N1, N2 and J_m are taken as exact. What is found as J_2 is
         J̄3 − N1² Jm: no experiment on the whole drive splits J̄3.
+    logs : iterable of Log
+        Open loop, preloaded, turning one way, whole periods in steady state, with motor and
+        ring-gear angles. Common and differential shaking together tell all parameters.
     period : float [s]
         Of the multisine.
     lines : sequence of float [Hz]

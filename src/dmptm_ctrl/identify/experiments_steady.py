@@ -70,20 +70,22 @@ class SteadyResult:
     ring: FrictionPoints
 
 
-def constant_speed(logs: Iterable[Log], drive: Drive) -> SteadyResult:
+def constant_speed(drive: Drive, logs: Iterable[Log]) -> SteadyResult:
     """Measure half-gaps, mesh stiffness and both friction curves.
 
     Parameters
     ----------
+    drive : Drive
+        K_d, K_M, N1, N2 are used, nothing else.
     logs : iterable of Log
         Constant speeds (setpoint ``ref``) forward and backward, under preloads of both
         signs and two sizes, with motor angles. Angles of motors and ring gear share one zero.
-    drive : Drive
-        K_d, K_M, N1, N2 are used, nothing else.
 
     Returns
     -------
     SteadyResult
+        ``estimates`` of gap_l, gap_r [rad] and k_m [N·m/rad]; friction over speed of ``reducer``
+        and ``ring``.
 
     Raises
     ------
@@ -92,10 +94,10 @@ def constant_speed(logs: Iterable[Log], drive: Drive) -> SteadyResult:
 
     Examples
     --------
-    >>> found = dm.constant_speed(dm.load_logs("turns"), dm.paper_drive())
+    >>> found = dm.constant_speed(dm.paper_drive(), dm.load_logs("turns"))
     >>> print(found.estimates["gap_l"])
     """
-    runs = list(steady_stretches(logs, drive))
+    runs = list(steady_stretches(drive, logs))
     pull = drive["N_1"] * drive["K_d"] * drive["K_M"]
     speeds = sorted({r.nominal for r in runs})
     _refuse_open(runs)

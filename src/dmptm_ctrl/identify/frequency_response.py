@@ -78,7 +78,6 @@ def stepped_sine(
     output: str = "omega_L",
     periods: int = 6,
     sample_time: float = 1e-3,
-    name: str | None = None,
 ) -> FrequencyResponse:
     """Measure a response with sines of one amplitude.
 
@@ -96,16 +95,15 @@ def stepped_sine(
     preload : float [V]
         On the left motor, and its negative on the right one (open loop).
     output : str
-        Of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`.
+        As of :func:`~dmptm_ctrl.simulate.simulate`: ``omega_L``, ``theta_ml``, ``torque_l``, …
     periods : int
         Whole periods that are evaluated, after two seconds and two periods to settle.
     sample_time : float [s]
-    name : str, optional
-        Of the system in plots.
 
     Returns
     -------
     FrequencyResponse
+        ``response`` as FrequencyResponseData, ``coherence``, ``hz`` and ``values``.
 
     Raises
     ------
@@ -132,7 +130,7 @@ def stepped_sine(
         values.append(line / (amplitude / 1j))
         coherence.append(min(0.5 * abs(line) ** 2 / power, 1.0) if power > 0.0 else 0.0)
     labels = ("u" if loop is None else "ref", output)
-    return _pack(omega, values, coherence, labels, name or f"stepped_sine_{amplitude:g}")
+    return _pack(omega, values, coherence, labels, f"stepped_sine_{amplitude:g}")
 
 
 def multisine(
@@ -148,7 +146,6 @@ def multisine(
     realisations: int = 8,
     seed: int = 0,
     sample_time: float = 1e-3,
-    name: str | None = None,
 ) -> FrequencyResponse:
     """Measure a response with random-phase multisines.
 
@@ -163,7 +160,7 @@ def multisine(
     realisations : int
         Draws of the phases; the coherence needs at least 2.
     seed : int
-    model, loop, offset, preload, output, sample_time, name
+    model, loop, offset, preload, output, sample_time
         As in :func:`stepped_sine`.
 
     Returns
@@ -201,7 +198,7 @@ def multisine(
     cross, power, coherence = _average(np.array(inputs), np.array(outputs))
     omega = 2.0 * pi * bins / period
     labels = ("u" if loop is None else "ref", output)
-    return _pack(omega, cross / power, coherence, labels, name or f"multisine_{rms:g}_rms")
+    return _pack(omega, cross / power, coherence, labels, f"multisine_{rms:g}_rms")
 
 
 def from_log(
@@ -260,6 +257,8 @@ def from_log(
     >>> found = dm.response_from_log(log, ("u_left", "u_right"), "omega_L")
     """
     names = (input,) if isinstance(input, str) else tuple(input)
+    if not names:
+        raise ValueError("no input; give a channel of the log, or several")
     u, y, dt = np.mean([log[n] for n in names], axis=0), log[output], log.sample_time
     x = _excitation(log, names, output, u)
     if np.ptp(x) == 0.0:
@@ -295,7 +294,7 @@ def from_log(
     if not keep.any():
         raise ValueError(f"{log.name}: no line from {'+'.join(names)} to {output} is left")
     values = cross[keep] / through[keep]
-    label = "+".join(names)
+    label = names[0] if len(names) == 1 else f"mean({', '.join(names)})"
     return _pack(2.0 * pi * f[keep], values, coherence[keep], (label, output), log.name)
 
 
@@ -409,6 +408,8 @@ def _column(output: str) -> int:
 
 def _samples_per_period(hz: ArrayLike, dt: float) -> NDArray[np.int_]:
     f = np.atleast_1d(np.asarray(hz, float))
+    if f.size == 0:
+        raise ValueError("no frequencies; give at least one [Hz]")
     top = 1.0 / (MIN_SAMPLES * dt)
     bad = f[~((f > 0.0) & (f <= top))]
     if bad.size:

@@ -7,21 +7,19 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
-from dmptm_ctrl.plots.style import axes
+from dmptm_ctrl.plots.page import words
+from dmptm_ctrl.plots.style import STYLES, axes
 
 _LINES = (
-    {"color": "0.65", "linestyle": "-", "linewidth": 2.5},
+    STYLES["measured"],
     {"color": "0.55", "linestyle": "--", "linewidth": 1.6},
     {"color": "#c77f1a", "linestyle": ":", "linewidth": 1.8},
-    {"color": "#3a8f5c", "linestyle": "-.", "linewidth": 1.4},
-    {"color": "#d1495b", "linestyle": "--", "linewidth": 1.4},
-    {"color": "#0b3c6f", "linestyle": "-", "linewidth": 1.8},
+    STYLES["other"],
+    STYLES["existing"],
+    {**STYLES["proposed"], "linewidth": 1.8},
 )
 _MARKERS = ("o", "s", "^", "v", "D", "x")
-_PAIR = (
-    {"color": "#0b3c6f", "linestyle": "-", "linewidth": 1.4},
-    {"color": "#d1495b", "linestyle": "--", "linewidth": 1.2},
-)
+_PAIR = (STYLES["proposed"], STYLES["existing"])
 
 
 def plot_tuning(tuned: Any, *, ax: Axes | None = None) -> Axes:
@@ -55,19 +53,19 @@ def plot_impact(found: Any, *, ax: Any = None) -> np.ndarray:
     worst = max(np.abs((v - ref)[judged]).max() for v in speeds.values())
     panels[1].set(ylim=(-1.15 * worst, 1.15 * worst))
     for (name, rows), style in zip(found.gains.items(), _PAIR, strict=True):
-        for row, marker, size in zip(rows, ("o", "s"), ("small", "large"), strict=True):
+        fills = {"small": "white", "large": style["color"]}
+        for row, (size, fill) in zip(rows, fills.items(), strict=True):
             decibels = 20.0 * np.log10(np.where(row > 0.0, row, np.nan))  # what rests has no gain
-            options = {**style, "marker": marker, "markersize": 3.5, "label": f"{name}, {size}"}
-            panels[2].semilogx(found.sweep_hz, decibels, **options)
+            look = {**style, "marker": "o", "markersize": 4, "markerfacecolor": fill}
+            panels[2].semilogx(found.sweep_hz, decibels, label=f"{name}, {size}", **look)
     panels[2].axhline(-3.01, color="0.4", linewidth=0.8, linestyle=":")
     panels[0].set(ylabel=f"speed [{unit}]")
-    panels[0].set_title(", ".join(found.effects), loc="left")
+    panels[0].set_title(", ".join(map(words, found.effects)), loc="left")
     panels[1].set(ylabel=f"speed − setpoint [{unit}]", xlabel="time [s]")
     panels[2].set(ylabel="closed-loop gain [dB]", xlabel="frequency [Hz]")
     above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "frameon": False}
-    for panel in panels[:2]:  # a sine fills them
-        panel.legend(fontsize=8, ncols=3, borderaxespad=0.2, **above)
-    panels[2].legend(fontsize=8, loc="lower right", ncols=2)  # gains fall from the left
+    for panel in panels:  # the curves fill them
+        panel.legend(fontsize=8, ncols=4, borderaxespad=0.2, **above)
     return panels
 
 

@@ -157,7 +157,7 @@ def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
         panel.axhline(0.0, color="0.65", linewidth=0.8)
         names = dict(zip(DIRECTIONS, evidence.ways, strict=True))
         for direction, curve in curves.items():
-            x, mean, se = apart(curve)
+            x, mean, se = with_breaks(curve)
             look = {"linewidth": 1.0, "elinewidth": 0.8, "capsize": 1.5, **DIRECTIONS[direction]}
             panel.errorbar(x, mean, 2.0 * se, label=names[direction], **look)
         panel.set_title(title, fontsize=10)
@@ -171,7 +171,7 @@ def plot_evidence(diagnosis: Any, *, ax: Any = None) -> np.ndarray:
     return panels
 
 
-def apart(curve: Curve) -> tuple[Floats, Floats, Floats]:
+def with_breaks(curve: Curve) -> tuple[Floats, Floats, Floats]:
     """Points of a curve with NaN where bins between two of them are empty: no line is drawn."""
     steps = np.diff(curve.x)
     if steps.size == 0:

@@ -58,5 +58,6 @@ def plot_rig(rig: Rig, *, ax: Any = None) -> Axes:
     panel.set_ylim(-high + STEP[1] - 0.8, HEIGHT + 0.7)
     panel.set_aspect("equal")
     panel.set_axis_off()
-    panel.set_title(rig.name)
+    legend = "thick line: rigid; dashed: with a gap; ← input; → sensor"
+    panel.set_title(f"{rig.name}\n{legend}", fontsize=9)
     return panel

@@ -1,7 +1,6 @@
 """Linear models in one picture: ``dmptm bode`` and ``dmptm step``."""
 
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +12,22 @@ from matplotlib.figure import Figure
 from dmptm_ctrl.control import common_mode
 from dmptm_ctrl.design.linear import linear_plant
 from dmptm_ctrl.drive import Drive, baseline_drive, nine_dof_ss, paper_drive, three_dof_ss
-from dmptm_ctrl.drive.space import step_info
+from dmptm_ctrl.drive.rig import Rig
+from dmptm_ctrl.drive.state_space import step_info
 from dmptm_ctrl.plots.linear import bode_compare, step_compare
+from dmptm_ctrl.plots.style import axes
 from dmptm_ctrl.reproduce.items import figure_of
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.any_model import inputs_of
 from dmptm_ctrl.simulate.linear import linearize
 from dmptm_ctrl.simulate.model import Model
-from dmptm_ctrl.simulate.model_file import read_model
+from dmptm_ctrl.simulate.model_file import input_symbol, read_model
 
 UNDAMPED = 1e-9  # damping ratio that is rounding
-OVER = " over "  # between output and input of another rig
-MOTORS = "one voltage on both motors"
+MOTORS, SPEED = "one voltage on both motors", "speed of the ring gear"
 # column -> what python-control calls it
 STEP = {
-    "steady": "SteadyStateValue",
+    "steady [SI]": "SteadyStateValue",
     "rise [s]": "RiseTime",
     "settling [s]": "SettlingTime",
     "overshoot [%]": "Overshoot",
@@ -54,12 +54,12 @@ def linear_models(
         except (KeyError, ValueError) as error:
             raise LogError(f"{file.name}: {error.args[0]}") from None
     models: dict[str, ct.StateSpace] = {}
-    build: list[tuple[str, Callable[[], ct.StateSpace]]] = [
-        ("9-DOF", lambda: nine_dof_ss(drive)),
-        ("3-DOF", lambda: three_dof_ss(drive)),
-        ("baseline", lambda: three_dof_ss(baseline_drive(drive))),
-    ]
-    for label, make in build:
+    build = {
+        "9-DOF": lambda: nine_dof_ss(drive),
+        "3-DOF": lambda: three_dof_ss(drive),
+        "baseline": lambda: three_dof_ss(baseline_drive(drive)),
+    }
+    for label, make in build.items():
         try:
             models[label] = common_mode(make())
         except ValueError as error:  # our 9-DOF defaults do not fit every drive
@@ -73,20 +73,35 @@ def _own(
     """Return the dual-motor drive of a file, or the paper's; and its own linear model."""
     model = read_model(file)
     if isinstance(model, Model):
+        if input or output:
+            raise LogError(
+                f"{file.name}: a dual-motor drive is drawn from {MOTORS} to the {SPEED}; "
+                "leave --input, --output out"
+            )
         return model.drive, {f"{file.stem}, linearised": common_mode(linear_plant(model))}
-    inputs = inputs_of(model)
-    source, seen = input or inputs[0], output or model.rig.speed_sensor.name
+    rig, inputs = model.rig, inputs_of(model)
+    source, seen = input or inputs[0], output or rig.speed_sensor.name
     if source not in inputs:
         raise LogError(f"{file.name}: no input {source!r}; it has {', '.join(inputs)}")
     plant = linearize(model, outputs=[seen])
-    return paper_drive(), {f"{model.rig.name}: {seen}{OVER}{source}": plant[seen, source]}
+    units = f"{_unit(rig, seen)} per {input_symbol(rig, source)}"
+    return paper_drive(), {f"{rig.name}: {seen} over {source} [{units}]": plant[seen, source]}
 
 
-def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Figure, pd.DataFrame]:
+def _unit(rig: Rig, output: str) -> str:
+    """SI unit of a sensor; of another output it is left open."""
+    for sensor in rig.sensors:
+        if sensor.name == output:
+            angle = rig.body(sensor.body).angle_unit
+            return angle if sensor.measures == "position" else f"{angle}/s"
+    return "SI"
+
+
+def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Figure, str]:
     """Return a Bode plot over a band [Hz], and python-control's numbers of each model."""
-    title = (
-        "Linear models [SI]" if _mixed(models) else f"{MOTORS}, speed of the ring gear [(rad/s)/V]"
-    )
+    title = f"{MOTORS}, {SPEED} [rad/s per V]"
+    if _of_another_shape(models):
+        title = f"{SPEED} [rad/s per V], and a drive of your own"
     plot = bode_compare(models, omega_limits=(low, high), title=title)
     rows = {}
     for label, system in models.items():
@@ -95,32 +110,42 @@ def bode(models: dict[str, ct.StateSpace], low: float, high: float) -> tuple[Fig
         undamped = bool((np.abs(poles.real) < UNDAMPED * np.abs(poles)).any())
         rows[label] = {
             "states": str(system.nstates),
-            "gain at rest": _said(ct.dcgain(system)),
+            "gain at rest [SI]": _said(ct.dcgain(system)),
             "-3 dB [Hz]": _said(ct.bandwidth(system) / (2.0 * np.pi)),
             "gain margin [dB]": "undamped" if undamped else f"{20.0 * np.log10(gain):.1f}",
             "phase margin [deg]": "undamped" if undamped else f"{phase:.1f}",
         }
-    return figure_of(plot.axes[0, 0]), pd.DataFrame.from_dict(rows, "index")
+    note = "Margins: with a controller of gain 1 in SI units. inf: no crossing."
+    return figure_of(plot.axes[0, 0]), _table(rows, note)
 
 
-def step(models: dict[str, ct.StateSpace], seconds: float) -> tuple[Figure, pd.DataFrame]:
-    """Return steps of height 1, and python-control's numbers of each model."""
-    if _mixed(models):
-        unit, title = "output [SI]", "Step of 1 in the input's SI unit"
-    else:
-        unit, title = "speed of the ring gear [rad/s]", f"Step of 1 V: {MOTORS}"
-    plot = step_compare(models, seconds, unit=unit, title=title)
+def step(models: dict[str, ct.StateSpace], seconds: float) -> tuple[Figure, str]:
+    """Return steps of height 1, and python-control's numbers of each model.
+
+    A drive of another shape has axes of its own, below.
+    """
+    other = _of_another_shape(models)
+    panels = axes(None, 1 + len(other), figsize=(6.5, 3.4 + 3.2 * len(other))).ravel()
+    alike = {label: system for label, system in models.items() if label not in other}
+    unit, title = f"{SPEED} [rad/s]", f"Step of 1 V: {MOTORS}"
+    step_compare(alike, seconds, ax=panels[0], unit=unit, title=title)
+    for panel, label in zip(panels[1:], other, strict=True):
+        what, _, units = label[:-1].rpartition(" [")
+        output, _, input = units.partition(" per ")
+        unit, title = f"{models[label].output_labels[0]} [{output}]", f"Step of 1 {input}"
+        step_compare({what: models[label]}, seconds, ax=panel, unit=unit, title=title)
     rows = {}
     for label, system in models.items():
         settles = np.isfinite(ct.dcgain(system)) and system.poles().real.max() < 0.0
         info = step_info(system) if settles else {}
         rows[label] = {column: _said(info.get(key, np.nan)) for column, key in STEP.items()}
-    return figure_of(plot.axes[0, 0]), pd.DataFrame.from_dict(rows, "index")
+    open_ended = any("–" in row.values() for row in rows.values())
+    return figure_of(panels[0]), _table(rows, "–: no steady value." * open_ended)
 
 
-def _mixed(models: dict[str, ct.StateSpace]) -> bool:
-    """Whether one of the models is of a rig with other inputs and outputs."""
-    return any(OVER in label for label in models)
+def _of_another_shape(models: dict[str, ct.StateSpace]) -> list[str]:
+    """Labels of rigs with other inputs and outputs."""
+    return [label for label in models if label.endswith("]")]
 
 
 def _said(value: Any) -> str:
@@ -128,7 +153,8 @@ def _said(value: Any) -> str:
     return f"{number:.4g}" if np.isfinite(number) else "–"
 
 
-def table(rows: pd.DataFrame) -> str:
-    """Return rows of text in columns, two blanks between them."""
-    widths = {c: 1 + max(len(c), *map(len, rows[c])) for c in rows}
-    return str(rows.rename_axis("model", axis=1).to_string(col_space=widths))
+def _table(rows: dict[str, dict[str, str]], note: str) -> str:
+    """Return rows of text in columns, two blanks between them, and a note below."""
+    table = pd.DataFrame.from_dict(rows, "index").rename_axis("model", axis=1)
+    widths = {c: 1 + max(len(c), *map(len, table[c])) for c in table}
+    return f"{table.to_string(col_space=widths)}\n{note}".rstrip()

@@ -21,8 +21,8 @@ from dmptm_ctrl.simulate.loop_check import check_loop
 from dmptm_ctrl.simulate.mesh_path import along_path
 from dmptm_ctrl.simulate.model import Model
 
-RATTLE_HZ, RATTLE = 231.0, 1e-4  # Hz, rad: the symmetric mode, as after a reversal
-LIFT = 0.3  # of the rattle: how deep the flank is touched on average
+CHATTER_HZ, CHATTER = 231.0, 1e-4  # Hz, rad: the symmetric mode, as after a reversal
+LIFT = 0.3  # of the chatter: how deep the flank is touched on average
 SPEEDS = np.array([0.06, 0.12, 0.25, 0.5, 1, 2, 4, 8, 16, 30]) * DEG  # rad/s of the ring gear
 PRELOADS = (0.6, -0.6, 1.2)  # V
 LINES = np.unique(np.round(np.geomspace(2, 260, 24) * 4) / 4).tolist()  # Hz
@@ -32,15 +32,15 @@ SEED = 1
 
 def two_laws(context: Context) -> list[Item]:
     """Eq. 21 with its exponent put right, beside the two-state original."""
-    drive, omega = context.drive, 2 * np.pi * RATTLE_HZ
+    drive, omega = context.drive, 2 * np.pi * CHATTER_HZ
     half_gap = drive["gap_l"]
     paths = []
     for c, c_f in ((drive["c"], drive["c_f"]), (10.0, 0.5)):
         law = Backlash(drive["k_m"], c, c_f, half_gap)
         path = along_path(
-            lambda t: -half_gap + RATTLE * (np.sin(omega * t) - LIFT),
-            lambda t: RATTLE * omega * np.cos(omega * t),
-            2 / RATTLE_HZ,
+            lambda t: -half_gap + CHATTER * (np.sin(omega * t) - LIFT),
+            lambda t: CHATTER * omega * np.cos(omega * t),
+            2 / CHATTER_HZ,
             law,
             position=-half_gap,
         )
@@ -48,7 +48,7 @@ def two_laws(context: Context) -> list[Item]:
     panels = mesh_path_plot(paths, half_gap)
     worst = [np.abs(p.memoryless - p.two_state).max() for _, p in paths]
     caption = (
-        "A pinion rattling at 231 Hz on one flank. Eq. 21 has no memory; it parts from the "
+        "A pinion that chatters at 231 Hz on one flank. Eq. 21 has no memory; it parts from the "
         "two-state original just after release, while the tooth relaxes, and in the moment of "
         f"contact: by {worst[0]:.2g} N·m at the declared damping, by {worst[1]:.2g} N·m for an "
         "instant at the upper bounds of c and c_f."
@@ -71,20 +71,20 @@ def parameters(context: Context) -> list[Item]:
     rng, model, drive = np.random.default_rng(SEED), Model(context.drive), context.drive
     context.say("constant speeds under preload")
     stairs = [staircase(model, [*SPEEDS, *-SPEEDS[::-1]], b, rng) for b in PRELOADS]
-    steady = constant_speed(stairs, drive)
+    steady = constant_speed(drive, stairs)
     curves = {**stribeck_fit(steady.reducer), **stribeck_fit(steady.ring)}
     context.say("ramps")
-    reducers = reducer_breakaway([ramp(model, r, 0.4, rng) for r in (0.02, -0.02)], drive)
+    reducers = reducer_breakaway(drive, [ramp(model, r, 0.4, rng) for r in (0.02, -0.02)])
     rings = [ramp(model, r, 0.6, rng, from_flank=True) for r in (0.02, -0.02)]
-    static = reducers | ring_breakaway(rings, drive, reducers)
+    static = reducers | ring_breakaway(drive, rings, reducers)
     context.say("shaken turns")
     shaken = [
         shaken_turn(model, LINES, v, rng, differential=d) for d, v in ((False, 0.04), (True, 0.005))
     ]
-    dynamic = shaken_turns(shaken, drive, period=PERIOD, lines=LINES)
+    dynamic = shaken_turns(drive, shaken, period=PERIOD, lines=LINES)
     context.say("flights through the gaps")
     known = {**curves, **{n: static[n] for n in reducers}, "J_2": dynamic["J_2"]}
-    flights = gap_damping(taps(model, (0.45, 0.6, 0.8, 1.0), rng), drive, known)
+    flights = gap_damping(drive, taps(model, (0.45, 0.6, 0.8, 1.0), rng), known)
     found = [
         ("reverse motion under preload", steady.estimates),
         ("constant speeds", {n: e for n, e in curves.items() if n[2] != "s"}),
@@ -176,7 +176,7 @@ def tuning(context: Context) -> list[Item]:
     panels = axes(None, 2, figsize=(6.5, 5.0), sharex=True)[:, 0]
     for (label, check), style in zip(runs.items(), SEQUENCE, strict=False):
         cycles = check.limit_cycle_amplitude > 0.0
-        look = {**style, "linewidth": 0.6 if cycles else 1.2, "linestyle": "-"}
+        look = {**style, "linewidth": 0.6, "linestyle": "-"} if cycles else style
         panels[int(cycles)].plot(check.time, check.omega_L / DEG, label=label, **look)
     for panel in panels:
         panel.set(ylabel="speed [deg/s]", xlim=(0, 1.5))

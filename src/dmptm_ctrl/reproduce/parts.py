@@ -31,7 +31,7 @@ def declared(context: Context) -> list[Item]:
         low, high = quantity.range
         spread = f"{_number(low, quantity)} … {_number(high, quantity)}" if high > low else "exact"
         unit = PRINTED_UNIT.get(quantity.unit, quantity.unit)
-        rows.append((name, before, after, spread, unit, quantity.source.split(":")[0]))
+        rows.append((name, before, after, spread, unit, quantity.source))
     caption = (
         "Friction and gaps hold for ±12 % from rig to rig, inertias for ±6 %, k_m for ±10 %. T3… "
         "act on the pinion side of both reducers; gaps are half-gaps at the pinion. Angles as the "

@@ -171,6 +171,7 @@ def load_logs(
     Returns
     -------
     Campaign
+        A sequence of Log, also by name: ``logs["sine_10"]``.
 
     Raises
     ------

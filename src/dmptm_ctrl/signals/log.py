@@ -68,6 +68,10 @@ class Log:
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        for name in ("channels", "units"):
+            if not isinstance(getattr(self, name), Mapping):
+                kind = type(getattr(self, name)).__name__
+                raise TypeError(f"{name} of a Log must be a mapping by channel, not a {kind}")
         time = _read_only("time", self.time)
         if time.size == 0:
             raise LogError(f"{self.name}: the log is empty")

@@ -58,9 +58,9 @@ def simulate(
     Returns
     -------
     TimeResponseData
-        Outputs :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, readings of the sensors
-        without noise. Where python-control is not imported yet, the numbers do not wait for it,
-        see :mod:`~dmptm_ctrl.simulate.response`.
+        ``theta_L`` [rad], ``omega_L`` [rad/s] of the ring gear, ``theta_ml``, ``theta_mr`` [rad] of
+        the motors, ``torque_l``, ``torque_r`` [N·m] and ``z_l``, ``z_r`` [rad], mesh torques and
+        relative angles at the pinions; of a rig its sensors. Without noise.
 
     Raises
     ------

@@ -111,7 +111,7 @@ def simulate_batch(
     outputs: Sequence[str] = (),
     every: int = 1,
     substeps: int | None = None,
-    n_jobs: int = -1,
+    jobs: int = -1,
 ) -> Batch:
     """Run many drives, open loop or each under its speed loop.
 
@@ -127,23 +127,26 @@ def simulate_batch(
     initial_state : (6,) or (batch, 6) array, optional
         As for :func:`~dmptm_ctrl.simulate.simulate`; rigs start from rest.
     loop : Loop, Law or sequence of either, optional
-        One for all, or one for each; of rigs the law of a designed controller.
+        One for all, or one for each. A designed controller gives ``controller.law()``; rigs take
+        no other.
     noise : (n,) or (batch, n) array [rad/s], optional
         Added to the speed that the loop sees.
     outputs : sequence of str
-        Which of :data:`BATCH_OUTPUTS`, or sensors and inputs, to keep as signals. Without any
-        the memory does not grow with time: only the statistics are kept.
+        Names of outputs, as of :func:`~dmptm_ctrl.simulate.simulate`, and of inputs, to keep as
+        signals; of rigs those of sensors and inputs. Without any only the statistics are kept.
     every : int
         Keep every so many samples.
     substeps : int, optional
         Steps per sample; by default 8, or what the fastest of rigs needs.
-    n_jobs : int
+    jobs : int
         Threads, −1 for one per core, 1 for none; else joblib's, so ``parallel_config`` can send
         the groups to another backend.
 
     Returns
     -------
     Batch
+        ``outputs`` (batch, labels, n) and their ``labels``; ``least``, ``greatest``, ``mean``,
+        ``rms`` (batch, 10) over time, of all outputs and inputs.
 
     Raises
     ------
@@ -192,7 +195,7 @@ def simulate_batch(
         starts = [start(model.plant(), x0) for model, x0 in zip(models, rows, strict=True)]
     wanted, judged = tuple(seen[name] for name in outputs), tuple(seen.values())
     common = Common(dt, steps, n, drive, target, measured, wanted, every, judged)
-    kept, found = run_many(models, starts, common, loops, n_jobs=n_jobs)
+    kept, found = run_many(models, starts, common, loops, jobs=jobs)
     least, greatest, total, squares = np.array(found).transpose(1, 0, 2)
     return Batch(
         time[::every] if outputs else time[:0],

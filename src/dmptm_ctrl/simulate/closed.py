@@ -49,8 +49,10 @@ def close_loop(
     Returns
     -------
     TimeResponseData
-        Outputs :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, then ``u_left`` and
-        ``u_right`` [V]; input ``ref`` [rad/s]. Of a rig its sensors, then its inputs.
+        ``theta_L`` [rad], ``omega_L`` [rad/s] of the ring gear, ``theta_ml``, ``theta_mr`` [rad] of
+        the motors, ``torque_l``, ``torque_r`` [N·m] and ``z_l``, ``z_r`` [rad], mesh torques and
+        relative angles at the pinions; then ``u_left``, ``u_right`` [V]; input ``ref`` [rad/s]. Of
+        a rig its sensors, then its inputs.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from scipy.optimize import root
 from dmptm_ctrl.drive.modes import Modes, solve_modes
 from dmptm_ctrl.drive.parameters import Drive
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.drive.space import StateSpace
+from dmptm_ctrl.drive.state_space import StateSpace
 from dmptm_ctrl.drive.train import GearTrain, Joint
 from dmptm_ctrl.effects.backlash import mesh_region, mesh_torque
 from dmptm_ctrl.signals import LogError
@@ -131,7 +131,7 @@ def linearize(
     u0 : (2,) array, optional [V]
         Of a dual-motor model only.
     outputs : sequence of str, optional
-        Of :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS`, by default ``omega_L``; of a rig of any
+        As of :func:`~dmptm_ctrl.simulate.simulate`, by default ``omega_L``; of a rig of any
         shape its sensors, by default all, ``q_BODY``, ``v_BODY`` or torques by their link.
 
     Returns
@@ -143,7 +143,7 @@ def linearize(
         angle of the whole drive, ``twist_l`` and ``twist_r`` [rad at the pinion] take the place
         of two angles, and the third is a state only where an output is an angle; so ``dcgain``,
         ``margin`` and ``bandwidth`` are right as they come. A dead time is a Padé approximation
-        of order :data:`~dmptm_ctrl.simulate.block_parts.PADE_ORDER`.
+        of order 4.
 
         Of a rig of any shape the states are ``q_BODY`` [rad or m] of each rigid group of bodies
         that a torque by angle holds; of a train that turns freely ``spring_LINK``, the torque in
@@ -423,7 +423,7 @@ def modes(
     *,
     position: Mapping[str, float] | None = None,
 ) -> Modes:
-    """Solve the generalised symmetric eigenproblem of a drive.
+    """Return the modes of a drive, lowest first.
 
     Parameters
     ----------
@@ -438,7 +438,8 @@ def modes(
     Returns
     -------
     Modes
-        Frequencies [Hz], shapes, damping ratios and classes.
+        Printed as a table. ``hz``, ``damping_ratios``, ``kinds`` (rigid, antisymmetric, symmetric,
+        …), and ``turns``, the shapes over the rigid turn, a column per mode.
 
     Raises
     ------

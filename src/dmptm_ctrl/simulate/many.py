@@ -77,14 +77,14 @@ def run_many(
     loops: Sequence[Closed] | None = None,
     *,
     observers: Sequence[Observer] | None = None,
-    n_jobs: int = 1,
+    jobs: int = 1,
     width: int = LANES,
     switched: bool = False,
 ) -> tuple[Floats | list[Floats], Floats | list[Floats]]:
     """Run drives open loop or each under its loop, from `starts`: coordinates and speeds.
 
     Controllers of `loops` are of one function; `observers` of the same sensors and leaks, they
-    follow what is measured. `n_jobs` are threads, −1 for one per core; else joblib's, on whatever
+    follow what is measured. `jobs` are threads, −1 for one per core; else joblib's, on whatever
     backend is chosen. `width` is that of the lanes, 16 or 8; `switched` as of :func:`same_shape`.
     Returns arrays (columns, kept samples), and (4, judged) of the least, greatest, sum and sum of
     squares of what is judged.
@@ -100,8 +100,8 @@ def run_many(
             )
             tasks.append((some, on, structure.switched, common.of(some), width, *lists))
     # threads: the loop does not hold the interpreter's lock
-    alone = n_jobs == 1 or len(tasks) == 1
-    done = (_lanes(*t) for t in tasks) if alone else each(_lanes, tasks, n_jobs, prefer="threads")
+    alone = jobs == 1 or len(tasks) == 1
+    done = (_lanes(*t) for t in tasks) if alone else each(_lanes, tasks, jobs, prefer="threads")
     if len(tasks) == 1:  # nothing to copy
         ((_, kept, found),) = done
         return kept, found

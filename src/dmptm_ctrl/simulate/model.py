@@ -155,8 +155,8 @@ class Model:
         Returns
         -------
         InterconnectedSystem
-            Inputs u_left, u_right [V], or ref [rad/s] with a loop; outputs
-            :data:`~dmptm_ctrl.simulate.compiled.OUTPUTS` in SI, and u_left, u_right with a loop.
+            Inputs u_left, u_right [V], or ref [rad/s] with a loop; outputs as of
+            :func:`~dmptm_ctrl.simulate.simulate`, and u_left, u_right with a loop.
             Its `syslist` holds the blocks, each of use alone: amplifiers, bodies, their friction,
             meshes, sensor. A friction block takes the torque on a body without friction [N·m] and
             its motion; it gives the friction [N·m], and 1 where that holds the body at rest.

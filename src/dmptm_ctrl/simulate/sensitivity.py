@@ -129,6 +129,8 @@ def simulate_with_sensitivities(
     Returns
     -------
     Sensitivities
+        ``outputs`` (8, n) and their ``derivatives`` (p, 8, n), rows as in ``simulate``; ``exists``
+        is False where the derivatives from the two sides differ.
 
     Raises
     ------
@@ -162,7 +164,7 @@ def simulate_with_sensitivities(
         x0 = _start(model, initial_state)
         starts = [start(one.plant(), x0) for one in models]
     width = FEW if len(models) <= FEW else LANES
-    runs = np.array(run_many(models, starts, common, n_jobs=jobs, width=width)[0])
+    runs = np.array(run_many(models, starts, common, jobs=jobs, width=width)[0])
     outputs, changes = runs[0], runs[1:] - runs[0]
     steps = np.array([step for _, step in moves])
     derivatives = changes[:-1] / steps[:, None, None]

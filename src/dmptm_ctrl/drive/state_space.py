@@ -47,33 +47,45 @@ class StateSpace(ct.StateSpace):  # type: ignore[misc]  # control is untyped
         )  # fmt: skip
 
 
-def step_info(system: ct.StateSpace) -> dict[str, float]:
-    """Return python-control's numbers of a step response, over all its time scales.
+def step_info(system: ct.StateSpace | ct.TimeResponseData, output: str = "") -> dict[str, float]:
+    """Return python-control's numbers of a step, of a linear model or of a simulated run.
 
     ``control.step_info`` looks at 5000 points at most. Those of a stiff drive with little damping
     miss its peaks, or end before it settles. Here each pole adds points of its own.
 
     Parameters
     ----------
-    system : StateSpace
-        One input and one output, continuous and stable.
+    system : StateSpace or TimeResponseData
+        A model with one input and one output, continuous and stable. Or a run whose inputs
+        change once: time and output count from there. Under a loop ``omega_L`` ends at the
+        setpoint; else an output ends at its last value.
+    output : str, optional
+        Of a run; by default ``omega_L``, else its first.
 
     Returns
     -------
     dict
         ``RiseTime``, ``SettlingTime`` [s], ``Overshoot`` [%], ``SteadyStateValue`` and others;
-        NaN where the output returns to 0.
+        NaN where the output of a model returns to 0.
 
     Raises
     ------
     ValueError
-        Several inputs or outputs, sampled, or a pole that does not decay.
+        Several inputs or outputs, sampled, or a pole that does not decay. Of a run, an output
+        that it does not have, or inputs that change more than once.
 
     Examples
     --------
     >>> round(dm.step_info(dm.common_mode(dm.three_dof(dm.paper_drive())))["SettlingTime"], 2)
     1.07
+    >>> time = np.arange(0.0, 2.0, 1e-3)
+    >>> loop = dm.Loop(kp=5.0, ki=90.0, limit=10.0, bias_l=0.3, bias_r=-0.3)
+    >>> run = dm.close_loop(dm.Model(), loop, time, np.where(time < 0.5, 0.0, 0.2))
+    >>> round(dm.step_info(run)["Overshoot"])  # %
+    10
     """
+    if isinstance(system, ct.TimeResponseData):
+        return _of_run(system, output)
     decay = -system.poles().real
     if not system.issiso() or not system.isctime() or (decay <= 0.0).any():
         raise ValueError("a step response needs one input, one output, and poles that decay")
@@ -86,10 +98,28 @@ def step_info(system: ct.StateSpace) -> dict[str, float]:
         values.append(ct.step_response(system, time).outputs)
     time, order = np.unique(np.concatenate(times), return_index=True)
     final = float(np.real(system.dcgain()))
-    output = np.concatenate(values)[order]
-    peak = output[np.abs(output).argmax()]
-    info = ct.step_info(output, time, yfinal=final or peak or 1.0)
+    seen = np.concatenate(values)[order]
+    peak = seen[np.abs(seen).argmax()]
+    info = ct.step_info(seen, time, yfinal=final or peak or 1.0)
     if final == 0.0:  # a share of nothing
         of_final = {*info} - {"Peak", "PeakTime"}
         info |= {key: 0.0 if key == "SteadyStateValue" else np.nan for key in of_final}
     return dict(info)
+
+
+def _of_run(run: ct.TimeResponseData, output: str) -> dict[str, float]:
+    """Numbers of the one step in a run."""
+    names = list(run.output_labels)
+    name = output or ("omega_L" if "omega_L" in names else names[0])
+    if name not in names:
+        raise ValueError(f"no output {name!r}; the run has {', '.join(names)}")
+    time, inputs = np.asarray(run.time), np.atleast_2d(np.asarray(run.inputs))
+    changes = 1 + np.flatnonzero(np.diff(inputs).any(axis=0))
+    if changes.size > 1:
+        raise ValueError(f"the inputs of the run change {changes.size} times, a step changes once")
+    at = int(changes[0]) if changes.size else 0
+    values = np.atleast_2d(np.asarray(run.outputs))[names.index(name)]
+    before = values[max(at - 1, 0)]
+    controlled = name == "omega_L" and "ref" in run.input_labels
+    final = (inputs[0] if controlled else values)[-1]
+    return dict(ct.step_info(values[at:] - before, time[at:] - time[at], yfinal=final - before))

@@ -100,11 +100,12 @@ def test_places_of_one_make_are_those_that_the_file_calls_alike():
 
 
 def test_wear_and_chance_are_of_one_place():
-    """A spot, an offset, a weaker magnet: no make has them."""
+    """A spot, an offset, a weaker magnet: no make has them. All bearings may warm together."""
     model = RigModel(RIG)
     for name, places, alike in [
         ("cogging", ("left", "right", "table"), [("left", "right")]),
         ("current_lag", ("u_left", "u_right"), [("u_left", "u_right")]),
+        ("thermal_drift", ("left", "table"), [("left", "right", "table")]),
         ("local_spot", ("left", "right"), []),
         ("drive_offset", ("u_left", "u_right"), []),
         ("torque_constant_mismatch", ("u_left", "u_right"), []),
@@ -127,6 +128,7 @@ def test_signs_and_phases_are_each_ones_own():
     ]
     assert numbers_of("cogging@left + right") == 5
     assert numbers_of("current_lag@u_left + u_right") == 1
+    assert numbers_of("thermal_drift@left + right + table") == 2
     own = [f for f in frees if f.kind == "effect"]
     moved = State(model).moved(own, [0.2, 0.3, 0.4, 0.5, 3e-3]).model
     there = {e.key: dict(e.values) for e in moved.effects}

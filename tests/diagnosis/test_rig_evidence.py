@@ -14,8 +14,10 @@ from dmptm_ctrl.diagnosis.rig_diagnose import _no_gap, diagnose_rig, predictions
 from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.diagnosis.rig_objections import _harmonic, objection
 from dmptm_ctrl.diagnosis.sensors import put_right, sensor_faults
+from dmptm_ctrl.drive.rig_dual import paper_rig
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.compared_signals import correlation_length
+from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.gap_search import friction_shared
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.likelihood import Likelihood
@@ -23,6 +25,7 @@ from dmptm_ctrl.identify.rig_fit import State, fit_rig, residuals
 from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
+from dmptm_ctrl.simulate.rig_run import march
 
 SMALL = {"seconds": 4.0, "dt": 2e-3, "kinds": (("steps", 6.0), ("sine", 5.0), ("chirp", 4.0))}
 
@@ -474,3 +477,27 @@ def test_errors_of_a_mesh_between_two_encoders(name):
     assert np.hypot(found[f"{key}.cosine"], found[f"{key}.sine"]) == pytest.approx(
         true * share, rel=0.2
     )
+
+
+def test_a_better_model_tells_anew_when_hidden_teeth_touch():
+    """A cable pulls the ring back through the gaps; without it the declared model runs on."""
+    rig = paper_rig()
+    cable = Placed("cable_spring", "ring_gear", {"stiffness": 300.0, "offset": 0.0})
+    time = 1e-3 * np.arange(6000)
+    wave = 1.2 * np.sin(2 * np.pi * 0.4 * time)
+    true = RigModel(rig).with_effect(cable)
+    run = march(true, np.array([wave, 0.8 * wave]), 1e-3)
+    channels = {"in_left": wave, "in_right": 0.8 * wave}
+    channels |= {"out_encoder": run.reading("encoder"), "out_gyro": run.reading("gyro")}
+    log = Log("turns", time, channels)
+    whole = balance_of(rig, [log])
+    declared, right = (touching(whole, model, [log]) for model in (RigModel(rig), true))
+    model = RigModel(rig, closed=whole.closed)
+    evidence = RigEvidence(declared, declared, 1, [log])
+    base = evidence.base(State(model))
+    better = evidence.base(State(model.with_effect(cable)))
+    told = [
+        np.mean(state.logs.motions[0].apart != right.motions[0].apart)
+        for state in (base, evidence.closed(better))
+    ]
+    assert told[1] < 0.1 * told[0]

@@ -91,9 +91,9 @@ class Candidate:
     held_error: float = 0.0
 
     @property
-    def plainness(self) -> tuple[int, int]:
+    def plainness(self) -> tuple[int, int, int]:
         """What decides between rivals that the logs hardly tell apart; the least is named."""
-        return self.numbers, self.order
+        return self.numbers, self.order, sum(len(members(key)) for key in self.keys)
 
     @property
     def evidence(self) -> float:

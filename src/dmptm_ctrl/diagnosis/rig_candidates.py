@@ -86,13 +86,15 @@ def trials(tangent: Tangent, only: Sequence[str] | None = None) -> list[Trial]:
 
 
 def makes(model: RigModel, chain: PlacedEffect, places: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Places of one make that may have an effect together.
+    """Places of one make that may have an effect together, and all whose friction may change so.
 
     Where each has a phase of its own, they must move by themselves.
     """
+    factor = chain.place == "body" and not chain.effect.wave and _factors(chain)
+    rubbing = tuple(b.name for b in model.rig.bodies if factor and _rubs(model, b.name))
     known = places if chain.of_make else ()
     alike = (tuple(p for p in model.rig.alike(place) if p in places) for place in known)
-    for group in dict.fromkeys(alike):
+    for group in dict.fromkeys((rubbing, *alike)):
         moving = {model.layout.coordinate.get(p, p) for p in group}
         if len(group) > 1 and (not chain.own or len(moving) == len(group)):
             yield group

@@ -89,15 +89,20 @@ def diagnose_rig(
     model = RigModel(declared, closed=balance.closed)
     balance, evidence, base = _fitted(model, balance, right, jobs)
     _, held_logs, held_names, on = split(declared, balance)
-    as_read = _as_read(declared, loaded, balance, base, jobs) if faults else None
-    ahead = cache(Ahead.of(declared, right, evidence.logs, SAMPLES, jobs).fitted)
+    ahead = cache(Ahead.of(declared, right, base.logs, SAMPLES, jobs).fitted)
     told, helps = predictions(declared, right, held_logs, ahead, jobs)
 
     def grows(without: RigState, final: RigState) -> float:
         more = rise(without, final)
         return inf if more < NEGLIGIBLE and told(without, final) else more
 
-    selection = without_negligible(evidence, select_effects(evidence, base, tell), grows)
+    selection = select_effects(evidence, base, tell)
+    if (last := selection.final).logs is not base.logs:  # other rows count by now
+        base = evidence.refit(base, last.logs, last.held)
+        selection = replace(selection, base=base)
+    tells = last.fit.model
+    as_read = _as_read(declared, loaded, balance, base, tells, jobs) if faults else None
+    selection = without_negligible(evidence, selection, grows)
     selection = without_negligible(evidence, selection, helps)
     if not selection.entries:  # what was found on the way and went may have left another fit
         selection = replace(selection, final=base)
@@ -159,7 +164,7 @@ def _fitted(
                 start = fit_rig(State(start), logs, jobs=jobs).model
             balance = _in_contact(balance, start, read)
             logs, held, _, _ = split(model.rig, balance)
-    evidence = RigEvidence(logs, held, jobs)
+    evidence = RigEvidence(logs, held, jobs, read)
     base = evidence.base(State(start))
     for link in (k.name for k in model.rig.links if is_known(k.half_gap)):
         base = _started_anew(evidence, base, link)
@@ -169,9 +174,9 @@ def _fitted(
 def _started_anew(evidence: RigEvidence, base: RigState, link: str) -> RigState:
     """Fit again from the best start of a declared gap before bodies that nothing measures."""
     model, told = base.fit.model, base.tangent.surprise
-    if link not in model.layout.links or not unseen_impacts(model, evidence.logs):
+    if link not in model.layout.links or not unseen_impacts(model, base.logs):
         return base
-    starts = gap_starts(model, evidence.logs, link, told, jobs=evidence.jobs)
+    starts = gap_starts(model, base.logs, link, told, jobs=evidence.jobs)
     again = (State(at_start(model, one), base.fit.state.logs) for one in starts[:1])
     return min(base, *map(evidence.base, again), key=lambda one: told(one.fit.model))
 
@@ -236,12 +241,12 @@ def predictions(
 
 
 def _as_read(
-    rig: Rig, read: Sequence[Log], balance: Balance, base: RigState, jobs: int
+    rig: Rig, read: Sequence[Log], balance: Balance, base: RigState, tells: RigModel, jobs: int
 ) -> RigState:
     """Return the declared model fitted to the logs as the sensors read them."""
     whole = balance_of(rig, read, bandwidth=balance.bandwidth).only(balance.logs).at_most(SAMPLES)
-    logs, held, _, _ = split(rig, _in_contact(whole, base.fit.model, read))
-    fitted = RigEvidence(logs, held, jobs).refit(base)
+    logs, held, _, _ = split(rig, _in_contact(whole, tells, read))
+    fitted = RigEvidence(logs, held, jobs).refit(base, logs, held)
     return Ahead.of(rig, read, logs, SAMPLES, jobs).fitted(fitted)
 
 

@@ -28,6 +28,7 @@ from dmptm_ctrl.diagnosis.rig_tangent import Tangent, Trial
 from dmptm_ctrl.diagnosis.select import Selection, ranked
 from dmptm_ctrl.effects.shaft_compliance import SHAFT_COMPLIANCE
 from dmptm_ctrl.identify.compared_signals import correlation_length
+from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.free_parameters import (
     free_parameters,
     scales_of,
@@ -45,6 +46,7 @@ from dmptm_ctrl.identify.rig_fit import (
     unseen_impacts,
 )
 from dmptm_ctrl.identify.rig_start import from_elsewhere
+from dmptm_ctrl.signals import Log
 from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.placed_effects import BACKLASH, PLACED_CATALOGUE
 
@@ -74,10 +76,15 @@ class RigState:
     keys: tuple[str, ...] = ()
     seen: Sequence[Trial] = ()
 
+    @property
+    def logs(self) -> Balance:
+        """Logs or stretches that it is fitted to."""
+        return self.fit.likelihood.balance
+
     @cached_property
     def loudness(self) -> float:
         """Logarithm of the torque that the model makes of a motion, over a rigid one's."""
-        return loudness(self.fit.model, self.fit.likelihood.balance)
+        return loudness(self.fit.model, self.logs)
 
     @cached_property
     def held_state(self) -> State:
@@ -109,23 +116,25 @@ class RigState:
 class RigEvidence:
     """Torque balances of the logs of a drive of any shape, or stretches of them.
 
-    `logs` are fitted and `held` are not; nothing depends on `jobs`.
+    `logs` are fitted and `held` are not, as the declared model has them. `read` are the same as
+    read, on which a better model tells anew when teeth touch. Nothing depends on `jobs`.
     """
 
     logs: Balance
     held: Balance
     jobs: int = 2
+    read: Sequence[Log] = ()
 
     def base(self, start: State) -> RigState:
         """Fit the declared model, from rough values."""
         fit = fit_rig(start, self.logs, jobs=self.jobs, iterations=SETTLE)
-        return self.closed(RigState(fit, self.held))
+        return self._counted(RigState(fit, self.held))
 
-    def refit(self, state: RigState) -> RigState:
-        """Fit a model that was fitted to other logs."""
+    def refit(self, state: RigState, logs: Balance, held: Balance) -> RigState:
+        """Fit a model that was fitted to other logs, or to other rows of them."""
         like = state.fit.likelihood
-        fit = fit_rig(state.fit.state, self.logs, iterations=SETTLE, like=like, jobs=self.jobs)
-        return RigState(fit, self.held, state.keys)
+        fit = fit_rig(state.fit.state, logs, iterations=SETTLE, like=like, jobs=self.jobs)
+        return RigState(fit, held, state.keys)
 
     def inside(self, state: RigState) -> RigState:
         """Fit again with declared quantities inside their ranges."""
@@ -137,8 +146,8 @@ class RigEvidence:
             frees.append(free)
         start = state.fit.state.moved(frees, state.fit.state.after(frees, np.zeros(len(frees))))
         like = state.fit.likelihood
-        fit = fit_rig(start, self.logs, frees=frees, iterations=SETTLE, like=like, jobs=self.jobs)
-        return RigState(fit, self.held, state.keys)
+        fit = fit_rig(start, state.logs, frees=frees, iterations=SETTLE, like=like, jobs=self.jobs)
+        return RigState(fit, state.held, state.keys)
 
     def candidates(self, state: RigState, only: Sequence[str] | None = None) -> list[Candidate]:
         """Fit every effect that balances can show beside a model.
@@ -184,7 +193,7 @@ class RigEvidence:
         if most * gain < LEVEL:
             return replace(self._plain((trial,), fit), gain=gain)
         try:
-            left, drive = residuals(there, self.logs)
+            left, drive = residuals(there, state.logs)
         except (ValueError, ArithmeticError):
             return Candidate((trial.key,), -np.inf, 0.0, ((trial,), fit), "cannot be simulated")
         loss = total_loss(there, fit.frees, left, fit.likelihood)
@@ -201,13 +210,13 @@ class RigEvidence:
         try:
             there = self._around(there, state, group)
             fit = fit_rig(
-                there, self.logs, iterations=iterations, like=like, near=alike, jobs=self.jobs
+                there, state.logs, iterations=iterations, like=like, near=alike, jobs=self.jobs
             )
             found = self._candidate(state, tuple(group), fit)
             if found.objection and found.demanded:  # impossible on the way is not impossible
                 like = replace(like, doubt=fit.doubt)
-                bare = fit_rig(state.fit.state, self.logs, like=like, jobs=self.jobs)
-                fit = fit_rig(fit.state, self.logs, iterations=SETTLE, like=like, jobs=self.jobs)
+                bare = fit_rig(state.fit.state, state.logs, like=like, jobs=self.jobs)
+                fit = fit_rig(fit.state, state.logs, iterations=SETTLE, like=like, jobs=self.jobs)
                 found = self._candidate(replace(state, fit=bare), tuple(group), fit)
         except (ValueError, ArithmeticError) as error:
             keys = tuple(t.key for t in group)
@@ -219,13 +228,13 @@ class RigEvidence:
     def _around(self, there: State, state: RigState, group: Sequence[Trial]) -> State:
         """Fit the rest around gaps that are measured: else the first step leaves their starts."""
         gaps = [t for t in group if name_of(t.key) == BACKLASH.name]
-        if not gaps or unseen_impacts(there.model, self.logs):
+        if not gaps or unseen_impacts(there.model, state.logs):
             return there
         kept = {key for t in gaps for key in (*members(t.key), *t.values)}
-        frees = free_parameters(there.model, self.logs, scales_of(self.logs))
+        frees = free_parameters(there.model, state.logs, scales_of(state.logs))
         rest = [f for f in frees if f.owner not in kept]
         like = state.fit.likelihood
-        return fit_rig(there, self.logs, frees=rest, iterations=FIRST, like=like, jobs=1).state
+        return fit_rig(there, state.logs, frees=rest, iterations=FIRST, like=like, jobs=1).state
 
     def _alike(self, state: State, fit: RigFit) -> RigFit | None:
         """Return a fit if its slopes are nearly those of a state.
@@ -233,7 +242,7 @@ class RigEvidence:
         Not where a gap is simulated, nor where a spring came or went.
         """
         same = state.model.layout.links == fit.model.layout.links
-        return fit if same and not self.logs.bends(state.model) else None
+        return fit if same and not fit.likelihood.balance.bends(state.model) else None
 
     def _candidate(
         self, state: RigState, group: tuple[Trial, ...], fit: RigFit, *, look: bool = True
@@ -261,7 +270,7 @@ class RigEvidence:
         return Candidate(keys, -np.inf, 0.0, (group, fit), "", numbers, order)
 
     def beside(self, state: RigState, candidate: Candidate) -> RigState:
-        return RigState(candidate.fitted[1], self.held, (*state.keys, *candidate.keys))
+        return RigState(candidate.fitted[1], state.held, (*state.keys, *candidate.keys))
 
     def gains(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
         """Fall of −2 log-likelihood on the fitted and on the held-out logs.
@@ -273,12 +282,13 @@ class RigEvidence:
         both = likelihood.between(smaller.fit.model, more)
         fitted = total_loss(smaller.fit.state, smaller.fit.frees, smaller.fit.left, both)
         fitted -= total_loss(larger.fit.state, larger.fit.frees, larger.fit.left, both)
-        held = likelihood.on(self.held).between(smaller.fit.model, more)
+        held = likelihood.on(larger.held).between(smaller.fit.model, more)
         fall = held.surprise(smaller.held_left[0], smaller.fit.model)
         fall -= held.surprise(larger.held_left[0], more)
-        searched = sum(map(self._searched, larger.keys)) - sum(map(self._searched, smaller.keys))
+        searched = sum(_searched(key, larger.logs) for key in larger.keys)
+        searched -= sum(_searched(key, larger.logs) for key in smaller.keys)
         louder = 2.0 * float(likelihood.news.mean()) * (larger.loudness - smaller.loudness)
-        rows, held_rows = self._rows
+        rows, held_rows = _rows(larger)
         return fitted - searched + rows * louder, fall + held_rows * louder
 
     def errors(self, smaller: RigState, larger: RigState) -> tuple[float, float]:
@@ -289,25 +299,12 @@ class RigEvidence:
             return standard_error(rows(few), rows(more), 1.0 / news)
 
         return (
-            of(self.logs, smaller.fit.left, larger.fit.left),
-            of(self.held, smaller.held_left[0], larger.held_left[0]),
+            of(larger.logs, smaller.fit.left, larger.fit.left),
+            of(larger.held, smaller.held_left[0], larger.held_left[0]),
         )
 
-    @property
-    def _rows(self) -> tuple[int, int]:
-        """Rows of the fitted and of the held-out logs that count."""
-        fitted, held = (sum(int(m.moving.sum()) for m in b.motions) for b in (self.logs, self.held))
-        return fitted, held
-
-    def _searched(self, key: str) -> float:
-        """Evidence that the best of all starts finds where there is none: 2 log of their number."""
-        name = name_of(key)
-        starts = {"orders": MAX_ORDER, "places": SPOT_BINS,
-                  "frequencies": max(int(self.logs.longest * self.logs.bandwidth), 1)}  # fmt: skip
-        return 2.0 * float(np.log(starts.get(PLACED_CATALOGUE[name].effect.search, 1)))
-
     def ratio(self, state: RigState) -> float:
-        fitted, held = self._rows
+        fitted, held = _rows(state)
         return fitted / max(held, 1)
 
     def columns(self, state: RigState, candidate: Candidate) -> Floats:
@@ -325,21 +322,30 @@ class RigEvidence:
     def adopt(self, state: RigState, candidate: Candidate) -> RigState:
         keys = (*state.keys, *candidate.keys)
         fit = self._to_the_end(candidate.fitted[1].state, state.fit, keys)
-        return RigState(fit, self.held, keys, vars(state).get("trials", ()))
+        return RigState(fit, state.held, keys, vars(state).get("trials", ()))
 
     def _to_the_end(self, start: State, like: RigFit, keys: Keys) -> RigFit:
         """Fit to the end; where a gap is among the added effects, from several of its sizes."""
         known, near = like.likelihood, self._alike(start, like)
-        fit = fit_rig(start, self.logs, iterations=SETTLE, like=known, near=near, jobs=self.jobs)
+        logs = known.balance
+        fit = fit_rig(start, logs, iterations=SETTLE, like=known, near=near, jobs=self.jobs)
         for key in (k for k in keys if name_of(k) == BACKLASH.name):
             fit = from_elsewhere(fit, key, iterations=SETTLE, jobs=self.jobs)
         return fit
 
     def closed(self, state: RigState) -> RigState:
+        """Let a model tell anew when hidden teeth touch, and fit again."""
+        if self.read and state.logs.closed:
+            both = (touching(one, state.fit.model, self.read) for one in (state.logs, state.held))
+            state = self.refit(state, *both)
+        return self._counted(state)
+
+    def _counted(self, state: RigState) -> RigState:
         """Count anew how many rows are independent, tell noise of readings apart, and fit again."""
-        like = Likelihood(self.logs, independent(state), doubt=state.fit.doubt)
+        like = Likelihood(state.logs, independent(state), doubt=state.fit.doubt)
         like = like.knowing(state.fit.model, state.fit.left)
-        return self.refit(replace(state, fit=replace(state.fit, likelihood=like)))
+        known = replace(state, fit=replace(state.fit, likelihood=like))
+        return self.refit(known, state.logs, state.held)
 
     def without(self, state: RigState, key: str) -> RigState:
         gone = with_standing_on(state.fit, key)
@@ -352,7 +358,7 @@ class RigEvidence:
             for log, n in state.fit.state.logs.items()
         }
         keys = tuple(k for k in state.keys if gone.isdisjoint(members(k)))
-        return RigState(self._to_the_end(State(model, logs), state.fit, keys), self.held, keys)
+        return RigState(self._to_the_end(State(model, logs), state.fit, keys), state.held, keys)
 
     def wald(self, state: RigState, key: str) -> float:
         """Square of an effect's amplitudes in standard errors; 0 where only a refit tells."""
@@ -369,9 +375,23 @@ class RigEvidence:
 
     def share(self, without: RigState, state: RigState, key: str) -> Floats:
         gone = with_standing_on(state.fit, key)
-        bare, _ = residuals(State(state.fit.model.without(gone), state.fit.state.logs), self.logs)
+        bare, _ = residuals(State(state.fit.model.without(gone), state.fit.state.logs), state.logs)
         change = [b - e for b, e in zip(bare, state.fit.left, strict=True)]
         return without.tangent.project(without.tangent.stack(change))
+
+
+def _rows(state: RigState) -> tuple[int, int]:
+    """Rows of the fitted and of the held-out logs that count."""
+    fitted, held = (sum(int(m.moving.sum()) for m in b.motions) for b in (state.logs, state.held))
+    return fitted, held
+
+
+def _searched(key: str, logs: Balance) -> float:
+    """Evidence that the best of all starts finds where there is none: 2 log of their number."""
+    name = name_of(key)
+    starts = {"orders": MAX_ORDER, "places": SPOT_BINS,
+              "frequencies": max(int(logs.longest * logs.bandwidth), 1)}  # fmt: skip
+    return 2.0 * float(np.log(starts.get(PLACED_CATALOGUE[name].effect.search, 1)))
 
 
 def numbers_of(key: str) -> int:

@@ -25,7 +25,7 @@ from dmptm_ctrl.simulate.rig_model import RigModel, link_sides
 if TYPE_CHECKING:
     from dmptm_ctrl.identify.inverse_dynamics import Balance
 
-FOLLOWS = 0.4  # of the frequency at which hidden bodies ring; to its square they follow
+FOLLOWS = 0.2  # of the frequency at which hidden bodies ring; to its square they follow
 LANDED = 0.02  # s after an impact; teeth rattle, and its moment is not measured
 LEAD_HZ = 0.05  # slow lead of the runs by what is measured: bounds drift only
 

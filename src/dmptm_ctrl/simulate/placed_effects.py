@@ -91,8 +91,13 @@ class PlacedEffect(NamedTuple):
 
     @property
     def own(self) -> tuple[str, ...]:
-        """Parameters that each of several places of one make has for itself: by sign or phase."""
-        return tuple(p.name for p in self.keep if not p.bank and p.low < 0.0)
+        """Parameters that each of several places of one make has for itself: by sign or phase.
+
+        A factor on what a body has is the same for all.
+        """
+        factor = self.place == "body" and not self.effect.wave
+        signed = (p for p in self.keep if not p.bank and p.low < 0.0)
+        return tuple(p.name for p in signed if p.unit or not factor)
 
     @property
     def of_make(self) -> bool:

@@ -112,7 +112,7 @@ def rig_fitted(_, campaign):
         ),
         {"body.motor.viscous": 5e-4, "body.load.viscous": 2e-3, "body.load.inertia": 2e-3},
     )
-    return fit_rig(State(start), balance_of(rig, logs), iterations=20).model, {}
+    return fit_rig(State(start), balance_of(rig, logs), iterations=60).model, {}
 
 
 def machine(rng):

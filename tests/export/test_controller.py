@@ -15,7 +15,7 @@ from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.rig_model import RigModel
 
-SAMPLES = 4_000
+SAMPLES = 10_000
 LIMIT = 10.0  # V, full scale
 TABLE = {f"k{i}": 3.0 * np.sin(i) for i in range(32)}
 

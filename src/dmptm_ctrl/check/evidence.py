@@ -19,7 +19,9 @@ from dmptm_ctrl.identify.balance import role_of, split, weights
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.free_parameters import Free, free_parameters, log_parameters, scales_of
+from dmptm_ctrl.identify.heavy_tails import bent
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
+from dmptm_ctrl.identify.likelihood import size_of
 from dmptm_ctrl.identify.records import Record, record, started
 from dmptm_ctrl.identify.rig_fit import ROWS_PER_NEWS, State, fit_rig, jacobian, residuals
 from dmptm_ctrl.signals import Log, LogError
@@ -160,13 +162,19 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
     slopes = jacobian(state, balance, frees, left, jobs=jobs)
     count = left[0].shape[0]
     sizes = [part.shape[1] for part in left]
-    flat = np.concatenate([part.ravel() for part in left])
-    columns = np.concatenate([part.reshape(-1, len(frees)) for part in slopes])
-    equation = np.concatenate([np.repeat(np.arange(count), n) for n in sizes])
+    use = np.concatenate([rows.ravel() for rows in balance.counted])
+    flat = np.concatenate([part.ravel() for part in left])[use]
+    columns = np.concatenate([part.reshape(-1, len(frees)) for part in slopes])[use]
+    equation = np.concatenate([np.repeat(np.arange(count), n) for n in sizes])[use]
 
     def weigh(rest: Floats) -> Floats:
-        level = np.array([np.sqrt(np.mean(rest[equation == e] ** 2)) or 1.0 for e in range(count)])
-        return 1.0 / (level[equation] * np.sqrt(ROWS_PER_NEWS))
+        weight = np.empty(rest.size)
+        for e, heavy in enumerate(balance.bursts):  # as a fit weighs them
+            own = equation == e
+            level = size_of(rest[own], heavy) or 1.0
+            news = (bent(rest[own], level) if heavy else 1.0) / ROWS_PER_NEWS
+            weight[own] = np.sqrt(news) / level
+        return weight
 
     prior = np.array([inf if f.prior is None else f.prior[1] / f.scale for f in frees])
     weight = _settled(flat, columns, prior, weigh)
@@ -192,7 +200,7 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
                 for part, motion in zip(left, balance.motions, strict=True)
                 for _ in range(count)
             ]
-        ),
+        )[use],
         float(np.sqrt(np.mean(first**2))),
         "N" if linear else "N·m",
     )

@@ -229,13 +229,19 @@ def find_moved(
     while len(moved) < MOST:
         names = {m.entry.name for m in moved}
         left_over = [c.entry for c in alone if c.entry.name not in names]
-        tried = [rest.change(entry, tolerance) for entry in left_over]
-        if not any(c is not None and c.beyond(tolerance) > limit for c in tried):
+        clear = {
+            slack: [
+                c
+                for entry in left_over
+                if (c := rest.change(entry, slack)) is not None and c.beyond(tolerance) > limit
+            ]
+            for slack in (tolerance, 0.0)
+        }
+        if not clear[tolerance]:
             break
-        plain = [rest.change(entry) for entry in left_over]
-        clear = [c for c in plain if c is not None and c.beyond(tolerance) > limit]
-        best = max(clear, key=lambda c: c.gain)
-        for whole in clear:  # all amplitudes by one factor, where that is enough
+        plain = clear[0.0] or clear[tolerance]
+        best = max(plain, key=lambda c: c.gain)
+        for whole in plain:  # all amplitudes by one factor, where that is enough
             if whole.entry.unit == "" and best.entry.name.startswith(f"{whole.entry.name}."):
                 left = rest.without(whole.entry).change(best.entry)
                 if left is None or left.beyond(tolerance) <= limit:

@@ -114,7 +114,7 @@ class Information:
     parameters: tuple[Parameter, ...]
     gradient: Floats
     square: Floats
-    rows: Floats  # (k, k): Jᵀ J
+    rows: Floats  # (k, k): Jᵀ J, less what noise adds
     scores: Floats  # (stretches, k): Jᵀ r, r what is left with every parameter free
     seen: Floats  # (k, k): V⁻¹ J v is J (seen v)
 
@@ -167,11 +167,14 @@ def information_of(evidence: Evidence, errors: Mapping[str, float]) -> Informati
     """
     j, e = evidence.slopes, evidence.left
     square, gradient = j.T @ j, j.T @ e
+    if evidence.noise is not None:
+        square, gradient = square - evidence.noise[0], gradient - evidence.noise[1]
     prior = np.array([min(p.prior, LARGE) for p in evidence.parameters])
     own = np.linalg.inv(square + np.diag(prior**-2.0))
     rest = e - j @ (own @ gradient)
     first = np.flatnonzero(np.diff(evidence.stretch, prepend=-1))
     scores = np.add.reduceat(j * rest[:, None], first, axis=0)
+    scores -= scores.mean(axis=0)  # all together they are what noise and ranges balance
     sd = np.sqrt(np.diag(own))
     usual = np.maximum(sd, np.linalg.norm(scores @ own, axis=0))
     each = zip(evidence.parameters, usual, strict=True)

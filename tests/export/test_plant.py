@@ -121,6 +121,15 @@ def test_starts_where_it_is_told(tmp_path):
     assert found[0, 0] == 0.7
 
 
+@needs_compiler
+def test_long_samples_are_run_as_finely_as_short_ones(tmp_path):
+    """With eight steps per sample of 20 ms the meshes would be unstable."""
+    volts = np.repeat(3.0 * VOLTS[:, ::20], 20, axis=1)
+    true = simulate(Model(), TIME, volts).outputs.T[::20]
+    assert np.ptp(true[:, 0]) > 3e-3  # the premise: it moves
+    close(c_run(plant_program(Model(), 20 * DT), volts[:, ::20], tmp_path), true)
+
+
 def rig_model(*effects):
     return RigModel(parse_rig(RIG, "rig.toml"), effects)
 

@@ -78,9 +78,7 @@ def export_file(
         raise LogError(f"--to {target}: no such target; there are {', '.join(TARGETS)}")
     _check_numbers(real, sample_time)
     if name is not None and (not _WORD.fullmatch(name) or name.lower() in RESERVED):
-        raise LogError(
-            f"--name {name}: must be a new word of letters, digits, single _; 31 at most"
-        )
+        raise LogError(f"--name {name}: must be a new word of at most 31 letters, digits, single _")
     model = _read(source)
     if isinstance(model, Controller):
         if sample_time is not None:

@@ -134,7 +134,7 @@ def experiment_program(table: pd.DataFrame, source: Path | None = None) -> Progr
     ports = []
     for name in names:
         stem, _, unit = name.rpartition("_")
-        ports.append(Port(word(stem or name), unit, f"signal {name}"))
+        ports.append(Port(word(stem or name), unit if stem else "1", f"signal {name}"))
     ports.append(Port("running", "1", "1 while the experiment lasts, then 0"))
     ports = [replace(p, name=tracer.fresh(p.name).id) for p in ports]
     samples = counter(tracer)

@@ -112,7 +112,7 @@ def rig_fitted(_, campaign):
         ),
         {"body.motor.viscous": 5e-4, "body.load.viscous": 2e-3, "body.load.inertia": 2e-3},
     )
-    return fit_rig(State(start), balance_of(rig, logs), iterations=20).model, {}
+    return fit_rig(State(start), balance_of(rig, logs), iterations=60).model, {}
 
 
 def machine(rng):
@@ -230,34 +230,23 @@ def draw_trend(file, seed):
     found.plot().get_figure().savefig(file, dpi=110, bbox_inches="tight")
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--machines", type=int, default=20)
-    parser.add_argument("--reruns", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--sensors", choices=("all", "load", "rig"), default="all")
-    parser.add_argument("--trend", help="picture to draw instead")
-    asked = parser.parse_args()
-    if asked.trend:
-        draw_trend(asked.trend, asked.seed)
-        return
-    if asked.sensors == "rig":
+def counted(machines, reruns, seed, sensors):
+    """Checks of unchanged machines, false alarms, and changes found and named first."""
+    if sensors == "rig":
         changes = [*RIG_CHANGES]
         kind = rig_machine, rig_fitted, rig_campaign, rig_changed, lambda pair: pair[1]
     else:
-        changes = [k for k in CHANGES if asked.sensors == "all" or k in SEEN_AT_THE_RING]
-        kind = machine, fitted, campaign, changed, load_only if asked.sensors == "load" else list
+        changes = [k for k in CHANGES if sensors == "all" or k in SEEN_AT_THE_RING]
+        kind = machine, fitted, campaign, changed, load_only if sensors == "load" else list
     draw, fit, logged, worn, seen = kind
-    alarms, runs, found, named = 0, 0, dict.fromkeys(changes, 0), dict.fromkeys(changes, 0)
-    began = time.time()
-    for k in range(asked.machines):
-        rng = np.random.default_rng([asked.seed, k])
+    alarms, found, named = 0, dict.fromkeys(changes, 0), dict.fromkeys(changes, 0)
+    for k in range(machines):
+        rng = np.random.default_rng([seed, k])
         truth = draw(rng)
         first = logged(truth, rng)
-        model, errors = fit(truth, first if asked.sensors == "rig" else seen(first))
-        for _ in range(asked.reruns):
+        model, errors = fit(truth, first if sensors == "rig" else seen(first))
+        for _ in range(reruns):
             moved, _ = checked(model, errors, seen(logged(truth, rng)))
-            runs += 1
             if moved:
                 alarms += 1
                 print("false alarm:", "; ".join(c.text() for c in moved), flush=True)
@@ -269,9 +258,24 @@ def main():
             if name != what:
                 own = next(c for c in alone if c.entry.name == what)
                 print(f"{what}: first {name}; alone {own.text()}", flush=True)
-        print(f"machine {k}: {time.time() - began:.0f} s", flush=True)
+    return machines * reruns, alarms, found, named
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--machines", type=int, default=20)
+    parser.add_argument("--reruns", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--sensors", choices=("all", "load", "rig"), default="all")
+    parser.add_argument("--trend", help="picture to draw instead")
+    asked = parser.parse_args()
+    if asked.trend:
+        draw_trend(asked.trend, asked.seed)
+        return
+    began = time.time()
+    runs, alarms, found, named = counted(asked.machines, asked.reruns, asked.seed, asked.sensors)
     print(f"{runs} checks of unchanged machines: {alarms} false alarms")
-    for what in changes:
+    for what in found:
         print(f"{what}: found {found[what]}, named first {named[what]} of {asked.machines}")
     print(f"{time.time() - began:.0f} s")
 

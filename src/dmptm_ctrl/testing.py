@@ -62,7 +62,7 @@ def assert_margins(
     loop : TransferFunction or StateSpace
         Controller times plant, one input and one output, continuous or sampled.
     gain_db, phase_deg : float
-        Least gain margin [dB] and phase margin [deg].
+        Least gain margin [dB], up or down, and phase margin [deg].
     peak : float, optional
         Largest sensitivity that is allowed.
 
@@ -70,19 +70,23 @@ def assert_margins(
     ------
     AssertionError
         The closed loop is unstable, or a margin is smaller; the message says which.
+    TypeError
+        A loop of another kind.
     """
     import control as ct
 
+    if not isinstance(loop, ct.TransferFunction | ct.StateSpace) or not loop.issiso():
+        raise TypeError("loop needs to be a TransferFunction or StateSpace from one to one signal")
     closed = ct.feedback(loop, 1)
     poles = closed.poles()
     stable = np.all(np.abs(poles) < 1.0) if closed.isdtime(strict=True) else np.all(poles.real < 0)
     if not stable:
         raise AssertionError("the closed loop is unstable")
     gain, phase, distance, *_ = ct.stability_margins(loop)
-    if 20.0 * np.log10(gain) < gain_db:
-        raise AssertionError(
-            f"gain margin is {20.0 * np.log10(gain):.3g} dB; it must be at least {gain_db:.3g} dB"
-        )
+    # up or down: a gain that may fall is a margin of a loop that integrates twice
+    gain, phase = abs(20.0 * np.log10(gain)), abs(phase)
+    if gain < gain_db:
+        raise AssertionError(f"gain margin is {gain:.3g} dB; it must be at least {gain_db:.3g} dB")
     if phase < phase_deg:
         raise AssertionError(
             f"phase margin is {phase:.3g} deg; it must be at least {phase_deg:.3g} deg"

@@ -8,7 +8,7 @@ import pytest
 import check as bench
 from dmptm_ctrl.check.run import check, date_of
 from dmptm_ctrl.cli import main
-from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.model_file import to_toml
 from dmptm_ctrl.testing import assert_explained
 
@@ -117,6 +117,25 @@ def test_dated_logs_give_a_trend_and_the_newest_decides(folder, tmp_path):
     ]
     assert drift == pytest.approx([0.0, 0.2], abs=0.05)
     assert (out / "trend.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_friction_gap_and_eccentricity_are_drawn_over_the_dates():
+    """All three grow from date to date; the picture has their sizes, and says which is which."""
+    rng = np.random.default_rng([7, 3])
+    truth = bench.machine(rng).with_effect("ring_gear_eccentricity", cosine=4e-4, sine=3e-4)
+    model, errors = bench.fitted(truth, bench.campaign(truth, rng))
+    growth, logs = (1.0, 1.2, 1.4), []
+    friction = ("TLs_plus", "TLc_plus", "TLs_minus", "TLc_minus")
+    for month, grown in enumerate(growth, start=1):
+        worn = truth.with_values(**{n: grown * truth.drive[n] for n in (*friction, "gap_l")})
+        worn = worn.with_effect("ring_gear_eccentricity", cosine=grown * 4e-4, sine=grown * 3e-4)
+        for log in bench.campaign(worn, rng):
+            logs.append(Log(f"2026-{month:02d}-01_{log.name}", log.time, dict(log.channels)))
+    panel = check(logs, model, errors=errors).plot()
+    handles, labels = panel.get_legend_handles_labels()
+    for name in ("friction of the ring gear", "gap of the left mesh", "ring_gear_eccentricity"):
+        line = handles[labels.index(name)].lines[0]
+        np.testing.assert_allclose(line.get_ydata(), 100 * (np.array(growth) - 1), atol=6.0)
 
 
 def test_bad_input_is_one_line(folder, tmp_path, capsys):

@@ -118,6 +118,21 @@ def test_a_change_within_the_tolerance_is_none():
     ]
 
 
+def test_a_change_that_another_hides_within_its_tolerance_is_found():
+    """J_L grows by 20 %, and k_m falls by 2 %, which hides most of it: alone neither shows."""
+    rng = np.random.default_rng(7)
+    own, other = np.linalg.qr(rng.standard_normal((400, 2)))[0].T
+    slopes = np.column_stack([60.0 * own, 1000.0 * (0.5 * own + 0.75**0.5 * other)])
+    left = rng.standard_normal(400) - slopes @ (0.2, -0.02)
+    known = tuple(Parameter(key, "N·m", 1.0, 1.0, np.inf) for key in ("J_L", "k_m"))
+    information = information_of(
+        Evidence(left, slopes, known, np.arange(400), 1.0, "N·m"), {"J_L": 1e-9, "k_m": 1e-9}
+    )
+    entries = entries_of(known)
+    assert all(abs(information.change(entry).change) < 0.1 for entry in entries)  # the premise
+    assert [c.entry.name for c in find_moved(information, entries)[0]] == ["J_L"]
+
+
 def test_what_belongs_to_a_log_is_no_change():
     rng = np.random.default_rng(6)
     columns = rng.standard_normal((300, 2))

@@ -5,13 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from tests.identify.test_reading_noise import geared
 from tests.rig_files.truth import Bench, Machine
 
+import check as bench_of
 from dmptm_ctrl.check.evidence import evidence_of, only_own
 from dmptm_ctrl.check.moved import entries_of, find_moved, information_of
+from dmptm_ctrl.diagnosis.rig_diagnose import split
+from dmptm_ctrl.diagnosis.rig_evidence import RigEvidence
 from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.identify.inverse_dynamics import balance_of
 from dmptm_ctrl.identify.rig_fit import State, fit_rig
+from dmptm_ctrl.identify.rig_start import rough_start
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
@@ -67,6 +72,36 @@ def test_a_change_is_found_with_its_size(model, name):
     moved, _ = checked(model, bench, 9)
     assert moved[0].entry.name == name
     assert moved[0].change == pytest.approx(size, rel=0.25)
+
+
+@pytest.fixture(scope="module")
+def loose():
+    """A machine with a gap between two encoders, and the model of a fit."""
+    rng = np.random.default_rng([581, 0])
+    truth = bench_of.rig_machine(rng)
+    return truth, bench_of.rig_fitted(truth, bench_of.rig_campaign(truth, rng))[0]
+
+
+@pytest.mark.parametrize("what", [None, *bench_of.RIG_CHANGES])
+def test_rattle_in_a_gap_is_no_change_and_a_wider_gap_is(loose, what):
+    truth, model = loose
+    machine = bench_of.rig_changed(truth, what) if what else truth
+    _, logs = bench_of.rig_campaign(machine, np.random.default_rng(5))
+    moved, _ = bench_of.checked(model, {}, logs)
+    assert [c.entry.name for c in moved[:1]] == ([what] if what else [])
+
+
+def test_noise_of_readings_is_no_change():
+    """Of the very logs of the fit; least squares would have the gear's damping lower by 70 %."""
+    rig, logs = geared(("q", "q2"))
+    fitted, held, _, _ = split(rig, balance_of(rig, logs))
+    fit = RigEvidence(fitted, held, 1).base(State(rough_start(RigModel(rig), fitted))).fit
+    evidence = only_own(evidence_of(fit.model, logs))
+    entries, names = entries_of(evidence.parameters), []
+    for own in (evidence, replace(evidence, noise=None)):
+        moved, _ = find_moved(information_of(own, fit.errors), entries)
+        names.append([c.entry.name for c in moved])
+    assert names == [[], ["link.gear.damping"]]
 
 
 def test_a_drive_at_rest_tells_nothing(model):

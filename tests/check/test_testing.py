@@ -23,6 +23,20 @@ def test_margins_of_a_loop_known_in_closed_form():
         assert_margins(2.0 * loop * 2.2)
 
 
+def test_margin_of_a_gain_that_may_fall():
+    """K (s + 1)² / s³ is stable from K = 1/2 on: at K = 5 the gain may fall by 20 dB."""
+    loop = ct.tf([5.0, 10.0, 5.0], [1.0, 0.0, 0.0, 0.0])
+    assert_margins(loop, gain_db=19.9, phase_deg=60.0)
+    with pytest.raises(AssertionError, match="gain margin is 20 dB"):
+        assert_margins(loop, gain_db=20.1)
+
+
+@pytest.mark.parametrize("loop", [3.0, ct.ss([[-1.0]], [[1.0, 1.0]], [[1.0]], 0.0)])
+def test_what_is_no_loop_is_refused(loop):
+    with pytest.raises(TypeError, match="from one to one signal"):
+        assert_margins(loop)
+
+
 def test_margins_of_a_sampled_loop():
     """K / (z − 1) is stable up to K = 2: at K = 0.5 the gain margin is 12 dB."""
     assert_margins(ct.tf([0.5], [1.0, -1.0], 1e-3), gain_db=12.0)

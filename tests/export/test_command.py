@@ -2,6 +2,7 @@
 
 import runpy
 import subprocess
+from dataclasses import replace
 
 import control as ct
 import numpy as np
@@ -24,6 +25,7 @@ def files(tmp_path):
     CONTROLLER.save(tmp_path / "controller.toml")
     (tmp_path / "model.toml").write_text(to_toml(MODEL), encoding="utf-8")
     (tmp_path / "rig_model.toml").write_text(rig_model_to_toml(rig_model()), encoding="utf-8")
+    replace(CONTROLLER, notches=3 * CONTROLLER.notches).save(tmp_path / "three.toml")
     Controller(1.0, 5.0, model=rig_model()).save(tmp_path / "rig_controller.toml")
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     (tmp_path / "open.toml").write_text(RIG.replace('"40 N m/rad"', '"unknown"'), encoding="utf-8")
@@ -69,6 +71,8 @@ def test_writes(files, source, to, names, capsys):
         (["model.toml", "--to", "c", "--real", "half"], "no number type 'half'"),
         (["model.toml", "--to", "c", "--name", "2 axes"], "name '2 axes': must be a new word"),
         (["model.toml", "--to", "c", "--name", "Return"], "name 'Return': must be a new word"),
+        (["model.toml", "--to", "st", "--name", "a__b"], "name 'a__b': must be a new word"),
+        (["three.toml", "--to", "c"], "three.toml: 3 notches; the loop has room for 2"),
         (["model.toml", "--to", "c", "--sample-time", "0"], "must lie between 0 and 1 s"),
         (["controller.toml", "--to", "fmu"], "fmu is of a plant"),
         (["rig_controller.toml", "--to", "table"], "table is of a plant"),

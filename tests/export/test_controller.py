@@ -5,9 +5,10 @@ import re
 import numpy as np
 import pytest
 from tests.export.native import needs_compiler, st_stepper, warns_of_nothing
-from tests.export.test_plant import RIG_EFFECTS, rig_model
+from tests.export.test_plant import RACK, RIG_EFFECTS, rig_model
 
 from dmptm_ctrl.design.controller import Controller, Notch
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.export.c_source import c_header, c_source
 from dmptm_ctrl.export.controller import controller_program
 from dmptm_ctrl.export.native import Compiled
@@ -15,7 +16,7 @@ from dmptm_ctrl.export.st_source import st_source
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.rig_model import RigModel
 
-SAMPLES = 4_000
+SAMPLES = 10_000
 LIMIT = 10.0  # V, full scale
 TABLE = {f"k{i}": 3.0 * np.sin(i) for i in range(32)}
 
@@ -61,13 +62,18 @@ CONTROLLERS = {
         2.0, 10.0, LIMIT, inertia=1.0, friction=1.0, effects=1.0, acceleration=20.0,
         model=rig_model(*RIG_EFFECTS["cogging"]), sensor="angle",
     ),
+    "rack": Controller(  # of the second of two motors, in mA; the load slides, in mm/s
+        20.0, 60.0, 5.0, inertia=1.0, friction=1.0, acceleration=5.0,
+        model=RigModel(parse_rig(RACK, "rig.toml")), input="current", sensor="speed",
+    ),
+    "no gains": Controller(0.0, 0.0, LIMIT, friction=1.0, preload=0.2),
 }  # fmt: skip
 
 
 def readings(controller, real="double"):
     """Setpoints with steps and reversals, and readings that lag behind them, as `real` has them.
 
-    In the second half the drive is far from its zero: 500 rad, the motors 100 000.
+    From 2 s on the drive is far from its zero: 500 rad, the motors 100 000.
     """
     rng = np.random.default_rng(5)
     time = 1e-3 * np.arange(SAMPLES)
@@ -80,8 +86,10 @@ def readings(controller, real="double"):
         ref, speed = (x.astype(np.float32).astype(float) for x in (ref, speed))
     if not isinstance(controller.model, RigModel):
         return np.column_stack([ref, angle, speed, *motors])
-    if controller.sensor:
+    if controller.sensor == "angle":
         return np.column_stack([ref, angle])
+    if controller.input:
+        return np.column_stack([ref, -50.0 * angle, speed, -50.0 * angle])
     return np.column_stack([ref, 5.0 * angle, speed])
 
 
@@ -102,8 +110,8 @@ def test_c_gives_the_voltages_of_the_simulated_loop(name, real, tmp_path):
     found = np.array([step(*row) for row in rows])
     true = expected(controller, rows)
     assert np.ptp(true) > 0.5  # the premise: the controller works
-    atol = 1e-12 * LIMIT if real == "double" else 1e-5 * LIMIT
-    np.testing.assert_allclose(found, true, rtol=0, atol=atol)
+    share = 1e-12 if real == "double" else 1e-5
+    np.testing.assert_allclose(found, true, rtol=0, atol=share * controller.limit)
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)

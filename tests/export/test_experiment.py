@@ -62,6 +62,23 @@ def test_rig_of_another_shape(tmp_path):
     assert driven[900:].max() > driven[:900].max()  # the premise: it coasts on
 
 
+@pytest.mark.parametrize("dt", [1e-3, 50e-3])
+def test_a_load_that_coasts_long_keeps_its_limits(dt):
+    """Of a rig with viscous friction only, also between slow samples."""
+    slippery = {f"body.load.{name}": 0.0 for name in ("coulomb", "static")}
+    slippery |= {"body.motor.coulomb": 0.0, "body.motor.viscous": 2e-4, "body.load.viscous": 0.02}
+    model, time = rig_model().with_values(slippery), dt * np.arange(round(0.6 / dt))
+    table = pd.DataFrame({"time_s": time, "voltage_V": 6.0 * np.sin(2 * np.pi * time)})
+    limits = Limits(5.0, 1.0, 0.05)
+    u = within(table, limits, model=model).voltage_V.to_numpy()
+    held = np.append(np.repeat(u, round(dt / 0.5e-3)), np.zeros(80_000))  # 40 s more
+    run = march(model, held[None], 0.5e-3)
+    travel = np.abs(run.position("load"))
+    assert abs(run.speed("load")[-1]) < 1e-3  # it has come to rest
+    assert 0.97 < max(travel.max() / 0.05, np.abs(run.speed("load")).max() / 1.0) < 1.002
+    assert travel[2 * 1200 :].max() > 1.5 * travel[: 2 * 1200].max()  # long after the end
+
+
 @needs_compiler
 def test_c_and_structured_text_give_the_samples_and_then_nothing(tmp_path):
     table = within(TABLE[:800], Limits(), sample_time=0.1)

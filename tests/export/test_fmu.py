@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 from tests.export.native import needs_compiler
-from tests.export.test_plant import DT, SHAPES, TIME, VOLTS, all_effects, close, driven
+from tests.export.test_plant import DT, GEAR, SHAPES, TIME, VOLTS, all_effects, close, driven
 
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.export.fmu import write_fmu
 from dmptm_ctrl.export.plant import plant_program
 from dmptm_ctrl.signals import LogError
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.rig_model import RigModel
 
 fmpy = pytest.importorskip("fmpy")
 MODEL = (
@@ -42,12 +44,33 @@ def test_runs_as_the_simulator_does(fmu):
     close(np.column_stack([found[n] for n in names]), true)
 
 
+DECLARED = (
+    GEAR
+    + """
+[effect.cogging]
+on = "motor"
+cosine = 0.02
+sine = 0.01
+order = 8
+[effect.drive_offset]
+offset = 0.3
+[effect.sensor_delay]
+on = "speed"
+delay = 0.0034
+"""
+)
+RIGS = {**{name: lambda t=text: all_effects(t) for name, text in SHAPES.items()},
+        "declared effects": lambda: RigModel(parse_rig(DECLARED, "rig.toml"))}  # fmt: skip
+
+
 @needs_compiler
-def test_rig_with_all_effects_at_once(tmp_path):
-    """With two motors and all kinds of parts; the C of other shapes is tested as C."""
-    model = all_effects(SHAPES["rack with two motors"])
+@pytest.mark.parametrize("name", RIGS)
+def test_rig_runs_as_the_simulator_does(name, tmp_path):
+    """With all effects at once, with two motors, with effects that the rig file declares."""
+    model = RIGS[name]()
     u, true = driven(model)
-    program = plant_program(model, DT)
+    # a name that the archive's own files might have
+    program = plant_program(model, DT, name="fmi2")
     write_fmu(program, DT, tmp_path / "plant.fmu")
     kinds = [("time", float), *((p.name, float) for p in program.inputs)]
     inputs = np.array([(t, *row) for t, row in zip(TIME, u.T, strict=True)], dtype=kinds)

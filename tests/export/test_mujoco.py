@@ -1,15 +1,20 @@
 """MuJoCo's joint against the package's own simulator, where what is lost plays no part."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.export.test_plant import rig_model
+from tests.export.test_plant import RIG, rig_model, visible
 
+from dmptm_ctrl.drive.rigfile import parse_rig
+from dmptm_ctrl.effects import CATALOGUE
 from dmptm_ctrl.export.mujoco import mujoco_joint, mujoco_text
+from dmptm_ctrl.export.run import export_file
 from dmptm_ctrl.simulate import simulate
 from dmptm_ctrl.simulate.compiled import march, rest
 from dmptm_ctrl.simulate.model import Model
+from dmptm_ctrl.simulate.model_file import rig_model_to_toml
 from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 SOURCE = Path(__file__)
@@ -63,6 +68,23 @@ def test_a_dead_time_is_the_simulators_to_the_sample(delay):
     found = run(mujoco_joint(late), u)
     assert np.argmax(own > 0.0) == pytest.approx(101 + 1e3 * delay, abs=1)
     np.testing.assert_allclose(found, own, rtol=0, atol=2e-3 * own.max())
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_each_effect_is_in_the_joint_or_said_to_be_lost(name):
+    model = visible(name)
+    joint, plain = mujoco_joint(model), mujoco_joint(Model())
+    assert (f"effect {name}" in joint.lost) != (replace(joint, lost=()) != replace(plain, lost=()))
+
+
+def test_names_of_any_letters(tmp_path):
+    rig = parse_rig(
+        RIG.replace('"load"', '"Drehkörper"').replace("[body.load]", '[body."Drehkörper"]')
+    )
+    (tmp_path / "rig.toml").write_text(rig_model_to_toml(RigModel(rig)), encoding="utf-8")
+    export_file(tmp_path / "rig.toml", "mujoco", tmp_path / "out")
+    model = pytest.importorskip("mujoco").MjModel.from_xml_path(str(tmp_path / "out" / "joint.xml"))
+    assert model.joint(0).name == "Drehkörper"
 
 
 def test_rig_follows_where_nothing_is_lost():

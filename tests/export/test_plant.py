@@ -1,5 +1,7 @@
 """Exported plants against the simulator: every effect, and drives of other shapes."""
 
+import re
+
 import numpy as np
 import pytest
 from tests.export.native import needs_compiler, st_stepper, warns_of_nothing
@@ -117,6 +119,15 @@ def test_starts_where_it_is_told(tmp_path):
     found = c_run(plant_program(model, DT, start=0.7), VOLTS, tmp_path)
     close(found, true)
     assert found[0, 0] == 0.7
+
+
+@needs_compiler
+def test_long_samples_are_run_as_finely_as_short_ones(tmp_path):
+    """With eight steps per sample of 20 ms the meshes would be unstable."""
+    volts = np.repeat(3.0 * VOLTS[:, ::20], 20, axis=1)
+    true = simulate(Model(), TIME, volts).outputs.T[::20]
+    assert np.ptp(true[:, 0]) > 3e-3  # the premise: it moves
+    close(c_run(plant_program(Model(), 20 * DT), volts[:, ::20], tmp_path), true)
 
 
 def rig_model(*effects):
@@ -251,14 +262,17 @@ def test_ports_say_what_the_logs_columns_are():
 
 @needs_compiler
 def test_names_that_no_program_can_have(tmp_path):
-    """Two sensors whose names become one, and signs that would end a comment."""
-    text = RIG.replace("[sensor.angle]", '[sensor."θ*/"]').replace(
-        "[sensor.speed]", '[sensor."ω*/"]'
+    """Two sensors whose names become one, and signs that would end a comment or a line."""
+    text = RIG.replace("[sensor.angle]", '[sensor."θ *) */\\n"]').replace(
+        "[sensor.speed]", '[sensor."ω __ for"]'
     )
     model = RigModel(parse_rig(text, "rig.toml"))
     program = plant_program(model, DT)
     assert len({p.name for p in (*program.inputs, *program.outputs)}) == 3
-    assert st_source(program).isascii()
+    block = st_source(program)
+    assert block.isascii()
+    assert "__" not in re.sub(r"\(\*.*\*\)", "", block)  # the standard forbids it
+    assert pytest.importorskip("blark.parse").parse_source_code(block).exception is None
     u = 6.0 * np.sin(2 * np.pi * 4.0 * TIME)[None]
     close(c_run(program, u, tmp_path), simulate(model, TIME, u).outputs.T)
 

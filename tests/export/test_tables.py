@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from tests.export.test_plant import rig_model
+from tests.export.test_plant import RACK, rig_model
 
 from dmptm_ctrl.cli import main
+from dmptm_ctrl.drive.rigfile import parse_rig
 from dmptm_ctrl.export.tables import compensation_tables
 from dmptm_ctrl.simulate.model import Model
 from dmptm_ctrl.simulate.model_file import to_toml
-from dmptm_ctrl.simulate.rig_model import Placed
+from dmptm_ctrl.simulate.rig_model import Placed, RigModel
 
 MODEL = (
     Model()
@@ -55,12 +56,40 @@ def test_rig_of_another_shape():
     model = rig_model().with_effect(Placed("unbalance", "load", {"cosine": 0.5, "sine": 0.2}))
     tables = compensation_tables(model)
     load = tables["load"]
-    q = load.position_SI
+    q = load.position_rad
     np.testing.assert_allclose(load.load_N_m, -0.5 * np.cos(q) - 0.2 * np.sin(q), atol=1e-12)
     friction = tables["friction"]
-    v = friction.speed_SI[friction.speed_SI > 0]
+    v = friction.speed_rad_s[friction.speed_rad_s > 0]
     expected = 0.1 + 0.05 * np.exp(-v / 0.1) + 0.01 * v
     np.testing.assert_allclose(friction.load_N_m[v.index], expected, rtol=1e-12)
+    # the motor turns five times as fast
+    np.testing.assert_allclose(friction.motor_N_m[v.index], 0.02 + 0.002 * 5 * v, rtol=1e-12)
+
+
+@pytest.mark.parametrize("order", [12.0, 180.0, 360.0, 1000.0])
+def test_between_rows_lies_a_straight_line(order):
+    """Also where as many teeth as rows would make each row alike."""
+    model = rig_model().with_effect(
+        Placed("cogging", "motor", {"cosine": 0.02, "sine": 0.0, "order": order})
+    )
+    load = compensation_tables(model)["load"]
+    q = np.linspace(0.0, 2 * np.pi, 100_001)
+    found = np.interp(q, load.position_rad, load.motor_N_m)
+    np.testing.assert_allclose(found, -0.02 * np.cos(order * q), atol=0.02 * 0.012)
+
+
+def test_sliding_bodies_have_a_table_of_their_own():
+    model = RigModel(parse_rig(RACK, "rig.toml")).with_effect(
+        Placed("cogging", "load", {"cosine": 3.0, "sine": 0.0, "order": 2 * np.pi / 0.03})
+    )
+    tables = compensation_tables(model)
+    assert list(tables) == ["friction", "slide"]
+    slide, friction = tables["slide"], tables["friction"]
+    expected = -3.0 * np.cos(2 * np.pi * slide.position_m / 0.03)  # a period of 30 mm
+    np.testing.assert_allclose(slide.load_N, expected, atol=1e-9)
+    forward = friction[friction.speed_rad_s > 0]  # of the last body, a motor
+    np.testing.assert_allclose(forward.load_N, -9.0 / 50 * forward.speed_rad_s, rtol=1e-12)
+    np.testing.assert_allclose(forward.motor_N_m, -0.02 - 0.002 * forward.speed_rad_s, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,18 @@ from dmptm_ctrl.identify.balance import role_of, split, weights
 from dmptm_ctrl.identify.fit import Unknown, drive_unknowns, effect_unknowns
 from dmptm_ctrl.identify.following import touching
 from dmptm_ctrl.identify.free_parameters import Free, free_parameters, log_parameters, scales_of
+from dmptm_ctrl.identify.heavy_tails import bent
 from dmptm_ctrl.identify.inverse_dynamics import Balance, balance_of
+from dmptm_ctrl.identify.likelihood import Likelihood, size_of
 from dmptm_ctrl.identify.records import Record, record, started
-from dmptm_ctrl.identify.rig_fit import ROWS_PER_NEWS, State, fit_rig, jacobian, residuals
+from dmptm_ctrl.identify.rig_fit import (
+    ROWS_PER_NEWS,
+    State,
+    fit_rig,
+    jacobian,
+    noise_taken_out,
+    residuals,
+)
 from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.any_model import AnyModel
 from dmptm_ctrl.simulate.model import Floats, Model
@@ -59,6 +68,8 @@ class Evidence:
     stretch: NDArray[np.int64]  # (m,): rows of one second, log and equation may be wrong alike
     torque_rms: float  # of the whole drive's balance, robust against bursts
     unit: str
+    # what the noise of readings adds to JᵀJ and Jᵀe, J the slopes and e what is left
+    noise: tuple[Floats, Floats] | None = None
 
 
 def evidence_of(model: AnyModel, logs: Iterable[Log], jobs: int = 1) -> Evidence:
@@ -161,16 +172,27 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
     derivatives = jacobian(state, balance, frees, left, jobs=jobs)
     count = left[0].shape[0]
     sizes = [part.shape[1] for part in left]
-    flat = np.concatenate([part.ravel() for part in left])
-    columns = np.concatenate([part.reshape(-1, len(frees)) for part in derivatives])
-    equation = np.concatenate([np.repeat(np.arange(count), n) for n in sizes])
+    use = np.concatenate([rows.ravel() for rows in balance.counted])
+    flat = np.concatenate([part.ravel() for part in left])[use]
+    columns = np.concatenate([part.reshape(-1, len(frees)) for part in derivatives])[use]
+    equation = np.concatenate([np.repeat(np.arange(count), n) for n in sizes])[use]
 
     def weigh(rest: Floats) -> Floats:
-        level = np.array([np.sqrt(np.mean(rest[equation == e] ** 2)) or 1.0 for e in range(count)])
-        return 1.0 / (level[equation] * np.sqrt(ROWS_PER_NEWS))
+        weight = np.empty(rest.size)
+        for e, heavy in enumerate(balance.bursts):  # as a fit weighs them
+            own = equation == e
+            level = size_of(rest[own], heavy) or 1.0
+            news = (bent(rest[own], level) if heavy else 1.0) / ROWS_PER_NEWS
+            weight[own] = np.sqrt(news) / level
+        return weight
 
     prior = np.array([inf if f.prior is None else f.prior[1] / f.scale for f in frees])
     weight = _settled(flat, columns, prior, weigh)
+    flat, columns = weight * flat, weight[:, None] * columns
+    like = Likelihood(balance, np.full(count, 1.0 / ROWS_PER_NEWS)).knowing(model, left)
+    scales = np.sqrt(like.counts / np.bincount(equation, weight**2))
+    square, gradient = columns.T @ columns, columns.T @ flat
+    clear = noise_taken_out(state, frees, like, scales, square, -gradient)
     units = {key: q.unit for key, q in model.quantities.items()}
     parameters = []
     for free, sd in zip(frees, prior, strict=True):
@@ -184,8 +206,8 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
     first = np.concatenate([part[0] for part in left])
     linear = model.rig.body(model.rig.inputs[0].body).linear
     return Evidence(
-        weight * flat,
-        weight[:, None] * columns,
+        flat,
+        columns,
         tuple(parameters),
         _stretches(
             [
@@ -193,9 +215,10 @@ def _of_rig(model: RigModel, logs: Sequence[Log], jobs: int) -> Evidence:
                 for part, motion in zip(left, balance.motions, strict=True)
                 for _ in range(count)
             ]
-        ),
+        )[use],
         float(np.sqrt(np.mean(first**2))),
         "N" if linear else "N·m",
+        (square - clear[0], gradient + clear[1]),
     )
 
 
@@ -225,4 +248,5 @@ def only_own(evidence: Evidence) -> Evidence:
     derivatives = evidence.derivatives[:, own]
     derivatives = derivatives - q @ (q.T @ derivatives)
     parameters = tuple(evidence.parameters[k] for k in own)
-    return replace(evidence, left=left, derivatives=derivatives, parameters=parameters)
+    noise = evidence.noise and (evidence.noise[0][np.ix_(own, own)], evidence.noise[1][own])
+    return replace(evidence, left=left, derivatives=derivatives, parameters=parameters, noise=noise)

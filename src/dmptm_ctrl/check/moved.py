@@ -114,7 +114,7 @@ class Information:
     parameters: tuple[Parameter, ...]
     gradient: Floats
     square: Floats
-    rows: Floats  # (k, k): Jᵀ J
+    rows: Floats  # (k, k): Jᵀ J, less what noise adds
     scores: Floats  # (stretches, k): Jᵀ r, r what is left with every parameter free
     seen: Floats  # (k, k): V⁻¹ J v is J (seen v)
 
@@ -167,11 +167,14 @@ def information_of(evidence: Evidence, errors: Mapping[str, float]) -> Informati
     """
     j, e = evidence.derivatives, evidence.left
     square, gradient = j.T @ j, j.T @ e
+    if evidence.noise is not None:
+        square, gradient = square - evidence.noise[0], gradient - evidence.noise[1]
     prior = np.array([min(p.prior, LARGE) for p in evidence.parameters])
     own = np.linalg.inv(square + np.diag(prior**-2.0))
     rest = e - j @ (own @ gradient)
     first = np.flatnonzero(np.diff(evidence.stretch, prepend=-1))
     scores = np.add.reduceat(j * rest[:, None], first, axis=0)
+    scores -= scores.mean(axis=0)  # all together they are what noise and ranges balance
     sd = np.sqrt(np.diag(own))
     usual = np.maximum(sd, np.linalg.norm(scores @ own, axis=0))
     each = zip(evidence.parameters, usual, strict=True)
@@ -229,13 +232,19 @@ def find_moved(
     while len(moved) < MOST:
         names = {m.entry.name for m in moved}
         left_over = [c.entry for c in alone if c.entry.name not in names]
-        tried = [rest.change(entry, tolerance) for entry in left_over]
-        if not any(c is not None and c.beyond(tolerance) > limit for c in tried):
+        clear = {
+            slack: [
+                c
+                for entry in left_over
+                if (c := rest.change(entry, slack)) is not None and c.beyond(tolerance) > limit
+            ]
+            for slack in (tolerance, 0.0)
+        }
+        if not clear[tolerance]:
             break
-        plain = [rest.change(entry) for entry in left_over]
-        clear = [c for c in plain if c is not None and c.beyond(tolerance) > limit]
-        best = max(clear, key=lambda c: c.gain)
-        for whole in clear:  # all amplitudes by one factor, where that is enough
+        plain = clear[0.0] or clear[tolerance]
+        best = max(plain, key=lambda c: c.gain)
+        for whole in plain:  # all amplitudes by one factor, where that is enough
             if whole.entry.unit == "" and best.entry.name.startswith(f"{whole.entry.name}."):
                 left = rest.without(whole.entry).change(best.entry)
                 if left is None or left.beyond(tolerance) <= limit:

@@ -62,8 +62,8 @@ class Check:
             lines += [f"  {change.text()}" for change in self.moved]
         elif self.unexplained:
             lines.append(
-                "the machine has changed, and no entry of the model says how; "
-                "run dmptm diagnose on these logs"
+                "the machine has changed, or is driven otherwise than for its model, and "
+                "no entry of the model says how; run dmptm diagnose on these logs"
             )
         else:
             lines.append(f"still the same machine: none of {len(self.alone)} entries moved")

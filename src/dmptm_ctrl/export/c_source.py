@@ -1,6 +1,6 @@
 """A program as C99: one header, one source, no allocation and nothing but the C library's maths."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from math import isinf, isnan
 from typing import Any, NamedTuple
 
@@ -136,7 +136,7 @@ def c_header(program: ir.Program, real: str = "double") -> str:
             f"void {name}_init({name}_state *state);",
             "",
             "/* Call once per sample.",
-            *(f" *   {line}" for line in _safe(ports)),
+            *(f" *   {line}" for line in map(ir.ascii_text, ports)),
             " */",
             f"{_signature(program, real)};",
             "",
@@ -201,13 +201,12 @@ def _signature(program: ir.Program, real: str) -> str:
     return f"void {program.name}_step(\n    " + ",\n    ".join(parts) + ")"
 
 
-def _safe(lines: Iterable[str]) -> list[str]:
-    """Lines that end no comment."""
-    return [ir.ascii_text(line).replace("*/", "* /").replace("/*", "/ *") for line in lines]
-
-
 def _comment(notes: list[str]) -> list[str]:
-    return ["/*", *(f" * {line}".rstrip() for line in _safe(notes)), " */"] if notes else []
+    return (
+        ["/*", *(f" * {line}".rstrip() for line in map(ir.ascii_text, notes)), " */"]
+        if notes
+        else []
+    )
 
 
 _OF_INTEGERS = {

@@ -1,7 +1,7 @@
 """A planned experiment ready to run: inside the rig's limits, as CSV, C or Structured Text."""
 
 from dataclasses import dataclass, replace
-from math import inf
+from math import ceil, inf
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,10 @@ from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.rig_model import RigModel
 from dmptm_ctrl.simulate.rig_run import march as march_rig
 
-HALVINGS = 12  # of the factor that brings a signal inside its limits
+HALVINGS = 20  # of the factor that brings a signal inside its limits
+FINE = 1e-3  # s, between simulated samples: a load may be fastest between those of the signal
+# Behind the end the load coasts, until its speed is down to this share of the largest, or so long
+RESTS, LONGEST = 1e-4, 300.0  # 1, s
 TIME = "time_s"
 
 
@@ -84,13 +87,21 @@ def _smaller(signals: Floats, dt: float, limits: Limits, model: Model | RigModel
     if len(signals) != inputs:
         raise LogError(f"{len(signals)} signals, and the model has {inputs} inputs")
 
-    # at the end the drive coasts: for as long again
-    whole = np.hstack([signals, np.zeros_like(signals)])
+    times = ceil(dt / FINE)
+    fine, step = np.repeat(signals, times, axis=1), dt / times
 
     def keeps(factor: float) -> bool:
-        position, speed = _motion(model, factor * whole, dt)
-        far = float(np.abs(position - position[0]).max())
-        return bool(far <= limits.travel and np.abs(speed).max() <= limits.speed)
+        coast = fine.shape[1]
+        while True:
+            whole = np.hstack([factor * fine, np.zeros((inputs, coast))])
+            position, speed = _motion(model, whole, step)
+            fast = float(np.abs(speed).max())
+            far = float(np.abs(position - position[0]).max())
+            if not (far <= limits.travel and fast <= limits.speed):
+                return False
+            if abs(speed[-1]) <= RESTS * fast or coast * step > LONGEST:
+                return True
+            coast *= 4
 
     if keeps(1.0):
         return signals
@@ -123,7 +134,7 @@ def experiment_program(table: pd.DataFrame, source: Path | None = None) -> Progr
     ports = []
     for name in names:
         stem, _, unit = name.rpartition("_")
-        ports.append(Port(word(stem or name), unit, f"signal {name}"))
+        ports.append(Port(word(stem or name), unit if stem else "1", f"signal {name}"))
     ports.append(Port("running", "1", "1 while the experiment lasts, then 0"))
     ports = [replace(p, name=tracer.fresh(p.name).id) for p in ports]
     samples = counter(tracer)

@@ -36,11 +36,11 @@ def write_fmu(program: Program, sample_time: float, file: Path) -> None:
     sources = {
         f"{name}.h": c_header(program),
         f"{name}.c": c_source(program),
-        "fmi2.c": _wrapper(program, sample_time),
+        f"{name}_fmi2.c": _wrapper(program, sample_time),
     }
     guid = hashlib.sha256("\0".join(sources.values()).encode()).hexdigest()
     description = _description(program, sample_time, guid, list(sources))
-    sources["fmi2.c"] = sources["fmi2.c"].replace("@GUID@", guid)
+    sources = {key: text.replace("@GUID@", guid) for key, text in sources.items()}
     system = {"win32": "win", "darwin": "darwin"}.get(sys.platform, "linux")
     bits = platform.architecture()[0].removesuffix("bit")
     with tempfile.TemporaryDirectory() as folder:

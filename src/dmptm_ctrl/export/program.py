@@ -335,11 +335,15 @@ def _pruned(block: list[Any], read: set[str], arrays: set[str]) -> list[Any]:
     return kept
 
 
-_PLAIN = {"−": "-", "←": "<-", "·": "*", "×": "x", "²": "^2", "±": "+-", "θ": "theta", "ω": "omega"}
+_PLAIN = {
+    "−": "-", "←": "<-", "·": "*", "×": "x", "²": "^2", "±": "+-", "θ": "theta", "ω": "omega",
+    "*/": "* /", "/*": "/ *", "(*": "( *", "*)": "* )",
+}  # fmt: skip
 
 
 def ascii_text(text: str) -> str:
-    """Text as compilers and PLCs of any age read it."""
+    """Text of a comment as compilers and PLCs of any age read it: one line that ends no comment."""
     for sign, plain in _PLAIN.items():
         text = text.replace(sign, plain)
-    return text.encode("ascii", "replace").decode()
+    plain = text.encode("ascii", "replace").decode()
+    return "".join(c if c.isprintable() else " " for c in plain)

@@ -29,7 +29,7 @@ from dmptm_ctrl.simulate.model_file import read_model
 OF_EXPERIMENT = ("csv", "c", "st")
 OF_CONTROLLER = ("c", "st", "python")
 TARGETS = ("c", "st", "fmu", "python", "table", "mujoco")
-_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+_WORD = re.compile(r"(?=.{1,31}$)[A-Za-z](_?[A-Za-z0-9])*")
 SAMPLE_TIME = 1e-3  # s, of a plant's program where none is given
 
 
@@ -78,7 +78,7 @@ def export_file(
         raise LogError(f"no target {target!r}; there are {', '.join(TARGETS)}")
     _check_numbers(real, sample_time)
     if name is not None and (not _WORD.fullmatch(name) or name.lower() in RESERVED):
-        raise LogError(f"name {name!r}: must be a new word of letters, digits and _, 31 at most")
+        raise LogError(f"name {name!r}: must be a new word of at most 31 letters, digits, single _")
     model = _read(source)
     if isinstance(model, Controller):
         if sample_time is not None:
@@ -149,7 +149,7 @@ def _program(model: Any, source: Path, step: float, name: str | None) -> Program
     if isinstance(model, Controller):
         return controller_program(model, name or "controller", provenance(model, source))
     notes = [
-        "Drive as diagnosed.",
+        "Model of a drive.",
         f"Sample time: {step!r} s. Call the step once per sample; inputs are held until the next.",
         "Units: SI, angles in rad.",
         *origin(source),
@@ -167,7 +167,7 @@ def _write(
         write_tables(model, source, folder)
     elif target == "mujoco":
         text = mujoco_text(mujoco_joint(model), source)
-        (folder / "joint.xml").write_text(text, encoding="ascii")
+        (folder / "joint.xml").write_text(text, encoding="utf-8")
     elif target == "fmu":
         program = _program(model, source, step, name)
         write_fmu(program, step, folder / f"{program.name}.fmu")

@@ -85,10 +85,9 @@ def st_source(program: ir.Program, real: str = "double") -> str:
          for p in side]
         for side in (program.inputs, program.outputs)
     )  # fmt: skip
-    notes = [ir.ascii_text(x).replace("(*", "( *").replace("*)", "* )") for x in program.notes]
     return "\n".join(
         [
-            *(f"(* {line} *)" for line in notes),
+            *(f"(* {ir.ascii_text(line)} *)" for line in program.notes),
             f"FUNCTION_BLOCK {program.name}",
             *_section("VAR_INPUT", inputs),
             *_section("VAR_OUTPUT", outputs),

@@ -1,6 +1,7 @@
 """A step of a controller or plant, made a program with its state."""
 
 import hashlib
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -54,8 +55,8 @@ def _separated(tracer: Tracer, program: Program) -> Program:
 
 
 def word(name: str) -> str:
-    """Return a name as a program has it."""
-    return "".join(c if c.isascii() and c.isalnum() else "_" for c in name).lower()
+    """Return a name as a program has it; IEC 61131-3 takes no two underlines on end."""
+    return re.sub("[^0-9A-Za-z]+", "_", name).strip("_").lower()
 
 
 def origin(source: Path | None) -> list[str]:

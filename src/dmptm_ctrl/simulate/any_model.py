@@ -9,7 +9,7 @@ from dmptm_ctrl.contract import Effect
 from dmptm_ctrl.drive.parameters import Quantity
 from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.effects import CATALOGUE
-from dmptm_ctrl.simulate.compiled import INPUTS, SEEN, SUBSTEPS, rest
+from dmptm_ctrl.simulate.compiled import INPUTS, SEEN, rest, steps_in
 from dmptm_ctrl.simulate.dual import start
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.parts import Parts
@@ -74,7 +74,7 @@ def at_rest(model: AnyModel) -> tuple[Floats, Floats]:
 
 def steps_of(model: AnyModel, dt: float) -> int:
     """Return how many steps the simulator takes per sample."""
-    return substeps_for(model.plant(), dt) if isinstance(model, RigModel) else SUBSTEPS
+    return substeps_for(model.plant(), dt) if isinstance(model, RigModel) else steps_in(dt)
 
 
 def speed_read(model: AnyModel, reading: Floats, dt: float, sensor: int) -> Floats:

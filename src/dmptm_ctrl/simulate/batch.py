@@ -137,7 +137,7 @@ def simulate_batch(
     every : int
         Keep every so many samples.
     substeps : int, optional
-        Steps per sample; by default 8, or what the fastest of rigs needs.
+        Steps per sample; by default of 125 µs, or what the fastest of rigs needs.
     jobs : int
         Threads, −1 for one per core, 1 for none; else joblib's, so ``parallel_config`` can send
         the groups to another backend.

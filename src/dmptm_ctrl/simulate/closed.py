@@ -44,7 +44,8 @@ def close_loop(
     noise : (n,) array [rad/s], optional
         Added to the speed that the controller reads.
     substeps : int, optional
-        Steps of the simulator per sample; by default 8, or what the fastest mode of a rig needs.
+        Steps of the simulator per sample; by default of 125 µs, or what the fastest mode of a
+        rig needs.
 
     Returns
     -------
@@ -79,7 +80,7 @@ def close_loop(
         model.check()
         u, out = compiled.close_loop(
             model, law, target, dt, theta_L=theta_L, noise=heard,
-            substeps=compiled.SUBSTEPS if substeps is None else substeps,
+            substeps=substeps,
         )  # fmt: skip
         rows = [*out.T, *u]
     else:

@@ -26,6 +26,7 @@ SEEN = {
 OUTPUTS = tuple(SEEN)
 BODIES = 4  # of these, the first: what turns; then torques and relative angles of the meshes
 SUBSTEPS = 8  # steps per sample; at 1 kHz 125 µs resolves the 231 Hz mode with 35 steps
+STEP = 125e-6  # s, of longer samples
 # Where bounces are met one by one: each grows the error of the landings before it, and where
 # gaps damp little the true values have lost step with 125 µs after 0.3 s (`test_lock.py`).
 FINE_SUBSTEPS = 16
@@ -79,7 +80,7 @@ def march(
     x0: Floats,
     dt: float,
     *,
-    substeps: int = SUBSTEPS,
+    substeps: int | None = None,
     observer: tuple[float, float] | None = None,
     measured: Floats | None = None,
     begin: float = 0.0,
@@ -101,12 +102,17 @@ def march(
     return _run(plant, x0, u, dt, substeps, None, meshes, begin, **led)[1]
 
 
+def steps_in(dt: float) -> int:
+    """Return how many steps the simulator takes per sample of `dt` seconds."""
+    return max(SUBSTEPS, round(dt / STEP))
+
+
 def _run(
     plant: Plant,
     x0: Floats,
     u: Floats,
     dt: float,
-    substeps: int,
+    substeps: int | None,
     extra: Floats | None,
     meshes: bool,
     begin: float = 0.0,
@@ -118,7 +124,7 @@ def _run(
     if extra is not None and plant.inertia.size > 3:  # motors behind compliant reducers
         extra = np.hstack([extra, np.zeros((len(extra), plant.inertia.size - 3))])
     options |= {"structure": structure, "push": extra, "columns": columns(plant, meshes)}
-    done = advance(plant, state, u, dt, substeps, **options)
+    done = advance(plant, state, u, dt, substeps or steps_in(dt), **options)
     return done.u, outputs(plant, done.rows, meshes)
 
 
@@ -131,7 +137,7 @@ def close_loop(
     theta_L: float = 0.0,
     noise: ArrayLike | None = None,
     extra: Floats | None = None,
-    substeps: int = SUBSTEPS,
+    substeps: int | None = None,
     meshes: bool = True,
 ) -> tuple[Floats, Floats]:
     """Run the plant under a sampled speed loop.

@@ -90,7 +90,7 @@ class Law(Design):
 
     def __post_init__(self) -> None:
         if len(self.sections) > SECTIONS:
-            raise ValueError(f"{len(self.sections)} sections, the loop has room for {SECTIONS}")
+            raise ValueError(f"{len(self.sections)} notches; the loop has room for {SECTIONS}")
 
     def numbers(self) -> Floats:
         """Return the (SIZE,) vector of `control_core`."""

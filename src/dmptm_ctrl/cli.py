@@ -119,7 +119,7 @@ def predict(
     from dmptm_ctrl.diagnosis.run import predict_file
     from dmptm_ctrl.signals.atomic import write_atomic
 
-    write_atomic(out, predict_file(log, model, single=single))
+    write_atomic(out, predict_file(log, model, single=single, warn=Progress().warn))
     print(f"written to {out}")
 
 

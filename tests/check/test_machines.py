@@ -8,7 +8,7 @@ import pytest
 import check as bench
 from dmptm_ctrl.check.run import check, date_of
 from dmptm_ctrl.cli import main
-from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals import Log, LogError
 from dmptm_ctrl.simulate.model_file import to_toml
 from dmptm_ctrl.testing import assert_explained
 
@@ -60,6 +60,7 @@ def folder(known, tmp_path_factory):
     (path / "model.toml").write_text(to_toml(model), encoding="utf-8")
     (path / "diagnosis.json").write_text(json.dumps(recorded(errors)), encoding="utf-8")
     write(path / "same", bench.campaign(truth, rng))
+    (path / "same" / "notes.txt").write_text("Oil changed on Monday.\n")
     worn = bench.changed(truth, "friction of the ring gear")
     write(path / "worn", bench.campaign(worn, rng))
     write(path / "dated", bench.campaign(truth, rng)[::3], "2026-03-01_")
@@ -87,6 +88,7 @@ def test_command_says_yes(folder, capsys):
     text = capsys.readouterr().out
     assert "still the same machine" in text
     assert "recorded for the model: 0.4" in text
+    assert "warning: left out: notes.txt: no rows of numbers" in text
 
 
 def test_command_says_no_and_what_moved(folder, tmp_path, capsys):
@@ -132,6 +134,14 @@ def test_short_logs_are_refused(known):
     log = bench.campaign(truth, rng)[0].segment(0.0, 0.1)
     with pytest.raises(LogError, match="a check needs at least 200"):
         check([log], model)
+
+
+def test_logs_of_different_rates_are_refused(known):
+    truth, model, _, rng = known
+    one, other, *_ = bench.campaign(truth, rng)
+    rarer = Log("rarer", other.time[::2], {c: other[c][::2] for c in other}, units=other.units)
+    with pytest.raises(LogError, match="different sample time"):
+        check([one, rarer], model)
 
 
 def test_more_residual_than_recorded_that_no_entry_explains_is_a_change(known):

@@ -127,9 +127,20 @@ def predict(
     """
     if isinstance(model, Rig):
         model = RigModel(model)
+    return prediction(model, inputs_of(model, log), runs)
+
+
+def inputs_of(model: Model | RigModel, log: Log | str | PathLike[str]) -> Log:
+    """Log of a model's drive; of one by rig file the sensors may be missing."""
     if isinstance(model, RigModel):
-        return _predict_rig(model, model.rig.read_inputs(log))
-    log = log if isinstance(log, Log) else load_log(log)
+        return model.rig.read_inputs(log)
+    return log if isinstance(log, Log) else load_log(log)
+
+
+def prediction(model: Model | RigModel, log: Log, runs: int) -> pd.DataFrame:
+    """Predict a log of the model's own channels, see `predict`."""
+    if isinstance(model, RigModel):
+        return _predict_rig(model, log)
     out = np.rad2deg(free_run(model, log, runs=runs))
     names = ("theta_L_deg", "omega_L_deg_s", "theta_ml_deg", "theta_mr_deg")
     return pd.DataFrame({"time_s": log.time, **{n: out[:, k] for k, n in enumerate(names)}})

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.diagnosis.diagnose import diagnose_dual
-from dmptm_ctrl.diagnosis.predict import RUNS, predict
+from dmptm_ctrl.diagnosis.predict import RUNS, inputs_of, prediction
 from dmptm_ctrl.diagnosis.report import Diagnosis
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
@@ -18,7 +18,6 @@ from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.signals import Campaign, LogError, load_logs
-from dmptm_ctrl.signals.loaders import gather
 from dmptm_ctrl.simulate.model_file import read_model
 
 SPEED_FORMAT = "%.7g"  # finer than any sensor here
@@ -71,24 +70,29 @@ def diagnose(
     if drive is None:
         return diagnose_rig(logs, declared, jobs=jobs, seed=seed, tell=tell)
     columns = dual_columns(declared)
-    read, left_out = gather(
-        logs,
-        lambda one, **name: declared.load(one, columns, max_rows=READ_ROWS, **name),
-        declared.ignores,
-    )
+    left_out: list[str] = []
+    read = declared.read(logs, columns=columns, max_rows=READ_ROWS, told=left_out)
     campaign = Campaign(read, tuple(left_out))
     return diagnose_dual(campaign, drive, jobs, seed, tell)
 
 
-def predict_file(log: Path, model: Path, *, single: bool = False) -> Iterator[str]:
+def predict_file(
+    log: Path, model: Path, *, single: bool = False, warn: Callable[[str], None] = lambda _: None
+) -> Iterator[str]:
     """Predict a log file with a model file; return the CSV text in parts.
 
     Parameters
     ----------
     single : bool
         One run instead of the mean of several; that of a drive by rig.toml is one always.
+    warn : callable
+        Hears what was mended in the log.
     """
-    table = predict(read_model(model), log, runs=1 if single else RUNS)
+    read = read_model(model)
+    given = inputs_of(read, log)
+    for text in given.warnings:
+        warn(text)
+    table = prediction(read, given, 1 if single else RUNS)
     _refuse_runaway(table, model.name)
     return _csv(table)
 

@@ -532,10 +532,11 @@ def test_bad_keys(key, message):
 
 def test_units_of_the_file_that_contradict(tmp_path):
     log = read(tmp_path, "t,u,q\ns,mNm,deg\n" + rows(",", T, U, Q))
-    assert any(
-        "'u' is in mNm by the file; the unit that you give is 1000 times" in w for w in log.warnings
-    )
-    assert any("'q' is in deg by the file" in w for w in log.warnings)
+    (table,) = rig().read(pd.DataFrame({"t": T, "u [mNm]": U, "q [deg]": Q}))
+    for warnings, u, q in ((log.warnings, "u", "q"), (table.warnings, "u [mNm]", "q [deg]")):
+        one, other = warnings
+        assert f"'{u}' is in mNm by the file; the unit that you give is 1000 times" in one
+        assert f"'{q}' is in deg by the file" in other
     assert read(tmp_path, "t,u,q\ns,Nm,rad\n" + rows(",", T, U, Q)).warnings == ()
     # texts that are no units say nothing
     assert read(tmp_path, "t,u,q\nfirst,channel,A\n" + rows(",", T, U, Q)).warnings == ()

@@ -77,7 +77,7 @@ def diagnose(
 
 
 def predict_file(
-    log: Path, model: Path, *, single: bool = False, warn: Callable[[str], None] = lambda _: None
+    log: Path, model: Path, *, single: bool = False, told: list[str] | None = None
 ) -> Iterator[str]:
     """Predict a log file with a model file; return the CSV text in parts.
 
@@ -85,13 +85,13 @@ def predict_file(
     ----------
     single : bool
         One run instead of the mean of several; that of a drive by rig.toml is one always.
-    warn : callable
-        Hears what was mended in the log.
+    told : list
+        Gets a sentence about each thing that was mended in the log.
     """
     read = read_model(model)
     given = inputs_of(read, log)
-    for text in given.warnings:
-        warn(text)
+    if told is not None:
+        told += given.warnings
     table = prediction(read, given, 1 if single else RUNS)
     _refuse_runaway(table, model.name)
     return _csv(table)

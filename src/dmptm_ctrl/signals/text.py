@@ -7,6 +7,7 @@ import sys
 import zlib
 from collections import Counter, deque
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -30,6 +31,7 @@ from dmptm_ctrl.signals.layout import find_layout
 
 CHUNK_ROWS = 200_000  # text of one chunk is in memory at once, about 20 MB
 HEAD = 1 << 16  # bytes that tell the encoding
+FIELD_LINES = 8  # a quoted field goes over no more than this; else it is a mark of inches
 MAX_LINE = 1 << 20  # bytes; a line longer than this is no row of numbers
 MAX_BYTES = 20 << 30  # unpacked; guards against archives that unpack without end
 SAMPLES = (1000, 20_000)  # lines looked at before the first row of numbers is found
@@ -109,8 +111,24 @@ def _open(path: Path) -> io.BufferedReader:
     return io.BufferedReader(_Guarded(gzip.open(raw) if packed else raw, path.name), HEAD)
 
 
-def _lines(path: Path, encoding: str) -> io.TextIOWrapper:
-    return io.TextIOWrapper(_open(path), encoding=encoding, errors="replace")
+@contextmanager
+def _lines(path: Path, encoding: str) -> Iterator[Iterator[str]]:
+    """Lines of a file; a quoted field that goes over several makes one, and blank ones follow."""
+    with io.TextIOWrapper(_open(path), encoding=encoding, errors="replace") as stream:
+        yield _whole_lines(stream)
+
+
+def _whole_lines(stream: Iterator[str]) -> Iterator[str]:
+    held: deque[str] = deque()
+    while (line := held.popleft() if held else next(stream, None)) is not None:
+        if line.count('"') % 2:
+            held.extend(itertools.islice(stream, FIELD_LINES - len(held)))
+            quotes = itertools.accumulate(s.count('"') for s in held)
+            end = next((k for k, n in enumerate(quotes, 1) if n % 2), 0)
+            for _ in range(end):
+                line = f"{line.rstrip()} {held.popleft()}"
+            held.extendleft(["\n"] * end)
+        yield line
 
 
 def _sample(

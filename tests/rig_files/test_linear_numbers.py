@@ -173,6 +173,16 @@ def test_free_train_as_it_comes():
     np.testing.assert_allclose(angle(1j * w[::100]), values / (1j * w[::100]), rtol=1e-7)
 
 
+def test_a_gear_that_reverses_has_the_same_bandwidth():
+    """python-control asks for a gain below a negative one."""
+    forth, back = (
+        linearize(parse_rig(text), outputs=["w"])
+        for text in (two(), two().replace("ratio = 5", "ratio = -5"))
+    )
+    assert ct.dcgain(back) == pytest.approx(-2.5, rel=1e-9)
+    assert ct.bandwidth(back) == pytest.approx(ct.bandwidth(forth), rel=1e-9)
+
+
 @pytest.mark.parametrize("late", ["", "delay = 0.001\n"])
 def test_a_speed_beside_an_angle_has_the_numbers_of_the_speed_alone(late):
     """The angle of a free train returns to nothing; the speed beside it is not infinite."""

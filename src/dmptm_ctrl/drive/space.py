@@ -33,6 +33,11 @@ class StateSpace(ct.StateSpace):  # type: ignore[misc]  # control is untyped
         rows = (self[i, :].horner(x, warn_infinite) for i in range(self.noutputs))
         return np.concatenate([*rows])
 
+    def bandwidth(self, dbdrop: float = -3) -> float:
+        """Return the bandwidth [rad/s], also behind a gear that reverses: a negative gain at 0."""
+        reversed_ = self.issiso() and np.real(self.dcgain()) < 0.0
+        return float(ct.StateSpace.bandwidth(-self if reversed_ else self, dbdrop))
+
     def __getitem__(self, key: Any) -> "StateSpace":
         """Return a part, by numbers or names of outputs and inputs, and the states it needs."""
         part = super().__getitem__(key)

@@ -12,6 +12,11 @@ FEWEST = 2000  # points while one decays
 TURN = 6.0  # rad, where most rises are over
 
 
+def system_name(text: str) -> str:
+    """Name that python-control takes: without blanks and points."""
+    return text.replace(" ", "_").replace(".", "_")
+
+
 class StateSpace(ct.StateSpace):  # type: ignore[misc]  # control is untyped
     """A StateSpace in which an angle of no return does not spoil what the other outputs say.
 

@@ -93,7 +93,8 @@ class Link:
     def __str__(self) -> str:
         parts = [f"{'mesh' if self.mesh else 'shaft'} {self.name}"]
         if self.ratio.value != 1:
-            parts.append(f"ratio {self.ratio.value:.6g} ({self.first} per {self.second})")
+            unit = f" {self.ratio.unit}" if self.ratio.unit else ""
+            parts.append(f"ratio {self.ratio.value:.6g}{unit} ({self.first} per {self.second})")
         parts.append("rigid" if self.rigid else f"stiffness {self.stiffness}")
         if self.damping is not None:
             parts.append(f"damping {self.damping}")

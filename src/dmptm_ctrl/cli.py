@@ -119,7 +119,10 @@ def predict(
     from dmptm_ctrl.diagnosis.run import predict_file
     from dmptm_ctrl.signals.atomic import write_atomic
 
-    write_atomic(out, predict_file(log, model, single=single))
+    told: list[str] = []
+    write_atomic(out, predict_file(log, model, single=single, told=told))
+    for text in told:
+        Progress().warn(text)
     print(f"written to {out}")
 
 

@@ -60,6 +60,7 @@ def folder(known, tmp_path_factory):
     (path / "model.toml").write_text(to_toml(model), encoding="utf-8")
     (path / "diagnosis.json").write_text(json.dumps(recorded(errors)), encoding="utf-8")
     write(path / "same", bench.campaign(truth, rng))
+    (path / "same" / "notes.txt").write_text("Oil changed on Monday.\n")
     worn = bench.changed(truth, "friction of the ring gear")
     write(path / "worn", bench.campaign(worn, rng))
     write(path / "dated", bench.campaign(truth, rng)[::3], "2026-03-01_")
@@ -87,6 +88,7 @@ def test_command_says_yes(folder, capsys):
     text = capsys.readouterr().out
     assert "still the same machine" in text
     assert "recorded for the model: 0.4" in text
+    assert "warning: left out: notes.txt: no rows of numbers" in text
 
 
 def test_command_says_no_and_what_moved(folder, tmp_path, capsys):
@@ -131,7 +133,7 @@ def test_friction_gap_and_eccentricity_are_drawn_over_the_dates():
         worn = worn.with_effect("ring_gear_eccentricity", cosine=grown * 4e-4, sine=grown * 3e-4)
         for log in bench.campaign(worn, rng):
             logs.append(Log(f"2026-{month:02d}-01_{log.name}", log.time, dict(log.channels)))
-    panel = check(logs, model, errors=errors).plot()
+    panel = check(model, logs, errors=errors).plot()
     handles, labels = panel.get_legend_handles_labels()
     for name in ("friction of the ring gear", "gap of the left mesh", "ring_gear_eccentricity"):
         line = handles[labels.index(name)].lines[0]
@@ -151,6 +153,14 @@ def test_short_logs_are_refused(known):
     log = bench.campaign(truth, rng)[0].segment(0.0, 0.1)
     with pytest.raises(LogError, match="a check needs at least 200"):
         check(model, [log])
+
+
+def test_logs_of_different_rates_are_refused(known):
+    truth, model, _, rng = known
+    one, other, *_ = bench.campaign(truth, rng)
+    rarer = Log("rarer", other.time[::2], {c: other[c][::2] for c in other}, units=other.units)
+    with pytest.raises(LogError, match="different sample time"):
+        check(model, [one, rarer])
 
 
 def test_more_residual_than_recorded_that_no_entry_explains_is_a_change(known):

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 import dmptm_ctrl
 from dmptm_ctrl.diagnosis import html
-from dmptm_ctrl.diagnosis.budget import Errors, Row, closed_rows, error_entry
+from dmptm_ctrl.diagnosis.budget import Errors, Row, Squares, closed_rows, error_entry
 from dmptm_ctrl.diagnosis.candidate import Candidate
 from dmptm_ctrl.diagnosis.dual import key_of
 from dmptm_ctrl.diagnosis.dual_report import DualSource, declared_dict, detectable, ranking
@@ -304,6 +304,15 @@ def test_the_sentence_says_what_the_budget_says(diagnosis):
         "unknown; it depends on theta_L",
     }[diagnosis.verdict] in told
     assert "nothing is missing" not in diagnosis.summary()
+
+
+@pytest.mark.parametrize(("times", "unknown"), [(1.4, False), (2.0, True)])
+def test_what_free_runs_miss_beyond_their_floor_is_unknown(times, unknown):
+    diagnosis = made("explained")
+    runs = Squares(9.0, times**2, 1.0)
+    told = replace(diagnosis, errors=replace(diagnosis.errors, runs=runs)).sentence()
+    assert ("The rest is unknown; free runs miss" in told) == unknown
+    assert (f"{times} times their floor" in told) == unknown
 
 
 def test_runs_that_miss_more_than_the_declared_model_are_said_to():

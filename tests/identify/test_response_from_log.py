@@ -54,6 +54,16 @@ def test_a_periodic_log_gives_its_own_lines_and_no_others():
     assert 20 * np.log10(np.abs(found.values)).max() < 1.0
 
 
+def test_a_period_gives_no_line_to_which_nothing_answers():
+    """Harmonics of a sine in few steps are excited, and far below the noise of the output."""
+    t = DT * np.arange(20_000)
+    u = np.round(8.0 * np.sin(2.0 * np.pi * 3.0 * t)) / 8.0
+    y = plant(u) + 1e-2 * np.random.default_rng(5).normal(size=u.size)
+    found = from_log(log(u, y), "u", "y")
+    assert np.abs(found.hz - 3.0).min() < 1e-9
+    assert 20 * np.log10(np.abs(found.values / known(found.hz))).max() < 6.0
+
+
 def test_nothing_beyond_the_band_of_a_noise():
     """Excited below 20 Hz only; the output has noise of its own at all frequencies."""
     rng = np.random.default_rng(2)

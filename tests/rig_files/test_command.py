@@ -1,6 +1,7 @@
 """Files of a diagnosis of a small motor bench, `dmptm predict` on them, and what is refused."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -60,12 +61,26 @@ def test_prediction_follows_the_log(bench):
     assert error < 0.05 * np.std(seen.w)  # free run, no correction
 
 
-def test_prediction_needs_the_inputs_only(bench):
+def test_a_prediction_that_runs_away_is_refused(bench, tmp_path, capsys):
+    """Of a speed that the offset alone makes a million times too large, and finite."""
+    text = (bench / "out" / "model.toml").read_text()
+    far, changed = re.subn(r"\noffset = \S+", "\noffset = 1e6", text)
+    assert changed == 1
+    (tmp_path / "model.toml").write_text(far)
+    arguments = ["--model", str(tmp_path / "model.toml"), "--out", str(tmp_path / "pred.csv")]
+    assert main(["predict", str(bench / "logs" / "run3_chirp.csv"), *arguments]) == 2
+    assert "leaves all motion of the log at" in capsys.readouterr().err
+    assert not (tmp_path / "pred.csv").exists()
+
+
+def test_prediction_needs_the_inputs_only(bench, capsys):
     full, log = bench / "logs" / "run3_chirp.csv", bench / "inputs.csv"
-    pd.read_csv(full).drop(columns="w").to_csv(log, index=False)
+    table = pd.read_csv(full).drop(columns="w").to_csv(index=False)
+    log.write_text(table + "6.0")  # the program was stopped there
     model, out, reference = bench / "out" / "model.toml", bench / "bare.csv", bench / "full.csv"
     for source, target in ((log, out), (full, reference)):
         assert main(["predict", str(source), "--model", str(model), "--out", str(target)]) == 0
+    assert capsys.readouterr().err.count("warning: left out incomplete rows in line") == 1
     whole = pd.read_csv(reference)
     assert np.abs(pd.read_csv(out).w - whole.w).max() < 0.02 * np.abs(whole.w).max()
 

@@ -116,7 +116,7 @@ def test_small_swing_of_the_simulated_arm_is_the_linear_one():
     assert (off < 1e-3 * np.abs(linear).max(axis=1)).all()
 
 
-@pytest.mark.parametrize("text", [SPRING, HANGING, two()])
+@pytest.mark.parametrize("text", [SPRING, HANGING.replace("arm", "arm 1.2", 1), two()])
 def test_blocks_linearised_at_rest_with_the_default_step(text):
     """Without dry friction nothing sticks: A, B of the blocks are those of the linear model."""
     model = RigModel(parse_rig(text))
@@ -171,6 +171,16 @@ def test_free_train_as_it_comes():
     assert angle.state_labels == ["q_motor", "spring_s", "v_motor", "v_load"]
     assert np.isinf(ct.dcgain(angle))
     np.testing.assert_allclose(angle(1j * w[::100]), values / (1j * w[::100]), rtol=1e-7)
+
+
+def test_a_gear_that_reverses_has_the_same_bandwidth():
+    """python-control asks for a gain below a negative one."""
+    forth, back = (
+        linearize(parse_rig(text), outputs=["w"])
+        for text in (two(), two().replace("ratio = 5", "ratio = -5"))
+    )
+    assert ct.dcgain(back) == pytest.approx(-2.5, rel=1e-9)
+    assert ct.bandwidth(back) == pytest.approx(ct.bandwidth(forth), rel=1e-9)
 
 
 @pytest.mark.parametrize("late", ["", "delay = 0.001\n"])

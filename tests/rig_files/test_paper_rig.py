@@ -6,6 +6,7 @@ import pytest
 
 from dmptm_ctrl import data
 from dmptm_ctrl.cli import main
+from dmptm_ctrl.diagnosis import run
 from dmptm_ctrl.drive import paper_drive, three_dof_ss
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig, parse_rig
@@ -63,6 +64,14 @@ def test_logs_come_in_under_the_built_in_names(rig):
     other = load_logs(data.path("demo_rig"))[0]
     for channel in ("u_left", "u_right", "theta_L", "omega_L"):
         assert np.array_equal(one[channel], other[channel])
+
+
+def test_patterns_that_fit_no_log_are_told(monkeypatch):
+    """As for drives of any shape."""
+    monkeypatch.setattr(run, "diagnose_dual", lambda logs, *_: logs)
+    more = '\n[data]\nignore = ["summary*"]\nheld_out = ["closed*"]\n'
+    logs = run.diagnose(data.path("demo_rig"), parse_rig(data.PAPER_RIG.read_text() + more))
+    assert [text.partition(",")[0] for text in logs.warnings] == ["[data] ignore names 'summary*'"]
 
 
 def test_another_drive_is_not_taken_for_it(rig):

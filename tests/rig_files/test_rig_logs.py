@@ -128,13 +128,16 @@ def test_missing_column_is_named_with_those_there():
         parse_rig(RIG).read(FRAME.rename(columns={"speed": "rpm_meas"}))
 
 
-def test_log_info_by_a_rig(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("unit", "shown"), [("mV", "cmd [mV] "), ("1", "cmd "), ("pwm", "cmd [pwm] ")]
+)
+def test_log_info_by_a_rig(tmp_path, capsys, unit, shown):
     csv(tmp_path)
-    (tmp_path / "rig.toml").write_text(RIG)
+    (tmp_path / "rig.toml").write_text(RIG.replace('"mV"', f'"{unit}"'))
     file = str(tmp_path / "run.csv")
     assert main(["log", "info", file, "--rig", str(tmp_path / "rig.toml")]) == 0
     said = capsys.readouterr().out
-    assert "cmd [mV]" in said  # the column and the unit as the rig file names them
+    assert f"\n {shown} " in said  # the column and the unit as the rig file names them
     assert "coulomb_friction" in said
 
 

@@ -225,6 +225,9 @@ def test_ratio_that_is_wrong_otherwise():
         judged(geared(l=-1), geared_rig(10))
     with pytest.raises(LogError, match="radians and degrees are mixed up"):
         judged(geared(m=1 / DEG), geared_rig(10))
+    # 8 degrees in radians are nearly an eighth
+    with pytest.raises(LogError, match="degrees and radians are mixed up"):
+        judged(geared(ratio=8, l=1 / DEG), geared_rig(8))
 
 
 def test_ratio_the_wrong_way_round_by_the_inertia_alone():

@@ -191,6 +191,15 @@ def test_fractions_of_a_day(start, step):
     assert "no seconds of a drive: taken as days of 86400 s" in log.warnings[0]
 
 
+@pytest.mark.parametrize("start", [0.0, 13.25])
+@pytest.mark.parametrize("step", [0.0005, 0.001, 0.005])
+def test_hours(start, step):
+    """No drive is sampled at 20.83 Hz, as days would have it."""
+    (log,) = rig().read(pd.DataFrame({"t": start + step * INDEX / 3600, "u": U, "q": Q}))
+    assert log.sample_time == pytest.approx(step, rel=1e-6)
+    assert "no seconds of a drive: taken as hours of 3600 s" in log.warnings[0]
+
+
 @pytest.mark.parametrize("step", [1e-6, 4e-7, 8e-7])
 def test_an_oscilloscope_counts_seconds(step):
     (log,) = rig().read(pd.DataFrame({"t": step * INDEX, "u": U, "q": Q}))

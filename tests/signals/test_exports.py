@@ -9,6 +9,7 @@ from scipy.io import savemat
 from tests.signals.test_programs import ROWS, Q, T, U, is_the_run, read, rig, table
 
 from dmptm_ctrl.signals import LogError
+from dmptm_ctrl.signals.info import describe_file
 
 STAMPS = pd.Timestamp("2025-11-09T00:00:00") + pd.to_timedelta(T, unit="s")
 MS = [round(1762680423000 + 1e3 * t) for t in T]
@@ -27,12 +28,33 @@ def test_a_size_in_a_header_is_no_unit_of_the_clock(tmp_path):
     assert not log.warnings
 
 
-@pytest.mark.parametrize("encoding", ["shift_jis", "utf-8"])
-def test_names_in_japanese(tmp_path, encoding):
-    header = ("時間[s]", "トルク[Nm]", "角度[rad]")
-    data = 'time = { column = "時間[s]", unit = "s" }'
-    own = rig("トルク[Nm]", "角度[rad]", data)
-    is_the_run(read(tmp_path, table(header=header), own, encoding=encoding))
+ASIA = {
+    "gbk": ("时间", "转矩", "角度"),
+    "big5": ("時間", "轉矩", "角度"),
+    "euc_kr": ("시간", "토크", "각도"),
+    "euc_jp": ("時間", "トルク", "角度"),
+    "shift_jis": ("時間", "トルク", "角度"),
+    "utf-8": ("時間", "トルク", "角度"),
+    "cp1251": ("Время", "Момент", "Скорость"),
+    "koi8_r": ("Время", "Момент", "Скорость"),
+}
+
+
+@pytest.mark.parametrize("encoding", ASIA)
+def test_names_in_letters_of_other_countries(tmp_path, encoding):
+    """Also without a rig that says what they are called."""
+    time, *names = (f"{n}[{u}]" for n, u in zip(ASIA[encoding], ("s", "Nm", "rad"), strict=True))
+    own = rig(*names, f'time = {{ column = "{time}", unit = "s" }}')
+    is_the_run(read(tmp_path, table(header=(time, *names)), own, encoding=encoding))
+    assert [c.column for c in describe_file(tmp_path / "run.csv").channels] == [time, *names]
+
+
+@pytest.mark.parametrize(
+    ("encoding", "names"),
+    [("gb18030", ("电机给定", "编码器")), ("cp1250", ("točivý", "úhel")), ("cp1253", ("τ", "θ"))],
+)
+def test_names_of_the_rig_file_tell_the_encoding(tmp_path, encoding, names):
+    is_the_run(read(tmp_path, table(header=("t", *names)), rig(*names), encoding=encoding))
 
 
 @pytest.mark.parametrize(

@@ -207,6 +207,10 @@ LAYOUTS = {
     "tuples": "t,u,q\n" + each("({:.5f}, {:.5f}, {:.5f})\n"),
     "single quotes": "'t','u','q'\n" + each("'{:.5f}','{:.5f}','{:.5f}'\n"),
     "texts of Excel": "t,u,q\n" + each('="{:.5f}",="{:.5f}",="{:.5f}"\n'),
+    "apostrophes": "t,u,q\n" + each("'{:.5f},'{:.5f},'{:.5f}\n"),
+    "numbers of numpy": "t,u,q\n" + each("({:.5f}, np.float64({:.5f}), np.float64({:.5f}))\n"),
+    "names over two lines": 't,"u\n[N m]","q\r\n[rad]"\n' + rows(",", T, U, Q),
+    "marks of inches": '# pulley of 5"\n' + table(),
     "quotes in a name": 't,u,q,"a ""b"""\n' + each("{:.5f},{:.5f},{:.5f},1\n"),
     "serial monitor": "t,u,q\n" + each("12:00:01.234 -> {:.5f},{:.5f},{:.5f}\n"),
     "serial monitor, names too": "9:00:01.2 -> t,u,q\n"
@@ -224,6 +228,7 @@ LAYOUTS = {
     "JSON columns": json.dumps(FRAME.to_dict("list")),
     "JSON records": FRAME.to_json(orient="records"),
     "JSON lines": FRAME.to_json(orient="records", lines=True),
+    "JSON dicts of Python": "".join(f"{r}\n" for r in FRAME.to_dict("records")),
     "JSON split": FRAME.to_json(orient="split"),
     "JSON by index": FRAME.to_json(),
     "JSON below a key": json.dumps({"name": "run", "data": FRAME.to_dict("list")}),
@@ -250,6 +255,30 @@ def test_layout(tmp_path, layout):
     log = read(tmp_path, LAYOUTS[layout], a_rig, name)
     is_the_run(log)
     assert not [w for w in log.warnings if "ignored" in w]
+
+
+@pytest.mark.parametrize("after", [1, 4, 12])
+@pytest.mark.parametrize(
+    "between", ["Trigger now", "Trigger at 0.5 s", "t,u,q", "EVENT,start,now", "EVENT,start"]
+)
+def test_no_row_is_lost_above_a_text(tmp_path, after, between):
+    lines = table().splitlines()
+    lines.insert(after + 1, between)
+    log = read(tmp_path, "\n".join(lines) + "\n")
+    is_the_run(log)
+    assert log.warnings == (f"left out text in line {after + 2}",)
+
+
+@pytest.mark.parametrize("row", [1, 4, 12])
+def test_no_row_is_lost_by_a_remark(tmp_path, row):
+    lines = table().splitlines()
+    lines[row] += ",limit hit"
+    is_the_run(read(tmp_path, "\n".join(lines) + "\n"))
+
+
+def test_numbers_above_the_names_are_no_rows(tmp_path):
+    log = read(tmp_path, "gains\n1,2,3\noffsets\n0,0.1,0.2\n" + table())
+    is_the_run(log)
 
 
 def date(form):
@@ -532,10 +561,11 @@ def test_bad_keys(key, message):
 
 def test_units_of_the_file_that_contradict(tmp_path):
     log = read(tmp_path, "t,u,q\ns,mNm,deg\n" + rows(",", T, U, Q))
-    assert any(
-        "'u' is in mNm by the file; the unit that you give is 1000 times" in w for w in log.warnings
-    )
-    assert any("'q' is in deg by the file" in w for w in log.warnings)
+    (table,) = rig().read(pd.DataFrame({"t": T, "u [mNm]": U, "q [deg]": Q}))
+    for warnings, u, q in ((log.warnings, "u", "q"), (table.warnings, "u [mNm]", "q [deg]")):
+        one, other = warnings
+        assert f"'{u}' is in mNm by the file; the unit that you give is 1000 times" in one
+        assert f"'{q}' is in deg by the file" in other
     assert read(tmp_path, "t,u,q\ns,Nm,rad\n" + rows(",", T, U, Q)).warnings == ()
     # texts that are no units say nothing
     assert read(tmp_path, "t,u,q\nfirst,channel,A\n" + rows(",", T, U, Q)).warnings == ()

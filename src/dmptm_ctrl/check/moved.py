@@ -59,7 +59,7 @@ class Change:
             size = f"{100.0 * self.change:+.3g} % ± {100.0 * self.se:.2g} %"
         else:
             new = entry.value + self.change
-            size = f"{entry.value:.4g} → {new:.4g} ± {self.se:.2g} {entry.unit}"
+            size = f"{entry.value:.4g} → {new:.4g} ± {self.se:.2g} {entry.unit}".removesuffix(" 1")
         return f"{entry.name}: {size} ({self.errors:+.1f} standard errors)"
 
 

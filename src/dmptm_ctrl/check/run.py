@@ -18,8 +18,9 @@ from dmptm_ctrl.check.moved import (
     find_moved,
     information_of,
 )
-from dmptm_ctrl.signals import Log, LogError, load_logs
+from dmptm_ctrl.signals import Campaign, Log, LogError, load_logs
 from dmptm_ctrl.signals.atomic import check_folder, output_folder
+from dmptm_ctrl.signals.loaders import LEFT_OUT
 from dmptm_ctrl.simulate.any_model import AnyModel
 from dmptm_ctrl.simulate.model_file import read_model
 from dmptm_ctrl.simulate.rig_model import RigModel
@@ -40,6 +41,7 @@ class Check:
     logs: tuple[str, ...]  # names of those that decide
     # every entry beside what moved, per date in the logs' names
     trend: dict[datetime, list[Change]]
+    warnings: tuple[str, ...] = ()  # what was left out of the logs or mended
 
     @property
     def unexplained(self) -> bool:
@@ -67,6 +69,7 @@ class Check:
             )
         else:
             lines.append(f"still the same machine: none of {len(self.alone)} entries moved")
+        lines += [f"warning: {text}" for text in self.warnings]
         return "\n".join(lines)
 
     __str__ = summary
@@ -79,6 +82,7 @@ class Check:
             "entries": [_row(c) for c in self.alone],
             "residual": {"torque_rms": self.torque_rms, "floor": self.floor, "unit": self.unit},
             "logs": list(self.logs),
+            "warnings": list(self.warnings),
             "trend": [
                 {"date": date.isoformat(), "entries": [_row(c) for c in changes]}
                 for date, changes in self.trend.items()
@@ -148,30 +152,32 @@ def check(
         errors = {**_errors(recorded), **(errors or {})}
         floor = _floor(recorded) if floor is None else floor
         model = read_model(path)
-    loaded = _loaded(model, logs)
+    loaded, told = _loaded(model, logs)
+    told += [f"{log.name}: {text}" for log in loaded for text in log.warnings]
     dated: dict[datetime, list[Log]] = {}
     for log in loaded:
         date = date_of(log.name)
         if date is not None:
             dated.setdefault(date, []).append(log)
     dated = dict(sorted(dated.items())) or {datetime.min: list(loaded)}
-    told = {date: _told(model, own, errors or {}, jobs) for date, own in dated.items()}
-    entries = {date: entries_of(evidence.parameters) for date, (evidence, _) in told.items()}
+    shown = {date: _shown(model, own, errors or {}, jobs) for date, own in dated.items()}
+    entries = {date: entries_of(evidence.parameters) for date, (evidence, _) in shown.items()}
     found = {
         date: find_moved(information, entries[date], tolerance)
-        for date, (_, information) in told.items()
+        for date, (_, information) in shown.items()
     }
-    newest = max(told)
+    newest = max(shown)
     moved, alone = found[newest]
     ever = {c.entry.name: c.entry for changes, _ in found.values() for c in changes}
     trend = {
         date: beside(information, entries[date], list(ever.values()))
-        for date, (_, information) in told.items()
-        if len(told) > 1
+        for date, (_, information) in shown.items()
+        if len(shown) > 1
     }
-    evidence = told[newest][0]
+    evidence = shown[newest][0]
     names = tuple(log.name for log in dated[newest])
-    return Check(moved, alone, evidence.torque_rms, floor, evidence.unit, names, trend)
+    rms, unit = evidence.torque_rms, evidence.unit
+    return Check(moved, alone, rms, floor, unit, names, trend, tuple(told))
 
 
 def check_files(
@@ -191,7 +197,7 @@ def check_files(
     return found
 
 
-def _told(
+def _shown(
     model: AnyModel, logs: Sequence[Log], errors: Mapping[str, float], jobs: int
 ) -> tuple[Evidence, Information]:
     evidence = only_own(evidence_of(model, logs, jobs))
@@ -209,13 +215,13 @@ def date_of(name: str) -> datetime | None:
         return None
 
 
-def _loaded(model: AnyModel, logs: Any) -> Sequence[Log]:
-    sources = [logs] if isinstance(logs, str | Path | Log) else list(logs)
+def _loaded(model: AnyModel, logs: Any) -> tuple[Sequence[Log], list[str]]:
+    """Logs of the model's drive, and what was left out."""
     if isinstance(model, RigModel):
-        return model.rig.read(sources)
-    if sources and all(isinstance(source, Log) for source in sources):
-        return [source for source in sources if isinstance(source, Log)]
-    return tuple(load_logs(sources[0] if len(sources) == 1 else sources))
+        told: list[str] = []  # also of names in [data], which are those of the fitted logs
+        return model.rig.read(logs, told=told), [t for t in told if t.startswith(LEFT_OUT)]
+    campaign = logs if isinstance(logs, Campaign) else load_logs(logs)
+    return campaign, list(campaign.warnings)
 
 
 def _recorded(file: Path) -> dict[str, Any]:

@@ -19,7 +19,7 @@ def notch(hz: float, depth: float, width: float) -> ct.TransferFunction:
     return ct.tf(
         [1.0, 2.0 * depth * width * omega, omega**2],
         [1.0, 2.0 * width * omega, omega**2],
-        name=f"notch_{hz:.4g}_Hz",
+        name=f"notch_{hz:.4g}_Hz".replace(".", "_"),
     )
 
 

@@ -23,6 +23,13 @@ from dmptm_ctrl.simulate.compiled import FINE_SUBSTEPS, OUTPUTS, march, rest
 from dmptm_ctrl.simulate.model import Floats, Model
 from dmptm_ctrl.simulate.rig_model import RigModel
 
+# channels of the dual-motor drive and columns of a prediction, in the order of OUTPUTS
+DUAL_COLUMNS = {
+    "theta_L": "theta_L_deg",
+    "omega_L": "omega_L_deg_s",
+    "theta_ml": "theta_ml_deg",
+    "theta_mr": "theta_mr_deg",
+}
 SPEED = (OUTPUTS.index("omega_L"),)
 RUNS = 16
 TOGETHER = 100_000  # samples of a log, up to which the runs are held at once: 100 MB
@@ -127,12 +134,31 @@ def predict(
     """
     if isinstance(model, Rig):
         model = RigModel(model)
+    return prediction(model, inputs_of(model, log), runs)
+
+
+def inputs_of(model: Model | RigModel, log: Log | str | PathLike[str]) -> Log:
+    """Log of a model's drive; of one by rig file the sensors may be missing."""
     if isinstance(model, RigModel):
-        return _predict_rig(model, model.rig.read_inputs(log))
-    log = log if isinstance(log, Log) else load_log(log)
+        return model.rig.read_inputs(log)
+    return log if isinstance(log, Log) else load_log(log)
+
+
+def prediction(model: Model | RigModel, log: Log, runs: int) -> pd.DataFrame:
+    """Predict a log of the model's own channels, see `predict`."""
+    if isinstance(model, RigModel):
+        return _predict_rig(model, log)
     out = np.rad2deg(free_run(model, log, runs=runs))
-    names = ("theta_L_deg", "omega_L_deg_s", "theta_ml_deg", "theta_mr_deg")
-    return pd.DataFrame({"time_s": log.time, **{n: out[:, k] for k, n in enumerate(names)}})
+    columns = {name: out[:, k] for k, name in enumerate(DUAL_COLUMNS.values())}
+    return pd.DataFrame({"time_s": log.time, **columns})
+
+
+def measured(model: Model | RigModel, log: Log) -> dict[str, Floats]:
+    """Columns of a prediction as the log has them, where it has."""
+    if not isinstance(model, RigModel):
+        return {name: np.rad2deg(log[c]) for c, name in DUAL_COLUMNS.items() if c in log}
+    sensors = (s for s in model.rig.sensors if s.channel in log)
+    return {s.column: log[s.channel] / (parse_unit(s.unit).factor * s.sign) for s in sensors}
 
 
 def _predict_rig(model: RigModel, log: Log) -> pd.DataFrame:
@@ -140,7 +166,9 @@ def _predict_rig(model: RigModel, log: Log) -> pd.DataFrame:
     columns = {"time_s": log.time}
     seen = readings(model, log, run)
     for sensor in model.rig.sensors:
-        columns[sensor.column] = seen[sensor.name] / (parse_unit(sensor.unit).factor * sensor.sign)
+        with np.errstate(over="ignore"):  # a model that runs away
+            factor = parse_unit(sensor.unit).factor * sensor.sign
+            columns[sensor.column] = seen[sensor.name] / factor
     for body in model.rig.bodies:
         unit = body.angle_unit
         columns.setdefault(f"{body.name}_position_{unit}", run.position(body.name))

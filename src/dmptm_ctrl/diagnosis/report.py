@@ -193,8 +193,9 @@ class Diagnosis:
         where = f"depends on {', '.join(self.depends_on)}" if self.depends_on else ""
         on = f"; it {where}" if where else ""
         names = self._headline()
+        rest = ". The rest is unknown" * (times > NONE)
         if not names and (apart := self._sensors_apart()):
-            return f"Sensors of one motion disagree: {apart}; {left}."
+            return f"Sensors of one motion disagree: {apart}{rest}; {left}."
         if not names:
             why = "The declared model lacks something unknown"
             short = self.errors.short
@@ -206,7 +207,7 @@ class Diagnosis:
             return f"{why}{on}; {left}{beyond}."
         share = f"{100.0 * self.errors.explained:.0f} % of the removable error"
         if self.verdict == "explained":
-            return f"The declared model lacks {names}: {share}; {left}."
+            return f"The declared model lacks {names}: {share}{rest}; {left}."
         return f"Found {names}: {share}. The rest is unknown{on}; {left}."
 
     def _sensors_apart(self) -> str:

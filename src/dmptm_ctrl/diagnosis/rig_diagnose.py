@@ -16,6 +16,7 @@ from dmptm_ctrl.diagnosis.rig_ahead import Ahead
 from dmptm_ctrl.diagnosis.rig_curves import (
     better_without_names,
     curves,
+    mean_square,
     predicted,
 )
 from dmptm_ctrl.diagnosis.rig_evidence import (
@@ -81,10 +82,9 @@ def diagnose_rig(
     refuse_no_gain(declared, balance)
     if turned := refuse_reversed(declared, balance):
         warnings = (*warnings, turned)
-    if strange := other_scale(declared, balance):
-        if all(link.rigid for link in declared.links):
-            raise LogError(strange)
-        warnings = (*warnings, strange)  # a resonance may look like that
+    strange = other_scale(declared, balance)
+    if strange and all(link.rigid for link in declared.links):
+        raise LogError(strange)
     tell("fitting the declared model")
     model = RigModel(declared, closed=balance.closed)
     balance, evidence, base = _fitted(model, balance, right, jobs)
@@ -116,7 +116,8 @@ def diagnose_rig(
     )
     tell("looking for curves in what is left")
     found = curves(selection.final)
-    at_floor = within_floor(selection, predicted(selection.final, found))
+    floor = predicted(selection.final, found)
+    at_floor = within_floor(selection, floor)
     plain = better_without_names(selection) if selection.entries else []
     if selection.entries and (at_floor or plain) and not told(base, settled):
         bare = selection.base
@@ -125,6 +126,10 @@ def diagnose_rig(
     before = as_read or selection.base
     if not selection.entries and any(d["outside"] for d in declared_of(before.fit).values()):
         before = evidence.inside(before)  # "none" is said of the model as it is declared
+    last = selection.final
+    strained = any(d["outside"] for d in declared_of(last.fit).values())
+    if strange and (strained or not near(mean_square(last.held_left[0], last.held), floor)):
+        warnings = (*warnings, strange)  # else it was a resonance that looks like that
     noted = (f"{log.name}: {note}" for log in loaded for note in log.warnings)
     return report_of(
         declared,

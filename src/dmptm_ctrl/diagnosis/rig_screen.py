@@ -123,16 +123,15 @@ def _inverted(path: _Path, slope: float) -> bool:
 def _other_ratio(one: Sensor, other: Sensor, path: _Path, slope: float) -> str:
     """Sentence about a ratio that the logs contradict."""
     shown = slope * path.ratio
-    if abs(np.log(abs(shown * path.ratio))) < np.log(NAMED):
-        why = (
-            "the ratio is the wrong way round; it is turns of the first body per turn of the second"
-        )
-        why += "; and one of the two counts the other way (sign = -1)" * bool(shown < 0)
-    elif abs(np.log(abs(slope))) < np.log(NAMED):
-        why = "one of the two counts the other way (sign = -1), or the ratio is negative"
-    else:
-        near = [text for f, text in MISTAKES.items() if 1 / NAMED < slope / f < NAMED]
-        why = near[0] if near else "a wrong ratio or unit"
+    turned = (
+        "the ratio is the wrong way round; it is turns of the first body per turn of the second"
+        + "; and one of the two counts the other way (sign = -1)" * bool(shown < 0)
+    )
+    other_way = "one of the two counts the other way (sign = -1), or the ratio is negative"
+    causes = [(abs(shown * path.ratio), turned), (abs(slope), other_way)]
+    causes += [(slope / f, text) for f, text in MISTAKES.items() if slope / f > 0]
+    off, why = min((abs(np.log(factor)), text) for factor, text in causes)
+    why = why if off < np.log(NAMED) else "a wrong ratio or unit"
     said = " and ".join(path.links)
     return (
         f"{one.column} moves {shown:.3g} times what {other.column} does, where {said} "

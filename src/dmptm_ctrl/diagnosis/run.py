@@ -1,6 +1,6 @@
 """What the command line calls: files in, results out."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from dmptm_ctrl.diagnosis.diagnose import diagnose_dual
-from dmptm_ctrl.diagnosis.predict import RUNS, predict
+from dmptm_ctrl.diagnosis.predict import RUNS, inputs_of, measured, prediction
 from dmptm_ctrl.diagnosis.report import Diagnosis
 from dmptm_ctrl.diagnosis.rig_diagnose import diagnose_rig
 from dmptm_ctrl.diagnosis.screen import READ_ROWS
@@ -18,9 +18,10 @@ from dmptm_ctrl.drive.rig import Rig
 from dmptm_ctrl.drive.rig_dual import dual_columns, dual_motor
 from dmptm_ctrl.drive.rigfile import load_rig
 from dmptm_ctrl.signals import Campaign, LogError, load_logs
-from dmptm_ctrl.signals.loaders import gather
+from dmptm_ctrl.simulate.model import Floats
 from dmptm_ctrl.simulate.model_file import read_model
 
+RUNAWAY = 1e3  # times the motion of a log; a model that misses so predicts nothing
 SPEED_FORMAT = "%.7g"  # finer than any sensor here
 CHUNK_ROWS = 100_000  # text of so many is in memory at once
 
@@ -71,25 +72,30 @@ def diagnose(
     if drive is None:
         return diagnose_rig(logs, declared, jobs=jobs, seed=seed, tell=tell)
     columns = dual_columns(declared)
-    read, left_out = gather(
-        logs,
-        lambda one, **name: declared.load(one, columns, max_rows=READ_ROWS, **name),
-        declared.ignores,
-    )
+    left_out: list[str] = []
+    read = declared.read(logs, columns=columns, max_rows=READ_ROWS, told=left_out)
     campaign = Campaign(read, tuple(left_out))
     return diagnose_dual(campaign, drive, jobs, seed, tell)
 
 
-def predict_file(log: Path, model: Path, *, single: bool = False) -> Iterator[str]:
+def predict_file(
+    log: Path, model: Path, *, single: bool = False, told: list[str] | None = None
+) -> Iterator[str]:
     """Predict a log file with a model file; return the CSV text in parts.
 
     Parameters
     ----------
     single : bool
         One run instead of the mean of several; that of a drive by rig.toml is one always.
+    told : list
+        Gets a sentence about each thing that was mended in the log.
     """
-    table = predict(read_model(model), log, runs=1 if single else RUNS)
-    _refuse_runaway(table, model.name)
+    read = read_model(model)
+    given = inputs_of(read, log)
+    if told is not None:
+        told += given.warnings
+    table = prediction(read, given, 1 if single else RUNS)
+    _refuse_runaway(table, model.name, measured(read, given))
     return _csv(table)
 
 
@@ -101,11 +107,15 @@ def _csv(table: pd.DataFrame) -> Iterator[str]:
         )
 
 
-def _refuse_runaway(table: pd.DataFrame, model: str) -> None:
-    good = np.isfinite(table.to_numpy(float)).all(axis=1)
-    if not good.all():
-        at = float(table["time_s"].iloc[int(np.argmin(good))])
+def _refuse_runaway(table: pd.DataFrame, model: str, seen: Mapping[str, Floats]) -> None:
+    """LogError for a run that ends in no number, or moves a thousand times as far as its log."""
+    far = ~np.isfinite(table.to_numpy(float)).all(axis=1)
+    for column, values in seen.items():
+        moved = np.abs(table[column] - values[0]).to_numpy()
+        far |= (moved > RUNAWAY * np.ptp(values)) & (np.ptp(values) > 0.0)
+    if far.any():
+        at = float(table["time_s"].iloc[int(np.argmax(far))])
         raise LogError(
-            f"{model}: the run leaves all finite numbers at {at:.6g} s; a value in the model, or "
-            "in the log's inputs, is far from any drive"
+            f"{model}: the run leaves all motion of the log at {at:.6g} s; a value in the model, "
+            "or in the log's inputs, is far from any drive"
         )

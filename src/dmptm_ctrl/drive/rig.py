@@ -93,7 +93,8 @@ class Link:
     def __str__(self) -> str:
         parts = [f"{'mesh' if self.mesh else 'shaft'} {self.name}"]
         if self.ratio.value != 1:
-            parts.append(f"ratio {self.ratio.value:.6g} ({self.first} per {self.second})")
+            unit = f" {self.ratio.unit}" if self.ratio.unit else ""
+            parts.append(f"ratio {self.ratio.value:.6g}{unit} ({self.first} per {self.second})")
         parts.append("rigid" if self.rigid else f"stiffness {self.stiffness}")
         if self.damping is not None:
             parts.append(f"damping {self.damping}")
@@ -359,24 +360,30 @@ class Rig:
         return names
 
     def read(
-        self, sources: Any, *, max_rows: int | None = None, told: list[str] | None = None
+        self,
+        sources: Any,
+        *,
+        columns: Mapping[str, Column] | None = None,
+        max_rows: int | None = None,
+        told: list[str] | None = None,
     ) -> tuple[Log, ...]:
         """Load logs of this rig: channels ``in_NAME`` and ``out_NAME``, SI, in order of names.
 
         `sources` are paths, DataFrames or Logs. A folder stands for all logs in it, but those
         under ``[data] ignore``; files that are no logs are left out, and `told` gets a sentence
-        about each. Logs that have the rig's channels already are taken as they are. Rows of a
-        file after `max_rows` are not read, with a warning. LogError as of `load_log`, and for no
+        about each. Logs that have the rig's channels already are taken as they are; of others
+        `columns` become channels, by default the rig's own. Rows of a file after `max_rows` are
+        not read, with a warning. LogError as of `load_log`, and for no
         log, or two of one name.
         """
         seen: list[Path] = []
 
         def ignored(path: Path) -> bool:
             seen.append(path)
-            return self.ignores(path)
+            return any(_ignored(path.name, p) for p in self.data.ignore)
 
         loaded, left_out = gather(
-            sources, lambda s, **o: self.load(s, max_rows=max_rows, **o), ignored
+            sources, lambda s, **o: self.load(s, columns, max_rows=max_rows, **o), ignored
         )
         if told is not None:
             told += [
@@ -419,10 +426,6 @@ class Rig:
         low = float(log.time[0])
         high = float(log.time[-1]) if stop is None else low + stop
         return log.segment(low + (start or 0.0), high)
-
-    def ignores(self, path: Path) -> bool:
-        """Whether a file is under ``[data] ignore``, by its name or that of its log."""
-        return any(_ignored(path.name, p) for p in self.data.ignore)
 
     def _without_match(self, names: list[str], files: list[Path]) -> list[str]:
         """Sentences about patterns of ``[data]`` that mean no log."""

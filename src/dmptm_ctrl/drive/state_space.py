@@ -12,6 +12,11 @@ FEWEST = 2000  # points while one decays
 TURN = 6.0  # rad, where most rises are over
 
 
+def system_name(text: str) -> str:
+    """Name that python-control takes: without blanks and points."""
+    return text.replace(" ", "_").replace(".", "_")
+
+
 class StateSpace(ct.StateSpace):  # type: ignore[misc]  # control is untyped
     """A StateSpace in which an angle of no return does not spoil what the other outputs say.
 
@@ -32,6 +37,11 @@ class StateSpace(ct.StateSpace):  # type: ignore[misc]  # control is untyped
             return value
         rows = (self[i, :].horner(x, warn_infinite) for i in range(self.noutputs))
         return np.concatenate([*rows])
+
+    def bandwidth(self, dbdrop: float = -3) -> float:
+        """Return the bandwidth [rad/s], also behind a gear that reverses: a negative gain at 0."""
+        reversed_ = self.issiso() and np.real(self.dcgain()) < 0.0
+        return float(ct.StateSpace.bandwidth(-self if reversed_ else self, dbdrop))
 
     def __getitem__(self, key: Any) -> "StateSpace":
         """Return a part, by numbers or names of outputs and inputs, and the states it needs."""

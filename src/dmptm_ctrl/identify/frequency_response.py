@@ -213,8 +213,8 @@ def from_log(
     """Estimate a response from a log, only where the log excites it.
 
     With `lines`, sines of exactly these frequencies are fitted to segments. Without, a
-    periodic excitation is cut into its periods, whose lines are exact; any other into
-    segments, where lines that chance alone could give are left out, too.
+    periodic excitation is cut into its periods, whose lines are exact, any other into segments;
+    lines that chance alone could give are left out, too.
 
     In closed loop, the set point is the excitation: the response is that of the output to it
     over that of the input to it, which noise in the loop does not bias.
@@ -287,8 +287,8 @@ def from_log(
         warnings.warn(
             f"{log.name}: nothing excites {silent} Hz; left out", UserWarning, stacklevel=2
         )
-    if lines is None and period is None:
-        independent = u.size // n
+    if lines is None:
+        independent = len(own) if period is not None else u.size // n
         keep &= coherence > 1.0 - (CHANCE / keep.sum()) ** (1.0 / (independent - 1))
     keep &= (coherence >= min_coherence) & (np.abs(through) > 0.0)
     if not keep.any():

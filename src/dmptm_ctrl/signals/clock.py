@@ -17,7 +17,7 @@ from dmptm_ctrl.signals.numbers import roundest
 
 # Bridged by a straight line; over more than this at 1 kHz a drive does something unseen.
 MAX_BRIDGED = 10
-DAY = 86400.0  # s
+DAY, HOUR = 86400.0, 3600.0  # s
 COARSE = 0.05  # of the steps are another multiple of a coarse clock's tick than most
 _DURATION = re.compile(
     r"(-?\d+ days?\s+)?\d{1,2}:\d{2}(:\d{2})?([.,:]\d+)?$|\S+ (s|sec|ms|us|µs|ns|min|h|hr)$"
@@ -170,7 +170,8 @@ def run_on(time: Array, channels: Mapping[str, Array], factor: float = 1.0) -> t
 def _epoch(raw: Array, factor: float) -> tuple[str, float] | None:
     """What a clock must count, as no seconds since any epoch are that many, or tick so; and its s.
 
-    A time of day as a number is a fraction of a day. Oscilloscopes tick as fast, in round numbers.
+    A time of day as a number is a fraction of a day; hours are known by a round rate that days do
+    not have. Oscilloscopes tick as fast, in round numbers.
     """
     good = raw[np.isfinite(raw)]
     if good.size < 2:
@@ -184,13 +185,21 @@ def _epoch(raw: Array, factor: float) -> tuple[str, float] | None:
         other = first * factor > LATEST if size < 1 else days
         if other and low < first * size < high:
             return f"counts {unit} since {since}: taken so", size
-    if days and first < 1 and abs(mean / float(f"{mean:.2e}") - 1) > ROUND:
+    hours = days and _is_round(1 / (mean * HOUR)) and not _is_round(1 / (mean * DAY))
+    if days and (hours or first < 1) and not _is_round(mean):
+        what, size, instead = ("hours", HOUR, "d") if hours else ("days", DAY, "h")
         note = (
-            f"ticks by {mean:.4g}, no seconds of a drive: taken as days of {DAY:g} s, steps of "
-            f'{mean * DAY:.4g} s; else give its unit, as in time = {{ column = "…", unit = "h" }}'
+            f"ticks by {mean:.4g}, no seconds of a drive: taken as {what} of {size:g} s, steps of "
+            f'{mean * size:.4g} s; else give its unit, as in time = {{ column = "…", '
+            f'unit = "{instead}" }}'
         )
-        return note, DAY
+        return note, size
     return None
+
+
+def _is_round(value: float) -> bool:
+    """Whether a number is one of three digits."""
+    return abs(value / float(f"{value:.2e}") - 1) < ROUND
 
 
 def mended(

@@ -102,9 +102,10 @@ def resolve(
     for column in names:
         seen = {t.channel for t in targets.values()}
         if column in mapping:
-            said = _in_its_unit(mapping[column], units.get(column, ""))
+            stated = units.get(column) or named_unit(column)[1]
+            said = _in_its_unit(mapping[column], stated)
             targets[column] = _mapped(column, said, source)
-            if other := _other_unit(said, units.get(column, "")):
+            if other := _other_unit(said, stated):
                 warnings.append(f"column {column!r} {other}")
         else:
             target = _by_name(column, units.get(column), source, strict=not mapping)

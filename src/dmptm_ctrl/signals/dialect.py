@@ -23,6 +23,7 @@ _FORTRAN = re.compile(r"[-+]?[\d.]+[dD][-+]?\d+")
 _PAIR = re.compile(r"(?<![\w.-])([A-Za-z_][\w.\[\]()/-]*)\s*[=:]\s*(?=[-+.\d])")
 _STAMP = re.compile(r"^\s*([\d:.]+)\s*->\s*")  # serial monitors put the time of day before a row
 _ENCLOSED = re.compile(r"^\s*[\[(]([^\[\]()]*)[\])][;,]?\s*$")  # printed tuples and arrays
+_OF_NUMPY = re.compile(r"np\.\w+\(([^()]*)\)")  # printed scalars
 _ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # colours and places on a terminal
 _WITH_UNIT = re.compile(r"([-+]?[\d.,]*\d(?:[eE][-+]?\d+)?)\s*([^\d\s.,:;+-][^\s:;,]*)")
 _GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
@@ -63,6 +64,8 @@ class Dialect(NamedTuple):
         line = line.rstrip("\r\n")
         if not line.isascii():
             line = line.translate(ODD)
+        if "np." in line:
+            line = _OF_NUMPY.sub(r"\1", line)
         if "->" in line:
             line = _STAMP.sub(rf"\1{self.separator}", line)
         if line[-2:].rstrip(";, ")[-1:] in (")", "]"):
@@ -177,11 +180,11 @@ def with_units(dialect: Dialect, lines: Sequence[str]) -> Dialect | None:
 
 
 def _unquoted(field: str) -> str:
-    """Field without the blanks and quotes around it, also written ="0.1"."""
+    """Field without the blanks and quotes around it, also written ="0.1" or '0.1."""
     plain = field.strip().removeprefix("=")
     if len(plain) > 1 and plain[0] == plain[-1] and plain[0] in "'\"":
         return plain[1:-1].strip()
-    return plain
+    return plain.removeprefix("'")  # of spreadsheets, before what is a text
 
 
 def with_points(cells: Iterable[Any]) -> list[Any]:

@@ -32,7 +32,7 @@ _KIND = re.compile(r"(?<=\S) \([A-Z][a-z]+\)$")  # TwinCAT: V (Voltage)
 _AMOUNT = re.compile(r"[\s:=,;\"]*(?:is\s+)?([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([a-zA-Zµ]*)")
 
 
-def named(
+def layout_of(
     lines: Sequence[str], block: Block, source: str, how: TextFormat, wanted: Collection[str]
 ) -> Layout:
     """Layout with names and units from the lines above the first row of numbers."""

@@ -11,10 +11,11 @@ from dmptm_ctrl.signals.checks import MIN_SAMPLES
 from dmptm_ctrl.signals.clock import seconds_of
 from dmptm_ctrl.signals.columns import TIMES, Table
 from dmptm_ctrl.signals.errors import LogError
-from dmptm_ctrl.signals.loaders import load_log, numbers_or_times, read_table
+from dmptm_ctrl.signals.loaders import digest_of, log_of, numbers_or_times, read_table, stem
 from dmptm_ctrl.signals.log import Array, Log
 from dmptm_ctrl.signals.units import door_column, named_unit, parse_unit
 
+NO_UNIT = ("", "1", "-")  # of a number
 INPUT_UNITS = ("V", "A", "N·m", "N", "%")
 DECLARED = "the rig file declares it: it is fitted, not looked for"
 REST_SHARE = 0.02  # of the greatest speed; slower is at rest
@@ -111,8 +112,13 @@ def _channel(log: Log, channel: str, labels: Mapping[str, tuple[str, str]]) -> C
     if channel in labels:
         name, unit = labels[channel]
         factor = parse_unit(unit).factor
-        column = name if named_unit(name)[1] or not unit else f"{name} [{unit}]"
+        column = _with_unit(name, unit)
     return _figures(column, log[channel] / factor)
+
+
+def _with_unit(name: str, unit: str) -> str:
+    """Name of a column with its unit, where it has one and the name does not tell it."""
+    return name if unit in NO_UNIT or named_unit(name)[1] else f"{name} [{unit}]"
 
 
 def _figures(column: str, values: Array) -> ChannelInfo:
@@ -248,7 +254,7 @@ def describe_file(path: Path) -> LogInfo:
     columns, table = _columns_of(path)
     samples = max((len(values) for values in table.columns.values()), default=0)
     try:
-        info = describe(load_log(path))
+        info = describe(log_of(table, path.name, digest_of(path), {}, stem(path.name)))
     except LogError as error:
         if samples < MIN_SAMPLES or not columns:
             raise
@@ -280,6 +286,5 @@ def _columns_of(path: Path) -> tuple[tuple[ChannelInfo, ...], Table]:
         good = column[np.isfinite(column)].astype(np.float64)
         if good.size and not (dated and np.ptp(good) == 0.0):  # a date beside the time of day
             unit = "s" if stated.get(name) == TIMES else stated.get(name, "")
-            unit = "" if named_unit(name)[1] else unit
-            found.append(_figures(f"{name} [{unit}]" if unit else name, good))
+            found.append(_figures(_with_unit(name, unit), good))
     return tuple(found), table

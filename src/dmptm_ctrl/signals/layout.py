@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
+from dmptm_ctrl.signals.clock import MAX_BRIDGED
 from dmptm_ctrl.signals.dialect import (
     Block,
     Dialect,
@@ -16,7 +17,7 @@ from dmptm_ctrl.signals.dialect import (
     with_units,
 )
 from dmptm_ctrl.signals.errors import NotALogError
-from dmptm_ctrl.signals.header import SEP_LINE, SEPARATORS, named
+from dmptm_ctrl.signals.header import SEP_LINE, SEPARATORS, layout_of
 
 # decimal sign, sign between thousands; the plainest that reads everything is taken
 NUMBERS = ((".", ""), (",", ""), (".", ","), (",", "."), (".", "'"), (".", " "), (",", " "))
@@ -59,7 +60,7 @@ def find_layout(
         dialect = best.dialect._replace(decimal="." if sign == "," else ",", thousands=sign)
         grouped = _block(lines, dialect, how)
         best = grouped if grouped is not None and grouped.score >= best.score else best
-    return named(lines, best, source, how, wanted)
+    return layout_of(lines, best, source, how, wanted)
 
 
 def _groups(block: Block) -> bool:
@@ -112,7 +113,8 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
 
     def regular(kind: list[str]) -> bool:
         return (
-            len(kind) == width
+            not {*kind[width:]} - {"text", ""}  # a remark behind the row
+            and len(kind) >= width
             and any(x in ("number", "time") for x in kind)
             and not any(x == "text" != of for x, of in zip(kind, column, strict=False))
         )
@@ -123,12 +125,18 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
         return None
     enough = min(STEADY, max(stop - begin for begin, stop in runs))
     steady = next(b for b, stop in runs if stop - b >= enough)
-    begin = steady
+    full = (len(trimmed(row)) == len(column) for _, row in rows)
+    named = [{*kind} == {"text"} and whole for kind, whole in zip(kinds, full, strict=True)]
+    begin, parted = steady, False
     for i in range(steady - 1, -1, -1):  # blank lines between alike rows part nothing
-        if good[i] and kinds[i] == kinds[steady]:
-            begin = i
+        if good[i] and kinds[i][:width] == kinds[steady][:width]:
+            if parted and not _goes_on(dialect, [rows[k][1][0] for k in (i, begin, begin + 1)]):
+                break
+            begin, parted = i, False
         elif any(kinds[i]):
-            break
+            if named[i] and not any(named[:i]):
+                break
+            parted = True  # by a remark, or names that were written again
     first = rows[begin][0]
     body = [row for (_, row), ok in zip(rows[begin:], good[begin:], strict=True) if ok]
     said = [{r[c] for r in body} if of == "text" else set() for c, of in enumerate(column)]
@@ -150,6 +158,14 @@ def _block(lines: Sequence[str], dialect: Dialect, how: TextFormat) -> Block | N
     tabs = dialect.separator == " " and any("\t" in lines[i] for i, _ in rows[begin : begin + 9])
     score = (round(share, 2), told, values * (not tabs))
     return Block(score, dialect, first, width, column, constant, body)
+
+
+def _goes_on(dialect: Dialect, clock: list[str]) -> bool:
+    """Whether a row comes just before another and the one after it, by their first cells."""
+    before, here, after = (dialect.number(cell) for cell in clock)
+    if before is None or here is None or after is None:
+        return clock[0] < clock[1] and {dialect.kind(cell) for cell in clock} == {"time"}
+    return 0 < here - before <= (MAX_BRIDGED + 1) * (after - here)
 
 
 def _whole(rows: list[tuple[int, list[str]]], kinds: list[list[str]], width: int) -> int:

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 Source = str | PathLike[str]
 
 NO_COUNTER = 2.0**32  # counts so far
+LEFT_OUT = "left out: "  # begins what is said of a file
 OTHER_RATE = 0.01  # relative; a nominal rate is as good as this
 PACKED = ".mat, .parquet, .mf4, .json, .mcap, .bag"
 OTHER = (  # what stands beside logs in a folder and is none by its name
@@ -118,6 +119,22 @@ def load_log(
         table, ignored, digest = from_frame(source), [], None
     if max_rows is not None:
         ignored += _cut(table, max_rows)
+    return log_of(
+        table._replace(notes=(*ignored, *table.notes)), title, digest, mapped, name or stem(title),
+        sample_time, window,
+    )  # fmt: skip
+
+
+def log_of(
+    table: Table,
+    title: str,
+    digest: str | None,
+    mapped: Mapping[str, Column],
+    name: str,
+    sample_time: float | None = None,
+    window: tuple[float | None, float | None] = (None, None),
+) -> Log:
+    """Log of a table that was read, see `load_log`; `title` is for messages."""
     targets, notes = resolve(list(table.columns), mapped, table.units, title)
     if sample_time is not None and mapped and not names_a_clock(mapped):
         left_out = {c: t for c, t in targets.items() if t.channel == "time"}
@@ -125,7 +142,7 @@ def load_log(
         table = table._replace(period=_step_of(table, left_out, title) or table.period)
     read = _channels(table, targets, title, sample_time, window, set(mapped))
     time, channels, units, more = read
-    notes = list(dict.fromkeys([*ignored, *table.notes, *notes, *more]))
+    notes = list(dict.fromkeys([*table.notes, *notes, *more]))
     if time.size < checks.MIN_SAMPLES:
         raise NotALogError(
             f"{title}: {time.size} sample{'s' * (time.size != 1)}, "
@@ -146,10 +163,7 @@ def load_log(
             values, note = without_failures(title, column, values, time)
             if note:
                 channels[target.channel], notes = values * target.factor, [*notes, note]
-    log = Log(
-        name=name or stem(title), time=time, channels=channels, sha256=digest, meta=table.meta,
-        units=units,
-    )  # fmt: skip
+    log = Log(name=name, time=time, channels=channels, sha256=digest, meta=table.meta, units=units)
     refuse_inconsistent(log)
     return replace(log, warnings=(*notes, *suspects(log)))
 
@@ -220,7 +234,7 @@ def gather(
                     if not Path(source).is_dir():
                         raise
                     first = first or error
-                    left_out.append(f"left out: {error}")
+                    left_out.append(f"{LEFT_OUT}{error}")
     if not logs and first is not None:
         more = f", and {len(left_out) - 1} more files are no logs" if len(left_out) > 1 else ""
         raise NotALogError(f"{first}{more}")
@@ -265,11 +279,14 @@ def _read(
         targets, ignored[:] = resolve(names, columns, units, path.name)
         return list(targets)
 
-    # one row more, so that the cut is noticed
-    most = None if max_rows is None else max_rows + 1
-    table = read_table(path, choose, most, how, list(columns))
+    most = None if max_rows is None else max_rows + 1  # one row more, so that the cut is noticed
+    return read_table(path, choose, most, how, list(columns)), ignored, digest_of(path)
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file."""
     with path.open("rb") as stream:
-        return table, ignored, hashlib.file_digest(stream, "sha256").hexdigest()
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def read_table(

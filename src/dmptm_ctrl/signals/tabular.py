@@ -70,6 +70,7 @@ def read_json(path: Path, choose: Choose) -> Table:
         data = path.read_bytes()
         data = gzip.decompress(data) if data.startswith(b"\x1f\x8b") else data
         text = data.decode(json.detect_encoding(data))
+        text = text if '"' in text else text.replace("'", '"')  # dicts as Python prints them
         try:
             content = json.loads(text)
         except ValueError:

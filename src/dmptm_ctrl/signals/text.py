@@ -1,14 +1,13 @@
 """Columns of numbers in text files, plain or gzip, as programs write them."""
 
-import codecs
 import gzip
 import io
 import itertools
-import re
 import sys
 import zlib
 from collections import Counter, deque
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -25,11 +24,14 @@ from dmptm_ctrl.signals.dialect import (
     says_nothing,
     without_remark,
 )
+from dmptm_ctrl.signals.encodings import encoding_of
 from dmptm_ctrl.signals.errors import LogError, NotALogError
 from dmptm_ctrl.signals.header import clock_word, is_clock_name
 from dmptm_ctrl.signals.layout import find_layout
 
 CHUNK_ROWS = 200_000  # text of one chunk is in memory at once, about 20 MB
+HEAD = 1 << 16  # bytes that tell the encoding
+FIELD_LINES = 8  # a quoted field goes over no more than this; else it is a mark of inches
 MAX_LINE = 1 << 20  # bytes; a line longer than this is no row of numbers
 MAX_BYTES = 20 << 30  # unpacked; guards against archives that unpack without end
 SAMPLES = (1000, 20_000)  # lines looked at before the first row of numbers is found
@@ -55,7 +57,8 @@ def read_text(
     """
     how = how or TextFormat()
     try:
-        encoding = _encoding(path)
+        with _open(path) as stream:
+            encoding = encoding_of(stream.peek(HEAD)[:HEAD], path.name, wanted)
         sample, layout = _sample(path, encoding, how, wanted)
         try:
             return _table(path, encoding, layout, choose, max_rows, words=False)
@@ -105,48 +108,27 @@ def _open(path: Path) -> io.BufferedReader:
     raw = path.open("rb")
     packed = raw.read(2) == _GZIP_MAGIC
     raw.seek(0)
-    return io.BufferedReader(_Guarded(gzip.open(raw) if packed else raw, path.name), 1 << 16)
+    return io.BufferedReader(_Guarded(gzip.open(raw) if packed else raw, path.name), HEAD)
 
 
-def _lines(path: Path, encoding: str) -> io.TextIOWrapper:
-    return io.TextIOWrapper(_open(path), encoding=encoding, errors="replace")
+@contextmanager
+def _lines(path: Path, encoding: str) -> Iterator[Iterator[str]]:
+    """Lines of a file; a quoted field that goes over several makes one, and blank ones follow."""
+    with io.TextIOWrapper(_open(path), encoding=encoding, errors="replace") as stream:
+        yield _whole_lines(stream)
 
 
-def _encoding(path: Path) -> str:
-    """UTF-8 or -16; else the Latin letters of older programs, for ° and µ in names."""
-    with _open(path) as stream:
-        head = stream.peek(1 << 16)[: 1 << 16]
-    if head[:64].count(0) < 8:  # a file that was to grow, and was not closed
-        head = head.rstrip(b"\0")
-    if head.startswith((b"\xff\xfe\0\0", b"\0\0\xfe\xff")):
-        return "utf-32"
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    if b"\0" in head:
-        half = len(head) // 4
-        for encoding, zeros in (("utf-16-le", head[1::2]), ("utf-16-be", head[::2])):
-            if zeros.count(0) > half:
-                return encoding
-        raise NotALogError(f"{path.name}: not a text file; save it as CSV in UTF-8")
-    try:
-        head[: max(len(head) - 3, 0) or None].decode("utf-8")
-    except UnicodeDecodeError as error:
-        if error.start < len(head) - 6:
-            return "cp932" if _is_japanese(head) else "cp1252"
-    return "utf-8-sig"
-
-
-_JAPANESE = re.compile(r"[\u3040-\u30ff\u4e00-\u9fff]")
-
-
-def _is_japanese(head: bytes) -> bool:
-    """Whether a text is in Shift-JIS: most of its letters begin with what is no Latin letter."""
-    try:
-        text = codecs.getincrementaldecoder("cp932")().decode(head)
-    except UnicodeDecodeError:
-        return False
-    letters = len(_JAPANESE.findall(text))
-    return letters > 1 and 2 * sum(0x81 <= byte <= 0x9F for byte in head) > letters
+def _whole_lines(stream: Iterator[str]) -> Iterator[str]:
+    held: deque[str] = deque()
+    while (line := held.popleft() if held else next(stream, None)) is not None:
+        if line.count('"') % 2:
+            held.extend(itertools.islice(stream, FIELD_LINES - len(held)))
+            quotes = itertools.accumulate(s.count('"') for s in held)
+            end = next((k for k, n in enumerate(quotes, 1) if n % 2), 0)
+            for _ in range(end):
+                line = f"{line.rstrip()} {held.popleft()}"
+            held.extendleft(["\n"] * end)
+        yield line
 
 
 def _sample(

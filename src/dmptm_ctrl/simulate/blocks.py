@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
+from dmptm_ctrl.drive.state_space import system_name
 from dmptm_ctrl.simulate.block_parts import (
     PADE_ORDER,
     REST_SPEED,
@@ -90,7 +91,7 @@ def to_blocks(
         blocks,
         inputs=inputs,
         outputs=outputs,
-        name=own.rig.name.replace(" ", "_") if not dual else "drive_loop" if loop else "drive",
+        name=system_name(own.rig.name) if not dual else "drive_loop" if loop else "drive",
         check_unused=False,  # speeds of motors, twists of links are for whoever wants them
     )
 

@@ -15,7 +15,7 @@ from scipy.optimize import root
 from dmptm_ctrl.drive.modes import Modes, solve_modes
 from dmptm_ctrl.drive.parameters import Drive
 from dmptm_ctrl.drive.rig import Rig
-from dmptm_ctrl.drive.state_space import StateSpace
+from dmptm_ctrl.drive.state_space import StateSpace, system_name
 from dmptm_ctrl.drive.train import GearTrain, Joint
 from dmptm_ctrl.effects.backlash import mesh_region, mesh_torque
 from dmptm_ctrl.signals import LogError
@@ -336,7 +336,7 @@ def linear_train(model: RigModel, position: Mapping[str, float] | None = None) -
     pushed = [turn[layout.input_body[name]] for name in layout.inputs]
     kinds = {"position": "q", "speed": "v"}
     return GearTrain(
-        name=model.rig.name.replace(" ", "_").replace(".", "_"),
+        name=system_name(model.rig.name),
         bodies=tuple(_leads(model)),
         inertia=plant.inertia,
         viscous=viscous + lossy,

@@ -86,7 +86,7 @@ def diagnose_rig(
     if strange and all(link.rigid for link in declared.links):
         raise LogError(strange)
     tell("fitting the declared model")
-    model = RigModel(declared, closed=balance.closed)
+    model = RigModel(declared, closed=balance.closed, ranged=True)
     balance, evidence, base = _fitted(model, balance, right, jobs)
     _, held_logs, held_names, on = split(declared, balance)
     ahead = cache(Ahead.of(declared, right, base.logs, SAMPLES, jobs).fitted)

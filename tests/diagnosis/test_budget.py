@@ -133,11 +133,16 @@ def test_entries_are_plain():
 def test_lines_of_text():
     rows = closed([row("drive_offset", 1.0, None)], Errors(10.0, 1.0, 1.0))
     lines = table_lines(rows, ("deg/s", "N·m"))
-    assert len(lines) == len(rows)
-    assert "drive offset @ ring gear" in lines[0]
-    assert "90.0 %" in lines[0]
-    assert "–" in lines[0]  # it does not act on the torque
-    assert "deg/s" not in table_lines(rows, ("", "N·m"))[0]
+    assert len(lines) == 1 + len(rows)
+    assert " ".join(lines[0].split()) == "effect @ place speed torque share depends on"
+    ends = [lines[0].index(word) + len(word) for word in ("speed", "torque", "share")]
+    assert [lines[1][end - 1] for end in ends] == ["s", " ", "%"]
+    assert "drive offset @ ring gear" in lines[1]
+    assert "90.0 %" in lines[1]
+    assert "–" in lines[1]  # it does not act on the torque
+    bare = table_lines(rows, ("", "N·m"))
+    assert "speed" not in bare[0]
+    assert "deg/s" not in bare[1]
     assert MATERIAL < EXPLAINED < 1.0 < NONE
 
 

@@ -105,7 +105,8 @@ class Tuned:
             f"µ{rad}, lead {1e3 * g.lead:.2f} ms",
             *(f"notch at {n.hz:.1f} Hz, depth {n.depth:g}, width {n.width:g}" for n in g.notches),
             f"linear start: bandwidth {self.linear.bandwidth_hz:.1f} Hz, "
-            f"{self.linear.phase_margin_deg:.0f}°, {self.linear.gain_margin_db:.1f} dB",
+            f"phase margin {self.linear.phase_margin_deg:.0f} deg, "
+            f"gain margin {self.linear.gain_margin_db:.1f} dB",
         ]
         median, sure = np.quantile(self.gains, [0.5, 1.0 - QUANTILE])
         least, most = OPTIMISM[isinstance(self.controller.model, RigModel)]

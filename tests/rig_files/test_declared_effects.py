@@ -1,7 +1,9 @@
 """Effects that a rig file declares: what they are, and where they may stand."""
 
+import numpy as np
 import pytest
 
+from dmptm_ctrl import Loop, close_loop
 from dmptm_ctrl.cli import main
 from dmptm_ctrl.drive.rigfile import RigError, parse_rig
 from dmptm_ctrl.simulate.rig_model import RigModel
@@ -95,9 +97,12 @@ def test_the_commands_refuse_it_in_one_line(tmp_path, capsys, lines):
 
 
 def test_an_effect_is_added_to_a_model_by_name():
-    bare = RigModel(parse_rig(RIG.format(stiffness="40 N m/rad")))
+    bare = RigModel(parse_rig('name = "bench"\n' + RIG.format(stiffness="40 N m/rad")))
     model = bare.with_effect("cogging", on="motor", cosine=0.01, order=7.0)
     text = '[effect.cogging]\non = "motor"\ncosine = 0.01\norder = 7'
     assert model.effects == effects_of(text)
+    assert str(model) == "bench: declared, cogging@motor"
+    with pytest.raises(ValueError, match="no speed sensor; tune_controller makes a loop"):
+        close_loop(model, Loop(1.0, 1.0, limit=1.0), 1e-3 * np.arange(10), np.zeros(10))
     with pytest.raises(RigError, match="no effect 'coging'; did you mean 'cogging'?"):
         bare.with_effect("coging", cosine=0.01)

@@ -116,6 +116,9 @@ class RigModel:
         if wrong:
             raise KeyError(f"the rig has no {wrong[0]!r}; it has {', '.join(self.quantities)}")
 
+    def __str__(self) -> str:
+        return ", ".join([f"{self.rig.name}: declared", *(e.key for e in self.effects)])
+
     @cached_property
     def quantities(self) -> dict[str, Quantity]:
         """Declared quantities by key, without those that are tied to another's."""

@@ -19,6 +19,7 @@ from dmptm_ctrl.diagnosis.budget import (
 )
 from dmptm_ctrl.diagnosis.negligible import material_together
 from dmptm_ctrl.diagnosis.select import Entry, Selection
+from dmptm_ctrl.diagnosis.summary import parameter_lines
 
 SPEED, TORQUE = (0.2, 0.1), (3.0, 1.0)  # deg/s and N·m: not explained, floor
 
@@ -195,3 +196,11 @@ def test_what_stands_for_each_other_is_not_immaterial(pair, single, found):
     entries = [Entry(k, 100.0, 100.0, (), Stub().without(final, k)) for k in final.keys]
     selection = Selection(Kept(()), final, entries)
     assert material_together(Stub(), selection, share) == found
+
+
+def test_a_large_error_of_a_parameter_is_a_plain_percentage():
+    free = {"unit": "N", "range": None, "outside": False}
+    declared = {"a": {"fitted": 0.05, "se": 0.15, **free}, "b": {"fitted": 2.0, "se": 0.05, **free}}
+    _, large, small = parameter_lines(declared)
+    assert "(300 %)" in large
+    assert "(2.5 %)" in small
